@@ -1,0 +1,3 @@
+//! A gateway that lets many clients share Weiss/SCHUNK WSG grippers safely.
+
+pub mod wsg;

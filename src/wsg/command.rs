@@ -1,0 +1,391 @@
+//! Requests: every command of the manuals as a type that can't hold an invalid value, to bytes and back.
+
+use super::device::{DeviceTag, Finger, InvalidDeviceTag, SoftLimits};
+use super::frame;
+use super::id::{self, Parameters};
+use super::payload::Fields;
+use super::quantity::{Acceleration, Force, NotFinite, Speed, Width};
+use super::status::Status;
+
+/// The direction of Homing (`fw4-en 3.2.1`).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub enum HomingDirection {
+    /// 0: as the device is configured.
+    #[default]
+    Default,
+    /// 1: positive, to the outer end stop.
+    Outer,
+    /// 2: negative, to the inner end stop.
+    Inner,
+}
+
+/// The flags of Pre-position Fingers (`fw4-en 3.2.2`), whose other bits are unused.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub struct MoveFlags {
+    /// D0: the width is an offset to the current one.
+    pub relative: bool,
+    /// D1: stop on block, else clamp on block.
+    pub stop_on_block: bool,
+}
+
+/// Automatic updates of a getter (`fw4-en 3.4.1`).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
+pub enum Updates {
+    /// D0 = 0: one reply, now; automatic updates are switched off.
+    #[default]
+    Off,
+    /// D0 = 1: on.
+    On {
+        /// D1: only when the value has changed.
+        on_change: bool,
+        /// The least time between two of them, as asked for: the device takes 10 ms at least (fw4).
+        period_ms: u16,
+    },
+}
+
+/// A request to a device.
+#[derive(Debug, Clone, PartialEq)]
+#[allow(missing_docs, reason = "named as in the manual, section by section")]
+pub enum Command {
+    Loop(LoopData),
+    DisconnectAnnouncement,
+    Homing(HomingDirection),
+    PrePosition { flags: MoveFlags, width: Width, speed: Speed },
+    Stop,
+    FastStop,
+    AcknowledgeFastStop,
+    Grip { width: Width, speed: Speed },
+    Release { width: Width, speed: Speed },
+    SetAcceleration(Acceleration),
+    GetAcceleration,
+    SetForceLimit(Force),
+    GetForceLimit,
+    SetSoftLimits(SoftLimits),
+    GetSoftLimits,
+    ClearSoftLimits,
+    OverdriveMode { on: bool },
+    TareForceSensor,
+    GetSystemState(Updates),
+    GetGripperState(Updates),
+    GetStatistics { reset: bool },
+    GetWidth(Updates),
+    GetSpeed(Updates),
+    GetForce(Updates),
+    GetTemperature,
+    GetSystemInfo,
+    SetDeviceTag(DeviceTag),
+    GetDeviceTag,
+    GetSystemLimits,
+    GetFingerInfo(Finger),
+    GetFingerFlags(Finger),
+    FingerPower { finger: Finger, on: bool },
+    GetFingerData(Finger),
+    Custom(CustomCommand),
+}
+
+/// The data of Loop: 256 bytes at most (`fw4-en 3.1.1`).
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct LoopData(Vec<u8>);
+
+impl LoopData {
+    /// These bytes, or `None` where they are more than [`id::MAX_LOOP_BYTES`].
+    #[must_use]
+    pub fn new(bytes: Vec<u8>) -> Option<Self> {
+        (bytes.len() <= id::MAX_LOOP_BYTES).then_some(Self(bytes))
+    }
+
+    /// The bytes.
+    #[must_use]
+    pub fn as_bytes(&self) -> &[u8] {
+        &self.0
+    }
+}
+
+/// A command of a script on the device: an id that the manuals don't know, and opaque bytes.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct CustomCommand {
+    id: u8,
+    payload: Vec<u8>,
+}
+
+impl CustomCommand {
+    /// Of this id, or `None` where the manuals know it, where it is AAh (which can't be told from a preamble), or
+    /// where the payload is above [`id::MAX_OPAQUE_BYTES`].
+    #[must_use]
+    pub fn new(id: u8, payload: Vec<u8>) -> Option<Self> {
+        let possible = id::describe(id).is_none() && id != frame::PREAMBLE[0];
+        (possible && payload.len() <= id::MAX_OPAQUE_BYTES).then_some(Self { id, payload })
+    }
+
+    /// The script's id.
+    #[must_use]
+    pub const fn id(&self) -> u8 {
+        self.id
+    }
+
+    /// Its opaque bytes.
+    #[must_use]
+    pub fn payload(&self) -> &[u8] {
+        &self.payload
+    }
+}
+
+/// Why bytes are no request.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub enum InvalidRequest {
+    /// 07h, 22h and other commands that take none.
+    #[error("{0} takes no parameters, and {1} bytes were given")]
+    NoParameterExpected(&'static str, usize),
+    /// A wrong length, or a wrong acknowledge key.
+    #[error("the parameters of {0} have a wrong length or form ({1} bytes were given)")]
+    Format(&'static str, usize),
+    /// A value that the command does not have.
+    #[error("a parameter of {0} has a value that the command does not know")]
+    Value(&'static str),
+    /// Not a finite number.
+    #[error("a parameter of {0}: {1}")]
+    Number(&'static str, NotFinite),
+    /// 51h.
+    #[error(transparent)]
+    Tag(#[from] InvalidDeviceTag),
+    /// An id that no frame can carry, or more bytes than a custom command may have.
+    #[error("no custom command has id {0:02X}h with {1} bytes")]
+    Custom(u8, usize),
+}
+
+impl InvalidRequest {
+    /// What a device answers.
+    #[must_use]
+    pub const fn status(self) -> Status {
+        match self {
+            Self::NoParameterExpected(..) => Status::E_NO_PARAM_EXPECTED,
+            Self::Format(..) => Status::E_CMD_FORMAT_ERROR,
+            Self::Value(_) | Self::Number(..) | Self::Tag(InvalidDeviceTag::IllegalCharacter) => {
+                Status::E_INVALID_PARAMETER
+            }
+            Self::Tag(InvalidDeviceTag::TooLong) => Status::E_OVERRUN,
+            Self::Custom(..) => Status::E_CMD_UNKNOWN,
+        }
+    }
+}
+
+/// The key of Acknowledge FAST STOP (`fw4-en 3.2.5`).
+const ACKNOWLEDGE_KEY: &[u8; 3] = b"ack";
+
+impl Command {
+    /// Its id.
+    #[must_use]
+    pub fn id(&self) -> u8 {
+        match self {
+            Self::Loop(_) => id::LOOP,
+            Self::DisconnectAnnouncement => id::DISCONNECT_ANNOUNCEMENT,
+            Self::Homing(_) => id::HOMING,
+            Self::PrePosition { .. } => id::PRE_POSITION,
+            Self::Stop => id::STOP,
+            Self::FastStop => id::FAST_STOP,
+            Self::AcknowledgeFastStop => id::ACKNOWLEDGE_FAST_STOP,
+            Self::Grip { .. } => id::GRIP,
+            Self::Release { .. } => id::RELEASE,
+            Self::SetAcceleration(_) => id::SET_ACCELERATION,
+            Self::GetAcceleration => id::GET_ACCELERATION,
+            Self::SetForceLimit(_) => id::SET_FORCE_LIMIT,
+            Self::GetForceLimit => id::GET_FORCE_LIMIT,
+            Self::SetSoftLimits(_) => id::SET_SOFT_LIMITS,
+            Self::GetSoftLimits => id::GET_SOFT_LIMITS,
+            Self::ClearSoftLimits => id::CLEAR_SOFT_LIMITS,
+            Self::OverdriveMode { .. } => id::OVERDRIVE_MODE,
+            Self::TareForceSensor => id::TARE_FORCE_SENSOR,
+            Self::GetSystemState(_) => id::GET_SYSTEM_STATE,
+            Self::GetGripperState(_) => id::GET_GRIPPER_STATE,
+            Self::GetStatistics { .. } => id::GET_STATISTICS,
+            Self::GetWidth(_) => id::GET_WIDTH,
+            Self::GetSpeed(_) => id::GET_SPEED,
+            Self::GetForce(_) => id::GET_FORCE,
+            Self::GetTemperature => id::GET_TEMPERATURE,
+            Self::GetSystemInfo => id::GET_SYSTEM_INFO,
+            Self::SetDeviceTag(_) => id::SET_DEVICE_TAG,
+            Self::GetDeviceTag => id::GET_DEVICE_TAG,
+            Self::GetSystemLimits => id::GET_SYSTEM_LIMITS,
+            Self::GetFingerInfo(finger) => by_finger(*finger, id::GET_FINGER_1_INFO, id::GET_FINGER_2_INFO),
+            Self::GetFingerFlags(finger) => by_finger(*finger, id::GET_FINGER_1_FLAGS, id::GET_FINGER_2_FLAGS),
+            Self::FingerPower { finger, .. } => by_finger(*finger, id::FINGER_1_POWER, id::FINGER_2_POWER),
+            Self::GetFingerData(finger) => by_finger(*finger, id::GET_FINGER_1_DATA, id::GET_FINGER_2_DATA),
+            Self::Custom(custom) => custom.id,
+        }
+    }
+
+    /// Whether it moves the fingers.
+    #[must_use]
+    pub fn is_motion(&self) -> bool {
+        id::is_motion(self.id())
+    }
+
+    /// Whether its first reply is `E_CMD_PENDING`, and a second one brings the result (`fw4-en 1.3`).
+    #[must_use]
+    pub fn is_two_step(&self) -> bool {
+        self.is_motion() || matches!(self, Self::FingerPower { on: true, .. })
+    }
+
+    /// Appends its parameters to `out`.
+    pub fn write_payload(&self, out: &mut Vec<u8>) {
+        match self {
+            Self::Loop(LoopData(bytes)) => out.extend_from_slice(bytes),
+            Self::Homing(direction) => out.push(*direction as u8),
+            Self::PrePosition { flags, width, speed } => {
+                out.push(u8::from(flags.relative) | u8::from(flags.stop_on_block) << 1);
+                write_floats(out, &[width.mm(), speed.mm_s()]);
+            }
+            Self::AcknowledgeFastStop => out.extend_from_slice(ACKNOWLEDGE_KEY),
+            Self::Grip { width, speed } | Self::Release { width, speed } => {
+                write_floats(out, &[width.mm(), speed.mm_s()]);
+            }
+            Self::SetAcceleration(acceleration) => write_floats(out, &[acceleration.mm_s2()]),
+            Self::SetForceLimit(force) => write_floats(out, &[force.n()]),
+            Self::SetSoftLimits(limits) => write_floats(out, &[limits.minus().mm(), limits.plus().mm()]),
+            Self::OverdriveMode { on } | Self::FingerPower { on, .. } | Self::GetStatistics { reset: on } => {
+                out.push(u8::from(*on));
+            }
+            Self::GetSystemState(updates)
+            | Self::GetGripperState(updates)
+            | Self::GetWidth(updates)
+            | Self::GetSpeed(updates)
+            | Self::GetForce(updates) => updates.write(out),
+            Self::SetDeviceTag(tag) => out.extend_from_slice(tag.as_str().as_bytes()),
+            Self::Custom(custom) => out.extend_from_slice(&custom.payload),
+            _ => {}
+        }
+    }
+
+    /// Appends its frame to `out`.
+    pub fn encode(&self, out: &mut Vec<u8>) {
+        frame::encode_with(self.id(), out, |out| self.write_payload(out));
+    }
+
+    /// The request that a frame carries. An id that the manuals don't know is a [`Command::Custom`].
+    ///
+    /// # Errors
+    /// [`InvalidRequest`], whose [`status`](InvalidRequest::status) is a device's answer to it.
+    pub fn parse(id: u8, payload: &[u8]) -> Result<Self, InvalidRequest> {
+        let Some(description) = id::describe(id) else {
+            let custom = CustomCommand::new(id, payload.to_vec());
+            return custom.map(Self::Custom).ok_or(InvalidRequest::Custom(id, payload.len()));
+        };
+        let name = description.name;
+        let right_length = match description.parameters {
+            Parameters::NoneExpected if !payload.is_empty() => {
+                return Err(InvalidRequest::NoParameterExpected(name, payload.len()));
+            }
+            Parameters::Exactly(bytes) => payload.len() == bytes,
+            Parameters::AtMost(bytes) => payload.len() <= bytes,
+            Parameters::NoneExpected | Parameters::Text | Parameters::Anything => true,
+        };
+        if !right_length {
+            return Err(InvalidRequest::Format(name, payload.len()));
+        }
+        Self::parse_parameters(id, name, payload)
+    }
+
+    fn parse_parameters(id: u8, name: &'static str, payload: &[u8]) -> Result<Self, InvalidRequest> {
+        let mut fields = Fields::new(payload);
+        let number = |error| InvalidRequest::Number(name, error);
+        Ok(match id {
+            id::LOOP => Self::Loop(LoopData(payload.to_vec())),
+            id::DISCONNECT_ANNOUNCEMENT => Self::DisconnectAnnouncement,
+            id::HOMING => Self::Homing(match fields.u8() {
+                0 => HomingDirection::Default,
+                1 => HomingDirection::Outer,
+                2 => HomingDirection::Inner,
+                _ => return Err(InvalidRequest::Value(name)),
+            }),
+            id::PRE_POSITION => {
+                let flags = fields.u8();
+                let flags = MoveFlags { relative: flags & 1 != 0, stop_on_block: flags & 2 != 0 };
+                let (width, speed) = fields.width_and_speed().map_err(number)?;
+                Self::PrePosition { flags, width, speed }
+            }
+            id::STOP => Self::Stop,
+            id::FAST_STOP => Self::FastStop,
+            id::ACKNOWLEDGE_FAST_STOP if payload == ACKNOWLEDGE_KEY => Self::AcknowledgeFastStop,
+            id::ACKNOWLEDGE_FAST_STOP => return Err(InvalidRequest::Format(name, payload.len())),
+            id::GRIP => {
+                let (width, speed) = fields.width_and_speed().map_err(number)?;
+                Self::Grip { width, speed }
+            }
+            id::RELEASE => {
+                let (width, speed) = fields.width_and_speed().map_err(number)?;
+                Self::Release { width, speed }
+            }
+            id::SET_ACCELERATION => Self::SetAcceleration(Acceleration::new(fields.f32()).map_err(number)?),
+            id::GET_ACCELERATION => Self::GetAcceleration,
+            id::SET_FORCE_LIMIT => Self::SetForceLimit(Force::new(fields.f32()).map_err(number)?),
+            id::GET_FORCE_LIMIT => Self::GetForceLimit,
+            id::SET_SOFT_LIMITS => {
+                let minus = Width::new(fields.f32()).map_err(number)?;
+                let plus = Width::new(fields.f32()).map_err(number)?;
+                Self::SetSoftLimits(SoftLimits::new(minus, plus).ok_or(InvalidRequest::Value(name))?)
+            }
+            id::GET_SOFT_LIMITS => Self::GetSoftLimits,
+            id::CLEAR_SOFT_LIMITS => Self::ClearSoftLimits,
+            id::OVERDRIVE_MODE => Self::OverdriveMode { on: fields.u8() & 1 != 0 },
+            id::TARE_FORCE_SENSOR => Self::TareForceSensor,
+            id::GET_SYSTEM_STATE => Self::GetSystemState(Updates::read(&mut fields)),
+            id::GET_GRIPPER_STATE => Self::GetGripperState(Updates::read(&mut fields)),
+            id::GET_STATISTICS => Self::GetStatistics { reset: fields.u8() & 1 != 0 },
+            id::GET_WIDTH => Self::GetWidth(Updates::read(&mut fields)),
+            id::GET_SPEED => Self::GetSpeed(Updates::read(&mut fields)),
+            id::GET_FORCE => Self::GetForce(Updates::read(&mut fields)),
+            id::GET_TEMPERATURE => Self::GetTemperature,
+            id::GET_SYSTEM_INFO => Self::GetSystemInfo,
+            id::SET_DEVICE_TAG => Self::SetDeviceTag(DeviceTag::new(payload)?),
+            id::GET_DEVICE_TAG => Self::GetDeviceTag,
+            id::GET_SYSTEM_LIMITS => Self::GetSystemLimits,
+            id::GET_FINGER_1_INFO | id::GET_FINGER_2_INFO => Self::GetFingerInfo(finger_of(id)),
+            id::GET_FINGER_1_FLAGS | id::GET_FINGER_2_FLAGS => Self::GetFingerFlags(finger_of(id)),
+            // Ruling: the parameter is byte 0, though the manuals' tables call it byte 1.
+            id::FINGER_1_POWER | id::FINGER_2_POWER => match fields.u8() {
+                on @ (0 | 1) => Self::FingerPower { finger: finger_of(id), on: on == 1 },
+                _ => return Err(InvalidRequest::Value(name)),
+            },
+            id::GET_FINGER_1_DATA | id::GET_FINGER_2_DATA => Self::GetFingerData(finger_of(id)),
+            _ => return Err(InvalidRequest::Custom(id, payload.len())),
+        })
+    }
+}
+
+impl Updates {
+    fn write(self, out: &mut Vec<u8>) {
+        let (flags, period_ms) = match self {
+            Self::Off => (0, 0),
+            Self::On { on_change, period_ms } => (1 | u8::from(on_change) << 1, period_ms),
+        };
+        out.push(flags);
+        out.extend_from_slice(&period_ms.to_le_bytes());
+    }
+
+    fn read(fields: &mut Fields<'_>) -> Self {
+        let (flags, period_ms) = (fields.u8(), fields.u16());
+        if flags & 1 == 0 { Self::Off } else { Self::On { on_change: flags & 2 != 0, period_ms } }
+    }
+}
+
+fn by_finger(finger: Finger, one: u8, two: u8) -> u8 {
+    match finger {
+        Finger::One => one,
+        Finger::Two => two,
+    }
+}
+
+/// 60h to 63h are the first finger's, 70h to 73h the second's.
+pub(super) fn finger_of(id: u8) -> Finger {
+    if id < id::GET_FINGER_2_INFO { Finger::One } else { Finger::Two }
+}
+
+fn write_floats(out: &mut Vec<u8>, values: &[f32]) {
+    for value in values {
+        out.extend_from_slice(&value.to_le_bytes());
+    }
+}
+
+#[cfg(test)]
+#[path = "command_tests.rs"]
+mod tests;

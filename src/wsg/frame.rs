@@ -1,0 +1,323 @@
+//! Frames: `AA AA AA | id | size | payload | checksum`, little endian (`fw4-en 1.2.1`).
+//!
+//! [`encode`] appends a frame to a buffer. [`Decoder`] finds frames in a byte stream, and finds them again after
+//! garbage, damage or a frame cut short: after a rejected header it goes on one byte later in the bytes that it
+//! already holds, so nothing is lost but the damaged frame itself. It allocates nothing per frame.
+
+use super::crc;
+
+/// Every frame begins with these three bytes.
+pub const PREAMBLE: [u8; 3] = [0xAA; 3];
+
+/// Preamble, id and size.
+pub const HEADER_BYTES: usize = 6;
+
+/// What a frame has besides its payload: header and checksum.
+pub const OVERHEAD_BYTES: usize = HEADER_BYTES + 2;
+
+/// One frame, its checksum already verified (or its verification waived) and removed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Frame<'a> {
+    /// The command's id.
+    pub id: u8,
+    /// What stands between the size field and the checksum.
+    pub payload: &'a [u8],
+}
+
+/// Appends the frame of `id` and `payload` to `out`.
+///
+/// The size field has 16 bits: of a longer payload, which no type of this crate can hold, only the first 65535 bytes
+/// are taken.
+pub fn encode(id: u8, payload: &[u8], out: &mut Vec<u8>) {
+    encode_with(id, out, |out| out.extend_from_slice(payload));
+}
+
+/// Appends the frame of `id` whose payload `write` appends.
+pub fn encode_with(id: u8, out: &mut Vec<u8>, write: impl FnOnce(&mut Vec<u8>)) {
+    let start = out.len();
+    out.extend_from_slice(&PREAMBLE);
+    out.extend_from_slice(&[id, 0, 0]);
+    write(out);
+    out.truncate(start + HEADER_BYTES + usize::from(u16::MAX));
+    let size = (out.len() - start - HEADER_BYTES) as u16;
+    out[start + 4..start + HEADER_BYTES].copy_from_slice(&size.to_le_bytes());
+    let checksum = crc::checksum(&out[start..]);
+    out.extend_from_slice(&checksum.to_le_bytes());
+}
+
+/// Whether a receiver evaluates checksums (`fw4-en 1.4.1`: a device can be told not to; everyone else does).
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum ChecksumEvaluation {
+    /// A frame with a wrong checksum is damaged.
+    #[default]
+    On,
+    /// The two bytes must be there, and may have any value.
+    Off,
+}
+
+/// What a [`Decoder`] found.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Decoded<'a> {
+    /// A valid frame.
+    Frame(Frame<'a>),
+    /// What looked like a frame of this id, but its checksum is wrong. Decoding goes on one byte after its beginning.
+    Damaged {
+        /// The id that its header named.
+        id: u8,
+    },
+}
+
+/// What a [`Decoder`] has seen since it was made.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct DecoderCounters {
+    /// Bytes received.
+    pub bytes: u64,
+    /// Valid frames.
+    pub frames: u64,
+    /// Frames rejected for their checksum.
+    pub checksum_errors: u64,
+    /// Frames rejected because their size is above what their id allows.
+    pub oversized: u64,
+    /// Frames given up because their bytes stopped coming.
+    pub cut_short: u64,
+    /// Bytes that belonged to no valid frame.
+    pub skipped_bytes: u64,
+    /// Times that a valid frame was found after skipped bytes.
+    pub resynchronisations: u64,
+}
+
+/// Finds frames in a stream of bytes.
+#[derive(Debug)]
+pub struct Decoder {
+    buffer: Vec<u8>,
+    /// Where the first byte that is not yet decided upon stands in `buffer`.
+    start: usize,
+    max_payload_bytes: fn(u8) -> usize,
+    evaluation: ChecksumEvaluation,
+    in_sync: bool,
+    counters: DecoderCounters,
+}
+
+impl Decoder {
+    /// A decoder that takes a payload of an id up to `max_payload_bytes(id)`: a size above is damage, and ends the
+    /// frame at once, rather than have it swallow what follows.
+    #[must_use]
+    pub fn new(max_payload_bytes: fn(u8) -> usize, evaluation: ChecksumEvaluation) -> Self {
+        let counters = DecoderCounters::default();
+        Self { buffer: Vec::new(), start: 0, max_payload_bytes, evaluation, in_sync: true, counters }
+    }
+
+    /// Takes bytes as they come. Call [`Decoder::next`] until it returns `None` after each call.
+    pub fn push(&mut self, bytes: &[u8]) {
+        self.buffer.drain(..self.start);
+        self.start = 0;
+        self.buffer.extend_from_slice(bytes);
+        self.counters.bytes += bytes.len() as u64;
+    }
+
+    /// The next thing found in what was pushed, or `None` until more bytes come.
+    #[allow(clippy::should_implement_trait, reason = "what it returns borrows from the decoder, which Iterator cannot")]
+    pub fn next(&mut self) -> Option<Decoded<'_>> {
+        let (id, end) = loop {
+            let candidate = self.candidate()?;
+            match candidate {
+                Candidate::Oversized => {
+                    self.counters.oversized += 1;
+                    self.skip(1);
+                }
+                Candidate::Complete { id, end } => break (id, end),
+            }
+        };
+        if self.evaluation == ChecksumEvaluation::On && crc::checksum(&self.buffer[self.start..end]) != 0 {
+            self.counters.checksum_errors += 1;
+            self.skip(1);
+            return Some(Decoded::Damaged { id });
+        }
+        if !self.in_sync {
+            self.in_sync = true;
+            self.counters.resynchronisations += 1;
+        }
+        self.counters.frames += 1;
+        let payload = self.start + HEADER_BYTES..end - 2;
+        self.start = end;
+        Some(Decoded::Frame(Frame { id, payload: &self.buffer[payload] }))
+    }
+
+    /// Whether the beginning of a frame waits for the rest of it.
+    #[must_use]
+    pub fn is_partial(&self) -> bool {
+        self.start < self.buffer.len()
+    }
+
+    /// Gives up the frame that waits for its rest: its bytes have stopped for longer than a frame takes. Call
+    /// [`Decoder::next`] afterwards, since a whole frame may have been behind the false beginning.
+    pub fn give_up_partial(&mut self) {
+        if self.is_partial() {
+            self.counters.cut_short += 1;
+            self.skip(1);
+        }
+    }
+
+    /// What was seen so far.
+    #[must_use]
+    pub fn counters(&self) -> DecoderCounters {
+        self.counters
+    }
+
+    /// Moves `start` to the next header whose frame is complete or too big.
+    fn candidate(&mut self) -> Option<Candidate> {
+        loop {
+            let rest = &self.buffer[self.start..];
+            let matching = rest.iter().zip(PREAMBLE).take_while(|&(&byte, preamble)| byte == preamble).count();
+            if matching < PREAMBLE.len() {
+                if matching == rest.len() {
+                    return None;
+                }
+                self.skip(matching + 1);
+                continue;
+            }
+            let id = *rest.get(3)?;
+            if id == PREAMBLE[0] {
+                // A fourth AAh: a run of them cannot be told from an id AAh, and the last three are the preamble.
+                self.skip(1);
+                continue;
+            }
+            let size = usize::from(u16::from_le_bytes([*rest.get(4)?, *rest.get(5)?]));
+            if size > (self.max_payload_bytes)(id) {
+                return Some(Candidate::Oversized);
+            }
+            let end = self.start + size + OVERHEAD_BYTES;
+            return (self.buffer.len() >= end).then_some(Candidate::Complete { id, end });
+        }
+    }
+
+    fn skip(&mut self, bytes: usize) {
+        self.start += bytes;
+        self.in_sync = false;
+        self.counters.skipped_bytes += bytes as u64;
+    }
+}
+
+enum Candidate {
+    Oversized,
+    Complete { id: u8, end: usize },
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn decoder() -> Decoder {
+        Decoder::new(|_| 300, ChecksumEvaluation::On)
+    }
+
+    fn frames(decoder: &mut Decoder) -> Vec<(u8, Vec<u8>)> {
+        let mut found = Vec::new();
+        while let Some(decoded) = decoder.next() {
+            if let Decoded::Frame(frame) = decoded {
+                found.push((frame.id, frame.payload.to_vec()));
+            }
+        }
+        found
+    }
+
+    fn frame(id: u8, payload: &[u8]) -> Vec<u8> {
+        let mut out = Vec::new();
+        encode(id, payload, &mut out);
+        out
+    }
+
+    /// The frames that the manuals print (`fw4-en 1.2.1`, `1.2.2`, `1.3`). Do not change them.
+    #[test]
+    fn golden_frames_of_the_manuals() {
+        let golden: [(&str, u8, &[u8]); 7] = [
+            ("AAAAAA010000E810", 0x01, &[]),
+            ("AAAAAA01020012346D66", 0x01, &[0x12, 0x34]),
+            ("AAAAAA2002000000B3FD", 0x20, &[0, 0]),
+            ("AAAAAA9002000E00FD02", 0x90, &[0x0E, 0]),
+            ("AAAAAA2102001A0067CB", 0x21, &[0x1A, 0]),
+            ("AAAAAA21020000002804", 0x21, &[0, 0]),
+            ("AAAAAA310600000000001643 1CAF", 0x31, &[0, 0, 0, 0, 0x16, 0x43]),
+        ];
+        for (printed, id, payload) in golden {
+            let bytes = hex::decode(printed.replace(' ', "")).unwrap();
+            assert_eq!(frame(id, payload), bytes, "{printed}");
+            let mut decoder = decoder();
+            decoder.push(&bytes);
+            assert_eq!(frames(&mut decoder), [(id, payload.to_vec())], "{printed}");
+        }
+    }
+
+    /// The reply to Get Acceleration is printed with one 00h missing (`fw4-en 1.2.2`, example 3).
+    #[test]
+    fn ruling_the_damaged_printed_frame_is_a_frame_cut_short() {
+        let printed = hex::decode("AAAAAA3006000000001643DCCB").unwrap();
+        let mut decoder = decoder();
+        decoder.push(&printed);
+        assert_eq!(frames(&mut decoder), []);
+        assert!(decoder.is_partial());
+        decoder.push(&frame(0x20, &[0, 0]));
+        assert_eq!(frames(&mut decoder), [(0x20, vec![0, 0])], "the next frame is not lost");
+        assert_eq!(decoder.counters().checksum_errors, 1);
+
+        let restored = hex::decode("AAAAAA300600000000001643DCCB").unwrap();
+        assert_eq!(frame(0x30, &[0, 0, 0, 0, 0x16, 0x43]), restored, "with the 00h its checksum is right");
+    }
+
+    #[test]
+    fn a_frame_split_at_every_byte_is_found() {
+        let bytes = [frame(0x43, &[0, 0, 1, 2, 3, 4]), frame(0x06, &[0xAA; 20])].concat();
+        for split in 0..bytes.len() {
+            let mut decoder = decoder();
+            decoder.push(&bytes[..split]);
+            let mut found = frames(&mut decoder);
+            decoder.push(&bytes[split..]);
+            found.extend(frames(&mut decoder));
+            assert_eq!(found, [(0x43, vec![0, 0, 1, 2, 3, 4]), (0x06, vec![0xAA; 20])], "split at {split}");
+            assert_eq!(decoder.counters().skipped_bytes, 0);
+        }
+    }
+
+    #[test]
+    fn garbage_and_runs_of_aa_cost_no_frame() {
+        let mut decoder = decoder();
+        let good = frame(0x41, &[0, 0, 4]);
+        let stream = [&[0x00, 0xAA, 0xAA, 0x01][..], &good, &[0xAA; 5], &good, &[0xAA], &good].concat();
+        decoder.push(&stream);
+        assert_eq!(frames(&mut decoder).len(), 3);
+        assert_eq!(decoder.counters().resynchronisations, 3);
+        assert_eq!(decoder.counters().skipped_bytes, 4 + 5 + 1);
+    }
+
+    #[test]
+    fn a_size_that_no_reply_can_have_ends_the_frame_at_once() {
+        let mut decoder = decoder();
+        decoder.push(&[0xAA, 0xAA, 0xAA, 0x40, 0xFF, 0xFF]);
+        decoder.push(&frame(0x40, &[0, 0, 1, 0, 0, 0]));
+        assert_eq!(frames(&mut decoder).len(), 1);
+        assert_eq!(decoder.counters().oversized, 1);
+    }
+
+    #[test]
+    fn a_frame_hidden_in_a_partial_one_is_found_when_that_is_given_up() {
+        let mut decoder = decoder();
+        decoder.push(&[0xAA, 0xAA, 0xAA, 0x06, 0x20, 0x00]);
+        decoder.push(&frame(0x41, &[0, 0, 4]));
+        assert_eq!(frames(&mut decoder), []);
+        decoder.give_up_partial();
+        assert_eq!(frames(&mut decoder), [(0x41, vec![0, 0, 4])]);
+        assert!(!decoder.is_partial());
+        assert_eq!(decoder.counters().cut_short, 1);
+    }
+
+    #[test]
+    fn with_evaluation_off_any_checksum_will_do_but_must_be_there() {
+        let mut decoder = Decoder::new(|_| 300, ChecksumEvaluation::Off);
+        let mut bytes = frame(0x22, &[]);
+        bytes[6..].copy_from_slice(&[0x12, 0x34]);
+        decoder.push(&bytes[..7]);
+        assert_eq!(frames(&mut decoder), []);
+        decoder.push(&bytes[7..]);
+        assert_eq!(frames(&mut decoder), [(0x22, vec![])]);
+    }
+}

@@ -1,0 +1,30 @@
+//! The WSG binary command protocol, sans-IO: no runtime, no clock, no randomness. Bytes and `now` go in, outputs come
+//! out.
+//!
+//! [`frame`] is the outermost layer, [`command`] and [`reply`] say what a frame means, and [`session`] is the state of
+//! one link: what is in flight, what waits, what is late. The manuals are cited as `fw2`, `fw4-de` and `fw4-en`, by
+//! section; where they contradict each other, a comment says "Ruling", and a test of that name holds it.
+//!
+//! Architecture invariant: nothing here imports anything else of this crate.
+
+pub mod command;
+pub mod crc;
+pub mod device;
+pub mod frame;
+pub mod id;
+mod payload;
+pub mod quantity;
+pub mod reply;
+pub mod state;
+pub mod status;
+
+pub use command::{Command, CustomCommand, HomingDirection, InvalidRequest, LoopData, MoveFlags, Updates};
+pub use device::{
+    DeviceTag, DeviceType, Finger, FingerFlags, FingerInfo, FingerType, Firmware, InvalidDeviceTag, SoftLimits,
+    Statistics, SystemInfo, SystemLimits,
+};
+pub use frame::{ChecksumEvaluation, Decoded, Decoder, DecoderCounters, Frame};
+pub use quantity::{Acceleration, Force, NotFinite, Speed, Width};
+pub use reply::{Data, InvalidReply, Reply, Temperature};
+pub use state::{GripperState, SystemState};
+pub use status::Status;
