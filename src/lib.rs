@@ -1,3 +1,4 @@
 //! A gateway that lets many clients share Weiss/SCHUNK WSG grippers safely.
 
+pub mod gripper;
 pub mod wsg;

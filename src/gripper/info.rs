@@ -1,0 +1,132 @@
+//! What is known of a gripper's device: told as one flat body by every door.
+
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use super::model::{Link, Name};
+use crate::wsg::{DeviceTag, Force, SystemInfo, SystemLimits};
+
+/// A gripper and its device.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[schema(example = json!({
+    "gripper": "left", "link": "connected", "link_cause": null, "url": "tcp://192.168.1.20:1000",
+    "transport": "tcp", "stops_on_gateway_loss": true, "device_type": "WSG 50", "device_type_code": 1,
+    "hardware_revision": 6, "firmware": "4.0.2", "serial_number": 4711, "device_tag": "cell 7", "stroke_mm": 110.0,
+    "min_speed_mm_s": 5.0, "max_speed_mm_s": 420.0, "min_acceleration_mm_s2": 100.0,
+    "max_acceleration_mm_s2": 5000.0, "min_force_n": 5.0, "nominal_force_n": 80.0, "overdrive_force_n": 120.0,
+    "capabilities": ["temperature", "fingers", "overdrive"]
+}))]
+#[allow(missing_docs, reason = "what the fields mean is said where they are read")]
+pub struct Info {
+    /// The gripper's name.
+    #[schema(value_type = String, max_length = 32)]
+    pub gripper: Name,
+    /// How the link to the device is.
+    pub link: Link,
+    /// Why it isn't connected; null while it is.
+    #[schema(required)]
+    pub link_cause: Option<String>,
+    /// Where the device is.
+    pub url: String,
+    /// `tcp`, `udp`, `serial`, `can` or `sim`.
+    pub transport: &'static str,
+    /// Whether a moving gripper stops by itself when the gateway dies: on TCP it does.
+    pub stops_on_gateway_loss: bool,
+    /// The model; null until the first connect, as are all below.
+    #[schema(required)]
+    pub device_type: Option<String>,
+    #[schema(required)]
+    pub device_type_code: Option<u8>,
+    #[schema(required)]
+    pub hardware_revision: Option<u8>,
+    #[schema(required)]
+    pub firmware: Option<String>,
+    #[schema(required)]
+    pub serial_number: Option<u32>,
+    /// The device tag; null where none is set.
+    #[schema(required, max_length = 64)]
+    pub device_tag: Option<String>,
+    /// Widths go from 0 to this.
+    #[schema(required)]
+    pub stroke_mm: Option<f32>,
+    #[schema(required)]
+    pub min_speed_mm_s: Option<f32>,
+    #[schema(required)]
+    pub max_speed_mm_s: Option<f32>,
+    #[schema(required)]
+    pub min_acceleration_mm_s2: Option<f32>,
+    #[schema(required)]
+    pub max_acceleration_mm_s2: Option<f32>,
+    #[schema(required)]
+    pub min_force_n: Option<f32>,
+    /// The highest gripping force without Overdrive Mode.
+    #[schema(required)]
+    pub nominal_force_n: Option<f32>,
+    #[schema(required)]
+    pub overdrive_force_n: Option<f32>,
+    /// `temperature`, `fingers`, `overdrive`: what this model and firmware can do beyond the common.
+    pub capabilities: Vec<&'static str>,
+}
+
+/// The first major firmware version with the finger interface and the temperature (`fw4-en 3.4.7`, `3.6`).
+const FIRST_FW4: u8 = 4;
+
+impl Info {
+    /// Of a device that has not been reached yet.
+    #[must_use]
+    pub fn unknown(gripper: Name, url: String, transport: &'static str, stops_on_gateway_loss: bool) -> Self {
+        Self {
+            gripper,
+            link: Link::Connecting,
+            link_cause: None,
+            url,
+            transport,
+            stops_on_gateway_loss,
+            device_type: None,
+            device_type_code: None,
+            hardware_revision: None,
+            firmware: None,
+            serial_number: None,
+            device_tag: None,
+            stroke_mm: None,
+            min_speed_mm_s: None,
+            max_speed_mm_s: None,
+            min_acceleration_mm_s2: None,
+            max_acceleration_mm_s2: None,
+            min_force_n: None,
+            nominal_force_n: None,
+            overdrive_force_n: None,
+            capabilities: Vec::new(),
+        }
+    }
+
+    /// Takes in what the device said on connecting.
+    pub(super) fn learn(&mut self, system: &SystemInfo, limits: &SystemLimits, tag: Option<&DeviceTag>) {
+        self.device_type = Some(system.device_type.to_string());
+        self.device_type_code = Some(system.device_type.code());
+        self.hardware_revision = Some(system.hardware_revision);
+        self.firmware = Some(system.firmware.to_string());
+        self.serial_number = Some(system.serial_number);
+        self.device_tag = tag.map(|tag| tag.as_str().to_owned());
+        self.stroke_mm = Some(limits.stroke.mm());
+        self.min_speed_mm_s = Some(limits.min_speed.mm_s());
+        self.max_speed_mm_s = Some(limits.max_speed.mm_s());
+        self.min_acceleration_mm_s2 = Some(limits.min_acceleration.mm_s2());
+        self.max_acceleration_mm_s2 = Some(limits.max_acceleration.mm_s2());
+        self.min_force_n = Some(limits.min_force.n());
+        self.nominal_force_n = Some(limits.nominal_force.n());
+        self.overdrive_force_n = Some(limits.overdrive_force.n());
+        self.capabilities.clear();
+        if has_temperature(system) {
+            self.capabilities.extend(["temperature", "fingers"]);
+        }
+        if limits.overdrive_force > limits.nominal_force && limits.overdrive_force > Force::ZERO {
+            self.capabilities.push("overdrive");
+        }
+    }
+}
+
+/// Whether Get Temperature (46h) and the finger interface are there.
+pub(super) fn has_temperature(system: &SystemInfo) -> bool {
+    system.firmware.major() >= FIRST_FW4
+}

@@ -1,0 +1,541 @@
+//! What clients say to a gripper, and what they are told of it: the vocabulary that all doors share.
+//!
+//! The types that are told derive their JSON here, once, so that every door sends the same bodies.
+
+use std::fmt;
+use std::sync::Arc;
+use std::time::Instant;
+
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize, Serializer};
+use utoipa::ToSchema;
+use uuid::Uuid;
+
+use super::error::Rejection;
+use crate::wsg::{Force, HomingDirection, MoveFlags, Speed, Status, Width};
+
+/// A gripper's or a gateway's name: `[a-z0-9][a-z0-9_-]{0,31}`.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+pub struct Name(Arc<str>);
+
+/// A text that is no [`Name`].
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{0:?} is no name: 1 to 32 of a-z, 0-9, _ and -, beginning with a letter or a digit")]
+pub struct InvalidName(pub String);
+
+impl std::str::FromStr for Name {
+    type Err = InvalidName;
+
+    fn from_str(text: &str) -> Result<Self, InvalidName> {
+        let allowed = |byte: &u8| matches!(byte, b'a'..=b'z' | b'0'..=b'9' | b'_' | b'-');
+        let first = text.bytes().next().is_some_and(|byte| byte.is_ascii_lowercase() || byte.is_ascii_digit());
+        if first && text.len() <= 32 && text.as_bytes().iter().all(allowed) {
+            Ok(Self(text.into()))
+        } else {
+            Err(InvalidName(text.to_owned()))
+        }
+    }
+}
+
+impl Name {
+    /// As it is written.
+    #[must_use]
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
+impl fmt::Display for Name {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(&self.0)
+    }
+}
+
+/// Printable text from a client, of at most `MAX` bytes.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize)]
+pub struct Text<const MAX: usize>(String);
+
+impl<const MAX: usize> Text<MAX> {
+    /// The text, or `None` where it is longer than `MAX` bytes or has a control character.
+    #[must_use]
+    pub fn new(text: &str) -> Option<Self> {
+        (text.len() <= MAX && !text.chars().any(char::is_control)).then(|| Self(text.to_owned()))
+    }
+
+    /// As much of `text` as fits, without its control characters: for what must be taken whatever it says.
+    #[must_use]
+    pub fn truncated(text: &str) -> Self {
+        let mut kept = String::new();
+        for character in text.chars().filter(|character| !character.is_control()) {
+            if kept.len() + character.len_utf8() > MAX {
+                break;
+            }
+            kept.push(character);
+        }
+        Self(kept)
+    }
+
+    /// The text.
+    #[must_use]
+    pub fn as_str(&self) -> &str {
+        &self.0
+    }
+}
+
+/// Why somebody stopped a gripper.
+pub type Reason = Text<64>;
+/// A part's name, as the MES knows it.
+pub type PartId = Text<48>;
+/// What makes a request the same as an earlier one (`Idempotency-Key`).
+pub type RequestId = Text<64>;
+
+/// The way in.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Door {
+    /// REST.
+    Http,
+}
+
+/// Who asks: the identity behind a client, and the door that it came through.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub struct Client {
+    /// Before there are credentials, the door and the peer's address.
+    pub subject: Arc<str>,
+    /// The door.
+    pub door: Door,
+}
+
+macro_rules! identifiers {
+    ($($(#[$doc:meta])* $name:ident)*) => {$(
+        $(#[$doc])*
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+        pub struct $name(Uuid);
+
+        impl $name {
+            /// A new one, later than all before it.
+            #[must_use]
+            pub fn generate() -> Self {
+                Self(Uuid::now_v7())
+            }
+        }
+
+        impl std::str::FromStr for $name {
+            type Err = uuid::Error;
+
+            fn from_str(text: &str) -> Result<Self, uuid::Error> {
+                text.parse().map(Self)
+            }
+        }
+
+        impl fmt::Display for $name {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                self.0.fmt(f)
+            }
+        }
+    )*};
+}
+
+identifiers! {
+    /// A command's id, a UUID of version 7.
+    CommandId
+    /// A FAST STOP's id, a UUID of version 7.
+    FastStopId
+}
+
+/// A command that moves the fingers.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Motion {
+    /// Homing (20h).
+    Home(HomingDirection),
+    /// Pre-position Fingers (21h).
+    Move {
+        /// Relative or absolute; stop or clamp on block.
+        flags: MoveFlags,
+        /// The target, or the offset to the current width.
+        width: Width,
+        /// The speed.
+        speed: Speed,
+    },
+    /// Grip Part (25h), after Set Force Limit (32h) where a force is given.
+    Grip {
+        /// The part's nominal width.
+        width: Width,
+        /// The speed.
+        speed: Speed,
+        /// The force limit to set first; it stays set.
+        force: Option<Force>,
+        /// The part's name, for the records.
+        part_id: Option<PartId>,
+    },
+    /// Release Part (26h).
+    Release {
+        /// The width to open to.
+        width: Width,
+        /// The speed.
+        speed: Speed,
+    },
+}
+
+impl Motion {
+    /// The request that moves the fingers.
+    #[must_use]
+    pub fn request(&self) -> crate::wsg::Command {
+        use crate::wsg::Command;
+        match *self {
+            Self::Home(direction) => Command::Homing(direction),
+            Self::Move { flags, width, speed } => Command::PrePosition { flags, width, speed },
+            Self::Grip { width, speed, .. } => Command::Grip { width, speed },
+            Self::Release { width, speed } => Command::Release { width, speed },
+        }
+    }
+
+    /// Its kind, as commands are told.
+    #[must_use]
+    pub const fn kind(&self) -> Kind {
+        match self {
+            Self::Home(_) => Kind::Home,
+            Self::Move { .. } => Kind::Move,
+            Self::Grip { .. } => Kind::Grip,
+            Self::Release { .. } => Kind::Release,
+        }
+    }
+}
+
+/// What a command does.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Action {
+    /// It moves the fingers.
+    Motion(Motion),
+    /// Stop (22h): needs no lease, and ends a running motion.
+    Stop,
+}
+
+impl Action {
+    /// Its kind, as commands are told.
+    #[must_use]
+    pub const fn kind(&self) -> Kind {
+        match self {
+            Self::Motion(motion) => motion.kind(),
+            Self::Stop => Kind::Stop,
+        }
+    }
+}
+
+/// A client's request for a command.
+#[derive(Debug, Clone)]
+pub struct Submission {
+    /// Who asks.
+    pub client: Client,
+    /// For what.
+    pub action: Action,
+    /// Makes the request safe to repeat.
+    pub request_id: Option<RequestId>,
+    /// The lease token that came with it.
+    pub lease: Option<String>,
+}
+
+/// The kind of a command.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum Kind {
+    /// Homing (20h).
+    Home,
+    /// Pre-position Fingers (21h).
+    Move,
+    /// Grip Part (25h).
+    Grip,
+    /// Release Part (26h).
+    Release,
+    /// Stop (22h).
+    Stop,
+}
+
+impl fmt::Display for Kind {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Home => "home",
+            Self::Move => "move",
+            Self::Grip => "grip",
+            Self::Release => "release",
+            Self::Stop => "stop",
+        })
+    }
+}
+
+/// Whether a command has ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Phase {
+    /// Admitted, and not ended.
+    Running,
+    /// Ended, with an outcome.
+    Done,
+}
+
+/// How a command ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, ToSchema)]
+#[serde(rename_all = "SCREAMING_SNAKE_CASE")]
+pub enum Outcome {
+    /// Done as asked.
+    Success,
+    /// A grip that holds its part.
+    PartHeld,
+    /// A grip that found no part: an answer, not an error.
+    NoPart,
+    /// The axis was blocked.
+    Blocked,
+    /// Ended by a Stop, a FAST STOP or a cancel.
+    Aborted,
+    /// A soft or hard limit was reached during the motion.
+    Range,
+    /// The device gave up waiting for its own motion.
+    Timeout,
+    /// The device ended it with another status code.
+    Failed,
+    /// Refused by the device, after its client had been told 202.
+    Refused,
+    /// It may have happened, or not: the answer never came.
+    Unknown,
+}
+
+/// One command, as clients are told of it.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[schema(example = json!({
+    "id": "019aa5c8-5a70-7c31-9f3f-4a3b7c1d2e4f", "gripper": "left", "kind": "grip", "phase": "done",
+    "outcome": "PART_HELD", "status": "E_SUCCESS", "status_code": 0, "reached_goal": true, "stalled": true,
+    "width_mm": 20.0, "force_n": 40.0, "started_at": "2026-11-21T09:00:00Z", "duration_ms": 412,
+    "client": "http:127.0.0.1", "replayed": false
+}))]
+pub struct Command {
+    /// A UUID of version 7.
+    #[schema(value_type = Uuid)]
+    pub id: CommandId,
+    /// The gripper's name.
+    #[schema(value_type = String, max_length = 32)]
+    pub gripper: Name,
+    /// What was asked for.
+    pub kind: Kind,
+    /// Whether it has ended.
+    pub phase: Phase,
+    /// How it ended; null while it runs.
+    #[schema(required)]
+    pub outcome: Option<Outcome>,
+    /// The device's last status, by its symbol; null where the device gave none.
+    #[schema(required)]
+    pub status: Option<String>,
+    /// The same, by its number.
+    #[schema(required, minimum = 0, maximum = 65535)]
+    pub status_code: Option<u16>,
+    /// Whether the goal was reached: the target, or a part held. Null while that isn't known.
+    #[schema(required)]
+    pub reached_goal: Option<bool>,
+    /// Whether the fingers were stopped by a contact. Null while that isn't known.
+    #[schema(required)]
+    pub stalled: Option<bool>,
+    /// The opening width at the end, in mm; null while running, or where it isn't known.
+    #[schema(required)]
+    pub width_mm: Option<f32>,
+    /// The gripping force at the end, in N; null while running, or where it isn't known.
+    #[schema(required)]
+    pub force_n: Option<f32>,
+    /// When it was admitted.
+    #[schema(value_type = String, format = DateTime)]
+    pub started_at: Timestamp,
+    /// From its admission to its end; null while running.
+    #[schema(required, minimum = 0)]
+    pub duration_ms: Option<u64>,
+    /// Who asked.
+    #[schema(value_type = String)]
+    pub client: Arc<str>,
+    /// Whether this answers a request that was made before.
+    pub replayed: bool,
+    /// The FAST STOP that aborted it; only then.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<Uuid>, nullable = false)]
+    pub fast_stop_id: Option<FastStopId>,
+    /// Why it was refused: told as a problem to whoever waits for it.
+    #[serde(skip)]
+    pub rejection: Option<Rejection>,
+}
+
+impl Command {
+    /// Takes the device's status into the record.
+    pub fn set_status(&mut self, status: Status) {
+        self.status = Some(status.to_string());
+        self.status_code = Some(status.code());
+    }
+}
+
+/// How the link to the device is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Link {
+    /// Never yet connected.
+    Connecting,
+    /// Set up, and heard from.
+    Connected,
+    /// Up, but silent: motions are refused.
+    Unresponsive,
+    /// Lost, and being made again.
+    Reconnecting,
+}
+
+impl fmt::Display for Link {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Connecting => "connecting",
+            Self::Connected => "connected",
+            Self::Unresponsive => "unresponsive",
+            Self::Reconnecting => "reconnecting",
+        })
+    }
+}
+
+/// Why a gripper is in FAST STOP.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum FastStopCause {
+    /// A client of the gateway asked for it.
+    Requested,
+    /// The gateway's own connection ended unannounced.
+    UnannouncedDisconnect,
+    /// The temperature is critical (TEMP_FAULT).
+    TemperatureFault,
+    /// The power supply is outside its range (POWER_FAULT).
+    PowerFault,
+    /// The motor's thermal limit (CURR_FAULT).
+    CurrentFault,
+    /// A finger's fault (FINGER_FAULT).
+    FingerFault,
+    /// The fingers moved into a range that the soft limits forbid.
+    SoftLimit,
+    /// The device's flags don't say.
+    Unknown,
+}
+
+/// A FAST STOP that holds until it is acknowledged by its id.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Latch {
+    /// What an acknowledge has to name.
+    pub id: FastStopId,
+    /// Who asked for it; `device` where nobody here did.
+    pub by: Arc<str>,
+    /// Why, in the gateway's words.
+    pub cause: FastStopCause,
+    /// Why, in the client's words.
+    pub reason: Reason,
+    /// When it was asked for, or seen.
+    pub at: Timestamp,
+    /// Whether the device's flags showed it since.
+    pub confirmed: bool,
+}
+
+/// The newest state of a gripper.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+#[schema(example = json!({
+    "gripper": "left", "link": "connected", "link_cause": null, "age_ms": 4, "seq": 51234, "state": "HOLDING",
+    "state_code": 4, "flags": ["REFERENCED", "TARGET_POS_REACHED"], "flags_raw": 129, "referenced": true,
+    "moving": false, "width_mm": 20.0, "speed_mm_s": 0.0, "force_n": 40.0, "temperature_c": 31.5,
+    "fast_stop": false, "lease_holder": null, "lease_epoch": 0, "command": null
+}))]
+pub struct State {
+    /// The gripper's name.
+    #[schema(value_type = String, max_length = 32)]
+    pub gripper: Name,
+    /// How the link to the device is.
+    pub link: Link,
+    /// Why it isn't connected; null while it is.
+    #[schema(required)]
+    pub link_cause: Option<String>,
+    /// The age of the newest update; null before the first.
+    #[serde(rename = "age_ms", serialize_with = "age_ms")]
+    #[schema(value_type = Option<u64>, required, minimum = 0)]
+    pub updated_at: Option<Instant>,
+    /// Counts the changes of this state.
+    #[schema(minimum = 0)]
+    pub seq: u64,
+    /// The gripper state, by the manual's noun; null before the first update.
+    #[schema(required)]
+    pub state: Option<&'static str>,
+    /// The same, by its number.
+    #[schema(required)]
+    pub state_code: Option<u8>,
+    /// The system state flags that are set.
+    pub flags: Vec<&'static str>,
+    /// All 32 of them as a number; null before the first update.
+    #[schema(required)]
+    pub flags_raw: Option<u32>,
+    /// Whether the fingers are referenced; null before the first update.
+    #[schema(required)]
+    pub referenced: Option<bool>,
+    /// Whether the fingers are moving; null before the first update.
+    #[schema(required)]
+    pub moving: Option<bool>,
+    /// The opening width in mm; null until referenced.
+    #[schema(required)]
+    pub width_mm: Option<f32>,
+    /// The speed of the fingers relative to each other, in mm/s.
+    #[schema(required)]
+    pub speed_mm_s: Option<f32>,
+    /// The gripping force in N, the sum over the fingers.
+    #[schema(required)]
+    pub force_n: Option<f32>,
+    /// The device's temperature in °C; null where it has none to tell (fw2).
+    #[schema(required)]
+    pub temperature_c: Option<f32>,
+    /// Whether a FAST STOP holds; null until the first connect.
+    #[schema(required)]
+    pub fast_stop: Option<bool>,
+    /// The FAST STOP that holds; only while one does.
+    #[serde(flatten)]
+    pub latch: Option<LatchFields>,
+    /// Who holds the lease; null while nobody does.
+    #[schema(required)]
+    pub lease_holder: Option<String>,
+    /// Counts the leases.
+    #[schema(minimum = 0)]
+    pub lease_epoch: u64,
+    /// The running command's id; null while none runs.
+    #[schema(value_type = Option<Uuid>, required)]
+    pub command: Option<CommandId>,
+}
+
+/// What a [`State`] has in addition while a FAST STOP holds.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct LatchFields {
+    /// What an acknowledge has to name.
+    #[schema(value_type = Uuid)]
+    pub fast_stop_id: FastStopId,
+    /// Who asked for it; `device` where nobody here did.
+    #[schema(value_type = String)]
+    pub fast_stop_by: Arc<str>,
+    /// Why, in the gateway's words.
+    pub fast_stop_cause: FastStopCause,
+    /// Why, in the client's words.
+    #[schema(value_type = String, max_length = 64)]
+    pub fast_stop_reason: Reason,
+    /// When it was asked for, or seen.
+    #[schema(value_type = String, format = DateTime)]
+    pub fast_stop_at: Timestamp,
+    /// Whether the device's flags showed it since.
+    pub fast_stop_confirmed: bool,
+}
+
+impl From<&Latch> for LatchFields {
+    fn from(latch: &Latch) -> Self {
+        Self {
+            fast_stop_id: latch.id,
+            fast_stop_by: latch.by.clone(),
+            fast_stop_cause: latch.cause,
+            fast_stop_reason: latch.reason.clone(),
+            fast_stop_at: latch.at,
+            fast_stop_confirmed: latch.confirmed,
+        }
+    }
+}
+
+#[allow(clippy::ref_option, reason = "serde's signature")]
+fn age_ms<S: Serializer>(updated_at: &Option<Instant>, serializer: S) -> Result<S::Ok, S::Error> {
+    updated_at.map(|at| at.elapsed().as_millis() as u64).serialize(serializer)
+}
