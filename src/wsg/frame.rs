@@ -149,6 +149,12 @@ impl Decoder {
         self.start < self.buffer.len()
     }
 
+    /// Where in the stream the first undecided byte stands.
+    #[must_use]
+    pub fn position(&self) -> u64 {
+        self.counters.bytes - (self.buffer.len() - self.start) as u64
+    }
+
     /// Gives up the frame that waits for its rest: its bytes have stopped for longer than a frame takes. Call
     /// [`Decoder::next`] afterwards, since a whole frame may have been behind the false beginning.
     pub fn give_up_partial(&mut self) {

@@ -15,6 +15,7 @@ pub mod id;
 mod payload;
 pub mod quantity;
 pub mod reply;
+pub mod session;
 pub mod state;
 pub mod status;
 

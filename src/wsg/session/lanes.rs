@@ -1,0 +1,86 @@
+//! What waits to be written: FAST STOP first, then Stop, then the rest, in order within an id.
+
+use std::collections::VecDeque;
+use std::time::Instant;
+
+use super::{Request, Token};
+use crate::wsg::Command;
+
+/// Requests that may wait in one lane. The gateway has a few dozen ids, one request of each in flight; whoever queues
+/// more than this does not wait for answers.
+pub const MAX_WAITING: usize = 64;
+
+/// A request that has not been written yet.
+#[derive(Debug)]
+pub(super) struct Waiting {
+    pub token: Token,
+    pub request: Request,
+    /// When it is given up unwritten.
+    pub deadline: Instant,
+}
+
+#[derive(Debug, Default)]
+pub(super) struct Lanes {
+    fast_stop: VecDeque<Waiting>,
+    stop: VecDeque<Waiting>,
+    rest: VecDeque<Waiting>,
+}
+
+impl Lanes {
+    /// Queues a request, or gives it back where its lane is full.
+    pub(super) fn push(&mut self, waiting: Waiting) -> Result<(), Waiting> {
+        let lane = match waiting.request.command {
+            Command::FastStop => &mut self.fast_stop,
+            Command::Stop => &mut self.stop,
+            _ => &mut self.rest,
+        };
+        if lane.len() >= MAX_WAITING {
+            return Err(waiting);
+        }
+        lane.push_back(waiting);
+        Ok(())
+    }
+
+    /// The next FAST STOP or Stop whose id is open.
+    pub(super) fn pop_urgent(&mut self, is_open: impl Fn(u8) -> bool) -> Option<Waiting> {
+        pop_open(&mut self.fast_stop, &is_open).or_else(|| pop_open(&mut self.stop, &is_open))
+    }
+
+    /// The next of the rest whose id is open: one that waits for its id is passed by others, not by its own.
+    pub(super) fn pop_rest(&mut self, is_open: impl Fn(u8) -> bool) -> Option<Waiting> {
+        pop_open(&mut self.rest, &is_open)
+    }
+
+    /// Takes back a request that has not been written.
+    pub(super) fn withdraw(&mut self, token: Token) -> bool {
+        let lanes = [&mut self.fast_stop, &mut self.stop, &mut self.rest];
+        lanes.into_iter().any(|lane| {
+            let before = lane.len();
+            lane.retain(|waiting| waiting.token != token);
+            lane.len() < before
+        })
+    }
+
+    /// Takes out one request whose deadline has come.
+    pub(super) fn pop_expired(&mut self, now: Instant) -> Option<Waiting> {
+        let lanes = [&mut self.fast_stop, &mut self.stop, &mut self.rest];
+        lanes.into_iter().find_map(|lane| {
+            let index = lane.iter().position(|waiting| waiting.deadline <= now)?;
+            lane.remove(index)
+        })
+    }
+
+    pub(super) fn next_deadline(&self) -> Option<Instant> {
+        let lanes = [&self.fast_stop, &self.stop, &self.rest];
+        lanes.into_iter().flatten().map(|waiting| waiting.deadline).min()
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.fast_stop.is_empty() && self.stop.is_empty() && self.rest.is_empty()
+    }
+}
+
+fn pop_open(lane: &mut VecDeque<Waiting>, is_open: impl Fn(u8) -> bool) -> Option<Waiting> {
+    let index = lane.iter().position(|waiting| is_open(waiting.request.command.id()))?;
+    lane.remove(index)
+}

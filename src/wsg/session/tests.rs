@@ -1,0 +1,348 @@
+use super::*;
+use crate::wsg::{Force, GripperState, LoopData, Speed, Updates, Width};
+
+const ANSWER: Duration = Duration::from_millis(100);
+const RESULT: Duration = Duration::from_secs(5);
+const NOTHING: [u8; 0] = [];
+const NO_EVENTS: [Event; 0] = [];
+
+/// A session on a virtual clock, and the bytes that its device would see.
+struct Rig {
+    session: Session,
+    now: Instant,
+}
+
+impl Rig {
+    fn new() -> Self {
+        Self::on_a_line(None)
+    }
+
+    fn on_a_line(bytes_per_second: Option<u32>) -> Self {
+        let now = Instant::now();
+        let config = Config { bytes_per_second, frame_gap: Duration::from_millis(50), nonce_seed: 7 };
+        Self { session: Session::new(config, now), now }
+    }
+
+    fn submit(&mut self, command: Command) -> Token {
+        self.session.submit(self.now, Request { command, reply_within: ANSWER, result_within: RESULT }).unwrap()
+    }
+
+    /// The ids of the frames that are handed out now.
+    fn written(&mut self) -> Vec<u8> {
+        let mut ids = Vec::new();
+        let mut out = Vec::new();
+        while self.session.poll_transmit(self.now, &mut out) {
+            ids.push(out[3]);
+            out.clear();
+        }
+        ids
+    }
+
+    /// The Loop that is handed out now, as the device would echo it.
+    fn echo_of_written_loop(&mut self) -> Vec<u8> {
+        let mut out = Vec::new();
+        assert!(self.session.poll_transmit(self.now, &mut out), "a Loop is wanted");
+        assert_eq!(out[3], id::LOOP);
+        let mut echo = Vec::new();
+        Reply::Success(Data::Loop(out[6..out.len() - 2].to_vec())).encode(id::LOOP, &mut echo);
+        echo
+    }
+
+    fn reply(&mut self, id: u8, reply: &Reply) {
+        let mut bytes = Vec::new();
+        reply.encode(id, &mut bytes);
+        self.session.receive(self.now, &bytes);
+    }
+
+    fn status(&mut self, id: u8, status: Status) {
+        let reply = if status == Status::E_SUCCESS { Reply::Success(Data::None) } else { Reply::Status(status) };
+        self.reply(id, &reply);
+    }
+
+    fn flags(&mut self, flags: SystemState) {
+        self.reply(id::GET_SYSTEM_STATE, &Reply::Success(Data::SystemState(flags)));
+    }
+
+    fn pass(&mut self, time: Duration) {
+        self.now += time;
+        self.session.handle_timeout(self.now);
+    }
+
+    fn events(&mut self) -> Vec<Event> {
+        std::iter::from_fn(|| self.session.poll_event()).collect()
+    }
+}
+
+fn grip() -> Command {
+    Command::Grip { width: Width::new(20.0).unwrap(), speed: Speed::new(50.0).unwrap() }
+}
+
+fn done() -> End {
+    End::Reply(Reply::Success(Data::None))
+}
+
+#[test]
+fn fast_stop_overtakes_stop_and_stop_overtakes_the_rest() {
+    let mut rig = Rig::new();
+    rig.submit(grip());
+    rig.submit(Command::GetTemperature);
+    rig.submit(Command::Stop);
+    rig.submit(Command::FastStop);
+    assert_eq!(rig.written(), [id::FAST_STOP, id::STOP, id::GRIP, id::GET_TEMPERATURE]);
+}
+
+#[test]
+fn one_request_of_an_id_is_in_flight_and_others_pass_it() {
+    let mut rig = Rig::new();
+    let first = rig.submit(Command::GetTemperature);
+    let second = rig.submit(Command::GetTemperature);
+    rig.submit(Command::GetSystemInfo);
+    assert_eq!(rig.written(), [id::GET_TEMPERATURE, id::GET_SYSTEM_INFO]);
+    rig.status(id::GET_TEMPERATURE, Status::E_NOT_AVAILABLE);
+    let refused = |token| Event::Ended(token, End::Reply(Reply::Status(Status::E_NOT_AVAILABLE)));
+    assert_eq!(rig.events(), [refused(first)]);
+    assert_eq!(rig.written(), [id::GET_TEMPERATURE]);
+    rig.status(id::GET_TEMPERATURE, Status::E_NOT_AVAILABLE);
+    assert_eq!(rig.events(), [refused(second)]);
+}
+
+#[test]
+fn a_two_step_command_is_accepted_and_then_ends() {
+    let mut rig = Rig::new();
+    let token = rig.submit(grip());
+    rig.written();
+    rig.status(id::GRIP, Status::E_CMD_PENDING);
+    assert_eq!(rig.events(), [Event::Accepted(token)]);
+    rig.pass(RESULT - Duration::from_millis(1));
+    assert_eq!(rig.events(), NO_EVENTS);
+    rig.status(id::GRIP, Status::E_CMD_FAILED);
+    assert_eq!(rig.events(), [Event::Ended(token, End::Reply(Reply::Status(Status::E_CMD_FAILED)))]);
+}
+
+#[test]
+fn a_final_reply_before_its_pending_is_late() {
+    let mut rig = Rig::new();
+    let token = rig.submit(grip());
+    rig.written();
+    rig.status(id::GRIP, Status::E_SUCCESS);
+    assert_eq!(rig.events(), NO_EVENTS);
+    rig.status(id::GRIP, Status::E_CMD_PENDING);
+    rig.status(id::GRIP, Status::E_SUCCESS);
+    assert_eq!(rig.events(), [Event::Accepted(token), Event::Ended(token, done())]);
+    assert_eq!(rig.session.counters().late_replies, 1);
+}
+
+#[test]
+fn a_refused_motion_ends_at_once() {
+    let mut rig = Rig::new();
+    let token = rig.submit(grip());
+    rig.written();
+    rig.status(id::GRIP, Status::E_ACCESS_DENIED);
+    assert_eq!(rig.events(), [Event::Ended(token, End::Reply(Reply::Status(Status::E_ACCESS_DENIED)))]);
+}
+
+#[test]
+fn a_late_reply_does_not_answer_the_next_request_of_its_id() {
+    let mut rig = Rig::new();
+    let first = rig.submit(Command::GetForceLimit);
+    rig.written();
+    rig.pass(ANSWER);
+    let waited = ANSWER;
+    assert_eq!(rig.events(), [Event::Ended(first, End::Unanswered { written: true, waited })]);
+    let second = rig.submit(Command::GetForceLimit);
+    let echo = rig.echo_of_written_loop();
+    assert_eq!(rig.written(), NOTHING, "the id is closed");
+
+    let old = Reply::Success(Data::ForceLimit(Force::new(10.0).unwrap()));
+    rig.reply(id::GET_FORCE_LIMIT, &old);
+    assert_eq!(rig.events(), NO_EVENTS);
+    assert_eq!(rig.session.counters().late_replies, 1);
+
+    rig.session.receive(rig.now, &echo);
+    assert_eq!(rig.written(), [id::GET_FORCE_LIMIT]);
+    let new = Reply::Success(Data::ForceLimit(Force::new(40.0).unwrap()));
+    rig.reply(id::GET_FORCE_LIMIT, &new);
+    assert_eq!(rig.events(), [Event::Ended(second, End::Reply(new))]);
+}
+
+#[test]
+fn the_echo_of_a_loop_from_before_the_time_out_proves_nothing() {
+    let mut rig = Rig::new();
+    rig.submit(Command::GetForceLimit);
+    rig.submit(Command::GetTemperature);
+    rig.written();
+    rig.pass(ANSWER / 2);
+    rig.submit(Command::GetAcceleration);
+    rig.written();
+    rig.pass(ANSWER / 2);
+    let old_echo = rig.echo_of_written_loop();
+    rig.pass(ANSWER / 2);
+    rig.submit(Command::GetAcceleration);
+    rig.session.receive(rig.now, &old_echo);
+    let new_echo = rig.echo_of_written_loop();
+    assert_eq!(rig.written(), NOTHING, "31h timed out after that Loop was sent");
+    rig.session.receive(rig.now, &new_echo);
+    assert_eq!(rig.written(), [id::GET_ACCELERATION]);
+}
+
+#[test]
+fn a_two_step_id_stays_closed_until_its_late_result() {
+    let mut rig = Rig::new();
+    rig.submit(grip());
+    rig.written();
+    rig.pass(ANSWER);
+    let echo = rig.echo_of_written_loop();
+    rig.session.receive(rig.now, &echo);
+    let second = rig.submit(grip());
+    rig.flags(SystemState::MOVING);
+    assert_eq!(rig.written(), NOTHING, "it may still be running");
+    rig.status(id::GRIP, Status::E_CMD_PENDING);
+    assert_eq!(rig.written(), NOTHING);
+    rig.status(id::GRIP, Status::E_SUCCESS);
+    rig.events();
+    assert_eq!(rig.written(), [id::GRIP]);
+    rig.status(id::GRIP, Status::E_CMD_PENDING);
+    assert_eq!(rig.events(), [Event::Accepted(second)]);
+}
+
+#[test]
+fn a_two_step_id_opens_when_nothing_moves_after_the_echo() {
+    let mut rig = Rig::new();
+    rig.submit(grip());
+    rig.written();
+    rig.pass(ANSWER);
+    rig.submit(grip());
+    rig.flags(SystemState::REFERENCED);
+    let echo = rig.echo_of_written_loop();
+    assert_eq!(rig.written(), NOTHING, "that update was on its way before");
+    rig.session.receive(rig.now, &echo);
+    assert_eq!(rig.written(), NOTHING);
+    rig.flags(SystemState::REFERENCED);
+    assert_eq!(rig.written(), [id::GRIP]);
+}
+
+#[test]
+fn fast_stop_and_stop_never_wait_for_an_echo() {
+    let mut rig = Rig::new();
+    rig.submit(Command::FastStop);
+    rig.submit(Command::Stop);
+    rig.written();
+    rig.pass(ANSWER);
+    rig.submit(Command::Stop);
+    rig.submit(Command::FastStop);
+    assert_eq!(rig.written()[..2], [id::FAST_STOP, id::STOP]);
+}
+
+#[test]
+fn the_result_of_a_stopped_motion_is_not_waited_for_long() {
+    let mut rig = Rig::new();
+    let motion = rig.submit(grip());
+    rig.written();
+    rig.status(id::GRIP, Status::E_CMD_PENDING);
+    let stop = rig.submit(Command::Stop);
+    rig.written();
+    rig.status(id::STOP, Status::E_SUCCESS);
+    assert_eq!(rig.events(), [Event::Accepted(motion), Event::Ended(stop, done())]);
+    rig.pass(ABORT_GRACE);
+    assert_eq!(rig.events(), [Event::Ended(motion, End::NoResult { stopped: true })]);
+}
+
+#[test]
+fn a_request_that_cannot_be_written_ends_unwritten() {
+    let mut rig = Rig::new();
+    let token = rig.submit(Command::GetTemperature);
+    rig.pass(ANSWER);
+    assert_eq!(rig.events(), [Event::Ended(token, End::Unanswered { written: false, waited: ANSWER })]);
+    assert_eq!(rig.written(), NOTHING);
+}
+
+#[test]
+fn a_withdrawn_request_is_never_written() {
+    let mut rig = Rig::new();
+    let token = rig.submit(grip());
+    assert!(rig.session.withdraw(token));
+    assert_eq!(rig.written(), NOTHING);
+    let token = rig.submit(grip());
+    rig.written();
+    assert!(!rig.session.withdraw(token), "too late");
+}
+
+#[test]
+fn a_clients_loop_and_ours_do_not_answer_each_other() {
+    let mut rig = Rig::new();
+    rig.pass(PROBE_AFTER);
+    let probe = rig.echo_of_written_loop();
+    let data = LoopData::new(vec![1, 2, 3]).unwrap();
+    let token = rig.submit(Command::Loop(data.clone()));
+    assert_eq!(rig.written(), NOTHING, "one Loop is in flight");
+    rig.session.receive(rig.now, &probe);
+    assert_eq!(rig.written(), [id::LOOP]);
+    rig.session.receive(rig.now, &probe);
+    assert_eq!(rig.events(), NO_EVENTS, "a doubled echo of ours is no answer to the client's");
+    let reply = Reply::Success(Data::Loop(data.as_bytes().to_vec()));
+    rig.reply(id::LOOP, &reply);
+    assert_eq!(rig.events(), [Event::Ended(token, End::Reply(reply))]);
+}
+
+#[test]
+fn an_update_answers_the_request_that_switched_updates_on() {
+    let mut rig = Rig::new();
+    let token = rig.submit(Command::GetGripperState(Updates::On { on_change: false, period_ms: 10 }));
+    rig.written();
+    let data = Data::GripperState(GripperState::Idle);
+    rig.reply(id::GET_GRIPPER_STATE, &Reply::Success(data.clone()));
+    let end = End::Reply(Reply::Success(data.clone()));
+    assert_eq!(rig.events(), [Event::Update(data.clone()), Event::Ended(token, end)]);
+    rig.reply(id::GET_GRIPPER_STATE, &Reply::Success(data.clone()));
+    assert_eq!(rig.events(), [Event::Update(data)]);
+    assert_eq!(rig.session.counters().stray_replies, 0);
+}
+
+#[test]
+fn a_reply_with_impossible_contents_ends_its_request_unless_that_may_be_moving() {
+    let mut rig = Rig::new();
+    let token = rig.submit(Command::GetSystemLimits);
+    rig.submit(grip());
+    rig.written();
+    rig.reply(id::GET_SYSTEM_LIMITS, &Reply::Success(Data::None));
+    rig.reply(id::GRIP, &Reply::Success(Data::GripperState(GripperState::Idle)));
+    assert!(matches!(rig.events()[..], [Event::Ended(ended, End::Invalid(_))] if ended == token));
+    assert_eq!(rig.session.decoder_counters().oversized, 1, "a grip's reply has no parameters");
+}
+
+#[test]
+fn a_silent_device_is_probed_and_the_partial_frame_given_up() {
+    let mut rig = Rig::new();
+    rig.session.receive(rig.now, &[0xAA, 0xAA, 0xAA, id::LOOP]);
+    assert_eq!(rig.session.poll_timeout(), Some(rig.now + Duration::from_millis(50)));
+    rig.pass(Duration::from_millis(50));
+    assert_eq!(rig.session.decoder_counters().cut_short, 1);
+    rig.pass(PROBE_AFTER);
+    assert_eq!(rig.written(), [id::LOOP]);
+    rig.pass(Duration::from_millis(400));
+    assert_eq!(rig.written(), [id::LOOP], "again, with another nonce");
+}
+
+#[test]
+fn a_long_request_is_refused_on_a_slow_line_while_the_fingers_move() {
+    let mut rig = Rig::on_a_line(Some(960));
+    let long = Request {
+        command: Command::Loop(LoopData::new(vec![0; 256]).unwrap()),
+        reply_within: ANSWER,
+        result_within: RESULT,
+    };
+    assert!(rig.session.submit(rig.now, long.clone()).is_ok());
+    rig.flags(SystemState::MOVING);
+    assert_eq!(rig.session.submit(rig.now, long), Err(NotTaken::LineTime { line_ms: 275 }));
+}
+
+#[test]
+fn a_lane_is_bounded() {
+    let mut rig = Rig::new();
+    for _ in 0..MAX_WAITING {
+        rig.submit(Command::GetTemperature);
+    }
+    let one_more = Request { command: Command::GetTemperature, reply_within: ANSWER, result_within: RESULT };
+    assert_eq!(rig.session.submit(rig.now, one_more), Err(NotTaken::Full));
+    rig.submit(Command::FastStop);
+}
