@@ -80,6 +80,12 @@ pub enum Conflict {
         /// The unconfirmed one.
         id: FastStopId,
     },
+    /// Somebody else's acknowledge of it is on its way.
+    #[error("FAST STOP {id} is being acknowledged already: wait for its result")]
+    Acknowledging {
+        /// What is being acknowledged.
+        id: FastStopId,
+    },
     /// The fingers are not referenced.
     #[error("the gripper is not referenced: home it first")]
     NotReferenced,

@@ -1,14 +1,38 @@
 //! Grippers: one actor per gripper, the only owner of its state; everyone else has a [`Handle`].
 //!
-//! [`model`] and [`info`] are the vocabulary of requests and answers, [`error`] says why a request was not done.
+//! [`model`] and [`info`] are the vocabulary of requests and answers, [`error`] says why a request was not done. The
+//! [`actor`] decides and is a pure machine; the `driver` does its I/O over what a [`Connector`] connects.
 
+pub mod actor;
+mod book;
+mod connector;
+mod driver;
 pub mod error;
 pub mod fleet;
 pub mod handle;
 pub mod info;
+mod latch;
+mod limits;
 pub mod model;
+mod observed;
+mod setup;
 
+use std::time::Instant;
+
+use jiff::Timestamp;
+
+pub use connector::Connector;
+pub use driver::spawn;
 pub use error::{Conflict, DeviceRefusal, Failure, Invalid, Rejection};
 pub use fleet::Fleet;
 pub use handle::{FastStop, Handle, Ticket};
 pub use info::Info;
+
+/// What the time is: the clock that never jumps, and the one that people read.
+#[derive(Debug, Clone, Copy)]
+pub struct Now {
+    /// For deadlines.
+    pub instant: Instant,
+    /// For records.
+    pub wall: Timestamp,
+}

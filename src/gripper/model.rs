@@ -7,6 +7,8 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use jiff::Timestamp;
+use rand::rngs::SmallRng;
+use rand::{RngExt, SeedableRng};
 use serde::{Deserialize, Serialize, Serializer};
 use utoipa::ToSchema;
 use uuid::Uuid;
@@ -141,6 +143,29 @@ identifiers! {
     CommandId
     /// A FAST STOP's id, a UUID of version 7.
     FastStopId
+}
+
+/// Makes ids without a clock or chance of its own, so that the same seed gives the same ids.
+#[derive(Debug)]
+pub struct IdSource(SmallRng);
+
+impl IdSource {
+    /// From a seed, which should be random but in tests.
+    #[must_use]
+    pub fn new(seed: u64) -> Self {
+        Self(SmallRng::seed_from_u64(seed))
+    }
+
+    /// What makes the nonces of one link differ from those of another.
+    pub fn nonce(&mut self) -> u64 {
+        self.0.random()
+    }
+
+    /// A FAST STOP's id, of this time.
+    pub fn fast_stop_id(&mut self, at: Timestamp) -> FastStopId {
+        let millis = u64::try_from(at.as_millisecond()).unwrap_or_default();
+        FastStopId(uuid::Builder::from_unix_timestamp_millis(millis, &self.0.random()).into_uuid())
+    }
 }
 
 /// A command that moves the fingers.

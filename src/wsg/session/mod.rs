@@ -105,6 +105,8 @@ pub enum End {
     Unanswered {
         /// Whether its frame was handed out: if not, the device never saw it.
         written: bool,
+        /// Whether a Stop or FAST STOP was confirmed meanwhile.
+        stopped: bool,
         /// How long it was waited for.
         waited: Duration,
     },
@@ -206,7 +208,8 @@ impl Session {
         while let Some(expired) = self.lanes.pop_expired(now) {
             self.counters.time_outs += 1;
             let waited = expired.request.reply_within;
-            self.events.push_back(Event::Ended(expired.token, End::Unanswered { written: false, waited }));
+            self.events
+                .push_back(Event::Ended(expired.token, End::Unanswered { written: false, stopped: false, waited }));
         }
         self.expire_in_flight(now);
         if now >= self.last_heard + PROBE_AFTER {
@@ -394,8 +397,8 @@ impl Session {
         self.events.push_back(Event::Update(data));
     }
 
-    /// A stop was confirmed: the results of running motions come now, or never.
-    fn expect_aborts(&mut self, now: Instant) {
+    /// The device has stopped: the results of running motions come within [`ABORT_GRACE`], or never.
+    pub fn expect_aborts(&mut self, now: Instant) {
         for (id, in_flight) in self.slots.in_flight_mut() {
             if id::is_motion(id) {
                 in_flight.stopped = true;
@@ -430,7 +433,8 @@ impl Session {
             let end = if in_flight.accepted {
                 End::NoResult { stopped: in_flight.stopped }
             } else {
-                End::Unanswered { written: true, waited: now.saturating_duration_since(in_flight.sent_at) }
+                let waited = now.saturating_duration_since(in_flight.sent_at);
+                End::Unanswered { written: true, stopped: in_flight.stopped, waited }
             };
             events.push_back(Event::Ended(in_flight.token, end));
             if matches!(slot.id, id::STOP | id::FAST_STOP) {

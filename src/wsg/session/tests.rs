@@ -148,7 +148,7 @@ fn a_late_reply_does_not_answer_the_next_request_of_its_id() {
     rig.written();
     rig.pass(ANSWER);
     let waited = ANSWER;
-    assert_eq!(rig.events(), [Event::Ended(first, End::Unanswered { written: true, waited })]);
+    assert_eq!(rig.events(), [Event::Ended(first, End::Unanswered { written: true, stopped: false, waited })]);
     let second = rig.submit(Command::GetForceLimit);
     let echo = rig.echo_of_written_loop();
     assert_eq!(rig.written(), NOTHING, "the id is closed");
@@ -252,7 +252,7 @@ fn a_request_that_cannot_be_written_ends_unwritten() {
     let mut rig = Rig::new();
     let token = rig.submit(Command::GetTemperature);
     rig.pass(ANSWER);
-    assert_eq!(rig.events(), [Event::Ended(token, End::Unanswered { written: false, waited: ANSWER })]);
+    assert_eq!(rig.events(), [Event::Ended(token, End::Unanswered { written: false, stopped: false, waited: ANSWER })]);
     assert_eq!(rig.written(), NOTHING);
 }
 

@@ -1,0 +1,205 @@
+//! Taking clients' requests up: what may be done now, and what may not.
+
+use std::time::Duration;
+
+use super::super::Now;
+use super::super::error::{Conflict, Failure, Invalid, Rejection};
+use super::super::handle::{Answer, Ticket};
+use super::super::model::{Action, Client, Command as Record, CommandId, FastStopId, Motion, Phase, Submission};
+use super::super::setup::WantedSoftLimits;
+use super::motion::Running;
+use super::{Actor, Exchange, Purpose};
+use crate::wsg::{Command, Data, SystemState, id};
+
+/// How long the flags may take to show that Overdrive Mode was switched.
+const FLAGS_WITHIN: Duration = Duration::from_millis(500);
+
+impl Actor {
+    /// Admits a command, or says why not.
+    pub(super) fn admit(&mut self, now: Now, id: CommandId, submission: &Submission) -> Result<Ticket, Rejection> {
+        if let Some(ticket) = self.book.replay(now.instant, submission)? {
+            return Ok(ticket);
+        }
+        if submission.lease.is_some() {
+            return Err(Conflict::StaleLease.into());
+        }
+        match &submission.action {
+            Action::Motion(motion) => {
+                self.check_motion(motion)?;
+                let ticket = self.enter(now, id, submission);
+                self.running = Some(Running::new(id, motion.clone()));
+                Ok(ticket)
+            }
+            Action::Stop => {
+                // An unresponsive device may still hear it, so all that it needs is a link.
+                self.submit(now, Command::Stop, Purpose::Stop(Some(id))).map_err(|not_taken| not_taken.0)?;
+                self.withdraw_waiting_motion(now);
+                Ok(self.enter(now, id, submission))
+            }
+        }
+    }
+
+    /// What can't be is said first, then what can't be now.
+    fn check_motion(&self, motion: &Motion) -> Result<(), Rejection> {
+        let referenced = self.observed.has(SystemState::REFERENCED);
+        let width = self.observed.width_mm.filter(|_| referenced);
+        self.limits_now().check_motion(motion, width)?;
+        self.check_link()?;
+        self.check_moving()?;
+        if !referenced && !matches!(motion, Motion::Home(_)) {
+            return Err(Conflict::NotReferenced.into());
+        }
+        Ok(())
+    }
+
+    /// Whether anything may move now.
+    fn check_moving(&self) -> Result<(), Conflict> {
+        if let Some(id) = self.latching.id() {
+            return Err(Conflict::FastStop { id });
+        }
+        match &self.running {
+            Some(running) => Err(Conflict::AlreadyRunning { id: running.id }),
+            None => Ok(()),
+        }
+    }
+
+    fn limits_now(&self) -> super::Limits {
+        super::Limits { overdrive: self.observed.has(SystemState::OVERDRIVE_MODE), ..self.limits }
+    }
+
+    fn enter(&mut self, now: Now, id: CommandId, submission: &Submission) -> Ticket {
+        let kind = submission.action.kind();
+        tracing::info!(gripper = %self.config.name, command = %id, %kind, client = %submission.client.subject, "admitted");
+        let record = Record {
+            id,
+            gripper: self.config.name.clone(),
+            kind,
+            phase: Phase::Running,
+            outcome: None,
+            status: None,
+            status_code: None,
+            reached_goal: None,
+            stalled: None,
+            width_mm: None,
+            force_n: None,
+            started_at: now.wall,
+            duration_ms: None,
+            client: submission.client.subject.clone(),
+            replayed: false,
+            fast_stop_id: None,
+            rejection: None,
+        };
+        self.book.enter(now.instant, record, submission)
+    }
+
+    /// Takes up a request that moves nothing.
+    pub(super) fn exchange(&mut self, now: Now, command: Command, client: &Client, answer: Answer<Data>) {
+        if let Err(rejection) = self.check_exchange(&command) {
+            let _ = answer.send(Err(rejection));
+            return;
+        }
+        if let Some(data) = self.observed.newest(command.id()) {
+            // Asking would switch the automatic updates off.
+            let _ = answer.send(Ok(data));
+            return;
+        }
+        tracing::debug!(gripper = %self.config.name, command = super::name_of(&command), client = %client.subject, "exchange");
+        let purpose = Purpose::Exchange(Exchange { command: command.clone(), answer, setter: None });
+        self.submit_exchange(now, command, purpose);
+    }
+
+    fn check_exchange(&self, command: &Command) -> Result<(), Rejection> {
+        let not_here = |remedy: &str| {
+            let detail = format!("{} cannot be sent this way: {remedy}", super::name_of(command));
+            Rejection::from(Invalid::Malformed { field: "id", detail })
+        };
+        self.limits_now().check_setting(command)?;
+        self.check_link()?;
+        match command {
+            command if command.is_motion() => Err(not_here("it is a command of its own")),
+            Command::Stop | Command::FastStop => Err(not_here("it is a command of its own")),
+            Command::AcknowledgeFastStop => Err(not_here("acknowledge by the FAST STOP's id")),
+            Command::DisconnectAnnouncement => Err(not_here("the gateway announces its own disconnects")),
+            Command::Custom(custom) if !self.config.read_ids.contains(&custom.id()) => Ok(self.check_moving()?),
+            command if id::has_updates(command.id()) && self.observed.newest(command.id()).is_none() => {
+                Err(Failure::DeviceTimeout { command: super::name_of(command), waited_ms: 0 }.into())
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Notes what a setter has set, and reads back what the device made of it.
+    pub(super) fn exchange_succeeded(&mut self, now: Now, exchange: Exchange, data: Data) {
+        let Exchange { command, answer, setter } = exchange;
+        let getter = match &command {
+            Command::SetAcceleration(_) => Command::GetAcceleration,
+            Command::SetForceLimit(_) => Command::GetForceLimit,
+            Command::SetSoftLimits(_) | Command::ClearSoftLimits => Command::GetSoftLimits,
+            Command::SetDeviceTag(_) => Command::GetDeviceTag,
+            Command::OverdriveMode { on } => {
+                self.overdrive_wanted = *on;
+                self.awaiting_flags.push((now.instant + FLAGS_WITHIN, answer));
+                return;
+            }
+            _ => {
+                if setter.is_some() {
+                    self.note_setting(&data);
+                }
+                let _ = answer.send(Ok(data));
+                return;
+            }
+        };
+        let purpose = Purpose::Exchange(Exchange { command: getter.clone(), answer, setter: Some(command) });
+        self.submit_exchange(now, getter, purpose);
+    }
+
+    fn submit_exchange(&mut self, now: Now, command: Command, purpose: Purpose) {
+        if let Err(not_taken) = self.submit(now, command, purpose)
+            && let (rejection, Purpose::Exchange(exchange)) = *not_taken
+        {
+            let _ = exchange.answer.send(Err(rejection));
+        }
+    }
+
+    /// What clients set is restored after a restart of the device: as it read it back.
+    pub(super) fn note_setting(&mut self, data: &Data) {
+        match data {
+            Data::Acceleration(acceleration) => self.wanted.acceleration = Some(*acceleration),
+            Data::ForceLimit(force) => self.wanted.force_limit = Some(*force),
+            Data::SoftLimits(limits) => {
+                self.wanted.soft_limits = WantedSoftLimits::Set(*limits);
+                self.limits.soft = Some(*limits);
+            }
+            Data::DeviceTag(tag) => {
+                let tag = tag.as_str().to_owned();
+                self.info.send_modify(|info| std::sync::Arc::make_mut(info).device_tag = Some(tag));
+            }
+            _ => {}
+        }
+    }
+
+    /// Soft limits were read back, and there are none.
+    pub(super) fn note_no_soft_limits(&mut self) {
+        self.wanted.soft_limits = WantedSoftLimits::Cleared;
+        self.limits.soft = None;
+    }
+
+    /// Takes up an acknowledge.
+    pub(super) fn acknowledge(&mut self, now: Now, id: FastStopId, client: &Client, answer: Answer<()>) {
+        let allowed =
+            self.latching.check_acknowledge(id).map_err(Rejection::from).and_then(|()| Ok(self.check_link()?));
+        let sent = allowed.and_then(|()| {
+            let submitted = self.submit(now, Command::AcknowledgeFastStop, Purpose::Acknowledge);
+            submitted.map_err(|not_taken| not_taken.0)
+        });
+        match sent {
+            Ok(token) => {
+                tracing::info!(gripper = %self.config.name, %id, by = %client.subject, "FAST STOP acknowledged");
+                self.latching.acknowledge_sent(id, token, answer);
+            }
+            Err(rejection) => {
+                let _ = answer.send(Err(rejection));
+            }
+        }
+    }
+}

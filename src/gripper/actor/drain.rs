@@ -1,0 +1,130 @@
+//! The orderly end: no new commands, a running one may finish or is stopped, the device is told, the link closed.
+
+use std::time::{Duration, Instant};
+
+use super::super::Now;
+use super::{Actor, Answered, Close, LinkState, Purpose};
+use crate::wsg::{Command, SystemState};
+
+/// How long the device may take to stop, and then again to acknowledge the announcement.
+const ANSWERED_WITHIN: Duration = Duration::from_millis(500);
+
+/// Giving a gripper up.
+#[derive(Debug)]
+pub(super) struct Drain {
+    stage: Stage,
+    until: Instant,
+    /// Who waits for it.
+    answers: Vec<Answered>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Stage {
+    /// A running command may finish.
+    Finishing,
+    /// It did not, and is being stopped.
+    Stopping,
+    /// 07h waits to be written.
+    Announcing,
+    /// 07h was written: nothing follows it.
+    Announced,
+    /// The link can be closed.
+    Over,
+}
+
+impl Drain {
+    /// Whether the announcement was written.
+    pub(super) fn is_announced(&self) -> bool {
+        matches!(self.stage, Stage::Announced | Stage::Over)
+    }
+
+    pub(super) fn announced(&mut self) {
+        self.stage = Stage::Announced;
+    }
+
+    /// The device has acknowledged the announcement, or refused it, or said nothing.
+    pub(super) fn answered(&mut self) {
+        self.stage = Stage::Over;
+    }
+
+    pub(super) fn next_timeout(&self) -> Option<Instant> {
+        (self.stage != Stage::Over).then_some(self.until)
+    }
+}
+
+impl Actor {
+    /// Begins to give the gripper up.
+    pub(super) fn start_drain(&mut self, now: Now, answer: Answered) {
+        let until = now.instant + self.config.drain;
+        let drain = self.drain.get_or_insert_with(|| {
+            tracing::info!(gripper = %self.config.name, "giving up in order");
+            Drain { stage: Stage::Finishing, until, answers: Vec::new() }
+        });
+        drain.answers.push(answer);
+    }
+
+    /// Nobody has a handle any more, so nobody waits for it either.
+    pub fn abandon(&mut self, now: Now) {
+        let (answer, _) = tokio::sync::oneshot::channel();
+        self.start_drain(now, answer);
+        self.settle(now);
+    }
+
+    /// Whether the link is not to be made again.
+    #[must_use]
+    pub fn is_draining(&self) -> bool {
+        self.drain.is_some()
+    }
+
+    /// Tells everyone who waits for it that the gripper was given up.
+    pub fn drained(&mut self) {
+        for answer in self.drain.take().into_iter().flat_map(|drain| drain.answers) {
+            let _ = answer.send(());
+        }
+    }
+
+    pub(super) fn continue_drain(&mut self, now: Now) {
+        let idle = self.running.is_none()
+            && !self.latching.is_unconfirmed()
+            && self.session.as_ref().is_none_or(crate::wsg::session::Session::is_idle);
+        let Some(drain) = &mut self.drain else { return };
+        let late = drain.until <= now.instant;
+        match drain.stage {
+            Stage::Finishing if idle => self.leave(now),
+            Stage::Finishing if late => {
+                drain.stage = Stage::Stopping;
+                drain.until = now.instant + ANSWERED_WITHIN;
+                if self.running.is_some() {
+                    self.withdraw_waiting_motion(now);
+                    let _ = self.submit(now, Command::Stop, Purpose::Stop(None));
+                }
+            }
+            Stage::Stopping if idle || late => self.leave(now),
+            Stage::Announcing | Stage::Announced if late => drain.stage = Stage::Over,
+            _ => {}
+        }
+        if self.drain.as_ref().is_some_and(|drain| drain.stage == Stage::Over) {
+            self.close = Some(Close::Drained);
+        }
+    }
+
+    /// Says good-bye: 07h where the device knows it, Stop elsewhere if it moves.
+    fn leave(&mut self, now: Now) {
+        let connected = !matches!(self.link, LinkState::Down);
+        let farewell = if self.config.traits.connection_oriented {
+            Some((Command::DisconnectAnnouncement, Purpose::Announce))
+        } else if self.observed.has(SystemState::MOVING) {
+            Some((Command::Stop, Purpose::Announce))
+        } else {
+            None
+        };
+        let sent = farewell.filter(|_| connected).is_some_and(|(command, purpose)| {
+            self.submit_within(now, command, purpose, ANSWERED_WITHIN, ANSWERED_WITHIN).is_ok()
+        });
+        if let Some(drain) = &mut self.drain {
+            drain.stage = if sent { Stage::Announcing } else { Stage::Over };
+            // The session's own deadlines come first: to be written, then to be answered.
+            drain.until = now.instant + 3 * ANSWERED_WITHIN;
+        }
+    }
+}

@@ -1,0 +1,121 @@
+//! What the session tells: updates, acceptances, ends.
+
+use super::super::Now;
+use super::super::latch::{Change, Origin};
+use super::super::model::FastStopCause;
+use super::{Actor, Exchange, LinkState, Purpose};
+use crate::wsg::session::{End, Event, Token};
+use crate::wsg::{Command, Data, Reply, Status, SystemState};
+
+impl Actor {
+    /// Takes all that the session has to tell.
+    pub(super) fn take_events(&mut self, now: Now) {
+        while let Some(event) = self.session.as_mut().and_then(crate::wsg::session::Session::poll_event) {
+            match event {
+                Event::Update(data) => self.take_update(now, &data),
+                Event::Accepted(token) => {
+                    if let Some(Purpose::Motion(id)) = self.purposes.get(&token) {
+                        let id = *id;
+                        self.motion_accepted(id);
+                    }
+                }
+                Event::Ended(token, end) => {
+                    if let Some(purpose) = self.purposes.remove(&token) {
+                        self.take_end(now, token, purpose, end);
+                    }
+                }
+            }
+        }
+    }
+
+    fn take_update(&mut self, now: Now, data: &Data) {
+        self.observed.take(now.instant, data);
+        let Data::SystemState(flags) = *data else { return };
+        let mut origin = Origin { ids: &mut self.ids, unannounced: self.unannounced };
+        match self.latching.take_flags(now, flags, &mut origin) {
+            Some(Change::Seen) => {
+                let cause = self.latching.latch().map_or(FastStopCause::Unknown, |latch| latch.cause);
+                tracing::warn!(gripper = %self.config.name, ?cause, "the device is in FAST STOP");
+                self.abort_for_latch(now, cause);
+            }
+            Some(Change::Confirmed) => {
+                tracing::info!(gripper = %self.config.name, "FAST STOP confirmed");
+                if let Some(session) = &mut self.session {
+                    session.expect_aborts(now.instant);
+                }
+            }
+            Some(Change::Cleared) => tracing::info!(gripper = %self.config.name, "FAST STOP cleared"),
+            None => {}
+        }
+        self.answer_awaiting_flags(flags);
+    }
+
+    fn answer_awaiting_flags(&mut self, flags: SystemState) {
+        let wanted = self.overdrive_wanted;
+        if flags.contains(SystemState::OVERDRIVE_MODE) == wanted {
+            for (_, answer) in std::mem::take(&mut self.awaiting_flags) {
+                let _ = answer.send(Ok(Data::SystemState(flags)));
+            }
+        }
+    }
+
+    fn take_end(&mut self, now: Now, token: Token, purpose: Purpose, end: End) {
+        match purpose {
+            Purpose::Setup => self.take_setup_end(now, token, end),
+            Purpose::Upkeep => {
+                if let End::Reply(Reply::Success(Data::Temperature(temperature))) = end {
+                    self.observed.temperature = Some(temperature);
+                }
+            }
+            Purpose::FastStop => {
+                let success = matches!(end, End::Reply(Reply::Success(_)));
+                self.latching.ended(token, success);
+            }
+            Purpose::Acknowledge => {
+                let result = match end {
+                    End::Reply(Reply::Success(_)) => Ok(()),
+                    end => Err(self.rejection_of("AcknowledgeFastStop", end)),
+                };
+                self.latching.acknowledge_ended(now.instant, token, result);
+            }
+            Purpose::Force(id) => self.force_ended(now, id, end),
+            Purpose::Motion(id) => self.motion_ended(now, id, end),
+            Purpose::Stop(Some(id)) => self.stop_ended(now, id, end),
+            Purpose::Stop(None) => {}
+            Purpose::Exchange(exchange) => self.take_exchange_end(now, exchange, end),
+            Purpose::Announce => {
+                if let Some(drain) = &mut self.drain {
+                    drain.answered();
+                }
+            }
+        }
+    }
+
+    fn take_setup_end(&mut self, now: Now, token: Token, end: End) {
+        let LinkState::SettingUp(setup) = &mut self.link else { return };
+        if !setup.is_current(token) {
+            return;
+        }
+        if let End::Reply(reply) = end {
+            setup.take(reply);
+        }
+        self.continue_setup(now);
+    }
+
+    fn take_exchange_end(&mut self, now: Now, exchange: Exchange, end: End) {
+        match end {
+            End::Reply(Reply::Success(data)) => self.exchange_succeeded(now, exchange, data),
+            // Soft limits that were cleared read back as not available (`fw4-en 3.3.6`): that is what was wanted.
+            End::Reply(Reply::Status(Status::E_NOT_AVAILABLE))
+                if matches!(exchange.setter, Some(Command::ClearSoftLimits)) =>
+            {
+                self.note_no_soft_limits();
+                let _ = exchange.answer.send(Ok(Data::None));
+            }
+            end => {
+                let command = super::name_of(&exchange.command);
+                let _ = exchange.answer.send(Err(self.rejection_of(command, end)));
+            }
+        }
+    }
+}

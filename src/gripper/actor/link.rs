@@ -1,0 +1,185 @@
+//! The link's life: up, set up, silent, down.
+
+use std::time::Duration;
+
+use super::super::Now;
+use super::super::error::{Failure, Rejection};
+use super::super::latch;
+use super::super::model::{Command as Record, Link, Outcome};
+use super::super::setup::{Setup, Step};
+use super::{Actor, Close, LinkState, Purpose, REPLY_WITHIN};
+use crate::wsg::session::{self, Session};
+use crate::wsg::{Command, SystemState};
+
+/// A link without a sign of life for so long is unresponsive: motions are refused.
+pub(super) const UNRESPONSIVE_AFTER: Duration = Duration::from_millis(1500);
+
+/// And after so much more it is closed.
+pub(super) const CLOSED_AFTER: Duration = Duration::from_millis(6500);
+
+impl Actor {
+    /// A link has come up.
+    pub fn link_up(&mut self, now: Now) {
+        tracing::info!(gripper = %self.config.name, url = self.config.url, "connected, setting up");
+        let traits = self.config.traits;
+        let config = session::Config {
+            bytes_per_second: traits.bytes_per_second,
+            frame_gap: traits.frame_gap,
+            nonce_seed: self.ids.nonce(),
+        };
+        self.session = Some(Session::new(config, now.instant));
+        self.close = None;
+        let known_serial = self.system.map(|system| system.serial_number);
+        self.link = LinkState::SettingUp(Box::new(Setup::new(traits.bytes_per_second, known_serial, self.wanted)));
+        // A FAST STOP that the device may not have heard of goes before everything else.
+        self.send_fast_stop_if_due(now);
+        self.continue_setup(now);
+        self.settle(now);
+    }
+
+    /// The link is gone, or could not be made.
+    pub fn link_down(&mut self, now: Now, cause: &str) {
+        let unwritten = self.running.as_ref().and_then(super::Running::token).is_some_and(|token| self.withdraw(token));
+        if self.session.take().is_some() {
+            tracing::warn!(gripper = %self.config.name, cause, "link lost");
+            self.unannounced = self.config.traits.connection_oriented && self.close != Some(Close::Drained);
+        } else if self.link_cause.as_deref() != Some(cause) {
+            tracing::warn!(gripper = %self.config.name, cause, "no link");
+        }
+        self.link = LinkState::Down;
+        self.link_cause = Some(cause.to_owned());
+        self.close = None;
+        let rejection = Rejection::Failure(self.link_down_failure());
+        self.latching.link_lost(&rejection);
+        for (_, answer) in std::mem::take(&mut self.awaiting_flags) {
+            let _ = answer.send(Err(rejection.clone()));
+        }
+        for (_, purpose) in std::mem::take(&mut self.purposes) {
+            match purpose {
+                Purpose::Exchange(exchange) => {
+                    let _ = exchange.answer.send(Err(rejection.clone()));
+                }
+                Purpose::Stop(Some(id)) => self.reject(now, id, rejection.clone()),
+                _ => {}
+            }
+        }
+        if let Some(running) = self.running.take() {
+            if running.is_sent() && !unwritten {
+                // It may have happened.
+                self.end(now, running.id, |record: &mut Record| record.outcome = Some(Outcome::Unknown));
+            } else {
+                self.reject(now, running.id, rejection);
+            }
+        }
+        self.settle(now);
+    }
+
+    /// Whether the link is up, and the device has said what it is.
+    #[must_use]
+    pub fn is_set_up(&self) -> bool {
+        matches!(self.link, LinkState::Up)
+    }
+
+    /// How the link is, as clients are told.
+    pub(super) fn link_now(&self) -> Link {
+        match (&self.link, self.was_connected) {
+            (LinkState::Up, _) if self.link_cause.is_some() => Link::Unresponsive,
+            (LinkState::Up, _) => Link::Connected,
+            (_, true) => Link::Reconnecting,
+            (_, false) => Link::Connecting,
+        }
+    }
+
+    /// Sends the set-up's next request, or ends it.
+    pub(super) fn continue_setup(&mut self, now: Now) {
+        loop {
+            let LinkState::SettingUp(setup) = &mut self.link else { return };
+            match setup.next() {
+                Step::Send(command) => {
+                    let token = self.submit(now, command, Purpose::Setup).ok();
+                    if let LinkState::SettingUp(setup) = &mut self.link {
+                        setup.sent(token);
+                    }
+                    if token.is_some() {
+                        return;
+                    }
+                }
+                Step::Done => return self.finish_setup(now),
+                Step::Failed(command) => {
+                    self.close = Some(Close::SetupFailed(command));
+                    return;
+                }
+            }
+        }
+    }
+
+    fn finish_setup(&mut self, now: Now) {
+        let LinkState::SettingUp(setup) = std::mem::replace(&mut self.link, LinkState::Up) else { return };
+        let name = self.config.name.clone();
+        if setup.replaced {
+            let serial = setup.system.map(|system| system.serial_number);
+            tracing::warn!(gripper = %name, serial, "another device answers: its settings are left as they are");
+        }
+        if !setup.restored.is_empty() {
+            tracing::warn!(gripper = %name, settings = ?setup.restored, "the device had lost settings: set again");
+        }
+        if self.overdrive_wanted && !self.observed.has(SystemState::OVERDRIVE_MODE) {
+            tracing::warn!(gripper = %name, "Overdrive Mode is off since the device restarted, and stays off");
+            self.overdrive_wanted = false;
+        }
+        self.wanted = setup.wanted();
+        self.system = setup.system;
+        self.limits.system = setup.limits;
+        self.limits.soft = setup.soft_limits;
+        if let (Some(system), Some(limits)) = (setup.system, setup.limits) {
+            self.info.send_modify(|info| {
+                std::sync::Arc::make_mut(info).learn(&system, &limits, setup.tag.as_ref());
+            });
+        }
+        self.was_connected = true;
+        self.link_cause = None;
+        self.unannounced = false;
+        self.temperature_at = Some(now.instant);
+        tracing::info!(gripper = %name, "ready");
+    }
+
+    /// Notices silence, and its end.
+    pub(super) fn supervise(&mut self, now: Now) {
+        let Some(session) = &self.session else { return };
+        let silent_for = now.instant.saturating_duration_since(session.last_heard());
+        if !matches!(self.link, LinkState::Up) {
+            return;
+        }
+        if silent_for >= CLOSED_AFTER {
+            self.close = Some(Close::Silent(silent_for.as_millis() as u64));
+        } else if silent_for >= UNRESPONSIVE_AFTER {
+            if self.link_cause.is_none() {
+                let cause = format!("nothing heard from the device for {} ms", UNRESPONSIVE_AFTER.as_millis());
+                tracing::warn!(gripper = %self.config.name, cause, "unresponsive");
+                self.link_cause = Some(cause);
+            }
+        } else if self.link_cause.take().is_some() {
+            tracing::info!(gripper = %self.config.name, "responsive again");
+        }
+    }
+
+    /// Sends 23h if it is due: right after the request, and again until it is confirmed.
+    pub(super) fn send_fast_stop_if_due(&mut self, now: Now) {
+        if self.session.is_none() || !self.latching.is_due(now.instant) {
+            return;
+        }
+        let sent = self.submit_within(now, Command::FastStop, Purpose::FastStop, latch::REPEAT_EVERY, REPLY_WITHIN);
+        self.latching.sent(now.instant, sent.ok());
+    }
+
+    /// Whether commands can be sent, and if not, why.
+    pub(super) fn check_link(&self) -> Result<(), Failure> {
+        if self.drain.is_some() {
+            return Err(Failure::Draining);
+        }
+        match self.link_now() {
+            Link::Connected => Ok(()),
+            _ => Err(self.link_down_failure()),
+        }
+    }
+}

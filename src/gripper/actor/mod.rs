@@ -1,0 +1,339 @@
+//! The actor: one gripper's only owner, as a pure machine. Its `driver` does the I/O.
+//!
+//! # How it is driven
+//!
+//! - Inputs: [`Actor::link_up`], [`Actor::link_down`], [`Actor::receive`], [`Actor::request`], [`Actor::fast_stop`],
+//!   [`Actor::handle_timeout`]. Each takes `now`, and leaves nothing half done.
+//! - Outputs, to be looked at after each input: [`Actor::poll_transmit`] whenever the link can take a frame,
+//!   [`Actor::wants_close`], and [`Actor::poll_timeout`], which says when to call [`Actor::handle_timeout`].
+//!   Clients get their answers through the channels that came with their requests, and the newest state by a watch.
+//!
+//! # Architecture invariants
+//!
+//! A motion frame is submitted to the session in one place, `start_motion`, for an admitted command, once. While a
+//! latch holds, none is submitted, and what was not written yet is withdrawn. An acknowledge is submitted in one place,
+//! for a client that named the latch's id.
+
+mod admission;
+mod drain;
+mod events;
+mod link;
+mod motion;
+mod publish;
+mod upkeep;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use tokio::sync::{oneshot, watch};
+
+use super::Now;
+use super::book::Book;
+use super::error::{Failure, Rejection};
+use super::handle::{Answer, FastStopRequest, Request};
+use super::info::Info;
+use super::latch::Latching;
+use super::limits::Limits;
+use super::model::{CommandId, FastStopCause, IdSource, Name, State};
+use super::observed::Observed;
+use super::setup::{Setup, Wanted};
+use crate::transport::Traits;
+use crate::wsg::session::{self, NotTaken, Session, Token};
+use crate::wsg::{self, Command, Data, SystemInfo, id};
+use drain::Drain;
+use motion::Running;
+
+/// How long the device may take to answer, before a Loop asks whether the answer was lost.
+const REPLY_WITHIN: Duration = Duration::from_secs(1);
+
+/// How long the result of what is not a motion may take: a finger powers up in about 500 ms (`fw4-en 3.6.3`), and a
+/// custom command may do anything.
+const RESULT_WITHIN: Duration = Duration::from_secs(30);
+
+/// What the actor has to know beforehand.
+#[derive(Debug, Clone)]
+pub struct Config {
+    /// The gripper's name.
+    pub name: Name,
+    /// Where the device is.
+    pub url: String,
+    /// What its transport means for the protocol.
+    pub traits: Traits,
+    /// Custom ids that only read; all others count as motion.
+    pub read_ids: BTreeSet<u8>,
+    /// How long a running command may take to finish when the gripper is given up.
+    pub drain: Duration,
+    /// Of ids and nonces: random, but in tests.
+    pub seed: u64,
+}
+
+/// Why the actor wants its link closed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum Close {
+    /// Nothing was heard for too long.
+    #[error("nothing was heard from the device for {0} ms")]
+    Silent(u64),
+    /// It doesn't answer what a gripper must answer.
+    #[error("the device does not answer {0}")]
+    SetupFailed(&'static str),
+    /// It was given up in order; a disconnect was announced where the device knows that.
+    #[error("given up in order")]
+    Drained,
+}
+
+/// What a request in flight is for.
+#[derive(Debug)]
+enum Purpose {
+    Setup,
+    Upkeep,
+    FastStop,
+    Acknowledge,
+    /// Set Force Limit, before a grip.
+    Force(CommandId),
+    Motion(CommandId),
+    /// For a client's stop command, or on the gateway's own account.
+    Stop(Option<CommandId>),
+    Exchange(Exchange),
+    Announce,
+}
+
+/// A client's request that moves nothing, under way.
+#[derive(Debug)]
+struct Exchange {
+    command: Command,
+    answer: Answer<Data>,
+    /// The setter whose value is being read back.
+    setter: Option<Command>,
+}
+
+/// Why a request was not taken by the session, and what it was for.
+type NotSubmitted = Box<(Rejection, Purpose)>;
+
+/// Where the link is.
+#[derive(Debug)]
+enum LinkState {
+    Down,
+    SettingUp(Box<Setup>),
+    Up,
+}
+
+/// One gripper.
+#[derive(Debug)]
+pub struct Actor {
+    config: Config,
+    ids: IdSource,
+    session: Option<Session>,
+    link: LinkState,
+    /// Whether the link was ever up.
+    was_connected: bool,
+    /// Why the link isn't up.
+    link_cause: Option<String>,
+    /// Whether the last connection-oriented link ended without an announcement.
+    unannounced: bool,
+    close: Option<Close>,
+    purposes: BTreeMap<Token, Purpose>,
+    system: Option<SystemInfo>,
+    limits: Limits,
+    wanted: Wanted,
+    overdrive_wanted: bool,
+    observed: Observed,
+    latching: Latching,
+    book: Book,
+    running: Option<Running>,
+    last_motion_end: Option<Instant>,
+    temperature_at: Option<Instant>,
+    /// Overdrive requests that wait for the flags to show what became of them.
+    awaiting_flags: Vec<(Instant, Answer<Data>)>,
+    drain: Option<Drain>,
+    sequence: u64,
+    state: watch::Sender<Arc<State>>,
+    info: watch::Sender<Arc<Info>>,
+}
+
+/// Where an actor's state and device can be watched.
+#[derive(Debug)]
+pub struct Watches {
+    /// The newest state.
+    pub state: watch::Receiver<Arc<State>>,
+    /// What is known of the device.
+    pub info: watch::Receiver<Arc<Info>>,
+}
+
+impl Actor {
+    /// A gripper without a link yet.
+    #[must_use]
+    pub fn new(config: Config) -> (Self, Watches) {
+        let info = Info::unknown(
+            config.name.clone(),
+            config.url.clone(),
+            config.traits.name,
+            config.traits.connection_oriented,
+        );
+        let (info, info_watch) = watch::channel(Arc::new(info));
+        let (state, state_watch) = watch::channel(Arc::new(publish::unknown(config.name.clone())));
+        let actor = Self {
+            ids: IdSource::new(config.seed),
+            config,
+            session: None,
+            link: LinkState::Down,
+            was_connected: false,
+            link_cause: None,
+            unannounced: false,
+            close: None,
+            purposes: BTreeMap::new(),
+            system: None,
+            limits: Limits::default(),
+            wanted: Wanted::default(),
+            overdrive_wanted: false,
+            observed: Observed::default(),
+            latching: Latching::default(),
+            book: Book::default(),
+            running: None,
+            last_motion_end: None,
+            temperature_at: None,
+            awaiting_flags: Vec::new(),
+            drain: None,
+            sequence: 0,
+            state,
+            info,
+        };
+        (actor, Watches { state: state_watch, info: info_watch })
+    }
+
+    /// Takes bytes off the link.
+    pub fn receive(&mut self, now: Now, bytes: &[u8]) {
+        if let Some(session) = &mut self.session {
+            session.receive(now.instant, bytes);
+        }
+        self.settle(now);
+    }
+
+    /// To be called when [`Actor::poll_timeout`] has come.
+    pub fn handle_timeout(&mut self, now: Now) {
+        if let Some(session) = &mut self.session {
+            session.handle_timeout(now.instant);
+        }
+        self.settle(now);
+    }
+
+    /// A FAST STOP: needs no lease, waits for nothing.
+    pub(in crate::gripper) fn fast_stop(&mut self, now: Now, request: FastStopRequest) {
+        tracing::warn!(gripper = %self.config.name, id = %request.id, by = %request.client.subject,
+            reason = request.reason.as_str(), "FAST STOP requested");
+        if let Some(token) = self.latching.request(now, request) {
+            // An acknowledge of an earlier one must not come after this.
+            self.withdraw(token);
+        }
+        self.send_fast_stop_if_due(now);
+        self.abort_for_latch(now, FastStopCause::Requested);
+        self.settle(now);
+    }
+
+    /// Any other request of a client.
+    pub(in crate::gripper) fn request(&mut self, now: Now, request: Request) {
+        match request {
+            Request::Submit { submission, id, answer } => {
+                // Whoever asked may be gone; a command that was admitted goes on all the same.
+                let _ = answer.send(self.admit(now, id, &submission));
+            }
+            Request::Find { id, answer } => {
+                let _ = answer.send(self.book.find(id));
+            }
+            Request::Cancel { id, client, answer } => {
+                let ticket = self.book.find(id);
+                if ticket.is_some() {
+                    tracing::info!(gripper = %self.config.name, command = %id, by = %client.subject, "cancelled");
+                    self.cancel(now, id);
+                }
+                let _ = answer.send(ticket);
+            }
+            Request::Exchange { command, client, answer } => self.exchange(now, command, &client, answer),
+            Request::Acknowledge { id, client, answer } => self.acknowledge(now, id, &client, answer),
+            Request::Drain { answer } => self.start_drain(now, answer),
+        }
+        self.settle(now);
+    }
+
+    /// Appends the next frame to `out`, if there is one. What is handed out counts as written.
+    pub fn poll_transmit(&mut self, now: Now, out: &mut Vec<u8>) -> bool {
+        if self.drain.as_ref().is_some_and(Drain::is_announced) {
+            // Nothing follows a disconnect announcement.
+            return false;
+        }
+        let Some(session) = &mut self.session else { return false };
+        let start = out.len();
+        if !session.poll_transmit(now.instant, out) {
+            return false;
+        }
+        let id = out[start + wsg::frame::PREAMBLE.len()];
+        tracing::trace!(gripper = %self.config.name, id = id::name(id), frame = %hex::encode(&out[start..]), "sent");
+        if let (id::DISCONNECT_ANNOUNCEMENT, Some(drain)) = (id, &mut self.drain) {
+            drain.announced();
+        }
+        true
+    }
+
+    /// Why the link has to be closed, if it has. The driver closes it, and says so by [`Actor::link_down`].
+    #[must_use]
+    pub fn wants_close(&self) -> Option<Close> {
+        self.close
+    }
+
+    /// Everything that follows from an input: what the session has to tell, then what is due.
+    fn settle(&mut self, now: Now) {
+        self.take_events(now);
+        self.keep_up(now);
+        self.take_events(now);
+        self.publish(now);
+    }
+
+    /// Submits a request to the session, if there is one.
+    fn submit(&mut self, now: Now, command: Command, purpose: Purpose) -> Result<Token, NotSubmitted> {
+        self.submit_within(now, command, purpose, REPLY_WITHIN, RESULT_WITHIN)
+    }
+
+    fn submit_within(
+        &mut self,
+        now: Now,
+        command: Command,
+        purpose: Purpose,
+        reply_within: Duration,
+        result_within: Duration,
+    ) -> Result<Token, NotSubmitted> {
+        let Some(session) = &mut self.session else { return Err(Box::new((self.link_down_failure().into(), purpose))) };
+        let name = name_of(&command);
+        match session.submit(now.instant, session::Request { command, reply_within, result_within }) {
+            Ok(token) => {
+                self.purposes.insert(token, purpose);
+                Ok(token)
+            }
+            Err(NotTaken::Full) => Err(Box::new((Failure::Overloaded { limit: session::MAX_WAITING }.into(), purpose))),
+            Err(NotTaken::LineTime { line_ms }) => {
+                let max_ms = session::MAX_LINE_TIME_WHILE_MOVING.as_millis() as u64;
+                Err(Box::new((Failure::LineTime { command: name, line_ms, max_ms }.into(), purpose)))
+            }
+        }
+    }
+
+    /// Takes back what was not written yet: `true` if it was, and then nothing of it will be.
+    fn withdraw(&mut self, token: Token) -> bool {
+        let withdrawn = self.session.as_mut().is_some_and(|session| session.withdraw(token));
+        if withdrawn {
+            self.purposes.remove(&token);
+        }
+        withdrawn
+    }
+
+    fn link_down_failure(&self) -> Failure {
+        let cause = self.link_cause.clone().unwrap_or_else(|| "it is being set up".to_owned());
+        Failure::LinkDown { link: self.link_now(), cause }
+    }
+}
+
+/// A command's name, as errors have it.
+fn name_of(command: &Command) -> &'static str {
+    id::name(command.id()).unwrap_or("the custom command")
+}
+
+type Answered = oneshot::Sender<()>;

@@ -1,0 +1,328 @@
+//! The one command that moves the fingers: waiting, sent, ended.
+
+use std::time::{Duration, Instant};
+
+use super::super::Now;
+use super::super::error::{Conflict, DeviceRefusal, Failure, Rejection};
+use super::super::model::{Command as Record, CommandId, FastStopCause, FastStopId, Kind, Motion, Outcome};
+use super::{Actor, Purpose, REPLY_WITHIN};
+use crate::wsg::session::{End, Token};
+use crate::wsg::{Command, Reply, Status};
+
+/// The pause between the end of a motion and the next: devices in the field fall over otherwise.
+const PAUSE: Duration = Duration::from_millis(50);
+
+/// How long homing may take: the slowest homing speed over the longest stroke.
+const HOMING_WITHIN: Duration = Duration::from_secs(60);
+
+/// How much longer than its way at its speed a motion may take: acceleration, clamping, and a device that gives up by
+/// itself with E_TIMEOUT.
+const MOTION_MARGIN: Duration = Duration::from_secs(10);
+
+/// The stroke that is reckoned with where the device has not told its own.
+const LONGEST_STROKE_MM: f32 = 250.0;
+
+/// The command that moves the fingers, or is about to.
+#[derive(Debug)]
+pub(super) struct Running {
+    pub id: CommandId,
+    motion: Motion,
+    stage: Stage,
+    accepted: bool,
+    /// Ended by this FAST STOP.
+    fast_stop: Option<FastStopId>,
+}
+
+#[derive(Debug)]
+enum Stage {
+    /// For the pause after the last one.
+    Waiting,
+    /// For the answer to Set Force Limit.
+    Force(Token),
+    /// The session has the motion: its frame may be written.
+    Sent(Token),
+}
+
+impl Running {
+    pub(super) fn new(id: CommandId, motion: Motion) -> Self {
+        Self { id, motion, stage: Stage::Waiting, accepted: false, fast_stop: None }
+    }
+
+    /// Whether the session has the motion.
+    pub(super) fn is_sent(&self) -> bool {
+        matches!(self.stage, Stage::Sent(_))
+    }
+
+    /// What the session has of it.
+    pub(super) fn token(&self) -> Option<Token> {
+        match self.stage {
+            Stage::Waiting => None,
+            Stage::Force(token) | Stage::Sent(token) => Some(token),
+        }
+    }
+}
+
+impl Actor {
+    /// When the waiting motion may start.
+    pub(super) fn motion_due(&self) -> Option<Instant> {
+        let running = self.running.as_ref()?;
+        let paused_until = self.last_motion_end.map(|end| end + PAUSE);
+        matches!(running.stage, Stage::Waiting).then_some(paused_until).flatten()
+    }
+
+    /// Starts the motion that waits, when its pause is over.
+    pub(super) fn start_waiting_motion(&mut self, now: Now) {
+        let Some(running) = &self.running else { return };
+        if !matches!(running.stage, Stage::Waiting) || self.motion_due().is_some_and(|due| due > now.instant) {
+            return;
+        }
+        let id = running.id;
+        match running.motion {
+            Motion::Grip { force: Some(force), .. } => {
+                let sent = self.submit(now, Command::SetForceLimit(force), Purpose::Force(id));
+                self.set_stage(now, sent.map(Stage::Force));
+            }
+            _ => self.start_motion(now, id),
+        }
+    }
+
+    /// The one place that submits a motion.
+    pub(super) fn start_motion(&mut self, now: Now, id: CommandId) {
+        let Some(running) = self.running.as_ref().filter(|running| running.id == id) else { return };
+        if let Some(fast_stop) = self.latching.id() {
+            return self.reject_running(now, Conflict::FastStop { id: fast_stop }.into());
+        }
+        let request = running.motion.request();
+        let within = self.result_within(&running.motion);
+        let sent = self.submit_within(now, request, Purpose::Motion(id), REPLY_WITHIN, within);
+        self.set_stage(now, sent.map(Stage::Sent));
+    }
+
+    fn set_stage(&mut self, now: Now, stage: Result<Stage, Box<(Rejection, Purpose)>>) {
+        match (stage, &mut self.running) {
+            (Ok(stage), Some(running)) => running.stage = stage,
+            (Err(not_taken), _) => self.reject_running(now, not_taken.0),
+            (Ok(_), None) => {}
+        }
+    }
+
+    fn result_within(&self, motion: &Motion) -> Duration {
+        let speed = match motion {
+            Motion::Home(_) => return HOMING_WITHIN,
+            Motion::Move { speed, .. } | Motion::Grip { speed, .. } | Motion::Release { speed, .. } => speed.mm_s(),
+        };
+        let stroke = self.limits.system.map_or(LONGEST_STROKE_MM, |system| system.stroke.mm());
+        let way = Duration::try_from_secs_f32(stroke / speed.max(1.0)).unwrap_or(HOMING_WITHIN);
+        way + MOTION_MARGIN
+    }
+
+    /// The force limit before a grip has been answered.
+    pub(super) fn force_ended(&mut self, now: Now, id: CommandId, end: End) {
+        let Some(Running { motion: Motion::Grip { force: Some(force), .. }, .. }) =
+            self.running.as_ref().filter(|running| running.id == id)
+        else {
+            return;
+        };
+        match end {
+            End::Reply(Reply::Success(_)) => {
+                self.wanted.force_limit = Some(*force);
+                self.start_motion(now, id);
+            }
+            end => {
+                let rejection = self.rejection_of("SetForceLimit", end);
+                self.reject_running(now, rejection);
+            }
+        }
+    }
+
+    pub(super) fn motion_accepted(&mut self, id: CommandId) {
+        if let Some(running) = self.running.as_mut().filter(|running| running.id == id) {
+            running.accepted = true;
+        }
+    }
+
+    /// The motion has ended, as far as the session knows.
+    pub(super) fn motion_ended(&mut self, now: Now, id: CommandId, end: End) {
+        let Some(running) = self.running.take_if(|running| running.id == id) else { return };
+        self.last_motion_end = Some(now.instant);
+        let kind = running.motion.kind();
+        let (outcome, status) = match end {
+            End::Reply(reply) if running.accepted => (outcome_of(kind, reply.status()), Some(reply.status())),
+            End::Reply(Reply::Status(status)) => {
+                let rejection = self.refusal(super::name_of(&running.motion.request()), status);
+                return self.reject(now, id, rejection);
+            }
+            End::Unanswered { written: false, waited, .. } => {
+                let command = super::name_of(&running.motion.request());
+                let waited_ms = waited.as_millis() as u64;
+                return self.reject(now, id, Failure::DeviceTimeout { command, waited_ms }.into());
+            }
+            End::Unanswered { stopped: true, .. } | End::NoResult { stopped: true } => (Outcome::Aborted, None),
+            _ => (Outcome::Unknown, None),
+        };
+        self.end(now, id, |record| {
+            record.outcome = Some(outcome);
+            if let Some(status) = status {
+                record.set_status(status);
+            }
+            if matches!(outcome, Outcome::Aborted | Outcome::Unknown) {
+                record.fast_stop_id = running.fast_stop;
+            }
+        });
+    }
+
+    /// A FAST STOP holds: what waits is over, what runs will be.
+    pub(super) fn abort_for_latch(&mut self, now: Now, cause: FastStopCause) {
+        let fast_stop = self.latching.id();
+        self.withdraw_custom_motions(fast_stop);
+        if let Some(running) = &mut self.running {
+            running.fast_stop = fast_stop;
+            self.withdraw_waiting_motion(now);
+        }
+        if cause != FastStopCause::Requested
+            && let Some(session) = &mut self.session
+        {
+            // The device has stopped by itself: its results come now, or never.
+            session.expect_aborts(now.instant);
+        }
+    }
+
+    fn withdraw_custom_motions(&mut self, fast_stop: Option<FastStopId>) {
+        let moves = |purpose: &Purpose| {
+            matches!(purpose, Purpose::Exchange(exchange) if matches!(&exchange.command,
+                Command::Custom(custom) if !self.config.read_ids.contains(&custom.id())))
+        };
+        let tokens: Vec<_> =
+            self.purposes.iter().filter(|(_, purpose)| moves(purpose)).map(|(&token, _)| token).collect();
+        for token in tokens {
+            if self.session.as_mut().is_some_and(|session| session.withdraw(token))
+                && let (Some(Purpose::Exchange(exchange)), Some(id)) = (self.purposes.remove(&token), fast_stop)
+            {
+                let _ = exchange.answer.send(Err(Conflict::FastStop { id }.into()));
+            }
+        }
+    }
+
+    /// Ends the motion whose frame has not been written yet, if there is one.
+    pub(super) fn withdraw_waiting_motion(&mut self, now: Now) {
+        let Some(running) = &self.running else { return };
+        let token = running.token();
+        let (id, fast_stop, sent) = (running.id, running.fast_stop, running.is_sent());
+        let withdrawn = token.is_some_and(|token| self.withdraw(token));
+        if !sent || withdrawn {
+            self.running = None;
+            self.end(now, id, |record| {
+                record.outcome = Some(Outcome::Aborted);
+                record.fast_stop_id = fast_stop;
+            });
+        }
+    }
+
+    /// Stops a command on its client's behalf.
+    pub(super) fn cancel(&mut self, now: Now, id: CommandId) {
+        if self.running.as_ref().is_none_or(|running| running.id != id) {
+            return;
+        }
+        self.withdraw_waiting_motion(now);
+        if self.running.is_some() {
+            // A lane that is full of Stops stops it as well.
+            let _ = self.submit(now, Command::Stop, Purpose::Stop(None));
+        }
+    }
+
+    /// A Stop has ended.
+    pub(super) fn stop_ended(&mut self, now: Now, id: CommandId, end: End) {
+        match end {
+            End::Reply(Reply::Success(_)) => self.end(now, id, |record| {
+                record.outcome = Some(Outcome::Success);
+                record.set_status(Status::E_SUCCESS);
+            }),
+            end => {
+                let rejection = self.rejection_of("Stop", end);
+                self.reject(now, id, rejection);
+            }
+        }
+    }
+
+    /// What a client is told of an end that is no success.
+    pub(super) fn rejection_of(&self, command: &'static str, end: End) -> Rejection {
+        match end {
+            End::Reply(reply) => self.refusal(command, reply.status()),
+            End::Invalid(invalid) => Failure::DeviceProtocol { command, detail: invalid.to_string() }.into(),
+            End::Unanswered { waited, .. } => {
+                Failure::DeviceTimeout { command, waited_ms: waited.as_millis() as u64 }.into()
+            }
+            End::NoResult { .. } => {
+                Failure::DeviceTimeout { command, waited_ms: super::RESULT_WITHIN.as_millis() as u64 }.into()
+            }
+        }
+    }
+
+    fn refusal(&self, command: &'static str, status: Status) -> Rejection {
+        DeviceRefusal { command, status, fast_stop: self.latching.id() }.into()
+    }
+
+    fn reject_running(&mut self, now: Now, rejection: Rejection) {
+        if let Some(running) = self.running.take() {
+            self.reject(now, running.id, rejection);
+        }
+    }
+
+    /// Ends a command that the device never accepted.
+    pub(super) fn reject(&mut self, now: Now, id: CommandId, rejection: Rejection) {
+        self.end(now, id, |record| {
+            record.outcome = Some(Outcome::Refused);
+            if let Rejection::Device(refusal) = &rejection {
+                record.set_status(refusal.status);
+            }
+            record.rejection = Some(rejection);
+        });
+    }
+
+    /// The one place that ends a command.
+    pub(super) fn end(&mut self, now: Now, id: CommandId, fill_in: impl FnOnce(&mut Record)) {
+        let (width_mm, force_n) = (self.observed.width_mm, self.observed.force_n);
+        let ended = self.book.end(now.instant, id, |record| {
+            fill_in(record);
+            let known = !matches!(record.outcome, Some(Outcome::Unknown | Outcome::Refused));
+            record.width_mm = width_mm.filter(|_| known);
+            record.force_n = force_n.filter(|_| known);
+            if record.kind != Kind::Stop && known {
+                record.reached_goal = Some(matches!(record.outcome, Some(Outcome::Success | Outcome::PartHeld)));
+                record.stalled = Some(matches!(record.outcome, Some(Outcome::PartHeld | Outcome::Blocked)));
+            }
+        });
+        if let Some(record) = ended {
+            tracing::info!(gripper = %self.config.name, command = %id, kind = %record.kind, outcome = ?record.outcome,
+                status = record.status, duration_ms = record.duration_ms, "ended");
+        }
+    }
+}
+
+/// What the result of an accepted motion means (`fw4-en 3.2`).
+fn outcome_of(kind: Kind, status: Status) -> Outcome {
+    match (kind, status) {
+        (Kind::Grip, Status::E_SUCCESS) => Outcome::PartHeld,
+        (Kind::Grip, Status::E_CMD_FAILED) => Outcome::NoPart,
+        (_, Status::E_SUCCESS) => Outcome::Success,
+        (_, Status::E_CMD_ABORTED) => Outcome::Aborted,
+        (_, Status::E_AXIS_BLOCKED) => Outcome::Blocked,
+        (_, Status::E_RANGE_ERROR) => Outcome::Range,
+        (_, Status::E_TIMEOUT) => Outcome::Timeout,
+        _ => Outcome::Failed,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_grip_without_a_part_is_an_answer_and_not_a_failure() {
+        assert_eq!(outcome_of(Kind::Grip, Status::E_SUCCESS), Outcome::PartHeld);
+        assert_eq!(outcome_of(Kind::Grip, Status::E_CMD_FAILED), Outcome::NoPart);
+        assert_eq!(outcome_of(Kind::Release, Status::E_CMD_FAILED), Outcome::Failed);
+        assert_eq!(outcome_of(Kind::Move, Status::E_AXIS_BLOCKED), Outcome::Blocked);
+        assert_eq!(outcome_of(Kind::Move, Status::from_code(4711)), Outcome::Failed);
+    }
+}

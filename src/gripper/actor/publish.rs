@@ -1,0 +1,87 @@
+//! The newest state, as clients are told.
+
+use std::sync::Arc;
+
+use super::super::Now;
+use super::super::model::{LatchFields, Link, Name, State};
+use super::Actor;
+use crate::wsg::SystemState;
+
+/// Of a gripper that was not reached yet.
+pub(super) fn unknown(gripper: Name) -> State {
+    State {
+        gripper,
+        link: Link::Connecting,
+        link_cause: None,
+        updated_at: None,
+        seq: 0,
+        state: None,
+        state_code: None,
+        flags: Vec::new(),
+        flags_raw: None,
+        referenced: None,
+        moving: None,
+        width_mm: None,
+        speed_mm_s: None,
+        force_n: None,
+        temperature_c: None,
+        fast_stop: None,
+        latch: None,
+        lease_holder: None,
+        lease_epoch: 0,
+        command: None,
+    }
+}
+
+impl Actor {
+    /// Publishes the state if it has changed.
+    pub(super) fn publish(&mut self, _now: Now) {
+        let state = self.state_now();
+        if *self.state.borrow().as_ref() == state {
+            return;
+        }
+        self.sequence += 1;
+        let info_is_stale = {
+            let info = self.info.borrow();
+            info.link != state.link || info.link_cause != state.link_cause
+        };
+        if info_is_stale {
+            let (link, cause) = (state.link, state.link_cause.clone());
+            self.info.send_modify(|info| {
+                let info = Arc::make_mut(info);
+                info.link = link;
+                info.link_cause = cause;
+            });
+        }
+        self.state.send_replace(Arc::new(State { seq: self.sequence, ..state }));
+    }
+
+    fn state_now(&self) -> State {
+        let observed = &self.observed;
+        let flag = |flag| observed.flags.map(|flags| flags.contains(flag));
+        let referenced = flag(SystemState::REFERENCED);
+        let latch = self.latching.latch();
+        State {
+            gripper: self.config.name.clone(),
+            link: self.link_now(),
+            link_cause: self.link_cause.clone(),
+            updated_at: observed.updated_at,
+            seq: self.sequence,
+            state: observed.gripper_state.map(crate::wsg::GripperState::name),
+            state_code: observed.gripper_state.map(crate::wsg::GripperState::code),
+            flags: observed.flags.map(|flags| flags.names().collect()).unwrap_or_default(),
+            flags_raw: observed.flags.map(|flags| flags.bits()),
+            referenced,
+            moving: flag(SystemState::MOVING),
+            width_mm: observed.width_mm.filter(|_| referenced == Some(true)),
+            speed_mm_s: observed.speed_mm_s,
+            force_n: observed.force_n,
+            temperature_c: observed.temperature.map(crate::wsg::Temperature::celsius),
+            fast_stop: (observed.flags.is_some() || latch.is_some()).then_some(latch.is_some()),
+            latch: latch.map(LatchFields::from),
+            lease_holder: None,
+            lease_epoch: 0,
+            command: self.running.as_ref().map(|running| running.id),
+        }
+    }
+}

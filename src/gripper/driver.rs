@@ -1,0 +1,245 @@
+//! The driver: the I/O around one gripper's actor. It connects, reads, writes one frame at a time, and passes clients'
+//! requests on.
+
+use std::io;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use jiff::Timestamp;
+use rand::RngExt;
+use tokio::io::{AsyncReadExt, AsyncWrite, AsyncWriteExt};
+use tokio::sync::mpsc;
+
+use super::Now;
+use super::actor::{Actor, Close, Config};
+use super::connector::Connector;
+use super::handle::{FastStopRequest, Handle, MAX_WAITING_FAST_STOPS, MAX_WAITING_REQUESTS, Request};
+use crate::transport::Pipe;
+use crate::wsg::Command;
+
+/// The pause before the first attempt to connect again; it doubles with each.
+const FIRST_BACK_OFF: Duration = Duration::from_millis(100);
+
+/// The longest pause between two attempts.
+const LONGEST_BACK_OFF: Duration = Duration::from_secs(2);
+
+/// How long a farewell to a device that is being given up on may take to be written.
+const FAREWELL_WITHIN: Duration = Duration::from_millis(100);
+
+/// What is read at once: far more than a device sends between two wake-ups.
+const READ_BYTES: usize = 4096;
+
+impl Now {
+    /// What the clocks say.
+    fn read() -> Self {
+        Self { instant: tokio::time::Instant::now().into_std(), wall: Timestamp::now() }
+    }
+}
+
+/// Starts a gripper on the current runtime. It ends when it was drained, or when all its handles are gone.
+pub fn spawn(config: Config, connector: Arc<dyn Connector>) -> Handle {
+    let (requests, request_queue) = mpsc::channel(MAX_WAITING_REQUESTS);
+    let (fast_stops, fast_stop_queue) = mpsc::channel(MAX_WAITING_FAST_STOPS);
+    let name = config.name.clone();
+    let (actor, watches) = Actor::new(config);
+    let driver = Driver { actor, connector, requests: request_queue, fast_stops: fast_stop_queue, is_abandoned: false };
+    tokio::spawn(driver.run());
+    Handle { name, requests, fast_stops, state: watches.state, info: watches.info }
+}
+
+struct Driver {
+    actor: Actor,
+    connector: Arc<dyn Connector>,
+    requests: mpsc::Receiver<Request>,
+    fast_stops: mpsc::Receiver<FastStopRequest>,
+    /// Whether all handles are gone.
+    is_abandoned: bool,
+}
+
+/// A link's I/O.
+struct LinkIo {
+    pipe: Pipe,
+    outgoing: Outgoing,
+    incoming: Vec<u8>,
+}
+
+/// What a wait has brought.
+enum Input {
+    FastStop(Option<FastStopRequest>),
+    Deadline,
+    Request(Option<Request>),
+    Written(io::Result<()>),
+    Read(io::Result<usize>),
+}
+
+impl Driver {
+    async fn run(mut self) {
+        let mut back_off = FIRST_BACK_OFF;
+        while let Some(connected) = self.connect().await {
+            match connected {
+                Ok(pipe) => {
+                    if self.serve(pipe).await {
+                        back_off = FIRST_BACK_OFF;
+                    }
+                }
+                Err(error) => self.actor.link_down(Now::read(), &error.to_string()),
+            }
+            if !self.pause(back_off).await {
+                break;
+            }
+            back_off = (back_off * 2).min(LONGEST_BACK_OFF);
+        }
+        self.actor.drained();
+    }
+
+    /// Connects, serving requests meanwhile. `None` when the gripper is given up.
+    async fn connect(&mut self) -> Option<io::Result<Pipe>> {
+        let connector = self.connector.clone();
+        let mut connecting = connector.connect();
+        while !self.actor.is_draining() {
+            tokio::select! {
+                biased;
+                input = self.wait(None) => self.take_request(input),
+                connected = &mut connecting => return Some(connected),
+            }
+        }
+        None
+    }
+
+    /// Waits before the next attempt, serving requests meanwhile. `false` when the gripper is given up.
+    async fn pause(&mut self, back_off: Duration) -> bool {
+        let jittered = back_off.mul_f64(rand::rng().random_range(0.75..=1.0));
+        let mut sleep = Box::pin(tokio::time::sleep(jittered));
+        while !self.actor.is_draining() {
+            tokio::select! {
+                biased;
+                input = self.wait(None) => self.take_request(input),
+                () = &mut sleep => return true,
+            }
+        }
+        false
+    }
+
+    /// Serves a link until it ends. Returns whether it was ever set up.
+    async fn serve(&mut self, pipe: Pipe) -> bool {
+        self.actor.link_up(Now::read());
+        let mut link = LinkIo { pipe, outgoing: Outgoing::default(), incoming: vec![0; READ_BYTES] };
+        let cause = loop {
+            if let Some(close) = self.actor.wants_close() {
+                self.farewell(&mut link, close).await;
+                break close.to_string();
+            }
+            if link.outgoing.is_written() {
+                link.outgoing.refill(&mut self.actor);
+            }
+            match self.wait(Some(&mut link)).await {
+                Input::Written(Ok(())) => {}
+                Input::Written(Err(error)) => break format!("writing failed: {error}"),
+                Input::Read(Ok(0)) => break "the device closed the connection".to_owned(),
+                Input::Read(Ok(bytes)) => self.actor.receive(Now::read(), &link.incoming[..bytes]),
+                Input::Read(Err(error)) => break format!("reading failed: {error}"),
+                request => self.take_request(request),
+            }
+        };
+        let was_set_up = self.actor.is_set_up();
+        self.actor.link_down(Now::read(), &cause);
+        was_set_up
+    }
+
+    /// Waits for the next input. Cancelled without loss. The order is the priority: a FAST STOP first, then what makes
+    /// room for its frame; requests last, so that a flood of them starves nothing.
+    async fn wait(&mut self, link: Option<&mut LinkIo>) -> Input {
+        let deadline = self.actor.poll_timeout();
+        let (pipe, outgoing, incoming) = match link {
+            Some(LinkIo { pipe, outgoing, incoming }) => (Some(pipe), Some(outgoing), incoming.as_mut_slice()),
+            None => (None, None, [].as_mut_slice()),
+        };
+        let (mut reader, mut writer) = pipe.map(|pipe| (&mut pipe.reader, &mut pipe.writer)).unzip();
+        let is_writing = outgoing.as_ref().is_some_and(|outgoing| !outgoing.is_written());
+        tokio::select! {
+            biased;
+            request = self.fast_stops.recv(), if !self.is_abandoned => Input::FastStop(request),
+            written = async {
+                match (outgoing, &mut writer) {
+                    (Some(outgoing), Some(writer)) => outgoing.write(writer).await,
+                    _ => std::future::pending().await,
+                }
+            }, if is_writing => Input::Written(written),
+            () = sleep_until(deadline) => Input::Deadline,
+            read = async {
+                match &mut reader {
+                    Some(reader) => reader.read(incoming).await,
+                    None => std::future::pending().await,
+                }
+            } => Input::Read(read),
+            request = self.requests.recv(), if !self.is_abandoned => Input::Request(request),
+        }
+    }
+
+    /// Hands what does not concern the link's I/O to the actor.
+    fn take_request(&mut self, input: Input) {
+        match input {
+            Input::FastStop(Some(request)) => self.actor.fast_stop(Now::read(), request),
+            Input::Request(Some(request)) => self.actor.request(Now::read(), request),
+            Input::FastStop(None) | Input::Request(None) => {
+                self.is_abandoned = true;
+                self.actor.abandon(Now::read());
+            }
+            Input::Deadline => self.actor.handle_timeout(Now::read()),
+            Input::Written(_) | Input::Read(_) => {}
+        }
+    }
+
+    /// Before a connection is closed on a device that may still hear, the device is told: a plain close is a FAST
+    /// STOP. What was being written is finished first, so that the announcement is a frame of its own.
+    async fn farewell(&self, link: &mut LinkIo, close: Close) {
+        if close == Close::Drained || !self.connector.traits().connection_oriented {
+            return;
+        }
+        let mut bytes = link.outgoing.rest().to_vec();
+        Command::DisconnectAnnouncement.encode(&mut bytes);
+        // It may not get through: the link is being closed because nothing does.
+        let _ = tokio::time::timeout(FAREWELL_WITHIN, link.pipe.writer.write_all(&bytes)).await;
+    }
+}
+
+/// The frame that is being written. There is one at a time, so that a FAST STOP waits for one at most.
+#[derive(Debug, Default)]
+struct Outgoing {
+    frame: Vec<u8>,
+    written: usize,
+}
+
+impl Outgoing {
+    fn is_written(&self) -> bool {
+        self.written == self.frame.len()
+    }
+
+    fn rest(&self) -> &[u8] {
+        &self.frame[self.written..]
+    }
+
+    fn refill(&mut self, actor: &mut Actor) {
+        self.frame.clear();
+        self.written = 0;
+        actor.poll_transmit(Now::read(), &mut self.frame);
+    }
+
+    /// Writes some of it. Cancelled without loss.
+    async fn write(&mut self, writer: &mut (impl AsyncWrite + Unpin)) -> io::Result<()> {
+        match writer.write(&self.frame[self.written..]).await? {
+            0 => Err(io::ErrorKind::WriteZero.into()),
+            bytes => {
+                self.written += bytes;
+                Ok(())
+            }
+        }
+    }
+}
+
+async fn sleep_until(deadline: Option<Instant>) {
+    match deadline {
+        Some(deadline) => tokio::time::sleep_until(deadline.into()).await,
+        None => std::future::pending().await,
+    }
+}

@@ -1,0 +1,234 @@
+//! The latch: a FAST STOP that holds until it is acknowledged by its id.
+//!
+//! A request is repeated until the device's flags confirm it; a FAST STOP that the gateway did not cause is a latch too,
+//! and confirmed from the start. It outlives a device that forgot its own. Nothing acknowledges by itself.
+
+use std::time::{Duration, Instant};
+
+use super::Now;
+use super::error::{Conflict, Rejection};
+use super::handle::{Answer, FastStopRequest};
+use super::model::{FastStopCause, FastStopId, IdSource, Latch, Reason};
+use crate::wsg::SystemState;
+use crate::wsg::session::Token;
+
+/// How often a FAST STOP is repeated until it is confirmed.
+pub(super) const REPEAT_EVERY: Duration = Duration::from_millis(100);
+
+/// How long the flags may go on showing FAST STOP after the device has acknowledged (`fw4-en 3.2.5` names no status
+/// for a cause that persists: the flag is what counts).
+const CLEARS_WITHIN: Duration = Duration::from_millis(500);
+
+/// Who caused a FAST STOP that nobody here asked for.
+const BY_DEVICE: &str = "device";
+
+/// The FAST STOP of one gripper, and what is being done about it.
+#[derive(Debug, Default)]
+pub(super) struct Latching {
+    latch: Option<Latch>,
+    /// The 23h in flight.
+    sent: Option<Token>,
+    /// Whether the device has answered a 23h that was sent for this latch.
+    answered: bool,
+    repeat_at: Option<Instant>,
+    acknowledging: Option<Acknowledging>,
+}
+
+#[derive(Debug)]
+struct Acknowledging {
+    id: FastStopId,
+    answer: Answer<()>,
+    progress: Progress,
+}
+
+#[derive(Debug)]
+enum Progress {
+    Sent(Token),
+    /// The device said success; its flags have until then to show it.
+    Watching(Instant),
+}
+
+/// What a FAST STOP that nobody asked for needs to become a latch.
+#[derive(Debug)]
+pub(super) struct Origin<'a> {
+    pub ids: &'a mut IdSource,
+    /// Whether our own connection ended unannounced before.
+    pub unannounced: bool,
+}
+
+/// What a flags update means.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) enum Change {
+    /// A FAST STOP that nobody here asked for.
+    Seen,
+    /// The latch is confirmed now.
+    Confirmed,
+    /// The latch was acknowledged, and is gone.
+    Cleared,
+}
+
+impl Latching {
+    pub(super) fn latch(&self) -> Option<&Latch> {
+        self.latch.as_ref()
+    }
+
+    pub(super) fn id(&self) -> Option<FastStopId> {
+        self.latch.as_ref().map(|latch| latch.id)
+    }
+
+    /// Whether the device may not have heard of it yet.
+    pub(super) fn is_unconfirmed(&self) -> bool {
+        self.latch.as_ref().is_some_and(|latch| !latch.confirmed)
+    }
+
+    /// Latches a client's FAST STOP. Returns an acknowledge on its way, which must not come after it.
+    pub(super) fn request(&mut self, now: Now, request: FastStopRequest) -> Option<Token> {
+        let overtaken = self.acknowledging.take().and_then(|acknowledging| {
+            let stale = Conflict::StaleFastStop { given: acknowledging.id, current: Some(request.id) };
+            // Whoever asked may be gone.
+            let _ = acknowledging.answer.send(Err(stale.into()));
+            match acknowledging.progress {
+                Progress::Sent(token) => Some(token),
+                Progress::Watching(_) => None,
+            }
+        });
+        self.latch = Some(Latch {
+            id: request.id,
+            by: request.client.subject,
+            cause: FastStopCause::Requested,
+            reason: request.reason,
+            at: now.wall,
+            confirmed: false,
+        });
+        self.answered = false;
+        self.repeat_at = Some(now.instant);
+        overtaken
+    }
+
+    /// Whether a 23h has to be sent now.
+    pub(super) fn is_due(&self, now: Instant) -> bool {
+        self.is_unconfirmed() && self.sent.is_none() && self.repeat_at.is_none_or(|at| at <= now)
+    }
+
+    pub(super) fn sent(&mut self, now: Instant, token: Option<Token>) {
+        self.sent = token;
+        self.repeat_at = Some(now + REPEAT_EVERY);
+    }
+
+    /// A 23h has ended; `success` if the device said so.
+    pub(super) fn ended(&mut self, token: Token, success: bool) {
+        if self.sent == Some(token) {
+            self.sent = None;
+            self.answered |= success;
+        }
+    }
+
+    /// Takes in the device's flags.
+    pub(super) fn take_flags(&mut self, now: Now, flags: SystemState, origin: &mut Origin<'_>) -> Option<Change> {
+        let stopped = flags.contains(SystemState::FAST_STOP);
+        let watching = self.is_watching();
+        match (&mut self.latch, stopped) {
+            (None, true) => {
+                self.latch = Some(Latch {
+                    id: origin.ids.fast_stop_id(now.wall),
+                    by: BY_DEVICE.into(),
+                    cause: cause_of(flags, origin.unannounced),
+                    reason: Reason::truncated(""),
+                    at: now.wall,
+                    confirmed: true,
+                });
+                Some(Change::Seen)
+            }
+            (Some(latch), true) if !latch.confirmed && self.answered => {
+                latch.confirmed = true;
+                Some(Change::Confirmed)
+            }
+            (Some(_), false) if watching => {
+                self.latch = None;
+                self.finish_acknowledge(Ok(()));
+                Some(Change::Cleared)
+            }
+            _ => None,
+        }
+    }
+
+    /// Whether this acknowledge may be sent.
+    pub(super) fn check_acknowledge(&self, id: FastStopId) -> Result<(), Conflict> {
+        match &self.latch {
+            Some(latch) if latch.id != id => Err(Conflict::StaleFastStop { given: id, current: Some(latch.id) }),
+            None => Err(Conflict::StaleFastStop { given: id, current: None }),
+            Some(latch) if !latch.confirmed => Err(Conflict::FastStopUnconfirmed { id }),
+            Some(_) if self.acknowledging.is_some() => Err(Conflict::Acknowledging { id }),
+            Some(_) => Ok(()),
+        }
+    }
+
+    pub(super) fn acknowledge_sent(&mut self, id: FastStopId, token: Token, answer: Answer<()>) {
+        self.acknowledging = Some(Acknowledging { id, answer, progress: Progress::Sent(token) });
+    }
+
+    /// The 24h has ended.
+    pub(super) fn acknowledge_ended(&mut self, now: Instant, token: Token, result: Result<(), Rejection>) {
+        let Some(acknowledging) = &mut self.acknowledging else { return };
+        if !matches!(acknowledging.progress, Progress::Sent(sent) if sent == token) {
+            return;
+        }
+        match result {
+            Ok(()) => acknowledging.progress = Progress::Watching(now + CLEARS_WITHIN),
+            Err(rejection) => self.finish_acknowledge(Err(rejection)),
+        }
+    }
+
+    /// Gives up waiting for flags that stay.
+    pub(super) fn handle_timeout(&mut self, now: Instant, flags: Option<SystemState>) {
+        let Some(Acknowledging { id, progress: Progress::Watching(until), .. }) = &self.acknowledging else { return };
+        if *until <= now {
+            let names: Vec<_> = flags.unwrap_or_default().names().collect();
+            let persists = Conflict::FastStopPersists { id: *id, flags: names.join(", ") };
+            self.finish_acknowledge(Err(persists.into()));
+        }
+    }
+
+    /// The link is gone, and with it what was on its way.
+    pub(super) fn link_lost(&mut self, rejection: &Rejection) {
+        self.sent = None;
+        self.answered = false;
+        self.repeat_at = None;
+        self.finish_acknowledge(Err(rejection.clone()));
+    }
+
+    pub(super) fn next_timeout(&self) -> Option<Instant> {
+        let repeat = (self.is_unconfirmed() && self.sent.is_none()).then_some(self.repeat_at).flatten();
+        let clears = match &self.acknowledging {
+            Some(Acknowledging { progress: Progress::Watching(until), .. }) => Some(*until),
+            _ => None,
+        };
+        repeat.into_iter().chain(clears).min()
+    }
+
+    fn is_watching(&self) -> bool {
+        matches!(self.acknowledging, Some(Acknowledging { progress: Progress::Watching(_), .. }))
+    }
+
+    fn finish_acknowledge(&mut self, result: Result<(), Rejection>) {
+        if let Some(acknowledging) = self.acknowledging.take() {
+            // Whoever asked may be gone.
+            let _ = acknowledging.answer.send(result);
+        }
+    }
+}
+
+/// What the flags say of a FAST STOP's cause.
+fn cause_of(flags: SystemState, unannounced: bool) -> FastStopCause {
+    let causes = [
+        (SystemState::TEMP_FAULT, FastStopCause::TemperatureFault),
+        (SystemState::POWER_FAULT, FastStopCause::PowerFault),
+        (SystemState::CURR_FAULT, FastStopCause::CurrentFault),
+        (SystemState::FINGER_FAULT, FastStopCause::FingerFault),
+        (SystemState::SOFT_LIMIT_MINUS, FastStopCause::SoftLimit),
+        (SystemState::SOFT_LIMIT_PLUS, FastStopCause::SoftLimit),
+    ];
+    let named = causes.into_iter().find(|(flag, _)| flags.contains(*flag)).map(|(_, cause)| cause);
+    let otherwise = if unannounced { FastStopCause::UnannouncedDisconnect } else { FastStopCause::Unknown };
+    named.unwrap_or(otherwise)
+}

@@ -1,0 +1,182 @@
+//! What is refused before it becomes a frame: values beyond the device's limits, though the device itself would clamp
+//! them, and targets that the soft limits forbid.
+
+use super::error::Invalid;
+use super::model::Motion;
+use crate::wsg::{Command, Force, SoftLimits, SystemLimits, Width};
+
+const DEVICE: &str = "the device's limits";
+const SOFT: &str = "the soft limits: change or clear them first";
+const NOMINAL: &str = "the nominal force: switch overdrive on to go beyond it";
+
+/// What is known of the device that a value could violate.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Limits {
+    pub system: Option<SystemLimits>,
+    pub soft: Option<SoftLimits>,
+    pub overdrive: bool,
+}
+
+impl Limits {
+    /// Checks a motion that begins at `width`, where that is known.
+    pub(super) fn check_motion(&self, motion: &Motion, width: Option<f32>) -> Result<(), Invalid> {
+        match *motion {
+            Motion::Home(_) => Ok(()),
+            Motion::Move { flags, width: offset, speed } if flags.relative => {
+                self.check_offset(offset, width)?;
+                self.check_speed(speed.mm_s())
+            }
+            Motion::Move { width: target, speed, .. } | Motion::Release { width: target, speed } => {
+                self.check_target(target)?;
+                self.check_speed(speed.mm_s())
+            }
+            Motion::Grip { width: target, speed, force, .. } => {
+                self.check_target(target)?;
+                self.check_speed(speed.mm_s())?;
+                force.map_or(Ok(()), |force| self.check_force(force))
+            }
+        }
+    }
+
+    /// Checks a request that sets something.
+    pub(super) fn check_setting(&self, command: &Command) -> Result<(), Invalid> {
+        let Some(system) = self.system else { return Ok(()) };
+        match command {
+            Command::SetAcceleration(acceleration) => {
+                let (min, max) = (system.min_acceleration.mm_s2(), system.max_acceleration.mm_s2());
+                in_range("acceleration_mm_s2", acceleration.mm_s2(), min, max, DEVICE)
+            }
+            Command::SetForceLimit(force) => self.check_force(*force),
+            Command::SetSoftLimits(limits) => {
+                in_range("minus_mm", limits.minus().mm(), 0.0, system.stroke.mm(), DEVICE)?;
+                in_range("plus_mm", limits.plus().mm(), 0.0, system.stroke.mm(), DEVICE)
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// The widths that a motion may end at, and whose limits they are.
+    fn targets(&self) -> Option<(f32, f32, &'static str)> {
+        let stroke = self.system.map(|system| system.stroke.mm());
+        match (self.soft, stroke) {
+            (Some(soft), stroke) => {
+                let plus = stroke.map_or(soft.plus().mm(), |stroke| stroke.min(soft.plus().mm()));
+                Some((soft.minus().mm().max(0.0), plus, SOFT))
+            }
+            (None, Some(stroke)) => Some((0.0, stroke, DEVICE)),
+            (None, None) => None,
+        }
+    }
+
+    fn check_target(&self, target: Width) -> Result<(), Invalid> {
+        let Some((min, max, limit)) = self.targets() else { return Ok(()) };
+        in_range("width_mm", target.mm(), min, max, limit)
+    }
+
+    fn check_offset(&self, offset: Width, width: Option<f32>) -> Result<(), Invalid> {
+        let (Some((min, max, limit)), Some(width)) = (self.targets(), width) else { return Ok(()) };
+        // At an end stop a width may be measured a little beyond the stroke.
+        let width = self.system.map_or(width, |system| width.clamp(0.0, system.stroke.mm().max(0.0)));
+        let (min, max) = (min - width, max - width);
+        in_range("width_mm", offset.mm(), min, max, limit)
+    }
+
+    fn check_speed(&self, speed_mm_s: f32) -> Result<(), Invalid> {
+        let Some(system) = self.system else { return Ok(()) };
+        in_range("speed_mm_s", speed_mm_s, system.min_speed.mm_s(), system.max_speed.mm_s(), DEVICE)
+    }
+
+    fn check_force(&self, force: Force) -> Result<(), Invalid> {
+        let Some(system) = self.system else { return Ok(()) };
+        let (max, limit) = if self.overdrive && system.overdrive_force > system.nominal_force {
+            (system.overdrive_force, DEVICE)
+        } else {
+            (system.nominal_force, NOMINAL)
+        };
+        in_range("force_n", force.n(), system.min_force.n(), max.n(), limit)
+    }
+}
+
+fn in_range(field: &'static str, value: f32, min: f32, max: f32, limit: &'static str) -> Result<(), Invalid> {
+    if value >= min && value <= max { Ok(()) } else { Err(Invalid::OutOfRange { field, value, min, max, limit }) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::wsg::{Acceleration, MoveFlags, Speed};
+
+    fn width(mm: f32) -> Width {
+        Width::new(mm).unwrap()
+    }
+
+    fn speed(mm_s: f32) -> Speed {
+        Speed::new(mm_s).unwrap()
+    }
+
+    fn limits() -> Limits {
+        let force = |n| Force::new(n).unwrap();
+        let acceleration = |mm_s2| Acceleration::new(mm_s2).unwrap();
+        let system = SystemLimits {
+            stroke: width(110.0),
+            min_speed: speed(5.0),
+            max_speed: speed(420.0),
+            min_acceleration: acceleration(100.0),
+            max_acceleration: acceleration(5000.0),
+            min_force: force(5.0),
+            nominal_force: force(80.0),
+            overdrive_force: force(120.0),
+        };
+        Limits { system: Some(system), soft: None, overdrive: false }
+    }
+
+    fn field(result: Result<(), Invalid>) -> Option<(&'static str, f32, f32)> {
+        match result {
+            Err(Invalid::OutOfRange { field, min, max, .. }) => Some((field, min, max)),
+            _ => None,
+        }
+    }
+
+    fn grip(mm: f32, mm_s: f32, force: Option<f32>) -> Motion {
+        let force = force.map(|n| Force::new(n).unwrap());
+        Motion::Grip { width: width(mm), speed: speed(mm_s), force, part_id: None }
+    }
+
+    #[test]
+    fn the_field_and_its_limits_are_named() {
+        let limits = limits();
+        assert_eq!(field(limits.check_motion(&grip(5000.0, 50.0, None), None)), Some(("width_mm", 0.0, 110.0)));
+        assert_eq!(field(limits.check_motion(&grip(-0.1, 50.0, None), None)), Some(("width_mm", 0.0, 110.0)));
+        assert_eq!(field(limits.check_motion(&grip(20.0, 4.9, None), None)), Some(("speed_mm_s", 5.0, 420.0)));
+        assert_eq!(field(limits.check_motion(&grip(20.0, 50.0, Some(81.0)), None)), Some(("force_n", 5.0, 80.0)));
+        assert_eq!(limits.check_motion(&grip(110.0, 420.0, Some(80.0)), None), Ok(()));
+        let overdrive = Limits { overdrive: true, ..limits };
+        assert_eq!(overdrive.check_motion(&grip(20.0, 50.0, Some(120.0)), None), Ok(()));
+    }
+
+    #[test]
+    fn a_relative_move_is_checked_where_it_ends() {
+        let limits = limits();
+        let flags = MoveFlags { relative: true, stop_on_block: true };
+        let by = |mm| Motion::Move { flags, width: width(mm), speed: speed(50.0) };
+        assert_eq!(field(limits.check_motion(&by(-31.0), Some(30.0))), Some(("width_mm", -30.0, 80.0)));
+        assert_eq!(limits.check_motion(&by(-30.0), Some(30.0)), Ok(()));
+    }
+
+    #[test]
+    fn a_target_that_the_soft_limits_forbid_is_refused() {
+        let soft = SoftLimits::new(width(10.0), width(60.0));
+        let limits = Limits { soft, ..limits() };
+        assert_eq!(field(limits.check_motion(&grip(9.0, 50.0, None), None)), Some(("width_mm", 10.0, 60.0)));
+        assert_eq!(limits.check_motion(&Motion::Home(Default::default()), None), Ok(()), "homing ignores them");
+    }
+
+    #[test]
+    fn settings_are_checked_too() {
+        let limits = limits();
+        let set = Command::SetAcceleration(Acceleration::new(6000.0).unwrap());
+        assert_eq!(field(limits.check_setting(&set)), Some(("acceleration_mm_s2", 100.0, 5000.0)));
+        let soft = Command::SetSoftLimits(SoftLimits::new(width(5.0), width(111.0)).unwrap());
+        assert_eq!(field(limits.check_setting(&soft)), Some(("plus_mm", 0.0, 110.0)));
+    }
+}

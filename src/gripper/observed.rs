@@ -1,0 +1,157 @@
+//! What the device has said of itself, newest wins: the shared state that every reader is served from.
+
+use std::time::{Duration, Instant};
+
+use crate::wsg::{Command, Data, GripperState, SystemState, Temperature, Updates, id};
+
+/// The getters that have automatic updates.
+const UPDATED: [u8; 5] = [id::GET_SYSTEM_STATE, id::GET_GRIPPER_STATE, id::GET_WIDTH, id::GET_SPEED, id::GET_FORCE];
+
+/// The bytes of one frame of each.
+const UPDATE_BYTES: u32 = 14 + 11 + 14 + 14 + 14;
+
+/// The shortest period that a device takes (`fw4-en 3.4.1`).
+const MIN_PERIOD_MS: u16 = 10;
+
+/// A getter that has been silent for so long has its updates switched on again. A device that refuses updates answers
+/// each time with the value, and so is polled at this period.
+const RENEW_AFTER: Duration = Duration::from_secs(1);
+
+/// The newest values.
+#[derive(Debug, Default)]
+pub(super) struct Observed {
+    pub flags: Option<SystemState>,
+    pub gripper_state: Option<GripperState>,
+    pub width_mm: Option<f32>,
+    pub speed_mm_s: Option<f32>,
+    pub force_n: Option<f32>,
+    pub temperature: Option<Temperature>,
+    pub updated_at: Option<Instant>,
+    /// When each of [`UPDATED`] was last heard, or asked for.
+    fresh: [Option<Instant>; UPDATED.len()],
+}
+
+impl Observed {
+    /// Takes a value in.
+    pub(super) fn take(&mut self, now: Instant, data: &Data) {
+        let id = match *data {
+            Data::SystemState(flags) => {
+                self.flags = Some(flags);
+                id::GET_SYSTEM_STATE
+            }
+            Data::GripperState(state) => {
+                self.gripper_state = Some(state);
+                id::GET_GRIPPER_STATE
+            }
+            Data::Width(width) => {
+                self.width_mm = Some(width.mm());
+                id::GET_WIDTH
+            }
+            Data::Speed(speed) => {
+                self.speed_mm_s = Some(speed.mm_s());
+                id::GET_SPEED
+            }
+            Data::Force(force) => {
+                self.force_n = Some(force.n());
+                id::GET_FORCE
+            }
+            _ => return,
+        };
+        self.updated_at = Some(now);
+        self.asked(now, id);
+    }
+
+    /// Whether a flag is set, as far as is known.
+    pub(super) fn has(&self, flag: SystemState) -> bool {
+        self.flags.is_some_and(|flags| flags.contains(flag))
+    }
+
+    /// The newest value of a getter with automatic updates, as its reply would have it.
+    pub(super) fn newest(&self, id: u8) -> Option<Data> {
+        use crate::wsg::{Force, Speed, Width};
+        match id {
+            id::GET_SYSTEM_STATE => self.flags.map(Data::SystemState),
+            id::GET_GRIPPER_STATE => self.gripper_state.map(Data::GripperState),
+            id::GET_WIDTH => self.width_mm.and_then(|mm| Width::new(mm).ok()).map(Data::Width),
+            id::GET_SPEED => self.speed_mm_s.and_then(|mm_s| Speed::new(mm_s).ok()).map(Data::Speed),
+            id::GET_FORCE => self.force_n.and_then(|n| Force::new(n).ok()).map(Data::Force),
+            _ => None,
+        }
+    }
+
+    /// The getter whose updates have to be switched on again, if one has. Opening-width updates are not expected
+    /// before the fingers are referenced (`fw4-en 3.4.4`).
+    pub(super) fn silent(&self, now: Instant) -> Option<u8> {
+        self.deadlines().find(|&(_, deadline)| deadline <= now).map(|(id, _)| id)
+    }
+
+    /// When the next getter will have been silent for too long.
+    pub(super) fn next_silent(&self) -> Option<Instant> {
+        self.deadlines().map(|(_, deadline)| deadline).min()
+    }
+
+    fn deadlines(&self) -> impl Iterator<Item = (u8, Instant)> {
+        let referenced = self.has(SystemState::REFERENCED);
+        let expected = move |&(id, _): &(u8, _)| referenced || id != id::GET_WIDTH;
+        let silent_from = |(id, fresh): (u8, &Option<Instant>)| fresh.map(|fresh| (id, fresh + RENEW_AFTER));
+        UPDATED.into_iter().zip(&self.fresh).filter_map(silent_from).filter(expected)
+    }
+
+    /// Notes that a getter was asked, so that it isn't again at once.
+    pub(super) fn asked(&mut self, now: Instant, id: u8) {
+        if let Some(index) = UPDATED.iter().position(|&updated| updated == id) {
+            self.fresh[index] = Some(now);
+        }
+    }
+}
+
+/// The requests that switch all automatic updates on, at a period that the line can carry.
+pub(super) fn switch_on_all(bytes_per_second: Option<u32>) -> impl Iterator<Item = Command> {
+    let period_ms = period_ms(bytes_per_second);
+    UPDATED.into_iter().filter_map(move |id| switch_on(id, period_ms))
+}
+
+/// The request that switches one getter's updates on.
+pub(super) fn switch_on(id: u8, period_ms: u16) -> Option<Command> {
+    // Always, not on change only: after a damaged frame the next update mends the picture.
+    let updates = Updates::On { on_change: false, period_ms };
+    Some(match id {
+        id::GET_SYSTEM_STATE => Command::GetSystemState(updates),
+        id::GET_GRIPPER_STATE => Command::GetGripperState(updates),
+        id::GET_WIDTH => Command::GetWidth(updates),
+        id::GET_SPEED => Command::GetSpeed(updates),
+        id::GET_FORCE => Command::GetForce(updates),
+        _ => return None,
+    })
+}
+
+/// 10 ms where the line is fast enough; else so that updates take at most half of it.
+pub(super) fn period_ms(bytes_per_second: Option<u32>) -> u16 {
+    let Some(bytes_per_second) = bytes_per_second else { return MIN_PERIOD_MS };
+    let half_the_line = (2 * 1000 * UPDATE_BYTES).div_ceil(bytes_per_second.max(1));
+    u16::try_from(half_the_line).unwrap_or(u16::MAX).max(MIN_PERIOD_MS)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn updates_take_at_most_half_of_the_line() {
+        assert_eq!(period_ms(None), 10);
+        assert_eq!(period_ms(Some(11_520)), 12, "115200 baud");
+        assert_eq!(period_ms(Some(960)), 140, "9600 baud");
+        assert_eq!(period_ms(Some(100_000)), 10);
+    }
+
+    #[test]
+    fn a_width_is_not_missed_before_the_fingers_are_referenced() {
+        let mut observed = Observed::default();
+        let start = Instant::now();
+        observed.asked(start, id::GET_WIDTH);
+        let later = start + RENEW_AFTER;
+        assert_eq!(observed.silent(later), None);
+        observed.take(later, &Data::SystemState(SystemState::REFERENCED));
+        assert_eq!(observed.silent(later), Some(id::GET_WIDTH));
+    }
+}

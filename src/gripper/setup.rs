@@ -1,0 +1,250 @@
+//! Setting a link up: the reads of design section 4, one at a time, then the settings that clients made, then the
+//! automatic updates. Nothing moves, nothing is acknowledged.
+
+use std::collections::VecDeque;
+
+use super::observed;
+use crate::wsg::session::Token;
+use crate::wsg::{
+    Acceleration, Command, Data, DeviceTag, Force, Reply, SoftLimits, Status, SystemInfo, SystemLimits, Updates, id,
+};
+
+/// How often a request is tried before the link is given up, or the request, where the link can do without.
+const ATTEMPTS: u8 = 3;
+
+/// What clients last set on a device, to be restored when it has forgotten it. Overdrive is not among them: after a
+/// restart somebody has to want it again.
+#[derive(Debug, Clone, Copy, Default)]
+pub(super) struct Wanted {
+    pub acceleration: Option<Acceleration>,
+    pub force_limit: Option<Force>,
+    pub soft_limits: WantedSoftLimits,
+}
+
+/// The soft limits that clients want.
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
+pub(super) enum WantedSoftLimits {
+    /// Nobody has touched them.
+    #[default]
+    AsTheyAre,
+    Cleared,
+    Set(SoftLimits),
+}
+
+/// What was learned so far.
+#[derive(Debug)]
+pub(super) struct Setup {
+    todo: VecDeque<Command>,
+    current: Option<(Command, u8)>,
+    token: Option<Token>,
+    /// The serial number of the device that [`Wanted`] was set on.
+    known_serial: Option<u32>,
+    wanted: Wanted,
+    pub system: Option<SystemInfo>,
+    pub limits: Option<SystemLimits>,
+    pub tag: Option<DeviceTag>,
+    pub soft_limits: Option<SoftLimits>,
+    /// Settings that were found changed, and set again.
+    pub restored: Vec<&'static str>,
+    /// Whether another device has answered than the one before.
+    pub replaced: bool,
+}
+
+/// What comes next.
+#[derive(Debug, PartialEq)]
+pub(super) enum Step {
+    Send(Command),
+    Done,
+    /// The device does not answer what a gripper must answer.
+    Failed(&'static str),
+}
+
+impl Setup {
+    pub(super) fn new(bytes_per_second: Option<u32>, known_serial: Option<u32>, wanted: Wanted) -> Self {
+        let reads = [
+            Command::GetSystemInfo,
+            Command::GetSystemLimits,
+            Command::GetDeviceTag,
+            Command::GetSystemState(Updates::Off),
+            Command::GetGripperState(Updates::Off),
+            Command::GetSoftLimits,
+        ];
+        Self {
+            todo: reads.into_iter().chain(observed::switch_on_all(bytes_per_second)).collect(),
+            current: None,
+            token: None,
+            known_serial,
+            wanted,
+            system: None,
+            limits: None,
+            tag: None,
+            soft_limits: None,
+            restored: Vec::new(),
+            replaced: false,
+        }
+    }
+
+    /// The next request, after the last has ended.
+    pub(super) fn next(&mut self) -> Step {
+        if let Some((command, attempts)) = self.current.take() {
+            if attempts < ATTEMPTS {
+                self.current = Some((command.clone(), attempts + 1));
+                return Step::Send(command);
+            }
+            if matches!(command.id(), id::GET_SYSTEM_INFO | id::GET_SYSTEM_STATE) {
+                return Step::Failed(id::name(command.id()).unwrap_or("a request"));
+            }
+        }
+        let Some(command) = self.todo.pop_front() else { return Step::Done };
+        self.current = Some((command.clone(), 1));
+        Step::Send(command)
+    }
+
+    pub(super) fn sent(&mut self, token: Option<Token>) {
+        self.token = token;
+    }
+
+    /// Whether this is the request in flight.
+    pub(super) fn is_current(&self, token: Token) -> bool {
+        self.token == Some(token)
+    }
+
+    /// Takes a reply in. Without one, [`Setup::next`] tries again.
+    pub(super) fn take(&mut self, reply: Reply) {
+        let Some((command, _)) = self.current.take() else { return };
+        match (command.id(), reply) {
+            (_, Reply::Success(Data::SystemInfo(system))) => self.identify(system),
+            (_, Reply::Success(Data::SystemLimits(limits))) => self.limits = Some(limits),
+            (_, Reply::Success(Data::DeviceTag(tag))) => self.tag = Some(tag),
+            (id::GET_SOFT_LIMITS, reply) => self.compare_soft_limits(&reply),
+            (_, Reply::Success(Data::Acceleration(found))) => {
+                let changed = self.wanted.acceleration.filter(|wanted| *wanted != found);
+                self.restore("acceleration", changed.map(Command::SetAcceleration));
+            }
+            (_, Reply::Success(Data::ForceLimit(found))) => {
+                let changed = self.wanted.force_limit.filter(|wanted| *wanted != found);
+                self.restore("force limit", changed.map(Command::SetForceLimit));
+            }
+            (id::SET_SOFT_LIMITS, Reply::Success(_)) => {
+                if let Command::SetSoftLimits(limits) = command {
+                    self.soft_limits = Some(limits);
+                }
+            }
+            (id::CLEAR_SOFT_LIMITS, Reply::Success(_)) => self.soft_limits = None,
+            _ => {}
+        }
+    }
+
+    fn identify(&mut self, system: SystemInfo) {
+        self.system = Some(system);
+        self.replaced = self.known_serial.is_some_and(|known| known != system.serial_number);
+        if self.replaced {
+            // Another serial number gets nothing.
+            self.wanted = Wanted::default();
+        }
+        if self.wanted.acceleration.is_some() {
+            self.todo.push_front(Command::GetAcceleration);
+        }
+        if self.wanted.force_limit.is_some() {
+            self.todo.push_front(Command::GetForceLimit);
+        }
+    }
+
+    fn compare_soft_limits(&mut self, reply: &Reply) {
+        match reply {
+            Reply::Success(Data::SoftLimits(found)) => self.soft_limits = Some(*found),
+            Reply::Status(Status::E_NOT_AVAILABLE) => self.soft_limits = None,
+            _ => return,
+        }
+        let changed = match self.wanted.soft_limits {
+            WantedSoftLimits::AsTheyAre => None,
+            WantedSoftLimits::Cleared => self.soft_limits.map(|_| Command::ClearSoftLimits),
+            WantedSoftLimits::Set(wanted) if self.soft_limits == Some(wanted) => None,
+            WantedSoftLimits::Set(wanted) => Some(Command::SetSoftLimits(wanted)),
+        };
+        self.restore("soft limits", changed);
+    }
+
+    fn restore(&mut self, setting: &'static str, command: Option<Command>) {
+        if let Some(command) = command {
+            self.restored.push(setting);
+            self.todo.push_front(command);
+        }
+    }
+
+    pub(super) fn wanted(&self) -> Wanted {
+        self.wanted
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::wsg::{DeviceType, Firmware};
+
+    fn system(serial_number: u32) -> Reply {
+        let info = SystemInfo {
+            device_type: DeviceType::Wsg50,
+            hardware_revision: 1,
+            firmware: Firmware(0x4020),
+            serial_number,
+        };
+        Reply::Success(Data::SystemInfo(info))
+    }
+
+    /// Answers each request by `reply`, and returns what was sent.
+    fn run(mut setup: Setup, mut reply: impl FnMut(&Command) -> Option<Reply>) -> (Setup, Vec<Command>, Step) {
+        let mut sent = Vec::new();
+        loop {
+            match setup.next() {
+                Step::Send(command) => {
+                    if let Some(reply) = reply(&command) {
+                        setup.take(reply);
+                    }
+                    sent.push(command);
+                }
+                end => return (setup, sent, end),
+            }
+        }
+    }
+
+    fn forgetful(command: &Command) -> Option<Reply> {
+        Some(match command {
+            Command::GetSystemInfo => system(7),
+            Command::GetAcceleration => Reply::Success(Data::Acceleration(Acceleration::new(500.0).unwrap())),
+            Command::GetForceLimit => Reply::Success(Data::ForceLimit(Force::new(40.0).unwrap())),
+            Command::GetSoftLimits => Reply::Status(Status::E_NOT_AVAILABLE),
+            _ => Reply::Success(Data::None),
+        })
+    }
+
+    #[test]
+    fn a_first_connect_reads_and_switches_updates_on_and_sets_nothing() {
+        let (_, sent, end) = run(Setup::new(None, None, Wanted::default()), forgetful);
+        let ids: Vec<_> = sent.iter().map(Command::id).collect();
+        assert_eq!(ids, [0x50, 0x53, 0x52, 0x40, 0x41, 0x35, 0x40, 0x41, 0x43, 0x44, 0x45]);
+        assert_eq!(end, Step::Done);
+    }
+
+    #[test]
+    fn a_restarted_device_gets_its_settings_again_and_another_one_nothing() {
+        let wanted = Wanted {
+            acceleration: Some(Acceleration::new(2000.0).unwrap()),
+            force_limit: Some(Force::new(40.0).unwrap()),
+            soft_limits: WantedSoftLimits::Cleared,
+        };
+        let (setup, sent, _) = run(Setup::new(None, Some(7), wanted), forgetful);
+        assert_eq!(setup.restored, ["acceleration"], "the force limit is as it was");
+        assert!(sent.contains(&Command::SetAcceleration(Acceleration::new(2000.0).unwrap())));
+        let (setup, sent, _) = run(Setup::new(None, Some(8), wanted), forgetful);
+        assert!(setup.replaced && setup.restored.is_empty());
+        assert!(!sent.iter().any(|command| command.id() == id::SET_ACCELERATION));
+    }
+
+    #[test]
+    fn a_device_that_does_not_say_what_it_is_fails_the_link() {
+        let (_, sent, end) = run(Setup::new(None, None, Wanted::default()), |_| None);
+        assert_eq!(sent.len(), 3, "each request is tried three times");
+        assert_eq!(end, Step::Failed("GetSystemInfo"));
+    }
+}

@@ -1,0 +1,37 @@
+//! TCP: a device listens on port 1000, and has one client at a time.
+
+use std::io;
+use std::time::Duration;
+
+use tokio::net::TcpStream;
+
+use super::{CONNECT_WITHIN, Pipe, Traits};
+
+/// A device's TCP endpoint.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct TcpAddress {
+    /// A name or an address.
+    pub host: String,
+    /// 1000 by default.
+    pub port: u16,
+}
+
+/// A lost segment is repeated after 200 ms or more, and then its frame is late, not damaged.
+const FRAME_GAP: Duration = Duration::from_millis(500);
+
+pub(super) const TRAITS: Traits =
+    Traits { name: "tcp", connection_oriented: true, bytes_per_second: None, frame_gap: FRAME_GAP };
+
+impl TcpAddress {
+    pub(super) async fn connect(&self) -> io::Result<Pipe> {
+        let connecting = TcpStream::connect((self.host.as_str(), self.port));
+        let stream = tokio::time::timeout(CONNECT_WITHIN, connecting).await.map_err(|_| {
+            let waited = CONNECT_WITHIN.as_secs();
+            io::Error::new(io::ErrorKind::TimedOut, format!("no connection within {waited} s"))
+        })??;
+        // A frame is small and urgent: it must not wait for the acknowledge of the one before.
+        stream.set_nodelay(true)?;
+        let (reader, writer) = stream.into_split();
+        Ok(Pipe { reader: Box::new(reader), writer: Box::new(writer) })
+    }
+}
