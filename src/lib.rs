@@ -1,5 +1,6 @@
 //! A gateway that lets many clients share Weiss/SCHUNK WSG grippers safely.
 
+pub mod config;
 pub mod gripper;
 pub mod transport;
 pub mod wsg;

@@ -1,0 +1,299 @@
+//! The configuration: a flag beats the environment beats the file. Validated once, here; nothing else reads flags, the
+//! environment or the file. A mistake is named with its place and its remedy.
+
+use std::collections::BTreeSet;
+use std::fmt;
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use serde::Deserialize;
+use toml::Spanned;
+
+use crate::gripper::model::Name;
+use crate::transport::Address;
+
+mod file;
+
+pub use file::File;
+
+/// Where the daemon listens unless it is told otherwise.
+const DEFAULT_LISTEN: &str = "127.0.0.1:8080";
+
+/// The gateway's name unless it is told otherwise.
+const DEFAULT_NAME: &str = "gateway";
+
+/// How long a running command may take to finish at the orderly end.
+const DEFAULT_DRAIN: Duration = Duration::from_secs(2);
+
+/// What is served when nothing is configured: two simulated grippers, a part in reach of one.
+const DEFAULT_GRIPPERS: [&str; 2] = ["left=sim://wsg50?part_mm=20", "right=sim://wsg50"];
+
+/// What `serve` takes from the command line and the environment.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub struct Flags {
+    /// A gripper and where it is, e.g. left=tcp://192.168.1.20:1000 or right=sim://wsg50 (repeatable)
+    #[arg(long = "gripper", value_name = "NAME=URL", env = "WSG_GATEWAY_GRIPPERS", value_delimiter = ',')]
+    pub grippers: Vec<String>,
+    /// Where to serve HTTP [default: 127.0.0.1:8080]
+    #[arg(long, value_name = "ADDR", env = "WSG_GATEWAY_LISTEN")]
+    pub listen: Option<String>,
+    /// The gateway's name [default: gateway]
+    #[arg(long, value_name = "NAME", env = "WSG_GATEWAY_NAME")]
+    pub name: Option<String>,
+    /// Where to keep the journal; only :memory: is supported yet
+    #[arg(long, value_name = "PATH", env = "WSG_GATEWAY_JOURNAL")]
+    pub journal: Option<String>,
+    /// Serve a gripper by the WSG protocol itself (not yet supported)
+    #[arg(long = "wsg-port", value_name = "NAME=ADDR", env = "WSG_GATEWAY_WSG_PORTS", value_delimiter = ',')]
+    pub wsg_ports: Vec<String>,
+    /// A Zenoh endpoint to listen on (not yet supported)
+    #[arg(long, value_name = "ENDPOINT", env = "WSG_GATEWAY_ZENOH_LISTEN", value_delimiter = ',')]
+    pub zenoh_listen: Vec<String>,
+    /// A Zenoh endpoint to connect to (not yet supported)
+    #[arg(long, value_name = "ENDPOINT", env = "WSG_GATEWAY_ZENOH_CONNECT", value_delimiter = ',')]
+    pub zenoh_connect: Vec<String>,
+    /// A TOML file, for these and all other settings
+    #[arg(long, value_name = "FILE", env = "WSG_GATEWAY_CONFIG")]
+    pub config: Option<PathBuf>,
+    /// Listen on other addresses than loopback although there are no credentials yet: whoever reaches them can move the
+    /// grippers
+    #[arg(long, env = "WSG_GATEWAY_INSECURE")]
+    pub insecure: bool,
+}
+
+/// A valid configuration.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Config {
+    /// The gateway's name.
+    pub name: Name,
+    /// Where HTTP is served.
+    pub listen: SocketAddr,
+    /// What `Host` may be, besides addresses and `localhost`.
+    pub hosts: Vec<String>,
+    /// The grippers.
+    pub grippers: Vec<Gripper>,
+    /// How long a running command may take to finish at the orderly end.
+    pub drain: Duration,
+}
+
+/// One gripper.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Gripper {
+    /// Its name.
+    pub name: Name,
+    /// Where it is.
+    pub device: Device,
+    /// Custom ids that only read; all others count as motion.
+    pub read_ids: BTreeSet<u8>,
+    /// Where that is said.
+    pub place: Place,
+}
+
+/// Where a gripper is.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Device {
+    /// At an address.
+    At(Address),
+    /// In this process: `sim://…`, which the daemon reads.
+    Simulated(url::Url),
+}
+
+/// Where something is configured.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Place {
+    /// By a flag or its environment variable.
+    Flag(&'static str),
+    /// In a file.
+    File {
+        /// Its path.
+        path: PathBuf,
+        /// Counted from 1.
+        line: usize,
+    },
+    /// Nowhere: the default.
+    Default,
+}
+
+impl fmt::Display for Place {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Flag(flag) => f.write_str(flag),
+            Self::File { path, line } => write!(f, "{}:{line}", path.display()),
+            Self::Default => f.write_str("default"),
+        }
+    }
+}
+
+/// A mistake in a configuration: where, what, and what to do about it.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{place}: {detail}")]
+pub struct Mistake {
+    /// Where it is.
+    pub place: Place,
+    /// What it is, with its remedy.
+    pub detail: String,
+}
+
+impl Mistake {
+    /// At a place.
+    pub fn at(place: &Place, detail: impl fmt::Display) -> Self {
+        Self { place: place.clone(), detail: detail.to_string() }
+    }
+}
+
+/// A value and where it was said.
+struct Placed<T> {
+    value: T,
+    place: Place,
+}
+
+impl Config {
+    /// From the flags (which clap has merged with the environment) and the file that they name.
+    ///
+    /// # Errors
+    /// The first [`Mistake`].
+    pub fn load(flags: &Flags) -> Result<Self, Mistake> {
+        let file = match &flags.config {
+            Some(path) => Some(File::read(path)?),
+            None => None,
+        };
+        Self::merge(flags, file.as_ref())
+    }
+
+    fn merge(flags: &Flags, file: Option<&File>) -> Result<Self, Mistake> {
+        refuse_what_is_not_there_yet(flags, file)?;
+        let content = file.map(|file| &file.content);
+        let pick = |flag: &Option<String>, name: &'static str, in_file: Option<&Spanned<String>>, default: &str| match (
+            flag, file, in_file,
+        ) {
+            (Some(value), ..) => Placed { value: value.clone(), place: Place::Flag(name) },
+            (None, Some(file), Some(value)) => {
+                Placed { value: value.get_ref().clone(), place: file.place(value.span().start) }
+            }
+            _ => Placed { value: default.to_owned(), place: Place::Default },
+        };
+        let name = pick(&flags.name, "--name", content.and_then(|content| content.name.as_ref()), DEFAULT_NAME);
+        let name = name.value.parse().map_err(|error| Mistake::at(&name.place, error))?;
+        let listen =
+            pick(&flags.listen, "--listen", content.and_then(|content| content.listen.as_ref()), DEFAULT_LISTEN);
+        let insecure = flags.insecure || content.is_some_and(|content| content.insecure);
+        let config = Self {
+            name,
+            listen: parse_listen(&listen, insecure)?,
+            hosts: content.map(|content| content.hosts.clone()).unwrap_or_default(),
+            grippers: grippers(flags, file)?,
+            drain: content.and_then(|content| content.drain_ms).map_or(DEFAULT_DRAIN, Duration::from_millis),
+        };
+        Ok(config)
+    }
+}
+
+fn refuse_what_is_not_there_yet(flags: &Flags, file: Option<&File>) -> Result<(), Mistake> {
+    let not_yet = |flag, what| Mistake::at(&Place::Flag(flag), format!("{what} not supported yet: leave it out"));
+    if !flags.wsg_ports.is_empty() {
+        return Err(not_yet("--wsg-port", "the WSG port is"));
+    }
+    if !flags.zenoh_listen.is_empty() {
+        return Err(not_yet("--zenoh-listen", "Zenoh is"));
+    }
+    if !flags.zenoh_connect.is_empty() {
+        return Err(not_yet("--zenoh-connect", "Zenoh is"));
+    }
+    let in_memory_only = |place: &Place, path: &str| {
+        let detail = format!("a journal in a file ({path}) is not supported yet: say :memory:, or leave it out");
+        if path == ":memory:" { Ok(()) } else { Err(Mistake::at(place, detail)) }
+    };
+    if let Some(path) = &flags.journal {
+        in_memory_only(&Place::Flag("--journal"), path)?;
+    } else if let Some(file) = file
+        && let Some(path) = &file.content.journal
+    {
+        in_memory_only(&file.place(path.span().start), path.get_ref())?;
+    }
+    Ok(())
+}
+
+fn parse_listen(listen: &Placed<String>, insecure: bool) -> Result<SocketAddr, Mistake> {
+    let address: SocketAddr = listen.value.parse().map_err(|_| {
+        let detail = format!("{:?} is no address to listen on: write it as 127.0.0.1:8080 or [::1]:8080", listen.value);
+        Mistake::at(&listen.place, detail)
+    })?;
+    if !address.ip().is_loopback() && !insecure {
+        let detail = format!(
+            "{address} is not a loopback address, and there are no credentials yet: whoever reaches it can move the \
+             grippers. Listen on 127.0.0.1, or say --insecure if the network is yours alone"
+        );
+        return Err(Mistake::at(&listen.place, detail));
+    }
+    Ok(address)
+}
+
+fn grippers(flags: &Flags, file: Option<&File>) -> Result<Vec<Gripper>, Mistake> {
+    let by_text = |texts: &[String], place: Place| -> Result<Vec<Gripper>, Mistake> {
+        texts.iter().map(|text| parse_gripper(text, &place)).collect()
+    };
+    let configured = match file {
+        _ if !flags.grippers.is_empty() => by_text(&flags.grippers, Place::Flag("--gripper"))?,
+        Some(file) if !file.content.grippers.is_empty() => file.grippers()?,
+        _ => by_text(&DEFAULT_GRIPPERS.map(str::to_owned), Place::Default)?,
+    };
+    let mut names = BTreeSet::new();
+    for gripper in &configured {
+        if !names.insert(gripper.name.clone()) {
+            let detail = format!("the name {:?} is given to two grippers: each needs its own", gripper.name.as_str());
+            return Err(Mistake::at(&gripper.place, detail));
+        }
+    }
+    Ok(configured)
+}
+
+fn parse_gripper(text: &str, place: &Place) -> Result<Gripper, Mistake> {
+    let (name, url) = text.split_once('=').ok_or_else(|| {
+        Mistake::at(place, format!("{text:?} is no gripper: write it as left=tcp://192.168.1.20:1000"))
+    })?;
+    Ok(Gripper {
+        name: name.parse().map_err(|error| Mistake::at(place, error))?,
+        device: parse_device(url, place)?,
+        read_ids: BTreeSet::new(),
+        place: place.clone(),
+    })
+}
+
+fn parse_device(url: &str, place: &Place) -> Result<Device, Mistake> {
+    if url.starts_with("sim:") {
+        return url
+            .parse()
+            .map(Device::Simulated)
+            .map_err(|error| Mistake::at(place, format!("{url:?} is no URL ({error}): write it as sim://wsg50")));
+    }
+    url.parse().map(Device::At).map_err(|error| Mistake::at(place, error))
+}
+
+/// The path of a file, as mistakes name it.
+fn owned(path: &Path) -> PathBuf {
+    path.to_owned()
+}
+
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+struct Content {
+    name: Option<Spanned<String>>,
+    listen: Option<Spanned<String>>,
+    insecure: bool,
+    hosts: Vec<String>,
+    journal: Option<Spanned<String>>,
+    drain_ms: Option<u64>,
+    grippers: std::collections::BTreeMap<Spanned<String>, GripperContent>,
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct GripperContent {
+    url: Spanned<String>,
+    #[serde(default)]
+    read_ids: BTreeSet<u8>,
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,67 @@
+use super::*;
+
+fn flags() -> Flags {
+    Flags::default()
+}
+
+fn file(text: &str) -> Result<Config, Mistake> {
+    Config::merge(&flags(), Some(&File::parse(Path::new("gateway.toml"), text.to_owned())?))
+}
+
+#[test]
+fn without_a_word_two_simulated_grippers_are_served_on_loopback() {
+    let config = Config::load(&flags()).unwrap();
+    let names: Vec<_> = config.grippers.iter().map(|gripper| gripper.name.as_str()).collect();
+    assert_eq!(names, ["left", "right"]);
+    assert_eq!(config.listen.to_string(), "127.0.0.1:8080");
+}
+
+#[test]
+fn a_flag_beats_the_file() {
+    let text = "name = \"cell-7\"\nlisten = \"127.0.0.1:9000\"\n[grippers.g]\nurl = \"tcp://10.0.0.1:1000\"\n";
+    let config = file(text).unwrap();
+    assert_eq!((config.name.as_str(), config.listen.port()), ("cell-7", 9000));
+    assert_eq!(config.grippers[0].device, Device::At("tcp://10.0.0.1:1000".parse().unwrap()));
+
+    let parsed = File::parse(Path::new("gateway.toml"), text.to_owned()).unwrap();
+    let flags = Flags { listen: Some("127.0.0.1:9001".to_owned()), ..flags() };
+    assert_eq!(Config::merge(&flags, Some(&parsed)).unwrap().listen.port(), 9001);
+}
+
+#[test]
+fn a_mistake_in_a_file_is_named_with_its_line_and_remedy() {
+    let mistake = |text: &str| file(text).unwrap_err().to_string();
+    assert!(mistake("name = \"Cell 7\"").starts_with("gateway.toml:1: \"Cell 7\" is no name"));
+    assert!(mistake("\n\nlisten = \"8080\"").starts_with("gateway.toml:3: \"8080\" is no address"));
+    assert!(mistake("[grippers.g]\n\nurl = \"udp://h:1\"").starts_with("gateway.toml:3: \"udp://h:1\": udp is not"));
+    assert!(mistake("name = \"a\"\nlistne = 1").starts_with("gateway.toml:2: unknown field `listne`"));
+    assert!(mistake("[grippers.Left]\nurl = \"sim://wsg50\"").starts_with("gateway.toml:1: \"Left\" is no name"));
+    assert!(mistake("journal = \"/var/lib/j.db\"").contains(":memory:"));
+    assert!(mistake("[grippers.g]\nurl = \"sim://wsg50\"\nread_ids = [256]").starts_with("gateway.toml:3: "));
+    assert!(mistake("[grippers.g]\n").contains("missing field `url`"));
+}
+
+#[test]
+fn a_mistake_in_a_flag_is_named_with_its_remedy() {
+    let mistake = |flags: Flags| Config::load(&flags).unwrap_err().to_string();
+    let gripper = |text: &str| Flags { grippers: vec![text.to_owned()], ..flags() };
+    assert!(mistake(gripper("left")).contains("left=tcp://192.168.1.20:1000"));
+    assert!(mistake(gripper("Left=sim://wsg50")).contains("is no name"));
+    assert!(mistake(gripper("left=serial:///dev/ttyUSB0")).contains("not supported yet"));
+    let twice = Flags { grippers: vec!["a=sim://wsg50".to_owned(); 2], ..flags() };
+    assert!(mistake(twice).contains("two grippers"));
+    assert!(mistake(Flags { journal: Some("/tmp/x".to_owned()), ..flags() }).contains("not supported yet"));
+    assert!(mistake(Flags { wsg_ports: vec!["left=127.0.0.1:1000".to_owned()], ..flags() }).contains("yet"));
+    assert!(mistake(Flags { zenoh_listen: vec!["tcp/127.0.0.1:7447".to_owned()], ..flags() }).contains("yet"));
+    assert!(mistake(Flags { config: Some("/nonexistent.toml".into()), ..flags() }).contains("/nonexistent.toml"));
+    assert!(Config::load(&Flags { journal: Some(":memory:".to_owned()), ..flags() }).is_ok());
+}
+
+#[test]
+fn other_addresses_than_loopback_need_insecure() {
+    let open = Flags { listen: Some("0.0.0.0:8080".to_owned()), ..flags() };
+    assert!(Config::load(&open).unwrap_err().to_string().contains("--insecure"));
+    assert!(Config::load(&Flags { insecure: true, ..open }).is_ok());
+    let loopback = Flags { listen: Some("[::1]:8080".to_owned()), ..flags() };
+    assert!(Config::load(&loopback).is_ok());
+}
