@@ -1,3 +1,4 @@
 //! A gateway that lets many clients share Weiss/SCHUNK WSG grippers safely.
 
+pub mod sim;
 pub mod wsg;
