@@ -2,5 +2,6 @@
 
 pub mod config;
 pub mod gripper;
+pub mod sim;
 pub mod transport;
 pub mod wsg;

@@ -1,0 +1,282 @@
+//! What can happen to a device from outside of its protocol, as values: the world around it, its own faults, and faults
+//! of the link.
+
+use std::time::{Duration, Instant};
+
+use serde::{Deserialize, Serialize};
+
+use crate::wsg::frame;
+use crate::wsg::id;
+use crate::wsg::{Data, Reply};
+
+use super::faults::{FaultKind, FaultName};
+use super::process::Kind;
+use super::world::Part;
+use super::{Device, LinkAction};
+
+/// Something that happens to the device.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Change {
+    /// A part is put between the jaws. One that is wider than they stand apart waits until they have opened.
+    PlacePart(Part),
+    /// The part is taken away.
+    TakePart,
+    /// The part gives way, or swells: the fingers follow within the clamping travel.
+    ResizePart {
+        /// Where the fingers now meet it.
+        width_mm: f64,
+    },
+    /// The part slips out of the fingers, faster than they can follow.
+    SlipPart,
+    /// Something hard is put in the way of the jaws.
+    PlaceObstacle {
+        /// Where they meet it, from whichever side they come.
+        width_mm: f64,
+    },
+    /// The obstacle is removed.
+    RemoveObstacle,
+    /// The device has this temperature from now on: the thresholds are in its configuration.
+    Overheat {
+        /// The temperature.
+        temperature_c: f64,
+    },
+    /// The temperature is the device's own again.
+    Cool,
+    /// The motor has reached its thermal limit, or (without a duration) recovers from it.
+    CurrentFault {
+        /// Whether there is a fault.
+        on: bool,
+        /// After how long the motor recovers by itself (`fw4-en` Appendix B).
+        clears_after_ms: Option<u32>,
+    },
+    /// The power supply leaves its valid range, or returns to it.
+    PowerFault {
+        /// Whether there is a fault.
+        on: bool,
+    },
+    /// A finger's power draws too much current, or no longer does.
+    FingerOverCurrent {
+        /// 1 or 2.
+        finger: u8,
+        /// Whether there is a fault.
+        on: bool,
+    },
+    /// A finger's communication fails, or works again.
+    FingerCommunicationFault {
+        /// 1 or 2.
+        finger: u8,
+        /// Whether there is a fault.
+        on: bool,
+    },
+    /// A motion from another side, such as the device's web page. Ignored while a motion runs or none is allowed.
+    MoveBySomebody {
+        /// The target.
+        width_mm: f64,
+        /// The speed.
+        speed_mm_s: f64,
+    },
+    /// A FAST STOP that no client asked for.
+    SetFastStop,
+    /// The script ends with an error: its commands are unknown until it is started again.
+    FailScript,
+    /// The script is started.
+    StartScript,
+    /// The device restarts. It forgets its settings, its origin, the updates and the connection.
+    Reboot {
+        /// How long it takes.
+        ready_after_ms: u32,
+        /// Whether half of a frame still gets out.
+        mid_frame: bool,
+    },
+    /// The device acts on what it receives, and says nothing.
+    Silent {
+        /// Whether it is silent.
+        on: bool,
+    },
+    /// No byte passes in either direction, and neither end of the connection is noticed, until a new one begins.
+    HalfOpen {
+        /// Whether the connection is half-open.
+        on: bool,
+    },
+    /// New connections are refused.
+    RefuseConnections {
+        /// Whether they are.
+        on: bool,
+    },
+    /// The connection is cut now (TCP).
+    CutConnection,
+    /// Arms a fault.
+    Fault {
+        /// Which.
+        kind: FaultKind,
+        /// For frames of this id, or of any.
+        id: Option<u8>,
+        /// For so many of them.
+        times: u32,
+    },
+    /// Disarms all faults that have not struck yet.
+    DisarmFaults,
+}
+
+impl Device {
+    /// Lets something happen.
+    #[allow(clippy::needless_pass_by_value, reason = "a change happens once")]
+    pub fn apply(&mut self, now: Instant, change: Change) {
+        self.advance(now);
+        match change {
+            Change::PlacePart(_)
+            | Change::TakePart
+            | Change::ResizePart { .. }
+            | Change::SlipPart
+            | Change::PlaceObstacle { .. }
+            | Change::RemoveObstacle => self.change_world(&change),
+            Change::Overheat { temperature_c } => self.thermal.hold(temperature_c),
+            Change::Cool => self.thermal.let_go(),
+            Change::CurrentFault { on, clears_after_ms } => self.set_current_fault(on, clears_after_ms),
+            Change::PowerFault { on } => self.set_power_fault(on),
+            Change::FingerOverCurrent { finger, on } => {
+                let port = self.finger(finger);
+                port.set_over_current(on);
+                self.count_if(on, FaultName::FingerFault);
+            }
+            Change::FingerCommunicationFault { finger, on } => {
+                self.finger(finger).communication_fault = on;
+                self.count_if(on, FaultName::FingerFault);
+            }
+            Change::MoveBySomebody { width_mm, speed_mm_s } => self.foreign_motion(width_mm, speed_mm_s),
+            Change::SetFastStop => {
+                self.faults.counts.add(FaultName::FastStop);
+                self.fast_stop();
+            }
+            Change::FailScript => self.set_script(false),
+            Change::StartScript => self.set_script(true),
+            Change::Reboot { ready_after_ms, mid_frame } => self.reboot(ready_after_ms, mid_frame),
+            Change::Silent { on } => (self.silent, self.muted) = (on, false),
+            Change::HalfOpen { on } => self.half_open = on,
+            Change::RefuseConnections { on } => self.refuses_connections = on,
+            Change::CutConnection => self.cut_connection(),
+            Change::Fault { kind, id, times } => self.faults.arm(kind, id, times),
+            Change::DisarmFaults => self.faults.disarm(),
+        }
+        self.watch_faults();
+        self.settle();
+    }
+
+    fn change_world(&mut self, change: &Change) {
+        let position_mm = self.mechanics.axis.position_mm;
+        let world = &mut self.mechanics.world;
+        let fault = match *change {
+            Change::PlacePart(part) => {
+                world.place_part(part, position_mm);
+                None
+            }
+            Change::TakePart => {
+                world.take_part();
+                Some(FaultName::PartTaken)
+            }
+            Change::ResizePart { width_mm } => {
+                world.resize_part(width_mm);
+                None
+            }
+            Change::SlipPart => {
+                world.slip_part();
+                Some(FaultName::PartSlipped)
+            }
+            Change::PlaceObstacle { width_mm } => {
+                world.place_obstacle(width_mm, position_mm);
+                Some(FaultName::Obstacle)
+            }
+            _ => {
+                world.remove_obstacle();
+                None
+            }
+        };
+        self.mechanics.disturb();
+        if let Some(name) = fault {
+            self.faults.counts.add(name);
+        }
+    }
+
+    fn set_current_fault(&mut self, on: bool, clears_after_ms: Option<u32>) {
+        self.current_fault = on;
+        let after = clears_after_ms.map(|ms| Duration::from_millis(ms.into()));
+        self.current_fault_clears_at = after.filter(|_| on).map(|after| self.clock + after);
+        self.count_if(on, FaultName::CurrentFault);
+        if on {
+            self.fast_stop();
+        }
+    }
+
+    fn set_power_fault(&mut self, on: bool) {
+        self.power_fault = on;
+        self.count_if(on, FaultName::PowerFault);
+        if on {
+            self.fast_stop();
+        }
+    }
+
+    fn set_script(&mut self, runs: bool) {
+        self.script_runs = runs && !self.config.scripts.is_empty();
+        self.script_failed = !runs;
+        self.count_if(!runs, FaultName::ScriptFailure);
+    }
+
+    fn foreign_motion(&mut self, width_mm: f64, speed_mm_s: f64) {
+        let allowed = self.mechanics.referenced && !self.fast_stopped && !self.has_fault();
+        if allowed && !self.is_running() && self.booting_until.is_none() {
+            self.faults.counts.add(FaultName::ForeignMotion);
+            let plan = self.plan_move(width_mm, speed_mm_s, false);
+            self.start(None, Kind::Move, plan);
+        }
+    }
+
+    fn reboot(&mut self, ready_after_ms: u32, mid_frame: bool) {
+        self.faults.counts.add(FaultName::Reboot);
+        let half = mid_frame.then(|| self.half_of_next_frame());
+        if self.is_tcp() {
+            self.link_actions.push_back(LinkAction::Drop);
+            self.link = None;
+        }
+        self.forget_session();
+        self.chunks.extend(half);
+        self.mechanics.restart();
+        self.process.restart();
+        self.settings.restart(&self.config);
+        self.fingers.iter_mut().for_each(super::fingers::FingerPort::restart);
+        (self.fast_stopped, self.command_failed, self.muted) = (false, false, false);
+        (self.script_runs, self.script_failed) = (!self.config.scripts.is_empty(), false);
+        self.booting_until = Some(self.clock + Duration::from_millis(ready_after_ms.into()));
+    }
+
+    fn half_of_next_frame(&mut self) -> Vec<u8> {
+        let mut bytes = self.outbox.pop().map_or_else(
+            || {
+                let mut bytes = Vec::new();
+                Reply::Success(Data::SystemState(self.flags())).encode(id::GET_SYSTEM_STATE, &mut bytes);
+                bytes
+            },
+            |frame| frame.bytes,
+        );
+        bytes.truncate((bytes.len() / 2).max(frame::PREAMBLE.len()));
+        bytes
+    }
+
+    pub(super) fn cut_connection(&mut self) {
+        if self.is_tcp() && !self.is_cut {
+            self.is_cut = true;
+            self.outbox.clear();
+            self.link_actions.push_back(LinkAction::Drop);
+        }
+    }
+
+    fn finger(&mut self, number: u8) -> &mut super::fingers::FingerPort {
+        &mut self.fingers[usize::from(number == 2)]
+    }
+
+    pub(super) fn count_if(&mut self, happened: bool, name: FaultName) {
+        if happened {
+            self.faults.counts.add(name);
+        }
+    }
+}

@@ -1,0 +1,223 @@
+//! Faults on demand: what is armed, when it strikes, and how often each kind really happened.
+
+use serde::{Deserialize, Serialize};
+
+/// So many faults are armed at most; further ones are ignored.
+pub const MAX_ARMED_FAULTS: usize = 256;
+
+/// A fault that strikes once at a frame of the device, on the wire or in the protocol.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum FaultKind {
+    /// A byte of the payload arrives wrong.
+    CorruptByte,
+    /// The checksum arrives wrong.
+    CorruptChecksum,
+    /// The size field arrives as FFFFh.
+    CorruptSize,
+    /// Half a frame arrives, and then nothing more until [`Change::Silent`](super::Change::Silent) ends it, or a
+    /// client connects anew.
+    HalfFrame,
+    /// Bytes that belong to no frame come before it.
+    Garbage,
+    /// A run of AAh comes before it.
+    PreambleRun,
+    /// The header of a Loop reply that never comes stands before it.
+    FalsePreamble,
+    /// Its bytes arrive one by one.
+    SplitBytes,
+    /// It arrives in one chunk with the frame behind it.
+    JoinFrames,
+    /// The frame is lost, and the connection with it (TCP).
+    DropConnection,
+    /// The request gets no answer, and is not executed.
+    NoReply,
+    /// The request gets this status at once, and is not executed.
+    Status {
+        /// Any number, listed or not.
+        code: u16,
+    },
+    /// The request is executed, and gets this status as its result.
+    FinalStatus {
+        /// Any number, listed or not.
+        code: u16,
+    },
+    /// The result comes twice.
+    FinalTwice,
+    /// The result comes late.
+    FinalLate {
+        /// By so much.
+        by_ms: u32,
+    },
+    /// The result comes without `E_CMD_PENDING`.
+    FinalWithoutPending,
+    /// The result comes first, `E_CMD_PENDING` behind it.
+    FinalBeforePending,
+    /// `E_CMD_PENDING` comes, and the result never does.
+    PendingWithoutFinal,
+    /// The request is taken up, and then nothing more is heard, as after [`FaultKind::HalfFrame`].
+    SilenceAfterAccept,
+}
+
+macro_rules! fault_names {
+    ($($name:ident)*) => {
+        /// The kinds of faults, for counting. The armed ones are described at [`FaultKind`], the others at
+        /// [`Change`](super::Change).
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+        #[serde(rename_all = "snake_case")]
+        #[allow(missing_docs, reason = "named as what they count")]
+        pub enum FaultName { $($name),* }
+
+        impl FaultName {
+            /// All of them.
+            pub const ALL: &[Self] = &[$(Self::$name),*];
+        }
+    };
+}
+
+fault_names! {
+    CorruptByte CorruptChecksum CorruptSize HalfFrame Garbage PreambleRun FalsePreamble SplitBytes JoinFrames
+    DropConnection NoReply Status FinalStatus FinalTwice FinalLate FinalWithoutPending FinalBeforePending
+    PendingWithoutFinal SilenceAfterAccept Silent HalfOpen RefusedConnection Reboot FastStop TemperatureFault
+    CurrentFault PowerFault FingerFault ForeignMotion Obstacle PartTaken PartSlipped ScriptFailure
+}
+
+impl FaultKind {
+    /// What it is counted as.
+    #[must_use]
+    pub const fn name(self) -> FaultName {
+        match self {
+            Self::CorruptByte => FaultName::CorruptByte,
+            Self::CorruptChecksum => FaultName::CorruptChecksum,
+            Self::CorruptSize => FaultName::CorruptSize,
+            Self::HalfFrame => FaultName::HalfFrame,
+            Self::Garbage => FaultName::Garbage,
+            Self::PreambleRun => FaultName::PreambleRun,
+            Self::FalsePreamble => FaultName::FalsePreamble,
+            Self::SplitBytes => FaultName::SplitBytes,
+            Self::JoinFrames => FaultName::JoinFrames,
+            Self::DropConnection => FaultName::DropConnection,
+            Self::NoReply => FaultName::NoReply,
+            Self::Status { .. } => FaultName::Status,
+            Self::FinalStatus { .. } => FaultName::FinalStatus,
+            Self::FinalTwice => FaultName::FinalTwice,
+            Self::FinalLate { .. } => FaultName::FinalLate,
+            Self::FinalWithoutPending => FaultName::FinalWithoutPending,
+            Self::FinalBeforePending => FaultName::FinalBeforePending,
+            Self::PendingWithoutFinal => FaultName::PendingWithoutFinal,
+            Self::SilenceAfterAccept => FaultName::SilenceAfterAccept,
+        }
+    }
+
+    /// Where in a frame's life it strikes.
+    pub(super) const fn stage(self) -> Stage {
+        match self {
+            Self::NoReply | Self::Status { .. } => Stage::Request,
+            Self::FinalWithoutPending | Self::FinalBeforePending => Stage::Pending,
+            Self::FinalStatus { .. }
+            | Self::FinalTwice
+            | Self::FinalLate { .. }
+            | Self::PendingWithoutFinal
+            | Self::SilenceAfterAccept => Stage::Result,
+            Self::JoinFrames => Stage::Join,
+            _ => Stage::Wire,
+        }
+    }
+}
+
+/// Where in a frame's life a fault strikes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Stage {
+    /// Before the request is looked at.
+    Request,
+    /// Instead of `E_CMD_PENDING`.
+    Pending,
+    /// When the result is known.
+    Result,
+    /// When two frames can leave together.
+    Join,
+    /// When the frame leaves.
+    Wire,
+}
+
+/// How often each kind of fault really happened.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct FaultCounts([u64; FaultName::ALL.len()]);
+
+impl Default for FaultCounts {
+    fn default() -> Self {
+        Self([0; FaultName::ALL.len()])
+    }
+}
+
+impl FaultCounts {
+    /// Of one kind.
+    #[must_use]
+    pub fn of(&self, name: FaultName) -> u64 {
+        self.0[name as usize]
+    }
+
+    /// Of every kind.
+    pub fn iter(&self) -> impl Iterator<Item = (FaultName, u64)> {
+        FaultName::ALL.iter().map(|&name| (name, self.of(name)))
+    }
+
+    pub(super) fn add(&mut self, name: FaultName) {
+        self.0[name as usize] += 1;
+    }
+}
+
+#[derive(Debug)]
+struct Armed {
+    kind: FaultKind,
+    id: Option<u8>,
+    times: u32,
+}
+
+/// What is armed, and what happened.
+#[derive(Debug, Default)]
+pub(super) struct Faults {
+    armed: Vec<Armed>,
+    pub counts: FaultCounts,
+}
+
+impl Faults {
+    /// Arms a fault for the next `times` frames of `id`, or of any id.
+    pub fn arm(&mut self, kind: FaultKind, id: Option<u8>, times: u32) {
+        if times > 0 && self.armed.len() < MAX_ARMED_FAULTS {
+            self.armed.push(Armed { kind, id, times });
+        }
+    }
+
+    pub fn disarm(&mut self) {
+        self.armed.clear();
+    }
+
+    /// Whether a fault waits for a frame of `id` at `stage`.
+    pub fn is_armed(&self, id: u8, stage: Stage) -> bool {
+        self.armed.iter().any(|armed| armed.strikes(id, stage))
+    }
+
+    /// The fault that strikes a frame of `id` at `stage`: counted, and armed once less.
+    pub fn take(&mut self, id: u8, stage: Stage) -> Option<FaultKind> {
+        self.take_if(id, stage, |_| true)
+    }
+
+    pub fn take_if(&mut self, id: u8, stage: Stage, allowed: impl Fn(FaultKind) -> bool) -> Option<FaultKind> {
+        let index = self.armed.iter().position(|armed| armed.strikes(id, stage) && allowed(armed.kind))?;
+        let armed = &mut self.armed[index];
+        let kind = armed.kind;
+        armed.times -= 1;
+        if armed.times == 0 {
+            self.armed.remove(index);
+        }
+        self.counts.add(kind.name());
+        Some(kind)
+    }
+}
+
+impl Armed {
+    fn strikes(&self, id: u8, stage: Stage) -> bool {
+        self.kind.stage() == stage && self.id.is_none_or(|wanted| wanted == id)
+    }
+}

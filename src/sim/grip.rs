@@ -1,0 +1,102 @@
+//! Gripping and holding a part (`fw4-en 3.2.6`): the fingers move on beyond the nominal width until the force is there,
+//! or the clamping travel is used up.
+
+use super::axis::{Axis, Direction, Drive, Progress};
+use super::world::Surfaces;
+
+/// The force must have stood for so many steps before a part counts as held.
+const SETTLE_STEPS: u32 = 30;
+
+/// Without contact for so many steps, a held part is lost.
+const LOST_STEPS: u32 = 20;
+
+/// Below this share of the force limit there is no contact.
+const CONTACT_SHARE: f64 = 0.05;
+
+/// A grip on its way.
+#[derive(Debug, Clone)]
+pub(super) struct Grip {
+    drive: Drive,
+    direction: Direction,
+    /// The widest and the narrowest width at which a part is recognised.
+    from_mm: f64,
+    to_mm: f64,
+    pressing: u32,
+}
+
+/// What a step of a grip came to.
+#[derive(Debug)]
+pub(super) enum Grown {
+    NotYet { pressing: Option<Direction> },
+    Held(Hold),
+    Nothing { blocked: Option<Direction> },
+}
+
+impl Grip {
+    /// Of a part of `nominal_mm`, recognised from `tolerance_mm` before that to the end of the clamping travel, which
+    /// is where `drive` leads.
+    pub fn new(drive: Drive, direction: Direction, nominal_mm: f64, tolerance_mm: f64) -> Self {
+        let first_mm = nominal_mm - direction.sign() * tolerance_mm;
+        let (from_mm, to_mm) = (first_mm.min(drive.target_mm), first_mm.max(drive.target_mm));
+        Self { drive, direction, from_mm, to_mm, pressing: 0 }
+    }
+
+    pub fn is_pressing(&self) -> bool {
+        self.pressing > 0
+    }
+
+    pub fn step(&mut self, axis: &mut Axis, surfaces: &Surfaces) -> Grown {
+        let direction = match axis.step(&self.drive, surfaces) {
+            Progress::Pressing(direction) => direction,
+            Progress::Moving => {
+                self.pressing = 0;
+                return Grown::NotYet { pressing: None };
+            }
+            // The travel is used up. A soft part may be there, and not resist with the force that was asked for.
+            Progress::Reached => return Grown::Nothing { blocked: None },
+        };
+        self.pressing += 1;
+        if self.pressing < SETTLE_STEPS {
+            return Grown::NotYet { pressing: Some(direction) };
+        }
+        if (self.from_mm..=self.to_mm).contains(&axis.position_mm) {
+            Grown::Held(Hold { drive: self.drive, direction: self.direction, without_contact: 0 })
+        } else {
+            Grown::Nothing { blocked: Some(direction) }
+        }
+    }
+}
+
+/// A part that is held with the gripping force.
+#[derive(Debug)]
+pub(super) struct Hold {
+    drive: Drive,
+    direction: Direction,
+    without_contact: u32,
+}
+
+impl Hold {
+    pub fn direction(&self) -> Direction {
+        self.direction
+    }
+
+    pub fn set_force_limit(&mut self, force_limit_n: f64) {
+        self.drive.force_limit_n = force_limit_n;
+    }
+
+    /// The fingers follow the part within the clamping travel.
+    pub fn step(&mut self, axis: &mut Axis, surfaces: &Surfaces) -> Progress {
+        let progress = axis.step(&self.drive, surfaces);
+        let contact = axis.force_n >= self.drive.force_limit_n * CONTACT_SHARE;
+        self.without_contact = if contact { 0 } else { self.without_contact + 1 };
+        progress
+    }
+
+    pub fn is_lost(&self, progress: Progress) -> bool {
+        progress == Progress::Reached || self.without_contact >= LOST_STEPS
+    }
+}
+
+#[cfg(test)]
+#[path = "grip_tests.rs"]
+mod tests;

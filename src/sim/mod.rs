@@ -1,0 +1,210 @@
+//! A simulated WSG gripper: the device that the manuals describe, for tests, for trying things out, and for whoever has
+//! no gripper at hand.
+//!
+//! [`Device`] is a pure machine that runs on any clock. Bytes, [`Change`]s and `now` go in; after any input, drain
+//! [`Device::poll_transmit`] until it returns `false`, then [`Device::poll_link`], and call [`Device::handle_timeout`]
+//! when [`Device::poll_timeout`] is due. Late calls are made up for: the motion is simulated in steps of
+//! [`STEP`], whatever the rhythm of the calls.
+//!
+//! How it is built: `axis` moves the fingers by one step through what `world` has put between them; `motion` and `grip`
+//! make motions of steps; `process` keeps the gripper state and the statistics. `commands` and `motions` decide what a
+//! request gets, `replies` what becomes of an answer, `link` what becomes of its bytes, and `tick` what is due when.
+//! [`Change`] is all that can happen from outside of the protocol, and [`FaultKind`] what can go wrong on the wire.
+//!
+//! Architecture invariant: no runtime, no clock, no randomness, and of this crate only [`wsg`](crate::wsg).
+
+use std::collections::VecDeque;
+use std::time::Instant;
+
+use crate::wsg::{Decoder, id};
+
+mod axis;
+mod change;
+mod commands;
+mod config;
+mod faults;
+mod fingers;
+mod grip;
+mod link;
+mod models;
+mod motion;
+mod motions;
+mod outbox;
+mod process;
+mod received;
+mod replies;
+mod settings;
+mod snapshot;
+mod thermal;
+mod tick;
+mod updates;
+mod wire;
+mod world;
+
+pub use axis::{Direction, STEP};
+pub use change::Change;
+pub use config::{BadChecksum, DeviceConfig, FingerConfig, Generation, Script, ScriptAnswer};
+pub use faults::{FaultCounts, FaultKind, FaultName, MAX_ARMED_FAULTS};
+pub use link::{Interface, LinkAction};
+pub use models::Model;
+pub use outbox::{MAX_QUEUED_FRAMES, MAX_QUEUED_REPLIES};
+pub use received::{MAX_RECEIVED_FRAMES, ReceivedFrame};
+pub use snapshot::Snapshot;
+pub use world::{GripSide, Part};
+
+use faults::Faults;
+use fingers::FingerPort;
+use motion::Mechanics;
+use outbox::Outbox;
+use process::{Kind, Process};
+use received::ReceivedLog;
+use replies::{Late, Ticket};
+use settings::Settings;
+use thermal::Thermal;
+use updates::Subscriptions;
+
+/// The motion that runs, and who is told of its end: nobody, where it came from another side.
+#[derive(Debug)]
+struct Running {
+    kind: Kind,
+    ticket: Option<Ticket>,
+}
+
+/// A simulated device.
+#[derive(Debug)]
+#[allow(clippy::struct_excessive_bools, reason = "each is a state of its own, and any of them can hold with any other")]
+pub struct Device {
+    config: DeviceConfig,
+    /// The newest time that it was told.
+    clock: Instant,
+    next_step: Option<Instant>,
+    booting_until: Option<Instant>,
+
+    mechanics: Mechanics,
+    process: Process,
+    running: Option<Running>,
+    /// Stops that wait for a stand.
+    stops: Vec<Ticket>,
+    settings: Settings,
+    fingers: [FingerPort; 2],
+    /// Who is told when a finger has powered up.
+    finger_tickets: [Option<Ticket>; 2],
+    thermal: Thermal,
+    sensor_offset_n: f64,
+
+    fast_stopped: bool,
+    overheated: bool,
+    power_fault: bool,
+    current_fault: bool,
+    current_fault_clears_at: Option<Instant>,
+    command_failed: bool,
+    script_runs: bool,
+    script_failed: bool,
+
+    link: Option<Interface>,
+    /// Tells connections apart: an answer that outlives its connection is dropped.
+    connection: u64,
+    announced: bool,
+    is_cut: bool,
+    half_open: bool,
+    silent: bool,
+    /// Silent by a fault, until the next connection.
+    muted: bool,
+    refuses_connections: bool,
+    link_actions: VecDeque<LinkAction>,
+    decoder: Decoder,
+    partial_until: Option<Instant>,
+    outbox: Outbox,
+    /// Bytes that leave before the outbox's, each chunk by itself.
+    chunks: VecDeque<Vec<u8>>,
+    late: Vec<Late>,
+    subscriptions: Subscriptions,
+
+    faults: Faults,
+    log: ReceivedLog,
+    damaged_requests: u64,
+    refused_requests: u64,
+}
+
+impl Device {
+    /// A device that was just switched on.
+    #[must_use]
+    pub fn new(config: DeviceConfig, now: Instant) -> Self {
+        let max_acceleration_mm_s2 = f64::from(config.limits.max_acceleration.mm_s2());
+        let mut mechanics = Mechanics::new(config.start_width_mm, config.stroke_mm(), max_acceleration_mm_s2);
+        if let Some(part) = config.part {
+            mechanics.world.place_part(part, config.start_width_mm);
+        }
+        Self {
+            clock: now,
+            next_step: None,
+            booting_until: None,
+            mechanics,
+            process: Process::new(config.is_fw4()),
+            running: None,
+            stops: Vec::new(),
+            settings: Settings::new(&config),
+            fingers: config.fingers.clone().map(FingerPort::new),
+            finger_tickets: [None, None],
+            thermal: Thermal::new(config.ambient_c, now),
+            sensor_offset_n: config.force_sensor_offset_n,
+            fast_stopped: false,
+            overheated: false,
+            power_fault: false,
+            current_fault: false,
+            current_fault_clears_at: None,
+            command_failed: false,
+            script_runs: !config.scripts.is_empty(),
+            script_failed: false,
+            link: None,
+            connection: 0,
+            announced: false,
+            is_cut: false,
+            half_open: false,
+            silent: false,
+            muted: false,
+            refuses_connections: false,
+            link_actions: VecDeque::new(),
+            decoder: Decoder::new(id::max_request_bytes, config.checksum_evaluation),
+            partial_until: None,
+            outbox: Outbox::default(),
+            chunks: VecDeque::new(),
+            late: Vec::new(),
+            subscriptions: Subscriptions::default(),
+            faults: Faults::default(),
+            log: ReceivedLog::default(),
+            damaged_requests: 0,
+            refused_requests: 0,
+            config,
+        }
+    }
+
+    /// How it is built and set up.
+    #[must_use]
+    pub fn config(&self) -> &DeviceConfig {
+        &self.config
+    }
+
+    /// The newest [`MAX_RECEIVED_FRAMES`] frames that it received, the oldest first; [`Snapshot::received_frames`]
+    /// counts them all.
+    #[must_use]
+    pub fn received(&self) -> &[ReceivedFrame] {
+        self.log.frames()
+    }
+
+    /// How often each kind of fault really happened.
+    #[must_use]
+    pub fn fault_counts(&self) -> &FaultCounts {
+        &self.faults.counts
+    }
+
+    /// Whether new connections are taken: neither while it starts, nor while it refuses them.
+    #[must_use]
+    pub fn accepts_connections(&self) -> bool {
+        !self.refuses_connections && self.booting_until.is_none()
+    }
+}
+
+#[cfg(test)]
+#[path = "testing.rs"]
+mod testing;

@@ -1,0 +1,87 @@
+//! The grippers of the family: names, types and physical limits.
+//!
+//! The limits are plausible for each size, and not copied from a data sheet: what counts is that they differ, that a
+//! client has to ask for them (`fw4-en 3.5.4`), and that one model has no overdrive (`fw4-en 3.3.8`).
+
+use crate::wsg::{Acceleration, DeviceType, Force, Speed, SystemLimits, Width};
+
+use super::config::Generation;
+
+/// A gripper of the family.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Model {
+    /// The smallest; without Overdrive Mode.
+    Wsg25,
+    /// The slim one.
+    Wsg32,
+    /// The common one, and the only one that fw2 knows by its type.
+    Wsg50,
+    /// The largest.
+    Wsg70,
+}
+
+impl Model {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Wsg25, Self::Wsg32, Self::Wsg50, Self::Wsg70];
+
+    /// By the name that [`Model::name`] gives.
+    #[must_use]
+    pub fn from_name(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|model| model.name() == name)
+    }
+
+    /// Its name in addresses and configurations.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Wsg25 => "wsg25",
+            Self::Wsg32 => "wsg32",
+            Self::Wsg50 => "wsg50",
+            Self::Wsg70 => "wsg70",
+        }
+    }
+
+    /// What 50h returns: fw2 knows the WSG 50 alone (fw2 3.5.1).
+    #[must_use]
+    pub const fn device_type(self, generation: Generation) -> DeviceType {
+        match (self, generation) {
+            (Self::Wsg50, _) => DeviceType::Wsg50,
+            (_, Generation::Fw2) => DeviceType::Unknown,
+            (Self::Wsg25, Generation::Fw4) => DeviceType::Wsg25,
+            (Self::Wsg32, Generation::Fw4) => DeviceType::Wsg32,
+            (Self::Wsg70, Generation::Fw4) => DeviceType::Wsg70,
+        }
+    }
+
+    /// Whether it has an Overdrive Mode.
+    #[must_use]
+    pub const fn has_overdrive(self) -> bool {
+        !matches!(self, Self::Wsg25)
+    }
+
+    /// What 53h returns.
+    #[must_use]
+    pub fn limits(self) -> SystemLimits {
+        // Stroke; speeds; accelerations; minimum, nominal and overdrive force.
+        let [stroke, min_speed, max_speed, min_acceleration, max_acceleration, min_force, nominal, overdrive] =
+            match self {
+                Self::Wsg25 => [64.0, 5.0, 300.0, 100.0, 3000.0, 3.0, 25.0, 25.0],
+                Self::Wsg32 => [68.0, 5.0, 400.0, 100.0, 5000.0, 5.0, 50.0, 65.0],
+                Self::Wsg50 => [110.0, 5.0, 420.0, 100.0, 5000.0, 5.0, 80.0, 120.0],
+                Self::Wsg70 => [210.0, 5.0, 320.0, 50.0, 3000.0, 10.0, 140.0, 200.0],
+            };
+        let speed = |value| Speed::new(value).unwrap_or(Speed::ZERO);
+        let acceleration = |value| Acceleration::new(value).unwrap_or(Acceleration::ZERO);
+        let force = |value| Force::new(value).unwrap_or(Force::ZERO);
+        SystemLimits {
+            stroke: Width::new(stroke).unwrap_or(Width::ZERO),
+            min_speed: speed(min_speed),
+            max_speed: speed(max_speed),
+            min_acceleration: acceleration(min_acceleration),
+            max_acceleration: acceleration(max_acceleration),
+            min_force: force(min_force),
+            nominal_force: force(nominal),
+            overdrive_force: force(overdrive),
+        }
+    }
+}

@@ -1,0 +1,409 @@
+//! The mechanics: the axis, what it meets, and the motion that runs. Knows nothing of frames; what a motion comes to is
+//! an [`Event`].
+
+use crate::wsg::{SoftLimits, Status};
+
+use super::axis::{Axis, Direction, Drive, Progress};
+use super::grip::{Grip, Grown, Hold};
+use super::world::World;
+
+/// Pressing for so many steps is a block.
+const BLOCK_STEPS: u32 = 10;
+
+/// A release that is blocked ends in a time-out after so many steps: it is the one thing that it can say
+/// (`fw4-en 3.2.7` lists no `E_AXIS_BLOCKED`).
+const RELEASE_TIMEOUT_STEPS: u32 = 3000;
+
+/// How far the fingers move away from the end stop after they found it, in mm.
+const BACK_OFF_MM: f64 = 1.0;
+
+/// FAST STOP brakes by so much more than any motion may.
+const FAST_STOP_FACTOR: f64 = 4.0;
+
+/// A width counts as at a limit when it is so close, in mm.
+pub(super) const AT_LIMIT_MM: f64 = 0.01;
+
+/// A motion to be started, in true widths.
+#[derive(Debug, Clone)]
+pub(super) enum Plan {
+    Home { direction: Direction, drive: Drive },
+    Move { drive: Drive, clamp: bool },
+    Grip(Grip),
+    Release { drive: Drive },
+}
+
+/// What a step came to.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Event {
+    /// The motion is over.
+    Finished(Status),
+    /// The fingers stand after a Stop.
+    Stopped,
+    /// What was held is gone.
+    PartLost,
+    /// The fingers move into what the soft limits forbid.
+    ForbiddenRange,
+}
+
+#[derive(Debug)]
+enum Activity {
+    Rest,
+    Seek {
+        direction: Direction,
+        drive: Drive,
+        pressing: u32,
+    },
+    BackOff {
+        drive: Drive,
+        pressing: u32,
+    },
+    Move {
+        drive: Drive,
+        clamp: bool,
+        pressing: u32,
+    },
+    Release {
+        drive: Drive,
+        pressing: u32,
+    },
+    Grip(Grip),
+    Hold(Hold),
+    /// Clamp on block: pushes on, and snaps to the target when freed (`fw4-en 3.2.2`).
+    Clamp {
+        drive: Drive,
+    },
+    Stopping,
+    /// A FAST STOP that has not come to a stand yet.
+    Braking,
+}
+
+#[derive(Debug)]
+pub(super) struct Mechanics {
+    pub axis: Axis,
+    pub world: World,
+    pub referenced: bool,
+    pub blocked: Option<Direction>,
+    activity: Activity,
+    /// What the device shows is the true width plus this.
+    offset_mm: f64,
+    stroke_mm: f64,
+    max_acceleration_mm_s2: f64,
+    /// The fingers press with a constant force: nothing happens until something is changed.
+    steady: bool,
+}
+
+impl Mechanics {
+    pub fn new(start_mm: f64, stroke_mm: f64, max_acceleration_mm_s2: f64) -> Self {
+        Self {
+            axis: Axis::new(start_mm),
+            world: World::new(stroke_mm),
+            referenced: false,
+            blocked: None,
+            activity: Activity::Rest,
+            offset_mm: -start_mm,
+            stroke_mm,
+            max_acceleration_mm_s2,
+            steady: false,
+        }
+    }
+
+    /// The width that the device shows, by the origin that it knows.
+    pub fn width_mm(&self) -> f64 {
+        self.axis.position_mm + self.offset_mm
+    }
+
+    /// The true width where the device would show `width_mm`.
+    pub fn true_mm(&self, width_mm: f64) -> f64 {
+        width_mm - self.offset_mm
+    }
+
+    /// Whether a motion runs (`E_ALREADY_RUNNING`).
+    pub fn is_running(&self) -> bool {
+        match self.activity {
+            Activity::Rest | Activity::Hold(_) => false,
+            Activity::Clamp { .. } => !self.steady,
+            _ => true,
+        }
+    }
+
+    /// SF_MOVING.
+    pub fn is_moving(&self) -> bool {
+        match &self.activity {
+            Activity::Seek { pressing, .. }
+            | Activity::BackOff { pressing, .. }
+            | Activity::Move { pressing, .. }
+            | Activity::Release { pressing, .. } => *pressing == 0,
+            Activity::Grip(grip) => !grip.is_pressing(),
+            _ => self.axis.is_moving(),
+        }
+    }
+
+    pub fn is_holding(&self) -> bool {
+        matches!(self.activity, Activity::Hold(_))
+    }
+
+    /// Whether time changes anything.
+    pub fn needs_steps(&self) -> bool {
+        self.world.is_changing()
+            || match self.activity {
+                Activity::Rest => false,
+                Activity::Hold(_) | Activity::Clamp { .. } => !self.steady,
+                _ => true,
+            }
+    }
+
+    pub fn start(&mut self, plan: Plan) {
+        self.blocked = None;
+        self.steady = false;
+        self.activity = match plan {
+            Plan::Home { direction, drive } => {
+                self.referenced = false;
+                Activity::Seek { direction, drive, pressing: 0 }
+            }
+            Plan::Move { drive, clamp } => Activity::Move { drive, clamp, pressing: 0 },
+            Plan::Grip(grip) => Activity::Grip(grip),
+            Plan::Release { drive } => Activity::Release { drive, pressing: 0 },
+        };
+    }
+
+    /// Comes to a stand, with an [`Event::Stopped`] when it does, or at once where nothing moves. A part that is held
+    /// is held on, unless it is to be let go.
+    pub fn stop(&mut self, let_go: bool) -> Option<Event> {
+        self.steady = false;
+        match self.activity {
+            Activity::Hold(_) if !let_go => return Some(Event::Stopped),
+            Activity::Stopping | Activity::Braking => {}
+            Activity::Rest => self.blocked = None,
+            _ if self.axis.is_moving() => self.activity = Activity::Stopping,
+            _ => self.rest(),
+        }
+        if self.axis.is_moving() { None } else { Some(Event::Stopped) }
+    }
+
+    pub fn fast_stop(&mut self) {
+        if self.axis.is_moving() {
+            self.activity = Activity::Braking;
+        } else {
+            self.rest();
+        }
+    }
+
+    /// Power is gone: everything stands, and the origin is forgotten.
+    pub fn restart(&mut self) {
+        self.rest();
+        self.referenced = false;
+        self.offset_mm = -self.axis.position_mm;
+    }
+
+    /// The world or the force limit has changed: what was steady may be no more.
+    pub fn disturb(&mut self) {
+        self.steady = false;
+        self.world.step(self.axis.position_mm);
+        let surfaces = self.world.surfaces();
+        let is_free = |direction| surfaces.depth_mm(direction, self.axis.position_mm) < -AT_LIMIT_MM;
+        if self.blocked.is_some_and(is_free) {
+            self.blocked = None;
+        }
+        if matches!(self.activity, Activity::Rest) {
+            self.axis.relax(&surfaces);
+        }
+    }
+
+    /// While holding, the gripping force follows the limit.
+    pub fn set_grip_force(&mut self, force_limit_n: f64) {
+        if let Activity::Hold(hold) = &mut self.activity {
+            hold.set_force_limit(force_limit_n);
+            self.steady = false;
+        }
+    }
+
+    pub fn step(&mut self, soft_limits: Option<SoftLimits>) -> Option<Event> {
+        self.world.step(self.axis.position_mm);
+        let event = self.step_activity();
+        if event.is_none() && self.enters_forbidden_range(soft_limits) {
+            return Some(Event::ForbiddenRange);
+        }
+        event
+    }
+
+    fn step_activity(&mut self) -> Option<Event> {
+        let surfaces = self.world.surfaces();
+        match &mut self.activity {
+            Activity::Rest => None,
+            Activity::Seek { direction, drive, pressing } => {
+                let direction = *direction;
+                count(pressing, self.axis.step(drive, &surfaces));
+                if *pressing >= BLOCK_STEPS {
+                    self.found_end_stop(direction);
+                }
+                None
+            }
+            Activity::BackOff { drive, pressing } => {
+                let progress = self.axis.step(drive, &surfaces);
+                count(pressing, progress);
+                let blocked = *pressing >= BLOCK_STEPS;
+                self.end_of_back_off(progress, blocked)
+            }
+            Activity::Move { drive, clamp, pressing } => {
+                let (drive, clamp) = (*drive, *clamp);
+                let progress = self.axis.step(&drive, &surfaces);
+                count(pressing, progress);
+                let blocked = *pressing >= BLOCK_STEPS;
+                self.end_of_move(progress, blocked, clamp.then_some(drive))
+            }
+            Activity::Release { drive, pressing } => {
+                let progress = self.axis.step(drive, &surfaces);
+                count(pressing, progress);
+                let steps = *pressing;
+                self.end_of_release(progress, steps)
+            }
+            Activity::Grip(grip) => {
+                let grown = grip.step(&mut self.axis, &surfaces);
+                self.end_of_grip(grown)
+            }
+            Activity::Hold(hold) => {
+                let progress = hold.step(&mut self.axis, &surfaces);
+                self.steady = matches!(progress, Progress::Pressing(_));
+                self.blocked = self.steady.then_some(hold.direction());
+                hold.is_lost(progress).then(|| {
+                    self.rest();
+                    Event::PartLost
+                })
+            }
+            Activity::Clamp { drive } => {
+                let progress = self.axis.step(drive, &surfaces);
+                self.steady = matches!(progress, Progress::Pressing(_));
+                self.blocked = if let Progress::Pressing(direction) = progress { Some(direction) } else { None };
+                if progress == Progress::Reached {
+                    self.activity = Activity::Rest;
+                }
+                None
+            }
+            Activity::Stopping => {
+                self.axis.brake(self.max_acceleration_mm_s2, &surfaces);
+                (!self.axis.is_moving()).then(|| {
+                    self.rest();
+                    Event::Stopped
+                })
+            }
+            Activity::Braking => {
+                self.axis.brake(self.max_acceleration_mm_s2 * FAST_STOP_FACTOR, &surfaces);
+                if !self.axis.is_moving() {
+                    self.rest();
+                }
+                None
+            }
+        }
+    }
+
+    /// `fw4-en 3.2.1`: the blocking position becomes the origin, whatever blocked.
+    fn found_end_stop(&mut self, direction: Direction) {
+        let Activity::Seek { drive, .. } = self.activity else { return };
+        self.axis.relax(&self.world.surfaces());
+        self.offset_mm = match direction {
+            Direction::Closing => -self.axis.position_mm,
+            Direction::Opening => self.stroke_mm - self.axis.position_mm,
+        };
+        let target_mm = self.axis.position_mm - BACK_OFF_MM * direction.sign();
+        self.activity = Activity::BackOff { drive: Drive { target_mm, ..drive }, pressing: 0 };
+    }
+
+    fn end_of_back_off(&mut self, progress: Progress, blocked: bool) -> Option<Event> {
+        match progress {
+            Progress::Reached => {
+                self.referenced = true;
+                self.activity = Activity::Rest;
+                Some(Event::Finished(Status::E_SUCCESS))
+            }
+            Progress::Pressing(direction) if blocked => Some(self.blocked_in(direction)),
+            _ => None,
+        }
+    }
+
+    fn end_of_move(&mut self, progress: Progress, blocked: bool, clamp: Option<Drive>) -> Option<Event> {
+        match progress {
+            Progress::Reached => {
+                self.activity = Activity::Rest;
+                Some(Event::Finished(Status::E_SUCCESS))
+            }
+            Progress::Pressing(direction) if blocked => {
+                let Some(drive) = clamp else { return Some(self.blocked_in(direction)) };
+                self.blocked = Some(direction);
+                self.steady = true;
+                self.activity = Activity::Clamp { drive };
+                Some(Event::Finished(Status::E_AXIS_BLOCKED))
+            }
+            _ => None,
+        }
+    }
+
+    fn end_of_release(&mut self, progress: Progress, pressing: u32) -> Option<Event> {
+        match progress {
+            Progress::Reached => {
+                self.activity = Activity::Rest;
+                Some(Event::Finished(Status::E_SUCCESS))
+            }
+            Progress::Pressing(direction) => {
+                self.blocked = (pressing >= BLOCK_STEPS).then_some(direction);
+                (pressing >= RELEASE_TIMEOUT_STEPS).then(|| {
+                    self.blocked_in(direction);
+                    Event::Finished(Status::E_TIMEOUT)
+                })
+            }
+            Progress::Moving => {
+                self.blocked = None;
+                None
+            }
+        }
+    }
+
+    fn end_of_grip(&mut self, grown: Grown) -> Option<Event> {
+        match grown {
+            Grown::NotYet { pressing } => {
+                self.blocked = pressing;
+                None
+            }
+            Grown::Held(hold) => {
+                self.blocked = Some(hold.direction());
+                self.steady = true;
+                self.activity = Activity::Hold(hold);
+                Some(Event::Finished(Status::E_SUCCESS))
+            }
+            Grown::Nothing { blocked } => {
+                self.rest();
+                self.blocked = blocked;
+                Some(Event::Finished(Status::E_CMD_FAILED))
+            }
+        }
+    }
+
+    /// The motor is off, and the block is remembered.
+    fn blocked_in(&mut self, direction: Direction) -> Event {
+        self.rest();
+        self.blocked = Some(direction);
+        Event::Finished(Status::E_AXIS_BLOCKED)
+    }
+
+    fn rest(&mut self) {
+        self.axis.relax(&self.world.surfaces());
+        self.blocked = None;
+        self.steady = false;
+        self.activity = Activity::Rest;
+    }
+
+    /// `fw4-en 3.3.5`. Homing ignores soft limits, and moving back inside is allowed.
+    fn enters_forbidden_range(&self, soft_limits: Option<SoftLimits>) -> bool {
+        let homing = matches!(self.activity, Activity::Seek { .. } | Activity::BackOff { .. });
+        let Some(limits) = soft_limits.filter(|_| self.referenced && !homing) else { return false };
+        if matches!(self.activity, Activity::Stopping | Activity::Braking) {
+            return false;
+        }
+        let (minus_mm, plus_mm) = (f64::from(limits.minus().mm()), f64::from(limits.plus().mm()));
+        self.axis.speed_mm_s < 0.0 && self.width_mm() < minus_mm - AT_LIMIT_MM
+            || self.axis.speed_mm_s > 0.0 && self.width_mm() > plus_mm + AT_LIMIT_MM
+    }
+}
+
+fn count(pressing: &mut u32, progress: Progress) {
+    *pressing = if matches!(progress, Progress::Pressing(_)) { *pressing + 1 } else { 0 };
+}

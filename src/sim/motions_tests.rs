@@ -1,0 +1,423 @@
+use crate::sim::testing::*;
+use crate::sim::{Change, DeviceConfig, Direction, Interface, Model};
+use crate::wsg::{Command, Data, GripperState, HomingDirection, Reply, SoftLimits, Status, SystemState, id};
+
+fn limits(minus: f32, plus: f32) -> Command {
+    Command::SetSoftLimits(SoftLimits::new(width(minus), width(plus)).unwrap())
+}
+
+fn inner() -> Command {
+    Command::Homing(HomingDirection::Inner)
+}
+
+#[test]
+fn homing_finds_either_end_stop_and_backs_off() {
+    for model in Model::ALL {
+        let config = DeviceConfig::new(model);
+        let stroke_mm = config.stroke_mm();
+        let mut bench = Bench::new(config);
+        assert!(!bench.snapshot().referenced);
+        bench.home();
+        assert!(near(bench.snapshot().width_mm, stroke_mm - 1.0), "{model:?}");
+        assert_eq!(bench.run(&inner()), [PENDING, DONE]);
+        assert!(near(bench.snapshot().width_mm, 1.0), "{model:?}");
+        assert!(near(bench.snapshot().true_width_mm, 1.0), "{model:?}");
+    }
+}
+
+#[test]
+fn the_default_direction_of_homing_is_configured() {
+    let config = DeviceConfig { homing: Direction::Closing, ..DeviceConfig::wsg50() };
+    assert!(near(Bench::homed(config).snapshot().width_mm, 1.0));
+}
+
+#[test]
+fn while_homing_the_fingers_are_unreferenced_and_positioning() {
+    let mut bench = Bench::homed(DeviceConfig::wsg50());
+    assert_eq!(bench.ask(&inner()), [(id::HOMING, PENDING)]);
+    bench.pass(ms(100));
+    assert!(bench.has(SystemState::MOVING) && !bench.has(SystemState::REFERENCED));
+    assert_eq!(bench.state(), GripperState::Positioning);
+
+    let mut bench = Bench::homed(DeviceConfig::wsg50().fw2());
+    bench.ask(&inner());
+    assert_eq!(bench.state(), GripperState::Idle, "fw2 has no state for homing");
+}
+
+#[test]
+fn an_obstacle_while_homing_gives_a_wrong_origin() {
+    let mut bench = Bench::new(DeviceConfig::wsg50());
+    bench.apply(Change::PlaceObstacle { width_mm: 30.0 });
+    assert_eq!(bench.run(&inner()), [PENDING, DONE]);
+    assert!(near(bench.snapshot().width_mm, 1.0));
+    assert!(near(bench.snapshot().true_width_mm, 31.0));
+}
+
+#[test]
+fn blocked_while_moving_away_from_the_end_stop_homing_fails() {
+    let mut bench = Bench::new(DeviceConfig::wsg50());
+    bench.ask(&inner());
+    while bench.snapshot().true_width_mm > 0.001 {
+        bench.pass(ms(1));
+    }
+    bench.apply(Change::PlaceObstacle { width_mm: 0.3 });
+    let frames = bench.pass(ms(500));
+    assert_eq!(frames, [(id::HOMING, status(Status::E_AXIS_BLOCKED))]);
+    assert!(!bench.snapshot().referenced);
+}
+
+#[test]
+fn ruling_every_motion_but_homing_needs_a_reference() {
+    for config in [DeviceConfig::wsg50(), DeviceConfig::wsg50().fw2()] {
+        let mut bench = Bench::new(config);
+        for command in [move_to(50.0, 50.0), grip(50.0, 50.0), release(50.0, 50.0)] {
+            assert_eq!(bench.reply(&command), status(Status::E_NOT_INITIALIZED));
+        }
+        bench.home();
+        assert_eq!(bench.run(&move_to(50.0, 50.0)), [PENDING, DONE]);
+    }
+}
+
+#[test]
+fn a_move_takes_the_time_that_its_speed_and_acceleration_give() {
+    let mut bench = Bench::homed(DeviceConfig::wsg50());
+    bench.ask(&move_to(50.0, 100.0));
+    let start = bench.now;
+    while bench.snapshot().moving {
+        bench.pass(ms(1));
+    }
+    // 59 mm at 100 mm/s, and 40 ms each to speed up and slow down at 2500 mm/s².
+    let elapsed = bench.now - start;
+    assert!((ms(625)..ms(640)).contains(&elapsed), "{elapsed:?}");
+    assert!(near(bench.snapshot().width_mm, 50.0));
+}
+
+#[test]
+fn speed_carries_the_sign_of_the_direction() {
+    let mut bench = Bench::homed(DeviceConfig::wsg50());
+    bench.ask(&move_to(50.0, 100.0));
+    bench.pass(ms(200));
+    assert!(near(bench.snapshot().speed_mm_s, -100.0));
+    bench.pass(ms(1000));
+    bench.ask(&move_to(100.0, 100.0));
+    bench.pass(ms(200));
+    assert!(near(bench.snapshot().speed_mm_s, 100.0));
+}
+
+#[test]
+fn a_relative_move_starts_where_the_fingers_are() {
+    let mut bench = Bench::homed(DeviceConfig::wsg50());
+    bench.run(&move_to(50.0, 400.0));
+    bench.run(&move_by(-10.5, 400.0));
+    assert!(near(bench.snapshot().width_mm, 39.5));
+}
+
+#[test]
+fn widths_and_speeds_beyond_the_limits_are_clamped() {
+    for model in Model::ALL {
+        let config = DeviceConfig::new(model);
+        let (stroke_mm, max) = (config.stroke_mm(), f64::from(config.limits.max_speed.mm_s()));
+        let mut bench = Bench::homed(config);
+        bench.ask(&move_to(-50.0, 9999.0));
+        let mut fastest = 0.0_f64;
+        while bench.snapshot().moving {
+            fastest = fastest.max(-bench.snapshot().speed_mm_s);
+            bench.pass(ms(1));
+        }
+        assert!(fastest > 0.5 * max && fastest < max + 0.1, "{model:?}: {fastest}");
+        assert!(near(bench.snapshot().width_mm, 0.0));
+        assert_eq!(bench.run(&move_to(9999.0, 9999.0)), [PENDING, DONE]);
+        assert!(near(bench.snapshot().width_mm, stroke_mm));
+        bench.ask(&move_to(0.0, -7.0));
+        bench.pass(ms(100));
+        assert!(near(bench.snapshot().speed_mm_s, -5.0), "the lowest speed is 5 mm/s");
+    }
+}
+
+#[test]
+fn the_checks_come_in_the_manuals_order() {
+    let mut bench = Bench::new(DeviceConfig::wsg50());
+    bench.ask(&Command::Homing(HomingDirection::Default));
+    assert_eq!(bench.status_of_raw(id::GRIP, &[1]), Status::E_ALREADY_RUNNING);
+    bench.ask(&Command::FastStop);
+    assert_eq!(bench.status_of_raw(id::GRIP, &[1]), Status::E_ACCESS_DENIED);
+    bench.pass(ms(100));
+    bench.ask(&Command::AcknowledgeFastStop);
+    assert_eq!(bench.status_of_raw(id::GRIP, &[1]), Status::E_CMD_FORMAT_ERROR);
+    assert_eq!(bench.status_of_raw(id::HOMING, &[3]), Status::E_INVALID_PARAMETER);
+    assert_eq!(bench.reply(&grip(20.0, 50.0)), status(Status::E_NOT_INITIALIZED));
+    bench.home();
+    bench.reply(&limits(10.0, 60.0));
+    for command in [move_to(9.0, 50.0), grip(9.0, 50.0), release(61.0, 50.0)] {
+        assert_eq!(bench.reply(&command), status(Status::E_RANGE_ERROR));
+    }
+}
+
+#[test]
+fn a_second_motion_is_refused_while_one_runs() {
+    let mut bench = Bench::homed(DeviceConfig::wsg50());
+    bench.ask(&move_to(50.0, 50.0));
+    for command in [move_to(60.0, 50.0), grip(20.0, 50.0), release(90.0, 50.0), inner()] {
+        assert_eq!(bench.reply(&command), status(Status::E_ALREADY_RUNNING));
+    }
+}
+
+#[test]
+fn stop_ends_a_motion_and_both_are_answered() {
+    for stop_answers_first in [true, false] {
+        let mut bench = Bench::homed(DeviceConfig { stop_answers_first, ..DeviceConfig::wsg50() });
+        bench.ask(&move_to(10.0, 400.0));
+        bench.pass(ms(200));
+        assert_eq!(bench.ask(&Command::Stop), [], "not before the fingers stand");
+        let stop = (id::STOP, DONE);
+        let aborted = (id::PRE_POSITION, status(Status::E_CMD_ABORTED));
+        let expected = if stop_answers_first { [stop, aborted] } else { [aborted, stop] };
+        assert_eq!(bench.pass(ms(100)), expected);
+        assert!(bench.has(SystemState::AXIS_STOPPED) && !bench.has(SystemState::MOVING));
+        assert_eq!(bench.state(), GripperState::Idle);
+        bench.ask(&move_to(50.0, 100.0));
+        assert!(!bench.has(SystemState::AXIS_STOPPED), "until the next motion");
+    }
+}
+
+#[test]
+fn ruling_a_stop_while_idle_sets_axis_stopped_or_not() {
+    for sets in [true, false] {
+        let mut bench = Bench::new(DeviceConfig { stop_sets_flag_when_idle: sets, ..DeviceConfig::wsg50() });
+        assert_eq!(bench.reply(&Command::Stop), DONE);
+        assert_eq!(bench.has(SystemState::AXIS_STOPPED), sets);
+    }
+}
+
+#[test]
+fn fast_stop_answers_at_once_and_latches_until_acknowledged() {
+    let mut bench = Bench::homed(DeviceConfig::wsg50());
+    bench.ask(&move_to(10.0, 400.0));
+    bench.pass(ms(150));
+    let aborted = (id::PRE_POSITION, status(Status::E_CMD_ABORTED));
+    assert_eq!(bench.ask(&Command::FastStop), [(id::FAST_STOP, DONE), aborted]);
+    let before = bench.snapshot().width_mm;
+    bench.pass(ms(30));
+    assert!(!bench.snapshot().moving && before - bench.snapshot().width_mm < 5.0);
+    assert_eq!(bench.state(), GripperState::Error);
+    for command in [inner(), move_to(50.0, 50.0), grip(20.0, 50.0), release(90.0, 50.0)] {
+        assert_eq!(bench.reply(&command), status(Status::E_ACCESS_DENIED));
+    }
+    assert_eq!(bench.status_of_raw(id::ACKNOWLEDGE_FAST_STOP, b"ACK"), Status::E_CMD_FORMAT_ERROR);
+    assert!(bench.has(SystemState::FAST_STOP));
+    assert_eq!(bench.reply(&Command::AcknowledgeFastStop), DONE);
+    assert!(!bench.has(SystemState::FAST_STOP));
+    assert_eq!(bench.state(), GripperState::Error, "until the next motion");
+    bench.ask(&move_to(50.0, 50.0));
+    assert_eq!(bench.state(), GripperState::Positioning);
+}
+
+#[test]
+fn fast_stop_stops_whatever_its_payload() {
+    let mut bench = Bench::new(DeviceConfig::wsg50());
+    assert_eq!(bench.status_of_raw(id::FAST_STOP, &[1, 2, 3]), Status::E_SUCCESS);
+    assert!(bench.has(SystemState::FAST_STOP));
+}
+
+#[test]
+fn a_fast_stop_answers_the_stop_that_it_overtakes() {
+    let mut bench = Bench::homed(DeviceConfig::wsg50());
+    bench.ask(&move_to(10.0, 400.0));
+    bench.pass(ms(150));
+    bench.ask(&Command::Stop);
+    let aborted = (id::PRE_POSITION, status(Status::E_CMD_ABORTED));
+    assert_eq!(bench.ask(&Command::FastStop), [(id::STOP, DONE), (id::FAST_STOP, DONE), aborted]);
+    assert_eq!(bench.pass(ms(200)), []);
+}
+
+#[test]
+fn fw2_has_no_error_state() {
+    let mut bench = Bench::homed(DeviceConfig::wsg50().fw2());
+    bench.ask(&move_to(10.0, 100.0));
+    bench.ask(&Command::FastStop);
+    assert_eq!(bench.state(), GripperState::Idle);
+    assert!(bench.has(SystemState::FAST_STOP));
+}
+
+#[test]
+fn stop_on_block_leaves_the_motor_off() {
+    let mut bench = Bench::homed(DeviceConfig::wsg50());
+    bench.apply(Change::PlaceObstacle { width_mm: 40.0 });
+    assert_eq!(bench.run(&move_to(20.0, 100.0)), [PENDING, status(Status::E_AXIS_BLOCKED)]);
+    assert!(bench.has(SystemState::BLOCKED_MINUS) && !bench.has(SystemState::BLOCKED_PLUS));
+    assert!(near(bench.snapshot().force_n, 0.0));
+    bench.apply(Change::RemoveObstacle);
+    bench.pass(ms(500));
+    assert!(near(bench.snapshot().width_mm, 40.0), "it does not snap");
+    assert_eq!(bench.run(&move_to(100.0, 100.0)), [PENDING, DONE]);
+    bench.apply(Change::PlaceObstacle { width_mm: 105.0 });
+    bench.run(&move_to(110.0, 100.0));
+    assert!(bench.has(SystemState::BLOCKED_PLUS));
+}
+
+#[test]
+fn clamp_on_block_pushes_on_and_snaps_to_the_target_when_freed() {
+    // Half of the nominal force (fw4), or the force limit (fw2).
+    for (config, force_n) in [(DeviceConfig::wsg50(), 40.0), (DeviceConfig::wsg50().fw2(), 25.0)] {
+        let mut bench = Bench::homed(DeviceConfig { force_limit_n: 25.0, ..config });
+        bench.apply(Change::PlaceObstacle { width_mm: 40.0 });
+        assert_eq!(bench.run(&clamp_to(20.0, 100.0)), [PENDING, status(Status::E_AXIS_BLOCKED)]);
+        assert!(near(bench.snapshot().force_n, force_n) && bench.has(SystemState::BLOCKED_MINUS));
+        assert!(!bench.has(SystemState::MOVING));
+        bench.apply(Change::RemoveObstacle);
+        bench.pass(ms(50));
+        assert!(bench.has(SystemState::MOVING) && !bench.has(SystemState::BLOCKED_MINUS));
+        assert_eq!(bench.reply(&move_to(50.0, 50.0)), status(Status::E_ALREADY_RUNNING));
+        assert_eq!(bench.pass(ms(1000)), []);
+        assert!(near(bench.snapshot().width_mm, 20.0));
+    }
+}
+
+#[test]
+fn stop_ends_clamping() {
+    let mut bench = Bench::homed(DeviceConfig::wsg50());
+    bench.apply(Change::PlaceObstacle { width_mm: 40.0 });
+    bench.run(&clamp_to(20.0, 100.0));
+    assert_eq!(bench.reply(&Command::Stop), DONE);
+    assert!(!bench.has(SystemState::BLOCKED_MINUS) && near(bench.snapshot().force_n, 0.0));
+    bench.apply(Change::RemoveObstacle);
+    bench.pass(ms(500));
+    assert!(near(bench.snapshot().width_mm, 40.0));
+}
+
+#[test]
+fn target_pos_reached_comes_after_moving_has_gone() {
+    let reached = |config| {
+        let mut bench = Bench::homed(config);
+        bench.ask(&move_to(100.0, 100.0));
+        while bench.has(SystemState::MOVING) {
+            assert!(!bench.has(SystemState::TARGET_POS_REACHED));
+            bench.pass(ms(1));
+        }
+        let at_once = bench.has(SystemState::TARGET_POS_REACHED);
+        bench.pass(ms(10));
+        assert!(bench.has(SystemState::TARGET_POS_REACHED));
+        bench.ask(&move_to(50.0, 100.0));
+        assert!(!bench.has(SystemState::TARGET_POS_REACHED));
+        at_once
+    };
+    assert!(!reached(DeviceConfig::wsg50()), "fw4: not synchronous");
+    assert!(reached(DeviceConfig::wsg50().fw2()));
+}
+
+#[test]
+fn ruling_a_target_outside_the_soft_limits_is_refused_whichever_way_it_is_reached() {
+    let mut bench = Bench::homed(DeviceConfig::wsg50());
+    bench.run(&move_to(50.0, 400.0));
+    bench.reply(&limits(20.0, 60.0));
+    for command in [move_to(61.0, 50.0), move_by(11.0, 50.0), move_by(-31.0, 50.0), clamp_to(19.0, 50.0)] {
+        assert_eq!(bench.reply(&command), status(Status::E_RANGE_ERROR));
+    }
+    assert_eq!(bench.run(&move_by(10.0, 50.0)), [PENDING, DONE]);
+    assert!(bench.has(SystemState::SOFT_LIMIT_PLUS));
+    bench.run(&move_to(20.0, 50.0));
+    assert!(bench.has(SystemState::SOFT_LIMIT_MINUS) && !bench.has(SystemState::SOFT_LIMIT_PLUS));
+    bench.run(&move_to(40.0, 50.0));
+    assert!(!bench.has_any(SystemState::SOFT_LIMIT_MINUS | SystemState::SOFT_LIMIT_PLUS));
+}
+
+#[test]
+fn outside_of_new_soft_limits_only_the_way_back_is_allowed() {
+    let mut bench = Bench::homed(DeviceConfig::wsg50());
+    bench.run(&move_to(80.0, 400.0));
+    bench.reply(&limits(20.0, 60.0));
+    assert!(bench.has(SystemState::SOFT_LIMIT_PLUS));
+    assert_eq!(bench.reply(&move_to(90.0, 50.0)), status(Status::E_RANGE_ERROR));
+    assert_eq!(bench.run(&move_to(50.0, 100.0)), [PENDING, DONE]);
+    assert!(!bench.has_any(SystemState::SOFT_LIMIT_PLUS | SystemState::FAST_STOP));
+}
+
+#[test]
+fn moving_into_the_forbidden_range_is_a_fast_stop() {
+    let mut bench = Bench::homed(DeviceConfig::wsg50());
+    bench.run(&move_to(80.0, 400.0));
+    bench.ask(&move_to(20.0, 50.0));
+    bench.pass(ms(200));
+    bench.reply(&limits(50.0, 90.0));
+    assert_eq!(bench.pass(ms(1000)), [(id::PRE_POSITION, status(Status::E_RANGE_ERROR))]);
+    assert!(bench.has(SystemState::FAST_STOP | SystemState::SOFT_LIMIT_MINUS));
+    assert!(bench.snapshot().width_mm > 49.0);
+}
+
+#[test]
+fn homing_ignores_soft_limits() {
+    let mut bench = Bench::homed(DeviceConfig::wsg50());
+    bench.run(&move_to(50.0, 400.0));
+    bench.reply(&limits(40.0, 60.0));
+    assert_eq!(bench.run(&inner()), [PENDING, DONE]);
+    assert!(!bench.has(SystemState::FAST_STOP) && bench.has(SystemState::SOFT_LIMIT_MINUS));
+}
+
+#[test]
+fn without_soft_limits_there_are_none_to_get() {
+    let mut bench = Bench::new(DeviceConfig::wsg50());
+    assert_eq!(bench.reply(&Command::GetSoftLimits), status(Status::E_NOT_AVAILABLE));
+    bench.reply(&limits(5.0, 60.0));
+    assert!(matches!(bench.reply(&Command::GetSoftLimits), Reply::Success(Data::SoftLimits(_))));
+    bench.reply(&Command::ClearSoftLimits);
+    assert_eq!(bench.reply(&Command::GetSoftLimits), status(Status::E_NOT_AVAILABLE));
+}
+
+#[test]
+fn an_announced_disconnect_aborts_and_then_denies_everything() {
+    let mut bench = Bench::homed(DeviceConfig::wsg50());
+    bench.ask(&move_to(10.0, 100.0));
+    bench.pass(ms(100));
+    let aborted = (id::PRE_POSITION, status(Status::E_CMD_ABORTED));
+    let announced = (id::DISCONNECT_ANNOUNCEMENT, DONE);
+    assert_eq!(bench.ask(&Command::DisconnectAnnouncement), [announced, aborted]);
+    for command in [Command::FastStop, Command::GetSystemInfo, looped(&[1])] {
+        assert_eq!(bench.reply(&command), status(Status::E_ACCESS_DENIED));
+    }
+    assert_eq!(bench.status_of_raw(0x99, &[]), Status::E_ACCESS_DENIED);
+    bench.pass(ms(50));
+    bench.device.disconnect(bench.now);
+    assert!(!bench.has(SystemState::FAST_STOP));
+    assert!(bench.device.connect(bench.now, Interface::Tcp));
+    assert_eq!(bench.run(&move_to(50.0, 100.0)), [PENDING, DONE]);
+}
+
+#[test]
+fn only_tcp_has_a_disconnect_announcement() {
+    for interface in [Interface::Udp, Interface::Serial, Interface::Can] {
+        let mut bench = Bench::on(DeviceConfig::wsg50(), interface);
+        assert_eq!(bench.reply(&Command::DisconnectAnnouncement), status(Status::E_NOT_AVAILABLE));
+        assert_eq!(bench.reply(&looped(&[1])), Reply::Success(Data::Loop(vec![1])));
+    }
+}
+
+#[test]
+fn late_calls_give_the_same_end_as_calls_in_time() {
+    let story = |stride| {
+        let mut bench = Bench::new(DeviceConfig::wsg50());
+        bench.stride = ms(stride);
+        let mut frames = bench.run(&Command::Homing(HomingDirection::Default));
+        bench.apply(Change::PlacePart(crate::sim::Part::outside(20.0)));
+        frames.extend(bench.run(&grip(20.0, 80.0)));
+        bench.apply(Change::SlipPart);
+        bench.pass(ms(8000));
+        frames.extend(bench.run(&release(60.0, 200.0)));
+        frames.extend(bench.run(&clamp_to(10.0, 50.0)));
+        (frames, bench.snapshot())
+    };
+    let in_time = story(1);
+    assert_eq!(in_time.0.len(), 8);
+    assert_eq!(story(7), in_time);
+    assert_eq!(story(8000), in_time);
+}
+
+#[test]
+fn nothing_is_due_while_nothing_happens() {
+    let mut bench = Bench::new(DeviceConfig::wsg50());
+    assert_eq!(bench.device.poll_timeout(), None);
+    bench.home();
+    assert_eq!(bench.device.poll_timeout(), None);
+    bench.apply(Change::PlacePart(crate::sim::Part::outside(20.0)));
+    bench.run(&grip(20.0, 80.0));
+    assert_eq!(bench.device.poll_timeout(), None, "also while a part is held");
+}

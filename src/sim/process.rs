@@ -1,0 +1,129 @@
+//! The gripper state (`fw4-en 3.4.2`), the statistics, and the flags that a motion leaves behind.
+
+use std::time::{Duration, Instant};
+
+use crate::wsg::{GripperState, Statistics, Status};
+
+use super::axis::Direction;
+
+/// In fw4, TARGET_POS_REACHED comes so much later than MOVING goes (`fw4-en` Appendix B).
+const TARGET_REACHED_DELAY: Duration = Duration::from_millis(5);
+
+/// What kind of motion runs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Kind {
+    Home,
+    Move,
+    Grip(Direction),
+    Release,
+}
+
+#[derive(Debug)]
+pub(super) struct Process {
+    pub state: GripperState,
+    pub statistics: Statistics,
+    pub axis_stopped: bool,
+    pub target_reached: bool,
+    /// When TARGET_POS_REACHED follows.
+    pub target_reached_at: Option<Instant>,
+    /// The direction of the last grip, until a motion that is none.
+    gripped: Option<Direction>,
+    is_fw4: bool,
+}
+
+impl Process {
+    pub fn new(is_fw4: bool) -> Self {
+        Self {
+            state: GripperState::Idle,
+            statistics: Statistics::default(),
+            axis_stopped: false,
+            target_reached: false,
+            target_reached_at: None,
+            gripped: None,
+            is_fw4,
+        }
+    }
+
+    /// Forgets all but the statistics.
+    pub fn restart(&mut self) {
+        *self = Self { statistics: self.statistics, ..Self::new(self.is_fw4) };
+    }
+
+    /// `fw4-en 3.2.6`: no second grip in the opposite direction without a release between. fw2 knows no such rule.
+    pub fn forbids_grip(&self, direction: Direction) -> bool {
+        self.is_fw4 && self.gripped == Some(direction.opposite())
+    }
+
+    pub fn started(&mut self, kind: Kind) {
+        self.axis_stopped = false;
+        self.target_reached = false;
+        self.target_reached_at = None;
+        self.gripped = if let Kind::Grip(direction) = kind { Some(direction) } else { None };
+        self.state = match kind {
+            Kind::Grip(_) => GripperState::Grasping,
+            Kind::Release => GripperState::Releasing,
+            // fw2: "no part" and "part lost" last until the next grip or release, and homing has no state of its own.
+            Kind::Home | Kind::Move if !self.is_fw4 && self.has_result() => self.state,
+            Kind::Home if !self.is_fw4 => GripperState::Idle,
+            Kind::Home | Kind::Move => GripperState::Positioning,
+        };
+    }
+
+    pub fn finished(&mut self, kind: Kind, status: Status, now: Instant) {
+        let success = status == Status::E_SUCCESS;
+        self.state = match kind {
+            Kind::Grip(_) => self.gripping_ended(success),
+            Kind::Home | Kind::Move if !self.is_fw4 && self.has_result() => self.state,
+            Kind::Release if !success => self.error(),
+            _ => GripperState::Idle,
+        };
+        if success && kind != Kind::Home {
+            self.target_reached = !self.is_fw4;
+            self.target_reached_at = self.is_fw4.then(|| now + TARGET_REACHED_DELAY);
+        }
+    }
+
+    fn gripping_ended(&mut self, held: bool) -> GripperState {
+        self.statistics.total = self.statistics.total.saturating_add(1);
+        if held {
+            return GripperState::Holding;
+        }
+        self.statistics.no_part = self.statistics.no_part.saturating_add(1);
+        GripperState::NoPart
+    }
+
+    pub fn part_lost(&mut self) {
+        self.statistics.lost_part = self.statistics.lost_part.saturating_add(1);
+        self.state = GripperState::PartLost;
+    }
+
+    /// By Stop, or by the end of a connection that was announced.
+    pub fn aborted(&mut self) {
+        self.gripped = None;
+        if !self.has_result() {
+            self.state = GripperState::Idle;
+        }
+    }
+
+    pub fn fast_stopped(&mut self) {
+        self.gripped = None;
+        self.target_reached_at = None;
+        if self.is_fw4 || !self.has_result() {
+            self.state = self.error();
+        }
+    }
+
+    pub fn after_delay(&mut self) {
+        self.target_reached_at = None;
+        self.target_reached = true;
+    }
+
+    fn has_result(&self) -> bool {
+        matches!(self.state, GripperState::NoPart | GripperState::PartLost)
+    }
+
+    /// fw2 reserves 7.
+    fn error(&self) -> GripperState {
+        if self.is_fw4 { GripperState::Error } else { GripperState::Idle }
+    }
+}

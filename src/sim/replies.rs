@@ -1,0 +1,148 @@
+//! What becomes of an answer: `E_CMD_PENDING` and the result of a request in two steps, and the faults that strike them.
+
+use std::time::{Duration, Instant};
+
+use crate::wsg::{Data, Reply, Status, id};
+
+use super::Device;
+use super::faults::{FaultKind, FaultName, Stage};
+use super::outbox::Outgoing;
+
+/// So many late results wait at most; a further one is sent at once.
+const MAX_LATE_RESULTS: usize = 64;
+
+/// Who waits for an answer.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Ticket {
+    pub id: u8,
+    connection: u64,
+    /// `E_CMD_PENDING` was sent or suppressed, so the result is the second step.
+    two_step: bool,
+    owes_pending: bool,
+}
+
+/// A result that is held back by a fault.
+#[derive(Debug)]
+pub(super) struct Late {
+    pub at: Instant,
+    ticket: Ticket,
+    reply: Reply,
+}
+
+impl Device {
+    pub(super) fn ticket(&self, id: u8) -> Ticket {
+        Ticket { id, connection: self.connection, two_step: false, owes_pending: false }
+    }
+
+    /// The first step of two: a ticket for the second.
+    pub(super) fn pending(&mut self, id: u8) -> Ticket {
+        let mut ticket = Ticket { two_step: true, ..self.ticket(id) };
+        match self.faults.take(id, Stage::Pending) {
+            None => self.send(id, &Reply::Status(Status::E_CMD_PENDING), false),
+            Some(FaultKind::FinalBeforePending) => ticket.owes_pending = true,
+            Some(_) => {}
+        }
+        if self.faults.take_if(id, Stage::Result, |kind| kind == FaultKind::SilenceAfterAccept).is_some() {
+            self.muted = true;
+        }
+        ticket
+    }
+
+    /// The answer to a request of one step.
+    pub(super) fn answer(&mut self, id: u8, reply: Reply) {
+        let ticket = self.ticket(id);
+        self.result(ticket, reply);
+    }
+
+    pub(super) fn answer_status(&mut self, id: u8, status: Status) {
+        let ticket = self.ticket(id);
+        self.result_status(ticket, status);
+    }
+
+    pub(super) fn result_status(&mut self, ticket: Ticket, status: Status) {
+        let success = status == Status::E_SUCCESS;
+        self.result(ticket, if success { Reply::Success(Data::None) } else { Reply::Status(status) });
+    }
+
+    pub(super) fn result(&mut self, ticket: Ticket, reply: Reply) {
+        self.command_failed = reply.status() != Status::E_SUCCESS;
+        let possible = |kind| ticket.two_step || kind != FaultKind::PendingWithoutFinal;
+        match self.faults.take_if(ticket.id, Stage::Result, possible) {
+            Some(FaultKind::PendingWithoutFinal) => {}
+            Some(FaultKind::SilenceAfterAccept) => self.muted = true,
+            Some(FaultKind::FinalStatus { code }) => {
+                self.deliver(ticket, &with_status(reply, Status::from_code(code)));
+            }
+            Some(FaultKind::FinalLate { by_ms }) if self.late.len() < MAX_LATE_RESULTS => {
+                let at = self.clock + Duration::from_millis(by_ms.into());
+                self.late.push(Late { at, ticket, reply });
+            }
+            Some(FaultKind::FinalTwice) => {
+                self.deliver(ticket, &reply);
+                self.deliver(Ticket { owes_pending: false, ..ticket }, &reply);
+            }
+            _ => self.deliver(ticket, &reply),
+        }
+    }
+
+    pub(super) fn send_late(&mut self) {
+        while let Some(index) = self.late.iter().position(|late| late.at <= self.clock) {
+            let late = self.late.remove(index);
+            self.deliver(late.ticket, &late.reply);
+        }
+    }
+
+    fn deliver(&mut self, ticket: Ticket, reply: &Reply) {
+        if ticket.connection != self.connection {
+            return;
+        }
+        self.send(ticket.id, reply, false);
+        if ticket.owes_pending {
+            self.send(ticket.id, &Reply::Status(Status::E_CMD_PENDING), false);
+        }
+    }
+
+    pub(super) fn send(&mut self, id: u8, reply: &Reply, is_update: bool) {
+        if self.link.is_none() || self.is_cut || self.booting_until.is_some() {
+            return;
+        }
+        if self.half_open {
+            self.faults.counts.add(FaultName::HalfOpen);
+            return;
+        }
+        if self.silent || self.muted {
+            self.faults.counts.add(FaultName::Silent);
+            return;
+        }
+        let mut bytes = Vec::new();
+        reply.encode(id, &mut bytes);
+        self.outbox.push(Outgoing { id, is_update, at: self.clock, bytes });
+    }
+
+    /// What a fault makes of a request: `true` where that is all that it gets.
+    pub(super) fn strikes_request(&mut self, id: u8) -> bool {
+        match self.faults.take(id, Stage::Request) {
+            Some(FaultKind::Status { code }) => {
+                let status = Status::from_code(code);
+                self.command_failed = status != Status::E_SUCCESS;
+                self.send(id, &with_status(Reply::Success(Data::None), status), false);
+                true
+            }
+            Some(_) => true,
+            None => false,
+        }
+    }
+
+    /// Loop may say `E_CMD_PENDING` before its data (`fw4-en 3.1.1`).
+    pub(super) fn answer_loop(&mut self, data: Vec<u8>) {
+        if self.config.loop_is_pending {
+            self.send(id::LOOP, &Reply::Status(Status::E_CMD_PENDING), false);
+        }
+        self.answer(id::LOOP, Reply::Success(Data::Loop(data)));
+    }
+}
+
+/// A success keeps its data, if it had any.
+fn with_status(reply: Reply, status: Status) -> Reply {
+    if status == reply.status() { reply } else { Reply::Status(status) }
+}

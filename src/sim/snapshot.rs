@@ -1,0 +1,190 @@
+//! What the device is at the moment: the values of its getters, and a snapshot of everything for tests and a control
+//! port.
+
+use crate::wsg::{Data, Force, GripperState, SoftLimits, Speed, Statistics, SystemInfo, SystemState, Width, id};
+
+use super::Device;
+use super::axis::Direction;
+use super::motion::AT_LIMIT_MM;
+use super::world::Part;
+
+/// Everything about a device at one moment, the truth and what it shows of it.
+#[derive(Debug, Clone, PartialEq)]
+#[allow(clippy::struct_excessive_bools, reason = "a snapshot of states that are independent")]
+pub struct Snapshot {
+    /// The true distance of the jaws, in mm.
+    pub true_width_mm: f64,
+    /// What it shows as its opening width (43h), in mm.
+    pub width_mm: f64,
+    /// The relative speed of the fingers, positive while opening, in mm/s.
+    pub speed_mm_s: f64,
+    /// What it shows as gripping force (45h), in N.
+    pub force_n: f64,
+    /// The system state flags (40h).
+    pub flags: SystemState,
+    /// The gripper state (41h).
+    pub gripper_state: GripperState,
+    /// Whether the fingers are referenced.
+    pub referenced: bool,
+    /// Whether they move.
+    pub moving: bool,
+    /// Whether a FAST STOP is latched.
+    pub fast_stop: bool,
+    /// What is between the jaws, or beside them.
+    pub part: Option<Part>,
+    /// Where an obstacle stands, in mm.
+    pub obstacle_mm: Option<f64>,
+    /// The gripping statistics (42h).
+    pub statistics: Statistics,
+    /// The temperature, in °C.
+    pub temperature_c: f64,
+    /// The acceleration that is set, in mm/s².
+    pub acceleration_mm_s2: f64,
+    /// The force limit that is set, in N.
+    pub force_limit_n: f64,
+    /// The soft limits that are set.
+    pub soft_limits: Option<SoftLimits>,
+    /// Whether Overdrive Mode is on.
+    pub overdrive: bool,
+    /// The device tag.
+    pub device_tag: Option<String>,
+    /// The ids whose automatic updates are on.
+    pub updates: Vec<u8>,
+    /// Whether it has a client: connected (TCP), or told of its interface (others).
+    pub connected: bool,
+    /// Whether the client has announced its end.
+    pub announced: bool,
+    /// Whether it starts after a [`Reboot`](super::Change::Reboot).
+    pub booting: bool,
+    /// Whether it says nothing, by [`Silent`](super::Change::Silent) or by a fault.
+    pub silent: bool,
+    /// Whether no byte passes.
+    pub half_open: bool,
+    /// Frames that wait to be sent.
+    pub queued_frames: usize,
+    /// Automatic updates that were dropped, because too many frames waited.
+    pub dropped_updates: u64,
+    /// Requests received with a right checksum.
+    pub received_frames: u64,
+    /// Requests received with a wrong one.
+    pub damaged_requests: u64,
+    /// Requests not taken up, because too many replies waited.
+    pub refused_requests: u64,
+}
+
+impl Device {
+    /// Everything about it at this moment.
+    #[must_use]
+    pub fn snapshot(&self) -> Snapshot {
+        Snapshot {
+            true_width_mm: self.mechanics.axis.position_mm,
+            width_mm: self.shown_width_mm(),
+            speed_mm_s: self.mechanics.axis.speed_mm_s,
+            force_n: self.shown_force_n(),
+            flags: self.flags(),
+            gripper_state: self.process.state,
+            referenced: self.mechanics.referenced,
+            moving: self.mechanics.is_moving(),
+            fast_stop: self.fast_stopped,
+            part: self.mechanics.world.part(),
+            obstacle_mm: self.mechanics.world.obstacle_mm(),
+            statistics: self.process.statistics,
+            temperature_c: self.thermal.temperature_c(),
+            acceleration_mm_s2: self.settings.acceleration_mm_s2,
+            force_limit_n: self.settings.force_limit_n,
+            soft_limits: self.settings.soft_limits,
+            overdrive: self.settings.overdrive,
+            device_tag: self.settings.device_tag.as_ref().map(|tag| tag.as_str().to_owned()),
+            updates: self.subscriptions.ids().collect(),
+            connected: self.link.is_some(),
+            announced: self.announced,
+            booting: self.booting_until.is_some(),
+            silent: self.silent || self.muted,
+            half_open: self.half_open,
+            queued_frames: self.outbox.len() + self.chunks.len(),
+            dropped_updates: self.outbox.dropped_updates,
+            received_frames: self.log.total,
+            damaged_requests: self.damaged_requests,
+            refused_requests: self.refused_requests,
+        }
+    }
+
+    /// What the getter of `id` returns.
+    pub(super) fn value(&self, id: u8) -> Data {
+        match id {
+            id::GET_SYSTEM_STATE => Data::SystemState(self.flags()),
+            id::GET_GRIPPER_STATE => Data::GripperState(self.process.state),
+            id::GET_WIDTH => Data::Width(Width::new(self.shown_width_mm() as f32).unwrap_or(Width::ZERO)),
+            id::GET_SPEED => Data::Speed(Speed::new(self.mechanics.axis.speed_mm_s as f32).unwrap_or(Speed::ZERO)),
+            id::GET_FORCE => Data::Force(Force::new(self.shown_force_n() as f32).unwrap_or(Force::ZERO)),
+            _ => Data::None,
+        }
+    }
+
+    /// `fw4-en 3.4.4`: 0 unless referenced.
+    fn shown_width_mm(&self) -> f64 {
+        let known = self.mechanics.referenced || self.config.width_before_referencing;
+        if known { self.mechanics.width_mm() } else { 0.0 }
+    }
+
+    /// The force carries no sign.
+    pub(super) fn shown_force_n(&self) -> f64 {
+        let force_n = self.mechanics.axis.force_n;
+        if self.config.has_force_sensor() { (force_n + self.sensor_offset_n).abs() } else { force_n }
+    }
+
+    /// `fw4-en` Appendix B.
+    pub(super) fn flags(&self) -> SystemState {
+        let mechanics = &self.mechanics;
+        let temperature_c = self.thermal.temperature_c();
+        let soft_limit = self.at_soft_limit();
+        let set = [
+            (SystemState::REFERENCED, mechanics.referenced),
+            (SystemState::MOVING, mechanics.is_moving()),
+            (SystemState::BLOCKED_MINUS, mechanics.blocked == Some(Direction::Closing)),
+            (SystemState::BLOCKED_PLUS, mechanics.blocked == Some(Direction::Opening)),
+            (SystemState::SOFT_LIMIT_MINUS, soft_limit == Some(Direction::Closing)),
+            (SystemState::SOFT_LIMIT_PLUS, soft_limit == Some(Direction::Opening)),
+            (SystemState::AXIS_STOPPED, self.process.axis_stopped),
+            (SystemState::TARGET_POS_REACHED, self.process.target_reached),
+            (SystemState::OVERDRIVE_MODE, self.settings.overdrive),
+            (SystemState::FORCECNTL_MODE, self.config.has_force_finger() && mechanics.is_holding()),
+            (SystemState::FAST_STOP, self.fast_stopped),
+            (SystemState::TEMP_WARNING, temperature_c >= self.config.warning_c),
+            (SystemState::TEMP_FAULT, self.overheated),
+            (SystemState::POWER_FAULT, self.power_fault),
+            (SystemState::CURR_FAULT, self.current_fault),
+            (SystemState::FINGER_FAULT, self.fingers.iter().any(super::FingerPort::is_faulty)),
+            (SystemState::CMD_FAILURE, self.command_failed),
+            (SystemState::SCRIPT_RUNNING, self.script_runs),
+            (SystemState::SCRIPT_FAILURE, self.script_failed),
+        ];
+        set.into_iter().filter(|(_, is_set)| *is_set).map(|(flag, _)| flag).collect()
+    }
+
+    pub(super) fn has_fault(&self) -> bool {
+        self.overheated || self.power_fault || self.current_fault
+    }
+
+    pub(super) fn system_info(&self) -> SystemInfo {
+        SystemInfo {
+            device_type: self.config.model.device_type(self.config.generation),
+            hardware_revision: self.config.hardware_revision,
+            firmware: self.config.firmware,
+            serial_number: self.config.serial_number,
+        }
+    }
+
+    /// Which soft limit the fingers stand at or beyond.
+    fn at_soft_limit(&self) -> Option<Direction> {
+        let limits = self.settings.soft_limits.filter(|_| self.mechanics.referenced)?;
+        let width_mm = self.mechanics.width_mm();
+        if width_mm <= f64::from(limits.minus().mm()) + AT_LIMIT_MM {
+            Some(Direction::Closing)
+        } else if width_mm >= f64::from(limits.plus().mm()) - AT_LIMIT_MM {
+            Some(Direction::Opening)
+        } else {
+            None
+        }
+    }
+}

@@ -1,0 +1,135 @@
+//! Time: what is due when, and what happens then.
+
+use std::time::Instant;
+
+use crate::wsg::{Reply, Status};
+
+use super::Device;
+use super::axis::STEP;
+use super::faults::FaultName;
+use super::motion::Event;
+
+impl Device {
+    /// Lets time pass up to `now`.
+    pub fn handle_timeout(&mut self, now: Instant) {
+        self.advance(now);
+        self.settle();
+    }
+
+    /// When [`Device::handle_timeout`] is next due; `None` while nothing can happen by itself.
+    #[must_use]
+    pub fn poll_timeout(&self) -> Option<Instant> {
+        self.next_due().into_iter().chain(self.join_wait()).min()
+    }
+
+    /// Does what is due up to `now`, each thing at its own time. A time before the newest one changes nothing.
+    pub(super) fn advance(&mut self, now: Instant) {
+        while let Some(due) = self.next_due().filter(|&due| due <= now) {
+            self.clock = self.clock.max(due);
+            self.fire();
+        }
+        self.clock = self.clock.max(now);
+    }
+
+    /// After anything has changed: does what is due because of it.
+    pub(super) fn settle(&mut self) {
+        self.plan_step();
+        self.advance(self.clock);
+    }
+
+    fn plan_step(&mut self) {
+        self.next_step =
+            if self.mechanics.needs_steps() { Some(self.next_step.unwrap_or(self.clock + STEP)) } else { None };
+    }
+
+    fn next_due(&self) -> Option<Instant> {
+        let by_itself = [
+            self.booting_until,
+            self.next_step,
+            self.current_fault_clears_at,
+            self.process.target_reached_at,
+            self.fingers[0].powered_up_at,
+            self.fingers[1].powered_up_at,
+            self.late.iter().map(|late| late.at).min(),
+            self.partial_until,
+            self.subscriptions.due(|id| self.value(id)),
+        ];
+        by_itself.into_iter().flatten().min()
+    }
+
+    fn fire(&mut self) {
+        let now = self.clock;
+        let is_due = |at: Option<Instant>| at.is_some_and(|at| at <= now);
+        if is_due(self.booting_until) {
+            self.booting_until = None;
+        }
+        if is_due(self.next_step) {
+            self.next_step = None;
+            self.step();
+        }
+        if is_due(self.current_fault_clears_at) {
+            (self.current_fault, self.current_fault_clears_at) = (false, None);
+        }
+        if is_due(self.process.target_reached_at) {
+            self.process.after_delay();
+        }
+        for index in 0..self.fingers.len() {
+            if is_due(self.fingers[index].powered_up_at) {
+                self.finger_is_up(index);
+            }
+        }
+        if is_due(self.partial_until) {
+            self.give_up_partial_request();
+        }
+        self.send_late();
+        self.watch_faults();
+        self.plan_step();
+        for (id, value) in self.take_due_updates() {
+            self.send(id, &Reply::Success(value), true);
+        }
+    }
+
+    fn take_due_updates(&mut self) -> Vec<(u8, crate::wsg::Data)> {
+        let mut subscriptions = std::mem::take(&mut self.subscriptions);
+        let due = subscriptions.take_due(self.clock, |id| self.value(id));
+        self.subscriptions = subscriptions;
+        due
+    }
+
+    fn step(&mut self) {
+        match self.mechanics.step(self.settings.soft_limits) {
+            None => {}
+            Some(Event::Finished(status)) => self.finished(status),
+            Some(Event::Stopped) => self.stopped(),
+            Some(Event::PartLost) => self.process.part_lost(),
+            Some(Event::ForbiddenRange) => self.left_soft_limits(),
+        }
+    }
+
+    fn finished(&mut self, status: Status) {
+        let Some(running) = self.running.take() else { return };
+        self.process.finished(running.kind, status, self.clock);
+        if let Some(ticket) = running.ticket {
+            self.result_status(ticket, status);
+        }
+    }
+
+    fn finger_is_up(&mut self, index: usize) {
+        self.fingers[index].powered_up_at = None;
+        if let Some(ticket) = self.finger_tickets[index].take() {
+            self.result_status(ticket, Status::E_SUCCESS);
+        }
+    }
+
+    /// A fault that appears is a FAST STOP.
+    pub(super) fn watch_faults(&mut self) {
+        let load = self.mechanics.axis.force_n / self.config.nominal_force_n();
+        self.thermal.advance(self.clock, load);
+        let is_critical = self.thermal.temperature_c() >= self.config.critical_c;
+        if is_critical && !self.overheated {
+            self.faults.counts.add(FaultName::TemperatureFault);
+            self.fast_stop();
+        }
+        self.overheated = is_critical;
+    }
+}

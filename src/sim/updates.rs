@@ -1,0 +1,85 @@
+//! Automatic updates (`fw4-en 3.4.1` to `3.4.6`): by period, or on change with the period as the shortest interval.
+
+use std::time::{Duration, Instant};
+
+use crate::wsg::{Data, Updates, id};
+
+/// The shortest period (fw4). fw2 names none; a period of 0 can't be kept, so it is the shortest there too.
+const MIN_PERIOD_MS: u16 = 10;
+
+/// The ids that have automatic updates, in the order in which they are sent.
+const IDS: [u8; 5] = [id::GET_SYSTEM_STATE, id::GET_GRIPPER_STATE, id::GET_WIDTH, id::GET_SPEED, id::GET_FORCE];
+
+#[derive(Debug)]
+struct Subscription {
+    id: u8,
+    on_change: bool,
+    period: Duration,
+    last_at: Instant,
+    last: Data,
+}
+
+/// The automatic updates that are switched on.
+#[derive(Debug, Default)]
+pub(super) struct Subscriptions(Vec<Subscription>);
+
+impl Subscriptions {
+    /// Switches the updates of `id` on or off; `now` its value is `value`.
+    pub fn set(&mut self, id: u8, updates: Updates, value: Data, now: Instant) {
+        self.0.retain(|subscription| subscription.id != id);
+        if let Updates::On { on_change, period_ms } = updates {
+            let period = Duration::from_millis(period_ms.max(MIN_PERIOD_MS).into());
+            self.0.push(Subscription { id, on_change, period, last_at: now, last: value });
+            self.0.sort_by_key(|subscription| IDS.iter().position(|&id| id == subscription.id));
+        }
+    }
+
+    pub fn clear(&mut self) {
+        self.0.clear();
+    }
+
+    /// Which of them are on.
+    pub fn ids(&self) -> impl Iterator<Item = u8> {
+        self.0.iter().map(|subscription| subscription.id)
+    }
+
+    /// When the next update is due, by the values that `read` tells; never before it is allowed.
+    pub fn due(&self, read: impl Fn(u8) -> Data) -> Option<Instant> {
+        let due = |subscription: &Subscription| {
+            let waits = subscription.on_change && !has_changed(&subscription.last, &read(subscription.id));
+            (!waits).then(|| subscription.last_at + subscription.period)
+        };
+        self.0.iter().filter_map(due).min()
+    }
+
+    /// The updates that are due at `now`.
+    pub fn take_due(&mut self, now: Instant, read: impl Fn(u8) -> Data) -> Vec<(u8, Data)> {
+        let mut taken = Vec::new();
+        for subscription in &mut self.0 {
+            let value = read(subscription.id);
+            let waits = subscription.on_change && !has_changed(&subscription.last, &value);
+            if waits || now < subscription.last_at + subscription.period {
+                continue;
+            }
+            subscription.last_at =
+                if subscription.on_change { now } else { subscription.last_at + subscription.period };
+            subscription.last = value.clone();
+            taken.push((subscription.id, value));
+        }
+        taken
+    }
+}
+
+/// By the manual's thresholds.
+fn has_changed(last: &Data, value: &Data) -> bool {
+    match (last, value) {
+        (Data::Width(last), Data::Width(value)) => differ(last.mm(), value.mm(), 0.01),
+        (Data::Speed(last), Data::Speed(value)) => differ(last.mm_s(), value.mm_s(), 0.05),
+        (Data::Force(last), Data::Force(value)) => differ(last.n(), value.n(), 0.05),
+        (last, value) => last != value,
+    }
+}
+
+fn differ(last: f32, value: f32, threshold: f32) -> bool {
+    (value - last).abs() >= threshold
+}

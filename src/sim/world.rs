@@ -1,0 +1,211 @@
+//! What stands between the jaws: a part, an obstacle, and the end stops. All widths here are true distances in mm,
+//! which the device knows only once it is referenced.
+
+use serde::{Deserialize, Serialize};
+
+use super::axis::Direction;
+
+/// How hard the end stops and obstacles are, in N/mm.
+const RIGID_N_MM: f64 = 2000.0;
+
+/// How fast a slipping part leaves the fingers, in mm per step; faster than fingers in contact can follow.
+const SLIP_MM_PER_STEP: f64 = 0.05;
+
+/// A part that has slipped so far, in mm, has fallen.
+const SLIP_MM: f64 = 5.0;
+
+/// From which side a part is gripped.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum GripSide {
+    /// The fingers close on it.
+    Outside,
+    /// It is hollow, and the fingers open into it.
+    Inside,
+}
+
+/// A part between the jaws.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Part {
+    /// Where the fingers meet it, in mm.
+    pub width_mm: f64,
+    /// From which side.
+    pub side: GripSide,
+    /// How much force it takes to press it together by a millimetre, in N/mm.
+    pub stiffness_n_mm: f64,
+}
+
+impl Part {
+    /// A part of ordinary stiffness that the fingers close on.
+    #[must_use]
+    pub const fn outside(width_mm: f64) -> Self {
+        Self { width_mm, side: GripSide::Outside, stiffness_n_mm: 200.0 }
+    }
+
+    /// A hollow part of ordinary stiffness that the fingers open into.
+    #[must_use]
+    pub const fn inside(width_mm: f64) -> Self {
+        Self { width_mm, side: GripSide::Inside, stiffness_n_mm: 200.0 }
+    }
+
+    fn resists(&self) -> Direction {
+        match self.side {
+            GripSide::Outside => Direction::Closing,
+            GripSide::Inside => Direction::Opening,
+        }
+    }
+}
+
+/// Something that resists the fingers in one direction.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Surface {
+    pub at_mm: f64,
+    pub stiffness_n_mm: f64,
+}
+
+/// The first surface in either direction.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Surfaces {
+    pub closing: Surface,
+    pub opening: Surface,
+}
+
+impl Surfaces {
+    pub fn against(&self, direction: Direction) -> Surface {
+        match direction {
+            Direction::Closing => self.closing,
+            Direction::Opening => self.opening,
+        }
+    }
+
+    /// How far fingers at `position_mm` press into what resists `direction`; negative where there is a gap.
+    pub fn depth_mm(&self, direction: Direction, position_mm: f64) -> f64 {
+        (position_mm - self.against(direction).at_mm) * direction.sign()
+    }
+
+    /// The force on fingers at `position_mm`.
+    pub fn force_n(&self, position_mm: f64) -> f64 {
+        let force = |direction| self.depth_mm(direction, position_mm).max(0.0) * self.against(direction).stiffness_n_mm;
+        force(Direction::Closing).max(force(Direction::Opening))
+    }
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Placed {
+    part: Part,
+    /// A part wider than the fingers stand apart lies beside them, until they have opened around it.
+    between_fingers: bool,
+    slipped_mm: Option<f64>,
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Obstacle {
+    width_mm: f64,
+    resists: Direction,
+}
+
+/// The space between the jaws.
+#[derive(Debug)]
+pub(super) struct World {
+    stroke_mm: f64,
+    part: Option<Placed>,
+    obstacle: Option<Obstacle>,
+}
+
+impl World {
+    pub fn new(stroke_mm: f64) -> Self {
+        Self { stroke_mm, part: None, obstacle: None }
+    }
+
+    pub fn part(&self) -> Option<Part> {
+        self.part.map(|placed| placed.part)
+    }
+
+    pub fn obstacle_mm(&self) -> Option<f64> {
+        self.obstacle.map(|obstacle| obstacle.width_mm)
+    }
+
+    pub fn place_part(&mut self, part: Part, position_mm: f64) {
+        self.part = Some(Placed { part, between_fingers: false, slipped_mm: None });
+        self.notice(position_mm);
+    }
+
+    pub fn take_part(&mut self) {
+        self.part = None;
+    }
+
+    pub fn resize_part(&mut self, width_mm: f64) {
+        if let Some(placed) = &mut self.part {
+            placed.part.width_mm = width_mm;
+        }
+    }
+
+    pub fn slip_part(&mut self) {
+        if let Some(placed) = &mut self.part {
+            placed.slipped_mm = Some(0.0);
+        }
+    }
+
+    pub fn place_obstacle(&mut self, width_mm: f64, position_mm: f64) {
+        let resists = if position_mm >= width_mm { Direction::Closing } else { Direction::Opening };
+        self.obstacle = Some(Obstacle { width_mm, resists });
+    }
+
+    pub fn remove_obstacle(&mut self) {
+        self.obstacle = None;
+    }
+
+    /// Whether something moves by itself.
+    pub fn is_changing(&self) -> bool {
+        self.part.is_some_and(|placed| placed.slipped_mm.is_some())
+    }
+
+    /// One step of what moves by itself, the fingers standing at `position_mm`.
+    pub fn step(&mut self, position_mm: f64) {
+        if let Some(placed) = &mut self.part
+            && let Some(slipped_mm) = &mut placed.slipped_mm
+        {
+            *slipped_mm += SLIP_MM_PER_STEP;
+            placed.part.width_mm += placed.part.resists().sign() * SLIP_MM_PER_STEP;
+            if *slipped_mm >= SLIP_MM {
+                self.part = None;
+            }
+        }
+        self.notice(position_mm);
+    }
+
+    pub fn surfaces(&self) -> Surfaces {
+        let mut surfaces = Surfaces {
+            closing: Surface { at_mm: 0.0, stiffness_n_mm: RIGID_N_MM },
+            opening: Surface { at_mm: self.stroke_mm, stiffness_n_mm: RIGID_N_MM },
+        };
+        if let Some(placed) = self.part.filter(|placed| placed.between_fingers) {
+            let surface = Surface { at_mm: placed.part.width_mm, stiffness_n_mm: placed.part.stiffness_n_mm };
+            surfaces.meet(placed.part.resists(), surface);
+        }
+        if let Some(obstacle) = self.obstacle {
+            surfaces.meet(obstacle.resists, Surface { at_mm: obstacle.width_mm, stiffness_n_mm: RIGID_N_MM });
+        }
+        surfaces
+    }
+
+    fn notice(&mut self, position_mm: f64) {
+        if let Some(placed) = &mut self.part {
+            let gap_mm = (placed.part.width_mm - position_mm) * placed.part.resists().sign();
+            placed.between_fingers |= gap_mm >= 0.0;
+        }
+    }
+}
+
+impl Surfaces {
+    /// Whichever of two comes first is the one that counts.
+    fn meet(&mut self, direction: Direction, surface: Surface) {
+        let first = match direction {
+            Direction::Closing => &mut self.closing,
+            Direction::Opening => &mut self.opening,
+        };
+        if (surface.at_mm - first.at_mm) * direction.sign() < 0.0 {
+            *first = surface;
+        }
+    }
+}
