@@ -3,15 +3,14 @@
 
 use std::io;
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-use jiff::Timestamp;
 use rand::RngExt;
 use tokio::io::{AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio::sync::mpsc;
 
-use super::Now;
 use super::actor::{Actor, Close, Config};
+use super::clock::{Now, sleep_until};
 use super::connector::Connector;
 use super::handle::{FastStopRequest, Handle, MAX_WAITING_FAST_STOPS, MAX_WAITING_REQUESTS, Request};
 use crate::transport::Pipe;
@@ -28,13 +27,6 @@ const FAREWELL_WITHIN: Duration = Duration::from_millis(100);
 
 /// What is read at once: far more than a device sends between two wake-ups.
 const READ_BYTES: usize = 4096;
-
-impl Now {
-    /// What the clocks say.
-    fn read() -> Self {
-        Self { instant: tokio::time::Instant::now().into_std(), wall: Timestamp::now() }
-    }
-}
 
 /// Starts a gripper on the current runtime. It ends when it was drained, or when all its handles are gone.
 pub fn spawn(config: Config, connector: Arc<dyn Connector>) -> Handle {
@@ -234,12 +226,5 @@ impl Outgoing {
                 Ok(())
             }
         }
-    }
-}
-
-async fn sleep_until(deadline: Option<Instant>) {
-    match deadline {
-        Some(deadline) => tokio::time::sleep_until(deadline.into()).await,
-        None => std::future::pending().await,
     }
 }

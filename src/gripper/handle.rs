@@ -21,9 +21,10 @@ pub const MAX_WAITING_FAST_STOPS: usize = 64;
 /// How long a client waits for a FAST STOP's confirmation before it is told that there is none yet.
 pub const FAST_STOP_WAIT: Duration = Duration::from_millis(250);
 
-/// What the actor is asked.
+/// What the actor is asked, with the channel for its answer. [`Handle`] has a method for each.
 #[derive(Debug)]
-pub(super) enum Request {
+#[allow(missing_docs, reason = "said at the handle's methods")]
+pub enum Request {
     Submit { submission: Submission, id: CommandId, answer: Answer<Ticket> },
     Find { id: CommandId, answer: oneshot::Sender<Option<Ticket>> },
     Cancel { id: CommandId, client: Client, answer: oneshot::Sender<Option<Ticket>> },
@@ -32,13 +33,17 @@ pub(super) enum Request {
     Drain { answer: oneshot::Sender<()> },
 }
 
-pub(super) type Answer<T> = oneshot::Sender<Result<T, Rejection>>;
+/// Where an answer or a rejection goes.
+pub type Answer<T> = oneshot::Sender<Result<T, Rejection>>;
 
-/// A FAST STOP on its way to the actor.
+/// A FAST STOP on its way to the actor, on a lane of its own.
 #[derive(Debug)]
-pub(super) struct FastStopRequest {
+pub struct FastStopRequest {
+    /// What an acknowledge will have to name.
     pub id: FastStopId,
+    /// Who asks.
     pub client: Client,
+    /// Why.
     pub reason: Reason,
 }
 

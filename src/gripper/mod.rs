@@ -5,6 +5,7 @@
 
 pub mod actor;
 mod book;
+pub mod clock;
 mod connector;
 mod driver;
 pub mod error;
@@ -17,22 +18,10 @@ pub mod model;
 mod observed;
 mod setup;
 
-use std::time::Instant;
-
-use jiff::Timestamp;
-
+pub use clock::Now;
 pub use connector::Connector;
 pub use driver::spawn;
 pub use error::{Conflict, DeviceRefusal, Failure, Invalid, Rejection};
 pub use fleet::Fleet;
 pub use handle::{FastStop, Handle, Ticket};
 pub use info::Info;
-
-/// What the time is: the clock that never jumps, and the one that people read.
-#[derive(Debug, Clone, Copy)]
-pub struct Now {
-    /// For deadlines.
-    pub instant: Instant,
-    /// For records.
-    pub wall: Timestamp,
-}

@@ -161,10 +161,19 @@ impl IdSource {
         self.0.random()
     }
 
+    /// A command's id, of this time.
+    pub fn command_id(&mut self, at: Timestamp) -> CommandId {
+        CommandId(self.uuid(at))
+    }
+
     /// A FAST STOP's id, of this time.
     pub fn fast_stop_id(&mut self, at: Timestamp) -> FastStopId {
+        FastStopId(self.uuid(at))
+    }
+
+    fn uuid(&mut self, at: Timestamp) -> Uuid {
         let millis = u64::try_from(at.as_millisecond()).unwrap_or_default();
-        FastStopId(uuid::Builder::from_unix_timestamp_millis(millis, &self.0.random()).into_uuid())
+        uuid::Builder::from_unix_timestamp_millis(millis, &self.0.random()).into_uuid()
     }
 }
 

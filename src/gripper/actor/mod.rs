@@ -218,7 +218,7 @@ impl Actor {
     }
 
     /// A FAST STOP: needs no lease, waits for nothing.
-    pub(in crate::gripper) fn fast_stop(&mut self, now: Now, request: FastStopRequest) {
+    pub fn fast_stop(&mut self, now: Now, request: FastStopRequest) {
         tracing::warn!(gripper = %self.config.name, id = %request.id, by = %request.client.subject,
             reason = request.reason.as_str(), "FAST STOP requested");
         if let Some(token) = self.latching.request(now, request) {
@@ -231,7 +231,7 @@ impl Actor {
     }
 
     /// Any other request of a client.
-    pub(in crate::gripper) fn request(&mut self, now: Now, request: Request) {
+    pub fn request(&mut self, now: Now, request: Request) {
         match request {
             Request::Submit { submission, id, answer } => {
                 // Whoever asked may be gone; a command that was admitted goes on all the same.

@@ -1,0 +1,102 @@
+//! The command line: what to do, and what to do it with.
+
+use std::ffi::OsString;
+
+use clap::{CommandFactory, Parser, Subcommand};
+use url::Url;
+
+use crate::config::{Config, Flags};
+use crate::{daemon, frontend, telemetry};
+
+/// Lets many clients share Weiss/SCHUNK WSG grippers. Without a subcommand it serves; without anything, two simulated
+/// grippers.
+#[derive(Debug, Parser)]
+#[command(name = "wsg-gateway", version, args_conflicts_with_subcommands = true)]
+struct Cli {
+    #[command(flatten)]
+    flags: Flags,
+    #[command(subcommand)]
+    command: Option<Command>,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Serve a simulated gripper on each URL, e.g. tcp://127.0.0.1:1000
+    Sim {
+        /// Where: tcp://127.0.0.1:1000
+        #[arg(required = true, value_name = "URL")]
+        urls: Vec<Url>,
+        /// wsg25, wsg32, wsg50 or wsg70
+        #[arg(long, default_value = "wsg50")]
+        model: String,
+        /// The width in mm of a part in reach
+        #[arg(long, value_name = "MM")]
+        part_mm: Option<String>,
+        /// fw2 or fw4
+        #[arg(long, default_value = "fw4")]
+        firmware: String,
+    },
+    /// Check a configuration, and say what it would serve
+    Check {
+        #[command(flatten)]
+        flags: Flags,
+    },
+    /// Print the OpenAPI document
+    Openapi,
+    /// Hex to readable frames, and back (not yet supported)
+    Decode(NotYet),
+    /// Read the journal (not yet supported)
+    Journal(NotYet),
+    /// Make a token (not yet supported)
+    Token(NotYet),
+}
+
+#[derive(Debug, clap::Args)]
+struct NotYet {
+    #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]
+    _arguments: Vec<OsString>,
+}
+
+/// Does what the process's arguments say.
+///
+/// # Errors
+/// What went wrong, and what to do about it.
+pub fn run() -> anyhow::Result<()> {
+    let cli = Cli::parse();
+    telemetry::init();
+    match cli.command {
+        None => daemon::run(&Config::load(&cli.flags)?),
+        Some(Command::Sim { urls, model, part_mm, firmware }) => {
+            let mut device = daemon::SimulatedDevice::of_model(&model).map_err(anyhow::Error::msg)?;
+            device = device.with("firmware", &firmware).map_err(anyhow::Error::msg)?;
+            if let Some(part_mm) = part_mm {
+                device = device.with("part_mm", &part_mm).map_err(anyhow::Error::msg)?;
+            }
+            daemon::runtime()?.block_on(daemon::serve_simulated(&urls, &device))
+        }
+        Some(Command::Check { flags }) => check(&flags),
+        Some(Command::Openapi) => {
+            println!("{}", serde_json::to_string_pretty(&frontend::http::openapi())?);
+            Ok(())
+        }
+        Some(Command::Decode(_)) => not_yet("decode"),
+        Some(Command::Journal(_)) => not_yet("journal"),
+        Some(Command::Token(_)) => not_yet("token"),
+    }
+}
+
+fn check(flags: &Flags) -> anyhow::Result<()> {
+    let config = Config::load(flags)?;
+    daemon::check(&config)?;
+    println!(
+        "the configuration is right: {} serves {} grippers at {}",
+        config.name,
+        config.grippers.len(),
+        config.listen
+    );
+    Ok(())
+}
+
+fn not_yet(subcommand: &str) -> anyhow::Result<()> {
+    Cli::command().error(clap::error::ErrorKind::InvalidSubcommand, format!("{subcommand} is not supported yet")).exit()
+}

@@ -1,0 +1,136 @@
+//! The composition root: builds everything, runs it, and ends it in order.
+
+mod simulation;
+
+use std::future::Future;
+use std::io::Write;
+use std::net::SocketAddr;
+use std::sync::Arc;
+
+use anyhow::Context as _;
+use rand::RngExt;
+use tokio::net::TcpListener;
+use tokio::runtime::{Builder, Runtime};
+use tokio::signal::unix::{SignalKind, signal};
+use tokio_util::sync::CancellationToken;
+
+use crate::config::{Config, Device, Gripper, Mistake};
+use crate::frontend::http;
+use crate::gripper::{self, Connector, Fleet, Handle};
+pub use simulation::{SimulatedDevice, serve_simulated};
+
+/// Runs the gateway until SIGTERM or SIGINT.
+///
+/// # Errors
+/// Where it can't start: each says what is wrong, and what to do.
+pub fn run(config: &Config) -> anyhow::Result<()> {
+    check(config)?;
+    // The device side has a runtime of its own, so that no number of clients can delay a FAST STOP.
+    let devices = Builder::new_multi_thread().worker_threads(1).thread_name("device").enable_all().build()?;
+    let clients = runtime()?;
+    clients.block_on(serve(config, &devices))?;
+    devices.shutdown_background();
+    Ok(())
+}
+
+/// A runtime for everything but devices.
+///
+/// # Errors
+/// As the operating system says.
+pub fn runtime() -> std::io::Result<Runtime> {
+    Builder::new_multi_thread().enable_all().build()
+}
+
+/// Checks what only the daemon can: the simulated devices of the configuration.
+///
+/// # Errors
+/// The first [`Mistake`].
+pub fn check(config: &Config) -> Result<(), Mistake> {
+    for gripper in &config.grippers {
+        if let Device::Simulated(url) = &gripper.device {
+            SimulatedDevice::from_url(url).map_err(|detail| Mistake::at(&gripper.place, detail))?;
+        }
+    }
+    Ok(())
+}
+
+async fn serve(config: &Config, devices: &Runtime) -> anyhow::Result<()> {
+    let stop = stop_signal()?;
+    // Before any gripper is connected: a port that is taken must not cost a connect and a disconnect.
+    let listener = TcpListener::bind(config.listen).await.with_context(|| {
+        format!("cannot listen on {}: choose another address with --listen, or end what listens there", config.listen)
+    })?;
+    let address = listener.local_addr()?;
+    let fleet = spawn_all(config, devices)?;
+    let context =
+        http::Context { gateway: config.name.clone(), fleet: fleet.clone(), allowed_hosts: config.hosts.clone() };
+    let shutdown = CancellationToken::new();
+    let server = tokio::spawn(http::serve(listener, context, http::Limits::default(), shutdown.clone()));
+    announce(config, address);
+    stop.await;
+    tracing::info!("ending: the grippers first");
+    fleet.drain().await;
+    shutdown.cancel();
+    server.await?;
+    Ok(())
+}
+
+fn spawn_all(config: &Config, devices: &Runtime) -> anyhow::Result<Fleet> {
+    let _inside = devices.enter();
+    let handles: Result<Vec<Handle>, Mistake> = config.grippers.iter().map(|gripper| spawn(config, gripper)).collect();
+    Ok(Fleet::new(handles?))
+}
+
+fn spawn(config: &Config, gripper: &Gripper) -> Result<Handle, Mistake> {
+    let connector: Arc<dyn Connector> = match &gripper.device {
+        Device::At(address) => Arc::new(address.clone()),
+        Device::Simulated(url) => {
+            let device = SimulatedDevice::from_url(url).map_err(|detail| Mistake::at(&gripper.place, detail))?;
+            Arc::new(device.start(url.as_str()))
+        }
+    };
+    let config = gripper::actor::Config {
+        name: gripper.name.clone(),
+        url: connector.url(),
+        traits: connector.traits(),
+        read_ids: gripper.read_ids.clone(),
+        drain: config.drain,
+        seed: rand::rng().random(),
+    };
+    Ok(gripper::spawn(config, connector))
+}
+
+/// Comes when the process is asked to end. SIGHUP does nothing yet, and must not be the process's unannounced end.
+fn stop_signal() -> std::io::Result<impl Future<Output = ()>> {
+    let mut terminate = signal(SignalKind::terminate())?;
+    let mut interrupt = signal(SignalKind::interrupt())?;
+    let mut hang_up = signal(SignalKind::hangup())?;
+    Ok(async move {
+        loop {
+            tokio::select! {
+                _ = terminate.recv() => return,
+                _ = interrupt.recv() => return,
+                _ = hang_up.recv() => tracing::warn!("SIGHUP: reloading is not supported yet, nothing was changed"),
+            }
+        }
+    })
+}
+
+/// Says on standard output what is served, where, and what to try.
+fn announce(config: &Config, address: SocketAddr) {
+    let base = format!("http://{address}");
+    let mut text = format!("wsg-gateway {} serves {} at {base}/\n", env!("CARGO_PKG_VERSION"), config.name);
+    for gripper in &config.grippers {
+        let url = match &gripper.device {
+            Device::At(address) => address.to_string(),
+            Device::Simulated(url) => url.to_string(),
+        };
+        text += &format!("  {:<8} {url}\n", gripper.name.as_str());
+    }
+    if let Some(gripper) = config.grippers.first() {
+        text +=
+            &format!("documentation: {base}/docs\ntry: curl -X POST {base}/api/v1/grippers/{}/home\n", gripper.name);
+    }
+    // Nobody may be reading it.
+    let _ = std::io::stdout().write_all(text.as_bytes());
+}

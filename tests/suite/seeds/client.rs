@@ -1,0 +1,190 @@
+//! The clients: what they ask, and what they were told.
+
+use rand::RngExt;
+use tokio::sync::oneshot;
+use wsg_gateway::gripper::handle::{FastStopRequest, Request};
+use wsg_gateway::gripper::model::{Action, Client, Door, FastStopId, Motion, PartId, Reason, RequestId, Submission};
+use wsg_gateway::gripper::{Rejection, Ticket};
+use wsg_gateway::wsg::{Acceleration, Command, CustomCommand, Data, Force, HomingDirection, MoveFlags, Speed, Width};
+
+use super::schedule::Ask;
+use super::world::World;
+
+/// An admitted motion, and the request that it may become.
+pub struct Admitted {
+    pub ticket: Ticket,
+    pub motion: Option<Command>,
+}
+
+/// All clients of one world.
+#[derive(Default)]
+pub struct Clients {
+    pub admitted: Vec<Admitted>,
+    exchanges: Vec<oneshot::Receiver<Result<Data, Rejection>>>,
+    acknowledges: Vec<oneshot::Receiver<Result<(), Rejection>>>,
+    pub fast_stops: Vec<FastStopId>,
+    last: Option<Submission>,
+    submitted: u32,
+    drained: Option<oneshot::Receiver<()>>,
+}
+
+fn client() -> Client {
+    Client { subject: "test".into(), door: Door::Http }
+}
+
+impl Clients {
+    pub fn tickets(&self) -> impl Iterator<Item = &Ticket> {
+        self.admitted.iter().map(|admitted| &admitted.ticket)
+    }
+
+    pub fn act(world: &mut World, ask: Ask) {
+        world.note(&format!("ask {ask:?}"));
+        match ask {
+            Ask::Home => Self::submit_motion(world, Motion::Home(HomingDirection::Default)),
+            Ask::Move | Ask::MoveRelative => {
+                let relative = matches!(ask, Ask::MoveRelative);
+                let flags = MoveFlags { relative, stop_on_block: world.rng.random_bool(0.5) };
+                let range = if relative { -20.0..20.0 } else { 0.0..70.0 };
+                let width = Width::new(world.rng.random_range(range)).unwrap();
+                let speed = Self::next_speed(world);
+                Self::submit_motion(world, Motion::Move { flags, width, speed });
+            }
+            Ask::Grip { with_force } => {
+                let force = with_force.then(|| Force::new(world.rng.random_range(10.0..30.0)).unwrap());
+                let part_id = PartId::new("4711");
+                let speed = Self::next_speed(world);
+                let width = Width::new(20.0).unwrap();
+                Self::submit_motion(world, Motion::Grip { width, speed, force, part_id });
+            }
+            Ask::Release => {
+                let speed = Self::next_speed(world);
+                Self::submit_motion(world, Motion::Release { width: Width::new(60.0).unwrap(), speed });
+            }
+            Ask::Repeat => {
+                if let Some(submission) = world.clients.last.clone() {
+                    Self::submit(world, submission);
+                }
+            }
+            Ask::Stop => Self::submit(world, submission(Action::Stop, None)),
+            Ask::Cancel => Self::cancel(world),
+            Ask::FastStop => Self::fast_stop(world),
+            Ask::Acknowledge { stale } => Self::acknowledge(world, stale),
+            Ask::Set => {
+                let acceleration = Acceleration::new(world.rng.random_range(200.0..1000.0)).unwrap();
+                Self::exchange(world, Command::SetAcceleration(acceleration));
+            }
+            Ask::Read => Self::exchange(world, Command::GetStatistics { reset: false }),
+            Ask::Custom => Self::exchange(world, Command::Custom(CustomCommand::new(0xB0, vec![1, 2]).unwrap())),
+        }
+    }
+
+    /// A speed that no other motion has, so that a frame tells which request it came from.
+    fn next_speed(world: &mut World) -> Speed {
+        world.clients.submitted += 1;
+        Speed::new(30.0 + world.clients.submitted as f32 / 8.0).unwrap()
+    }
+
+    fn submit_motion(world: &mut World, motion: Motion) {
+        let number = world.clients.submitted;
+        let request_id = world.rng.random_bool(0.5).then(|| format!("r{number}-{}", motion.kind()));
+        let submission = submission(Action::Motion(motion), request_id);
+        world.clients.last = Some(submission.clone());
+        Self::submit(world, submission);
+    }
+
+    fn submit(world: &mut World, submission: Submission) {
+        let motion = match &submission.action {
+            Action::Motion(motion) => Some(motion.request()),
+            Action::Stop => None,
+        };
+        let latched = world.watches.state.borrow().latch.is_some();
+        let (answer, mut answered) = oneshot::channel();
+        let now = world.clock();
+        let id = world.ids.command_id(now.wall);
+        world.actor.request(now, Request::Submit { submission, id, answer });
+        let result = answered.try_recv().expect("admission is decided at once");
+        world.note(&format!("  {:?}", result.as_ref().map(|ticket| ticket.now().id)));
+        if let Ok(ticket) = result {
+            let replayed = ticket.now().replayed;
+            world.count("a request was replayed", replayed);
+            if !replayed {
+                assert!(!latched || motion.is_none(), "no motion is admitted while a latch holds\n{}", world.tail());
+                world.clients.admitted.push(Admitted { ticket, motion });
+            }
+        }
+    }
+
+    fn cancel(world: &mut World) {
+        let Some(admitted) = world.clients.admitted.last() else { return };
+        let id = admitted.ticket.now().id;
+        let (answer, _) = oneshot::channel();
+        let now = world.clock();
+        world.actor.request(now, Request::Cancel { id, client: client(), answer });
+    }
+
+    fn fast_stop(world: &mut World) {
+        let now = world.clock();
+        let id = world.ids.fast_stop_id(now.wall);
+        world.clients.fast_stops.push(id);
+        world.invariants.fast_stop_requested();
+        world.actor.fast_stop(now, FastStopRequest { id, client: client(), reason: Reason::truncated("test") });
+    }
+
+    fn acknowledge(world: &mut World, stale: bool) {
+        let current = world.watches.state.borrow().latch.as_ref().map(|latch| latch.fast_stop_id);
+        let id = if stale { world.clients.fast_stops.first().copied() } else { current };
+        let Some(id) = id else { return };
+        let (answer, mut answered) = oneshot::channel();
+        let now = world.clock();
+        world.actor.request(now, Request::Acknowledge { id, client: client(), answer });
+        match answered.try_recv() {
+            Ok(result) => assert!(result.is_err(), "nothing is acknowledged without the device"),
+            Err(_) => {
+                assert_eq!(Some(id), current, "acknowledge_names_its_latch\n{}", world.tail());
+                world.invariants.acknowledge_taken();
+                world.clients.acknowledges.push(answered);
+            }
+        }
+    }
+
+    fn exchange(world: &mut World, command: Command) {
+        let (answer, answered) = oneshot::channel();
+        let now = world.clock();
+        world.actor.request(now, Request::Exchange { command, client: client(), answer });
+        world.clients.exchanges.push(answered);
+    }
+
+    /// Takes the answers that have come.
+    pub fn collect(world: &mut World) {
+        let mut cleared = 0;
+        world.clients.acknowledges.retain_mut(|answered| match answered.try_recv() {
+            Ok(result) => {
+                cleared += u64::from(result.is_ok());
+                false
+            }
+            Err(_) => true,
+        });
+        *world.counts.entry("a FAST STOP was acknowledged".to_owned()).or_default() += cleared;
+        world
+            .clients
+            .exchanges
+            .retain_mut(|answered| matches!(answered.try_recv(), Err(oneshot::error::TryRecvError::Empty)));
+    }
+
+    /// Whether everyone has been answered.
+    pub fn all_answered(&self) -> bool {
+        self.exchanges.is_empty() && self.acknowledges.is_empty()
+    }
+
+    pub fn drain(world: &mut World) {
+        let (answer, drained) = oneshot::channel();
+        let now = world.clock();
+        world.actor.request(now, Request::Drain { answer });
+        world.clients.drained = Some(drained);
+    }
+}
+
+fn submission(action: Action, request_id: Option<String>) -> Submission {
+    let request_id = request_id.map(|id| RequestId::new(&id).unwrap());
+    Submission { client: client(), action, request_id, lease: None }
+}

@@ -1,0 +1,156 @@
+//! The invariants, checked on the frames: those that leave the gateway, and those that the device received.
+
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
+
+use wsg_gateway::gripper::model::{Link, Outcome, Phase};
+use wsg_gateway::wsg::{Command, id};
+
+use super::world::World;
+
+/// What was seen so far.
+#[derive(Default)]
+pub struct Invariants {
+    /// Motion frames that left, by their bytes.
+    motions: BTreeMap<Vec<u8>, usize>,
+    acknowledges_taken: usize,
+    acknowledges_sent: usize,
+    /// A FAST STOP was asked for, and nothing has left since.
+    fast_stop_is_next: bool,
+    fast_stop_sent: Option<Instant>,
+    outcomes: BTreeMap<usize, Outcome>,
+}
+
+impl Invariants {
+    pub fn fast_stop_requested(&mut self) {
+        self.fast_stop_is_next = true;
+    }
+
+    pub fn acknowledge_taken(&mut self) {
+        self.acknowledges_taken += 1;
+    }
+
+    /// A frame leaves the gateway.
+    pub fn sent(world: &mut World, frame: &[u8]) {
+        let frame_id = frame[3];
+        world.note(&format!("> {}", hex::encode(frame)));
+        let latched = world.watches.state.borrow().latch.is_some();
+        let unconfirmed = world.watches.state.borrow().latch.as_ref().is_some_and(|latch| !latch.fast_stop_confirmed);
+        if std::mem::take(&mut world.invariants.fast_stop_is_next) && unconfirmed {
+            // Unless one is under way already, whose answer is awaited for 100 ms.
+            let under_way =
+                world.invariants.fast_stop_sent.is_some_and(|at| world.now < at + Duration::from_millis(100));
+            assert!(frame_id == id::FAST_STOP || under_way, "fast_stop_overtakes\n{}", world.tail());
+        }
+        if frame_id == id::FAST_STOP {
+            world.invariants.fast_stop_sent = Some(world.now);
+        }
+        match frame_id {
+            id::HOMING | id::PRE_POSITION | id::GRIP | id::RELEASE => {
+                assert!(!latched, "latch_blocks_motion\n{}", world.tail());
+                let admitted = world
+                    .clients
+                    .admitted
+                    .iter()
+                    .filter(|admitted| admitted.motion.as_ref().is_some_and(|motion| encode(motion) == frame));
+                let admitted = admitted.count();
+                let sent = world.invariants.motions.entry(frame.to_vec()).or_default();
+                *sent += 1;
+                let sent = *sent;
+                assert!(admitted > 0, "nothing_moves_unasked\n{}", world.tail());
+                assert!(sent <= admitted, "frame_sent_at_most_once\n{}", world.tail());
+            }
+            id::ACKNOWLEDGE_FAST_STOP => {
+                world.invariants.acknowledges_sent += 1;
+                let Self { acknowledges_sent, acknowledges_taken, .. } = world.invariants;
+                assert!(acknowledges_sent <= acknowledges_taken, "acknowledge_names_its_latch\n{}", world.tail());
+            }
+            _ => {}
+        }
+    }
+
+    /// After every step.
+    pub fn check(world: &mut World) {
+        for (index, admitted) in world.clients.admitted.iter().enumerate() {
+            let Some(outcome) = admitted.ticket.now().outcome else { continue };
+            let first = *world.invariants.outcomes.entry(index).or_insert(outcome);
+            assert_eq!(first, outcome, "every_command_ends_once\n{}", world.log.join("\n"));
+        }
+    }
+
+    /// Whether nothing is under way any more.
+    pub fn is_at_rest(world: &World, since: Instant) -> bool {
+        let state = world.watches.state.borrow();
+        let unconfirmed = state.latch.as_ref().is_some_and(|latch| !latch.fast_stop_confirmed);
+        let ended = world.clients.tickets().all(|ticket| ticket.now().phase == Phase::Done);
+        // An update was heard after all faults had ended: the link isn't half-open.
+        let heard = state.updated_at.is_some_and(|at| at > since + Duration::from_millis(100));
+        state.link == Link::Connected && heard && !unconfirmed && ended && world.clients.all_answered()
+    }
+
+    /// When no fault is left, and everything had its time.
+    pub fn at_rest(world: &mut World) {
+        let state = world.watches.state.borrow().clone();
+        assert_eq!(state.link, Link::Connected, "the link comes back: {:?}\n{}", state.link_cause, world.tail());
+        assert!(world.clients.all_answered(), "everyone is answered\n{}", world.tail());
+        assert_eq!(state.command, None, "{}", world.tail());
+        let unconfirmed = state.latch.as_ref().is_some_and(|latch| !latch.fast_stop_confirmed);
+        assert!(!unconfirmed, "a FAST STOP is repeated until it is confirmed\n{}", world.tail());
+        let device_stopped = world.device.snapshot().fast_stop;
+        assert!(!device_stopped || state.latch.is_some(), "a FAST STOP that is seen is a latch\n{}", world.tail());
+        world.count("a FAST STOP held at the end", state.latch.is_some());
+        let received: Vec<_> =
+            world.device.received().iter().map(|frame| encode_raw(frame.id, &frame.payload)).collect();
+        let mut outcomes = BTreeMap::new();
+        for admitted in &world.clients.admitted {
+            let command = admitted.ticket.now();
+            let outcome = command.outcome.expect("it has ended");
+            *outcomes.entry(format!("outcome: {outcome:?}")).or_insert(0) += 1;
+            let Some(motion) = &admitted.motion else { continue };
+            if motion.id() == id::HOMING {
+                continue;
+            }
+            let frame = encode(motion);
+            let sent = world.invariants.motions.contains_key(&frame);
+            match outcome {
+                // What the device is said to have ended, it must have been given.
+                Outcome::Success | Outcome::PartHeld | Outcome::NoPart | Outcome::Blocked | Outcome::Range => {
+                    assert!(received.contains(&frame), "unknown_is_said: {command:#?}\n{}", world.tail());
+                }
+                Outcome::Refused if command.status_code.is_none() => {
+                    assert!(!sent, "unknown_is_said: refused, and yet sent: {command:#?}\n{}", world.tail());
+                }
+                Outcome::Unknown => assert!(sent, "unknown_is_said: it was never sent: {command:#?}\n{}", world.tail()),
+                _ => {}
+            }
+        }
+        for (name, count) in outcomes {
+            *world.counts.entry(name).or_default() += count;
+        }
+        for outcome in ["Success", "PartHeld", "NoPart", "Aborted", "Refused", "Unknown"] {
+            world.counts.entry(format!("outcome: {outcome}")).or_default();
+        }
+    }
+
+    /// After the orderly end.
+    pub fn drained(world: &mut World, received_before: u64) {
+        let new = (world.device.snapshot().received_frames - received_before) as usize;
+        let all = world.device.received();
+        let frames: Vec<_> = all[all.len() - new.min(all.len())..].iter().map(|frame| frame.id).collect();
+        let announcements = frames.iter().filter(|&&id| id == id::DISCONNECT_ANNOUNCEMENT).count();
+        assert_eq!(announcements, 1, "announce_before_close: {frames:02X?}\n{}", world.tail());
+        assert_eq!(frames.last(), Some(&id::DISCONNECT_ANNOUNCEMENT), "announce_before_close\n{}", world.tail());
+    }
+}
+
+fn encode(command: &Command) -> Vec<u8> {
+    let mut frame = Vec::new();
+    command.encode(&mut frame);
+    frame
+}
+
+fn encode_raw(id: u8, payload: &[u8]) -> Vec<u8> {
+    let mut frame = Vec::new();
+    wsg_gateway::wsg::frame::encode(id, payload, &mut frame);
+    frame
+}

@@ -1,0 +1,370 @@
+//! An actor, a simulated device, the wire between them, and a virtual clock.
+
+use std::collections::{BTreeMap, VecDeque};
+use std::time::{Duration, Instant};
+
+use jiff::Timestamp;
+use rand::rngs::SmallRng;
+use rand::{RngExt, SeedableRng};
+use wsg_gateway::gripper::Now;
+use wsg_gateway::gripper::actor::{Actor, Close, Config, Watches};
+use wsg_gateway::gripper::model::{IdSource, Phase};
+use wsg_gateway::sim::{Device, DeviceConfig, Interface, LinkAction, Part};
+use wsg_gateway::transport::Traits;
+use wsg_gateway::wsg::Command;
+
+use super::client::Clients;
+use super::invariants::Invariants;
+use super::schedule::{Schedule, Step};
+
+/// How long a schedule goes on.
+const SCHEDULE: Duration = Duration::from_secs(8);
+
+/// How long everything may take to come to rest afterwards: longer than the longest deadline.
+const REST: Duration = Duration::from_secs(150);
+
+/// One seed's world.
+pub struct World {
+    pub rng: SmallRng,
+    pub ids: IdSource,
+    pub start: Instant,
+    pub now: Instant,
+    pub actor: Actor,
+    pub watches: Watches,
+    pub device: Device,
+    pub clients: Clients,
+    pub invariants: Invariants,
+    pub log: Vec<String>,
+    pub counts: BTreeMap<String, u64>,
+    connected: bool,
+    reconnect_at: Option<Instant>,
+    to_device: Wire,
+    to_gateway: Wire,
+    /// Whether the wire still damages what passes.
+    pub noisy: bool,
+}
+
+/// One direction of the wire: in order, with a delay.
+#[derive(Default)]
+struct Wire(VecDeque<(Instant, Vec<u8>)>);
+
+impl Wire {
+    fn send(&mut self, at: Instant, bytes: Vec<u8>) {
+        // Nothing overtakes on a wire.
+        let at = self.0.back().map_or(at, |(last, _)| at.max(*last));
+        self.0.push_back((at, bytes));
+    }
+
+    fn due(&self) -> Option<Instant> {
+        self.0.front().map(|(at, _)| *at)
+    }
+
+    fn take(&mut self, now: Instant) -> Option<Vec<u8>> {
+        (self.due()? <= now).then(|| self.0.pop_front().map(|(_, bytes)| bytes))?
+    }
+}
+
+impl World {
+    /// Runs a seed's schedule to its end, and checks everything on the way.
+    pub fn run(seed: u64) -> Self {
+        let mut world = Self::new(seed);
+        let mut schedule = Schedule::new(&mut world.rng, SCHEDULE);
+        let end = world.start + SCHEDULE;
+        while world.now < end {
+            let next = schedule.next_at(world.start);
+            world.advance_to(next.unwrap_or(end).min(end));
+            while let Some(step) = schedule.pop(world.now - world.start) {
+                world.perform(step);
+            }
+        }
+        world.come_to_rest();
+        world.drain();
+        world
+    }
+
+    /// What happened, by name.
+    pub fn counts(&self) -> BTreeMap<String, u64> {
+        let mut counts = self.counts.clone();
+        for (name, count) in self.device.fault_counts().iter() {
+            *counts.entry(format!("device: {name:?}")).or_default() += count;
+        }
+        counts
+    }
+
+    pub fn count(&mut self, name: &str, happened: bool) {
+        *self.counts.entry(name.to_owned()).or_default() += u64::from(happened);
+    }
+
+    fn new(seed: u64) -> Self {
+        let mut rng = SmallRng::seed_from_u64(seed);
+        let now = Instant::now();
+        let models = [DeviceConfig::wsg25(), DeviceConfig::wsg32(), DeviceConfig::wsg50(), DeviceConfig::wsg70()];
+        let mut device = models[rng.random_range(0..models.len())].clone();
+        if rng.random_bool(0.2) {
+            device = device.fw2();
+        }
+        if rng.random_bool(0.7) {
+            device = device.with_part(Part::outside(20.0));
+        }
+        // A slow line has fewer updates, so that its schedules run faster; some are at full rate.
+        let bytes_per_second = [None, Some(11_520), Some(960), Some(960), Some(960)][rng.random_range(0..5)];
+        let config = Config {
+            name: "g".parse().unwrap(),
+            url: "sim://g".to_owned(),
+            traits: Traits {
+                name: "sim",
+                connection_oriented: true,
+                bytes_per_second,
+                frame_gap: Duration::from_millis(100),
+            },
+            read_ids: [0xB0].into(),
+            drain: Duration::from_secs(2),
+            seed,
+        };
+        let (actor, watches) = Actor::new(config);
+        let mut world = Self {
+            ids: IdSource::new(!seed),
+            rng,
+            start: now,
+            now,
+            actor,
+            watches,
+            device: Device::new(device, now),
+            clients: Clients::default(),
+            invariants: Invariants::default(),
+            log: Vec::new(),
+            counts: BTreeMap::new(),
+            connected: false,
+            reconnect_at: Some(now),
+            to_device: Wire::default(),
+            to_gateway: Wire::default(),
+            noisy: true,
+        };
+        world.settle();
+        world
+    }
+
+    pub fn clock(&self) -> Now {
+        let elapsed = self.now - self.start;
+        let wall = Timestamp::UNIX_EPOCH + jiff::SignedDuration::try_from(elapsed).unwrap();
+        Now { instant: self.now, wall }
+    }
+
+    pub fn note(&mut self, text: &str) {
+        let at = (self.now - self.start).as_micros();
+        self.log.push(format!("{:>10}.{:03} {text}", at / 1000, at % 1000));
+    }
+
+    /// Lets time pass until `until`, doing what falls due on the way.
+    pub fn advance_to(&mut self, until: Instant) {
+        loop {
+            let due = [
+                self.actor.poll_timeout(),
+                self.device.poll_timeout(),
+                self.to_device.due(),
+                self.to_gateway.due(),
+                self.reconnect_at,
+            ];
+            let next = due.into_iter().flatten().min().filter(|next| *next <= until);
+            let Some(next) = next else {
+                self.now = self.now.max(until);
+                return;
+            };
+            self.now = self.now.max(next);
+            self.step();
+        }
+    }
+
+    fn step(&mut self) {
+        if self.device.poll_timeout().is_some_and(|at| at <= self.now) {
+            self.device.handle_timeout(self.now);
+        }
+        while let Some(bytes) = self.to_device.take(self.now) {
+            self.device.receive(self.now, &bytes);
+        }
+        while let Some(bytes) = self.to_gateway.take(self.now) {
+            let now = self.clock();
+            self.actor.receive(now, &bytes);
+        }
+        if self.actor.poll_timeout().is_some_and(|at| at <= self.now) {
+            let now = self.clock();
+            self.actor.handle_timeout(now);
+        }
+        if self.reconnect_at.is_some_and(|at| at <= self.now) {
+            self.reconnect_at = None;
+            self.connect();
+        }
+        self.settle();
+    }
+
+    fn connect(&mut self) {
+        let now = self.clock();
+        if self.device.connect(self.now, Interface::Tcp) {
+            self.note("connected");
+            self.connected = true;
+            self.actor.link_up(now);
+        } else {
+            self.actor.link_down(now, "refused");
+            self.reconnect_at = Some(self.now + Duration::from_millis(100));
+        }
+    }
+
+    /// Moves everything that is ready, and checks what follows from it.
+    pub fn settle(&mut self) {
+        self.move_to_device();
+        self.move_to_gateway();
+        Clients::collect(self);
+        Invariants::check(self);
+    }
+
+    fn move_to_device(&mut self) {
+        let mut frame = Vec::new();
+        while self.connected {
+            if let Some(close) = self.actor.wants_close() {
+                self.close(close);
+                return;
+            }
+            frame.clear();
+            let now = self.clock();
+            if !self.actor.poll_transmit(now, &mut frame) {
+                return;
+            }
+            Invariants::sent(self, &frame);
+            let at = self.now + self.delay();
+            let damaged = self.noisy && self.rng.random_bool(0.003);
+            self.count("wire: a request was damaged", damaged);
+            if damaged {
+                let index = self.rng.random_range(0..frame.len());
+                frame[index] ^= 1 << self.rng.random_range(0..8);
+            }
+            self.to_device.send(at, frame.clone());
+        }
+    }
+
+    fn move_to_gateway(&mut self) {
+        let mut chunk = Vec::new();
+        while self.device.poll_transmit(&mut chunk) {
+            let bytes = std::mem::take(&mut chunk);
+            self.send_to_gateway(bytes);
+        }
+        while let Some(LinkAction::Drop) = self.device.poll_link() {
+            self.note("the device drops the connection");
+            self.disconnected("dropped by the device");
+        }
+    }
+
+    fn send_to_gateway(&mut self, mut bytes: Vec<u8>) {
+        if !self.connected {
+            return;
+        }
+        let at = self.now + self.delay();
+        if !self.noisy {
+            return self.to_gateway.send(at, bytes);
+        }
+        let [damaged, split, garbage] = [0.002, 0.02, 0.002].map(|chance| self.rng.random_bool(chance));
+        self.count("wire: a reply was damaged", damaged);
+        self.count("wire: a reply was split at every byte", split);
+        self.count("wire: garbage between frames", garbage);
+        if damaged {
+            let index = self.rng.random_range(0..bytes.len());
+            bytes[index] ^= 1 << self.rng.random_range(0..8);
+        }
+        if garbage {
+            let noise = (0..self.rng.random_range(1..30)).map(|_| self.rng.random()).collect();
+            self.to_gateway.send(at, noise);
+        }
+        if split {
+            for byte in bytes {
+                self.to_gateway.send(at, vec![byte]);
+            }
+        } else {
+            self.to_gateway.send(at, bytes);
+        }
+    }
+
+    fn delay(&mut self) -> Duration {
+        Duration::from_micros(self.rng.random_range(50..3000))
+    }
+
+    /// What the driver does when the actor wants its link closed.
+    fn close(&mut self, close: Close) {
+        self.note(&format!("closing: {close}"));
+        if close != Close::Drained {
+            let mut farewell = Vec::new();
+            Command::DisconnectAnnouncement.encode(&mut farewell);
+            self.flush_to_device();
+            self.device.receive(self.now, &farewell);
+        }
+        self.disconnected(&close.to_string());
+    }
+
+    fn flush_to_device(&mut self) {
+        while let Some((_, bytes)) = self.to_device.0.pop_front() {
+            self.device.receive(self.now, &bytes);
+        }
+    }
+
+    /// The connection ends: what was on its way still arrives, or not.
+    pub fn disconnected(&mut self, cause: &str) {
+        if !self.connected {
+            return;
+        }
+        self.connected = false;
+        if self.rng.random_bool(0.5) {
+            self.flush_to_device();
+        }
+        self.to_device.0.clear();
+        self.to_gateway.0.clear();
+        self.device.disconnect(self.now);
+        let now = self.clock();
+        self.actor.link_down(now, cause);
+        if !self.actor.is_draining() {
+            self.reconnect_at = Some(self.now + Duration::from_millis(100));
+        }
+    }
+
+    fn perform(&mut self, step: Step) {
+        match step {
+            Step::Change(change) => {
+                self.note(&format!("{change:?}"));
+                self.device.apply(self.now, change);
+            }
+            Step::Client(request) => Clients::act(self, request),
+        }
+        self.settle();
+    }
+
+    /// Without further faults every command has to end, and the link to come back.
+    fn come_to_rest(&mut self) {
+        self.note("coming to rest");
+        self.noisy = false;
+        for change in Schedule::healing() {
+            self.device.apply(self.now, change);
+        }
+        self.settle();
+        let since = self.now;
+        while self.now < since + REST && !Invariants::is_at_rest(self, since) {
+            self.advance_to(self.now + Duration::from_millis(100));
+        }
+        for ticket in self.clients.tickets() {
+            assert_eq!(ticket.now().phase, Phase::Done, "every command ends: {:#?}\n{}", ticket.now(), self.tail());
+        }
+        Invariants::at_rest(self);
+    }
+
+    fn drain(&mut self) {
+        let before = self.device.snapshot().received_frames;
+        Clients::drain(self);
+        self.settle();
+        let latest = self.now + Duration::from_secs(10);
+        while self.now < latest && self.connected {
+            self.advance_to(self.now + Duration::from_millis(10));
+        }
+        assert!(!self.connected, "given up in order");
+        Invariants::drained(self, before);
+    }
+
+    pub fn tail(&self) -> String {
+        self.log[self.log.len().saturating_sub(60)..].join("\n")
+    }
+}
