@@ -159,7 +159,6 @@ impl Device {
             Change::Fault { kind, id, times } => self.faults.arm(kind, id, times),
             Change::DisarmFaults => self.faults.disarm(),
         }
-        self.watch_faults();
         self.settle();
     }
 
@@ -240,6 +239,9 @@ impl Device {
         }
         self.forget_session();
         self.chunks.extend(half);
+        self.running = None;
+        self.stops.clear();
+        self.finger_tickets = [None, None];
         self.mechanics.restart();
         self.process.restart();
         self.settings.restart(&self.config);
@@ -280,3 +282,7 @@ impl Device {
         }
     }
 }
+
+#[cfg(test)]
+#[path = "change_tests.rs"]
+mod tests;
