@@ -155,6 +155,16 @@ fn a_reboot_while_moving_ends_the_motion_without_an_answer() {
 }
 
 #[test]
+fn a_fault_that_outlives_a_reboot_is_a_fast_stop_again() {
+    let mut bench = Bench::new(DeviceConfig::wsg50());
+    bench.apply(Change::PowerFault { on: true });
+    bench.apply(Change::Reboot { ready_after_ms: 100, mid_frame: false });
+    assert!(!bench.has(SystemState::FAST_STOP));
+    bench.pass(ms(100));
+    assert!(bench.has(SystemState::FAST_STOP | SystemState::POWER_FAULT));
+}
+
+#[test]
 fn a_reboot_can_cut_a_frame_in_half() {
     let mut bench = Bench::new(DeviceConfig::wsg50());
     bench.apply(Change::Reboot { ready_after_ms: 100, mid_frame: true });

@@ -116,7 +116,7 @@ impl Mechanics {
     pub fn is_running(&self) -> bool {
         match self.activity {
             Activity::Rest | Activity::Hold(_) => false,
-            Activity::Clamp { .. } => !self.steady,
+            Activity::Clamp { .. } => self.axis.is_moving(),
             _ => true,
         }
     }
@@ -134,7 +134,12 @@ impl Mechanics {
     }
 
     pub fn is_holding(&self) -> bool {
-        matches!(self.activity, Activity::Hold(_))
+        self.holds_in().is_some()
+    }
+
+    /// The direction in which a held part is gripped.
+    pub fn holds_in(&self) -> Option<Direction> {
+        if let Activity::Hold(hold) = &self.activity { Some(hold.direction()) } else { None }
     }
 
     /// Whether time changes anything.

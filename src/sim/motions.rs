@@ -46,7 +46,7 @@ impl Device {
             }
             Command::Grip { width, speed } => {
                 let width_mm = self.allowed_target(f64::from(width.mm()))?;
-                let direction = Direction::towards(self.mechanics.width_mm(), width_mm);
+                let direction = self.grip_direction(width_mm);
                 if self.process.forbids_grip(direction) {
                     return Err(self.config.opposite_grip);
                 }
@@ -58,6 +58,20 @@ impl Device {
                 Ok((Kind::Release, Plan::Release { drive }))
             }
             _ => Err(Status::E_CMD_UNKNOWN),
+        }
+    }
+
+    /// Fingers that hold a part have gone beyond its nominal width, within the clamping travel: to grip the same part
+    /// again is no way back.
+    fn grip_direction(&self, nominal_mm: f64) -> Direction {
+        let width_mm = self.mechanics.width_mm();
+        match self.mechanics.holds_in() {
+            Some(direction)
+                if (0.0..=self.config.clamping_travel_mm).contains(&((width_mm - nominal_mm) * direction.sign())) =>
+            {
+                direction
+            }
+            _ => Direction::towards(width_mm, nominal_mm),
         }
     }
 

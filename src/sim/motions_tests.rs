@@ -295,6 +295,25 @@ fn late_calls_give_the_same_end_as_calls_in_time() {
 }
 
 #[test]
+fn driven_by_its_own_timeouts_alone_it_comes_to_the_same_end() {
+    let story = |by_timeouts: bool| {
+        let mut bench = Bench::homed(DeviceConfig::wsg50().with_part(crate::sim::Part::outside(20.0)));
+        bench.ask(&Command::GetWidth(updates(true, 25)));
+        let end = bench.now + ms(5000);
+        let mut frames = bench.ask(&grip(20.0, 80.0));
+        while by_timeouts && let Some(due) = bench.device.poll_timeout() {
+            assert!(due > bench.now, "what was due is done");
+            bench.now = due;
+            bench.device.handle_timeout(due);
+            frames.extend(bench.frames());
+        }
+        frames.extend(bench.pass(end - bench.now));
+        (frames, bench.snapshot())
+    };
+    assert_eq!(story(true), story(false));
+}
+
+#[test]
 fn nothing_is_due_while_nothing_happens() {
     let mut bench = Bench::new(DeviceConfig::wsg50());
     assert_eq!(bench.device.poll_timeout(), None);

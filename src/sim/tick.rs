@@ -65,6 +65,9 @@ impl Device {
         let is_due = |at: Option<Instant>| at.is_some_and(|at| at <= now);
         if is_due(self.booting_until) {
             self.booting_until = None;
+            if self.has_fault() {
+                self.fast_stop();
+            }
         }
         if is_due(self.next_step) {
             self.next_step = None;
