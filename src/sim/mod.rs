@@ -209,3 +209,7 @@ impl Device {
 #[cfg(test)]
 #[path = "testing.rs"]
 mod testing;
+
+#[cfg(test)]
+#[path = "device_tests.rs"]
+mod tests;
