@@ -159,13 +159,13 @@ impl Device {
             Change::Fault { kind, id, times } => self.faults.arm(kind, id, times),
             Change::DisarmFaults => self.faults.disarm(),
         }
-        self.watch_faults();
         self.settle();
     }
 
     fn change_world(&mut self, change: &Change) {
         let position_mm = self.mechanics.axis.position_mm;
         let world = &mut self.mechanics.world;
+        let had_part = world.part().is_some();
         let fault = match *change {
             Change::PlacePart(part) => {
                 world.place_part(part, position_mm);
@@ -173,7 +173,7 @@ impl Device {
             }
             Change::TakePart => {
                 world.take_part();
-                Some(FaultName::PartTaken)
+                had_part.then_some(FaultName::PartTaken)
             }
             Change::ResizePart { width_mm } => {
                 world.resize_part(width_mm);
@@ -181,7 +181,7 @@ impl Device {
             }
             Change::SlipPart => {
                 world.slip_part();
-                Some(FaultName::PartSlipped)
+                had_part.then_some(FaultName::PartSlipped)
             }
             Change::PlaceObstacle { width_mm } => {
                 world.place_obstacle(width_mm, position_mm);
@@ -217,9 +217,10 @@ impl Device {
     }
 
     fn set_script(&mut self, runs: bool) {
+        let fails = self.script_runs && !runs;
+        self.count_if(fails, FaultName::ScriptFailure);
+        self.script_failed = fails;
         self.script_runs = runs && !self.config.scripts.is_empty();
-        self.script_failed = !runs;
-        self.count_if(!runs, FaultName::ScriptFailure);
     }
 
     fn foreign_motion(&mut self, width_mm: f64, speed_mm_s: f64) {
@@ -240,6 +241,9 @@ impl Device {
         }
         self.forget_session();
         self.chunks.extend(half);
+        self.running = None;
+        self.stops.clear();
+        self.finger_tickets = [None, None];
         self.mechanics.restart();
         self.process.restart();
         self.settings.restart(&self.config);
@@ -280,3 +284,7 @@ impl Device {
         }
     }
 }
+
+#[cfg(test)]
+#[path = "change_tests.rs"]
+mod tests;

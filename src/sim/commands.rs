@@ -137,7 +137,7 @@ impl Device {
                 Data::Statistics(statistics)
             }
             Command::GetTemperature => {
-                let tenths = (self.thermal.temperature_c() * 10.0).round();
+                let tenths = (self.thermal.temperature_c(self.clock) * 10.0).round();
                 Data::Temperature(Temperature(tenths as i16))
             }
             Command::GetSystemInfo => Data::SystemInfo(self.system_info()),
@@ -202,3 +202,7 @@ fn index(finger: Finger) -> usize {
         Finger::Two => 1,
     }
 }
+
+#[cfg(test)]
+#[path = "commands_tests.rs"]
+mod tests;

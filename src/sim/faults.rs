@@ -221,3 +221,7 @@ impl Armed {
         self.kind.stage() == stage && self.id.is_none_or(|wanted| wanted == id)
     }
 }
+
+#[cfg(test)]
+#[path = "faults_tests.rs"]
+mod tests;

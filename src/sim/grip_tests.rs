@@ -176,6 +176,7 @@ fn ruling_no_part_lasts_until_any_motion_in_fw4_and_until_a_grip_or_release_in_f
 #[test]
 fn a_regrip_is_allowed_in_the_same_direction_only() {
     let mut bench = holding(DeviceConfig::wsg50());
+    assert_eq!(bench.run(&grip(20.0, 100.0)), [PENDING, DONE], "the same part again");
     assert_eq!(bench.run(&grip(19.0, 100.0)), [PENDING, DONE], "in the same direction");
     assert_eq!(bench.reply(&grip(60.0, 100.0)), status(Status::E_ALREADY_RUNNING), "in the opposite one");
     bench.run(&release(40.0, 100.0));

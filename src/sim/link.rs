@@ -182,3 +182,7 @@ impl Device {
         self.partial_until = self.decoder.is_partial().then_some(until);
     }
 }
+
+#[cfg(test)]
+#[path = "link_tests.rs"]
+mod tests;

@@ -7,7 +7,7 @@
 //! [`STEP`], whatever the rhythm of the calls.
 //!
 //! How it is built: `axis` moves the fingers by one step through what `world` has put between them; `motion` and `grip`
-//! make motions of steps; `process` keeps the gripper state and the statistics. `commands` and `motions` decide what a
+//! make motions of steps; `process` keeps the gripper state and the statistics. `commands`, `motions` and `stops` decide what a
 //! request gets, `replies` what becomes of an answer, `link` what becomes of its bytes, and `tick` what is due when.
 //! [`Change`] is all that can happen from outside of the protocol, and [`FaultKind`] what can go wrong on the wire.
 //!
@@ -35,6 +35,7 @@ mod received;
 mod replies;
 mod settings;
 mod snapshot;
+mod stops;
 mod thermal;
 mod tick;
 mod updates;
@@ -208,3 +209,7 @@ impl Device {
 #[cfg(test)]
 #[path = "testing.rs"]
 mod testing;
+
+#[cfg(test)]
+#[path = "device_tests.rs"]
+mod tests;

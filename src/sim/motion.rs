@@ -4,18 +4,13 @@
 use crate::wsg::{SoftLimits, Status};
 
 use super::axis::{Axis, Direction, Drive, Progress};
-use super::grip::{Grip, Grown, Hold};
+use super::grip::{Grip, Hold};
 use super::world::World;
+
+mod ends;
 
 /// Pressing for so many steps is a block.
 const BLOCK_STEPS: u32 = 10;
-
-/// A release that is blocked ends in a time-out after so many steps: it is the one thing that it can say
-/// (`fw4-en 3.2.7` lists no `E_AXIS_BLOCKED`).
-const RELEASE_TIMEOUT_STEPS: u32 = 3000;
-
-/// How far the fingers move away from the end stop after they found it, in mm.
-const BACK_OFF_MM: f64 = 1.0;
 
 /// FAST STOP brakes by so much more than any motion may.
 const FAST_STOP_FACTOR: f64 = 4.0;
@@ -121,7 +116,7 @@ impl Mechanics {
     pub fn is_running(&self) -> bool {
         match self.activity {
             Activity::Rest | Activity::Hold(_) => false,
-            Activity::Clamp { .. } => !self.steady,
+            Activity::Clamp { .. } => self.axis.is_moving(),
             _ => true,
         }
     }
@@ -139,7 +134,12 @@ impl Mechanics {
     }
 
     pub fn is_holding(&self) -> bool {
-        matches!(self.activity, Activity::Hold(_))
+        self.holds_in().is_some()
+    }
+
+    /// The direction in which a held part is gripped.
+    pub fn holds_in(&self) -> Option<Direction> {
+        if let Activity::Hold(hold) = &self.activity { Some(hold.direction()) } else { None }
     }
 
     /// Whether time changes anything.
@@ -294,94 +294,6 @@ impl Mechanics {
                 None
             }
         }
-    }
-
-    /// `fw4-en 3.2.1`: the blocking position becomes the origin, whatever blocked.
-    fn found_end_stop(&mut self, direction: Direction) {
-        let Activity::Seek { drive, .. } = self.activity else { return };
-        self.axis.relax(&self.world.surfaces());
-        self.offset_mm = match direction {
-            Direction::Closing => -self.axis.position_mm,
-            Direction::Opening => self.stroke_mm - self.axis.position_mm,
-        };
-        let target_mm = self.axis.position_mm - BACK_OFF_MM * direction.sign();
-        self.activity = Activity::BackOff { drive: Drive { target_mm, ..drive }, pressing: 0 };
-    }
-
-    fn end_of_back_off(&mut self, progress: Progress, blocked: bool) -> Option<Event> {
-        match progress {
-            Progress::Reached => {
-                self.referenced = true;
-                self.activity = Activity::Rest;
-                Some(Event::Finished(Status::E_SUCCESS))
-            }
-            Progress::Pressing(direction) if blocked => Some(self.blocked_in(direction)),
-            _ => None,
-        }
-    }
-
-    fn end_of_move(&mut self, progress: Progress, blocked: bool, clamp: Option<Drive>) -> Option<Event> {
-        match progress {
-            Progress::Reached => {
-                self.activity = Activity::Rest;
-                Some(Event::Finished(Status::E_SUCCESS))
-            }
-            Progress::Pressing(direction) if blocked => {
-                let Some(drive) = clamp else { return Some(self.blocked_in(direction)) };
-                self.blocked = Some(direction);
-                self.steady = true;
-                self.activity = Activity::Clamp { drive };
-                Some(Event::Finished(Status::E_AXIS_BLOCKED))
-            }
-            _ => None,
-        }
-    }
-
-    fn end_of_release(&mut self, progress: Progress, pressing: u32) -> Option<Event> {
-        match progress {
-            Progress::Reached => {
-                self.activity = Activity::Rest;
-                Some(Event::Finished(Status::E_SUCCESS))
-            }
-            Progress::Pressing(direction) => {
-                self.blocked = (pressing >= BLOCK_STEPS).then_some(direction);
-                (pressing >= RELEASE_TIMEOUT_STEPS).then(|| {
-                    self.blocked_in(direction);
-                    Event::Finished(Status::E_TIMEOUT)
-                })
-            }
-            Progress::Moving => {
-                self.blocked = None;
-                None
-            }
-        }
-    }
-
-    fn end_of_grip(&mut self, grown: Grown) -> Option<Event> {
-        match grown {
-            Grown::NotYet { pressing } => {
-                self.blocked = pressing;
-                None
-            }
-            Grown::Held(hold) => {
-                self.blocked = Some(hold.direction());
-                self.steady = true;
-                self.activity = Activity::Hold(hold);
-                Some(Event::Finished(Status::E_SUCCESS))
-            }
-            Grown::Nothing { blocked } => {
-                self.rest();
-                self.blocked = blocked;
-                Some(Event::Finished(Status::E_CMD_FAILED))
-            }
-        }
-    }
-
-    /// The motor is off, and the block is remembered.
-    fn blocked_in(&mut self, direction: Direction) -> Event {
-        self.rest();
-        self.blocked = Some(direction);
-        Event::Finished(Status::E_AXIS_BLOCKED)
     }
 
     fn rest(&mut self) {

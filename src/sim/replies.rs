@@ -65,13 +65,15 @@ impl Device {
     }
 
     pub(super) fn result(&mut self, ticket: Ticket, reply: Reply) {
-        self.command_failed = reply.status() != Status::E_SUCCESS;
+        let mut failed = reply.status() != Status::E_SUCCESS;
         let possible = |kind| ticket.two_step || kind != FaultKind::PendingWithoutFinal;
         match self.faults.take_if(ticket.id, Stage::Result, possible) {
             Some(FaultKind::PendingWithoutFinal) => {}
             Some(FaultKind::SilenceAfterAccept) => self.muted = true,
             Some(FaultKind::FinalStatus { code }) => {
-                self.deliver(ticket, &with_status(reply, Status::from_code(code)));
+                let reply = with_status(reply, Status::from_code(code));
+                failed = reply.status() != Status::E_SUCCESS;
+                self.deliver(ticket, &reply);
             }
             Some(FaultKind::FinalLate { by_ms }) if self.late.len() < MAX_LATE_RESULTS => {
                 let at = self.clock + Duration::from_millis(by_ms.into());
@@ -83,6 +85,7 @@ impl Device {
             }
             _ => self.deliver(ticket, &reply),
         }
+        self.command_failed = failed;
     }
 
     pub(super) fn send_late(&mut self) {

@@ -89,7 +89,7 @@ impl Device {
             part: self.mechanics.world.part(),
             obstacle_mm: self.mechanics.world.obstacle_mm(),
             statistics: self.process.statistics,
-            temperature_c: self.thermal.temperature_c(),
+            temperature_c: self.thermal.temperature_c(self.clock),
             acceleration_mm_s2: self.settings.acceleration_mm_s2,
             force_limit_n: self.settings.force_limit_n,
             soft_limits: self.settings.soft_limits,
@@ -136,7 +136,7 @@ impl Device {
     /// `fw4-en` Appendix B.
     pub(super) fn flags(&self) -> SystemState {
         let mechanics = &self.mechanics;
-        let temperature_c = self.thermal.temperature_c();
+        let temperature_c = self.thermal.temperature_c(self.clock);
         let soft_limit = self.at_soft_limit();
         let set = [
             (SystemState::REFERENCED, mechanics.referenced),

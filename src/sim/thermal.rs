@@ -1,6 +1,6 @@
 //! The temperature: it follows the load slowly, unless the world holds it at a value.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// How long the device takes to come close to the temperature of its load, in s.
 const TIME_CONSTANT_S: f64 = 600.0;
@@ -11,19 +11,21 @@ const RISE_AT_NOMINAL_K: f64 = 25.0;
 
 #[derive(Debug)]
 pub(super) struct Thermal {
-    temperature_c: f64,
     ambient_c: f64,
-    at: Instant,
+    /// The share of the nominal force since `since`, when the temperature was `initial_c`.
+    load: f64,
+    since: Instant,
+    initial_c: f64,
     held_c: Option<f64>,
 }
 
 impl Thermal {
     pub fn new(ambient_c: f64, now: Instant) -> Self {
-        Self { temperature_c: ambient_c, ambient_c, at: now, held_c: None }
+        Self { ambient_c, load: 0.0, since: now, initial_c: ambient_c, held_c: None }
     }
 
-    pub fn temperature_c(&self) -> f64 {
-        self.held_c.unwrap_or(self.temperature_c)
+    pub fn temperature_c(&self, now: Instant) -> f64 {
+        self.held_c.unwrap_or_else(|| self.own_c(now))
     }
 
     /// It is this warm, until [`Thermal::let_go`].
@@ -35,11 +37,31 @@ impl Thermal {
         self.held_c = None;
     }
 
-    /// Up to `now`, the load was `load`: the share of the nominal force.
-    pub fn advance(&mut self, now: Instant, load: f64) {
-        let elapsed_s = now.saturating_duration_since(self.at).as_secs_f64();
-        self.at = self.at.max(now);
-        let final_c = self.ambient_c + RISE_AT_NOMINAL_K * load * load;
-        self.temperature_c = final_c + (self.temperature_c - final_c) * (-elapsed_s / TIME_CONSTANT_S).exp();
+    pub fn set_load(&mut self, load: f64, now: Instant) {
+        if (load - self.load).abs() > f64::EPSILON {
+            self.initial_c = self.own_c(now);
+            (self.load, self.since) = (load, now);
+        }
+    }
+
+    /// When the temperature crosses `threshold_c` by itself, if that is after `now`.
+    pub fn crosses(&self, threshold_c: f64, now: Instant) -> Option<Instant> {
+        let ratio = (self.initial_c - self.final_c()) / (threshold_c - self.final_c());
+        if self.held_c.is_some() || !ratio.is_finite() || ratio <= 1.0 {
+            return None;
+        }
+        let after = Duration::from_secs_f64(TIME_CONSTANT_S * ratio.ln());
+        // A little later, so that it has crossed the threshold beyond the error of the numbers.
+        let at = self.since + after + Duration::from_millis(1);
+        (at > now).then_some(at)
+    }
+
+    fn final_c(&self) -> f64 {
+        self.ambient_c + RISE_AT_NOMINAL_K * self.load * self.load
+    }
+
+    fn own_c(&self, now: Instant) -> f64 {
+        let elapsed_s = now.saturating_duration_since(self.since).as_secs_f64();
+        self.final_c() + (self.initial_c - self.final_c()) * (-elapsed_s / TIME_CONSTANT_S).exp()
     }
 }

@@ -33,6 +33,7 @@ impl Device {
 
     /// After anything has changed: does what is due because of it.
     pub(super) fn settle(&mut self) {
+        self.watch_faults();
         self.plan_step();
         self.advance(self.clock);
     }
@@ -52,6 +53,8 @@ impl Device {
             self.fingers[1].powered_up_at,
             self.late.iter().map(|late| late.at).min(),
             self.partial_until,
+            self.thermal.crosses(self.config.warning_c, self.clock),
+            self.thermal.crosses(self.config.critical_c, self.clock),
             self.subscriptions.due(|id| self.value(id)),
         ];
         by_itself.into_iter().flatten().min()
@@ -62,6 +65,9 @@ impl Device {
         let is_due = |at: Option<Instant>| at.is_some_and(|at| at <= now);
         if is_due(self.booting_until) {
             self.booting_until = None;
+            if self.has_fault() {
+                self.fast_stop();
+            }
         }
         if is_due(self.next_step) {
             self.next_step = None;
@@ -124,8 +130,8 @@ impl Device {
     /// A fault that appears is a FAST STOP.
     pub(super) fn watch_faults(&mut self) {
         let load = self.mechanics.axis.force_n / self.config.nominal_force_n();
-        self.thermal.advance(self.clock, load);
-        let is_critical = self.thermal.temperature_c() >= self.config.critical_c;
+        self.thermal.set_load(load, self.clock);
+        let is_critical = self.thermal.temperature_c(self.clock) >= self.config.critical_c;
         if is_critical && !self.overheated {
             self.faults.counts.add(FaultName::TemperatureFault);
             self.fast_stop();

@@ -83,3 +83,7 @@ fn has_changed(last: &Data, value: &Data) -> bool {
 fn differ(last: f32, value: f32, threshold: f32) -> bool {
     (value - last).abs() >= threshold
 }
+
+#[cfg(test)]
+#[path = "updates_tests.rs"]
+mod tests;

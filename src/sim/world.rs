@@ -8,6 +8,9 @@ use super::axis::Direction;
 /// How hard the end stops and obstacles are, in N/mm.
 const RIGID_N_MM: f64 = 2000.0;
 
+/// No part is softer than this, in N/mm.
+const SOFTEST_N_MM: f64 = 0.1;
+
 /// How fast a slipping part leaves the fingers, in mm per step; faster than fingers in contact can follow.
 const SLIP_MM_PER_STEP: f64 = 0.05;
 
@@ -180,7 +183,8 @@ impl World {
             opening: Surface { at_mm: self.stroke_mm, stiffness_n_mm: RIGID_N_MM },
         };
         if let Some(placed) = self.part.filter(|placed| placed.between_fingers) {
-            let surface = Surface { at_mm: placed.part.width_mm, stiffness_n_mm: placed.part.stiffness_n_mm };
+            let surface =
+                Surface { at_mm: placed.part.width_mm, stiffness_n_mm: placed.part.stiffness_n_mm.max(SOFTEST_N_MM) };
             surfaces.meet(placed.part.resists(), surface);
         }
         if let Some(obstacle) = self.obstacle {

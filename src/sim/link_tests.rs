@@ -1,0 +1,151 @@
+use crate::sim::testing::*;
+use crate::sim::{BadChecksum, Change, DeviceConfig, FaultName, Interface, MAX_QUEUED_REPLIES, MAX_RECEIVED_FRAMES};
+use crate::wsg::{ChecksumEvaluation, Command, Data, Reply, Status, SystemState, id};
+
+fn reconnect(bench: &mut Bench) {
+    bench.device.disconnect(bench.now);
+    assert!(bench.device.connect(bench.now, Interface::Tcp));
+}
+
+fn bytes(command: &Command) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    command.encode(&mut bytes);
+    bytes
+}
+
+fn damaged(command: &Command) -> Vec<u8> {
+    let mut bytes = bytes(command);
+    *bytes.last_mut().unwrap() ^= 0xFF;
+    bytes
+}
+
+#[test]
+fn an_unannounced_end_of_a_tcp_connection_is_a_fast_stop() {
+    let mut bench = Bench::homed(DeviceConfig::wsg50());
+    bench.ask(&move_to(20.0, 50.0));
+    bench.pass(ms(100));
+    reconnect(&mut bench);
+    assert!(bench.has(SystemState::FAST_STOP));
+    assert_eq!(bench.pass(ms(2000)), [], "the old client's result is not the new one's");
+    assert!(bench.snapshot().width_mm > 90.0);
+}
+
+#[test]
+fn it_can_be_told_not_to_stop() {
+    let mut bench = Bench::homed(DeviceConfig { fast_stop_on_disconnect: false, ..DeviceConfig::wsg50() });
+    bench.ask(&move_to(50.0, 50.0));
+    reconnect(&mut bench);
+    assert_eq!(bench.pass(ms(3000)), []);
+    assert!(!bench.has(SystemState::FAST_STOP) && near(bench.snapshot().width_mm, 50.0));
+}
+
+#[test]
+fn the_other_interfaces_have_no_end() {
+    for interface in [Interface::Udp, Interface::Serial, Interface::Can] {
+        let mut bench = Bench::on(DeviceConfig::wsg50(), interface);
+        bench.device.disconnect(bench.now);
+        assert!(!bench.has(SystemState::FAST_STOP));
+        assert_eq!(bench.reply(&looped(&[1])), Reply::Success(Data::Loop(vec![1])));
+    }
+}
+
+#[test]
+fn a_second_client_ends_the_first_ones_connection() {
+    let mut bench = Bench::new(DeviceConfig::wsg50());
+    assert!(bench.device.connect(bench.now, Interface::Tcp));
+    assert!(bench.has(SystemState::FAST_STOP));
+}
+
+#[test]
+fn through_a_half_open_connection_no_byte_passes_and_its_end_is_not_noticed() {
+    let mut bench = Bench::homed(DeviceConfig::wsg50());
+    bench.ask(&move_to(50.0, 50.0));
+    bench.apply(Change::HalfOpen { on: true });
+    let received = bench.device.received().len();
+    assert_eq!(bench.ask(&Command::FastStop), []);
+    assert_eq!(bench.device.received().len(), received);
+    bench.pass(ms(3000));
+    assert!(near(bench.snapshot().width_mm, 50.0), "the motion goes on");
+    assert_eq!(bench.happened(FaultName::HalfOpen), 2, "a request and a result");
+    reconnect(&mut bench);
+    assert!(!bench.has(SystemState::FAST_STOP));
+    assert_eq!(bench.reply(&looped(&[1])), Reply::Success(Data::Loop(vec![1])));
+}
+
+#[test]
+fn refused_connections_are_counted() {
+    let mut bench = Bench::new(DeviceConfig::wsg50());
+    bench.apply(Change::RefuseConnections { on: true });
+    assert!(!bench.device.accepts_connections());
+    assert!(!bench.device.connect(bench.now, Interface::Tcp));
+    assert_eq!(bench.happened(FaultName::RefusedConnection), 1);
+    assert_eq!(bench.reply(&looped(&[1])), Reply::Success(Data::Loop(vec![1])), "the open one stays");
+}
+
+#[test]
+fn requests_may_come_in_pieces_or_together() {
+    let mut bench = Bench::new(DeviceConfig::wsg50());
+    let two = [bytes(&looped(&[1])), bytes(&looped(&[2]))].concat();
+    for byte in &two {
+        bench.device.receive(bench.now, &[*byte]);
+    }
+    assert_eq!(bench.frames().len(), 2);
+    bench.device.receive(bench.now, &two);
+    assert_eq!(bench.frames().len(), 2);
+}
+
+#[test]
+fn a_request_that_stops_halfway_is_given_up() {
+    let mut bench = Bench::new(DeviceConfig::wsg50());
+    bench.device.receive(bench.now, &[0xAA, 0xAA, 0xAA, id::LOOP, 100, 0]);
+    assert_eq!(bench.ask(&looped(&[1])), [], "swallowed by the false beginning");
+    assert_eq!(bench.pass(ms(499)), []);
+    assert_eq!(bench.pass(ms(1)), [(id::LOOP, Reply::Success(Data::Loop(vec![1])))]);
+    assert_eq!(bench.device.poll_timeout(), None);
+}
+
+#[test]
+fn a_bad_checksum_gets_silence_or_a_status() {
+    for (bad_checksum, answered) in [(BadChecksum::Silence, false), (BadChecksum::Answer, true)] {
+        let mut bench = Bench::new(DeviceConfig { bad_checksum, ..DeviceConfig::wsg50() });
+        bench.device.receive(bench.now, &damaged(&Command::FastStop));
+        let expected = [(id::FAST_STOP, status(Status::E_CHECKSUM_ERROR))];
+        assert_eq!(bench.frames(), &expected[..usize::from(answered)]);
+        assert!(!bench.has(SystemState::FAST_STOP) && bench.device.received().is_empty());
+        assert_eq!(bench.snapshot().damaged_requests, 1);
+    }
+}
+
+#[test]
+fn with_evaluation_off_any_checksum_will_do_and_the_replies_have_a_right_one() {
+    let config = DeviceConfig { checksum_evaluation: ChecksumEvaluation::Off, ..DeviceConfig::wsg50() };
+    let mut bench = Bench::new(config);
+    bench.device.receive(bench.now, &damaged(&Command::FastStop));
+    assert_eq!(bench.frames(), [(id::FAST_STOP, DONE)]);
+}
+
+#[test]
+fn too_many_unfetched_replies_refuse_requests_but_no_fast_stop() {
+    let mut bench = Bench::new(DeviceConfig::wsg50());
+    for _ in 0..MAX_QUEUED_REPLIES + 10 {
+        bench.device.receive(bench.now, &bytes(&looped(&[1])));
+    }
+    bench.device.receive(bench.now, &bytes(&Command::FastStop));
+    assert!(bench.has(SystemState::FAST_STOP));
+    assert_eq!(bench.snapshot().refused_requests, 11);
+    assert_eq!(bench.frames().len(), MAX_QUEUED_REPLIES);
+    assert_eq!(bench.ask(&looped(&[1])).len(), 1);
+}
+
+#[test]
+fn the_log_of_requests_is_bounded_and_counts_on() {
+    let mut bench = Bench::new(DeviceConfig::wsg50());
+    for _ in 0..=MAX_RECEIVED_FRAMES {
+        bench.ask(&looped(&[1]));
+    }
+    bench.ask(&looped(&[2]));
+    assert!(bench.device.received().len() <= MAX_RECEIVED_FRAMES);
+    let last = bench.device.received().last().unwrap();
+    assert_eq!((last.id, &last.payload[..], last.at), (id::LOOP, &[2][..], bench.now));
+    assert_eq!(bench.snapshot().received_frames, MAX_RECEIVED_FRAMES as u64 + 2);
+}

@@ -1,0 +1,114 @@
+//! Stop, FAST STOP and its acknowledge, and the announced end of a connection: what ends a motion (`fw4-en 3.2.3` to
+//! `3.2.5`, `3.1.2`).
+
+use crate::wsg::{Status, id};
+
+use super::Device;
+use super::motion::Event;
+use super::process::Kind;
+use super::replies::Ticket;
+
+/// So many Stops wait for a stand at most; a further one is answered at once.
+const MAX_WAITING_STOPS: usize = 16;
+
+impl Device {
+    /// `fw4-en 3.2.3`: answered when the fingers stand.
+    pub(super) fn stop(&mut self) {
+        let ticket = self.ticket(id::STOP);
+        if self.is_running() || self.config.stop_sets_flag_when_idle {
+            self.process.axis_stopped = true;
+        }
+        if self.mechanics.is_holding() && self.config.stop_lets_go {
+            self.process.aborted();
+        }
+        if self.stops.len() >= MAX_WAITING_STOPS {
+            return self.result_status(ticket, Status::E_SUCCESS);
+        }
+        self.stops.push(ticket);
+        if self.mechanics.stop(self.config.stop_lets_go) == Some(Event::Stopped) {
+            self.stopped();
+        }
+    }
+
+    pub(super) fn stopped(&mut self) {
+        let stops = std::mem::take(&mut self.stops);
+        if self.running.is_some() {
+            self.process.aborted();
+        }
+        self.end_running(&stops, Status::E_CMD_ABORTED);
+    }
+
+    /// `fw4-en 3.2.4`: answered at once, whatever the fingers still do.
+    pub(super) fn fast_stop_request(&mut self) {
+        let ticket = self.ticket(id::FAST_STOP);
+        self.fast_stop_with(Some(ticket), Status::E_CMD_ABORTED);
+    }
+
+    pub(super) fn fast_stop(&mut self) {
+        self.fast_stop_with(None, Status::E_CMD_ABORTED);
+    }
+
+    /// `fw4-en 3.3.5`. Only 21h has a status that says why; the others' result is that of any FAST STOP.
+    pub(super) fn left_soft_limits(&mut self) {
+        let moves = self.running.as_ref().is_some_and(|running| running.kind == Kind::Move);
+        self.fast_stop_with(None, if moves { Status::E_RANGE_ERROR } else { Status::E_CMD_ABORTED });
+    }
+
+    fn fast_stop_with(&mut self, ticket: Option<Ticket>, result: Status) {
+        self.fast_stopped = true;
+        self.mechanics.fast_stop();
+        self.process.fast_stopped();
+        let mut tickets = std::mem::take(&mut self.stops);
+        tickets.extend(ticket);
+        self.end_running(&tickets, result);
+    }
+
+    /// Answers those who stopped, and whoever was stopped, in the order that the configuration says.
+    fn end_running(&mut self, stoppers: &[Ticket], result: Status) {
+        let stopped = self.running.take().and_then(|running| running.ticket);
+        let answer = |device: &mut Self| {
+            for &ticket in stoppers {
+                device.result_status(ticket, Status::E_SUCCESS);
+            }
+        };
+        if self.config.stop_answers_first {
+            answer(self);
+        }
+        if let Some(ticket) = stopped {
+            self.result_status(ticket, result);
+        }
+        if !self.config.stop_answers_first {
+            answer(self);
+        }
+    }
+
+    /// `fw4-en 3.2.5`. Ruling: while its cause is still there, the FAST STOP stays.
+    pub(super) fn acknowledge(&mut self) {
+        if self.fast_stopped && self.has_fault() {
+            let status = self.config.early_acknowledge;
+            return self.answer_status(id::ACKNOWLEDGE_FAST_STOP, status);
+        }
+        self.fast_stopped = false;
+        self.answer_status(id::ACKNOWLEDGE_FAST_STOP, Status::E_SUCCESS);
+    }
+
+    /// `fw4-en 3.1.2`: a motion is aborted at once, and nothing is accepted any more. What is held stays held.
+    pub(super) fn announce_disconnect(&mut self) {
+        if !self.is_tcp() {
+            return self.answer_status(id::DISCONNECT_ANNOUNCEMENT, Status::E_NOT_AVAILABLE);
+        }
+        self.announced = true;
+        self.subscriptions.clear();
+        let mut tickets = std::mem::take(&mut self.stops);
+        tickets.push(self.ticket(id::DISCONNECT_ANNOUNCEMENT));
+        if self.is_running() {
+            self.mechanics.fast_stop();
+            self.process.aborted();
+        }
+        self.end_running(&tickets, Status::E_CMD_ABORTED);
+    }
+}
+
+#[cfg(test)]
+#[path = "stops_tests.rs"]
+mod tests;
