@@ -8,6 +8,8 @@ mod book;
 mod connector;
 mod driver;
 pub mod error;
+#[cfg(test)]
+pub(crate) mod fake;
 pub mod fleet;
 pub mod handle;
 pub mod info;
