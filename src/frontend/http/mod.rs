@@ -6,12 +6,14 @@
 //! handlers are in `grippers`, `motions`, `commands`, `fast_stop`, `settings`, `device`, `fingers` and `raw`.
 
 mod body;
+mod commands;
 mod docs;
 mod errors;
 mod extract;
 mod fast_stop;
 mod grippers;
 mod guard;
+mod motions;
 mod responses;
 mod values;
 
@@ -93,7 +95,14 @@ fn api() -> Routes {
         .routes(routes!(grippers::list))
         .routes(routes!(grippers::info))
         .routes(routes!(grippers::state))
+        .routes(routes!(motions::home))
+        .routes(routes!(motions::move_fingers))
+        .routes(routes!(motions::grip))
+        .routes(routes!(motions::release))
+        .routes(routes!(motions::stop))
         .routes(routes!(fast_stop::acknowledge))
+        .routes(routes!(commands::get))
+        .routes(routes!(commands::cancel))
 }
 
 async fn not_found() -> Problem {

@@ -1,6 +1,7 @@
 //! The router against a gripper that follows a script.
 
 mod fast_stop;
+mod motions;
 
 use axum::body::Body;
 use axum::http::{Request, header};
