@@ -7,6 +7,7 @@
 
 mod body;
 mod commands;
+mod device;
 mod docs;
 mod errors;
 mod extract;
@@ -103,6 +104,10 @@ fn api() -> Routes {
         .routes(routes!(fast_stop::acknowledge))
         .routes(routes!(commands::get))
         .routes(routes!(commands::cancel))
+        .routes(routes!(device::statistics))
+        .routes(routes!(device::reset_statistics))
+        .routes(routes!(device::tare))
+        .routes(routes!(device::loop_back))
 }
 
 async fn not_found() -> Problem {
