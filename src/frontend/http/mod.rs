@@ -12,6 +12,7 @@ mod docs;
 mod errors;
 mod extract;
 mod fast_stop;
+mod fingers;
 mod grippers;
 mod guard;
 mod motions;
@@ -106,6 +107,9 @@ fn api() -> Routes {
         .routes(routes!(commands::cancel))
         .routes(routes!(device::statistics))
         .routes(routes!(device::reset_statistics))
+        .routes(routes!(fingers::one))
+        .routes(routes!(fingers::data))
+        .routes(routes!(fingers::power))
         .routes(routes!(device::tare))
         .routes(routes!(device::loop_back))
 }

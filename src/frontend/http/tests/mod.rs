@@ -1,5 +1,6 @@
 //! The router against a gripper that follows a script.
 
+mod device;
 mod fast_stop;
 mod motions;
 
