@@ -17,6 +17,7 @@ mod grippers;
 mod guard;
 mod motions;
 mod responses;
+mod settings;
 mod values;
 
 use std::any::Any;
@@ -105,6 +106,11 @@ fn api() -> Routes {
         .routes(routes!(fast_stop::acknowledge))
         .routes(routes!(commands::get))
         .routes(routes!(commands::cancel))
+        .routes(routes!(settings::get_acceleration, settings::set_acceleration))
+        .routes(routes!(settings::get_force_limit, settings::set_force_limit))
+        .routes(routes!(settings::get_soft_limits, settings::set_soft_limits, settings::clear_soft_limits))
+        .routes(routes!(settings::get_overdrive, settings::set_overdrive))
+        .routes(routes!(settings::get_tag, settings::set_tag))
         .routes(routes!(device::statistics))
         .routes(routes!(device::reset_statistics))
         .routes(routes!(fingers::one))

@@ -3,6 +3,7 @@
 mod device;
 mod fast_stop;
 mod motions;
+mod settings;
 
 use axum::body::Body;
 use axum::http::{Request, header};
