@@ -16,6 +16,7 @@ mod fingers;
 mod grippers;
 mod guard;
 mod motions;
+mod raw;
 mod responses;
 mod settings;
 mod values;
@@ -118,6 +119,7 @@ fn api() -> Routes {
         .routes(routes!(fingers::power))
         .routes(routes!(device::tare))
         .routes(routes!(device::loop_back))
+        .routes(routes!(raw::raw))
 }
 
 async fn not_found() -> Problem {

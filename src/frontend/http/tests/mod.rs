@@ -3,7 +3,10 @@
 mod device;
 mod fast_stop;
 mod motions;
+mod raw;
 mod settings;
+
+use std::collections::BTreeSet;
 
 use axum::body::Body;
 use axum::http::{Request, header};
@@ -74,6 +77,45 @@ fn with_fate(fate: Fate) -> Gateway {
 
 fn with_exchange(exchange: fn(&wsg::Command) -> Result<Data, Rejection>) -> Gateway {
     Gateway::new(Script { exchange, ..Script::default() })
+}
+
+#[tokio::test]
+async fn what_is_not_there_is_a_problem_too() {
+    let gateway = Gateway::new(Script::default());
+    let command = format!("/api/v1/grippers/left/commands/{}", CommandId::generate());
+    let paths = [
+        "/nowhere",
+        "/api/v1/grippers/",
+        "/api/v1/grippers/right",
+        "/api/v1/grippers/NO%20NAME/state",
+        "/api/v1/grippers/%FF/state",
+        "/api/v1/grippers/left/commands/7",
+        &command,
+        "/docs/nothing.js",
+        "/docs/",
+    ];
+    for path in paths {
+        let answer = gateway.ask("GET", path, "").await;
+        assert_eq!((answer.status, &answer.body["code"]), (404, &"not_found".into()), "{path}");
+        assert_eq!(answer.headers[header::CONTENT_TYPE], "application/problem+json");
+    }
+}
+
+#[tokio::test]
+async fn a_wrong_method_is_told_the_right_ones() {
+    let gateway = Gateway::new(Script::default());
+    let cases = [
+        ("DELETE", "/api/v1/grippers", "GET,HEAD"),
+        ("GET", "/api/v1/fast-stop", "POST"),
+        ("POST", "/api/v1/grippers/left/settings/soft-limits", "GET,HEAD,PUT,DELETE"),
+        ("POST", "/docs", "GET,HEAD"),
+    ];
+    for (method, path, allowed) in cases {
+        let answer = gateway.ask(method, path, "").await;
+        assert_eq!((answer.status, &answer.body["code"]), (405, &"method_not_allowed".into()), "{path}");
+        let methods = |list: &str| list.split(',').map(str::to_owned).collect::<BTreeSet<_>>();
+        assert_eq!(methods(answer.headers[header::ALLOW].to_str().unwrap()), methods(allowed));
+    }
 }
 
 #[tokio::test]
