@@ -7,6 +7,7 @@
 
 mod body;
 mod commands;
+mod connections;
 mod device;
 mod docs;
 mod errors;
@@ -18,6 +19,7 @@ mod guard;
 mod motions;
 mod raw;
 mod responses;
+mod server;
 mod settings;
 mod values;
 
@@ -35,6 +37,8 @@ use utoipa_axum::routes;
 use self::errors::{Code, Problem};
 use crate::gripper::Fleet;
 use crate::gripper::model::Name;
+
+pub use server::{Limits, serve};
 
 /// Where the API begins.
 const API: &str = "/api/v1";
