@@ -3,6 +3,7 @@
 pub mod cli;
 pub mod config;
 pub mod daemon;
+pub mod frontend;
 pub mod gripper;
 pub mod sim;
 pub mod telemetry;

@@ -16,7 +16,6 @@ use crate::wsg::{DeviceTag, Force, SystemInfo, SystemLimits};
     "max_acceleration_mm_s2": 5000.0, "min_force_n": 5.0, "nominal_force_n": 80.0, "overdrive_force_n": 120.0,
     "capabilities": ["temperature", "fingers", "overdrive"]
 }))]
-#[allow(missing_docs, reason = "what the fields mean is said where they are read")]
 pub struct Info {
     /// The gripper's name.
     #[schema(value_type = String, max_length = 32)]
@@ -35,34 +34,44 @@ pub struct Info {
     /// The model; null until the first connect, as are all below.
     #[schema(required)]
     pub device_type: Option<String>,
-    #[schema(required)]
+    /// The same, by its number.
+    #[schema(required, minimum = 0, maximum = 255)]
     pub device_type_code: Option<u8>,
-    #[schema(required)]
+    /// The hardware revision.
+    #[schema(required, minimum = 0, maximum = 255)]
     pub hardware_revision: Option<u8>,
+    /// The firmware version.
     #[schema(required)]
     pub firmware: Option<String>,
-    #[schema(required)]
+    /// The serial number.
+    #[schema(required, format = Int64, minimum = 0, maximum = 4_294_967_295_i64)]
     pub serial_number: Option<u32>,
     /// The device tag; null where none is set.
     #[schema(required, max_length = 64)]
     pub device_tag: Option<String>,
     /// Widths go from 0 to this.
-    #[schema(required)]
+    #[schema(required, minimum = 0, maximum = 1000)]
     pub stroke_mm: Option<f32>,
-    #[schema(required)]
+    /// The lowest speed.
+    #[schema(required, minimum = 0, maximum = 10000)]
     pub min_speed_mm_s: Option<f32>,
-    #[schema(required)]
+    /// The highest speed.
+    #[schema(required, minimum = 0, maximum = 10000)]
     pub max_speed_mm_s: Option<f32>,
-    #[schema(required)]
+    /// The lowest acceleration.
+    #[schema(required, minimum = 0, maximum = 1_000_000)]
     pub min_acceleration_mm_s2: Option<f32>,
-    #[schema(required)]
+    /// The highest acceleration.
+    #[schema(required, minimum = 0, maximum = 1_000_000)]
     pub max_acceleration_mm_s2: Option<f32>,
-    #[schema(required)]
+    /// The lowest gripping force.
+    #[schema(required, minimum = 0, maximum = 10000)]
     pub min_force_n: Option<f32>,
     /// The highest gripping force without Overdrive Mode.
-    #[schema(required)]
+    #[schema(required, minimum = 0, maximum = 10000)]
     pub nominal_force_n: Option<f32>,
-    #[schema(required)]
+    /// The highest gripping force in Overdrive Mode.
+    #[schema(required, minimum = 0, maximum = 10000)]
     pub overdrive_force_n: Option<f32>,
     /// `temperature`, `fingers`, `overdrive`: what this model and firmware can do beyond the common.
     pub capabilities: Vec<&'static str>,

@@ -9,6 +9,8 @@ pub mod clock;
 mod connector;
 mod driver;
 pub mod error;
+#[cfg(test)]
+pub(crate) mod fake;
 pub mod fleet;
 pub mod handle;
 pub mod info;

@@ -368,16 +368,16 @@ pub struct Command {
     #[schema(required)]
     pub stalled: Option<bool>,
     /// The opening width at the end, in mm; null while running, or where it isn't known.
-    #[schema(required)]
+    #[schema(required, minimum = -1000, maximum = 1000)]
     pub width_mm: Option<f32>,
     /// The gripping force at the end, in N; null while running, or where it isn't known.
-    #[schema(required)]
+    #[schema(required, minimum = -10000, maximum = 10000)]
     pub force_n: Option<f32>,
     /// When it was admitted.
     #[schema(value_type = String, format = DateTime)]
     pub started_at: Timestamp,
     /// From its admission to its end; null while running.
-    #[schema(required, minimum = 0)]
+    #[schema(required, minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     pub duration_ms: Option<u64>,
     /// Who asked.
     #[schema(value_type = String)]
@@ -484,21 +484,21 @@ pub struct State {
     pub link_cause: Option<String>,
     /// The age of the newest update; null before the first.
     #[serde(rename = "age_ms", serialize_with = "age_ms")]
-    #[schema(value_type = Option<u64>, required, minimum = 0)]
+    #[schema(value_type = Option<u64>, required, minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     pub updated_at: Option<Instant>,
     /// Counts the changes of this state.
-    #[schema(minimum = 0)]
+    #[schema(minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     pub seq: u64,
     /// The gripper state, by the manual's noun; null before the first update.
     #[schema(required)]
     pub state: Option<&'static str>,
     /// The same, by its number.
-    #[schema(required)]
+    #[schema(required, minimum = 0, maximum = 255)]
     pub state_code: Option<u8>,
     /// The system state flags that are set.
     pub flags: Vec<&'static str>,
     /// All 32 of them as a number; null before the first update.
-    #[schema(required)]
+    #[schema(required, format = Int64, minimum = 0, maximum = 4_294_967_295_i64)]
     pub flags_raw: Option<u32>,
     /// Whether the fingers are referenced; null before the first update.
     #[schema(required)]
@@ -507,28 +507,29 @@ pub struct State {
     #[schema(required)]
     pub moving: Option<bool>,
     /// The opening width in mm; null until referenced.
-    #[schema(required)]
+    #[schema(required, minimum = -1000, maximum = 1000)]
     pub width_mm: Option<f32>,
     /// The speed of the fingers relative to each other, in mm/s.
-    #[schema(required)]
+    #[schema(required, minimum = -10000, maximum = 10000)]
     pub speed_mm_s: Option<f32>,
     /// The gripping force in N, the sum over the fingers.
-    #[schema(required)]
+    #[schema(required, minimum = -10000, maximum = 10000)]
     pub force_n: Option<f32>,
     /// The device's temperature in °C; null where it has none to tell (fw2).
-    #[schema(required)]
+    #[schema(required, minimum = -3276.8, maximum = 3276.7)]
     pub temperature_c: Option<f32>,
     /// Whether a FAST STOP holds; null until the first connect.
     #[schema(required)]
     pub fast_stop: Option<bool>,
     /// The FAST STOP that holds; only while one does.
     #[serde(flatten)]
+    #[schema(value_type = LatchFields)]
     pub latch: Option<LatchFields>,
     /// Who holds the lease; null while nobody does.
     #[schema(required)]
     pub lease_holder: Option<String>,
     /// Counts the leases.
-    #[schema(minimum = 0)]
+    #[schema(minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     pub lease_epoch: u64,
     /// The running command's id; null while none runs.
     #[schema(value_type = Option<Uuid>, required)]
@@ -539,20 +540,22 @@ pub struct State {
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct LatchFields {
     /// What an acknowledge has to name.
-    #[schema(value_type = Uuid)]
+    #[schema(value_type = Uuid, required = false)]
     pub fast_stop_id: FastStopId,
     /// Who asked for it; `device` where nobody here did.
-    #[schema(value_type = String)]
+    #[schema(value_type = String, required = false)]
     pub fast_stop_by: Arc<str>,
     /// Why, in the gateway's words.
+    #[schema(required = false)]
     pub fast_stop_cause: FastStopCause,
     /// Why, in the client's words.
-    #[schema(value_type = String, max_length = 64)]
+    #[schema(value_type = String, required = false, max_length = 64)]
     pub fast_stop_reason: Reason,
     /// When it was asked for, or seen.
-    #[schema(value_type = String, format = DateTime)]
+    #[schema(value_type = String, required = false, format = DateTime)]
     pub fast_stop_at: Timestamp,
     /// Whether the device's flags showed it since.
+    #[schema(required = false)]
     pub fast_stop_confirmed: bool,
 }
 

@@ -1,0 +1,192 @@
+//! Request bodies: read within bounds before anything else is done, so that even a refused client gets to see its
+//! answer; then parsed as JSON, whatever the Content-Type says.
+
+use std::time::Duration;
+
+use axum::body::{Body as Stream, Bytes};
+use axum::extract::{FromRequest, Request};
+use axum::http::header::{CONNECTION, HeaderValue};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+use http_body_util::{BodyExt, LengthLimitError, Limited};
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+use tokio::time::timeout;
+
+use super::errors::{Code, Problem};
+
+/// The largest body that is taken. The largest that any request needs is a `raw` one of 8 KiB.
+pub const MAX_BODY_BYTES: usize = 64 * 1024;
+
+/// How much of a larger body is read all the same, and thrown away. A client that is still sending when the
+/// connection closes sees a reset, and never the answer that says why.
+pub const MAX_DISCARDED_BYTES: usize = 2 * 1024 * 1024;
+
+/// How long a body may take: [`MAX_BODY_BYTES`] at 64 kbit/s, and a little more.
+pub const BODY_TIME: Duration = Duration::from_secs(10);
+
+/// The middleware that reads the body before the handlers see the request.
+pub async fn read_first(request: Request, next: Next) -> Response {
+    let (parts, stream) = request.into_parts();
+    match read(stream).await {
+        Ok(bytes) => next.run(Request::from_parts(parts, Stream::from(bytes))).await,
+        // Something of the body may still come, and is no request.
+        Err(problem) => ([(CONNECTION, HeaderValue::from_static("close"))], problem).into_response(),
+    }
+}
+
+async fn read(stream: Stream) -> Result<Bytes, Problem> {
+    let too_late = || Problem::new(Code::RequestTimeout, format!("the body did not arrive within {BODY_TIME:?}"));
+    timeout(BODY_TIME, collect(stream)).await.map_err(|_| too_late())?
+}
+
+async fn collect(mut stream: Stream) -> Result<Bytes, Problem> {
+    match Limited::new(&mut stream, MAX_BODY_BYTES).collect().await {
+        Ok(collected) => Ok(collected.to_bytes()),
+        Err(error) if error.is::<LengthLimitError>() => {
+            drain(stream).await;
+            let detail = format!("the body is larger than {MAX_BODY_BYTES} bytes");
+            Err(Problem::new(Code::TooLarge, detail).limits(None, Some(MAX_BODY_BYTES.into())))
+        }
+        Err(error) => Err(Problem::new(Code::Malformed, format!("the body could not be read: {error}"))),
+    }
+}
+
+/// Reads what is left of a body, within the bounds above, and throws it away.
+pub async fn drain(mut stream: Stream) {
+    let read = async {
+        let mut bytes = 0;
+        while let Some(Ok(frame)) = stream.frame().await {
+            bytes += frame.data_ref().map_or(0, Bytes::len);
+            if bytes > MAX_DISCARDED_BYTES {
+                break;
+            }
+        }
+    };
+    // Out of time or not, the answer is the same.
+    let _ = timeout(BODY_TIME, read).await;
+}
+
+/// A body, parsed. Nothing at all is `{}`.
+#[derive(Debug)]
+pub struct Body<T>(pub T);
+
+impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Body<T> {
+    type Rejection = Problem;
+
+    async fn from_request(request: Request, _: &S) -> Result<Self, Problem> {
+        parse(&read(request.into_body()).await?).map(Self)
+    }
+}
+
+/// The object in `bytes`.
+pub fn parse<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
+    let bytes = match bytes.trim_ascii_start() {
+        [] => b"{}",
+        // A struct could be read from an array too, by position: nobody means that.
+        object @ [b'{', ..] => object,
+        _ => return Err(Problem::new(Code::Malformed, "the body must be a JSON object")),
+    };
+    let mut json = serde_json::Deserializer::from_slice(bytes);
+    let parsed = serde_path_to_error::deserialize(&mut json).map_err(|error| {
+        let path = error.path().to_string();
+        let detail = error.into_inner().to_string();
+        match field(&path, &detail) {
+            Some(field) => {
+                let value = serde_json::from_slice::<Value>(bytes).ok().and_then(|body| body.get(&field).cloned());
+                Problem::malformed(&field, format!("{field}: {detail}")).value(value)
+            }
+            None => Problem::new(Code::Malformed, format!("the body is no JSON that is understood: {detail}")),
+        }
+    })?;
+    json.end().map_err(|error| Problem::new(Code::Malformed, format!("the body goes on after its end: {error}")))?;
+    Ok(parsed)
+}
+
+/// The field that an error is about. The parser's path has none where the name itself is the mistake; its words do.
+fn field(path: &str, detail: &str) -> Option<String> {
+    let named = ["missing field `", "unknown field `", "duplicate field `"]
+        .iter()
+        .find_map(|start| detail.strip_prefix(start)?.split_once('`'))
+        .map(|(field, _)| field);
+    named.or((path != ".").then_some(path)).map(|field| field.chars().take(MAX_FIELD_CHARS).collect())
+}
+
+/// How much of an unknown field's name is repeated to its sender.
+const MAX_FIELD_CHARS: usize = 32;
+
+#[cfg(test)]
+mod tests {
+    use serde::Deserialize;
+
+    use super::*;
+
+    #[derive(Debug, PartialEq, Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Move {
+        width_mm: f64,
+        #[serde(default)]
+        relative: bool,
+    }
+
+    fn problem(body: &[u8]) -> Value {
+        let problem = parse::<Move>(body).unwrap_err();
+        serde_json::to_value(problem.members()).unwrap()
+    }
+
+    #[test]
+    fn an_object_is_read() {
+        assert_eq!(parse::<Move>(br#" {"width_mm": 96.0} "#).unwrap(), Move { width_mm: 96.0, relative: false });
+        assert_eq!(
+            parse::<Move>(br#"{"width_mm":96,"relative":true}"#).unwrap(),
+            Move { width_mm: 96.0, relative: true }
+        );
+    }
+
+    #[test]
+    fn nothing_is_an_empty_object() {
+        #[derive(Deserialize)]
+        struct Nothing {}
+        for nothing in [&b""[..], b" \r\n", b"{}"] {
+            let Nothing {} = parse(nothing).unwrap();
+        }
+        assert_eq!(problem(b"")["field"], "width_mm");
+    }
+
+    #[test]
+    fn the_field_that_is_wrong_is_named() {
+        let wrong_type = problem(br#"{"width_mm": "20"}"#);
+        assert_eq!((&wrong_type["code"], &wrong_type["field"]), (&"malformed".into(), &"width_mm".into()));
+        assert_eq!(wrong_type["value"], "20");
+        assert_eq!(problem(br#"{"width_mm": 20, "relative": 1}"#)["field"], "relative");
+        assert_eq!(problem(br#"{"relative": true}"#)["field"], "width_mm");
+        assert_eq!(problem(br#"{"widht_mm": 20}"#)["field"], "widht_mm");
+        assert_eq!(problem(br#"{"width_mm": 20, "width_mm": 30}"#)["field"], "width_mm");
+    }
+
+    #[test]
+    fn what_is_no_object_is_malformed() {
+        let bodies: [&[u8]; 10] = [
+            b"[20, true]",
+            b"20",
+            b"null",
+            b"\"x\"",
+            b"{\"width_mm\": NaN}",
+            b"{\"width_mm\": 1e999}",
+            b"{\"width_mm\": 20} {}",
+            b"{\"width_mm\": 20",
+            b"{\"width_mm\": \"\xFF\"}",
+            b"width_mm=20",
+        ];
+        for body in bodies {
+            assert_eq!(problem(body)["code"], "malformed", "{}", String::from_utf8_lossy(body));
+        }
+    }
+
+    #[test]
+    fn a_long_value_is_not_repeated() {
+        let body = format!("{{\"width_mm\": \"{}\"}}", "x".repeat(1000));
+        let problem = problem(body.as_bytes());
+        assert_eq!((problem["field"].as_str(), problem.get("value")), (Some("width_mm"), None));
+    }
+}

@@ -1,0 +1,97 @@
+//! Commands: handed to the gripper, waited for, looked up, cancelled.
+
+use axum::Json;
+use axum::http::{StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde::Deserialize;
+use utoipa::ToSchema;
+
+use super::API;
+use super::body::Body;
+use super::errors::Problem;
+use super::extract::{
+    CommandOf, CommandPath, DEFAULT_WAIT_MS, Gripper, GripperPath, Keys, NoWaitQuery, WaitMs, WaitQuery,
+};
+use super::responses::CommandProblem;
+use crate::gripper::Ticket;
+use crate::gripper::model::{Action, Command, Phase, Submission};
+
+/// Submits a command, and waits for its end. What the device refused meanwhile is a problem, since its client still
+/// listens.
+pub async fn run(gripper: Gripper, keys: Keys, action: Action, wait: Wait) -> Result<Command, Problem> {
+    let Keys { request_id, lease } = keys;
+    let submission = Submission { client: gripper.client, action, request_id, lease };
+    let mut ticket = gripper.handle.submit(submission).await?;
+    let mut command = ticket.wait(wait.0).await;
+    match command.rejection.take() {
+        Some(rejection) => Err(rejection.into()),
+        None => Ok(command),
+    }
+}
+
+/// How long a command is waited for if its client doesn't say.
+pub type Wait = WaitMs<DEFAULT_WAIT_MS>;
+
+/// 200 with the command where it has ended, else 202 and where to ask for it.
+pub fn told(command: Command) -> Response {
+    match command.phase {
+        Phase::Done => Json(command).into_response(),
+        Phase::Running => {
+            let location = format!("{API}/grippers/{}/commands/{}", command.gripper, command.id);
+            (StatusCode::ACCEPTED, [(header::LOCATION, location)], Json(command)).into_response()
+        }
+    }
+}
+
+/// A body that says nothing.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(example = json!({}))]
+pub struct Nothing {}
+
+fn known(ticket: Option<Ticket>) -> Result<Ticket, Problem> {
+    ticket.ok_or_else(|| Problem::not_found("command of this id here: commands are kept for an hour"))
+}
+
+/// A command
+///
+/// As it is now, or when it has ended, if that is sooner than `wait_ms`.
+#[utoipa::path(
+    get,
+    path = "/grippers/{gripper}/commands/{command}",
+    operation_id = "get_command",
+    tag = "commands",
+    params(GripperPath, CommandPath, NoWaitQuery),
+    responses((status = 200, description = "The command", body = Command), CommandProblem)
+)]
+pub async fn get(gripper: Gripper, CommandOf(id): CommandOf, wait: WaitMs<0>) -> Result<Json<Command>, Problem> {
+    let mut ticket = known(gripper.handle.find(id).await?)?;
+    Ok(Json(ticket.wait(wait.0).await))
+}
+
+/// Cancel a command
+///
+/// Stops it if it still runs; one that has ended stays as it is.
+#[utoipa::path(
+    post,
+    path = "/grippers/{gripper}/commands/{command}/cancel",
+    operation_id = "cancel_command",
+    tag = "commands",
+    params(GripperPath, CommandPath, WaitQuery),
+    request_body(content = Option<Nothing>, description = "Nothing, or an empty object"),
+    responses(
+        (status = 200, description = "The command, ended", body = Command),
+        (status = 202, description = "The command, still ending", body = Command,
+            headers(("Location" = String, description = "Where to ask for it"))),
+        CommandProblem,
+    )
+)]
+pub async fn cancel(
+    gripper: Gripper,
+    CommandOf(id): CommandOf,
+    wait: Wait,
+    Body(Nothing {}): Body<Nothing>,
+) -> Result<Response, Problem> {
+    let mut ticket = known(gripper.handle.cancel(id, gripper.client).await?)?;
+    Ok(told(ticket.wait(wait.0).await))
+}

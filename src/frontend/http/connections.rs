@@ -1,0 +1,154 @@
+//! The open connections, and which of them has been idle the longest: it goes when a new one needs its place.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
+
+use tokio_util::sync::CancellationToken;
+
+/// All of them.
+#[derive(Debug)]
+pub struct Connections {
+    limit: usize,
+    reserved: usize,
+    open: Mutex<Open>,
+}
+
+#[derive(Debug, Default)]
+struct Open {
+    next: u64,
+    guests: BTreeMap<u64, Entry>,
+}
+
+#[derive(Debug)]
+struct Entry {
+    /// Since when no request is being answered; none while one is.
+    idle_since: Option<Instant>,
+    leave: CancellationToken,
+}
+
+impl Connections {
+    /// At most `limit`, the last `reserved` of which are kept free as far as there are idle ones.
+    pub fn new(limit: usize, reserved: usize) -> Self {
+        Self { limit, reserved: reserved.min(limit / 2), open: Mutex::default() }
+    }
+
+    /// A place for a new one, unless all are taken by connections that are being answered.
+    pub fn admit(self: &Arc<Self>, closing: &CancellationToken) -> Option<Guest> {
+        let mut open = self.open();
+        if open.guests.len() >= self.limit - self.reserved {
+            let longest = open.guests.iter().filter_map(|(id, entry)| Some((entry.idle_since?, *id))).min();
+            // It is forgotten at once, so that nobody else is sent away in its stead while it leaves.
+            if let Some(entry) = longest.and_then(|(_, id)| open.guests.remove(&id)) {
+                entry.leave.cancel();
+            }
+        }
+        if open.guests.len() >= self.limit {
+            return None;
+        }
+        let (id, leave) = (open.next, closing.child_token());
+        open.next += 1;
+        open.guests.insert(id, Entry { idle_since: Some(Instant::now()), leave: leave.clone() });
+        Some(Guest { id, leave, connections: self.clone() })
+    }
+
+    /// A panic while it was locked has left nothing half done.
+    fn open(&self) -> MutexGuard<'_, Open> {
+        self.open.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn set_idle_since(&self, id: u64, idle_since: Option<Instant>) {
+        if let Some(entry) = self.open().guests.get_mut(&id) {
+            entry.idle_since = idle_since;
+        }
+    }
+}
+
+/// A connection's place, until it is dropped.
+#[derive(Debug)]
+pub struct Guest {
+    id: u64,
+    leave: CancellationToken,
+    connections: Arc<Connections>,
+}
+
+impl Guest {
+    /// When the connection has to end.
+    pub async fn asked_to_leave(&self) {
+        self.leave.cancelled().await;
+    }
+
+    /// Whether no request is being answered.
+    pub fn is_idle(&self) -> bool {
+        self.connections.open().guests.get(&self.id).is_none_or(|entry| entry.idle_since.is_some())
+    }
+
+    /// Marks a request that is being answered, until it is dropped.
+    pub fn busy(self: &Arc<Self>) -> Busy {
+        self.connections.set_idle_since(self.id, None);
+        Busy(self.clone())
+    }
+}
+
+impl Drop for Guest {
+    fn drop(&mut self) {
+        self.connections.open().guests.remove(&self.id);
+    }
+}
+
+/// A request that is being answered.
+#[derive(Debug)]
+pub struct Busy(Arc<Guest>);
+
+impl Drop for Busy {
+    fn drop(&mut self) {
+        self.0.connections.set_idle_since(self.0.id, Some(Instant::now()));
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn admit(connections: &Arc<Connections>) -> Option<Arc<Guest>> {
+        connections.admit(&CancellationToken::new()).map(Arc::new)
+    }
+
+    #[test]
+    fn the_longest_idle_one_makes_room() {
+        let connections = Arc::new(Connections::new(3, 1));
+        let (first, second) = (admit(&connections).unwrap(), admit(&connections).unwrap());
+        drop(first.busy());
+        let _third = admit(&connections).unwrap();
+        assert!(second.leave.is_cancelled() && !first.leave.is_cancelled());
+    }
+
+    #[test]
+    fn what_is_being_answered_is_never_sent_away() {
+        let connections = Arc::new(Connections::new(2, 0));
+        let (first, second) = (admit(&connections).unwrap(), admit(&connections).unwrap());
+        let busy = (first.busy(), second.busy());
+        assert!(admit(&connections).is_none());
+        drop(busy);
+        assert!(admit(&connections).is_some());
+    }
+
+    #[test]
+    fn a_place_is_free_again_when_its_connection_has_ended() {
+        let connections = Arc::new(Connections::new(1, 0));
+        let first = admit(&connections).unwrap();
+        let busy = first.busy();
+        assert!(admit(&connections).is_none());
+        drop((first, busy));
+        assert!(admit(&connections).is_some());
+    }
+
+    #[test]
+    fn all_are_asked_to_leave_on_closing() {
+        let connections = Arc::new(Connections::new(2, 0));
+        let closing = CancellationToken::new();
+        let guest = connections.admit(&closing).unwrap();
+        closing.cancel();
+        assert!(guest.leave.is_cancelled());
+    }
+}

@@ -1,0 +1,252 @@
+//! What handlers take from a request besides its body. Every mistake in it is a [`Problem`].
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::extract::{ConnectInfo, FromRequestParts, Query, RawPathParams};
+use axum::http::HeaderMap;
+use axum::http::request::Parts;
+use utoipa::IntoParams;
+
+use super::Context;
+use super::errors::{Code, Problem};
+use super::values::{integer, text};
+use crate::gripper::model::{Client, CommandId, Door, RequestId, Text};
+use crate::gripper::{Handle, Rejection};
+use crate::wsg::{self, Finger};
+
+/// How long a request may wait for a command's end. Proxies and clients give up after a minute.
+pub const MAX_WAIT_MS: u64 = 60_000;
+
+/// How long a request waits for its command if it doesn't say: longer than most motions.
+pub const DEFAULT_WAIT_MS: u64 = 5_000;
+
+/// The most bytes of a lease token that are looked at; the gateway's own are shorter.
+pub const MAX_LEASE_BYTES: usize = 64;
+
+#[derive(IntoParams)]
+#[into_params(parameter_in = Path)]
+#[allow(dead_code, reason = "the document's words on what Gripper takes from the path")]
+pub struct GripperPath {
+    /// The gripper's name.
+    #[param(min_length = 1, max_length = 32, pattern = "^[a-z0-9][a-z0-9_-]{0,31}$", example = "left")]
+    gripper: String,
+}
+
+/// The gripper that the path names, and who asks.
+#[derive(Debug, Clone)]
+pub struct Gripper {
+    pub handle: Handle,
+    pub client: Client,
+}
+
+impl Gripper {
+    /// Its name.
+    pub fn name(&self) -> String {
+        self.handle.name().to_string()
+    }
+
+    /// One request to the device that moves nothing.
+    pub async fn exchange(&self, command: wsg::Command) -> Result<wsg::Data, Rejection> {
+        self.handle.exchange(command, self.client.clone()).await
+    }
+}
+
+impl FromRequestParts<Arc<Context>> for Gripper {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, context: &Arc<Context>) -> Result<Self, Problem> {
+        let unknown = || Problem::not_found("gripper of this name");
+        let name = path_parameter(parts, "gripper").await?.parse().map_err(|_| unknown())?;
+        let handle = context.fleet.get(&name).ok_or_else(unknown)?.clone();
+        Ok(Self { handle, client: Asker::of(parts).0 })
+    }
+}
+
+/// Who asks. Before there are credentials that is the peer's address.
+#[derive(Debug, Clone)]
+pub struct Asker(pub Client);
+
+impl Asker {
+    fn of(parts: &Parts) -> Self {
+        let subject = match parts.extensions.get::<ConnectInfo<SocketAddr>>() {
+            Some(ConnectInfo(peer)) => format!("http:{}", peer.ip().to_canonical()),
+            None => "http:unknown".to_owned(),
+        };
+        Self(Client { subject: subject.into(), door: Door::Http })
+    }
+}
+
+impl FromRequestParts<Arc<Context>> for Asker {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, _: &Arc<Context>) -> Result<Self, Problem> {
+        Ok(Self::of(parts))
+    }
+}
+
+#[derive(IntoParams)]
+#[into_params(parameter_in = Path)]
+#[allow(dead_code, reason = "the document's words on what CommandOf takes from the path")]
+pub struct CommandPath {
+    /// The command's id, as its answer had it.
+    #[param(example = "019aa5c8-5a70-7c31-9f3f-4a3b7c1d2e4f")]
+    command: uuid::Uuid,
+}
+
+/// The command that the path names.
+#[derive(Debug, Clone, Copy)]
+pub struct CommandOf(pub CommandId);
+
+impl FromRequestParts<Arc<Context>> for CommandOf {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, _: &Arc<Context>) -> Result<Self, Problem> {
+        let id = path_parameter(parts, "command").await?.parse();
+        id.map(Self).map_err(|_| Problem::not_found("command of this id: ids are UUIDs"))
+    }
+}
+
+#[derive(IntoParams)]
+#[into_params(parameter_in = Path)]
+#[allow(dead_code, reason = "the document's words on what FingerOf takes from the path")]
+pub struct FingerPath {
+    /// The finger: 1 or 2.
+    #[param(minimum = 1, maximum = 2, example = 1)]
+    finger: u8,
+}
+
+/// The finger that the path names.
+#[derive(Debug, Clone, Copy)]
+pub struct FingerOf(pub Finger);
+
+impl FromRequestParts<Arc<Context>> for FingerOf {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, _: &Arc<Context>) -> Result<Self, Problem> {
+        match path_parameter(parts, "finger").await?.as_str() {
+            "1" => Ok(Self(Finger::One)),
+            "2" => Ok(Self(Finger::Two)),
+            _ => Err(Problem::not_found("such finger: they are 1 and 2")),
+        }
+    }
+}
+
+/// A path's parameter. What isn't even text names nothing.
+async fn path_parameter(parts: &mut Parts, name: &str) -> Result<String, Problem> {
+    let unknown = |_| Problem::not_found("such path");
+    let parameters = RawPathParams::from_request_parts(parts, &()).await.map_err(unknown)?;
+    let found = parameters.iter().find(|(key, _)| *key == name).map(|(_, value)| value.to_owned());
+    found.ok_or_else(|| Problem::not_found("such path"))
+}
+
+#[derive(IntoParams)]
+#[into_params(parameter_in = Query)]
+#[allow(dead_code, reason = "the document's words on what WaitMs takes from the query")]
+pub struct WaitQuery {
+    /// How long to wait for the command's end, in ms; 0 doesn't wait. 5000 by default.
+    #[param(minimum = 0, maximum = 60000, default = 5000, example = 5000)]
+    wait_ms: Option<u64>,
+}
+
+#[derive(IntoParams)]
+#[into_params(parameter_in = Query)]
+#[allow(dead_code, reason = "the document's words on what WaitMs takes from the query")]
+pub struct NoWaitQuery {
+    /// How long to wait for the command's end, in ms. 0 by default: it is told as it is.
+    #[param(minimum = 0, maximum = 60000, default = 0, example = 5000)]
+    wait_ms: Option<u64>,
+}
+
+/// How long to wait for a command's end: `wait_ms`, or else `DEFAULT`.
+#[derive(Debug, Clone, Copy)]
+pub struct WaitMs<const DEFAULT: u64>(pub Duration);
+
+impl<const DEFAULT: u64> FromRequestParts<Arc<Context>> for WaitMs<DEFAULT> {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, _: &Arc<Context>) -> Result<Self, Problem> {
+        let malformed = |detail: String| Problem::malformed("wait_ms", detail);
+        let Query(pairs) = Query::<Vec<(String, String)>>::try_from_uri(&parts.uri)
+            .map_err(|error| malformed(format!("the query can't be read: {error}")))?;
+        let given: Vec<_> = pairs.iter().filter(|(key, _)| key == "wait_ms").map(|(_, value)| value).collect();
+        let wait_ms = match given[..] {
+            [] => DEFAULT,
+            [text] => {
+                let number: f64 = text.parse().map_err(|_| malformed("wait_ms must be a number of ms".to_owned()))?;
+                integer("wait_ms", number, 0..=MAX_WAIT_MS)?
+            }
+            _ => return Err(malformed("wait_ms is given more than once".to_owned())),
+        };
+        Ok(Self(Duration::from_millis(wait_ms)))
+    }
+}
+
+#[derive(IntoParams)]
+#[into_params(parameter_in = Header)]
+#[allow(dead_code, reason = "the document's words on what Keys takes from the headers")]
+pub struct KeyHeaders {
+    /// The same as `request_id` in the body, for clients that have it as a header.
+    #[param(rename = "Idempotency-Key", nullable = false, max_length = 64, pattern = "^[!-~]([ -~]*[!-~])?$")]
+    idempotency_key: Option<String>,
+    /// The same as `lease` in the body.
+    #[param(rename = "Wsg-Lease", nullable = false, max_length = 64, pattern = "^[!-~]([ -~]*[!-~])?$")]
+    wsg_lease: Option<String>,
+}
+
+/// What makes a request repeatable, and what entitles to it: from the headers, or from the body.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Keys {
+    pub request_id: Option<RequestId>,
+    pub lease: Option<String>,
+}
+
+impl Keys {
+    /// Those of the body, too.
+    pub fn or_body(self, request_id: Option<&str>, lease: Option<&str>) -> Result<Self, Problem> {
+        let request_id = request_id.map(|given| text("request_id", given)).transpose()?;
+        let lease = lease.map(|given| text::<MAX_LEASE_BYTES>("lease", given)).transpose()?;
+        Ok(Self {
+            request_id: one_of("request_id", self.request_id, request_id)?,
+            lease: one_of("lease", self.lease, lease.map(|lease| lease.as_str().to_owned()))?,
+        })
+    }
+}
+
+/// What was said in two places, if it is the same.
+fn one_of<T: PartialEq>(field: &str, header: Option<T>, body: Option<T>) -> Result<Option<T>, Problem> {
+    match (header, body) {
+        (Some(header), Some(body)) if header != body => {
+            Err(Problem::malformed(field, format!("{field} is given in a header and in the body, and differs")))
+        }
+        (header, body) => Ok(header.or(body)),
+    }
+}
+
+impl FromRequestParts<Arc<Context>> for Keys {
+    type Rejection = Problem;
+
+    async fn from_request_parts(parts: &mut Parts, _: &Arc<Context>) -> Result<Self, Problem> {
+        let lease = header::<MAX_LEASE_BYTES>(&parts.headers, "Wsg-Lease")?;
+        Ok(Self {
+            request_id: header(&parts.headers, "Idempotency-Key")?,
+            lease: lease.map(|lease| lease.as_str().to_owned()),
+        })
+    }
+}
+
+fn header<const MAX: usize>(headers: &HeaderMap, name: &'static str) -> Result<Option<Text<MAX>>, Problem> {
+    let mut values = headers.get_all(name).iter();
+    let (first, None) = (values.next(), values.next()) else {
+        return Err(Problem::malformed(name, format!("{name} is given more than once")));
+    };
+    let Some(value) = first else { return Ok(None) };
+    let given = std::str::from_utf8(value.as_bytes())
+        .map_err(|_| Problem::new(Code::Malformed, format!("{name} is no text")).field(name))?;
+    text(name, given).map(Some)
+}
+
+#[cfg(test)]
+#[path = "extract_tests.rs"]
+mod tests;

@@ -1,0 +1,142 @@
+//! The fingers' interface (firmware 4 and up).
+
+use axum::Json;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use super::body::Body;
+use super::device::ask;
+use super::errors::Problem;
+use super::extract::{FingerOf, FingerPath, Gripper, GripperPath};
+use super::responses::DeviceProblem;
+use crate::wsg::{self, Data, Finger};
+
+/// A finger.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({
+    "gripper": "left", "finger": 1, "type": "WSG-FMF", "type_code": 1, "data_bytes": 4,
+    "flags": ["POWER_ON", "CONFIG_AVAIL", "COMM_OPEN"], "flags_raw": 7
+}))]
+pub struct FingerAnswer {
+    /// The gripper's name.
+    #[schema(max_length = 32)]
+    gripper: String,
+    /// 1 or 2.
+    #[schema(minimum = 1, maximum = 2)]
+    finger: u8,
+    /// The finger's type: `generic` (or none), `WSG-FMF` (force measurement), `WSG-DSA` (tactile), `type` and a number.
+    #[serde(rename = "type")]
+    finger_type: String,
+    /// The same, by its number.
+    #[schema(minimum = 0, maximum = 255)]
+    type_code: u8,
+    /// The bytes of one data frame; 0 where the finger has none.
+    #[schema(minimum = 0, maximum = 65535)]
+    data_bytes: u16,
+    /// The flags that are set.
+    flags: Vec<&'static str>,
+    /// All 16 of them as a number.
+    #[schema(minimum = 0, maximum = 65535)]
+    flags_raw: u16,
+}
+
+/// A finger
+///
+/// Its type and its flags (firmware 4 and up).
+#[utoipa::path(
+    get, path = "/grippers/{gripper}/fingers/{finger}", operation_id = "get_finger", tag = "device",
+    params(GripperPath, FingerPath),
+    responses((status = 200, description = "The finger", body = FingerAnswer), DeviceProblem)
+)]
+pub async fn one(gripper: Gripper, FingerOf(finger): FingerOf) -> Result<Json<FingerAnswer>, Problem> {
+    let take = |data| if let Data::FingerInfo(_, info) = data { Some(info) } else { None };
+    let info = ask(&gripper, wsg::Command::GetFingerInfo(finger), take).await?;
+    let take = |data| if let Data::FingerFlags(_, flags) = data { Some(flags) } else { None };
+    let flags = ask(&gripper, wsg::Command::GetFingerFlags(finger), take).await?;
+    Ok(Json(FingerAnswer {
+        gripper: gripper.name(),
+        finger: number(finger),
+        finger_type: info.finger_type.to_string(),
+        type_code: info.finger_type.code(),
+        data_bytes: info.data_bytes,
+        flags: flags.names().collect(),
+        flags_raw: flags.bits(),
+    }))
+}
+
+const fn number(finger: Finger) -> u8 {
+    match finger {
+        Finger::One => 1,
+        Finger::Two => 2,
+    }
+}
+
+/// A finger's data.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({"gripper": "left", "finger": 1, "data": "0000a041"}))]
+pub struct FingerDataAnswer {
+    /// The gripper's name.
+    #[schema(max_length = 32)]
+    gripper: String,
+    /// 1 or 2.
+    #[schema(minimum = 1, maximum = 2)]
+    finger: u8,
+    /// One data frame, as hex: what it means depends on the finger.
+    #[schema(max_length = 8192)]
+    data: String,
+}
+
+/// A finger's data
+///
+/// One frame of what the finger measures (firmware 4 and up).
+#[utoipa::path(
+    get, path = "/grippers/{gripper}/fingers/{finger}/data", operation_id = "get_finger_data", tag = "device",
+    params(GripperPath, FingerPath),
+    responses((status = 200, description = "The data", body = FingerDataAnswer), DeviceProblem)
+)]
+pub async fn data(gripper: Gripper, FingerOf(finger): FingerOf) -> Result<Json<FingerDataAnswer>, Problem> {
+    let take = |data| if let Data::FingerData(_, bytes) = data { Some(bytes) } else { None };
+    let data = ask(&gripper, wsg::Command::GetFingerData(finger), take).await?;
+    Ok(Json(FingerDataAnswer { gripper: gripper.name(), finger: number(finger), data: hex::encode(data) }))
+}
+
+/// A finger's power.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(example = json!({"enabled": true}))]
+pub struct Power {
+    /// On or off.
+    enabled: bool,
+}
+
+/// A finger's power, switched.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({"gripper": "left", "finger": 1, "enabled": true}))]
+pub struct PowerAnswer {
+    /// The gripper's name.
+    #[schema(max_length = 32)]
+    gripper: String,
+    /// 1 or 2.
+    #[schema(minimum = 1, maximum = 2)]
+    finger: u8,
+    /// On or off.
+    enabled: bool,
+}
+
+/// Switch a finger's power
+///
+/// Generic fingers only (firmware 4 and up). On takes about half a second.
+#[utoipa::path(
+    put, path = "/grippers/{gripper}/fingers/{finger}/power", operation_id = "set_finger_power", tag = "device",
+    params(GripperPath, FingerPath),
+    request_body = Power,
+    responses((status = 200, description = "It is switched", body = PowerAnswer), DeviceProblem)
+)]
+pub async fn power(
+    gripper: Gripper,
+    FingerOf(finger): FingerOf,
+    Body(Power { enabled }): Body<Power>,
+) -> Result<Json<PowerAnswer>, Problem> {
+    gripper.exchange(wsg::Command::FingerPower { finger, on: enabled }).await?;
+    Ok(Json(PowerAnswer { gripper: gripper.name(), finger: number(finger), enabled }))
+}

@@ -1,0 +1,77 @@
+//! What the gateway knows of its grippers: no request here costs a device anything.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::extract::State as Shared;
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use super::Context;
+use super::extract::{Gripper, GripperPath};
+use super::responses::{AnyProblem, GripperProblem};
+use crate::gripper::Info;
+use crate::gripper::model::State;
+
+/// All grippers.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct Grippers {
+    /// By name.
+    #[schema(value_type = Vec<Info>)]
+    grippers: Vec<Arc<Info>>,
+}
+
+/// All grippers
+#[utoipa::path(
+    get, path = "/grippers", operation_id = "list_grippers", tag = "grippers",
+    responses((status = 200, description = "All grippers of this gateway", body = Grippers), AnyProblem)
+)]
+pub async fn list(Shared(context): Shared<Arc<Context>>) -> Json<Grippers> {
+    Json(Grippers { grippers: context.fleet.iter().map(crate::gripper::Handle::info).collect() })
+}
+
+/// A gripper
+///
+/// Its device, limits, capabilities and link.
+#[utoipa::path(
+    get, path = "/grippers/{gripper}", operation_id = "get_gripper", tag = "grippers",
+    params(GripperPath),
+    responses((status = 200, description = "The gripper", body = Info), GripperProblem)
+)]
+pub async fn info(gripper: Gripper) -> Json<Arc<Info>> {
+    Json(gripper.handle.info())
+}
+
+/// A gripper's state
+///
+/// The newest; `age_ms` says how old it is.
+#[utoipa::path(
+    get, path = "/grippers/{gripper}/state", operation_id = "get_state", tag = "grippers",
+    params(GripperPath),
+    responses((status = 200, description = "The newest state", body = State), GripperProblem)
+)]
+pub async fn state(gripper: Gripper) -> Json<Arc<State>> {
+    Json(gripper.handle.state())
+}
+
+/// A gateway that answers.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({"gateway": "wsg", "status": "ok"}))]
+pub struct Health {
+    /// The gateway's name.
+    #[schema(max_length = 32)]
+    gateway: String,
+    /// Always `ok`.
+    status: &'static str,
+}
+
+/// Whether the gateway answers
+///
+/// Says nothing about its grippers.
+#[utoipa::path(
+    get, path = "/healthz", operation_id = "healthz", tag = "gateway",
+    responses((status = 200, description = "It does", body = Health), AnyProblem)
+)]
+pub async fn health(Shared(context): Shared<Arc<Context>>) -> Json<Health> {
+    Json(Health { gateway: context.gateway.to_string(), status: "ok" })
+}

@@ -1,0 +1,174 @@
+//! Who may ask at all, while there are no credentials: no web page of another origin, and no name that somebody else's
+//! DNS points here. And what every answer carries, so that a browser does nothing with it that it shouldn't.
+
+use std::net::{Ipv4Addr, Ipv6Addr};
+use std::sync::Arc;
+
+use axum::extract::{Request, State};
+use axum::http::header::{
+    CACHE_CONTROL, CONTENT_SECURITY_POLICY, HOST, HeaderName, HeaderValue, ORIGIN, REFERRER_POLICY,
+    X_CONTENT_TYPE_OPTIONS,
+};
+use axum::http::{HeaderMap, Version};
+use axum::middleware::Next;
+use axum::response::{IntoResponse, Response};
+
+use super::errors::{Code, Problem};
+use super::{Context, body};
+
+/// The middleware that refuses foreign hosts and origins, whatever the method: any Content-Type is read as JSON, so a
+/// plain form of another page could move a gripper.
+pub async fn refuse_foreigners(State(context): State<Arc<Context>>, request: Request, next: Next) -> Response {
+    match check(&request, &context.allowed_hosts) {
+        Ok(()) => next.run(request).await,
+        Err(problem) => {
+            body::drain(request.into_body()).await;
+            problem.into_response()
+        }
+    }
+}
+
+fn check(request: &Request, allowed: &[String]) -> Result<(), Problem> {
+    let host = authority(request)?;
+    match &host {
+        Some(host) if !is_ours(host, allowed) => {
+            let detail = "the Host header must be an address, localhost, or a name that the gateway is configured for";
+            return Err(Problem::new(Code::ForeignHost, detail));
+        }
+        _ => {}
+    }
+    for origin in request.headers().get_all(ORIGIN) {
+        let same = origin.to_str().ok().zip(host.as_deref()).is_some_and(|(origin, host)| is_same(origin, host));
+        if !same {
+            let detail = "the request comes from a web page of another origin, which may not use this gateway";
+            return Err(Problem::new(Code::ForeignOrigin, detail));
+        }
+    }
+    Ok(())
+}
+
+/// The authority that the request names, in lower case; none in HTTP/1.0 alone.
+fn authority(request: &Request) -> Result<Option<String>, Problem> {
+    let malformed = |detail: &str| Problem::malformed("Host", detail);
+    let lower = |value: &HeaderValue| value.to_str().map(str::to_ascii_lowercase);
+    let header = match all_of(request.headers(), &HOST)[..] {
+        [] => None,
+        [host] => Some(lower(host).map_err(|_| malformed("the Host header is no text"))?),
+        _ => return Err(malformed("there is more than one Host header")),
+    };
+    // In the absolute form the request's target counts, and the header must not be something else (RFC 9112, 3.2.2).
+    let target = request.uri().authority().map(|authority| authority.as_str().to_ascii_lowercase());
+    match (header, target) {
+        (Some(header), Some(target)) if header != target => Err(malformed("the Host header is not the target's")),
+        (None, None) if request.version() > Version::HTTP_10 => Err(malformed("there is no Host header")),
+        (header, target) => Ok(header.or(target)),
+    }
+}
+
+fn all_of<'a>(headers: &'a HeaderMap, name: &HeaderName) -> Vec<&'a HeaderValue> {
+    headers.get_all(name).iter().collect()
+}
+
+/// Whether a host is an address, `localhost`, or one of the `allowed`, whatever its port.
+fn is_ours(authority: &str, allowed: &[String]) -> bool {
+    if let Some((address, rest)) = authority.strip_prefix('[').and_then(|rest| rest.split_once(']')) {
+        let port = rest.strip_prefix(':').is_some_and(is_port);
+        return address.parse::<Ipv6Addr>().is_ok() && (rest.is_empty() || port);
+    }
+    let (host, port) = match authority.split_once(':') {
+        Some((host, port)) => (host, Some(port)),
+        None => (authority, None),
+    };
+    port.is_none_or(is_port)
+        && (host == "localhost"
+            || host.parse::<Ipv4Addr>().is_ok()
+            || allowed.iter().any(|allowed| allowed.eq_ignore_ascii_case(host)))
+}
+
+fn is_port(text: &str) -> bool {
+    text.bytes().all(|byte| byte.is_ascii_digit()) && text.parse::<u16>().is_ok()
+}
+
+/// Whether an origin is the host that the request was sent to.
+fn is_same(origin: &str, host: &str) -> bool {
+    let origin = origin.to_ascii_lowercase();
+    let without_scheme = origin.strip_prefix("http://").or_else(|| origin.strip_prefix("https://"));
+    without_scheme == Some(host)
+}
+
+/// What every answer may do in a browser that has no policy of its own: nothing.
+const NO_CONTENT: HeaderValue = HeaderValue::from_static("default-src 'none'; frame-ancestors 'none'");
+
+/// Adds the headers that keep browsers from guessing, keeping and embedding.
+pub async fn harden(mut response: Response) -> Response {
+    let headers = response.headers_mut();
+    headers.insert(X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
+    headers.insert(REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
+    headers.entry(CACHE_CONTROL).or_insert(HeaderValue::from_static("no-store"));
+    headers.entry(CONTENT_SECURITY_POLICY).or_insert(NO_CONTENT);
+    response
+}
+
+#[cfg(test)]
+mod tests {
+    use axum::body::Body;
+    use axum::http;
+
+    use super::*;
+
+    fn answer(version: Version, headers: &[(HeaderName, &str)]) -> Option<u16> {
+        let mut request = http::Request::get("/api/v1/grippers").version(version);
+        for (name, value) in headers {
+            request = request.header(name, *value);
+        }
+        let request = request.body(Body::empty()).unwrap();
+        check(&request, &["gateway.example".to_owned()]).err().map(|problem| problem.status().as_u16())
+    }
+
+    #[test]
+    fn addresses_localhost_and_configured_names_are_hosts() {
+        for host in ["127.0.0.1", "10.0.0.7:8080", "[::1]", "[fe80::1]:80", "localhost", "LocalHost:8080"] {
+            assert_eq!(answer(Version::HTTP_11, &[(HOST, host)]), None, "{host}");
+        }
+        assert_eq!(answer(Version::HTTP_11, &[(HOST, "Gateway.Example:443")]), None);
+    }
+
+    #[test]
+    fn any_other_host_is_refused() {
+        for host in ["evil.example", "", "localhost.evil.example", "127.0.0.1.evil.example", "[evil", "[x]:80"] {
+            assert_eq!(answer(Version::HTTP_11, &[(HOST, host)]), Some(403), "{host}");
+        }
+        for host in ["localhost:80:80", "localhost:+80", "[::1]80", "127.1", "0x7f000001"] {
+            assert_eq!(answer(Version::HTTP_11, &[(HOST, host)]), Some(403), "{host}");
+        }
+    }
+
+    #[test]
+    fn only_http_1_0_may_leave_the_host_out() {
+        assert_eq!(answer(Version::HTTP_10, &[]), None);
+        assert_eq!(answer(Version::HTTP_11, &[]), Some(400));
+        assert_eq!(answer(Version::HTTP_11, &[(HOST, "localhost"), (HOST, "localhost")]), Some(400));
+    }
+
+    #[test]
+    fn a_page_of_another_origin_is_refused() {
+        let from = |origin| answer(Version::HTTP_11, &[(HOST, "localhost:8080"), (ORIGIN, origin)]);
+        assert_eq!(from("http://localhost:8080"), None);
+        assert_eq!(from("https://localhost:8080"), None);
+        for foreign in ["http://evil.example", "http://localhost", "http://localhost:8081", "null", "localhost:8080"] {
+            assert_eq!(from(foreign), Some(403), "{foreign}");
+        }
+        assert_eq!(answer(Version::HTTP_10, &[(ORIGIN, "http://localhost")]), Some(403));
+    }
+
+    #[test]
+    fn an_absolute_target_counts_as_the_host() {
+        let request = |uri: &str, host: &str| {
+            let request = http::Request::get(uri).header(HOST, host).body(Body::empty()).unwrap();
+            check(&request, &[]).err().map(|problem| problem.status().as_u16())
+        };
+        assert_eq!(request("http://127.0.0.1/", "127.0.0.1"), None);
+        assert_eq!(request("http://evil.example/", "evil.example"), Some(403));
+        assert_eq!(request("http://evil.example/", "127.0.0.1"), Some(400));
+    }
+}

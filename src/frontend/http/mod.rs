@@ -1,0 +1,144 @@
+//! HTTP: REST under `/api/v1`, its OpenAPI document, and the page that shows it.
+//!
+//! The line that mounts a handler documents it, so the document can't fall behind: what is served is what is
+//! described. A request passes, from the outside in: `guard` (who may ask at all), `body` (read within bounds, except
+//! for FAST STOP, which waits for nothing), `extract` (everything parsed, every mistake a problem), its handler. The
+//! handlers are in `grippers`, `motions`, `commands`, `fast_stop`, `settings`, `device`, `fingers` and `raw`.
+
+mod body;
+mod commands;
+mod connections;
+mod device;
+mod docs;
+mod errors;
+mod extract;
+mod fast_stop;
+mod fingers;
+mod grippers;
+mod guard;
+mod motions;
+mod raw;
+mod responses;
+mod server;
+mod settings;
+mod values;
+
+use std::any::Any;
+use std::sync::Arc;
+
+use axum::http::Method;
+use axum::response::{IntoResponse, Response};
+use axum::{Extension, Router, middleware};
+use tower_http::catch_panic::CatchPanicLayer;
+use utoipa::openapi::OpenApi;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+use self::errors::{Code, Problem};
+use crate::gripper::Fleet;
+use crate::gripper::model::Name;
+
+pub use server::{Limits, serve};
+
+/// Where the API begins.
+const API: &str = "/api/v1";
+
+/// What the handlers share.
+#[derive(Debug, Clone)]
+pub struct Context {
+    /// The gateway's name.
+    pub gateway: Name,
+    /// Its grippers.
+    pub fleet: Fleet,
+    /// The names that the gateway may be called by, besides its addresses and `localhost`. Without ports.
+    pub allowed_hosts: Vec<String>,
+}
+
+/// The whole of the HTTP door.
+pub fn router(context: Context) -> Router {
+    let context = Arc::new(context);
+    let (routes, document) = routes().split_for_parts();
+    routes
+        .layer(Extension(Arc::new(document)))
+        .layer(CatchPanicLayer::custom(panicked))
+        .layer(middleware::from_fn_with_state(context.clone(), guard::refuse_foreigners))
+        .layer(middleware::map_response(guard::harden))
+        .with_state(context)
+}
+
+/// The document of what [`router`] serves.
+#[must_use]
+pub fn openapi() -> OpenApi {
+    routes().into_openapi()
+}
+
+type Routes = OpenApiRouter<Arc<Context>>;
+
+fn routes() -> Routes {
+    // Other requests are read to their end first; a FAST STOP must not wait for that.
+    let unhurried = OpenApiRouter::with_openapi(docs::base())
+        .nest(API, api())
+        .routes(routes!(grippers::health))
+        .fallback(not_found);
+    let (router, document) = unhurried.split_for_parts();
+    let router = router
+        .merge(docs::page())
+        .method_not_allowed_fallback(method_not_allowed)
+        .layer(middleware::from_fn(body::read_first));
+    let (fast_stops, fast_stop_document) = OpenApiRouter::<Arc<Context>>::new()
+        .nest(API, OpenApiRouter::new().routes(routes!(fast_stop::one)).routes(routes!(fast_stop::all)))
+        .split_for_parts();
+    let fast_stops = fast_stops.method_not_allowed_fallback(method_not_allowed);
+    let mut all = OpenApiRouter::from(router.merge(fast_stops));
+    let merged = all.get_openapi_mut();
+    *merged = document;
+    merged.merge(fast_stop_document);
+    docs::without_null_bodies(merged);
+    all
+}
+
+fn api() -> Routes {
+    OpenApiRouter::new()
+        .routes(routes!(docs::openapi))
+        .routes(routes!(grippers::list))
+        .routes(routes!(grippers::info))
+        .routes(routes!(grippers::state))
+        .routes(routes!(motions::home))
+        .routes(routes!(motions::move_fingers))
+        .routes(routes!(motions::grip))
+        .routes(routes!(motions::release))
+        .routes(routes!(motions::stop))
+        .routes(routes!(fast_stop::acknowledge))
+        .routes(routes!(commands::get))
+        .routes(routes!(commands::cancel))
+        .routes(routes!(settings::get_acceleration, settings::set_acceleration))
+        .routes(routes!(settings::get_force_limit, settings::set_force_limit))
+        .routes(routes!(settings::get_soft_limits, settings::set_soft_limits, settings::clear_soft_limits))
+        .routes(routes!(settings::get_overdrive, settings::set_overdrive))
+        .routes(routes!(settings::get_tag, settings::set_tag))
+        .routes(routes!(device::statistics))
+        .routes(routes!(device::reset_statistics))
+        .routes(routes!(fingers::one))
+        .routes(routes!(fingers::data))
+        .routes(routes!(fingers::power))
+        .routes(routes!(device::tare))
+        .routes(routes!(device::loop_back))
+        .routes(routes!(raw::raw))
+}
+
+async fn not_found() -> Problem {
+    Problem::not_found("such path")
+}
+
+async fn method_not_allowed(method: Method) -> Problem {
+    Problem::new(Code::MethodNotAllowed, format!("{method} is not among the methods of this path, which Allow lists"))
+}
+
+/// A panic is a mistake of ours, and ends one request, not the gateway.
+fn panicked(_: Box<dyn Any + Send>) -> Response {
+    tracing::error!("a request handler panicked");
+    Problem::new(Code::Internal, "the gateway made a mistake: its log says more").into_response()
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,76 @@
+//! FAST STOP and its acknowledge, through the router.
+
+use serde_json::json;
+
+use super::*;
+use crate::gripper::Conflict;
+
+#[tokio::test]
+async fn a_fast_stop_needs_no_proper_body() {
+    let mut gateway = Gateway::new(Script::default());
+    let huge = "x".repeat(1024 * 1024);
+    let long = json!({"reason": "é".repeat(100)}).to_string();
+    let bodies = ["", "{", "null", "[1]", r#"{"reason": 7}"#, r#"{"reason": "curtain"}"#, &long, &huge];
+    for body in bodies {
+        let answer = gateway.ask("POST", "/api/v1/grippers/left/fast-stop", body.to_owned()).await;
+        assert_eq!((answer.status, &answer.body["fast_stop_confirmed"]), (200, &true.into()));
+        assert!(answer.body["fast_stop_id"].is_string());
+        let Seen::FastStop(reason) = gateway.seen.recv().await.unwrap() else { panic!() };
+        let expected = match body {
+            r#"{"reason": "curtain"}"# => "curtain".to_owned(),
+            body if body == long => "é".repeat(32),
+            _ => String::new(),
+        };
+        assert_eq!(reason.as_str(), expected);
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_fast_stop_does_not_wait_for_a_body_that_does_not_come() {
+    let gateway = Gateway::new(Script::default());
+    let never = Body::from_stream(futures_util::stream::pending::<Result<&[u8], std::io::Error>>());
+    let start = tokio::time::Instant::now();
+    let answer = gateway.ask("POST", "/api/v1/fast-stop", never).await;
+    assert_eq!((answer.status, &answer.body["confirmed"]), (200, &json!(["left"])));
+    assert!(start.elapsed() <= super::super::fast_stop::REASON_TIME + crate::gripper::handle::FAST_STOP_WAIT);
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_unconfirmed_fast_stop_is_told_as_such() {
+    let gateway = Gateway::new(Script { confirms: false, ..Script::default() });
+    let answer = gateway.ask("POST", "/api/v1/fast-stop", "").await;
+    assert_eq!((answer.status, &answer.body["fast_stop_confirmed"]), (200, &false.into()));
+    assert_eq!((&answer.body["confirmed"], &answer.body["unconfirmed"]), (&json!([]), &json!(["left"])));
+}
+
+#[tokio::test]
+async fn an_acknowledge_names_its_fast_stop() {
+    let mut gateway = Gateway::new(Script::default());
+    let id = "019aa5c8-5a70-7c31-9f3f-4a3b7c1d2e4f";
+    let answer = gateway.left("POST", "acknowledge", json!({"fast_stop_id": id})).await;
+    assert_eq!(answer.body, json!({"gripper": "left", "fast_stop_id": id, "fast_stop": false}));
+    assert!(matches!(gateway.seen.recv().await, Some(Seen::Acknowledge(named)) if named.to_string() == id));
+    for wrong in [json!({"fast_stop_id": "newest"}), json!({}), json!({"fast_stop_id": 7})] {
+        let answer = gateway.left("POST", "acknowledge", wrong).await;
+        assert_eq!((answer.status, &answer.body["field"]), (400, &"fast_stop_id".into()));
+    }
+    let given = id.parse().unwrap();
+    let acknowledge = Err(Conflict::StaleFastStop { given, current: None }.into());
+    let gateway = Gateway::new(Script { acknowledge, ..Script::default() });
+    let answer = gateway.left("POST", "acknowledge", json!({"fast_stop_id": id})).await;
+    assert_eq!((answer.status, &answer.body["code"]), (409, &"stale_fast_stop".into()));
+}
+
+#[tokio::test]
+async fn a_foreign_page_can_not_even_stop() {
+    let mut gateway = Gateway::new(Script::default());
+    for (header, value, code) in
+        [(header::HOST, "evil.example", "foreign_host"), (header::ORIGIN, "null", "foreign_origin")]
+    {
+        let mut request = Request::post("/api/v1/fast-stop").header(header::HOST, "localhost");
+        request.headers_mut().unwrap().insert(header, value.parse().unwrap());
+        let answer = gateway.send(request.body(Body::empty()).unwrap()).await;
+        assert_eq!((answer.status, &answer.body["code"]), (403, &code.into()));
+    }
+    assert!(gateway.seen.try_recv().is_err());
+}

@@ -1,0 +1,151 @@
+//! The router against a gripper that follows a script.
+
+mod device;
+mod fast_stop;
+mod motions;
+mod raw;
+mod settings;
+
+use std::collections::BTreeSet;
+
+use axum::body::Body;
+use axum::http::{Request, header};
+use http_body_util::BodyExt;
+use serde_json::{Value, json};
+use tokio::sync::mpsc::UnboundedReceiver;
+use tower::ServiceExt;
+
+use super::*;
+use crate::gripper::Rejection;
+use crate::gripper::fake::{self, Fate, Script, Seen};
+use crate::gripper::model::{Action, CommandId};
+use crate::wsg::{self, Data};
+
+struct Gateway {
+    router: Router,
+    seen: UnboundedReceiver<Seen>,
+}
+
+struct Answer {
+    status: u16,
+    headers: axum::http::HeaderMap,
+    body: Value,
+}
+
+impl Gateway {
+    fn new(script: Script) -> Self {
+        let (handle, seen) = fake::gripper("left", script);
+        let context = Context { gateway: "wsg".parse().unwrap(), fleet: Fleet::new([handle]), allowed_hosts: vec![] };
+        Self { router: router(context), seen }
+    }
+
+    async fn send(&self, request: Request<Body>) -> Answer {
+        let (parts, body) = self.router.clone().oneshot(request).await.unwrap().into_parts();
+        let bytes = body.collect().await.unwrap().to_bytes();
+        let body = serde_json::from_slice(&bytes).unwrap_or(Value::Null);
+        Answer { status: parts.status.as_u16(), headers: parts.headers, body }
+    }
+
+    async fn ask(&self, method: &str, path: &str, body: impl Into<Body>) -> Answer {
+        let request = Request::builder().method(method).uri(path).header(header::HOST, "localhost");
+        self.send(request.body(body.into()).unwrap()).await
+    }
+
+    /// Of the gripper `left`.
+    async fn left(&self, method: &str, path: &str, body: Value) -> Answer {
+        self.ask(method, &format!("/api/v1/grippers/left/{path}"), body.to_string()).await
+    }
+
+    async fn action(&mut self) -> Action {
+        match self.seen.recv().await.unwrap() {
+            Seen::Submission(submission) => submission.action,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    async fn exchanged(&mut self) -> wsg::Command {
+        match self.seen.recv().await.unwrap() {
+            Seen::Exchange(command) => command,
+            other => panic!("{other:?}"),
+        }
+    }
+}
+
+fn with_fate(fate: Fate) -> Gateway {
+    Gateway::new(Script { fate, ..Script::default() })
+}
+
+fn with_exchange(exchange: fn(&wsg::Command) -> Result<Data, Rejection>) -> Gateway {
+    Gateway::new(Script { exchange, ..Script::default() })
+}
+
+#[tokio::test]
+async fn what_is_not_there_is_a_problem_too() {
+    let gateway = Gateway::new(Script::default());
+    let command = format!("/api/v1/grippers/left/commands/{}", CommandId::generate());
+    let paths = [
+        "/nowhere",
+        "/api/v1/grippers/",
+        "/api/v1/grippers/right",
+        "/api/v1/grippers/NO%20NAME/state",
+        "/api/v1/grippers/%FF/state",
+        "/api/v1/grippers/left/commands/7",
+        &command,
+        "/docs/nothing.js",
+        "/docs/",
+    ];
+    for path in paths {
+        let answer = gateway.ask("GET", path, "").await;
+        assert_eq!((answer.status, &answer.body["code"]), (404, &"not_found".into()), "{path}");
+        assert_eq!(answer.headers[header::CONTENT_TYPE], "application/problem+json");
+    }
+}
+
+#[tokio::test]
+async fn a_wrong_method_is_told_the_right_ones() {
+    let gateway = Gateway::new(Script::default());
+    let cases = [
+        ("DELETE", "/api/v1/grippers", "GET,HEAD"),
+        ("GET", "/api/v1/fast-stop", "POST"),
+        ("POST", "/api/v1/grippers/left/settings/soft-limits", "GET,HEAD,PUT,DELETE"),
+        ("POST", "/docs", "GET,HEAD"),
+    ];
+    for (method, path, allowed) in cases {
+        let answer = gateway.ask(method, path, "").await;
+        assert_eq!((answer.status, &answer.body["code"]), (405, &"method_not_allowed".into()), "{path}");
+        let methods = |list: &str| list.split(',').map(str::to_owned).collect::<BTreeSet<_>>();
+        assert_eq!(methods(answer.headers[header::ALLOW].to_str().unwrap()), methods(allowed));
+    }
+}
+
+#[tokio::test]
+async fn reading_costs_the_device_nothing() {
+    let mut gateway = Gateway::new(Script::default());
+    let list = gateway.ask("GET", "/api/v1/grippers", "").await;
+    assert_eq!(list.body["grippers"][0]["gripper"], "left");
+    assert_eq!(gateway.ask("GET", "/api/v1/grippers/left", "").await.body["url"], "sim://wsg50");
+    assert_eq!(gateway.ask("GET", "/api/v1/grippers/left/state", "").await.body["link"], "connecting");
+    assert_eq!(gateway.ask("GET", "/healthz", "").await.body, json!({"gateway": "wsg", "status": "ok"}));
+    assert!(gateway.seen.try_recv().is_err());
+}
+
+#[tokio::test]
+async fn head_is_get_without_a_body() {
+    let gateway = Gateway::new(Script::default());
+    let (get, head) = (gateway.ask("GET", "/healthz", "").await, gateway.ask("HEAD", "/healthz", "").await);
+    assert_eq!((head.status, head.body), (200, Value::Null));
+    assert_eq!(get.headers[header::CONTENT_LENGTH], head.headers[header::CONTENT_LENGTH]);
+}
+
+#[tokio::test]
+async fn the_documentation_needs_nothing_from_elsewhere() {
+    let gateway = Gateway::new(Script::default());
+    for path in ["/docs", "/docs/start.js", "/docs/swagger-ui.css", "/docs/swagger-ui-bundle.js"] {
+        let answer = gateway.ask("GET", path, "").await;
+        assert_eq!(answer.status, 200, "{path}");
+        assert_eq!(answer.headers[header::X_CONTENT_TYPE_OPTIONS], "nosniff");
+    }
+    let page = gateway.ask("GET", "/docs", "").await;
+    assert!(page.headers[header::CONTENT_SECURITY_POLICY].to_str().unwrap().contains("script-src 'self';"));
+    assert_eq!(gateway.ask("GET", "/api/v1/openapi.json", "").await.body["openapi"], "3.1.0");
+}

@@ -1,0 +1,62 @@
+//! Raw requests, through the router.
+
+use serde_json::json;
+
+use super::*;
+use crate::gripper::model::Motion;
+use crate::wsg::Acceleration;
+
+#[tokio::test]
+async fn a_raw_id_that_the_manuals_know_takes_the_typed_path() {
+    let mut gateway = Gateway::new(Script::default());
+    let answer = gateway.left("POST", "raw", json!({"id": 0x20, "payload": "02"})).await;
+    assert_eq!(
+        (answer.status, &answer.body["outcome"], &answer.body["name"]),
+        (200, &"SUCCESS".into(), &"Homing".into())
+    );
+    assert!(answer.body["command_id"].is_string());
+    assert_eq!(gateway.action().await, Action::Motion(Motion::Home(wsg::HomingDirection::Inner)));
+    let answer = gateway.left("POST", "raw", json!({"id": 35.0})).await;
+    assert_eq!((answer.status, &answer.body["status"]), (200, &"E_SUCCESS".into()));
+    assert!(matches!(gateway.seen.recv().await, Some(Seen::FastStop(_))));
+    let gateway = with_fate(Fate::Runs);
+    let answer = gateway.left("POST", "raw?wait_ms=0", json!({"id": 0x22})).await;
+    assert_eq!((answer.status, &answer.body["kind"]), (202, &"stop".into()));
+}
+
+#[tokio::test]
+async fn a_raw_answer_has_the_bytes_of_the_wire() {
+    let gateway = with_exchange(|command| match command {
+        wsg::Command::Custom(custom) => Ok(Data::Custom(custom.payload().to_vec())),
+        _ => Ok(Data::Acceleration(Acceleration::new(150.0).unwrap())),
+    });
+    let answer = gateway.left("POST", "raw", json!({"id": 0x31})).await;
+    assert_eq!((&answer.body["payload"], &answer.body["status_code"]), (&"00001643".into(), &0.into()));
+    // What was read back after it is no part of Set Acceleration's own reply.
+    let answer = gateway.left("POST", "raw", json!({"id": 0x30, "payload": "00001643"})).await;
+    assert_eq!(answer.body["payload"], "");
+    let answer = gateway.left("POST", "raw", json!({"id": 0xB0, "payload": "aaaaaa"})).await;
+    assert_eq!((&answer.body["payload"], &answer.body["name"]), (&"aaaaaa".into(), &Value::Null));
+}
+
+#[tokio::test]
+async fn what_is_the_gateways_own_is_no_raw_request() {
+    let mut gateway = Gateway::new(Script::default());
+    let cases = [
+        (json!({"id": 0x07}), 400, "id"),
+        (json!({"id": 0x24, "payload": "61636b"}), 400, "id"),
+        (json!({"id": 0x40, "payload": "010a00"}), 400, "payload"),
+        (json!({"id": 0x25, "payload": "00"}), 400, "payload"),
+        (json!({"id": 0x25, "payload": "0000c07f00004842"}), 400, "payload"),
+        (json!({"id": 0xAA}), 400, "id"),
+        (json!({"id": 256}), 422, "id"),
+        (json!({"id": 1.5}), 400, "id"),
+        (json!({"id": 0xB0, "payload": "0"}), 400, "payload"),
+        (json!({"id": 0xB0, "payload": "00".repeat(4097)}), 422, "payload"),
+    ];
+    for (body, status, field) in cases {
+        let answer = gateway.left("POST", "raw", body).await;
+        assert_eq!((answer.status, &answer.body["field"]), (status, &field.into()), "{}", answer.body);
+    }
+    assert!(gateway.seen.try_recv().is_err());
+}

@@ -1,0 +1,206 @@
+//! A gripper without a device, for the tests of the doors: a handle, and an actor that answers as it is told to.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use jiff::Timestamp;
+use tokio::sync::{mpsc, watch};
+
+use super::error::Rejection;
+use super::handle::{FastStopRequest, Handle, Request, Ticket};
+use super::info::Info;
+use super::model::{
+    Command, CommandId, FastStopCause, FastStopId, LatchFields, Link, Name, Outcome, Phase, Reason, State, Submission,
+};
+use crate::wsg::{self, Data};
+
+/// What the actor was asked.
+#[derive(Debug)]
+pub enum Seen {
+    Submission(Submission),
+    Exchange(wsg::Command),
+    FastStop(Reason),
+    Acknowledge(FastStopId),
+}
+
+/// What becomes of a command.
+#[derive(Debug, Clone)]
+pub enum Fate {
+    /// Not admitted.
+    Rejected(Rejection),
+    /// Admitted, and refused by the device.
+    Refused(Rejection),
+    /// Runs until it is cancelled.
+    Runs,
+    /// Ends at once.
+    Ends(Outcome),
+}
+
+/// How it answers.
+pub struct Script {
+    pub fate: Fate,
+    pub exchange: fn(&wsg::Command) -> Result<Data, Rejection>,
+    /// Whether the device's flags show a FAST STOP.
+    pub confirms: bool,
+    pub acknowledge: Result<(), Rejection>,
+}
+
+impl Default for Script {
+    fn default() -> Self {
+        Self { fate: Fate::Ends(Outcome::Success), exchange: |_| Ok(Data::None), confirms: true, acknowledge: Ok(()) }
+    }
+}
+
+/// The handle of a gripper that follows a script, and what it is asked.
+pub fn gripper(name: &str, script: Script) -> (Handle, mpsc::UnboundedReceiver<Seen>) {
+    let name: Name = name.parse().unwrap();
+    let (requests, asked) = mpsc::channel(64);
+    let (fast_stops, stopped) = mpsc::channel(64);
+    let (states, state) = watch::channel(Arc::new(unheard(name.clone())));
+    let info = Info::unknown(name.clone(), "sim://wsg50".to_owned(), "sim", false);
+    let (seen, looked_at) = mpsc::unbounded_channel();
+    let actor = Actor { name: name.clone(), script, seen, states, commands: HashMap::new() };
+    tokio::spawn(actor.run(asked, stopped));
+    (Handle { name, requests, fast_stops, state, info: watch::channel(Arc::new(info)).1 }, looked_at)
+}
+
+struct Actor {
+    name: Name,
+    script: Script,
+    seen: mpsc::UnboundedSender<Seen>,
+    states: watch::Sender<Arc<State>>,
+    commands: HashMap<CommandId, watch::Sender<Arc<Command>>>,
+}
+
+impl Actor {
+    async fn run(mut self, mut asked: mpsc::Receiver<Request>, mut stopped: mpsc::Receiver<FastStopRequest>) {
+        loop {
+            tokio::select! {
+                Some(stop) = stopped.recv() => self.latch(stop),
+                Some(request) = asked.recv() => self.answer(request),
+                else => break,
+            }
+        }
+    }
+
+    fn see(&self, seen: Seen) {
+        // A test that doesn't look has dropped the other end.
+        let _ = self.seen.send(seen);
+    }
+
+    fn latch(&self, stop: FastStopRequest) {
+        let latch = LatchFields {
+            fast_stop_id: stop.id,
+            fast_stop_by: stop.client.subject,
+            fast_stop_cause: FastStopCause::Requested,
+            fast_stop_reason: stop.reason.clone(),
+            fast_stop_at: Timestamp::UNIX_EPOCH,
+            fast_stop_confirmed: self.script.confirms,
+        };
+        self.states.send_modify(|state| *state = Arc::new(State { latch: Some(latch), ..State::clone(state) }));
+        self.see(Seen::FastStop(stop.reason));
+    }
+
+    fn answer(&mut self, request: Request) {
+        match request {
+            Request::Submit { submission, id, answer } => {
+                let _ = answer.send(self.submit(&submission, id));
+                self.see(Seen::Submission(submission));
+            }
+            Request::Find { id, answer } => {
+                let _ = answer.send(self.ticket(id));
+            }
+            Request::Cancel { id, answer, .. } => {
+                if let Some(command) = self.commands.get(&id) {
+                    command.send_modify(|command| end(Arc::make_mut(command), Outcome::Aborted));
+                }
+                let _ = answer.send(self.ticket(id));
+            }
+            Request::Exchange { command, answer, .. } => {
+                let _ = answer.send((self.script.exchange)(&command));
+                self.see(Seen::Exchange(command));
+            }
+            Request::Acknowledge { id, answer, .. } => {
+                let _ = answer.send(self.script.acknowledge.clone());
+                self.see(Seen::Acknowledge(id));
+            }
+            Request::Drain { answer } => {
+                let _ = answer.send(());
+            }
+        }
+    }
+
+    fn submit(&mut self, submission: &Submission, id: CommandId) -> Result<Ticket, Rejection> {
+        let mut command = running(self.name.clone(), id, submission);
+        match self.script.fate.clone() {
+            Fate::Rejected(rejection) => return Err(rejection),
+            Fate::Refused(rejection) => {
+                end(&mut command, Outcome::Refused);
+                command.rejection = Some(rejection);
+            }
+            Fate::Runs => {}
+            Fate::Ends(outcome) => end(&mut command, outcome),
+        }
+        let (record, newest) = watch::channel(Arc::new(command));
+        self.commands.insert(id, record);
+        Ok(Ticket { record: newest, replayed: false })
+    }
+
+    fn ticket(&self, id: CommandId) -> Option<Ticket> {
+        let record = self.commands.get(&id)?;
+        Some(Ticket { record: record.subscribe(), replayed: false })
+    }
+}
+
+fn end(command: &mut Command, outcome: Outcome) {
+    command.phase = Phase::Done;
+    command.outcome = Some(outcome);
+    command.set_status(wsg::Status::E_SUCCESS);
+}
+
+fn running(gripper: Name, id: CommandId, submission: &Submission) -> Command {
+    Command {
+        id,
+        gripper,
+        kind: submission.action.kind(),
+        phase: Phase::Running,
+        outcome: None,
+        status: None,
+        status_code: None,
+        reached_goal: None,
+        stalled: None,
+        width_mm: None,
+        force_n: None,
+        started_at: Timestamp::UNIX_EPOCH,
+        duration_ms: None,
+        client: submission.client.subject.clone(),
+        replayed: false,
+        fast_stop_id: None,
+        rejection: None,
+    }
+}
+
+fn unheard(gripper: Name) -> State {
+    State {
+        gripper,
+        link: Link::Connecting,
+        link_cause: Some("not reached yet".to_owned()),
+        updated_at: None,
+        seq: 0,
+        state: None,
+        state_code: None,
+        flags: Vec::new(),
+        flags_raw: None,
+        referenced: None,
+        moving: None,
+        width_mm: None,
+        speed_mm_s: None,
+        force_n: None,
+        temperature_c: None,
+        fast_stop: None,
+        latch: None,
+        lease_holder: None,
+        lease_epoch: 0,
+        command: None,
+    }
+}
