@@ -253,7 +253,13 @@ impl DeviceConfig {
         self.fingers.contains(&FingerConfig::Fmf)
     }
 
+    // Limits are set freely, so these are no `clamp`, which panics where the least is above the most.
+
     pub(super) fn clamp_speed_mm_s(&self, speed_mm_s: f64) -> f64 {
-        speed_mm_s.clamp(f64::from(self.limits.min_speed.mm_s()), f64::from(self.limits.max_speed.mm_s()))
+        speed_mm_s.max(f64::from(self.limits.min_speed.mm_s())).min(f64::from(self.limits.max_speed.mm_s()))
+    }
+
+    pub(super) fn clamp_width_mm(&self, width_mm: f64) -> f64 {
+        width_mm.max(0.0).min(self.stroke_mm())
     }
 }

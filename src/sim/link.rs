@@ -82,11 +82,14 @@ impl Device {
     /// Appends what is to be sent next to `out`, in one write: a frame, or what a fault made of one. `false` where
     /// nothing waits.
     pub fn poll_transmit(&mut self, out: &mut Vec<u8>) -> bool {
+        if self.half_open || self.is_cut {
+            return false;
+        }
         if let Some(chunk) = self.chunks.pop_front() {
             out.extend_from_slice(&chunk);
             return true;
         }
-        if self.half_open || self.is_cut || self.waits_to_join() {
+        if self.waits_to_join() {
             return false;
         }
         let Some(frame) = self.outbox.pop() else { return false };

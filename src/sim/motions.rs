@@ -77,7 +77,7 @@ impl Device {
 
     /// Clamped to the physical limits (`fw4-en 3.2.2`). Ruling: a target outside the soft limits is a range error.
     fn allowed_target(&self, width_mm: f64) -> Result<f64, Status> {
-        let width_mm = width_mm.clamp(0.0, self.config.stroke_mm());
+        let width_mm = self.config.clamp_width_mm(width_mm);
         let target = Width::new(width_mm as f32).unwrap_or(Width::ZERO);
         match self.settings.soft_limits {
             Some(limits) if !limits.allow(target) => Err(Status::E_RANGE_ERROR),
@@ -113,7 +113,7 @@ impl Device {
 
     fn plan_grip(&self, width_mm: f64, direction: Direction, speed_mm_s: f64) -> Plan {
         let end_mm = width_mm + direction.sign() * self.config.clamping_travel_mm;
-        let end_mm = end_mm.clamp(0.0, self.config.stroke_mm());
+        let end_mm = self.config.clamp_width_mm(end_mm);
         let drive = self.drive(end_mm, speed_mm_s, self.settings.force_limit_n);
         let nominal_mm = self.mechanics.true_mm(width_mm);
         Plan::Grip(Grip::new(drive, direction, nominal_mm, self.config.part_width_tolerance_mm))

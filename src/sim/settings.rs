@@ -31,14 +31,14 @@ impl Settings {
     pub fn set_acceleration(&mut self, acceleration: Acceleration, config: &DeviceConfig) {
         let limits = &config.limits;
         let (least, most) = (limits.min_acceleration.mm_s2(), limits.max_acceleration.mm_s2());
-        self.acceleration_mm_s2 = f64::from(acceleration.mm_s2().clamp(least, most));
+        self.acceleration_mm_s2 = f64::from(acceleration.mm_s2().max(least).min(most));
     }
 
     /// `fw4-en 3.3.3` clamps at nominal, which yields to Overdrive Mode (3.3.8).
     pub fn set_force_limit(&mut self, force: Force, config: &DeviceConfig) {
         let limits = &config.limits;
         let most = if self.overdrive { limits.overdrive_force } else { limits.nominal_force };
-        self.force_limit_n = f64::from(force.n().clamp(limits.min_force.n(), most.n()));
+        self.force_limit_n = f64::from(force.n().max(limits.min_force.n()).min(most.n()));
     }
 
     pub fn set_overdrive(&mut self, on: bool, config: &DeviceConfig) {
