@@ -116,21 +116,24 @@ fn stop_signal() -> std::io::Result<impl Future<Output = ()>> {
     })
 }
 
-/// Says on standard output what is served, where, and what to try.
+/// Says on standard output what is served, where, and what to try. Nobody may be reading it.
 fn announce(config: &Config, address: SocketAddr) {
+    let mut out = std::io::stdout().lock();
+    let _ = write_announcement(config, address, &mut out).and_then(|()| out.flush());
+}
+
+fn write_announcement(config: &Config, address: SocketAddr, out: &mut impl Write) -> std::io::Result<()> {
     let base = format!("http://{address}");
-    let mut text = format!("wsg-gateway {} serves {} at {base}/\n", env!("CARGO_PKG_VERSION"), config.name);
+    writeln!(out, "wsg-gateway {} serves {} at {base}/", env!("CARGO_PKG_VERSION"), config.name)?;
     for gripper in &config.grippers {
-        let url = match &gripper.device {
-            Device::At(address) => address.to_string(),
-            Device::Simulated(url) => url.to_string(),
-        };
-        text += &format!("  {:<8} {url}\n", gripper.name.as_str());
+        match &gripper.device {
+            Device::At(address) => writeln!(out, "  {:<8} {address}", gripper.name.as_str())?,
+            Device::Simulated(url) => writeln!(out, "  {:<8} {url}", gripper.name.as_str())?,
+        }
     }
+    writeln!(out, "documentation: {base}/docs")?;
     if let Some(gripper) = config.grippers.first() {
-        text +=
-            &format!("documentation: {base}/docs\ntry: curl -X POST {base}/api/v1/grippers/{}/home\n", gripper.name);
+        writeln!(out, "try: curl -X POST {base}/api/v1/grippers/{}/home", gripper.name)?;
     }
-    // Nobody may be reading it.
-    let _ = std::io::stdout().write_all(text.as_bytes());
+    Ok(())
 }

@@ -9,7 +9,7 @@ use jiff::Timestamp;
 pub struct Now {
     /// For deadlines.
     pub instant: Instant,
-    /// For records.
+    /// For records, in whole milliseconds.
     pub wall: Timestamp,
 }
 
@@ -17,7 +17,9 @@ impl Now {
     /// What the clocks say.
     #[must_use]
     pub fn read() -> Self {
-        Self { instant: instant(), wall: Timestamp::now() }
+        let now = Timestamp::now();
+        let milliseconds = Timestamp::from_millisecond(now.as_millisecond());
+        Self { instant: instant(), wall: milliseconds.unwrap_or(now) }
     }
 }
 

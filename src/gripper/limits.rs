@@ -130,8 +130,8 @@ mod tests {
         Limits { system: Some(system), soft: None, overdrive: false }
     }
 
-    fn field(result: Result<(), Invalid>) -> Option<(&'static str, f32, f32)> {
-        match result {
+    fn field(result: &Result<(), Invalid>) -> Option<(&'static str, f32, f32)> {
+        match *result {
             Err(Invalid::OutOfRange { field, min, max, .. }) => Some((field, min, max)),
             _ => None,
         }
@@ -145,10 +145,10 @@ mod tests {
     #[test]
     fn the_field_and_its_limits_are_named() {
         let limits = limits();
-        assert_eq!(field(limits.check_motion(&grip(5000.0, 50.0, None), None)), Some(("width_mm", 0.0, 110.0)));
-        assert_eq!(field(limits.check_motion(&grip(-0.1, 50.0, None), None)), Some(("width_mm", 0.0, 110.0)));
-        assert_eq!(field(limits.check_motion(&grip(20.0, 4.9, None), None)), Some(("speed_mm_s", 5.0, 420.0)));
-        assert_eq!(field(limits.check_motion(&grip(20.0, 50.0, Some(81.0)), None)), Some(("force_n", 5.0, 80.0)));
+        assert_eq!(field(&limits.check_motion(&grip(5000.0, 50.0, None), None)), Some(("width_mm", 0.0, 110.0)));
+        assert_eq!(field(&limits.check_motion(&grip(-0.1, 50.0, None), None)), Some(("width_mm", 0.0, 110.0)));
+        assert_eq!(field(&limits.check_motion(&grip(20.0, 4.9, None), None)), Some(("speed_mm_s", 5.0, 420.0)));
+        assert_eq!(field(&limits.check_motion(&grip(20.0, 50.0, Some(81.0)), None)), Some(("force_n", 5.0, 80.0)));
         assert_eq!(limits.check_motion(&grip(110.0, 420.0, Some(80.0)), None), Ok(()));
         let overdrive = Limits { overdrive: true, ..limits };
         assert_eq!(overdrive.check_motion(&grip(20.0, 50.0, Some(120.0)), None), Ok(()));
@@ -159,7 +159,7 @@ mod tests {
         let limits = limits();
         let flags = MoveFlags { relative: true, stop_on_block: true };
         let by = |mm| Motion::Move { flags, width: width(mm), speed: speed(50.0) };
-        assert_eq!(field(limits.check_motion(&by(-31.0), Some(30.0))), Some(("width_mm", -30.0, 80.0)));
+        assert_eq!(field(&limits.check_motion(&by(-31.0), Some(30.0))), Some(("width_mm", -30.0, 80.0)));
         assert_eq!(limits.check_motion(&by(-30.0), Some(30.0)), Ok(()));
     }
 
@@ -167,16 +167,20 @@ mod tests {
     fn a_target_that_the_soft_limits_forbid_is_refused() {
         let soft = SoftLimits::new(width(10.0), width(60.0));
         let limits = Limits { soft, ..limits() };
-        assert_eq!(field(limits.check_motion(&grip(9.0, 50.0, None), None)), Some(("width_mm", 10.0, 60.0)));
-        assert_eq!(limits.check_motion(&Motion::Home(Default::default()), None), Ok(()), "homing ignores them");
+        assert_eq!(field(&limits.check_motion(&grip(9.0, 50.0, None), None)), Some(("width_mm", 10.0, 60.0)));
+        assert_eq!(
+            limits.check_motion(&Motion::Home(crate::wsg::HomingDirection::Default), None),
+            Ok(()),
+            "homing ignores them"
+        );
     }
 
     #[test]
     fn settings_are_checked_too() {
         let limits = limits();
         let set = Command::SetAcceleration(Acceleration::new(6000.0).unwrap());
-        assert_eq!(field(limits.check_setting(&set)), Some(("acceleration_mm_s2", 100.0, 5000.0)));
+        assert_eq!(field(&limits.check_setting(&set)), Some(("acceleration_mm_s2", 100.0, 5000.0)));
         let soft = Command::SetSoftLimits(SoftLimits::new(width(5.0), width(111.0)).unwrap());
-        assert_eq!(field(limits.check_setting(&soft)), Some(("plus_mm", 0.0, 110.0)));
+        assert_eq!(field(&limits.check_setting(&soft)), Some(("plus_mm", 0.0, 110.0)));
     }
 }

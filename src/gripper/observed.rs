@@ -27,7 +27,9 @@ pub(super) struct Observed {
     pub force_n: Option<f32>,
     pub temperature: Option<Temperature>,
     pub updated_at: Option<Instant>,
-    /// When each of [`UPDATED`] was last heard, or asked for.
+    /// When each of [`UPDATED`] was last heard.
+    heard: [Option<Instant>; UPDATED.len()],
+    /// When each of them was last heard, or asked for.
     fresh: [Option<Instant>; UPDATED.len()],
 }
 
@@ -59,6 +61,14 @@ impl Observed {
         };
         self.updated_at = Some(now);
         self.asked(now, id);
+        if let Some(index) = UPDATED.iter().position(|&updated| updated == id) {
+            self.heard[index] = Some(now);
+        }
+    }
+
+    /// Whether every value was heard since `then`.
+    pub(super) fn is_newer_than(&self, then: Instant) -> bool {
+        self.heard.iter().all(|heard| heard.is_some_and(|heard| heard > then))
     }
 
     /// Whether a flag is set, as far as is known.

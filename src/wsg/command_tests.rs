@@ -77,8 +77,8 @@ fn wrong_lengths_are_answered_as_the_manuals_say() {
     for row in id::COMMANDS {
         let status = Command::parse(row.id, &[0; 300]).err().map(InvalidRequest::status);
         let expected = match row.id {
-            id::FAST_STOP => None,
-            id::SET_DEVICE_TAG => None, // 300 NULs are an empty tag
+            // 300 NULs are an empty tag.
+            id::FAST_STOP | id::SET_DEVICE_TAG => None,
             id if no_param.contains(&id) => Some(Status::E_NO_PARAM_EXPECTED),
             _ => Some(Status::E_CMD_FORMAT_ERROR),
         };

@@ -61,6 +61,7 @@ mod tests {
     use super::*;
 
     #[test]
+    #[allow(clippy::float_cmp, reason = "nothing is computed")]
     fn what_is_not_finite_cannot_be_built() {
         assert!(Width::new(f32::NAN).is_err());
         assert!(Speed::new(f32::INFINITY).is_err());

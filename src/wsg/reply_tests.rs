@@ -75,6 +75,7 @@ fn ruling_loop_data_come_with_success() {
 }
 
 #[test]
+#[allow(clippy::float_cmp, reason = "nothing is computed but a division by ten")]
 fn ruling_fff5h_is_minus_1_1_degrees() {
     let celsius = |bytes: [u8; 2]| match Reply::parse(0x46, &[0, 0, bytes[0], bytes[1]]) {
         Ok(Reply::Success(Data::Temperature(temperature))) => temperature.celsius(),

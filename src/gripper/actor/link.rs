@@ -5,7 +5,7 @@ use std::time::Duration;
 use super::super::Now;
 use super::super::error::{Failure, Rejection};
 use super::super::latch;
-use super::super::model::{Command as Record, Link, Outcome};
+use super::super::model::Link;
 use super::super::setup::{Setup, Step};
 use super::{Actor, Close, LinkState, Purpose, REPLY_WITHIN};
 use crate::wsg::session::{self, Session};
@@ -63,14 +63,7 @@ impl Actor {
                 _ => {}
             }
         }
-        if let Some(running) = self.running.take() {
-            if running.is_sent() && !unwritten {
-                // It may have happened.
-                self.end(now, running.id, |record: &mut Record| record.outcome = Some(Outcome::Unknown));
-            } else {
-                self.reject(now, running.id, rejection);
-            }
-        }
+        self.end_running(now, unwritten);
         self.settle(now);
     }
 

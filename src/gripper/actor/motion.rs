@@ -19,6 +19,10 @@ const HOMING_WITHIN: Duration = Duration::from_secs(60);
 /// itself with E_TIMEOUT.
 const MOTION_MARGIN: Duration = Duration::from_secs(10);
 
+/// How long a command's end waits for values that were measured after it, so that what its client is told, and reads
+/// next, is of after the motion. Updates every 10 ms bring them sooner.
+const SETTLES_WITHIN: Duration = Duration::from_millis(50);
+
 /// The stroke that is reckoned with where the device has not told its own.
 const LONGEST_STROKE_MM: f32 = 250.0;
 
@@ -41,6 +45,16 @@ enum Stage {
     Force(Token),
     /// The session has the motion: its frame may be written.
     Sent(Token),
+    /// It has ended, and the values of after it are awaited.
+    Settling(Settling),
+}
+
+/// What has become of a motion that has ended.
+#[derive(Debug, Clone, Copy)]
+struct Settling {
+    outcome: Outcome,
+    status: Option<Status>,
+    since: Instant,
 }
 
 impl Running {
@@ -48,15 +62,15 @@ impl Running {
         Self { id, motion, stage: Stage::Waiting, accepted: false, fast_stop: None }
     }
 
-    /// Whether the session has the motion.
-    pub(super) fn is_sent(&self) -> bool {
-        matches!(self.stage, Stage::Sent(_))
+    /// Whether it has not been given to the device.
+    fn is_waiting(&self) -> bool {
+        matches!(self.stage, Stage::Waiting | Stage::Force(_))
     }
 
     /// What the session has of it.
     pub(super) fn token(&self) -> Option<Token> {
         match self.stage {
-            Stage::Waiting => None,
+            Stage::Waiting | Stage::Settling(_) => None,
             Stage::Force(token) | Stage::Sent(token) => Some(token),
         }
     }
@@ -143,24 +157,53 @@ impl Actor {
 
     /// The motion has ended, as far as the session knows.
     pub(super) fn motion_ended(&mut self, now: Now, id: CommandId, end: End) {
-        let Some(running) = self.running.take_if(|running| running.id == id) else { return };
+        let Some(running) = self.running.as_mut().filter(|running| running.id == id) else { return };
         self.last_motion_end = Some(now.instant);
-        let kind = running.motion.kind();
+        let command = super::name_of(&running.motion.request());
         let (outcome, status) = match end {
-            End::Reply(reply) if running.accepted => (outcome_of(kind, reply.status()), Some(reply.status())),
+            End::Reply(reply) if running.accepted => {
+                (outcome_of(running.motion.kind(), reply.status()), Some(reply.status()))
+            }
             End::Reply(Reply::Status(status)) => {
-                let rejection = self.refusal(super::name_of(&running.motion.request()), status);
-                return self.reject(now, id, rejection);
+                let rejection = self.refusal(command, status);
+                return self.reject_running(now, rejection);
             }
             End::Unanswered { written: false, waited, .. } => {
-                let command = super::name_of(&running.motion.request());
                 let waited_ms = waited.as_millis() as u64;
-                return self.reject(now, id, Failure::DeviceTimeout { command, waited_ms }.into());
+                return self.reject_running(now, Failure::DeviceTimeout { command, waited_ms }.into());
             }
             End::Unanswered { stopped: true, .. } | End::NoResult { stopped: true } => (Outcome::Aborted, None),
             _ => (Outcome::Unknown, None),
         };
-        self.end(now, id, |record| {
+        running.stage = Stage::Settling(Settling { outcome, status, since: now.instant });
+    }
+
+    /// When a settling motion is told as it is.
+    pub(super) fn settles_at(&self) -> Option<Instant> {
+        match self.running.as_ref()?.stage {
+            Stage::Settling(settling) => Some(settling.since + SETTLES_WITHIN),
+            _ => None,
+        }
+    }
+
+    /// Ends a motion that has settled.
+    pub(super) fn end_settled_motion(&mut self, now: Now) {
+        let Some(Running { stage: Stage::Settling(settling), .. }) = &self.running else { return };
+        if self.observed.is_newer_than(settling.since) || self.settles_at().is_some_and(|at| at <= now.instant) {
+            self.end_running(now, false);
+        }
+    }
+
+    /// Ends the motion as it stands: settled, or cut off by the end of its link.
+    pub(super) fn end_running(&mut self, now: Now, unwritten: bool) {
+        let Some(running) = self.running.take() else { return };
+        let (outcome, status) = match running.stage {
+            Stage::Settling(Settling { outcome, status, .. }) => (outcome, status),
+            // It may have happened.
+            Stage::Sent(_) if !unwritten => (Outcome::Unknown, None),
+            _ => return self.reject(now, running.id, self.link_down_failure().into()),
+        };
+        self.end(now, running.id, |record| {
             record.outcome = Some(outcome);
             if let Some(status) = status {
                 record.set_status(status);
@@ -207,9 +250,9 @@ impl Actor {
     pub(super) fn withdraw_waiting_motion(&mut self, now: Now) {
         let Some(running) = &self.running else { return };
         let token = running.token();
-        let (id, fast_stop, sent) = (running.id, running.fast_stop, running.is_sent());
+        let (id, fast_stop, waiting) = (running.id, running.fast_stop, running.is_waiting());
         let withdrawn = token.is_some_and(|token| self.withdraw(token));
-        if !sent || withdrawn {
+        if waiting || withdrawn {
             self.running = None;
             self.end(now, id, |record| {
                 record.outcome = Some(Outcome::Aborted);
@@ -220,7 +263,7 @@ impl Actor {
 
     /// Stops a command on its client's behalf.
     pub(super) fn cancel(&mut self, now: Now, id: CommandId) {
-        if self.running.as_ref().is_none_or(|running| running.id != id) {
+        if self.running.as_ref().is_none_or(|running| running.id != id || matches!(running.stage, Stage::Settling(_))) {
             return;
         }
         self.withdraw_waiting_motion(now);

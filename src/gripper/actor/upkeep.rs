@@ -20,6 +20,7 @@ impl Actor {
         self.supervise(now);
         self.send_fast_stop_if_due(now);
         self.latching.handle_timeout(now.instant, self.observed.flags);
+        self.end_settled_motion(now);
         self.start_waiting_motion(now);
         self.expire_awaiting_flags(now);
         if self.drain.is_some() {
@@ -44,6 +45,7 @@ impl Actor {
             silence,
             self.latching.next_timeout().filter(|_| session.is_some()),
             self.motion_due(),
+            self.settles_at(),
             self.awaiting_flags.iter().map(|(until, _)| *until).min(),
             self.observed.next_silent().filter(|_| up),
             self.temperature_at.filter(|_| up && self.reads_temperature()),

@@ -137,13 +137,12 @@ impl Clients {
         let (answer, mut answered) = oneshot::channel();
         let now = world.clock();
         world.actor.request(now, Request::Acknowledge { id, client: client(), answer });
-        match answered.try_recv() {
-            Ok(result) => assert!(result.is_err(), "nothing is acknowledged without the device"),
-            Err(_) => {
-                assert_eq!(Some(id), current, "acknowledge_names_its_latch\n{}", world.tail());
-                world.invariants.acknowledge_taken();
-                world.clients.acknowledges.push(answered);
-            }
+        if let Ok(result) = answered.try_recv() {
+            assert!(result.is_err(), "nothing is acknowledged without the device");
+        } else {
+            assert_eq!(Some(id), current, "acknowledge_names_its_latch\n{}", world.tail());
+            world.invariants.acknowledge_taken();
+            world.clients.acknowledges.push(answered);
         }
     }
 

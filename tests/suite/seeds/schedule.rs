@@ -90,7 +90,6 @@ impl Schedule {
 fn ask(rng: &mut SmallRng) -> Ask {
     match rng.random_range(0..24) {
         0..3 => Ask::Home,
-        3..6 => Ask::Move,
         6 => Ask::MoveRelative,
         7..11 => Ask::Grip { with_force: rng.random_bool(0.3) },
         11..13 => Ask::Release,

@@ -9,7 +9,7 @@ use rand::{RngExt, SeedableRng};
 use wsg_gateway::gripper::Now;
 use wsg_gateway::gripper::actor::{Actor, Close, Config, Watches};
 use wsg_gateway::gripper::model::{IdSource, Phase};
-use wsg_gateway::sim::{Device, DeviceConfig, Interface, LinkAction, Part};
+use wsg_gateway::sim::{Device, DeviceConfig, Interface, LinkAction, Part, Script, ScriptAnswer};
 use wsg_gateway::transport::Traits;
 use wsg_gateway::wsg::Command;
 
@@ -106,6 +106,7 @@ impl World {
         if rng.random_bool(0.7) {
             device = device.with_part(Part::outside(20.0));
         }
+        device.scripts.push(Script { id: 0xB0, answer: ScriptAnswer::Echo });
         // A slow line has fewer updates, so that its schedules run faster; some are at full rate.
         let bytes_per_second = [None, Some(11_520), Some(960), Some(960), Some(960)][rng.random_range(0..5)];
         let config = Config {
