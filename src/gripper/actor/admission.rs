@@ -8,6 +8,7 @@ use super::super::handle::{Answer, Ticket};
 use super::super::model::{Action, Client, Command as Record, CommandId, FastStopId, Motion, Phase, Submission};
 use super::super::setup::WantedSoftLimits;
 use super::motion::Running;
+use super::reads::is_slow_getter;
 use super::{Actor, Exchange, Purpose};
 use crate::wsg::{Command, Data, SystemState, id};
 
@@ -104,6 +105,9 @@ impl Actor {
             return;
         }
         tracing::debug!(gripper = %self.config.name, command = super::name_of(&command), client = %client.subject, "exchange");
+        if is_slow_getter(&command) {
+            return self.read(now, command, answer);
+        }
         let purpose = Purpose::Exchange(Exchange { command: command.clone(), answer, setter: None });
         self.submit_exchange(now, command, purpose);
     }

@@ -82,7 +82,11 @@ impl Actor {
             Purpose::Motion(id) => self.motion_ended(now, id, end),
             Purpose::Stop(Some(id)) => self.stop_ended(now, id, end),
             Purpose::Stop(None) => {}
-            Purpose::Exchange(exchange) => self.take_exchange_end(now, exchange, end),
+            Purpose::Exchange(exchange) => {
+                self.reads.forget();
+                self.take_exchange_end(now, exchange, end);
+            }
+            Purpose::Read(id) => self.read_ended(now, id, end),
             Purpose::Announce => {
                 if let Some(drain) = &mut self.drain {
                     drain.answered();

@@ -51,6 +51,7 @@ impl Actor {
         self.close = None;
         let rejection = Rejection::Failure(self.link_down_failure());
         self.latching.link_lost(&rejection);
+        self.reads.reject_all(&rejection);
         for (_, answer) in std::mem::take(&mut self.awaiting_flags) {
             let _ = answer.send(Err(rejection.clone()));
         }

@@ -20,6 +20,7 @@ mod events;
 mod link;
 mod motion;
 mod publish;
+mod reads;
 mod upkeep;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -43,6 +44,7 @@ use crate::wsg::session::{self, NotTaken, Session, Token};
 use crate::wsg::{self, Command, Data, SystemInfo, id};
 use drain::Drain;
 use motion::Running;
+use reads::Reads;
 
 /// How long the device may take to answer, before a Loop asks whether the answer was lost.
 const REPLY_WITHIN: Duration = Duration::from_secs(1);
@@ -95,6 +97,8 @@ enum Purpose {
     /// For a client's stop command, or on the gateway's own account.
     Stop(Option<CommandId>),
     Exchange(Exchange),
+    /// A getter that several may wait for.
+    Read(u8),
     Announce,
 }
 
@@ -139,6 +143,7 @@ pub struct Actor {
     overdrive_wanted: bool,
     observed: Observed,
     latching: Latching,
+    reads: Reads,
     book: Book,
     running: Option<Running>,
     last_motion_end: Option<Instant>,
@@ -188,6 +193,7 @@ impl Actor {
             overdrive_wanted: false,
             observed: Observed::default(),
             latching: Latching::default(),
+            reads: Reads::default(),
             book: Book::default(),
             running: None,
             last_motion_end: None,

@@ -324,6 +324,7 @@ impl Actor {
 
     /// The one place that ends a command.
     pub(super) fn end(&mut self, now: Now, id: CommandId, fill_in: impl FnOnce(&mut Record)) {
+        self.reads.forget();
         let (width_mm, force_n) = (self.observed.width_mm, self.observed.force_n);
         let ended = self.book.end(now.instant, id, |record| {
             fill_in(record);

@@ -1,0 +1,101 @@
+//! Getters without automatic updates: read every few seconds at most, however many clients ask.
+//!
+//! A value that was read is served until it is too old, or until something was done that could have changed it. Who
+//! asks while a read is under way gets its answer.
+
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
+
+use super::super::Now;
+use super::super::error::Rejection;
+use super::super::handle::Answer;
+use super::{Actor, Purpose};
+use crate::wsg::session::End;
+use crate::wsg::{Command, Data, Reply};
+
+/// How old a value may be.
+const FRESH_FOR: Duration = Duration::from_secs(2);
+
+/// What was read, and what is being read, by id.
+#[derive(Debug, Default)]
+pub(super) struct Reads {
+    known: BTreeMap<u8, (Instant, Result<Data, Rejection>)>,
+    waiting: BTreeMap<u8, Vec<Answer<Data>>>,
+    /// Reads under way that began before something was changed: their answers are told, and not kept.
+    outdated: bool,
+}
+
+impl Reads {
+    /// Something was done that could have changed any of them.
+    pub(super) fn forget(&mut self) {
+        self.known.clear();
+        self.outdated = !self.waiting.is_empty();
+    }
+
+    fn fresh(&self, now: Instant, id: u8) -> Option<Result<Data, Rejection>> {
+        let (read_at, value) = self.known.get(&id)?;
+        (now < *read_at + FRESH_FOR).then(|| value.clone())
+    }
+
+    fn take(&mut self, now: Instant, id: u8, result: Result<Data, Rejection>) {
+        let waiting = self.waiting.remove(&id).unwrap_or_default();
+        for answer in waiting {
+            // Whoever asked may be gone.
+            let _ = answer.send(result.clone());
+        }
+        if !self.outdated && !matches!(result, Err(Rejection::Failure(_))) {
+            self.known.insert(id, (now, result));
+        }
+        self.outdated &= !self.waiting.is_empty();
+    }
+
+    pub(super) fn reject_all(&mut self, rejection: &Rejection) {
+        for answer in std::mem::take(&mut self.waiting).into_values().flatten() {
+            let _ = answer.send(Err(rejection.clone()));
+        }
+        self.forget();
+    }
+}
+
+impl Actor {
+    /// Answers from what is known, or by a read.
+    pub(super) fn read(&mut self, now: Now, command: Command, answer: Answer<Data>) {
+        let id = command.id();
+        if let Some(result) = self.reads.fresh(now.instant, id) {
+            let _ = answer.send(result);
+            return;
+        }
+        let waiting = self.reads.waiting.entry(id).or_default();
+        waiting.push(answer);
+        if waiting.len() == 1
+            && let Err(not_taken) = self.submit(now, command, Purpose::Read(id))
+        {
+            self.reads.take(now.instant, id, Err(not_taken.0));
+        }
+    }
+
+    pub(super) fn read_ended(&mut self, now: Now, id: u8, end: End) {
+        let result = match end {
+            End::Reply(Reply::Success(data)) => Ok(data),
+            end => Err(self.rejection_of(crate::wsg::id::name(id).unwrap_or("a getter"), end)),
+        };
+        self.reads.take(now.instant, id, result);
+    }
+}
+
+/// Whether a command only reads what seldom changes.
+pub(super) fn is_slow_getter(command: &Command) -> bool {
+    matches!(
+        command,
+        Command::GetAcceleration
+            | Command::GetForceLimit
+            | Command::GetSoftLimits
+            | Command::GetStatistics { reset: false }
+            | Command::GetTemperature
+            | Command::GetSystemInfo
+            | Command::GetDeviceTag
+            | Command::GetSystemLimits
+            | Command::GetFingerInfo(_)
+            | Command::GetFingerFlags(_)
+    )
+}
