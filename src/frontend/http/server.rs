@@ -119,11 +119,12 @@ async fn connection(stream: TcpStream, peer: SocketAddr, router: Router, guest: 
     let ended = tokio::select! {
         ended = served.as_mut() => ended,
         () = guest.asked_to_leave() => {
-            if guest.is_idle() {
+            if guest.is_unused() {
                 return;
             }
+            // An idle one ends at once, and one that doesn't read its answer not much later.
             served.as_mut().graceful_shutdown();
-            served.await
+            timeout(limits.shutdown_time, served).await.unwrap_or(Ok(()))
         }
     };
     if let Err(error) = ended {
