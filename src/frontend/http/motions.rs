@@ -21,10 +21,11 @@ macro_rules! command_body {
         $(#[$meta])*
         pub struct $name {
             $($fields)*
-            /// Makes the request safe to repeat: the same id gives the same command for 10 minutes. At most 64 bytes.
+            /// Makes the request safe to repeat: the same id gives the same command for 10 minutes. At most 64 bytes;
+            /// empty is none.
             #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
             request_id: Option<String>,
-            /// The lease's token, while somebody holds one.
+            /// The lease's token, while somebody holds one; empty is none.
             #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
             lease: Option<String>,
         }
