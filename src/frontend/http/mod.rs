@@ -30,6 +30,7 @@ use axum::http::Method;
 use axum::response::{IntoResponse, Response};
 use axum::{Extension, Router, middleware};
 use tower_http::catch_panic::CatchPanicLayer;
+use tower_http::trace::TraceLayer;
 use utoipa::openapi::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
@@ -61,6 +62,8 @@ pub fn router(context: Context) -> Router {
     routes
         .layer(Extension(Arc::new(document)))
         .layer(CatchPanicLayer::custom(panicked))
+        // What failed is told where it failed; a device that is switched off is no error of each request to it.
+        .layer(TraceLayer::new_for_http().on_failure(()))
         .layer(middleware::from_fn_with_state(context.clone(), guard::refuse_foreigners))
         .layer(middleware::map_response(guard::harden))
         .with_state(context)
