@@ -26,9 +26,9 @@ use super::responses::{AnyProblem, DeviceProblem, GripperProblem};
 use crate::gripper::FastStop;
 use crate::gripper::model::{FastStopId, Reason};
 
-/// How long a FAST STOP waits for its reason. A client's header and body come in one packet or two, so it is there
-/// already; if it isn't, stopping is worth more than knowing why.
-pub const REASON_TIME: Duration = Duration::from_millis(50);
+/// How long a FAST STOP waits for its reason. A client's header and body come in one packet or in two right after each
+/// other, so it is there already; if it isn't, stopping is worth more than knowing why.
+pub const REASON_TIME: Duration = Duration::from_millis(20);
 
 /// How long the rest of a body is read while the FAST STOP is on its way: no longer than that takes.
 const REST_TIME: Duration = crate::gripper::handle::FAST_STOP_WAIT;

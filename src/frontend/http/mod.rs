@@ -17,6 +17,7 @@ mod fingers;
 mod grippers;
 mod guard;
 mod motions;
+mod prompt;
 mod raw;
 mod responses;
 mod server;

@@ -21,6 +21,7 @@ use tokio_util::sync::CancellationToken;
 use tower::ServiceExt;
 
 use super::connections::{Connections, Guest};
+use super::prompt::Prompt;
 use super::{Context, router};
 
 /// Bounds of the server.
@@ -114,7 +115,7 @@ async fn connection(stream: TcpStream, peer: SocketAddr, router: Router, guest: 
         .timer(TokioTimer::new())
         .header_read_timeout(limits.header_time)
         .max_header_size(MAX_HEADER_BYTES)
-        .serve_connection(TokioIo::new(stream), service);
+        .serve_connection(TokioIo::new(Prompt(stream)), service);
     let mut served = std::pin::pin!(served);
     let ended = tokio::select! {
         ended = served.as_mut() => ended,
