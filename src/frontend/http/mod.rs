@@ -40,7 +40,7 @@ use self::errors::{Code, Problem};
 use crate::gripper::Fleet;
 use crate::gripper::model::Name;
 
-pub use server::{Limits, serve};
+pub use server::{Limits, RESERVED_CONNECTIONS, serve};
 
 /// Where the API begins.
 const API: &str = "/api/v1";
