@@ -4,7 +4,7 @@ use axum::Json;
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
-use utoipa::ToSchema;
+use utoipa::{IntoResponses, ToSchema};
 
 use super::API;
 use super::body::Body;
@@ -31,6 +31,18 @@ pub async fn run(gripper: Gripper, keys: Keys, action: Action, wait: Wait) -> Re
 
 /// How long a command is waited for if its client doesn't say.
 pub type Wait = WaitMs<DEFAULT_WAIT_MS>;
+
+/// What [`told`] answers, for the document.
+#[derive(IntoResponses)]
+#[allow(dead_code, reason = "the document's words on what told answers")]
+pub enum Told {
+    /// The command, ended: `outcome` says how
+    #[response(status = 200)]
+    Ended(Command),
+    /// The command, still running after `wait_ms`
+    #[response(status = 202, headers(("Location" = String, description = "Where to ask for it")))]
+    Running(Command),
+}
 
 /// 200 with the command where it has ended, else 202 and where to ask for it.
 pub fn told(command: Command) -> Response {
@@ -79,12 +91,7 @@ pub async fn get(gripper: Gripper, CommandOf(id): CommandOf, wait: WaitMs<0>) ->
     tag = "commands",
     params(GripperPath, CommandPath, WaitQuery),
     request_body(content = Option<Nothing>, description = "Nothing, or an empty object"),
-    responses(
-        (status = 200, description = "The command, ended", body = Command),
-        (status = 202, description = "The command, still ending", body = Command,
-            headers(("Location" = String, description = "Where to ask for it"))),
-        CommandProblem,
-    )
+    responses(Told, CommandProblem)
 )]
 pub async fn cancel(
     gripper: Gripper,

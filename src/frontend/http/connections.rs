@@ -1,6 +1,7 @@
 //! The open connections, and which of them has been idle the longest: it goes when a new one needs its place.
 
 use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
@@ -49,7 +50,7 @@ impl Connections {
         let (id, leave) = (open.next, closing.child_token());
         open.next += 1;
         open.guests.insert(id, Entry { idle_since: Some(Instant::now()), leave: leave.clone() });
-        Some(Guest { id, leave, connections: self.clone() })
+        Some(Guest { id, leave, used: AtomicBool::new(false), connections: self.clone() })
     }
 
     /// A panic while it was locked has left nothing half done.
@@ -69,6 +70,7 @@ impl Connections {
 pub struct Guest {
     id: u64,
     leave: CancellationToken,
+    used: AtomicBool,
     connections: Arc<Connections>,
 }
 
@@ -78,13 +80,14 @@ impl Guest {
         self.leave.cancelled().await;
     }
 
-    /// Whether no request is being answered.
-    pub fn is_idle(&self) -> bool {
-        self.connections.open().guests.get(&self.id).is_none_or(|entry| entry.idle_since.is_some())
+    /// Whether no request has come yet, or not all of its header.
+    pub fn is_unused(&self) -> bool {
+        !self.used.load(Ordering::Relaxed)
     }
 
     /// Marks a request that is being answered, until it is dropped.
     pub fn busy(self: &Arc<Self>) -> Busy {
+        self.used.store(true, Ordering::Relaxed);
         self.connections.set_idle_since(self.id, None);
         Busy(self.clone())
     }

@@ -188,10 +188,10 @@ impl<const DEFAULT: u64> FromRequestParts<Arc<Context>> for WaitMs<DEFAULT> {
 #[allow(dead_code, reason = "the document's words on what Keys takes from the headers")]
 pub struct KeyHeaders {
     /// The same as `request_id` in the body, for clients that have it as a header.
-    #[param(rename = "Idempotency-Key", nullable = false, max_length = 64, pattern = "^[!-~]([ -~]*[!-~])?$")]
+    #[param(rename = "Idempotency-Key", nullable = false, max_length = 64, pattern = "^([!-~]([ -~]*[!-~])?)?$")]
     idempotency_key: Option<String>,
     /// The same as `lease` in the body.
-    #[param(rename = "Wsg-Lease", nullable = false, max_length = 64, pattern = "^[!-~]([ -~]*[!-~])?$")]
+    #[param(rename = "Wsg-Lease", nullable = false, max_length = 64, pattern = "^([!-~]([ -~]*[!-~])?)?$")]
     wsg_lease: Option<String>,
 }
 
@@ -203,10 +203,11 @@ pub struct Keys {
 }
 
 impl Keys {
-    /// Those of the body, too.
+    /// Those of the body, too. An empty one is none: clients with fixed fields send that.
     pub fn or_body(self, request_id: Option<&str>, lease: Option<&str>) -> Result<Self, Problem> {
-        let request_id = request_id.map(|given| text("request_id", given)).transpose()?;
-        let lease = lease.map(|given| text::<MAX_LEASE_BYTES>("lease", given)).transpose()?;
+        let given = |text: &&str| !text.is_empty();
+        let request_id = request_id.filter(given).map(|given| text("request_id", given)).transpose()?;
+        let lease = lease.filter(given).map(|given| text::<MAX_LEASE_BYTES>("lease", given)).transpose()?;
         Ok(Self {
             request_id: one_of("request_id", self.request_id, request_id)?,
             lease: one_of("lease", self.lease, lease.map(|lease| lease.as_str().to_owned()))?,
@@ -241,7 +242,7 @@ fn header<const MAX: usize>(headers: &HeaderMap, name: &'static str) -> Result<O
     let (first, None) = (values.next(), values.next()) else {
         return Err(Problem::malformed(name, format!("{name} is given more than once")));
     };
-    let Some(value) = first else { return Ok(None) };
+    let Some(value) = first.filter(|value| !value.is_empty()) else { return Ok(None) };
     let given = std::str::from_utf8(value.as_bytes())
         .map_err(|_| Problem::new(Code::Malformed, format!("{name} is no text")).field(name))?;
     text(name, given).map(Some)

@@ -49,6 +49,13 @@ async fn keys_come_from_the_headers_or_the_body() {
 }
 
 #[tokio::test]
+async fn an_empty_key_is_none() {
+    let mut parts = parts("/home", &[("Idempotency-Key", ""), ("Wsg-Lease", "")]);
+    let headers = Keys::from_request_parts(&mut parts, &context()).await.unwrap();
+    assert_eq!(headers.or_body(Some(""), Some("")).unwrap(), Keys::default());
+}
+
+#[tokio::test]
 async fn a_key_that_is_no_text_is_refused() {
     let refused = async |headers: &[(&str, &str)]| {
         let mut parts = parts("/home", headers);

@@ -1,7 +1,8 @@
 //! FAST STOP and its acknowledge.
 //!
 //! Whoever asks for a FAST STOP gets it, whatever the body says and however long it takes to come: the body is only a
-//! reason. So these handlers read it themselves, within [`REASON_TIME`].
+//! reason. So these handlers read it themselves, within [`REASON_TIME`], and a client that is gone before has stopped
+//! its gripper all the same.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -19,15 +20,15 @@ use utoipa::{PartialSchema, ToSchema};
 
 use super::Context;
 use super::body::{self, Body, MAX_BODY_BYTES};
-use super::errors::Problem;
+use super::errors::{Code, Problem};
 use super::extract::{Asker, Gripper, GripperPath};
 use super::responses::{AnyProblem, DeviceProblem, GripperProblem};
 use crate::gripper::FastStop;
 use crate::gripper::model::{FastStopId, Reason};
 
-/// How long a FAST STOP waits for its reason. A client's header and body come in one packet or two, so it is there
-/// already; if it isn't, stopping is worth more than knowing why.
-pub const REASON_TIME: Duration = Duration::from_millis(50);
+/// How long a FAST STOP waits for its reason. A client's header and body come in one packet or in two right after each
+/// other, so it is there already; if it isn't, stopping is worth more than knowing why.
+pub const REASON_TIME: Duration = Duration::from_millis(20);
 
 /// How long the rest of a body is read while the FAST STOP is on its way: no longer than that takes.
 const REST_TIME: Duration = crate::gripper::handle::FAST_STOP_WAIT;
@@ -96,12 +97,12 @@ pub struct AllFastStopAnswer {
     request_body = Option<FastStopBody>,
     responses((status = 200, description = "It is latched", body = FastStopAnswer), GripperProblem)
 )]
-pub async fn one(gripper: Gripper, request: Request) -> Json<FastStopAnswer> {
+pub async fn one(gripper: Gripper, request: Request) -> Result<Json<FastStopAnswer>, Problem> {
     let name = gripper.name();
     let stop =
         |reason| async move { gripper.handle.fast_stop(FastStopId::generate(), gripper.client.clone(), reason).await };
-    let FastStop { id, confirmed } = with_reason(request, stop).await;
-    Json(FastStopAnswer { gripper: name, fast_stop_id: id, fast_stop_confirmed: confirmed })
+    let FastStop { id, confirmed } = with_reason(request, stop).await?;
+    Ok(Json(FastStopAnswer { gripper: name, fast_stop_id: id, fast_stop_confirmed: confirmed }))
 }
 
 /// FAST STOP of all grippers
@@ -116,26 +117,34 @@ pub async fn all(
     State(context): State<Arc<Context>>,
     Asker(client): Asker,
     request: Request,
-) -> Json<AllFastStopAnswer> {
+) -> Result<Json<AllFastStopAnswer>, Problem> {
     let stop = |reason| async move { context.fleet.fast_stop(&client, &reason).await };
-    let (id, stops) = with_reason(request, stop).await;
+    let (id, stops) = with_reason(request, stop).await?;
     let (confirmed, unconfirmed): (Vec<_>, Vec<_>) = stops.into_iter().partition(|(_, confirmed)| *confirmed);
     let names = |stops: Vec<(_, bool)>| stops.into_iter().map(|(name, _)| ToString::to_string(&name)).collect();
-    Json(AllFastStopAnswer {
+    Ok(Json(AllFastStopAnswer {
         fast_stop_id: id,
         fast_stop_confirmed: unconfirmed.is_empty(),
         confirmed: names(confirmed),
         unconfirmed: names(unconfirmed),
-    })
+    }))
 }
 
 /// Stops with the body's reason, if there is one by now. What is left of the body is read meanwhile, so that the
-/// client sees its answer.
-async fn with_reason<T, F: Future<Output = T>>(request: Request, stop: impl FnOnce(Reason) -> F) -> T {
-    let mut stream = request.into_body();
-    let reason = reason(&mut stream).await;
-    let (stopped, _) = tokio::join!(stop(reason), timeout(REST_TIME, body::drain(stream)));
-    stopped
+/// client sees its answer. On a task of its own, since a handler ends with its client's connection.
+async fn with_reason<T, S, F>(request: Request, stop: S) -> Result<T, Problem>
+where
+    T: Send + 'static,
+    S: FnOnce(Reason) -> F + Send + 'static,
+    F: Future<Output = T> + Send,
+{
+    let stopping = tokio::spawn(async move {
+        let mut stream = request.into_body();
+        let reason = reason(&mut stream).await;
+        let (stopped, _) = tokio::join!(stop(reason), timeout(REST_TIME, body::drain(stream)));
+        stopped
+    });
+    stopping.await.map_err(|error| Problem::new(Code::Internal, format!("the FAST STOP was not answered: {error}")))
 }
 
 async fn reason(stream: &mut Stream) -> Reason {

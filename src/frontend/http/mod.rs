@@ -17,6 +17,7 @@ mod fingers;
 mod grippers;
 mod guard;
 mod motions;
+mod prompt;
 mod raw;
 mod responses;
 mod server;
@@ -30,6 +31,7 @@ use axum::http::Method;
 use axum::response::{IntoResponse, Response};
 use axum::{Extension, Router, middleware};
 use tower_http::catch_panic::CatchPanicLayer;
+use tower_http::trace::TraceLayer;
 use utoipa::openapi::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
@@ -38,7 +40,7 @@ use self::errors::{Code, Problem};
 use crate::gripper::Fleet;
 use crate::gripper::model::Name;
 
-pub use server::{Limits, serve};
+pub use server::{Limits, RESERVED_CONNECTIONS, serve};
 
 /// Where the API begins.
 const API: &str = "/api/v1";
@@ -61,6 +63,8 @@ pub fn router(context: Context) -> Router {
     routes
         .layer(Extension(Arc::new(document)))
         .layer(CatchPanicLayer::custom(panicked))
+        // What failed is told where it failed; a device that is switched off is no error of each request to it.
+        .layer(TraceLayer::new_for_http().on_failure(()))
         .layer(middleware::from_fn_with_state(context.clone(), guard::refuse_foreigners))
         .layer(middleware::map_response(guard::harden))
         .with_state(context)

@@ -5,12 +5,12 @@ use serde::Deserialize;
 use utoipa::ToSchema;
 
 use super::body::Body;
-use super::commands::{self, Wait};
+use super::commands::{self, Told, Wait};
 use super::errors::Problem;
 use super::extract::{Gripper, GripperPath, KeyHeaders, Keys, WaitQuery};
 use super::responses::DeviceProblem;
 use super::values::{force, speed, text, width, width_or_offset};
-use crate::gripper::model::{Action, Command, Motion};
+use crate::gripper::model::{Action, Motion};
 use crate::wsg::{HomingDirection, MoveFlags};
 
 /// Declares a command's body: its own fields, and those that all of them have.
@@ -21,10 +21,11 @@ macro_rules! command_body {
         $(#[$meta])*
         pub struct $name {
             $($fields)*
-            /// Makes the request safe to repeat: the same id gives the same command for 10 minutes. At most 64 bytes.
+            /// Makes the request safe to repeat: the same id gives the same command for 10 minutes. At most 64 bytes;
+            /// empty is none.
             #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
             request_id: Option<String>,
-            /// The lease's token, while somebody holds one.
+            /// The lease's token, while somebody holds one; empty is none.
             #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
             lease: Option<String>,
         }
@@ -139,12 +140,7 @@ command_body! {
     post, path = "/grippers/{gripper}/home", operation_id = "home", tag = "motion",
     params(GripperPath, WaitQuery, KeyHeaders),
     request_body = Option<Home>,
-    responses(
-        (status = 200, description = "The command, ended: `outcome` says how", body = Command),
-        (status = 202, description = "The command, still running after `wait_ms`", body = Command,
-            headers(("Location" = String, description = "Where to ask for it"))),
-        DeviceProblem,
-    )
+    responses(Told, DeviceProblem)
 )]
 pub async fn home(gripper: Gripper, wait: Wait, keys: Keys, Body(body): Body<Home>) -> Result<Response, Problem> {
     let direction = match body.direction {
@@ -164,12 +160,7 @@ pub async fn home(gripper: Gripper, wait: Wait, keys: Keys, Body(body): Body<Hom
     post, path = "/grippers/{gripper}/move", operation_id = "move", tag = "motion",
     params(GripperPath, WaitQuery, KeyHeaders),
     request_body = Move,
-    responses(
-        (status = 200, description = "The command, ended: `outcome` says how", body = Command),
-        (status = 202, description = "The command, still running after `wait_ms`", body = Command,
-            headers(("Location" = String, description = "Where to ask for it"))),
-        DeviceProblem,
-    )
+    responses(Told, DeviceProblem)
 )]
 pub async fn move_fingers(
     gripper: Gripper,
@@ -197,12 +188,7 @@ pub async fn move_fingers(
     post, path = "/grippers/{gripper}/grip", operation_id = "grip", tag = "motion",
     params(GripperPath, WaitQuery, KeyHeaders),
     request_body = Grip,
-    responses(
-        (status = 200, description = "The command, ended: `outcome` says how", body = Command),
-        (status = 202, description = "The command, still running after `wait_ms`", body = Command,
-            headers(("Location" = String, description = "Where to ask for it"))),
-        DeviceProblem,
-    )
+    responses(Told, DeviceProblem)
 )]
 pub async fn grip(gripper: Gripper, wait: Wait, keys: Keys, Body(body): Body<Grip>) -> Result<Response, Problem> {
     let keys = body.keys(keys)?;
@@ -222,12 +208,7 @@ pub async fn grip(gripper: Gripper, wait: Wait, keys: Keys, Body(body): Body<Gri
     post, path = "/grippers/{gripper}/release", operation_id = "release", tag = "motion",
     params(GripperPath, WaitQuery, KeyHeaders),
     request_body = Release,
-    responses(
-        (status = 200, description = "The command, ended: `outcome` says how", body = Command),
-        (status = 202, description = "The command, still running after `wait_ms`", body = Command,
-            headers(("Location" = String, description = "Where to ask for it"))),
-        DeviceProblem,
-    )
+    responses(Told, DeviceProblem)
 )]
 pub async fn release(gripper: Gripper, wait: Wait, keys: Keys, Body(body): Body<Release>) -> Result<Response, Problem> {
     let keys = body.keys(keys)?;
@@ -243,12 +224,7 @@ pub async fn release(gripper: Gripper, wait: Wait, keys: Keys, Body(body): Body<
     post, path = "/grippers/{gripper}/stop", operation_id = "stop", tag = "motion",
     params(GripperPath, WaitQuery, KeyHeaders),
     request_body = Option<Stop>,
-    responses(
-        (status = 200, description = "The command, ended: `outcome` says how", body = Command),
-        (status = 202, description = "The command, still running after `wait_ms`", body = Command,
-            headers(("Location" = String, description = "Where to ask for it"))),
-        DeviceProblem,
-    )
+    responses(Told, DeviceProblem)
 )]
 pub async fn stop(gripper: Gripper, wait: Wait, keys: Keys, Body(body): Body<Stop>) -> Result<Response, Problem> {
     let keys = body.keys(keys)?;

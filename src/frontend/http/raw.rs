@@ -28,10 +28,11 @@ pub struct Raw {
     #[serde(default)]
     #[schema(default = "", max_length = 8192, pattern = "^([0-9a-fA-F]{2})*$")]
     payload: String,
-    /// Makes a motion safe to repeat: the same id gives the same command for 10 minutes. At most 64 bytes.
+    /// Makes a motion safe to repeat: the same id gives the same command for 10 minutes. At most 64 bytes; empty
+    /// is none.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     request_id: Option<String>,
-    /// The lease's token, while somebody holds one.
+    /// The lease's token, while somebody holds one; empty is none.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     lease: Option<String>,
 }

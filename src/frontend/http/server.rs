@@ -21,6 +21,7 @@ use tokio_util::sync::CancellationToken;
 use tower::ServiceExt;
 
 use super::connections::{Connections, Guest};
+use super::prompt::Prompt;
 use super::{Context, router};
 
 /// Bounds of the server.
@@ -114,16 +115,17 @@ async fn connection(stream: TcpStream, peer: SocketAddr, router: Router, guest: 
         .timer(TokioTimer::new())
         .header_read_timeout(limits.header_time)
         .max_header_size(MAX_HEADER_BYTES)
-        .serve_connection(TokioIo::new(stream), service);
+        .serve_connection(TokioIo::new(Prompt(stream)), service);
     let mut served = std::pin::pin!(served);
     let ended = tokio::select! {
         ended = served.as_mut() => ended,
         () = guest.asked_to_leave() => {
-            if guest.is_idle() {
+            if guest.is_unused() {
                 return;
             }
+            // An idle one ends at once, and one that doesn't read its answer not much later.
             served.as_mut().graceful_shutdown();
-            served.await
+            timeout(limits.shutdown_time, served).await.unwrap_or(Ok(()))
         }
     };
     if let Err(error) = ended {

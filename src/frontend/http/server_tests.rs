@@ -3,26 +3,28 @@
 use std::time::Instant;
 
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::sync::mpsc::UnboundedReceiver;
 use tokio::task::JoinHandle;
 
 use super::*;
 use crate::gripper::Fleet;
-use crate::gripper::fake::{self, Fate, Script};
+use crate::gripper::fake::{self, Fate, Script, Seen};
 
 struct Server {
     address: SocketAddr,
     shutdown: CancellationToken,
     task: JoinHandle<()>,
+    seen: UnboundedReceiver<Seen>,
 }
 
 async fn start(limits: Limits, script: Script) -> Server {
-    let (handle, _) = fake::gripper("left", script);
+    let (handle, seen) = fake::gripper("left", script);
     let context = Context { gateway: "wsg".parse().unwrap(), fleet: Fleet::new([handle]), allowed_hosts: vec![] };
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();
     let shutdown = CancellationToken::new();
     let task = tokio::spawn(serve(listener, context, limits, shutdown.clone()));
-    Server { address, shutdown, task }
+    Server { address, shutdown, task, seen }
 }
 
 impl Server {
@@ -177,4 +179,24 @@ async fn a_shutdown_does_not_wait_for_ever() {
     busy.read_exact(&mut go_on).await.unwrap();
     server.shutdown.cancel();
     server.task.await.unwrap();
+}
+
+#[tokio::test]
+async fn a_fast_stop_whose_client_is_gone_stops_all_the_same() {
+    let mut server = start(Limits::default(), Script::default()).await;
+    let mut client = server.connect().await;
+    let head = b"POST /api/v1/fast-stop HTTP/1.1\r\nHost: localhost\r\nContent-Length: 20\r\n\r\n{\"rea";
+    client.write_all(head).await.unwrap();
+    drop(client);
+    assert!(matches!(server.seen.recv().await, Some(Seen::FastStop(reason)) if reason.as_str().is_empty()));
+}
+
+#[tokio::test]
+async fn a_fast_stop_with_a_huge_body_is_answered() {
+    let server = start(Limits::default(), Script::default()).await;
+    let body = vec![b' '; 1024 * 1024];
+    let head =
+        "POST /api/v1/fast-stop HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Length: 1048576\r\n\r\n";
+    let answer = server.exchange(&[head.as_bytes(), &body].concat()).await;
+    assert!(answer.starts_with("HTTP/1.1 200 OK\r\n") && answer.contains(r#""confirmed":["left"]"#), "{answer}");
 }

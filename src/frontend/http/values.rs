@@ -102,4 +102,24 @@ mod tests {
             assert_eq!(bytes("data", wrong, 16).unwrap_err().status().as_u16(), 400, "{wrong}");
         }
     }
+
+    #[test]
+    fn the_document_states_the_bounds_that_hold() {
+        let document = serde_json::to_value(super::super::openapi()).unwrap();
+        let stated = |schema: &str, field: &str| {
+            let field = &document["components"]["schemas"][schema]["properties"][field];
+            field["minimum"].as_f64().unwrap()..=field["maximum"].as_f64().unwrap()
+        };
+        assert_eq!(stated("Move", "width_mm"), OFFSET_MM);
+        assert_eq!(stated("Move", "speed_mm_s"), SPEED_MM_S);
+        for schema in ["Grip", "Release"] {
+            assert_eq!(stated(schema, "width_mm"), WIDTH_MM);
+            assert_eq!(stated(schema, "speed_mm_s"), SPEED_MM_S);
+        }
+        assert_eq!(stated("Grip", "force_n"), FORCE_N);
+        assert_eq!(stated("ForceLimitSetting", "force_n"), FORCE_N);
+        assert_eq!(stated("AccelerationSetting", "acceleration_mm_s2"), ACCELERATION_MM_S2);
+        assert_eq!(stated("SoftLimitsSetting", "minus_mm"), WIDTH_MM);
+        assert_eq!(stated("SoftLimitsSetting", "plus_mm"), WIDTH_MM);
+    }
 }

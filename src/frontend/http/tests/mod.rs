@@ -149,3 +149,11 @@ async fn the_documentation_needs_nothing_from_elsewhere() {
     assert!(page.headers[header::CONTENT_SECURITY_POLICY].to_str().unwrap().contains("script-src 'self';"));
     assert_eq!(gateway.ask("GET", "/api/v1/openapi.json", "").await.body["openapi"], "3.1.0");
 }
+
+#[tokio::test(start_paused = true)]
+async fn a_body_that_does_not_come_is_408() {
+    let gateway = Gateway::new(Script::default());
+    let never = Body::from_stream(futures_util::stream::pending::<Result<&[u8], std::io::Error>>());
+    let answer = gateway.ask("POST", "/api/v1/grippers/left/home", never).await;
+    assert_eq!((answer.status, &answer.body["code"]), (408, &"request_timeout".into()));
+}
