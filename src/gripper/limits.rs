@@ -1,10 +1,20 @@
 //! What is refused before it becomes a frame: values beyond the device's limits, though the device itself would clamp
-//! them, and targets that the soft limits forbid.
+//! them, and targets that the soft limits forbid. Of a device that has not told its limits yet, what no gripper can do.
 
 use super::error::Invalid;
 use super::model::Motion;
 use crate::wsg::{Command, Force, SoftLimits, SystemLimits, Width};
 
+/// Widths beyond any gripper of the family, in mm; the speeds, accelerations and forces below likewise.
+pub const WIDEST_MM: f32 = 1000.0;
+/// In mm/s.
+pub const FASTEST_MM_S: f32 = 10_000.0;
+/// In mm/s².
+pub const HARDEST_MM_S2: f32 = 1_000_000.0;
+/// In N.
+pub const STRONGEST_N: f32 = 10_000.0;
+
+const ANY_DEVICE: &str = "no gripper goes beyond; this one has not told its limits yet";
 const DEVICE: &str = "the device's limits";
 const SOFT: &str = "the soft limits: change or clear them first";
 const NOMINAL: &str = "the nominal force: switch overdrive on to go beyond it";
@@ -40,64 +50,73 @@ impl Limits {
 
     /// Checks a request that sets something.
     pub(super) fn check_setting(&self, command: &Command) -> Result<(), Invalid> {
-        let Some(system) = self.system else { return Ok(()) };
         match command {
             Command::SetAcceleration(acceleration) => {
-                let (min, max) = (system.min_acceleration.mm_s2(), system.max_acceleration.mm_s2());
-                in_range("acceleration_mm_s2", acceleration.mm_s2(), min, max, DEVICE)
+                let range = self.system.map_or((0.0, HARDEST_MM_S2, ANY_DEVICE), |system| {
+                    (system.min_acceleration.mm_s2(), system.max_acceleration.mm_s2(), DEVICE)
+                });
+                in_range("acceleration_mm_s2", acceleration.mm_s2(), range)
             }
             Command::SetForceLimit(force) => self.check_force(*force),
             Command::SetSoftLimits(limits) => {
-                in_range("minus_mm", limits.minus().mm(), 0.0, system.stroke.mm(), DEVICE)?;
-                in_range("plus_mm", limits.plus().mm(), 0.0, system.stroke.mm(), DEVICE)
+                in_range("minus_mm", limits.minus().mm(), self.widths())?;
+                in_range("plus_mm", limits.plus().mm(), self.widths())
             }
             _ => Ok(()),
         }
     }
 
+    fn widths(&self) -> Range {
+        self.system.map_or((0.0, WIDEST_MM, ANY_DEVICE), |system| (0.0, system.stroke.mm(), DEVICE))
+    }
+
     /// The widths that a motion may end at, and whose limits they are.
-    fn targets(&self) -> Option<(f32, f32, &'static str)> {
-        let stroke = self.system.map(|system| system.stroke.mm());
-        match (self.soft, stroke) {
-            (Some(soft), stroke) => {
-                let plus = stroke.map_or(soft.plus().mm(), |stroke| stroke.min(soft.plus().mm()));
-                Some((soft.minus().mm().max(0.0), plus, SOFT))
-            }
-            (None, Some(stroke)) => Some((0.0, stroke, DEVICE)),
-            (None, None) => None,
+    fn targets(&self) -> Range {
+        let (min, max, limit) = self.widths();
+        match self.soft {
+            Some(soft) => (soft.minus().mm().max(min), soft.plus().mm().min(max), SOFT),
+            None => (min, max, limit),
         }
     }
 
     fn check_target(&self, target: Width) -> Result<(), Invalid> {
-        let Some((min, max, limit)) = self.targets() else { return Ok(()) };
-        in_range("width_mm", target.mm(), min, max, limit)
+        in_range("width_mm", target.mm(), self.targets())
     }
 
     fn check_offset(&self, offset: Width, width: Option<f32>) -> Result<(), Invalid> {
-        let (Some((min, max, limit)), Some(width)) = (self.targets(), width) else { return Ok(()) };
+        let (_, widest, limit) = self.widths();
+        let Some(width) = width else {
+            return in_range("width_mm", offset.mm(), (-widest, widest, limit));
+        };
+        let (min, max, limit) = self.targets();
         // At an end stop a width may be measured a little beyond the stroke.
-        let width = self.system.map_or(width, |system| width.clamp(0.0, system.stroke.mm().max(0.0)));
-        let (min, max) = (min - width, max - width);
-        in_range("width_mm", offset.mm(), min, max, limit)
+        let width = width.clamp(0.0, widest.max(0.0));
+        in_range("width_mm", offset.mm(), (min - width, max - width, limit))
     }
 
     fn check_speed(&self, speed_mm_s: f32) -> Result<(), Invalid> {
-        let Some(system) = self.system else { return Ok(()) };
-        in_range("speed_mm_s", speed_mm_s, system.min_speed.mm_s(), system.max_speed.mm_s(), DEVICE)
+        let range = self.system.map_or((0.0, FASTEST_MM_S, ANY_DEVICE), |system| {
+            (system.min_speed.mm_s(), system.max_speed.mm_s(), DEVICE)
+        });
+        in_range("speed_mm_s", speed_mm_s, range)
     }
 
     fn check_force(&self, force: Force) -> Result<(), Invalid> {
-        let Some(system) = self.system else { return Ok(()) };
-        let (max, limit) = if self.overdrive && system.overdrive_force > system.nominal_force {
-            (system.overdrive_force, DEVICE)
-        } else {
-            (system.nominal_force, NOMINAL)
+        let range = match self.system {
+            None => (0.0, STRONGEST_N, ANY_DEVICE),
+            Some(system) if self.overdrive && system.overdrive_force > system.nominal_force => {
+                (system.min_force.n(), system.overdrive_force.n(), DEVICE)
+            }
+            Some(system) => (system.min_force.n(), system.nominal_force.n(), NOMINAL),
         };
-        in_range("force_n", force.n(), system.min_force.n(), max.n(), limit)
+        in_range("force_n", force.n(), range)
     }
 }
 
-fn in_range(field: &'static str, value: f32, min: f32, max: f32, limit: &'static str) -> Result<(), Invalid> {
+/// The lowest and the highest allowed value, and whose limits they are.
+type Range = (f32, f32, &'static str);
+
+fn in_range(field: &'static str, value: f32, (min, max, limit): Range) -> Result<(), Invalid> {
     if value >= min && value <= max { Ok(()) } else { Err(Invalid::OutOfRange { field, value, min, max, limit }) }
 }
 
@@ -173,6 +192,13 @@ mod tests {
             Ok(()),
             "homing ignores them"
         );
+    }
+
+    #[test]
+    fn without_its_limits_only_what_no_gripper_can_do_is_refused() {
+        let unknown = Limits::default();
+        assert_eq!(field(&unknown.check_motion(&grip(1001.0, 50.0, None), None)), Some(("width_mm", 0.0, 1000.0)));
+        assert_eq!(unknown.check_motion(&grip(200.0, 50.0, None), None), Ok(()));
     }
 
     #[test]

@@ -15,7 +15,7 @@ pub mod fleet;
 pub mod handle;
 pub mod info;
 mod latch;
-mod limits;
+pub mod limits;
 pub mod model;
 mod observed;
 mod setup;

@@ -9,7 +9,7 @@ use super::commands::{self, Told, Wait};
 use super::errors::Problem;
 use super::extract::{Gripper, GripperPath, KeyHeaders, Keys, WaitQuery};
 use super::responses::DeviceProblem;
-use super::values::{force, speed, text, width, width_or_offset};
+use super::values::{force, speed, text, width};
 use crate::gripper::model::{Action, Motion};
 use crate::wsg::{HomingDirection, MoveFlags};
 
@@ -171,11 +171,7 @@ pub async fn move_fingers(
     let keys = body.keys(keys)?;
     let motion = Motion::Move {
         flags: MoveFlags { relative: body.relative, stop_on_block: body.on_block == OnBlock::Stop },
-        width: if body.relative {
-            width_or_offset("width_mm", body.width_mm)?
-        } else {
-            width("width_mm", body.width_mm)?
-        },
+        width: width("width_mm", body.width_mm)?,
         speed: speed("speed_mm_s", body.speed_mm_s)?,
     };
     answer(gripper, keys, Action::Motion(motion), wait).await

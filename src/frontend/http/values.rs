@@ -1,43 +1,33 @@
 //! Numbers and texts from clients: within bounds, and as the wire's quantities.
 //!
-//! The quantities' bounds are those of the document, far outside what any gripper can do; what its own limits are, the
-//! gripper knows. They keep a slip of ten powers out whatever state the gripper is in.
+//! What a number may be, the gripper knows: here it only has to be a number that the wire can carry. The bounds of the
+//! document are what no gripper goes beyond.
 
 use std::ops::RangeInclusive;
 
 use super::errors::Problem;
+use crate::gripper::limits::{FASTEST_MM_S, HARDEST_MM_S2, STRONGEST_N, WIDEST_MM};
 use crate::gripper::model::Text;
 use crate::wsg::{Acceleration, Force, NotFinite, Speed, Width};
 
-const WIDTH_MM: RangeInclusive<f64> = 0.0..=1000.0;
-const OFFSET_MM: RangeInclusive<f64> = -1000.0..=1000.0;
-const SPEED_MM_S: RangeInclusive<f64> = 0.0..=10_000.0;
-const ACCELERATION_MM_S2: RangeInclusive<f64> = 0.0..=1_000_000.0;
-const FORCE_N: RangeInclusive<f64> = 0.0..=10_000.0;
-
-/// An opening width, in mm.
-pub fn width(field: &str, mm: f64) -> Result<Width, Problem> {
-    Width::new(single(field, mm, WIDTH_MM)?).map_err(|error| not_finite(field, error))
-}
-
 /// An opening width, or a change of it, in mm.
-pub fn width_or_offset(field: &str, mm: f64) -> Result<Width, Problem> {
-    Width::new(single(field, mm, OFFSET_MM)?).map_err(|error| not_finite(field, error))
+pub fn width(field: &str, mm: f64) -> Result<Width, Problem> {
+    Width::new(single(field, mm, WIDEST_MM)?).map_err(|error| not_finite(field, error))
 }
 
 /// A speed, in mm/s.
 pub fn speed(field: &str, mm_s: f64) -> Result<Speed, Problem> {
-    Speed::new(single(field, mm_s, SPEED_MM_S)?).map_err(|error| not_finite(field, error))
+    Speed::new(single(field, mm_s, FASTEST_MM_S)?).map_err(|error| not_finite(field, error))
 }
 
 /// An acceleration, in mm/s².
 pub fn acceleration(field: &str, mm_s2: f64) -> Result<Acceleration, Problem> {
-    Acceleration::new(single(field, mm_s2, ACCELERATION_MM_S2)?).map_err(|error| not_finite(field, error))
+    Acceleration::new(single(field, mm_s2, HARDEST_MM_S2)?).map_err(|error| not_finite(field, error))
 }
 
 /// A force, in N.
 pub fn force(field: &str, n: f64) -> Result<Force, Problem> {
-    Force::new(single(field, n, FORCE_N)?).map_err(|error| not_finite(field, error))
+    Force::new(single(field, n, STRONGEST_N)?).map_err(|error| not_finite(field, error))
 }
 
 fn not_finite(field: &str, error: NotFinite) -> Problem {
@@ -59,13 +49,10 @@ pub fn integer(field: &str, number: f64, range: RangeInclusive<u64>) -> Result<u
     }
 }
 
-/// A JSON number as a single, if it is inside the bounds that the document states for its field.
-pub fn single(field: &str, number: f64, range: RangeInclusive<f64>) -> Result<f32, Problem> {
-    if range.contains(&number) {
-        Ok(number as f32)
-    } else {
-        Err(Problem::out_of_range(field, number, *range.start(), *range.end()))
-    }
+/// A JSON number as a single. One that is too large for that is beyond all limits.
+fn single(field: &str, number: f64, max: f32) -> Result<f32, Problem> {
+    let single = number as f32;
+    if single.is_finite() { Ok(single) } else { Err(Problem::out_of_range(field, number, 0.0, f64::from(max))) }
 }
 
 /// Text from a client, within its field's bounds.
@@ -87,10 +74,10 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_number_beyond_the_documents_bounds_is_out_of_range() {
-        assert!(single("width_mm", 96.0, 0.0..=1000.0).is_ok());
-        for beyond in [-0.1, 1000.1, 1e39, f64::INFINITY, f64::NAN] {
-            assert_eq!(single("width_mm", beyond, 0.0..=1000.0).unwrap_err().status().as_u16(), 422, "{beyond}");
+    fn a_number_that_the_wire_cannot_carry_is_out_of_range() {
+        assert!(width("width_mm", 96.0).is_ok());
+        for beyond in [1e39, f64::INFINITY, f64::NAN] {
+            assert_eq!(width("width_mm", beyond).unwrap_err().status().as_u16(), 422, "{beyond}");
         }
     }
 
@@ -108,18 +95,18 @@ mod tests {
         let document = serde_json::to_value(super::super::openapi()).unwrap();
         let stated = |schema: &str, field: &str| {
             let field = &document["components"]["schemas"][schema]["properties"][field];
-            field["minimum"].as_f64().unwrap()..=field["maximum"].as_f64().unwrap()
+            (field["minimum"].as_f64().unwrap() as f32, field["maximum"].as_f64().unwrap() as f32)
         };
-        assert_eq!(stated("Move", "width_mm"), OFFSET_MM);
-        assert_eq!(stated("Move", "speed_mm_s"), SPEED_MM_S);
+        assert_eq!(stated("Move", "width_mm"), (-WIDEST_MM, WIDEST_MM));
+        assert_eq!(stated("Move", "speed_mm_s"), (0.0, FASTEST_MM_S));
         for schema in ["Grip", "Release"] {
-            assert_eq!(stated(schema, "width_mm"), WIDTH_MM);
-            assert_eq!(stated(schema, "speed_mm_s"), SPEED_MM_S);
+            assert_eq!(stated(schema, "width_mm"), (0.0, WIDEST_MM));
+            assert_eq!(stated(schema, "speed_mm_s"), (0.0, FASTEST_MM_S));
         }
-        assert_eq!(stated("Grip", "force_n"), FORCE_N);
-        assert_eq!(stated("ForceLimitSetting", "force_n"), FORCE_N);
-        assert_eq!(stated("AccelerationSetting", "acceleration_mm_s2"), ACCELERATION_MM_S2);
-        assert_eq!(stated("SoftLimitsSetting", "minus_mm"), WIDTH_MM);
-        assert_eq!(stated("SoftLimitsSetting", "plus_mm"), WIDTH_MM);
+        assert_eq!(stated("Grip", "force_n"), (0.0, STRONGEST_N));
+        assert_eq!(stated("ForceLimitSetting", "force_n"), (0.0, STRONGEST_N));
+        assert_eq!(stated("AccelerationSetting", "acceleration_mm_s2"), (0.0, HARDEST_MM_S2));
+        assert_eq!(stated("SoftLimitsSetting", "minus_mm"), (0.0, WIDEST_MM));
+        assert_eq!(stated("SoftLimitsSetting", "plus_mm"), (0.0, WIDEST_MM));
     }
 }

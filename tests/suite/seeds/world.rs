@@ -38,6 +38,9 @@ pub struct World {
     pub counts: BTreeMap<String, u64>,
     connected: bool,
     reconnect_at: Option<Instant>,
+    bytes_per_second: Option<u32>,
+    /// Until when the line is busy with the last frame: the next one waits, and may be overtaken.
+    busy_until: Option<Instant>,
     to_device: Wire,
     to_gateway: Wire,
     /// Whether the wire still damages what passes.
@@ -137,6 +140,8 @@ impl World {
             counts: BTreeMap::new(),
             connected: false,
             reconnect_at: Some(now),
+            bytes_per_second,
+            busy_until: None,
             to_device: Wire::default(),
             to_gateway: Wire::default(),
             noisy: true,
@@ -165,6 +170,7 @@ impl World {
                 self.to_device.due(),
                 self.to_gateway.due(),
                 self.reconnect_at,
+                self.busy_until,
             ];
             let next = due.into_iter().flatten().min().filter(|next| *next <= until);
             let Some(next) = next else {
@@ -177,6 +183,7 @@ impl World {
     }
 
     fn step(&mut self) {
+        self.busy_until = self.busy_until.filter(|until| *until > self.now);
         if self.device.poll_timeout().is_some_and(|at| at <= self.now) {
             self.device.handle_timeout(self.now);
         }
@@ -225,13 +232,18 @@ impl World {
                 self.close(close);
                 return;
             }
+            if self.busy_until.is_some() {
+                return;
+            }
             frame.clear();
             let now = self.clock();
             if !self.actor.poll_transmit(now, &mut frame) {
                 return;
             }
             Invariants::sent(self, &frame);
-            let at = self.now + self.delay();
+            let line_time = self.bytes_per_second.map(|rate| Duration::from_secs(1) * frame.len() as u32 / rate);
+            self.busy_until = line_time.map(|time| self.now + time);
+            let at = self.now + self.delay() + line_time.unwrap_or_default();
             let damaged = self.noisy && self.rng.random_bool(0.003);
             self.count("wire: a request was damaged", damaged);
             if damaged {

@@ -78,7 +78,7 @@ async fn values_that_can_not_be_never_reach_the_gripper() {
     let mut gateway = Gateway::new(Script::default());
     let cases = [
         (json!({"width_mm": 1e39, "speed_mm_s": 50}), 422, "width_mm"),
-        (json!({"width_mm": -1, "speed_mm_s": 50}), 422, "width_mm"),
+        (json!({"width_mm": "NaN", "speed_mm_s": 50}), 400, "width_mm"),
         (json!({"width_mm": 20, "speed_mm_s": "fast"}), 400, "speed_mm_s"),
         (json!({"width_mm": 20}), 400, "speed_mm_s"),
         (json!({"width_mm": 20, "speed_mm_s": 50, "forse_n": 1}), 400, "forse_n"),
