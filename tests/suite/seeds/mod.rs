@@ -3,10 +3,10 @@
 //!
 //! `SEEDS=1000000 cargo test --release seeds` runs more of them; `SEED=4711` runs that one, with its log.
 
-mod client;
+pub mod client;
 mod invariants;
-mod schedule;
-mod world;
+pub mod schedule;
+pub mod world;
 
 use std::collections::BTreeMap;
 

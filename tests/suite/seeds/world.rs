@@ -98,9 +98,23 @@ impl World {
         *self.counts.entry(name.to_owned()).or_default() += u64::from(happened);
     }
 
+    /// A world without faults, whose device is ready.
+    pub fn calm(device: DeviceConfig, bytes_per_second: Option<u32>) -> Self {
+        let mut world = Self::with(0, SmallRng::seed_from_u64(0), device, bytes_per_second);
+        world.noisy = false;
+        world.advance(Duration::from_secs(1));
+        world
+    }
+
+    /// Lets time pass.
+    pub fn advance(&mut self, time: Duration) {
+        self.settle();
+        self.advance_to(self.now + time);
+        self.settle();
+    }
+
     fn new(seed: u64) -> Self {
         let mut rng = SmallRng::seed_from_u64(seed);
-        let now = Instant::now();
         let models = [DeviceConfig::wsg25(), DeviceConfig::wsg32(), DeviceConfig::wsg50(), DeviceConfig::wsg70()];
         let mut device = models[rng.random_range(0..models.len())].clone();
         if rng.random_bool(0.2) {
@@ -112,6 +126,11 @@ impl World {
         device.scripts.push(Script { id: 0xB0, answer: ScriptAnswer::Echo });
         // A slow line has fewer updates, so that its schedules run faster; some are at full rate.
         let bytes_per_second = [None, Some(11_520), Some(960), Some(960), Some(960)][rng.random_range(0..5)];
+        Self::with(seed, rng, device, bytes_per_second)
+    }
+
+    fn with(seed: u64, rng: SmallRng, device: DeviceConfig, bytes_per_second: Option<u32>) -> Self {
+        let now = Instant::now();
         let config = Config {
             name: "g".parse().unwrap(),
             url: "sim://g".to_owned(),

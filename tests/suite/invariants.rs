@@ -1,0 +1,457 @@
+//! The invariants of the gripper, each by its name, and what else the actor promises: on a virtual clock, and checked on
+//! the frames that the device received.
+
+use std::time::Duration;
+
+use tokio::sync::oneshot;
+use wsg_gateway::gripper::handle::{Answer, FastStopRequest, Request};
+use wsg_gateway::gripper::model::{
+    Action, Client, Command, Door, FastStopCause, FastStopId, LatchFields, Link, Motion, Outcome, Phase, Reason,
+    RequestId, State, Submission,
+};
+use wsg_gateway::gripper::{Conflict, Failure, Rejection, Ticket};
+use wsg_gateway::sim::{Change, DeviceConfig, FaultKind, Part};
+use wsg_gateway::wsg::{self, Acceleration, Force, HomingDirection, LoopData, MoveFlags, Speed, Status, Width, id};
+
+use super::seeds::world::World;
+
+fn client() -> Client {
+    Client { subject: "test".into(), door: Door::Http }
+}
+
+/// A WSG 50 with a part of 20 mm.
+fn device() -> DeviceConfig {
+    DeviceConfig::wsg50().with_part(Part::outside(20.0))
+}
+
+fn world() -> World {
+    World::calm(device(), None)
+}
+
+fn homed() -> World {
+    let mut world = world();
+    assert_eq!(run(&mut world, home()).outcome, Some(Outcome::Success));
+    world
+}
+
+fn home() -> Motion {
+    Motion::Home(HomingDirection::Default)
+}
+
+fn grip(force_n: Option<f32>) -> Motion {
+    let force = force_n.map(|n| Force::new(n).unwrap());
+    Motion::Grip { width: Width::new(20.0).unwrap(), speed: Speed::new(50.0).unwrap(), force, part_id: None }
+}
+
+fn move_to(mm: f32, mm_s: f32) -> Motion {
+    let flags = MoveFlags { relative: false, stop_on_block: true };
+    Motion::Move { flags, width: Width::new(mm).unwrap(), speed: Speed::new(mm_s).unwrap() }
+}
+
+fn request<T>(world: &mut World, make: impl FnOnce(oneshot::Sender<T>) -> Request) -> oneshot::Receiver<T> {
+    let (answer, answered) = oneshot::channel();
+    let now = world.clock();
+    world.actor.request(now, make(answer));
+    world.settle();
+    answered
+}
+
+fn submit(world: &mut World, action: Action, request_id: Option<&str>) -> Result<Ticket, Rejection> {
+    let request_id = request_id.map(|id| RequestId::new(id).unwrap());
+    let now = world.clock();
+    let id = world.ids.command_id(now.wall);
+    let motion = match &action {
+        Action::Motion(motion) => Some(motion.request()),
+        Action::Stop => None,
+    };
+    let submission = Submission { client: client(), action, request_id, lease: None };
+    let (answer, mut answered) = oneshot::channel();
+    world.actor.request(now, Request::Submit { submission, id, answer });
+    let ticket = answered.try_recv().unwrap()?;
+    world.clients.admitted.push(super::seeds::client::Admitted { ticket: ticket.clone(), motion });
+    world.settle();
+    Ok(ticket)
+}
+
+fn start(world: &mut World, motion: Motion) -> Ticket {
+    submit(world, Action::Motion(motion), None).unwrap()
+}
+
+fn refused(world: &mut World, motion: Motion) -> Rejection {
+    submit(world, Action::Motion(motion), None).unwrap_err()
+}
+
+/// Runs a motion to its end.
+fn run(world: &mut World, motion: Motion) -> Command {
+    let ticket = start(world, motion);
+    finish(world, &ticket)
+}
+
+fn finish(world: &mut World, ticket: &Ticket) -> Command {
+    for _ in 0..9000 {
+        if ticket.now().phase == Phase::Done {
+            return ticket.now();
+        }
+        world.advance(Duration::from_millis(10));
+    }
+    panic!("it does not end: {:#?}", ticket.now());
+}
+
+fn fast_stop(world: &mut World) -> FastStopId {
+    let now = world.clock();
+    let id = world.ids.fast_stop_id(now.wall);
+    world.actor.fast_stop(now, FastStopRequest { id, client: client(), reason: Reason::truncated("light curtain") });
+    world.settle();
+    id
+}
+
+fn acknowledge(world: &mut World, id: FastStopId) -> oneshot::Receiver<Result<(), Rejection>> {
+    // The only place of these tests that acknowledges: nothing else may.
+    world.invariants.acknowledge_taken();
+    request(world, |answer: Answer<()>| Request::Acknowledge { id, client: client(), answer })
+}
+
+fn exchange(world: &mut World, command: wsg::Command) -> oneshot::Receiver<Result<wsg::Data, Rejection>> {
+    request(world, |answer| Request::Exchange { command, client: client(), answer })
+}
+
+fn state(world: &World) -> State {
+    State::clone(&world.watches.state.borrow())
+}
+
+fn latch(world: &World) -> LatchFields {
+    state(world).latch.unwrap()
+}
+
+/// The ids of what the device has received since `from`, without updates, Loops and temperatures.
+fn received(world: &World, from: usize) -> Vec<u8> {
+    let upkeep = [id::LOOP, id::GET_TEMPERATURE];
+    let ids = world.device.received().iter().map(|frame| frame.id).skip(from);
+    ids.filter(|id| !upkeep.contains(id) && !id::has_updates(*id)).collect()
+}
+
+fn mark(world: &World) -> usize {
+    world.device.received().len()
+}
+
+#[test]
+fn frame_sent_at_most_once() {
+    let mut world = homed();
+    world.device.apply(world.now, Change::Fault { kind: FaultKind::NoReply, id: Some(id::GRIP), times: 9 });
+    let from = mark(&world);
+    let command = run(&mut world, grip(None));
+    assert_eq!(command.outcome, Some(Outcome::Unknown));
+    world.advance(Duration::from_secs(30));
+    assert_eq!(received(&world, from), [id::GRIP]);
+}
+
+#[test]
+fn nothing_moves_unasked() {
+    let mut world = world();
+    world.device.apply(world.now, Change::Reboot { ready_after_ms: 500, mid_frame: false });
+    world.advance(Duration::from_secs(5));
+    world.device.apply(world.now, Change::SetFastStop);
+    world.advance(Duration::from_secs(1));
+    let id = latch(&world).fast_stop_id;
+    let mut answered = acknowledge(&mut world, id);
+    world.advance(Duration::from_secs(1));
+    assert_eq!(answered.try_recv().unwrap(), Ok(()));
+    world.device.apply(world.now, Change::CutConnection);
+    world.advance(Duration::from_secs(5));
+    assert!(!received(&world, 0).iter().any(|&id| id::is_motion(id)));
+    assert_eq!(state(&world).link, Link::Connected);
+}
+
+#[test]
+fn fast_stop_overtakes() {
+    let mut world = World::calm(device(), Some(960));
+    let from = mark(&world);
+    for _ in 0..5 {
+        let long = wsg::Command::Loop(LoopData::new(vec![0; 60]).unwrap());
+        drop(exchange(&mut world, long));
+        drop(exchange(&mut world, wsg::Command::GetAcceleration));
+    }
+    fast_stop(&mut world);
+    world.advance(Duration::from_millis(300));
+    let all: Vec<_> = world.device.received()[from..].iter().map(|frame| frame.id).collect();
+    assert_eq!(all[1], id::FAST_STOP, "behind the frame that was being written, and before all others: {all:02X?}");
+}
+
+#[test]
+fn latch_blocks_motion() {
+    let mut world = homed();
+    // In the pause after the homing it waits.
+    let waiting = start(&mut world, move_to(50.0, 50.0));
+    let from = mark(&world);
+    let id = fast_stop(&mut world);
+    let command = waiting.now();
+    assert_eq!((command.outcome, command.fast_stop_id), (Some(Outcome::Aborted), Some(id)));
+    world.advance(Duration::from_secs(1));
+    assert_eq!(refused(&mut world, home()), Conflict::FastStop { id }.into());
+    world.advance(Duration::from_secs(1));
+    assert_eq!(received(&world, from), [id::FAST_STOP]);
+}
+
+#[test]
+fn a_fast_stop_aborts_a_running_motion_which_names_it() {
+    let mut world = homed();
+    let running = start(&mut world, move_to(10.0, 20.0));
+    world.advance(Duration::from_millis(500));
+    let id = fast_stop(&mut world);
+    let command = finish(&mut world, &running);
+    assert_eq!((command.outcome, command.fast_stop_id), (Some(Outcome::Aborted), Some(id)));
+    assert!(latch(&world).fast_stop_confirmed);
+    assert_eq!(latch(&world).fast_stop_cause, FastStopCause::Requested);
+}
+
+#[test]
+fn acknowledge_names_its_latch() {
+    let mut world = homed();
+    let first = fast_stop(&mut world);
+    world.advance(Duration::from_millis(100));
+    let second = fast_stop(&mut world);
+    world.advance(Duration::from_millis(100));
+    let from = mark(&world);
+    let mut stale = acknowledge(&mut world, first);
+    let expected = Conflict::StaleFastStop { given: first, current: Some(second) };
+    assert_eq!(stale.try_recv().unwrap(), Err(expected.into()));
+    assert_eq!(received(&world, from), NOTHING);
+    let mut right = acknowledge(&mut world, second);
+    world.advance(Duration::from_millis(100));
+    assert_eq!(right.try_recv().unwrap(), Ok(()));
+    assert_eq!(state(&world).fast_stop, Some(false));
+    assert_eq!(received(&world, from), [id::ACKNOWLEDGE_FAST_STOP]);
+    assert_eq!(run(&mut world, move_to(50.0, 100.0)).outcome, Some(Outcome::Success));
+}
+
+const NOTHING: [u8; 0] = [];
+
+#[test]
+fn ruling_an_acknowledge_counts_when_the_flag_is_gone() {
+    let mut world = homed();
+    world.device.apply(world.now, Change::Overheat { temperature_c: 120.0 });
+    world.advance(Duration::from_millis(200));
+    assert_eq!(latch(&world).fast_stop_cause, FastStopCause::TemperatureFault);
+    let id = latch(&world).fast_stop_id;
+    let mut early = acknowledge(&mut world, id);
+    world.advance(Duration::from_secs(1));
+    let rejection = early.try_recv().unwrap().unwrap_err();
+    assert!(matches!(rejection, Rejection::Conflict(Conflict::FastStopPersists { .. })), "{rejection:?}");
+    assert!(rejection.to_string().contains("TEMP_FAULT"), "{rejection}");
+    world.device.apply(world.now, Change::Cool);
+    world.advance(Duration::from_millis(200));
+    let mut late = acknowledge(&mut world, id);
+    world.advance(Duration::from_secs(1));
+    assert_eq!(late.try_recv().unwrap(), Ok(()));
+}
+
+#[test]
+fn a_latch_outlives_a_device_that_forgot_its_own() {
+    let mut world = homed();
+    let id = fast_stop(&mut world);
+    world.advance(Duration::from_millis(100));
+    world.device.apply(world.now, Change::Reboot { ready_after_ms: 200, mid_frame: false });
+    world.advance(Duration::from_secs(5));
+    assert_eq!((state(&world).link, latch(&world).fast_stop_id), (Link::Connected, id));
+    assert_eq!(refused(&mut world, home()), Conflict::FastStop { id }.into());
+    let mut answered = acknowledge(&mut world, id);
+    world.advance(Duration::from_millis(200));
+    assert_eq!(answered.try_recv().unwrap(), Ok(()));
+}
+
+#[test]
+fn a_fast_stop_without_a_link_is_the_first_thing_after_it() {
+    let mut world = homed();
+    world.device.apply(world.now, Change::RefuseConnections { on: true });
+    world.device.apply(world.now, Change::CutConnection);
+    world.advance(Duration::from_secs(1));
+    let id = fast_stop(&mut world);
+    assert!(!latch(&world).fast_stop_confirmed);
+    let mut early = acknowledge(&mut world, id);
+    assert_eq!(early.try_recv().unwrap(), Err(Conflict::FastStopUnconfirmed { id }.into()));
+    let from = mark(&world);
+    world.device.apply(world.now, Change::RefuseConnections { on: false });
+    world.advance(Duration::from_secs(3));
+    assert_eq!(world.device.received()[from].id, id::FAST_STOP);
+    assert!(latch(&world).fast_stop_confirmed);
+}
+
+#[test]
+fn unknown_is_said() {
+    let mut world = homed();
+    let running = start(&mut world, move_to(10.0, 20.0));
+    world.advance(Duration::from_millis(500));
+    world.device.apply(world.now, Change::CutConnection);
+    let command = finish(&mut world, &running);
+    assert_eq!((command.outcome, command.reached_goal, command.width_mm), (Some(Outcome::Unknown), None, None));
+    assert_eq!(state(&world).link, Link::Reconnecting);
+    assert!(state(&world).link_cause.is_some());
+}
+
+#[test]
+fn what_was_never_sent_is_refused_and_not_unknown() {
+    let mut world = homed();
+    // In the pause after the homing it waits.
+    let waiting = start(&mut world, move_to(50.0, 50.0));
+    world.device.apply(world.now, Change::CutConnection);
+    let command = finish(&mut world, &waiting);
+    assert_eq!(command.outcome, Some(Outcome::Refused));
+    assert!(matches!(command.rejection, Some(Rejection::Failure(Failure::LinkDown { .. }))));
+}
+
+#[test]
+fn announce_before_close() {
+    let mut world = homed();
+    let slow = start(&mut world, move_to(10.0, 5.0));
+    world.advance(Duration::from_millis(500));
+    let from = mark(&world);
+    let mut drained = request(&mut world, |answer| Request::Drain { answer });
+    assert_eq!(refused(&mut world, home()), Failure::Draining.into());
+    let command = finish(&mut world, &slow);
+    assert_eq!(command.outcome, Some(Outcome::Aborted), "it was given 2 s");
+    world.advance(Duration::from_secs(2));
+    assert_eq!(received(&world, from), [id::STOP, id::DISCONNECT_ANNOUNCEMENT]);
+    assert_eq!(world.device.received().last().unwrap().id, id::DISCONNECT_ANNOUNCEMENT);
+    assert!(!world.device.snapshot().fast_stop);
+    world.actor.drained();
+    assert_eq!(drained.try_recv(), Ok(()));
+}
+
+#[test]
+fn device_refusal_is_not_our_error() {
+    let mut world = homed();
+    let status = FaultKind::Status { code: 4711 };
+    world.device.apply(world.now, Change::Fault { kind: status, id: Some(id::GRIP), times: 1 });
+    let ticket = submit(&mut world, Action::Motion(grip(None)), Some("r1")).unwrap();
+    let command = finish(&mut world, &ticket);
+    assert_eq!((command.outcome, command.status_code), (Some(Outcome::Refused), Some(4711)));
+    let Some(Rejection::Device(refusal)) = command.rejection else { panic!("{:?}", command.rejection) };
+    assert_eq!((refusal.command, refusal.status), ("Grip", Status::from_code(4711)));
+    // A refused request binds nothing.
+    let again = submit(&mut world, Action::Motion(grip(None)), Some("r1")).unwrap();
+    assert!(!again.now().replayed);
+    assert_eq!(finish(&mut world, &again).outcome, Some(Outcome::PartHeld));
+}
+
+#[test]
+fn the_same_request_is_one_motion() {
+    let mut world = homed();
+    let from = mark(&world);
+    let first = submit(&mut world, Action::Motion(grip(None)), Some("r1")).unwrap();
+    let second = submit(&mut world, Action::Motion(grip(None)), Some("r1")).unwrap();
+    assert_eq!((second.now().id, second.now().replayed), (first.now().id, true));
+    let other = submit(&mut world, Action::Motion(home()), Some("r1")).unwrap_err();
+    assert_eq!(other, Conflict::RequestIdReused.into());
+    finish(&mut world, &first);
+    assert_eq!(received(&world, from), [id::GRIP]);
+}
+
+#[test]
+fn a_grip_whose_force_is_refused_moves_nothing() {
+    let mut world = homed();
+    let status = FaultKind::Status { code: Status::E_ACCESS_DENIED.code() };
+    world.device.apply(world.now, Change::Fault { kind: status, id: Some(id::SET_FORCE_LIMIT), times: 1 });
+    let from = mark(&world);
+    let command = run(&mut world, grip(Some(30.0)));
+    assert_eq!((command.outcome, command.status.as_deref()), (Some(Outcome::Refused), Some("E_ACCESS_DENIED")));
+    assert_eq!(received(&world, from), [id::SET_FORCE_LIMIT]);
+    assert_eq!(run(&mut world, grip(Some(30.0))).outcome, Some(Outcome::PartHeld));
+    assert_eq!(received(&world, from), [id::SET_FORCE_LIMIT, id::SET_FORCE_LIMIT, id::GRIP]);
+}
+
+#[test]
+fn between_two_motions_there_are_50_ms() {
+    let mut world = homed();
+    run(&mut world, move_to(50.0, 200.0));
+    let from = mark(&world);
+    let ended = world.now;
+    start(&mut world, move_to(60.0, 200.0));
+    world.advance(Duration::from_millis(200));
+    let next = world.device.received()[from..].iter().find(|frame| frame.id == id::PRE_POSITION).unwrap();
+    // The command's end waits for fresh values, so a part of the pause is over already.
+    assert!(next.at >= ended + Duration::from_millis(35), "{:?}", next.at - ended);
+}
+
+#[test]
+fn a_commands_end_tells_the_values_of_after_it() {
+    let mut world = homed();
+    assert_eq!(state(&world).width_mm.map(f32::round), Some(109.0), "of after the homing");
+    let held = run(&mut world, grip(Some(30.0)));
+    assert_eq!(held.outcome, Some(Outcome::PartHeld));
+    assert_eq!(state(&world).state, Some("HOLDING"));
+    assert_eq!((held.width_mm, held.force_n), (state(&world).width_mm, state(&world).force_n));
+}
+
+#[test]
+fn a_restarted_device_gets_its_settings_again_before_any_motion() {
+    let mut world = homed();
+    let acceleration = Acceleration::new(2000.0).unwrap();
+    let mut set = exchange(&mut world, wsg::Command::SetAcceleration(acceleration));
+    world.advance(Duration::from_millis(100));
+    assert_eq!(set.try_recv().unwrap(), Ok(wsg::Data::Acceleration(acceleration)), "as it was read back");
+    assert_eq!(run(&mut world, grip(Some(30.0))).outcome, Some(Outcome::PartHeld));
+    world.device.apply(world.now, Change::Reboot { ready_after_ms: 500, mid_frame: false });
+    world.advance(Duration::from_secs(5));
+    let snapshot = world.device.snapshot();
+    assert!((snapshot.acceleration_mm_s2 - 2000.0).abs() < 0.1, "{snapshot:?}");
+    assert!((snapshot.force_limit_n - 30.0).abs() < 0.1, "{snapshot:?}");
+    assert_eq!((state(&world).link, state(&world).referenced), (Link::Connected, Some(false)));
+    assert_eq!(state(&world).width_mm, None, "null until it is referenced");
+    assert_eq!(refused(&mut world, grip(None)), Conflict::NotReferenced.into());
+}
+
+#[test]
+fn silence_is_noticed_within_1500_ms_and_ends_the_link_after_5_s_more() {
+    let mut world = homed();
+    world.device.apply(world.now, Change::Silent { on: true });
+    world.advance(Duration::from_millis(1400));
+    assert_eq!(state(&world).link, Link::Connected);
+    world.advance(Duration::from_millis(200));
+    assert_eq!(state(&world).link, Link::Unresponsive);
+    let rejection = refused(&mut world, move_to(50.0, 50.0));
+    assert!(matches!(rejection, Rejection::Failure(Failure::LinkDown { link: Link::Unresponsive, .. })));
+    world.advance(Duration::from_secs(4));
+    assert_eq!(state(&world).link, Link::Unresponsive);
+    let from = mark(&world);
+    world.advance(Duration::from_millis(1100));
+    assert_eq!(state(&world).link, Link::Reconnecting);
+    assert!(received(&world, from).contains(&id::DISCONNECT_ANNOUNCEMENT), "a plain close is a FAST STOP");
+}
+
+#[test]
+fn a_thousand_readers_cost_the_device_a_frame() {
+    let mut world = homed();
+    let from = mark(&world);
+    let mut answers: Vec<_> =
+        (0..1000).map(|_| exchange(&mut world, wsg::Command::GetStatistics { reset: false })).collect();
+    world.advance(Duration::from_millis(100));
+    answers.extend((0..1000).map(|_| exchange(&mut world, wsg::Command::GetStatistics { reset: false })));
+    assert!(answers.iter_mut().all(|answer| answer.try_recv().unwrap().is_ok()));
+    assert_eq!(received(&world, from), [id::GET_STATISTICS]);
+    run(&mut world, grip(None));
+    let mut after = exchange(&mut world, wsg::Command::GetStatistics { reset: false });
+    world.advance(Duration::from_millis(100));
+    let Ok(wsg::Data::Statistics(statistics)) = after.try_recv().unwrap() else { panic!() };
+    assert_eq!(statistics.total, 1, "a motion makes what was read before old");
+}
+
+#[test]
+fn a_stop_ends_a_motion_and_latches_nothing() {
+    let mut world = homed();
+    let running = start(&mut world, move_to(10.0, 20.0));
+    world.advance(Duration::from_millis(500));
+    let stop = submit(&mut world, Action::Stop, None).unwrap();
+    assert_eq!(finish(&mut world, &stop).outcome, Some(Outcome::Success));
+    let stopped = finish(&mut world, &running);
+    assert_eq!((stopped.outcome, stopped.fast_stop_id), (Some(Outcome::Aborted), None));
+    assert_eq!(state(&world).fast_stop, Some(false));
+}
+
+#[test]
+fn an_unannounced_end_of_ours_is_told_as_the_cause() {
+    let mut world = homed();
+    world.disconnected("pulled");
+    world.advance(Duration::from_secs(3));
+    assert_eq!(latch(&world).fast_stop_cause, FastStopCause::UnannouncedDisconnect);
+    assert_eq!(&*latch(&world).fast_stop_by, "device");
+}
