@@ -1,4 +1,30 @@
 //! A gateway that lets many clients share Weiss/SCHUNK WSG grippers safely.
+//!
+//! # The map
+//!
+//! | room | what it is for |
+//! | --- | --- |
+//! | [`wsg`] | the protocol, sans-IO: frames, commands, replies, and the [session](wsg::session) on a link |
+//! | [`transport`] | byte pipes to devices; knows nothing of the protocol |
+//! | [`gripper`] | one actor per gripper, the only owner of its state; everyone else has a [handle](gripper::Handle) |
+//! | [`frontend`] | the doors: [HTTP](frontend::http) |
+//! | [`sim`] | a device, modelled from the manual: a pure machine, with faults |
+//! | [`config`] | file, environment and flags to validated types; nothing else reads them |
+//! | [`daemon`] | the composition root: builds, connects, drains in order |
+//! | [`cli`], [`telemetry`] | the command line, and logs |
+//!
+//! Data's way in: a door parses once and admits nothing; it hands a [`gripper::model`] value to the gripper's handle; the
+//! [actor](gripper::actor) decides, and hands a request to the session; the session makes bytes. The way out: bytes,
+//! session event, the actor's state, one watch of the newest state. The device side runs on a runtime of its own, so
+//! that no number of clients can delay a FAST STOP.
+//!
+//! # Invariants
+//!
+//! Each has a test by its name, on the frames that the device received: `frame_sent_at_most_once`,
+//! `nothing_moves_unasked`, `fast_stop_overtakes`, `latch_blocks_motion`, `acknowledge_names_its_latch`,
+//! `every_command_ends_once`, `unknown_is_said`, `announce_before_close`, `device_refusal_is_not_our_error`.
+//!
+//! FAST STOP is not a safety function in the sense of ISO 13850.
 
 pub mod cli;
 pub mod config;

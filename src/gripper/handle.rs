@@ -71,6 +71,13 @@ impl Ticket {
         Command { replayed: self.replayed, ..record }
     }
 
+    /// Whether it has changed since this was asked last.
+    pub fn has_changed(&mut self) -> bool {
+        let changed = self.record.has_changed().unwrap_or_default();
+        self.record.mark_unchanged();
+        changed
+    }
+
     /// The command when it has ended, or as it is after `limit`.
     pub async fn wait(&mut self, limit: Duration) -> Command {
         // Neither a time-out nor the actor's end is an error here: the record says how far the command came.

@@ -455,3 +455,25 @@ fn an_unannounced_end_of_ours_is_told_as_the_cause() {
     assert_eq!(latch(&world).fast_stop_cause, FastStopCause::UnannouncedDisconnect);
     assert_eq!(&*latch(&world).fast_stop_by, "device");
 }
+
+#[test]
+fn every_command_ends_once() {
+    let mut world = homed();
+    let mut ticket = start(&mut world, move_to(10.0, 20.0));
+    let mut times_told = 0;
+    // A cancel, a Stop, a FAST STOP and the end of the link at once: each would end it.
+    let id = ticket.now().id;
+    drop(request(&mut world, |answer| Request::Cancel { id, client: client(), answer }));
+    submit(&mut world, Action::Stop, None).unwrap();
+    fast_stop(&mut world);
+    for _ in 0..2000 {
+        world.advance(Duration::from_millis(1));
+        if ticket.has_changed() {
+            times_told += 1;
+        }
+        if world.now > world.start + Duration::from_secs(4) {
+            world.disconnected("pulled");
+        }
+    }
+    assert_eq!((times_told, ticket.now().outcome), (1, Some(Outcome::Aborted)));
+}
