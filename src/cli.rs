@@ -1,7 +1,13 @@
 //! The command line: what to do, and what to do it with.
 
-use std::ffi::OsString;
+mod decode;
 
+use std::ffi::OsString;
+use std::fs::File;
+use std::io::BufReader;
+use std::path::PathBuf;
+
+use anyhow::Context;
 use clap::{CommandFactory, Parser, Subcommand};
 use url::Url;
 
@@ -43,8 +49,15 @@ enum Command {
     },
     /// Print the OpenAPI document
     Openapi,
-    /// Hex to readable frames, and back (not yet supported)
-    Decode(NotYet),
+    /// Hex to readable frames, one line a frame, and back
+    Decode {
+        /// Lines of hex, each perhaps behind a time and > or <; standard input where there is none
+        #[arg(value_name = "FILE", conflicts_with = "encode")]
+        file: Option<PathBuf>,
+        /// The bytes of a frame, e.g. 'Grip width=20 speed=50', FastStop or '0xB0 0x20 150.0f "text"'
+        #[arg(long, value_name = "TEXT")]
+        encode: Option<String>,
+    },
     /// Read the journal (not yet supported)
     Journal(NotYet),
     /// Make a token (not yet supported)
@@ -79,7 +92,20 @@ pub fn run() -> anyhow::Result<()> {
             println!("{}", serde_json::to_string_pretty(&frontend::http::openapi())?);
             Ok(())
         }
-        Some(Command::Decode(_)) => not_yet("decode"),
+        Some(Command::Decode { encode: Some(text), .. }) => {
+            println!("{}", decode::encode(&text)?);
+            Ok(())
+        }
+        Some(Command::Decode { file, encode: None }) => {
+            let mut output = std::io::stdout().lock();
+            match file {
+                Some(path) => {
+                    let file = File::open(&path).with_context(|| path.display().to_string())?;
+                    decode::decode(BufReader::new(file), &mut output)
+                }
+                None => decode::decode(std::io::stdin().lock(), &mut output),
+            }
+        }
         Some(Command::Journal(_)) => not_yet("journal"),
         Some(Command::Token(_)) => not_yet("token"),
     }

@@ -388,4 +388,4 @@ fn write_floats(out: &mut Vec<u8>, values: &[f32]) {
 
 #[cfg(test)]
 #[path = "command_tests.rs"]
-mod tests;
+pub(super) mod tests;

@@ -18,6 +18,7 @@ pub mod reply;
 pub mod session;
 pub mod state;
 pub mod status;
+pub mod text;
 
 pub use command::{Command, CustomCommand, HomingDirection, InvalidRequest, LoopData, MoveFlags, Updates};
 pub use device::{

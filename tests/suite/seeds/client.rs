@@ -4,8 +4,10 @@ use rand::RngExt;
 use tokio::sync::oneshot;
 use wsg_gateway::gripper::handle::{FastStopRequest, Request};
 use wsg_gateway::gripper::model::{Action, Client, Door, FastStopId, Motion, PartId, Reason, RequestId, Submission};
-use wsg_gateway::gripper::{Rejection, Ticket};
-use wsg_gateway::wsg::{Acceleration, Command, CustomCommand, Data, Force, HomingDirection, MoveFlags, Speed, Width};
+use wsg_gateway::gripper::{Failure, Rejection, Ticket};
+use wsg_gateway::wsg::{
+    Acceleration, Command, CustomCommand, Data, Force, HomingDirection, LoopData, MoveFlags, Speed, Width,
+};
 
 use super::schedule::Ask;
 use super::world::World;
@@ -16,11 +18,17 @@ pub struct Admitted {
     pub motion: Option<Command>,
 }
 
+/// A request that moves nothing, and the data that it must bring back, where that is known.
+struct Exchange {
+    answered: oneshot::Receiver<Result<Data, Rejection>>,
+    expected: Option<Data>,
+}
+
 /// All clients of one world.
 #[derive(Default)]
 pub struct Clients {
     pub admitted: Vec<Admitted>,
-    exchanges: Vec<oneshot::Receiver<Result<Data, Rejection>>>,
+    exchanges: Vec<Exchange>,
     acknowledges: Vec<oneshot::Receiver<Result<(), Rejection>>>,
     pub fast_stops: Vec<FastStopId>,
     last: Option<Submission>,
@@ -74,6 +82,11 @@ impl Clients {
                 Self::exchange(world, Command::SetAcceleration(acceleration));
             }
             Ask::Read => Self::exchange(world, Command::GetStatistics { reset: false }),
+            Ask::Loop => {
+                world.clients.submitted += 1;
+                let data = world.clients.submitted.to_le_bytes().to_vec();
+                Self::exchange(world, Command::Loop(LoopData::new(data).unwrap()));
+            }
             Ask::Custom => Self::exchange(world, Command::Custom(CustomCommand::new(0xB0, vec![1, 2]).unwrap())),
         }
     }
@@ -147,10 +160,14 @@ impl Clients {
     }
 
     fn exchange(world: &mut World, command: Command) {
+        let expected = match &command {
+            Command::Loop(data) => Some(Data::Loop(data.as_bytes().to_vec())),
+            _ => None,
+        };
         let (answer, answered) = oneshot::channel();
         let now = world.clock();
         world.actor.request(now, Request::Exchange { command, client: client(), answer });
-        world.clients.exchanges.push(answered);
+        world.clients.exchanges.push(Exchange { answered, expected });
     }
 
     /// Takes the answers that have come.
@@ -164,10 +181,21 @@ impl Clients {
             Err(_) => true,
         });
         *world.counts.entry("a FAST STOP was acknowledged".to_owned()).or_default() += cleared;
-        world
-            .clients
-            .exchanges
-            .retain_mut(|answered| matches!(answered.try_recv(), Err(oneshot::error::TryRecvError::Empty)));
+        let (mut wrong, mut late) = (None, 0);
+        world.clients.exchanges.retain_mut(|exchange| match (exchange.answered.try_recv(), &exchange.expected) {
+            (Err(oneshot::error::TryRecvError::Empty), _) => true,
+            (Ok(Ok(data)), Some(expected)) if data != *expected => {
+                wrong = Some((data, expected.clone()));
+                false
+            }
+            (Ok(Err(Rejection::Failure(Failure::DeviceTimeout { .. }))), _) => {
+                late += 1;
+                false
+            }
+            _ => false,
+        });
+        *world.counts.entry("a request timed out".to_owned()).or_default() += late;
+        assert_eq!(wrong, None, "a late reply must not answer the next request\n{}", world.tail());
     }
 
     /// Whether everyone has been answered.

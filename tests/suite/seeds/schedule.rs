@@ -15,6 +15,8 @@ pub enum Step {
     Change(Change),
     /// A client asks for something.
     Client(Ask),
+    /// What the device sends is held up until so much later, all of it in order.
+    Stall(Duration),
 }
 
 /// What a client asks for.
@@ -33,6 +35,7 @@ pub enum Ask {
     Set,
     Read,
     Custom,
+    Loop,
 }
 
 /// The steps of one seed, in order.
@@ -54,6 +57,15 @@ impl Schedule {
             steps.push((begins, Step::Change(change)));
             if let Some(undone) = undone {
                 steps.push((begins + lasts, Step::Change(undone)));
+            }
+        }
+        if rng.random_bool(0.2) {
+            // The answer to the first Loop comes after its time-out, and must not be taken for the second one's.
+            let begins = at(rng);
+            let lasts = Duration::from_millis(rng.random_range(1100..1450));
+            steps.push((begins, Step::Stall(lasts)));
+            for after in [Duration::from_millis(5), Duration::from_millis(1050)] {
+                steps.push((begins + after, Step::Client(Ask::Loop)));
             }
         }
         steps.sort_by_key(|(at, _)| *at);
@@ -101,6 +113,7 @@ fn ask(rng: &mut SmallRng) -> Ask {
         20 => Ask::Set,
         21 => Ask::Read,
         22 => Ask::Custom,
+        23 => Ask::Loop,
         _ => Ask::Move,
     }
 }

@@ -43,6 +43,8 @@ pub struct World {
     busy_until: Option<Instant>,
     to_device: Wire,
     to_gateway: Wire,
+    /// Until when what the device sends is held up.
+    stalled_until: Option<Instant>,
     /// Whether the wire still damages what passes.
     pub noisy: bool,
 }
@@ -163,6 +165,7 @@ impl World {
             busy_until: None,
             to_device: Wire::default(),
             to_gateway: Wire::default(),
+            stalled_until: None,
             noisy: true,
         };
         world.settle();
@@ -289,7 +292,7 @@ impl World {
         if !self.connected {
             return;
         }
-        let at = self.now + self.delay();
+        let at = (self.now + self.delay()).max(self.stalled_until.unwrap_or(self.now));
         if !self.noisy {
             return self.to_gateway.send(at, bytes);
         }
@@ -362,6 +365,11 @@ impl World {
                 self.device.apply(self.now, change);
             }
             Step::Client(request) => Clients::act(self, request),
+            Step::Stall(time) => {
+                self.note(&format!("held up for {time:?}"));
+                self.stalled_until = Some(self.now + time);
+                self.count("wire: the device was held up", true);
+            }
         }
         self.settle();
     }
