@@ -87,7 +87,11 @@ impl Clients {
                 let data = world.clients.submitted.to_le_bytes().to_vec();
                 Self::exchange(world, Command::Loop(LoopData::new(data).unwrap()));
             }
-            Ask::Custom => Self::exchange(world, Command::Custom(CustomCommand::new(0xB0, vec![1, 2]).unwrap())),
+            Ask::Custom => {
+                world.clients.submitted += 1;
+                let payload = world.clients.submitted.to_le_bytes().to_vec();
+                Self::exchange(world, Command::Custom(CustomCommand::new(0xB0, payload).unwrap()));
+            }
         }
     }
 
@@ -136,6 +140,12 @@ impl Clients {
     }
 
     fn fast_stop(world: &mut World) {
+        if world.rng.random_bool(0.5) {
+            // On a slow line these wait, and have to be overtaken.
+            Self::exchange(world, Command::GetForceLimit);
+            Self::exchange(world, Command::GetSystemLimits);
+            Self::exchange(world, Command::GetDeviceTag);
+        }
         let now = world.clock();
         let id = world.ids.fast_stop_id(now.wall);
         world.clients.fast_stops.push(id);
@@ -162,6 +172,8 @@ impl Clients {
     fn exchange(world: &mut World, command: Command) {
         let expected = match &command {
             Command::Loop(data) => Some(Data::Loop(data.as_bytes().to_vec())),
+            // Its script echoes.
+            Command::Custom(custom) => Some(Data::Custom(custom.payload().to_vec())),
             _ => None,
         };
         let (answer, answered) = oneshot::channel();

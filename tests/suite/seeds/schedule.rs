@@ -60,12 +60,12 @@ impl Schedule {
             }
         }
         if rng.random_bool(0.2) {
-            // The answer to the first Loop comes after its time-out, and must not be taken for the second one's.
+            // The answer to the first one comes after its time-out, and must not be taken for the second one's.
             let begins = at(rng);
             let lasts = Duration::from_millis(rng.random_range(1100..1450));
             steps.push((begins, Step::Stall(lasts)));
             for after in [Duration::from_millis(5), Duration::from_millis(1050)] {
-                steps.push((begins + after, Step::Client(Ask::Loop)));
+                steps.push((begins + after, Step::Client(Ask::Custom)));
             }
         }
         steps.sort_by_key(|(at, _)| *at);
