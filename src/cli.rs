@@ -76,7 +76,7 @@ struct NotYet {
 /// What went wrong, and what to do about it.
 pub fn run() -> anyhow::Result<()> {
     let cli = Cli::parse();
-    telemetry::init();
+    let _logs = telemetry::init();
     match cli.command {
         None => daemon::run(&Config::load(&cli.flags)?),
         Some(Command::Sim { urls, model, part_mm, firmware }) => {

@@ -1,16 +1,26 @@
 //! Logs, by `tracing`, on standard error: a frame is TRACE, a change of state INFO, WARN what somebody should look at.
+//!
+//! Nobody waits for a log: whoever reads standard error may have stopped reading, and lines that find no place are
+//! dropped rather than hold a gripper up.
 
 use std::io::IsTerminal;
 
+use tracing_appender::non_blocking::{NonBlockingBuilder, WorkerGuard};
 use tracing_subscriber::EnvFilter;
 
 /// The environment variable that says what is logged, e.g. `debug` or `wsg_gateway::gripper=trace`.
 const FILTER_VARIABLE: &str = "WSG_GATEWAY_LOG";
 
-/// Begins to log. A second call does nothing.
-pub fn init() {
+/// Lines that may wait to be written: some seconds of a busy gateway.
+const MAX_WAITING_LINES: usize = 8192;
+
+/// Begins to log, until the guard is dropped, which writes what still waits. A second call logs nowhere new.
+pub fn init() -> WorkerGuard {
     let filter = EnvFilter::try_from_env(FILTER_VARIABLE).unwrap_or_else(|_| EnvFilter::new("info"));
-    let logs = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    let writer = NonBlockingBuilder::default().lossy(true).buffered_lines_limit(MAX_WAITING_LINES);
+    let (writer, guard) = writer.finish(std::io::stderr());
+    let logs = tracing_subscriber::fmt().with_env_filter(filter).with_writer(writer);
     // It fails only where somebody logs already, and then there are logs.
     let _ = logs.with_ansi(std::io::stderr().is_terminal()).try_init();
+    guard
 }

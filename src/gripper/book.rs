@@ -1,12 +1,12 @@
 //! The book of commands: every command of the last hour by its id, and which request became which command.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tokio::sync::watch;
 
-use super::error::Conflict;
+use super::error::{Conflict, Failure};
 use super::handle::Ticket;
 use super::model::{Action, Command, CommandId, Outcome, Phase, RequestId, Submission};
 
@@ -19,11 +19,17 @@ const MAX_COMMANDS: usize = 4096;
 /// How long a request id stands for its command.
 const REPLAYED_FOR: Duration = Duration::from_secs(600);
 
+/// How many request ids are remembered at most: a hundred a second. Beyond, new ones are refused, since to forget one
+/// would let its request move the gripper twice.
+const MAX_REQUEST_IDS: usize = 65_536;
+
 #[derive(Debug, Default)]
 pub(super) struct Book {
     /// In order of admission, since ids are.
     commands: BTreeMap<CommandId, Entry>,
     requests: HashMap<Key, Bound>,
+    /// When each request id was bound, the oldest first.
+    bound: VecDeque<(Instant, Key)>,
 }
 
 #[derive(Debug)]
@@ -38,7 +44,8 @@ type Key = (Arc<str>, RequestId);
 
 #[derive(Debug)]
 struct Bound {
-    command: CommandId,
+    /// Outlives the command's place in the book.
+    ticket: Ticket,
     action: Action,
     since: Instant,
 }
@@ -53,21 +60,31 @@ impl Book {
         if bound.action != submission.action {
             return Err(Conflict::RequestIdReused);
         }
-        Ok(self.find(bound.command).map(|ticket| Ticket { replayed: true, ..ticket }))
+        Ok(Some(Ticket { replayed: true, ..bound.ticket.clone() }))
+    }
+
+    /// Whether a request with an id of its own can be remembered.
+    pub(super) fn check_room(&mut self, now: Instant, submission: &Submission) -> Result<(), Failure> {
+        self.forget_old(now);
+        if submission.request_id.is_some() && self.bound.len() >= MAX_REQUEST_IDS {
+            return Err(Failure::Overloaded { limit: MAX_REQUEST_IDS });
+        }
+        Ok(())
     }
 
     /// Enters an admitted command.
     pub(super) fn enter(&mut self, now: Instant, command: Command, submission: &Submission) -> Ticket {
-        self.forget_old(now);
         let key = key(submission);
-        if let Some(key) = &key {
-            let bound = Bound { command: command.id, action: submission.action.clone(), since: now };
-            self.requests.insert(key.clone(), bound);
-        }
         let id = command.id;
         let (record, receiver) = watch::channel(Arc::new(command));
+        let ticket = Ticket { record: receiver, replayed: false };
+        if let Some(key) = &key {
+            let bound = Bound { ticket: ticket.clone(), action: submission.action.clone(), since: now };
+            self.requests.insert(key.clone(), bound);
+            self.bound.push_back((now, key.clone()));
+        }
         self.commands.insert(id, Entry { record, admitted_at: now, key });
-        Ticket { record: receiver, replayed: false }
+        ticket
     }
 
     pub(super) fn find(&self, id: CommandId) -> Option<Ticket> {
@@ -101,7 +118,12 @@ impl Book {
     }
 
     fn forget_old(&mut self, now: Instant) {
-        self.requests.retain(|_, bound| now < bound.since + REPLAYED_FOR);
+        while let Some((since, key)) = self.bound.pop_front_if(|(since, _)| now >= *since + REPLAYED_FOR) {
+            // Refused and asked for again, it is bound anew.
+            if self.requests.get(&key).is_some_and(|bound| bound.since == since) {
+                self.requests.remove(&key);
+            }
+        }
         while let Some(first) = self.commands.first_entry() {
             let entry = first.get();
             let old = now >= entry.admitted_at + KEPT_FOR;
@@ -116,4 +138,81 @@ impl Book {
 
 fn key(submission: &Submission) -> Option<Key> {
     submission.request_id.clone().map(|request_id| (submission.client.subject.clone(), request_id))
+}
+
+#[cfg(test)]
+mod tests {
+    use jiff::Timestamp;
+
+    use super::super::model::{Client, Door, IdSource, Kind};
+    use super::*;
+
+    fn submission(request_id: Option<&str>) -> Submission {
+        let client = Client { subject: "test".into(), door: Door::Http };
+        let request_id = request_id.and_then(RequestId::new);
+        Submission { client, action: Action::Stop, request_id, lease: None }
+    }
+
+    /// Ids in order of admission.
+    #[derive(Default)]
+    struct Ids(i64);
+
+    fn command(ids: &mut Ids) -> Command {
+        ids.0 += 1;
+        Command {
+            id: IdSource::new(1).command_id(Timestamp::from_millisecond(ids.0).unwrap()),
+            gripper: "g".parse().unwrap(),
+            kind: Kind::Stop,
+            phase: Phase::Running,
+            outcome: None,
+            status: None,
+            status_code: None,
+            reached_goal: None,
+            stalled: None,
+            width_mm: None,
+            force_n: None,
+            started_at: Timestamp::UNIX_EPOCH,
+            duration_ms: None,
+            client: "test".into(),
+            replayed: false,
+            fast_stop_id: None,
+            rejection: None,
+        }
+    }
+
+    fn enter(book: &mut Book, now: Instant, ids: &mut Ids, request_id: Option<&str>) -> CommandId {
+        let submission = submission(request_id);
+        book.check_room(now, &submission).unwrap();
+        let ticket = book.enter(now, command(ids), &submission);
+        let id = ticket.now().id;
+        book.end(now, id, |command| command.outcome = Some(Outcome::Success));
+        id
+    }
+
+    #[test]
+    fn a_request_id_outlives_its_commands_place_in_the_book() {
+        let (mut book, mut ids, start) = (Book::default(), Ids::default(), Instant::now());
+        let first = enter(&mut book, start, &mut ids, Some("r1"));
+        for _ in 0..=MAX_COMMANDS {
+            enter(&mut book, start, &mut ids, None);
+        }
+        assert!(book.find(first).is_none() && book.commands.len() <= MAX_COMMANDS);
+        let replayed = book.replay(start + REPLAYED_FOR / 2, &submission(Some("r1"))).unwrap().unwrap().now();
+        assert_eq!((replayed.id, replayed.replayed), (first, true));
+        assert!(book.replay(start + REPLAYED_FOR, &submission(Some("r1"))).unwrap().is_none());
+    }
+
+    #[test]
+    fn request_ids_are_bounded_and_none_is_forgotten_early() {
+        let (mut book, mut ids, start) = (Book::default(), Ids::default(), Instant::now());
+        for number in 0..MAX_REQUEST_IDS {
+            enter(&mut book, start, &mut ids, Some(&number.to_string()));
+        }
+        let one_more = submission(Some("one more"));
+        assert_eq!(book.check_room(start, &one_more), Err(Failure::Overloaded { limit: MAX_REQUEST_IDS }));
+        assert!(book.check_room(start, &submission(None)).is_ok());
+        assert!(book.replay(start, &submission(Some("0"))).unwrap().is_some());
+        assert!(book.check_room(start + REPLAYED_FOR, &one_more).is_ok());
+        assert!(book.requests.is_empty() && book.bound.is_empty());
+    }
 }

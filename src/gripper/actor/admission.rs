@@ -21,6 +21,7 @@ impl Actor {
         if let Some(ticket) = self.book.replay(now.instant, submission)? {
             return Ok(ticket);
         }
+        self.book.check_room(now.instant, submission)?;
         if submission.lease.is_some() {
             return Err(Conflict::StaleLease.into());
         }

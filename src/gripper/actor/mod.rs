@@ -225,8 +225,7 @@ impl Actor {
 
     /// A FAST STOP: needs no lease, waits for nothing.
     pub fn fast_stop(&mut self, now: Now, request: FastStopRequest) {
-        tracing::warn!(gripper = %self.config.name, id = %request.id, by = %request.client.subject,
-            reason = request.reason.as_str(), "FAST STOP requested");
+        let (id, by, reason) = (request.id, request.client.subject.clone(), request.reason.clone());
         if let Some(token) = self.latching.request(now, request) {
             // An acknowledge of an earlier one must not come after this.
             self.withdraw(token);
@@ -234,6 +233,7 @@ impl Actor {
         self.send_fast_stop_if_due(now);
         self.abort_for_latch(now, FastStopCause::Requested);
         self.settle(now);
+        tracing::warn!(gripper = %self.config.name, %id, %by, reason = reason.as_str(), "FAST STOP requested");
     }
 
     /// Any other request of a client.
@@ -291,7 +291,7 @@ impl Actor {
         self.take_events(now);
         self.keep_up(now);
         self.take_events(now);
-        self.publish(now);
+        self.publish();
     }
 
     /// Submits a request to the session, if there is one.

@@ -2,7 +2,6 @@
 
 use std::sync::Arc;
 
-use super::super::Now;
 use super::super::model::{LatchFields, Link, Name, State};
 use super::Actor;
 use crate::wsg::SystemState;
@@ -35,7 +34,7 @@ pub(super) fn unknown(gripper: Name) -> State {
 
 impl Actor {
     /// Publishes the state if it has changed.
-    pub(super) fn publish(&mut self, _now: Now) {
+    pub(super) fn publish(&mut self) {
         let state = self.state_now();
         if *self.state.borrow().as_ref() == state {
             return;
