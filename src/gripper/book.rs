@@ -11,13 +11,13 @@ use super::handle::Ticket;
 use super::model::{Action, Command, CommandId, Outcome, Phase, RequestId, Submission};
 
 /// How long an ended command can be asked for.
-const KEPT_FOR: Duration = Duration::from_secs(3600);
+const KEPT_FOR: Duration = Duration::from_hours(1);
 
 /// How many commands are kept at most: at one a second, more than an hour of them.
 const MAX_COMMANDS: usize = 4096;
 
 /// How long a request id stands for its command.
-const REPLAYED_FOR: Duration = Duration::from_secs(600);
+const REPLAYED_FOR: Duration = Duration::from_mins(10);
 
 /// How many request ids are remembered at most: a hundred a second. Beyond, new ones are refused, since to forget one
 /// would let its request move the gripper twice.

@@ -37,7 +37,9 @@ impl Device {
     /// fw2 has neither the temperature nor the finger interface, and ids of scripts exist while the script runs.
     fn knows(&self, id: u8) -> bool {
         match id {
-            id::GET_TEMPERATURE | id::GET_FINGER_1_INFO..=id::GET_FINGER_2_DATA
+            id::GET_TEMPERATURE
+            | id::GET_FINGER_1_INFO..=id::GET_FINGER_1_DATA
+            | id::GET_FINGER_2_INFO..=id::GET_FINGER_2_DATA
                 if self.config.generation == Generation::Fw2 =>
             {
                 false

@@ -26,7 +26,7 @@ pub(super) struct Process {
     pub target_reached: bool,
     /// When TARGET_POS_REACHED follows.
     pub target_reached_at: Option<Instant>,
-    /// The direction of the last grip, until a motion that is none.
+    /// The direction of the last grip, until a release.
     gripped: Option<Direction>,
     is_fw4: bool,
 }
@@ -58,7 +58,11 @@ impl Process {
         self.axis_stopped = false;
         self.target_reached = false;
         self.target_reached_at = None;
-        self.gripped = if let Kind::Grip(direction) = kind { Some(direction) } else { None };
+        match kind {
+            Kind::Grip(direction) => self.gripped = Some(direction),
+            Kind::Release => self.gripped = None,
+            Kind::Home | Kind::Move => {}
+        }
         self.state = match kind {
             Kind::Grip(_) => GripperState::Grasping,
             Kind::Release => GripperState::Releasing,
@@ -99,14 +103,12 @@ impl Process {
 
     /// By Stop, or by the end of a connection that was announced.
     pub fn aborted(&mut self) {
-        self.gripped = None;
         if !self.has_result() {
             self.state = GripperState::Idle;
         }
     }
 
     pub fn fast_stopped(&mut self) {
-        self.gripped = None;
         self.target_reached_at = None;
         if self.is_fw4 || !self.has_result() {
             self.state = self.error();

@@ -13,7 +13,7 @@ use crate::wsg::{Command, Reply, Status};
 const PAUSE: Duration = Duration::from_millis(50);
 
 /// How long homing may take: the slowest homing speed over the longest stroke.
-const HOMING_WITHIN: Duration = Duration::from_secs(60);
+const HOMING_WITHIN: Duration = Duration::from_mins(1);
 
 /// How much longer than its way at its speed a motion may take: acceleration, clamping, and a device that gives up by
 /// itself with E_TIMEOUT.

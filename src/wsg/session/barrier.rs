@@ -5,8 +5,11 @@
 
 use std::time::{Duration, Instant};
 
-/// How long an echo may take before a Loop with another nonce is sent.
+/// How long an echo may take at first before a Loop with another nonce is sent; it doubles with each that isn't heard.
 const ECHO_WITHIN: Duration = Duration::from_millis(400);
+
+/// And at last.
+const ECHO_WITHIN_AT_MOST: Duration = Duration::from_millis(1600);
 
 /// Marks our nonces, so that a client's Loop data are not mistaken for one.
 const MARK: &[u8; 8] = b"wsg-loop";
@@ -17,10 +20,10 @@ pub(super) type Generation = u64;
 /// Whose data a Loop has brought back.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Echo {
-    /// Our newest Loop's: all that was on its way before this one was sent has arrived.
-    Newest(Generation),
-    /// An earlier Loop's of ours.
-    Late,
+    /// A Loop's of ours, if not the newest one's: all that was on its way before that one was sent has arrived.
+    Ours(Generation),
+    /// Of a Loop that was sent before this session.
+    Stale,
     /// A client's.
     NotOurs,
 }
@@ -31,13 +34,14 @@ pub(super) struct Barrier {
     sent: Generation,
     wanted: bool,
     in_flight: Option<(Instant, Instant)>,
+    echo_within: Duration,
     round_trip: Option<Duration>,
 }
 
 impl Barrier {
     /// With a seed that makes its nonces differ from those of an earlier session on the same line.
     pub(super) fn new(seed: u64) -> Self {
-        Self { seed, sent: 0, wanted: false, in_flight: None, round_trip: None }
+        Self { seed, sent: 0, wanted: false, in_flight: None, echo_within: ECHO_WITHIN, round_trip: None }
     }
 
     /// Asks for a Loop that is written from now on. Returns the generation that its echo will be greater than.
@@ -63,27 +67,32 @@ impl Barrier {
     pub(super) fn start(&mut self, now: Instant) -> [u8; 24] {
         self.wanted = false;
         self.sent += 1;
-        self.in_flight = Some((now, now + ECHO_WITHIN));
+        self.in_flight = Some((now, now + self.echo_within));
         self.nonce()
     }
 
     /// Takes a Loop's data.
     pub(super) fn echo(&mut self, now: Instant, data: &[u8]) -> Echo {
-        match self.in_flight {
-            Some((sent_at, _)) if data == self.nonce() => {
-                self.in_flight = None;
-                self.round_trip = Some(now.saturating_duration_since(sent_at));
-                Echo::Newest(self.sent)
-            }
-            _ if data.starts_with(MARK) => Echo::Late,
-            _ => Echo::NotOurs,
+        let Some((MARK, numbers)) = data.split_first_chunk() else { return Echo::NotOurs };
+        let Some((seed, generation)) = numbers.split_first_chunk() else { return Echo::NotOurs };
+        let Ok(generation) = generation.try_into().map(u64::from_le_bytes) else { return Echo::NotOurs };
+        if u64::from_le_bytes(*seed) != self.seed || generation > self.sent {
+            return Echo::Stale;
         }
+        self.echo_within = ECHO_WITHIN;
+        if generation == self.sent
+            && let Some((sent_at, _)) = self.in_flight.take()
+        {
+            self.round_trip = Some(now.saturating_duration_since(sent_at));
+        }
+        Echo::Ours(generation)
     }
 
     pub(super) fn handle_timeout(&mut self, now: Instant) {
         if self.deadline().is_some_and(|deadline| deadline <= now) {
             self.in_flight = None;
             self.wanted = true;
+            self.echo_within = (2 * self.echo_within).min(ECHO_WITHIN_AT_MOST);
         }
     }
 

@@ -306,6 +306,7 @@ impl Session {
             accepted: false,
             two_step: command.is_two_step(),
             stopped: false,
+            order: self.counters.frames_sent,
         };
         self.slots.insert(command.id(), in_flight);
     }
@@ -348,10 +349,10 @@ impl Session {
                     self.events.push_back(Event::Accepted(in_flight.token));
                 }
                 Verdict::Final => {
-                    let token = in_flight.token;
+                    let (token, order) = (in_flight.token, in_flight.order);
                     self.slots.open(id);
                     if matches!(id, id::STOP | id::FAST_STOP) && reply.status() == Status::E_SUCCESS {
-                        self.expect_aborts(now);
+                        self.expect_aborts_before(now, order);
                     }
                     self.events.push_back(Event::Ended(token, End::Reply(reply)));
                 }
@@ -374,14 +375,14 @@ impl Session {
             return self.barrier.is_in_flight() && !self.loop_in_flight();
         };
         match self.barrier.echo(now, data) {
-            Echo::Newest(generation) => self.slots.retain(|slot| match &mut slot.state {
+            Echo::Ours(generation) => self.slots.retain(|slot| match &mut slot.state {
                 SlotState::Closed(closed) if closed.since < generation => {
                     closed.echoed = true;
                     closed.two_step
                 }
                 _ => true,
             }),
-            Echo::Late => self.counters.late_replies += 1,
+            Echo::Stale => self.counters.late_replies += 1,
             Echo::NotOurs => return false,
         }
         true
@@ -399,8 +400,13 @@ impl Session {
 
     /// The device has stopped: the results of running motions come within [`ABORT_GRACE`], or never.
     pub fn expect_aborts(&mut self, now: Instant) {
+        self.expect_aborts_before(now, u64::MAX);
+    }
+
+    /// A stop ends what was written before it, and nothing that came after.
+    fn expect_aborts_before(&mut self, now: Instant, order: u64) {
         for (id, in_flight) in self.slots.in_flight_mut() {
-            if id::is_motion(id) {
+            if id::is_motion(id) && in_flight.order < order {
                 in_flight.stopped = true;
                 in_flight.deadline = in_flight.deadline.min(now + ABORT_GRACE);
             }

@@ -30,6 +30,8 @@ pub(super) struct InFlight {
     pub two_step: bool,
     /// A Stop or FAST STOP was confirmed meanwhile, so the result may never come.
     pub stopped: bool,
+    /// Counts what was written, since two frames can be written at one instant.
+    pub order: u64,
 }
 
 /// A request that timed out, and whose reply may still come.

@@ -346,3 +346,37 @@ fn a_lane_is_bounded() {
     assert_eq!(rig.session.submit(rig.now, one_more), Err(NotTaken::Full));
     rig.submit(Command::FastStop);
 }
+
+#[test]
+fn a_slow_device_opens_its_ids_again() {
+    let mut rig = Rig::new();
+    rig.submit(Command::GetForceLimit);
+    rig.written();
+    rig.pass(ANSWER);
+    rig.submit(Command::GetForceLimit);
+    let first = rig.echo_of_written_loop();
+    rig.pass(Duration::from_millis(50));
+    // Another Loop is on its way before the echo of the first has come.
+    rig.now += Duration::from_millis(350);
+    rig.session.handle_timeout(rig.now);
+    let request = Request { command: Command::GetForceLimit, reply_within: ANSWER, result_within: RESULT };
+    rig.session.submit(rig.now, request).unwrap();
+    assert_eq!(rig.written(), [id::LOOP]);
+    rig.session.receive(rig.now, &first);
+    assert_eq!(rig.written(), [id::GET_FORCE_LIMIT], "what was on its way before the first Loop has arrived");
+}
+
+#[test]
+fn a_stop_ends_nothing_that_was_written_after_it() {
+    let mut rig = Rig::new();
+    rig.submit(Command::Stop);
+    rig.written();
+    let motion = rig.submit(grip());
+    rig.written();
+    rig.status(id::STOP, Status::E_SUCCESS);
+    rig.status(id::GRIP, Status::E_CMD_PENDING);
+    rig.pass(ABORT_GRACE);
+    rig.events();
+    rig.pass(RESULT);
+    assert_eq!(rig.events(), [Event::Ended(motion, End::NoResult { stopped: false })]);
+}
