@@ -9,7 +9,7 @@ use rand::RngExt;
 use tokio::io::{AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio::sync::mpsc;
 
-use super::actor::{Actor, Close, Config};
+use super::actor::{Actor, Config};
 use super::clock::{Now, sleep_until};
 use super::connector::Connector;
 use super::handle::{FastStopRequest, Handle, MAX_WAITING_FAST_STOPS, MAX_WAITING_REQUESTS, Request};
@@ -24,6 +24,9 @@ const LONGEST_BACK_OFF: Duration = Duration::from_secs(2);
 
 /// How long a farewell to a device that is being given up on may take to be written.
 const FAREWELL_WITHIN: Duration = Duration::from_millis(100);
+
+/// So often requests may be passed over for what the device sends: one that sends without end must not silence them.
+const READS_IN_A_ROW: u32 = 8;
 
 /// What is read at once: far more than a device sends between two wake-ups.
 const READ_BYTES: usize = 4096;
@@ -53,6 +56,7 @@ struct LinkIo {
     pipe: Pipe,
     outgoing: Outgoing,
     incoming: Vec<u8>,
+    reads_in_a_row: u32,
 }
 
 /// What a wait has brought.
@@ -95,6 +99,12 @@ impl Driver {
                 connected = &mut connecting => return Some(connected),
             }
         }
+        // A connection that is just being made may exist already, and dropping it would be a FAST STOP.
+        if let Ok(Ok(mut pipe)) = tokio::time::timeout(FAREWELL_WITHIN, connecting).await
+            && self.connector.traits().connection_oriented
+        {
+            say_good_bye(&mut pipe, &[]).await;
+        }
         None
     }
 
@@ -115,10 +125,10 @@ impl Driver {
     /// Serves a link until it ends. Returns whether it was ever set up.
     async fn serve(&mut self, pipe: Pipe) -> bool {
         self.actor.link_up(Now::read());
-        let mut link = LinkIo { pipe, outgoing: Outgoing::default(), incoming: vec![0; READ_BYTES] };
+        let mut link = LinkIo { pipe, outgoing: Outgoing::default(), incoming: vec![0; READ_BYTES], reads_in_a_row: 0 };
         let cause = loop {
             if let Some(close) = self.actor.wants_close() {
-                self.farewell(&mut link, close).await;
+                self.farewell(&mut link).await;
                 break close.to_string();
             }
             if link.outgoing.is_written() {
@@ -139,13 +149,26 @@ impl Driver {
     }
 
     /// Waits for the next input. Cancelled without loss. The order is the priority: a FAST STOP first, then what makes
-    /// room for its frame; requests last, so that a flood of them starves nothing.
+    /// room for its frame. Requests come behind what the device sends, but for every few reads before it.
     async fn wait(&mut self, link: Option<&mut LinkIo>) -> Input {
         let deadline = self.actor.poll_timeout();
+        let mut requests_first = false;
         let (pipe, outgoing, incoming) = match link {
-            Some(LinkIo { pipe, outgoing, incoming }) => (Some(pipe), Some(outgoing), incoming.as_mut_slice()),
+            Some(LinkIo { pipe, outgoing, incoming, reads_in_a_row }) => {
+                requests_first = *reads_in_a_row >= READS_IN_A_ROW;
+                *reads_in_a_row = if requests_first { 0 } else { *reads_in_a_row + 1 };
+                (Some(pipe), Some(outgoing), incoming.as_mut_slice())
+            }
             None => (None, None, [].as_mut_slice()),
         };
+        if requests_first {
+            if let Ok(request) = self.fast_stops.try_recv() {
+                return Input::FastStop(Some(request));
+            }
+            if let Ok(request) = self.requests.try_recv() {
+                return Input::Request(Some(request));
+            }
+        }
         let (mut reader, mut writer) = pipe.map(|pipe| (&mut pipe.reader, &mut pipe.writer)).unzip();
         let is_writing = outgoing.as_ref().is_some_and(|outgoing| !outgoing.is_written());
         tokio::select! {
@@ -184,15 +207,18 @@ impl Driver {
 
     /// Before a connection is closed on a device that may still hear, the device is told: a plain close is a FAST
     /// STOP. What was being written is finished first, so that the announcement is a frame of its own.
-    async fn farewell(&self, link: &mut LinkIo, close: Close) {
-        if close == Close::Drained || !self.connector.traits().connection_oriented {
-            return;
+    async fn farewell(&self, link: &mut LinkIo) {
+        if self.connector.traits().connection_oriented && !self.actor.has_announced() {
+            say_good_bye(&mut link.pipe, link.outgoing.rest()).await;
         }
-        let mut bytes = link.outgoing.rest().to_vec();
-        Command::DisconnectAnnouncement.encode(&mut bytes);
-        // It may not get through: the link is being closed because nothing does.
-        let _ = tokio::time::timeout(FAREWELL_WITHIN, link.pipe.writer.write_all(&bytes)).await;
     }
+}
+
+/// Writes 07h behind what was being written. It may not get through: links are also closed because nothing does.
+async fn say_good_bye(pipe: &mut Pipe, unfinished: &[u8]) {
+    let mut bytes = unfinished.to_vec();
+    Command::DisconnectAnnouncement.encode(&mut bytes);
+    let _ = tokio::time::timeout(FAREWELL_WITHIN, pipe.writer.write_all(&bytes)).await;
 }
 
 /// The frame that is being written. There is one at a time, so that a FAST STOP waits for one at most.

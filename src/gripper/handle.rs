@@ -7,7 +7,7 @@ use tokio::sync::{mpsc, oneshot, watch};
 
 use super::error::{Failure, Rejection};
 use super::info::Info;
-use super::model::{Client, Command, CommandId, FastStopId, Name, Phase, Reason, State, Submission};
+use super::model::{Client, Command, CommandId, FastStopId, Link, Name, Phase, Reason, State, Submission};
 use crate::wsg;
 
 /// Requests that may wait for the actor. It answers each within microseconds, so more than this many waiting means
@@ -106,7 +106,13 @@ impl Handle {
     /// The newest state. Costs the device nothing.
     #[must_use]
     pub fn state(&self) -> Arc<State> {
-        self.state.borrow().clone()
+        let state = self.state.borrow().clone();
+        if self.requests.is_closed() {
+            // Its last state must not look like news.
+            let link_cause = Some("the gateway has given this gripper up".to_owned());
+            return Arc::new(State { link: Link::Reconnecting, link_cause, ..State::clone(&state) });
+        }
+        state
     }
 
     /// The states from now on, newest wins.

@@ -19,6 +19,9 @@ pub(super) const REPEAT_EVERY: Duration = Duration::from_millis(100);
 /// for a cause that persists: the flag is what counts).
 const CLEARS_WITHIN: Duration = Duration::from_millis(500);
 
+/// How long an acknowledge can be on its way: longer than it is waited for.
+const ACKNOWLEDGE_LASTS: Duration = Duration::from_secs(2);
+
 /// Who caused a FAST STOP that nobody here asked for.
 const BY_DEVICE: &str = "device";
 
@@ -30,6 +33,9 @@ pub(super) struct Latching {
     sent: Option<Token>,
     /// Whether the device has answered a 23h that was sent for this latch.
     answered: bool,
+    /// From when on the flags alone confirm it: an acknowledge that was on its way when it was requested could take
+    /// back what the flags show until then.
+    flags_count_from: Option<Instant>,
     repeat_at: Option<Instant>,
     acknowledging: Option<Acknowledging>,
 }
@@ -83,6 +89,7 @@ impl Latching {
 
     /// Latches a client's FAST STOP. Returns an acknowledge on its way, which must not come after it.
     pub(super) fn request(&mut self, now: Now, request: FastStopRequest) -> Option<Token> {
+        let was_acknowledging = self.acknowledging.is_some();
         let overtaken = self.acknowledging.take().and_then(|acknowledging| {
             let stale = Conflict::StaleFastStop { given: acknowledging.id, current: Some(request.id) };
             // Whoever asked may be gone.
@@ -100,8 +107,10 @@ impl Latching {
             at: now.wall,
             confirmed: false,
         });
+        self.sent = None;
         self.answered = false;
         self.repeat_at = Some(now.instant);
+        self.flags_count_from = Some(now.instant + if was_acknowledging { ACKNOWLEDGE_LASTS } else { Duration::ZERO });
         overtaken
     }
 
@@ -115,11 +124,11 @@ impl Latching {
         self.repeat_at = Some(now + REPEAT_EVERY);
     }
 
-    /// A 23h has ended; `success` if the device said so.
-    pub(super) fn ended(&mut self, token: Token, success: bool) {
+    /// A 23h has ended, perhaps with an answer.
+    pub(super) fn ended(&mut self, token: Token, answered: bool) {
         if self.sent == Some(token) {
             self.sent = None;
-            self.answered |= success;
+            self.answered |= answered;
         }
     }
 
@@ -127,6 +136,7 @@ impl Latching {
     pub(super) fn take_flags(&mut self, now: Now, flags: SystemState, origin: &mut Origin<'_>) -> Option<Change> {
         let stopped = flags.contains(SystemState::FAST_STOP);
         let watching = self.is_watching();
+        let flags_count = self.flags_count_from.is_some_and(|from| from <= now.instant);
         match (&mut self.latch, stopped) {
             (None, true) => {
                 self.latch = Some(Latch {
@@ -139,7 +149,7 @@ impl Latching {
                 });
                 Some(Change::Seen)
             }
-            (Some(latch), true) if !latch.confirmed && self.answered => {
+            (Some(latch), true) if !latch.confirmed && (self.answered || flags_count) => {
                 latch.confirmed = true;
                 Some(Change::Confirmed)
             }

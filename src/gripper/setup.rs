@@ -1,7 +1,7 @@
 //! Setting a link up: the reads of design section 4, one at a time, then the settings that clients made, then the
 //! automatic updates. Nothing moves, nothing is acknowledged.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 
 use super::observed;
 use crate::wsg::session::Token;
@@ -11,6 +11,39 @@ use crate::wsg::{
 
 /// How often a request is tried before the link is given up, or the request, where the link can do without.
 const ATTEMPTS: u8 = 3;
+
+/// A setting that clients make, and a restarted device has forgotten.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Setting {
+    /// 30h
+    Acceleration,
+    /// 32h
+    ForceLimit,
+    /// 34h, 36h
+    SoftLimits,
+}
+
+impl Setting {
+    /// The setting that a request reads or makes.
+    pub(super) fn of(id: u8) -> Option<Self> {
+        match id {
+            id::SET_ACCELERATION | id::GET_ACCELERATION => Some(Self::Acceleration),
+            id::SET_FORCE_LIMIT | id::GET_FORCE_LIMIT => Some(Self::ForceLimit),
+            id::SET_SOFT_LIMITS | id::GET_SOFT_LIMITS | id::CLEAR_SOFT_LIMITS => Some(Self::SoftLimits),
+            _ => None,
+        }
+    }
+}
+
+impl std::fmt::Display for Setting {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Acceleration => "acceleration",
+            Self::ForceLimit => "force limit",
+            Self::SoftLimits => "soft limits",
+        })
+    }
+}
 
 /// What clients last set on a device, to be restored when it has forgotten it. Overdrive is not among them: after a
 /// restart somebody has to want it again.
@@ -45,7 +78,9 @@ pub(super) struct Setup {
     pub tag: Option<DeviceTag>,
     pub soft_limits: Option<SoftLimits>,
     /// Settings that were found changed, and set again.
-    pub restored: Vec<&'static str>,
+    pub restored: Vec<Setting>,
+    /// Settings of clients that the device refuses to tell or to take.
+    pub lost: BTreeSet<Setting>,
     /// Whether another device has answered than the one before.
     pub replaced: bool,
 }
@@ -80,6 +115,7 @@ impl Setup {
             tag: None,
             soft_limits: None,
             restored: Vec::new(),
+            lost: BTreeSet::new(),
             replaced: false,
         }
     }
@@ -87,17 +123,29 @@ impl Setup {
     /// The next request, after the last has ended.
     pub(super) fn next(&mut self) -> Step {
         if let Some((command, attempts)) = self.current.take() {
-            if attempts < ATTEMPTS {
+            // Updates are switched on again later, where they don't come.
+            let allowed = if is_switch_on(&command) { 1 } else { ATTEMPTS };
+            if attempts < allowed {
                 self.current = Some((command.clone(), attempts + 1));
                 return Step::Send(command);
             }
-            if matches!(command.id(), id::GET_SYSTEM_INFO | id::GET_SYSTEM_STATE) {
+            if is_vital(&command) || self.concerns_wanted(&command) {
                 return Step::Failed(id::name(command.id()).unwrap_or("a request"));
             }
         }
         let Some(command) = self.todo.pop_front() else { return Step::Done };
         self.current = Some((command.clone(), 1));
         Step::Send(command)
+    }
+
+    /// Whether a setting that a client made hangs on it.
+    fn concerns_wanted(&self, command: &Command) -> bool {
+        match Setting::of(command.id()) {
+            Some(Setting::Acceleration) => self.wanted.acceleration.is_some(),
+            Some(Setting::ForceLimit) => self.wanted.force_limit.is_some(),
+            Some(Setting::SoftLimits) => self.wanted.soft_limits != WantedSoftLimits::AsTheyAre,
+            None => false,
+        }
     }
 
     pub(super) fn sent(&mut self, token: Option<Token>) {
@@ -109,30 +157,42 @@ impl Setup {
         self.token == Some(token)
     }
 
-    /// Takes a reply in. Without one, [`Setup::next`] tries again.
+    /// Takes a reply in. Without one, or where a status is none, [`Setup::next`] tries again.
     pub(super) fn take(&mut self, reply: Reply) {
-        let Some((command, _)) = self.current.take() else { return };
+        let Some((command, attempts)) = self.current.take() else { return };
         match (command.id(), reply) {
-            (_, Reply::Success(Data::SystemInfo(system))) => self.identify(system),
-            (_, Reply::Success(Data::SystemLimits(limits))) => self.limits = Some(limits),
-            (_, Reply::Success(Data::DeviceTag(tag))) => self.tag = Some(tag),
-            (id::GET_SOFT_LIMITS, reply) => self.compare_soft_limits(&reply),
-            (_, Reply::Success(Data::Acceleration(found))) => {
+            (id::GET_SOFT_LIMITS, Reply::Success(Data::SoftLimits(found))) => self.compare_soft_limits(Some(found)),
+            (id::GET_SOFT_LIMITS, Reply::Status(Status::E_NOT_AVAILABLE)) => self.compare_soft_limits(None),
+            // It has to say what it is, and how.
+            (_, Reply::Status(_)) if is_vital(&command) => self.current = Some((command, attempts)),
+            (_, Reply::Status(_)) if self.concerns_wanted(&command) => self.lost.extend(Setting::of(command.id())),
+            (_, Reply::Status(_)) => {}
+            (_, Reply::Success(data)) => self.take_data(&command, data),
+        }
+    }
+
+    fn take_data(&mut self, command: &Command, data: Data) {
+        match data {
+            Data::SystemInfo(system) => self.identify(system),
+            Data::SystemLimits(limits) => self.limits = Some(limits),
+            Data::DeviceTag(tag) => self.tag = Some(tag),
+            Data::Acceleration(found) => {
                 let changed = self.wanted.acceleration.filter(|wanted| *wanted != found);
-                self.restore("acceleration", changed.map(Command::SetAcceleration));
+                self.todo_first(changed.map(Command::SetAcceleration));
             }
-            (_, Reply::Success(Data::ForceLimit(found))) => {
+            Data::ForceLimit(found) => {
                 let changed = self.wanted.force_limit.filter(|wanted| *wanted != found);
-                self.restore("force limit", changed.map(Command::SetForceLimit));
+                self.todo_first(changed.map(Command::SetForceLimit));
             }
-            (id::SET_SOFT_LIMITS, Reply::Success(_)) => {
-                if let Command::SetSoftLimits(limits) = command {
-                    self.soft_limits = Some(limits);
-                }
-            }
-            (id::CLEAR_SOFT_LIMITS, Reply::Success(_)) => self.soft_limits = None,
             _ => {}
         }
+        match command {
+            Command::SetSoftLimits(limits) => self.soft_limits = Some(*limits),
+            Command::ClearSoftLimits => self.soft_limits = None,
+            Command::SetAcceleration(_) | Command::SetForceLimit(_) => {}
+            _ => return,
+        }
+        self.restored.extend(Setting::of(command.id()));
     }
 
     fn identify(&mut self, system: SystemInfo) {
@@ -150,24 +210,18 @@ impl Setup {
         }
     }
 
-    fn compare_soft_limits(&mut self, reply: &Reply) {
-        match reply {
-            Reply::Success(Data::SoftLimits(found)) => self.soft_limits = Some(*found),
-            Reply::Status(Status::E_NOT_AVAILABLE) => self.soft_limits = None,
-            _ => return,
-        }
-        let changed = match self.wanted.soft_limits {
+    fn compare_soft_limits(&mut self, found: Option<SoftLimits>) {
+        self.soft_limits = found;
+        self.todo_first(match self.wanted.soft_limits {
             WantedSoftLimits::AsTheyAre => None,
-            WantedSoftLimits::Cleared => self.soft_limits.map(|_| Command::ClearSoftLimits),
-            WantedSoftLimits::Set(wanted) if self.soft_limits == Some(wanted) => None,
+            WantedSoftLimits::Cleared => found.map(|_| Command::ClearSoftLimits),
+            WantedSoftLimits::Set(wanted) if found == Some(wanted) => None,
             WantedSoftLimits::Set(wanted) => Some(Command::SetSoftLimits(wanted)),
-        };
-        self.restore("soft limits", changed);
+        });
     }
 
-    fn restore(&mut self, setting: &'static str, command: Option<Command>) {
+    fn todo_first(&mut self, command: Option<Command>) {
         if let Some(command) = command {
-            self.restored.push(setting);
             self.todo.push_front(command);
         }
     }
@@ -177,10 +231,27 @@ impl Setup {
     }
 }
 
+/// Whether a link is none without its answer: what the device is, and what its flags are.
+fn is_vital(command: &Command) -> bool {
+    matches!(command, Command::GetSystemInfo | Command::GetSystemState(Updates::Off))
+}
+
+/// Whether it switches automatic updates on.
+fn is_switch_on(command: &Command) -> bool {
+    matches!(
+        command,
+        Command::GetSystemState(Updates::On { .. })
+            | Command::GetGripperState(Updates::On { .. })
+            | Command::GetWidth(_)
+            | Command::GetSpeed(_)
+            | Command::GetForce(_)
+    )
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::wsg::{DeviceType, Firmware};
+    use crate::wsg::{DeviceType, Firmware, SystemState};
 
     fn system(serial_number: u32) -> Reply {
         let info = SystemInfo {
@@ -215,8 +286,52 @@ mod tests {
             Command::GetAcceleration => Reply::Success(Data::Acceleration(Acceleration::new(500.0).unwrap())),
             Command::GetForceLimit => Reply::Success(Data::ForceLimit(Force::new(40.0).unwrap())),
             Command::GetSoftLimits => Reply::Status(Status::E_NOT_AVAILABLE),
+            Command::GetSystemState(Updates::Off) => Reply::Success(Data::SystemState(SystemState::REFERENCED)),
             _ => Reply::Success(Data::None),
         })
+    }
+
+    fn wanted() -> Wanted {
+        Wanted { force_limit: Some(Force::new(10.0).unwrap()), ..Wanted::default() }
+    }
+
+    #[test]
+    fn a_wanted_setting_that_is_refused_is_lost_and_never_told_as_restored() {
+        for refused in [id::GET_FORCE_LIMIT, id::SET_FORCE_LIMIT] {
+            let (setup, _, end) = run(Setup::new(None, Some(7), wanted()), |command| {
+                let refusal = Reply::Status(Status::E_INSUFFICIENT_RESOURCES);
+                if command.id() == refused { Some(refusal) } else { forgetful(command) }
+            });
+            assert_eq!(end, Step::Done);
+            assert!(setup.restored.is_empty() && setup.lost.contains(&Setting::ForceLimit), "{refused:02X}h");
+        }
+    }
+
+    #[test]
+    fn a_wanted_setting_that_is_not_answered_fails_the_link() {
+        let (_, _, end) = run(Setup::new(None, Some(7), wanted()), |command| {
+            if command.id() == id::SET_FORCE_LIMIT { None } else { forgetful(command) }
+        });
+        assert_eq!(end, Step::Failed("SetForceLimit"));
+    }
+
+    #[test]
+    fn a_status_instead_of_identity_or_flags_is_no_answer() {
+        for vital in [id::GET_SYSTEM_INFO, id::GET_SYSTEM_STATE] {
+            let (_, _, end) = run(Setup::new(None, None, Wanted::default()), |command| {
+                let refusal = Reply::Status(Status::E_NOT_AVAILABLE);
+                if command.id() == vital { Some(refusal) } else { forgetful(command) }
+            });
+            assert!(matches!(end, Step::Failed(_)), "{vital:02X}h: {end:?}");
+        }
+    }
+
+    #[test]
+    fn an_unanswered_switch_on_costs_one_attempt() {
+        let (_, sent, end) = run(Setup::new(None, None, Wanted::default()), |command| {
+            if command.id() == id::GET_WIDTH { None } else { forgetful(command) }
+        });
+        assert_eq!((sent.len(), end), (11, Step::Done));
     }
 
     #[test]
@@ -235,7 +350,7 @@ mod tests {
             soft_limits: WantedSoftLimits::Cleared,
         };
         let (setup, sent, _) = run(Setup::new(None, Some(7), wanted), forgetful);
-        assert_eq!(setup.restored, ["acceleration"], "the force limit is as it was");
+        assert_eq!(setup.restored, [Setting::Acceleration], "the force limit is as it was");
         assert!(sent.contains(&Command::SetAcceleration(Acceleration::new(2000.0).unwrap())));
         let (setup, sent, _) = run(Setup::new(None, Some(8), wanted), forgetful);
         assert!(setup.replaced && setup.restored.is_empty());

@@ -129,6 +129,17 @@ pub struct SystemLimits {
     pub overdrive_force: Force,
 }
 
+impl SystemLimits {
+    /// Whether a gripper can have them: nothing is negative, and no lower limit above its upper one.
+    #[must_use]
+    pub fn are_plausible(&self) -> bool {
+        self.stroke > Width::ZERO
+            && (Speed::ZERO..=self.max_speed).contains(&self.min_speed)
+            && (Acceleration::ZERO..=self.max_acceleration).contains(&self.min_acceleration)
+            && (Force::ZERO..=self.nominal_force).contains(&self.min_force)
+    }
+}
+
 /// Soft limits (34h, 35h): widths outside `minus..=plus` are forbidden.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SoftLimits {

@@ -164,7 +164,10 @@ impl Data {
                 serial_number: fields.u32(),
             }),
             id::GET_DEVICE_TAG => Self::DeviceTag(DeviceTag::new(data).map_err(|_| value)?),
-            id::GET_SYSTEM_LIMITS => Self::SystemLimits(read_limits(&mut fields).map_err(number)?),
+            id::GET_SYSTEM_LIMITS => {
+                let limits = read_limits(&mut fields).map_err(number)?;
+                Self::SystemLimits(if limits.are_plausible() { limits } else { return Err(value) })
+            }
             id::GET_FINGER_1_INFO | id::GET_FINGER_2_INFO => {
                 let finger_type = FingerType::from_code(fields.u8());
                 if data.len() == 4 {

@@ -280,6 +280,8 @@ impl From<Conflict> for Problem {
             Conflict::FastStopUnconfirmed { id } => Self::new(Code::FastStopUnconfirmed, detail).fast_stop(Some(id)),
             Conflict::NotReferenced => Self::new(Code::NotReferenced, detail),
             Conflict::AlreadyRunning { id } => Self::new(Code::AlreadyRunning, detail).command(id),
+            Conflict::CustomRunning => Self::new(Code::AlreadyRunning, detail),
+            Conflict::SettingsLost { .. } => Self::new(Code::DeviceRefused, detail),
             Conflict::StaleLease => Self::new(Code::StaleLease, detail),
             Conflict::RequestIdReused => Self::new(Code::RequestIdReused, detail),
         }

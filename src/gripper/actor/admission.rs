@@ -6,7 +6,7 @@ use super::super::Now;
 use super::super::error::{Conflict, Failure, Invalid, Rejection};
 use super::super::handle::{Answer, Ticket};
 use super::super::model::{Action, Client, Command as Record, CommandId, FastStopId, Motion, Phase, Submission};
-use super::super::setup::WantedSoftLimits;
+use super::super::setup::{Setting, WantedSoftLimits};
 use super::motion::Running;
 use super::reads::is_slow_getter;
 use super::{Actor, Exchange, Purpose};
@@ -58,6 +58,13 @@ impl Actor {
     fn check_moving(&self) -> Result<(), Conflict> {
         if let Some(id) = self.latching.id() {
             return Err(Conflict::FastStop { id });
+        }
+        if !self.lost.is_empty() {
+            let lost: Vec<_> = self.lost.iter().map(ToString::to_string).collect();
+            return Err(Conflict::SettingsLost { settings: lost.join(", ") });
+        }
+        if self.purposes.values().any(|purpose| self.is_custom_motion(purpose)) {
+            return Err(Conflict::CustomRunning);
         }
         match &self.running {
             Some(running) => Err(Conflict::AlreadyRunning { id: running.id }),
@@ -169,9 +176,16 @@ impl Actor {
     /// What clients set is restored after a restart of the device: as it read it back.
     pub(super) fn note_setting(&mut self, data: &Data) {
         match data {
-            Data::Acceleration(acceleration) => self.wanted.acceleration = Some(*acceleration),
-            Data::ForceLimit(force) => self.wanted.force_limit = Some(*force),
+            Data::Acceleration(acceleration) => {
+                self.wanted.acceleration = Some(*acceleration);
+                self.lost.remove(&Setting::Acceleration);
+            }
+            Data::ForceLimit(force) => {
+                self.wanted.force_limit = Some(*force);
+                self.lost.remove(&Setting::ForceLimit);
+            }
             Data::SoftLimits(limits) => {
+                self.lost.remove(&Setting::SoftLimits);
                 self.wanted.soft_limits = WantedSoftLimits::Set(*limits);
                 self.limits.soft = Some(*limits);
             }
@@ -186,6 +200,7 @@ impl Actor {
     /// Soft limits were read back, and there are none.
     pub(super) fn note_no_soft_limits(&mut self) {
         self.wanted.soft_limits = WantedSoftLimits::Cleared;
+        self.lost.remove(&Setting::SoftLimits);
         self.limits.soft = None;
     }
 

@@ -14,6 +14,8 @@ const ANSWERED_WITHIN: Duration = Duration::from_millis(500);
 pub(super) struct Drain {
     stage: Stage,
     until: Instant,
+    /// Whether 07h was handed out.
+    has_announced: bool,
     /// Who waits for it.
     answers: Vec<Answered>,
 }
@@ -39,6 +41,7 @@ impl Drain {
     }
 
     pub(super) fn announced(&mut self) {
+        self.has_announced = true;
         self.stage = Stage::Announced;
     }
 
@@ -58,7 +61,7 @@ impl Actor {
         let until = now.instant + self.config.drain;
         let drain = self.drain.get_or_insert_with(|| {
             tracing::info!(gripper = %self.config.name, "giving up in order");
-            Drain { stage: Stage::Finishing, until, answers: Vec::new() }
+            Drain { stage: Stage::Finishing, until, has_announced: false, answers: Vec::new() }
         });
         drain.answers.push(answer);
     }
@@ -74,6 +77,12 @@ impl Actor {
     #[must_use]
     pub fn is_draining(&self) -> bool {
         self.drain.is_some()
+    }
+
+    /// Whether the device was told that its connection ends.
+    #[must_use]
+    pub fn has_announced(&self) -> bool {
+        self.drain.as_ref().is_some_and(|drain| drain.has_announced)
     }
 
     /// Tells everyone who waits for it that the gripper was given up.

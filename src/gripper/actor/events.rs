@@ -68,8 +68,8 @@ impl Actor {
                 }
             }
             Purpose::FastStop => {
-                let success = matches!(end, End::Reply(Reply::Success(_)));
-                self.latching.ended(token, success);
+                let answered = matches!(end, End::Reply(_));
+                self.latching.ended(token, answered);
             }
             Purpose::Acknowledge => {
                 let result = match end {
@@ -78,7 +78,7 @@ impl Actor {
                 };
                 self.latching.acknowledge_ended(now.instant, token, result);
             }
-            Purpose::Force(id) => self.force_ended(now, id, end),
+            Purpose::Force(id, force) => self.force_ended(now, id, force, end),
             Purpose::Motion(id) => self.motion_ended(now, id, end),
             Purpose::Stop(Some(id)) => self.stop_ended(now, id, end),
             Purpose::Stop(None) => {}
@@ -118,8 +118,27 @@ impl Actor {
             }
             end => {
                 let command = super::name_of(&exchange.command);
-                let _ = exchange.answer.send(Err(self.rejection_of(command, end)));
+                // What was set and can't be read back is told as it was sent.
+                let result = match exchange.setter.as_ref().and_then(as_read_back) {
+                    Some(data) => {
+                        self.note_setting(&data);
+                        Ok(data)
+                    }
+                    None => Err(self.rejection_of(command, end)),
+                };
+                let _ = exchange.answer.send(result);
             }
         }
     }
+}
+
+/// What reading a setter's value back brings, if the device took it as it is.
+fn as_read_back(setter: &Command) -> Option<Data> {
+    Some(match setter {
+        Command::SetAcceleration(acceleration) => Data::Acceleration(*acceleration),
+        Command::SetForceLimit(force) => Data::ForceLimit(*force),
+        Command::SetSoftLimits(limits) => Data::SoftLimits(*limits),
+        Command::SetDeviceTag(tag) => Data::DeviceTag(tag.clone()),
+        _ => return None,
+    })
 }

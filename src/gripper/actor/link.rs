@@ -5,7 +5,8 @@ use std::time::Duration;
 use super::super::Now;
 use super::super::error::{Failure, Rejection};
 use super::super::latch;
-use super::super::model::Link;
+use super::super::model::{Link, Outcome};
+use super::super::observed;
 use super::super::setup::{Setup, Step};
 use super::{Actor, Close, LinkState, Purpose, REPLY_WITHIN};
 use crate::wsg::session::{self, Session};
@@ -40,7 +41,8 @@ impl Actor {
     /// The link is gone, or could not be made.
     pub fn link_down(&mut self, now: Now, cause: &str) {
         let unwritten = self.running.as_ref().and_then(super::Running::token).is_some_and(|token| self.withdraw(token));
-        if self.session.take().is_some() {
+        let mut session = self.session.take();
+        if session.is_some() {
             tracing::warn!(gripper = %self.config.name, cause, "link lost");
             self.unannounced = self.config.traits.connection_oriented && self.close != Some(Close::Drained);
         } else if self.link_cause.as_deref() != Some(cause) {
@@ -55,12 +57,16 @@ impl Actor {
         for (_, answer) in std::mem::take(&mut self.awaiting_flags) {
             let _ = answer.send(Err(rejection.clone()));
         }
-        for (_, purpose) in std::mem::take(&mut self.purposes) {
+        for (token, purpose) in std::mem::take(&mut self.purposes) {
             match purpose {
                 Purpose::Exchange(exchange) => {
                     let _ = exchange.answer.send(Err(rejection.clone()));
                 }
-                Purpose::Stop(Some(id)) => self.reject(now, id, rejection.clone()),
+                Purpose::Stop(Some(id)) if session.as_mut().is_some_and(|session| session.withdraw(token)) => {
+                    self.reject(now, id, rejection.clone());
+                }
+                // It may have happened.
+                Purpose::Stop(Some(id)) => self.end(now, id, |record| record.outcome = Some(Outcome::Unknown)),
                 _ => {}
             }
         }
@@ -117,11 +123,24 @@ impl Actor {
         if !setup.restored.is_empty() {
             tracing::warn!(gripper = %name, settings = ?setup.restored, "the device had lost settings: set again");
         }
-        if self.overdrive_wanted && !self.observed.has(SystemState::OVERDRIVE_MODE) {
+        if !setup.lost.is_empty() {
+            tracing::warn!(gripper = %name, settings = ?setup.lost, "settings could not be restored: nothing moves");
+        }
+        let overdrive = self.observed.has(SystemState::OVERDRIVE_MODE);
+        if self.overdrive_wanted && !overdrive {
             tracing::warn!(gripper = %name, "Overdrive Mode is off since the device restarted, and stays off");
             self.overdrive_wanted = false;
         }
         self.wanted = setup.wanted();
+        if let (Some(wanted), Some(limits), false) = (self.wanted.force_limit, setup.limits, overdrive) {
+            // Without overdrive the device has clamped it, and would be found changed at each reconnect.
+            self.wanted.force_limit = Some(if wanted > limits.nominal_force { limits.nominal_force } else { wanted });
+        }
+        self.lost = setup.lost;
+        for update in observed::switch_on_all(None) {
+            // Those that don't come are switched on again.
+            self.observed.asked(now.instant, update.id());
+        }
         self.system = setup.system;
         self.limits.system = setup.limits;
         self.limits.soft = setup.soft_limits;

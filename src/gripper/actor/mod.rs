@@ -38,10 +38,10 @@ use super::latch::Latching;
 use super::limits::Limits;
 use super::model::{CommandId, FastStopCause, IdSource, Name, State};
 use super::observed::Observed;
-use super::setup::{Setup, Wanted};
+use super::setup::{Setting, Setup, Wanted};
 use crate::transport::Traits;
 use crate::wsg::session::{self, NotTaken, Session, Token};
-use crate::wsg::{self, Command, Data, SystemInfo, id};
+use crate::wsg::{self, Command, Data, Force, SystemInfo, id};
 use drain::Drain;
 use motion::Running;
 use reads::Reads;
@@ -92,7 +92,7 @@ enum Purpose {
     FastStop,
     Acknowledge,
     /// Set Force Limit, before a grip.
-    Force(CommandId),
+    Force(CommandId, Force),
     Motion(CommandId),
     /// For a client's stop command, or on the gateway's own account.
     Stop(Option<CommandId>),
@@ -140,6 +140,8 @@ pub struct Actor {
     system: Option<SystemInfo>,
     limits: Limits,
     wanted: Wanted,
+    /// Settings of clients that could not be restored: nothing moves until they are set again.
+    lost: BTreeSet<Setting>,
     overdrive_wanted: bool,
     observed: Observed,
     latching: Latching,
@@ -190,6 +192,7 @@ impl Actor {
             system: None,
             limits: Limits::default(),
             wanted: Wanted::default(),
+            lost: BTreeSet::new(),
             overdrive_wanted: false,
             observed: Observed::default(),
             latching: Latching::default(),

@@ -7,7 +7,7 @@ use super::super::error::{Conflict, DeviceRefusal, Failure, Rejection};
 use super::super::model::{Command as Record, CommandId, FastStopCause, FastStopId, Kind, Motion, Outcome};
 use super::{Actor, Purpose, REPLY_WITHIN};
 use crate::wsg::session::{End, Token};
-use crate::wsg::{Command, Reply, Status};
+use crate::wsg::{Command, Data, Force, Reply, Status, SystemState};
 
 /// The pause between the end of a motion and the next: devices in the field fall over otherwise.
 const PAUSE: Duration = Duration::from_millis(50);
@@ -23,6 +23,9 @@ const MOTION_MARGIN: Duration = Duration::from_secs(10);
 /// next, is of after the motion. Updates every 10 ms bring them sooner.
 const SETTLES_WITHIN: Duration = Duration::from_millis(50);
 
+/// The longest that a way may take, whatever a device says of its stroke.
+const LONGEST_WAY: Duration = Duration::from_mins(5);
+
 /// The stroke that is reckoned with where the device has not told its own.
 const LONGEST_STROKE_MM: f32 = 250.0;
 
@@ -33,7 +36,7 @@ pub(super) struct Running {
     motion: Motion,
     stage: Stage,
     accepted: bool,
-    /// Ended by this FAST STOP.
+    /// The FAST STOP that came while it ran.
     fast_stop: Option<FastStopId>,
 }
 
@@ -93,7 +96,7 @@ impl Actor {
         let id = running.id;
         match running.motion {
             Motion::Grip { force: Some(force), .. } => {
-                let sent = self.submit(now, Command::SetForceLimit(force), Purpose::Force(id));
+                let sent = self.submit(now, Command::SetForceLimit(force), Purpose::Force(id, force));
                 self.set_stage(now, sent.map(Stage::Force));
             }
             _ => self.start_motion(now, id),
@@ -112,7 +115,7 @@ impl Actor {
         self.set_stage(now, sent.map(Stage::Sent));
     }
 
-    fn set_stage(&mut self, now: Now, stage: Result<Stage, Box<(Rejection, Purpose)>>) {
+    fn set_stage(&mut self, now: Now, stage: Result<Stage, super::NotSubmitted>) {
         match (stage, &mut self.running) {
             (Ok(stage), Some(running)) => running.stage = stage,
             (Err(not_taken), _) => self.reject_running(now, not_taken.0),
@@ -126,26 +129,25 @@ impl Actor {
             Motion::Move { speed, .. } | Motion::Grip { speed, .. } | Motion::Release { speed, .. } => speed.mm_s(),
         };
         let stroke = self.limits.system.map_or(LONGEST_STROKE_MM, |system| system.stroke.mm());
-        let way = Duration::try_from_secs_f32(stroke / speed.max(1.0)).unwrap_or(HOMING_WITHIN);
-        way + MOTION_MARGIN
+        let way = Duration::try_from_secs_f32(stroke / speed.max(1.0)).unwrap_or(LONGEST_WAY);
+        way.min(LONGEST_WAY) + MOTION_MARGIN
     }
 
-    /// The force limit before a grip has been answered.
-    pub(super) fn force_ended(&mut self, now: Now, id: CommandId, end: End) {
-        let Some(Running { motion: Motion::Grip { force: Some(force), .. }, .. }) =
-            self.running.as_ref().filter(|running| running.id == id)
-        else {
+    /// The force limit before a grip has been answered. It stays set, whatever has become of the grip.
+    pub(super) fn force_ended(&mut self, now: Now, id: CommandId, force: Force, end: End) {
+        self.reads.forget();
+        let success = matches!(end, End::Reply(Reply::Success(_)));
+        if success {
+            self.note_setting(&Data::ForceLimit(force));
+        }
+        if self.running.as_ref().is_none_or(|running| running.id != id) {
             return;
-        };
-        match end {
-            End::Reply(Reply::Success(_)) => {
-                self.wanted.force_limit = Some(*force);
-                self.start_motion(now, id);
-            }
-            end => {
-                let rejection = self.rejection_of("SetForceLimit", end);
-                self.reject_running(now, rejection);
-            }
+        }
+        if success {
+            self.start_motion(now, id);
+        } else {
+            let rejection = self.rejection_of("SetForceLimit", end);
+            self.reject_running(now, rejection);
         }
     }
 
@@ -230,13 +232,15 @@ impl Actor {
         }
     }
 
+    /// Whether it is a custom command that counts as motion.
+    pub(super) fn is_custom_motion(&self, purpose: &Purpose) -> bool {
+        let Purpose::Exchange(exchange) = purpose else { return false };
+        matches!(&exchange.command, Command::Custom(custom) if !self.config.read_ids.contains(&custom.id()))
+    }
+
     fn withdraw_custom_motions(&mut self, fast_stop: Option<FastStopId>) {
-        let moves = |purpose: &Purpose| {
-            matches!(purpose, Purpose::Exchange(exchange) if matches!(&exchange.command,
-                Command::Custom(custom) if !self.config.read_ids.contains(&custom.id())))
-        };
-        let tokens: Vec<_> =
-            self.purposes.iter().filter(|(_, purpose)| moves(purpose)).map(|(&token, _)| token).collect();
+        let custom = |(token, purpose): (&Token, &Purpose)| self.is_custom_motion(purpose).then_some(*token);
+        let tokens: Vec<_> = self.purposes.iter().filter_map(custom).collect();
         for token in tokens {
             if self.session.as_mut().is_some_and(|session| session.withdraw(token))
                 && let (Some(Purpose::Exchange(exchange)), Some(id)) = (self.purposes.remove(&token), fast_stop)
@@ -281,8 +285,11 @@ impl Actor {
                 record.set_status(Status::E_SUCCESS);
             }),
             end => {
+                // Written and not answered, it may have happened all the same.
+                let unknown = matches!(end, End::Unanswered { written: true, .. } | End::NoResult { .. });
+                let outcome = if unknown { Outcome::Unknown } else { Outcome::Refused };
                 let rejection = self.rejection_of("Stop", end);
-                self.reject(now, id, rejection);
+                self.end_rejected(now, id, outcome, rejection);
             }
         }
     }
@@ -313,8 +320,12 @@ impl Actor {
 
     /// Ends a command that the device never accepted.
     pub(super) fn reject(&mut self, now: Now, id: CommandId, rejection: Rejection) {
+        self.end_rejected(now, id, Outcome::Refused, rejection);
+    }
+
+    fn end_rejected(&mut self, now: Now, id: CommandId, outcome: Outcome, rejection: Rejection) {
         self.end(now, id, |record| {
-            record.outcome = Some(Outcome::Refused);
+            record.outcome = Some(outcome);
             if let Rejection::Device(refusal) = &rejection {
                 record.set_status(refusal.status);
             }
@@ -326,10 +337,11 @@ impl Actor {
     pub(super) fn end(&mut self, now: Now, id: CommandId, fill_in: impl FnOnce(&mut Record)) {
         self.reads.forget();
         let (width_mm, force_n) = (self.observed.width_mm, self.observed.force_n);
+        let referenced = self.observed.has(SystemState::REFERENCED);
         let ended = self.book.end(now.instant, id, |record| {
             fill_in(record);
             let known = !matches!(record.outcome, Some(Outcome::Unknown | Outcome::Refused));
-            record.width_mm = width_mm.filter(|_| known);
+            record.width_mm = width_mm.filter(|_| known && referenced);
             record.force_n = force_n.filter(|_| known);
             if record.kind != Kind::Stop && known {
                 record.reached_goal = Some(matches!(record.outcome, Some(Outcome::Success | Outcome::PartHeld)));

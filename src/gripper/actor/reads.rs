@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use super::super::Now;
-use super::super::error::Rejection;
+use super::super::error::{Failure, Rejection};
 use super::super::handle::Answer;
 use super::{Actor, Purpose};
 use crate::wsg::session::End;
@@ -15,6 +15,9 @@ use crate::wsg::{Command, Data, Reply};
 
 /// How old a value may be.
 const FRESH_FOR: Duration = Duration::from_secs(2);
+
+/// Who may wait for one read: as many as there can be connections.
+const MAX_READERS: usize = 1024;
 
 /// What was read, and what is being read, by id.
 #[derive(Debug, Default)]
@@ -66,6 +69,10 @@ impl Actor {
             return;
         }
         let waiting = self.reads.waiting.entry(id).or_default();
+        if waiting.len() >= MAX_READERS {
+            let _ = answer.send(Err(Failure::Overloaded { limit: MAX_READERS }.into()));
+            return;
+        }
         waiting.push(answer);
         if waiting.len() == 1
             && let Err(not_taken) = self.submit(now, command, Purpose::Read(id))
