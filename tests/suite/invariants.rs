@@ -477,3 +477,77 @@ fn every_command_ends_once() {
     }
     assert_eq!((times_told, ticket.now().outcome), (1, Some(Outcome::Aborted)));
 }
+
+#[test]
+fn nothing_moves_while_a_setting_of_a_client_is_lost() {
+    let mut world = homed();
+    drop(exchange(&mut world, wsg::Command::SetForceLimit(Force::new(10.0).unwrap())));
+    world.advance(Duration::from_millis(100));
+    let refusal = FaultKind::Status { code: Status::E_INSUFFICIENT_RESOURCES.code() };
+    world.device.apply(world.now, Change::Fault { kind: refusal, id: Some(id::SET_FORCE_LIMIT), times: 1 });
+    world.device.apply(world.now, Change::Reboot { ready_after_ms: 100, mid_frame: false });
+    world.advance(Duration::from_secs(3));
+    assert_eq!(state(&world).link, Link::Connected);
+    let expected = Conflict::SettingsLost { settings: "force limit".to_owned() };
+    assert_eq!(refused(&mut world, home()), expected.into());
+    drop(exchange(&mut world, wsg::Command::SetForceLimit(Force::new(10.0).unwrap())));
+    world.advance(Duration::from_millis(100));
+    assert_eq!(run(&mut world, home()).outcome, Some(Outcome::Success));
+}
+
+#[test]
+fn a_stop_whose_link_goes_is_unknown() {
+    let mut world = homed();
+    world.device.apply(world.now, Change::Silent { on: true });
+    let stop = submit(&mut world, Action::Stop, None).unwrap();
+    world.disconnected("pulled");
+    let command = stop.now();
+    assert_eq!((command.outcome, command.rejection), (Some(Outcome::Unknown), None));
+}
+
+#[test]
+fn the_flags_confirm_a_fast_stop_whose_answers_are_lost() {
+    let mut world = homed();
+    world.device.apply(world.now, Change::SetFastStop);
+    world.device.apply(world.now, Change::Fault { kind: FaultKind::NoReply, id: Some(id::FAST_STOP), times: 200 });
+    world.advance(Duration::from_millis(100));
+    let id = fast_stop(&mut world);
+    world.advance(Duration::from_millis(100));
+    assert_eq!((latch(&world).fast_stop_id, latch(&world).fast_stop_confirmed), (id, true));
+}
+
+#[test]
+fn updates_that_were_refused_at_first_are_switched_on_again() {
+    let mut world = World::calm(device(), None);
+    let refusal = FaultKind::Status { code: Status::E_NOT_AVAILABLE.code() };
+    world.device.apply(world.now, Change::Fault { kind: refusal, id: Some(id::GET_WIDTH), times: 2 });
+    world.device.apply(world.now, Change::Reboot { ready_after_ms: 100, mid_frame: false });
+    world.advance(Duration::from_secs(3));
+    assert_eq!(run(&mut world, home()).outcome, Some(Outcome::Success));
+    world.advance(Duration::from_secs(3));
+    assert_eq!(state(&world).width_mm, Some(109.0));
+}
+
+#[test]
+fn a_stop_before_homing_tells_no_width() {
+    let mut world = world();
+    let stop = submit(&mut world, Action::Stop, None).unwrap();
+    assert_eq!(finish(&mut world, &stop).width_mm, None);
+}
+
+#[test]
+fn a_cancelled_grip_leaves_its_force_limit_noted() {
+    let mut world = World::calm(device(), Some(960));
+    run(&mut world, home());
+    world.advance(Duration::from_millis(100));
+    let ticket = start(&mut world, grip(Some(20.0)));
+    drop(request(&mut world, |answer| Request::Cancel { id: ticket.now().id, client: client(), answer }));
+    world.advance(Duration::from_millis(200));
+    assert_eq!(ticket.now().outcome, Some(Outcome::Aborted));
+    let mut limit = exchange(&mut world, wsg::Command::GetForceLimit);
+    world.advance(Duration::from_millis(200));
+    assert_eq!(limit.try_recv().unwrap(), Ok(wsg::Data::ForceLimit(Force::new(20.0).unwrap())));
+    world.device.apply(world.now, Change::Reboot { ready_after_ms: 100, mid_frame: false });
+    world.advance(Duration::from_secs(5));
+    assert!((world.device.snapshot().force_limit_n - 20.0).abs() < 0.1);
+}

@@ -84,7 +84,7 @@ impl Invariants {
         let unconfirmed = state.latch.as_ref().is_some_and(|latch| !latch.fast_stop_confirmed);
         let ended = world.clients.tickets().all(|ticket| ticket.now().phase == Phase::Done);
         // An update was heard after all faults had ended: the link isn't half-open.
-        let heard = state.updated_at.is_some_and(|at| at > since + Duration::from_millis(100));
+        let heard = state.updated_at.is_some_and(|at| at > since + Duration::from_secs(1));
         state.link == Link::Connected && heard && !unconfirmed && ended && world.clients.all_answered()
     }
 

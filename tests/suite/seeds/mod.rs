@@ -13,7 +13,7 @@ use std::collections::BTreeMap;
 use world::World;
 
 /// Seeds in an ordinary run.
-const DEFAULT_SEEDS: u64 = 500;
+const DEFAULT_SEEDS: u64 = 1000;
 
 fn variable(name: &str) -> Option<u64> {
     std::env::var(name).ok().map(|value| value.parse().expect("a number"))

@@ -59,6 +59,10 @@ impl Schedule {
                 steps.push((begins + lasts, Step::Change(undone)));
             }
         }
+        for _ in 0..rng.random_range(0..3) {
+            let fault = Step::Change(fault(rng));
+            steps.push((at(rng), fault));
+        }
         if rng.random_bool(0.2) {
             // The answer to the first one comes after its time-out, and must not be taken for the second one's.
             let begins = at(rng);
@@ -70,6 +74,11 @@ impl Schedule {
         }
         steps.sort_by_key(|(at, _)| *at);
         Self(steps.into())
+    }
+
+    /// Any one thing that can happen to a device.
+    pub fn any_change(rng: &mut SmallRng) -> Change {
+        change(rng).0
     }
 
     /// When the next step is due.

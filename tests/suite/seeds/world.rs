@@ -39,6 +39,7 @@ pub struct World {
     connected: bool,
     reconnect_at: Option<Instant>,
     bytes_per_second: Option<u32>,
+    longest_delay: Duration,
     /// Until when the line is busy with the last frame: the next one waits, and may be overtaken.
     busy_until: Option<Instant>,
     to_device: Wire,
@@ -128,7 +129,18 @@ impl World {
         device.scripts.push(Script { id: 0xB0, answer: ScriptAnswer::Echo });
         // A slow line has fewer updates, so that its schedules run faster; some are at full rate.
         let bytes_per_second = [None, Some(11_520), Some(960), Some(960), Some(960)][rng.random_range(0..5)];
-        Self::with(seed, rng, device, bytes_per_second)
+        let mut world = Self::with(seed, rng, device, bytes_per_second);
+        if world.rng.random_bool(0.1) {
+            world.longest_delay = Duration::from_millis(world.rng.random_range(10..400));
+        }
+        if world.rng.random_bool(0.3) {
+            // Something is wrong before the first connect already.
+            let change = Schedule::any_change(&mut world.rng);
+            world.note(&format!("at the start {change:?}"));
+            world.device.apply(world.now, change);
+        }
+        world.settle();
+        world
     }
 
     fn with(seed: u64, rng: SmallRng, device: DeviceConfig, bytes_per_second: Option<u32>) -> Self {
@@ -147,7 +159,7 @@ impl World {
             seed,
         };
         let (actor, watches) = Actor::new(config);
-        let mut world = Self {
+        Self {
             ids: IdSource::new(!seed),
             rng,
             start: now,
@@ -162,14 +174,13 @@ impl World {
             connected: false,
             reconnect_at: Some(now),
             bytes_per_second,
+            longest_delay: Duration::from_millis(3),
             busy_until: None,
             to_device: Wire::default(),
             to_gateway: Wire::default(),
             stalled_until: None,
             noisy: true,
-        };
-        world.settle();
-        world
+        }
     }
 
     pub fn clock(&self) -> Now {
@@ -318,7 +329,7 @@ impl World {
     }
 
     fn delay(&mut self) -> Duration {
-        Duration::from_micros(self.rng.random_range(50..3000))
+        Duration::from_micros(self.rng.random_range(50..self.longest_delay.as_micros() as u64))
     }
 
     /// What the driver does when the actor wants its link closed.
