@@ -2,5 +2,8 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
+mod defaults;
+mod first_grip;
+mod harness;
 mod invariants;
 mod seeds;
