@@ -3,7 +3,9 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 mod defaults;
+mod ends;
 mod first_grip;
 mod harness;
 mod invariants;
+mod link;
 mod seeds;
