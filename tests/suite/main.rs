@@ -2,8 +2,10 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
+mod commands;
 mod defaults;
 mod ends;
+mod fast_stop;
 mod first_grip;
 mod harness;
 mod invariants;
