@@ -2,8 +2,11 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
+mod bodies;
 mod commands;
 mod defaults;
+mod device;
+mod door;
 mod ends;
 mod fast_stop;
 mod first_grip;
