@@ -44,8 +44,6 @@ async fn what_is_not_there_yet_is_refused_as_that() {
         &["--zenoh-listen", "tcp/127.0.0.1:7447"],
         &["--zenoh-connect", "tcp/127.0.0.1:7447"],
         &["--journal", "journal.db"],
-        &["decode", "AAAAAA"],
-        &["decode", "--encode", "FastStop"],
         &["journal", "list"],
         &["token"],
         &["--gripper", "g=udp://127.0.0.1:1500"],
@@ -134,6 +132,16 @@ async fn openapi_prints_the_document_that_is_checked_in() {
     let checked_in = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/openapi/openapi.json")).unwrap();
     assert!(ended.status.success());
     assert!(ended.stdout.trim_end() == checked_in.trim_end(), "stale: cargo run -- openapi > openapi/openapi.json");
+}
+
+#[tokio::test]
+async fn frames_are_decoded_and_encoded() {
+    let encoded = run(&["decode", "--encode", "FastStop"]).await;
+    assert!(encoded.status.success(), "{encoded:?}");
+    let hex = encoded.stdout.replace(char::is_whitespace, "").to_ascii_uppercase();
+    assert!(hex.starts_with("AAAAAA230000"), "{encoded:?}");
+    let decoded = run(&["decode", file("frames.hex", &hex).to_str().unwrap()]).await;
+    assert!(decoded.stdout.contains("FastStop"), "{decoded:?}");
 }
 
 #[tokio::test]

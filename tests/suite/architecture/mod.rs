@@ -39,7 +39,7 @@ const FRAMES: &[&str] = &[
 const SESSION: &[&str] = &["wsg::session"];
 
 /// Who may use the frames, and who the session.
-const FRAME_USERS: &[&str] = &["wsg/", "sim/", "gripper/driver.rs", "gripper/actor/", "frontend/wsg_port", "cli.rs"];
+const FRAME_USERS: &[&str] = &["wsg/", "sim/", "gripper/driver.rs", "gripper/actor/", "frontend/wsg_port", "cli"];
 const SESSION_USERS: &[&str] = &["wsg/", "gripper/driver.rs", "gripper/actor/", "gripper/latch.rs", "gripper/setup.rs"];
 
 /// What the machines may not have, since bytes and `now` come from outside.
