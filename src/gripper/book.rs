@@ -30,6 +30,8 @@ pub(super) struct Book {
     requests: HashMap<Key, Bound>,
     /// When each request id was bound, the oldest first.
     bound: VecDeque<(Instant, Key)>,
+    /// The commands that have ended, and whose clients have not been told.
+    untold: Vec<Arc<Command>>,
 }
 
 #[derive(Debug)]
@@ -91,7 +93,7 @@ impl Book {
         self.commands.get(&id).map(|entry| Ticket { record: entry.record.subscribe(), replayed: false })
     }
 
-    /// Ends a command. A second end of the same command does nothing.
+    /// Ends a command, which [`Book::tell`] tells its clients. A second end of the same command does nothing.
     pub(super) fn end(
         &mut self,
         now: Instant,
@@ -100,7 +102,7 @@ impl Book {
     ) -> Option<Arc<Command>> {
         let entry = self.commands.get(&id)?;
         let mut command = Command::clone(&entry.record.borrow());
-        if command.phase == Phase::Done {
+        if command.phase == Phase::Done || self.untold.iter().any(|ended| ended.id == id) {
             return None;
         }
         command.phase = Phase::Done;
@@ -113,8 +115,18 @@ impl Book {
             self.requests.remove(key);
         }
         let command = Arc::new(command);
-        entry.record.send_replace(command.clone());
+        self.untold.push(command.clone());
         Some(command)
+    }
+
+    /// Tells clients of the commands that have ended: after the state was published, so that who reads it next reads
+    /// none of before the end.
+    pub(super) fn tell(&mut self) {
+        for command in self.untold.drain(..) {
+            if let Some(entry) = self.commands.get(&command.id) {
+                entry.record.send_replace(command);
+            }
+        }
     }
 
     fn forget_old(&mut self, now: Instant) {

@@ -38,6 +38,8 @@ pub(super) struct Latching {
     flags_count_from: Option<Instant>,
     repeat_at: Option<Instant>,
     acknowledging: Option<Acknowledging>,
+    /// The acknowledges that have ended, and whose clients have not been told.
+    untold: Vec<(Answer<()>, Result<(), Rejection>)>,
 }
 
 #[derive(Debug)]
@@ -222,8 +224,15 @@ impl Latching {
 
     fn finish_acknowledge(&mut self, result: Result<(), Rejection>) {
         if let Some(acknowledging) = self.acknowledging.take() {
+            self.untold.push((acknowledging.answer, result));
+        }
+    }
+
+    /// Tells clients how their acknowledges ended: after the state was published.
+    pub(super) fn tell(&mut self) {
+        for (answer, result) in self.untold.drain(..) {
             // Whoever asked may be gone.
-            let _ = acknowledging.answer.send(result);
+            let _ = answer.send(result);
         }
     }
 }

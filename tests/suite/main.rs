@@ -2,5 +2,17 @@
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
+mod architecture;
+mod bodies;
+mod command_line;
+mod commands;
+mod defaults;
+mod device;
+mod door;
+mod ends;
+mod fast_stop;
+mod first_grip;
+mod harness;
 mod invariants;
+mod link;
 mod seeds;

@@ -47,12 +47,11 @@ impl Actor {
             Some(Change::Cleared) => tracing::info!(gripper = %self.config.name, "FAST STOP cleared"),
             None => {}
         }
-        self.answer_awaiting_flags(flags);
     }
 
-    fn answer_awaiting_flags(&mut self, flags: SystemState) {
-        let wanted = self.overdrive_wanted;
-        if flags.contains(SystemState::OVERDRIVE_MODE) == wanted {
+    pub(super) fn answer_awaiting_flags(&mut self) {
+        let Some(flags) = self.observed.flags else { return };
+        if flags.contains(SystemState::OVERDRIVE_MODE) == self.overdrive_wanted {
             for (_, answer) in std::mem::take(&mut self.awaiting_flags) {
                 let _ = answer.send(Ok(Data::SystemState(flags)));
             }

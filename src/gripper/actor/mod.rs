@@ -289,12 +289,16 @@ impl Actor {
         self.close
     }
 
-    /// Everything that follows from an input: what the session has to tell, then what is due.
+    /// Everything that follows from an input: what the session has to tell, then what is due. Clients get their
+    /// answers after the state was published, so that who reads it next reads none of before.
     fn settle(&mut self, now: Now) {
         self.take_events(now);
         self.keep_up(now);
         self.take_events(now);
         self.publish();
+        self.book.tell();
+        self.latching.tell();
+        self.answer_awaiting_flags();
     }
 
     /// Submits a request to the session, if there is one.

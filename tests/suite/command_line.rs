@@ -1,0 +1,155 @@
+//! The command line: what starts, what is refused, and what is said.
+
+use std::net::TcpListener;
+use std::path::PathBuf;
+
+use crate::harness::{Gateway, Simulator, run};
+
+/// A file of this text, for one test.
+fn file(name: &str, text: &str) -> PathBuf {
+    let path = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{}-{name}", std::process::id()));
+    std::fs::write(&path, text).unwrap();
+    path
+}
+
+/// Runs a command line that has to fail, and returns what it says.
+async fn refused(arguments: &[&str]) -> String {
+    let ended = run(arguments).await;
+    assert!(!ended.status.success(), "{arguments:?} succeeds: {ended:?}");
+    ended.stderr
+}
+
+#[tokio::test]
+async fn both_servers_say_what_they_serve_and_where_and_what_to_try() {
+    let device = Simulator::start(&["--model", "wsg32"]).await;
+    assert_eq!(device.stdout(), format!("a simulated wsg32 at tcp://{}", device.address));
+    let gateway = Gateway::start(&["--name", "cell-7", "--gripper", &format!("g=tcp://{}", device.address)]).await;
+    let url = gateway.url("/");
+    crate::harness::eventually("the line to try", async || gateway.stdout().contains("try: ").then_some(())).await;
+    let said = gateway.stdout();
+    for expected in [
+        format!("serves cell-7 at {url}"),
+        format!("g        tcp://{}", device.address),
+        format!("documentation: {url}docs"),
+        format!("try: curl -X POST {url}api/v1/grippers/g/home"),
+    ] {
+        assert!(said.contains(&expected), "{expected:?} in {said}");
+    }
+}
+
+#[tokio::test]
+async fn what_is_not_there_yet_is_refused_as_that() {
+    for arguments in [
+        &["--wsg-port", "left=127.0.0.1:1000"][..],
+        &["--zenoh-listen", "tcp/127.0.0.1:7447"],
+        &["--zenoh-connect", "tcp/127.0.0.1:7447"],
+        &["--journal", "journal.db"],
+        &["journal", "list"],
+        &["token"],
+        &["--gripper", "g=udp://127.0.0.1:1500"],
+        &["--gripper", "g=serial:///dev/ttyUSB0?baud=115200"],
+        &["--gripper", "g=can://can0?tx=0x64&rx=0x65"],
+        &["sim", "udp://127.0.0.1:1500"],
+    ] {
+        let said = refused(arguments).await;
+        assert!(said.contains("not supported yet"), "{arguments:?}: {said}");
+    }
+}
+
+#[tokio::test]
+async fn a_mistake_is_named_with_its_remedy() {
+    for (arguments, expected) in [
+        (&["--listen", "0.0.0.0:0"][..], "--insecure"),
+        (&["--listen", "nowhere"], "127.0.0.1:8080"),
+        (&["--gripper", "left"], "left=tcp://192.168.1.20:1000"),
+        (&["--gripper", "Left=sim://wsg50"], "a-z"),
+        (&["--gripper", "a=sim://wsg50", "--gripper", "a=sim://wsg50"], "each needs its own"),
+        (&["--gripper", "g=sim://wsg99"], "wsg50"),
+        (&["--gripper", "g=sim://wsg50?part_mm=500"], "110"),
+        (&["--config", "no-such-file.toml"], "no-such-file.toml"),
+        (&["sim", "tcp://127.0.0.1:0", "--model", "wsg99"], "wsg50"),
+        (&["sim"], "URL"),
+        (&["--nonsense"], "--nonsense"),
+    ] {
+        let said = refused(arguments).await;
+        assert!(said.contains(expected), "{arguments:?}: {said}");
+        assert!(!said.contains("panicked"), "{said}");
+    }
+}
+
+#[tokio::test]
+async fn other_addresses_than_loopback_are_listened_on_with_insecure_alone() {
+    let said = refused(&["check", "--listen", "0.0.0.0:8080"]).await;
+    assert!(said.contains("loopback"), "{said}");
+    assert!(run(&["check", "--listen", "0.0.0.0:8080", "--insecure"]).await.status.success());
+}
+
+#[tokio::test]
+async fn a_port_that_is_taken_is_a_clear_error_and_costs_the_device_nothing() {
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = taken.local_addr().unwrap().to_string();
+    let device = Simulator::start(&[]).await;
+    let proxy = crate::harness::Proxy::to(device.address);
+    let said = refused(&["--listen", &address, "--gripper", &format!("g=tcp://{}", proxy.address)]).await;
+    assert!(said.contains(&format!("cannot listen on {address}")) && said.contains("--listen"), "{said}");
+    assert_eq!(proxy.frames.len(), 0);
+    let said = refused(&["sim", &format!("tcp://{address}")]).await;
+    assert!(said.contains("cannot listen"), "{said}");
+}
+
+#[tokio::test]
+async fn check_says_what_a_configuration_would_serve_or_which_line_is_wrong() {
+    let right = file("right.toml", "name = \"cell\"\n[grippers.a]\nurl = \"sim://wsg50\"\n");
+    let ended = run(&["check", "--config", right.to_str().unwrap()]).await;
+    assert!(ended.status.success(), "{ended:?}");
+    assert!(ended.stdout.contains("cell serves 1 grippers at 127.0.0.1:8080"), "{ended:?}");
+    for (text, line) in [
+        ("name = \"cell\"\nnonsense = 1\n", 2),
+        ("[grippers.a]\nurl = \"sim://wsg99\"\n", 2),
+        ("\n\nlisten = \"nowhere\"\n", 3),
+        ("name = \"Cell\"\n", 1),
+        ("name = \n", 1),
+        ("journal = \"journal.db\"\n", 1),
+    ] {
+        let wrong = file("wrong.toml", text);
+        let said = refused(&["check", "--config", wrong.to_str().unwrap()]).await;
+        assert!(said.contains(&format!("wrong.toml:{line}:")), "{text:?}: {said}");
+    }
+}
+
+#[tokio::test]
+async fn the_readmes_configuration_is_right() {
+    let readme = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/README.md")).unwrap();
+    let (_, example) = readme.split_once("```toml\n").expect("an example in TOML");
+    let (example, _) = example.split_once("```").unwrap();
+    let ended = run(&["check", "--config", file("readme.toml", example).to_str().unwrap()]).await;
+    assert!(ended.status.success(), "{ended:?}");
+}
+
+#[tokio::test]
+async fn openapi_prints_the_document_that_is_checked_in() {
+    let ended = run(&["openapi"]).await;
+    let checked_in = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/openapi/openapi.json")).unwrap();
+    assert!(ended.status.success());
+    assert!(ended.stdout.trim_end() == checked_in.trim_end(), "stale: cargo run -- openapi > openapi/openapi.json");
+}
+
+#[tokio::test]
+async fn frames_are_decoded_and_encoded() {
+    let encoded = run(&["decode", "--encode", "FastStop"]).await;
+    assert!(encoded.status.success(), "{encoded:?}");
+    let hex = encoded.stdout.replace(char::is_whitespace, "").to_ascii_uppercase();
+    assert!(hex.starts_with("AAAAAA230000"), "{encoded:?}");
+    let decoded = run(&["decode", file("frames.hex", &hex).to_str().unwrap()]).await;
+    assert!(decoded.stdout.contains("FastStop"), "{decoded:?}");
+}
+
+#[tokio::test]
+async fn help_and_version_are_there() {
+    let help = run(&["--help"]).await;
+    assert!(help.status.success());
+    for expected in ["--gripper", "--listen", "--insecure", "--journal", "sim", "check", "openapi"] {
+        assert!(help.stdout.contains(expected), "{expected}");
+    }
+    assert!(run(&["--version"]).await.stdout.contains(env!("CARGO_PKG_VERSION")));
+}

@@ -1,0 +1,168 @@
+//! Commands: waited for, asked for later, repeated, stopped, cancelled; and what the device makes of them.
+
+use serde_json::{Value, json};
+
+use crate::harness::{Gateway, Proxy, Scripted, Simulator, Table};
+
+const PENDING: [u8; 2] = [0x1A, 0];
+
+fn slow() -> Value {
+    json!({"width_mm": 10, "speed_mm_s": 5})
+}
+
+fn quick() -> Value {
+    json!({"width_mm": 90, "speed_mm_s": 400})
+}
+
+#[tokio::test]
+async fn a_command_that_nobody_waits_for_is_told_by_its_location() {
+    let device = Simulator::start(&[]).await;
+    let gateway = Gateway::homed_at(device.address).await;
+    let accepted = gateway.post("move?wait_ms=0", &quick()).await;
+    assert_eq!(accepted.status, 202, "{accepted:?}");
+    assert_eq!((accepted.text("phase"), accepted.field("outcome")), ("running".to_owned(), &Value::Null));
+    let location = accepted.location.clone().expect("a Location");
+    assert_eq!(location, format!("/api/v1/grippers/g/commands/{}", accepted.text("id")));
+    let ended = gateway.get(&format!("{location}?wait_ms=20000")).await.outcome("SUCCESS");
+    assert_eq!(gateway.get(&location).await.ok(), ended, "it is kept");
+    assert!(ended["duration_ms"].as_u64() > Some(0), "{ended}");
+}
+
+#[tokio::test]
+async fn a_repeated_request_id_gives_the_same_command_and_one_motion() {
+    let device = Simulator::start(&[]).await;
+    let proxy = Proxy::to(device.address);
+    let gateway = Gateway::homed_at(proxy.address).await;
+    let motions = proxy.frames.motions();
+    let body = json!({"width_mm": 90, "speed_mm_s": 400, "request_id": "job-1"});
+    let first = gateway.post("move", &body).await.outcome("SUCCESS");
+    let again = gateway.post("move", &body).await.outcome("SUCCESS");
+    assert_eq!((&first["replayed"], &again["replayed"]), (&json!(false), &json!(true)));
+    assert_eq!(first["id"], again["id"]);
+    let by_header = gateway.request("POST", "move").header("Idempotency-Key", "job-1").json(&quick());
+    let again = gateway.send(by_header).await.outcome("SUCCESS");
+    assert_eq!((&again["replayed"], &again["id"]), (&json!(true), &first["id"]), "the header means the same");
+    let other = json!({"width_mm": 80, "speed_mm_s": 400, "request_id": "job-1"});
+    gateway.post("move", &other).await.problem(409, "request_id_reused");
+    assert_eq!(proxy.frames.motions(), motions + 1);
+}
+
+#[tokio::test]
+async fn a_repeated_request_joins_the_command_that_still_runs() {
+    let device = Simulator::start(&[]).await;
+    let proxy = Proxy::to(device.address);
+    let gateway = Gateway::homed_at(proxy.address).await;
+    let motions = proxy.frames.motions();
+    let body = json!({"width_mm": 60, "speed_mm_s": 50, "request_id": "job-1"});
+    let id = gateway.begin("move", &body).await;
+    let joined = gateway.post("move?wait_ms=20000", &body).await.outcome("SUCCESS");
+    assert_eq!((&joined["id"], &joined["replayed"]), (&json!(id), &json!(true)));
+    assert_eq!(proxy.frames.motions(), motions + 1);
+}
+
+#[tokio::test]
+async fn a_refused_request_binds_nothing() {
+    let device = Simulator::start(&[]).await;
+    let gateway = Gateway::connected_to(device.address).await;
+    let body = json!({"width_mm": 90, "speed_mm_s": 400, "request_id": "job-1"});
+    gateway.post("move", &body).await.problem(409, "not_referenced");
+    gateway.post("home", &json!({})).await.outcome("SUCCESS");
+    let moved = gateway.post("move", &body).await.outcome("SUCCESS");
+    assert_eq!(moved["replayed"], false);
+}
+
+#[tokio::test]
+async fn one_command_moves_at_a_time_and_the_other_is_told_which() {
+    let device = Simulator::start(&[]).await;
+    let gateway = Gateway::homed_at(device.address).await;
+    let running = gateway.begin("move", &slow()).await;
+    let refused = gateway.post("move", &quick()).await.problem(409, "already_running");
+    assert_eq!(refused["command"], json!(running));
+    let state = gateway.state().await;
+    assert_eq!(state["command"], json!(running), "{state}");
+}
+
+#[tokio::test]
+async fn a_stop_ends_the_motion_and_holds_nothing() {
+    let device = Simulator::start(&[]).await;
+    let gateway = Gateway::homed_at(device.address).await;
+    let running = gateway.begin("move", &slow()).await;
+    gateway.until_moving().await;
+    let stopped = gateway.post("stop", &json!({})).await.outcome("SUCCESS");
+    assert_eq!(stopped["kind"], "stop", "{stopped}");
+    let ended = gateway.command(&running).await.outcome("ABORTED");
+    assert_eq!((&ended["status"], ended.get("fast_stop_id")), (&json!("E_CMD_ABORTED"), None), "{ended}");
+    gateway.post("move", &quick()).await.outcome("SUCCESS");
+}
+
+#[tokio::test]
+async fn a_cancelled_command_is_aborted_and_one_that_has_ended_stays_as_it_is() {
+    let device = Simulator::start(&[]).await;
+    let gateway = Gateway::homed_at(device.address).await;
+    let running = gateway.begin("move", &slow()).await;
+    gateway.until_moving().await;
+    let cancelled = gateway.post(&format!("commands/{running}/cancel"), &json!({})).await.outcome("ABORTED");
+    assert_eq!(cancelled["id"], json!(running));
+    let moved = gateway.post("move", &quick()).await.outcome("SUCCESS");
+    let cancel = format!("commands/{}/cancel", moved["id"].as_str().unwrap());
+    assert_eq!(gateway.post(&cancel, &json!({})).await.outcome("SUCCESS"), moved);
+    let unknown = "commands/019aa5c8-5a70-7c31-9f3f-4a3b7c1d2e4f/cancel";
+    gateway.post(unknown, &json!({})).await.problem(404, "not_found");
+}
+
+#[tokio::test]
+async fn a_relative_move_goes_by_its_offset_and_is_checked_where_it_ends() {
+    let device = Simulator::start(&[]).await;
+    let gateway = Gateway::homed_at(device.address).await;
+    gateway.post("move", &quick()).await.outcome("SUCCESS");
+    let by = |mm| json!({"width_mm": mm, "speed_mm_s": 400, "relative": true});
+    let moved = gateway.post("move", &by(-30)).await.outcome("SUCCESS");
+    assert!((moved["width_mm"].as_f64().unwrap() - 60.0).abs() < 0.1, "{moved}");
+    let problem = gateway.post("move", &by(60)).await.problem(422, "out_of_range");
+    assert!((problem["max"].as_f64().unwrap() - 50.0).abs() < 0.1, "{problem}");
+}
+
+#[tokio::test]
+async fn what_the_device_refuses_at_once_is_a_problem_with_its_status() {
+    let device = Scripted::start(Table::new()).await;
+    let gateway = Gateway::connected_to(device.address).await;
+    let refusals = [(10, "E_INSUFFICIENT_RESOURCES", "device_refused"), (3, "E_NOT_INITIALIZED", "not_referenced")];
+    for (status, name, code) in refusals {
+        device.answer(0x21, vec![vec![status, 0]]);
+        let http_status = if code == "device_refused" { 422 } else { 409 };
+        let problem = gateway.post("move", &quick()).await.problem(http_status, code);
+        assert_eq!((&problem["device_status"], &problem["device_status_code"]), (&json!(name), &json!(status)));
+    }
+    device.answer(0x21, vec![vec![0x34, 0x12]]);
+    let problem = gateway.post("move", &quick()).await.problem(422, "device_refused");
+    assert_eq!(problem["device_status_code"], 0x1234, "an unknown status survives as its number: {problem}");
+}
+
+#[tokio::test]
+async fn how_the_device_ends_an_accepted_motion_is_its_outcome_with_200() {
+    let ends = [
+        ("move", 0x21, 0, "SUCCESS"),
+        ("move", 0x21, 29, "BLOCKED"),
+        ("move", 0x21, 19, "ABORTED"),
+        ("move", 0x21, 28, "RANGE"),
+        ("move", 0x21, 7, "TIMEOUT"),
+        ("move", 0x21, 10, "FAILED"),
+        ("grip", 0x25, 0, "PART_HELD"),
+        ("grip", 0x25, 18, "NO_PART"),
+    ];
+    let device = Scripted::start(Table::new()).await;
+    let gateway = Gateway::connected_to(device.address).await;
+    for (kind, id, status, outcome) in ends {
+        device.answer(id, vec![PENDING.to_vec(), vec![status, 0]]);
+        let ended = gateway.post(kind, &quick()).await.outcome(outcome);
+        assert_eq!(ended["status_code"], status, "{ended}");
+    }
+}
+
+#[tokio::test]
+async fn a_motion_that_the_device_never_answers_is_unknown_and_is_not_sent_again() {
+    let device = Scripted::start(Table::from([(0x21, Vec::new())])).await;
+    let gateway = Gateway::connected_to(device.address).await;
+    gateway.post("move?wait_ms=20000", &quick()).await.outcome("UNKNOWN");
+    assert_eq!(device.frames.motions(), 1);
+}

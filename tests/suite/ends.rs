@@ -1,0 +1,86 @@
+//! How a gateway ends: in order, the device being told; or not, the device stopping by itself.
+
+use serde_json::json;
+
+use crate::harness::{Frame, Gateway, Proxy, Simulator};
+
+fn ids(frames: &[Frame]) -> Vec<u8> {
+    frames.iter().map(|frame| frame.id).collect()
+}
+
+async fn assert_no_fast_stop_holds(device: &Simulator) {
+    let next = Gateway::connected_to(device.address).await;
+    let state = next.state().await;
+    assert_eq!(state["fast_stop"], false, "{state}");
+}
+
+#[tokio::test]
+async fn sigterm_announces_the_disconnect_once_last_and_leaves_no_fast_stop() {
+    let device = Simulator::with_part().await;
+    let proxy = Proxy::to(device.address);
+    let gateway = Gateway::homed_at(proxy.address).await;
+    gateway.post("grip", &json!({"width_mm": 20, "speed_mm_s": 200})).await.outcome("PART_HELD");
+    let ended = gateway.terminate().await;
+    assert!(ended.status.success(), "{ended:?}");
+    let ids = ids(&proxy.frames.all());
+    assert_eq!(ids.last(), Some(&0x07));
+    assert_eq!(proxy.frames.count(0x07), 1);
+    assert!(!ids.contains(&0x23) && !ids.contains(&0x24) && !ids.contains(&0x22), "{ids:x?}");
+    assert_no_fast_stop_holds(&device).await;
+}
+
+#[tokio::test]
+async fn sigterm_lets_a_short_motion_finish() {
+    let device = Simulator::start(&[]).await;
+    let proxy = Proxy::to(device.address);
+    let gateway = Gateway::homed_at(proxy.address).await;
+    gateway.begin("move", &json!({"width_mm": 80, "speed_mm_s": 50})).await;
+    gateway.until_moving().await;
+    assert!(gateway.terminate().await.status.success());
+    assert_eq!(proxy.frames.count(0x22), 0, "it was not stopped");
+    assert_eq!(proxy.frames.all().last().map(|frame| frame.id), Some(0x07));
+    assert_no_fast_stop_holds(&device).await;
+}
+
+#[tokio::test]
+async fn sigterm_stops_a_long_motion_before_the_announcement() {
+    let device = Simulator::start(&[]).await;
+    let proxy = Proxy::to(device.address);
+    let gateway = Gateway::homed_at(proxy.address).await;
+    gateway.begin("move", &json!({"width_mm": 10, "speed_mm_s": 5})).await;
+    gateway.until_moving().await;
+    assert!(gateway.terminate().await.status.success());
+    let ids = ids(&proxy.frames.all());
+    assert!(ids.ends_with(&[0x22, 0x07]), "{ids:x?}");
+    assert_no_fast_stop_holds(&device).await;
+}
+
+#[tokio::test]
+async fn sigterm_without_a_device_ends_at_once() {
+    let device = Simulator::start(&[]).await;
+    let gateway = Gateway::of(Proxy::refusing(device.address).address).await;
+    assert!(gateway.terminate().await.status.success());
+}
+
+#[tokio::test]
+async fn after_sigkill_the_device_stops_and_the_next_gateway_says_so_and_moves_nothing() {
+    let device = Simulator::start(&[]).await;
+    let gateway = Gateway::homed_at(device.address).await;
+    gateway.begin("move", &json!({"width_mm": 10, "speed_mm_s": 5})).await;
+    gateway.until_moving().await;
+    gateway.kill().await;
+
+    let proxy = Proxy::to(device.address);
+    let next = Gateway::connected_to(proxy.address).await;
+    let state = next.until("the FAST STOP is told", |state| state["fast_stop"] == true).await;
+    assert!(matches!(state["fast_stop_cause"].as_str(), Some("unknown" | "unannounced_disconnect")), "{state}");
+    assert_eq!((&state["fast_stop_by"], &state["moving"]), (&json!("device"), &json!(false)), "{state}");
+    let id = &state["fast_stop_id"];
+    let refused = next.post("move", &json!({"width_mm": 40, "speed_mm_s": 100})).await.problem(409, "fast_stop");
+    assert_eq!(&refused["fast_stop_id"], id);
+    assert_eq!((proxy.frames.motions(), proxy.frames.count(0x24)), (0, 0), "unasked: {:?}", proxy.frames.all());
+
+    next.post("acknowledge", &json!({"fast_stop_id": id})).await.ok();
+    next.post("move", &json!({"width_mm": 40, "speed_mm_s": 100})).await.outcome("SUCCESS");
+    assert_eq!((proxy.frames.motions(), proxy.frames.count(0x24)), (1, 1));
+}

@@ -1,0 +1,134 @@
+//! FAST STOP: it overtakes, it holds, and only an acknowledge that names it ends it.
+
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+
+use crate::harness::{Gateway, Proxy, Scripted, Simulator, Table};
+
+const REFERENCED: u32 = 1;
+const FAST_STOP: u32 = 1 << 12;
+const TEMP_FAULT: u32 = 1 << 14;
+
+fn a_move() -> Value {
+    json!({"width_mm": 40, "speed_mm_s": 200})
+}
+
+#[tokio::test]
+async fn a_fast_stop_overtakes_a_motion_and_holds_until_it_is_acknowledged_by_its_id() {
+    let device = Simulator::start(&[]).await;
+    let proxy = Proxy::to(device.address);
+    let gateway = Gateway::homed_at(proxy.address).await;
+    let command = gateway.begin("move", &json!({"width_mm": 10, "speed_mm_s": 5})).await;
+    gateway.until_moving().await;
+    let stopped = gateway.post("fast-stop", &json!({"reason": "light curtain"})).await.ok();
+    assert_eq!(stopped["fast_stop_confirmed"], true, "{stopped}");
+    let id = &stopped["fast_stop_id"];
+    let ended = gateway.command(command.as_str()).await.outcome("ABORTED");
+    assert_eq!(&ended["fast_stop_id"], id, "{ended}");
+
+    let state = gateway.state().await;
+    assert_eq!((&state["fast_stop"], &state["fast_stop_id"]), (&json!(true), id), "{state}");
+    assert_eq!((&state["fast_stop_by"], &state["fast_stop_cause"]), (&json!("http:127.0.0.1"), &json!("requested")));
+    assert_eq!(state["fast_stop_reason"], "light curtain", "{state}");
+    let motions = proxy.frames.motions();
+    let refused = gateway.post("move", &a_move()).await.problem(409, "fast_stop");
+    assert_eq!(&refused["fast_stop_id"], id);
+    gateway.post("home", &json!({})).await.problem(409, "fast_stop");
+
+    let other = json!({"fast_stop_id": "019aa5c8-5a70-7c31-9f3f-4a3b7c1d2e4f"});
+    let refused = gateway.post("acknowledge", &other).await.problem(409, "stale_fast_stop");
+    assert_eq!(&refused["fast_stop_id"], id, "it says which one holds");
+    assert_eq!((proxy.frames.motions(), proxy.frames.count(0x24)), (motions, 0));
+
+    let acknowledged = gateway.post("acknowledge", &json!({"fast_stop_id": id})).await.ok();
+    assert_eq!(acknowledged["fast_stop"], false);
+    let state = gateway.state().await;
+    assert_eq!((&state["fast_stop"], state.get("fast_stop_id")), (&json!(false), None), "{state}");
+    gateway.post("move", &a_move()).await.outcome("SUCCESS");
+    gateway.post("acknowledge", &json!({"fast_stop_id": id})).await.problem(409, "stale_fast_stop");
+}
+
+#[tokio::test]
+async fn a_further_fast_stop_has_an_id_of_its_own_so_nobody_clears_one_that_he_has_not_seen() {
+    let device = Simulator::start(&[]).await;
+    let gateway = Gateway::homed_at(device.address).await;
+    let first = gateway.post("fast-stop", &json!({})).await.ok();
+    let second = gateway.post("fast-stop", &json!({})).await.ok();
+    assert_ne!(first["fast_stop_id"], second["fast_stop_id"]);
+    let acknowledge = |stop: &Value| json!({"fast_stop_id": stop["fast_stop_id"]});
+    gateway.post("acknowledge", &acknowledge(&first)).await.problem(409, "stale_fast_stop");
+    gateway.post("acknowledge", &acknowledge(&second)).await.ok();
+}
+
+#[tokio::test]
+async fn whatever_its_body_says_a_fast_stop_stops() {
+    let device = Simulator::start(&[]).await;
+    let gateway = Gateway::connected_to(device.address).await;
+    for body in ["", "{", "[]", "null", "{\"reason\": 7}", "{\"nonsense\": true}", &"x".repeat(100_000)] {
+        let answer = gateway.send(gateway.request("POST", "fast-stop").body(body.to_owned())).await.ok();
+        assert_eq!(answer["fast_stop_confirmed"], true, "{answer}");
+        gateway.post("acknowledge", &json!({"fast_stop_id": answer["fast_stop_id"]})).await.ok();
+    }
+}
+
+#[tokio::test]
+async fn a_fast_stop_that_the_device_caused_is_told_with_an_id_and_outlasts_an_acknowledge_while_its_cause_does() {
+    let device = Scripted::start(Table::new()).await;
+    let gateway = Gateway::connected_to(device.address).await;
+    let state = gateway.state().await;
+    assert_eq!(state["fast_stop"], false, "{state}");
+    device.flags(REFERENCED | FAST_STOP | TEMP_FAULT);
+    let state = gateway.until("it is told", |state| state["fast_stop"] == true).await;
+    assert_eq!((&state["fast_stop_by"], &state["fast_stop_cause"]), (&json!("device"), &json!("temperature_fault")));
+    assert_eq!(state["fast_stop_confirmed"], true, "{state}");
+    let acknowledge = json!({"fast_stop_id": state["fast_stop_id"]});
+    gateway.post("move", &a_move()).await.problem(409, "fast_stop");
+    let persists = gateway.post("acknowledge", &acknowledge).await.problem(409, "fast_stop");
+    assert!(persists["detail"].as_str().unwrap().contains("TEMP_FAULT"), "{persists}");
+
+    device.flags(REFERENCED);
+    gateway.until("the device forgot", |state| state["flags_raw"] == REFERENCED).await;
+    gateway.post("move", &a_move()).await.problem(409, "fast_stop");
+    gateway.post("acknowledge", &acknowledge).await.ok();
+    assert_eq!(device.frames.motions(), 0);
+}
+
+#[tokio::test]
+async fn a_fast_stop_on_a_lost_link_answers_soon_and_goes_first_after_the_reconnect() {
+    let device = Simulator::start(&[]).await;
+    let mut proxy = Proxy::to(device.address);
+    let gateway = Gateway::homed_at(proxy.address).await;
+    proxy.go_away().await;
+    gateway.until_link("reconnecting").await;
+    let before = proxy.frames.len();
+    let asked_at = Instant::now();
+    let stopped = gateway.post("fast-stop", &json!({"reason": "gone"})).await.ok();
+    let answered_after = asked_at.elapsed();
+    assert_eq!(stopped["fast_stop_confirmed"], false, "{stopped}");
+    assert!(answered_after < Duration::from_millis(750), "{answered_after:?}");
+    let state = gateway.state().await;
+    assert_eq!((&state["fast_stop"], &state["fast_stop_confirmed"]), (&json!(true), &json!(false)), "{state}");
+    let id = &stopped["fast_stop_id"];
+    let acknowledge = json!({"fast_stop_id": id});
+    gateway.post("acknowledge", &acknowledge).await.problem(409, "fast_stop_unconfirmed");
+
+    proxy.accept();
+    let state = gateway.until("it is confirmed", |state| state["fast_stop_confirmed"] == true).await;
+    assert_eq!((&state["fast_stop_id"], &state["fast_stop_cause"]), (id, &json!("requested")), "{state}");
+    assert_eq!(proxy.frames.since(before)[0].id, 0x23, "{:?}", proxy.frames.since(before));
+    gateway.until_link("connected").await;
+    gateway.post("acknowledge", &acknowledge).await.ok();
+}
+
+#[tokio::test]
+async fn a_fast_stop_that_the_device_does_not_answer_is_repeated() {
+    let device = Scripted::start(Table::from([(0x23, Vec::new())])).await;
+    let gateway = Gateway::connected_to(device.address).await;
+    let stopped = gateway.post("fast-stop", &json!({})).await.ok();
+    assert_eq!(stopped["fast_stop_confirmed"], false, "{stopped}");
+    crate::harness::eventually("it is repeated", async || (device.frames.count(0x23) >= 3).then_some(())).await;
+    device.flags(REFERENCED | FAST_STOP);
+    device.answer(0x23, vec![crate::harness::success(&[])]);
+    gateway.until("it is confirmed", |state| state["fast_stop_confirmed"] == true).await;
+}

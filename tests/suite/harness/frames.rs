@@ -1,0 +1,88 @@
+//! What went over a link, frame by frame.
+
+use std::sync::{Arc, Mutex};
+
+use wsg_gateway::wsg::id::MAX_OPAQUE_BYTES;
+use wsg_gateway::wsg::{ChecksumEvaluation, Decoded, Decoder};
+
+use super::MOTIONS;
+
+/// One frame to the device.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Frame {
+    /// Which connection it came over, counted from 0.
+    pub connection: usize,
+    pub id: u8,
+    pub payload: Vec<u8>,
+}
+
+impl Frame {
+    /// Whether the gateway sends it by itself: automatic updates on, the temperature, or a Loop of the session.
+    pub fn is_upkeep(&self) -> bool {
+        matches!((self.id, self.payload.first()), (0x40 | 0x41 | 0x43..=0x45, Some(flags)) if flags & 1 == 1)
+            || matches!(self.id, 0x46 | 0x06)
+    }
+
+    /// Whether it moves the fingers.
+    pub fn is_motion(&self) -> bool {
+        MOTIONS.contains(&self.id)
+    }
+}
+
+/// All frames to the device so far.
+#[derive(Debug, Clone, Default)]
+pub struct Frames(Arc<Mutex<Vec<Frame>>>);
+
+impl Frames {
+    /// Those since the `first`.
+    pub fn since(&self, first: usize) -> Vec<Frame> {
+        self.0.lock().unwrap()[first..].to_vec()
+    }
+
+    /// All of them.
+    pub fn all(&self) -> Vec<Frame> {
+        self.since(0)
+    }
+
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        self.0.lock().unwrap().len()
+    }
+
+    /// How many have this id.
+    pub fn count(&self, id: u8) -> usize {
+        self.all().iter().filter(|frame| frame.id == id).count()
+    }
+
+    /// How many move the fingers.
+    pub fn motions(&self) -> usize {
+        self.all().iter().filter(|frame| frame.is_motion()).count()
+    }
+
+    /// A recorder of one connection.
+    pub fn recorder(&self, connection: usize) -> Recorder {
+        let decoder = Decoder::new(|_| MAX_OPAQUE_BYTES, ChecksumEvaluation::On);
+        Recorder { frames: self.clone(), decoder, connection }
+    }
+}
+
+/// Finds the frames in one connection's bytes.
+#[derive(Debug)]
+pub struct Recorder {
+    frames: Frames,
+    decoder: Decoder,
+    connection: usize,
+}
+
+impl Recorder {
+    /// Takes what was read of the gateway. A gateway damages nothing.
+    pub fn push(&mut self, bytes: &[u8]) {
+        self.decoder.push(bytes);
+        while let Some(decoded) = self.decoder.next() {
+            let Decoded::Frame(frame) = decoded else { panic!("the gateway sent a damaged frame: {decoded:?}") };
+            let (connection, id, payload) = (self.connection, frame.id, frame.payload.to_vec());
+            self.frames.0.lock().unwrap().push(Frame { connection, id, payload });
+        }
+        assert_eq!(self.decoder.counters().skipped_bytes, 0, "the gateway sent what is no frame");
+    }
+}

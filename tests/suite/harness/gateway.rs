@@ -1,0 +1,186 @@
+//! The gateway, in a process of its own, and its HTTP door.
+
+use std::net::SocketAddr;
+
+use reqwest::{Method, RequestBuilder, Response};
+use serde_json::{Value, json};
+
+use super::eventually;
+use super::process::{Ended, Process};
+
+/// A gateway. Paths are those of its gripper `g`, unless they begin with a slash.
+#[derive(Debug)]
+pub struct Gateway {
+    process: Process,
+    base: String,
+    http: reqwest::Client,
+}
+
+/// What it answered.
+#[derive(Debug, Clone)]
+pub struct Answer {
+    pub status: u16,
+    pub location: Option<String>,
+    pub body: Value,
+}
+
+impl Answer {
+    async fn of(response: Response) -> Self {
+        let status = response.status().as_u16();
+        let location = response.headers().get("location").map(|value| value.to_str().unwrap().to_owned());
+        let text = response.text().await.unwrap();
+        let body = serde_json::from_str(&text).unwrap_or(Value::String(text));
+        Self { status, location, body }
+    }
+
+    /// The field of this name.
+    pub fn field(&self, name: &str) -> &Value {
+        &self.body[name]
+    }
+
+    /// The field of this name, which is a text.
+    #[track_caller]
+    pub fn text(&self, name: &str) -> String {
+        self.body[name].as_str().unwrap_or_else(|| panic!("no text {name} in {self:?}")).to_owned()
+    }
+
+    /// The body of a 200.
+    #[track_caller]
+    pub fn ok(self) -> Value {
+        assert_eq!(self.status, 200, "{}", self.body);
+        self.body
+    }
+
+    /// Asserts a problem of this status and code, and returns its members.
+    #[track_caller]
+    pub fn problem(self, status: u16, code: &str) -> Value {
+        assert_eq!((self.status, self.body["code"].as_str()), (status, Some(code)), "{}", self.body);
+        self.body
+    }
+
+    /// Asserts a command that ended this way.
+    #[track_caller]
+    pub fn outcome(self, outcome: &str) -> Value {
+        let body = self.ok();
+        assert_eq!((&body["phase"], &body["outcome"]), (&json!("done"), &json!(outcome)), "{body}");
+        body
+    }
+}
+
+impl Gateway {
+    /// Serves the device at `device` as `g`.
+    pub async fn of(device: SocketAddr) -> Self {
+        Self::start(&["--gripper", &format!("g=tcp://{device}")]).await
+    }
+
+    /// Serves the device at `device` as `g`, and waits until it is connected.
+    pub async fn connected_to(device: SocketAddr) -> Self {
+        let gateway = Self::of(device).await;
+        gateway.until_link("connected").await;
+        gateway
+    }
+
+    /// Serves the device at `device` as `g`, connected and homed.
+    pub async fn homed_at(device: SocketAddr) -> Self {
+        let gateway = Self::connected_to(device).await;
+        gateway.post("home", &json!({})).await.outcome("SUCCESS");
+        gateway
+    }
+
+    /// Starts it with these arguments, on a port that the operating system chooses.
+    pub async fn start(arguments: &[&str]) -> Self {
+        let process = Process::start(&[&["--listen", "127.0.0.1:0"], arguments].concat());
+        let base = process.word_after(" at http://").await;
+        let base = format!("http://{}", base.trim_end_matches('/'));
+        Self { process, base, http: reqwest::Client::new() }
+    }
+
+    /// What it said when it started.
+    pub fn stdout(&self) -> String {
+        self.process.stdout()
+    }
+
+    /// The URL of a path.
+    pub fn url(&self, path: &str) -> String {
+        if path.starts_with('/') {
+            format!("{}{path}", self.base)
+        } else {
+            format!("{}/api/v1/grippers/g/{path}", self.base).trim_end_matches('/').to_owned()
+        }
+    }
+
+    /// A request that the test completes itself.
+    pub fn request(&self, method: &str, path: &str) -> RequestBuilder {
+        self.http.request(Method::from_bytes(method.as_bytes()).unwrap(), self.url(path))
+    }
+
+    /// Sends a request.
+    pub async fn send(&self, request: RequestBuilder) -> Answer {
+        let sent = request.send().await;
+        Answer::of(sent.unwrap_or_else(|error| panic!("no answer: {error:?}"))).await
+    }
+
+    /// GET.
+    pub async fn get(&self, path: &str) -> Answer {
+        self.send(self.request("GET", path)).await
+    }
+
+    /// POST.
+    pub async fn post(&self, path: &str, body: &Value) -> Answer {
+        self.send(self.request("POST", path).json(body)).await
+    }
+
+    /// PUT.
+    pub async fn put(&self, path: &str, body: &Value) -> Answer {
+        self.send(self.request("PUT", path).json(body)).await
+    }
+
+    /// DELETE.
+    pub async fn delete(&self, path: &str) -> Answer {
+        self.send(self.request("DELETE", path)).await
+    }
+
+    /// Begins a command, and doesn't wait for its end. Returns its id.
+    pub async fn begin(&self, kind: &str, body: &Value) -> String {
+        let answer = self.post(&format!("{kind}?wait_ms=0"), body).await;
+        assert_eq!(answer.status, 202, "{}", answer.body);
+        answer.text("id")
+    }
+
+    /// Waits for a command's end.
+    pub async fn command(&self, id: &str) -> Answer {
+        self.get(&format!("commands/{id}?wait_ms=20000")).await
+    }
+
+    /// The newest state.
+    pub async fn state(&self) -> Value {
+        self.get("state").await.ok()
+    }
+
+    /// Waits until the state is as `wanted` has it.
+    pub async fn until(&self, what: &str, wanted: impl Fn(&Value) -> bool) -> Value {
+        eventually(what, async || Some(self.state().await).filter(&wanted)).await
+    }
+
+    /// Waits until the fingers move.
+    pub async fn until_moving(&self) {
+        self.until("it moves", |state| state["moving"] == true).await;
+    }
+
+    /// Waits until the link is so.
+    pub async fn until_link(&self, link: &str) -> Value {
+        self.until(link, |state| state["link"] == link).await
+    }
+
+    /// Sends SIGTERM, and waits for the end.
+    pub async fn terminate(mut self) -> Ended {
+        self.process.terminate();
+        self.process.ended().await
+    }
+
+    /// Sends SIGKILL, and waits for the end.
+    pub async fn kill(mut self) {
+        self.process.kill();
+        self.process.ended().await;
+    }
+}

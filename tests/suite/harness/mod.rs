@@ -1,0 +1,41 @@
+//! What the end-to-end tests stand on: the real binary in processes of its own, a recording proxy between gateway and
+//! device, and a device of the tests' own. All ports are chosen by the operating system; every wait is for a value, and
+//! has a deadline.
+
+mod command_line;
+mod frames;
+mod gateway;
+mod process;
+mod proxy;
+mod scripted;
+mod simulator;
+
+use std::time::{Duration, Instant};
+
+pub use command_line::run;
+pub use frames::Frame;
+pub use gateway::Gateway;
+pub use proxy::Proxy;
+pub use scripted::{Scripted, Table, success};
+pub use simulator::Simulator;
+
+/// How long anything may take that has no time of its own: a busy machine is slow, and still right.
+pub const DEADLINE: Duration = Duration::from_secs(20);
+
+/// How often a value that is waited for is looked at.
+const LOOK_EVERY: Duration = Duration::from_millis(5);
+
+/// The ids of frames that move the fingers.
+pub const MOTIONS: [u8; 4] = [0x20, 0x21, 0x25, 0x26];
+
+/// Waits until `look` finds something.
+pub async fn eventually<T>(what: &str, mut look: impl AsyncFnMut() -> Option<T>) -> T {
+    let until = Instant::now() + DEADLINE;
+    loop {
+        if let Some(found) = look().await {
+            return found;
+        }
+        assert!(Instant::now() < until, "not within {DEADLINE:?}: {what}");
+        tokio::time::sleep(LOOK_EVERY).await;
+    }
+}

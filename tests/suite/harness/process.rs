@@ -1,0 +1,115 @@
+//! The binary, running: what it says is kept, and it ends with the test.
+
+use std::process::{ExitStatus, Stdio};
+use std::sync::{Arc, Mutex};
+
+use tokio::io::{AsyncBufReadExt, AsyncRead, BufReader};
+use tokio::process::{Child, Command};
+use tokio::sync::watch;
+
+use super::{DEADLINE, eventually};
+
+/// A line of output is looked for in what was said so far, and in what comes.
+#[derive(Debug)]
+struct Output {
+    lines: Arc<Mutex<Vec<String>>>,
+    is_over: watch::Receiver<bool>,
+}
+
+impl Output {
+    fn of(stream: impl AsyncRead + Unpin + Send + 'static) -> Self {
+        let lines = Arc::new(Mutex::new(Vec::new()));
+        let (over, is_over) = watch::channel(false);
+        let kept = lines.clone();
+        tokio::spawn(async move {
+            let mut reader = BufReader::new(stream).lines();
+            while let Ok(Some(line)) = reader.next_line().await {
+                kept.lock().unwrap().push(line);
+            }
+            let _ = over.send(true);
+        });
+        Self { lines, is_over }
+    }
+
+    fn text(&self) -> String {
+        self.lines.lock().unwrap().join("\n")
+    }
+
+    async fn all(&mut self) -> String {
+        let _ = self.is_over.wait_for(|over| *over).await;
+        self.text()
+    }
+}
+
+/// What a process said, and how it ended.
+#[derive(Debug)]
+pub struct Ended {
+    pub status: ExitStatus,
+    pub stdout: String,
+    pub stderr: String,
+}
+
+/// A process of the binary. It is killed, by its own id, when this is dropped.
+#[derive(Debug)]
+pub struct Process {
+    child: Child,
+    stdout: Output,
+    stderr: Output,
+}
+
+impl Process {
+    /// Starts the binary with these arguments, and with no environment that could configure it.
+    pub fn start(arguments: &[&str]) -> Self {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_wsg-gateway"));
+        for (name, _) in std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("WSG_GATEWAY")) {
+            command.env_remove(name);
+        }
+        command.args(arguments).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).kill_on_drop(true);
+        let mut child = command.spawn().expect("the binary starts");
+        let stdout = Output::of(child.stdout.take().unwrap());
+        let stderr = Output::of(child.stderr.take().unwrap());
+        Self { child, stdout, stderr }
+    }
+
+    /// Waits for a line that has `before` in it, and returns the word behind.
+    pub async fn word_after(&self, before: &str) -> String {
+        eventually(&format!("{before:?} on standard output; standard error has {}", self.stderr.text()), async || {
+            let text = self.stdout.text();
+            let (_, rest) = text.split_once(before)?;
+            rest.split_whitespace().next().map(str::to_owned)
+        })
+        .await
+    }
+
+    /// What it said on standard output so far.
+    pub fn stdout(&self) -> String {
+        self.stdout.text()
+    }
+
+    /// Sends SIGTERM.
+    pub fn terminate(&self) {
+        let id = self.child.id().expect("it runs").to_string();
+        let sent = std::process::Command::new("sh").args(["-c", "kill -TERM \"$1\"", "sh", &id]).status();
+        assert!(sent.unwrap().success(), "SIGTERM to {id}");
+    }
+
+    /// Sends SIGKILL.
+    pub fn kill(&mut self) {
+        self.child.start_kill().expect("it runs");
+    }
+
+    /// Waits until it has ended.
+    pub async fn ended(&mut self) -> Ended {
+        let ended = tokio::time::timeout(DEADLINE, self.child.wait()).await;
+        let status = ended.unwrap_or_else(|_| panic!("it does not end: {}", self.stderr.text())).unwrap();
+        Ended { status, stdout: self.stdout.all().await, stderr: self.stderr.all().await }
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            eprintln!("--- standard error of process {:?} ---\n{}", self.child.id(), self.stderr.text());
+        }
+    }
+}

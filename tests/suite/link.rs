@@ -1,0 +1,185 @@
+//! Links that break, stall and come back, and devices that forget or are others.
+
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+
+use crate::harness::{Gateway, Proxy, Simulator};
+
+#[tokio::test]
+async fn a_device_gone_in_the_middle_of_a_move_and_back_leaves_an_unknown_outcome_and_moves_nothing() {
+    let device = Simulator::start(&[]).await;
+    let mut proxy = Proxy::to(device.address);
+    let gateway = Gateway::homed_at(proxy.address).await;
+    let id = gateway.begin("move", &json!({"width_mm": 10, "speed_mm_s": 5})).await;
+    gateway.until_moving().await;
+    let motions = proxy.frames.motions();
+    proxy.go_away().await;
+
+    let ended = gateway.command(&id).await.outcome("UNKNOWN");
+    assert_eq!((&ended["reached_goal"], &ended["status"]), (&json!(null), &json!(null)), "{ended}");
+    let state = gateway.until_link("reconnecting").await;
+    assert!(!state["link_cause"].as_str().unwrap().is_empty(), "{state}");
+    gateway.post("move", &json!({"width_mm": 40, "speed_mm_s": 100})).await.problem(503, "link_down");
+    gateway.until("two seconds without it", |state| state["age_ms"].as_u64() > Some(2000)).await;
+
+    proxy.accept();
+    let state = gateway.until_link("connected").await;
+    assert_eq!(state["link_cause"], Value::Null, "{state}");
+    let state = gateway.until("the device's FAST STOP", |state| state["fast_stop"] == true).await;
+    assert_eq!(state["fast_stop_cause"], "unannounced_disconnect", "{state}");
+    assert_eq!(proxy.frames.motions(), motions, "it was not sent again");
+    assert_eq!(proxy.frames.count(0x24), 0, "nothing was acknowledged");
+}
+
+#[tokio::test]
+async fn a_motion_whose_client_still_waits_when_the_link_goes_is_unknown_with_200() {
+    let device = Simulator::start(&[]).await;
+    let mut proxy = Proxy::to(device.address);
+    let gateway = Gateway::homed_at(proxy.address).await;
+    let body = json!({"width_mm": 10, "speed_mm_s": 5});
+    let waiting = gateway.post("move?wait_ms=20000", &body);
+    let breaking = async {
+        gateway.until_moving().await;
+        proxy.go_away().await;
+    };
+    let (answer, ()) = tokio::join!(waiting, breaking);
+    answer.outcome("UNKNOWN");
+}
+
+async fn make_settings(gateway: &Gateway) {
+    gateway.put("settings/acceleration", &json!({"acceleration_mm_s2": 2000})).await.ok();
+    gateway.put("settings/force-limit", &json!({"force_n": 30})).await.ok();
+    gateway.put("settings/soft-limits", &json!({"minus_mm": 10, "plus_mm": 60})).await.ok();
+}
+
+async fn settings(gateway: &Gateway) -> Vec<Value> {
+    let mut settings = Vec::new();
+    for setting in ["acceleration", "force-limit", "soft-limits"] {
+        let mut told = gateway.get(&format!("settings/{setting}")).await.ok();
+        told.as_object_mut().unwrap().remove("gripper");
+        settings.push(told);
+    }
+    settings
+}
+
+/// Exchanges the device behind the proxy while the link is down.
+async fn replace(gateway: &Gateway, proxy: &mut Proxy, device: &Simulator) -> usize {
+    proxy.go_away().await;
+    gateway.until_link("reconnecting").await;
+    let frames = proxy.frames.len();
+    proxy.retarget(device.address);
+    proxy.accept();
+    gateway.until_link("connected").await;
+    frames
+}
+
+#[tokio::test]
+async fn a_restarted_device_gets_the_settings_that_clients_made_again() {
+    let device = Simulator::start(&[]).await;
+    let mut proxy = Proxy::to(device.address);
+    let gateway = Gateway::connected_to(proxy.address).await;
+    make_settings(&gateway).await;
+    let made = settings(&gateway).await;
+    assert_eq!(made[0], json!({"acceleration_mm_s2": 2000.0}));
+    assert_eq!(made[2], json!({"minus_mm": 10.0, "plus_mm": 60.0}));
+
+    let restarted = Simulator::start(&[]).await;
+    let before = replace(&gateway, &mut proxy, &restarted).await;
+    assert_eq!(settings(&gateway).await, made);
+    assert_eq!(proxy.frames.since(before).iter().filter(|frame| frame.is_motion()).count(), 0);
+    let state = gateway.state().await;
+    assert_eq!(state["referenced"], false, "it is not homed unasked: {state}");
+}
+
+#[tokio::test]
+async fn another_device_in_its_place_gets_no_settings() {
+    let device = Simulator::start(&[]).await;
+    let mut proxy = Proxy::to(device.address);
+    let gateway = Gateway::connected_to(proxy.address).await;
+    let serial_number = gateway.get("").await.field("serial_number").clone();
+    let untouched = settings(&gateway).await;
+    make_settings(&gateway).await;
+
+    let other = Simulator::with_another_serial_number().await;
+    let before = replace(&gateway, &mut proxy, &other).await;
+    assert_ne!(gateway.get("").await.field("serial_number"), &serial_number);
+    assert_eq!(settings(&gateway).await, untouched);
+    let set = proxy.frames.since(before).into_iter().find(|frame| matches!(frame.id, 0x30 | 0x32 | 0x34 | 0x36));
+    assert_eq!(set, None);
+}
+
+#[tokio::test]
+async fn a_device_that_is_absent_at_the_start_is_connected_to_when_it_comes() {
+    let device = Simulator::start(&[]).await;
+    let mut proxy = Proxy::refusing(device.address);
+    let gateway = Gateway::of(proxy.address).await;
+    let state = gateway.until("the cause is told", |state| state["link_cause"].is_string()).await;
+    assert_eq!((&state["link"], &state["fast_stop"]), (&json!("connecting"), &json!(null)), "{state}");
+    assert_eq!((&state["state"], &state["age_ms"]), (&json!(null), &json!(null)), "{state}");
+    gateway.post("home", &json!({})).await.problem(503, "link_down");
+    gateway.get("settings/acceleration").await.problem(503, "link_down");
+    proxy.accept();
+    gateway.until_link("connected").await;
+    gateway.post("home", &json!({})).await.outcome("SUCCESS");
+}
+
+#[tokio::test]
+async fn a_half_open_link_is_noticed_refuses_motions_and_recovers_without_a_reconnect() {
+    let device = Simulator::start(&[]).await;
+    let proxy = Proxy::to(device.address);
+    let gateway = Gateway::homed_at(proxy.address).await;
+    let motions = proxy.frames.motions();
+    proxy.stall(true);
+    let stalled_at = Instant::now();
+    let state = gateway.until_link("unresponsive").await;
+    let noticed_after = stalled_at.elapsed();
+    assert!((Duration::from_millis(1400)..Duration::from_millis(2500)).contains(&noticed_after), "{noticed_after:?}");
+    assert!(state["link_cause"].as_str().unwrap().contains("nothing heard"), "{state}");
+    gateway.post("move", &json!({"width_mm": 40, "speed_mm_s": 100})).await.problem(503, "link_down");
+    gateway.get("settings/acceleration").await.problem(503, "link_down");
+
+    proxy.stall(false);
+    gateway.until_link("connected").await;
+    assert_eq!(proxy.frames.motions(), motions);
+    assert!(proxy.frames.all().iter().all(|frame| frame.connection == 0), "the link was kept");
+    let state = gateway.state().await;
+    assert_eq!(state["fast_stop"], false, "{state}");
+    gateway.post("move", &json!({"width_mm": 40, "speed_mm_s": 100})).await.outcome("SUCCESS");
+}
+
+#[tokio::test]
+async fn a_half_open_link_that_stays_so_is_given_up_with_an_announcement() {
+    let device = Simulator::start(&[]).await;
+    let mut proxy = Proxy::to(device.address);
+    let gateway = Gateway::connected_to(proxy.address).await;
+    proxy.stall(true);
+    gateway.until_link("unresponsive").await;
+    proxy.refuse().await;
+    let state = gateway.until_link("reconnecting").await;
+    assert!(!state["link_cause"].as_str().unwrap().is_empty(), "{state}");
+    // What was on its way arrives now: the device hears the announcement before the end, and does not stop.
+    proxy.stall(false);
+    proxy.accept();
+    gateway.until_link("connected").await;
+    let first: Vec<_> = proxy.frames.all().into_iter().filter(|frame| frame.connection == 0).collect();
+    assert_eq!(first.last().map(|frame| frame.id), Some(0x07));
+    let state = gateway.state().await;
+    assert_eq!(state["fast_stop"], false, "{state}");
+}
+
+#[tokio::test]
+async fn a_thousand_reads_of_the_state_cost_the_device_no_frame() {
+    let device = Simulator::start(&[]).await;
+    let proxy = Proxy::to(device.address);
+    let gateway = Gateway::homed_at(proxy.address).await;
+    let before = proxy.frames.len();
+    for _ in 0..1000 {
+        let state = gateway.state().await;
+        assert_eq!(state["link"], "connected", "{state}");
+    }
+    let caused: Vec<_> = proxy.frames.since(before).into_iter().filter(|frame| !frame.is_upkeep()).collect();
+    assert_eq!(caused, []);
+    // Upkeep goes on by time, not by reads: a temperature in 5 s, and nothing else while updates come.
+    assert!(proxy.frames.len() - before < 100, "{:?}", proxy.frames.since(before));
+}
