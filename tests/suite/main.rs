@@ -4,3 +4,4 @@
 
 mod invariants;
 mod seeds;
+mod without_connection;
