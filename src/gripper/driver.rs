@@ -226,11 +226,13 @@ async fn say_good_bye(pipe: &mut Pipe, unfinished: &[u8]) {
 struct Outgoing {
     frame: Vec<u8>,
     written: usize,
+    /// Whether all of it was written, and the line is still busy with it: the next one waits, and may be overtaken.
+    is_leaving: bool,
 }
 
 impl Outgoing {
     fn is_written(&self) -> bool {
-        self.written == self.frame.len()
+        self.written == self.frame.len() && !self.is_leaving
     }
 
     fn rest(&self) -> &[u8] {
@@ -240,11 +242,16 @@ impl Outgoing {
     fn refill(&mut self, actor: &mut Actor) {
         self.frame.clear();
         self.written = 0;
-        actor.poll_transmit(Now::read(), &mut self.frame);
+        self.is_leaving = actor.poll_transmit(Now::read(), &mut self.frame);
     }
 
-    /// Writes some of it. Cancelled without loss.
+    /// Writes some of it, or waits until the line is through with it. Cancelled without loss.
     async fn write(&mut self, writer: &mut (impl AsyncWrite + Unpin)) -> io::Result<()> {
+        if self.written == self.frame.len() {
+            writer.flush().await?;
+            self.is_leaving = false;
+            return Ok(());
+        }
         match writer.write(&self.frame[self.written..]).await? {
             0 => Err(io::ErrorKind::WriteZero.into()),
             bytes => {

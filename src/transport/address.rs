@@ -1,4 +1,5 @@
-//! Where a device is, as a URL: `tcp://192.168.1.20:1000`.
+//! Where a device is, as a URL: `tcp://192.168.1.20:1000`, `udp://192.168.1.20:1500?local_port=1501`,
+//! `serial:///dev/ttyUSB0?baud=115200&stop_bits=1`, `can://can0?tx=0x64&rx=0x65`.
 
 use std::fmt;
 use std::io;
@@ -6,40 +7,48 @@ use std::str::FromStr;
 
 use url::Url;
 
+use super::can::CanAddress;
+use super::serial::SerialAddress;
 use super::tcp::{self, TcpAddress};
+use super::udp::{self, UdpAddress};
 use super::{Pipe, Traits};
-
-/// The port that devices listen on (field practice; the manuals name none).
-const DEFAULT_TCP_PORT: u16 = 1000;
 
 /// Where a device is.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Address {
     /// `tcp://host:port`
     Tcp(TcpAddress),
+    /// `udp://host:port?local_port=port`
+    Udp(UdpAddress),
+    /// `serial:///path?baud=rate&stop_bits=number`
+    Serial(SerialAddress),
+    /// `can://interface?tx=id&rx=id&bitrate=rate`
+    Can(CanAddress),
 }
+
+/// How each transport's URL is written.
+const EXAMPLES: [(&str, &str); 4] = [
+    ("tcp", "tcp://192.168.1.20:1000"),
+    ("udp", "udp://192.168.1.20:1500?local_port=1501"),
+    ("serial", "serial:///dev/ttyUSB0?baud=115200&stop_bits=1"),
+    ("can", "can://can0?tx=0x64&rx=0x65"),
+];
 
 /// Why a text is no address.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum InvalidAddress {
     /// Not a URL at all.
-    #[error("{text:?} is no URL ({detail}): write it as tcp://192.168.1.20:1000")]
+    #[error("{text:?} is no URL ({detail}): write it as {example}")]
     NoUrl {
         /// What was given.
         text: String,
         /// What is wrong with it.
         detail: String,
-    },
-    /// A transport that isn't there yet.
-    #[error("{text:?}: {scheme} is not supported yet; tcp is")]
-    NotYet {
-        /// What was given.
-        text: String,
-        /// Its scheme.
-        scheme: String,
+        /// A right one.
+        example: &'static str,
     },
     /// No transport's scheme.
-    #[error("{text:?}: there is no transport {scheme:?}; there is tcp")]
+    #[error("{text:?}: there is no transport {scheme:?}; there are tcp, udp, serial, can")]
     UnknownScheme {
         /// What was given.
         text: String,
@@ -47,56 +56,67 @@ pub enum InvalidAddress {
         scheme: String,
     },
     /// A part that this transport doesn't have, or lacks.
-    #[error("{text:?}: {detail}; write it as tcp://192.168.1.20:1000")]
+    #[error("{text:?}: {detail}; write it as {example}")]
     Part {
         /// What was given.
         text: String,
         /// What is wrong with it.
         detail: String,
+        /// A right one.
+        example: &'static str,
     },
+}
+
+/// How a URL that begins like this one is written.
+fn example_for(text: &str) -> &'static str {
+    let scheme = text.split(':').next().unwrap_or_default();
+    let example = EXAMPLES.iter().find(|(name, _)| *name == scheme).unwrap_or(&EXAMPLES[0]);
+    example.1
 }
 
 impl FromStr for Address {
     type Err = InvalidAddress;
 
     fn from_str(text: &str) -> Result<Self, InvalidAddress> {
-        let no_url =
-            |error: url::ParseError| InvalidAddress::NoUrl { text: text.to_owned(), detail: error.to_string() };
-        let url = Url::parse(text).map_err(no_url)?;
-        match url.scheme() {
-            "tcp" => parse_tcp(text, &url).map(Self::Tcp),
-            scheme @ ("udp" | "serial" | "can") => {
-                Err(InvalidAddress::NotYet { text: text.to_owned(), scheme: scheme.to_owned() })
+        let example = example_for(text);
+        let url = Url::parse(text).map_err(|error| InvalidAddress::NoUrl {
+            text: text.to_owned(),
+            detail: error.to_string(),
+            example,
+        })?;
+        let parsed = match url.scheme() {
+            "tcp" => TcpAddress::parse(&url).map(Self::Tcp),
+            "udp" => UdpAddress::parse(&url).map(Self::Udp),
+            "serial" => SerialAddress::parse(&url).map(Self::Serial),
+            "can" => CanAddress::parse(&url).map(Self::Can),
+            scheme => {
+                return Err(InvalidAddress::UnknownScheme { text: text.to_owned(), scheme: scheme.to_owned() });
             }
-            scheme => Err(InvalidAddress::UnknownScheme { text: text.to_owned(), scheme: scheme.to_owned() }),
-        }
+        };
+        let parsed = if url.fragment().is_some() { Err("nothing may stand behind a #".to_owned()) } else { parsed };
+        parsed.map_err(|detail| InvalidAddress::Part { text: text.to_owned(), detail, example })
     }
-}
-
-fn parse_tcp(text: &str, url: &Url) -> Result<TcpAddress, InvalidAddress> {
-    let wrong = |detail: &str| InvalidAddress::Part { text: text.to_owned(), detail: detail.to_owned() };
-    let host = url.host_str().filter(|host| !host.is_empty()).ok_or_else(|| wrong("it names no host"))?;
-    let port = url.port().unwrap_or(DEFAULT_TCP_PORT);
-    if port == 0 {
-        return Err(wrong("port 0 cannot be connected to"));
-    }
-    if !url.username().is_empty() || url.password().is_some() {
-        return Err(wrong("a device has no user and no password"));
-    }
-    if !matches!(url.path(), "" | "/") || url.query().is_some() || url.fragment().is_some() {
-        return Err(wrong("tcp takes a host and a port, and nothing behind them"));
-    }
-    // A URL has an IPv6 address in brackets; a socket address has not.
-    let host = host.trim_start_matches('[').trim_end_matches(']').to_owned();
-    Ok(TcpAddress { host, port })
 }
 
 impl fmt::Display for Address {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Tcp(TcpAddress { host, port }) if host.contains(':') => write!(f, "tcp://[{host}]:{port}"),
-            Self::Tcp(TcpAddress { host, port }) => write!(f, "tcp://{host}:{port}"),
+            Self::Tcp(TcpAddress { host, port }) => write!(f, "tcp://{}:{port}", InUrl(host)),
+            Self::Udp(UdpAddress { host, port, local_port }) => {
+                write!(f, "udp://{}:{port}?local_port={local_port}", InUrl(host))
+            }
+            Self::Serial(address) => address.fmt(f),
+            Self::Can(address) => address.fmt(f),
         }
+    }
+}
+
+/// A host as URLs have it: an IPv6 address in brackets.
+struct InUrl<'a>(&'a str);
+
+impl fmt::Display for InUrl<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.0.contains(':') { write!(f, "[{}]", self.0) } else { f.write_str(self.0) }
     }
 }
 
@@ -106,44 +126,27 @@ impl Address {
     pub const fn traits(&self) -> Traits {
         match self {
             Self::Tcp(_) => tcp::TRAITS,
+            Self::Udp(_) => udp::TRAITS,
+            Self::Serial(address) => address.traits(),
+            Self::Can(address) => address.traits(),
         }
     }
 
-    /// Connects.
+    /// Connects. Only TCP asks the device; the others are ready once there is something to send by.
     ///
     /// # Errors
-    /// As the operating system says, or that it took longer than [`super::CONNECT_WITHIN`].
+    /// As the operating system says, with what to do about it, or that it took longer than
+    /// [`super::CONNECT_WITHIN`].
     pub async fn connect(&self) -> io::Result<Pipe> {
         match self {
             Self::Tcp(address) => address.connect().await,
+            Self::Udp(address) => address.connect().await,
+            Self::Serial(address) => address.connect().await,
+            Self::Can(address) => address.connect(),
         }
     }
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_url_and_back() {
-        for (text, written) in [
-            ("tcp://192.168.1.20:1000", "tcp://192.168.1.20:1000"),
-            ("tcp://gripper.cell7", "tcp://gripper.cell7:1000"),
-            ("tcp://[::1]:1234/", "tcp://[::1]:1234"),
-        ] {
-            assert_eq!(text.parse::<Address>().unwrap().to_string(), written);
-        }
-    }
-
-    #[test]
-    fn a_mistake_is_named_with_its_remedy() {
-        let message = |text: &str| text.parse::<Address>().unwrap_err().to_string();
-        assert!(message("192.168.1.20:1000").contains("tcp://192.168.1.20:1000"));
-        assert!(message("udp://host:1500").contains("not supported yet"));
-        assert!(message("http://host").contains("no transport"));
-        assert!(message("tcp://host:0").contains("port 0"));
-        assert!(message("tcp://:1000").contains("tcp://"));
-        assert!(message("tcp://host:1000?baud=9600").contains("nothing behind"));
-        assert!(message("tcp://host:70000").contains("port"));
-    }
-}
+#[path = "address_tests.rs"]
+mod tests;

@@ -4,8 +4,13 @@ use std::io;
 use std::time::Duration;
 
 use tokio::net::TcpStream;
+use url::Url;
 
-use super::{CONNECT_WITHIN, Pipe, Traits};
+use super::options::Options;
+use super::{CONNECT_WITHIN, Pipe, Traits, host_of};
+
+/// The port that devices listen on (field practice; the manuals name none).
+const DEFAULT_PORT: u16 = 1000;
 
 /// A device's TCP endpoint.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -23,6 +28,12 @@ pub(super) const TRAITS: Traits =
     Traits { name: "tcp", connection_oriented: true, bytes_per_second: None, frame_gap: FRAME_GAP };
 
 impl TcpAddress {
+    pub(super) fn parse(url: &Url) -> Result<Self, String> {
+        Options::of(url, &[])?;
+        let (host, port) = host_of(url, DEFAULT_PORT)?;
+        Ok(Self { host, port })
+    }
+
     pub(super) async fn connect(&self) -> io::Result<Pipe> {
         let connecting = TcpStream::connect((self.host.as_str(), self.port));
         let stream = tokio::time::timeout(CONNECT_WITHIN, connecting).await.map_err(|_| {

@@ -15,12 +15,12 @@ use wsg_gateway::wsg::{self, Acceleration, Force, HomingDirection, LoopData, Mov
 
 use super::seeds::world::World;
 
-fn client() -> Client {
+pub fn client() -> Client {
     Client { subject: "test".into(), door: Door::Http }
 }
 
 /// A WSG 50 with a part of 20 mm.
-fn device() -> DeviceConfig {
+pub fn device() -> DeviceConfig {
     DeviceConfig::wsg50().with_part(Part::outside(20.0))
 }
 
@@ -34,7 +34,7 @@ fn homed() -> World {
     world
 }
 
-fn home() -> Motion {
+pub fn home() -> Motion {
     Motion::Home(HomingDirection::Default)
 }
 
@@ -43,12 +43,12 @@ fn grip(force_n: Option<f32>) -> Motion {
     Motion::Grip { width: Width::new(20.0).unwrap(), speed: Speed::new(50.0).unwrap(), force, part_id: None }
 }
 
-fn move_to(mm: f32, mm_s: f32) -> Motion {
+pub fn move_to(mm: f32, mm_s: f32) -> Motion {
     let flags = MoveFlags { relative: false, stop_on_block: true };
     Motion::Move { flags, width: Width::new(mm).unwrap(), speed: Speed::new(mm_s).unwrap() }
 }
 
-fn request<T>(world: &mut World, make: impl FnOnce(oneshot::Sender<T>) -> Request) -> oneshot::Receiver<T> {
+pub fn request<T>(world: &mut World, make: impl FnOnce(oneshot::Sender<T>) -> Request) -> oneshot::Receiver<T> {
     let (answer, answered) = oneshot::channel();
     let now = world.clock();
     world.actor.request(now, make(answer));
@@ -73,21 +73,21 @@ fn submit(world: &mut World, action: Action, request_id: Option<&str>) -> Result
     Ok(ticket)
 }
 
-fn start(world: &mut World, motion: Motion) -> Ticket {
+pub fn start(world: &mut World, motion: Motion) -> Ticket {
     submit(world, Action::Motion(motion), None).unwrap()
 }
 
-fn refused(world: &mut World, motion: Motion) -> Rejection {
+pub fn refused(world: &mut World, motion: Motion) -> Rejection {
     submit(world, Action::Motion(motion), None).unwrap_err()
 }
 
 /// Runs a motion to its end.
-fn run(world: &mut World, motion: Motion) -> Command {
+pub fn run(world: &mut World, motion: Motion) -> Command {
     let ticket = start(world, motion);
     finish(world, &ticket)
 }
 
-fn finish(world: &mut World, ticket: &Ticket) -> Command {
+pub fn finish(world: &mut World, ticket: &Ticket) -> Command {
     for _ in 0..9000 {
         if ticket.now().phase == Phase::Done {
             return ticket.now();
@@ -97,7 +97,7 @@ fn finish(world: &mut World, ticket: &Ticket) -> Command {
     panic!("it does not end: {:#?}", ticket.now());
 }
 
-fn fast_stop(world: &mut World) -> FastStopId {
+pub fn fast_stop(world: &mut World) -> FastStopId {
     let now = world.clock();
     let id = world.ids.fast_stop_id(now.wall);
     world.actor.fast_stop(now, FastStopRequest { id, client: client(), reason: Reason::truncated("light curtain") });
@@ -105,32 +105,32 @@ fn fast_stop(world: &mut World) -> FastStopId {
     id
 }
 
-fn acknowledge(world: &mut World, id: FastStopId) -> oneshot::Receiver<Result<(), Rejection>> {
+pub fn acknowledge(world: &mut World, id: FastStopId) -> oneshot::Receiver<Result<(), Rejection>> {
     // The only place of these tests that acknowledges: nothing else may.
     world.invariants.acknowledge_taken();
     request(world, |answer: Answer<()>| Request::Acknowledge { id, client: client(), answer })
 }
 
-fn exchange(world: &mut World, command: wsg::Command) -> oneshot::Receiver<Result<wsg::Data, Rejection>> {
+pub fn exchange(world: &mut World, command: wsg::Command) -> oneshot::Receiver<Result<wsg::Data, Rejection>> {
     request(world, |answer| Request::Exchange { command, client: client(), answer })
 }
 
-fn state(world: &World) -> State {
+pub fn state(world: &World) -> State {
     State::clone(&world.watches.state.borrow())
 }
 
-fn latch(world: &World) -> LatchFields {
+pub fn latch(world: &World) -> LatchFields {
     state(world).latch.unwrap()
 }
 
 /// The ids of what the device has received since `from`, without updates, Loops and temperatures.
-fn received(world: &World, from: usize) -> Vec<u8> {
+pub fn received(world: &World, from: usize) -> Vec<u8> {
     let upkeep = [id::LOOP, id::GET_TEMPERATURE];
     let ids = world.device.received().iter().map(|frame| frame.id).skip(from);
     ids.filter(|id| !upkeep.contains(id) && !id::has_updates(*id)).collect()
 }
 
-fn mark(world: &World) -> usize {
+pub fn mark(world: &World) -> usize {
     world.device.received().len()
 }
 

@@ -16,3 +16,4 @@ mod harness;
 mod invariants;
 mod link;
 mod seeds;
+mod without_connection;

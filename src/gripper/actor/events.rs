@@ -3,7 +3,7 @@
 use super::super::Now;
 use super::super::latch::{Change, Origin};
 use super::super::model::FastStopCause;
-use super::{Actor, Exchange, LinkState, Purpose};
+use super::{Actor, Close, Exchange, LinkState, Purpose};
 use crate::wsg::session::{End, Event, Token};
 use crate::wsg::{Command, Data, Reply, Status, SystemState};
 
@@ -29,8 +29,10 @@ impl Actor {
     }
 
     fn take_update(&mut self, now: Now, data: &Data) {
+        let before = self.observed.flags;
         self.observed.take(now.instant, data);
         let Data::SystemState(flags) = *data else { return };
+        self.notice_restart(before, flags);
         let mut origin = Origin { ids: &mut self.ids, unannounced: self.unannounced };
         match self.latching.take_flags(now, flags, &mut origin) {
             Some(Change::Seen) => {
@@ -46,6 +48,20 @@ impl Actor {
             }
             Some(Change::Cleared) => tracing::info!(gripper = %self.config.name, "FAST STOP cleared"),
             None => {}
+        }
+    }
+
+    /// A device that loses its reference has restarted, unless its fingers are being homed, by us or by somebody else.
+    /// Where there are no connections that would end with it, this is all that there is to notice it by.
+    fn notice_restart(&mut self, before: Option<SystemState>, flags: SystemState) {
+        let was_referenced = before.is_some_and(|before| before.contains(SystemState::REFERENCED));
+        let homes = flags.contains(SystemState::MOVING) || self.running.as_ref().is_some_and(super::Running::homes);
+        if !was_referenced || flags.contains(SystemState::REFERENCED) || homes {
+            return;
+        }
+        tracing::warn!(gripper = %self.config.name, "the device has lost its reference: it has restarted");
+        if matches!(self.link, LinkState::Up) {
+            self.close = Some(Close::Restarted);
         }
     }
 

@@ -79,6 +79,9 @@ pub enum Close {
     /// It doesn't answer what a gripper must answer.
     #[error("the device does not answer {0}")]
     SetupFailed(&'static str),
+    /// It has restarted, and has to be set up again: what was under way on it is lost.
+    #[error("the device has restarted: it has lost its reference")]
+    Restarted,
     /// It was given up in order; a disconnect was announced where the device knows that.
     #[error("given up in order")]
     Drained,

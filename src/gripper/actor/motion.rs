@@ -65,6 +65,11 @@ impl Running {
         Self { id, motion, stage: Stage::Waiting, accepted: false, fast_stop: None }
     }
 
+    /// Whether it takes the fingers' reference away, for as long as it runs.
+    pub(super) fn homes(&self) -> bool {
+        matches!(self.motion, Motion::Home(_))
+    }
+
     /// Whether it has not been given to the device.
     fn is_waiting(&self) -> bool {
         matches!(self.stage, Stage::Waiting | Stage::Force(_))

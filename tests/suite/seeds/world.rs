@@ -37,6 +37,7 @@ pub struct World {
     pub log: Vec<String>,
     pub counts: BTreeMap<String, u64>,
     connected: bool,
+    interface: Interface,
     reconnect_at: Option<Instant>,
     bytes_per_second: Option<u32>,
     longest_delay: Duration,
@@ -103,7 +104,12 @@ impl World {
 
     /// A world without faults, whose device is ready.
     pub fn calm(device: DeviceConfig, bytes_per_second: Option<u32>) -> Self {
-        let mut world = Self::with(0, SmallRng::seed_from_u64(0), device, bytes_per_second);
+        Self::calm_on(Interface::Tcp, device, bytes_per_second)
+    }
+
+    /// The same, on another interface.
+    pub fn calm_on(interface: Interface, device: DeviceConfig, bytes_per_second: Option<u32>) -> Self {
+        let mut world = Self::with(0, interface, SmallRng::seed_from_u64(0), device, bytes_per_second);
         world.noisy = false;
         world.advance(Duration::from_secs(1));
         world
@@ -129,7 +135,7 @@ impl World {
         device.scripts.push(Script { id: 0xB0, answer: ScriptAnswer::Echo });
         // A slow line has fewer updates, so that its schedules run faster; some are at full rate.
         let bytes_per_second = [None, Some(11_520), Some(960), Some(960), Some(960)][rng.random_range(0..5)];
-        let mut world = Self::with(seed, rng, device, bytes_per_second);
+        let mut world = Self::with(seed, Interface::Tcp, rng, device, bytes_per_second);
         if world.rng.random_bool(0.1) {
             world.longest_delay = Duration::from_millis(world.rng.random_range(10..400));
         }
@@ -143,14 +149,20 @@ impl World {
         world
     }
 
-    fn with(seed: u64, rng: SmallRng, device: DeviceConfig, bytes_per_second: Option<u32>) -> Self {
+    fn with(
+        seed: u64,
+        interface: Interface,
+        rng: SmallRng,
+        device: DeviceConfig,
+        bytes_per_second: Option<u32>,
+    ) -> Self {
         let now = Instant::now();
         let config = Config {
             name: "g".parse().unwrap(),
             url: "sim://g".to_owned(),
             traits: Traits {
                 name: "sim",
-                connection_oriented: true,
+                connection_oriented: interface == Interface::Tcp,
                 bytes_per_second,
                 frame_gap: Duration::from_millis(100),
             },
@@ -172,6 +184,7 @@ impl World {
             log: Vec::new(),
             counts: BTreeMap::new(),
             connected: false,
+            interface,
             reconnect_at: Some(now),
             bytes_per_second,
             longest_delay: Duration::from_millis(3),
@@ -240,7 +253,7 @@ impl World {
 
     fn connect(&mut self) {
         let now = self.clock();
-        if self.device.connect(self.now, Interface::Tcp) {
+        if self.device.connect(self.now, self.interface) {
             self.note("connected");
             self.connected = true;
             self.actor.link_up(now);
@@ -335,7 +348,7 @@ impl World {
     /// What the driver does when the actor wants its link closed.
     fn close(&mut self, close: Close) {
         self.note(&format!("closing: {close}"));
-        if close != Close::Drained {
+        if close != Close::Drained && self.interface == Interface::Tcp {
             let mut farewell = Vec::new();
             Command::DisconnectAnnouncement.encode(&mut farewell);
             self.flush_to_device();

@@ -1,0 +1,84 @@
+use super::*;
+
+#[test]
+fn a_url_and_back() {
+    for (text, written) in [
+        ("tcp://192.168.1.20:1000", "tcp://192.168.1.20:1000"),
+        ("tcp://gripper.cell7", "tcp://gripper.cell7:1000"),
+        ("tcp://[::1]:1234/", "tcp://[::1]:1234"),
+        ("udp://10.0.0.5", "udp://10.0.0.5:1500?local_port=1501"),
+        ("udp://[fe80::1]:9?local_port=10", "udp://[fe80::1]:9?local_port=10"),
+        ("serial:///dev/ttyUSB0", "serial:///dev/ttyUSB0?baud=115200&stop_bits=1"),
+        ("serial:///dev/ttyS1?stop_bits=2&baud=9600", "serial:///dev/ttyS1?baud=9600&stop_bits=2"),
+        ("can://can0", "can://can0?tx=0x64&rx=0x65"),
+        ("can://vcan1?tx=1024&rx=0x7FF&bitrate=1000000", "can://vcan1?tx=0x400&rx=0x7ff&bitrate=1000000"),
+    ] {
+        let address: Address = text.parse().unwrap();
+        assert_eq!(address.to_string(), written);
+        assert_eq!(address.to_string().parse::<Address>().unwrap(), address);
+    }
+}
+
+#[track_caller]
+fn mistake(text: &str, parts: &[&str]) {
+    let message = text.parse::<Address>().unwrap_err().to_string();
+    for part in parts {
+        assert!(message.contains(part), "{part:?} is not in {message}");
+    }
+}
+
+#[test]
+fn a_mistake_is_named_with_its_remedy() {
+    mistake("192.168.1.20:1000", &["tcp://192.168.1.20:1000"]);
+    mistake("http://host", &["no transport", "tcp, udp, serial, can"]);
+    mistake("tcp://host:0", &["port 0"]);
+    mistake("tcp://:1000", &["tcp://"]);
+    mistake("tcp://host:70000", &["port"]);
+    mistake("tcp://user@host", &["no user"]);
+    mistake("tcp://host#there", &["#"]);
+    mistake("serial://ttyUSB0", &["three slashes", "serial:///dev/ttyUSB0"]);
+    mistake("serial:///", &["no port"]);
+    mistake("serial:ttyUSB0", &["no port"]);
+    mistake("can://", &["can0"]);
+    mistake("can://an-interface-with-a-long-name", &["no interface"]);
+}
+
+#[test]
+fn an_option_is_named_with_what_is_allowed() {
+    mistake("tcp://host:1000?baud=9600", &["\"baud\"", "there are: none"]);
+    mistake("udp://host?port=1", &["\"port\"", "local_port"]);
+    mistake("udp://host?local_port=0", &["local_port=0", "1 to 65535"]);
+    mistake("udp://host?local_port=1&local_port=2", &["local_port is given twice"]);
+    mistake("serial:///dev/ttyS0?baud=12345", &["baud=12345", "1200", "460800"]);
+    mistake("serial:///dev/ttyS0?stop_bits=1.5", &["stop_bits=1.5", "1, 2"]);
+    mistake("serial:///dev/ttyS0?parity=even", &["\"parity\"", "baud, stop_bits"]);
+    mistake("can://can0?tx=0x800", &["tx=0x800", "0x0 to 0x7FF"]);
+    mistake("can://can0?rx=five", &["rx=five", "0 to 2047"]);
+    mistake("can://can0?tx=0x65", &["both", "0x65"]);
+    mistake("can://can0?bitrate=9600", &["bitrate=9600", "10000 to 1000000"]);
+}
+
+#[test]
+fn only_tcp_has_connections_and_slow_lines_know_how_slow_they_are() {
+    let traits = |text: &str| text.parse::<Address>().unwrap().traits();
+    assert!(traits("tcp://h").connection_oriented);
+    for (text, bytes_per_second) in [
+        ("udp://h", None),
+        ("serial:///dev/ttyS0?baud=9600", Some(960)),
+        ("serial:///dev/ttyS0?stop_bits=2", Some(10_472)),
+        ("can://can0", Some(23_809)),
+    ] {
+        let traits = traits(text);
+        assert!(!traits.connection_oriented);
+        assert_eq!(traits.bytes_per_second, bytes_per_second, "{text}");
+    }
+}
+
+#[tokio::test]
+async fn a_port_or_an_interface_that_is_not_there_is_answered_with_those_that_are() {
+    let refused = async |text: &str| text.parse::<Address>().unwrap().connect().await.unwrap_err().to_string();
+    let serial = refused("serial:///dev/ttyNONE9").await;
+    assert!(serial.contains("/dev/ttyNONE9 is not there; "), "{serial}");
+    let can = refused("can://nocan9").await;
+    assert!(can.contains("nocan9 cannot be opened") && (can.contains("no CAN") || can.contains("there are")), "{can}");
+}

@@ -1,0 +1,200 @@
+//! UDP: a device listens on port 1500 and answers to a port that is configured on it, commonly 1501, whatever the
+//! sender's port was; one frame a datagram (field practice: the manuals say no more than that there is UDP).
+//!
+//! What a sender can't rely on costs no more than the frame it hits: a datagram that is lost, late or there twice is a
+//! frame that is lost, late or there twice, which the session knows. What comes from another address is not believed.
+
+use std::io;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
+use std::pin::Pin;
+use std::sync::Arc;
+use std::task::{Context, Poll, ready};
+use std::time::Duration;
+
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::net::UdpSocket;
+use url::Url;
+
+use super::options::Options;
+use super::{CONNECT_WITHIN, Pipe, Traits, host_of};
+
+/// The port that devices listen on (field practice; the manuals name none).
+const DEFAULT_PORT: u16 = 1500;
+
+/// The port that devices answer to (field practice).
+const DEFAULT_LOCAL_PORT: u16 = 1501;
+
+/// A datagram has its whole frame or none of it: the rest of one that was cut short never comes. This is only so long
+/// that a frame in two datagrams, which nobody is known to send, would still be one.
+const FRAME_GAP: Duration = Duration::from_millis(20);
+
+/// The longest datagram there can be.
+const MAX_DATAGRAM_BYTES: usize = 65_535;
+
+pub(super) const TRAITS: Traits =
+    Traits { name: "udp", connection_oriented: false, bytes_per_second: None, frame_gap: FRAME_GAP };
+
+/// A device's UDP endpoint.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct UdpAddress {
+    /// A name or an address.
+    pub host: String,
+    /// Where the device listens; 1500 by default.
+    pub port: u16,
+    /// Where it answers to; 1501 by default.
+    pub local_port: u16,
+}
+
+impl UdpAddress {
+    pub(super) fn parse(url: &Url) -> Result<Self, String> {
+        let options = Options::of(url, &["local_port"])?;
+        let (host, port) = host_of(url, DEFAULT_PORT)?;
+        let local_port = options.port("local_port")?.unwrap_or(DEFAULT_LOCAL_PORT);
+        Ok(Self { host, port, local_port })
+    }
+
+    pub(super) async fn connect(&self) -> io::Result<Pipe> {
+        let device = tokio::time::timeout(CONNECT_WITHIN, self.resolve()).await.map_err(|_| {
+            let waited = CONNECT_WITHIN.as_secs();
+            io::Error::new(io::ErrorKind::TimedOut, format!("{:?} could not be looked up within {waited} s", self.host))
+        })??;
+        let any: IpAddr = if device.is_ipv4() { Ipv4Addr::UNSPECIFIED.into() } else { Ipv6Addr::UNSPECIFIED.into() };
+        let socket = UdpSocket::bind((any, self.local_port)).await.map_err(|error| self.explain(&error))?;
+        let socket = Arc::new(socket);
+        let reader = Datagrams { socket: socket.clone(), device: device.ip(), datagram: Vec::new(), taken: 0 };
+        Ok(Pipe { reader: Box::new(reader), writer: Box::new(Sender { socket, device }) })
+    }
+
+    async fn resolve(&self) -> io::Result<SocketAddr> {
+        let mut addresses = tokio::net::lookup_host((self.host.as_str(), self.port)).await?;
+        addresses
+            .next()
+            .ok_or_else(|| io::Error::new(io::ErrorKind::NotFound, format!("no address of {:?}", self.host)))
+    }
+
+    fn explain(&self, error: &io::Error) -> io::Error {
+        let port = self.local_port;
+        let remedy = match error.kind() {
+            io::ErrorKind::AddrInUse => {
+                "another program, or another gripper, has it: give each gripper a local_port of its own, and set the \
+                 same on the device"
+            }
+            io::ErrorKind::PermissionDenied => "ports below 1024 need a privilege: choose a higher local_port",
+            _ => "choose another local_port, and set the same on the device",
+        };
+        io::Error::new(error.kind(), format!("cannot listen on UDP port {port} ({error}): {remedy}"))
+    }
+}
+
+/// What the device sends.
+struct Datagrams {
+    socket: Arc<UdpSocket>,
+    device: IpAddr,
+    /// The newest datagram, of which so many bytes were taken.
+    datagram: Vec<u8>,
+    taken: usize,
+}
+
+impl AsyncRead for Datagrams {
+    fn poll_read(self: Pin<&mut Self>, cx: &mut Context<'_>, out: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
+        let this = self.get_mut();
+        while this.taken == this.datagram.len() {
+            this.taken = 0;
+            this.datagram.resize(MAX_DATAGRAM_BYTES, 0);
+            let mut datagram = ReadBuf::new(&mut this.datagram);
+            let received = this.socket.poll_recv_from(cx, &mut datagram);
+            let bytes = datagram.filled().len();
+            let sender = match &received {
+                Poll::Ready(Ok(sender)) => Some(sender.ip().to_canonical()),
+                _ => None,
+            };
+            let believed = sender == Some(this.device.to_canonical());
+            this.datagram.truncate(if believed { bytes } else { 0 });
+            let sender = ready!(received)?;
+            if !believed {
+                tracing::debug!(%sender, device = %this.device, "a datagram from another address is ignored");
+            }
+        }
+        let bytes = out.remaining().min(this.datagram.len() - this.taken);
+        out.put_slice(&this.datagram[this.taken..this.taken + bytes]);
+        this.taken += bytes;
+        Poll::Ready(Ok(()))
+    }
+}
+
+/// What the device is sent: a write is a datagram.
+struct Sender {
+    socket: Arc<UdpSocket>,
+    device: SocketAddr,
+}
+
+impl AsyncWrite for Sender {
+    fn poll_write(self: Pin<&mut Self>, cx: &mut Context<'_>, frame: &[u8]) -> Poll<io::Result<usize>> {
+        self.socket.poll_send_to(cx, frame, self.device)
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, _cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, _cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tokio::io::{AsyncReadExt, AsyncWriteExt};
+
+    use super::*;
+
+    async fn free_port() -> u16 {
+        UdpSocket::bind("127.0.0.1:0").await.unwrap().local_addr().unwrap().port()
+    }
+
+    async fn pair() -> (UdpSocket, Pipe, u16) {
+        let device = UdpSocket::bind("127.0.0.1:0").await.unwrap();
+        let port = device.local_addr().unwrap().port();
+        let local_port = free_port().await;
+        let pipe = UdpAddress { host: "127.0.0.1".to_owned(), port, local_port }.connect().await.unwrap();
+        (device, pipe, local_port)
+    }
+
+    #[tokio::test]
+    async fn a_write_is_a_datagram_and_any_port_of_the_device_is_heard() {
+        let (device, mut pipe, local_port) = pair().await;
+        pipe.writer.write_all(b"first").await.unwrap();
+        pipe.writer.write_all(b"second").await.unwrap();
+        let mut buffer = [0; 100];
+        let (bytes, sender) = device.recv_from(&mut buffer).await.unwrap();
+        assert_eq!((&buffer[..bytes], sender.port()), (&b"first"[..], local_port));
+        assert_eq!(device.recv(&mut buffer).await.unwrap(), 6);
+
+        let other_port = UdpSocket::bind("127.0.0.1:0").await.unwrap();
+        other_port.send_to(b"an answer", ("127.0.0.1", local_port)).await.unwrap();
+        let bytes = pipe.reader.read(&mut buffer[..2]).await.unwrap();
+        assert_eq!(&buffer[..bytes], b"an");
+        let bytes = pipe.reader.read(&mut buffer).await.unwrap();
+        assert_eq!(&buffer[..bytes], b" answer", "a short read loses nothing");
+    }
+
+    #[tokio::test]
+    async fn what_comes_from_another_address_or_is_empty_is_not_heard() {
+        let (device, mut pipe, local_port) = pair().await;
+        let stranger = UdpSocket::bind("127.0.0.2:0").await.unwrap();
+        stranger.send_to(b"believe me", ("127.0.0.1", local_port)).await.unwrap();
+        device.send_to(b"", ("127.0.0.1", local_port)).await.unwrap();
+        device.send_to(b"true", ("127.0.0.1", local_port)).await.unwrap();
+        let mut buffer = [0; 100];
+        let bytes = pipe.reader.read(&mut buffer).await.unwrap();
+        assert_eq!(&buffer[..bytes], b"true");
+    }
+
+    #[tokio::test]
+    async fn a_port_that_is_taken_is_named_with_the_remedy() {
+        let (_device, _pipe, local_port) = pair().await;
+        let again = UdpAddress { host: "127.0.0.1".to_owned(), port: 1500, local_port };
+        let error = again.connect().await.unwrap_err().to_string();
+        assert!(error.contains(&local_port.to_string()) && error.contains("local_port of its own"), "{error}");
+    }
+}

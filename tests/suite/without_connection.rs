@@ -1,0 +1,106 @@
+//! Links without connections (UDP, RS-232, CAN): nothing tells that the other end is gone, so silence and lost references
+//! have to. On a virtual clock, and checked on the frames that the device received.
+
+use std::time::Duration;
+
+use wsg_gateway::gripper::Conflict;
+use wsg_gateway::gripper::handle::Request;
+use wsg_gateway::gripper::model::{Link, Outcome};
+use wsg_gateway::sim::{Change, Interface};
+use wsg_gateway::wsg::{self, Acceleration, id};
+
+use super::invariants::{
+    device, exchange, fast_stop, finish, home, latch, mark, move_to, received, refused, request, run, start, state,
+};
+use super::seeds::world::World;
+
+fn homed() -> World {
+    let mut world = World::calm_on(Interface::Serial, device(), Some(11_520));
+    assert_eq!(run(&mut world, home()).outcome, Some(Outcome::Success));
+    world
+}
+
+fn reboot(ready_after_ms: u32) -> Change {
+    Change::Reboot { ready_after_ms, mid_frame: false }
+}
+
+#[test]
+fn a_restart_is_noticed_by_the_lost_reference_and_settings_are_restored_before_any_motion() {
+    let mut world = homed();
+    let acceleration = Acceleration::new(500.0).unwrap();
+    drop(exchange(&mut world, wsg::Command::SetAcceleration(acceleration)));
+    world.advance(Duration::from_millis(200));
+    let running = start(&mut world, move_to(10.0, 10.0));
+    world.advance(Duration::from_millis(200));
+    let from = mark(&world);
+    world.device.apply(world.now, reboot(300));
+    // Its automatic updates are asked for again within a second, and then tell.
+    world.advance(Duration::from_secs(3));
+    assert_eq!(finish(&mut world, &running).outcome, Some(Outcome::Unknown));
+    assert_eq!((state(&world).link, state(&world).referenced), (Link::Connected, Some(false)));
+    assert!((world.device.snapshot().acceleration_mm_s2 - 500.0).abs() < 0.1);
+    let received = received(&world, from);
+    assert!(received.contains(&id::SET_ACCELERATION), "{received:02X?}");
+    assert!(!received.iter().any(|&id| id::is_motion(id)), "{received:02X?}");
+    assert_eq!(run(&mut world, home()).outcome, Some(Outcome::Success));
+}
+
+#[test]
+fn a_homing_is_no_restart_whoever_asked_for_it() {
+    let mut world = homed();
+    assert_eq!(run(&mut world, home()).outcome, Some(Outcome::Success));
+    let mut foreign = Vec::new();
+    wsg::Command::Homing(wsg::HomingDirection::Default).encode(&mut foreign);
+    let from = mark(&world);
+    world.device.receive(world.now, &foreign);
+    let mut lost_reference = false;
+    for _ in 0..500 {
+        world.advance(Duration::from_millis(10));
+        lost_reference |= state(&world).referenced == Some(false);
+        assert_eq!(state(&world).link, Link::Connected);
+    }
+    assert!(lost_reference);
+    assert_eq!(received(&world, from), [id::HOMING]);
+}
+
+#[test]
+fn silence_is_noticed_within_a_second_and_a_half_and_the_link_is_made_again() {
+    let mut world = homed();
+    world.device.apply(world.now, Change::HalfOpen { on: true });
+    world.advance(Duration::from_millis(1450));
+    assert_eq!(state(&world).link, Link::Connected);
+    world.advance(Duration::from_millis(100));
+    assert_eq!(state(&world).link, Link::Unresponsive);
+    // The simulated device's wires are whole again once its link is made anew.
+    world.advance(Duration::from_secs(6));
+    assert!(world.log.iter().any(|line| line.contains("closing: nothing was heard")), "{}", world.tail());
+    assert_eq!(state(&world).link, Link::Connected);
+    assert!(state(&world).latch.is_none(), "no connection has ended, so the device did not stop");
+}
+
+#[test]
+fn the_orderly_end_is_a_stop_if_it_moves_and_never_an_announcement() {
+    let mut world = homed();
+    let slow = start(&mut world, move_to(10.0, 5.0));
+    world.advance(Duration::from_millis(500));
+    let from = mark(&world);
+    let mut drained = request(&mut world, |answer| Request::Drain { answer });
+    assert_eq!(finish(&mut world, &slow).outcome, Some(Outcome::Aborted));
+    world.advance(Duration::from_secs(2));
+    assert_eq!(received(&world, from), [id::STOP]);
+    assert!(!world.device.snapshot().moving);
+    world.actor.drained();
+    assert_eq!(drained.try_recv(), Ok(()));
+}
+
+#[test]
+fn a_latch_outlives_a_restart_that_nothing_but_the_lost_reference_tells() {
+    let mut world = homed();
+    let id = fast_stop(&mut world);
+    world.advance(Duration::from_millis(200));
+    world.device.apply(world.now, reboot(300));
+    world.advance(Duration::from_secs(3));
+    assert!(world.log.iter().any(|line| line.contains("closing: the device has restarted")), "{}", world.tail());
+    assert_eq!((state(&world).link, latch(&world).fast_stop_id), (Link::Connected, id));
+    assert_eq!(refused(&mut world, home()), Conflict::FastStop { id }.into());
+}
