@@ -198,6 +198,7 @@ mod tests {
         let ticket = book.enter(now, command(ids), &submission);
         let id = ticket.now().id;
         book.end(now, id, |command| command.outcome = Some(Outcome::Success));
+        book.tell();
         id
     }
 

@@ -46,9 +46,6 @@ async fn what_is_not_there_yet_is_refused_as_that() {
         &["--journal", "journal.db"],
         &["journal", "list"],
         &["token"],
-        &["--gripper", "g=udp://127.0.0.1:1500"],
-        &["--gripper", "g=serial:///dev/ttyUSB0?baud=115200"],
-        &["--gripper", "g=can://can0?tx=0x64&rx=0x65"],
         &["sim", "udp://127.0.0.1:1500"],
     ] {
         let said = refused(arguments).await;

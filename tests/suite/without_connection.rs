@@ -9,7 +9,7 @@ use wsg_gateway::gripper::model::{Link, Outcome};
 use wsg_gateway::sim::{Change, Interface};
 use wsg_gateway::wsg::{self, Acceleration, id};
 
-use super::invariants::{
+use super::invariants::steps::{
     device, exchange, fast_stop, finish, home, latch, mark, move_to, received, refused, request, run, start, state,
 };
 use super::seeds::world::World;

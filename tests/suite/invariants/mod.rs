@@ -1,138 +1,19 @@
 //! The invariants of the gripper, each by its name, and what else the actor promises: on a virtual clock, and checked on
 //! the frames that the device received.
 
+pub mod steps;
+
 use std::time::Duration;
 
-use tokio::sync::oneshot;
-use wsg_gateway::gripper::handle::{Answer, FastStopRequest, Request};
-use wsg_gateway::gripper::model::{
-    Action, Client, Command, Door, FastStopCause, FastStopId, LatchFields, Link, Motion, Outcome, Phase, Reason,
-    RequestId, State, Submission,
-};
-use wsg_gateway::gripper::{Conflict, Failure, Rejection, Ticket};
-use wsg_gateway::sim::{Change, DeviceConfig, FaultKind, Part};
-use wsg_gateway::wsg::{self, Acceleration, Force, HomingDirection, LoopData, MoveFlags, Speed, Status, Width, id};
+use wsg_gateway::gripper::handle::Request;
+use wsg_gateway::gripper::model::{Action, FastStopCause, Link, Outcome};
+use wsg_gateway::gripper::{Conflict, Failure, Rejection};
+use wsg_gateway::sim::{Change, FaultKind};
+use wsg_gateway::wsg::{self, Acceleration, Force, LoopData, Status, id};
 
 use super::seeds::world::World;
 
-pub fn client() -> Client {
-    Client { subject: "test".into(), door: Door::Http }
-}
-
-/// A WSG 50 with a part of 20 mm.
-pub fn device() -> DeviceConfig {
-    DeviceConfig::wsg50().with_part(Part::outside(20.0))
-}
-
-fn world() -> World {
-    World::calm(device(), None)
-}
-
-fn homed() -> World {
-    let mut world = world();
-    assert_eq!(run(&mut world, home()).outcome, Some(Outcome::Success));
-    world
-}
-
-pub fn home() -> Motion {
-    Motion::Home(HomingDirection::Default)
-}
-
-fn grip(force_n: Option<f32>) -> Motion {
-    let force = force_n.map(|n| Force::new(n).unwrap());
-    Motion::Grip { width: Width::new(20.0).unwrap(), speed: Speed::new(50.0).unwrap(), force, part_id: None }
-}
-
-pub fn move_to(mm: f32, mm_s: f32) -> Motion {
-    let flags = MoveFlags { relative: false, stop_on_block: true };
-    Motion::Move { flags, width: Width::new(mm).unwrap(), speed: Speed::new(mm_s).unwrap() }
-}
-
-pub fn request<T>(world: &mut World, make: impl FnOnce(oneshot::Sender<T>) -> Request) -> oneshot::Receiver<T> {
-    let (answer, answered) = oneshot::channel();
-    let now = world.clock();
-    world.actor.request(now, make(answer));
-    world.settle();
-    answered
-}
-
-fn submit(world: &mut World, action: Action, request_id: Option<&str>) -> Result<Ticket, Rejection> {
-    let request_id = request_id.map(|id| RequestId::new(id).unwrap());
-    let now = world.clock();
-    let id = world.ids.command_id(now.wall);
-    let motion = match &action {
-        Action::Motion(motion) => Some(motion.request()),
-        Action::Stop => None,
-    };
-    let submission = Submission { client: client(), action, request_id, lease: None };
-    let (answer, mut answered) = oneshot::channel();
-    world.actor.request(now, Request::Submit { submission, id, answer });
-    let ticket = answered.try_recv().unwrap()?;
-    world.clients.admitted.push(super::seeds::client::Admitted { ticket: ticket.clone(), motion });
-    world.settle();
-    Ok(ticket)
-}
-
-pub fn start(world: &mut World, motion: Motion) -> Ticket {
-    submit(world, Action::Motion(motion), None).unwrap()
-}
-
-pub fn refused(world: &mut World, motion: Motion) -> Rejection {
-    submit(world, Action::Motion(motion), None).unwrap_err()
-}
-
-/// Runs a motion to its end.
-pub fn run(world: &mut World, motion: Motion) -> Command {
-    let ticket = start(world, motion);
-    finish(world, &ticket)
-}
-
-pub fn finish(world: &mut World, ticket: &Ticket) -> Command {
-    for _ in 0..9000 {
-        if ticket.now().phase == Phase::Done {
-            return ticket.now();
-        }
-        world.advance(Duration::from_millis(10));
-    }
-    panic!("it does not end: {:#?}", ticket.now());
-}
-
-pub fn fast_stop(world: &mut World) -> FastStopId {
-    let now = world.clock();
-    let id = world.ids.fast_stop_id(now.wall);
-    world.actor.fast_stop(now, FastStopRequest { id, client: client(), reason: Reason::truncated("light curtain") });
-    world.settle();
-    id
-}
-
-pub fn acknowledge(world: &mut World, id: FastStopId) -> oneshot::Receiver<Result<(), Rejection>> {
-    // The only place of these tests that acknowledges: nothing else may.
-    world.invariants.acknowledge_taken();
-    request(world, |answer: Answer<()>| Request::Acknowledge { id, client: client(), answer })
-}
-
-pub fn exchange(world: &mut World, command: wsg::Command) -> oneshot::Receiver<Result<wsg::Data, Rejection>> {
-    request(world, |answer| Request::Exchange { command, client: client(), answer })
-}
-
-pub fn state(world: &World) -> State {
-    State::clone(&world.watches.state.borrow())
-}
-
-pub fn latch(world: &World) -> LatchFields {
-    state(world).latch.unwrap()
-}
-
-/// The ids of what the device has received since `from`, without updates, Loops and temperatures.
-pub fn received(world: &World, from: usize) -> Vec<u8> {
-    let upkeep = [id::LOOP, id::GET_TEMPERATURE];
-    let ids = world.device.received().iter().map(|frame| frame.id).skip(from);
-    ids.filter(|id| !upkeep.contains(id) && !id::has_updates(*id)).collect()
-}
-
-pub fn mark(world: &World) -> usize {
-    world.device.received().len()
-}
+use steps::*;
 
 #[test]
 fn frame_sent_at_most_once() {
