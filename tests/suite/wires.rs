@@ -1,7 +1,13 @@
 //! The conformance suite on the transports that every machine has, and what is particular to each.
 
+use std::net::UdpSocket;
+
 use crate::conformance;
-use crate::conformance::rig::free_udp_port;
+
+/// A UDP port that is free at the moment.
+pub fn free_udp_port() -> u16 {
+    UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}
 
 fn tcp() -> String {
     "tcp://127.0.0.1:0".to_owned()

@@ -1,7 +1,6 @@
 //! A gripper and its simulated device, with a real transport between them.
 
 use std::collections::BTreeSet;
-use std::net::UdpSocket;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -32,11 +31,6 @@ pub fn device() -> DeviceConfig {
     device.start_width_mm = 100.0;
     device.scripts.push(Script { id: 0xB0, answer: ScriptAnswer::Echo });
     device
-}
-
-/// A UDP port that is free at the moment.
-pub fn free_udp_port() -> u16 {
-    UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
 }
 
 pub async fn served(url: &str) -> Served {
