@@ -5,6 +5,7 @@ mod decode;
 use std::ffi::OsString;
 use std::fs::File;
 use std::io::BufReader;
+use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use anyhow::Context;
@@ -29,7 +30,8 @@ struct Cli {
 enum Command {
     /// Serve a simulated gripper on each URL, e.g. tcp://127.0.0.1:1000
     Sim {
-        /// Where: tcp://127.0.0.1:1000
+        /// Where: tcp://127.0.0.1:1000, udp://127.0.0.1:1500?reply_port=1501, serial://pty?baud=115200&link=/tmp/gripper,
+        /// can://vcan0?rx=0x64&tx=0x65
         #[arg(required = true, value_name = "URL")]
         urls: Vec<Url>,
         /// wsg25, wsg32, wsg50 or wsg70
@@ -41,6 +43,11 @@ enum Command {
         /// fw2 or fw4
         #[arg(long, default_value = "fw4")]
         firmware: String,
+        /// Where to serve the faults, over HTTP: GET /devices shows all devices; POST /devices/0 takes what happens, e.g.
+        /// {"place_part": {"width_mm": 20}}, "take_part", "slip_part", {"overheat": {"temperature_c": 90}}, "cool",
+        /// {"silent": {"on": true}}, "cut_connection", {"reboot": {"ready_after_ms": 500}}
+        #[arg(long, value_name = "ADDR")]
+        control: Option<SocketAddr>,
     },
     /// Check a configuration, and say what it would serve
     Check {
@@ -79,13 +86,13 @@ pub fn run() -> anyhow::Result<()> {
     let _logs = telemetry::init();
     match cli.command {
         None => daemon::run(&Config::load(&cli.flags)?),
-        Some(Command::Sim { urls, model, part_mm, firmware }) => {
+        Some(Command::Sim { urls, model, part_mm, firmware, control }) => {
             let mut device = daemon::SimulatedDevice::of_model(&model).map_err(anyhow::Error::msg)?;
             device = device.with("firmware", &firmware).map_err(anyhow::Error::msg)?;
             if let Some(part_mm) = part_mm {
                 device = device.with("part_mm", &part_mm).map_err(anyhow::Error::msg)?;
             }
-            daemon::runtime()?.block_on(daemon::serve_simulated(&urls, &device))
+            daemon::runtime()?.block_on(daemon::serve_simulated(&urls, &device, control))
         }
         Some(Command::Check { flags }) => check(&flags),
         Some(Command::Openapi) => {

@@ -17,7 +17,7 @@ use tokio_util::sync::CancellationToken;
 use crate::config::{Config, Device, Gripper, Mistake};
 use crate::frontend::http;
 use crate::gripper::{self, Connector, Fleet, Handle};
-pub use simulation::{SimulatedDevice, serve_simulated};
+pub use simulation::{Served, SimulatedDevice, Switch, serve as serve_device, serve_simulated};
 
 /// Runs the gateway until SIGTERM or SIGINT.
 ///
@@ -28,7 +28,7 @@ pub fn run(config: &Config) -> anyhow::Result<()> {
     // The device side has a runtime of its own, so that no number of clients can delay a FAST STOP.
     let devices = Builder::new_multi_thread().worker_threads(1).thread_name("device").enable_all().build()?;
     let clients = runtime()?;
-    clients.block_on(serve(config, &devices))?;
+    clients.block_on(run_gateway(config, &devices))?;
     devices.shutdown_background();
     Ok(())
 }
@@ -54,7 +54,7 @@ pub fn check(config: &Config) -> Result<(), Mistake> {
     Ok(())
 }
 
-async fn serve(config: &Config, devices: &Runtime) -> anyhow::Result<()> {
+async fn run_gateway(config: &Config, devices: &Runtime) -> anyhow::Result<()> {
     let stop = stop_signal()?;
     // Before any gripper is connected: a port that is taken must not cost a connect and a disconnect.
     let listener = TcpListener::bind(config.listen).await.with_context(|| {

@@ -87,6 +87,7 @@ pub enum Change {
         /// How long it takes.
         ready_after_ms: u32,
         /// Whether half of a frame still gets out.
+        #[serde(default)]
         mid_frame: bool,
     },
     /// The device acts on what it receives, and says nothing.

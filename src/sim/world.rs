@@ -18,10 +18,11 @@ const SLIP_MM_PER_STEP: f64 = 0.05;
 const SLIP_MM: f64 = 5.0;
 
 /// From which side a part is gripped.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum GripSide {
     /// The fingers close on it.
+    #[default]
     Outside,
     /// It is hollow, and the fingers open into it.
     Inside,
@@ -33,22 +34,31 @@ pub struct Part {
     /// Where the fingers meet it, in mm.
     pub width_mm: f64,
     /// From which side.
+    #[serde(default)]
     pub side: GripSide,
     /// How much force it takes to press it together by a millimetre, in N/mm.
+    #[serde(default = "ordinary_stiffness_n_mm")]
     pub stiffness_n_mm: f64,
+}
+
+/// Of a part that is neither foam nor steel, in N/mm.
+const ORDINARY_N_MM: f64 = 200.0;
+
+fn ordinary_stiffness_n_mm() -> f64 {
+    ORDINARY_N_MM
 }
 
 impl Part {
     /// A part of ordinary stiffness that the fingers close on.
     #[must_use]
     pub const fn outside(width_mm: f64) -> Self {
-        Self { width_mm, side: GripSide::Outside, stiffness_n_mm: 200.0 }
+        Self { width_mm, side: GripSide::Outside, stiffness_n_mm: ORDINARY_N_MM }
     }
 
     /// A hollow part of ordinary stiffness that the fingers open into.
     #[must_use]
     pub const fn inside(width_mm: f64) -> Self {
-        Self { width_mm, side: GripSide::Inside, stiffness_n_mm: 200.0 }
+        Self { width_mm, side: GripSide::Inside, stiffness_n_mm: ORDINARY_N_MM }
     }
 
     fn resists(&self) -> Direction {

@@ -21,6 +21,7 @@ use url::Url;
 pub use address::{Address, InvalidAddress};
 pub use can::CanAddress;
 pub use options::Options;
+pub use pace::Pacer;
 pub use serial::SerialAddress;
 pub use tcp::TcpAddress;
 pub use udp::UdpAddress;

@@ -9,19 +9,21 @@ use tokio::time::{Instant, Sleep};
 
 /// Reckons how long a line is busy, and waits for it.
 #[derive(Debug)]
-pub(super) struct Pacer {
+pub struct Pacer {
     bytes_per_second: u32,
     busy_until: Option<Instant>,
     sleep: Option<Pin<Box<Sleep>>>,
 }
 
 impl Pacer {
-    pub(super) fn new(bytes_per_second: u32) -> Self {
+    /// Of a line that carries so much.
+    #[must_use]
+    pub fn new(bytes_per_second: u32) -> Self {
         Self { bytes_per_second: bytes_per_second.max(1), busy_until: None, sleep: None }
     }
 
     /// So many bytes were handed to the line.
-    pub(super) fn wrote(&mut self, bytes: usize) {
+    pub fn wrote(&mut self, bytes: usize) {
         let now = Instant::now();
         let from = self.busy_until.map_or(now, |until| until.max(now));
         self.busy_until = Some(from + self.line_time(bytes));
@@ -29,18 +31,19 @@ impl Pacer {
     }
 
     /// How long so many bytes take.
-    pub(super) fn line_time(&self, bytes: usize) -> Duration {
+    #[must_use]
+    pub fn line_time(&self, bytes: usize) -> Duration {
         Duration::from_secs_f64(bytes as f64 / f64::from(self.bytes_per_second))
     }
 
     /// Not before this time from now.
-    pub(super) fn hold(&mut self, time: Duration) {
+    pub fn hold(&mut self, time: Duration) {
         self.busy_until = Some(Instant::now() + time);
         self.sleep = None;
     }
 
     /// Ready once the line is free.
-    pub(super) fn poll_free(&mut self, cx: &mut Context<'_>) -> Poll<()> {
+    pub fn poll_free(&mut self, cx: &mut Context<'_>) -> Poll<()> {
         let Some(until) = self.busy_until.filter(|until| *until > Instant::now()) else {
             self.busy_until = None;
             self.sleep = None;

@@ -54,7 +54,7 @@ impl Reassembler {
 mod tests {
     use super::*;
 
-    const STOP: [u8; 8] = [0xAA, 0xAA, 0xAA, 0x22, 0, 0, 0x59, 0xF3];
+    const STOP: [u8; 8] = [0xAA, 0xAA, 0xAA, 0x22, 0, 0, 0x0E, 0x76];
 
     fn frame(payload: &[u8]) -> Vec<u8> {
         let size = (payload.len() as u16).to_le_bytes();
@@ -90,7 +90,7 @@ mod tests {
 
     #[test]
     fn what_lies_behind_the_end_is_dropped() {
-        let padded = [&[0xAA, 0xAA, 0xAA, 0x22, 2, 0, 0, 0][..], &[0x59, 0xF3, 0, 0, 0, 0, 0, 0], &[0xFF; 8]];
+        let padded = [&[0xAA, 0xAA, 0xAA, 0x22, 2, 0, 0, 0][..], &[0x0E, 0x76, 0, 0, 0, 0, 0, 0], &[0xFF; 8]];
         assert_eq!(reassembled(padded).len(), 10);
         assert!(reassembled([&[1, 2, 3][..], &[0xAA, 0xAA]]).is_empty());
     }

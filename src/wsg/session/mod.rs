@@ -298,6 +298,7 @@ impl Session {
     fn write(&mut self, now: Instant, waiting: Waiting, out: &mut Vec<u8>) {
         let Request { command, reply_within, result_within } = waiting.request;
         command.encode(out);
+        let echo = if let Command::Loop(data) = &command { Some(data.as_bytes().to_vec()) } else { None };
         let in_flight = InFlight {
             token: waiting.token,
             sent_at: now,
@@ -306,6 +307,7 @@ impl Session {
             accepted: false,
             two_step: command.is_two_step(),
             stopped: false,
+            echo,
             order: self.counters.frames_sent,
         };
         self.slots.insert(command.id(), in_flight);
@@ -342,6 +344,7 @@ impl Session {
             return;
         };
         match &mut slot.state {
+            SlotState::InFlight(in_flight) if in_flight.is_foreign_echo(&reply) => self.counters.late_replies += 1,
             SlotState::InFlight(in_flight) => match in_flight.judge(id, reply.status()) {
                 Verdict::Accepted => {
                     in_flight.accepted = true;

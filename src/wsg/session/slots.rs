@@ -3,7 +3,7 @@
 use std::time::Instant;
 
 use super::{Token, barrier::Generation};
-use crate::wsg::Status;
+use crate::wsg::{Data, Reply, Status};
 
 /// An id that is not open.
 #[derive(Debug)]
@@ -32,6 +32,8 @@ pub(super) struct InFlight {
     pub stopped: bool,
     /// Counts what was written, since two frames can be written at one instant.
     pub order: u64,
+    /// What a Loop's reply has to bring back.
+    pub echo: Option<Vec<u8>>,
 }
 
 /// A request that timed out, and whose reply may still come.
@@ -53,6 +55,14 @@ pub(super) enum Verdict {
 }
 
 impl InFlight {
+    /// Whether it is the echo of another Loop: one that came twice, or late.
+    pub(super) fn is_foreign_echo(&self, reply: &Reply) -> bool {
+        match (&self.echo, reply) {
+            (Some(sent), Reply::Success(Data::Loop(echoed))) => sent != echoed,
+            _ => false,
+        }
+    }
+
     pub(super) fn judge(&self, id: u8, status: Status) -> Verdict {
         let premature = if crate::wsg::id::is_motion(id) {
             status.only_ends_a_motion()

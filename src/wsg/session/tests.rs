@@ -380,3 +380,21 @@ fn a_stop_ends_nothing_that_was_written_after_it() {
     rig.pass(RESULT);
     assert_eq!(rig.events(), [Event::Ended(motion, End::NoResult { stopped: false })]);
 }
+
+#[test]
+fn an_echo_that_comes_twice_does_not_answer_the_next_loop() {
+    let mut rig = Rig::new();
+    let (first, second) = (LoopData::new(vec![1]).unwrap(), LoopData::new(vec![2]).unwrap());
+    let token = rig.submit(Command::Loop(first));
+    let echo = rig.echo_of_written_loop();
+    rig.session.receive(rig.now, &echo);
+    let answered = |token, byte| Event::Ended(token, End::Reply(Reply::Success(Data::Loop(vec![byte]))));
+    assert_eq!(rig.events(), [answered(token, 1)]);
+    let token = rig.submit(Command::Loop(second));
+    let other = rig.echo_of_written_loop();
+    rig.session.receive(rig.now, &echo);
+    assert_eq!(rig.events(), NO_EVENTS);
+    rig.session.receive(rig.now, &other);
+    assert_eq!(rig.events(), [answered(token, 2)]);
+    assert_eq!(rig.session.counters().late_replies, 1);
+}

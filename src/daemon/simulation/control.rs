@@ -1,0 +1,123 @@
+//! The control port: what happens to simulated devices, over HTTP, for whoever tries a gateway against a gripper that
+//! misbehaves.
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+
+use anyhow::{Context as _, ensure};
+use axum::body::Bytes;
+use axum::extract::{Path, State};
+use axum::http::StatusCode;
+use axum::routing::get;
+use axum::{Json, Router};
+use serde::Serialize;
+use tokio::net::TcpListener;
+
+use super::Served;
+use crate::sim::{Change, Part, Snapshot};
+
+/// A device as it is: the truth, and not only what it says.
+#[derive(Debug, Serialize)]
+#[allow(clippy::struct_excessive_bools, reason = "a snapshot of states that are independent")]
+struct Shown {
+    address: String,
+    model: &'static str,
+    state: &'static str,
+    flags: Vec<&'static str>,
+    true_width_mm: f64,
+    speed_mm_s: f64,
+    force_n: f64,
+    temperature_c: f64,
+    referenced: bool,
+    moving: bool,
+    fast_stop: bool,
+    part: Option<Part>,
+    obstacle_mm: Option<f64>,
+    connected: bool,
+    booting: bool,
+    silent: bool,
+    half_open: bool,
+    received_frames: u64,
+    damaged_requests: u64,
+}
+
+impl Shown {
+    fn new(served: &Served, snapshot: &Snapshot) -> Self {
+        Self {
+            address: served.address.to_string(),
+            model: served.model,
+            state: snapshot.gripper_state.name(),
+            flags: snapshot.flags.names().collect(),
+            true_width_mm: snapshot.true_width_mm,
+            speed_mm_s: snapshot.speed_mm_s,
+            force_n: snapshot.force_n,
+            temperature_c: snapshot.temperature_c,
+            referenced: snapshot.referenced,
+            moving: snapshot.moving,
+            fast_stop: snapshot.fast_stop,
+            part: snapshot.part,
+            obstacle_mm: snapshot.obstacle_mm,
+            connected: snapshot.connected,
+            booting: snapshot.booting,
+            silent: snapshot.silent,
+            half_open: snapshot.half_open,
+            received_frames: snapshot.received_frames,
+            damaged_requests: snapshot.damaged_requests,
+        }
+    }
+}
+
+type Devices = State<Arc<Vec<Served>>>;
+type Refusal = (StatusCode, String);
+
+/// Listens, on a loopback address: there are no credentials.
+pub(super) async fn listen(address: SocketAddr) -> anyhow::Result<TcpListener> {
+    ensure!(address.ip().is_loopback(), "--control {address}: it has no credentials, so it must be a loopback address");
+    let listener = TcpListener::bind(address).await;
+    listener.with_context(|| format!("--control: cannot listen on {address}, choose another port"))
+}
+
+/// Serves until it is cancelled.
+pub(super) async fn serve(listener: TcpListener, devices: Vec<Served>) -> anyhow::Result<()> {
+    let router = Router::new()
+        .route("/devices", get(show_all))
+        .route("/devices/{index}", get(show).post(change))
+        .with_state(Arc::new(devices));
+    Ok(axum::serve(listener, router).await?)
+}
+
+async fn show_all(State(devices): Devices) -> Result<Json<Vec<Shown>>, Refusal> {
+    let mut all = Vec::new();
+    for served in devices.iter() {
+        all.push(shown(served).await?);
+    }
+    Ok(Json(all))
+}
+
+async fn show(State(devices): Devices, Path(index): Path<usize>) -> Result<Json<Shown>, Refusal> {
+    shown(find(&devices, index)?).await.map(Json)
+}
+
+/// Any content type will do: it is typed by hand.
+async fn change(State(devices): Devices, Path(index): Path<usize>, body: Bytes) -> Result<Json<Shown>, Refusal> {
+    let served = find(&devices, index)?;
+    let change: Change = serde_json::from_slice(&body).map_err(|error| {
+        (StatusCode::BAD_REQUEST, format!("{error}: write it as {{\"silent\": {{\"on\": true}}}}\n"))
+    })?;
+    served.switch.apply(change).await.map_err(gone)?;
+    shown(served).await.map(Json)
+}
+
+fn find(devices: &[Served], index: usize) -> Result<&Served, Refusal> {
+    let there_are = || format!("there is no device {index}; there are {}, counted from 0\n", devices.len());
+    devices.get(index).ok_or_else(|| (StatusCode::NOT_FOUND, there_are()))
+}
+
+async fn shown(served: &Served) -> Result<Shown, Refusal> {
+    Ok(Shown::new(served, &served.switch.snapshot().await.map_err(gone)?))
+}
+
+#[allow(clippy::needless_pass_by_value, reason = "for map_err")]
+fn gone(error: std::io::Error) -> Refusal {
+    (StatusCode::SERVICE_UNAVAILABLE, format!("{error}\n"))
+}

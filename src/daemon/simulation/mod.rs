@@ -1,0 +1,138 @@
+//! Simulated devices, pumped: over a pipe in this process for `sim://`, over every transport for `wsg-gateway sim`.
+//!
+//! A `wire` is the device's end of a transport; the `pump` runs a device over it, and does what its [`Switch`] says;
+//! `control` has the switches of all of them, over HTTP.
+
+mod control;
+mod pty;
+mod pump;
+mod serve;
+mod udp;
+mod wire;
+
+use std::future::Future;
+use std::io;
+use std::pin::Pin;
+use std::time::Duration;
+
+use tokio::sync::mpsc;
+use url::Url;
+
+use crate::gripper::{Connector, clock};
+use crate::sim::{Device, DeviceConfig, Part};
+use crate::transport::{Pipe, Traits};
+pub use pump::Switch;
+pub use serve::{Served, serve, serve_simulated};
+use wire::Wire;
+
+/// What is in flight in one direction of a pipe in this process: about what a socket would hold of small frames.
+const PIPE_BYTES: usize = 4096;
+
+/// The models, as URLs name them.
+const MODELS: &str = "wsg25, wsg32, wsg50, wsg70";
+
+/// What a pipe in this process means for the protocol: it stands for a device on TCP.
+const TRAITS: Traits =
+    Traits { name: "sim", connection_oriented: true, bytes_per_second: None, frame_gap: Duration::from_millis(500) };
+
+/// A device to simulate: `sim://wsg50?part_mm=20`.
+#[derive(Debug, Clone)]
+pub struct SimulatedDevice(DeviceConfig);
+
+impl SimulatedDevice {
+    /// Of a model, with what options its URL has: `part_mm`, the width of a part in reach; `firmware`, `fw2` or `fw4`;
+    /// `serial_number`.
+    ///
+    /// # Errors
+    /// What is wrong with the URL, and what is allowed.
+    pub fn from_url(url: &Url) -> Result<Self, String> {
+        let model = url.host_str().unwrap_or_default();
+        let mut device = Self::of_model(model).map_err(|error| format!("{url}: {error}"))?;
+        for (option, value) in url.query_pairs() {
+            device = device.with(&option, &value).map_err(|error| format!("{url}: {error}"))?;
+        }
+        Ok(device)
+    }
+
+    /// Of a model, without a part.
+    ///
+    /// # Errors
+    /// Which models there are.
+    pub fn of_model(model: &str) -> Result<Self, String> {
+        let config = DeviceConfig::from_model(model);
+        config.map(Self).ok_or_else(|| format!("there is no model {model:?}; there are {MODELS}"))
+    }
+
+    /// Built and set up like this.
+    #[must_use]
+    pub const fn new(config: DeviceConfig) -> Self {
+        Self(config)
+    }
+
+    /// With one option more.
+    ///
+    /// # Errors
+    /// Which options there are, and what they may be.
+    pub fn with(mut self, option: &str, value: &str) -> Result<Self, String> {
+        let stroke_mm = f64::from(self.0.limits.stroke.mm());
+        match option {
+            "part_mm" => {
+                let fits = |mm: &f64| (0.0..=stroke_mm).contains(mm);
+                let width_mm = value.parse().ok().filter(fits);
+                let width_mm = width_mm.ok_or_else(|| format!("part_mm={value} must be from 0 to {stroke_mm}"))?;
+                self.0 = self.0.with_part(Part::outside(width_mm));
+            }
+            "firmware" => match value {
+                "fw2" => self.0 = self.0.fw2(),
+                "fw4" => {}
+                _ => return Err(format!("firmware={value} must be fw2 or fw4")),
+            },
+            "serial_number" => {
+                let wrong = |error| format!("serial_number={value}: {error}");
+                self.0.serial_number = value.parse().map_err(wrong)?;
+            }
+            _ => return Err(format!("there is no option {option}; there are part_mm, firmware, serial_number")),
+        }
+        Ok(self)
+    }
+
+    /// Switches it on in this process, on the current runtime.
+    pub(super) fn start(self, url: &str) -> InProcess {
+        let (pipes, queue) = mpsc::channel(1);
+        let switch = pump::start(Device::new(self.0, clock::instant()), Wire::InProcess(queue));
+        InProcess { url: url.to_owned(), pipes, _switch: switch }
+    }
+
+    /// The same, with another serial number: two devices are told apart by it.
+    fn numbered(mut self, index: usize) -> Self {
+        self.0.serial_number = self.0.serial_number.wrapping_add(index as u32);
+        self
+    }
+}
+
+/// Connects to a simulated device in this process.
+#[derive(Debug)]
+pub(super) struct InProcess {
+    url: String,
+    pipes: mpsc::Sender<Pipe>,
+    /// Keeps it switched on.
+    _switch: Switch,
+}
+
+impl Connector for InProcess {
+    fn url(&self) -> String {
+        self.url.clone()
+    }
+
+    fn traits(&self) -> Traits {
+        TRAITS
+    }
+
+    fn connect(&self) -> Pin<Box<dyn Future<Output = io::Result<Pipe>> + Send + '_>> {
+        Box::pin(async {
+            let (ours, theirs) = tokio::io::duplex(PIPE_BYTES);
+            self.pipes.send(wire::pipe(theirs)).await.map_err(|_| io::ErrorKind::ConnectionRefused)?;
+            Ok(wire::pipe(ours))
+        })
+    }
+}

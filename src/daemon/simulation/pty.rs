@@ -1,0 +1,172 @@
+//! The device's end of a serial line: a pty, whose bytes are paced here, since a pty itself has no speed.
+
+use std::fs;
+use std::io;
+use std::os::fd::OwnedFd;
+use std::path::PathBuf;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::task::{Context, Poll, ready};
+use std::time::Duration;
+
+use anyhow::{Context as _, ensure};
+use rustix::fs::{Mode, OFlags, fcntl_setfl, open};
+use rustix::io::{Errno, ioctl_fionread, read, write};
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use rustix::termios::{OptionalActions, QueueSelector, ioctl_tiocnxcl, tcflush, tcgetattr, tcsetattr};
+use tokio::io::unix::AsyncFd;
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::time::{Interval, interval};
+use url::Url;
+
+use crate::transport::{Options, Pacer, Pipe, SerialAddress};
+
+const DEFAULT_BAUD: u32 = 115_200;
+
+/// So many bytes that nobody reads are given up together, as a real port loses what comes while it is closed.
+const OVERRUN_BYTES: u64 = 2048;
+
+/// How often the port is opened to others again: a client that was killed leaves it closed to them.
+const FREE_EVERY: Duration = Duration::from_millis(500);
+
+/// Where ptys come from, one at a time: an adapter that is pulled and comes back is another pty under the same link.
+pub(super) struct Socket {
+    baud: u32,
+    link: Option<PathBuf>,
+    /// What the next client gets.
+    next: Option<Pty>,
+    /// The name of the newest.
+    name: String,
+}
+
+impl Socket {
+    /// `serial://pty?baud=115200&link=/tmp/gripper`
+    pub(super) fn new(url: &Url) -> anyhow::Result<Self> {
+        ensure!(url.host_str() == Some("pty"), "a simulated device is at the other end: write serial://pty");
+        let options = Options::of(url, &["baud", "link"]).map_err(anyhow::Error::msg)?;
+        let baud = options.number("baud", 1200..=460_800).map_err(anyhow::Error::msg)?.unwrap_or(DEFAULT_BAUD);
+        let link = options.text("link").map(PathBuf::from);
+        let mut socket = Self { baud, link, next: None, name: String::new() };
+        socket.make()?;
+        Ok(socket)
+    }
+
+    pub(super) fn address(&self) -> SerialAddress {
+        let path = self.link.as_ref().map_or_else(|| self.name.clone(), |link| link.display().to_string());
+        SerialAddress { path, baud: self.baud, stop_bits: 1 }
+    }
+
+    pub(super) fn open(&mut self) -> io::Result<Pipe> {
+        if self.next.is_none() {
+            self.make().map_err(io::Error::other)?;
+        }
+        let pty = Arc::new(self.next.take().ok_or(io::ErrorKind::NotFound)?);
+        let pacer = Pacer::new(self.address().bytes_per_second());
+        let reader = Reader { pty: pty.clone(), free: interval(FREE_EVERY) };
+        Ok(Pipe { reader: Box::new(reader), writer: Box::new(Writer { pty, pacer }) })
+    }
+
+    fn make(&mut self) -> anyhow::Result<()> {
+        let (pty, name) = Pty::new().context("no pty can be had")?;
+        if let Some(link) = &self.link {
+            if link.is_symlink() {
+                fs::remove_file(link)?;
+            }
+            std::os::unix::fs::symlink(&name, link).with_context(|| format!("no link at {}", link.display()))?;
+        }
+        (self.next, self.name) = (Some(pty), name);
+        Ok(())
+    }
+}
+
+impl Drop for Socket {
+    fn drop(&mut self) {
+        if let Some(link) = self.link.as_ref().filter(|link| link.is_symlink()) {
+            let _ = fs::remove_file(link);
+        }
+    }
+}
+
+struct Pty {
+    master: AsyncFd<OwnedFd>,
+    /// Held open, so that the master outlives its clients, and nothing is echoed before they set it up.
+    slave: OwnedFd,
+}
+
+impl Pty {
+    fn new() -> io::Result<(Self, String)> {
+        let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC)?;
+        grantpt(&master)?;
+        unlockpt(&master)?;
+        fcntl_setfl(&master, OFlags::NONBLOCK)?;
+        let name = ptsname(&master, Vec::new())?;
+        let slave = open(&name, OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC, Mode::empty())?;
+        let mut settings = tcgetattr(&slave)?;
+        settings.make_raw();
+        tcsetattr(&slave, OptionalActions::Now, &settings)?;
+        let name = name.into_string().map_err(io::Error::other)?;
+        // The replacement is `unsafe` for those who replace or close the descriptor, which nobody can here.
+        #[allow(deprecated, reason = "there is no safe replacement")]
+        let master = AsyncFd::new(master)?;
+        Ok((Self { master, slave }, name))
+    }
+
+    /// Whether so much waits that nobody can be reading.
+    fn is_overrun(&self) -> bool {
+        ioctl_fionread(&self.slave).is_ok_and(|waiting| waiting >= OVERRUN_BYTES)
+    }
+}
+
+struct Reader {
+    pty: Arc<Pty>,
+    free: Interval,
+}
+
+impl AsyncRead for Reader {
+    fn poll_read(self: Pin<&mut Self>, cx: &mut Context<'_>, out: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
+        let this = self.get_mut();
+        while this.free.poll_tick(cx).is_ready() {
+            // Two clients at once are kept apart by their file locks all the same.
+            let _ = ioctl_tiocnxcl(&this.pty.slave);
+        }
+        loop {
+            let mut ready = ready!(this.pty.master.poll_read_ready(cx))?;
+            let unfilled = out.initialize_unfilled();
+            match ready.try_io(|master| read(master, &mut *unfilled).map_err(io::Error::from)) {
+                Ok(Ok(bytes)) => {
+                    out.advance(bytes);
+                    return Poll::Ready(Ok(()));
+                }
+                Ok(Err(error)) => return Poll::Ready(Err(error)),
+                Err(_would_block) => {}
+            }
+        }
+    }
+}
+
+struct Writer {
+    pty: Arc<Pty>,
+    pacer: Pacer,
+}
+
+impl AsyncWrite for Writer {
+    /// Never waits for a client: a line doesn't.
+    fn poll_write(mut self: Pin<&mut Self>, _cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
+        self.pacer.wrote(bytes.len());
+        if self.pty.is_overrun() {
+            let _ = tcflush(&self.pty.slave, QueueSelector::IFlush);
+        }
+        match write(self.pty.master.get_ref(), bytes) {
+            Ok(_) | Err(Errno::AGAIN) => Poll::Ready(Ok(bytes.len())),
+            Err(error) => Poll::Ready(Err(error.into())),
+        }
+    }
+
+    fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        self.pacer.poll_free(cx).map(Ok)
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, _cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+}

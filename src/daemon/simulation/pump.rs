@@ -1,0 +1,232 @@
+//! The pump: a device, its wire, and the time.
+
+use std::io;
+
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::sync::{mpsc, oneshot};
+
+use super::wire::Wire;
+use crate::gripper::clock;
+use crate::sim::{Change, Device, Interface, LinkAction, ReceivedFrame, Snapshot};
+use crate::transport::Pipe;
+
+/// What is read at once.
+const READ_BYTES: usize = 4096;
+
+/// Orders that may wait: each is done at once, so nobody waits long.
+const MAX_WAITING_ORDERS: usize = 16;
+
+/// What a device can be asked besides its protocol.
+enum Order {
+    Apply(Change, oneshot::Sender<()>),
+    Look(oneshot::Sender<(Snapshot, Vec<ReceivedFrame>)>),
+}
+
+/// The switch of a simulated device: makes things happen to it, and shows what it is really like. Without any, the
+/// device is switched off.
+#[derive(Debug, Clone)]
+pub struct Switch(mpsc::Sender<Order>);
+
+impl std::fmt::Debug for Order {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Apply(..) => "Apply",
+            Self::Look(_) => "Look",
+        })
+    }
+}
+
+impl Switch {
+    /// Lets something happen. Without a connection that could be cut, [`Change::CutConnection`] pulls the wire: the pty
+    /// ends and another one comes, unless connections are refused.
+    ///
+    /// # Errors
+    /// The device is gone.
+    pub async fn apply(&self, change: Change) -> io::Result<()> {
+        let (done, wait) = oneshot::channel();
+        self.order(Order::Apply(change, done), wait).await
+    }
+
+    /// Everything about it at this moment.
+    ///
+    /// # Errors
+    /// The device is gone.
+    pub async fn snapshot(&self) -> io::Result<Snapshot> {
+        Ok(self.look().await?.0)
+    }
+
+    /// The newest frames that it received, the oldest first.
+    ///
+    /// # Errors
+    /// The device is gone.
+    pub async fn received(&self) -> io::Result<Vec<ReceivedFrame>> {
+        Ok(self.look().await?.1)
+    }
+
+    async fn look(&self) -> io::Result<(Snapshot, Vec<ReceivedFrame>)> {
+        let (shown, wait) = oneshot::channel();
+        self.order(Order::Look(shown), wait).await
+    }
+
+    async fn order<T>(&self, order: Order, wait: oneshot::Receiver<T>) -> io::Result<T> {
+        let gone = || io::Error::new(io::ErrorKind::BrokenPipe, "the simulated device is gone");
+        self.0.send(order).await.map_err(|_| gone())?;
+        wait.await.map_err(|_| gone())
+    }
+}
+
+/// Switches a device on, on the current runtime.
+pub(super) fn start(device: Device, wire: Wire) -> Switch {
+    let (switch, orders) = mpsc::channel(MAX_WAITING_ORDERS);
+    tokio::spawn(Pump { device, wire, orders, connection: None }.run());
+    Switch(switch)
+}
+
+struct Pump {
+    device: Device,
+    wire: Wire,
+    orders: mpsc::Receiver<Order>,
+    connection: Option<Connection>,
+}
+
+/// A pipe with what is on its way through it.
+struct Connection {
+    pipe: Pipe,
+    outgoing: Vec<u8>,
+    written: usize,
+    /// Whether all of it was written, and the wire is still busy with it.
+    is_leaving: bool,
+    incoming: Vec<u8>,
+}
+
+/// What a wait has brought.
+enum Input {
+    Written(io::Result<()>),
+    Read(io::Result<usize>),
+    Deadline,
+    Next(Option<Pipe>),
+    Order(Option<Order>),
+}
+
+impl Connection {
+    fn new(pipe: Pipe) -> Self {
+        Self { pipe, outgoing: Vec::new(), written: 0, is_leaving: false, incoming: vec![0; READ_BYTES] }
+    }
+
+    fn is_written(&self) -> bool {
+        self.written == self.outgoing.len() && !self.is_leaving
+    }
+
+    fn refill(&mut self, device: &mut Device) {
+        self.outgoing.clear();
+        self.written = 0;
+        self.is_leaving = device.poll_transmit(&mut self.outgoing) && !self.outgoing.is_empty();
+    }
+
+    /// Whatever of both comes first. Cancelled without loss.
+    async fn transfer(&mut self) -> Input {
+        let is_writing = !self.is_written();
+        let Self { pipe, outgoing, written, is_leaving, incoming } = self;
+        tokio::select! {
+            biased;
+            done = async {
+                if *written == outgoing.len() {
+                    pipe.writer.flush().await?;
+                    *is_leaving = false;
+                    return Ok(());
+                }
+                match pipe.writer.write(&outgoing[*written..]).await? {
+                    0 => return Err(io::ErrorKind::WriteZero.into()),
+                    bytes => *written += bytes,
+                }
+                Ok(())
+            }, if is_writing => Input::Written(done),
+            read = pipe.reader.read(incoming) => Input::Read(read),
+        }
+    }
+}
+
+impl Pump {
+    /// Runs until nobody has its switch, or no connection can come any more. One connection at a time: a second client
+    /// is turned away, as a device does.
+    async fn run(mut self) {
+        loop {
+            self.transmit();
+            match self.wait().await {
+                Input::Read(Ok(bytes)) if bytes > 0 => {
+                    if let Some(connection) = &self.connection {
+                        self.device.receive(clock::instant(), &connection.incoming[..bytes]);
+                    }
+                }
+                Input::Written(Err(_)) | Input::Read(_) => self.hang_up(),
+                Input::Deadline => self.device.handle_timeout(clock::instant()),
+                Input::Next(Some(pipe)) => self.connect(pipe),
+                Input::Order(Some(order)) => self.obey(order),
+                Input::Next(None) if self.connection.is_none() => return,
+                Input::Order(None) => return,
+                Input::Written(Ok(())) | Input::Next(None) => {}
+            }
+        }
+    }
+
+    fn transmit(&mut self) {
+        match &mut self.connection {
+            Some(connection) if connection.is_written() => connection.refill(&mut self.device),
+            Some(_) => {}
+            // Nobody is on the wire: what is sent is lost.
+            None => while self.device.poll_transmit(&mut Vec::new()) {},
+        }
+        let all_written = self.connection.as_ref().is_none_or(Connection::is_written);
+        if all_written && self.device.poll_link() == Some(LinkAction::Drop) {
+            self.hang_up();
+        }
+    }
+
+    async fn wait(&mut self) -> Input {
+        let connections = self.wire.interface() == Interface::Tcp;
+        let listens = connections || (self.connection.is_none() && self.device.accepts_connections());
+        let deadline = self.device.poll_timeout();
+        let connection = &mut self.connection;
+        tokio::select! {
+            biased;
+            input = async {
+                match connection {
+                    Some(connection) => connection.transfer().await,
+                    None => std::future::pending().await,
+                }
+            } => input,
+            () = clock::sleep_until(deadline) => Input::Deadline,
+            order = self.orders.recv() => Input::Order(order),
+            next = self.wire.next(), if listens => Input::Next(next),
+        }
+    }
+
+    fn connect(&mut self, pipe: Pipe) {
+        let is_free = self.connection.is_none();
+        if is_free && self.device.connect(clock::instant(), self.wire.interface()) {
+            self.connection = Some(Connection::new(pipe));
+        }
+    }
+
+    fn hang_up(&mut self) {
+        self.connection = None;
+        self.device.disconnect(clock::instant());
+    }
+
+    fn obey(&mut self, order: Order) {
+        match order {
+            Order::Apply(change, done) => {
+                tracing::info!(?change, "happens to the device");
+                if change == Change::CutConnection && self.wire.interface() != Interface::Tcp {
+                    self.connection = None;
+                }
+                self.device.apply(clock::instant(), change);
+                let _ = done.send(());
+            }
+            Order::Look(shown) => {
+                self.device.handle_timeout(clock::instant());
+                let _ = shown.send((self.device.snapshot(), self.device.received().to_vec()));
+            }
+        }
+    }
+}

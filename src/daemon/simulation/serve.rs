@@ -1,0 +1,62 @@
+//! `wsg-gateway sim`.
+
+use std::net::SocketAddr;
+
+use anyhow::Context as _;
+use url::Url;
+
+use super::wire::Wire;
+use super::{SimulatedDevice, Switch, control, pump};
+use crate::gripper::clock;
+use crate::sim::Device;
+use crate::transport::Address;
+
+/// A simulated device that is served.
+#[derive(Debug, Clone)]
+pub struct Served {
+    /// Where a gateway finds it.
+    pub address: Address,
+    /// What it is, as people call it.
+    pub model: &'static str,
+    /// What happens to it. When the last copy is dropped, it is switched off.
+    pub switch: Switch,
+}
+
+/// Serves a simulated device, on the current runtime: on `tcp://127.0.0.1:1000`, `udp://127.0.0.1:1500?reply_port=1501`,
+/// `serial://pty?baud=115200&link=/tmp/gripper`, or `can://vcan0?rx=0x64&tx=0x65`, where rx is what the device listens to.
+///
+/// # Errors
+/// Where the URL can't be served: what is wrong with it, and what is allowed.
+pub async fn serve(url: &Url, device: SimulatedDevice) -> anyhow::Result<Served> {
+    let wire = Wire::new(url).await?;
+    let address = wire.address()?.with_context(|| format!("{url} has no address"))?;
+    let model = device.0.model.name();
+    let switch = pump::start(Device::new(device.0, clock::instant()), wire);
+    Ok(Served { address, model, switch })
+}
+
+/// Serves a simulated device on each of these URLs, and their faults on the control port, and says on standard output
+/// where, until it is cancelled.
+///
+/// # Errors
+/// Where a URL can't be served: which, and why.
+pub async fn serve_simulated(
+    urls: &[Url],
+    device: &SimulatedDevice,
+    control: Option<SocketAddr>,
+) -> anyhow::Result<()> {
+    let mut devices = Vec::new();
+    for (index, url) in urls.iter().enumerate() {
+        let served = serve(url, device.clone().numbered(index)).await?;
+        println!("a simulated {} at {}", served.model, served.address);
+        devices.push(served);
+    }
+    match control {
+        Some(address) => {
+            let listener = control::listen(address).await?;
+            println!("their faults at http://{}/devices", listener.local_addr()?);
+            control::serve(listener, devices).await
+        }
+        None => std::future::pending().await,
+    }
+}

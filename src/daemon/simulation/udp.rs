@@ -1,0 +1,95 @@
+//! The device's end of UDP: it answers to a configured port of whoever sent last, whatever the sender's port was (field
+//! practice).
+
+use std::io;
+use std::net::SocketAddr;
+use std::pin::Pin;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::task::{Context, Poll, ready};
+
+use anyhow::Context as _;
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::net::UdpSocket;
+use url::Url;
+
+use crate::transport::{Options, Pipe, UdpAddress};
+
+/// The port that devices listen on, and the one that they answer to (field practice).
+const DEFAULT_PORT: u16 = 1500;
+const DEFAULT_REPLY_PORT: u16 = 1501;
+
+/// Where the device listens.
+pub(super) struct Endpoint {
+    socket: Arc<UdpSocket>,
+    reply_port: u16,
+}
+
+impl Endpoint {
+    /// `udp://127.0.0.1:1500?reply_port=1501`
+    pub(super) async fn new(url: &Url) -> anyhow::Result<Self> {
+        let options = Options::of(url, &["reply_port"]).map_err(anyhow::Error::msg)?;
+        let reply_port = options.port("reply_port").map_err(anyhow::Error::msg)?.unwrap_or(DEFAULT_REPLY_PORT);
+        let host = url.host_str().unwrap_or_default().trim_start_matches('[').trim_end_matches(']');
+        let socket = UdpSocket::bind((host, url.port().unwrap_or(DEFAULT_PORT))).await.context("cannot listen")?;
+        Ok(Self { socket: Arc::new(socket), reply_port })
+    }
+
+    pub(super) fn address(&self) -> io::Result<UdpAddress> {
+        let address = self.socket.local_addr()?;
+        Ok(UdpAddress { host: address.ip().to_string(), port: address.port(), local_port: self.reply_port })
+    }
+
+    pub(super) fn open(&self) -> Pipe {
+        let client = Arc::new(Mutex::new(None));
+        let reader = Receiver { socket: self.socket.clone(), client: client.clone(), reply_port: self.reply_port };
+        Pipe { reader: Box::new(reader), writer: Box::new(Sender { socket: self.socket.clone(), client }) }
+    }
+}
+
+/// Where the newest request came from, with the port that answers go to.
+type Client = Arc<Mutex<Option<SocketAddr>>>;
+
+struct Receiver {
+    socket: Arc<UdpSocket>,
+    client: Client,
+    reply_port: u16,
+}
+
+impl AsyncRead for Receiver {
+    fn poll_read(self: Pin<&mut Self>, cx: &mut Context<'_>, out: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
+        loop {
+            let before = out.filled().len();
+            let sender = ready!(self.socket.poll_recv_from(cx, out))?;
+            let client = SocketAddr::new(sender.ip(), self.reply_port);
+            *self.client.lock().unwrap_or_else(PoisonError::into_inner) = Some(client);
+            // An empty datagram is no end of file.
+            if out.filled().len() > before {
+                return Poll::Ready(Ok(()));
+            }
+        }
+    }
+}
+
+struct Sender {
+    socket: Arc<UdpSocket>,
+    client: Client,
+}
+
+impl AsyncWrite for Sender {
+    fn poll_write(self: Pin<&mut Self>, cx: &mut Context<'_>, frame: &[u8]) -> Poll<io::Result<usize>> {
+        let client = *self.client.lock().unwrap_or_else(PoisonError::into_inner);
+        match client {
+            Some(client) => self.socket.poll_send_to(cx, frame, client),
+            // Nobody has asked for it.
+            None => Poll::Ready(Ok(frame.len())),
+        }
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, _cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, _cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+}

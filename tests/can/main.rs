@@ -1,0 +1,149 @@
+//! The tests that need a real SocketCAN. Not a part of plain `cargo test`, so that a machine without CAN never counts
+//! them as passed: `WSG_TEST_CAN=vcan0 cargo test --test can -- --test-threads=1`, where `vcan0` is up and is theirs alone.
+//! The interface is taken down and up with `ip`, so that needs the privilege.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+
+#[path = "../suite/conformance/mod.rs"]
+mod conformance;
+#[path = "../suite/recordings/mod.rs"]
+#[allow(dead_code, reason = "the other transports' are for the other tests")]
+mod recordings;
+
+use std::process::Command as Process;
+use std::sync::atomic::{AtomicU16, Ordering};
+use std::time::Duration;
+
+use conformance::rig::{Rig, SOON};
+use socketcan::tokio::CanSocket;
+use socketcan::{CanErrorFrame, CanFrame, CanRemoteFrame, EmbeddedFrame, ExtendedId, StandardId};
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::time::{sleep, timeout};
+use wsg_gateway::gripper::model::Link;
+use wsg_gateway::transport::{Address, CanAddress};
+use wsg_gateway::wsg::{Command, Data, LoopData};
+
+fn interface() -> String {
+    std::env::var("WSG_TEST_CAN").expect("WSG_TEST_CAN has to name a CAN interface that is up, e.g. WSG_TEST_CAN=vcan0")
+}
+
+/// Each device has a pair of ids of its own.
+fn next_id() -> u16 {
+    static NEXT: AtomicU16 = AtomicU16::new(0x100);
+    NEXT.fetch_add(2, Ordering::Relaxed)
+}
+
+fn device() -> String {
+    let (interface, id) = (interface(), next_id());
+    format!("can://{interface}?rx={id}&tx={}", id + 1)
+}
+
+conformance!(on_can, crate::device());
+
+/// A transport, and a bare socket on the same bus.
+async fn pair() -> (wsg_gateway::transport::Pipe, CanSocket, CanAddress) {
+    let tx = next_id();
+    let address = CanAddress { interface: interface(), tx, rx: tx + 1, bitrate: 500_000 };
+    let bus = CanSocket::open(&address.interface).unwrap();
+    (Address::Can(address.clone()).connect().await.unwrap(), bus, address)
+}
+
+fn data_frame(id: u16, data: &[u8]) -> CanFrame {
+    CanFrame::new(StandardId::new(id).unwrap(), data).unwrap()
+}
+
+const STOP: [u8; 8] = [0xAA, 0xAA, 0xAA, 0x22, 0, 0, 0x0E, 0x76];
+
+#[tokio::test]
+async fn the_recorded_conversation_is_on_the_bus_frame_by_frame() {
+    let (mut pipe, bus, address) = pair().await;
+    for exchange in recordings::read("can") {
+        let id = |line: &str| if line == "064" { address.tx } else { address.rx };
+        for (n, request) in exchange.requests.iter().enumerate() {
+            if n == 0 {
+                pipe.writer.write_all(&exchange.request_bytes()).await.unwrap();
+                pipe.writer.flush().await.unwrap();
+            }
+            let frame = timeout(SOON, bus.read_frame()).await.unwrap().unwrap();
+            let (recorded_id, data) = recordings::can_frame(request);
+            assert_eq!(frame.id(), StandardId::new(id(recorded_id)).unwrap().into(), "{request}");
+            assert_eq!(frame.data(), data, "{request}");
+        }
+        for reply in &exchange.replies {
+            let (recorded_id, data) = recordings::can_frame(reply);
+            bus.write_frame(data_frame(id(recorded_id), &data)).await.unwrap();
+        }
+        let mut received = vec![0; exchange.reply_bytes().len()];
+        timeout(SOON, pipe.reader.read_exact(&mut received)).await.unwrap().unwrap();
+        assert_eq!(received, exchange.reply_bytes());
+    }
+}
+
+#[tokio::test]
+async fn other_ids_remote_frames_and_harmless_error_frames_are_not_heard() {
+    let (mut pipe, bus, address) = pair().await;
+    bus.write_frame(data_frame(address.rx + 1, &STOP)).await.unwrap();
+    let extended = ExtendedId::new(address.rx.into()).unwrap();
+    bus.write_frame(CanFrame::new(extended, &STOP).unwrap()).await.unwrap();
+    let remote = CanRemoteFrame::new_remote(StandardId::new(address.rx).unwrap(), 8).unwrap();
+    bus.write_frame(CanFrame::Remote(remote)).await.unwrap();
+    let harmless = CanErrorFrame::new_error(0x04, &[0, 0x04, 0, 0, 0, 0, 0, 0]).unwrap();
+    bus.write_frame(CanFrame::Error(harmless)).await.unwrap();
+    bus.write_frame(data_frame(address.rx, &STOP)).await.unwrap();
+    let mut received = [0; 64];
+    let bytes = timeout(SOON, pipe.reader.read(&mut received)).await.unwrap().unwrap();
+    assert_eq!(received[..bytes], STOP);
+}
+
+#[tokio::test]
+async fn bus_off_is_a_loss_that_recovers() {
+    let rig = Rig::homed(&device()).await;
+    let bus = CanSocket::open(&interface()).unwrap();
+    let bus_off = CanErrorFrame::new_error(0x40, &[0; 8]).unwrap();
+    bus.write_frame(CanFrame::Error(bus_off)).await.unwrap();
+    rig.until("lost", SOON, |state| state.link_cause.as_ref().is_some_and(|cause| cause.contains("bus-off"))).await;
+    rig.link(Link::Connected, SOON).await;
+    rig.drain().await;
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_interface_that_goes_down_is_a_loss_that_recovers() {
+    let rig = Rig::homed(&device()).await;
+    let set = |state| {
+        let done = Process::new("ip").args(["link", "set", &interface(), state]).status().expect("ip is there");
+        assert!(done.success(), "ip link set {} {state}", interface());
+    };
+    set("down");
+    rig.until("lost", SOON, |state| !matches!(state.link, Link::Connected | Link::Unresponsive)).await;
+    sleep(Duration::from_secs(1)).await;
+    let cause = rig.handle.state().link_cause.clone().unwrap_or_default();
+    set("up");
+    assert!(cause.contains("is down: bring it up"), "{cause}");
+    rig.link(Link::Connected, SOON).await;
+    rig.drain().await;
+}
+
+#[tokio::test]
+async fn a_lost_can_frame_costs_one_command_and_not_the_session() {
+    let (mut pipe, bus, address) = pair().await;
+    let long = Command::Loop(LoopData::new(vec![7; 40]).unwrap());
+    let mut frame = Vec::new();
+    long.encode(&mut frame);
+    // As a controller that drops one would have it: the second slice is missing.
+    for (n, slice) in wsg_gateway::transport::can::segment::slices(&frame).enumerate() {
+        if n != 1 {
+            bus.write_frame(data_frame(address.rx, slice)).await.unwrap();
+        }
+    }
+    bus.write_frame(data_frame(address.rx, &STOP)).await.unwrap();
+    let mut received = vec![0; frame.len() - 8 + STOP.len()];
+    timeout(SOON, pipe.reader.read_exact(&mut received)).await.unwrap().unwrap();
+    assert!(received.ends_with(&STOP), "the next frame is whole");
+    let rig = Rig::new(&device()).await;
+    for n in 0..20u8 {
+        let data = vec![n; 40];
+        let echo = rig.exchange(Command::Loop(LoopData::new(data.clone()).unwrap())).await.unwrap();
+        assert_eq!(echo, Data::Loop(data));
+    }
+    rig.drain().await;
+}

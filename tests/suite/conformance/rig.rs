@@ -1,0 +1,120 @@
+//! A gripper and its simulated device, with a real transport between them.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use wsg_gateway::daemon::{Served, SimulatedDevice, Switch, serve_device};
+use wsg_gateway::gripper::model::{Action, Client, Command, Door, Link, Motion, Outcome, State, Submission};
+use wsg_gateway::gripper::{self, Connector, Handle, Rejection, Ticket};
+use wsg_gateway::sim::{Change, DeviceConfig, FingerConfig, Part, Script, ScriptAnswer};
+use wsg_gateway::wsg::{self, Data, HomingDirection, MoveFlags, Speed, Width};
+
+/// How long anything may take that is not a motion; far more than it does.
+pub const SOON: Duration = Duration::from_secs(5);
+
+pub struct Rig {
+    pub handle: Handle,
+    pub switch: Switch,
+    pub is_tcp: bool,
+}
+
+pub fn client() -> Client {
+    Client { subject: "test".into(), door: Door::Http }
+}
+
+/// A device that knows every command.
+pub fn device() -> DeviceConfig {
+    let mut device = DeviceConfig::wsg50().with_part(Part::outside(20.0));
+    device.fingers = [FingerConfig::Fmf, FingerConfig::Generic];
+    // Not far from where homing ends.
+    device.start_width_mm = 100.0;
+    device.scripts.push(Script { id: 0xB0, answer: ScriptAnswer::Echo });
+    device
+}
+
+pub async fn served(url: &str) -> Served {
+    serve_device(&url.parse().unwrap(), SimulatedDevice::new(device())).await.unwrap()
+}
+
+/// A gripper at this address, which nobody has to be at.
+pub fn spawn(connector: impl Connector) -> Handle {
+    let config = gripper::actor::Config {
+        name: "g".parse().unwrap(),
+        url: connector.url(),
+        traits: connector.traits(),
+        read_ids: BTreeSet::from([0xB0]),
+        drain: Duration::from_secs(2),
+        seed: 1,
+    };
+    gripper::spawn(config, Arc::new(connector))
+}
+
+pub fn home() -> Motion {
+    Motion::Home(HomingDirection::Default)
+}
+
+pub fn move_to(mm: f32, mm_s: f32) -> Motion {
+    let flags = MoveFlags { relative: false, stop_on_block: true };
+    Motion::Move { flags, width: Width::new(mm).unwrap(), speed: Speed::new(mm_s).unwrap() }
+}
+
+impl Rig {
+    /// Connected, and not referenced.
+    pub async fn new(url: &str) -> Self {
+        let Served { address, switch, .. } = served(url).await;
+        let is_tcp = address.traits().connection_oriented;
+        let rig = Self { handle: spawn(address), switch, is_tcp };
+        rig.link(Link::Connected, SOON).await;
+        rig
+    }
+
+    /// Connected and referenced.
+    pub async fn homed(url: &str) -> Self {
+        let rig = Self::new(url).await;
+        assert_eq!(rig.run(home()).await.outcome, Some(Outcome::Success));
+        rig
+    }
+
+    pub async fn apply(&self, change: Change) {
+        self.switch.apply(change).await.unwrap();
+    }
+
+    /// Waits for a state.
+    pub async fn until(&self, what: &str, within: Duration, is_so: impl Fn(&State) -> bool) -> Duration {
+        let begun = Instant::now();
+        let mut states = self.handle.states();
+        let waited = tokio::time::timeout(within, states.wait_for(|state| is_so(state))).await;
+        assert!(waited.is_ok_and(|state| state.is_ok()), "{what}: not within {within:?}: {:#?}", self.handle.state());
+        begun.elapsed()
+    }
+
+    pub async fn link(&self, link: Link, within: Duration) -> Duration {
+        self.until(&format!("{link:?}"), within, |state| state.link == link).await
+    }
+
+    pub async fn submit(&self, action: Action) -> Result<Ticket, Rejection> {
+        self.handle.submit(Submission { client: client(), action, request_id: None, lease: None }).await
+    }
+
+    pub async fn start(&self, motion: Motion) -> Ticket {
+        self.submit(Action::Motion(motion)).await.unwrap()
+    }
+
+    pub async fn run(&self, motion: Motion) -> Command {
+        self.start(motion).await.wait(Duration::from_secs(30)).await
+    }
+
+    pub async fn exchange(&self, command: wsg::Command) -> Result<Data, Rejection> {
+        self.handle.exchange(command, client()).await
+    }
+
+    /// The ids of all that the device received.
+    pub async fn received(&self) -> Vec<u8> {
+        self.switch.received().await.unwrap().iter().map(|frame| frame.id).collect()
+    }
+
+    pub async fn drain(self) {
+        self.handle.drain().await;
+    }
+}

@@ -1,0 +1,28 @@
+//! The conformance suite on the transports that every machine has, and what is particular to each.
+
+use std::net::UdpSocket;
+
+use crate::conformance;
+
+/// A UDP port that is free at the moment.
+pub fn free_udp_port() -> u16 {
+    UdpSocket::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}
+
+fn tcp() -> String {
+    "tcp://127.0.0.1:0".to_owned()
+}
+
+fn udp() -> String {
+    format!("udp://127.0.0.1:0?reply_port={}", free_udp_port())
+}
+
+/// A pty under a name that stays, as a USB adapter's does.
+fn serial() -> String {
+    let link = std::env::temp_dir().join(format!("wsg-port-{}-{}", std::process::id(), free_udp_port()));
+    format!("serial://pty?link={}", link.display())
+}
+
+conformance!(on_tcp, crate::wires::tcp());
+conformance!(on_udp, crate::wires::udp());
+conformance!(on_serial, crate::wires::serial());
