@@ -46,7 +46,6 @@ async fn what_is_not_there_yet_is_refused_as_that() {
         &["--journal", "journal.db"],
         &["journal", "list"],
         &["token"],
-        &["sim", "udp://127.0.0.1:1500"],
     ] {
         let said = refused(arguments).await;
         assert!(said.contains("not supported yet"), "{arguments:?}: {said}");

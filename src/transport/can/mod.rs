@@ -49,8 +49,9 @@ const QUEUE_FULL: Duration = Duration::from_millis(1);
 /// An error frame's bit that says that the controller has left the bus (`CAN_ERR_BUSOFF`).
 const BUS_OFF: u32 = 0x40;
 
-/// An identifier's bits, with the flags of extended, remote and error frames, for a filter.
-const WHOLE_ID: u32 = 0xE000_07FF;
+/// An identifier's bits, with the flags of extended and remote frames, for a filter. The flag of error frames would make
+/// it a filter for those alone.
+const WHOLE_ID: u32 = 0xC000_07FF;
 
 /// A device on a CAN bus.
 #[derive(Debug, Clone, PartialEq, Eq)]
