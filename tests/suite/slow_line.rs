@@ -1,49 +1,63 @@
-//! A FAST STOP on a line of 9600 baud waits for one frame at most: counted on the bytes that the device received.
+//! A FAST STOP on a line of 9600 baud waits for one frame at most: counted on the bytes that were handed to the line
+//! before it, less those that the line has carried meanwhile.
 
 use std::time::{Duration, Instant};
 
 use wsg_gateway::gripper::model::{FastStopId, Reason};
-use wsg_gateway::wsg::{Command, LoopData, id};
+use wsg_gateway::sim::ReceivedFrame;
+use wsg_gateway::wsg::{Command, CustomCommand, id};
 
 use crate::conformance::rig::{Rig, SOON, client};
 
-/// The longest frame that is sent here: a Loop of 60 bytes.
-const LONGEST_BYTES: u32 = 68;
+/// The frames that are sent here: a script's command with 60 bytes.
+const PAYLOAD_BYTES: usize = 60;
+const FRAME_BYTES: usize = PAYLOAD_BYTES + 8;
 
-const BYTES_PER_SECOND: u32 = 960;
+const BYTES_PER_SECOND: f64 = 960.0;
 
 /// What the machine may add, with tests beside this one.
 const MACHINE: Duration = Duration::from_millis(60);
 
+fn line_time(bytes: usize) -> Duration {
+    Duration::from_secs_f64(bytes as f64 / BYTES_PER_SECOND)
+}
+
+/// When a real line would be through with these frames: a pty has no speed of its own, and shows them when they are
+/// handed to it.
+fn carried(frames: &[ReceivedFrame]) -> Option<Instant> {
+    frames.iter().fold(None, |free: Option<Instant>, frame| {
+        let begins = free.map_or(frame.at, |free| free.max(frame.at));
+        Some(begins + line_time(frame.payload.len() + 8))
+    })
+}
+
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_fast_stop_waits_for_one_frame_at_most() {
     let rig = Rig::new("serial://pty?baud=9600").await;
-    let flood: Vec<_> = (0..12)
-        .map(|n| {
+    // Each id may have one in flight, so these could all be on the line at once.
+    let flood: Vec<_> = (0xB0..=0xB7)
+        .map(|id| {
             let handle = rig.handle.clone();
-            let command =
-                if n % 2 == 0 { Command::Loop(LoopData::new(vec![n; 60]).unwrap()) } else { Command::GetAcceleration };
+            let command = Command::Custom(CustomCommand::new(id, vec![id; PAYLOAD_BYTES]).unwrap());
             tokio::spawn(async move { handle.exchange(command, client()).await })
         })
         .collect();
-    // While the first of them is on the line.
-    tokio::time::sleep(Duration::from_millis(20)).await;
+    // While one of them is on the line.
+    tokio::time::sleep(line_time(FRAME_BYTES) * 2).await;
     let asked = Instant::now();
     rig.handle.fast_stop(FastStopId::generate(), client(), Reason::truncated("now")).await;
     // What the device has to say first takes its time as well.
     rig.until("stopped", SOON, |state| state.latch.as_ref().is_some_and(|latch| latch.fast_stop_confirmed)).await;
+
     let received = rig.switch.received().await.unwrap();
-    let stop = received.iter().find(|frame| frame.id == id::FAST_STOP).unwrap();
-    // A pty has no speed of its own: the frame that was being written is with the device already, and the line is
-    // reckoned to be busy with it.
-    let between: usize = received
-        .iter()
-        .filter(|frame| frame.at > asked && frame.at < stop.at)
-        .map(|frame| frame.payload.len() + 8)
-        .sum();
-    assert!(between <= LONGEST_BYTES as usize, "{between} bytes went before it");
-    let line_time = Duration::from_secs(1) * LONGEST_BYTES / BYTES_PER_SECOND;
-    assert!(stop.at - asked < line_time + MACHINE, "it came after {:?}", stop.at - asked);
+    let stop = received.iter().position(|frame| frame.id == id::FAST_STOP).unwrap();
+    let (before, stop) = (&received[..stop], &received[stop]);
+    let handed_over_later: usize =
+        before.iter().filter(|frame| frame.at > asked).map(|frame| frame.payload.len() + 8).sum();
+    assert_eq!(handed_over_later, 0, "bytes that were handed over after it was asked for, and before it");
+    let starts = carried(before).map_or(stop.at, |free| free.max(stop.at));
+    let waited = starts.saturating_duration_since(asked);
+    assert!(waited <= line_time(FRAME_BYTES) + MACHINE, "it waited for {waited:?} of line time");
     for answered in flood {
         let _ = answered.await.unwrap();
     }

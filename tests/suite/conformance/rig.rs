@@ -1,6 +1,5 @@
 //! A gripper and its simulated device, with a real transport between them.
 
-use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -43,7 +42,7 @@ pub fn spawn(connector: impl Connector) -> Handle {
         name: "g".parse().unwrap(),
         url: connector.url(),
         traits: connector.traits(),
-        read_ids: BTreeSet::from([0xB0]),
+        read_ids: (0xB0..=0xB7).collect(),
         drain: Duration::from_secs(2),
         seed: 1,
     };
