@@ -4,7 +4,7 @@ mod decode;
 
 use std::ffi::OsString;
 use std::fs::File;
-use std::io::BufReader;
+use std::io::{BufReader, Write};
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
@@ -96,8 +96,8 @@ pub fn run() -> anyhow::Result<()> {
         }
         Some(Command::Check { flags }) => check(&flags),
         Some(Command::Openapi) => {
-            println!("{}", serde_json::to_string_pretty(&frontend::http::openapi())?);
-            Ok(())
+            let document = serde_json::to_string_pretty(&frontend::http::openapi())?;
+            quietly(writeln!(std::io::stdout(), "{document}"))
         }
         Some(Command::Decode { encode: Some(text), .. }) => {
             println!("{}", decode::encode(&text)?);
@@ -128,6 +128,14 @@ fn check(flags: &Flags) -> anyhow::Result<()> {
         config.listen
     );
     Ok(())
+}
+
+/// Whoever reads standard output may have enough of it: that is no error.
+fn quietly(written: std::io::Result<()>) -> anyhow::Result<()> {
+    match written {
+        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(error.into()),
+        _ => Ok(()),
+    }
 }
 
 fn not_yet(subcommand: &str) -> anyhow::Result<()> {

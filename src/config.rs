@@ -26,6 +26,9 @@ const DEFAULT_NAME: &str = "gateway";
 /// How long a running command may take to finish at the orderly end.
 const DEFAULT_DRAIN: Duration = Duration::from_secs(2);
 
+/// And at most: whoever ends the gateway waits for it.
+const LONGEST_DRAIN: Duration = Duration::from_mins(1);
+
 /// What is served when nothing is configured: two simulated grippers, a part in reach of one.
 const DEFAULT_GRIPPERS: [&str; 2] = ["left=sim://wsg50?part_mm=20", "right=sim://wsg50"];
 
@@ -183,7 +186,7 @@ impl Config {
             listen: parse_listen(&listen, insecure)?,
             hosts: content.map(|content| content.hosts.clone()).unwrap_or_default(),
             grippers: grippers(flags, file)?,
-            drain: content.and_then(|content| content.drain_ms).map_or(DEFAULT_DRAIN, Duration::from_millis),
+            drain: drain(file)?,
         };
         Ok(config)
     }
@@ -229,6 +232,18 @@ fn parse_listen(listen: &Placed<String>, insecure: bool) -> Result<SocketAddr, M
     Ok(address)
 }
 
+fn drain(file: Option<&File>) -> Result<Duration, Mistake> {
+    let Some((file, drain_ms)) = file.and_then(|file| Some((file, file.content.drain_ms.as_ref()?))) else {
+        return Ok(DEFAULT_DRAIN);
+    };
+    let drain = Duration::from_millis(*drain_ms.get_ref());
+    if drain > LONGEST_DRAIN {
+        let detail = format!("drain_ms is {}, and may be {} at most", drain.as_millis(), LONGEST_DRAIN.as_millis());
+        return Err(Mistake::at(&file.place(drain_ms.span().start), detail));
+    }
+    Ok(drain)
+}
+
 fn grippers(flags: &Flags, file: Option<&File>) -> Result<Vec<Gripper>, Mistake> {
     let by_text = |texts: &[String], place: Place| -> Result<Vec<Gripper>, Mistake> {
         texts.iter().map(|text| parse_gripper(text, &place)).collect()
@@ -242,6 +257,14 @@ fn grippers(flags: &Flags, file: Option<&File>) -> Result<Vec<Gripper>, Mistake>
     for gripper in &configured {
         if !names.insert(gripper.name.clone()) {
             let detail = format!("the name {:?} is given to two grippers: each needs its own", gripper.name.as_str());
+            return Err(Mistake::at(&gripper.place, detail));
+        }
+        let same = |other: &&Gripper| other.name != gripper.name && other.device == gripper.device;
+        if let (Device::At(address), Some(other)) = (&gripper.device, configured.iter().find(same)) {
+            let detail = format!(
+                "{} and {} are both at {address}: a device has one client, so give each gripper its own address",
+                gripper.name, other.name
+            );
             return Err(Mistake::at(&gripper.place, detail));
         }
     }
@@ -283,7 +306,7 @@ struct Content {
     insecure: bool,
     hosts: Vec<String>,
     journal: Option<Spanned<String>>,
-    drain_ms: Option<u64>,
+    drain_ms: Option<Spanned<u64>>,
     grippers: std::collections::BTreeMap<Spanned<String>, GripperContent>,
 }
 

@@ -41,6 +41,7 @@ fn a_mistake_in_a_file_is_named_with_its_line_and_remedy() {
     assert!(mistake("journal = \"/var/lib/j.db\"").contains(":memory:"));
     assert!(mistake("[grippers.g]\nurl = \"sim://wsg50\"\nread_ids = [256]").starts_with("gateway.toml:3: "));
     assert!(mistake("[grippers.g]\n").contains("missing field `url`"));
+    assert!(mistake("\ndrain_ms = 60001").starts_with("gateway.toml:2: drain_ms is 60001, and may be 60000 at most"));
 }
 
 #[test]
@@ -52,6 +53,8 @@ fn a_mistake_in_a_flag_is_named_with_its_remedy() {
     assert!(mistake(gripper("left=serial:///dev/ttyUSB0?baud=1")).contains("baud=1 must be one of 1200"));
     let twice = Flags { grippers: vec!["a=sim://wsg50".to_owned(); 2], ..flags() };
     assert!(mistake(twice).contains("two grippers"));
+    let shared = vec!["a=tcp://10.0.0.1".to_owned(), "b=tcp://10.0.0.1:1000".to_owned()];
+    assert!(mistake(Flags { grippers: shared, ..flags() }).contains("both at tcp://10.0.0.1:1000"));
     assert!(mistake(Flags { journal: Some("/tmp/x".to_owned()), ..flags() }).contains("not supported yet"));
     assert!(mistake(Flags { wsg_ports: vec!["left=127.0.0.1:1000".to_owned()], ..flags() }).contains("yet"));
     assert!(mistake(Flags { zenoh_listen: vec!["tcp/127.0.0.1:7447".to_owned()], ..flags() }).contains("yet"));

@@ -103,13 +103,15 @@ pub fn parse<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
     Ok(parsed)
 }
 
-/// The field that an error is about. The parser's path has none where the name itself is the mistake; its words do.
+/// The field that an error is about. The parser's path has none where the name itself is the mistake, whose words do, and a `?` where the JSON breaks off.
 fn field(path: &str, detail: &str) -> Option<String> {
     let named = ["missing field `", "unknown field `", "duplicate field `"]
         .iter()
         .find_map(|start| detail.strip_prefix(start)?.split_once('`'))
         .map(|(field, _)| field);
-    named.or((path != ".").then_some(path)).map(|field| field.chars().take(MAX_FIELD_CHARS).collect())
+    named
+        .or((!matches!(path, "." | "?") && !path.ends_with(".?")).then_some(path))
+        .map(|field| field.chars().take(MAX_FIELD_CHARS).collect())
 }
 
 /// How much of an unknown field's name is repeated to its sender.
@@ -162,6 +164,13 @@ mod tests {
         assert_eq!(problem(br#"{"relative": true}"#)["field"], "width_mm");
         assert_eq!(problem(br#"{"widht_mm": 20}"#)["field"], "widht_mm");
         assert_eq!(problem(br#"{"width_mm": 20, "width_mm": 30}"#)["field"], "width_mm");
+    }
+
+    #[test]
+    fn json_that_breaks_off_names_no_field() {
+        for body in [&br#"{"width_mm": 20"#[..], b"{", b"{\"width_mm\": 20,, \"relative\": true}"] {
+            assert_eq!(problem(body)["field"], Value::Null, "{}", String::from_utf8_lossy(body));
+        }
     }
 
     #[test]

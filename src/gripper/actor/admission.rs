@@ -22,11 +22,11 @@ impl Actor {
             return Ok(ticket);
         }
         self.book.check_room(now.instant, submission)?;
-        if submission.lease.is_some() {
-            return Err(Conflict::StaleLease.into());
-        }
         match &submission.action {
             Action::Motion(motion) => {
+                if submission.lease.is_some() {
+                    return Err(Conflict::StaleLease.into());
+                }
                 self.check_motion(motion)?;
                 let ticket = self.enter(now, id, submission);
                 self.running = Some(Running::new(id, motion.clone()));

@@ -42,9 +42,12 @@ impl Actor {
     pub fn link_down(&mut self, now: Now, cause: &str) {
         let unwritten = self.running.as_ref().and_then(super::Running::token).is_some_and(|token| self.withdraw(token));
         let mut session = self.session.take();
-        if session.is_some() {
+        if session.is_some() && self.close == Some(Close::Drained) {
+            tracing::info!(gripper = %self.config.name, "link closed");
+            self.unannounced = false;
+        } else if session.is_some() {
             tracing::warn!(gripper = %self.config.name, cause, "link lost");
-            self.unannounced = self.config.traits.connection_oriented && self.close != Some(Close::Drained);
+            self.unannounced = self.config.traits.connection_oriented;
         } else if self.link_cause.as_deref() != Some(cause) {
             tracing::warn!(gripper = %self.config.name, cause, "no link");
         }

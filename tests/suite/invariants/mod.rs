@@ -6,7 +6,7 @@ pub mod steps;
 use std::time::Duration;
 
 use wsg_gateway::gripper::handle::Request;
-use wsg_gateway::gripper::model::{Action, FastStopCause, Link, Outcome};
+use wsg_gateway::gripper::model::{Action, FastStopCause, Link, Outcome, Submission};
 use wsg_gateway::gripper::{Conflict, Failure, Rejection};
 use wsg_gateway::sim::{Change, FaultKind};
 use wsg_gateway::wsg::{self, Acceleration, Force, LoopData, Status, id};
@@ -431,4 +431,18 @@ fn a_cancelled_grip_leaves_its_force_limit_noted() {
     world.device.apply(world.now, Change::Reboot { ready_after_ms: 100, mid_frame: false });
     world.advance(Duration::from_secs(5));
     assert!((world.device.snapshot().force_limit_n - 20.0).abs() < 0.1);
+}
+
+#[test]
+fn a_stop_needs_no_lease_not_even_a_valid_one() {
+    let mut world = homed();
+    let running = start(&mut world, move_to(10.0, 20.0));
+    world.advance(Duration::from_millis(300));
+    let now = world.clock();
+    let id = world.ids.command_id(now.wall);
+    let submission =
+        Submission { client: client(), action: Action::Stop, request_id: None, lease: Some("old".to_owned()) };
+    let mut answered = request(&mut world, |answer| Request::Submit { submission, id, answer });
+    assert!(answered.try_recv().unwrap().is_ok());
+    assert_eq!(finish(&mut world, &running).outcome, Some(Outcome::Aborted));
 }
