@@ -67,7 +67,7 @@ impl Running {
 
     /// Whether it takes the fingers' reference away, for as long as it runs.
     pub(super) fn homes(&self) -> bool {
-        matches!(self.motion, Motion::Home(_))
+        matches!(self.motion, Motion::Home(_)) && !self.is_waiting()
     }
 
     /// Whether it has not been given to the device.

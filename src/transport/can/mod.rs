@@ -103,7 +103,8 @@ impl CanAddress {
         // Opening an interface that is down succeeds, and then nothing happens.
         if present::is_can(&self.interface) && !present::is_up(&self.interface) {
             let Self { interface, bitrate, .. } = self;
-            let remedy = format!("bring it up: sudo ip link set {interface} up type can bitrate {bitrate}");
+            let remedy =
+                format!("bring it up: sudo ip link set {interface} up type can bitrate {bitrate} restart-ms 100");
             return Err(io::Error::new(io::ErrorKind::NetworkDown, format!("{interface} is down: {remedy}")));
         }
         let id = StandardId::new(self.tx).ok_or(io::ErrorKind::InvalidInput)?;
