@@ -123,14 +123,14 @@ impl Decoder {
             match candidate {
                 Candidate::Oversized => {
                     self.counters.oversized += 1;
-                    self.skip(1);
+                    self.discard(1);
                 }
                 Candidate::Complete { id, end } => break (id, end),
             }
         };
         if self.evaluation == ChecksumEvaluation::On && crc::checksum(&self.buffer[self.start..end]) != 0 {
             self.counters.checksum_errors += 1;
-            self.skip(1);
+            self.discard(1);
             return Some(Decoded::Damaged { id });
         }
         if !self.in_sync {
@@ -160,7 +160,7 @@ impl Decoder {
     pub fn give_up_partial(&mut self) {
         if self.is_partial() {
             self.counters.cut_short += 1;
-            self.skip(1);
+            self.discard(1);
         }
     }
 
@@ -179,13 +179,13 @@ impl Decoder {
                 if matching == rest.len() {
                     return None;
                 }
-                self.skip(matching + 1);
+                self.discard(matching + 1);
                 continue;
             }
             let id = *rest.get(3)?;
             if id == PREAMBLE[0] {
                 // A fourth AAh: a run of them cannot be told from an id AAh, and the last three are the preamble.
-                self.skip(1);
+                self.discard(1);
                 continue;
             }
             let size = usize::from(u16::from_le_bytes([*rest.get(4)?, *rest.get(5)?]));
@@ -197,7 +197,7 @@ impl Decoder {
         }
     }
 
-    fn skip(&mut self, bytes: usize) {
+    fn discard(&mut self, bytes: usize) {
         self.start += bytes;
         self.in_sync = false;
         self.counters.skipped_bytes += bytes as u64;

@@ -101,7 +101,8 @@ mod tests {
         let cut = slices(&long).take(2);
         let bytes = reassembled(cut.chain([&STOP[..], &[0; 8], &STOP[..]]));
         assert!(bytes.windows(8).filter(|window| *window == STOP).count() >= 2, "{bytes:02X?}");
-        let lost_start = slices(&long).skip(1);
+        let mut lost_start = slices(&long);
+        lost_start.next();
         assert_eq!(reassembled(lost_start.chain([&STOP[..]])), STOP);
     }
 

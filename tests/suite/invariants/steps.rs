@@ -125,7 +125,7 @@ pub fn latch(world: &World) -> LatchFields {
 /// The ids of what the device has received since `from`, without updates, Loops and temperatures.
 pub fn received(world: &World, from: usize) -> Vec<u8> {
     let upkeep = [id::LOOP, id::GET_TEMPERATURE];
-    let ids = world.device.received().iter().map(|frame| frame.id).skip(from);
+    let ids = world.device.received()[from..].iter().map(|frame| frame.id);
     ids.filter(|id| !upkeep.contains(id) && !id::has_updates(*id)).collect()
 }
 
