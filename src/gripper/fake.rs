@@ -10,7 +10,7 @@ use super::error::Rejection;
 use super::handle::{FastStopRequest, Handle, Request, Ticket};
 use super::info::Info;
 use super::model::{
-    Command, CommandId, FastStopCause, FastStopId, LatchFields, Link, Name, Outcome, Phase, Reason, State, Submission,
+    Command, CommandId, FastStopCause, FastStopId, LatchFields, Name, Outcome, Phase, Reason, State, Submission,
 };
 use crate::wsg::{self, Data};
 
@@ -181,26 +181,5 @@ fn running(gripper: Name, id: CommandId, submission: &Submission) -> Command {
 }
 
 fn unheard(gripper: Name) -> State {
-    State {
-        gripper,
-        link: Link::Connecting,
-        link_cause: Some("not reached yet".to_owned()),
-        updated_at: None,
-        seq: 0,
-        state: None,
-        state_code: None,
-        flags: Vec::new(),
-        flags_raw: None,
-        referenced: None,
-        moving: None,
-        width_mm: None,
-        speed_mm_s: None,
-        force_n: None,
-        temperature_c: None,
-        fast_stop: None,
-        latch: None,
-        lease_holder: None,
-        lease_epoch: 0,
-        command: None,
-    }
+    State { link_cause: Some("not reached yet".to_owned()), ..State::unknown(gripper) }
 }

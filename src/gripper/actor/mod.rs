@@ -181,7 +181,7 @@ impl Actor {
             config.traits.connection_oriented,
         );
         let (info, info_watch) = watch::channel(Arc::new(info));
-        let (state, state_watch) = watch::channel(Arc::new(publish::unknown(config.name.clone())));
+        let (state, state_watch) = watch::channel(Arc::new(State::unknown(config.name.clone())));
         let actor = Self {
             ids: IdSource::new(config.seed),
             config,

@@ -2,35 +2,9 @@
 
 use std::sync::Arc;
 
-use super::super::model::{LatchFields, Link, Name, State};
+use super::super::model::{LatchFields, State};
 use super::Actor;
 use crate::wsg::SystemState;
-
-/// Of a gripper that was not reached yet.
-pub(super) fn unknown(gripper: Name) -> State {
-    State {
-        gripper,
-        link: Link::Connecting,
-        link_cause: None,
-        updated_at: None,
-        seq: 0,
-        state: None,
-        state_code: None,
-        flags: Vec::new(),
-        flags_raw: None,
-        referenced: None,
-        moving: None,
-        width_mm: None,
-        speed_mm_s: None,
-        force_n: None,
-        temperature_c: None,
-        fast_stop: None,
-        latch: None,
-        lease_holder: None,
-        lease_epoch: 0,
-        command: None,
-    }
-}
 
 impl Actor {
     /// Publishes the state if it has changed.

@@ -145,6 +145,35 @@ pub struct State {
     pub command: Option<CommandId>,
 }
 
+impl State {
+    /// Of a gripper that was not reached yet.
+    #[must_use]
+    pub fn unknown(gripper: Name) -> Self {
+        Self {
+            gripper,
+            link: Link::Connecting,
+            link_cause: None,
+            updated_at: None,
+            seq: 0,
+            state: None,
+            state_code: None,
+            flags: Vec::new(),
+            flags_raw: None,
+            referenced: None,
+            moving: None,
+            width_mm: None,
+            speed_mm_s: None,
+            force_n: None,
+            temperature_c: None,
+            fast_stop: None,
+            latch: None,
+            lease_holder: None,
+            lease_epoch: 0,
+            command: None,
+        }
+    }
+}
+
 /// What a [`State`] has in addition while a FAST STOP holds.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct LatchFields {
