@@ -156,7 +156,7 @@ fn key(submission: &Submission) -> Option<Key> {
 mod tests {
     use jiff::Timestamp;
 
-    use super::super::model::{Client, Door, IdSource, Kind};
+    use super::super::model::{Client, Door, IdSource};
     use super::*;
 
     fn submission(request_id: Option<&str>) -> Submission {
@@ -169,33 +169,16 @@ mod tests {
     #[derive(Default)]
     struct Ids(i64);
 
-    fn command(ids: &mut Ids) -> Command {
+    fn command(ids: &mut Ids, submission: &Submission) -> Command {
         ids.0 += 1;
-        Command {
-            id: IdSource::new(1).command_id(Timestamp::from_millisecond(ids.0).unwrap()),
-            gripper: "g".parse().unwrap(),
-            kind: Kind::Stop,
-            phase: Phase::Running,
-            outcome: None,
-            status: None,
-            status_code: None,
-            reached_goal: None,
-            stalled: None,
-            width_mm: None,
-            force_n: None,
-            started_at: Timestamp::UNIX_EPOCH,
-            duration_ms: None,
-            client: "test".into(),
-            replayed: false,
-            fast_stop_id: None,
-            rejection: None,
-        }
+        let id = IdSource::new(1).command_id(Timestamp::from_millisecond(ids.0).unwrap());
+        Command::admitted(id, "g".parse().unwrap(), submission, Timestamp::UNIX_EPOCH)
     }
 
     fn enter(book: &mut Book, now: Instant, ids: &mut Ids, request_id: Option<&str>) -> CommandId {
         let submission = submission(request_id);
         book.check_room(now, &submission).unwrap();
-        let ticket = book.enter(now, command(ids), &submission);
+        let ticket = book.enter(now, command(ids, &submission), &submission);
         let id = ticket.now().id;
         book.end(now, id, |command| command.outcome = Some(Outcome::Success));
         book.tell();

@@ -159,25 +159,7 @@ fn end(command: &mut Command, outcome: Outcome) {
 }
 
 fn running(gripper: Name, id: CommandId, submission: &Submission) -> Command {
-    Command {
-        id,
-        gripper,
-        kind: submission.action.kind(),
-        phase: Phase::Running,
-        outcome: None,
-        status: None,
-        status_code: None,
-        reached_goal: None,
-        stalled: None,
-        width_mm: None,
-        force_n: None,
-        started_at: Timestamp::UNIX_EPOCH,
-        duration_ms: None,
-        client: submission.client.subject.clone(),
-        replayed: false,
-        fast_stop_id: None,
-        rejection: None,
-    }
+    Command::admitted(id, gripper, submission, Timestamp::UNIX_EPOCH)
 }
 
 fn unheard(gripper: Name) -> State {

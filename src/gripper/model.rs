@@ -397,6 +397,30 @@ pub struct Command {
 }
 
 impl Command {
+    /// A command that was just admitted.
+    #[must_use]
+    pub fn admitted(id: CommandId, gripper: Name, submission: &Submission, at: Timestamp) -> Self {
+        Self {
+            id,
+            gripper,
+            kind: submission.action.kind(),
+            phase: Phase::Running,
+            outcome: None,
+            status: None,
+            status_code: None,
+            reached_goal: None,
+            stalled: None,
+            width_mm: None,
+            force_n: None,
+            started_at: at,
+            duration_ms: None,
+            client: submission.client.subject.clone(),
+            replayed: false,
+            fast_stop_id: None,
+            rejection: None,
+        }
+    }
+
     /// Takes the device's status into the record.
     pub fn set_status(&mut self, status: Status) {
         self.status = Some(status.to_string());

@@ -5,7 +5,7 @@ use std::time::Duration;
 use super::super::Now;
 use super::super::error::{Conflict, Failure, Invalid, Rejection};
 use super::super::handle::{Answer, Ticket};
-use super::super::model::{Action, Client, Command as Record, CommandId, FastStopId, Motion, Phase, Submission};
+use super::super::model::{Action, Client, Command as Record, CommandId, FastStopId, Motion, Submission};
 use super::super::setup::{Setting, WantedSoftLimits};
 use super::motion::Running;
 use super::reads::is_slow_getter;
@@ -79,25 +79,7 @@ impl Actor {
     fn enter(&mut self, now: Now, id: CommandId, submission: &Submission) -> Ticket {
         let kind = submission.action.kind();
         tracing::info!(gripper = %self.config.name, command = %id, %kind, client = %submission.client.subject, "admitted");
-        let record = Record {
-            id,
-            gripper: self.config.name.clone(),
-            kind,
-            phase: Phase::Running,
-            outcome: None,
-            status: None,
-            status_code: None,
-            reached_goal: None,
-            stalled: None,
-            width_mm: None,
-            force_n: None,
-            started_at: now.wall,
-            duration_ms: None,
-            client: submission.client.subject.clone(),
-            replayed: false,
-            fast_stop_id: None,
-            rejection: None,
-        };
+        let record = Record::admitted(id, self.config.name.clone(), submission, now.wall);
         self.book.enter(now.instant, record, submission)
     }
 
