@@ -18,6 +18,7 @@ mod latch;
 pub mod limits;
 pub mod model;
 mod observed;
+pub mod recorder;
 mod setup;
 
 pub use clock::Now;
@@ -27,3 +28,4 @@ pub use error::{Conflict, DeviceRefusal, Failure, Invalid, Rejection};
 pub use fleet::Fleet;
 pub use handle::{FastStop, Handle, Ticket};
 pub use info::Info;
+pub use recorder::{Health, Record, Recorder};

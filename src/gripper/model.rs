@@ -15,13 +15,28 @@ use uuid::Uuid;
 use super::error::Rejection;
 use crate::wsg::{Force, HomingDirection, MoveFlags, Speed, Status, Width};
 
+mod event;
 mod state;
 
+pub use event::{
+    AcknowledgeEvent, Admitted, CommandEvent, Detail, DeviceEvent, Direction, Done, Event, FastStopEvent, FastStopStep,
+    GatewayEvent, GripRecord, LinkEvent, Memory, MemoryKey, OnBlock, Parameters, RefusedEvent, Sample, SettingChange,
+    SettingsEvent,
+};
 pub use state::{FastStopCause, Latch, LatchFields, Link, State};
 
 /// A gripper's or a gateway's name: `[a-z0-9][a-z0-9_-]{0,31}`.
-#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+#[serde(try_from = "String")]
 pub struct Name(Arc<str>);
+
+impl TryFrom<String> for Name {
+    type Error = InvalidName;
+
+    fn try_from(text: String) -> Result<Self, InvalidName> {
+        text.parse()
+    }
+}
 
 /// A text that is no [`Name`].
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -57,8 +72,17 @@ impl fmt::Display for Name {
 }
 
 /// Printable text from a client, of at most `MAX` bytes.
-#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(try_from = "String")]
 pub struct Text<const MAX: usize>(String);
+
+impl<const MAX: usize> TryFrom<String> for Text<MAX> {
+    type Error = String;
+
+    fn try_from(text: String) -> Result<Self, String> {
+        Self::new(&text).ok_or_else(|| format!("{text:?} is longer than {MAX} bytes, or has a control character"))
+    }
+}
 
 impl<const MAX: usize> Text<MAX> {
     /// The text, or `None` where it is longer than `MAX` bytes or has a control character.
@@ -95,7 +119,7 @@ pub type PartId = Text<48>;
 pub type RequestId = Text<64>;
 
 /// The way in.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Door {
     /// REST.
@@ -273,7 +297,7 @@ pub struct Submission {
 }
 
 /// The kind of a command.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Kind {
     /// Homing (20h).
@@ -301,7 +325,7 @@ impl fmt::Display for Kind {
 }
 
 /// Whether a command has ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Phase {
     /// Admitted, and not ended.
@@ -311,7 +335,7 @@ pub enum Phase {
 }
 
 /// How a command ended.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "SCREAMING_SNAKE_CASE")]
 pub enum Outcome {
     /// Done as asked.

@@ -10,8 +10,8 @@ use super::errors::Problem;
 use super::extract::{Gripper, GripperPath, KeyHeaders, Keys, WaitQuery};
 use super::responses::DeviceProblem;
 use super::values::{force, speed, text, width};
-use crate::gripper::model::{Action, Motion};
-use crate::wsg::{HomingDirection, MoveFlags};
+use crate::gripper::model::{Action, Direction, Motion, OnBlock};
+use crate::wsg::MoveFlags;
 
 /// Declares a command's body: its own fields, and those that all of them have.
 macro_rules! command_body {
@@ -36,30 +36,6 @@ macro_rules! command_body {
             }
         }
     };
-}
-
-/// To which end stop.
-#[derive(Debug, Clone, Copy, Default, Deserialize, ToSchema)]
-#[serde(rename_all = "lowercase")]
-pub enum Direction {
-    /// As the device is configured.
-    #[default]
-    Default,
-    /// The outer end stop.
-    Outer,
-    /// The inner end stop.
-    Inner,
-}
-
-/// What happens when the fingers meet an obstacle.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize, ToSchema)]
-#[serde(rename_all = "lowercase")]
-pub enum OnBlock {
-    /// The motor is switched off.
-    #[default]
-    Stop,
-    /// The fingers go on pushing, and snap to the target when they are freed.
-    Clamp,
 }
 
 command_body! {
@@ -143,13 +119,8 @@ command_body! {
     responses(Told, DeviceProblem)
 )]
 pub async fn home(gripper: Gripper, wait: Wait, keys: Keys, Body(body): Body<Home>) -> Result<Response, Problem> {
-    let direction = match body.direction {
-        Direction::Default => HomingDirection::Default,
-        Direction::Outer => HomingDirection::Outer,
-        Direction::Inner => HomingDirection::Inner,
-    };
     let keys = body.keys(keys)?;
-    answer(gripper, keys, Action::Motion(Motion::Home(direction)), wait).await
+    answer(gripper, keys, Action::Motion(Motion::Home(body.direction.into())), wait).await
 }
 
 /// Move the fingers

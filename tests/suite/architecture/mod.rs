@@ -22,7 +22,7 @@ const ARROWS: &[(&str, &[&str])] = &[
     ("gripper", &["transport", "wsg"]),
     ("frontend", &["gripper", "journal", "auth", "wsg"]),
     ("config", &["transport", "gripper::model", "auth"]),
-    ("journal", &["gripper::model"]),
+    ("journal", &["gripper::model", "gripper::recorder"]),
     ("daemon", &["wsg", "transport", "gripper", "frontend", "journal", "sim", "config", "auth", "telemetry"]),
 ];
 

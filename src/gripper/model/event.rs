@@ -1,0 +1,502 @@
+//! What is written down of a gripper: events, grip records, and what has to outlive a restart.
+
+use std::sync::Arc;
+
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use super::{
+    Action, Client, Command, CommandId, Door, FastStopCause, FastStopId, Kind, Link, Motion, Name, Outcome, PartId,
+    RequestId,
+};
+use crate::wsg::{Force, HomingDirection};
+
+/// Something that happened. The journal gives it a sequence number; `kind` and its fields stand beside the common ones.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Event {
+    /// When.
+    pub at: Timestamp,
+    /// To which gripper; none where it concerns all.
+    pub gripper: Option<Name>,
+    /// Who asked for it; none where nobody did.
+    pub subject: Option<Arc<str>>,
+    /// Through which door.
+    pub door: Option<Door>,
+    /// The command that it belongs to.
+    pub command_id: Option<CommandId>,
+    /// What happened.
+    #[serde(flatten)]
+    pub detail: Detail,
+}
+
+impl Event {
+    /// Something that nobody asked for.
+    #[must_use]
+    pub fn new(at: Timestamp, gripper: Option<Name>, detail: Detail) -> Self {
+        Self { at, gripper, subject: None, door: None, command_id: None, detail }
+    }
+
+    /// Something that a client asked for.
+    #[must_use]
+    pub fn by(self, client: &Client) -> Self {
+        Self { subject: Some(client.subject.clone()), door: Some(client.door), ..self }
+    }
+
+    /// A part of a command.
+    #[must_use]
+    pub fn of(self, command: CommandId) -> Self {
+        Self { command_id: Some(command), ..self }
+    }
+}
+
+/// What happened, with its kind's fields.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(tag = "kind", rename_all = "snake_case")]
+pub enum Detail {
+    /// A command was admitted, or has ended.
+    Command(CommandEvent),
+    /// A FAST STOP was latched, or confirmed by the device's flags.
+    FastStop(FastStopEvent),
+    /// A FAST STOP was acknowledged, or could not be.
+    Acknowledge(AcknowledgeEvent),
+    /// The link has changed.
+    Link(LinkEvent),
+    /// The device has said something of itself, or lost something.
+    Device(DeviceEvent),
+    /// A client has set something, or it was set again for the client.
+    Settings(SettingsEvent),
+    /// A request was refused.
+    Refused(RefusedEvent),
+    /// The gateway itself.
+    Gateway(GatewayEvent),
+}
+
+/// A command's two records.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(tag = "phase", rename_all = "lowercase")]
+pub enum CommandEvent {
+    /// It was admitted.
+    Admitted(Admitted),
+    /// It has ended.
+    Done(Box<Done>),
+}
+
+/// What was asked for, by the names of the request.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Default)]
+pub struct Parameters {
+    /// Homing's direction.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub direction: Option<Direction>,
+    /// The target width in mm.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub width_mm: Option<f32>,
+    /// The speed in mm/s.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub speed_mm_s: Option<f32>,
+    /// Whether the width is an offset.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub relative: Option<bool>,
+    /// Whether a blocked axis clamps.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub on_block: Option<OnBlock>,
+    /// The force limit to set first, in N.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub force_n: Option<f32>,
+    /// The part's name.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub part_id: Option<PartId>,
+}
+
+/// To which end stop.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Direction {
+    /// As the device is configured.
+    #[default]
+    Default,
+    /// The outer end stop.
+    Outer,
+    /// The inner end stop.
+    Inner,
+}
+
+impl From<Direction> for HomingDirection {
+    fn from(direction: Direction) -> Self {
+        match direction {
+            Direction::Default => Self::Default,
+            Direction::Outer => Self::Outer,
+            Direction::Inner => Self::Inner,
+        }
+    }
+}
+
+impl From<HomingDirection> for Direction {
+    fn from(direction: HomingDirection) -> Self {
+        match direction {
+            HomingDirection::Default => Self::Default,
+            HomingDirection::Outer => Self::Outer,
+            HomingDirection::Inner => Self::Inner,
+        }
+    }
+}
+
+/// What happens when the fingers meet an obstacle.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum OnBlock {
+    /// The motor is switched off.
+    #[default]
+    Stop,
+    /// The fingers go on pushing, and snap to the target when they are freed.
+    Clamp,
+}
+
+impl From<&Action> for Parameters {
+    fn from(action: &Action) -> Self {
+        let Action::Motion(motion) = action else { return Self::default() };
+        match motion {
+            Motion::Home(direction) => Self { direction: Some((*direction).into()), ..Self::default() },
+            Motion::Move { flags, width, speed } => Self {
+                width_mm: Some(width.mm()),
+                speed_mm_s: Some(speed.mm_s()),
+                relative: Some(flags.relative),
+                on_block: Some(if flags.stop_on_block { OnBlock::Stop } else { OnBlock::Clamp }),
+                ..Self::default()
+            },
+            Motion::Grip { width, speed, force, part_id } => Self {
+                width_mm: Some(width.mm()),
+                speed_mm_s: Some(speed.mm_s()),
+                force_n: force.map(Force::n),
+                part_id: part_id.clone(),
+                ..Self::default()
+            },
+            Motion::Release { width, speed } => {
+                Self { width_mm: Some(width.mm()), speed_mm_s: Some(speed.mm_s()), ..Self::default() }
+            }
+        }
+    }
+}
+
+/// A command that was admitted.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Admitted {
+    /// `home`, `move`, `grip`, `release` or `stop`.
+    pub command: Kind,
+    /// What makes a repetition the same request.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub request_id: Option<RequestId>,
+    /// What was asked for.
+    #[serde(flatten)]
+    pub parameters: Parameters,
+}
+
+/// A command that has ended.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct Done {
+    /// Its kind, like [`Admitted::command`].
+    pub command: Kind,
+    /// How it ended.
+    pub outcome: Outcome,
+    /// The device's last status, by its symbol.
+    pub status: Option<String>,
+    /// The same, by its number.
+    pub status_code: Option<u16>,
+    /// Whether the goal was reached.
+    pub reached_goal: Option<bool>,
+    /// Whether a contact stopped the fingers.
+    pub stalled: Option<bool>,
+    /// The opening width at the end, in mm.
+    pub width_mm: Option<f32>,
+    /// The gripping force at the end, in N.
+    pub force_n: Option<f32>,
+    /// When it was admitted.
+    pub started_at: Timestamp,
+    /// From its admission to its end.
+    pub duration_ms: Option<u64>,
+    /// The FAST STOP that ended it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub fast_stop_id: Option<FastStopId>,
+    /// The part's name.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub part_id: Option<PartId>,
+    /// Why it was refused, in words.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cause: Option<String>,
+}
+
+impl Done {
+    /// Of a command's record. One that has no outcome may have happened.
+    #[must_use]
+    pub fn of(command: &Command, part_id: Option<PartId>) -> Self {
+        Self {
+            command: command.kind,
+            outcome: command.outcome.unwrap_or(Outcome::Unknown),
+            status: command.status.clone(),
+            status_code: command.status_code,
+            reached_goal: command.reached_goal,
+            stalled: command.stalled,
+            width_mm: command.width_mm,
+            force_n: command.force_n,
+            started_at: command.started_at,
+            duration_ms: command.duration_ms,
+            fast_stop_id: command.fast_stop_id,
+            part_id,
+            cause: command.rejection.as_ref().map(ToString::to_string),
+        }
+    }
+}
+
+/// A FAST STOP's records.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct FastStopEvent {
+    /// Which of its records.
+    pub event: FastStopStep,
+    /// What an acknowledge has to name.
+    pub fast_stop_id: FastStopId,
+    /// Why, in the gateway's words.
+    pub cause: FastStopCause,
+    /// Why, in the client's words.
+    pub reason: String,
+}
+
+/// How far a FAST STOP is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum FastStopStep {
+    /// Asked for, or seen.
+    Latched,
+    /// The device's flags show it.
+    Confirmed,
+}
+
+/// An acknowledge's end.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct AcknowledgeEvent {
+    /// The FAST STOP that it named.
+    pub fast_stop_id: FastStopId,
+    /// Whether the FAST STOP is gone.
+    pub cleared: bool,
+    /// Why it isn't, in words.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub cause: Option<String>,
+}
+
+/// A link's change.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct LinkEvent {
+    /// How it is now.
+    pub link: Link,
+    /// Why it isn't connected.
+    pub link_cause: Option<String>,
+}
+
+/// What became of the device.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(tag = "event", rename_all = "snake_case")]
+pub enum DeviceEvent {
+    /// It has restarted: its reference is gone.
+    Restarted,
+    /// Another device answers.
+    Replaced {
+        /// The one before.
+        known_serial_number: u32,
+        /// The one that answers.
+        serial_number: u32,
+    },
+    /// Fault flags have come.
+    Fault {
+        /// Their names.
+        flags: Vec<&'static str>,
+    },
+    /// Fault flags are gone.
+    FaultCleared {
+        /// Their names.
+        flags: Vec<&'static str>,
+    },
+    /// A part that was held is gone; the event belongs to its grip.
+    PartLost {
+        /// The opening width in mm where it was seen.
+        width_mm: Option<f32>,
+    },
+}
+
+/// What was set.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SettingsEvent {
+    /// Whether the gateway has set it again, for a device that had forgotten it.
+    pub restored: bool,
+    /// What.
+    #[serde(flatten)]
+    pub setting: SettingChange,
+}
+
+/// A setting and its value.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(tag = "setting", rename_all = "snake_case")]
+pub enum SettingChange {
+    /// 30h
+    Acceleration {
+        /// In mm/s².
+        acceleration_mm_s2: f32,
+    },
+    /// 32h
+    ForceLimit {
+        /// In N.
+        force_n: f32,
+    },
+    /// 34h
+    SoftLimits {
+        /// In mm.
+        minus_mm: f32,
+        /// In mm.
+        plus_mm: f32,
+    },
+    /// 36h
+    SoftLimitsCleared,
+    /// 37h
+    Overdrive {
+        /// Whether it is on.
+        enabled: bool,
+    },
+    /// 51h
+    DeviceTag {
+        /// The text.
+        tag: String,
+    },
+    /// A finger's power.
+    FingerPower {
+        /// 0 or 1, as the protocol counts.
+        finger: u8,
+        /// Whether it is on.
+        enabled: bool,
+    },
+    /// 38h
+    Tare,
+    /// The statistics were reset.
+    StatisticsReset,
+}
+
+/// A refusal, or several of the same in one second.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct RefusedEvent {
+    /// What was asked for: the last part of the path, or the method's name.
+    pub command: String,
+    /// The problem's code.
+    pub code: String,
+    /// The problem's words.
+    pub cause: String,
+    /// How many of them.
+    pub count: u64,
+}
+
+/// What became of the gateway.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+#[serde(tag = "event", rename_all = "snake_case")]
+pub enum GatewayEvent {
+    /// It has started.
+    Started {
+        /// Its version.
+        version: &'static str,
+        /// Its name.
+        gateway: String,
+    },
+    /// The configuration that it runs with.
+    Configuration {
+        /// Where it comes from.
+        source: String,
+        /// The grippers, each as `name=URL`.
+        grippers: Vec<String>,
+    },
+    /// Its last run has not ended in order.
+    UncleanEnd {
+        /// The commands that were running: each is told as `UNKNOWN`.
+        running: Vec<CommandId>,
+    },
+    /// It has ended in order.
+    Ended,
+    /// Records found no place while the disk did not take them.
+    RecordsLost {
+        /// How many.
+        count: u64,
+    },
+    /// Old records were removed.
+    Pruned {
+        /// The last one that was removed.
+        up_to_seq: i64,
+        /// Its hash, as hex: what is left begins behind it.
+        hash: String,
+    },
+}
+
+/// What was measured during a motion, and what became of it.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct GripRecord {
+    /// The command's id.
+    pub id: CommandId,
+    /// The gripper's name.
+    pub gripper: Name,
+    /// `home`, `move`, `grip` or `release`.
+    pub kind: Kind,
+    /// The part's name.
+    pub part_id: Option<PartId>,
+    /// How it ended.
+    pub outcome: Outcome,
+    /// Who asked.
+    pub subject: Arc<str>,
+    /// When it was admitted.
+    pub started_at: Timestamp,
+    /// From its admission to its end.
+    pub duration_ms: Option<u64>,
+    /// The opening width at the end, in mm.
+    pub width_mm: Option<f32>,
+    /// The gripping force at the end, in N.
+    pub force_n: Option<f32>,
+    /// The greatest force that was measured, in N.
+    pub peak_force_n: Option<f32>,
+    /// The opening width where the fingers met the part, in mm.
+    pub contact_width_mm: Option<f32>,
+    /// From the first sample to that contact.
+    pub time_to_contact_ms: Option<u64>,
+    /// How many samples the curve has.
+    pub samples: usize,
+    /// The curve, which is kept and told beside the record.
+    #[serde(skip)]
+    pub curve: Vec<Sample>,
+}
+
+/// One point of a curve.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
+pub struct Sample {
+    /// Since the first sample.
+    pub t_ms: u32,
+    /// The opening width in mm.
+    pub width_mm: f32,
+    /// The speed of the fingers relative to each other, in mm/s.
+    pub speed_mm_s: f32,
+    /// The gripping force in N.
+    pub force_n: f32,
+}
+
+/// What has to outlive a restart of the gateway, by gripper and name.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Memory {
+    /// The gripper.
+    pub gripper: Name,
+    /// What it is.
+    pub key: MemoryKey,
+    /// Its value as JSON; none forgets it.
+    pub value: Option<String>,
+}
+
+/// What can be remembered.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum MemoryKey {
+    /// The settings that clients made, and on which device.
+    Settings,
+    /// The FAST STOP that holds.
+    Latch,
+    /// The newest lease's epoch.
+    LeaseEpoch,
+}
