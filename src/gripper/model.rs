@@ -16,13 +16,14 @@ use super::error::Rejection;
 use crate::wsg::{Force, HomingDirection, MoveFlags, Speed, Status, Width};
 
 mod event;
+mod record;
 mod state;
 
 pub use event::{
     AcknowledgeEvent, Admitted, CommandEvent, Detail, DeviceEvent, Direction, Done, Event, FastStopEvent, FastStopStep,
-    GatewayEvent, GripRecord, LinkEvent, Memory, MemoryKey, OnBlock, Parameters, RefusedEvent, Sample, SettingChange,
-    SettingsEvent,
+    GatewayEvent, LinkEvent, OnBlock, Parameters, RefusedEvent, SettingChange, SettingsEvent,
 };
+pub use record::{GripRecord, Memory, MemoryKey, Sample};
 pub use state::{FastStopCause, Latch, LatchFields, Link, State};
 
 /// A gripper's or a gateway's name: `[a-z0-9][a-z0-9_-]{0,31}`.

@@ -13,12 +13,15 @@ const UPDATE_BYTES: u32 = 14 + 11 + 14 + 14 + 14;
 /// The shortest period that a device takes (`fw4-en 3.4.1`).
 const MIN_PERIOD_MS: u16 = 10;
 
-/// A getter that has been silent for so long has its updates switched on again. A device that refuses updates answers
-/// each time with the value, and so is polled at this period.
+/// A getter that has been silent for so long, or for a few periods of a slow line, has its updates switched on again. A
+/// device that refuses updates answers each time with the value, and so is polled at this period.
 const RENEW_AFTER: Duration = Duration::from_secs(1);
 
+/// So many periods without an update are no accident.
+const MISSED_PERIODS: u32 = 3;
+
 /// The newest values.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Observed {
     pub flags: Option<SystemState>,
     pub gripper_state: Option<GripperState>,
@@ -31,9 +34,39 @@ pub(super) struct Observed {
     heard: [Option<Instant>; UPDATED.len()],
     /// When each of them was last heard, or asked for.
     fresh: [Option<Instant>; UPDATED.len()],
+    renew_after: Duration,
+    /// Whether the flags came oftener than they were asked for.
+    flows: bool,
 }
 
 impl Observed {
+    /// Of nothing yet, on a line that carries so much.
+    pub(super) fn new(bytes_per_second: Option<u32>) -> Self {
+        let period = Duration::from_millis(period_ms(bytes_per_second).into());
+        Self {
+            flags: None,
+            gripper_state: None,
+            width_mm: None,
+            speed_mm_s: None,
+            force_n: None,
+            temperature: None,
+            updated_at: None,
+            heard: [None; UPDATED.len()],
+            fresh: [None; UPDATED.len()],
+            renew_after: RENEW_AFTER.max(MISSED_PERIODS * period),
+            flows: false,
+        }
+    }
+
+    /// Whether the flags that came now were missed before: a device that restarts forgets its automatic updates.
+    pub(super) fn were_missed(&mut self, now: Instant) -> bool {
+        let [Some(heard), ..] = self.heard else { return false };
+        let silence = now.saturating_duration_since(heard);
+        let missed = self.flows && silence >= self.renew_after;
+        self.flows = silence < self.renew_after / 2;
+        missed
+    }
+
     /// Takes a value in.
     pub(super) fn take(&mut self, now: Instant, data: &Data) {
         let id = match *data {
@@ -103,7 +136,7 @@ impl Observed {
     fn deadlines(&self) -> impl Iterator<Item = (u8, Instant)> {
         let referenced = self.has(SystemState::REFERENCED);
         let expected = move |&(id, _): &(u8, _)| referenced || id != id::GET_WIDTH;
-        let silent_from = |(id, fresh): (u8, &Option<Instant>)| fresh.map(|fresh| (id, fresh + RENEW_AFTER));
+        let silent_from = |(id, fresh): (u8, &Option<Instant>)| fresh.map(|fresh| (id, fresh + self.renew_after));
         UPDATED.into_iter().zip(&self.fresh).filter_map(silent_from).filter(expected)
     }
 
@@ -155,8 +188,32 @@ mod tests {
     }
 
     #[test]
+    fn updates_that_stop_are_missed_and_values_that_are_asked_for_are_not() {
+        let mut observed = Observed::new(None);
+        let mut now = Instant::now();
+        let mut hear_after = |milliseconds| {
+            now += Duration::from_millis(milliseconds);
+            let missed = observed.were_missed(now);
+            observed.take(now, &Data::SystemState(SystemState::empty()));
+            missed
+        };
+        for _ in 0..5 {
+            assert!(!hear_after(1000), "polled");
+        }
+        assert!(!hear_after(10) && !hear_after(10));
+        assert!(hear_after(1000));
+        assert!(!hear_after(1000), "polled since");
+    }
+
+    #[test]
+    fn a_slow_line_is_given_a_few_periods() {
+        assert_eq!(Observed::new(Some(11_520)).renew_after, Duration::from_secs(1));
+        assert_eq!(Observed::new(Some(120)).renew_after, Duration::from_millis(3351), "1200 baud");
+    }
+
+    #[test]
     fn a_width_is_not_missed_before_the_fingers_are_referenced() {
-        let mut observed = Observed::default();
+        let mut observed = Observed::new(None);
         let start = Instant::now();
         observed.asked(start, id::GET_WIDTH);
         let later = start + RENEW_AFTER;

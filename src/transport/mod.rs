@@ -53,6 +53,8 @@ pub struct Traits {
     pub connection_oriented: bool,
     /// How fast the line is, where that matters.
     pub bytes_per_second: Option<u32>,
+    /// Whether a frame may come twice.
+    pub may_duplicate: bool,
     /// How long a frame's bytes may stop coming, beyond their line time, before the frame is given up.
     pub frame_gap: Duration,
 }

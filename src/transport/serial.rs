@@ -69,6 +69,7 @@ impl SerialAddress {
             name: "serial",
             connection_oriented: false,
             bytes_per_second: Some(self.bytes_per_second()),
+            may_duplicate: false,
             frame_gap: FRAME_GAP,
         }
     }

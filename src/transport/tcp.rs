@@ -24,8 +24,13 @@ pub struct TcpAddress {
 /// A lost segment is repeated after 200 ms or more, and then its frame is late, not damaged.
 const FRAME_GAP: Duration = Duration::from_millis(500);
 
-pub(super) const TRAITS: Traits =
-    Traits { name: "tcp", connection_oriented: true, bytes_per_second: None, frame_gap: FRAME_GAP };
+pub(super) const TRAITS: Traits = Traits {
+    name: "tcp",
+    connection_oriented: true,
+    bytes_per_second: None,
+    may_duplicate: false,
+    frame_gap: FRAME_GAP,
+};
 
 impl TcpAddress {
     pub(super) fn parse(url: &Url) -> Result<Self, String> {

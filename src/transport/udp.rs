@@ -31,8 +31,13 @@ const FRAME_GAP: Duration = Duration::from_millis(20);
 /// The longest datagram there can be.
 const MAX_DATAGRAM_BYTES: usize = 65_535;
 
-pub(super) const TRAITS: Traits =
-    Traits { name: "udp", connection_oriented: false, bytes_per_second: None, frame_gap: FRAME_GAP };
+pub(super) const TRAITS: Traits = Traits {
+    name: "udp",
+    connection_oriented: false,
+    bytes_per_second: None,
+    may_duplicate: true,
+    frame_gap: FRAME_GAP,
+};
 
 /// A device's UDP endpoint.
 #[derive(Debug, Clone, PartialEq, Eq)]

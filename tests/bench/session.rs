@@ -24,7 +24,8 @@ fn main() {
 }
 
 fn session() -> Session {
-    let config = Config { bytes_per_second: None, frame_gap: Duration::from_millis(500), nonce_seed: 1 };
+    let config =
+        Config { bytes_per_second: None, frame_gap: Duration::from_millis(500), may_duplicate: false, nonce_seed: 1 };
     Session::new(config, Instant::now())
 }
 

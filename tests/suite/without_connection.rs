@@ -46,6 +46,67 @@ fn a_restart_is_noticed_by_the_lost_reference_and_settings_are_restored_before_a
 }
 
 #[test]
+fn a_restart_of_a_device_that_was_never_referenced_is_noticed_by_its_updates() {
+    let mut world = World::calm_on(Interface::Serial, device(), Some(11_520));
+    let acceleration = Acceleration::new(500.0).unwrap();
+    drop(exchange(&mut world, wsg::Command::SetAcceleration(acceleration)));
+    world.advance(Duration::from_millis(200));
+    let from = mark(&world);
+    world.device.apply(world.now, reboot(300));
+    world.advance(Duration::from_secs(3));
+    assert_eq!((state(&world).link, state(&world).referenced), (Link::Connected, Some(false)));
+    assert!((world.device.snapshot().acceleration_mm_s2 - 500.0).abs() < 0.1);
+    assert!(received(&world, from).contains(&id::SET_ACCELERATION));
+}
+
+#[test]
+fn a_restart_in_a_homing_ends_it_as_unknown_long_before_its_deadline() {
+    let mut world = homed();
+    let acceleration = Acceleration::new(500.0).unwrap();
+    drop(exchange(&mut world, wsg::Command::SetAcceleration(acceleration)));
+    world.advance(Duration::from_millis(200));
+    let homing = start(&mut world, home());
+    world.advance(Duration::from_millis(60));
+    let from = mark(&world);
+    world.device.apply(world.now, reboot(300));
+    world.advance(Duration::from_secs(4));
+    assert_eq!(homing.now().outcome, Some(Outcome::Unknown), "{}", world.tail());
+    assert_eq!(state(&world).link, Link::Connected);
+    assert!((world.device.snapshot().acceleration_mm_s2 - 500.0).abs() < 0.1);
+    assert!(!received(&world, from).iter().any(|&id| id::is_motion(id)));
+}
+
+#[test]
+fn a_motion_asked_for_after_a_restart_waits_until_the_settings_are_known() {
+    let mut world = homed();
+    let acceleration = Acceleration::new(500.0).unwrap();
+    drop(exchange(&mut world, wsg::Command::SetAcceleration(acceleration)));
+    world.advance(Duration::from_millis(200));
+    world.device.apply(world.now, reboot(200));
+    world.advance(Duration::from_millis(900));
+    // Nothing tells of the restart yet; its homing hides the lost reference.
+    let homing = start(&mut world, home());
+    finish(&mut world, &homing);
+    world.advance(Duration::from_secs(2));
+    assert_eq!(state(&world).link, Link::Connected, "{}", world.tail());
+    assert!((world.device.snapshot().acceleration_mm_s2 - 500.0).abs() < 0.1);
+}
+
+#[test]
+fn a_long_reply_on_the_slowest_line_is_no_silence() {
+    let mut world = World::calm_on(Interface::Serial, device(), Some(120));
+    world.advance(Duration::from_secs(10));
+    assert_eq!(state(&world).link, Link::Connected, "{}", world.tail());
+    let data = wsg::LoopData::new(vec![0x55; 256]).unwrap();
+    let mut echoed = exchange(&mut world, wsg::Command::Loop(data));
+    for _ in 0..1000 {
+        world.advance(Duration::from_millis(10));
+        assert_eq!(state(&world).link, Link::Connected, "{}", world.tail());
+    }
+    assert!(matches!(echoed.try_recv(), Ok(Ok(wsg::Data::Loop(data))) if data.len() == 256));
+}
+
+#[test]
 fn a_homing_is_no_restart_whoever_asked_for_it() {
     let mut world = homed();
     assert_eq!(run(&mut world, home()).outcome, Some(Outcome::Success));

@@ -32,8 +32,13 @@ const PIPE_BYTES: usize = 4096;
 const MODELS: &str = "wsg25, wsg32, wsg50, wsg70";
 
 /// What a pipe in this process means for the protocol: it stands for a device on TCP.
-const TRAITS: Traits =
-    Traits { name: "sim", connection_oriented: true, bytes_per_second: None, frame_gap: Duration::from_millis(500) };
+const TRAITS: Traits = Traits {
+    name: "sim",
+    connection_oriented: true,
+    bytes_per_second: None,
+    may_duplicate: false,
+    frame_gap: Duration::from_millis(500),
+};
 
 /// A device to simulate: `sim://wsg50?part_mm=20`.
 #[derive(Debug, Clone)]

@@ -93,9 +93,9 @@ impl Actor {
     }
 
     pub(super) fn continue_drain(&mut self, now: Now) {
-        let idle = self.running.is_none()
-            && !self.latching.is_unconfirmed()
-            && self.session.as_ref().is_none_or(crate::wsg::session::Session::is_idle);
+        // What the gateway asks of a device that it is getting to know is nobody's loss.
+        let asked = self.is_set_up() && self.session.as_ref().is_some_and(|session| !session.is_idle());
+        let idle = self.running.is_none() && !self.latching.is_unconfirmed() && !asked;
         let Some(drain) = &mut self.drain else { return };
         let late = drain.until <= now.instant;
         match drain.stage {

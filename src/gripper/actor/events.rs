@@ -30,9 +30,13 @@ impl Actor {
 
     fn take_update(&mut self, now: Now, data: &Data) {
         let before = self.observed.flags;
+        let missed = matches!(data, Data::SystemState(_)) && self.observed.were_missed(now.instant);
         self.observed.take(now.instant, data);
         let Data::SystemState(flags) = *data else { return };
         self.notice_restart(before, flags);
+        if missed {
+            self.set_up_again(now, flags);
+        }
         let mut origin = Origin { ids: &mut self.ids, unannounced: self.unannounced };
         match self.latching.take_flags(now, flags, &mut origin) {
             Some(Change::Seen) => {

@@ -21,17 +21,18 @@ pub(super) const CLOSED_AFTER: Duration = Duration::from_millis(6500);
 impl Actor {
     /// A link has come up.
     pub fn link_up(&mut self, now: Now) {
-        tracing::info!(gripper = %self.config.name, url = self.config.url, "connected, setting up");
+        // Where there are no connections, every attempt comes so far.
+        tracing::debug!(gripper = %self.config.name, url = self.config.url, "opened, setting up");
         let traits = self.config.traits;
         let config = session::Config {
             bytes_per_second: traits.bytes_per_second,
             frame_gap: traits.frame_gap,
+            may_duplicate: traits.may_duplicate,
             nonce_seed: self.ids.nonce(),
         };
         self.session = Some(Session::new(config, now.instant));
         self.close = None;
-        let known_serial = self.system.map(|system| system.serial_number);
-        self.link = LinkState::SettingUp(Box::new(Setup::new(traits.bytes_per_second, known_serial, self.wanted)));
+        self.link = LinkState::SettingUp(Box::new(self.new_setup()));
         // A FAST STOP that the device may not have heard of goes before everything else.
         self.send_fast_stop_if_due(now);
         self.continue_setup(now);
@@ -45,11 +46,15 @@ impl Actor {
         if session.is_some() && self.close == Some(Close::Drained) {
             tracing::info!(gripper = %self.config.name, "link closed");
             self.unannounced = false;
-        } else if session.is_some() {
-            tracing::warn!(gripper = %self.config.name, cause, "link lost");
-            self.unannounced = self.config.traits.connection_oriented;
-        } else if self.link_cause.as_deref() != Some(cause) {
-            tracing::warn!(gripper = %self.config.name, cause, "no link");
+        } else {
+            if matches!(self.link, LinkState::Up) {
+                tracing::warn!(gripper = %self.config.name, cause, "link lost");
+            } else if self.link_cause.as_deref() != Some(cause) {
+                tracing::warn!(gripper = %self.config.name, cause, "no link");
+            }
+            if session.is_some() {
+                self.unannounced = self.config.traits.connection_oriented;
+            }
         }
         self.link = LinkState::Down;
         self.link_cause = Some(cause.to_owned());
@@ -91,6 +96,28 @@ impl Actor {
             (_, true) => Link::Reconnecting,
             (_, false) => Link::Connecting,
         }
+    }
+
+    /// The device's automatic updates had stopped. Where no connection ends with a restart, it may have been one: what
+    /// is under way goes on, and nothing new moves before the settings are known to be as clients left them.
+    pub(super) fn set_up_again(&mut self, now: Now, flags: SystemState) {
+        if self.config.traits.connection_oriented || !matches!(self.link, LinkState::Up) || self.close.is_some() {
+            return;
+        }
+        let cause = "its updates had stopped: it may have restarted, and is being set up again";
+        tracing::warn!(gripper = %self.config.name, "{cause}");
+        self.link_cause = Some(cause.to_owned());
+        self.link = LinkState::SettingUp(Box::new(self.new_setup()));
+        if let (false, Some(session)) = (flags.contains(SystemState::MOVING), &mut self.session) {
+            // A motion that the restart has ended gets no result.
+            session.expect_results(now.instant);
+        }
+        self.continue_setup(now);
+    }
+
+    fn new_setup(&self) -> Setup {
+        let known_serial = self.system.map(|system| system.serial_number);
+        Setup::new(self.config.traits.bytes_per_second, known_serial, self.wanted)
     }
 
     /// Sends the set-up's next request, or ends it.

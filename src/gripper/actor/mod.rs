@@ -184,6 +184,7 @@ impl Actor {
         let (state, state_watch) = watch::channel(Arc::new(State::unknown(config.name.clone())));
         let actor = Self {
             ids: IdSource::new(config.seed),
+            observed: Observed::new(config.traits.bytes_per_second),
             config,
             session: None,
             link: LinkState::Down,
@@ -197,7 +198,6 @@ impl Actor {
             wanted: Wanted::default(),
             lost: BTreeSet::new(),
             overdrive_wanted: false,
-            observed: Observed::default(),
             latching: Latching::default(),
             reads: Reads::default(),
             book: Book::default(),

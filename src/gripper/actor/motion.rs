@@ -85,9 +85,9 @@ impl Running {
 }
 
 impl Actor {
-    /// When the waiting motion may start.
+    /// When the waiting motion may start, once the link is set up.
     pub(super) fn motion_due(&self) -> Option<Instant> {
-        let running = self.running.as_ref()?;
+        let running = self.running.as_ref().filter(|_| self.is_set_up())?;
         let paused_until = self.last_motion_end.map(|end| end + PAUSE);
         matches!(running.stage, Stage::Waiting).then_some(paused_until).flatten()
     }
@@ -95,7 +95,8 @@ impl Actor {
     /// Starts the motion that waits, when its pause is over.
     pub(super) fn start_waiting_motion(&mut self, now: Now) {
         let Some(running) = &self.running else { return };
-        if !matches!(running.stage, Stage::Waiting) || self.motion_due().is_some_and(|due| due > now.instant) {
+        let is_due = self.motion_due().is_none_or(|due| due <= now.instant);
+        if !matches!(running.stage, Stage::Waiting) || !is_due || !self.is_set_up() {
             return;
         }
         let id = running.id;

@@ -1,4 +1,4 @@
-//! What is written down of a gripper: events, grip records, and what has to outlive a restart.
+//! What is written down of a gripper and of the gateway: one event for each thing that happened.
 
 use std::sync::Arc;
 
@@ -427,76 +427,4 @@ pub enum GatewayEvent {
         /// Its hash, as hex: what is left begins behind it.
         hash: String,
     },
-}
-
-/// What was measured during a motion, and what became of it.
-#[derive(Debug, Clone, PartialEq, Serialize)]
-pub struct GripRecord {
-    /// The command's id.
-    pub id: CommandId,
-    /// The gripper's name.
-    pub gripper: Name,
-    /// `home`, `move`, `grip` or `release`.
-    pub kind: Kind,
-    /// The part's name.
-    pub part_id: Option<PartId>,
-    /// How it ended.
-    pub outcome: Outcome,
-    /// Who asked.
-    pub subject: Arc<str>,
-    /// When it was admitted.
-    pub started_at: Timestamp,
-    /// From its admission to its end.
-    pub duration_ms: Option<u64>,
-    /// The opening width at the end, in mm.
-    pub width_mm: Option<f32>,
-    /// The gripping force at the end, in N.
-    pub force_n: Option<f32>,
-    /// The greatest force that was measured, in N.
-    pub peak_force_n: Option<f32>,
-    /// The opening width where the fingers met the part, in mm.
-    pub contact_width_mm: Option<f32>,
-    /// From the first sample to that contact.
-    pub time_to_contact_ms: Option<u64>,
-    /// How many samples the curve has.
-    pub samples: usize,
-    /// The curve, which is kept and told beside the record.
-    #[serde(skip)]
-    pub curve: Vec<Sample>,
-}
-
-/// One point of a curve.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
-pub struct Sample {
-    /// Since the first sample.
-    pub t_ms: u32,
-    /// The opening width in mm.
-    pub width_mm: f32,
-    /// The speed of the fingers relative to each other, in mm/s.
-    pub speed_mm_s: f32,
-    /// The gripping force in N.
-    pub force_n: f32,
-}
-
-/// What has to outlive a restart of the gateway, by gripper and name.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Memory {
-    /// The gripper.
-    pub gripper: Name,
-    /// What it is.
-    pub key: MemoryKey,
-    /// Its value as JSON; none forgets it.
-    pub value: Option<String>,
-}
-
-/// What can be remembered.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum MemoryKey {
-    /// The settings that clients made, and on which device.
-    Settings,
-    /// The FAST STOP that holds.
-    Latch,
-    /// The newest lease's epoch.
-    LeaseEpoch,
 }

@@ -94,6 +94,7 @@ impl CanAddress {
             name: "can",
             connection_oriented: false,
             bytes_per_second: Some(self.bytes_per_second()),
+            may_duplicate: false,
             frame_gap: FRAME_GAP,
         }
     }

@@ -14,6 +14,9 @@ const ECHO_WITHIN_AT_MOST: Duration = Duration::from_millis(1600);
 /// Marks our nonces, so that a client's Loop data are not mistaken for one.
 const MARK: &[u8; 8] = b"wsg-loop";
 
+/// The mark, the seed, and the generation.
+pub(super) const NONCE_BYTES: usize = 24;
+
 /// Counts the Loops sent; a greater one was sent later.
 pub(super) type Generation = u64;
 
@@ -63,11 +66,11 @@ impl Barrier {
         self.in_flight.is_some()
     }
 
-    /// The data of the Loop that is written now.
-    pub(super) fn start(&mut self, now: Instant) -> [u8; 24] {
+    /// The data of the Loop that is written now, and whose way takes so much line time.
+    pub(super) fn start(&mut self, now: Instant, line_time: Duration) -> [u8; NONCE_BYTES] {
         self.wanted = false;
         self.sent += 1;
-        self.in_flight = Some((now, now + self.echo_within));
+        self.in_flight = Some((now, now + self.echo_within + line_time));
         self.nonce()
     }
 
@@ -105,8 +108,8 @@ impl Barrier {
         self.round_trip
     }
 
-    fn nonce(&self) -> [u8; 24] {
-        let mut nonce = [0; 24];
+    fn nonce(&self) -> [u8; NONCE_BYTES] {
+        let mut nonce = [0; NONCE_BYTES];
         nonce[..8].copy_from_slice(MARK);
         nonce[8..16].copy_from_slice(&self.seed.to_le_bytes());
         nonce[16..].copy_from_slice(&self.sent.to_le_bytes());

@@ -19,20 +19,19 @@
 
 mod barrier;
 mod lanes;
+mod received;
 mod slots;
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-use super::frame::{self, ChecksumEvaluation, Decoded, Decoder, DecoderCounters};
+use super::frame::{self, ChecksumEvaluation, Decoder, DecoderCounters};
 use super::reply::{Data, InvalidReply, Reply};
-use super::state::SystemState;
-use super::status::Status;
 use super::{Command, id};
-use barrier::{Barrier, Echo};
+use barrier::Barrier;
 pub use lanes::MAX_WAITING;
 use lanes::{Lanes, Waiting};
-use slots::{Closed, InFlight, SlotState, Slots, Verdict};
+use slots::{Closed, InFlight, SlotState, Slots};
 
 /// How much line time one request may take while the fingers move: what a FAST STOP may have to wait for.
 pub const MAX_LINE_TIME_WHILE_MOVING: Duration = Duration::from_millis(100);
@@ -40,8 +39,14 @@ pub const MAX_LINE_TIME_WHILE_MOVING: Duration = Duration::from_millis(100);
 /// How long the result of a stopped motion is waited for: nothing says that it comes at all (`fw4-en 3.2.3`).
 pub const ABORT_GRACE: Duration = Duration::from_millis(250);
 
+/// How long a result may still be on its way from a device that has stopped moving.
+pub const RESULT_GRACE: Duration = Duration::from_secs(1);
+
 /// How long nothing may have been heard before a Loop is sent to see whether the device is still there.
 pub const PROBE_AFTER: Duration = Duration::from_millis(500);
+
+/// The payload of the longest automatic update: a status and four bytes.
+const LONGEST_UPDATE_BYTES: usize = 6;
 
 /// What a session has to know of its link.
 #[derive(Debug, Clone)]
@@ -50,6 +55,8 @@ pub struct Config {
     pub bytes_per_second: Option<u32>,
     /// How long a frame may take from its first byte to its last, beyond its line time.
     pub frame_gap: Duration,
+    /// Whether a frame may come twice: then an id that was answered stays closed until what could come again has come.
+    pub may_duplicate: bool,
     /// Makes the nonces of this session differ from those of an earlier one.
     pub nonce_seed: u64,
 }
@@ -63,7 +70,7 @@ pub struct Token(u64);
 pub struct Request {
     /// What is asked.
     pub command: Command,
-    /// How long it may wait to be written, and then again for its first reply.
+    /// How long it may wait to be written, and then again for its first reply, beyond the line time of both.
     pub reply_within: Duration,
     /// How long the result may take, once it was accepted with `E_CMD_PENDING`.
     pub result_within: Duration,
@@ -176,12 +183,12 @@ impl Session {
     /// # Errors
     /// [`NotTaken`]: nothing will be written, and no event follows.
     pub fn submit(&mut self, now: Instant, request: Request) -> Result<Token, NotTaken> {
-        let line_time = self.line_time(&request.command);
+        let line_time = self.line_time_of(&request.command);
         if self.moving && line_time > MAX_LINE_TIME_WHILE_MOVING {
             return Err(NotTaken::LineTime { line_ms: line_time.as_millis() as u64 });
         }
         let token = Token(self.next_token);
-        let deadline = now + request.reply_within;
+        let deadline = now + request.reply_within + line_time;
         self.lanes.push(Waiting { token, request, deadline }).map_err(|_| NotTaken::Full)?;
         self.next_token += 1;
         Ok(token)
@@ -196,6 +203,10 @@ impl Session {
     pub fn receive(&mut self, now: Instant, bytes: &[u8]) {
         self.decoder.push(bytes);
         self.decode(now);
+        if self.partial.is_some() {
+            // A long frame on a slow line is a sign of life while it comes, which is not for long.
+            self.last_heard = now;
+        }
     }
 
     /// To be called when [`Session::poll_timeout`] has come.
@@ -232,7 +243,8 @@ impl Session {
         if let Some(waiting) = self.lanes.pop_urgent(is_open) {
             self.write(now, waiting, out);
         } else if self.barrier.is_wanted() && !self.loop_in_flight() {
-            let nonce = self.barrier.start(now);
+            let allowance = self.round_trip_line_time(frame::OVERHEAD_BYTES + barrier::NONCE_BYTES, id::LOOP);
+            let nonce = self.barrier.start(now, allowance);
             frame::encode(id::LOOP, &nonce, out);
         } else if let Some(waiting) = self.lanes.pop_rest(is_open) {
             self.write(now, waiting, out);
@@ -254,7 +266,7 @@ impl Session {
         deadlines.into_iter().flatten().min()
     }
 
-    /// When a valid frame was last received.
+    /// When a valid frame, or a part of what may become one, was last received.
     #[must_use]
     pub fn last_heard(&self) -> Instant {
         self.last_heard
@@ -284,11 +296,22 @@ impl Session {
         self.decoder.counters()
     }
 
-    fn line_time(&self, command: &Command) -> Duration {
-        let Some(bytes_per_second) = self.config.bytes_per_second else { return Duration::ZERO };
+    fn line_time(&self, bytes: usize) -> Duration {
+        self.config.bytes_per_second.map_or(Duration::ZERO, |bytes_per_second| {
+            Duration::from_secs_f64(bytes as f64 / f64::from(bytes_per_second.max(1)))
+        })
+    }
+
+    fn line_time_of(&self, command: &Command) -> Duration {
         let mut frame = Vec::new();
         command.encode(&mut frame);
-        Duration::from_secs_f64(frame.len() as f64 / f64::from(bytes_per_second.max(1)))
+        self.line_time(frame.len())
+    }
+
+    /// Of a request of so many bytes, of the update that the device may be sending, and of its longest reply.
+    fn round_trip_line_time(&self, request_bytes: usize, id: u8) -> Duration {
+        let reply_bytes = frame::OVERHEAD_BYTES + id::max_reply_bytes(id).min(id::MAX_LOOP_BYTES);
+        self.line_time(request_bytes + frame::OVERHEAD_BYTES + LONGEST_UPDATE_BYTES + reply_bytes)
     }
 
     fn loop_in_flight(&self) -> bool {
@@ -297,12 +320,18 @@ impl Session {
 
     fn write(&mut self, now: Instant, waiting: Waiting, out: &mut Vec<u8>) {
         let Request { command, reply_within, result_within } = waiting.request;
+        let before = out.len();
         command.encode(out);
+        let line_time = match command {
+            // Its repetition is due when it is due.
+            Command::FastStop => Duration::ZERO,
+            _ => self.round_trip_line_time(out.len() - before, command.id()),
+        };
         let echo = if let Command::Loop(data) = &command { Some(data.as_bytes().to_vec()) } else { None };
         let in_flight = InFlight {
             token: waiting.token,
             sent_at: now,
-            deadline: now + reply_within,
+            deadline: now + reply_within + line_time,
             result_within,
             accepted: false,
             two_step: command.is_two_step(),
@@ -313,97 +342,13 @@ impl Session {
         self.slots.insert(command.id(), in_flight);
     }
 
-    fn decode(&mut self, now: Instant) {
-        while let Some(decoded) = self.decoder.next() {
-            let Decoded::Frame(frame) = decoded else { continue };
-            self.last_heard = now;
-            let (id, reply) = (frame.id, Reply::parse(frame.id, frame.payload));
-            match reply {
-                Ok(reply) => self.take_reply(now, id, reply),
-                Err(invalid) => self.take_invalid(id, invalid),
+    /// The device may have restarted: the results of accepted motions come within [`RESULT_GRACE`], or never.
+    pub fn expect_results(&mut self, now: Instant) {
+        for (id, in_flight) in self.slots.in_flight_mut() {
+            if id::is_motion(id) && in_flight.accepted {
+                in_flight.deadline = in_flight.deadline.min(now + RESULT_GRACE);
             }
         }
-        self.partial = self.decoder.is_partial().then(|| match self.partial {
-            Some((position, since)) if position == self.decoder.position() => (position, since),
-            _ => (self.decoder.position(), now),
-        });
-    }
-
-    fn take_reply(&mut self, now: Instant, id: u8, reply: Reply) {
-        if id == id::LOOP && self.take_echo(now, &reply) {
-            return;
-        }
-        if id::has_updates(id)
-            && let Reply::Success(data) = &reply
-        {
-            self.take_update(data.clone());
-        }
-        let Some(slot) = self.slots.get_mut(id) else {
-            // An update is no stray: it answers the request that switched updates on.
-            self.counters.stray_replies += u64::from(!id::has_updates(id));
-            return;
-        };
-        match &mut slot.state {
-            SlotState::InFlight(in_flight) if in_flight.is_foreign_echo(&reply) => self.counters.late_replies += 1,
-            SlotState::InFlight(in_flight) => match in_flight.judge(id, reply.status()) {
-                Verdict::Accepted => {
-                    in_flight.accepted = true;
-                    in_flight.deadline = now + in_flight.result_within;
-                    self.events.push_back(Event::Accepted(in_flight.token));
-                }
-                Verdict::Final => {
-                    let (token, order) = (in_flight.token, in_flight.order);
-                    self.slots.open(id);
-                    if matches!(id, id::STOP | id::FAST_STOP) && reply.status() == Status::E_SUCCESS {
-                        self.expect_aborts_before(now, order);
-                    }
-                    self.events.push_back(Event::Ended(token, End::Reply(reply)));
-                }
-                Verdict::Late => self.counters.late_replies += 1,
-            },
-            SlotState::Closed(closed) => {
-                self.counters.late_replies += 1;
-                // The late result itself: nothing of that request can come any more.
-                if closed.two_step && reply.status() != Status::E_CMD_PENDING {
-                    self.slots.open(id);
-                }
-            }
-        }
-    }
-
-    /// Whether it was the echo of a Loop of ours.
-    fn take_echo(&mut self, now: Instant, reply: &Reply) -> bool {
-        let Reply::Success(Data::Loop(data)) = reply else {
-            // An `E_CMD_PENDING` before the data (`fw4-en 3.1.1`), or a refusal, which the deadline deals with.
-            return self.barrier.is_in_flight() && !self.loop_in_flight();
-        };
-        match self.barrier.echo(now, data) {
-            Echo::Ours(generation) => self.slots.retain(|slot| match &mut slot.state {
-                SlotState::Closed(closed) if closed.since < generation => {
-                    closed.echoed = true;
-                    closed.two_step
-                }
-                _ => true,
-            }),
-            Echo::Stale => self.counters.late_replies += 1,
-            Echo::NotOurs => return false,
-        }
-        true
-    }
-
-    fn take_update(&mut self, data: Data) {
-        if let Data::SystemState(flags) = data {
-            self.moving = flags.contains(SystemState::MOVING);
-            if !self.moving {
-                self.slots.retain(|slot| !matches!(&slot.state, SlotState::Closed(closed) if closed.echoed));
-            }
-        }
-        self.events.push_back(Event::Update(data));
-    }
-
-    /// The device has stopped: the results of running motions come within [`ABORT_GRACE`], or never.
-    pub fn expect_aborts(&mut self, now: Instant) {
-        self.expect_aborts_before(now, u64::MAX);
     }
 
     /// A stop ends what was written before it, and nothing that came after.
@@ -413,21 +358,6 @@ impl Session {
                 in_flight.stopped = true;
                 in_flight.deadline = in_flight.deadline.min(now + ABORT_GRACE);
             }
-        }
-    }
-
-    fn take_invalid(&mut self, id: u8, invalid: InvalidReply) {
-        self.counters.invalid_replies += 1;
-        if id::is_motion(id) {
-            // It may be moving: only silence until the deadline says that we don't know.
-            return;
-        }
-        if let Some(slot) = self.slots.get_mut(id)
-            && let SlotState::InFlight(in_flight) = &slot.state
-        {
-            let token = in_flight.token;
-            self.slots.open(id);
-            self.events.push_back(Event::Ended(token, End::Invalid(invalid)));
         }
     }
 
@@ -457,10 +387,7 @@ impl Session {
 
     fn partial_deadline(&self) -> Option<Instant> {
         let (_, since) = self.partial?;
-        let line_time = self.config.bytes_per_second.map_or(Duration::ZERO, |bytes_per_second| {
-            let bytes = frame::OVERHEAD_BYTES + id::MAX_LOOP_BYTES;
-            Duration::from_secs_f64(bytes as f64 / f64::from(bytes_per_second.max(1)))
-        });
+        let line_time = self.line_time(frame::OVERHEAD_BYTES + id::MAX_LOOP_BYTES);
         Some(since + line_time + self.config.frame_gap)
     }
 }

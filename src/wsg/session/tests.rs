@@ -1,5 +1,6 @@
 use super::*;
-use crate::wsg::{Force, GripperState, LoopData, Speed, Updates, Width};
+use crate::wsg::reply::{Data, Reply};
+use crate::wsg::{Force, GripperState, LoopData, Speed, Status, SystemState, Updates, Width};
 
 const ANSWER: Duration = Duration::from_millis(100);
 const RESULT: Duration = Duration::from_secs(5);
@@ -18,8 +19,17 @@ impl Rig {
     }
 
     fn on_a_line(bytes_per_second: Option<u32>) -> Self {
+        let frame_gap = Duration::from_millis(50);
+        Self::with(Config { bytes_per_second, frame_gap, may_duplicate: false, nonce_seed: 7 })
+    }
+
+    fn on_datagrams() -> Self {
+        let frame_gap = Duration::from_millis(50);
+        Self::with(Config { bytes_per_second: None, frame_gap, may_duplicate: true, nonce_seed: 7 })
+    }
+
+    fn with(config: Config) -> Self {
         let now = Instant::now();
-        let config = Config { bytes_per_second, frame_gap: Duration::from_millis(50), nonce_seed: 7 };
         Self { session: Session::new(config, now), now }
     }
 
@@ -397,4 +407,23 @@ fn an_echo_that_comes_twice_does_not_answer_the_next_loop() {
     rig.session.receive(rig.now, &other);
     assert_eq!(rig.events(), [answered(token, 2)]);
     assert_eq!(rig.session.counters().late_replies, 1);
+}
+
+#[test]
+fn a_reply_that_comes_twice_does_not_answer_the_next_request_of_its_id() {
+    let mut rig = Rig::on_datagrams();
+    let set = |n| Command::SetForceLimit(Force::new(n).unwrap());
+    let first = rig.submit(set(10.0));
+    rig.written();
+    rig.status(id::SET_FORCE_LIMIT, Status::E_SUCCESS);
+    assert_eq!(rig.events(), [Event::Ended(first, End::Reply(Reply::Success(Data::None)))]);
+    let second = rig.submit(set(500.0));
+    let echo = rig.echo_of_written_loop();
+    assert_eq!(rig.written(), NOTHING);
+    rig.status(id::SET_FORCE_LIMIT, Status::E_SUCCESS);
+    assert_eq!(rig.events(), NO_EVENTS, "the first reply again");
+    rig.session.receive(rig.now, &echo);
+    assert_eq!(rig.written(), [id::SET_FORCE_LIMIT]);
+    rig.status(id::SET_FORCE_LIMIT, Status::E_RANGE_ERROR);
+    assert_eq!(rig.events(), [Event::Ended(second, End::Reply(Reply::Status(Status::E_RANGE_ERROR)))]);
 }

@@ -164,6 +164,7 @@ impl World {
                 name: "sim",
                 connection_oriented: interface == Interface::Tcp,
                 bytes_per_second,
+                may_duplicate: interface == Interface::Udp,
                 frame_gap: Duration::from_millis(100),
             },
             read_ids: [0xB0].into(),

@@ -1,0 +1,125 @@
+//! What comes off the link: which request a reply belongs to, and what it means.
+
+use std::time::Instant;
+
+use super::barrier::Echo;
+use super::slots::{Closed, SlotState, Verdict};
+use super::{End, Event, Session};
+use crate::wsg::frame::Decoded;
+use crate::wsg::reply::{Data, InvalidReply, Reply};
+use crate::wsg::{Status, SystemState, id};
+
+impl Session {
+    pub(super) fn decode(&mut self, now: Instant) {
+        while let Some(decoded) = self.decoder.next() {
+            let Decoded::Frame(frame) = decoded else { continue };
+            self.last_heard = now;
+            let (id, reply) = (frame.id, Reply::parse(frame.id, frame.payload));
+            match reply {
+                Ok(reply) => self.take_reply(now, id, reply),
+                Err(invalid) => self.take_invalid(id, invalid),
+            }
+        }
+        self.partial = self.decoder.is_partial().then(|| match self.partial {
+            Some((position, since)) if position == self.decoder.position() => (position, since),
+            _ => (self.decoder.position(), now),
+        });
+    }
+
+    fn take_reply(&mut self, now: Instant, id: u8, reply: Reply) {
+        if id == id::LOOP && self.take_echo(now, &reply) {
+            return;
+        }
+        if id::has_updates(id)
+            && let Reply::Success(data) = &reply
+        {
+            self.take_update(data.clone());
+        }
+        let Some(slot) = self.slots.get_mut(id) else {
+            // An update is no stray: it answers the request that switched updates on.
+            self.counters.stray_replies += u64::from(!id::has_updates(id));
+            return;
+        };
+        match &mut slot.state {
+            SlotState::InFlight(in_flight) if in_flight.is_foreign_echo(&reply) => self.counters.late_replies += 1,
+            SlotState::InFlight(in_flight) => match in_flight.judge(id, reply.status()) {
+                Verdict::Accepted => {
+                    in_flight.accepted = true;
+                    in_flight.deadline = now + in_flight.result_within;
+                    self.events.push_back(Event::Accepted(in_flight.token));
+                }
+                Verdict::Final => {
+                    let (token, order) = (in_flight.token, in_flight.order);
+                    if self.config.may_duplicate && !matches!(id, id::STOP | id::FAST_STOP) && !id::has_updates(id) {
+                        let since = self.barrier.want();
+                        slot.state = SlotState::Closed(Closed { since, echoed: false, two_step: false });
+                    } else {
+                        self.slots.open(id);
+                    }
+                    if matches!(id, id::STOP | id::FAST_STOP) && reply.status() == Status::E_SUCCESS {
+                        self.expect_aborts_before(now, order);
+                    }
+                    self.events.push_back(Event::Ended(token, End::Reply(reply)));
+                }
+                Verdict::Late => self.counters.late_replies += 1,
+            },
+            SlotState::Closed(closed) => {
+                self.counters.late_replies += 1;
+                // The late result itself: nothing of that request can come any more.
+                if closed.two_step && reply.status() != Status::E_CMD_PENDING {
+                    self.slots.open(id);
+                }
+            }
+        }
+    }
+
+    /// Whether it was the echo of a Loop of ours.
+    fn take_echo(&mut self, now: Instant, reply: &Reply) -> bool {
+        let Reply::Success(Data::Loop(data)) = reply else {
+            // An `E_CMD_PENDING` before the data (`fw4-en 3.1.1`), or a refusal, which the deadline deals with.
+            return self.barrier.is_in_flight() && !self.loop_in_flight();
+        };
+        match self.barrier.echo(now, data) {
+            Echo::Ours(generation) => self.slots.retain(|slot| match &mut slot.state {
+                SlotState::Closed(closed) if closed.since < generation => {
+                    closed.echoed = true;
+                    closed.two_step
+                }
+                _ => true,
+            }),
+            Echo::Stale => self.counters.late_replies += 1,
+            Echo::NotOurs => return false,
+        }
+        true
+    }
+
+    fn take_update(&mut self, data: Data) {
+        if let Data::SystemState(flags) = data {
+            self.moving = flags.contains(SystemState::MOVING);
+            if !self.moving {
+                self.slots.retain(|slot| !matches!(&slot.state, SlotState::Closed(closed) if closed.echoed));
+            }
+        }
+        self.events.push_back(Event::Update(data));
+    }
+
+    /// The device has stopped: the results of running motions come within [`ABORT_GRACE`], or never.
+    pub fn expect_aborts(&mut self, now: Instant) {
+        self.expect_aborts_before(now, u64::MAX);
+    }
+
+    fn take_invalid(&mut self, id: u8, invalid: InvalidReply) {
+        self.counters.invalid_replies += 1;
+        if id::is_motion(id) {
+            // It may be moving: only silence until the deadline says that we don't know.
+            return;
+        }
+        if let Some(slot) = self.slots.get_mut(id)
+            && let SlotState::InFlight(in_flight) = &slot.state
+        {
+            let token = in_flight.token;
+            self.slots.open(id);
+            self.events.push_back(Event::Ended(token, End::Invalid(invalid)));
+        }
+    }
+}
