@@ -23,6 +23,12 @@ const SCHEDULE: Duration = Duration::from_secs(8);
 /// How long everything may take to come to rest afterwards: longer than the longest deadline.
 const REST: Duration = Duration::from_secs(150);
 
+/// How often something may fall due in one world: far more than in any that ends.
+const MAX_STEPS: u64 = 5_000_000;
+
+/// How long after the first a datagram may come again.
+const AGAIN_WITHIN_US: u64 = 3000;
+
 /// One seed's world.
 pub struct World {
     pub rng: SmallRng,
@@ -37,7 +43,9 @@ pub struct World {
     pub log: Vec<String>,
     pub counts: BTreeMap<String, u64>,
     connected: bool,
-    interface: Interface,
+    pub interface: Interface,
+    /// How often anything fell due.
+    steps: u64,
     reconnect_at: Option<Instant>,
     bytes_per_second: Option<u32>,
     longest_delay: Duration,
@@ -60,6 +68,12 @@ impl Wire {
         // Nothing overtakes on a wire.
         let at = self.0.back().map_or(at, |(last, _)| at.max(*last));
         self.0.push_back((at, bytes));
+    }
+
+    /// Datagrams do overtake.
+    fn send_datagram(&mut self, at: Instant, bytes: Vec<u8>) {
+        let index = self.0.partition_point(|(other, _)| *other <= at);
+        self.0.insert(index, (at, bytes));
     }
 
     fn due(&self) -> Option<Instant> {
@@ -135,7 +149,11 @@ impl World {
         device.scripts.push(Script { id: 0xB0, answer: ScriptAnswer::Echo });
         // A slow line has fewer updates, so that its schedules run faster; some are at full rate.
         let bytes_per_second = [None, Some(11_520), Some(960), Some(960), Some(960)][rng.random_range(0..5)];
-        let mut world = Self::with(seed, Interface::Tcp, rng, device, bytes_per_second);
+        let interfaces = [Interface::Tcp, Interface::Tcp, Interface::Udp, Interface::Serial, Interface::Can];
+        let interface = interfaces[rng.random_range(0..interfaces.len())];
+        let mut world = Self::with(seed, interface, rng, device, bytes_per_second);
+        world.note(&format!("on {interface:?}"));
+        world.count(&format!("interface: {interface:?}"), true);
         if world.rng.random_bool(0.1) {
             world.longest_delay = Duration::from_millis(world.rng.random_range(10..400));
         }
@@ -186,6 +204,7 @@ impl World {
             counts: BTreeMap::new(),
             connected: false,
             interface,
+            steps: 0,
             reconnect_at: Some(now),
             bytes_per_second,
             longest_delay: Duration::from_millis(3),
@@ -225,6 +244,8 @@ impl World {
                 return;
             };
             self.now = self.now.max(next);
+            self.steps += 1;
+            assert!(self.steps < MAX_STEPS, "it comes to no end\n{}", self.tail());
             self.step();
         }
     }
@@ -297,7 +318,13 @@ impl World {
                 let index = self.rng.random_range(0..frame.len());
                 frame[index] ^= 1 << self.rng.random_range(0..8);
             }
-            self.to_device.send(at, frame.clone());
+            if self.interface == Interface::Udp {
+                for at in self.arrivals("request", at) {
+                    self.to_device.send_datagram(at, frame.clone());
+                }
+            } else {
+                self.to_device.send(at, frame.clone());
+            }
         }
     }
 
@@ -321,6 +348,12 @@ impl World {
         if !self.noisy {
             return self.to_gateway.send(at, bytes);
         }
+        if self.interface == Interface::Udp {
+            for at in self.arrivals("reply", at) {
+                self.to_gateway.send_datagram(at, bytes.clone());
+            }
+            return;
+        }
         let [damaged, split, garbage] = [0.002, 0.02, 0.002].map(|chance| self.rng.random_bool(chance));
         self.count("wire: a reply was damaged", damaged);
         self.count("wire: a reply was split at every byte", split);
@@ -339,6 +372,19 @@ impl World {
             }
         } else {
             self.to_gateway.send(at, bytes);
+        }
+    }
+
+    /// When a datagram arrives: once, not at all, or twice.
+    fn arrivals(&mut self, what: &str, at: Instant) -> Vec<Instant> {
+        let [lost, twice] = [0.003, 0.01].map(|chance| self.noisy && self.rng.random_bool(chance));
+        self.count(&format!("wire: a {what}'s datagram was lost"), lost);
+        self.count(&format!("wire: a {what}'s datagram came twice"), twice);
+        let again = at + Duration::from_micros(self.rng.random_range(0..AGAIN_WITHIN_US));
+        match (lost, twice) {
+            (true, _) => Vec::new(),
+            (false, true) => vec![at, again],
+            (false, false) => vec![at],
         }
     }
 
