@@ -86,6 +86,7 @@ impl Invariants {
         let ended = world.clients.tickets().all(|ticket| ticket.now().phase == Phase::Done);
         // An update was heard after all faults had ended: the link isn't half-open.
         let heard = state.updated_at.is_some_and(|at| at > since + Duration::from_secs(1));
+        let heard = heard && state.flags_raw == Some(world.device.snapshot().flags.bits());
         state.link == Link::Connected && heard && !unconfirmed && ended && world.clients.all_answered()
     }
 
