@@ -95,9 +95,10 @@ fn spawn(config: &Config, gripper: &Gripper) -> Result<Handle, Mistake> {
         traits: connector.traits(),
         read_ids: gripper.read_ids.clone(),
         drain: config.drain,
+        on_journal_failure: gripper::actor::OnJournalFailure::Refuse,
         seed: rand::rng().random(),
     };
-    Ok(gripper::spawn(config, connector))
+    Ok(gripper::spawn(config, connector, Arc::new(gripper::Unrecorded), gripper::recorder::Recollection::default()))
 }
 
 /// Comes when the process is asked to end. SIGHUP does nothing yet, and must not be the process's unannounced end.

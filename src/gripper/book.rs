@@ -6,9 +6,11 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::watch;
 
+use super::Now;
 use super::error::{Conflict, Failure};
 use super::handle::Ticket;
-use super::model::{Action, Command, CommandId, Outcome, Phase, RequestId, Submission};
+use super::model::{Client, Command, CommandId, Kind, Outcome, Parameters, Phase, RequestId, Submission};
+use super::recorder::PastRequest;
 
 /// How long an ended command can be asked for.
 const KEPT_FOR: Duration = Duration::from_hours(1);
@@ -37,6 +39,7 @@ pub(super) struct Book {
 #[derive(Debug)]
 struct Entry {
     record: watch::Sender<Arc<Command>>,
+    client: Client,
     admitted_at: Instant,
     key: Option<Key>,
 }
@@ -48,7 +51,7 @@ type Key = (Arc<str>, RequestId);
 struct Bound {
     /// Outlives the command's place in the book.
     ticket: Ticket,
-    action: Action,
+    asked: (Kind, Parameters),
     since: Instant,
 }
 
@@ -59,7 +62,7 @@ impl Book {
         let Some(bound) = self.requests.get(&key).filter(|bound| now < bound.since + REPLAYED_FOR) else {
             return Ok(None);
         };
-        if bound.action != submission.action {
+        if bound.asked != asked(submission) {
             return Err(Conflict::RequestIdReused);
         }
         Ok(Some(Ticket { replayed: true, ..bound.ticket.clone() }))
@@ -81,12 +84,17 @@ impl Book {
         let (record, receiver) = watch::channel(Arc::new(command));
         let ticket = Ticket { record: receiver, replayed: false };
         if let Some(key) = &key {
-            let bound = Bound { ticket: ticket.clone(), action: submission.action.clone(), since: now };
+            let bound = Bound { ticket: ticket.clone(), asked: asked(submission), since: now };
             self.requests.insert(key.clone(), bound);
             self.bound.push_back((now, key.clone()));
         }
-        self.commands.insert(id, Entry { record, admitted_at: now, key });
+        self.commands.insert(id, Entry { record, client: submission.client.clone(), admitted_at: now, key });
         ticket
+    }
+
+    /// Who asked for a command.
+    pub(super) fn client(&self, id: CommandId) -> Option<Client> {
+        self.commands.get(&id).map(|entry| entry.client.clone())
     }
 
     pub(super) fn find(&self, id: CommandId) -> Option<Ticket> {
@@ -99,7 +107,7 @@ impl Book {
         now: Instant,
         id: CommandId,
         fill_in: impl FnOnce(&mut Command),
-    ) -> Option<Arc<Command>> {
+    ) -> Option<(Client, Arc<Command>)> {
         let entry = self.commands.get(&id)?;
         let mut command = Command::clone(&entry.record.borrow());
         if command.phase == Phase::Done || self.untold.iter().any(|ended| ended.id == id) {
@@ -116,15 +124,43 @@ impl Book {
         }
         let command = Arc::new(command);
         self.untold.push(command.clone());
-        Some(command)
+        Some((entry.client.clone(), command))
+    }
+
+    /// Takes in a request of an earlier run of the gateway.
+    pub(super) fn bind_again(&mut self, now: Now, request: PastRequest) {
+        let PastRequest { subject, request_id, kind, parameters, command, age } = request;
+        let Some(since) = now.instant.checked_sub(age).filter(|since| now.instant < *since + REPLAYED_FOR) else {
+            return;
+        };
+        if command.outcome == Some(Outcome::Refused) {
+            return;
+        }
+        let command = Command { recorded: true, ..command };
+        let ticket = Ticket { record: watch::channel(Arc::new(command)).1, replayed: false };
+        let key = (subject, request_id);
+        self.requests.insert(key.clone(), Bound { ticket, asked: (kind, parameters), since });
+        self.bound.push_back((since, key));
+    }
+
+    /// A command's record is durable, or is not waited for any longer: its client may be told of it.
+    pub(super) fn recorded(&mut self, id: CommandId) {
+        if let Some(entry) = self.commands.get(&id) {
+            entry.record.send_modify(|command| Arc::make_mut(command).recorded = true);
+        }
     }
 
     /// Tells clients of the commands that have ended: after the state was published, so that who reads it next reads
     /// none of before the end.
     pub(super) fn tell(&mut self) {
-        for command in self.untold.drain(..) {
-            if let Some(entry) = self.commands.get(&command.id) {
-                entry.record.send_replace(command);
+        let untold = std::mem::take(&mut self.untold);
+        for command in untold {
+            match self.commands.get(&command.id) {
+                Some(entry) if entry.record.borrow().recorded => {
+                    entry.record.send_replace(Arc::new(Command { recorded: true, ..Command::clone(&command) }));
+                }
+                Some(_) => self.untold.push(command),
+                None => {}
             }
         }
     }
@@ -148,6 +184,10 @@ impl Book {
     }
 }
 
+fn asked(submission: &Submission) -> (Kind, Parameters) {
+    (submission.action.kind(), Parameters::from(&submission.action))
+}
+
 fn key(submission: &Submission) -> Option<Key> {
     submission.request_id.clone().map(|request_id| (submission.client.subject.clone(), request_id))
 }
@@ -156,7 +196,7 @@ fn key(submission: &Submission) -> Option<Key> {
 mod tests {
     use jiff::Timestamp;
 
-    use super::super::model::{Client, Door, IdSource};
+    use super::super::model::{Action, Client, Door, IdSource};
     use super::*;
 
     fn submission(request_id: Option<&str>) -> Submission {
@@ -180,6 +220,7 @@ mod tests {
         book.check_room(now, &submission).unwrap();
         let ticket = book.enter(now, command(ids, &submission), &submission);
         let id = ticket.now().id;
+        book.recorded(id);
         book.end(now, id, |command| command.outcome = Some(Outcome::Success));
         book.tell();
         id

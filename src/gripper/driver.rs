@@ -1,18 +1,24 @@
 //! The driver: the I/O around one gripper's actor. It connects, reads, writes one frame at a time, and passes clients'
 //! requests on.
 
+use std::future::Future;
 use std::io;
+use std::pin::Pin;
 use std::sync::Arc;
+use std::task::{Context, Poll};
 use std::time::Duration;
 
+use futures_util::stream::{FuturesUnordered, StreamExt as _};
 use rand::RngExt;
 use tokio::io::{AsyncReadExt, AsyncWrite, AsyncWriteExt};
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, oneshot, watch};
 
 use super::actor::{Actor, Config};
 use super::clock::{Now, sleep_until};
 use super::connector::Connector;
 use super::handle::{FastStopRequest, Handle, MAX_WAITING_FAST_STOPS, MAX_WAITING_REQUESTS, Request};
+use super::model::CommandId;
+use super::recorder::{Health, Recollection, Record, Recorder};
 use crate::transport::Pipe;
 use crate::wsg::Command;
 
@@ -32,12 +38,28 @@ const READS_IN_A_ROW: u32 = 8;
 const READ_BYTES: usize = 4096;
 
 /// Starts a gripper on the current runtime. It ends when it was drained, or when all its handles are gone.
-pub fn spawn(config: Config, connector: Arc<dyn Connector>) -> Handle {
+pub fn spawn(
+    config: Config,
+    connector: Arc<dyn Connector>,
+    recorder: Arc<dyn Recorder>,
+    recollection: Recollection,
+) -> Handle {
     let (requests, request_queue) = mpsc::channel(MAX_WAITING_REQUESTS);
     let (fast_stops, fast_stop_queue) = mpsc::channel(MAX_WAITING_FAST_STOPS);
     let name = config.name.clone();
-    let (actor, watches) = Actor::new(config);
-    let driver = Driver { actor, connector, requests: request_queue, fast_stops: fast_stop_queue, is_abandoned: false };
+    let (mut actor, watches) = Actor::new(config);
+    actor.recollect(Now::read(), recollection);
+    let health = recorder.health();
+    let driver = Driver {
+        actor,
+        connector,
+        recorder,
+        health,
+        awaited: FuturesUnordered::new(),
+        requests: request_queue,
+        fast_stops: fast_stop_queue,
+        is_abandoned: false,
+    };
     tokio::spawn(driver.run());
     Handle { name, requests, fast_stops, state: watches.state, info: watches.info }
 }
@@ -45,10 +67,25 @@ pub fn spawn(config: Config, connector: Arc<dyn Connector>) -> Handle {
 struct Driver {
     actor: Actor,
     connector: Arc<dyn Connector>,
+    recorder: Arc<dyn Recorder>,
+    health: watch::Receiver<Health>,
+    /// The records that commands wait for: as many as there are commands under way.
+    awaited: FuturesUnordered<Awaited>,
     requests: mpsc::Receiver<Request>,
     fast_stops: mpsc::Receiver<FastStopRequest>,
     /// Whether all handles are gone.
     is_abandoned: bool,
+}
+
+/// Comes when a command's record is durable, or won't be.
+struct Awaited(CommandId, oneshot::Receiver<()>);
+
+impl Future for Awaited {
+    type Output = (CommandId, bool);
+
+    fn poll(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Self::Output> {
+        Pin::new(&mut self.1).poll(cx).map(|durable| (self.0, durable.is_ok()))
+    }
 }
 
 /// A link's I/O.
@@ -63,6 +100,8 @@ struct LinkIo {
 enum Input {
     FastStop(Option<FastStopRequest>),
     Deadline,
+    Recorded(CommandId, bool),
+    Health(Health),
     Request(Option<Request>),
     Written(io::Result<()>),
     Read(io::Result<usize>),
@@ -86,6 +125,7 @@ impl Driver {
             back_off = (back_off * 2).min(LONGEST_BACK_OFF);
         }
         self.actor.drained();
+        self.pass_records_on();
     }
 
     /// Connects, serving requests meanwhile. `None` when the gripper is given up.
@@ -151,6 +191,7 @@ impl Driver {
     /// Waits for the next input. Cancelled without loss. The order is the priority: a FAST STOP first, then what makes
     /// room for its frame. Requests come behind what the device sends, but for every few reads before it.
     async fn wait(&mut self, link: Option<&mut LinkIo>) -> Input {
+        self.pass_records_on();
         let deadline = self.actor.poll_timeout();
         let mut requests_first = false;
         let (pipe, outgoing, incoming) = match link {
@@ -181,6 +222,8 @@ impl Driver {
                 }
             }, if is_writing => Input::Written(written),
             () = sleep_until(deadline) => Input::Deadline,
+            Some((id, durable)) = self.awaited.next() => Input::Recorded(id, durable),
+            Ok(()) = self.health.changed() => Input::Health(self.health.borrow_and_update().clone()),
             read = async {
                 match &mut reader {
                     Some(reader) => reader.read(incoming).await,
@@ -188,6 +231,21 @@ impl Driver {
                 }
             } => Input::Read(read),
             request = self.requests.recv(), if !self.is_abandoned => Input::Request(request),
+        }
+    }
+
+    /// Hands what is to be recorded to the recorder, which doesn't make anybody wait.
+    fn pass_records_on(&mut self) {
+        while let Some((record, awaited_by)) = self.actor.poll_record() {
+            let record = match (record, awaited_by) {
+                (Record::Event(event, _), Some(id)) => {
+                    let (durable, is_durable) = oneshot::channel();
+                    self.awaited.push(Awaited(id, is_durable));
+                    Record::Event(event, Some(durable))
+                }
+                (record, _) => record,
+            };
+            self.recorder.record(record);
         }
     }
 
@@ -201,6 +259,8 @@ impl Driver {
                 self.actor.abandon(Now::read());
             }
             Input::Deadline => self.actor.handle_timeout(Now::read()),
+            Input::Recorded(id, durable) => self.actor.recorded(Now::read(), id, durable),
+            Input::Health(health) => self.actor.journal_health(Now::read(), health),
             Input::Written(_) | Input::Read(_) => {}
         }
     }

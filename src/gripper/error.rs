@@ -167,6 +167,15 @@ pub enum Failure {
         /// The bound.
         limit: usize,
     },
+    /// The journal takes no records, and nothing moves that is not written down.
+    #[error(
+        "the journal takes no records ({cause}), and nothing moves that is not written down: mend it, or set \
+             on_journal_failure to continue"
+    )]
+    JournalDown {
+        /// Why.
+        cause: String,
+    },
     /// It would keep the line busy for too long while the fingers move.
     #[error("{command} would take {line_ms} ms of line time, and no more than {max_ms} ms are allowed while moving")]
     LineTime {

@@ -141,6 +141,7 @@ impl Actor {
             Fate::Runs => {}
             Fate::Ends(outcome) => end(&mut command, outcome),
         }
+        command.recorded = true;
         let (record, newest) = watch::channel(Arc::new(command));
         self.commands.insert(id, record);
         Ok(Ticket { record: newest, replayed: false })

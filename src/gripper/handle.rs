@@ -71,6 +71,12 @@ impl Ticket {
         Command { replayed: self.replayed, ..record }
     }
 
+    /// Waits until it is written down, which the actor bounds.
+    async fn recorded(&mut self) {
+        // An actor that is gone records nothing any more.
+        let _ = self.record.wait_for(|command| command.recorded).await;
+    }
+
     /// Whether it has changed since this was asked last.
     pub fn has_changed(&mut self) -> bool {
         let changed = self.record.has_changed().unwrap_or_default();
@@ -127,13 +133,15 @@ impl Handle {
         self.info.borrow().clone()
     }
 
-    /// Submits a command: admitted with an id, or rejected before anything was sent.
+    /// Submits a command: admitted with an id and written down, or rejected before anything was sent.
     ///
     /// # Errors
     /// [`Rejection`]
     pub async fn submit(&self, submission: Submission) -> Result<Ticket, Rejection> {
         let id = CommandId::generate();
-        self.ask(|answer| Request::Submit { submission, id, answer }).await?
+        let mut ticket = self.ask(|answer| Request::Submit { submission, id, answer }).await??;
+        ticket.recorded().await;
+        Ok(ticket)
     }
 
     /// A command of the last hour, by its id.

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use super::Now;
 use super::error::{Conflict, Rejection};
 use super::handle::{Answer, FastStopRequest};
-use super::model::{FastStopCause, FastStopId, IdSource, Latch, Reason};
+use super::model::{Client, FastStopCause, FastStopId, IdSource, Latch, Reason};
 use crate::wsg::SystemState;
 use crate::wsg::session::Token;
 
@@ -39,12 +39,22 @@ pub(super) struct Latching {
     repeat_at: Option<Instant>,
     acknowledging: Option<Acknowledging>,
     /// The acknowledges that have ended, and whose clients have not been told.
-    untold: Vec<(Answer<()>, Result<(), Rejection>)>,
+    untold: Vec<Acknowledged>,
+}
+
+/// An acknowledge that has ended.
+#[derive(Debug)]
+pub(super) struct Acknowledged {
+    pub id: FastStopId,
+    pub client: Client,
+    pub answer: Answer<()>,
+    pub result: Result<(), Rejection>,
 }
 
 #[derive(Debug)]
 struct Acknowledging {
     id: FastStopId,
+    client: Client,
     answer: Answer<()>,
     progress: Progress,
 }
@@ -94,9 +104,9 @@ impl Latching {
         let was_acknowledging = self.acknowledging.is_some();
         let overtaken = self.acknowledging.take().and_then(|acknowledging| {
             let stale = Conflict::StaleFastStop { given: acknowledging.id, current: Some(request.id) };
-            // Whoever asked may be gone.
-            let _ = acknowledging.answer.send(Err(stale.into()));
-            match acknowledging.progress {
+            let Acknowledging { id, client, answer, progress } = acknowledging;
+            self.untold.push(Acknowledged { id, client, answer, result: Err(stale.into()) });
+            match progress {
                 Progress::Sent(token) => Some(token),
                 Progress::Watching(_) => None,
             }
@@ -175,8 +185,8 @@ impl Latching {
         }
     }
 
-    pub(super) fn acknowledge_sent(&mut self, id: FastStopId, token: Token, answer: Answer<()>) {
-        self.acknowledging = Some(Acknowledging { id, answer, progress: Progress::Sent(token) });
+    pub(super) fn acknowledge_sent(&mut self, id: FastStopId, client: Client, token: Token, answer: Answer<()>) {
+        self.acknowledging = Some(Acknowledging { id, client, answer, progress: Progress::Sent(token) });
     }
 
     /// The 24h has ended.
@@ -223,17 +233,14 @@ impl Latching {
     }
 
     fn finish_acknowledge(&mut self, result: Result<(), Rejection>) {
-        if let Some(acknowledging) = self.acknowledging.take() {
-            self.untold.push((acknowledging.answer, result));
+        if let Some(Acknowledging { id, client, answer, .. }) = self.acknowledging.take() {
+            self.untold.push(Acknowledged { id, client, answer, result });
         }
     }
 
-    /// Tells clients how their acknowledges ended: after the state was published.
-    pub(super) fn tell(&mut self) {
-        for (answer, result) in self.untold.drain(..) {
-            // Whoever asked may be gone.
-            let _ = answer.send(result);
-        }
+    /// The acknowledges that have ended: their clients are told after the state was published.
+    pub(super) fn take_acknowledged(&mut self) -> Vec<Acknowledged> {
+        std::mem::take(&mut self.untold)
     }
 }
 

@@ -7,6 +7,7 @@ pub mod actor;
 mod book;
 pub mod clock;
 mod connector;
+mod curve;
 mod driver;
 pub mod error;
 #[cfg(test)]
@@ -28,4 +29,4 @@ pub use error::{Conflict, DeviceRefusal, Failure, Invalid, Rejection};
 pub use fleet::Fleet;
 pub use handle::{FastStop, Handle, Ticket};
 pub use info::Info;
-pub use recorder::{Health, Record, Recorder};
+pub use recorder::{Health, Record, Recorder, Unrecorded};

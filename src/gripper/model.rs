@@ -419,6 +419,9 @@ pub struct Command {
     /// Why it was refused: told as a problem to whoever waits for it.
     #[serde(skip)]
     pub rejection: Option<Rejection>,
+    /// Whether clients may be told of it, since it is written down.
+    #[serde(skip)]
+    pub recorded: bool,
 }
 
 impl Command {
@@ -443,6 +446,7 @@ impl Command {
             replayed: false,
             fast_stop_id: None,
             rejection: None,
+            recorded: false,
         }
     }
 

@@ -1,8 +1,11 @@
 //! What a gripper needs of whoever keeps its records. The journal does; tests can.
 
+use std::sync::Arc;
+use std::time::Duration;
+
 use tokio::sync::{oneshot, watch};
 
-use super::model::{Event, GripRecord, Memory};
+use super::model::{Command, Event, GripRecord, Kind, Memory, Parameters, RequestId};
 
 /// Keeps records. It never makes a gripper wait: what finds no place is counted and lost, and said to be.
 pub trait Recorder: Send + Sync + 'static {
@@ -25,6 +28,32 @@ pub enum Record {
     Memory(Memory),
 }
 
+/// What is known of a gripper from an earlier run.
+#[derive(Debug, Clone, Default)]
+pub struct Recollection {
+    /// The value of [`MemoryKey::Settings`](super::model::MemoryKey::Settings).
+    pub settings: Option<String>,
+    /// The requests with ids of their own, so that a repetition moves nothing again.
+    pub requests: Vec<PastRequest>,
+}
+
+/// A request of an earlier run, and the command that it became.
+#[derive(Debug, Clone)]
+pub struct PastRequest {
+    /// Who asked.
+    pub subject: Arc<str>,
+    /// What makes a repetition the same request.
+    pub request_id: RequestId,
+    /// What was asked for.
+    pub kind: Kind,
+    /// How.
+    pub parameters: Parameters,
+    /// What became of it.
+    pub command: Command,
+    /// How long ago it was admitted.
+    pub age: Duration,
+}
+
 /// Whether records become durable.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Health {
@@ -32,4 +61,21 @@ pub struct Health {
     pub failure: Option<String>,
     /// How many found no place since the start.
     pub lost: u64,
+}
+
+/// A recorder for who needs none: what is recorded counts as durable at once, and is gone.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Unrecorded;
+
+impl Recorder for Unrecorded {
+    fn record(&self, record: Record) {
+        if let Record::Event(_, Some(durable)) = record {
+            // Who waited may be gone.
+            let _ = durable.send(());
+        }
+    }
+
+    fn health(&self) -> watch::Receiver<Health> {
+        watch::channel(Health::default()).1
+    }
 }

@@ -74,6 +74,8 @@ codes! {
     DeviceProtocol BAD_GATEWAY;
     /// There is no working link to the device.
     LinkDown SERVICE_UNAVAILABLE;
+    /// Nothing can be written down in the journal.
+    JournalDown SERVICE_UNAVAILABLE;
     /// The device did not answer in time.
     DeviceTimeout GATEWAY_TIMEOUT;
 }
@@ -308,6 +310,7 @@ impl From<Failure> for Problem {
             Failure::LinkDown { .. } | Failure::Draining => Code::LinkDown,
             Failure::DeviceTimeout { .. } => Code::DeviceTimeout,
             Failure::DeviceProtocol { .. } => Code::DeviceProtocol,
+            Failure::JournalDown { .. } => Code::JournalDown,
             Failure::Overloaded { .. } => Code::Overloaded,
             Failure::LineTime { .. } => Code::AlreadyRunning,
         };

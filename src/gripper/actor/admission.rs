@@ -5,7 +5,9 @@ use std::time::Duration;
 use super::super::Now;
 use super::super::error::{Conflict, Failure, Invalid, Rejection};
 use super::super::handle::{Answer, Ticket};
-use super::super::model::{Action, Client, Command as Record, CommandId, FastStopId, Motion, Submission};
+use super::super::model::{
+    Action, Client, Command as Record, CommandId, FastStopId, Motion, SettingChange, Submission,
+};
 use super::super::setup::{Setting, WantedSoftLimits};
 use super::motion::Running;
 use super::reads::is_slow_getter;
@@ -29,6 +31,7 @@ impl Actor {
                 }
                 self.check_motion(motion)?;
                 let ticket = self.enter(now, id, submission);
+                self.start_measuring(id, motion);
                 self.running = Some(Running::new(id, motion.clone()));
                 Ok(ticket)
             }
@@ -48,6 +51,7 @@ impl Actor {
         self.limits_now().check_motion(motion, width)?;
         self.check_link()?;
         self.check_moving()?;
+        self.check_journal()?;
         if !referenced && !matches!(motion, Motion::Home(_)) {
             return Err(Conflict::NotReferenced.into());
         }
@@ -79,12 +83,13 @@ impl Actor {
     fn enter(&mut self, now: Now, id: CommandId, submission: &Submission) -> Ticket {
         let kind = submission.action.kind();
         tracing::info!(gripper = %self.config.name, command = %id, %kind, client = %submission.client.subject, "admitted");
+        self.record_admitted(now, id, submission);
         let record = Record::admitted(id, self.config.name.clone(), submission, now.wall);
         self.book.enter(now.instant, record, submission)
     }
 
     /// Takes up a request that moves nothing.
-    pub(super) fn exchange(&mut self, now: Now, command: Command, client: &Client, answer: Answer<Data>) {
+    pub(super) fn exchange(&mut self, now: Now, command: Command, client: Client, answer: Answer<Data>) {
         if let Err(rejection) = self.check_exchange(&command) {
             let _ = answer.send(Err(rejection));
             return;
@@ -98,7 +103,7 @@ impl Actor {
         if is_slow_getter(&command) {
             return self.read(now, command, answer);
         }
-        let purpose = Purpose::Exchange(Exchange { command: command.clone(), answer, setter: None });
+        let purpose = Purpose::Exchange(Exchange { command: command.clone(), answer, setter: None, client });
         self.submit_exchange(now, command, purpose);
     }
 
@@ -114,7 +119,10 @@ impl Actor {
             Command::Stop | Command::FastStop => Err(not_here("it is a command of its own")),
             Command::AcknowledgeFastStop => Err(not_here("acknowledge by the FAST STOP's id")),
             Command::DisconnectAnnouncement => Err(not_here("the gateway announces its own disconnects")),
-            Command::Custom(custom) if !self.config.read_ids.contains(&custom.id()) => Ok(self.check_moving()?),
+            Command::Custom(custom) if !self.config.read_ids.contains(&custom.id()) => {
+                self.check_moving()?;
+                Ok(self.check_journal()?)
+            }
             command if id::has_updates(command.id()) && self.observed.newest(command.id()).is_none() => {
                 Err(Failure::DeviceTimeout { command: super::name_of(command), waited_ms: 0 }.into())
             }
@@ -124,7 +132,7 @@ impl Actor {
 
     /// Notes what a setter has set, and reads back what the device made of it.
     pub(super) fn exchange_succeeded(&mut self, now: Now, exchange: Exchange, data: Data) {
-        let Exchange { command, answer, setter } = exchange;
+        let Exchange { command, answer, setter, client } = exchange;
         let getter = match &command {
             Command::SetAcceleration(_) => Command::GetAcceleration,
             Command::SetForceLimit(_) => Command::GetForceLimit,
@@ -132,18 +140,22 @@ impl Actor {
             Command::SetDeviceTag(_) => Command::GetDeviceTag,
             Command::OverdriveMode { on } => {
                 self.overdrive_wanted = *on;
+                self.record_setting(now, &client, SettingChange::Overdrive { enabled: *on });
                 self.awaiting_flags.push((now.instant + FLAGS_WITHIN, answer));
                 return;
             }
             _ => {
                 if setter.is_some() {
                     self.note_setting(&data);
+                    self.record_set(now, &client, &data);
+                } else {
+                    self.record_change(now, &client, &command);
                 }
                 let _ = answer.send(Ok(data));
                 return;
             }
         };
-        let purpose = Purpose::Exchange(Exchange { command: getter.clone(), answer, setter: Some(command) });
+        let purpose = Purpose::Exchange(Exchange { command: getter.clone(), answer, setter: Some(command), client });
         self.submit_exchange(now, getter, purpose);
     }
 
@@ -175,8 +187,9 @@ impl Actor {
                 let tag = tag.as_str().to_owned();
                 self.info.send_modify(|info| std::sync::Arc::make_mut(info).device_tag = Some(tag));
             }
-            _ => {}
+            _ => return,
         }
+        self.remember_settings();
     }
 
     /// Soft limits were read back, and there are none.
@@ -184,10 +197,11 @@ impl Actor {
         self.wanted.soft_limits = WantedSoftLimits::Cleared;
         self.lost.remove(&Setting::SoftLimits);
         self.limits.soft = None;
+        self.remember_settings();
     }
 
     /// Takes up an acknowledge.
-    pub(super) fn acknowledge(&mut self, now: Now, id: FastStopId, client: &Client, answer: Answer<()>) {
+    pub(super) fn acknowledge(&mut self, now: Now, id: FastStopId, client: Client, answer: Answer<()>) {
         let allowed =
             self.latching.check_acknowledge(id).map_err(Rejection::from).and_then(|()| Ok(self.check_link()?));
         let sent = allowed.and_then(|()| {
@@ -197,7 +211,7 @@ impl Actor {
         match sent {
             Ok(token) => {
                 tracing::info!(gripper = %self.config.name, %id, by = %client.subject, "FAST STOP acknowledged");
-                self.latching.acknowledge_sent(id, token, answer);
+                self.latching.acknowledge_sent(id, client, token, answer);
             }
             Err(rejection) => {
                 let _ = answer.send(Err(rejection));

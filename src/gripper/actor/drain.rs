@@ -87,6 +87,7 @@ impl Actor {
 
     /// Tells everyone who waits for it that the gripper was given up.
     pub fn drained(&mut self) {
+        self.finish_measuring();
         for answer in self.drain.take().into_iter().flat_map(|drain| drain.answers) {
             let _ = answer.send(());
         }

@@ -2,7 +2,7 @@
 
 use super::super::Now;
 use super::super::latch::{Change, Origin};
-use super::super::model::FastStopCause;
+use super::super::model::{DeviceEvent, FastStopCause, FastStopStep, SettingChange};
 use super::{Actor, Close, Exchange, LinkState, Purpose};
 use crate::wsg::session::{End, Event, Token};
 use crate::wsg::{Command, Data, Reply, Status, SystemState};
@@ -29,11 +29,18 @@ impl Actor {
     }
 
     fn take_update(&mut self, now: Now, data: &Data) {
-        let before = self.observed.flags;
+        let (before, state_before) = (self.observed.flags, self.observed.gripper_state);
         let missed = matches!(data, Data::SystemState(_)) && self.observed.were_missed(now.instant);
         self.observed.take(now.instant, data);
-        let Data::SystemState(flags) = *data else { return };
-        self.notice_restart(before, flags);
+        let flags = match *data {
+            Data::SystemState(flags) => flags,
+            Data::GripperState(_) => return self.record_gripper_state(now, state_before),
+            // The last of the values of a period.
+            Data::Force(_) => return self.measure(now),
+            _ => return,
+        };
+        self.record_flags(now, before, flags);
+        self.notice_restart(now, before, flags);
         if missed {
             self.set_up_again(now, flags);
         }
@@ -42,10 +49,12 @@ impl Actor {
             Some(Change::Seen) => {
                 let cause = self.latching.latch().map_or(FastStopCause::Unknown, |latch| latch.cause);
                 tracing::warn!(gripper = %self.config.name, ?cause, "the device is in FAST STOP");
+                self.record_fast_stop(now, FastStopStep::Latched, None);
                 self.abort_for_latch(now, cause);
             }
             Some(Change::Confirmed) => {
                 tracing::info!(gripper = %self.config.name, "FAST STOP confirmed");
+                self.record_fast_stop(now, FastStopStep::Confirmed, None);
                 if let Some(session) = &mut self.session {
                     session.expect_aborts(now.instant);
                 }
@@ -57,13 +66,14 @@ impl Actor {
 
     /// A device that loses its reference has restarted, unless its fingers are being homed, by us or by somebody else.
     /// Where there are no connections that would end with it, this is all that there is to notice it by.
-    fn notice_restart(&mut self, before: Option<SystemState>, flags: SystemState) {
+    fn notice_restart(&mut self, now: Now, before: Option<SystemState>, flags: SystemState) {
         let was_referenced = before.is_some_and(|before| before.contains(SystemState::REFERENCED));
         let homes = flags.contains(SystemState::MOVING) || self.running.as_ref().is_some_and(super::Running::homes);
         if !was_referenced || flags.contains(SystemState::REFERENCED) || homes {
             return;
         }
         tracing::warn!(gripper = %self.config.name, "the device has lost its reference: it has restarted");
+        self.record_device(now, DeviceEvent::Restarted);
         if matches!(self.link, LinkState::Up) {
             self.close = Some(Close::Restarted);
         }
@@ -133,6 +143,7 @@ impl Actor {
                 if matches!(exchange.setter, Some(Command::ClearSoftLimits)) =>
             {
                 self.note_no_soft_limits();
+                self.record_setting(now, &exchange.client, SettingChange::SoftLimitsCleared);
                 let _ = exchange.answer.send(Ok(Data::None));
             }
             end => {
@@ -141,6 +152,7 @@ impl Actor {
                 let result = match exchange.setter.as_ref().and_then(as_read_back) {
                     Some(data) => {
                         self.note_setting(&data);
+                        self.record_set(now, &exchange.client, &data);
                         Ok(data)
                     }
                     None => Err(self.rejection_of(command, end)),

@@ -5,7 +5,7 @@ use std::time::Duration;
 use super::super::Now;
 use super::super::error::{Failure, Rejection};
 use super::super::latch;
-use super::super::model::{Link, Outcome};
+use super::super::model::{DeviceEvent, Link, Outcome};
 use super::super::observed;
 use super::super::setup::{Setup, Step};
 use super::{Actor, Close, LinkState, Purpose, REPLY_WITHIN};
@@ -116,8 +116,7 @@ impl Actor {
     }
 
     fn new_setup(&self) -> Setup {
-        let known_serial = self.system.map(|system| system.serial_number);
-        Setup::new(self.config.traits.bytes_per_second, known_serial, self.wanted)
+        Setup::new(self.config.traits.bytes_per_second, self.known_serial, self.wanted)
     }
 
     /// Sends the set-up's next request, or ends it.
@@ -148,6 +147,9 @@ impl Actor {
         let name = self.config.name.clone();
         if setup.replaced {
             let serial = setup.system.map(|system| system.serial_number);
+            if let (Some(known_serial_number), Some(serial_number)) = (self.known_serial, serial) {
+                self.record_device(now, DeviceEvent::Replaced { known_serial_number, serial_number });
+            }
             tracing::warn!(gripper = %name, serial, "another device answers: its settings are left as they are");
         }
         if !setup.restored.is_empty() {
@@ -161,6 +163,7 @@ impl Actor {
             tracing::warn!(gripper = %name, "Overdrive Mode is off since the device restarted, and stays off");
             self.overdrive_wanted = false;
         }
+        self.record_restored(now, &setup.restored);
         self.wanted = setup.wanted();
         if let (Some(wanted), Some(limits), false) = (self.wanted.force_limit, setup.limits, overdrive) {
             // Without overdrive the device has clamped it, and would be found changed at each reconnect.
@@ -172,6 +175,11 @@ impl Actor {
             self.observed.asked(now.instant, update.id());
         }
         self.system = setup.system;
+        let serial = setup.system.map(|system| system.serial_number);
+        if self.known_serial != serial {
+            self.known_serial = serial;
+            self.remember_settings();
+        }
         self.limits.system = setup.limits;
         self.limits.soft = setup.soft_limits;
         if let (Some(system), Some(limits)) = (setup.system, setup.limits) {

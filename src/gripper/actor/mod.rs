@@ -21,6 +21,8 @@ mod link;
 mod motion;
 mod publish;
 mod reads;
+mod recording;
+mod settings;
 mod upkeep;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -36,7 +38,7 @@ use super::handle::{Answer, FastStopRequest, Request};
 use super::info::Info;
 use super::latch::Latching;
 use super::limits::Limits;
-use super::model::{CommandId, FastStopCause, IdSource, Name, State};
+use super::model::{Client, CommandId, FastStopCause, FastStopStep, IdSource, Name, State};
 use super::observed::Observed;
 use super::setup::{Setting, Setup, Wanted};
 use crate::transport::Traits;
@@ -45,6 +47,8 @@ use crate::wsg::{self, Command, Data, Force, SystemInfo, id};
 use drain::Drain;
 use motion::Running;
 use reads::Reads;
+pub use recording::OnJournalFailure;
+use recording::Recording;
 
 /// How long the device may take to answer, before a Loop asks whether the answer was lost.
 const REPLY_WITHIN: Duration = Duration::from_secs(1);
@@ -66,6 +70,8 @@ pub struct Config {
     pub read_ids: BTreeSet<u8>,
     /// How long a running command may take to finish when the gripper is given up.
     pub drain: Duration,
+    /// What becomes of motions while the journal takes no records.
+    pub on_journal_failure: OnJournalFailure,
     /// Of ids and nonces: random, but in tests.
     pub seed: u64,
 }
@@ -112,6 +118,7 @@ struct Exchange {
     answer: Answer<Data>,
     /// The setter whose value is being read back.
     setter: Option<Command>,
+    client: Client,
 }
 
 /// Why a request was not taken by the session, and what it was for.
@@ -141,6 +148,8 @@ pub struct Actor {
     close: Option<Close>,
     purposes: BTreeMap<Token, Purpose>,
     system: Option<SystemInfo>,
+    /// The serial number of the device that [`Wanted`] was set on.
+    known_serial: Option<u32>,
     limits: Limits,
     wanted: Wanted,
     /// Settings of clients that could not be restored: nothing moves until they are set again.
@@ -156,6 +165,7 @@ pub struct Actor {
     /// Overdrive requests that wait for the flags to show what became of them.
     awaiting_flags: Vec<(Instant, Answer<Data>)>,
     drain: Option<Drain>,
+    recording: Recording,
     sequence: u64,
     state: watch::Sender<Arc<State>>,
     info: watch::Sender<Arc<Info>>,
@@ -194,6 +204,7 @@ impl Actor {
             close: None,
             purposes: BTreeMap::new(),
             system: None,
+            known_serial: None,
             limits: Limits::default(),
             wanted: Wanted::default(),
             lost: BTreeSet::new(),
@@ -206,6 +217,7 @@ impl Actor {
             temperature_at: None,
             awaiting_flags: Vec::new(),
             drain: None,
+            recording: Recording::default(),
             sequence: 0,
             state,
             info,
@@ -231,15 +243,16 @@ impl Actor {
 
     /// A FAST STOP: needs no lease, waits for nothing.
     pub fn fast_stop(&mut self, now: Now, request: FastStopRequest) {
-        let (id, by, reason) = (request.id, request.client.subject.clone(), request.reason.clone());
+        let (id, client, reason) = (request.id, request.client.clone(), request.reason.clone());
         if let Some(token) = self.latching.request(now, request) {
             // An acknowledge of an earlier one must not come after this.
             self.withdraw(token);
         }
         self.send_fast_stop_if_due(now);
+        self.record_fast_stop(now, FastStopStep::Latched, Some(&client));
         self.abort_for_latch(now, FastStopCause::Requested);
         self.settle(now);
-        tracing::warn!(gripper = %self.config.name, %id, %by, reason = reason.as_str(), "FAST STOP requested");
+        tracing::warn!(gripper = %self.config.name, %id, by = %client.subject, reason = reason.as_str(), "FAST STOP requested");
     }
 
     /// Any other request of a client.
@@ -260,8 +273,8 @@ impl Actor {
                 }
                 let _ = answer.send(ticket);
             }
-            Request::Exchange { command, client, answer } => self.exchange(now, command, &client, answer),
-            Request::Acknowledge { id, client, answer } => self.acknowledge(now, id, &client, answer),
+            Request::Exchange { command, client, answer } => self.exchange(now, command, client, answer),
+            Request::Acknowledge { id, client, answer } => self.acknowledge(now, id, client, answer),
             Request::Drain { answer } => self.start_drain(now, answer),
         }
         self.settle(now);
@@ -298,9 +311,9 @@ impl Actor {
         self.take_events(now);
         self.keep_up(now);
         self.take_events(now);
-        self.publish();
+        self.publish(now);
         self.book.tell();
-        self.latching.tell();
+        self.tell_acknowledges(now);
         self.answer_awaiting_flags();
     }
 

@@ -36,6 +36,8 @@ pub(super) struct Running {
     motion: Motion,
     stage: Stage,
     accepted: bool,
+    /// Whether its `admitted` record is durable, or need not be.
+    pub recorded: bool,
     /// The FAST STOP that came while it ran.
     fast_stop: Option<FastStopId>,
 }
@@ -62,7 +64,7 @@ struct Settling {
 
 impl Running {
     pub(super) fn new(id: CommandId, motion: Motion) -> Self {
-        Self { id, motion, stage: Stage::Waiting, accepted: false, fast_stop: None }
+        Self { id, motion, stage: Stage::Waiting, accepted: false, recorded: false, fast_stop: None }
     }
 
     /// Whether it takes the fingers' reference away, for as long as it runs.
@@ -85,9 +87,16 @@ impl Running {
 }
 
 impl Actor {
+    /// Nothing but its pause keeps the motion from starting.
+    pub(super) fn let_run(&mut self) {
+        if let Some(running) = &mut self.running {
+            running.recorded = true;
+        }
+    }
+
     /// When the waiting motion may start, once the link is set up.
     pub(super) fn motion_due(&self) -> Option<Instant> {
-        let running = self.running.as_ref().filter(|_| self.is_set_up())?;
+        let running = self.running.as_ref().filter(|running| running.recorded && self.is_set_up())?;
         let paused_until = self.last_motion_end.map(|end| end + PAUSE);
         matches!(running.stage, Stage::Waiting).then_some(paused_until).flatten()
     }
@@ -96,7 +105,7 @@ impl Actor {
     pub(super) fn start_waiting_motion(&mut self, now: Now) {
         let Some(running) = &self.running else { return };
         let is_due = self.motion_due().is_none_or(|due| due <= now.instant);
-        if !matches!(running.stage, Stage::Waiting) || !is_due || !self.is_set_up() {
+        if !matches!(running.stage, Stage::Waiting) || !is_due || !running.recorded || !self.is_set_up() {
             return;
         }
         let id = running.id;
@@ -145,6 +154,9 @@ impl Actor {
         let success = matches!(end, End::Reply(Reply::Success(_)));
         if success {
             self.note_setting(&Data::ForceLimit(force));
+            if let Some(client) = self.book.client(id) {
+                self.record_set(now, &client, &Data::ForceLimit(force));
+            }
         }
         if self.running.as_ref().is_none_or(|running| running.id != id) {
             return;
@@ -318,7 +330,7 @@ impl Actor {
         DeviceRefusal { command, status, fast_stop: self.latching.id() }.into()
     }
 
-    fn reject_running(&mut self, now: Now, rejection: Rejection) {
+    pub(super) fn reject_running(&mut self, now: Now, rejection: Rejection) {
         if let Some(running) = self.running.take() {
             self.reject(now, running.id, rejection);
         }
@@ -354,7 +366,8 @@ impl Actor {
                 record.stalled = Some(matches!(record.outcome, Some(Outcome::PartHeld | Outcome::Blocked)));
             }
         });
-        if let Some(record) = ended {
+        if let Some((client, record)) = ended {
+            self.record_done(now, &client, &record);
             tracing::info!(gripper = %self.config.name, command = %id, kind = %record.kind, outcome = ?record.outcome,
                 status = record.status, duration_ms = record.duration_ms, "ended");
         }

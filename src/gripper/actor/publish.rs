@@ -2,13 +2,14 @@
 
 use std::sync::Arc;
 
+use super::super::Now;
 use super::super::model::{LatchFields, State};
 use super::Actor;
 use crate::wsg::SystemState;
 
 impl Actor {
     /// Publishes the state if it has changed.
-    pub(super) fn publish(&mut self) {
+    pub(super) fn publish(&mut self, now: Now) {
         let state = self.state_now();
         if *self.state.borrow().as_ref() == state {
             return;
@@ -19,6 +20,7 @@ impl Actor {
             info.link != state.link || info.link_cause != state.link_cause
         };
         if info_is_stale {
+            self.record_link(now);
             let (link, cause) = (state.link, state.link_cause.clone());
             self.info.send_modify(|info| {
                 let info = Arc::make_mut(info);
@@ -54,6 +56,7 @@ impl Actor {
             latch: latch.map(LatchFields::from),
             lease_holder: None,
             lease_epoch: 0,
+            journal_cause: self.recording.failure().map(ToOwned::to_owned),
             command: self.running.as_ref().map(|running| running.id),
         }
     }

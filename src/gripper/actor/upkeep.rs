@@ -21,7 +21,9 @@ impl Actor {
         self.send_fast_stop_if_due(now);
         self.latching.handle_timeout(now.instant, self.observed.flags);
         self.end_settled_motion(now);
+        self.give_up_recording(now);
         self.start_waiting_motion(now);
+        self.finish_measuring_if_due(now);
         self.expire_awaiting_flags(now);
         if self.drain.is_some() {
             self.continue_drain(now);
@@ -46,6 +48,7 @@ impl Actor {
             self.latching.next_timeout().filter(|_| session.is_some()),
             self.motion_due(),
             self.settles_at(),
+            self.recording.next_timeout(),
             self.awaiting_flags.iter().map(|(until, _)| *until).min(),
             self.observed.next_silent().filter(|_| up),
             self.temperature_at.filter(|_| up && self.reads_temperature()),

@@ -366,7 +366,7 @@ pub enum SettingChange {
     },
     /// A finger's power.
     FingerPower {
-        /// 0 or 1, as the protocol counts.
+        /// 1 or 2.
         finger: u8,
         /// Whether it is on.
         enabled: bool,

@@ -80,7 +80,7 @@ pub struct Latch {
     "gripper": "left", "link": "connected", "link_cause": null, "age_ms": 4, "seq": 51234, "state": "HOLDING",
     "state_code": 4, "flags": ["REFERENCED", "TARGET_POS_REACHED"], "flags_raw": 129, "referenced": true,
     "moving": false, "width_mm": 20.0, "speed_mm_s": 0.0, "force_n": 40.0, "temperature_c": 31.5,
-    "fast_stop": false, "lease_holder": null, "lease_epoch": 0, "command": null
+    "fast_stop": false, "lease_holder": null, "lease_epoch": 0, "journal_cause": null, "command": null
 }))]
 pub struct State {
     /// The gripper's name.
@@ -140,6 +140,9 @@ pub struct State {
     /// Counts the leases.
     #[schema(minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     pub lease_epoch: u64,
+    /// Why nothing can be written down in the journal; null while it can.
+    #[schema(required)]
+    pub journal_cause: Option<String>,
     /// The running command's id; null while none runs.
     #[schema(value_type = Option<Uuid>, required)]
     pub command: Option<CommandId>,
@@ -169,6 +172,7 @@ impl State {
             latch: None,
             lease_holder: None,
             lease_epoch: 0,
+            journal_cause: None,
             command: None,
         }
     }

@@ -44,9 +44,15 @@ pub fn spawn(connector: impl Connector) -> Handle {
         traits: connector.traits(),
         read_ids: (0xB0..=0xB7).collect(),
         drain: Duration::from_secs(2),
+        on_journal_failure: gripper::actor::OnJournalFailure::Refuse,
         seed: 1,
     };
-    gripper::spawn(config, Arc::new(connector))
+    gripper::spawn(
+        config,
+        Arc::new(connector),
+        Arc::new(gripper::Unrecorded),
+        gripper::recorder::Recollection::default(),
+    )
 }
 
 pub fn home() -> Motion {

@@ -54,7 +54,8 @@ impl Invariants {
                     .admitted
                     .iter()
                     .filter(|admitted| admitted.motion.as_ref().is_some_and(|motion| encode(motion) == frame));
-                let admitted = admitted.count();
+                // What is not written down does not move.
+                let admitted = admitted.filter(|admitted| world.journal.is_durable(admitted.ticket.now().id)).count();
                 let sent = world.invariants.motions.entry(frame.to_vec()).or_default();
                 *sent += 1;
                 let sent = *sent;
@@ -135,6 +136,8 @@ impl Invariants {
                 _ => {}
             }
         }
+        super::journal::Journal::check(world);
+        world.count("a grip record was kept", world.journal.grips > 0);
         for (name, count) in outcomes {
             *world.counts.entry(name).or_default() += count;
         }

@@ -5,6 +5,7 @@
 
 pub mod client;
 mod invariants;
+mod journal;
 pub mod schedule;
 pub mod world;
 

@@ -7,7 +7,7 @@ use jiff::Timestamp;
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
 use wsg_gateway::gripper::Now;
-use wsg_gateway::gripper::actor::{Actor, Close, Config, Watches};
+use wsg_gateway::gripper::actor::{Actor, Close, Config, OnJournalFailure, Watches};
 use wsg_gateway::gripper::model::{IdSource, Phase};
 use wsg_gateway::sim::{Device, DeviceConfig, Interface, LinkAction, Part, Script, ScriptAnswer};
 use wsg_gateway::transport::Traits;
@@ -15,6 +15,7 @@ use wsg_gateway::wsg::Command;
 
 use super::client::Clients;
 use super::invariants::Invariants;
+use super::journal::Journal;
 use super::schedule::{Schedule, Step};
 
 /// How long a schedule goes on.
@@ -40,6 +41,7 @@ pub struct World {
     pub device: Device,
     pub clients: Clients,
     pub invariants: Invariants,
+    pub journal: Journal,
     pub log: Vec<String>,
     pub counts: BTreeMap<String, u64>,
     connected: bool,
@@ -187,6 +189,7 @@ impl World {
             },
             read_ids: [0xB0].into(),
             drain: Duration::from_secs(2),
+            on_journal_failure: OnJournalFailure::Refuse,
             seed,
         };
         let (actor, watches) = Actor::new(config);
@@ -200,6 +203,7 @@ impl World {
             device: Device::new(device, now),
             clients: Clients::default(),
             invariants: Invariants::default(),
+            journal: Journal::default(),
             log: Vec::new(),
             counts: BTreeMap::new(),
             connected: false,
@@ -237,6 +241,7 @@ impl World {
                 self.to_gateway.due(),
                 self.reconnect_at,
                 self.busy_until,
+                self.journal.due(),
             ];
             let next = due.into_iter().flatten().min().filter(|next| *next <= until);
             let Some(next) = next else {
@@ -287,8 +292,10 @@ impl World {
 
     /// Moves everything that is ready, and checks what follows from it.
     pub fn settle(&mut self) {
+        Journal::keep(self);
         self.move_to_device();
         self.move_to_gateway();
+        Journal::keep(self);
         Clients::collect(self);
         Invariants::check(self);
     }

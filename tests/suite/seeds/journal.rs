@@ -1,0 +1,89 @@
+//! A journal that takes its time, and sometimes does not take a record at all.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::{Duration, Instant};
+
+use rand::RngExt;
+use wsg_gateway::gripper::Record;
+use wsg_gateway::gripper::model::{CommandEvent, CommandId, Detail, Outcome};
+
+use super::world::World;
+
+/// What was recorded.
+#[derive(Default)]
+pub struct Journal {
+    /// The commands whose records will be durable, or not, and when.
+    writing: Vec<(Instant, CommandId, bool)>,
+    durable: BTreeSet<CommandId>,
+    admitted: BTreeMap<CommandId, usize>,
+    done: BTreeMap<CommandId, Vec<Outcome>>,
+    pub grips: usize,
+}
+
+impl Journal {
+    pub fn due(&self) -> Option<Instant> {
+        self.writing.iter().map(|(at, ..)| *at).min()
+    }
+
+    pub fn is_durable(&self, id: CommandId) -> bool {
+        self.durable.contains(&id)
+    }
+
+    /// Takes what the actor records, and tells it what has become durable.
+    pub fn keep(world: &mut World) {
+        loop {
+            while let Some((record, awaited_by)) = world.actor.poll_record() {
+                world.journal.take(&record);
+                if let Some(id) = awaited_by {
+                    Self::write(world, id);
+                }
+            }
+            let now = world.now;
+            let Some(index) = world.journal.writing.iter().position(|(at, ..)| *at <= now) else { return };
+            let (_, id, durable) = world.journal.writing.remove(index);
+            if durable {
+                world.journal.durable.insert(id);
+            }
+            let now = world.clock();
+            world.actor.recorded(now, id, durable);
+        }
+    }
+
+    fn write(world: &mut World, id: CommandId) {
+        if !world.noisy {
+            world.journal.writing.push((world.now, id, true));
+            return;
+        }
+        let [fails, stalls] = [0.01, 0.01].map(|chance| world.rng.random_bool(chance));
+        world.count("journal: a record was not taken", fails);
+        world.count("journal: the disk stalled", stalls);
+        let longest_ms = if stalls { 2000 } else { 10 };
+        let time = Duration::from_millis(world.rng.random_range(0..longest_ms));
+        world.journal.writing.push((world.now + time, id, !fails));
+    }
+
+    fn take(&mut self, record: &Record) {
+        match record {
+            Record::Event(event, _) => {
+                let (Detail::Command(detail), Some(id)) = (&event.detail, event.command_id) else { return };
+                match detail {
+                    CommandEvent::Admitted(_) => *self.admitted.entry(id).or_default() += 1,
+                    CommandEvent::Done(done) => self.done.entry(id).or_default().push(done.outcome),
+                }
+            }
+            Record::Grip(_) => self.grips += 1,
+            Record::Memory(_) => {}
+        }
+    }
+
+    /// Two records of each command, the second with the outcome that its client was told.
+    pub fn check(world: &World) {
+        for admitted in &world.clients.admitted {
+            let command = admitted.ticket.now();
+            let records = (world.journal.admitted.get(&command.id), world.journal.done.get(&command.id));
+            let outcome = command.outcome.expect("it has ended");
+            assert_eq!(records, (Some(&1), Some(&vec![outcome])), "every_command_ends_once\n{}", world.tail());
+        }
+        assert_eq!(world.journal.admitted.len(), world.clients.admitted.len(), "{}", world.tail());
+    }
+}
