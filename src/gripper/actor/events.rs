@@ -42,7 +42,7 @@ impl Actor {
         self.record_flags(now, before, flags);
         self.notice_restart(now, before, flags);
         if missed {
-            self.set_up_again(now, flags);
+            self.set_up_again(now);
         }
         let mut origin = Origin { ids: &mut self.ids, unannounced: self.unannounced };
         match self.latching.take_flags(now, flags, &mut origin) {

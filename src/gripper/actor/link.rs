@@ -98,9 +98,10 @@ impl Actor {
         }
     }
 
-    /// The device's automatic updates had stopped. Where no connection ends with a restart, it may have been one: what
-    /// is under way goes on, and nothing new moves before the settings are known to be as clients left them.
-    pub(super) fn set_up_again(&mut self, now: Now, flags: SystemState) {
+    /// The device was silent, or its automatic updates had stopped. Where no connection ends with a restart, it may have
+    /// been one: what is under way goes on, and nothing new moves before the settings are known to be as clients left
+    /// them.
+    pub(super) fn set_up_again(&mut self, now: Now) {
         if self.config.traits.connection_oriented || !matches!(self.link, LinkState::Up) || self.close.is_some() {
             return;
         }
@@ -108,10 +109,6 @@ impl Actor {
         tracing::warn!(gripper = %self.config.name, "{cause}");
         self.link_cause = Some(cause.to_owned());
         self.link = LinkState::SettingUp(Box::new(self.new_setup()));
-        if let (false, Some(session)) = (flags.contains(SystemState::MOVING), &mut self.session) {
-            // A motion that the restart has ended gets no result.
-            session.expect_results(now.instant);
-        }
         self.continue_setup(now);
     }
 
@@ -187,6 +184,10 @@ impl Actor {
                 std::sync::Arc::make_mut(info).learn(&system, &limits, setup.tag.as_ref());
             });
         }
+        if let (false, Some(session)) = (self.observed.has(SystemState::MOVING), &mut self.session) {
+            // A motion that a restart has ended gets no result.
+            session.expect_results(now.instant);
+        }
         self.was_connected = true;
         self.link_cause = None;
         self.unannounced = false;
@@ -211,6 +212,7 @@ impl Actor {
             }
         } else if self.link_cause.take().is_some() {
             tracing::info!(gripper = %self.config.name, "responsive again");
+            self.set_up_again(now);
         }
     }
 
