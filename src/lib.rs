@@ -8,6 +8,7 @@
 //! | [`transport`] | byte pipes to devices; knows nothing of the protocol |
 //! | [`gripper`] | one actor per gripper, the only owner of its state; everyone else has a [handle](gripper::Handle) |
 //! | [`frontend`] | the doors: [HTTP](frontend::http) |
+//! | [`journal`] | events and grip records that outlive the gateway, in SQLite |
 //! | [`sim`] | a device, modelled from the manual: a pure machine, with faults |
 //! | [`config`] | file, environment and flags to validated types; nothing else reads them |
 //! | [`daemon`] | the composition root: builds, connects, drains in order |
@@ -31,6 +32,7 @@ pub mod config;
 pub mod daemon;
 pub mod frontend;
 pub mod gripper;
+pub mod journal;
 pub mod sim;
 pub mod telemetry;
 pub mod transport;

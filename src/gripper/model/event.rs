@@ -73,7 +73,7 @@ pub enum Detail {
 }
 
 /// A command's two records.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(tag = "phase", rename_all = "lowercase")]
 pub enum CommandEvent {
     /// It was admitted.
@@ -179,7 +179,7 @@ impl From<&Action> for Parameters {
 }
 
 /// A command that was admitted.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Admitted {
     /// `home`, `move`, `grip`, `release` or `stop`.
     pub command: Kind,
@@ -192,7 +192,7 @@ pub struct Admitted {
 }
 
 /// A command that has ended.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Done {
     /// Its kind, like [`Admitted::command`].
     pub command: Kind,
@@ -422,9 +422,13 @@ pub enum GatewayEvent {
     },
     /// Old records were removed.
     Pruned {
-        /// The last one that was removed.
+        /// The last event that was removed; 0 where none was yet.
         up_to_seq: i64,
         /// Its hash, as hex: what is left begins behind it.
         hash: String,
+        /// The last grip record that was removed; 0 where none was yet.
+        grips_up_to_seq: i64,
+        /// Its hash, as hex.
+        grips_hash: String,
     },
 }

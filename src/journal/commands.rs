@@ -1,0 +1,75 @@
+//! A command, rebuilt from its records.
+
+use std::sync::Arc;
+
+use jiff::Timestamp;
+use serde::Deserialize;
+
+use crate::gripper::model::{Command, CommandEvent, CommandId, Done, Door, Name, Phase};
+
+/// What is read of an event of kind `command`.
+#[derive(Debug, Deserialize)]
+pub(super) struct CommandBody {
+    pub(super) at: Timestamp,
+    pub(super) gripper: Name,
+    pub(super) subject: Arc<str>,
+    pub(super) door: Option<Door>,
+    pub(super) command_id: CommandId,
+    #[serde(flatten)]
+    pub(super) event: CommandEvent,
+}
+
+impl CommandBody {
+    pub(super) fn command(self) -> Command {
+        let running = Command {
+            id: self.command_id,
+            gripper: self.gripper,
+            kind: match &self.event {
+                CommandEvent::Admitted(admitted) => admitted.command,
+                CommandEvent::Done(done) => done.command,
+            },
+            phase: Phase::Running,
+            outcome: None,
+            status: None,
+            status_code: None,
+            reached_goal: None,
+            stalled: None,
+            width_mm: None,
+            force_n: None,
+            started_at: self.at,
+            duration_ms: None,
+            client: self.subject,
+            replayed: false,
+            fast_stop_id: None,
+            rejection: None,
+        };
+        match self.event {
+            CommandEvent::Admitted(_) => running,
+            CommandEvent::Done(done) => ended(running, *done),
+        }
+    }
+}
+
+fn ended(running: Command, done: Done) -> Command {
+    Command {
+        phase: Phase::Done,
+        outcome: Some(done.outcome),
+        status: done.status,
+        status_code: done.status_code,
+        reached_goal: done.reached_goal,
+        stalled: done.stalled,
+        width_mm: done.width_mm,
+        force_n: done.force_n,
+        started_at: done.started_at,
+        duration_ms: done.duration_ms,
+        fast_stop_id: done.fast_stop_id,
+        ..running
+    }
+}
+
+/// The command that a body of kind `command` tells of: running where it was admitted, with its outcome where it has
+/// ended; none where the body is no such.
+#[must_use]
+pub fn command_of(body: &str) -> Option<Command> {
+    serde_json::from_str(body).ok().map(CommandBody::command)
+}

@@ -1,0 +1,81 @@
+//! Following: what was, then what comes, without a gap or a repetition between the two.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use tokio::sync::broadcast;
+use tokio::sync::broadcast::error::RecvError;
+
+use super::query::{Cursor, EventQuery, Filter, Order};
+use super::reader::Pool;
+use super::row::{EventKind, Stored};
+use super::shared::Shared;
+use super::source::ReadError;
+
+/// The events behind one, in order.
+#[derive(Debug)]
+pub struct Follow {
+    live: broadcast::Receiver<Arc<Stored>>,
+    shared: Arc<Shared>,
+    pool: Pool,
+    filter: Filter<EventKind>,
+    /// Up to this one, events have been returned, are in `read`, or don't match.
+    after: i64,
+    /// Up to this one, events come from the file.
+    until: i64,
+    read: VecDeque<Arc<Stored>>,
+}
+
+impl Follow {
+    pub(super) fn new(shared: &Arc<Shared>, pool: &Pool, after: Option<i64>, filter: Filter<EventKind>) -> Self {
+        // Before it is looked what there is already: what comes between the two is seen twice rather than never.
+        let live = shared.subscribe();
+        let until = shared.committed();
+        let after = after.unwrap_or(until);
+        Self { live, shared: shared.clone(), pool: pool.clone(), filter, after, until, read: VecDeque::new() }
+    }
+
+    /// The next event, once it is durable; none after the journal was closed. Nothing is lost where the caller gives up
+    /// waiting.
+    ///
+    /// # Errors
+    /// [`ReadError`], where older events can't be read. They are tried again by the next call.
+    pub async fn next(&mut self) -> Result<Option<Arc<Stored>>, ReadError> {
+        loop {
+            if let Some(event) = self.read.pop_front() {
+                return Ok(Some(event));
+            }
+            if self.after < self.until {
+                self.catch_up().await?;
+                continue;
+            }
+            match self.live.recv().await {
+                Ok(event) if event.seq <= self.after => {}
+                Ok(event) if event.seq == self.after + 1 => {
+                    self.after = event.seq;
+                    if self.filter.matches(&event) {
+                        return Ok(Some(event));
+                    }
+                }
+                Ok(event) => self.until = event.seq,
+                Err(RecvError::Lagged(_)) => self.until = self.shared.committed(),
+                Err(RecvError::Closed) => return Ok(None),
+            }
+        }
+    }
+
+    async fn catch_up(&mut self) -> Result<(), ReadError> {
+        let until = self.until;
+        let (filter, cursor) = (self.filter.clone(), Some(Cursor(self.after)));
+        let query = EventQuery { filter, cursor, order: Order::Oldest, ..EventQuery::default() };
+        let page = self.pool.read(move |reader| reader.events_until(&query, until)).await?;
+        let read = page.bodies.into_iter().map(|body| Stored::of(body).map(Arc::new));
+        self.read =
+            read.collect::<Result<_, _>>().map_err(|error| ReadError(format!("an event is damaged: {error}")))?;
+        self.after = match (page.next_cursor, self.read.back()) {
+            (Some(_), Some(last)) => last.seq,
+            _ => until,
+        };
+        Ok(())
+    }
+}

@@ -1,0 +1,205 @@
+//! The journal: events and grip records that outlive the gateway, each in a chain of hashes, in one SQLite file.
+//!
+//! A gripper never waits for it: [`Journal`] is a [`Recorder`] whose queue a thread of its own empties, many records to
+//! a transaction, and who needs to know is told once they are on the disk. Readers have connections of their own, and
+//! get the JSON as it was written. [`verify`] says whether a file is as it was written.
+
+mod chain;
+mod commands;
+mod curve;
+mod follow;
+mod prune;
+mod query;
+mod reader;
+mod recovery;
+mod row;
+mod runs;
+mod schema;
+mod shared;
+mod source;
+mod store;
+#[cfg(test)]
+mod tests;
+mod writer;
+
+use std::sync::mpsc::{SyncSender, sync_channel};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use tokio::sync::{broadcast, watch};
+
+use crate::gripper::model::{Command, CommandId, Name, Sample};
+use crate::gripper::recorder::{Health, Record, Recorder};
+use reader::Pool;
+use shared::Shared;
+use store::Store;
+use writer::{Input, Writer};
+
+pub use commands::command_of;
+pub use follow::Follow;
+pub use query::{Cursor, EventQuery, Filter, GripQuery, InvalidCursor, InvalidLimit, Limit, Order, Page, Query};
+pub use reader::Reader;
+pub use recovery::{Recovered, Request};
+pub use row::{EventKind, Stored};
+pub use source::{Place, ReadError};
+pub use store::OpenError;
+
+/// How many records may wait for the thread that writes: what comes in while a disk stalls for some seconds.
+const QUEUE: usize = 8192;
+
+/// How large a journal in memory gets where nothing else is said, in bytes.
+const MEMORY_BYTES: u64 = 64 << 20;
+
+/// How long records are kept. None of a command that has not ended is removed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub struct Retention {
+    /// How old they get; for ever where there is none.
+    pub max_age: Option<Duration>,
+    /// How large the file gets, without its write-ahead log.
+    pub max_bytes: Option<u64>,
+}
+
+/// An open journal. Its clones are the same journal.
+#[derive(Debug, Clone)]
+pub struct Journal {
+    writing: Arc<Writing>,
+    shared: Arc<Shared>,
+    pool: Pool,
+}
+
+/// The thread that writes, which ends with the last handle.
+#[derive(Debug)]
+struct Writing {
+    inputs: SyncSender<Input>,
+    thread: Mutex<Option<JoinHandle<Result<(), String>>>>,
+}
+
+/// The journal was closed without all that it was to keep.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct CloseError(String);
+
+impl Journal {
+    /// Opens a journal, and ends what its last run left open.
+    ///
+    /// # Errors
+    /// [`OpenError`], where another gateway has it, where it is no journal, or can't be read and written.
+    pub fn open(place: Place, retention: Retention) -> Result<(Self, Recovered), OpenError> {
+        let in_memory = place == Place::Memory;
+        let max_bytes = retention.max_bytes.or(in_memory.then_some(MEMORY_BYTES));
+        let mut store = Store::open(place)?;
+        let source = store.source.clone();
+        let unusable = |error| OpenError::Unusable(source.words(&error));
+        let recovered = recovery::recover(&mut store).map_err(unusable)?;
+        let writer = Writer::new(store, Retention { max_bytes, ..retention }).map_err(unusable)?;
+        let shared = writer.shared();
+        let (inputs, queue) = sync_channel(QUEUE);
+        let thread = std::thread::Builder::new().name("journal".to_owned()).spawn(move || writer.run(&queue));
+        let thread = thread.map_err(|error| OpenError::Unusable(format!("no thread for the journal: {error}")))?;
+        let writing = Arc::new(Writing { inputs, thread: Mutex::new(Some(thread)) });
+        Ok((Self { writing, shared, pool: Pool::new(&source) }, recovered))
+    }
+
+    /// Writes what waits and that the gateway has ended in order, and ends the writing. What is recorded later is lost.
+    ///
+    /// # Errors
+    /// [`CloseError`], where the disk didn't take all.
+    pub async fn close(&self) -> Result<(), CloseError> {
+        let writing = self.writing.clone();
+        let closing = tokio::task::spawn_blocking(move || writing.end(true));
+        closing.await.map_err(|error| CloseError(error.to_string()))?.map_err(CloseError)
+    }
+
+    /// The newest durable event's sequence number; 0 before the first.
+    #[must_use]
+    pub fn last_seq(&self) -> i64 {
+        self.shared.committed()
+    }
+
+    /// Each event once it is durable. Who is too slow misses some, and is told how many.
+    #[must_use]
+    pub fn subscribe(&self) -> broadcast::Receiver<Arc<Stored>> {
+        self.shared.subscribe()
+    }
+
+    /// The events behind one, or those from now on; slow followers miss none.
+    #[must_use]
+    pub fn follow(&self, after: Option<i64>, filter: Filter<EventKind>) -> Follow {
+        Follow::new(&self.shared, &self.pool, after, filter)
+    }
+
+    /// See [`Reader::events`].
+    ///
+    /// # Errors
+    /// [`ReadError`], where the journal can't be read.
+    pub async fn events(&self, query: EventQuery) -> Result<Page, ReadError> {
+        self.pool.read(move |reader| reader.events(&query)).await
+    }
+
+    /// See [`Reader::grips`].
+    ///
+    /// # Errors
+    /// [`ReadError`], where the journal can't be read.
+    pub async fn grips(&self, query: GripQuery) -> Result<Page, ReadError> {
+        self.pool.read(move |reader| reader.grips(&query)).await
+    }
+
+    /// See [`Reader::grip`].
+    ///
+    /// # Errors
+    /// [`ReadError`], where the journal can't be read.
+    pub async fn grip(&self, id: CommandId) -> Result<Option<Arc<str>>, ReadError> {
+        self.pool.read(move |reader| reader.grip(id)).await
+    }
+
+    /// See [`Reader::curve`].
+    ///
+    /// # Errors
+    /// [`ReadError`], where the journal can't be read.
+    pub async fn curve(&self, id: CommandId) -> Result<Option<Vec<Sample>>, ReadError> {
+        self.pool.read(move |reader| reader.curve(id)).await
+    }
+
+    /// See [`Reader::command`].
+    ///
+    /// # Errors
+    /// [`ReadError`], where the journal can't be read.
+    pub async fn command(&self, gripper: Name, id: CommandId) -> Result<Option<Command>, ReadError> {
+        self.pool.read(move |reader| reader.command(&gripper, id)).await
+    }
+}
+
+impl Recorder for Journal {
+    fn record(&self, record: Record) {
+        let record = match record {
+            // Its end would come too late, if a try to write takes long.
+            Record::Event(event, Some(_)) if self.shared.failing() => Record::Event(event, None),
+            record => record,
+        };
+        if self.writing.inputs.try_send(Input::Record(Box::new(record))).is_err() {
+            self.shared.lose();
+        }
+    }
+
+    fn health(&self) -> watch::Receiver<Health> {
+        self.shared.health.subscribe()
+    }
+}
+
+impl Writing {
+    fn end(&self, orderly: bool) -> Result<(), String> {
+        let Some(thread) = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take() else { return Ok(()) };
+        // A thread that has gone has said why.
+        let _ = self.inputs.send(Input::End { orderly });
+        thread.join().unwrap_or_else(|_| Err("the journal's thread has panicked".to_owned()))
+    }
+}
+
+impl Drop for Writing {
+    fn drop(&mut self) {
+        if let Err(cause) = self.end(false) {
+            tracing::error!(cause, "the journal was closed");
+        }
+    }
+}

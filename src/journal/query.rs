@@ -1,0 +1,291 @@
+//! A page of records: what is asked for, and how it is found without reading more than is returned.
+
+use std::fmt;
+use std::str::FromStr;
+use std::sync::Arc;
+
+use jiff::Timestamp;
+use rusqlite::Connection;
+use rusqlite::types::Value;
+
+use super::chain::Chain;
+use super::row::{EventKind, Stored, milliseconds, word};
+use super::runs::{Run, runs};
+use crate::gripper::model::{CommandId, Kind, Name, Outcome, PartId};
+
+/// Asks for events.
+pub type EventQuery = Query<EventKind>;
+
+/// Asks for grip records.
+pub type GripQuery = Query<Kind>;
+
+/// Asks for a page of records.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Query<K> {
+    /// Which ones.
+    pub filter: Filter<K>,
+    /// Not before.
+    pub from: Option<Timestamp>,
+    /// Before.
+    pub to: Option<Timestamp>,
+    /// How many at most.
+    pub limit: Limit,
+    /// Behind which one, in that order.
+    pub cursor: Option<Cursor>,
+    /// In which order.
+    pub order: Order,
+}
+
+impl<K> Default for Query<K> {
+    fn default() -> Self {
+        let (filter, limit, order) = (Filter::default(), Limit::default(), Order::default());
+        Self { filter, from: None, to: None, limit, cursor: None, order }
+    }
+}
+
+/// What records must have; none asks for all.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Filter<K> {
+    /// This gripper.
+    pub gripper: Option<Name>,
+    /// This kind.
+    pub kind: Option<K>,
+    /// This part.
+    pub part_id: Option<PartId>,
+    /// This outcome.
+    pub outcome: Option<Outcome>,
+    /// This command; of grip records, this id.
+    pub command_id: Option<CommandId>,
+}
+
+impl<K> Default for Filter<K> {
+    fn default() -> Self {
+        Self { gripper: None, kind: None, part_id: None, outcome: None, command_id: None }
+    }
+}
+
+impl Filter<EventKind> {
+    /// Whether an event is asked for.
+    #[must_use]
+    pub fn matches(&self, event: &Stored) -> bool {
+        fn allows<T: PartialEq>(asked: Option<&T>, is: Option<&T>) -> bool {
+            asked.is_none() || asked == is
+        }
+        allows(self.gripper.as_ref(), event.gripper.as_ref())
+            && allows(self.kind.as_ref(), Some(&event.kind))
+            && allows(self.part_id.as_ref(), event.part_id.as_ref())
+            && allows(self.outcome.as_ref(), event.outcome.as_ref())
+            && allows(self.command_id.as_ref(), event.command_id.as_ref())
+    }
+}
+
+/// In which order records come.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize, utoipa::ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Order {
+    /// The newest first.
+    #[default]
+    Newest,
+    /// The oldest first.
+    Oldest,
+}
+
+/// How many records a page has at most: 1 to 1000.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Limit(u16);
+
+impl Limit {
+    /// So many.
+    ///
+    /// # Errors
+    /// [`InvalidLimit`], where it is none of 1 to 1000.
+    pub fn new(limit: u64) -> Result<Self, InvalidLimit> {
+        match u16::try_from(limit) {
+            Ok(limit @ 1..=1000) => Ok(Self(limit)),
+            _ => Err(InvalidLimit(limit)),
+        }
+    }
+}
+
+impl Default for Limit {
+    fn default() -> Self {
+        Self(100)
+    }
+}
+
+/// A number that is no [`Limit`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("limit is {0}, and must be from 1 to 1000: ask for more by the cursor")]
+pub struct InvalidLimit(u64);
+
+/// Where the next page begins. Clients give it back as it is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Cursor(pub(super) i64);
+
+impl fmt::Display for Cursor {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+impl FromStr for Cursor {
+    type Err = InvalidCursor;
+
+    fn from_str(text: &str) -> Result<Self, InvalidCursor> {
+        text.parse().map(Self).map_err(|_| InvalidCursor(text.to_owned()))
+    }
+}
+
+/// A text that is no [`Cursor`].
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("{0:?} is no cursor: give next_cursor of the page before as it is, or none for the first page")]
+pub struct InvalidCursor(String);
+
+/// Some of the records that were asked for.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Page {
+    /// Each as JSON.
+    pub bodies: Vec<Arc<str>>,
+    /// For the page behind it; none where this is the last.
+    pub next_cursor: Option<String>,
+}
+
+impl Page {
+    /// As JSON: `{"events": […], "next_cursor": …}`, where `name` is `events`.
+    #[must_use]
+    pub fn to_json(&self, name: &str) -> String {
+        let next_cursor = self.next_cursor.as_ref().map_or("null".to_owned(), |cursor| format!("\"{cursor}\""));
+        format!("{{\"{name}\":[{}],\"next_cursor\":{next_cursor}}}", self.bodies.join(","))
+    }
+}
+
+/// The kinds of one chain's records.
+pub(super) trait ChainKind: Copy + PartialEq + serde::Serialize {
+    const CHAIN: Chain;
+    /// The only one that has a part, and the only one that has an outcome, where there is such.
+    const WITH_PART: Self;
+    const WITH_OUTCOME: Option<Self>;
+}
+
+impl ChainKind for EventKind {
+    const CHAIN: Chain = Chain::Events;
+    const WITH_PART: Self = Self::Command;
+    const WITH_OUTCOME: Option<Self> = Some(Self::Command);
+}
+
+impl ChainKind for Kind {
+    const CHAIN: Chain = Chain::Grips;
+    const WITH_PART: Self = Self::Grip;
+    const WITH_OUTCOME: Option<Self> = None;
+}
+
+/// Conditions on columns, and the index that has exactly these columns.
+struct Plan {
+    index: String,
+    conditions: Vec<(&'static str, String)>,
+}
+
+/// None where nothing can match.
+fn plan<K: ChainKind>(filter: &Filter<K>) -> Option<Plan> {
+    let implied = match (&filter.part_id, &filter.outcome) {
+        (Some(_), _) => Some(K::WITH_PART),
+        (None, Some(_)) => K::WITH_OUTCOME,
+        (None, None) => None,
+    };
+    if implied.is_some() && filter.kind.is_some() && implied != filter.kind {
+        return None;
+    }
+    let kind = filter.kind.filter(|_| implied.is_none());
+    let mut conditions = Vec::new();
+    conditions.extend(filter.gripper.as_ref().map(|gripper| ("gripper", gripper.to_string())));
+    conditions.extend(kind.map(|kind| ("kind", word(&kind))));
+    conditions.extend(filter.part_id.as_ref().map(|part_id| ("part_id", part_id.as_str().to_owned())));
+    conditions.extend(filter.outcome.map(|outcome| ("outcome", word(&outcome))));
+    let columns: Vec<_> = conditions.iter().map(|(column, _)| *column).collect();
+    let table = K::CHAIN.name();
+    // A command has so few records that the other conditions may read them all.
+    let index = match filter.command_id {
+        Some(_) => format!("INDEXED BY {table}_command_id"),
+        None if columns.is_empty() => "NOT INDEXED".to_owned(),
+        None => format!("INDEXED BY {table}_{}", columns.join("_")),
+    };
+    conditions.extend(filter.command_id.map(|id| ("command_id", id.to_string())));
+    Some(Plan { index, conditions })
+}
+
+impl Chain {
+    /// A record's body as it is served, with what became of a part behind its grip.
+    fn served(self) -> &'static str {
+        match self {
+            Self::Events => "body, NULL, 0",
+            Self::Grips => {
+                "body, (SELECT lost.body ->> '$.at' FROM events AS lost INDEXED BY events_command_id
+                 WHERE lost.command_id = grips.command_id AND lost.kind = 'device'
+                 AND lost.body ->> '$.event' = 'part_lost' ORDER BY lost.seq LIMIT 1), 1"
+            }
+        }
+    }
+}
+
+/// Reads a page: `until` is the last record that may be on it.
+pub(super) fn page<K: ChainKind>(connection: &Connection, query: &Query<K>, until: i64) -> rusqlite::Result<Page> {
+    let Some(plan) = plan(&query.filter) else { return Ok(Page::default()) };
+    let cursor = query.cursor.map(|Cursor(seq)| seq);
+    let (first, last) = match query.order {
+        Order::Newest => (0, cursor.map_or(until, |seq| until.min(seq.saturating_sub(1)))),
+        Order::Oldest => (cursor.map_or(0, |seq| seq.saturating_add(1)), until),
+    };
+    let limit = usize::from(query.limit.0);
+    let mut found = Vec::new();
+    for run in runs(connection, K::CHAIN, (query.from, query.to), (first, last), query.order)? {
+        // One more than the page has tells whether another page is behind it.
+        read_run(connection, &plan, query, run, limit + 1 - found.len(), &mut found)?;
+        if found.len() > limit {
+            break;
+        }
+    }
+    let more = found.len() > limit;
+    found.truncate(limit);
+    let next_cursor = found.last().filter(|_| more).map(|(seq, _)| Cursor(*seq).to_string());
+    Ok(Page { bodies: found.into_iter().map(|(_, body)| body).collect(), next_cursor })
+}
+
+fn read_run<K: ChainKind>(
+    connection: &Connection,
+    plan: &Plan,
+    query: &Query<K>,
+    run: Run,
+    limit: usize,
+    found: &mut Vec<(i64, Arc<str>)>,
+) -> rusqlite::Result<()> {
+    let mut conditions: String = plan.conditions.iter().map(|(column, _)| format!("{column} = ? AND ")).collect();
+    let mut values: Vec<Value> = plan.conditions.iter().map(|(_, value)| value.clone().into()).collect();
+    if !run.whole {
+        conditions.push_str("at >= ? AND at < ? AND ");
+        values.push(query.from.map_or(i64::MIN, milliseconds).into());
+        values.push(query.to.map_or(i64::MAX, milliseconds).into());
+    }
+    values.extend([run.first.into(), run.last.into(), (limit as i64).into()]);
+    let (chain, order) = (K::CHAIN, if query.order == Order::Newest { "DESC" } else { "ASC" });
+    let sql = format!(
+        "SELECT seq, {} FROM {} {} WHERE {conditions} seq BETWEEN ? AND ? ORDER BY seq {order} LIMIT ?",
+        chain.served(),
+        chain.name(),
+        plan.index,
+    );
+    let mut statement = connection.prepare_cached(&sql)?;
+    let mut rows = statement.query(rusqlite::params_from_iter(values))?;
+    while let Some(row) = rows.next()? {
+        found.push((row.get(0)?, served(row.get_ref(1)?.as_str()?, row.get(2)?, row.get(3)?)));
+    }
+    Ok(())
+}
+
+/// The body, behind which a grip has `part_lost_at`.
+fn served(body: &str, part_lost_at: Option<String>, is_grip: bool) -> Arc<str> {
+    if !is_grip {
+        return body.into();
+    }
+    let lost = part_lost_at.map_or("null".to_owned(), |at| format!("\"{at}\""));
+    format!("{},\"part_lost_at\":{lost}}}", body.strip_suffix('}').unwrap_or(body)).into()
+}

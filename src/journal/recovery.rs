@@ -1,0 +1,155 @@
+//! What outlives a restart, and what is written down of a run that has not ended in order.
+
+use std::collections::BTreeMap;
+
+use jiff::{SignedDuration, Timestamp};
+use rusqlite::{Connection, OptionalExtension};
+
+use super::chain::{Chain, memory_hash};
+use super::commands::CommandBody;
+use super::query::{Cursor, EventQuery, Filter, Limit, Order, page};
+use super::row::{EventKind, Row, now};
+use super::store::{Memories, Store};
+use crate::gripper::model::{
+    Command, CommandEvent, CommandId, Detail, Done, Event, GatewayEvent, Memory, Outcome, Parameters, RequestId,
+};
+
+/// How long a request id stands for its command.
+const REPLAYED_FOR: SignedDuration = SignedDuration::from_mins(10);
+
+/// What outlives a restart.
+#[derive(Debug, Default)]
+pub struct Recovered {
+    /// What the grippers remember.
+    pub memory: Vec<Memory>,
+    /// Whether the last run has ended in order, if there was one.
+    pub unclean: bool,
+    /// The commands that were running: each has a record now that it ended as `UNKNOWN`.
+    pub running: Vec<CommandId>,
+    /// The requests of the last ten minutes that had an id, in the order of their admission. A refused one is not
+    /// among them, since it binds nothing.
+    pub requests: Vec<Request>,
+}
+
+/// A request that stands for its command.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Request {
+    /// What makes a repetition the same request, for the same gripper and client.
+    pub request_id: RequestId,
+    /// What was asked for, beside the command's kind.
+    pub parameters: Parameters,
+    /// The command, which has ended.
+    pub command: Command,
+}
+
+/// Ends what the last run left open, and reads what outlives it.
+pub(super) fn recover(store: &mut Store) -> rusqlite::Result<Recovered> {
+    let running = running(&store.connection)?;
+    let ids: Vec<_> = running.iter().map(|body| body.command_id).collect();
+    let unclean = !ended(&store.connection)?;
+    let mut end = store.end(Chain::Events)?;
+    let mut rows = Vec::new();
+    let mut events: Vec<_> = running.into_iter().map(unknown).collect();
+    if unclean {
+        let event = GatewayEvent::UncleanEnd { running: ids.clone() };
+        events.push(Event::new(now(), None, Detail::Gateway(event)));
+    }
+    for event in events {
+        let row = Row::event(end, &event).map_err(|error| rusqlite::Error::ToSqlConversionFailure(error.into()))?;
+        end = row.tip;
+        rows.push(row);
+    }
+    store.commit(&rows, &Memories::new())?;
+    let (memory, requests) = (memory(&store.connection)?, requests(&store.connection, now() - REPLAYED_FOR)?);
+    Ok(Recovered { memory, unclean, running: ids, requests })
+}
+
+/// The admitted records of the commands without an end.
+fn running(connection: &Connection) -> rusqlite::Result<Vec<CommandBody>> {
+    let sql = "SELECT body FROM running JOIN events USING (seq) ORDER BY seq";
+    let mut statement = connection.prepare(sql)?;
+    let bodies = statement.query_map([], |row| row.get::<_, String>(0))?.collect::<Result<Vec<_>, _>>()?;
+    Ok(bodies.iter().filter_map(|body| parsed(body)).collect())
+}
+
+fn parsed(body: &str) -> Option<CommandBody> {
+    let parsed = serde_json::from_str(body);
+    parsed.inspect_err(|error| tracing::warn!(body, %error, "a damaged record in the journal is left out")).ok()
+}
+
+/// Nobody knows what became of it.
+fn unknown(admitted: CommandBody) -> Event {
+    let part_id = match &admitted.event {
+        CommandEvent::Admitted(admitted) => admitted.parameters.part_id.clone(),
+        CommandEvent::Done(done) => done.part_id.clone(),
+    };
+    let (subject, door) = (Some(admitted.subject.clone()), admitted.door);
+    let (gripper, id) = (Some(admitted.gripper.clone()), admitted.command_id);
+    let command = Command { outcome: Some(Outcome::Unknown), ..admitted.command() };
+    let done = CommandEvent::Done(Box::new(Done::of(&command, part_id)));
+    Event { subject, door, ..Event::new(now(), gripper, Detail::Command(done)) }.of(id)
+}
+
+/// Whether the last record is an orderly end; an empty journal has had none to end.
+fn ended(connection: &Connection) -> rusqlite::Result<bool> {
+    let sql = "SELECT kind = 'gateway' AND body ->> '$.event' = 'ended' FROM events ORDER BY seq DESC LIMIT 1";
+    Ok(connection
+        .query_row(sql, [], |row| row.get::<_, Option<bool>>(0))
+        .optional()?
+        .is_none_or(|ended| ended == Some(true)))
+}
+
+fn memory(connection: &Connection) -> rusqlite::Result<Vec<Memory>> {
+    let mut statement = connection.prepare("SELECT gripper, key, value, hash FROM memory ORDER BY gripper, key")?;
+    let mut rows = statement.query([])?;
+    let mut memories = Vec::new();
+    while let Some(row) = rows.next()? {
+        let (gripper, key, value): (String, String, String) = (row.get(0)?, row.get(1)?, row.get(2)?);
+        let intact = row.get_ref(3)?.as_blob().is_ok_and(|hash| hash == memory_hash(&gripper, &key, &value));
+        match (gripper.parse(), serde_json::from_value(key.clone().into())) {
+            (Ok(gripper), Ok(key)) if intact => memories.push(Memory { gripper, key, value: Some(value) }),
+            _ => tracing::warn!(gripper, key, value, "a damaged memory in the journal is left out"),
+        }
+    }
+    Ok(memories)
+}
+
+fn requests(connection: &Connection, since: Timestamp) -> rusqlite::Result<Vec<Request>> {
+    let filter = Filter { kind: Some(EventKind::Command), ..Filter::default() };
+    let limit = Limit::default();
+    let mut query = EventQuery { filter, from: Some(since), order: Order::Oldest, limit, ..EventQuery::default() };
+    let mut requests: BTreeMap<CommandId, Request> = BTreeMap::new();
+    loop {
+        let page = page(connection, &query, i64::MAX)?;
+        for body in page.bodies.iter().filter_map(|body| parsed(body)) {
+            take_request(&mut requests, body);
+        }
+        match page.next_cursor.and_then(|cursor| cursor.parse::<Cursor>().ok()) {
+            Some(cursor) => query.cursor = Some(cursor),
+            None => break,
+        }
+    }
+    let mut requests: Vec<_> = requests.into_values().collect();
+    requests.sort_by_key(|request| request.command.started_at);
+    Ok(requests)
+}
+
+fn take_request(requests: &mut BTreeMap<CommandId, Request>, body: CommandBody) {
+    let id = body.command_id;
+    match &body.event {
+        CommandEvent::Admitted(admitted) => {
+            let (parameters, request_id) = (admitted.parameters.clone(), admitted.request_id.clone());
+            if let Some(request_id) = request_id {
+                requests.insert(id, Request { request_id, parameters, command: body.command() });
+            }
+        }
+        CommandEvent::Done(done) if done.outcome == Outcome::Refused => {
+            requests.remove(&id);
+        }
+        CommandEvent::Done(_) => {
+            if let Some(request) = requests.get_mut(&id) {
+                request.command = body.command();
+            }
+        }
+    }
+}

@@ -1,0 +1,51 @@
+//! Time ranges as ranges of sequence numbers. Wall clocks jump, so the records of a time may lie in several places.
+
+use jiff::Timestamp;
+use rusqlite::{Connection, params};
+
+use super::chain::Chain;
+use super::query::Order;
+use super::row::milliseconds;
+use super::schema::SPAN_BITS;
+
+/// Sequence numbers among which the records of a time range are.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Run {
+    pub(super) first: i64,
+    pub(super) last: i64,
+    /// Whether all records among them are of that time.
+    pub(super) whole: bool,
+}
+
+/// The runs of a time range (from, to) within first and last, in order.
+pub(super) fn runs(
+    connection: &Connection,
+    chain: Chain,
+    (from, to): (Option<Timestamp>, Option<Timestamp>),
+    (first, last): (i64, i64),
+    order: Order,
+) -> rusqlite::Result<Vec<Run>> {
+    if from.is_none() && to.is_none() {
+        return Ok(vec![Run { first, last, whole: true }]);
+    }
+    let (from, to) = (from.map_or(i64::MIN, milliseconds), to.map_or(i64::MAX, milliseconds));
+    let mut statement = connection.prepare_cached(
+        "SELECT span, oldest >= ?2 AND newest < ?3 FROM spans
+         WHERE chain = ?1 AND newest >= ?2 AND oldest < ?3 AND span BETWEEN ?4 AND ?5 ORDER BY span",
+    )?;
+    let mut rows = statement.query(params![chain.name(), from, to, first >> SPAN_BITS, last >> SPAN_BITS])?;
+    let mut runs: Vec<Run> = Vec::new();
+    while let Some(row) = rows.next()? {
+        let (span, whole): (i64, bool) = (row.get(0)?, row.get(1)?);
+        let begin = span << SPAN_BITS;
+        let end = (begin | ((1 << SPAN_BITS) - 1)).min(last);
+        match runs.last_mut() {
+            Some(before) if before.last == begin - 1 && before.whole == whole => before.last = end,
+            _ => runs.push(Run { first: begin.max(first), last: end, whole }),
+        }
+    }
+    if order == Order::Newest {
+        runs.reverse();
+    }
+    Ok(runs)
+}

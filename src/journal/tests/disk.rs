@@ -1,0 +1,77 @@
+//! A disk that is full, or too slow.
+
+use super::*;
+
+impl Journal {
+    /// Makes the disk as full as if there were no room for more pages.
+    fn limit_pages(&self, pages: i64) {
+        self.writing.inputs.send(Input::MaxPages(pages)).unwrap();
+    }
+}
+
+#[tokio::test]
+async fn a_full_disk_is_said_and_nothing_that_has_a_place_is_lost() {
+    let directory = Directory::new();
+    let (journal, _) = directory.open();
+    assert!(kept(&journal, started(1)).await);
+    journal.limit_pages(1);
+    let mut health = journal.health();
+    let mut number = 0;
+    while kept(&journal, link(number, "left")).await {
+        number += 1;
+    }
+    let failure = health.wait_for(|health| health.failure.is_some()).await.unwrap().failure.clone().unwrap();
+    assert!(failure.contains("journal.db: ") && failure.contains("full") && failure.contains("make room"), "{failure}");
+    let before = journal.last_seq();
+    // Who asks while the disk is known to fail is told at once, and the record is kept.
+    assert!(!kept(&journal, link(number + 1, "left")).await);
+    journal.record(Record::Memory(memory("left", MemoryKey::Latch, Some("1"))));
+    journal.limit_pages(1_000_000);
+    health.wait_for(|health| health.failure.is_none()).await.unwrap();
+    assert_eq!(journal.last_seq(), before + 2);
+    assert!(kept(&journal, link(number + 2, "left")).await);
+    journal.close().await.unwrap();
+    assert_eq!(journal.health().borrow().lost, 0);
+    let (_, recovered) = directory.open();
+    assert_eq!((recovered.unclean, recovered.memory), (false, vec![memory("left", MemoryKey::Latch, Some("1"))]));
+}
+
+#[tokio::test]
+async fn what_a_full_disk_and_a_full_memory_lose_is_counted_and_told() {
+    let (journal, _) = Journal::open(Place::Memory, Retention::default()).unwrap();
+    assert!(kept(&journal, started(1)).await);
+    journal.limit_pages(1);
+    let mut health = journal.health();
+    while health.borrow().failure.is_none() {
+        kept(&journal, link(1, "left")).await;
+    }
+    while health.borrow().lost == 0 {
+        for _ in 0..100 {
+            record(&journal, link(2, "left"));
+        }
+        tokio::task::yield_now().await;
+    }
+    journal.limit_pages(1_000_000);
+    health.wait_for(|health| health.failure.is_none()).await.unwrap();
+    let mut follow = journal.follow(Some(0), Filter { kind: Some(EventKind::Gateway), ..Filter::default() });
+    let mut told = 0;
+    while told < health.borrow().lost {
+        let event: serde_json::Value = serde_json::from_str(&follow.next().await.unwrap().unwrap().body).unwrap();
+        if event["event"] == "records_lost" {
+            told += event["count"].as_u64().unwrap();
+        }
+    }
+    assert_eq!(told, health.borrow().lost);
+}
+
+#[tokio::test]
+async fn an_end_on_a_full_disk_says_what_was_not_kept() {
+    let directory = Directory::new();
+    let (journal, _) = directory.open();
+    journal.limit_pages(1);
+    while kept(&journal, link(1, "left")).await {}
+    let error = journal.close().await.unwrap_err().to_string();
+    assert!(error.starts_with("2 records were not kept: the journal"), "{error}");
+    drop(journal);
+    assert!(directory.open().1.unclean);
+}

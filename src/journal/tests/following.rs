@@ -1,0 +1,58 @@
+//! Followers, fast and slow.
+
+use super::*;
+
+/// The sequence numbers of the next events.
+async fn seqs(follow: &mut Follow, count: usize) -> Vec<i64> {
+    let mut seqs = Vec::new();
+    while seqs.len() < count {
+        seqs.push(follow.next().await.unwrap().unwrap().seq);
+    }
+    seqs
+}
+
+#[tokio::test]
+async fn a_follower_gets_each_event_once_while_others_write() {
+    let directory = Directory::new();
+    let (journal, _) = directory.open();
+    for number in 0..250 {
+        record(&journal, link(number, "left"));
+    }
+    let writing = {
+        let journal = journal.clone();
+        tokio::spawn(async move {
+            for number in 0..250 {
+                assert!(kept(&journal, link(number, "left")).await);
+            }
+        })
+    };
+    let followers: Vec<_> = (0..5)
+        .map(|after| {
+            let journal = journal.clone();
+            tokio::spawn(async move {
+                seqs(&mut journal.follow(Some(after * 50), Filter::default()), 500 - after as usize * 50).await
+            })
+        })
+        .collect();
+    writing.await.unwrap();
+    for (after, follower) in followers.into_iter().enumerate() {
+        assert_eq!(follower.await.unwrap(), (after as i64 * 50 + 1..=500).collect::<Vec<_>>());
+    }
+}
+
+#[tokio::test]
+async fn a_follower_that_was_too_slow_reads_what_it_missed() {
+    let (journal, _) = Journal::open(Place::Memory, Retention::default()).unwrap();
+    let filter = Filter { gripper: Some(name("left")), ..Filter::default() };
+    let (mut all, mut left) = (journal.follow(None, Filter::default()), journal.follow(None, filter));
+    for number in 0..1500 {
+        record(&journal, link(number, if number % 2 == 0 { "left" } else { "right" }));
+    }
+    assert!(kept(&journal, link(0, "left")).await);
+    assert_eq!(seqs(&mut all, 1501).await, (1..=1501).collect::<Vec<_>>());
+    assert_eq!(seqs(&mut left, 751).await, (1..=1501).step_by(2).collect::<Vec<_>>());
+    journal.close().await.unwrap();
+    assert_eq!(seqs(&mut all, 1).await, [1502]);
+    assert_eq!(all.next().await.unwrap(), None);
+    assert_eq!(left.next().await.unwrap(), None);
+}

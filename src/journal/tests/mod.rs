@@ -1,0 +1,259 @@
+//! The journal as a gateway uses it; what several tests need.
+
+mod disk;
+mod following;
+mod pages;
+mod recovering;
+
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use jiff::Timestamp;
+use tokio::sync::oneshot;
+
+use super::*;
+use crate::gripper::model::{
+    Admitted, CommandEvent, CommandId, Detail, Done, Door, Event, GatewayEvent, GripRecord, IdSource, Kind, Link,
+    LinkEvent, Memory, MemoryKey, Name, Outcome, Parameters, PartId, RequestId, Sample,
+};
+
+/// A directory of one test, which goes with it.
+pub(super) struct Directory(PathBuf);
+
+impl Directory {
+    pub(super) fn new() -> Self {
+        let path = std::env::temp_dir().join(format!("wsg-journal-{}", uuid::Uuid::now_v7()));
+        std::fs::create_dir(&path).unwrap();
+        Self(path)
+    }
+
+    pub(super) fn journal(&self) -> PathBuf {
+        self.0.join("journal.db")
+    }
+
+    pub(super) fn place(&self) -> Place {
+        Place::File(self.journal())
+    }
+
+    pub(super) fn open(&self) -> (Journal, Recovered) {
+        Journal::open(self.place(), Retention::default()).unwrap()
+    }
+}
+
+impl Drop for Directory {
+    fn drop(&mut self) {
+        std::fs::remove_dir_all(&self.0).unwrap();
+    }
+}
+
+pub(super) fn at(milliseconds: i64) -> Timestamp {
+    Timestamp::from_millisecond(milliseconds).unwrap()
+}
+
+pub(super) fn name(text: &str) -> Name {
+    text.parse().unwrap()
+}
+
+/// The id of the command with this number.
+pub(super) fn id(number: u32) -> CommandId {
+    IdSource::new(number.into()).command_id(at(number.into()))
+}
+
+/// A client asked the gripper for something at this time.
+fn asked(time: i64, gripper: &str, number: u32, event: CommandEvent) -> Event {
+    Event {
+        subject: Some("http:127.0.0.1".into()),
+        door: Some(Door::Http),
+        ..Event::new(at(time), Some(name(gripper)), Detail::Command(event))
+    }
+    .of(id(number))
+}
+
+pub(super) fn admitted(time: i64, gripper: &str, number: u32, part_id: Option<&str>) -> Event {
+    let parameters =
+        Parameters { width_mm: Some(20.5), part_id: part_id.and_then(PartId::new), ..Parameters::default() };
+    let request_id = RequestId::new(&format!("request-{number}"));
+    asked(time, gripper, number, CommandEvent::Admitted(Admitted { command: Kind::Grip, request_id, parameters }))
+}
+
+pub(super) fn done(time: i64, gripper: &str, number: u32, part_id: Option<&str>, outcome: Outcome) -> Event {
+    let done = Done {
+        command: Kind::Grip,
+        outcome,
+        status: Some("E_SUCCESS".to_owned()),
+        status_code: Some(0),
+        reached_goal: Some(true),
+        stalled: Some(true),
+        width_mm: Some(20.1),
+        force_n: Some(40.0),
+        started_at: at(time),
+        duration_ms: Some(412),
+        fast_stop_id: None,
+        part_id: part_id.and_then(PartId::new),
+        cause: None,
+    };
+    asked(time, gripper, number, CommandEvent::Done(Box::new(done)))
+}
+
+pub(super) fn link(time: i64, gripper: &str) -> Event {
+    let event = LinkEvent { link: Link::Connected, link_cause: None };
+    Event::new(at(time), Some(name(gripper)), Detail::Link(event))
+}
+
+pub(super) fn started(time: i64) -> Event {
+    let event = GatewayEvent::Started { version: "1.0.0", gateway: "gateway".to_owned() };
+    Event::new(at(time), None, Detail::Gateway(event))
+}
+
+pub(super) fn grip(time: i64, gripper: &str, number: u32, part_id: Option<&str>) -> GripRecord {
+    let sample =
+        |i: u32| Sample { t_ms: i * 10, width_mm: 60.0 - i as f32 * 0.4, speed_mm_s: -40.0, force_n: 0.25 * i as f32 };
+    let curve: Vec<_> = (0..20).map(sample).collect();
+    GripRecord {
+        id: id(number),
+        gripper: name(gripper),
+        kind: Kind::Grip,
+        part_id: part_id.and_then(PartId::new),
+        outcome: Outcome::PartHeld,
+        subject: "http:127.0.0.1".into(),
+        started_at: at(time),
+        duration_ms: Some(412),
+        width_mm: Some(20.1),
+        force_n: Some(40.0),
+        peak_force_n: Some(41.5),
+        contact_width_mm: Some(20.2),
+        time_to_contact_ms: Some(300),
+        samples: curve.len(),
+        curve,
+    }
+}
+
+pub(super) fn memory(gripper: &str, key: MemoryKey, value: Option<&str>) -> Memory {
+    Memory { gripper: name(gripper), key, value: value.map(str::to_owned) }
+}
+
+pub(super) fn record(journal: &Journal, event: Event) {
+    journal.record(Record::Event(event, None));
+}
+
+/// Records an event, and waits until it is durable; false where it won't be.
+pub(super) async fn kept(journal: &Journal, event: Event) -> bool {
+    let (told, durable) = oneshot::channel();
+    journal.record(Record::Event(event, Some(told)));
+    durable.await.is_ok()
+}
+
+/// All events, the oldest first.
+pub(super) async fn all(journal: &Journal) -> Vec<serde_json::Value> {
+    let query = EventQuery { order: Order::Oldest, limit: Limit::new(1000).unwrap(), ..EventQuery::default() };
+    journal.events(query).await.unwrap().bodies.iter().map(|body| serde_json::from_str(body).unwrap()).collect()
+}
+
+/// Of each event the values of these fields.
+pub(super) fn fields(events: &[serde_json::Value], names: &[&str]) -> Vec<String> {
+    let field = |event: &serde_json::Value, name: &str| {
+        event.get(name).map(|value| value.as_str().map_or(value.to_string(), str::to_owned))
+    };
+    events
+        .iter()
+        .map(|event| names.iter().filter_map(|name| field(event, name)).collect::<Vec<_>>().join(" "))
+        .collect()
+}
+
+#[tokio::test]
+async fn what_is_recorded_is_served_as_it_was_written() {
+    let directory = Directory::new();
+    let (journal, _) = directory.open();
+    assert!(kept(&journal, admitted(1_700_000_000_123, "left", 1, Some("P-1"))).await);
+    journal.record(Record::Grip(Box::new(grip(1_700_000_000_123, "left", 1, Some("P-1")))));
+    assert!(kept(&journal, done(1_700_000_000_500, "left", 1, Some("P-1"), Outcome::PartHeld)).await);
+    assert_eq!(journal.last_seq(), 2);
+    let page = journal.events(EventQuery::default()).await.unwrap();
+    assert_eq!(
+        &*page.bodies[1],
+        format!(
+            r#"{{"seq":1,"at":"2023-11-14T22:13:20.123Z","gripper":"left","subject":"http:127.0.0.1","door":"http","command_id":"{}","kind":"command","phase":"admitted","command":"grip","request_id":"request-1","width_mm":20.5,"part_id":"P-1"}}"#,
+            id(1)
+        )
+    );
+    let grip: serde_json::Value = serde_json::from_str(&journal.grip(id(1)).await.unwrap().unwrap()).unwrap();
+    assert_eq!(
+        (&grip["seq"], &grip["samples"], &grip["part_lost_at"]),
+        (&1.into(), &20.into(), &serde_json::Value::Null)
+    );
+    assert_eq!(journal.curve(id(1)).await.unwrap().unwrap().len(), 20);
+    assert_eq!(journal.curve(id(2)).await.unwrap(), None);
+    let command = journal.command(name("left"), id(1)).await.unwrap().unwrap();
+    assert_eq!(
+        (command.outcome, command.width_mm, &*command.client),
+        (Some(Outcome::PartHeld), Some(20.1), "http:127.0.0.1")
+    );
+    assert!(journal.command(name("right"), id(1)).await.unwrap().is_none());
+    journal.close().await.unwrap();
+}
+
+#[tokio::test]
+async fn a_part_that_is_lost_later_is_told_with_its_grip() {
+    let (journal, _) = Journal::open(Place::Memory, Retention::default()).unwrap();
+    journal.record(Record::Grip(Box::new(grip(1000, "left", 1, None))));
+    let lost = crate::gripper::model::DeviceEvent::PartLost { width_mm: Some(3.0) };
+    assert!(kept(&journal, Event::new(at(61_000), Some(name("left")), Detail::Device(lost)).of(id(1))).await);
+    let page = journal.grips(GripQuery::default()).await.unwrap();
+    assert!(page.bodies[0].ends_with(r#","part_lost_at":"1970-01-01T00:01:01Z"}"#), "{}", page.bodies[0]);
+    assert_eq!(page.to_json("grips"), format!("{{\"grips\":[{}],\"next_cursor\":null}}", page.bodies[0]));
+}
+
+#[tokio::test]
+async fn what_many_record_at_once_is_numbered_without_a_gap_and_all_are_told() {
+    let directory = Directory::new();
+    let (journal, _) = directory.open();
+    let recording = (0..20).map(|client| {
+        let journal = journal.clone();
+        tokio::spawn(async move {
+            for number in 0..10 {
+                assert!(kept(&journal, link(number, &format!("g{client}"))).await);
+            }
+        })
+    });
+    for recording in recording.collect::<Vec<_>>() {
+        recording.await.unwrap();
+    }
+    let seqs: Vec<_> = all(&journal).await.iter().map(|event| event["seq"].as_i64().unwrap()).collect();
+    assert_eq!(seqs, (1..=200).collect::<Vec<_>>());
+}
+
+#[tokio::test]
+async fn every_event_that_there_is_can_be_written_and_read() {
+    use crate::gripper::model::{
+        AcknowledgeEvent, Client, DeviceEvent, FastStopCause, FastStopEvent, FastStopStep, RefusedEvent, SettingChange,
+        SettingsEvent,
+    };
+    let fast_stop_id = IdSource::new(1).fast_stop_id(at(1));
+    let (reason, cause) = ("a \"quote\"\u{2028}".to_owned(), FastStopCause::Requested);
+    let details = [
+        Detail::FastStop(FastStopEvent { event: FastStopStep::Latched, fast_stop_id, cause, reason }),
+        Detail::Acknowledge(AcknowledgeEvent { fast_stop_id, cleared: true, cause: None }),
+        Detail::Device(DeviceEvent::Restarted),
+        Detail::Device(DeviceEvent::Fault { flags: vec!["TEMP_FAULT"] }),
+        Detail::Settings(SettingsEvent { restored: true, setting: SettingChange::Tare }),
+        Detail::Settings(SettingsEvent { restored: false, setting: SettingChange::ForceLimit { force_n: f32::NAN } }),
+        Detail::Refused(RefusedEvent {
+            command: "grip".into(),
+            code: "fast_stop".into(),
+            cause: String::new(),
+            count: 2,
+        }),
+        Detail::Gateway(GatewayEvent::Ended),
+    ];
+    let (journal, _) = Journal::open(Place::Memory, Retention::default()).unwrap();
+    let client = Client { subject: Arc::from("http:\u{1F980}"), door: Door::Http };
+    for detail in details.clone() {
+        assert!(kept(&journal, Event::new(at(1), None, detail).by(&client)).await);
+    }
+    let kinds = fields(&all(&journal).await, &["kind"]);
+    assert_eq!(kinds, ["fast_stop", "acknowledge", "device", "device", "settings", "settings", "refused", "gateway"]);
+    let mut follow = journal.follow(Some(0), Filter::default());
+    for _ in details {
+        assert_eq!(follow.next().await.unwrap().unwrap().command_id, None);
+    }
+}

@@ -1,0 +1,208 @@
+//! Pages: against a filter that reads everything, and against the clock.
+
+use std::time::Instant;
+
+use rand::rngs::SmallRng;
+use rand::seq::IndexedRandom;
+use rand::{RngExt, SeedableRng};
+
+use super::super::chain::{Chain, Tip};
+use super::super::query::{ChainKind, page};
+use super::super::row::{Row, milliseconds};
+use super::super::store::{Memories, Store};
+use super::*;
+
+/// Records of one chain, as filters see them.
+struct Known<K> {
+    seq: i64,
+    at: i64,
+    gripper: Option<Name>,
+    kind: K,
+    part_id: Option<PartId>,
+    outcome: Option<Outcome>,
+}
+
+fn matches<K: ChainKind>(known: &Known<K>, query: &Query<K>) -> bool {
+    let filter = &query.filter;
+    filter.gripper.as_ref().is_none_or(|gripper| known.gripper.as_ref() == Some(gripper))
+        && filter.kind.is_none_or(|kind| known.kind == kind)
+        && filter.part_id.as_ref().is_none_or(|part_id| known.part_id.as_ref() == Some(part_id))
+        && filter.outcome.is_none_or(|outcome| known.outcome == Some(outcome))
+        && query.from.is_none_or(|from| known.at >= milliseconds(from))
+        && query.to.is_none_or(|to| known.at < milliseconds(to))
+}
+
+/// The sequence numbers that a query's pages have, one after the other.
+fn paged<K: ChainKind>(store: &Store, mut query: Query<K>) -> Vec<i64> {
+    let mut seqs = Vec::new();
+    loop {
+        let page = page(&store.connection, &query, i64::MAX).unwrap();
+        for body in &page.bodies {
+            seqs.push(serde_json::from_str::<serde_json::Value>(body).unwrap()["seq"].as_i64().unwrap());
+        }
+        match page.next_cursor {
+            Some(cursor) => query.cursor = Some(cursor.parse().unwrap()),
+            None => return seqs,
+        }
+    }
+}
+
+fn expected<K: ChainKind>(known: &[Known<K>], query: &Query<K>) -> Vec<i64> {
+    let mut seqs: Vec<_> = known.iter().filter(|known| matches(known, query)).map(|known| known.seq).collect();
+    if query.order == Order::Newest {
+        seqs.reverse();
+    }
+    seqs
+}
+
+/// A clock that mostly goes on, and sometimes jumps.
+fn tick(random: &mut SmallRng, time: &mut i64) -> i64 {
+    *time += match random.random_range(0..500) {
+        0 => -50_000,
+        1 => 50_000,
+        _ => 10,
+    };
+    *time
+}
+
+/// So many events and grip records, and what they are.
+fn fill(store: &mut Store, count: u32) -> (Vec<Known<EventKind>>, Vec<Known<Kind>>) {
+    let mut random = SmallRng::seed_from_u64(1);
+    let (mut events, mut grips, mut rows) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut event_end, mut grip_end, mut time) = (Tip::default(), Tip::default(), 1_000_000);
+    for number in 0..count {
+        let at = tick(&mut random, &mut time);
+        let gripper = *["left", "right", "rare"]
+            .choose_weighted(&mut random, |name| if *name == "rare" { 1 } else { 20 })
+            .unwrap();
+        let part = Some("P-1").filter(|_| random.random_range(0..3) == 0);
+        let outcome = *[Outcome::PartHeld, Outcome::NoPart].choose(&mut random).unwrap();
+        let event = match random.random_range(0..5) {
+            0 => link(at, gripper),
+            1 => started(at),
+            2 => admitted(at, gripper, number, part),
+            _ => done(at, gripper, number, part, outcome),
+        };
+        let row = Row::event(event_end, &event).unwrap();
+        let stored = row.event.clone().unwrap();
+        events.push(Known {
+            seq: row.tip.seq,
+            at,
+            gripper: stored.gripper.clone(),
+            kind: stored.kind,
+            part_id: stored.part_id.clone(),
+            outcome: stored.outcome,
+        });
+        event_end = row.tip;
+        rows.push(row);
+        if number % 3 == 0 {
+            let kind = if part.is_some() { Kind::Grip } else { *[Kind::Grip, Kind::Move].choose(&mut random).unwrap() };
+            let record = GripRecord { kind, outcome, curve: Vec::new(), ..grip(at, gripper, number, part) };
+            let row = Row::grip(grip_end, &record).unwrap();
+            grips.push(Known {
+                seq: row.tip.seq,
+                at,
+                gripper: Some(record.gripper),
+                kind,
+                part_id: record.part_id,
+                outcome: Some(outcome),
+            });
+            grip_end = row.tip;
+            rows.push(row);
+        }
+    }
+    store.commit(&rows, &Memories::new()).unwrap();
+    (events, grips)
+}
+
+/// All combinations of filters, each with values that occur and with ones that don't.
+fn filters<K: ChainKind>(kinds: &[K]) -> Vec<Filter<K>> {
+    let kinds: Vec<_> = std::iter::once(None).chain(kinds.iter().copied().map(Some)).collect();
+    let mut filters = Vec::new();
+    for gripper in [None, Some("left"), Some("rare"), Some("none")] {
+        for &kind in &kinds {
+            for part_id in [None, Some("P-1"), Some("none")] {
+                for outcome in [None, Some(Outcome::PartHeld), Some(Outcome::Blocked)] {
+                    let (gripper, part_id) = (gripper.map(name), part_id.and_then(PartId::new));
+                    filters.push(Filter { gripper, kind, part_id, outcome, command_id: None });
+                }
+            }
+        }
+    }
+    filters
+}
+
+fn compare<K: ChainKind + std::fmt::Debug>(store: &Store, known: &[Known<K>], kinds: &[K]) {
+    let times: Vec<_> = known.iter().map(|known| known.at).collect();
+    let (first, last) = (*times.iter().min().unwrap(), *times.iter().max().unwrap());
+    let ranges = [
+        (None, None),
+        (Some(first + (last - first) / 3), Some(first + (last - first) / 2)),
+        (Some(last - 60), None),
+        (None, Some(first)),
+        (Some(last / 2), Some(last / 2)),
+    ];
+    for (i, filter) in filters(kinds).into_iter().enumerate() {
+        for (from, to) in ranges {
+            let order = if i % 2 == 0 { Order::Newest } else { Order::Oldest };
+            let limit = Limit::new(if i % 3 == 0 { 1000 } else { 173 }).unwrap();
+            let query =
+                Query { filter: filter.clone(), from: from.map(at), to: to.map(at), limit, cursor: None, order };
+            assert_eq!(paged(store, query.clone()), expected(known, &query), "{query:?}");
+        }
+    }
+}
+
+#[test]
+fn all_filters_orders_and_times_give_what_a_look_at_each_record_gives() {
+    let mut store = Store::open(Place::Memory).unwrap();
+    let (events, grips) = fill(&mut store, 6000);
+    compare(&store, &events, &[EventKind::Command, EventKind::Link, EventKind::Lease]);
+    compare(&store, &grips, &[Kind::Grip, Kind::Move, Kind::Home]);
+}
+
+#[test]
+fn a_page_s_time_does_not_depend_on_how_much_there_is() {
+    let mut store = Store::open(Place::Memory).unwrap();
+    let (events, grips) = fill(&mut store, 60_000);
+    slowest(&store, &events, &[EventKind::Command, EventKind::Link, EventKind::Lease]);
+    slowest(&store, &grips, &[Kind::Grip, Kind::Move, Kind::Home]);
+}
+
+fn slowest<K: ChainKind + std::fmt::Debug>(store: &Store, known: &[Known<K>], kinds: &[K]) {
+    let (old, new) = (known[known.len() / 100].at, known[known.len() / 2].at);
+    for filter in filters(kinds) {
+        for (from, to) in [(None, None), (Some(old), Some(old + 500)), (Some(old), Some(new)), (Some(0), Some(1))] {
+            for order in [Order::Newest, Order::Oldest] {
+                let query =
+                    Query { filter: filter.clone(), from: from.map(at), to: to.map(at), order, ..Query::default() };
+                // Of three, since the machine does other things too.
+                let time = (0..3).map(|_| {
+                    let start = Instant::now();
+                    page(&store.connection, &query, i64::MAX).unwrap();
+                    start.elapsed()
+                });
+                assert!(time.min().unwrap() < Duration::from_millis(20), "{query:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_limit_and_a_cursor_are_checked_with_their_remedy() {
+    assert_eq!(
+        Limit::new(0).unwrap_err().to_string(),
+        "limit is 0, and must be from 1 to 1000: ask for more by the cursor"
+    );
+    assert!(Limit::new(1001).is_err() && Limit::new(u64::MAX).is_err());
+    assert!("x".parse::<Cursor>().unwrap_err().to_string().contains("next_cursor"));
+    let mut store = Store::open(Place::Memory).unwrap();
+    fill(&mut store, 10);
+    for cursor in ["-9223372036854775808", "9223372036854775807", "0"] {
+        for order in [Order::Newest, Order::Oldest] {
+            let query = EventQuery { cursor: Some(cursor.parse().unwrap()), order, ..EventQuery::default() };
+            page(&store.connection, &query, i64::MAX).unwrap();
+        }
+    }
+    assert_eq!(store.end(Chain::Events).unwrap().seq, 10);
+}

@@ -1,0 +1,173 @@
+//! Restarts, in order and not.
+
+use super::*;
+
+#[tokio::test]
+async fn an_orderly_end_leaves_nothing_open() {
+    let directory = Directory::new();
+    let (journal, recovered) = directory.open();
+    assert!(!recovered.unclean && recovered.memory.is_empty());
+    record(&journal, started(1));
+    journal.close().await.unwrap();
+    assert!(
+        !directory.0.join("journal.db-wal").exists()
+            || std::fs::metadata(directory.0.join("journal.db-wal")).unwrap().len() == 0
+    );
+    assert!(!kept(&journal, started(2)).await, "recorded after the end");
+    assert_eq!(journal.health().borrow().lost, 1);
+    let (journal, recovered) = directory.open();
+    assert!(!recovered.unclean && recovered.running.is_empty());
+    assert_eq!(fields(&all(&journal).await, &["seq", "event"]), ["1 started", "2 ended"]);
+}
+
+#[tokio::test]
+async fn what_ran_at_an_unclean_end_is_unknown_and_named() {
+    let directory = Directory::new();
+    let (journal, _) = directory.open();
+    for event in [
+        started(1),
+        admitted(2, "left", 1, Some("P-1")),
+        admitted(3, "right", 2, None),
+        done(4, "right", 2, None, Outcome::NoPart),
+    ] {
+        record(&journal, event);
+    }
+    drop(journal);
+    let (journal, recovered) = directory.open();
+    assert!(recovered.unclean);
+    assert_eq!(recovered.running, [id(1)]);
+    let events = all(&journal).await;
+    assert_eq!(
+        fields(
+            &events[4..],
+            &[
+                "seq",
+                "kind",
+                "phase",
+                "event",
+                "gripper",
+                "subject",
+                "door",
+                "outcome",
+                "part_id",
+                "started_at",
+                "running"
+            ]
+        ),
+        [
+            "5 command done left http:127.0.0.1 http UNKNOWN P-1 1970-01-01T00:00:00.002Z".to_owned(),
+            format!("6 gateway unclean_end null null null [\"{}\"]", id(1)),
+        ]
+    );
+    assert_eq!(journal.command(name("left"), id(1)).await.unwrap().unwrap().outcome, Some(Outcome::Unknown));
+    // A second unclean end has none to name.
+    drop(journal);
+    let (journal, recovered) = directory.open();
+    assert!(recovered.unclean && recovered.running.is_empty());
+    assert_eq!(fields(&all(&journal).await[6..], &["seq", "event", "running"]), ["7 unclean_end []"]);
+}
+
+#[tokio::test]
+async fn memories_outlive_a_restart_until_they_are_forgotten() {
+    let directory = Directory::new();
+    let (journal, _) = directory.open();
+    for value in [
+        memory("left", MemoryKey::Latch, Some("{\"id\":1}")),
+        memory("left", MemoryKey::LeaseEpoch, Some("6")),
+        memory("left", MemoryKey::LeaseEpoch, Some("7")),
+        memory("right", MemoryKey::Settings, Some("{}")),
+        memory("right", MemoryKey::Settings, None),
+    ] {
+        journal.record(Record::Memory(value));
+    }
+    drop(journal);
+    let (journal, recovered) = directory.open();
+    let expected =
+        [memory("left", MemoryKey::Latch, Some("{\"id\":1}")), memory("left", MemoryKey::LeaseEpoch, Some("7"))];
+    assert_eq!(recovered.memory, expected);
+    journal.record(Record::Memory(memory("left", MemoryKey::Latch, None)));
+    journal.close().await.unwrap();
+    assert_eq!(directory.open().1.memory, expected[1..]);
+}
+
+#[tokio::test]
+async fn requests_of_the_last_ten_minutes_stand_for_their_commands() {
+    let directory = Directory::new();
+    let (journal, _) = directory.open();
+    let now = Timestamp::now().as_millisecond();
+    for event in [
+        admitted(now - 601_000, "left", 1, None),
+        done(now - 601_000, "left", 1, None, Outcome::Success),
+        admitted(now - 590_000, "left", 2, Some("P-2")),
+        done(now - 589_000, "left", 2, Some("P-2"), Outcome::PartHeld),
+        admitted(now - 1000, "left", 3, None),
+        done(now - 999, "left", 3, None, Outcome::Refused),
+        admitted(now - 500, "right", 4, None),
+    ] {
+        record(&journal, event);
+    }
+    drop(journal);
+    let (_, recovered) = directory.open();
+    let told: Vec<_> = recovered
+        .requests
+        .iter()
+        .map(|request| {
+            (request.request_id.as_str(), request.command.id, request.command.outcome, request.parameters.width_mm)
+        })
+        .collect();
+    assert_eq!(
+        told,
+        [
+            ("request-2", id(2), Some(Outcome::PartHeld), Some(20.5)),
+            ("request-4", id(4), Some(Outcome::Unknown), Some(20.5)),
+        ]
+    );
+    assert_eq!(recovered.requests[0].command.gripper, name("left"));
+}
+
+#[tokio::test]
+async fn a_journal_has_one_gateway() {
+    let directory = Directory::new();
+    let (journal, _) = directory.open();
+    assert!(kept(&journal, started(1)).await);
+    let second = Journal::open(directory.place(), Retention::default()).unwrap_err().to_string();
+    assert!(
+        second.contains("journal.db belongs to a gateway that is running") && second.contains("--journal"),
+        "{second}"
+    );
+    assert_eq!(Reader::open(&directory.journal()).unwrap().last_seq().unwrap(), 1);
+    drop(journal);
+    directory.open();
+}
+
+#[test]
+fn what_is_no_journal_is_refused_and_left_as_it_is() {
+    let directory = Directory::new();
+    let refused = || Journal::open(directory.place(), Retention::default()).unwrap_err().to_string();
+    std::fs::write(
+        directory.journal(),
+        "notes, which are long enough to be the header of a database, but are none of it. ".repeat(20),
+    )
+    .unwrap();
+    let before = std::fs::read(directory.journal()).unwrap();
+    assert!(refused().contains("move the file away"), "{}", refused());
+    assert_eq!(std::fs::read(directory.journal()).unwrap(), before);
+    std::fs::remove_file(directory.journal()).unwrap();
+    let other = rusqlite::Connection::open(directory.journal()).unwrap();
+    other.execute_batch("CREATE TABLE notes(text)").unwrap();
+    assert!(refused().contains("is no journal"), "{}", refused());
+    other.execute_batch("DROP TABLE notes; PRAGMA application_id = 0x5753474A; PRAGMA user_version = 7;").unwrap();
+    assert!(refused().contains("is of version 7, and this gateway reads and writes version 1"), "{}", refused());
+    assert!(Reader::open(&directory.journal()).unwrap_err().to_string().contains("version 7"));
+    assert!(Reader::open(&directory.0.join("none.db")).unwrap_err().to_string().contains("there is no journal"));
+}
+
+#[test]
+fn directories_are_made_and_one_that_can_t_be_is_named() {
+    let directory = Directory::new();
+    Journal::open(Place::File(directory.0.join("a/b/journal.db")), Retention::default()).unwrap();
+    std::fs::write(directory.0.join("file"), "").unwrap();
+    let place = Place::File(directory.0.join("file/journal.db"));
+    let refused = Journal::open(place, Retention::default()).unwrap_err().to_string();
+    assert!(refused.contains("/file can't be made") || refused.contains("/file/journal.db"), "{refused}");
+}

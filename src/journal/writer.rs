@@ -1,0 +1,236 @@
+//! The thread that writes. What waits becomes one transaction, so that a slow disk costs each record less the more
+//! there are; a disk that fails is tried again, with what came since.
+
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
+use std::time::{Duration, Instant};
+
+use tokio::sync::{broadcast, oneshot};
+
+use super::Retention;
+use super::chain::{Chain, Tip};
+use super::prune::Pruning;
+use super::row::{Row, Stored, now};
+use super::shared::Shared;
+use super::store::{Memories, Store};
+use crate::gripper::model::{Detail, Event, GatewayEvent};
+use crate::gripper::recorder::Record;
+
+/// How many records one transaction has at most: some milliseconds of work, for which its first has to wait.
+const MAX_BATCH: usize = 1024;
+
+/// How many records are kept while the disk fails: a minute at a hundred a second, in some megabytes.
+const MAX_HELD: usize = 8192;
+
+/// How soon a disk that failed is tried again.
+const RETRY: Duration = Duration::from_secs(1);
+
+/// How long an orderly end tries to write what a failing disk didn't take.
+const CLOSE_WITHIN: Duration = Duration::from_secs(3);
+
+/// What the thread is told.
+#[derive(Debug)]
+pub(super) enum Input {
+    Record(Box<Record>),
+    /// The end; in order, or as if the process were killed after what it had recorded.
+    End {
+        orderly: bool,
+    },
+    /// Makes the disk full, or not.
+    #[cfg(test)]
+    MaxPages(i64),
+}
+
+/// What has a place in the chains, and is not durable yet.
+#[derive(Debug, Default)]
+struct Batch {
+    rows: Vec<Row>,
+    memories: Memories,
+    waiters: Vec<oneshot::Sender<()>>,
+}
+
+impl Batch {
+    fn is_empty(&self) -> bool {
+        self.rows.is_empty() && self.memories.is_empty()
+    }
+}
+
+/// The thread's state.
+#[derive(Debug)]
+pub(super) struct Writer {
+    store: Store,
+    shared: Arc<Shared>,
+    told: broadcast::Sender<Arc<Stored>>,
+    /// Of events and of grip records, with the batch.
+    ends: [Tip; 2],
+    batch: Batch,
+    /// While the disk fails, when it is tried again.
+    retry_at: Option<Instant>,
+    /// How many lost records have been told of.
+    lost_told: u64,
+    pruning: Pruning,
+}
+
+impl Writer {
+    pub(super) fn new(store: Store, retention: Retention) -> rusqlite::Result<Self> {
+        let ends = [store.end(Chain::Events)?, store.end(Chain::Grips)?];
+        let pruning = Pruning::new(retention, Instant::now());
+        let (shared, told) = Shared::new(ends[Chain::Events as usize].seq);
+        let (shared, batch) = (Arc::new(shared), Batch::default());
+        Ok(Self { store, shared, told, ends, batch, retry_at: None, lost_told: 0, pruning })
+    }
+
+    pub(super) fn shared(&self) -> Arc<Shared> {
+        self.shared.clone()
+    }
+
+    /// Writes until the end.
+    ///
+    /// # Errors
+    /// What was not written, and why.
+    pub(super) fn run(mut self, inputs: &Receiver<Input>) -> Result<(), String> {
+        loop {
+            let wake = self.retry_at.unwrap_or_else(|| self.pruning.due());
+            let mut input = match inputs.recv_timeout(wake.saturating_duration_since(Instant::now())) {
+                Ok(input) => Some(input),
+                Err(RecvTimeoutError::Timeout) => None,
+                Err(RecvTimeoutError::Disconnected) => Some(Input::End { orderly: false }),
+            };
+            while let Some(next) = input {
+                match next {
+                    Input::Record(record) => self.take(*record),
+                    Input::End { orderly } => return self.end(orderly),
+                    #[cfg(test)]
+                    Input::MaxPages(pages) => self.store.limit_pages(pages),
+                }
+                let room = self.retry_at.is_none() && self.batch.rows.len() < MAX_BATCH;
+                input = if room { inputs.try_recv().ok() } else { None };
+            }
+            let now = Instant::now();
+            if self.retry_at.is_none_or(|at| now >= at) {
+                self.commit(now);
+            }
+            self.prune(now);
+        }
+    }
+
+    /// Gives a record its place.
+    fn take(&mut self, record: Record) {
+        if self.batch.rows.len() >= MAX_HELD && !matches!(record, Record::Memory(_)) {
+            return self.shared.lose();
+        }
+        match record {
+            Record::Event(event, waiter) => {
+                self.push(Chain::Events, |end| Row::event(end, &event));
+                // While the disk fails, the channel's end says so at once.
+                self.batch.waiters.extend(waiter.filter(|_| self.retry_at.is_none()));
+            }
+            Record::Grip(grip) => self.push(Chain::Grips, |end| Row::grip(end, &grip)),
+            Record::Memory(memory) => {
+                self.batch.memories.insert((memory.gripper, memory.key), memory.value);
+            }
+        }
+    }
+
+    fn push(&mut self, chain: Chain, row: impl FnOnce(Tip) -> serde_json::Result<Row>) {
+        match row(self.ends[chain as usize]) {
+            Ok(row) => {
+                self.ends[chain as usize] = row.tip;
+                self.batch.rows.push(row);
+            }
+            Err(error) => {
+                tracing::error!(%error, "a record has no JSON, and is lost");
+                self.shared.lose();
+            }
+        }
+    }
+
+    /// Makes the batch durable, and tells of it; where that fails, keeps it.
+    fn commit(&mut self, now: Instant) {
+        // A failing disk is told of once it works again: what is lost until then is one number.
+        if self.retry_at.is_none() {
+            self.tell_of_lost();
+        }
+        if self.batch.is_empty() {
+            self.retry_at = None;
+            return;
+        }
+        if let Err(error) = self.store.commit(&self.batch.rows, &self.batch.memories) {
+            let failure = self.store.source.words(&error);
+            if self.retry_at.is_none() {
+                tracing::error!(failure, "the journal can't be written");
+            }
+            self.shared.set_failure(Some(failure));
+            self.batch.waiters.clear();
+            self.retry_at = Some(now + RETRY);
+            return;
+        }
+        let batch = std::mem::take(&mut self.batch);
+        if self.retry_at.take().is_some() {
+            tracing::info!(records = batch.rows.len(), "the journal is written again");
+        }
+        for waiter in batch.waiters {
+            // Whoever waited may have given up.
+            let _ = waiter.send(());
+        }
+        for event in batch.rows.into_iter().filter_map(|row| row.event) {
+            self.tell(event);
+        }
+        if self.shared.failing() {
+            self.shared.set_failure(None);
+            self.commit(now);
+        }
+    }
+
+    /// Tells of a durable event: first that it can be read, then what it is.
+    fn tell(&self, event: Arc<Stored>) {
+        self.shared.set_committed(event.seq);
+        // Nobody may be listening.
+        let _ = self.told.send(event);
+    }
+
+    fn tell_of_lost(&mut self) {
+        let lost = self.shared.health.borrow().lost;
+        if lost > self.lost_told {
+            self.own(GatewayEvent::RecordsLost { count: lost - self.lost_told });
+            self.lost_told = lost;
+        }
+    }
+
+    fn own(&mut self, event: GatewayEvent) {
+        self.push(Chain::Events, |end| Row::event(end, &Event::new(now(), None, Detail::Gateway(event))));
+    }
+
+    fn prune(&mut self, now: Instant) {
+        if self.retry_at.is_some() || now < self.pruning.due() {
+            return;
+        }
+        match self.pruning.step(&mut self.store, self.ends[Chain::Events as usize], now) {
+            Ok(Some(row)) => {
+                self.ends[Chain::Events as usize] = row.tip;
+                row.event.into_iter().for_each(|event| self.tell(event));
+            }
+            Ok(None) => {}
+            Err(error) => tracing::warn!(failure = self.store.source.words(&error), "old records were not removed"),
+        }
+    }
+
+    fn end(mut self, orderly: bool) -> Result<(), String> {
+        let until = Instant::now() + CLOSE_WITHIN;
+        if orderly {
+            self.own(GatewayEvent::Ended);
+        }
+        loop {
+            self.commit(Instant::now());
+            let Some(failure) = self.shared.health.borrow().failure.clone() else { break };
+            if !orderly || Instant::now() + RETRY > until {
+                return Err(format!("{} records were not kept: {failure}", self.batch.rows.len()));
+            }
+            std::thread::sleep(RETRY);
+        }
+        if orderly && let Err(error) = self.store.checkpoint() {
+            tracing::warn!(failure = self.store.source.words(&error), "the write-ahead log stays");
+        }
+        Ok(())
+    }
+}
