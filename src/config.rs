@@ -102,6 +102,15 @@ pub enum Device {
     Simulated(url::Url),
 }
 
+impl fmt::Display for Device {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::At(address) => address.fmt(f),
+            Self::Simulated(url) => url.fmt(f),
+        }
+    }
+}
+
 /// Where something is configured.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Place {

@@ -16,7 +16,10 @@ use tokio_util::sync::CancellationToken;
 
 use crate::config::{Config, Device, Gripper, Mistake};
 use crate::frontend::http;
-use crate::gripper::{self, Connector, Fleet, Handle};
+use crate::gripper::model::{Detail, Event, GatewayEvent, MemoryKey};
+use crate::gripper::recorder::{Recollection, Record, Recorder as _};
+use crate::gripper::{self, Connector, Fleet, Handle, Now};
+use crate::journal::{self, Journal, Recovered};
 pub use simulation::{Served, SimulatedDevice, Switch, serve as serve_device, serve_simulated};
 
 /// Runs the gateway until SIGTERM or SIGINT.
@@ -61,9 +64,18 @@ async fn run_gateway(config: &Config, devices: &Runtime) -> anyhow::Result<()> {
         format!("cannot listen on {}: choose another address with --listen, or end what listens there", config.listen)
     })?;
     let address = listener.local_addr()?;
-    let fleet = spawn_all(config, devices)?;
-    let context =
-        http::Context { gateway: config.name.clone(), fleet: fleet.clone(), allowed_hosts: config.hosts.clone() };
+    let (journal, recovered) = Journal::open(journal::Place::Memory, journal::Retention::default())?;
+    tell_of_last_run(&recovered);
+    for event in [started(config), configured(config)] {
+        journal.record(Record::Event(Event::new(Now::read().wall, None, Detail::Gateway(event)), None));
+    }
+    let fleet = spawn_all(config, devices, &journal, &recovered)?;
+    let context = http::Context {
+        gateway: config.name.clone(),
+        fleet: fleet.clone(),
+        journal: journal.clone(),
+        allowed_hosts: config.hosts.clone(),
+    };
     let shutdown = CancellationToken::new();
     let server = tokio::spawn(http::serve(listener, context, http::Limits::default(), shutdown.clone()));
     announce(config, address);
@@ -72,16 +84,46 @@ async fn run_gateway(config: &Config, devices: &Runtime) -> anyhow::Result<()> {
     fleet.drain().await;
     shutdown.cancel();
     server.await?;
-    Ok(())
+    Ok(journal.close().await?)
 }
 
-fn spawn_all(config: &Config, devices: &Runtime) -> anyhow::Result<Fleet> {
+/// Says what a run that has not ended in order left behind.
+fn tell_of_last_run(recovered: &Recovered) {
+    if recovered.unclean {
+        let running: Vec<_> = recovered.running.iter().map(ToString::to_string).collect();
+        tracing::warn!(running = running.join(", "), "the last run has not ended in order: what ran then is UNKNOWN");
+    }
+}
+
+fn started(config: &Config) -> GatewayEvent {
+    GatewayEvent::Started { version: env!("CARGO_PKG_VERSION"), gateway: config.name.to_string() }
+}
+
+fn configured(config: &Config) -> GatewayEvent {
+    let grippers = config.grippers.iter().map(|gripper| format!("{}={}", gripper.name, gripper.device));
+    GatewayEvent::Configuration { listen: config.listen.to_string(), grippers: grippers.collect() }
+}
+
+fn spawn_all(config: &Config, devices: &Runtime, journal: &Journal, recovered: &Recovered) -> anyhow::Result<Fleet> {
     let _inside = devices.enter();
-    let handles: Result<Vec<Handle>, Mistake> = config.grippers.iter().map(|gripper| spawn(config, gripper)).collect();
+    let spawn = |gripper| spawn(config, gripper, journal, recollection(recovered, gripper));
+    let handles: Result<Vec<Handle>, Mistake> = config.grippers.iter().map(spawn).collect();
     Ok(Fleet::new(handles?))
 }
 
-fn spawn(config: &Config, gripper: &Gripper) -> Result<Handle, Mistake> {
+/// What the journal knows of a gripper from earlier runs.
+fn recollection(recovered: &Recovered, gripper: &Gripper) -> Recollection {
+    let settings =
+        recovered.memory.iter().find(|memory| memory.gripper == gripper.name && memory.key == MemoryKey::Settings);
+    let requests = recovered.requests.iter().filter(|request| request.command.gripper == gripper.name);
+    Recollection {
+        settings: settings.and_then(|memory| memory.value.clone()),
+        requests: requests.cloned().collect(),
+        unannounced: recovered.unclean,
+    }
+}
+
+fn spawn(config: &Config, gripper: &Gripper, journal: &Journal, recollection: Recollection) -> Result<Handle, Mistake> {
     let connector: Arc<dyn Connector> = match &gripper.device {
         Device::At(address) => Arc::new(address.clone()),
         Device::Simulated(url) => {
@@ -98,7 +140,7 @@ fn spawn(config: &Config, gripper: &Gripper) -> Result<Handle, Mistake> {
         on_journal_failure: gripper::actor::OnJournalFailure::Refuse,
         seed: rand::rng().random(),
     };
-    Ok(gripper::spawn(config, connector, Arc::new(gripper::Unrecorded), gripper::recorder::Recollection::default()))
+    Ok(gripper::spawn(config, connector, Arc::new(journal.clone()), recollection))
 }
 
 /// Comes when the process is asked to end. SIGHUP does nothing yet, and must not be the process's unannounced end.
@@ -127,10 +169,7 @@ fn write_announcement(config: &Config, address: SocketAddr, out: &mut impl Write
     let base = format!("http://{address}");
     writeln!(out, "wsg-gateway {} serves {} at {base}/", env!("CARGO_PKG_VERSION"), config.name)?;
     for gripper in &config.grippers {
-        match &gripper.device {
-            Device::At(address) => writeln!(out, "  {:<8} {address}", gripper.name.as_str())?,
-            Device::Simulated(url) => writeln!(out, "  {:<8} {url}", gripper.name.as_str())?,
-        }
+        writeln!(out, "  {:<8} {}", gripper.name.as_str(), gripper.device)?;
     }
     writeln!(out, "documentation: {base}/docs")?;
     if let Some(gripper) = config.grippers.first() {

@@ -129,17 +129,17 @@ impl Book {
 
     /// Takes in a request of an earlier run of the gateway.
     pub(super) fn bind_again(&mut self, now: Now, request: PastRequest) {
-        let PastRequest { subject, request_id, kind, parameters, command, age } = request;
-        let Some(since) = now.instant.checked_sub(age).filter(|since| now.instant < *since + REPLAYED_FOR) else {
-            return;
-        };
+        let PastRequest { request_id, parameters, command } = request;
+        // A clock that was set back makes it no younger than now.
+        let age = Duration::try_from(now.wall.duration_since(command.started_at)).unwrap_or_default();
+        let Some(since) = now.instant.checked_sub(age).filter(|_| age < REPLAYED_FOR) else { return };
         if command.outcome == Some(Outcome::Refused) {
             return;
         }
-        let command = Command { recorded: true, ..command };
-        let ticket = Ticket { record: watch::channel(Arc::new(command)).1, replayed: false };
-        let key = (subject, request_id);
-        self.requests.insert(key.clone(), Bound { ticket, asked: (kind, parameters), since });
+        let (key, asked) = ((command.client.clone(), request_id), (command.kind, parameters));
+        let command = Arc::new(Command { recorded: true, ..command });
+        let ticket = Ticket { record: watch::channel(command).1, replayed: false };
+        self.requests.insert(key.clone(), Bound { ticket, asked, since });
         self.bound.push_back((since, key));
     }
 

@@ -1,11 +1,8 @@
 //! What a gripper needs of whoever keeps its records. The journal does; tests can.
 
-use std::sync::Arc;
-use std::time::Duration;
-
 use tokio::sync::{oneshot, watch};
 
-use super::model::{Command, Event, GripRecord, Kind, Memory, Parameters, RequestId};
+use super::model::{Command, Event, GripRecord, Memory, Parameters, RequestId};
 
 /// Keeps records. It never makes a gripper wait: what finds no place is counted and lost, and said to be.
 pub trait Recorder: Send + Sync + 'static {
@@ -33,25 +30,21 @@ pub enum Record {
 pub struct Recollection {
     /// The value of [`MemoryKey::Settings`](super::model::MemoryKey::Settings).
     pub settings: Option<String>,
-    /// The requests with ids of their own, so that a repetition moves nothing again.
+    /// The requests with ids of their own, so that a repetition moves nothing again: the oldest first.
     pub requests: Vec<PastRequest>,
+    /// Whether that run's connection ended without an announcement.
+    pub unannounced: bool,
 }
 
-/// A request of an earlier run, and the command that it became.
-#[derive(Debug, Clone)]
+/// A request of an earlier run with an id of its own, and the command that it became.
+#[derive(Debug, Clone, PartialEq)]
 pub struct PastRequest {
-    /// Who asked.
-    pub subject: Arc<str>,
-    /// What makes a repetition the same request.
+    /// What makes a repetition the same request, for the same gripper and client.
     pub request_id: RequestId,
-    /// What was asked for.
-    pub kind: Kind,
-    /// How.
+    /// What was asked for, beside the command's kind.
     pub parameters: Parameters,
-    /// What became of it.
+    /// The command, which has ended.
     pub command: Command,
-    /// How long ago it was admitted.
-    pub age: Duration,
 }
 
 /// Whether records become durable.

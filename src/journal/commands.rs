@@ -42,6 +42,7 @@ impl CommandBody {
             replayed: false,
             fast_stop_id: None,
             rejection: None,
+            recorded: true,
         };
         match self.event {
             CommandEvent::Admitted(_) => running,

@@ -40,7 +40,7 @@ pub use commands::command_of;
 pub use follow::Follow;
 pub use query::{Cursor, EventQuery, Filter, GripQuery, InvalidCursor, InvalidLimit, Limit, Order, Page, Query};
 pub use reader::Reader;
-pub use recovery::{Recovered, Request};
+pub use recovery::Recovered;
 pub use row::{EventKind, Stored};
 pub use source::{Place, ReadError};
 pub use store::OpenError;

@@ -10,9 +10,8 @@ use super::commands::CommandBody;
 use super::query::{Cursor, EventQuery, Filter, Limit, Order, page};
 use super::row::{EventKind, Row, now};
 use super::store::{Memories, Store};
-use crate::gripper::model::{
-    Command, CommandEvent, CommandId, Detail, Done, Event, GatewayEvent, Memory, Outcome, Parameters, RequestId,
-};
+use crate::gripper::model::{Command, CommandEvent, CommandId, Detail, Done, Event, GatewayEvent, Memory, Outcome};
+use crate::gripper::recorder::PastRequest;
 
 /// How long a request id stands for its command.
 const REPLAYED_FOR: SignedDuration = SignedDuration::from_mins(10);
@@ -28,18 +27,7 @@ pub struct Recovered {
     pub running: Vec<CommandId>,
     /// The requests of the last ten minutes that had an id, in the order of their admission. A refused one is not
     /// among them, since it binds nothing.
-    pub requests: Vec<Request>,
-}
-
-/// A request that stands for its command.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Request {
-    /// What makes a repetition the same request, for the same gripper and client.
-    pub request_id: RequestId,
-    /// What was asked for, beside the command's kind.
-    pub parameters: Parameters,
-    /// The command, which has ended.
-    pub command: Command,
+    pub requests: Vec<PastRequest>,
 }
 
 /// Ends what the last run left open, and reads what outlives it.
@@ -114,11 +102,11 @@ fn memory(connection: &Connection) -> rusqlite::Result<Vec<Memory>> {
     Ok(memories)
 }
 
-fn requests(connection: &Connection, since: Timestamp) -> rusqlite::Result<Vec<Request>> {
+fn requests(connection: &Connection, since: Timestamp) -> rusqlite::Result<Vec<PastRequest>> {
     let filter = Filter { kind: Some(EventKind::Command), ..Filter::default() };
     let limit = Limit::default();
     let mut query = EventQuery { filter, from: Some(since), order: Order::Oldest, limit, ..EventQuery::default() };
-    let mut requests: BTreeMap<CommandId, Request> = BTreeMap::new();
+    let mut requests: BTreeMap<CommandId, PastRequest> = BTreeMap::new();
     loop {
         let page = page(connection, &query, i64::MAX)?;
         for body in page.bodies.iter().filter_map(|body| parsed(body)) {
@@ -134,13 +122,13 @@ fn requests(connection: &Connection, since: Timestamp) -> rusqlite::Result<Vec<R
     Ok(requests)
 }
 
-fn take_request(requests: &mut BTreeMap<CommandId, Request>, body: CommandBody) {
+fn take_request(requests: &mut BTreeMap<CommandId, PastRequest>, body: CommandBody) {
     let id = body.command_id;
     match &body.event {
         CommandEvent::Admitted(admitted) => {
             let (parameters, request_id) = (admitted.parameters.clone(), admitted.request_id.clone());
             if let Some(request_id) = request_id {
-                requests.insert(id, Request { request_id, parameters, command: body.command() });
+                requests.insert(id, PastRequest { request_id, parameters, command: body.command() });
             }
         }
         CommandEvent::Done(done) if done.outcome == Outcome::Refused => {

@@ -3,11 +3,7 @@ use axum::http::Request;
 use super::*;
 
 fn context() -> Arc<Context> {
-    Arc::new(Context {
-        gateway: "wsg".parse().unwrap(),
-        fleet: crate::gripper::Fleet::default(),
-        allowed_hosts: vec![],
-    })
+    Arc::new(Context::of([]))
 }
 
 fn parts(uri: &str, headers: &[(&str, &str)]) -> Parts {

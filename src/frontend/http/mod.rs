@@ -39,6 +39,7 @@ use utoipa_axum::routes;
 use self::errors::{Code, Problem};
 use crate::gripper::Fleet;
 use crate::gripper::model::Name;
+use crate::journal::Journal;
 
 pub use server::{Limits, RESERVED_CONNECTIONS, serve};
 
@@ -52,8 +53,20 @@ pub struct Context {
     pub gateway: Name,
     /// Its grippers.
     pub fleet: Fleet,
+    /// What happened to them.
+    pub journal: Journal,
     /// The names that the gateway may be called by, besides its addresses and `localhost`. Without ports.
     pub allowed_hosts: Vec<String>,
+}
+
+#[cfg(test)]
+impl Context {
+    /// Of these grippers, with a journal in memory.
+    fn of(grippers: impl IntoIterator<Item = crate::gripper::Handle>) -> Self {
+        let (journal, _) = Journal::open(crate::journal::Place::Memory, crate::journal::Retention::default()).unwrap();
+        let (gateway, fleet) = ("wsg".parse().unwrap(), Fleet::new(grippers));
+        Self { gateway, fleet, journal, allowed_hosts: Vec::new() }
+    }
 }
 
 /// The whole of the HTTP door.

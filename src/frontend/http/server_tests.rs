@@ -7,7 +7,6 @@ use tokio::sync::mpsc::UnboundedReceiver;
 use tokio::task::JoinHandle;
 
 use super::*;
-use crate::gripper::Fleet;
 use crate::gripper::fake::{self, Fate, Script, Seen};
 
 struct Server {
@@ -19,7 +18,7 @@ struct Server {
 
 async fn start(limits: Limits, script: Script) -> Server {
     let (handle, seen) = fake::gripper("left", script);
-    let context = Context { gateway: "wsg".parse().unwrap(), fleet: Fleet::new([handle]), allowed_hosts: vec![] };
+    let context = Context::of([handle]);
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();
     let shutdown = CancellationToken::new();

@@ -67,6 +67,7 @@ impl Actor {
                 }
             }
         }
+        self.unannounced = recollection.unannounced && self.config.traits.connection_oriented;
         for request in recollection.requests {
             self.book.bind_again(now, request);
         }

@@ -403,8 +403,8 @@ pub enum GatewayEvent {
     },
     /// The configuration that it runs with.
     Configuration {
-        /// Where it comes from.
-        source: String,
+        /// Where it serves HTTP.
+        listen: String,
         /// The grippers, each as `name=URL`.
         grippers: Vec<String>,
     },

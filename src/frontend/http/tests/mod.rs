@@ -35,7 +35,7 @@ struct Answer {
 impl Gateway {
     fn new(script: Script) -> Self {
         let (handle, seen) = fake::gripper("left", script);
-        let context = Context { gateway: "wsg".parse().unwrap(), fleet: Fleet::new([handle]), allowed_hosts: vec![] };
+        let context = Context::of([handle]);
         Self { router: router(context), seen }
     }
 
