@@ -20,6 +20,7 @@ mod source;
 mod store;
 #[cfg(test)]
 mod tests;
+mod verify;
 mod writer;
 
 use std::sync::mpsc::{SyncSender, sync_channel};
@@ -44,6 +45,7 @@ pub use recovery::Recovered;
 pub use row::{EventKind, Stored};
 pub use source::{Place, ReadError};
 pub use store::OpenError;
+pub use verify::{Finding, Report, verify};
 
 /// How many records may wait for the thread that writes: what comes in while a disk stalls for some seconds.
 const QUEUE: usize = 8192;

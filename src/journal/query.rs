@@ -239,7 +239,7 @@ pub(super) fn page<K: ChainKind>(connection: &Connection, query: &Query<K>, unti
     let mut found = Vec::new();
     for run in runs(connection, K::CHAIN, (query.from, query.to), (first, last), query.order)? {
         // One more than the page has tells whether another page is behind it.
-        read_run(connection, &plan, query, run, limit + 1 - found.len(), &mut found)?;
+        read_run(connection, &plan, query, run, limit + 1, &mut found)?;
         if found.len() > limit {
             break;
         }
@@ -255,17 +255,19 @@ fn read_run<K: ChainKind>(
     plan: &Plan,
     query: &Query<K>,
     run: Run,
-    limit: usize,
+    enough: usize,
     found: &mut Vec<(i64, Arc<str>)>,
 ) -> rusqlite::Result<()> {
-    let mut conditions: String = plan.conditions.iter().map(|(column, _)| format!("{column} = ? AND ")).collect();
+    let columns = plan.conditions.iter().map(|(column, _)| *column);
+    let mut conditions: String = columns.flat_map(|column| [column, " = ? AND "]).collect();
     let mut values: Vec<Value> = plan.conditions.iter().map(|(_, value)| value.clone().into()).collect();
     if !run.whole {
         conditions.push_str("at >= ? AND at < ? AND ");
         values.push(query.from.map_or(i64::MIN, milliseconds).into());
         values.push(query.to.map_or(i64::MAX, milliseconds).into());
     }
-    values.extend([run.first.into(), run.last.into(), (limit as i64).into()]);
+    let limit = i64::try_from(enough - found.len()).unwrap_or(i64::MAX);
+    values.extend([run.first.into(), run.last.into(), limit.into()]);
     let (chain, order) = (K::CHAIN, if query.order == Order::Newest { "DESC" } else { "ASC" });
     let sql = format!(
         "SELECT seq, {} FROM {} {} WHERE {conditions} seq BETWEEN ? AND ? ORDER BY seq {order} LIMIT ?",

@@ -26,17 +26,18 @@ async fn a_follower_gets_each_event_once_while_others_write() {
             }
         })
     };
-    let followers: Vec<_> = (0..5)
+    let followers: Vec<_> = (0..5_u16)
         .map(|after| {
             let journal = journal.clone();
             tokio::spawn(async move {
-                seqs(&mut journal.follow(Some(after * 50), Filter::default()), 500 - after as usize * 50).await
+                seqs(&mut journal.follow(Some(i64::from(after) * 50), Filter::default()), 500 - usize::from(after) * 50)
+                    .await
             })
         })
         .collect();
     writing.await.unwrap();
-    for (after, follower) in followers.into_iter().enumerate() {
-        assert_eq!(follower.await.unwrap(), (after as i64 * 50 + 1..=500).collect::<Vec<_>>());
+    for (after, follower) in (0..).zip(followers) {
+        assert_eq!(follower.await.unwrap(), (after * 50 + 1..=500).collect::<Vec<_>>());
     }
 }
 

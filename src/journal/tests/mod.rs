@@ -3,6 +3,7 @@
 mod disk;
 mod following;
 mod pages;
+mod pruning;
 mod recovering;
 
 use std::path::PathBuf;

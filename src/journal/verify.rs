@@ -1,0 +1,175 @@
+//! Whether a journal is as it was written. Each record is read and hashed, and what it is found by is compared with it.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+use std::path::Path;
+
+use rusqlite::Connection;
+
+use super::chain::{Chain, memory_hash};
+use super::reader::Reader;
+use super::schema::TABLES;
+use super::source::ReadError;
+use super::store::anchor;
+
+#[cfg(test)]
+mod tests;
+mod walk;
+
+/// How many findings are named; the rest is counted. A file that is damaged all over needs no more.
+const MAX_FINDINGS: usize = 1000;
+
+/// What was read, and what was found.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct Report {
+    /// How many events there are.
+    pub events: u64,
+    /// How many grip records.
+    pub grips: u64,
+    /// How many remembered values.
+    pub memories: u64,
+    /// What is not as it was written; the first thousand.
+    pub findings: Vec<Finding>,
+    /// How many more there are.
+    pub more: u64,
+}
+
+/// Something that is not as it was written.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Finding {
+    /// The record: `events 17`, `grips 3`, `memory left latch`, `anchors events`, `running …`, or `file`.
+    pub record: String,
+    /// What is wrong with it.
+    pub detail: String,
+}
+
+impl fmt::Display for Finding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.record, self.detail)
+    }
+}
+
+/// Reads a whole journal as it is at this moment. A gateway may be writing it, or may have been killed.
+///
+/// # Errors
+/// [`ReadError`], where there is no such file, or it is not a journal of this version.
+pub fn verify(path: &Path) -> Result<Report, ReadError> {
+    let reader = Reader::open(path)?;
+    reader.with(|connection| {
+        let snapshot = connection.unchecked_transaction()?;
+        let mut verifier = Verifier::default();
+        verifier.tables(&snapshot);
+        verifier.records(&snapshot);
+        verifier.integrity(&snapshot);
+        Ok(verifier.report)
+    })
+}
+
+#[derive(Debug, Default)]
+struct Verifier {
+    report: Report,
+    /// The commands that were admitted and have not ended, by the records.
+    running: BTreeMap<String, i64>,
+    /// What the newest `pruned` event says of each chain's last removed record.
+    attested: BTreeMap<Chain, (i64, String)>,
+}
+
+impl Verifier {
+    fn find(&mut self, record: impl fmt::Display, detail: impl fmt::Display) {
+        if self.report.findings.len() < MAX_FINDINGS {
+            self.report.findings.push(Finding { record: record.to_string(), detail: detail.to_string() });
+        } else {
+            self.report.more += 1;
+        }
+    }
+
+    /// What can't be read is a finding too.
+    fn check(&mut self, record: &str, check: impl FnOnce(&mut Self) -> rusqlite::Result<()>) {
+        if let Err(error) = check(self) {
+            self.find(record, format!("can't be read: {error}"));
+        }
+    }
+
+    /// Indexes of other columns would find other records.
+    fn tables(&mut self, connection: &Connection) {
+        self.check("file", |this| {
+            let expected = Connection::open_in_memory()?;
+            expected.execute_batch(TABLES)?;
+            if tables(&expected)? != tables(connection)? {
+                this.find("file", "its tables or indexes are not those of a journal");
+            }
+            Ok(())
+        });
+    }
+
+    fn records(&mut self, connection: &Connection) {
+        for chain in Chain::ALL {
+            self.check(chain.name(), |this| walk::walk(this, connection, chain));
+        }
+        self.check("anchors", |this| this.anchors(connection));
+        self.check("running", |this| this.running(connection));
+        self.check("memory", |this| this.memory(connection));
+    }
+
+    fn anchors(&mut self, connection: &Connection) -> rusqlite::Result<()> {
+        for chain in Chain::ALL {
+            let anchor = anchor(connection, chain)?;
+            let attested = self
+                .attested
+                .get(&chain)
+                .is_none_or(|(seq, hash)| *seq == anchor.seq && *hash == hex::encode(anchor.hash));
+            if !attested || (self.attested.is_empty() && anchor.seq != 0) {
+                let detail = format!("that {} is the last removed record is not what the events attest", anchor.seq);
+                self.find(format!("anchors {}", chain.name()), detail);
+            }
+        }
+        Ok(())
+    }
+
+    fn running(&mut self, connection: &Connection) -> rusqlite::Result<()> {
+        let mut statement = connection.prepare("SELECT command_id, seq FROM running")?;
+        let stored = statement.query_map([], |row| Ok((row.get(0)?, row.get(1)?)))?;
+        let stored: BTreeSet<(String, i64)> = stored.collect::<Result<_, _>>()?;
+        let expected: BTreeSet<_> = std::mem::take(&mut self.running).into_iter().collect();
+        for (id, seq) in stored.symmetric_difference(&expected) {
+            self.find(format!("running {id}"), format!("whether it has ended is not what the events say ({seq})"));
+        }
+        Ok(())
+    }
+
+    fn memory(&mut self, connection: &Connection) -> rusqlite::Result<()> {
+        let mut statement = connection.prepare("SELECT gripper, key, value, hash FROM memory")?;
+        let mut rows = statement.query([])?;
+        while let Some(row) = rows.next()? {
+            self.report.memories += 1;
+            let text = |i| row.get_ref(i).map(|text| text.as_bytes().map(String::from_utf8_lossy).unwrap_or_default());
+            let (gripper, key, value) = (text(0)?, text(1)?, text(2)?);
+            if !row.get_ref(3)?.as_blob().is_ok_and(|hash| hash == memory_hash(&gripper, &key, &value)) {
+                self.find(format!("memory {gripper} {key}"), "it is not as it was written (its hash is another)");
+            }
+        }
+        Ok(())
+    }
+
+    /// What the file itself says: its pages, and that each index has each record.
+    fn integrity(&mut self, connection: &Connection) {
+        self.check("file", |this| {
+            let mut statement = connection.prepare("PRAGMA integrity_check")?;
+            let mut rows = statement.query([])?;
+            while let Some(row) = rows.next()? {
+                let said: String = row.get(0)?;
+                if said != "ok" {
+                    this.find("file", said);
+                }
+            }
+            Ok(())
+        });
+    }
+}
+
+/// What the tables and indexes are, as SQL.
+fn tables(connection: &Connection) -> rusqlite::Result<BTreeSet<[Option<String>; 4]>> {
+    let mut statement = connection.prepare("SELECT type, name, tbl_name, sql FROM sqlite_schema")?;
+    let rows = statement.query_map([], |row| Ok([row.get(0)?, row.get(1)?, row.get(2)?, row.get(3)?]))?;
+    rows.collect()
+}
