@@ -6,6 +6,7 @@
 
 mod chain;
 mod commands;
+pub mod csv;
 mod curve;
 mod follow;
 mod prune;

@@ -1,0 +1,192 @@
+//! Pages and curves as CSV. The columns of a list are always the same, whatever its records have.
+
+use serde_json::Value;
+
+use crate::gripper::model::Sample;
+
+/// An event's columns: those of all kinds.
+pub const EVENT_COLUMNS: &[&str] = &[
+    "seq",
+    "at",
+    "kind",
+    "gripper",
+    "subject",
+    "door",
+    "command_id",
+    "phase",
+    "command",
+    "event",
+    "outcome",
+    "status",
+    "status_code",
+    "reached_goal",
+    "stalled",
+    "width_mm",
+    "speed_mm_s",
+    "force_n",
+    "part_id",
+    "direction",
+    "relative",
+    "on_block",
+    "request_id",
+    "started_at",
+    "duration_ms",
+    "fast_stop_id",
+    "cause",
+    "reason",
+    "cleared",
+    "link",
+    "link_cause",
+    "known_serial_number",
+    "serial_number",
+    "flags",
+    "setting",
+    "restored",
+    "acceleration_mm_s2",
+    "minus_mm",
+    "plus_mm",
+    "enabled",
+    "tag",
+    "finger",
+    "code",
+    "count",
+    "version",
+    "gateway",
+    "source",
+    "grippers",
+    "running",
+    "up_to_seq",
+    "hash",
+    "grips_up_to_seq",
+    "grips_hash",
+    "other",
+];
+
+/// A grip record's columns.
+pub const GRIP_COLUMNS: &[&str] = &[
+    "seq",
+    "id",
+    "gripper",
+    "kind",
+    "part_id",
+    "outcome",
+    "subject",
+    "started_at",
+    "duration_ms",
+    "width_mm",
+    "force_n",
+    "peak_force_n",
+    "contact_width_mm",
+    "time_to_contact_ms",
+    "samples",
+    "part_lost_at",
+    "other",
+];
+
+/// A curve's columns.
+const CURVE_COLUMNS: [&str; 4] = ["t_ms", "width_mm", "speed_mm_s", "force_n"];
+
+/// A header of these columns.
+#[must_use]
+pub fn header(columns: &[&str]) -> String {
+    text(&[columns.iter().map(ToString::to_string).collect()])
+}
+
+/// A line for each body. The last column takes, as JSON, what has no column of its own.
+#[must_use]
+pub fn lines<'a>(columns: &[&str], bodies: impl IntoIterator<Item = &'a str>) -> String {
+    let rows: Vec<_> = bodies.into_iter().map(|body| row(columns, body)).collect();
+    text(&rows)
+}
+
+/// A curve with its header.
+#[must_use]
+pub fn curve(samples: &[Sample]) -> String {
+    let mut rows = vec![CURVE_COLUMNS.map(str::to_owned).to_vec()];
+    rows.extend(samples.iter().map(|sample| {
+        let Sample { t_ms, width_mm, speed_mm_s, force_n } = sample;
+        vec![t_ms.to_string(), width_mm.to_string(), speed_mm_s.to_string(), force_n.to_string()]
+    }));
+    text(&rows)
+}
+
+fn row(columns: &[&str], body: &str) -> Vec<String> {
+    let mut fields = match serde_json::from_str(body) {
+        Ok(Value::Object(fields)) => fields,
+        _ => serde_json::Map::new(),
+    };
+    let Some((_other, columns)) = columns.split_last() else { return Vec::new() };
+    let mut row: Vec<_> = columns.iter().map(|column| fields.remove(*column).map_or_else(String::new, plain)).collect();
+    row.push(if fields.is_empty() { String::new() } else { Value::Object(fields).to_string() });
+    row
+}
+
+/// Texts as they are, nothing for null, and lists separated by blanks.
+fn plain(value: Value) -> String {
+    match value {
+        Value::Null => String::new(),
+        Value::String(text) => text,
+        Value::Array(values) => values.into_iter().map(plain).collect::<Vec<_>>().join(" "),
+        other => other.to_string(),
+    }
+}
+
+fn text(rows: &[Vec<String>]) -> String {
+    let mut writer = ::csv::Writer::from_writer(Vec::new());
+    // Neither memory nor rows of equal length fail.
+    let _ = rows.iter().try_for_each(|row| writer.write_record(row));
+    writer.into_inner().map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).unwrap_or_default()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::row::Row;
+    use super::super::tests::{admitted, done, grip, link, started};
+    use super::*;
+    use crate::gripper::model::Outcome;
+
+    fn first_line(text: &str) -> Vec<String> {
+        let mut reader = ::csv::Reader::from_reader(text.as_bytes());
+        reader.headers().unwrap().iter().map(str::to_owned).collect()
+    }
+
+    #[test]
+    fn each_field_of_a_record_has_a_column() {
+        let bodies = [
+            admitted(1, "left", 1, Some("P,\"1\"")),
+            done(2, "left", 1, None, Outcome::NoPart),
+            link(3, "g"),
+            started(4),
+        ]
+        .map(|event| Row::event(super::super::chain::Tip::default(), &event).unwrap().body);
+        let csv = header(EVENT_COLUMNS) + &lines(EVENT_COLUMNS, bodies.iter().map(|body| &**body));
+        assert_eq!(first_line(&csv), EVENT_COLUMNS);
+        let mut reader = ::csv::Reader::from_reader(csv.as_bytes());
+        let rows: Vec<_> = reader.records().map(Result::unwrap).collect();
+        assert_eq!(rows.len(), 4);
+        let column = |name: &str| EVENT_COLUMNS.iter().position(|column| *column == name).unwrap();
+        assert_eq!(&rows[0][column("part_id")], "P,\"1\"");
+        assert_eq!(&rows[1][column("outcome")], "NO_PART");
+        assert_eq!(&rows[2][column("link_cause")], "");
+        assert!(rows.iter().all(|row| row[column("other")].is_empty()), "{csv}");
+
+        let body = Row::grip(super::super::chain::Tip::default(), &grip(1, "left", 1, None)).unwrap().body;
+        let csv = lines(GRIP_COLUMNS, [&*body]);
+        assert!(csv.starts_with("1,") && csv.ends_with(",20,,\n"), "{csv}");
+    }
+
+    #[test]
+    fn what_has_no_column_is_not_lost() {
+        assert_eq!(
+            lines(&["seq", "flags", "other"], [r#"{"seq":1,"flags":["A","B"],"new":"x"}"#]),
+            "1,A B,\"{\"\"new\"\":\"\"x\"\"}\"\n"
+        );
+    }
+
+    #[test]
+    fn a_curve_has_its_header_and_a_line_a_sample() {
+        let sample = Sample { t_ms: 10, width_mm: 20.5, speed_mm_s: -3.0, force_n: 0.25 };
+        assert_eq!(curve(&[sample]), "t_ms,width_mm,speed_mm_s,force_n\n10,20.5,-3,0.25\n");
+        assert_eq!(curve(&[]), "t_ms,width_mm,speed_mm_s,force_n\n");
+    }
+}
