@@ -47,6 +47,11 @@ pub(super) fn is_up(name: &str) -> bool {
     flags.is_some_and(|flags| flags & UP != 0)
 }
 
+/// Whether there is no hardware behind an interface.
+pub(super) fn is_virtual(name: &str) -> bool {
+    !Path::new(INTERFACES).join(name).join("device").exists()
+}
+
 fn attribute(interface: &str, name: &str) -> Option<String> {
     let text = fs::read_to_string(Path::new(INTERFACES).join(interface).join(name)).ok()?;
     Some(text.trim().to_owned())
