@@ -74,6 +74,37 @@ fn only_tcp_has_connections_and_slow_lines_know_how_slow_they_are() {
     }
 }
 
+#[test]
+fn addresses_that_exclude_each_other_say_why() {
+    let conflict = |one: &str, other: &str| {
+        let [one, other] = [one, other].map(|text| text.parse::<Address>().unwrap());
+        let why = one.conflict_with(&other);
+        assert_eq!(why.is_some(), other.conflict_with(&one).is_some(), "{one} {other}: whichever comes first");
+        why.unwrap_or_default()
+    };
+    for (one, other, why) in [
+        ("tcp://h", "tcp://h:1000", "both are at tcp://h:1000, and a device has one client"),
+        ("udp://h?local_port=5", "udp://i?local_port=5", "both listen on UDP port 5"),
+        ("udp://h?local_port=5", "udp://h?local_port=6", "a device has one client"),
+        ("serial:///dev/ttyS0", "serial:///dev/ttyS0?baud=9600", "a device has one client"),
+        ("can://can0?tx=1&rx=2", "can://can0?tx=1&rx=3", "the id 0x1 on can0"),
+        ("can://can0?tx=1&rx=2", "can://can0?tx=3&rx=2", "the id 0x2 on can0"),
+        ("can://can0?tx=1&rx=2", "can://can0?tx=2&rx=3", "the id 0x2 on can0"),
+    ] {
+        assert!(conflict(one, other).contains(why), "{one} {other}: {}", conflict(one, other));
+    }
+    for (one, other) in [
+        ("tcp://h:1", "tcp://h:2"),
+        ("tcp://h:1500", "udp://h:1500"),
+        ("udp://h", "udp://i?local_port=1502"),
+        ("serial:///dev/ttyS0", "serial:///dev/ttyS1"),
+        ("can://can0?tx=1&rx=2", "can://can0?tx=3&rx=4"),
+        ("can://can0?tx=1&rx=2", "can://can1?tx=1&rx=2"),
+    ] {
+        assert_eq!(conflict(one, other), "");
+    }
+}
+
 #[tokio::test]
 async fn a_port_or_an_interface_that_is_not_there_is_answered_with_those_that_are() {
     let refused = async |text: &str| text.parse::<Address>().unwrap().connect().await.unwrap_err().to_string();

@@ -83,6 +83,16 @@ impl CanAddress {
         Ok(Self { interface: interface.to_owned(), tx, rx, bitrate })
     }
 
+    /// Why the devices at both can't be told apart, if they can't.
+    pub(super) fn conflict_with(&self, other: &Self) -> Option<String> {
+        let ids = [other.tx, other.rx];
+        let shared = [self.tx, self.rx].into_iter().find(|id| ids.contains(id))?;
+        (self.interface == other.interface).then(|| {
+            let interface = &self.interface;
+            format!("both use the id {shared:#x} on {interface}: give each a tx and an rx of its own, as on the device")
+        })
+    }
+
     /// What of our bytes the bus carries at least.
     #[must_use]
     pub const fn bytes_per_second(&self) -> u32 {
