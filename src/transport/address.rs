@@ -102,7 +102,7 @@ impl fmt::Display for Address {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Tcp(TcpAddress { host, port }) => write!(f, "tcp://{}:{port}", InUrl(host)),
-            Self::Udp(UdpAddress { host, port, local_port }) => {
+            Self::Udp(UdpAddress { host, port, local_port, .. }) => {
                 write!(f, "udp://{}:{port}?local_port={local_port}", InUrl(host))
             }
             Self::Serial(address) => address.fmt(f),

@@ -36,6 +36,11 @@ fn a_mistake_is_named_with_its_remedy() {
     mistake("tcp://host:70000", &["port"]);
     mistake("tcp://user@host", &["no user"]);
     mistake("tcp://host#there", &["#"]);
+    mistake("udp://0.0.0.0", &["0.0.0.0 is the unspecified address", "udp://192.168.1.20:1500"]);
+    mistake("udp://[::]", &[":: is the unspecified address"]);
+    mistake("udp://239.1.2.3:1500", &["239.1.2.3 is a multicast address"]);
+    mistake("udp://[ff02::1]", &["ff02::1 is a multicast address"]);
+    mistake("udp://255.255.255.255", &["255.255.255.255 is the broadcast address"]);
     mistake("serial://ttyUSB0", &["three slashes", "serial:///dev/ttyUSB0"]);
     mistake("serial:///", &["no port"]);
     mistake("serial:ttyUSB0", &["no port"]);
