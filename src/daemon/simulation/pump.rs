@@ -7,7 +7,7 @@ use tokio::sync::{mpsc, oneshot};
 
 use super::wire::Wire;
 use crate::gripper::clock;
-use crate::sim::{Change, Device, Interface, LinkAction, ReceivedFrame, Snapshot};
+use crate::sim::{Change, Device, ImpossibleChange, Interface, LinkAction, ReceivedFrame, Snapshot};
 use crate::transport::Pipe;
 
 /// What is read at once.
@@ -18,7 +18,7 @@ const MAX_WAITING_ORDERS: usize = 16;
 
 /// What a device can be asked besides its protocol.
 enum Order {
-    Apply(Change, oneshot::Sender<()>),
+    Apply(Change, oneshot::Sender<Result<(), ImpossibleChange>>),
     Look(oneshot::Sender<(Snapshot, Vec<ReceivedFrame>)>),
 }
 
@@ -41,10 +41,11 @@ impl Switch {
     /// ends and another one comes, unless connections are refused.
     ///
     /// # Errors
-    /// The device is gone.
+    /// It can't happen ([`io::ErrorKind::InvalidInput`]), or the device is gone.
     pub async fn apply(&self, change: Change) -> io::Result<()> {
         let (done, wait) = oneshot::channel();
-        self.order(Order::Apply(change, done), wait).await
+        let applied = self.order(Order::Apply(change, done), wait).await?;
+        applied.map_err(|impossible| io::Error::new(io::ErrorKind::InvalidInput, impossible))
     }
 
     /// Everything about it at this moment.
@@ -213,15 +214,22 @@ impl Pump {
         self.device.disconnect(clock::instant());
     }
 
+    fn apply(&mut self, change: Change) {
+        tracing::info!(?change, "happens to the device");
+        if change == Change::CutConnection && self.wire.interface() != Interface::Tcp {
+            self.connection = None;
+        }
+        self.device.apply(clock::instant(), change);
+    }
+
     fn obey(&mut self, order: Order) {
         match order {
             Order::Apply(change, done) => {
-                tracing::info!(?change, "happens to the device");
-                if change == Change::CutConnection && self.wire.interface() != Interface::Tcp {
-                    self.connection = None;
+                let possible = change.check(&self.device.config().limits);
+                if possible.is_ok() {
+                    self.apply(change);
                 }
-                self.device.apply(clock::instant(), change);
-                let _ = done.send(());
+                let _ = done.send(possible);
             }
             Order::Look(shown) => {
                 self.device.handle_timeout(clock::instant());
