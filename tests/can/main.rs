@@ -96,6 +96,11 @@ async fn other_ids_remote_frames_and_harmless_error_frames_are_not_heard() {
 }
 
 #[tokio::test]
+async fn a_cut_on_can_is_seen_and_what_was_sent_into_it_is_lost() {
+    conformance::a_cut_without_a_connection(&device()).await;
+}
+
+#[tokio::test]
 async fn bus_off_is_a_loss_that_recovers() {
     let rig = Rig::homed(&device()).await;
     let bus = CanSocket::open(&interface()).unwrap();
