@@ -8,7 +8,7 @@ use std::io::{BufReader, Write};
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
-use anyhow::Context;
+use anyhow::{Context, ensure};
 use clap::{CommandFactory, Parser, Subcommand};
 use url::Url;
 
@@ -58,7 +58,8 @@ enum Command {
     Openapi,
     /// Hex to readable frames, one line a frame, and back
     Decode {
-        /// Lines of hex, each perhaps behind a time and > or <; standard input where there is none
+        /// Lines of hex, each perhaps behind a time and -> or <-, and comments behind #; standard input where there is
+        /// none
         #[arg(value_name = "FILE", conflicts_with = "encode")]
         file: Option<PathBuf>,
         /// The bytes of a frame, e.g. 'Grip width=20 speed=50', FastStop or '0xB0 0x20 150.0f "text"'
@@ -100,18 +101,20 @@ pub fn run() -> anyhow::Result<()> {
             quietly(writeln!(std::io::stdout(), "{document}"))
         }
         Some(Command::Decode { encode: Some(text), .. }) => {
-            println!("{}", decode::encode(&text)?);
-            Ok(())
+            let frame = decode::encode(&text)?;
+            quietly(writeln!(std::io::stdout(), "{frame}"))
         }
         Some(Command::Decode { file, encode: None }) => {
             let mut output = std::io::stdout().lock();
-            match file {
+            let wrong = quietly(match file {
                 Some(path) => {
                     let file = File::open(&path).with_context(|| path.display().to_string())?;
                     decode::decode(BufReader::new(file), &mut output)
                 }
                 None => decode::decode(std::io::stdin().lock(), &mut output),
-            }
+            })?;
+            ensure!(wrong == 0, "lines that are wrong: {wrong}; each is marked as such");
+            Ok(())
         }
         Some(Command::Journal(_)) => not_yet("journal"),
         Some(Command::Token(_)) => not_yet("token"),
@@ -121,20 +124,16 @@ pub fn run() -> anyhow::Result<()> {
 fn check(flags: &Flags) -> anyhow::Result<()> {
     let config = Config::load(flags)?;
     daemon::check(&config)?;
-    println!(
-        "the configuration is right: {} serves {} grippers at {}",
-        config.name,
-        config.grippers.len(),
-        config.listen
-    );
-    Ok(())
+    let Config { name, grippers, listen, .. } = &config;
+    let count = grippers.len();
+    quietly(writeln!(std::io::stdout(), "the configuration is right: {name} serves {count} grippers at {listen}"))
 }
 
 /// Whoever reads standard output may have enough of it: that is no error.
-fn quietly(written: std::io::Result<()>) -> anyhow::Result<()> {
+fn quietly<T: Default>(written: std::io::Result<T>) -> anyhow::Result<T> {
     match written {
-        Err(error) if error.kind() != std::io::ErrorKind::BrokenPipe => Err(error.into()),
-        _ => Ok(()),
+        Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(T::default()),
+        written => Ok(written?),
     }
 }
 

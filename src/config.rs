@@ -262,22 +262,22 @@ fn grippers(flags: &Flags, file: Option<&File>) -> Result<Vec<Gripper>, Mistake>
         Some(file) if !file.content.grippers.is_empty() => file.grippers()?,
         _ => by_text(&DEFAULT_GRIPPERS.map(str::to_owned), Place::Default)?,
     };
-    let mut names = BTreeSet::new();
-    for gripper in &configured {
-        if !names.insert(gripper.name.clone()) {
-            let detail = format!("the name {:?} is given to two grippers: each needs its own", gripper.name.as_str());
-            return Err(Mistake::at(&gripper.place, detail));
-        }
-        let same = |other: &&Gripper| other.name != gripper.name && other.device == gripper.device;
-        if let (Device::At(address), Some(other)) = (&gripper.device, configured.iter().find(same)) {
-            let detail = format!(
-                "{} and {} are both at {address}: a device has one client, so give each gripper its own address",
-                gripper.name, other.name
-            );
+    for (index, gripper) in configured.iter().enumerate() {
+        if let Some(detail) = configured[..index].iter().find_map(|other| conflict(other, gripper)) {
             return Err(Mistake::at(&gripper.place, detail));
         }
     }
     Ok(configured)
+}
+
+/// Why two grippers can't both be served.
+fn conflict(one: &Gripper, other: &Gripper) -> Option<String> {
+    if one.name == other.name {
+        return Some(format!("the name {:?} is given to two grippers: each needs its own", one.name.as_str()));
+    }
+    let (Device::At(address), Device::At(other_address)) = (&one.device, &other.device) else { return None };
+    let why = address.conflict_with(other_address)?;
+    Some(format!("{} and {} exclude each other: {why}", one.name, other.name))
 }
 
 fn parse_gripper(text: &str, place: &Place) -> Result<Gripper, Mistake> {

@@ -1,12 +1,11 @@
 //! `wsg-gateway decode`: hex to readable frames, one line a frame, and back.
 //!
-//! A line of input is hex, with what may stand before it: a time, and `>` (to the device) or `<` (from it). Frames may
-//! go on from one line to the next of the same direction.
+//! A line of input is hex, with what may stand before it: a time, and `>` or `->` (to the device), `<` or `<-` (from
+//! it). Frames may go on from one line to the next of the same direction. Lines that begin with `#` are comments.
 
-use std::io::{BufRead, Write};
+use std::io::{self, BufRead, Write};
 
-use anyhow::Context;
-
+use crate::wsg::frame::PREAMBLE;
 use crate::wsg::text::{Direction, describe};
 use crate::wsg::{ChecksumEvaluation, Command, Decoded, Decoder, id};
 
@@ -22,19 +21,31 @@ pub(super) fn encode(text: &str) -> anyhow::Result<String> {
     Ok(bytes.join(" "))
 }
 
-/// Reads lines of hex, and writes a line a frame.
+/// Reads lines of hex, and writes a line a frame. Comments are copied, and so are lines that have no hex, with what is
+/// wrong with them. Returns how many of those there are.
 ///
 /// # Errors
-/// A line that has no hex, by its number; or what the operating system says.
-pub(super) fn decode(input: impl BufRead, output: &mut impl Write) -> anyhow::Result<()> {
+/// As the operating system says.
+pub(super) fn decode(input: impl BufRead, output: &mut impl Write) -> io::Result<usize> {
     let mut streams = [Direction::Request, Direction::Reply, Direction::Unknown].map(Stream::new);
-    for (index, line) in input.lines().enumerate() {
+    let mut wrong = 0;
+    for (index, line) in input.split(b'\n').enumerate() {
         let line = line?;
-        let Some(line) = Line::parse(&line).with_context(|| format!("line {}", index + 1))? else { continue };
-        for stream in &mut streams {
-            if stream.direction == line.direction {
-                stream.take(&line, output)?;
-            }
+        let text = String::from_utf8_lossy(&line);
+        match text.trim() {
+            "" => {}
+            comment if comment.starts_with('#') => writeln!(output, "{comment}")?,
+            text => match Line::parse(text) {
+                Ok(line) => {
+                    for stream in streams.iter_mut().filter(|stream| stream.direction == line.direction) {
+                        stream.take(&line, output)?;
+                    }
+                }
+                Err(error) => {
+                    wrong += 1;
+                    writeln!(output, "{text}  [line {} is wrong: {error}]", index + 1)?;
+                }
+            },
         }
     }
     for stream in &streams {
@@ -42,7 +53,7 @@ pub(super) fn decode(input: impl BufRead, output: &mut impl Write) -> anyhow::Re
             writeln!(output, "{}a frame cut short at the end", stream.mark())?;
         }
     }
-    Ok(())
+    Ok(wrong)
 }
 
 /// A line of input.
@@ -53,31 +64,48 @@ struct Line<'a> {
 }
 
 impl<'a> Line<'a> {
-    /// `None` for an empty line.
-    fn parse(text: &'a str) -> anyhow::Result<Option<Self>> {
-        let text = text.trim();
-        if text.is_empty() {
-            return Ok(None);
-        }
+    fn parse(text: &'a str) -> Result<Self, String> {
         let (time, direction, digits) = if let Some(at) = text.find(['>', '<']) {
-            let direction = if text[at..].starts_with('>') { Direction::Request } else { Direction::Reply };
-            (text[..at].trim(), direction, &text[at + 1..])
+            let (before, behind) = (&text[..at], &text[at + 1..]);
+            if text[at..].starts_with('>') {
+                (before.strip_suffix('-').unwrap_or(before), Direction::Request, behind)
+            } else {
+                (before, Direction::Reply, behind.strip_prefix('-').unwrap_or(behind))
+            }
         } else {
-            // What is no hex at the beginning is a time.
-            let starts = text.split_whitespace().find(|word| bytes(word).is_ok());
-            let at = starts.map_or(0, |word| word.as_ptr() as usize - text.as_ptr() as usize);
-            (text[..at].trim(), Direction::Unknown, &text[at..])
+            let at = text.len() - without_time(text).len();
+            (&text[..at], Direction::Unknown, &text[at..])
         };
-        let words = digits.split(|character: char| character.is_whitespace() || character == ',');
-        let parsed: anyhow::Result<Vec<Vec<u8>>> = words.filter(|word| !word.is_empty()).map(bytes).collect();
-        Ok(Some(Self { time, direction, bytes: parsed?.concat() }))
+        Ok(Self { time: time.trim(), direction, bytes: all_bytes(digits)? })
     }
 }
 
+/// A line from where its bytes begin. What is no hex is a time, and so is a number right before a frame.
+fn without_time(line: &str) -> &str {
+    let mut rest = line;
+    while let Some((word, behind)) = rest.split_once(char::is_whitespace) {
+        let behind = behind.trim_start();
+        let is_number = word.len() > 2 && word.bytes().all(|byte| byte.is_ascii_digit());
+        let is_time = is_number && all_bytes(behind).is_ok_and(|bytes| bytes.starts_with(&PREAMBLE));
+        if bytes(word).is_ok() && !is_time {
+            return rest;
+        }
+        rest = behind;
+    }
+    // The last word alone: if that is no hex either, nothing is.
+    if bytes(rest).is_ok() { rest } else { line }
+}
+
+fn all_bytes(text: &str) -> Result<Vec<u8>, String> {
+    let words = text.split(|character: char| character.is_whitespace() || character == ',');
+    let parsed: Result<Vec<_>, _> = words.filter(|word| !word.is_empty()).map(bytes).collect();
+    Ok(parsed?.concat())
+}
+
 /// Bytes as `AA`, `AAh`, `0xAA` or `AAAAAA25`.
-fn bytes(word: &str) -> anyhow::Result<Vec<u8>> {
+fn bytes(word: &str) -> Result<Vec<u8>, String> {
     let digits = word.trim_start_matches("0x").trim_end_matches(['h', 'H']);
-    hex::decode(digits).with_context(|| format!("{word:?} is no hex: write bytes as AA AA AA 22 00 00 0E 76"))
+    hex::decode(digits).map_err(|_| format!("{word:?} is no hex: write bytes as AA AA AA 22 00 00 0E 76"))
 }
 
 /// What goes one way.
@@ -131,7 +159,7 @@ mod tests {
 
     fn decoded(text: &str) -> String {
         let mut output = Vec::new();
-        decode(text.as_bytes(), &mut output).unwrap();
+        assert_eq!(decode(text.as_bytes(), &mut output).unwrap(), 0, "all is right");
         String::from_utf8(output).unwrap()
     }
 
@@ -152,12 +180,46 @@ mod tests {
     }
 
     #[test]
+    fn a_number_right_before_a_frame_is_a_time_and_elsewhere_it_is_bytes() {
+        for time in ["12.345", "1732182000", "1732182000.250", "12:00:01", "0250"] {
+            let line = decoded(&format!("{time} AA AA AA 22 00 00 0E 76"));
+            assert_eq!(line, format!("{time} Stop  [checksum right]\n"));
+        }
+        assert_eq!(decoded("AAAAAA 22\n0000 0E76"), "Stop  [checksum right]\n");
+        assert_eq!(decoded("AAAAAA22 0000\n12.345 0E 76"), "12.345 Stop  [checksum right]\n");
+    }
+
+    #[test]
+    fn a_direction_may_be_an_arrow() {
+        let (request, reply) = ("AA AA AA 22 00 00 0E 76", "AA AA AA 20 02 00 00 00 B3 FD");
+        let expected = "12.345 > Stop  [checksum right]\n12.346 < Homing -> E_SUCCESS  [checksum right]\n";
+        assert_eq!(decoded(&format!("12.345 -> {request}\n12.346 <- {reply}")), expected);
+        assert_eq!(decoded(&format!("12.345->{request}\n12.346<-{reply}")), expected);
+    }
+
+    #[test]
+    fn comments_are_copied() {
+        let line = "# 12.345 -> a homing, no hex";
+        assert_eq!(decoded(&format!("{line}\n\nAAAAAA2200000E76")), format!("{line}\nStop  [checksum right]\n"));
+    }
+
+    #[test]
+    fn a_wrong_line_is_marked_and_counted_and_the_others_are_decoded() {
+        let mut output = Vec::new();
+        let input = b"zz\nAA AA AA 22 0 0\n\xFF\nAAAAAA2200000E76\n";
+        assert_eq!(decode(&input[..], &mut output).unwrap(), 3);
+        let output = String::from_utf8(output).unwrap();
+        let lines: Vec<_> = output.lines().collect();
+        assert!(lines[0].starts_with("zz  [line 1 is wrong: \"zz\" is no hex: "), "{output}");
+        assert!(lines[1].starts_with("AA AA AA 22 0 0  [line 2 is wrong: \"0\" is no hex: "), "{output}");
+        assert_eq!(lines[3], "Stop  [checksum right]");
+    }
+
+    #[test]
     fn damage_is_said() {
         assert!(decoded("AA AA AA 22 00 00 0E 77").contains("Stop  [checksum wrong]"));
         assert!(decoded("AA AA AA 22 00").contains("cut short"));
         assert!(decoded("00 01 02 AA AA AA 22 00 00 0E 76").contains("(3 bytes of no frame)"));
-        let error = decode("AA\nzz".as_bytes(), &mut Vec::new()).unwrap_err();
-        assert!(format!("{error:#}").starts_with("line 2: "), "{error:#}");
     }
 
     #[test]

@@ -54,12 +54,22 @@ fn a_mistake_in_a_flag_is_named_with_its_remedy() {
     let twice = Flags { grippers: vec!["a=sim://wsg50".to_owned(); 2], ..flags() };
     assert!(mistake(twice).contains("two grippers"));
     let shared = vec!["a=tcp://10.0.0.1".to_owned(), "b=tcp://10.0.0.1:1000".to_owned()];
-    assert!(mistake(Flags { grippers: shared, ..flags() }).contains("both at tcp://10.0.0.1:1000"));
+    assert!(mistake(Flags { grippers: shared, ..flags() }).contains("both are at tcp://10.0.0.1:1000"));
     assert!(mistake(Flags { journal: Some("/tmp/x".to_owned()), ..flags() }).contains("not supported yet"));
     assert!(mistake(Flags { wsg_ports: vec!["left=127.0.0.1:1000".to_owned()], ..flags() }).contains("yet"));
     assert!(mistake(Flags { zenoh_listen: vec!["tcp/127.0.0.1:7447".to_owned()], ..flags() }).contains("yet"));
     assert!(mistake(Flags { config: Some("/nonexistent.toml".into()), ..flags() }).contains("/nonexistent.toml"));
     assert!(Config::load(&Flags { journal: Some(":memory:".to_owned()), ..flags() }).is_ok());
+}
+
+#[test]
+fn two_grippers_that_exclude_each_other_are_named_with_the_line_and_the_remedy() {
+    let text = "[grippers.a]\nurl = \"udp://10.0.0.5\"\n[grippers.b]\nurl = \"udp://10.0.0.6?local_port=1501\"\n";
+    let mistake = file(text).unwrap_err().to_string();
+    assert!(mistake.starts_with("gateway.toml:4: a and b exclude each other: "), "{mistake}");
+    assert!(mistake.contains("UDP port 1501") && mistake.contains("a local_port of its own"), "{mistake}");
+    assert!(file(&text.replace("=1501", "=1502")).is_ok());
+    assert!(file(&text.replace("udp://10.0.0.5", "sim://wsg50")).is_ok());
 }
 
 #[test]

@@ -6,10 +6,10 @@ use serde::{Deserialize, Serialize};
 use super::axis::Direction;
 
 /// How hard the end stops and obstacles are, in N/mm.
-const RIGID_N_MM: f64 = 2000.0;
+pub(super) const RIGID_N_MM: f64 = 2000.0;
 
 /// No part is softer than this, in N/mm.
-const SOFTEST_N_MM: f64 = 0.1;
+pub(super) const SOFTEST_N_MM: f64 = 0.1;
 
 /// How fast a slipping part leaves the fingers, in mm per step; faster than fingers in contact can follow.
 const SLIP_MM_PER_STEP: f64 = 0.05;

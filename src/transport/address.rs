@@ -102,7 +102,7 @@ impl fmt::Display for Address {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Tcp(TcpAddress { host, port }) => write!(f, "tcp://{}:{port}", InUrl(host)),
-            Self::Udp(UdpAddress { host, port, local_port }) => {
+            Self::Udp(UdpAddress { host, port, local_port, .. }) => {
                 write!(f, "udp://{}:{port}?local_port={local_port}", InUrl(host))
             }
             Self::Serial(address) => address.fmt(f),
@@ -130,6 +130,25 @@ impl Address {
             Self::Serial(address) => address.traits(),
             Self::Can(address) => address.traits(),
         }
+    }
+
+    /// Why devices at these two addresses can't be served together, and what to do about it.
+    #[must_use]
+    pub fn conflict_with(&self, other: &Self) -> Option<String> {
+        let is_one_device = match (self, other) {
+            (Self::Udp(one), Self::Udp(other)) if one.local_port == other.local_port => {
+                let port = one.local_port;
+                let remedy = "give each a local_port of its own, and set the same on the device";
+                return Some(format!("both listen on UDP port {port}: {remedy}"));
+            }
+            (Self::Can(one), Self::Can(other)) => return one.conflict_with(other),
+            (Self::Tcp(one), Self::Tcp(other)) => one == other,
+            (Self::Udp(one), Self::Udp(other)) => (&one.host, one.port) == (&other.host, other.port),
+            (Self::Serial(one), Self::Serial(other)) => one.path == other.path,
+            _ => false,
+        };
+        let remedy = "give each an address of its own, or leave one out";
+        is_one_device.then(|| format!("both are at {self}, and a device has one client: {remedy}"))
     }
 
     /// Connects. Only TCP asks the device; the others are ready once there is something to send by.

@@ -36,6 +36,11 @@ fn a_mistake_is_named_with_its_remedy() {
     mistake("tcp://host:70000", &["port"]);
     mistake("tcp://user@host", &["no user"]);
     mistake("tcp://host#there", &["#"]);
+    mistake("udp://0.0.0.0", &["0.0.0.0 is the unspecified address", "udp://192.168.1.20:1500"]);
+    mistake("udp://[::]", &[":: is the unspecified address"]);
+    mistake("udp://239.1.2.3:1500", &["239.1.2.3 is a multicast address"]);
+    mistake("udp://[ff02::1]", &["ff02::1 is a multicast address"]);
+    mistake("udp://255.255.255.255", &["255.255.255.255 is the broadcast address"]);
     mistake("serial://ttyUSB0", &["three slashes", "serial:///dev/ttyUSB0"]);
     mistake("serial:///", &["no port"]);
     mistake("serial:ttyUSB0", &["no port"]);
@@ -71,6 +76,37 @@ fn only_tcp_has_connections_and_slow_lines_know_how_slow_they_are() {
         let traits = traits(text);
         assert!(!traits.connection_oriented);
         assert_eq!(traits.bytes_per_second, bytes_per_second, "{text}");
+    }
+}
+
+#[test]
+fn addresses_that_exclude_each_other_say_why() {
+    let conflict = |one: &str, other: &str| {
+        let [one, other] = [one, other].map(|text| text.parse::<Address>().unwrap());
+        let why = one.conflict_with(&other);
+        assert_eq!(why.is_some(), other.conflict_with(&one).is_some(), "{one} {other}: whichever comes first");
+        why.unwrap_or_default()
+    };
+    for (one, other, why) in [
+        ("tcp://h", "tcp://h:1000", "both are at tcp://h:1000, and a device has one client"),
+        ("udp://h?local_port=5", "udp://i?local_port=5", "both listen on UDP port 5"),
+        ("udp://h?local_port=5", "udp://h?local_port=6", "a device has one client"),
+        ("serial:///dev/ttyS0", "serial:///dev/ttyS0?baud=9600", "a device has one client"),
+        ("can://can0?tx=1&rx=2", "can://can0?tx=1&rx=3", "the id 0x1 on can0"),
+        ("can://can0?tx=1&rx=2", "can://can0?tx=3&rx=2", "the id 0x2 on can0"),
+        ("can://can0?tx=1&rx=2", "can://can0?tx=2&rx=3", "the id 0x2 on can0"),
+    ] {
+        assert!(conflict(one, other).contains(why), "{one} {other}: {}", conflict(one, other));
+    }
+    for (one, other) in [
+        ("tcp://h:1", "tcp://h:2"),
+        ("tcp://h:1500", "udp://h:1500"),
+        ("udp://h", "udp://i?local_port=1502"),
+        ("serial:///dev/ttyS0", "serial:///dev/ttyS1"),
+        ("can://can0?tx=1&rx=2", "can://can0?tx=3&rx=4"),
+        ("can://can0?tx=1&rx=2", "can://can1?tx=1&rx=2"),
+    ] {
+        assert_eq!(conflict(one, other), "");
     }
 }
 

@@ -6,8 +6,12 @@ use std::path::Path;
 /// So many are listed at most: more would hide the message that they are a part of.
 const MAX_LISTED: usize = 12;
 
-/// What serial ports are called on Linux: on-board, USB to serial, USB modems, ARM, i.MX, OMAP, Tegra, Bluetooth.
-const SERIAL_NAMES: [&str; 8] = ["ttyS", "ttyUSB", "ttyACM", "ttyAMA", "ttymxc", "ttyO", "ttyTHS", "rfcomm"];
+/// What serial ports are called on Linux, those that are plugged in first: USB to serial, USB modems, ARM, i.MX, OMAP,
+/// Tegra, Bluetooth, on-board.
+const SERIAL_NAMES: [&str; 8] = ["ttyUSB", "ttyACM", "ttyAMA", "ttymxc", "ttyO", "ttyTHS", "rfcomm", "ttyS"];
+
+/// What the kernel calls a port that it has a name for, and no hardware (`PORT_UNKNOWN`).
+const NO_HARDWARE: &str = "0";
 
 /// The kernel's number for a CAN interface (`ARPHRD_CAN`).
 const CAN_HARDWARE: &str = "280";
@@ -15,15 +19,26 @@ const CAN_HARDWARE: &str = "280";
 /// IFF_UP, in an interface's flags.
 const UP: u32 = 1;
 
-/// E.g. "there are: /dev/ttyS0, /dev/ttyUSB0".
+/// E.g. "there are: /dev/ttyUSB0, /dev/ttyS0".
 pub(super) fn serial_ports() -> String {
-    let is_port = |name: &String| {
-        let number = SERIAL_NAMES.iter().find_map(|kind| name.strip_prefix(kind));
-        number.is_some_and(|number| !number.is_empty() && number.bytes().all(|byte| byte.is_ascii_digit()))
-    };
-    let ports = names(Path::new("/dev")).into_iter().filter(is_port).map(|name| format!("/dev/{name}"));
-    let by_id = names(Path::new("/dev/serial/by-id")).into_iter().map(|name| format!("/dev/serial/by-id/{name}"));
-    list("no serial port is there: is the adapter plugged in?", by_id.chain(ports).collect())
+    let ports = ports(Path::new("/dev"), Path::new("/sys/class/tty"));
+    list("no serial port is there: is the adapter plugged in?", ports)
+}
+
+/// Those by their ids, which stay the same, then all by their numbers.
+fn ports(devices: &Path, classes: &Path) -> Vec<String> {
+    let by_id = devices.join("serial/by-id");
+    let mut ports: Vec<_> = names(&by_id).iter().map(|name| by_id.join(name)).collect();
+    let all = names(devices);
+    for kind in SERIAL_NAMES {
+        let is_port = |name: &&String| {
+            let number = name.strip_prefix(kind).unwrap_or_default();
+            !number.is_empty() && number.bytes().all(|byte| byte.is_ascii_digit())
+        };
+        let has_hardware = |name: &&String| text(&classes.join(name).join("type")).as_deref() != Some(NO_HARDWARE);
+        ports.extend(all.iter().filter(is_port).filter(has_hardware).map(|name| devices.join(name)));
+    }
+    ports.iter().map(|port| port.display().to_string()).collect()
 }
 
 /// E.g. "there are: can0 (down), vcan0".
@@ -47,9 +62,17 @@ pub(super) fn is_up(name: &str) -> bool {
     flags.is_some_and(|flags| flags & UP != 0)
 }
 
+/// Whether there is no hardware behind an interface.
+pub(super) fn is_virtual(name: &str) -> bool {
+    !Path::new(INTERFACES).join(name).join("device").exists()
+}
+
 fn attribute(interface: &str, name: &str) -> Option<String> {
-    let text = fs::read_to_string(Path::new(INTERFACES).join(interface).join(name)).ok()?;
-    Some(text.trim().to_owned())
+    text(&Path::new(INTERFACES).join(interface).join(name))
+}
+
+fn text(file: &Path) -> Option<String> {
+    Some(fs::read_to_string(file).ok()?.trim().to_owned())
 }
 
 fn names(folder: &Path) -> Vec<String> {
@@ -67,4 +90,31 @@ fn list(none: &str, mut names: Vec<String>) -> String {
     names.truncate(MAX_LISTED);
     let and_more = if more > 0 { format!(" and {more} more") } else { String::new() };
     format!("there are: {}{and_more}", names.join(", "))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_plugged_in_comes_first_and_ports_without_hardware_not_at_all() {
+        let root = std::env::temp_dir().join(format!("wsg-ports-{}", std::process::id()));
+        let file = |path: &str, text: &str| {
+            let path = root.join(path);
+            fs::create_dir_all(path.parent().unwrap()).unwrap();
+            fs::write(path, text).unwrap();
+        };
+        for number in 0..32 {
+            file(&format!("dev/ttyS{number}"), "");
+            file(&format!("sys/ttyS{number}/type"), if number == 4 { "4\n" } else { "0\n" });
+        }
+        for name in ["serial/by-id/usb-FTDI-if00", "ttyUSB0", "ttyACM1", "ttyAMA0", "tty1", "ttyUSB", "ttyS", "null"] {
+            file(&format!("dev/{name}"), "");
+        }
+        let found = ports(&root.join("dev"), &root.join("sys"));
+        let beginning = format!("{}/", root.join("dev").display());
+        let found: Vec<_> = found.iter().map(|port| port.strip_prefix(&beginning).unwrap()).collect();
+        assert_eq!(found, ["serial/by-id/usb-FTDI-if00", "ttyUSB0", "ttyACM1", "ttyAMA0", "ttyS4"]);
+        fs::remove_dir_all(root).unwrap();
+    }
 }

@@ -85,7 +85,9 @@ impl SerialAddress {
         let stream = opened.map_err(io::Error::other)??;
         let port = Arc::new(Mutex::new(stream));
         let pacer = Pacer::new(self.bytes_per_second());
-        Ok(Pipe { reader: Box::new(Reader(port.clone())), writer: Box::new(Writer { port, pacer }) })
+        let path: Arc<str> = self.path.as_str().into();
+        let reader = Reader { port: port.clone(), path: path.clone() };
+        Ok(Pipe { reader: Box::new(reader), writer: Box::new(Writer { port, path, pacer }) })
     }
 
     fn open(&self) -> io::Result<SerialStream> {
@@ -132,32 +134,37 @@ fn locked(port: &Port) -> MutexGuard<'_, SerialStream> {
     port.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-struct Reader(Port);
+struct Reader {
+    port: Port,
+    path: Arc<str>,
+}
 
 impl AsyncRead for Reader {
     fn poll_read(self: Pin<&mut Self>, cx: &mut Context<'_>, out: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         let before = out.filled().len();
-        ready!(Pin::new(&mut *locked(&self.0)).poll_read(cx, out))?;
-        if out.filled().len() == before {
-            return Poll::Ready(Err(gone()));
-        }
-        Poll::Ready(Ok(()))
+        let read = ready!(Pin::new(&mut *locked(&self.port)).poll_read(cx, out));
+        // A serial line has no end of file.
+        let is_end = read.is_ok() && out.filled().len() == before;
+        let read = if is_end { Err(io::ErrorKind::UnexpectedEof.into()) } else { read };
+        Poll::Ready(read.map_err(|error| gone(&self.path, &error)))
     }
 }
 
-/// A serial line has no end of file: this is an adapter that was pulled.
-fn gone() -> io::Error {
-    io::Error::new(io::ErrorKind::UnexpectedEof, "the serial port is gone: was its adapter pulled?")
+/// The operating system's word for an adapter that was pulled is an error of input or output.
+fn gone(path: &str, error: &io::Error) -> io::Error {
+    io::Error::new(error.kind(), format!("{path} is gone ({error}): was its adapter pulled?"))
 }
 
 struct Writer {
     port: Port,
+    path: Arc<str>,
     pacer: Pacer,
 }
 
 impl AsyncWrite for Writer {
     fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, frame: &[u8]) -> Poll<io::Result<usize>> {
-        let written = ready!(Pin::new(&mut *locked(&self.port)).poll_write(cx, frame))?;
+        let written = ready!(Pin::new(&mut *locked(&self.port)).poll_write(cx, frame));
+        let written = written.map_err(|error| gone(&self.path, &error))?;
         self.pacer.wrote(written);
         Poll::Ready(Ok(written))
     }

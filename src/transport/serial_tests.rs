@@ -55,14 +55,17 @@ async fn a_port_is_ours_alone() {
 }
 
 #[tokio::test]
-async fn a_pulled_adapter_is_an_error_and_not_an_end_of_file() {
+async fn a_pulled_adapter_is_an_error_that_names_the_port_and_not_an_end_of_file() {
     let (master, path) = pty();
-    let mut pipe = address(path, 9600).connect().await.unwrap();
+    let mut pipe = address(path.clone(), 9600).connect().await.unwrap();
     let pulling = async {
         sleep(Duration::from_millis(20)).await;
         drop(master);
     };
     let mut buffer = [0; 10];
     let (read, ()) = tokio::join!(timeout(Duration::from_secs(1), pipe.reader.read(&mut buffer)), pulling);
-    assert!(read.unwrap().is_err());
+    let error = read.unwrap().unwrap_err().to_string();
+    assert!(error.contains(&format!("{path} is gone")), "{error}");
+    let error = pipe.writer.write_all(&[0]).await.unwrap_err().to_string();
+    assert!(error.contains(&format!("{path} is gone")), "{error}");
 }

@@ -8,6 +8,7 @@ use std::io;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::pin::Pin;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
@@ -48,33 +49,73 @@ pub struct UdpAddress {
     pub port: u16,
     /// Where it answers to; 1501 by default.
     pub local_port: u16,
+    attempts: Attempts,
 }
 
+/// How often a connection was tried. No part of where a device is.
+#[derive(Debug, Default)]
+struct Attempts(AtomicUsize);
+
+impl Clone for Attempts {
+    fn clone(&self) -> Self {
+        Self::default()
+    }
+}
+
+impl PartialEq for Attempts {
+    fn eq(&self, _other: &Self) -> bool {
+        true
+    }
+}
+
+impl Eq for Attempts {}
+
 impl UdpAddress {
+    /// A device that listens at this host and port, and answers to this port here.
+    #[must_use]
+    pub fn new(host: String, port: u16, local_port: u16) -> Self {
+        Self { host, port, local_port, attempts: Attempts::default() }
+    }
+
     pub(super) fn parse(url: &Url) -> Result<Self, String> {
         let options = Options::of(url, &["local_port"])?;
         let (host, port) = host_of(url, DEFAULT_PORT)?;
         let local_port = options.port("local_port")?.unwrap_or(DEFAULT_LOCAL_PORT);
-        Ok(Self { host, port, local_port })
+        if let Some(kind) = host.parse().ok().and_then(kind_of_no_device) {
+            return Err(format!("{host} is {kind}, and a device has an address of its own"));
+        }
+        Ok(Self::new(host, port, local_port))
     }
 
     pub(super) async fn connect(&self) -> io::Result<Pipe> {
-        let device = tokio::time::timeout(CONNECT_WITHIN, self.resolve()).await.map_err(|_| {
+        let lookup = tokio::net::lookup_host((self.host.as_str(), self.port));
+        let addresses = tokio::time::timeout(CONNECT_WITHIN, lookup).await.map_err(|_| {
             let waited = CONNECT_WITHIN.as_secs();
             io::Error::new(io::ErrorKind::TimedOut, format!("{:?} could not be looked up within {waited} s", self.host))
         })??;
-        let any: IpAddr = if device.is_ipv4() { Ipv4Addr::UNSPECIFIED.into() } else { Ipv6Addr::UNSPECIFIED.into() };
-        let socket = UdpSocket::bind((any, self.local_port)).await.map_err(|error| self.explain(&error))?;
+        let device = self.choose(addresses).await?;
+        let socket = UdpSocket::bind((any(device), self.local_port)).await.map_err(|error| self.explain(&error))?;
         let socket = Arc::new(socket);
         let reader = Datagrams { socket: socket.clone(), device: device.ip(), datagram: Vec::new(), taken: 0 };
         Ok(Pipe { reader: Box::new(reader), writer: Box::new(Sender { socket, device }) })
     }
 
-    async fn resolve(&self) -> io::Result<SocketAddr> {
-        let mut addresses = tokio::net::lookup_host((self.host.as_str(), self.port)).await?;
-        addresses
-            .next()
-            .ok_or_else(|| io::Error::new(io::ErrorKind::NotFound, format!("no address of {:?}", self.host)))
+    /// One of a name's addresses that can be sent to, another one at each attempt: only silence tells that the device
+    /// isn't there.
+    async fn choose(&self, addresses: impl Iterator<Item = SocketAddr>) -> io::Result<SocketAddr> {
+        let (mut usable, mut unusable) = (Vec::new(), Vec::new());
+        for address in addresses {
+            match try_out(address).await {
+                Ok(()) => usable.push(address),
+                Err(error) => unusable.push(format!("{} ({error})", address.ip())),
+            }
+        }
+        if usable.is_empty() {
+            let detail = format!("{:?} has no address that can be sent to: {}", self.host, unusable.join(", "));
+            return Err(io::Error::new(io::ErrorKind::AddrNotAvailable, detail));
+        }
+        let attempt = self.attempts.0.fetch_add(1, Ordering::Relaxed);
+        Ok(usable[attempt % usable.len()])
     }
 
     fn explain(&self, error: &io::Error) -> io::Error {
@@ -89,6 +130,34 @@ impl UdpAddress {
         };
         io::Error::new(error.kind(), format!("cannot listen on UDP port {port} ({error}): {remedy}"))
     }
+}
+
+/// What listens on all addresses of this one's family.
+fn any(address: SocketAddr) -> IpAddr {
+    if address.is_ipv4() { Ipv4Addr::UNSPECIFIED.into() } else { Ipv6Addr::UNSPECIFIED.into() }
+}
+
+/// What an address is that no single device has.
+fn kind_of_no_device(address: IpAddr) -> Option<&'static str> {
+    match address.to_canonical() {
+        address if address.is_unspecified() => Some("the unspecified address"),
+        address if address.is_multicast() => Some("a multicast address"),
+        IpAddr::V4(Ipv4Addr::BROADCAST) => Some("the broadcast address"),
+        _ => None,
+    }
+}
+
+/// Whether an address can be sent to. Nothing is sent: the kernel looks for a way there, and knows its networks'
+/// broadcast addresses.
+async fn try_out(address: SocketAddr) -> io::Result<()> {
+    if let Some(kind) = kind_of_no_device(address.ip()) {
+        return Err(io::Error::new(io::ErrorKind::InvalidInput, kind));
+    }
+    let probe = UdpSocket::bind((any(address), 0)).await?;
+    probe.connect(address).await.map_err(|error| match error.kind() {
+        io::ErrorKind::PermissionDenied => io::Error::new(error.kind(), "a broadcast address, or one that is blocked"),
+        _ => error,
+    })
 }
 
 /// What the device sends.
@@ -153,6 +222,10 @@ mod tests {
 
     use super::*;
 
+    fn at(host: &str, port: u16, local_port: u16) -> UdpAddress {
+        UdpAddress::new(host.to_owned(), port, local_port)
+    }
+
     async fn free_port() -> u16 {
         UdpSocket::bind("127.0.0.1:0").await.unwrap().local_addr().unwrap().port()
     }
@@ -161,7 +234,7 @@ mod tests {
         let device = UdpSocket::bind("127.0.0.1:0").await.unwrap();
         let port = device.local_addr().unwrap().port();
         let local_port = free_port().await;
-        let pipe = UdpAddress { host: "127.0.0.1".to_owned(), port, local_port }.connect().await.unwrap();
+        let pipe = at("127.0.0.1", port, local_port).connect().await.unwrap();
         (device, pipe, local_port)
     }
 
@@ -198,8 +271,36 @@ mod tests {
     #[tokio::test]
     async fn a_port_that_is_taken_is_named_with_the_remedy() {
         let (_device, _pipe, local_port) = pair().await;
-        let again = UdpAddress { host: "127.0.0.1".to_owned(), port: 1500, local_port };
-        let error = again.connect().await.unwrap_err().to_string();
+        let error = at("127.0.0.1", 1500, local_port).connect().await.unwrap_err().to_string();
         assert!(error.contains(&local_port.to_string()) && error.contains("local_port of its own"), "{error}");
+    }
+    #[tokio::test]
+    async fn the_addresses_of_a_name_are_tried_in_turn_if_they_can_be_sent_to() {
+        let name = at("gripper", 1500, 1501);
+        let addresses: Vec<SocketAddr> =
+            ["127.255.255.255:9", "127.0.0.3:9", "[ff02::1]:9", "127.0.0.4:9"].map(|text| text.parse().unwrap()).into();
+        let mut chosen = Vec::new();
+        for _ in 0..4 {
+            chosen.push(name.choose(addresses.iter().copied()).await.unwrap().ip().to_string());
+        }
+        assert_eq!(chosen, ["127.0.0.3", "127.0.0.4", "127.0.0.3", "127.0.0.4"]);
+        let error = name.choose(addresses.into_iter().step_by(2)).await.unwrap_err().to_string();
+        assert!(error.contains("127.255.255.255 (a broadcast") && error.contains("ff02::1 (a multicast"), "{error}");
+    }
+
+    #[tokio::test]
+    async fn a_device_that_is_not_there_is_silent_and_heard_when_it_comes() {
+        let (device, mut pipe, local_port) = pair().await;
+        let address = device.local_addr().unwrap();
+        drop(device);
+        // The machine says that nobody listens there, more often than a socket could keep to itself.
+        for _ in 0..3 {
+            pipe.writer.write_all(b"nobody").await.unwrap();
+        }
+        let device = UdpSocket::bind(address).await.unwrap();
+        device.send_to(b"here", ("127.0.0.1", local_port)).await.unwrap();
+        let mut buffer = [0; 100];
+        let bytes = pipe.reader.read(&mut buffer).await.unwrap();
+        assert_eq!(&buffer[..bytes], b"here");
     }
 }

@@ -2,6 +2,7 @@
 
 use std::net::TcpListener;
 use std::path::PathBuf;
+use std::process::Command;
 
 use crate::harness::{Gateway, Simulator, run};
 
@@ -143,6 +144,32 @@ async fn frames_are_decoded_and_encoded() {
     assert!(hex.starts_with("AAAAAA230000"), "{encoded:?}");
     let decoded = run(&["decode", file("frames.hex", &hex).to_str().unwrap()]).await;
     assert!(decoded.stdout.contains("FastStop"), "{decoded:?}");
+}
+
+#[tokio::test]
+async fn a_wrong_line_does_not_end_a_decoding_and_is_told_by_the_exit_status() {
+    let ended = run(&["decode", file("wrong.hex", "nonsense\nAAAAAA230000AC1C\n").to_str().unwrap()]).await;
+    assert_eq!(ended.status.code(), Some(1), "{ended:?}");
+    assert!(ended.stdout.contains("line 1 is wrong") && ended.stdout.contains("FastStop"), "{ended:?}");
+    assert!(ended.stderr.contains("lines that are wrong: 1"), "{ended:?}");
+}
+
+#[test]
+fn a_reader_that_has_enough_is_no_error() {
+    let frames = file("enough.hex", &"AAAAAA230000AC1C\n".repeat(10_000));
+    for arguments in [
+        &["decode", frames.to_str().unwrap()][..],
+        &["decode", "--encode", "FastStop"],
+        &["check", "--gripper", "g=sim://wsg50"],
+        &["openapi"],
+        &["--help"],
+    ] {
+        let (reader, closed) = std::io::pipe().unwrap();
+        drop(reader);
+        let mut command = Command::new(env!("CARGO_BIN_EXE_wsg-gateway"));
+        let ended = command.env_clear().args(arguments).stdout(closed).output().unwrap();
+        assert!(ended.status.success() && ended.stderr.is_empty(), "{arguments:?}: {ended:?}");
+    }
 }
 
 #[tokio::test]

@@ -7,6 +7,7 @@ mod bodies;
 mod command_line;
 mod commands;
 mod conformance;
+mod control;
 mod defaults;
 mod device;
 mod door;

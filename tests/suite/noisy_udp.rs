@@ -71,7 +71,7 @@ async fn a_bad_network_costs_at_most_the_commands_that_it_hits() {
     let network = Arc::new(Network::default());
     tokio::spawn(carry(network.clone(), requests, ("127.0.0.1", device_port), 1));
     tokio::spawn(carry(network.clone(), replies, ("127.0.0.1", local_port), 2));
-    let handle = spawn(Address::Udp(UdpAddress { host: "127.0.0.1".to_owned(), port, local_port }));
+    let handle = spawn(Address::Udp(UdpAddress::new("127.0.0.1".to_owned(), port, local_port)));
     let rig = Rig { handle, switch: device.switch, is_tcp: false };
     rig.link(Link::Connected, SOON).await;
 

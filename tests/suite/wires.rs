@@ -3,6 +3,7 @@
 use std::net::UdpSocket;
 
 use crate::conformance;
+use crate::conformance::rig::served;
 
 /// A UDP port that is free at the moment.
 pub fn free_udp_port() -> u16 {
@@ -26,3 +27,14 @@ fn serial() -> String {
 conformance!(on_tcp, crate::wires::tcp());
 conformance!(on_udp, crate::wires::udp());
 conformance!(on_serial, crate::wires::serial());
+
+#[tokio::test]
+async fn a_cut_on_udp_is_seen_and_what_was_sent_into_it_is_lost() {
+    conformance::a_cut_without_a_connection(&udp()).await;
+}
+
+#[tokio::test]
+async fn a_device_that_listens_on_all_addresses_says_one_that_a_gateway_can_use() {
+    let served = served(&format!("udp://0.0.0.0:0?reply_port={}", free_udp_port())).await;
+    assert!(served.address.to_string().starts_with("udp://127.0.0.1:"), "{}", served.address);
+}

@@ -1,6 +1,7 @@
 //! The control port: what happens to simulated devices, over HTTP, for whoever tries a gateway against a gripper that
 //! misbehaves.
 
+use std::io::ErrorKind;
 use std::net::SocketAddr;
 use std::sync::Arc;
 
@@ -104,7 +105,10 @@ async fn change(State(devices): Devices, Path(index): Path<usize>, body: Bytes) 
     let change: Change = serde_json::from_slice(&body).map_err(|error| {
         (StatusCode::BAD_REQUEST, format!("{error}: write it as {{\"silent\": {{\"on\": true}}}}\n"))
     })?;
-    served.switch.apply(change).await.map_err(gone)?;
+    served.switch.apply(change).await.map_err(|error| match error.kind() {
+        ErrorKind::InvalidInput => (StatusCode::UNPROCESSABLE_ENTITY, format!("{error}\n")),
+        _ => gone(error),
+    })?;
     shown(served).await.map(Json)
 }
 

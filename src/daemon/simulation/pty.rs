@@ -3,13 +3,13 @@
 use std::fs;
 use std::io;
 use std::os::fd::OwnedFd;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll, ready};
 use std::time::Duration;
 
-use anyhow::{Context as _, ensure};
+use anyhow::{Context as _, bail, ensure};
 use rustix::fs::{Mode, OFlags, fcntl_setfl, open};
 use rustix::io::{Errno, ioctl_fionread, read, write};
 use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
@@ -22,6 +22,9 @@ use url::Url;
 use crate::transport::{Options, Pacer, Pipe, SerialAddress};
 
 const DEFAULT_BAUD: u32 = 115_200;
+
+/// Where the names of ptys are.
+const PTYS: &str = "/dev/pts";
 
 /// So many bytes that nobody reads are given up together, as a real port loses what comes while it is closed.
 const OVERRUN_BYTES: u64 = 2048;
@@ -69,9 +72,7 @@ impl Socket {
     fn make(&mut self) -> anyhow::Result<()> {
         let (pty, name) = Pty::new().context("no pty can be had")?;
         if let Some(link) = &self.link {
-            if link.is_symlink() {
-                fs::remove_file(link)?;
-            }
+            make_room(link)?;
             std::os::unix::fs::symlink(&name, link).with_context(|| format!("no link at {}", link.display()))?;
         }
         (self.next, self.name) = (Some(pty), name);
@@ -81,9 +82,21 @@ impl Socket {
 
 impl Drop for Socket {
     fn drop(&mut self) {
-        if let Some(link) = self.link.as_ref().filter(|link| link.is_symlink()) {
+        let is_ours = |link: &&PathBuf| fs::read_link(link).is_ok_and(|target| target == Path::new(&self.name));
+        if let Some(link) = self.link.as_ref().filter(is_ours) {
             let _ = fs::remove_file(link);
         }
+    }
+}
+
+/// Removes a link to a pty: one of ours, or one that a simulator left that was killed. Whatever else is there stays.
+fn make_room(link: &Path) -> anyhow::Result<()> {
+    let (shown, remedy) = (link.display(), "remove it, or choose another link=");
+    match fs::read_link(link) {
+        Ok(target) if target.starts_with(PTYS) => Ok(fs::remove_file(link)?),
+        Ok(target) => bail!("{shown} is a link to {}, which is no pty: {remedy}", target.display()),
+        Err(_) if link.exists() => bail!("{shown} is there, and no link to a pty: {remedy}"),
+        Err(_) => Ok(()),
     }
 }
 
@@ -168,5 +181,35 @@ impl AsyncWrite for Writer {
 
     fn poll_shutdown(self: Pin<&mut Self>, _cx: &mut Context<'_>) -> Poll<io::Result<()>> {
         Poll::Ready(Ok(()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::os::unix::fs::symlink;
+
+    use super::*;
+
+    #[tokio::test]
+    async fn a_link_is_only_made_where_nothing_is_but_a_link_to_a_pty() {
+        let link = std::env::temp_dir().join(format!("wsg-link-{}", std::process::id()));
+        let url = Url::parse(&format!("serial://pty?link={}", link.display())).unwrap();
+        let refused = || Socket::new(&url).err().map(|error| error.to_string()).unwrap_or_default();
+
+        symlink("/dev/ttyUSB0", &link).unwrap();
+        assert!(refused().contains("is a link to /dev/ttyUSB0, which is no pty: remove it"), "{}", refused());
+        assert_eq!(fs::read_link(&link).unwrap(), Path::new("/dev/ttyUSB0"), "it is left alone");
+        fs::remove_file(&link).unwrap();
+
+        fs::write(&link, "precious").unwrap();
+        assert!(refused().contains("choose another link="), "{}", refused());
+        assert_eq!(fs::read(&link).unwrap(), b"precious");
+        fs::remove_file(&link).unwrap();
+
+        symlink("/dev/pts/99999", &link).unwrap();
+        let socket = Socket::new(&url).unwrap();
+        assert_eq!(fs::read_link(&link).unwrap(), Path::new(&socket.name), "what was left behind is replaced");
+        drop(socket);
+        assert!(!link.is_symlink(), "and removed at the end");
     }
 }

@@ -1,13 +1,14 @@
 //! The pump: a device, its wire, and the time.
 
 use std::io;
+use std::time::{Duration, Instant};
 
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::sync::{mpsc, oneshot};
 
 use super::wire::Wire;
 use crate::gripper::clock;
-use crate::sim::{Change, Device, Interface, LinkAction, ReceivedFrame, Snapshot};
+use crate::sim::{Change, Device, ImpossibleChange, Interface, LinkAction, ReceivedFrame, Snapshot};
 use crate::transport::Pipe;
 
 /// What is read at once.
@@ -16,9 +17,13 @@ const READ_BYTES: usize = 4096;
 /// Orders that may wait: each is done at once, so nobody waits long.
 const MAX_WAITING_ORDERS: usize = 16;
 
+/// How long a wire that has no connection is pulled for: a gateway calls it unresponsive after 1.5 s, and whoever looks
+/// once a second sees that.
+const PULLED_FOR: Duration = Duration::from_millis(2500);
+
 /// What a device can be asked besides its protocol.
 enum Order {
-    Apply(Change, oneshot::Sender<()>),
+    Apply(Change, oneshot::Sender<Result<(), ImpossibleChange>>),
     Look(oneshot::Sender<(Snapshot, Vec<ReceivedFrame>)>),
 }
 
@@ -37,14 +42,16 @@ impl std::fmt::Debug for Order {
 }
 
 impl Switch {
-    /// Lets something happen. Without a connection that could be cut, [`Change::CutConnection`] pulls the wire: the pty
-    /// ends and another one comes, unless connections are refused.
+    /// Lets something happen. Without a connection that could be cut, [`Change::CutConnection`] pulls the wire: a pty
+    /// ends and another one comes; on UDP and CAN, what is sent either way within some seconds is lost. It stays pulled
+    /// for as long as connections are refused.
     ///
     /// # Errors
-    /// The device is gone.
+    /// It can't happen ([`io::ErrorKind::InvalidInput`]), or the device is gone.
     pub async fn apply(&self, change: Change) -> io::Result<()> {
         let (done, wait) = oneshot::channel();
-        self.order(Order::Apply(change, done), wait).await
+        let applied = self.order(Order::Apply(change, done), wait).await?;
+        applied.map_err(|impossible| io::Error::new(io::ErrorKind::InvalidInput, impossible))
     }
 
     /// Everything about it at this moment.
@@ -78,7 +85,7 @@ impl Switch {
 /// Switches a device on, on the current runtime.
 pub(super) fn start(device: Device, wire: Wire) -> Switch {
     let (switch, orders) = mpsc::channel(MAX_WAITING_ORDERS);
-    tokio::spawn(Pump { device, wire, orders, connection: None }.run());
+    tokio::spawn(Pump { device, wire, orders, connection: None, pulled_until: None }.run());
     Switch(switch)
 }
 
@@ -87,6 +94,8 @@ struct Pump {
     wire: Wire,
     orders: mpsc::Receiver<Order>,
     connection: Option<Connection>,
+    /// Until when the wire is pulled, at least: what comes is read and dropped, lest it be acted on later.
+    pulled_until: Option<Instant>,
 }
 
 /// A pipe with what is on its way through it.
@@ -151,10 +160,11 @@ impl Pump {
     /// is turned away, as a device does.
     async fn run(mut self) {
         loop {
+            self.plug_in();
             self.transmit();
             match self.wait().await {
                 Input::Read(Ok(bytes)) if bytes > 0 => {
-                    if let Some(connection) = &self.connection {
+                    if let Some(connection) = self.connection.as_ref().filter(|_| self.pulled_until.is_none()) {
                         self.device.receive(clock::instant(), &connection.incoming[..bytes]);
                     }
                 }
@@ -169,8 +179,17 @@ impl Pump {
         }
     }
 
+    /// Ends what [`PULLED_FOR`] has begun, once it is over.
+    fn plug_in(&mut self) {
+        let is_over = self.pulled_until.is_some_and(|until| until <= clock::instant());
+        if is_over && self.device.accepts_connections() {
+            self.pulled_until = None;
+            self.device.connect(clock::instant(), self.wire.interface());
+        }
+    }
+
     fn transmit(&mut self) {
-        match &mut self.connection {
+        match self.connection.as_mut().filter(|_| self.pulled_until.is_none()) {
             Some(connection) if connection.is_written() => connection.refill(&mut self.device),
             Some(_) => {}
             // Nobody is on the wire: what is sent is lost.
@@ -185,7 +204,8 @@ impl Pump {
     async fn wait(&mut self) -> Input {
         let connections = self.wire.interface() == Interface::Tcp;
         let listens = connections || (self.connection.is_none() && self.device.accepts_connections());
-        let deadline = self.device.poll_timeout();
+        let plug_in_at = self.pulled_until.filter(|until| *until > clock::instant());
+        let deadline = self.device.poll_timeout().into_iter().chain(plug_in_at).min();
         let connection = &mut self.connection;
         tokio::select! {
             biased;
@@ -213,15 +233,25 @@ impl Pump {
         self.device.disconnect(clock::instant());
     }
 
+    fn apply(&mut self, change: Change) {
+        tracing::info!(?change, "happens to the device");
+        match self.wire.interface() {
+            _ if change != Change::CutConnection => {}
+            Interface::Tcp => {}
+            Interface::Serial => self.connection = None,
+            Interface::Udp | Interface::Can => self.pulled_until = Some(clock::instant() + PULLED_FOR),
+        }
+        self.device.apply(clock::instant(), change);
+    }
+
     fn obey(&mut self, order: Order) {
         match order {
             Order::Apply(change, done) => {
-                tracing::info!(?change, "happens to the device");
-                if change == Change::CutConnection && self.wire.interface() != Interface::Tcp {
-                    self.connection = None;
+                let possible = change.check(&self.device.config().limits);
+                if possible.is_ok() {
+                    self.apply(change);
                 }
-                self.device.apply(clock::instant(), change);
-                let _ = done.send(());
+                let _ = done.send(possible);
             }
             Order::Look(shown) => {
                 self.device.handle_timeout(clock::instant());

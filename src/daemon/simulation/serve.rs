@@ -1,5 +1,6 @@
 //! `wsg-gateway sim`.
 
+use std::io::Write;
 use std::net::SocketAddr;
 
 use anyhow::Context as _;
@@ -48,15 +49,20 @@ pub async fn serve_simulated(
     let mut devices = Vec::new();
     for (index, url) in urls.iter().enumerate() {
         let served = serve(url, device.clone().numbered(index)).await?;
-        println!("a simulated {} at {}", served.model, served.address);
+        say(&format!("a simulated {} at {}", served.model, served.address));
         devices.push(served);
     }
     match control {
         Some(address) => {
             let listener = control::listen(address).await?;
-            println!("their faults at http://{}/devices", listener.local_addr()?);
+            say(&format!("their faults at http://{}/devices", listener.local_addr()?));
             control::serve(listener, devices).await
         }
         None => std::future::pending().await,
     }
+}
+
+/// On standard output, which nobody may be reading.
+fn say(line: &str) {
+    let _ = writeln!(std::io::stdout(), "{line}");
 }

@@ -2,7 +2,7 @@
 //! practice).
 
 use std::io;
-use std::net::SocketAddr;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
 use std::pin::Pin;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::task::{Context, Poll, ready};
@@ -36,7 +36,10 @@ impl Endpoint {
 
     pub(super) fn address(&self) -> io::Result<UdpAddress> {
         let address = self.socket.local_addr()?;
-        Ok(UdpAddress { host: address.ip().to_string(), port: address.port(), local_port: self.reply_port })
+        let loopback = if address.is_ipv4() { Ipv4Addr::LOCALHOST.into() } else { Ipv6Addr::LOCALHOST.into() };
+        // What listens on all addresses is found at this one, by a gateway on the same machine.
+        let host: IpAddr = if address.ip().is_unspecified() { loopback } else { address.ip() };
+        Ok(UdpAddress::new(host.to_string(), address.port(), self.reply_port))
     }
 
     pub(super) fn open(&self) -> Pipe {

@@ -83,6 +83,16 @@ impl CanAddress {
         Ok(Self { interface: interface.to_owned(), tx, rx, bitrate })
     }
 
+    /// Why the devices at both can't be told apart, if they can't.
+    pub(super) fn conflict_with(&self, other: &Self) -> Option<String> {
+        let ids = [other.tx, other.rx];
+        let shared = [self.tx, self.rx].into_iter().find(|id| ids.contains(id))?;
+        (self.interface == other.interface).then(|| {
+            let interface = &self.interface;
+            format!("both use the id {shared:#x} on {interface}: give each a tx and an rx of its own, as on the device")
+        })
+    }
+
     /// What of our bytes the bus carries at least.
     #[must_use]
     pub const fn bytes_per_second(&self) -> u32 {
@@ -103,20 +113,28 @@ impl CanAddress {
         let (listening, sending) = self.open().map_err(|error| self.explain(&error))?;
         // Opening an interface that is down succeeds, and then nothing happens.
         if present::is_can(&self.interface) && !present::is_up(&self.interface) {
-            let Self { interface, bitrate, .. } = self;
-            let remedy =
-                format!("bring it up: sudo ip link set {interface} up type can bitrate {bitrate} restart-ms 100");
-            return Err(io::Error::new(io::ErrorKind::NetworkDown, format!("{interface} is down: {remedy}")));
+            let remedy = self.bring_up(present::is_virtual(&self.interface));
+            let detail = format!("{} is down: bring it up: {remedy}", self.interface);
+            return Err(io::Error::new(io::ErrorKind::NetworkDown, detail));
         }
         let id = StandardId::new(self.tx).ok_or(io::ErrorKind::InvalidInput)?;
         let mut look = interval(LOOK_EVERY);
         look.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        let reader = Reader { socket: listening, look, reassembler: Reassembler::default(), bytes: VecDeque::new() };
+        let interface = self.interface.clone();
+        let reassembler = Reassembler::default();
+        let reader = Reader { interface, socket: listening, look, reassembler, bytes: VecDeque::new() };
         let pacer = Pacer::new(self.bytes_per_second());
         Ok(Pipe {
             reader: Box::new(reader),
             writer: Box::new(Writer { socket: sending, id, queue: VecDeque::new(), pacer }),
         })
+    }
+
+    /// A virtual interface has no bit rate, and refuses one.
+    fn bring_up(&self, is_virtual: bool) -> String {
+        let Self { interface, bitrate, .. } = self;
+        let settings = if is_virtual { String::new() } else { format!(" type can bitrate {bitrate} restart-ms 100") };
+        format!("sudo ip link set {interface} up{settings}")
     }
 
     /// One socket to listen, and one to send, so that neither shares anything with the other.
@@ -152,8 +170,18 @@ impl fmt::Display for CanAddress {
     }
 }
 
+/// A controller that is not told to restart stays off the bus, and says so once. It only takes that setting while down.
+fn bus_off(interface: &str) -> io::Error {
+    let detail = format!(
+        "{interface} is bus-off: its bit rate is not the device's, or the cable is bad. Let it restart by itself: sudo ip \
+         link set {interface} down; sudo ip link set {interface} type can restart-ms 100; sudo ip link set {interface} up"
+    );
+    io::Error::new(io::ErrorKind::NetworkDown, detail)
+}
+
 /// What the device sends.
 struct Reader {
+    interface: String,
     socket: CanSocket,
     look: Interval,
     reassembler: Reassembler,
@@ -166,7 +194,7 @@ impl Reader {
         match frame {
             CanFrame::Data(data) => self.bytes.extend(self.reassembler.push(data.data())),
             CanFrame::Error(error) if error.error_bits() & BUS_OFF != 0 => {
-                return Err(io::Error::new(io::ErrorKind::NetworkDown, "the CAN controller is bus-off"));
+                return Err(bus_off(&self.interface));
             }
             CanFrame::Remote(_) | CanFrame::Error(_) => {}
         }
@@ -251,4 +279,24 @@ impl AsyncWrite for Writer {
 /// Whether the kernel has no room for another frame at the moment.
 fn is_full(error: &io::Error) -> bool {
     error.kind() == io::ErrorKind::WouldBlock || error.raw_os_error() == Some(Errno::NOBUFS.raw_os_error())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_virtual_interface_is_brought_up_without_a_bit_rate() {
+        let address = |name: &str| CanAddress { interface: name.to_owned(), tx: 1, rx: 2, bitrate: 250_000 };
+        let real = "sudo ip link set can0 up type can bitrate 250000 restart-ms 100";
+        assert_eq!(address("can0").bring_up(false), real);
+        assert_eq!(address("vcan0").bring_up(true), "sudo ip link set vcan0 up");
+    }
+
+    #[test]
+    fn bus_off_is_named_with_the_setting_that_ends_it() {
+        let error = bus_off("can0").to_string();
+        assert!(error.contains("can0 is bus-off"), "{error}");
+        assert!(error.contains("ip link set can0 type can restart-ms 100"), "{error}");
+    }
 }

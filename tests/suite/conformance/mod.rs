@@ -212,6 +212,19 @@ pub async fn a_pulled_wire_and_recovery(url: &str) {
     rig.drain().await;
 }
 
+/// A cut alone is a loss that is seen, on links that have no connection either; what was sent into it is lost for good.
+pub async fn a_cut_without_a_connection(url: &str) {
+    let rig = Rig::homed(url).await;
+    rig.apply(Change::CutConnection).await;
+    let lost = Acceleration::new(700.0).unwrap();
+    assert!(rig.exchange(Command::SetAcceleration(lost)).await.is_err(), "nothing is heard");
+    rig.link(Link::Unresponsive, SOON).await;
+    rig.link(Link::Connected, SOON).await;
+    assert_eq!(rig.run(move_to(50.0, 200.0)).await.outcome, Some(Outcome::Success));
+    assert!(!rig.received().await.contains(&id::SET_ACCELERATION), "it was delivered later");
+    rig.drain().await;
+}
+
 /// Given up while it moves: stopped in time, and announced where that is known.
 pub async fn an_orderly_end(url: &str) {
     let rig = Rig::homed(url).await;

@@ -5,7 +5,7 @@
 mod command_line;
 mod frames;
 mod gateway;
-mod process;
+pub mod process;
 mod proxy;
 mod scripted;
 mod simulator;

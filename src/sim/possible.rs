@@ -1,0 +1,93 @@
+//! What can't happen to a device: values beyond what it is built for, or beyond what its frames can carry.
+
+use crate::wsg::SystemLimits;
+
+use super::Change;
+use super::world::{RIGID_N_MM, SOFTEST_N_MM};
+
+/// The absolute zero, and what 46h can carry, in °C.
+const TEMPERATURES_C: [f64; 2] = [-273.1, i16::MAX as f64 / 10.0];
+
+/// A change that can't happen.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[error("{field} is {value}, and must be from {min} to {max}")]
+pub struct ImpossibleChange {
+    /// Which field makes it so.
+    pub field: &'static str,
+    /// What it is.
+    pub value: f64,
+    /// The least that it may be.
+    pub min: f64,
+    /// And the most.
+    pub max: f64,
+}
+
+impl Change {
+    /// Whether it can happen to a device with these limits.
+    ///
+    /// # Errors
+    /// The first field that it can't happen by.
+    pub fn check(&self, limits: &SystemLimits) -> Result<(), ImpossibleChange> {
+        let width = |mm| within("width_mm", mm, [0.0, limits.stroke.mm().into()]);
+        match *self {
+            Self::PlacePart(part) => {
+                width(part.width_mm)?;
+                within("stiffness_n_mm", part.stiffness_n_mm, [SOFTEST_N_MM, RIGID_N_MM])
+            }
+            Self::ResizePart { width_mm } | Self::PlaceObstacle { width_mm } => width(width_mm),
+            Self::Overheat { temperature_c } => within("temperature_c", temperature_c, TEMPERATURES_C),
+            Self::FingerOverCurrent { finger, .. } | Self::FingerCommunicationFault { finger, .. } => {
+                within("finger", finger.into(), [1.0, 2.0])
+            }
+            Self::MoveBySomebody { width_mm, speed_mm_s } => {
+                width(width_mm)?;
+                let speeds = [limits.min_speed, limits.max_speed].map(|speed| speed.mm_s().into());
+                within("speed_mm_s", speed_mm_s, speeds)
+            }
+            Self::Fault { times, .. } => within("times", times.into(), [1.0, u32::MAX.into()]),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// NaN is within nothing.
+fn within(field: &'static str, value: f64, [min, max]: [f64; 2]) -> Result<(), ImpossibleChange> {
+    if (min..=max).contains(&value) { Ok(()) } else { Err(ImpossibleChange { field, value, min, max }) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sim::{DeviceConfig, FaultKind, Part};
+
+    #[test]
+    fn what_a_device_cannot_be_or_carry_is_named_with_its_limits() {
+        let limits = DeviceConfig::wsg50().limits;
+        let soft = Part { stiffness_n_mm: 0.0, ..Part::outside(20.0) };
+        for (change, expected) in [
+            (Change::PlacePart(Part::outside(-1.0)), "width_mm is -1, and must be from 0 to 110"),
+            (Change::PlacePart(Part::inside(f64::NAN)), "width_mm is NaN, and must be from 0 to 110"),
+            (Change::PlacePart(soft), "stiffness_n_mm is 0, and must be from 0.1 to 2000"),
+            (Change::ResizePart { width_mm: 110.1 }, "width_mm is 110.1, and must be from 0 to 110"),
+            (Change::PlaceObstacle { width_mm: f64::INFINITY }, "width_mm is inf, and must be from 0 to 110"),
+            (Change::Overheat { temperature_c: 3276.8 }, "temperature_c is 3276.8, and must be from -273.1 to 3276.7"),
+            (Change::FingerOverCurrent { finger: 0, on: true }, "finger is 0, and must be from 1 to 2"),
+            (Change::FingerCommunicationFault { finger: 3, on: true }, "finger is 3, and must be from 1 to 2"),
+            (Change::MoveBySomebody { width_mm: 20.0, speed_mm_s: 0.0 }, "speed_mm_s is 0, and must be from 5 to 420"),
+            (
+                Change::Fault { kind: FaultKind::NoReply, id: None, times: 0 },
+                "times is 0, and must be from 1 to 4294967295",
+            ),
+        ] {
+            assert_eq!(change.check(&limits).unwrap_err().to_string(), expected);
+        }
+        for change in [
+            Change::PlacePart(Part::outside(110.0)),
+            Change::Overheat { temperature_c: -20.0 },
+            Change::MoveBySomebody { width_mm: 0.0, speed_mm_s: 420.0 },
+            Change::CutConnection,
+        ] {
+            assert_eq!(change.check(&limits), Ok(()), "{change:?}");
+        }
+    }
+}
