@@ -16,6 +16,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::config::{Config, Device, Gripper, Mistake};
 use crate::frontend::http;
+use crate::frontend::refusals::Refusals;
 use crate::gripper::model::{Detail, Event, GatewayEvent, MemoryKey};
 use crate::gripper::recorder::{Recollection, Record, Recorder as _};
 use crate::gripper::{self, Connector, Fleet, Handle, Now};
@@ -69,17 +70,23 @@ async fn run_gateway(config: &Config, devices: &Runtime) -> anyhow::Result<()> {
     for event in [started(config), configured(config)] {
         journal.record(Record::Event(Event::new(Now::read().wall, None, Detail::Gateway(event)), None));
     }
+    let shutdown = CancellationToken::new();
     let fleet = spawn_all(config, devices, &journal, &recovered)?;
+    let refusals = Arc::new(Refusals::new(journal.clone()));
     let context = http::Context {
         gateway: config.name.clone(),
         fleet: fleet.clone(),
         journal: journal.clone(),
+        refusals: refusals.clone(),
+        closing: shutdown.child_token(),
         allowed_hosts: config.hosts.clone(),
     };
-    let shutdown = CancellationToken::new();
     let server = tokio::spawn(http::serve(listener, context, http::Limits::default(), shutdown.clone()));
     announce(config, address);
-    stop.await;
+    tokio::select! {
+        () = stop => {}
+        () = refusals.count() => {}
+    }
     tracing::info!("ending: the grippers first");
     fleet.drain().await;
     shutdown.cancel();

@@ -24,7 +24,7 @@ pub use event::{
     GatewayEvent, LinkEvent, OnBlock, Parameters, RefusedEvent, SettingChange, SettingsEvent,
 };
 pub use record::{GripRecord, Memory, MemoryKey, Sample};
-pub use state::{FastStopCause, Latch, LatchFields, Link, State};
+pub use state::{FastStopCause, Latch, LatchFields, Link, State, Telemetry};
 
 /// A gripper's or a gateway's name: `[a-z0-9][a-z0-9_-]{0,31}`.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]

@@ -169,12 +169,12 @@ impl Writer {
         if self.retry_at.take().is_some() {
             tracing::info!(records = batch.rows.len(), "the journal is written again");
         }
+        for event in batch.rows.into_iter().filter_map(|row| row.event) {
+            self.tell(event);
+        }
         for waiter in batch.waiters {
             // Whoever waited may have given up.
             let _ = waiter.send(());
-        }
-        for event in batch.rows.into_iter().filter_map(|row| row.event) {
-            self.tell(event);
         }
         if self.shared.failing() {
             self.shared.set_failure(None);

@@ -1,18 +1,21 @@
 //! Commands: handed to the gripper, waited for, looked up, cancelled.
 
+use std::sync::Arc;
+
 use axum::Json;
+use axum::extract::State as Shared;
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde::Deserialize;
 use utoipa::{IntoResponses, ToSchema};
 
-use super::API;
 use super::body::Body;
 use super::errors::Problem;
 use super::extract::{
     CommandOf, CommandPath, DEFAULT_WAIT_MS, Gripper, GripperPath, Keys, NoWaitQuery, WaitMs, WaitQuery,
 };
 use super::responses::CommandProblem;
+use super::{API, Context};
 use crate::gripper::Ticket;
 use crate::gripper::model::{Action, Command, Phase, Submission};
 
@@ -24,7 +27,7 @@ pub async fn run(gripper: Gripper, keys: Keys, action: Action, wait: Wait) -> Re
     let mut ticket = gripper.handle.submit(submission).await?;
     let mut command = ticket.wait(wait.0).await;
     match command.rejection.take() {
-        Some(rejection) => Err(rejection.into()),
+        Some(rejection) => Err(Problem::from(rejection).recorded()),
         None => Ok(command),
     }
 }
@@ -76,9 +79,17 @@ fn known(ticket: Option<Ticket>) -> Result<Ticket, Problem> {
     params(GripperPath, CommandPath, NoWaitQuery),
     responses((status = 200, description = "The command", body = Command), CommandProblem)
 )]
-pub async fn get(gripper: Gripper, CommandOf(id): CommandOf, wait: WaitMs<0>) -> Result<Json<Command>, Problem> {
-    let mut ticket = known(gripper.handle.find(id).await?)?;
-    Ok(Json(ticket.wait(wait.0).await))
+pub async fn get(
+    Shared(context): Shared<Arc<Context>>,
+    gripper: Gripper,
+    CommandOf(id): CommandOf,
+    wait: WaitMs<0>,
+) -> Result<Json<Command>, Problem> {
+    if let Some(mut ticket) = gripper.handle.find(id).await? {
+        return Ok(Json(ticket.wait(wait.0).await));
+    }
+    let written_down = context.journal.command(gripper.handle.name().clone(), id).await?;
+    written_down.map(Json).ok_or_else(|| Problem::not_found("command of this id"))
 }
 
 /// Cancel a command

@@ -33,6 +33,7 @@ use super::responses;
         (name = "commands", description = "What became of a request"),
         (name = "settings", description = "What the device keeps until it restarts, and its tag"),
         (name = "device", description = "What else the manual has"),
+        (name = "journal", description = "What happened, and how parts were held"),
         (name = "gateway", description = "The gateway itself"),
     ),
     components(schemas(errors::Members)),

@@ -7,6 +7,7 @@ use serde::Serialize;
 use serde_json::{Number, Value};
 use utoipa::ToSchema;
 
+use super::refused::Refused;
 use crate::gripper::model::{CommandId, FastStopId};
 use crate::gripper::{Conflict, DeviceRefusal, Failure, Invalid, Rejection};
 use crate::wsg::Status;
@@ -28,6 +29,11 @@ macro_rules! codes {
         impl Code {
             const fn status(self) -> StatusCode {
                 match self { $(Self::$name => StatusCode::$status),* }
+            }
+
+            /// As clients are told.
+            fn word(self) -> String {
+                serde_json::to_value(self).ok().and_then(|code| Some(code.as_str()?.to_owned())).unwrap_or_default()
             }
         }
     };
@@ -136,6 +142,10 @@ pub struct Members {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<uuid::Uuid>, nullable = false)]
     command: Option<CommandId>,
+    /// Whether the journal has it already, as a command's end.
+    #[serde(skip)]
+    #[schema(ignore)]
+    is_recorded: bool,
 }
 
 impl Problem {
@@ -156,6 +166,7 @@ impl Problem {
             device_status_code: None,
             fast_stop_id: None,
             command: None,
+            is_recorded: false,
         }))
     }
 
@@ -205,6 +216,12 @@ impl Problem {
         self
     }
 
+    /// As a command's end it is written down already.
+    pub fn recorded(mut self) -> Self {
+        self.0.is_recorded = true;
+        self
+    }
+
     /// Its HTTP status.
     #[cfg(test)]
     pub fn status(&self) -> StatusCode {
@@ -241,6 +258,10 @@ impl IntoResponse for Problem {
         headers.insert(header::CONTENT_TYPE, HeaderValue::from_static("application/problem+json"));
         if self.0.code == Code::Overloaded {
             headers.insert(header::RETRY_AFTER, RETRY_AFTER_S);
+        }
+        if !self.0.is_recorded {
+            let code = self.0.code.word();
+            response.extensions_mut().insert(Refused { code, cause: self.0.detail });
         }
         response
     }

@@ -4,13 +4,14 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::extract::{ConnectInfo, FromRequestParts, Query, RawPathParams};
-use axum::http::HeaderMap;
+use axum::extract::{ConnectInfo, FromRequestParts, RawPathParams};
 use axum::http::request::Parts;
+use axum::http::{Extensions, HeaderMap};
 use utoipa::IntoParams;
 
 use super::Context;
 use super::errors::{Code, Problem};
+use super::parameters::Parameters;
 use super::values::{integer, text};
 use crate::gripper::model::{Client, CommandId, Door, RequestId, Text};
 use crate::gripper::{Handle, Rejection};
@@ -60,7 +61,7 @@ impl FromRequestParts<Arc<Context>> for Gripper {
         let unknown = || Problem::not_found("gripper of this name");
         let name = path_parameter(parts, "gripper").await?.parse().map_err(|_| unknown())?;
         let handle = context.fleet.get(&name).ok_or_else(unknown)?.clone();
-        Ok(Self { handle, client: Asker::of(parts).0 })
+        Ok(Self { handle, client: Asker::of(&parts.extensions).0 })
     }
 }
 
@@ -69,8 +70,9 @@ impl FromRequestParts<Arc<Context>> for Gripper {
 pub struct Asker(pub Client);
 
 impl Asker {
-    fn of(parts: &Parts) -> Self {
-        let subject = match parts.extensions.get::<ConnectInfo<SocketAddr>>() {
+    /// Of a request's extensions.
+    pub fn of(extensions: &Extensions) -> Self {
+        let subject = match extensions.get::<ConnectInfo<SocketAddr>>() {
             Some(ConnectInfo(peer)) => format!("http:{}", peer.ip().to_canonical()),
             None => "http:unknown".to_owned(),
         };
@@ -82,7 +84,7 @@ impl FromRequestParts<Arc<Context>> for Asker {
     type Rejection = Problem;
 
     async fn from_request_parts(parts: &mut Parts, _: &Arc<Context>) -> Result<Self, Problem> {
-        Ok(Self::of(parts))
+        Ok(Self::of(&parts.extensions))
     }
 }
 
@@ -167,17 +169,10 @@ impl<const DEFAULT: u64> FromRequestParts<Arc<Context>> for WaitMs<DEFAULT> {
     type Rejection = Problem;
 
     async fn from_request_parts(parts: &mut Parts, _: &Arc<Context>) -> Result<Self, Problem> {
-        let malformed = |detail: String| Problem::malformed("wait_ms", detail);
-        let Query(pairs) = Query::<Vec<(String, String)>>::try_from_uri(&parts.uri)
-            .map_err(|error| malformed(format!("the query can't be read: {error}")))?;
-        let given: Vec<_> = pairs.iter().filter(|(key, _)| key == "wait_ms").map(|(_, value)| value).collect();
-        let wait_ms = match given[..] {
-            [] => DEFAULT,
-            [text] => {
-                let number: f64 = text.parse().map_err(|_| malformed("wait_ms must be a number of ms".to_owned()))?;
-                integer("wait_ms", number, 0..=MAX_WAIT_MS)?
-            }
-            _ => return Err(malformed("wait_ms is given more than once".to_owned())),
+        let given = Parameters::of(&parts.uri)?.parsed("wait_ms", "a number of ms", |text| text.parse::<f64>().ok())?;
+        let wait_ms = match given {
+            Some(number) => integer("wait_ms", number, 0..=MAX_WAIT_MS)?,
+            None => DEFAULT,
         };
         Ok(Self(Duration::from_millis(wait_ms)))
     }

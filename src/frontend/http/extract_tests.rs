@@ -67,5 +67,5 @@ async fn a_key_that_is_no_text_is_refused() {
 fn a_client_is_known_by_its_address() {
     let mut parts = parts("/", &[]);
     parts.extensions.insert(ConnectInfo("[::ffff:10.0.0.7]:5000".parse::<SocketAddr>().unwrap()));
-    assert_eq!(&*Asker::of(&parts).0.subject, "http:10.0.0.7");
+    assert_eq!(&*Asker::of(&parts.extensions).0.subject, "http:10.0.0.7");
 }

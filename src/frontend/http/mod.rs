@@ -3,7 +3,8 @@
 //! The line that mounts a handler documents it, so the document can't fall behind: what is served is what is
 //! described. A request passes, from the outside in: `guard` (who may ask at all), `body` (read within bounds, except
 //! for FAST STOP, which waits for nothing), `extract` (everything parsed, every mistake a problem), its handler. The
-//! handlers are in `grippers`, `motions`, `commands`, `fast_stop`, `settings`, `device`, `fingers` and `raw`.
+//! handlers are in `grippers`, `motions`, `commands`, `fast_stop`, `settings`, `device`, `fingers`, `raw`, `journal` and
+//! `stream`.
 
 mod body;
 mod commands;
@@ -16,12 +17,16 @@ mod fast_stop;
 mod fingers;
 mod grippers;
 mod guard;
+mod journal;
 mod motions;
+mod parameters;
 mod prompt;
 mod raw;
+mod refused;
 mod responses;
 mod server;
 mod settings;
+mod stream;
 mod values;
 
 use std::any::Any;
@@ -30,6 +35,7 @@ use std::sync::Arc;
 use axum::http::Method;
 use axum::response::{IntoResponse, Response};
 use axum::{Extension, Router, middleware};
+use tokio_util::sync::CancellationToken;
 use tower_http::catch_panic::CatchPanicLayer;
 use tower_http::trace::TraceLayer;
 use utoipa::openapi::OpenApi;
@@ -37,6 +43,7 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use self::errors::{Code, Problem};
+use super::refusals::Refusals;
 use crate::gripper::Fleet;
 use crate::gripper::model::Name;
 use crate::journal::Journal;
@@ -55,6 +62,10 @@ pub struct Context {
     pub fleet: Fleet,
     /// What happened to them.
     pub journal: Journal,
+    /// What was refused, on its way there.
+    pub refusals: Arc<Refusals>,
+    /// Ends the streams when the gateway ends.
+    pub closing: CancellationToken,
     /// The names that the gateway may be called by, besides its addresses and `localhost`. Without ports.
     pub allowed_hosts: Vec<String>,
 }
@@ -65,7 +76,8 @@ impl Context {
     fn of(grippers: impl IntoIterator<Item = crate::gripper::Handle>) -> Self {
         let (journal, _) = Journal::open(crate::journal::Place::Memory, crate::journal::Retention::default()).unwrap();
         let (gateway, fleet) = ("wsg".parse().unwrap(), Fleet::new(grippers));
-        Self { gateway, fleet, journal, allowed_hosts: Vec::new() }
+        let refusals = Arc::new(Refusals::new(journal.clone()));
+        Self { gateway, fleet, journal, refusals, closing: CancellationToken::new(), allowed_hosts: Vec::new() }
     }
 }
 
@@ -79,6 +91,7 @@ pub fn router(context: Context) -> Router {
         // What failed is told where it failed; a device that is switched off is no error of each request to it.
         .layer(TraceLayer::new_for_http().on_failure(()))
         .layer(middleware::from_fn_with_state(context.clone(), guard::refuse_foreigners))
+        .layer(middleware::from_fn_with_state(context.clone(), refused::record))
         .layer(middleware::map_response(guard::harden))
         .with_state(context)
 }
@@ -141,6 +154,11 @@ fn api() -> Routes {
         .routes(routes!(device::tare))
         .routes(routes!(device::loop_back))
         .routes(routes!(raw::raw))
+        .routes(routes!(journal::events))
+        .routes(routes!(journal::grips))
+        .routes(routes!(journal::grip))
+        .routes(routes!(journal::curve))
+        .routes(routes!(stream::stream))
 }
 
 async fn not_found() -> Problem {

@@ -29,7 +29,12 @@ const PROBLEMS: &[(&str, &str, &str)] = &[
     ("429", "Overloaded", "`overloaded`: too many requests wait for this gripper"),
     ("500", "Internal", "`internal`: a mistake of the gateway's own"),
     ("502", "DeviceProtocol", "`device_protocol`: the device's answer can't be one"),
-    ("503", "LinkDown", "`link_down`: there is no working link to the device"),
+    (
+        "503",
+        "LinkDown",
+        "`link_down`: there is no working link to the device; `journal_down`: the journal takes no records, or can't \
+         be read",
+    ),
     ("504", "DeviceTimeout", "`device_timeout`: the device did not answer in time"),
 ];
 
@@ -53,6 +58,8 @@ sets! {
     GripperProblem ["400" "403" "404" "500"];
     /// Of what asks a gripper's actor about its commands.
     CommandProblem ["400" "403" "404" "408" "413" "422" "429" "500" "503"];
+    /// Of what reads the journal.
+    JournalProblem ["400" "403" "404" "422" "500" "503"];
     /// Of what asks the device.
     DeviceProblem ["400" "403" "404" "408" "409" "413" "422" "429" "500" "502" "503" "504"];
 }

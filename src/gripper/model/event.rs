@@ -13,17 +13,22 @@ use super::{
 use crate::wsg::{Force, HomingDirection};
 
 /// Something that happened. The journal gives it a sequence number; `kind` and its fields stand beside the common ones.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct Event {
     /// When.
+    #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
     /// To which gripper; none where it concerns all.
+    #[schema(value_type = Option<String>, required, max_length = 32)]
     pub gripper: Option<Name>,
     /// Who asked for it; none where nobody did.
+    #[schema(value_type = Option<String>, required)]
     pub subject: Option<Arc<str>>,
     /// Through which door.
+    #[schema(required)]
     pub door: Option<Door>,
     /// The command that it belongs to.
+    #[schema(value_type = Option<uuid::Uuid>, required)]
     pub command_id: Option<CommandId>,
     /// What happened.
     #[serde(flatten)]
@@ -51,7 +56,7 @@ impl Event {
 }
 
 /// What happened, with its kind's fields.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Detail {
     /// A command was admitted, or has ended.
@@ -73,7 +78,7 @@ pub enum Detail {
 }
 
 /// A command's two records.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(tag = "phase", rename_all = "lowercase")]
 pub enum CommandEvent {
     /// It was admitted.
@@ -83,28 +88,35 @@ pub enum CommandEvent {
 }
 
 /// What was asked for, by the names of the request.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Default)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Default, ToSchema)]
 pub struct Parameters {
     /// Homing's direction.
     #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[schema(nullable = false)]
     pub direction: Option<Direction>,
     /// The target width in mm.
     #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[schema(nullable = false)]
     pub width_mm: Option<f32>,
     /// The speed in mm/s.
     #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[schema(nullable = false)]
     pub speed_mm_s: Option<f32>,
     /// Whether the width is an offset.
     #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[schema(nullable = false)]
     pub relative: Option<bool>,
     /// Whether a blocked axis clamps.
     #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[schema(nullable = false)]
     pub on_block: Option<OnBlock>,
     /// The force limit to set first, in N.
     #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[schema(nullable = false)]
     pub force_n: Option<f32>,
     /// The part's name.
     #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[schema(value_type = Option<String>, nullable = false, max_length = 48)]
     pub part_id: Option<PartId>,
 }
 
@@ -179,12 +191,13 @@ impl From<&Action> for Parameters {
 }
 
 /// A command that was admitted.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Admitted {
     /// `home`, `move`, `grip`, `release` or `stop`.
     pub command: Kind,
     /// What makes a repetition the same request.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<String>, nullable = false, max_length = 64)]
     pub request_id: Option<RequestId>,
     /// What was asked for.
     #[serde(flatten)]
@@ -192,36 +205,47 @@ pub struct Admitted {
 }
 
 /// A command that has ended.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Done {
     /// Its kind, like [`Admitted::command`].
     pub command: Kind,
     /// How it ended.
     pub outcome: Outcome,
     /// The device's last status, by its symbol.
+    #[schema(required)]
     pub status: Option<String>,
     /// The same, by its number.
+    #[schema(required)]
     pub status_code: Option<u16>,
     /// Whether the goal was reached.
+    #[schema(required)]
     pub reached_goal: Option<bool>,
     /// Whether a contact stopped the fingers.
+    #[schema(required)]
     pub stalled: Option<bool>,
     /// The opening width at the end, in mm.
+    #[schema(required)]
     pub width_mm: Option<f32>,
     /// The gripping force at the end, in N.
+    #[schema(required)]
     pub force_n: Option<f32>,
     /// When it was admitted.
+    #[schema(value_type = String, format = DateTime)]
     pub started_at: Timestamp,
     /// From its admission to its end.
+    #[schema(required)]
     pub duration_ms: Option<u64>,
     /// The FAST STOP that ended it.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<uuid::Uuid>, nullable = false)]
     pub fast_stop_id: Option<FastStopId>,
     /// The part's name.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<String>, nullable = false, max_length = 48)]
     pub part_id: Option<PartId>,
     /// Why it was refused, in words.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
     pub cause: Option<String>,
 }
 
@@ -248,11 +272,12 @@ impl Done {
 }
 
 /// A FAST STOP's records.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct FastStopEvent {
     /// Which of its records.
     pub event: FastStopStep,
     /// What an acknowledge has to name.
+    #[schema(value_type = uuid::Uuid)]
     pub fast_stop_id: FastStopId,
     /// Why, in the gateway's words.
     pub cause: FastStopCause,
@@ -271,28 +296,31 @@ pub enum FastStopStep {
 }
 
 /// An acknowledge's end.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct AcknowledgeEvent {
     /// The FAST STOP that it named.
+    #[schema(value_type = uuid::Uuid)]
     pub fast_stop_id: FastStopId,
     /// Whether the FAST STOP is gone.
     pub cleared: bool,
     /// Why it isn't, in words.
     #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
     pub cause: Option<String>,
 }
 
 /// A link's change.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct LinkEvent {
     /// How it is now.
     pub link: Link,
     /// Why it isn't connected.
+    #[schema(required)]
     pub link_cause: Option<String>,
 }
 
 /// What became of the device.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub enum DeviceEvent {
     /// It has restarted: its reference is gone.
@@ -300,8 +328,10 @@ pub enum DeviceEvent {
     /// Another device answers.
     Replaced {
         /// The one before.
+        #[schema(format = Int64)]
         known_serial_number: u32,
         /// The one that answers.
+        #[schema(format = Int64)]
         serial_number: u32,
     },
     /// Fault flags have come.
@@ -317,12 +347,13 @@ pub enum DeviceEvent {
     /// A part that was held is gone; the event belongs to its grip.
     PartLost {
         /// The opening width in mm where it was seen.
+        #[schema(required)]
         width_mm: Option<f32>,
     },
 }
 
 /// What was set.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct SettingsEvent {
     /// Whether the gateway has set it again, for a device that had forgotten it.
     pub restored: bool,
@@ -332,7 +363,7 @@ pub struct SettingsEvent {
 }
 
 /// A setting and its value.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 #[serde(tag = "setting", rename_all = "snake_case")]
 pub enum SettingChange {
     /// 30h
@@ -378,7 +409,7 @@ pub enum SettingChange {
 }
 
 /// A refusal, or several of the same in one second.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct RefusedEvent {
     /// What was asked for: the last part of the path, or the method's name.
     pub command: String,
@@ -391,7 +422,7 @@ pub struct RefusedEvent {
 }
 
 /// What became of the gateway.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub enum GatewayEvent {
     /// It has started.
@@ -411,6 +442,7 @@ pub enum GatewayEvent {
     /// Its last run has not ended in order.
     UncleanEnd {
         /// The commands that were running: each is told as `UNKNOWN`.
+        #[schema(value_type = Vec<uuid::Uuid>)]
         running: Vec<CommandId>,
     },
     /// It has ended in order.

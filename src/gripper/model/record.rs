@@ -9,38 +9,50 @@ use utoipa::ToSchema;
 use super::{CommandId, Kind, Name, Outcome, PartId};
 
 /// What was measured during a motion, and what became of it.
-#[derive(Debug, Clone, PartialEq, Serialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct GripRecord {
     /// The command's id.
+    #[schema(value_type = uuid::Uuid)]
     pub id: CommandId,
     /// The gripper's name.
+    #[schema(value_type = String, max_length = 32)]
     pub gripper: Name,
     /// `home`, `move`, `grip` or `release`.
     pub kind: Kind,
     /// The part's name.
+    #[schema(value_type = Option<String>, required, max_length = 48)]
     pub part_id: Option<PartId>,
     /// How it ended.
     pub outcome: Outcome,
     /// Who asked.
+    #[schema(value_type = String)]
     pub subject: Arc<str>,
     /// When it was admitted.
+    #[schema(value_type = String, format = DateTime)]
     pub started_at: Timestamp,
     /// From its admission to its end.
+    #[schema(required)]
     pub duration_ms: Option<u64>,
     /// The opening width at the end, in mm.
+    #[schema(required)]
     pub width_mm: Option<f32>,
     /// The gripping force at the end, in N.
+    #[schema(required)]
     pub force_n: Option<f32>,
     /// The greatest force that was measured, in N.
+    #[schema(required)]
     pub peak_force_n: Option<f32>,
     /// The opening width where the fingers met the part, in mm.
+    #[schema(required)]
     pub contact_width_mm: Option<f32>,
     /// From the first sample to that contact.
+    #[schema(required)]
     pub time_to_contact_ms: Option<u64>,
     /// How many samples the curve has.
     pub samples: usize,
     /// The curve, which is kept and told beside the record.
     #[serde(skip)]
+    #[schema(ignore)]
     pub curve: Vec<Sample>,
 }
 

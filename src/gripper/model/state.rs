@@ -178,6 +178,46 @@ impl State {
     }
 }
 
+/// The measured values of a [`State`] alone.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct Telemetry {
+    /// The gripper's name.
+    #[schema(value_type = String, max_length = 32)]
+    pub gripper: Name,
+    /// The state's.
+    pub seq: u64,
+    /// When the gateway had it.
+    #[schema(value_type = String, format = DateTime)]
+    pub at: Timestamp,
+    /// The opening width in mm; null until referenced.
+    pub width_mm: Option<f32>,
+    /// The speed of the fingers relative to each other, in mm/s.
+    pub speed_mm_s: Option<f32>,
+    /// The gripping force in N.
+    pub force_n: Option<f32>,
+    /// The gripper state, by the manual's noun.
+    pub state: Option<&'static str>,
+    /// All 32 system state flags as a number.
+    pub flags_raw: Option<u32>,
+}
+
+impl State {
+    /// Its measured values.
+    #[must_use]
+    pub fn telemetry(&self, at: Timestamp) -> Telemetry {
+        Telemetry {
+            gripper: self.gripper.clone(),
+            seq: self.seq,
+            at,
+            width_mm: self.width_mm,
+            speed_mm_s: self.speed_mm_s,
+            force_n: self.force_n,
+            state: self.state,
+            flags_raw: self.flags_raw,
+        }
+    }
+}
+
 /// What a [`State`] has in addition while a FAST STOP holds.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct LatchFields {

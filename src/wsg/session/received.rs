@@ -103,7 +103,7 @@ impl Session {
         self.events.push_back(Event::Update(data));
     }
 
-    /// The device has stopped: the results of running motions come within [`ABORT_GRACE`], or never.
+    /// The device has stopped: the results of running motions come within [`super::ABORT_GRACE`], or never.
     pub fn expect_aborts(&mut self, now: Instant) {
         self.expect_aborts_before(now, u64::MAX);
     }

@@ -1,0 +1,80 @@
+//! Refused requests, written down: the first of a kind at once, and those that repeat counted by the second, so that a
+//! client that floods the gateway fills no disk.
+
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
+use std::sync::{Mutex, PoisonError};
+use std::time::Duration;
+
+use crate::gripper::Now;
+use crate::gripper::model::{Client, Detail, Event, Name, RefusedEvent};
+use crate::gripper::recorder::{Record, Recorder as _};
+use crate::journal::Journal;
+
+/// How often what was counted is written down.
+pub const COUNTED_FOR: Duration = Duration::from_secs(1);
+
+/// Kinds of refusals that are told apart within a second. The rest is counted together.
+const MAX_KINDS: usize = 256;
+
+/// Who was refused what, and why.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub struct Refusal {
+    /// Where it was meant for one.
+    pub gripper: Option<Name>,
+    /// Who asked.
+    pub client: Client,
+    /// For what.
+    pub command: String,
+    /// The problem's code.
+    pub code: String,
+}
+
+/// The refusals of the running second.
+#[derive(Debug)]
+pub struct Refusals {
+    journal: Journal,
+    /// With the newest words, and how many came after the first.
+    counted: Mutex<HashMap<Refusal, (String, u64)>>,
+}
+
+impl Refusals {
+    /// That are written into this journal.
+    #[must_use]
+    pub fn new(journal: Journal) -> Self {
+        Self { journal, counted: Mutex::default() }
+    }
+
+    /// Takes one.
+    pub fn take(&self, mut refusal: Refusal, cause: String) {
+        let mut counted = self.counted.lock().unwrap_or_else(PoisonError::into_inner);
+        if counted.len() >= MAX_KINDS && !counted.contains_key(&refusal) {
+            let others = Client { subject: "others".into(), door: refusal.client.door };
+            refusal = Refusal { gripper: None, client: others, command: "others".to_owned(), ..refusal };
+        }
+        match counted.entry(refusal) {
+            Entry::Occupied(mut entry) => *entry.get_mut() = (cause, entry.get().1 + 1),
+            Entry::Vacant(entry) => {
+                self.record(entry.key(), cause.clone(), 1);
+                entry.insert((cause, 0));
+            }
+        }
+    }
+
+    /// Writes down what was counted, second by second, for as long as it is polled.
+    pub async fn count(&self) {
+        loop {
+            tokio::time::sleep(COUNTED_FOR).await;
+            let counted = std::mem::take(&mut *self.counted.lock().unwrap_or_else(PoisonError::into_inner));
+            for (refusal, (cause, count)) in counted.into_iter().filter(|(_, (_, count))| *count > 0) {
+                self.record(&refusal, cause, count);
+            }
+        }
+    }
+
+    fn record(&self, refusal: &Refusal, cause: String, count: u64) {
+        let Refusal { gripper, client, command, code } = refusal.clone();
+        let detail = Detail::Refused(RefusedEvent { command, code, cause, count });
+        self.journal.record(Record::Event(Event::new(Now::read().wall, gripper, detail).by(&client), None));
+    }
+}
