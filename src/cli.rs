@@ -1,6 +1,7 @@
 //! The command line: what to do, and what to do it with.
 
 mod decode;
+mod journal;
 
 use std::ffi::OsString;
 use std::fs::File;
@@ -65,8 +66,8 @@ enum Command {
         #[arg(long, value_name = "TEXT")]
         encode: Option<String>,
     },
-    /// Read the journal (not yet supported)
-    Journal(NotYet),
+    /// Read the journal: list, follow, export or verify it, also while the gateway runs
+    Journal(journal::Journal),
     /// Make a token (not yet supported)
     Token(NotYet),
 }
@@ -113,7 +114,7 @@ pub fn run() -> anyhow::Result<()> {
                 None => decode::decode(std::io::stdin().lock(), &mut output),
             }
         }
-        Some(Command::Journal(_)) => not_yet("journal"),
+        Some(Command::Journal(journal)) => journal::run(&journal, std::io::stdout().lock()),
         Some(Command::Token(_)) => not_yet("token"),
     }
 }

@@ -52,7 +52,7 @@ pub const EVENT_COLUMNS: &[&str] = &[
     "count",
     "version",
     "gateway",
-    "source",
+    "listen",
     "grippers",
     "running",
     "up_to_seq",

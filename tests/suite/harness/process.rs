@@ -86,6 +86,11 @@ impl Process {
         self.stdout.text()
     }
 
+    /// How many lines it said on standard output so far.
+    pub fn lines(&self) -> usize {
+        self.stdout.lines.lock().unwrap().len()
+    }
+
     /// Sends SIGTERM.
     pub fn terminate(&self) {
         let id = self.child.id().expect("it runs").to_string();
