@@ -1,6 +1,7 @@
 //! The command line: what to do, and what to do it with.
 
 mod decode;
+mod journal;
 
 use std::ffi::OsString;
 use std::fs::File;
@@ -66,8 +67,8 @@ enum Command {
         #[arg(long, value_name = "TEXT")]
         encode: Option<String>,
     },
-    /// Read the journal (not yet supported)
-    Journal(NotYet),
+    /// Read the journal: list, follow, export or verify it, also while the gateway runs
+    Journal(journal::Journal),
     /// Make a token (not yet supported)
     Token(NotYet),
 }
@@ -116,7 +117,7 @@ pub fn run() -> anyhow::Result<()> {
             ensure!(wrong == 0, "lines that are wrong: {wrong}; each is marked as such");
             Ok(())
         }
-        Some(Command::Journal(_)) => not_yet("journal"),
+        Some(Command::Journal(journal)) => journal::run(&journal, std::io::stdout().lock()),
         Some(Command::Token(_)) => not_yet("token"),
     }
 }

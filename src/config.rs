@@ -14,8 +14,10 @@ use crate::gripper::model::Name;
 use crate::transport::Address;
 
 mod file;
+mod journal;
 
 pub use file::File;
+pub use journal::{Journal, JournalFlags, JournalPlace, OnJournalFailure};
 
 /// Where the daemon listens unless it is told otherwise.
 const DEFAULT_LISTEN: &str = "127.0.0.1:8080";
@@ -44,7 +46,8 @@ pub struct Flags {
     /// The gateway's name [default: gateway]
     #[arg(long, value_name = "NAME", env = "WSG_GATEWAY_NAME")]
     pub name: Option<String>,
-    /// Where to keep the journal; only :memory: is supported yet
+    /// Where to keep the journal: a file, or :memory: [default: NAME.db in $STATE_DIRECTORY or
+    /// ~/.local/state/wsg-gateway]
     #[arg(long, value_name = "PATH", env = "WSG_GATEWAY_JOURNAL")]
     pub journal: Option<String>,
     /// Serve a gripper by the WSG protocol itself (not yet supported)
@@ -78,6 +81,8 @@ pub struct Config {
     pub grippers: Vec<Gripper>,
     /// How long a running command may take to finish at the orderly end.
     pub drain: Duration,
+    /// The journal.
+    pub journal: Journal,
 }
 
 /// One gripper.
@@ -174,7 +179,7 @@ impl Config {
     }
 
     fn merge(flags: &Flags, file: Option<&File>) -> Result<Self, Mistake> {
-        refuse_what_is_not_there_yet(flags, file)?;
+        refuse_what_is_not_there_yet(flags)?;
         let content = file.map(|file| &file.content);
         let pick = |flag: &Option<String>, name: &'static str, in_file: Option<&Spanned<String>>, default: &str| match (
             flag, file, in_file,
@@ -186,11 +191,12 @@ impl Config {
             _ => Placed { value: default.to_owned(), place: Place::Default },
         };
         let name = pick(&flags.name, "--name", content.and_then(|content| content.name.as_ref()), DEFAULT_NAME);
-        let name = name.value.parse().map_err(|error| Mistake::at(&name.place, error))?;
+        let name: Name = name.value.parse().map_err(|error| Mistake::at(&name.place, error))?;
         let listen =
             pick(&flags.listen, "--listen", content.and_then(|content| content.listen.as_ref()), DEFAULT_LISTEN);
         let insecure = flags.insecure || content.is_some_and(|content| content.insecure);
         let config = Self {
+            journal: Journal::merge(flags, file, &name)?,
             name,
             listen: parse_listen(&listen, insecure)?,
             hosts: content.map(|content| content.hosts.clone()).unwrap_or_default(),
@@ -201,7 +207,7 @@ impl Config {
     }
 }
 
-fn refuse_what_is_not_there_yet(flags: &Flags, file: Option<&File>) -> Result<(), Mistake> {
+fn refuse_what_is_not_there_yet(flags: &Flags) -> Result<(), Mistake> {
     let not_yet = |flag, what| Mistake::at(&Place::Flag(flag), format!("{what} not supported yet: leave it out"));
     if !flags.wsg_ports.is_empty() {
         return Err(not_yet("--wsg-port", "the WSG port is"));
@@ -211,17 +217,6 @@ fn refuse_what_is_not_there_yet(flags: &Flags, file: Option<&File>) -> Result<()
     }
     if !flags.zenoh_connect.is_empty() {
         return Err(not_yet("--zenoh-connect", "Zenoh is"));
-    }
-    let in_memory_only = |place: &Place, path: &str| {
-        let detail = format!("a journal in a file ({path}) is not supported yet: say :memory:, or leave it out");
-        if path == ":memory:" { Ok(()) } else { Err(Mistake::at(place, detail)) }
-    };
-    if let Some(path) = &flags.journal {
-        in_memory_only(&Place::Flag("--journal"), path)?;
-    } else if let Some(file) = file
-        && let Some(path) = &file.content.journal
-    {
-        in_memory_only(&file.place(path.span().start), path.get_ref())?;
     }
     Ok(())
 }
@@ -315,6 +310,9 @@ struct Content {
     insecure: bool,
     hosts: Vec<String>,
     journal: Option<Spanned<String>>,
+    on_journal_failure: OnJournalFailure,
+    journal_max_age_days: Option<Spanned<u64>>,
+    journal_max_size_mb: Option<Spanned<u64>>,
     drain_ms: Option<Spanned<u64>>,
     grippers: std::collections::BTreeMap<Spanned<String>, GripperContent>,
 }

@@ -38,7 +38,12 @@ fn a_mistake_in_a_file_is_named_with_its_line_and_remedy() {
     );
     assert!(mistake("name = \"a\"\nlistne = 1").starts_with("gateway.toml:2: unknown field `listne`"));
     assert!(mistake("[grippers.Left]\nurl = \"sim://wsg50\"").starts_with("gateway.toml:1: \"Left\" is no name"));
-    assert!(mistake("journal = \"/var/lib/j.db\"").contains(":memory:"));
+    assert!(mistake("journal = \"\"").starts_with("gateway.toml:1: the journal has no name"));
+    assert!(
+        mistake("\njournal_max_size_mb = 0").starts_with("gateway.toml:2: journal_max_size_mb is 0, and must be from")
+    );
+    assert!(mistake("journal_max_age_days = 40000").contains("from 1 to 36525"));
+    assert!(mistake("on_journal_failure = \"stop\"").contains("expected `refuse` or `continue`"));
     assert!(mistake("[grippers.g]\nurl = \"sim://wsg50\"\nread_ids = [256]").starts_with("gateway.toml:3: "));
     assert!(mistake("[grippers.g]\n").contains("missing field `url`"));
     assert!(mistake("\ndrain_ms = 60001").starts_with("gateway.toml:2: drain_ms is 60001, and may be 60000 at most"));
@@ -55,11 +60,9 @@ fn a_mistake_in_a_flag_is_named_with_its_remedy() {
     assert!(mistake(twice).contains("two grippers"));
     let shared = vec!["a=tcp://10.0.0.1".to_owned(), "b=tcp://10.0.0.1:1000".to_owned()];
     assert!(mistake(Flags { grippers: shared, ..flags() }).contains("both are at tcp://10.0.0.1:1000"));
-    assert!(mistake(Flags { journal: Some("/tmp/x".to_owned()), ..flags() }).contains("not supported yet"));
     assert!(mistake(Flags { wsg_ports: vec!["left=127.0.0.1:1000".to_owned()], ..flags() }).contains("yet"));
     assert!(mistake(Flags { zenoh_listen: vec!["tcp/127.0.0.1:7447".to_owned()], ..flags() }).contains("yet"));
     assert!(mistake(Flags { config: Some("/nonexistent.toml".into()), ..flags() }).contains("/nonexistent.toml"));
-    assert!(Config::load(&Flags { journal: Some(":memory:".to_owned()), ..flags() }).is_ok());
 }
 
 #[test]
@@ -79,4 +82,20 @@ fn other_addresses_than_loopback_need_insecure() {
     assert!(Config::load(&Flags { insecure: true, ..open }).is_ok());
     let loopback = Flags { listen: Some("[::1]:8080".to_owned()), ..flags() };
     assert!(Config::load(&loopback).is_ok());
+}
+
+#[test]
+fn the_journal_is_kept_where_and_for_as_long_as_is_said() {
+    let text =
+        "journal = \"a.db\"\non_journal_failure = \"continue\"\njournal_max_age_days = 90\njournal_max_size_mb = 500";
+    let parsed = File::parse(Path::new("gateway.toml"), text.to_owned()).unwrap();
+    let journal = Config::merge(&flags(), Some(&parsed)).unwrap().journal;
+    assert_eq!(journal.place, JournalPlace::File("a.db".into()));
+    assert_eq!(journal.on_failure, OnJournalFailure::Continue);
+    assert_eq!(journal.max_age, Some(Duration::from_hours(90 * 24)));
+    assert_eq!(journal.max_bytes, Some(500_000_000));
+    let flags = Flags { journal: Some(":memory:".to_owned()), ..flags() };
+    assert_eq!(Config::merge(&flags, Some(&parsed)).unwrap().journal.place, JournalPlace::Memory);
+    let journal = Config::load(&flags).unwrap().journal;
+    assert_eq!((journal.on_failure, journal.max_age, journal.max_bytes), (OnJournalFailure::Refuse, None, None));
 }

@@ -14,7 +14,7 @@ use tokio::runtime::{Builder, Runtime};
 use tokio::signal::unix::{SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 
-use crate::config::{Config, Device, Gripper, Mistake};
+use crate::config::{self, Config, Device, Gripper, Mistake};
 use crate::frontend::http;
 use crate::frontend::refusals::Refusals;
 use crate::gripper::model::{Detail, Event, GatewayEvent, MemoryKey};
@@ -65,7 +65,7 @@ async fn run_gateway(config: &Config, devices: &Runtime) -> anyhow::Result<()> {
         format!("cannot listen on {}: choose another address with --listen, or end what listens there", config.listen)
     })?;
     let address = listener.local_addr()?;
-    let (journal, recovered) = Journal::open(journal::Place::Memory, journal::Retention::default())?;
+    let (journal, recovered) = open_journal(config)?;
     tell_of_last_run(&recovered);
     for event in [started(config), configured(config)] {
         journal.record(Record::Event(Event::new(Now::read().wall, None, Detail::Gateway(event)), None));
@@ -92,6 +92,15 @@ async fn run_gateway(config: &Config, devices: &Runtime) -> anyhow::Result<()> {
     shutdown.cancel();
     server.await?;
     Ok(journal.close().await?)
+}
+
+fn open_journal(config: &Config) -> Result<(Journal, Recovered), journal::OpenError> {
+    let config::Journal { place, max_age, max_bytes, .. } = &config.journal;
+    let place = match place {
+        config::JournalPlace::File(path) => journal::Place::File(path.clone()),
+        config::JournalPlace::Memory => journal::Place::Memory,
+    };
+    Journal::open(place, journal::Retention { max_age: *max_age, max_bytes: *max_bytes })
 }
 
 /// Says what a run that has not ended in order left behind.
@@ -138,13 +147,17 @@ fn spawn(config: &Config, gripper: &Gripper, journal: &Journal, recollection: Re
             Arc::new(device.start(url.as_str()))
         }
     };
+    let on_journal_failure = match config.journal.on_failure {
+        config::OnJournalFailure::Refuse => gripper::actor::OnJournalFailure::Refuse,
+        config::OnJournalFailure::Continue => gripper::actor::OnJournalFailure::Continue,
+    };
     let config = gripper::actor::Config {
         name: gripper.name.clone(),
         url: connector.url(),
         traits: connector.traits(),
         read_ids: gripper.read_ids.clone(),
         drain: config.drain,
-        on_journal_failure: gripper::actor::OnJournalFailure::Refuse,
+        on_journal_failure,
         seed: rand::rng().random(),
     };
     Ok(gripper::spawn(config, connector, Arc::new(journal.clone()), recollection))

@@ -66,7 +66,7 @@ impl Follow {
 
     async fn catch_up(&mut self) -> Result<(), ReadError> {
         let until = self.until;
-        let (filter, cursor) = (self.filter.clone(), Some(Cursor(self.after)));
+        let (filter, cursor) = (self.filter.clone(), Some(Cursor::behind(self.after)));
         let query = EventQuery { filter, cursor, order: Order::Oldest, ..EventQuery::default() };
         let page = self.pool.read(move |reader| reader.events_until(&query, until)).await?;
         let read = page.bodies.into_iter().map(|body| Stored::of(body).map(Arc::new));

@@ -120,7 +120,15 @@ pub struct InvalidLimit(u64);
 
 /// Where the next page begins. Clients give it back as it is.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Cursor(pub(super) i64);
+pub struct Cursor(i64);
+
+impl Cursor {
+    /// Behind the record with this sequence number.
+    #[must_use]
+    pub fn behind(seq: i64) -> Self {
+        Self(seq)
+    }
+}
 
 impl fmt::Display for Cursor {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {

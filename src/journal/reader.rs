@@ -57,7 +57,11 @@ impl Reader {
         self.events_until(query, i64::MAX)
     }
 
-    pub(super) fn events_until(&self, query: &EventQuery, until: i64) -> Result<Page, ReadError> {
+    /// A page of events none of which is newer than `until`.
+    ///
+    /// # Errors
+    /// [`ReadError`], where the journal can't be read.
+    pub fn events_until(&self, query: &EventQuery, until: i64) -> Result<Page, ReadError> {
         self.with(|connection| page(connection, query, until))
     }
 

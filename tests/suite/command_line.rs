@@ -44,8 +44,6 @@ async fn what_is_not_there_yet_is_refused_as_that() {
         &["--wsg-port", "left=127.0.0.1:1000"][..],
         &["--zenoh-listen", "tcp/127.0.0.1:7447"],
         &["--zenoh-connect", "tcp/127.0.0.1:7447"],
-        &["--journal", "journal.db"],
-        &["journal", "list"],
         &["token"],
     ] {
         let said = refused(arguments).await;
@@ -111,7 +109,7 @@ async fn check_says_what_a_configuration_would_serve_or_which_line_is_wrong() {
         ("\n\nlisten = \"nowhere\"\n", 3),
         ("name = \"Cell\"\n", 1),
         ("name = \n", 1),
-        ("journal = \"journal.db\"\n", 1),
+        ("journal = \"\"\n", 1),
     ] {
         let wrong = file("wrong.toml", text);
         let said = refused(&["check", "--config", wrong.to_str().unwrap()]).await;

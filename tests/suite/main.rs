@@ -16,6 +16,7 @@ mod fast_stop;
 mod first_grip;
 mod harness;
 mod invariants;
+mod journal_files;
 mod link;
 mod noisy_udp;
 mod recordings;

@@ -64,6 +64,8 @@ impl Process {
         for (name, _) in std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("WSG_GATEWAY")) {
             command.env_remove(name);
         }
+        // What tests start leaves nothing behind, unless they say where.
+        command.env("WSG_GATEWAY_JOURNAL", ":memory:");
         command.args(arguments).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).kill_on_drop(true);
         let mut child = command.spawn().expect("the binary starts");
         let stdout = Output::of(child.stdout.take().unwrap());
@@ -84,6 +86,11 @@ impl Process {
     /// What it said on standard output so far.
     pub fn stdout(&self) -> String {
         self.stdout.text()
+    }
+
+    /// How many lines it said on standard output so far.
+    pub fn lines(&self) -> usize {
+        self.stdout.lines.lock().unwrap().len()
     }
 
     /// Sends SIGTERM.

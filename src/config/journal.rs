@@ -1,0 +1,163 @@
+//! Where the journal is kept, for how long, and what happens while it can't be written.
+
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use etcetera::BaseStrategy;
+use toml::Spanned;
+
+use super::{DEFAULT_NAME, File, Flags, Mistake, Place};
+use crate::gripper::model::Name;
+
+/// How old records may be told to get at most, in days: a century.
+const MAX_AGE_DAYS: u64 = 36_525;
+
+/// How large a file may be told to get at most, in MB: what SQLite can address with pages of 4 KiB.
+const MAX_SIZE_MB: u64 = 16_000_000;
+
+/// The journal.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Journal {
+    /// Where it is kept.
+    pub place: JournalPlace,
+    /// What happens to motions while it can't be written.
+    pub on_failure: OnJournalFailure,
+    /// How old its records get; for ever where there is none.
+    pub max_age: Option<Duration>,
+    /// How large its file gets, in bytes.
+    pub max_bytes: Option<u64>,
+}
+
+/// Where the journal is kept.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum JournalPlace {
+    /// In a file.
+    File(PathBuf),
+    /// In memory, until the gateway ends.
+    Memory,
+}
+
+/// What happens to motions while the journal can't be written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum OnJournalFailure {
+    /// They are refused.
+    #[default]
+    Refuse,
+    /// They go on, without a durable record.
+    Continue,
+}
+
+/// Which gateway's journal a subcommand reads.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub struct JournalFlags {
+    /// The journal's file [default: that of the gateway with this --name]
+    #[arg(long, value_name = "PATH", env = "WSG_GATEWAY_JOURNAL")]
+    pub journal: Option<String>,
+    /// The gateway's name [default: gateway]
+    #[arg(long, value_name = "NAME", env = "WSG_GATEWAY_NAME")]
+    pub name: Option<String>,
+}
+
+impl JournalFlags {
+    /// The file.
+    ///
+    /// # Errors
+    /// [`Mistake`], where there can be none.
+    pub fn path(&self) -> Result<PathBuf, Mistake> {
+        let name = self.name.as_deref().unwrap_or(DEFAULT_NAME);
+        let name = name.parse().map_err(|error| Mistake::at(&Place::Flag("--name"), error))?;
+        match place(self.journal.as_deref(), &Place::Flag("--journal"), &name)? {
+            JournalPlace::File(path) => Ok(path),
+            JournalPlace::Memory => {
+                let detail = "a journal in memory can be read over the gateway's HTTP alone: name a file";
+                Err(Mistake::at(&Place::Flag("--journal"), detail))
+            }
+        }
+    }
+}
+
+impl Journal {
+    pub(super) fn merge(flags: &Flags, file: Option<&File>, name: &Name) -> Result<Self, Mistake> {
+        let in_file = file.and_then(|file| Some((file, file.content.journal.as_ref()?)));
+        let place = match (&flags.journal, in_file) {
+            (Some(path), _) => place(Some(path), &Place::Flag("--journal"), name)?,
+            (None, Some((file, path))) => place(Some(path.get_ref()), &file.place(path.span().start), name)?,
+            (None, None) => place(None, &Place::Default, name)?,
+        };
+        let content = file.map(|file| &file.content);
+        let max_age_days = content.and_then(|content| content.journal_max_age_days.as_ref());
+        let max_size_mb = content.and_then(|content| content.journal_max_size_mb.as_ref());
+        let max_age_days = bounded(file, "journal_max_age_days", max_age_days, MAX_AGE_DAYS)?;
+        let max_size_mb = bounded(file, "journal_max_size_mb", max_size_mb, MAX_SIZE_MB)?;
+        Ok(Self {
+            place,
+            on_failure: content.map(|content| content.on_journal_failure).unwrap_or_default(),
+            max_age: max_age_days.map(|days| Duration::from_hours(days * 24)),
+            max_bytes: max_size_mb.map(|megabytes| megabytes * 1_000_000),
+        })
+    }
+}
+
+fn bounded(file: Option<&File>, key: &str, value: Option<&Spanned<u64>>, max: u64) -> Result<Option<u64>, Mistake> {
+    let Some((file, value)) = file.zip(value) else { return Ok(None) };
+    if (1..=max).contains(value.get_ref()) {
+        return Ok(Some(*value.get_ref()));
+    }
+    let detail = format!("{key} is {}, and must be from 1 to {max}: leave it out to keep everything", value.get_ref());
+    Err(Mistake::at(&file.place(value.span().start), detail))
+}
+
+fn place(journal: Option<&str>, said: &Place, name: &Name) -> Result<JournalPlace, Mistake> {
+    match journal {
+        Some(":memory:") => Ok(JournalPlace::Memory),
+        Some("") => Err(Mistake::at(said, "the journal has no name: write a path, or :memory:")),
+        Some(path) => Ok(JournalPlace::File(path.into())),
+        None => {
+            let home = etcetera::base_strategy::Xdg::new().ok().and_then(|directories| directories.state_dir());
+            let path = default_path(std::env::var_os("STATE_DIRECTORY"), home.as_deref(), name);
+            let none = "there is no directory for the journal, as HOME is not set: say --journal PATH or :memory:";
+            path.map(JournalPlace::File).ok_or_else(|| Mistake::at(said, none))
+        }
+    }
+}
+
+/// In the directory that systemd gives a service (the first, where it gives several), else in the user's own.
+fn default_path(service: Option<OsString>, user: Option<&Path>, name: &Name) -> Option<PathBuf> {
+    let service = service
+        .filter(|directories| !directories.is_empty())
+        .and_then(|directories| std::env::split_paths(&directories).next());
+    let directory = service.or_else(|| Some(user?.join("wsg-gateway")))?;
+    Some(directory.join(format!("{name}.db")))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_default_is_the_service_s_directory_or_the_user_s() {
+        let name: Name = "cell-7".parse().unwrap();
+        let path = |service: Option<&str>, user: Option<&str>| {
+            default_path(service.map(OsString::from), user.map(Path::new), &name)
+        };
+        assert_eq!(
+            path(Some("/var/lib/a:/var/lib/b"), Some("/home/u/.local/state")),
+            Some("/var/lib/a/cell-7.db".into())
+        );
+        let of_user = Some("/home/u/.local/state/wsg-gateway/cell-7.db".into());
+        assert_eq!(path(None, Some("/home/u/.local/state")), of_user);
+        assert_eq!(path(Some(""), Some("/home/u/.local/state")), of_user);
+        assert_eq!(path(None, None), None);
+    }
+
+    #[test]
+    fn a_subcommand_reads_a_file_and_no_memory() {
+        let flags = |journal: &str| JournalFlags { journal: Some(journal.to_owned()), name: None };
+        assert_eq!(flags("j.db").path(), Ok("j.db".into()));
+        assert!(flags(":memory:").path().unwrap_err().to_string().contains("name a file"));
+        let named = JournalFlags { journal: None, name: Some("Cell 7".to_owned()) };
+        assert!(named.path().unwrap_err().to_string().starts_with("--name: \"Cell 7\" is no name"));
+    }
+}

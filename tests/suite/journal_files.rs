@@ -1,0 +1,156 @@
+//! `wsg-gateway journal`, on a file that another process writes.
+
+use std::path::{Path, PathBuf};
+
+use jiff::Timestamp;
+use tokio::sync::oneshot;
+use wsg_gateway::gripper::model::{Detail, Event, GatewayEvent, Link, LinkEvent, Name};
+use wsg_gateway::gripper::recorder::{Record, Recorder as _};
+use wsg_gateway::journal::{Journal, Place, Retention};
+
+use crate::harness::{Process, eventually, run};
+
+/// A journal's file, which goes with the test.
+struct File(PathBuf);
+
+impl File {
+    fn new(name: &str) -> Self {
+        let path = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{}-{name}", std::process::id()));
+        std::fs::create_dir_all(&path).unwrap();
+        Self(path)
+    }
+
+    fn path(&self) -> String {
+        self.0.join("journal.db").to_str().unwrap().to_owned()
+    }
+}
+
+impl Drop for File {
+    fn drop(&mut self) {
+        std::fs::remove_dir_all(&self.0).unwrap();
+    }
+}
+
+async fn keep(journal: &Journal, second: i64, gripper: Option<&str>, detail: Detail) {
+    let (told, durable) = oneshot::channel();
+    let gripper = gripper.map(|name| name.parse::<Name>().unwrap());
+    let event = Event::new(Timestamp::from_second(second).unwrap(), gripper, detail);
+    journal.record(Record::Event(event, Some(told)));
+    durable.await.unwrap();
+}
+
+fn started() -> Detail {
+    Detail::Gateway(GatewayEvent::Started { version: "1.0.0", gateway: "cell-7".to_owned() })
+}
+
+fn link(link: Link, cause: Option<&str>) -> Detail {
+    Detail::Link(LinkEvent { link, link_cause: cause.map(str::to_owned) })
+}
+
+/// A journal of three events, still open.
+async fn filled(file: &File) -> Journal {
+    let (journal, _) = Journal::open(Place::File(file.path().into()), Retention::default()).unwrap();
+    keep(&journal, 1000, None, started()).await;
+    keep(&journal, 1001, Some("left"), link(Link::Connected, None)).await;
+    keep(&journal, 1002, Some("right"), link(Link::Reconnecting, Some("reset, by \"peer\""))).await;
+    journal
+}
+
+/// What a subcommand says of the journal.
+async fn said(file: &File, arguments: &[&str]) -> Vec<String> {
+    let ended = run(&[&["journal", "--journal", &file.path()], arguments].concat()).await;
+    assert!(ended.status.success(), "{arguments:?}: {ended:?}");
+    ended.stdout.lines().map(str::to_owned).collect()
+}
+
+#[tokio::test]
+async fn list_prints_what_the_filters_ask_for() {
+    let file = File::new("list");
+    let _journal = filled(&file).await;
+    assert_eq!(
+        said(&file, &["list"]).await,
+        [
+            "1970-01-01T00:16:42Z            3  right      -                      link reconnecting        reset, by \"peer\"",
+            "1970-01-01T00:16:41Z            2  left       -                      link connected",
+            "1970-01-01T00:16:40Z            1  -          -                      gateway started",
+        ]
+    );
+    for (arguments, expected) in [
+        (&["--gripper", "left"][..], &["2"][..]),
+        (&["--kind", "link", "--order", "oldest"], &["2", "3"]),
+        (&["--from", "1970-01-01T00:16:41Z", "--to", "1970-01-01T00:16:42Z"], &["2"]),
+        (&["--limit", "1"], &["3"]),
+        (&["--outcome", "part_held"], &[]),
+        (&["--part-id", "P-1", "--kind", "link"], &[]),
+        (&["--grips"], &[]),
+    ] {
+        let lines = said(&file, &[&["list"], arguments].concat()).await;
+        let seqs: Vec<_> = lines.iter().filter_map(|line| line.split_whitespace().nth(1)).collect();
+        assert_eq!(seqs, expected, "{arguments:?}");
+    }
+}
+
+#[tokio::test]
+async fn export_writes_json_and_csv() {
+    let file = File::new("export");
+    let _journal = filled(&file).await;
+    let json = said(&file, &["export"]).await;
+    assert_eq!(json.len(), 3);
+    assert!(json[1].starts_with(r#"{"seq":2,"at":"1970-01-01T00:16:41Z","gripper":"left""#), "{json:?}");
+    let csv = said(&file, &["export", "--format", "csv"]).await;
+    assert!(csv[0].starts_with("seq,at,kind,gripper,subject,door,command_id,phase,"), "{csv:?}");
+    assert!(csv[3].contains("\"reset, by \"\"peer\"\"\""), "{csv:?}");
+    assert_eq!(csv.len(), 4);
+    assert_eq!(said(&file, &["export", "--grips", "--format", "csv"]).await.len(), 1);
+}
+
+#[tokio::test]
+async fn follow_prints_what_comes_and_what_was_since() {
+    let file = File::new("follow");
+    let journal = filled(&file).await;
+    let since = Process::start(&["journal", "--journal", &file.path(), "follow", "--after", "1"]);
+    let left = Process::start(&["journal", "--journal", &file.path(), "follow", "--after", "0", "--gripper", "left"]);
+    eventually("both follow", async || (since.lines() == 2 && left.lines() == 1).then_some(())).await;
+    keep(&journal, 1003, Some("right"), link(Link::Connected, None)).await;
+    keep(&journal, 1004, Some("left"), link(Link::Unresponsive, Some("silent"))).await;
+    eventually("both are told", async || (since.lines() == 4 && left.lines() == 2).then_some(())).await;
+    assert!(left.stdout().ends_with("link unresponsive        silent"), "{}", left.stdout());
+}
+
+#[tokio::test]
+async fn verify_says_that_all_is_as_it_was_written_or_what_is_not() {
+    let file = File::new("verify");
+    let journal = filled(&file).await;
+    let expected = ["3 events, 0 grip records, 0 remembered values: all as written"];
+    assert_eq!(said(&file, &["verify"]).await, expected);
+    journal.close().await.unwrap();
+    let path = file.path();
+    let mut bytes = std::fs::read(&path).unwrap();
+    let name = bytes.windows(12).position(|window| window == b"reconnecting").unwrap();
+    bytes[name] ^= 1;
+    std::fs::write(&path, bytes).unwrap();
+    let ended = run(&["journal", "--journal", &path, "verify"]).await;
+    assert_eq!(ended.status.code(), Some(1), "{ended:?}");
+    assert_eq!(ended.stdout, "events 3: it is not as it was written (its hash is another)");
+    assert!(ended.stderr.contains("4 events, 0 grip records, 0 remembered values: 1 findings"), "{ended:?}");
+}
+
+#[tokio::test]
+async fn a_mistake_is_named_with_its_remedy() {
+    let file = File::new("mistakes");
+    let _journal = filled(&file).await;
+    let path = file.path();
+    let none = Path::new(&path).with_file_name("none.db");
+    for (arguments, expected) in [
+        (&["--journal", none.to_str().unwrap(), "list"][..], "there is no journal"),
+        (&["--journal", ":memory:", "list"], "name a file"),
+        (&["--journal", &path, "list", "--kind", "links"], "expected one of `command`, `fast_stop`"),
+        (&["--journal", &path, "list", "--kind", "link", "--grips"], "expected one of `home`, `move`"),
+        (&["--journal", &path, "list", "--from", "yesterday"], "--from yesterday"),
+        (&["--journal", &path, "list", "--gripper", "Left"], "is no name"),
+        (&["--name", "Cell 7", "verify"], "is no name"),
+    ] {
+        let ended = run(&[&["journal"], arguments].concat()).await;
+        assert!(!ended.status.success() && ended.stderr.contains(expected), "{arguments:?}: {ended:?}");
+    }
+}
