@@ -53,10 +53,10 @@ pub enum OnJournalFailure {
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct JournalFlags {
     /// The journal's file [default: that of the gateway with this --name]
-    #[arg(long, value_name = "PATH", env = "WSG_GATEWAY_JOURNAL")]
+    #[arg(long, value_name = "PATH", env = "WSG_GATEWAY_JOURNAL", global = true)]
     pub journal: Option<String>,
     /// The gateway's name [default: gateway]
-    #[arg(long, value_name = "NAME", env = "WSG_GATEWAY_NAME")]
+    #[arg(long, value_name = "NAME", env = "WSG_GATEWAY_NAME", global = true)]
     pub name: Option<String>,
 }
 

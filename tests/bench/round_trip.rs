@@ -30,6 +30,7 @@ impl Drop for Running {
 /// Starts the program, and returns what it says between `before` and the end of the line.
 fn start(arguments: &[&str], before: &str) -> Result<(Running, String), Error> {
     let mut command = Command::new(env!("CARGO_BIN_EXE_wsg-gateway"));
+    command.env("WSG_GATEWAY_JOURNAL", ":memory:");
     let mut child = command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::null()).spawn()?;
     let lines = BufReader::new(child.stdout.take().ok_or("no output")?).lines();
     let running = Running(child);

@@ -109,7 +109,7 @@ async fn check_says_what_a_configuration_would_serve_or_which_line_is_wrong() {
         ("\n\nlisten = \"nowhere\"\n", 3),
         ("name = \"Cell\"\n", 1),
         ("name = \n", 1),
-        ("journal = \"\"\n", 1),
+        ("journal_max_age_days = 0\n", 1),
     ] {
         let wrong = file("wrong.toml", text);
         let said = refused(&["check", "--config", wrong.to_str().unwrap()]).await;
