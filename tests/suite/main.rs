@@ -17,6 +17,7 @@ mod first_grip;
 mod harness;
 mod invariants;
 mod journal_files;
+mod kills;
 mod link;
 mod noisy_udp;
 mod recordings;

@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 
 pub use command_line::run;
 pub use frames::Frame;
-pub use gateway::Gateway;
+pub use gateway::{Answer, Gateway};
 pub use process::Process;
 pub use proxy::Proxy;
 pub use scripted::{Scripted, Table, success};
