@@ -82,7 +82,7 @@ fn remedy(error: &rusqlite::Error) -> &'static str {
         Some(ErrorCode::DiskFull) => "make room on its disk, or give the journal a maximum age or size",
         Some(ErrorCode::SystemIoFailure) => "look at its disk, and at the system's log",
         Some(ErrorCode::ReadOnly | ErrorCode::PermissionDenied | ErrorCode::CannotOpen) => {
-            "let the gateway's user write the file and its directory"
+            "let the user that this runs as write the file and its directory, or read a copy of it elsewhere"
         }
         Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked) => "end the other program that writes it",
         Some(ErrorCode::DatabaseCorrupt | ErrorCode::NotADatabase) => {

@@ -1,0 +1,262 @@
+//! What the journal takes, and how soon it answers: durable commands a second on a real disk, and the time of a page of
+//! 100 among a million events, for each combination of filters.
+//!
+//! `cargo bench --bench journal`, or with `-- --events 100000`. Fails where a page takes longer than 20 ms.
+
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+use jiff::{SignedDuration, Timestamp};
+use tokio::sync::oneshot;
+use wsg_gateway::gripper::model::{
+    Admitted, Client, CommandEvent, CommandId, Detail, Done, Door, Event, GripRecord, IdSource, Kind, Link, LinkEvent,
+    Name, Outcome, Parameters, PartId, Sample,
+};
+use wsg_gateway::gripper::recorder::{Record, Recorder as _};
+use wsg_gateway::journal::{
+    EventKind, EventQuery, Filter, GripQuery, Journal, Order, Page, Place, Query, ReadError, Reader, Retention, verify,
+};
+
+type Error = Box<dyn std::error::Error>;
+
+/// How long each rate is measured.
+const MEASURED: Duration = Duration::from_secs(5);
+
+/// How long a page may take.
+const PAGE_LIMIT: Duration = Duration::from_millis(20);
+
+/// How often each page is read; the fastest counts, since the machine does other things too.
+const READS: usize = 3;
+
+/// How many events are recorded before it is waited until they are durable; fewer than the journal's queue has room for.
+const BURST: u32 = 4000;
+
+/// A directory that goes with the bench.
+struct Directory(PathBuf);
+
+impl Drop for Directory {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+fn main() -> Result<(), Error> {
+    let mut arguments = std::env::args().skip_while(|argument| argument != "--events").skip(1);
+    let events: u32 = arguments.next().map_or(Ok(1_000_000), |count| count.parse())?;
+    let directory =
+        Directory(Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("journal-bench-{}", std::process::id())));
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+    for clients in [1, 64] {
+        let (journal, _) = open(&directory.0.join(format!("{clients}.db")))?;
+        let commands = runtime.block_on(rate(&journal, clients))?;
+        let rate = f64::from(commands) / MEASURED.as_secs_f64();
+        println!("{clients} clients in lockstep: {rate:.0} commands/s, each of two durable records");
+        runtime.block_on(journal.close())?;
+    }
+    let path = directory.0.join("large.db");
+    let begun = Instant::now();
+    runtime.block_on(fill(&path, events))?;
+    let rate = f64::from(events) / begun.elapsed().as_secs_f64();
+    let megabytes = std::fs::metadata(&path)?.len() / 1_000_000;
+    println!("{events} events and a quarter as many grip records: {rate:.0} events/s, {megabytes} MB");
+    let worst = pages(&Reader::open(&path)?, events)?;
+    let begun = Instant::now();
+    let report = verify(&path)?;
+    println!("verified in {:.1?}: {} findings", begun.elapsed(), report.findings.len());
+    if worst > PAGE_LIMIT || !report.findings.is_empty() {
+        return Err(format!("a page took {worst:?}, and {PAGE_LIMIT:?} are allowed; or something was found").into());
+    }
+    Ok(())
+}
+
+fn open(path: &Path) -> Result<(Journal, wsg_gateway::journal::Recovered), Error> {
+    Ok(Journal::open(Place::File(path.to_owned()), Retention::default())?)
+}
+
+fn command(id: CommandId, at: Timestamp, gripper: &Name, event: CommandEvent) -> Event {
+    let client = Client { subject: "http:127.0.0.1".into(), door: Door::Http };
+    Event::new(at, Some(gripper.clone()), Detail::Command(event)).by(&client).of(id)
+}
+
+fn admitted(part_id: Option<PartId>) -> CommandEvent {
+    let parameters = Parameters { width_mm: Some(20.0), speed_mm_s: Some(50.0), part_id, ..Parameters::default() };
+    CommandEvent::Admitted(Admitted { command: Kind::Grip, request_id: None, parameters })
+}
+
+fn done(at: Timestamp, part_id: Option<PartId>, outcome: Outcome) -> CommandEvent {
+    CommandEvent::Done(Box::new(Done {
+        command: Kind::Grip,
+        outcome,
+        status: Some("E_SUCCESS".to_owned()),
+        status_code: Some(0),
+        reached_goal: Some(true),
+        stalled: Some(true),
+        width_mm: Some(20.1),
+        force_n: Some(40.0),
+        started_at: at,
+        duration_ms: Some(412),
+        fast_stop_id: None,
+        part_id,
+        cause: None,
+    }))
+}
+
+async fn durable(journal: &Journal, event: Event) -> Result<(), Error> {
+    let (told, durable) = oneshot::channel();
+    journal.record(Record::Event(event, Some(told)));
+    Ok(durable.await?)
+}
+
+/// How many commands so many clients get through the journal, each waiting for each record.
+async fn rate(journal: &Journal, clients: u64) -> Result<u32, Error> {
+    let until = Instant::now() + MEASURED;
+    let running: Vec<_> = (0..clients)
+        .map(|client| {
+            let journal = journal.clone();
+            tokio::spawn(async move {
+                let (mut ids, mut commands) = (IdSource::new(client), 0);
+                let gripper: Name = format!("g{client}").parse().map_err(|_| "no name")?;
+                while Instant::now() < until {
+                    let at = Timestamp::now();
+                    let id = ids.command_id(at);
+                    durable(&journal, command(id, at, &gripper, admitted(None))).await.map_err(|_| "lost")?;
+                    let end = done(at, None, Outcome::PartHeld);
+                    durable(&journal, command(id, at, &gripper, end)).await.map_err(|_| "lost")?;
+                    commands += 1;
+                }
+                Ok::<u32, &str>(commands)
+            })
+        })
+        .collect();
+    let mut commands = 0;
+    for client in running {
+        commands += client.await??;
+    }
+    Ok(commands)
+}
+
+/// The time of the event with this number: ten a second.
+fn time(number: u32) -> Timestamp {
+    Timestamp::UNIX_EPOCH
+        + SignedDuration::from_hours(24 * 365 * 50)
+        + SignedDuration::from_millis(i64::from(number) * 100)
+}
+
+/// Records so many events of each sort; one in a thousand is rare.
+async fn fill(path: &Path, events: u32) -> Result<(), Error> {
+    let (journal, _) = open(path)?;
+    let mut ids = IdSource::new(1);
+    for number in (0..events).step_by(4) {
+        let (at, rare) = (time(number), number % 4000 == 0);
+        let gripper: Name = (if rare { "rare" } else { ["left", "right"][number as usize / 4 % 2] }).parse()?;
+        let part_id = PartId::new(if rare { "P-rare" } else { "P-1" }).filter(|_| number % 3 == 0);
+        let outcome = if rare { Outcome::NoPart } else { Outcome::PartHeld };
+        let id = ids.command_id(at);
+        let link = Detail::Link(LinkEvent { link: Link::Connected, link_cause: None });
+        let events = [
+            command(id, at, &gripper, admitted(part_id.clone())),
+            command(id, at, &gripper, done(at, part_id.clone(), outcome)),
+            Event::new(at, Some(gripper.clone()), link.clone()),
+        ];
+        for event in events {
+            journal.record(Record::Event(event, None));
+        }
+        journal.record(Record::Grip(Box::new(grip(id, at, &gripper, part_id, outcome))));
+        let last = Event::new(at, Some(gripper), link);
+        if number % BURST == 0 {
+            durable(&journal, last).await?;
+        } else {
+            journal.record(Record::Event(last, None));
+        }
+    }
+    Ok(journal.close().await?)
+}
+
+fn grip(id: CommandId, at: Timestamp, gripper: &Name, part_id: Option<PartId>, outcome: Outcome) -> GripRecord {
+    let sample =
+        |i: u16| Sample { t_ms: u32::from(i) * 10, width_mm: 60.0 - f32::from(i), speed_mm_s: -50.0, force_n: 0.0 };
+    GripRecord {
+        id,
+        gripper: gripper.clone(),
+        kind: Kind::Grip,
+        part_id,
+        outcome,
+        subject: "http:127.0.0.1".into(),
+        started_at: at,
+        duration_ms: Some(412),
+        width_mm: Some(20.1),
+        force_n: Some(40.0),
+        peak_force_n: Some(41.5),
+        contact_width_mm: Some(20.2),
+        time_to_contact_ms: Some(300),
+        samples: 40,
+        curve: (0..40).map(sample).collect(),
+    }
+}
+
+/// All combinations of what occurs often, rarely, and never.
+fn filters<K: Copy>(kinds: &[K]) -> Result<Vec<Filter<K>>, Error> {
+    let kinds: Vec<_> = std::iter::once(None).chain(kinds.iter().copied().map(Some)).collect();
+    let mut filters = Vec::new();
+    for gripper in [None, Some("left"), Some("rare"), Some("none")] {
+        let gripper: Option<Name> = gripper.map(str::parse).transpose()?;
+        for &kind in &kinds {
+            for part_id in [None, Some("P-1"), Some("P-rare"), Some("none")] {
+                for outcome in [None, Some(Outcome::PartHeld), Some(Outcome::NoPart), Some(Outcome::Blocked)] {
+                    let (gripper, part_id) = (gripper.clone(), part_id.and_then(PartId::new));
+                    filters.push(Filter { gripper, kind, part_id, outcome, command_id: None });
+                }
+            }
+        }
+    }
+    Ok(filters)
+}
+
+fn pages(reader: &Reader, events: u32) -> Result<Duration, Error> {
+    let kinds = [EventKind::Command, EventKind::Link, EventKind::FastStop];
+    let events_worst = slowest("events", events, filters(&kinds)?, |query: &EventQuery| reader.events(query))?;
+    let kinds = [Kind::Grip, Kind::Move];
+    let grips_worst = slowest("grips", events, filters(&kinds)?, |query: &GripQuery| reader.grips(query))?;
+    Ok(events_worst.max(grips_worst))
+}
+
+fn slowest<K: Copy + std::fmt::Debug>(
+    name: &str,
+    events: u32,
+    filters: Vec<Filter<K>>,
+    read: impl Fn(&Query<K>) -> Result<Page, ReadError>,
+) -> Result<Duration, Error> {
+    let ranges = [
+        (None, None),
+        (Some(time(events / 100)), Some(time(events / 90))),
+        (Some(time(events / 3)), None),
+        (None, Some(time(events / 2))),
+        (Some(time(events / 2 + 100)), Some(time(events / 2 + 101))),
+        (None, Some(Timestamp::UNIX_EPOCH)),
+    ];
+    let (mut worst, mut times) = ((Duration::ZERO, String::new()), Vec::new());
+    for filter in filters {
+        for (from, to) in ranges {
+            for order in [Order::Newest, Order::Oldest] {
+                let query = Query { filter: filter.clone(), from, to, order, ..Query::default() };
+                let mut fastest = Duration::MAX;
+                for _ in 0..READS {
+                    let begun = Instant::now();
+                    read(&query)?;
+                    fastest = fastest.min(begun.elapsed());
+                }
+                times.push(fastest);
+                if fastest > worst.0 {
+                    worst = (fastest, format!("{query:?}"));
+                }
+            }
+        }
+    }
+    times.sort_unstable();
+    let (count, median) = (times.len(), times[times.len() / 2]);
+    println!(
+        "{name}: {count} queries, a page of 100 takes {median:.2?} (median), {:.2?} (worst): {}",
+        worst.0, worst.1
+    );
+    Ok(worst.0)
+}
