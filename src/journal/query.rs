@@ -158,15 +158,6 @@ pub struct Page {
     pub next_cursor: Option<String>,
 }
 
-impl Page {
-    /// As JSON: `{"events": […], "next_cursor": …}`, where `name` is `events`.
-    #[must_use]
-    pub fn to_json(&self, name: &str) -> String {
-        let next_cursor = self.next_cursor.as_ref().map_or("null".to_owned(), |cursor| format!("\"{cursor}\""));
-        format!("{{\"{name}\":[{}],\"next_cursor\":{next_cursor}}}", self.bodies.join(","))
-    }
-}
-
 /// The kinds of one chain's records.
 pub(super) trait ChainKind: Copy + PartialEq + serde::Serialize {
     const CHAIN: Chain;

@@ -201,7 +201,6 @@ async fn a_part_that_is_lost_later_is_told_with_its_grip() {
     assert!(kept(&journal, Event::new(at(61_000), Some(name("left")), Detail::Device(lost)).of(id(1))).await);
     let page = journal.grips(GripQuery::default()).await.unwrap();
     assert!(page.bodies[0].ends_with(r#","part_lost_at":"1970-01-01T00:01:01Z"}"#), "{}", page.bodies[0]);
-    assert_eq!(page.to_json("grips"), format!("{{\"grips\":[{}],\"next_cursor\":null}}", page.bodies[0]));
 }
 
 #[tokio::test]
