@@ -18,12 +18,14 @@ use super::responses::JournalProblem;
 use super::values::{integer, text};
 use crate::gripper::model::{Event, GripRecord, Sample};
 use crate::journal::csv;
-use crate::journal::{EventKind, Filter, Limit, Page, Query, ReadError};
+use crate::journal::{Cursor, EventKind, Filter, Limit, Page, Query, ReadError};
 
 /// The kinds of events, as a mistake names them.
 const EVENT_KINDS: &str = "command, fast_stop, acknowledge, lease, link, device, settings, refused, gateway";
 const GRIP_KINDS: &str = "home, move, grip, release";
 const OUTCOMES: &str = "SUCCESS, PART_HELD, NO_PART, BLOCKED, ABORTED, RANGE, TIMEOUT, FAILED, REFUSED, UNKNOWN";
+/// A sequence number of a journal that outlives the gateway's hardware.
+const MAX_CURSOR_DIGITS: usize = 18;
 const CSV: &str = "text/csv";
 
 #[derive(IntoParams)]
@@ -48,7 +50,7 @@ pub struct RecordsQuery {
     #[param(minimum = 1, maximum = 1000, default = 100)]
     limit: Option<u64>,
     /// `next_cursor` of the page before.
-    #[param(max_length = 32)]
+    #[param(pattern = "^[0-9]{1,18}$")]
     cursor: Option<String>,
     /// `newest` (default) or `oldest` first.
     order: Option<crate::journal::Order>,
@@ -164,9 +166,14 @@ fn query<K: serde::de::DeserializeOwned>(uri: &Uri, kinds: &str, more: &[&str]) 
         from: given.time("from")?,
         to: given.time("to")?,
         limit,
-        cursor: given.parsed("cursor", "next_cursor of the page before", |text| text.parse().ok())?,
+        cursor: given.parsed("cursor", "next_cursor of the page before", cursor)?,
         order: given.word("order", "newest, oldest")?.unwrap_or_default(),
     })
+}
+
+fn cursor(text: &str) -> Option<Cursor> {
+    let is_ours = text.len() <= MAX_CURSOR_DIGITS && text.bytes().all(|byte| byte.is_ascii_digit());
+    is_ours.then(|| text.parse().ok()).flatten()
 }
 
 /// Whether a client wants CSV: it names that, and not JSON before.

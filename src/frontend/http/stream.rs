@@ -80,6 +80,21 @@ pub struct StreamHeaders {
     last_event_id: Option<i64>,
 }
 
+/// One server-sent event.
+#[derive(ToSchema)]
+#[schema(as = StreamMessage)]
+#[allow(dead_code, reason = "the document's words on what stream sends")]
+pub struct Message {
+    /// `event`, `state` or `telemetry`.
+    #[schema(nullable = false)]
+    event: Option<String>,
+    /// An event's `seq`.
+    #[schema(nullable = false)]
+    id: Option<String>,
+    /// The body, as JSON.
+    data: String,
+}
+
 /// One client's stream.
 struct Subscription {
     events: Option<Follow>,
@@ -99,7 +114,7 @@ struct Subscription {
 #[utoipa::path(
     get, path = "/stream", operation_id = "stream", tag = "journal",
     params(StreamQuery, StreamHeaders),
-    responses((status = 200, description = "The stream", body = String, content_type = "text/event-stream"), JournalProblem)
+    responses((status = 200, description = "The stream", body = Message, content_type = "text/event-stream"), JournalProblem)
 )]
 pub async fn stream(
     Shared(context): Shared<Arc<Context>>,
