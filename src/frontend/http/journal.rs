@@ -36,7 +36,7 @@ pub struct RecordsQuery {
     #[param(max_length = 32, pattern = "^[a-z0-9][a-z0-9_-]{0,31}$", example = "left")]
     gripper: Option<String>,
     /// Only of this part.
-    #[param(max_length = 48, example = "4711")]
+    #[param(max_length = 48, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$", example = "4711")]
     part_id: Option<String>,
     /// Only commands that ended like this.
     outcome: Option<crate::gripper::model::Outcome>,

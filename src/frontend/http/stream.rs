@@ -1,6 +1,6 @@
 //! Live updates as server-sent events: what happens, from a given event on without a gap, and the newest states.
 
-use std::collections::VecDeque;
+use std::collections::{HashSet, VecDeque};
 use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::Duration;
@@ -38,7 +38,7 @@ const KEPT_ALIVE_EVERY: Duration = Duration::from_secs(15);
 const RESTS_FOR: Duration = Duration::from_secs(1);
 
 /// What can be followed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Topic {
     /// What happens.
@@ -54,11 +54,7 @@ pub enum Topic {
 #[allow(dead_code, reason = "the document's words on what stream takes from the address")]
 pub struct StreamQuery {
     /// `events` (default), `state`, `telemetry`, or several of them with commas between.
-    #[param(
-        max_length = 64,
-        pattern = "^(events|state|telemetry)(,(events|state|telemetry))*$",
-        example = "events,state"
-    )]
+    #[param(pattern = "^(events|state|telemetry)(,(events|state|telemetry))*$", example = "events,state")]
     topics: Option<String>,
     /// Only of this gripper.
     #[param(max_length = 32, pattern = "^[a-z0-9][a-z0-9_-]{0,31}$", example = "left")]
@@ -99,7 +95,7 @@ pub struct Message {
 struct Subscription {
     events: Option<Follow>,
     grippers: Vec<watch::Receiver<Arc<State>>>,
-    topics: Vec<Topic>,
+    topics: HashSet<Topic>,
     ticks: Interval,
     /// What is to be told, at most a message a topic and gripper.
     ready: VecDeque<sse::Event>,
@@ -132,7 +128,7 @@ impl Subscription {
     fn new(context: &Context, headers: &HeaderMap, uri: &Uri) -> Result<Self, Problem> {
         let given = Parameters::of(uri)?.only(&["topics", "gripper", "max_hz", "after"])?;
         let topics = given.parsed("topics", "events, state, telemetry, with commas between", topics)?;
-        let topics = topics.unwrap_or_else(|| vec![Topic::Events]);
+        let topics = topics.unwrap_or_else(|| HashSet::from([Topic::Events]));
         let name = given.parsed("gripper", "a gripper's name", |text| text.parse().ok())?;
         let grippers: Vec<_> = match &name {
             Some(name) => {
@@ -145,9 +141,10 @@ impl Subscription {
             Some(number) => integer("max_hz", number, 1..=MAX_HZ)?,
             None => DEFAULT_HZ,
         };
+        let after = given.parsed("after", "the seq of an event: 0 or more", seq)?;
         let after = match headers.get("Last-Event-ID").filter(|id| !id.is_empty()) {
-            Some(id) => Some(last_event_id(id.to_str().ok())?),
-            None => given.one("after")?.map(|id| last_event_id(Some(id))).transpose()?,
+            Some(id) => Some(id.to_str().ok().and_then(seq).ok_or_else(bad_last_event_id)?),
+            None => after,
         };
         let filter = Filter { gripper: name, ..Filter::default() };
         let events = topics.contains(&Topic::Events).then(|| context.journal.follow(after, filter));
@@ -213,11 +210,15 @@ async fn next_event(events: &mut Option<Follow>) -> Result<Option<sse::Event>, (
     }
 }
 
-fn topics(text: &str) -> Option<Vec<Topic>> {
+/// Each once, however often it is named.
+fn topics(text: &str) -> Option<HashSet<Topic>> {
     text.split(',').map(|topic| serde_json::from_value(topic.into()).ok()).collect()
 }
 
-fn last_event_id(text: Option<&str>) -> Result<i64, Problem> {
-    let id = text.and_then(|text| text.parse().ok()).filter(|id| *id >= 0);
-    id.ok_or_else(|| Problem::malformed("Last-Event-ID", "Last-Event-ID must be the seq of an event: 0 or more"))
+fn seq(text: &str) -> Option<i64> {
+    text.parse().ok().filter(|seq| *seq >= 0)
+}
+
+fn bad_last_event_id() -> Problem {
+    Problem::malformed("Last-Event-ID", "Last-Event-ID must be the seq of an event: 0 or more")
 }
