@@ -10,7 +10,7 @@ use std::time::Duration;
 use serde::Deserialize;
 use toml::Spanned;
 
-use crate::gripper::model::Name;
+use crate::gripper::model::{LeaseRules, Name, OnLossHolding, OnLossMoving};
 use crate::transport::Address;
 
 mod file;
@@ -94,6 +94,8 @@ pub struct Gripper {
     pub device: Device,
     /// Custom ids that only read; all others count as motion.
     pub read_ids: BTreeSet<u8>,
+    /// What may be asked for of its lease.
+    pub lease: LeaseRules,
     /// Where that is said.
     pub place: Place,
 }
@@ -283,6 +285,7 @@ fn parse_gripper(text: &str, place: &Place) -> Result<Gripper, Mistake> {
         name: name.parse().map_err(|error| Mistake::at(place, error))?,
         device: parse_device(url, place)?,
         read_ids: BTreeSet::new(),
+        lease: LeaseRules::default(),
         place: place.clone(),
     })
 }
@@ -323,6 +326,9 @@ struct GripperContent {
     url: Spanned<String>,
     #[serde(default)]
     read_ids: BTreeSet<u8>,
+    on_loss_moving: Option<Spanned<Vec<OnLossMoving>>>,
+    on_loss_holding: Option<Spanned<Vec<OnLossHolding>>>,
+    lease_max_ttl_ms: Option<Spanned<u64>>,
 }
 
 #[cfg(test)]

@@ -1,8 +1,13 @@
 //! The TOML file.
 
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
-use super::{Content, Gripper, Mistake, Place, owned, parse_device};
+use toml::Spanned;
+
+use super::{Content, Gripper, GripperContent, Mistake, Place, owned, parse_device};
+use crate::gripper::model::LeaseRules;
+use crate::gripper::model::lease::{MAX_TTL, MIN_TTL};
 
 /// A file that was read, with what is needed to name its lines.
 #[derive(Debug)]
@@ -47,10 +52,58 @@ impl File {
                 name: name.get_ref().parse().map_err(|error| Mistake::at(&self.place(name.span().start), error))?,
                 device: parse_device(gripper.url.get_ref(), &place)?,
                 read_ids: gripper.read_ids.clone(),
+                lease: self.lease_rules(gripper)?,
                 place,
             })
         };
         self.content.grippers.iter().map(parse).collect()
+    }
+}
+
+impl File {
+    fn lease_rules(&self, gripper: &GripperContent) -> Result<LeaseRules, Mistake> {
+        let default = LeaseRules::default();
+        let max_ttl = match &gripper.lease_max_ttl_ms {
+            None => default.max_ttl,
+            Some(ms) => {
+                let ttl = Duration::from_millis(*ms.get_ref());
+                if !(MIN_TTL..=MAX_TTL).contains(&ttl) {
+                    let (min, max) = (MIN_TTL.as_millis(), MAX_TTL.as_millis());
+                    let detail = format!("lease_max_ttl_ms is {}, and must be from {min} to {max}", ms.get_ref());
+                    return Err(Mistake::at(&self.place(ms.span().start), detail));
+                }
+                ttl
+            }
+        };
+        Ok(LeaseRules {
+            on_loss_moving: self.one_or_more(
+                "on_loss_moving",
+                gripper.on_loss_moving.as_ref(),
+                default.on_loss_moving,
+            )?,
+            on_loss_holding: self.one_or_more(
+                "on_loss_holding",
+                gripper.on_loss_holding.as_ref(),
+                default.on_loss_holding,
+            )?,
+            max_ttl,
+        })
+    }
+
+    fn one_or_more<T: Clone>(
+        &self,
+        key: &str,
+        given: Option<&Spanned<Vec<T>>>,
+        default: Vec<T>,
+    ) -> Result<Vec<T>, Mistake> {
+        match given {
+            None => Ok(default),
+            Some(words) if words.get_ref().is_empty() => {
+                let detail = format!("{key} is empty: name what clients may choose, what counts by default first");
+                Err(Mistake::at(&self.place(words.span().start), detail))
+            }
+            Some(words) => Ok(words.get_ref().clone()),
+        }
     }
 }
 

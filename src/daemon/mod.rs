@@ -129,13 +129,17 @@ fn spawn_all(config: &Config, devices: &Runtime, journal: &Journal, recovered: &
 
 /// What the journal knows of a gripper from earlier runs.
 fn recollection(recovered: &Recovered, gripper: &Gripper) -> Recollection {
-    let settings =
-        recovered.memory.iter().find(|memory| memory.gripper == gripper.name && memory.key == MemoryKey::Settings);
+    let remembered = |key| {
+        let memory = recovered.memory.iter().find(|memory| memory.gripper == gripper.name && memory.key == key);
+        memory.and_then(|memory| memory.value.clone())
+    };
     let requests = recovered.requests.iter().filter(|request| request.command.gripper == gripper.name);
     Recollection {
-        settings: settings.and_then(|memory| memory.value.clone()),
+        settings: remembered(MemoryKey::Settings),
+        latch: remembered(MemoryKey::Latch),
+        lease: remembered(MemoryKey::Lease),
         requests: requests.cloned().collect(),
-        unannounced: recovered.unclean,
+        unclean: recovered.unclean,
     }
 }
 
@@ -158,6 +162,7 @@ fn spawn(config: &Config, gripper: &Gripper, journal: &Journal, recollection: Re
         read_ids: gripper.read_ids.clone(),
         drain: config.drain,
         on_journal_failure,
+        lease: gripper.lease.clone(),
         seed: rand::rng().random(),
     };
     Ok(gripper::spawn(config, connector, Arc::new(journal.clone()), recollection))

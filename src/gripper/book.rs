@@ -82,7 +82,7 @@ impl Book {
         let key = key(submission);
         let id = command.id;
         let (record, receiver) = watch::channel(Arc::new(command));
-        let ticket = Ticket { record: receiver, replayed: false };
+        let ticket = Ticket { record: receiver, replayed: false, _keep: None };
         if let Some(key) = &key {
             let bound = Bound { ticket: ticket.clone(), asked: asked(submission), since: now };
             self.requests.insert(key.clone(), bound);
@@ -98,7 +98,7 @@ impl Book {
     }
 
     pub(super) fn find(&self, id: CommandId) -> Option<Ticket> {
-        self.commands.get(&id).map(|entry| Ticket { record: entry.record.subscribe(), replayed: false })
+        self.commands.get(&id).map(|entry| Ticket { record: entry.record.subscribe(), replayed: false, _keep: None })
     }
 
     /// Ends a command, which [`Book::tell`] tells its clients. A second end of the same command does nothing.
@@ -138,7 +138,7 @@ impl Book {
         }
         let (key, asked) = ((command.client.clone(), request_id), (command.kind, parameters));
         let command = Arc::new(Command { recorded: true, ..command });
-        let ticket = Ticket { record: watch::channel(command).1, replayed: false };
+        let ticket = Ticket { record: watch::channel(command).1, replayed: false, _keep: None };
         self.requests.insert(key.clone(), Bound { ticket, asked, since });
         self.bound.push_back((since, key));
     }

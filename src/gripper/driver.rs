@@ -11,7 +11,7 @@ use std::time::Duration;
 use futures_util::stream::{FuturesUnordered, StreamExt as _};
 use rand::RngExt;
 use tokio::io::{AsyncReadExt, AsyncWrite, AsyncWriteExt};
-use tokio::sync::{mpsc, oneshot, watch};
+use tokio::sync::{Notify, mpsc, oneshot, watch};
 
 use super::actor::{Actor, Config};
 use super::clock::{Now, sleep_until};
@@ -51,6 +51,7 @@ pub fn spawn(
     actor.recollect(Now::read(), recollection);
     let health = recorder.health();
     let driver = Driver {
+        lease_requests: actor.lease_requests(),
         actor,
         connector,
         recorder,
@@ -73,6 +74,8 @@ struct Driver {
     awaited: FuturesUnordered<Awaited>,
     requests: mpsc::Receiver<Request>,
     fast_stops: mpsc::Receiver<FastStopRequest>,
+    /// Told when a request of the lease's holder ends.
+    lease_requests: Arc<Notify>,
     /// Whether all handles are gone.
     is_abandoned: bool,
 }
@@ -100,6 +103,7 @@ struct LinkIo {
 enum Input {
     FastStop(Option<FastStopRequest>),
     Deadline,
+    LeaseRequestClosed,
     Recorded(CommandId, bool),
     Health(Health),
     Request(Option<Request>),
@@ -221,6 +225,7 @@ impl Driver {
                     _ => std::future::pending().await,
                 }
             }, if is_writing => Input::Written(written),
+            () = self.lease_requests.notified() => Input::LeaseRequestClosed,
             () = sleep_until(deadline) => Input::Deadline,
             Some((id, durable)) = self.awaited.next() => Input::Recorded(id, durable),
             Ok(()) = self.health.changed() => Input::Health(self.health.borrow_and_update().clone()),
@@ -259,6 +264,7 @@ impl Driver {
                 self.actor.abandon(Now::read());
             }
             Input::Deadline => self.actor.handle_timeout(Now::read()),
+            Input::LeaseRequestClosed => self.actor.lease_request_closed(Now::read()),
             Input::Recorded(id, durable) => self.actor.recorded(Now::read(), id, durable),
             Input::Health(health) => self.actor.journal_health(Now::read(), health),
             Input::Written(_) | Input::Read(_) => {}

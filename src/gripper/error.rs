@@ -1,6 +1,8 @@
 //! Why a request was not done. Bad input, the gateway's own state, the device's refusal and our failure are
 //! different types, and every door maps each to its own words in one exhaustive match.
 
+use std::sync::Arc;
+
 use crate::wsg::Status;
 
 use super::model::{CommandId, FastStopId, Link};
@@ -104,12 +106,45 @@ pub enum Conflict {
         /// What is lost.
         settings: String,
     },
+    /// Somebody else holds the lease, or the gripper is reserved.
+    #[error("{}", lease_held(holder, *expires_in_ms))]
+    LeaseHeld {
+        /// Who.
+        holder: Arc<str>,
+        /// How long it lives without use; none where the gripper is reserved for a holder that was lost.
+        expires_in_ms: Option<u64>,
+    },
     /// The lease token isn't that of the lease.
-    #[error("the lease token is not valid: no lease is held")]
-    StaleLease,
+    #[error("{}", stale_lease(*epoch, holder.as_deref()))]
+    StaleLease {
+        /// The newest lease's.
+        epoch: u64,
+        /// Who holds that.
+        holder: Option<Arc<str>>,
+    },
     /// The request id was used for something else.
     #[error("the request id was used for another request: a new request needs a new id")]
     RequestIdReused,
+}
+
+fn lease_held(holder: &str, expires_in_ms: Option<u64>) -> String {
+    match expires_in_ms {
+        Some(ms) => format!(
+            "{holder} holds the lease, for {ms} ms more if it is not renewed: wait, ask for it with request, or have a \
+             supervisor force it"
+        ),
+        None => format!(
+            "the gripper holds a part, and is reserved for {holder}, which was lost: {holder} or a supervisor may take \
+             the lease"
+        ),
+    }
+}
+
+fn stale_lease(epoch: u64, holder: Option<&str>) -> String {
+    match holder {
+        Some(holder) => format!("the lease token is not valid any more: {holder} holds lease {epoch}"),
+        None => format!("the lease token is not valid: no lease is held, and the newest was {epoch}; take it anew"),
+    }
 }
 
 fn stale_fast_stop(given: FastStopId, current: Option<FastStopId>) -> String {

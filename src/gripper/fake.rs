@@ -6,11 +6,14 @@ use std::sync::Arc;
 use jiff::Timestamp;
 use tokio::sync::{mpsc, watch};
 
+use super::clock;
 use super::error::Rejection;
-use super::handle::{FastStopRequest, Handle, Request, Ticket};
+use super::handle::{FastStopRequest, Granted, Handle, Request, Ticket};
 use super::info::Info;
+use super::lease::{Leasing, Terms};
 use super::model::{
-    Command, CommandId, FastStopCause, FastStopId, LatchFields, Name, Outcome, Phase, Reason, State, Submission,
+    Command, CommandId, FastStopCause, FastStopId, LatchFields, LeaseRules, LeaseToken, Name, Outcome, Phase, Reason,
+    State, Submission, TakeLease,
 };
 use crate::wsg::{self, Data};
 
@@ -59,7 +62,8 @@ pub fn gripper(name: &str, script: Script) -> (Handle, mpsc::UnboundedReceiver<S
     let (states, state) = watch::channel(Arc::new(unheard(name.clone())));
     let info = Info::unknown(name.clone(), "sim://wsg50".to_owned(), "sim", false);
     let (seen, looked_at) = mpsc::unbounded_channel();
-    let actor = Actor { name: name.clone(), script, seen, states, commands: HashMap::new() };
+    let actor =
+        Actor { name: name.clone(), script, seen, states, commands: HashMap::new(), leasing: Leasing::default() };
     tokio::spawn(actor.run(asked, stopped));
     (Handle { name, requests, fast_stops, state, info: watch::channel(Arc::new(info)).1 }, looked_at)
 }
@@ -70,6 +74,7 @@ struct Actor {
     seen: mpsc::UnboundedSender<Seen>,
     states: watch::Sender<Arc<State>>,
     commands: HashMap<CommandId, watch::Sender<Arc<Command>>>,
+    leasing: Leasing,
 }
 
 impl Actor {
@@ -107,7 +112,7 @@ impl Actor {
                 let _ = answer.send(self.submit(&submission, id));
                 self.see(Seen::Submission(submission));
             }
-            Request::Find { id, answer } => {
+            Request::Find { id, answer, .. } => {
                 let _ = answer.send(self.ticket(id));
             }
             Request::Cancel { id, answer, .. } => {
@@ -124,10 +129,38 @@ impl Actor {
                 let _ = answer.send(self.script.acknowledge.clone());
                 self.see(Seen::Acknowledge(id));
             }
+            Request::Lease { answer } => {
+                let _ = answer.send(self.leasing.lease(clock::instant(), None));
+            }
+            Request::TakeLease { take, token, answer } => {
+                let _ = answer.send(self.take(&take, token));
+            }
+            Request::RenewLease { token, answer } => {
+                let renewed = self.leasing.renew(clock::instant(), token.as_ref());
+                let _ = answer
+                    .send(renewed.map(|()| self.leasing.lease(clock::instant(), token.as_ref())).map_err(Into::into));
+            }
+            Request::HandOver { token, to, new, answer } => {
+                let given = self.leasing.hand_over(clock::instant(), token.as_ref(), &to, new);
+                let _ = answer.send(given.map(|_| self.leasing.lease(clock::instant(), None)));
+            }
+            Request::ReleaseLease { token, answer } => {
+                self.leasing.end(token.as_ref());
+                let _ = answer.send(self.leasing.lease(clock::instant(), None));
+            }
+            Request::LoseLease { token } => {
+                self.leasing.end(Some(&token));
+            }
             Request::Drain { answer } => {
                 let _ = answer.send(());
             }
         }
+    }
+
+    fn take(&mut self, take: &TakeLease, token: LeaseToken) -> Result<Granted, Rejection> {
+        let terms = Terms::of(take, &LeaseRules::default())?;
+        self.leasing.take(clock::instant(), take, terms, token)?;
+        Ok(Granted { lease: self.leasing.lease(clock::instant(), self.leasing.token()), keep: None })
     }
 
     fn submit(&mut self, submission: &Submission, id: CommandId) -> Result<Ticket, Rejection> {
@@ -144,12 +177,12 @@ impl Actor {
         command.recorded = true;
         let (record, newest) = watch::channel(Arc::new(command));
         self.commands.insert(id, record);
-        Ok(Ticket { record: newest, replayed: false })
+        Ok(Ticket { record: newest, replayed: false, _keep: None })
     }
 
     fn ticket(&self, id: CommandId) -> Option<Ticket> {
         let record = self.commands.get(&id)?;
-        Some(Ticket { record: record.subscribe(), replayed: false })
+        Some(Ticket { record: record.subscribe(), replayed: false, _keep: None })
     }
 }
 

@@ -7,7 +7,11 @@ use tokio::sync::{mpsc, oneshot, watch};
 
 use super::error::{Failure, Rejection};
 use super::info::Info;
-use super::model::{Client, Command, CommandId, FastStopId, Link, Name, Phase, Reason, State, Submission};
+use super::lease::Keep;
+use super::model::{
+    Client, Command, CommandId, FastStopCause, FastStopId, Lease, LeaseToken, Link, Name, Phase, Reason, State,
+    Submission, TakeLease,
+};
 use crate::wsg;
 
 /// Requests that may wait for the actor. It answers each within microseconds, so more than this many waiting means
@@ -26,10 +30,16 @@ pub const FAST_STOP_WAIT: Duration = Duration::from_millis(250);
 #[allow(missing_docs, reason = "said at the handle's methods")]
 pub enum Request {
     Submit { submission: Submission, id: CommandId, answer: Answer<Ticket> },
-    Find { id: CommandId, answer: oneshot::Sender<Option<Ticket>> },
+    Find { id: CommandId, lease: Option<LeaseToken>, answer: oneshot::Sender<Option<Ticket>> },
     Cancel { id: CommandId, client: Client, answer: oneshot::Sender<Option<Ticket>> },
-    Exchange { command: wsg::Command, client: Client, answer: Answer<wsg::Data> },
+    Exchange { command: wsg::Command, client: Client, lease: Option<LeaseToken>, answer: Answer<wsg::Data> },
     Acknowledge { id: FastStopId, client: Client, answer: Answer<()> },
+    Lease { answer: oneshot::Sender<Lease> },
+    TakeLease { take: TakeLease, token: LeaseToken, answer: Answer<Granted> },
+    RenewLease { token: Option<LeaseToken>, answer: Answer<Lease> },
+    HandOver { token: Option<LeaseToken>, to: String, new: LeaseToken, answer: Answer<Lease> },
+    ReleaseLease { token: Option<LeaseToken>, answer: oneshot::Sender<Lease> },
+    LoseLease { token: LeaseToken },
     Drain { answer: oneshot::Sender<()> },
 }
 
@@ -37,13 +47,15 @@ pub enum Request {
 pub type Answer<T> = oneshot::Sender<Result<T, Rejection>>;
 
 /// A FAST STOP on its way to the actor, on a lane of its own.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct FastStopRequest {
     /// What an acknowledge will have to name.
     pub id: FastStopId,
     /// Who asks.
     pub client: Client,
-    /// Why.
+    /// Why, in the gateway's words.
+    pub cause: FastStopCause,
+    /// Why, in the client's.
     pub reason: Reason,
 }
 
@@ -56,11 +68,21 @@ pub struct FastStop {
     pub confirmed: bool,
 }
 
-/// A command that was admitted, and can be waited for.
+/// A lease that was taken.
+#[derive(Debug)]
+pub struct Granted {
+    /// The lease, with its token.
+    pub lease: Lease,
+    /// Keeps it from running out: for a door whose client's connection is as good as a use.
+    pub keep: Option<Keep>,
+}
+
+/// A command that was admitted, and can be waited for: its client's lease doesn't run out meanwhile.
 #[derive(Debug, Clone)]
 pub struct Ticket {
     pub(super) record: watch::Receiver<Arc<Command>>,
     pub(super) replayed: bool,
+    pub(super) _keep: Option<Arc<Keep>>,
 }
 
 impl Ticket {
@@ -69,6 +91,12 @@ impl Ticket {
     pub fn now(&self) -> Command {
         let record = Command::clone(&self.record.borrow());
         Command { replayed: self.replayed, ..record }
+    }
+
+    /// The same, for who only watches: its client's lease does not wait for it.
+    #[must_use]
+    pub fn watched(&self) -> Self {
+        Self { _keep: None, ..self.clone() }
     }
 
     /// Waits until it is written down, which the actor bounds.
@@ -148,8 +176,8 @@ impl Handle {
     ///
     /// # Errors
     /// [`Failure`], where the actor can't be asked.
-    pub async fn find(&self, id: CommandId) -> Result<Option<Ticket>, Failure> {
-        self.ask(|answer| Request::Find { id, answer }).await
+    pub async fn find(&self, id: CommandId, lease: Option<LeaseToken>) -> Result<Option<Ticket>, Failure> {
+        self.ask(|answer| Request::Find { id, lease, answer }).await
     }
 
     /// Stops a command if it still runs.
@@ -165,8 +193,61 @@ impl Handle {
     ///
     /// # Errors
     /// [`Rejection`]
-    pub async fn exchange(&self, command: wsg::Command, client: Client) -> Result<wsg::Data, Rejection> {
-        self.ask(|answer| Request::Exchange { command, client, answer }).await?
+    pub async fn exchange(
+        &self,
+        command: wsg::Command,
+        client: Client,
+        lease: Option<LeaseToken>,
+    ) -> Result<wsg::Data, Rejection> {
+        self.ask(|answer| Request::Exchange { command, client, lease, answer }).await?
+    }
+
+    /// The lease as it is.
+    ///
+    /// # Errors
+    /// [`Failure`], where the actor can't be asked.
+    pub async fn lease(&self) -> Result<Lease, Failure> {
+        self.ask(|answer| Request::Lease { answer }).await
+    }
+
+    /// Takes the lease, or changes the terms of the one that is held already.
+    ///
+    /// # Errors
+    /// [`Rejection`]
+    pub async fn take_lease(&self, take: TakeLease) -> Result<Granted, Rejection> {
+        let token = LeaseToken::generate();
+        self.ask(|answer| Request::TakeLease { take, token, answer }).await?
+    }
+
+    /// Renews the lease of this token.
+    ///
+    /// # Errors
+    /// [`Rejection`], where it is nobody's.
+    pub async fn renew_lease(&self, token: Option<LeaseToken>) -> Result<Lease, Rejection> {
+        self.ask(|answer| Request::RenewLease { token, answer }).await?
+    }
+
+    /// Gives the lease of this token to who has asked for it.
+    ///
+    /// # Errors
+    /// [`Rejection`]
+    pub async fn hand_over(&self, token: Option<LeaseToken>, to: String) -> Result<Lease, Rejection> {
+        let new = LeaseToken::generate();
+        self.ask(|answer| Request::HandOver { token, to, new, answer }).await?
+    }
+
+    /// Gives the lease of this token back: a running motion is stopped. Where the token is nobody's, nothing happens.
+    ///
+    /// # Errors
+    /// [`Failure`], where the actor can't be asked.
+    pub async fn release_lease(&self, token: Option<LeaseToken>) -> Result<Lease, Failure> {
+        self.ask(|answer| Request::ReleaseLease { token, answer }).await
+    }
+
+    /// The client that holds the lease of this token was lost.
+    pub async fn lose_lease(&self, token: LeaseToken) {
+        // An actor that is gone has given its device up.
+        let _ = self.requests.send(Request::LoseLease { token }).await;
     }
 
     /// FAST STOP: waits for nothing but the device's confirmation, and for that at most [`FAST_STOP_WAIT`].
@@ -176,7 +257,7 @@ impl Handle {
             state.latch.as_ref().is_some_and(|latch| latch.fast_stop_id >= id && latch.fast_stop_confirmed)
         };
         let stop = async {
-            self.fast_stops.send(FastStopRequest { id, client, reason }).await.ok()?;
+            self.fast_stops.send(FastStopRequest { id, client, cause: FastStopCause::Requested, reason }).await.ok()?;
             states.wait_for(confirmed_by).await.ok().map(drop)
         };
         let confirmed = tokio::time::timeout(FAST_STOP_WAIT, stop).await.is_ok_and(|confirmed| confirmed.is_some());

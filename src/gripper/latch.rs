@@ -99,6 +99,12 @@ impl Latching {
         self.latch.as_ref().is_some_and(|latch| !latch.confirmed)
     }
 
+    /// After a restart of the gateway: this one held, and holds. The device may have forgotten it.
+    pub(super) fn recollect(&mut self, now: Instant, latch: Latch) {
+        self.latch = Some(Latch { confirmed: false, ..latch });
+        self.flags_count_from = Some(now);
+    }
+
     /// Latches a client's FAST STOP. Returns an acknowledge on its way, which must not come after it.
     pub(super) fn request(&mut self, now: Now, request: FastStopRequest) -> Option<Token> {
         let was_acknowledging = self.acknowledging.is_some();
@@ -114,7 +120,7 @@ impl Latching {
         self.latch = Some(Latch {
             id: request.id,
             by: request.client.subject,
-            cause: FastStopCause::Requested,
+            cause: request.cause,
             reason: request.reason,
             at: now.wall,
             confirmed: false,

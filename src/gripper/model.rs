@@ -16,12 +16,17 @@ use super::error::Rejection;
 use crate::wsg::{Force, HomingDirection, MoveFlags, Speed, Status, Width};
 
 mod event;
+pub mod lease;
 mod record;
 mod state;
 
 pub use event::{
     AcknowledgeEvent, Admitted, CommandEvent, Detail, DeviceEvent, Direction, Done, Event, FastStopEvent, FastStopStep,
     GatewayEvent, LinkEvent, OnBlock, Parameters, RefusedEvent, SettingChange, SettingsEvent,
+};
+pub use lease::{
+    HolderName, Lease, LeaseEvent, LeaseRules, LeaseStep, LeaseToken, LossCause, LossEffect, OnLossHolding,
+    OnLossMoving, TakeLease,
 };
 pub use record::{GripRecord, Memory, MemoryKey, Sample};
 pub use state::{FastStopCause, Latch, LatchFields, Link, State, Telemetry};
@@ -294,7 +299,7 @@ pub struct Submission {
     /// Makes the request safe to repeat.
     pub request_id: Option<RequestId>,
     /// The lease token that came with it.
-    pub lease: Option<String>,
+    pub lease: Option<LeaseToken>,
 }
 
 /// The kind of a command.

@@ -30,10 +30,14 @@ pub enum Record {
 pub struct Recollection {
     /// The value of [`MemoryKey::Settings`](super::model::MemoryKey::Settings).
     pub settings: Option<String>,
+    /// The value of [`MemoryKey::Latch`](super::model::MemoryKey::Latch).
+    pub latch: Option<String>,
+    /// The value of [`MemoryKey::Lease`](super::model::MemoryKey::Lease).
+    pub lease: Option<String>,
     /// The requests with ids of their own, so that a repetition moves nothing again: the oldest first.
     pub requests: Vec<PastRequest>,
-    /// Whether that run's connection ended without an announcement.
-    pub unannounced: bool,
+    /// Whether that run has not ended in order, so that nothing was announced, and its last records may be missing.
+    pub unclean: bool,
 }
 
 /// A request of an earlier run with an id of its own, and the command that it became.

@@ -220,6 +220,48 @@ impl Command {
         id::is_motion(self.id())
     }
 
+    /// Whether it asks, and leaves the gripper and its settings as they are.
+    #[must_use]
+    pub fn is_read(&self) -> bool {
+        match self {
+            Self::Loop(_)
+            | Self::GetAcceleration
+            | Self::GetForceLimit
+            | Self::GetSoftLimits
+            | Self::GetSystemState(_)
+            | Self::GetGripperState(_)
+            | Self::GetStatistics { reset: false }
+            | Self::GetWidth(_)
+            | Self::GetSpeed(_)
+            | Self::GetForce(_)
+            | Self::GetTemperature
+            | Self::GetSystemInfo
+            | Self::GetDeviceTag
+            | Self::GetSystemLimits
+            | Self::GetFingerInfo(_)
+            | Self::GetFingerFlags(_)
+            | Self::GetFingerData(_) => true,
+            Self::DisconnectAnnouncement
+            | Self::Homing(_)
+            | Self::PrePosition { .. }
+            | Self::Stop
+            | Self::FastStop
+            | Self::AcknowledgeFastStop
+            | Self::Grip { .. }
+            | Self::Release { .. }
+            | Self::SetAcceleration(_)
+            | Self::SetForceLimit(_)
+            | Self::SetSoftLimits(_)
+            | Self::ClearSoftLimits
+            | Self::OverdriveMode { .. }
+            | Self::TareForceSensor
+            | Self::GetStatistics { reset: true }
+            | Self::SetDeviceTag(_)
+            | Self::FingerPower { .. }
+            | Self::Custom(_) => false,
+        }
+    }
+
     /// Whether its first reply is `E_CMD_PENDING`, and a second one brings the result (`fw4-en 1.3`).
     #[must_use]
     pub fn is_two_step(&self) -> bool {

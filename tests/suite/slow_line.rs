@@ -39,7 +39,7 @@ async fn a_fast_stop_waits_for_one_frame_at_most() {
         .map(|id| {
             let handle = rig.handle.clone();
             let command = Command::Custom(CustomCommand::new(id, vec![id; PAYLOAD_BYTES]).unwrap());
-            tokio::spawn(async move { handle.exchange(command, client()).await })
+            tokio::spawn(async move { handle.exchange(command, client(), None).await })
         })
         .collect();
     // While one of them is on the line.

@@ -9,9 +9,11 @@ use axum::http::header::{CONNECTION, HeaderValue};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use http_body_util::{BodyExt, LengthLimitError, Limited};
+use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 use tokio::time::timeout;
+use utoipa::ToSchema;
 
 use super::errors::{Code, Problem};
 
@@ -77,6 +79,16 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Body<T> {
     async fn from_request(request: Request, _: &S) -> Result<Self, Problem> {
         parse(&read(request.into_body()).await?).map(Self)
     }
+}
+
+/// A body that says nothing but whose it is.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(example = json!({}))]
+pub struct Leased {
+    /// The lease's token, while somebody holds one; empty is none.
+    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
+    pub lease: Option<String>,
 }
 
 /// The object in `bytes`.

@@ -12,7 +12,7 @@ use utoipa::{IntoResponses, ToSchema};
 use super::body::Body;
 use super::errors::Problem;
 use super::extract::{
-    CommandOf, CommandPath, DEFAULT_WAIT_MS, Gripper, GripperPath, Keys, NoWaitQuery, WaitMs, WaitQuery,
+    CommandOf, CommandPath, DEFAULT_WAIT_MS, Gripper, GripperPath, Keys, LeaseHeader, NoWaitQuery, WaitMs, WaitQuery,
 };
 use super::responses::CommandProblem;
 use super::{API, Context};
@@ -76,7 +76,7 @@ fn known(ticket: Option<Ticket>) -> Result<Ticket, Problem> {
     path = "/grippers/{gripper}/commands/{command}",
     operation_id = "get_command",
     tag = "commands",
-    params(GripperPath, CommandPath, NoWaitQuery),
+    params(GripperPath, CommandPath, NoWaitQuery, LeaseHeader),
     responses((status = 200, description = "The command", body = Command), CommandProblem)
 )]
 pub async fn get(
@@ -85,7 +85,7 @@ pub async fn get(
     CommandOf(id): CommandOf,
     wait: WaitMs<0>,
 ) -> Result<Json<Command>, Problem> {
-    if let Some(mut ticket) = gripper.handle.find(id).await? {
+    if let Some(mut ticket) = gripper.handle.find(id, gripper.token()).await? {
         return Ok(Json(ticket.wait(wait.0).await));
     }
     let written_down = context.journal.command(gripper.handle.name().clone(), id).await?;

@@ -4,10 +4,9 @@ use axum::Json;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::body::Body;
-use super::commands::Nothing;
+use super::body::{Body, Leased};
 use super::errors::Problem;
-use super::extract::{Gripper, GripperPath};
+use super::extract::{Gripper, GripperPath, LeaseHeader};
 use super::responses::DeviceProblem;
 use super::values::bytes;
 use crate::gripper::{Failure, Rejection};
@@ -65,15 +64,15 @@ pub async fn statistics(gripper: Gripper) -> Result<Json<StatisticsAnswer>, Prob
 /// Answers with what they were.
 #[utoipa::path(
     post, path = "/grippers/{gripper}/statistics/reset", operation_id = "reset_statistics", tag = "device",
-    params(GripperPath),
-    request_body(content = Option<Nothing>, description = "Nothing, or an empty object"),
+    params(GripperPath, LeaseHeader),
+    request_body(content = Option<Leased>, description = "Nothing, or the lease's token"),
     responses((status = 200, description = "The statistics before the reset", body = StatisticsAnswer), DeviceProblem)
 )]
 pub async fn reset_statistics(
     gripper: Gripper,
-    Body(Nothing {}): Body<Nothing>,
+    Body(Leased { lease }): Body<Leased>,
 ) -> Result<Json<StatisticsAnswer>, Problem> {
-    count(gripper, true).await
+    count(gripper.with_lease(lease.as_deref())?, true).await
 }
 
 /// A force sensor, tared.
@@ -92,11 +91,12 @@ pub struct Tared {
 /// Needs a force measurement finger, and is refused while a part is held.
 #[utoipa::path(
     post, path = "/grippers/{gripper}/tare", operation_id = "tare", tag = "device",
-    params(GripperPath),
-    request_body(content = Option<Nothing>, description = "Nothing, or an empty object"),
+    params(GripperPath, LeaseHeader),
+    request_body(content = Option<Leased>, description = "Nothing, or the lease's token"),
     responses((status = 200, description = "The sensor is tared", body = Tared), DeviceProblem)
 )]
-pub async fn tare(gripper: Gripper, Body(Nothing {}): Body<Nothing>) -> Result<Json<Tared>, Problem> {
+pub async fn tare(gripper: Gripper, Body(Leased { lease }): Body<Leased>) -> Result<Json<Tared>, Problem> {
+    let gripper = gripper.with_lease(lease.as_deref())?;
     gripper.exchange(wsg::Command::TareForceSensor).await?;
     Ok(Json(Tared { gripper: gripper.name(), tared: true }))
 }

@@ -1,5 +1,7 @@
 //! Problems (RFC 9457): everything that is refused or fails, in one form, with a code that programs can rely on.
 
+use std::sync::Arc;
+
 use axum::Json;
 use axum::http::{HeaderValue, StatusCode, header};
 use axum::response::{IntoResponse, Response};
@@ -60,6 +62,8 @@ codes! {
     NotReferenced CONFLICT;
     /// A command is running.
     AlreadyRunning CONFLICT;
+    /// Somebody else holds the lease, or the gripper is reserved.
+    LeaseHeld CONFLICT;
     /// The lease token isn't that of the lease.
     StaleLease CONFLICT;
     /// The acknowledge names a FAST STOP that isn't the newest.
@@ -142,6 +146,14 @@ pub struct Members {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<uuid::Uuid>, nullable = false)]
     command: Option<CommandId>,
+    /// Who holds the lease; only where that is in the way.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<String>, nullable = false)]
+    holder: Option<Arc<str>>,
+    /// How long its lease lives without use; only where somebody holds it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false, minimum = 0, maximum = 9_007_199_254_740_991_i64)]
+    expires_in_ms: Option<u64>,
     /// Whether the journal has it already, as a command's end.
     #[serde(skip)]
     #[schema(ignore)]
@@ -166,6 +178,8 @@ impl Problem {
             device_status_code: None,
             fast_stop_id: None,
             command: None,
+            holder: None,
+            expires_in_ms: None,
             is_recorded: false,
         }))
     }
@@ -245,6 +259,11 @@ impl Problem {
         self
     }
 
+    fn lease(mut self, holder: Option<Arc<str>>, expires_in_ms: Option<u64>) -> Self {
+        (self.0.holder, self.0.expires_in_ms) = (holder, expires_in_ms);
+        self
+    }
+
     fn command(mut self, id: CommandId) -> Self {
         self.0.command = Some(id);
         self
@@ -305,7 +324,10 @@ impl From<Conflict> for Problem {
             Conflict::AlreadyRunning { id } => Self::new(Code::AlreadyRunning, detail).command(id),
             Conflict::CustomRunning => Self::new(Code::AlreadyRunning, detail),
             Conflict::SettingsLost { .. } => Self::new(Code::DeviceRefused, detail),
-            Conflict::StaleLease => Self::new(Code::StaleLease, detail),
+            Conflict::LeaseHeld { holder, expires_in_ms } => {
+                Self::new(Code::LeaseHeld, detail).lease(Some(holder), expires_in_ms)
+            }
+            Conflict::StaleLease { epoch: _, holder } => Self::new(Code::StaleLease, detail).lease(holder, None),
             Conflict::RequestIdReused => Self::new(Code::RequestIdReused, detail),
         }
     }

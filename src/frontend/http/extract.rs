@@ -13,7 +13,7 @@ use super::Context;
 use super::errors::{Code, Problem};
 use super::parameters::Parameters;
 use super::values::{integer, text};
-use crate::gripper::model::{Client, CommandId, Door, RequestId, Text};
+use crate::gripper::model::{Client, CommandId, Door, LeaseToken, RequestId, Text};
 use crate::gripper::{Handle, Rejection};
 use crate::wsg::{self, Finger};
 
@@ -40,6 +40,8 @@ pub struct GripperPath {
 pub struct Gripper {
     pub handle: Handle,
     pub client: Client,
+    /// The lease's token, where it could be read: a FAST STOP asks for none, and must not fail for it.
+    pub lease: Result<Option<LeaseToken>, Problem>,
 }
 
 impl Gripper {
@@ -48,9 +50,20 @@ impl Gripper {
         self.handle.name().to_string()
     }
 
+    /// With the lease's token of the body, too.
+    pub fn with_lease(self, body: Option<&str>) -> Result<Self, Problem> {
+        let Keys { lease, .. } = Keys { lease: self.lease?, request_id: None }.or_body(None, body)?;
+        Ok(Self { lease: Ok(lease), ..self })
+    }
+
+    /// The lease's token, if there is one.
+    pub fn token(&self) -> Option<LeaseToken> {
+        self.lease.as_ref().ok().cloned().flatten()
+    }
+
     /// One request to the device that moves nothing.
     pub async fn exchange(&self, command: wsg::Command) -> Result<wsg::Data, Rejection> {
-        self.handle.exchange(command, self.client.clone()).await
+        self.handle.exchange(command, self.client.clone(), self.token()).await
     }
 }
 
@@ -61,7 +74,8 @@ impl FromRequestParts<Arc<Context>> for Gripper {
         let unknown = || Problem::not_found("gripper of this name");
         let name = path_parameter(parts, "gripper").await?.parse().map_err(|_| unknown())?;
         let handle = context.fleet.get(&name).ok_or_else(unknown)?.clone();
-        Ok(Self { handle, client: Asker::of(&parts.extensions).0 })
+        let lease = Keys::of(&parts.headers).map(|keys| keys.lease);
+        Ok(Self { handle, client: Asker::of(&parts.extensions).0, lease })
     }
 }
 
@@ -180,6 +194,15 @@ impl<const DEFAULT: u64> FromRequestParts<Arc<Context>> for WaitMs<DEFAULT> {
 
 #[derive(IntoParams)]
 #[into_params(parameter_in = Header)]
+#[allow(dead_code, reason = "the document's words on what Gripper takes from the headers")]
+pub struct LeaseHeader {
+    /// The lease's token, while somebody holds one. While the request is open, the lease doesn't run out.
+    #[param(rename = "Wsg-Lease", nullable = false, max_length = 64, pattern = "^([!-~]([ -~]*[!-~])?)?$")]
+    wsg_lease: Option<String>,
+}
+
+#[derive(IntoParams)]
+#[into_params(parameter_in = Header)]
 #[allow(dead_code, reason = "the document's words on what Keys takes from the headers")]
 pub struct KeyHeaders {
     /// The same as `request_id` in the body, for clients that have it as a header.
@@ -194,10 +217,16 @@ pub struct KeyHeaders {
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Keys {
     pub request_id: Option<RequestId>,
-    pub lease: Option<String>,
+    pub lease: Option<LeaseToken>,
 }
 
 impl Keys {
+    /// Those of the headers.
+    fn of(headers: &HeaderMap) -> Result<Self, Problem> {
+        let lease = header::<MAX_LEASE_BYTES>(headers, "Wsg-Lease")?;
+        Ok(Self { request_id: header(headers, "Idempotency-Key")?, lease: lease.map(|lease| lease.as_str().into()) })
+    }
+
     /// Those of the body, too. An empty one is none: clients with fixed fields send that.
     pub fn or_body(self, request_id: Option<&str>, lease: Option<&str>) -> Result<Self, Problem> {
         let given = |text: &&str| !text.is_empty();
@@ -205,7 +234,7 @@ impl Keys {
         let lease = lease.filter(given).map(|given| text::<MAX_LEASE_BYTES>("lease", given)).transpose()?;
         Ok(Self {
             request_id: one_of("request_id", self.request_id, request_id)?,
-            lease: one_of("lease", self.lease, lease.map(|lease| lease.as_str().to_owned()))?,
+            lease: one_of("lease", self.lease, lease.map(|lease| lease.as_str().into()))?,
         })
     }
 }
@@ -224,11 +253,7 @@ impl FromRequestParts<Arc<Context>> for Keys {
     type Rejection = Problem;
 
     async fn from_request_parts(parts: &mut Parts, _: &Arc<Context>) -> Result<Self, Problem> {
-        let lease = header::<MAX_LEASE_BYTES>(&parts.headers, "Wsg-Lease")?;
-        Ok(Self {
-            request_id: header(&parts.headers, "Idempotency-Key")?,
-            lease: lease.map(|lease| lease.as_str().to_owned()),
-        })
+        Self::of(&parts.headers)
     }
 }
 

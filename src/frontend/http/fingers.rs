@@ -7,7 +7,7 @@ use utoipa::ToSchema;
 use super::body::Body;
 use super::device::ask;
 use super::errors::Problem;
-use super::extract::{FingerOf, FingerPath, Gripper, GripperPath};
+use super::extract::{FingerOf, FingerPath, Gripper, GripperPath, LeaseHeader};
 use super::responses::DeviceProblem;
 use crate::wsg::{self, Data, Finger};
 
@@ -107,6 +107,9 @@ pub async fn data(gripper: Gripper, FingerOf(finger): FingerOf) -> Result<Json<F
 pub struct Power {
     /// On or off.
     enabled: bool,
+    /// The lease's token, while somebody holds one; empty is none.
+    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
+    lease: Option<String>,
 }
 
 /// A finger's power, switched.
@@ -128,15 +131,16 @@ pub struct PowerAnswer {
 /// Generic fingers only (firmware 4 and up). On takes about half a second.
 #[utoipa::path(
     put, path = "/grippers/{gripper}/fingers/{finger}/power", operation_id = "set_finger_power", tag = "device",
-    params(GripperPath, FingerPath),
+    params(GripperPath, FingerPath, LeaseHeader),
     request_body = Power,
     responses((status = 200, description = "It is switched", body = PowerAnswer), DeviceProblem)
 )]
 pub async fn power(
     gripper: Gripper,
     FingerOf(finger): FingerOf,
-    Body(Power { enabled }): Body<Power>,
+    Body(Power { enabled, lease }): Body<Power>,
 ) -> Result<Json<PowerAnswer>, Problem> {
+    let gripper = gripper.with_lease(lease.as_deref())?;
     gripper.exchange(wsg::Command::FingerPower { finger, on: enabled }).await?;
     Ok(Json(PowerAnswer { gripper: gripper.name(), finger: number(finger), enabled }))
 }

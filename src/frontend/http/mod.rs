@@ -18,6 +18,7 @@ mod fingers;
 mod grippers;
 mod guard;
 mod journal;
+mod lease;
 mod motions;
 mod parameters;
 mod prompt;
@@ -154,6 +155,8 @@ fn api() -> Routes {
         .routes(routes!(device::tare))
         .routes(routes!(device::loop_back))
         .routes(routes!(raw::raw))
+        .routes(routes!(lease::get, lease::take, lease::renew, lease::release))
+        .routes(routes!(lease::hand_over))
         .routes(routes!(journal::events))
         .routes(routes!(journal::grips))
         .routes(routes!(journal::grip))

@@ -135,6 +135,7 @@ pub async fn raw(gripper: Gripper, wait: Wait, keys: Keys, Body(body): Body<Raw>
             Ok(Json(answer).into_response())
         }
         Path::Exchange(command) => {
+            let gripper = Gripper { lease: Ok(keys.lease), ..gripper };
             let payload = payload_of(id, &gripper.exchange(command).await?);
             Ok(Json(RawAnswer { payload, ..RawAnswer::new(name, id, Some(Status::E_SUCCESS)) }).into_response())
         }

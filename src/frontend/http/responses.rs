@@ -16,7 +16,7 @@ const PROBLEMS: &[(&str, &str, &str)] = &[
     (
         "409",
         "Conflict",
-        "`fast_stop`, `not_referenced`, `already_running`, `stale_lease`, `stale_fast_stop`, \
+        "`fast_stop`, `not_referenced`, `already_running`, `lease_held`, `stale_lease`, `stale_fast_stop`, \
          `fast_stop_unconfirmed`, `request_id_reused`: not now; the members say what is in the way",
     ),
     ("413", "TooLarge", "`too_large`: the body is larger than `max` bytes"),
@@ -58,6 +58,8 @@ sets! {
     GripperProblem ["400" "403" "404" "500"];
     /// Of what asks a gripper's actor about its commands.
     CommandProblem ["400" "403" "404" "408" "413" "422" "429" "500" "503"];
+    /// Of what asks for the lease.
+    LeaseProblem ["400" "403" "404" "408" "409" "413" "422" "429" "500" "503"];
     /// Of what reads the journal.
     JournalProblem ["400" "403" "404" "422" "500" "503"];
     /// Of what asks the device.

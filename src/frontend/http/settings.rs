@@ -8,7 +8,7 @@ use utoipa::ToSchema;
 use super::body::Body;
 use super::device::ask;
 use super::errors::{Code, Problem};
-use super::extract::{Gripper, GripperPath};
+use super::extract::{Gripper, GripperPath, LeaseHeader};
 use super::responses::DeviceProblem;
 use super::values::{acceleration, force, width};
 use crate::gripper::{Failure, Rejection};
@@ -44,6 +44,9 @@ pub struct AccelerationSetting {
     /// In mm/s².
     #[schema(minimum = 0, maximum = 1_000_000)]
     acceleration_mm_s2: f64,
+    /// The lease's token, while somebody holds one; empty is none.
+    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
+    lease: Option<String>,
 }
 
 async fn tell_acceleration(gripper: Gripper, command: wsg::Command) -> Answer<AccelerationAnswer> {
@@ -65,11 +68,12 @@ pub async fn get_acceleration(gripper: Gripper) -> Answer<AccelerationAnswer> {
 /// Set the acceleration
 #[utoipa::path(
     put, path = "/grippers/{gripper}/settings/acceleration", operation_id = "set_acceleration", tag = "settings",
-    params(GripperPath),
+    params(GripperPath, LeaseHeader),
     request_body = AccelerationSetting,
     responses((status = 200, description = "What the device made of it", body = AccelerationAnswer), DeviceProblem)
 )]
 pub async fn set_acceleration(gripper: Gripper, Body(body): Body<AccelerationSetting>) -> Answer<AccelerationAnswer> {
+    let gripper = gripper.with_lease(body.lease.as_deref())?;
     let acceleration = acceleration("acceleration_mm_s2", body.acceleration_mm_s2)?;
     tell_acceleration(gripper, wsg::Command::SetAcceleration(acceleration)).await
 }
@@ -94,6 +98,9 @@ pub struct ForceLimitSetting {
     /// In N, the sum over the fingers.
     #[schema(minimum = 0, maximum = 10000)]
     force_n: f64,
+    /// The lease's token, while somebody holds one; empty is none.
+    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
+    lease: Option<String>,
 }
 
 async fn tell_force_limit(gripper: Gripper, command: wsg::Command) -> Answer<ForceLimitAnswer> {
@@ -115,11 +122,12 @@ pub async fn get_force_limit(gripper: Gripper) -> Answer<ForceLimitAnswer> {
 /// Set the force limit
 #[utoipa::path(
     put, path = "/grippers/{gripper}/settings/force-limit", operation_id = "set_force_limit", tag = "settings",
-    params(GripperPath),
+    params(GripperPath, LeaseHeader),
     request_body = ForceLimitSetting,
     responses((status = 200, description = "What the device made of it", body = ForceLimitAnswer), DeviceProblem)
 )]
 pub async fn set_force_limit(gripper: Gripper, Body(body): Body<ForceLimitSetting>) -> Answer<ForceLimitAnswer> {
+    let gripper = gripper.with_lease(body.lease.as_deref())?;
     tell_force_limit(gripper, wsg::Command::SetForceLimit(force("force_n", body.force_n)?)).await
 }
 
@@ -149,6 +157,9 @@ pub struct SoftLimitsSetting {
     /// The largest allowed width.
     #[schema(minimum = 0, maximum = 1000)]
     plus_mm: f64,
+    /// The lease's token, while somebody holds one; empty is none.
+    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
+    lease: Option<String>,
 }
 
 async fn tell_soft_limits(gripper: Gripper, command: wsg::Command) -> Answer<SoftLimitsAnswer> {
@@ -181,11 +192,12 @@ pub async fn get_soft_limits(gripper: Gripper) -> Answer<SoftLimitsAnswer> {
 /// STOP.
 #[utoipa::path(
     put, path = "/grippers/{gripper}/settings/soft-limits", operation_id = "set_soft_limits", tag = "settings",
-    params(GripperPath),
+    params(GripperPath, LeaseHeader),
     request_body = SoftLimitsSetting,
     responses((status = 200, description = "What the device made of them", body = SoftLimitsAnswer), DeviceProblem)
 )]
 pub async fn set_soft_limits(gripper: Gripper, Body(body): Body<SoftLimitsSetting>) -> Answer<SoftLimitsAnswer> {
+    let gripper = gripper.with_lease(body.lease.as_deref())?;
     let (minus, plus) = (width("minus_mm", body.minus_mm)?, width("plus_mm", body.plus_mm)?);
     let limits = SoftLimits::new(minus, plus)
         .ok_or_else(|| Problem::out_of_range("minus_mm", body.minus_mm, 0.0, body.plus_mm))?;
@@ -195,11 +207,11 @@ pub async fn set_soft_limits(gripper: Gripper, Body(body): Body<SoftLimitsSettin
 /// Clear the soft limits
 #[utoipa::path(
     delete, path = "/grippers/{gripper}/settings/soft-limits", operation_id = "clear_soft_limits", tag = "settings",
-    params(GripperPath),
+    params(GripperPath, LeaseHeader),
     responses((status = 200, description = "None are set any more", body = SoftLimitsAnswer), DeviceProblem)
 )]
 pub async fn clear_soft_limits(gripper: Gripper) -> Answer<SoftLimitsAnswer> {
-    tell_soft_limits(gripper, wsg::Command::ClearSoftLimits).await
+    tell_soft_limits(gripper.with_lease(None)?, wsg::Command::ClearSoftLimits).await
 }
 
 /// Overdrive Mode.
@@ -220,6 +232,9 @@ pub struct OverdriveAnswer {
 pub struct OverdriveSetting {
     /// Whether the force limit may go up to the overdrive force.
     enabled: bool,
+    /// The lease's token, while somebody holds one; empty is none.
+    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
+    lease: Option<String>,
 }
 
 fn overdrive_of(gripper: &Gripper, state: SystemState) -> Json<OverdriveAnswer> {
@@ -247,11 +262,12 @@ pub async fn get_overdrive(gripper: Gripper) -> Answer<OverdriveAnswer> {
 /// Off reduces a force limit above the nominal force to it. Not on every model.
 #[utoipa::path(
     put, path = "/grippers/{gripper}/settings/overdrive", operation_id = "set_overdrive", tag = "settings",
-    params(GripperPath),
+    params(GripperPath, LeaseHeader),
     request_body = OverdriveSetting,
     responses((status = 200, description = "What the device made of it", body = OverdriveAnswer), DeviceProblem)
 )]
 pub async fn set_overdrive(gripper: Gripper, Body(body): Body<OverdriveSetting>) -> Answer<OverdriveAnswer> {
+    let gripper = gripper.with_lease(body.lease.as_deref())?;
     let take = |data| if let Data::SystemState(state) = data { Some(state) } else { None };
     let state = ask(&gripper, wsg::Command::OverdriveMode { on: body.enabled }, take).await?;
     Ok(overdrive_of(&gripper, state))
@@ -277,6 +293,9 @@ pub struct TagSetting {
     /// At most 64 printable ASCII characters.
     #[schema(max_length = 64, pattern = "^[ -~]*$")]
     tag: String,
+    /// The lease's token, while somebody holds one; empty is none.
+    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
+    lease: Option<String>,
 }
 
 async fn tell_tag(gripper: Gripper, command: wsg::Command) -> Answer<TagAnswer> {
@@ -302,11 +321,12 @@ pub async fn get_tag(gripper: Gripper) -> Answer<TagAnswer> {
 /// Set the device tag
 #[utoipa::path(
     put, path = "/grippers/{gripper}/settings/device-tag", operation_id = "set_device_tag", tag = "settings",
-    params(GripperPath),
+    params(GripperPath, LeaseHeader),
     request_body = TagSetting,
     responses((status = 200, description = "What the device made of it", body = TagAnswer), DeviceProblem)
 )]
-pub async fn set_tag(gripper: Gripper, Body(TagSetting { tag }): Body<TagSetting>) -> Answer<TagAnswer> {
+pub async fn set_tag(gripper: Gripper, Body(TagSetting { tag, lease }): Body<TagSetting>) -> Answer<TagAnswer> {
+    let gripper = gripper.with_lease(lease.as_deref())?;
     let refused = |error: InvalidDeviceTag| match error {
         InvalidDeviceTag::TooLong => Problem::too_long("tag", tag.len(), DeviceTag::MAX_BYTES),
         InvalidDeviceTag::IllegalCharacter => {

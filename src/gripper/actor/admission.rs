@@ -1,12 +1,13 @@
 //! Taking clients' requests up: what may be done now, and what may not.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use super::super::Now;
 use super::super::error::{Conflict, Failure, Invalid, Rejection};
 use super::super::handle::{Answer, Ticket};
 use super::super::model::{
-    Action, Client, Command as Record, CommandId, FastStopId, Motion, SettingChange, Submission,
+    Action, Client, Command as Record, CommandId, FastStopId, LeaseToken, Motion, SettingChange, Submission,
 };
 use super::super::setup::{Setting, WantedSoftLimits};
 use super::motion::Running;
@@ -20,35 +21,34 @@ const FLAGS_WITHIN: Duration = Duration::from_millis(500);
 impl Actor {
     /// Admits a command, or says why not.
     pub(super) fn admit(&mut self, now: Now, id: CommandId, submission: &Submission) -> Result<Ticket, Rejection> {
+        let keep = self.leasing.keep(now.instant, submission.lease.as_ref()).map(Arc::new);
         if let Some(ticket) = self.book.replay(now.instant, submission)? {
-            return Ok(ticket);
+            return Ok(Ticket { _keep: keep, ..ticket });
         }
         self.book.check_room(now.instant, submission)?;
         match &submission.action {
             Action::Motion(motion) => {
-                if submission.lease.is_some() {
-                    return Err(Conflict::StaleLease.into());
-                }
-                self.check_motion(motion)?;
+                self.check_motion(now, motion, submission.lease.as_ref())?;
                 let ticket = self.enter(now, id, submission);
                 self.start_measuring(id, motion);
                 self.running = Some(Running::new(id, motion.clone()));
-                Ok(ticket)
+                Ok(Ticket { _keep: keep, ..ticket })
             }
             Action::Stop => {
                 // An unresponsive device may still hear it, so all that it needs is a link.
                 self.submit(now, Command::Stop, Purpose::Stop(Some(id))).map_err(|not_taken| not_taken.0)?;
                 self.withdraw_waiting_motion(now);
-                Ok(self.enter(now, id, submission))
+                Ok(Ticket { _keep: keep, ..self.enter(now, id, submission) })
             }
         }
     }
 
     /// What can't be is said first, then what can't be now.
-    fn check_motion(&self, motion: &Motion) -> Result<(), Rejection> {
+    fn check_motion(&self, now: Now, motion: &Motion, lease: Option<&LeaseToken>) -> Result<(), Rejection> {
         let referenced = self.observed.has(SystemState::REFERENCED);
         let width = self.observed.width_mm.filter(|_| referenced);
         self.limits_now().check_motion(motion, width)?;
+        self.check_lease(now, lease)?;
         self.check_link()?;
         self.check_moving()?;
         self.check_journal()?;
@@ -89,8 +89,16 @@ impl Actor {
     }
 
     /// Takes up a request that moves nothing.
-    pub(super) fn exchange(&mut self, now: Now, command: Command, client: Client, answer: Answer<Data>) {
-        if let Err(rejection) = self.check_exchange(&command) {
+    pub(super) fn exchange(
+        &mut self,
+        now: Now,
+        command: Command,
+        client: Client,
+        lease: Option<&LeaseToken>,
+        answer: Answer<Data>,
+    ) {
+        let keep = self.leasing.keep(now.instant, lease);
+        if let Err(rejection) = self.check_exchange(now, &command, lease) {
             let _ = answer.send(Err(rejection));
             return;
         }
@@ -103,23 +111,26 @@ impl Actor {
         if is_slow_getter(&command) {
             return self.read(now, command, answer);
         }
-        let purpose = Purpose::Exchange(Exchange { command: command.clone(), answer, setter: None, client });
+        let purpose = Purpose::Exchange(Exchange { command: command.clone(), answer, setter: None, client, keep });
         self.submit_exchange(now, command, purpose);
     }
 
-    fn check_exchange(&self, command: &Command) -> Result<(), Rejection> {
+    fn check_exchange(&self, now: Now, command: &Command, lease: Option<&LeaseToken>) -> Result<(), Rejection> {
         let not_here = |remedy: &str| {
             let detail = format!("{} cannot be sent this way: {remedy}", super::name_of(command));
             Rejection::from(Invalid::Malformed { field: "id", detail })
         };
         self.limits_now().check_setting(command)?;
+        if !self.only_reads(command) {
+            self.check_lease(now, lease)?;
+        }
         self.check_link()?;
         match command {
             command if command.is_motion() => Err(not_here("it is a command of its own")),
             Command::Stop | Command::FastStop => Err(not_here("it is a command of its own")),
             Command::AcknowledgeFastStop => Err(not_here("acknowledge by the FAST STOP's id")),
             Command::DisconnectAnnouncement => Err(not_here("the gateway announces its own disconnects")),
-            Command::Custom(custom) if !self.config.read_ids.contains(&custom.id()) => {
+            Command::Custom(_) if !self.only_reads(command) => {
                 self.check_moving()?;
                 Ok(self.check_journal()?)
             }
@@ -130,9 +141,17 @@ impl Actor {
         }
     }
 
+    /// Whether it leaves the gripper as it is, so that anybody may ask for it.
+    fn only_reads(&self, command: &Command) -> bool {
+        match command {
+            Command::Custom(custom) => self.config.read_ids.contains(&custom.id()),
+            command => command.is_read(),
+        }
+    }
+
     /// Notes what a setter has set, and reads back what the device made of it.
     pub(super) fn exchange_succeeded(&mut self, now: Now, exchange: Exchange, data: Data) {
-        let Exchange { command, answer, setter, client } = exchange;
+        let Exchange { command, answer, setter, client, keep } = exchange;
         let getter = match &command {
             Command::SetAcceleration(_) => Command::GetAcceleration,
             Command::SetForceLimit(_) => Command::GetForceLimit,
@@ -155,7 +174,8 @@ impl Actor {
                 return;
             }
         };
-        let purpose = Purpose::Exchange(Exchange { command: getter.clone(), answer, setter: Some(command), client });
+        let purpose =
+            Purpose::Exchange(Exchange { command: getter.clone(), answer, setter: Some(command), client, keep });
         self.submit_exchange(now, getter, purpose);
     }
 

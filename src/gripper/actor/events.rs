@@ -50,7 +50,11 @@ impl Actor {
                 let cause = self.latching.latch().map_or(FastStopCause::Unknown, |latch| latch.cause);
                 tracing::warn!(gripper = %self.config.name, ?cause, "the device is in FAST STOP");
                 self.record_fast_stop(now, FastStopStep::Latched, None);
-                self.abort_for_latch(now, cause);
+                self.abort_for_latch(now);
+                if let Some(session) = &mut self.session {
+                    // The device has stopped by itself: its results come now, or never.
+                    session.expect_aborts(now.instant);
+                }
             }
             Some(Change::Confirmed) => {
                 tracing::info!(gripper = %self.config.name, "FAST STOP confirmed");

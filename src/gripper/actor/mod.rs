@@ -17,7 +17,9 @@
 mod admission;
 mod drain;
 mod events;
+mod lease;
 mod link;
+mod memory;
 mod motion;
 mod publish;
 mod reads;
@@ -29,22 +31,24 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use tokio::sync::{oneshot, watch};
+use tokio::sync::{Notify, oneshot, watch};
 
 use super::Now;
 use super::book::Book;
 use super::error::{Failure, Rejection};
-use super::handle::{Answer, FastStopRequest, Request};
+use super::handle::{Answer, FastStopRequest, Request, Ticket};
 use super::info::Info;
 use super::latch::Latching;
+use super::lease::{Keep, Leasing};
 use super::limits::Limits;
-use super::model::{Client, CommandId, FastStopCause, FastStopStep, IdSource, Name, State};
+use super::model::{Client, CommandId, FastStopStep, IdSource, LeaseRules, Name, State};
 use super::observed::Observed;
 use super::setup::{Setting, Setup, Wanted};
 use crate::transport::Traits;
 use crate::wsg::session::{self, NotTaken, Session, Token};
 use crate::wsg::{self, Command, Data, Force, SystemInfo, id};
 use drain::Drain;
+use memory::Told;
 use motion::Running;
 use reads::Reads;
 pub use recording::OnJournalFailure;
@@ -72,6 +76,8 @@ pub struct Config {
     pub drain: Duration,
     /// What becomes of motions while the journal takes no records.
     pub on_journal_failure: OnJournalFailure,
+    /// What may be asked for of a lease.
+    pub lease: LeaseRules,
     /// Of ids and nonces: random, but in tests.
     pub seed: u64,
 }
@@ -119,6 +125,8 @@ struct Exchange {
     /// The setter whose value is being read back.
     setter: Option<Command>,
     client: Client,
+    /// Its client's lease doesn't run out meanwhile.
+    keep: Option<Keep>,
 }
 
 /// Why a request was not taken by the session, and what it was for.
@@ -157,6 +165,7 @@ pub struct Actor {
     overdrive_wanted: bool,
     observed: Observed,
     latching: Latching,
+    leasing: Leasing,
     reads: Reads,
     book: Book,
     running: Option<Running>,
@@ -166,6 +175,7 @@ pub struct Actor {
     awaiting_flags: Vec<(Instant, Answer<Data>)>,
     drain: Option<Drain>,
     recording: Recording,
+    told: Told,
     sequence: u64,
     state: watch::Sender<Arc<State>>,
     info: watch::Sender<Arc<Info>>,
@@ -210,6 +220,7 @@ impl Actor {
             lost: BTreeSet::new(),
             overdrive_wanted: false,
             latching: Latching::default(),
+            leasing: Leasing::default(),
             reads: Reads::default(),
             book: Book::default(),
             running: None,
@@ -218,6 +229,7 @@ impl Actor {
             awaiting_flags: Vec::new(),
             drain: None,
             recording: Recording::default(),
+            told: Told::default(),
             sequence: 0,
             state,
             info,
@@ -243,16 +255,21 @@ impl Actor {
 
     /// A FAST STOP: needs no lease, waits for nothing.
     pub fn fast_stop(&mut self, now: Now, request: FastStopRequest) {
-        let (id, client, reason) = (request.id, request.client.clone(), request.reason.clone());
+        self.latch(now, request);
+        self.settle(now);
+    }
+
+    /// Latches a FAST STOP of the gateway's clients, or on behalf of one that was lost.
+    fn latch(&mut self, now: Now, request: FastStopRequest) {
+        let FastStopRequest { id, client, cause, reason } = request.clone();
         if let Some(token) = self.latching.request(now, request) {
             // An acknowledge of an earlier one must not come after this.
             self.withdraw(token);
         }
         self.send_fast_stop_if_due(now);
         self.record_fast_stop(now, FastStopStep::Latched, Some(&client));
-        self.abort_for_latch(now, FastStopCause::Requested);
-        self.settle(now);
-        tracing::warn!(gripper = %self.config.name, %id, by = %client.subject, reason = reason.as_str(), "FAST STOP requested");
+        self.abort_for_latch(now);
+        tracing::warn!(gripper = %self.config.name, %id, by = %client.subject, ?cause, reason = reason.as_str(), "FAST STOP");
     }
 
     /// Any other request of a client.
@@ -262,8 +279,9 @@ impl Actor {
                 // Whoever asked may be gone; a command that was admitted goes on all the same.
                 let _ = answer.send(self.admit(now, id, &submission));
             }
-            Request::Find { id, answer } => {
-                let _ = answer.send(self.book.find(id));
+            Request::Find { id, lease, answer } => {
+                let keep = self.leasing.keep(now.instant, lease.as_ref()).map(Arc::new);
+                let _ = answer.send(self.book.find(id).map(|ticket| Ticket { _keep: keep, ..ticket }));
             }
             Request::Cancel { id, client, answer } => {
                 let ticket = self.book.find(id);
@@ -273,8 +291,24 @@ impl Actor {
                 }
                 let _ = answer.send(ticket);
             }
-            Request::Exchange { command, client, answer } => self.exchange(now, command, client, answer),
+            Request::Exchange { command, client, lease, answer } => {
+                self.exchange(now, command, client, lease.as_ref(), answer);
+            }
             Request::Acknowledge { id, client, answer } => self.acknowledge(now, id, client, answer),
+            Request::Lease { answer } => {
+                let _ = answer.send(self.lease_now(now));
+            }
+            Request::TakeLease { take, token, answer } => self.take_lease(now, &take, token, answer),
+            Request::RenewLease { token, answer } => {
+                let _ = answer.send(self.renew_lease(now, token.as_ref()));
+            }
+            Request::HandOver { token, to, new, answer } => {
+                let _ = answer.send(self.hand_over(now, token.as_ref(), &to, new));
+            }
+            Request::ReleaseLease { token, answer } => {
+                let _ = answer.send(self.release_lease(now, token.as_ref()));
+            }
+            Request::LoseLease { token } => self.lose_lease(now, &token),
             Request::Drain { answer } => self.start_drain(now, answer),
         }
         self.settle(now);
@@ -299,6 +333,12 @@ impl Actor {
         true
     }
 
+    /// Tells when a request of the lease's holder ends: [`Actor::lease_request_closed`] is to be called then.
+    #[must_use]
+    pub fn lease_requests(&self) -> Arc<Notify> {
+        self.leasing.closed()
+    }
+
     /// Why the link has to be closed, if it has. The driver closes it, and says so by [`Actor::link_down`].
     #[must_use]
     pub fn wants_close(&self) -> Option<Close> {
@@ -312,6 +352,7 @@ impl Actor {
         self.keep_up(now);
         self.take_events(now);
         self.publish(now);
+        self.remember_changes();
         self.book.tell();
         self.tell_acknowledges(now);
         self.answer_awaiting_flags();

@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use super::super::Now;
 use super::super::error::{Conflict, DeviceRefusal, Failure, Rejection};
-use super::super::model::{Command as Record, CommandId, FastStopCause, FastStopId, Kind, Motion, Outcome};
+use super::super::model::{Command as Record, CommandId, FastStopId, Kind, Motion, Outcome};
 use super::{Actor, Purpose, REPLY_WITHIN};
 use crate::wsg::session::{End, Token};
 use crate::wsg::{Command, Data, Force, Reply, Status, SystemState};
@@ -70,6 +70,11 @@ impl Running {
     /// Whether it takes the fingers' reference away, for as long as it runs.
     pub(super) fn homes(&self) -> bool {
         matches!(self.motion, Motion::Home(_)) && !self.is_waiting()
+    }
+
+    /// Whether the device has said how it ended.
+    pub(super) fn has_ended(&self) -> bool {
+        matches!(self.stage, Stage::Settling(_))
     }
 
     /// Whether it has not been given to the device.
@@ -235,18 +240,12 @@ impl Actor {
     }
 
     /// A FAST STOP holds: what waits is over, what runs will be.
-    pub(super) fn abort_for_latch(&mut self, now: Now, cause: FastStopCause) {
+    pub(super) fn abort_for_latch(&mut self, now: Now) {
         let fast_stop = self.latching.id();
         self.withdraw_custom_motions(fast_stop);
         if let Some(running) = &mut self.running {
             running.fast_stop = fast_stop;
             self.withdraw_waiting_motion(now);
-        }
-        if cause != FastStopCause::Requested
-            && let Some(session) = &mut self.session
-        {
-            // The device has stopped by itself: its results come now, or never.
-            session.expect_aborts(now.instant);
         }
     }
 
@@ -285,7 +284,7 @@ impl Actor {
 
     /// Stops a command on its client's behalf.
     pub(super) fn cancel(&mut self, now: Now, id: CommandId) {
-        if self.running.as_ref().is_none_or(|running| running.id != id || matches!(running.stage, Stage::Settling(_))) {
+        if self.running.as_ref().is_none_or(|running| running.id != id || running.has_ended()) {
             return;
         }
         self.withdraw_waiting_motion(now);

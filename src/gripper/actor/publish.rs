@@ -54,8 +54,8 @@ impl Actor {
             temperature_c: observed.temperature.map(crate::wsg::Temperature::celsius),
             fast_stop: (observed.flags.is_some() || latch.is_some()).then_some(latch.is_some()),
             latch: latch.map(LatchFields::from),
-            lease_holder: None,
-            lease_epoch: 0,
+            lease_holder: self.leasing.holder().map(|holder| holder.name.clone()),
+            lease_epoch: self.leasing.epoch(),
             journal_cause: self.recording.failure().map(ToOwned::to_owned),
             command: self.running.as_ref().map(|running| running.id),
         }

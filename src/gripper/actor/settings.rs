@@ -3,17 +3,16 @@
 use serde::{Deserialize, Serialize};
 
 use super::super::Now;
-use super::super::model::{Client, Detail, Memory, MemoryKey, SettingChange, SettingsEvent};
-use super::super::recorder::{Recollection, Record};
+use super::super::model::{Client, Detail, MemoryKey, SettingChange, SettingsEvent};
 use super::super::setup::{Setting, Wanted, WantedSoftLimits};
 use super::Actor;
 use crate::wsg::{Acceleration, Command, Data, Finger, Force, SoftLimits, Width};
 
 /// What clients set, as it is remembered.
 #[derive(Debug, Serialize, Deserialize)]
-struct Remembered {
+pub(super) struct Remembered {
     /// The device that it was set on.
-    serial_number: Option<u32>,
+    pub serial_number: Option<u32>,
     acceleration_mm_s2: Option<f32>,
     force_n: Option<f32>,
     soft_limits_cleared: bool,
@@ -37,7 +36,7 @@ impl Remembered {
         }
     }
 
-    fn wanted(&self) -> Wanted {
+    pub(super) fn wanted(&self) -> Wanted {
         let width = |mm: Option<f32>| mm.and_then(|mm| Width::new(mm).ok());
         let limits = width(self.minus_mm).zip(width(self.plus_mm));
         let soft_limits = match limits.and_then(|(minus, plus)| SoftLimits::new(minus, plus)) {
@@ -54,30 +53,9 @@ impl Remembered {
 }
 
 impl Actor {
-    /// Takes in what was remembered of an earlier run, before the first link.
-    pub fn recollect(&mut self, now: Now, recollection: Recollection) {
-        if let Some(settings) = recollection.settings {
-            match serde_json::from_str::<Remembered>(&settings) {
-                Ok(remembered) => {
-                    self.wanted = remembered.wanted();
-                    self.known_serial = remembered.serial_number;
-                }
-                Err(error) => {
-                    tracing::warn!(gripper = %self.config.name, %error, settings, "the remembered settings are none");
-                }
-            }
-        }
-        self.unannounced = recollection.unannounced && self.config.traits.connection_oriented;
-        for request in recollection.requests {
-            self.book.bind_again(now, request);
-        }
-    }
-
     pub(super) fn remember_settings(&mut self) {
-        // Such a structure is always JSON.
-        let value = serde_json::to_string(&Remembered::new(self.known_serial, &self.wanted)).ok();
-        let memory = Memory { gripper: self.config.name.clone(), key: MemoryKey::Settings, value };
-        self.recording.push(Record::Memory(memory));
+        let remembered = Remembered::new(self.known_serial, &self.wanted);
+        self.remember(MemoryKey::Settings, Some(&remembered));
     }
 
     pub(super) fn record_setting(&mut self, now: Now, client: &Client, setting: SettingChange) {

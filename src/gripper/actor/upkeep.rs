@@ -21,6 +21,7 @@ impl Actor {
         self.send_fast_stop_if_due(now);
         self.latching.handle_timeout(now.instant, self.observed.flags);
         self.end_settled_motion(now);
+        self.keep_up_lease(now);
         self.give_up_recording(now);
         self.start_waiting_motion(now);
         self.finish_measuring_if_due(now);
@@ -46,6 +47,7 @@ impl Actor {
             session.and_then(crate::wsg::session::Session::poll_timeout),
             silence,
             self.latching.next_timeout().filter(|_| session.is_some()),
+            self.leasing.next_timeout(),
             self.motion_due(),
             self.settles_at(),
             self.recording.next_timeout(),

@@ -8,7 +8,7 @@ use utoipa::ToSchema;
 
 use super::{
     Action, Client, Command, CommandId, Door, FastStopCause, FastStopId, Kind, Link, Motion, Name, Outcome, PartId,
-    RequestId,
+    RequestId, lease::LeaseEvent,
 };
 use crate::wsg::{Force, HomingDirection};
 
@@ -65,6 +65,8 @@ pub enum Detail {
     FastStop(FastStopEvent),
     /// A FAST STOP was acknowledged, or could not be.
     Acknowledge(AcknowledgeEvent),
+    /// The lease has changed.
+    Lease(LeaseEvent),
     /// The link has changed.
     Link(LinkEvent),
     /// The device has said something of itself, or lost something.
@@ -344,6 +346,8 @@ pub enum DeviceEvent {
         /// Their names.
         flags: Vec<&'static str>,
     },
+    /// The fingers move, and nobody here asked for it.
+    ForeignMotion,
     /// A part that was held is gone; the event belongs to its grip.
     PartLost {
         /// The opening width in mm where it was seen.

@@ -88,6 +88,6 @@ pub enum MemoryKey {
     Settings,
     /// The FAST STOP that holds.
     Latch,
-    /// The newest lease's epoch.
-    LeaseEpoch,
+    /// The newest lease's epoch and holder.
+    Lease,
 }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 use jiff::Timestamp;
-use serde::{Serialize, Serializer};
+use serde::{Deserialize, Serialize, Serializer};
 use utoipa::ToSchema;
 
 use super::{CommandId, FastStopId, Name, Reason};
@@ -36,11 +36,13 @@ impl fmt::Display for Link {
 }
 
 /// Why a gripper is in FAST STOP.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum FastStopCause {
     /// A client of the gateway asked for it.
     Requested,
+    /// The lease's holder was lost.
+    ClientLost,
     /// The gateway's own connection ended unannounced.
     UnannouncedDisconnect,
     /// The temperature is critical (TEMP_FAULT).
@@ -58,7 +60,7 @@ pub enum FastStopCause {
 }
 
 /// A FAST STOP that holds until it is acknowledged by its id.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Latch {
     /// What an acknowledge has to name.
     pub id: FastStopId,
@@ -135,8 +137,8 @@ pub struct State {
     #[schema(value_type = LatchFields)]
     pub latch: Option<LatchFields>,
     /// Who holds the lease; null while nobody does.
-    #[schema(required)]
-    pub lease_holder: Option<String>,
+    #[schema(value_type = Option<String>, required)]
+    pub lease_holder: Option<Arc<str>>,
     /// Counts the leases.
     #[schema(minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     pub lease_epoch: u64,

@@ -73,8 +73,8 @@ async fn memories_outlive_a_restart_until_they_are_forgotten() {
     let (journal, _) = directory.open();
     for value in [
         memory("left", MemoryKey::Latch, Some("{\"id\":1}")),
-        memory("left", MemoryKey::LeaseEpoch, Some("6")),
-        memory("left", MemoryKey::LeaseEpoch, Some("7")),
+        memory("left", MemoryKey::Lease, Some("6")),
+        memory("left", MemoryKey::Lease, Some("7")),
         memory("right", MemoryKey::Settings, Some("{}")),
         memory("right", MemoryKey::Settings, None),
     ] {
@@ -82,8 +82,7 @@ async fn memories_outlive_a_restart_until_they_are_forgotten() {
     }
     drop(journal);
     let (journal, recovered) = directory.open();
-    let expected =
-        [memory("left", MemoryKey::Latch, Some("{\"id\":1}")), memory("left", MemoryKey::LeaseEpoch, Some("7"))];
+    let expected = [memory("left", MemoryKey::Latch, Some("{\"id\":1}")), memory("left", MemoryKey::Lease, Some("7"))];
     assert_eq!(recovered.memory, expected);
     journal.record(Record::Memory(memory("left", MemoryKey::Latch, None)));
     journal.close().await.unwrap();

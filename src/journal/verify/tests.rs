@@ -30,7 +30,7 @@ fn filled(directory: &Directory) -> Vec<u8> {
         journal.record(Record::Grip(Box::new(grip(time, "left", number, part))));
     }
     journal.record(Record::Event(admitted(1_700_000_000_999, "right", 99, None), None));
-    for key in [MemoryKey::Latch, MemoryKey::Settings, MemoryKey::LeaseEpoch] {
+    for key in [MemoryKey::Latch, MemoryKey::Settings, MemoryKey::Lease] {
         journal.record(Record::Memory(memory("left", key, Some("{\"remembered\":1}"))));
     }
     runtime.block_on(journal.close()).unwrap();

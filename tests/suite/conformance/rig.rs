@@ -45,6 +45,7 @@ pub fn spawn(connector: impl Connector) -> Handle {
         read_ids: (0xB0..=0xB7).collect(),
         drain: Duration::from_secs(2),
         on_journal_failure: gripper::actor::OnJournalFailure::Refuse,
+        lease: gripper::model::LeaseRules::default(),
         seed: 1,
     };
     gripper::spawn(
@@ -111,7 +112,7 @@ impl Rig {
     }
 
     pub async fn exchange(&self, command: wsg::Command) -> Result<Data, Rejection> {
-        self.handle.exchange(command, client()).await
+        self.handle.exchange(command, client(), None).await
     }
 
     /// The ids of all that the device received.

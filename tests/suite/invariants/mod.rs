@@ -1,6 +1,7 @@
 //! The invariants of the gripper, each by its name, and what else the actor promises: on a virtual clock, and checked on
 //! the frames that the device received.
 
+mod leases;
 pub mod steps;
 
 use std::time::Duration;
@@ -440,8 +441,7 @@ fn a_stop_needs_no_lease_not_even_a_valid_one() {
     world.advance(Duration::from_millis(300));
     let now = world.clock();
     let id = world.ids.command_id(now.wall);
-    let submission =
-        Submission { client: client(), action: Action::Stop, request_id: None, lease: Some("old".to_owned()) };
+    let submission = Submission { client: client(), action: Action::Stop, request_id: None, lease: Some("old".into()) };
     let mut answered = request(&mut world, |answer| Request::Submit { submission, id, answer });
     assert!(answered.try_recv().unwrap().is_ok());
     assert_eq!(finish(&mut world, &running).outcome, Some(Outcome::Aborted));

@@ -5,8 +5,8 @@ use std::time::Duration;
 use tokio::sync::oneshot;
 use wsg_gateway::gripper::handle::{Answer, FastStopRequest, Request};
 use wsg_gateway::gripper::model::{
-    Action, Client, Command, Door, FastStopId, LatchFields, Motion, Outcome, Phase, Reason, RequestId, State,
-    Submission,
+    Action, Client, Command, Door, FastStopCause, FastStopId, LatchFields, Motion, Outcome, Phase, Reason, RequestId,
+    State, Submission,
 };
 use wsg_gateway::gripper::{Rejection, Ticket};
 use wsg_gateway::sim::{DeviceConfig, Part};
@@ -99,7 +99,15 @@ pub fn finish(world: &mut World, ticket: &Ticket) -> Command {
 pub fn fast_stop(world: &mut World) -> FastStopId {
     let now = world.clock();
     let id = world.ids.fast_stop_id(now.wall);
-    world.actor.fast_stop(now, FastStopRequest { id, client: client(), reason: Reason::truncated("light curtain") });
+    world.actor.fast_stop(
+        now,
+        FastStopRequest {
+            id,
+            client: client(),
+            cause: FastStopCause::Requested,
+            reason: Reason::truncated("light curtain"),
+        },
+    );
     world.settle();
     id
 }
@@ -111,7 +119,7 @@ pub fn acknowledge(world: &mut World, id: FastStopId) -> oneshot::Receiver<Resul
 }
 
 pub fn exchange(world: &mut World, command: wsg::Command) -> oneshot::Receiver<Result<wsg::Data, Rejection>> {
-    request(world, |answer| Request::Exchange { command, client: client(), answer })
+    request(world, |answer| Request::Exchange { command, client: client(), lease: None, answer })
 }
 
 pub fn state(world: &World) -> State {

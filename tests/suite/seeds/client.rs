@@ -3,7 +3,9 @@
 use rand::RngExt;
 use tokio::sync::oneshot;
 use wsg_gateway::gripper::handle::{FastStopRequest, Request};
-use wsg_gateway::gripper::model::{Action, Client, Door, FastStopId, Motion, PartId, Reason, RequestId, Submission};
+use wsg_gateway::gripper::model::{
+    Action, Client, Door, FastStopCause, FastStopId, Motion, PartId, Reason, RequestId, Submission,
+};
 use wsg_gateway::gripper::{Failure, Rejection, Ticket};
 use wsg_gateway::wsg::{
     Acceleration, Command, CustomCommand, Data, Force, HomingDirection, LoopData, MoveFlags, Speed, Width,
@@ -150,7 +152,15 @@ impl Clients {
         let id = world.ids.fast_stop_id(now.wall);
         world.clients.fast_stops.push(id);
         world.invariants.fast_stop_requested();
-        world.actor.fast_stop(now, FastStopRequest { id, client: client(), reason: Reason::truncated("test") });
+        world.actor.fast_stop(
+            now,
+            FastStopRequest {
+                id,
+                client: client(),
+                cause: FastStopCause::Requested,
+                reason: Reason::truncated("test"),
+            },
+        );
     }
 
     fn acknowledge(world: &mut World, stale: bool) {
@@ -178,7 +188,7 @@ impl Clients {
         };
         let (answer, answered) = oneshot::channel();
         let now = world.clock();
-        world.actor.request(now, Request::Exchange { command, client: client(), answer });
+        world.actor.request(now, Request::Exchange { command, client: client(), lease: None, answer });
         world.clients.exchanges.push(Exchange { answered, expected });
     }
 

@@ -5,7 +5,9 @@ use std::time::{Duration, Instant};
 
 use rand::RngExt;
 use wsg_gateway::gripper::Record;
-use wsg_gateway::gripper::model::{CommandEvent, CommandId, Detail, Outcome};
+use wsg_gateway::gripper::actor::Actor;
+use wsg_gateway::gripper::model::{CommandEvent, CommandId, Detail, MemoryKey, Outcome};
+use wsg_gateway::gripper::recorder::Recollection;
 
 use super::world::World;
 
@@ -18,9 +20,22 @@ pub struct Journal {
     admitted: BTreeMap<CommandId, usize>,
     done: BTreeMap<CommandId, Vec<Outcome>>,
     pub grips: usize,
+    memory: BTreeMap<MemoryKey, Option<String>>,
 }
 
 impl Journal {
+    /// What a gateway that starts again knows of this one.
+    pub fn recollection(&self) -> Recollection {
+        let remembered = |key| self.memory.get(&key).cloned().flatten();
+        Recollection {
+            settings: remembered(MemoryKey::Settings),
+            latch: remembered(MemoryKey::Latch),
+            lease: remembered(MemoryKey::Lease),
+            requests: Vec::new(),
+            unclean: false,
+        }
+    }
+
     pub fn due(&self) -> Option<Instant> {
         self.writing.iter().map(|(at, ..)| *at).min()
     }
@@ -72,7 +87,9 @@ impl Journal {
                 }
             }
             Record::Grip(_) => self.grips += 1,
-            Record::Memory(_) => {}
+            Record::Memory(memory) => {
+                self.memory.insert(memory.key, memory.value.clone());
+            }
         }
     }
 
@@ -85,5 +102,17 @@ impl Journal {
             assert_eq!(records, (Some(&1), Some(&vec![outcome])), "every_command_ends_once\n{}", world.tail());
         }
         assert_eq!(world.journal.admitted.len(), world.clients.admitted.len(), "{}", world.tail());
+    }
+}
+
+impl World {
+    /// The gateway is killed, and starts again.
+    pub fn restart(&mut self) {
+        self.disconnected("killed");
+        Journal::keep(self);
+        (self.actor, self.watches) = Actor::new(self.config.clone());
+        let now = self.clock();
+        self.actor.recollect(now, self.journal.recollection());
+        self.settle();
     }
 }

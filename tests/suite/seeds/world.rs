@@ -8,7 +8,7 @@ use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
 use wsg_gateway::gripper::Now;
 use wsg_gateway::gripper::actor::{Actor, Close, Config, OnJournalFailure, Watches};
-use wsg_gateway::gripper::model::{IdSource, Phase};
+use wsg_gateway::gripper::model::{IdSource, LeaseRules, Phase};
 use wsg_gateway::sim::{Device, DeviceConfig, Interface, LinkAction, Part, Script, ScriptAnswer};
 use wsg_gateway::transport::Traits;
 use wsg_gateway::wsg::Command;
@@ -36,6 +36,7 @@ pub struct World {
     pub ids: IdSource,
     pub start: Instant,
     pub now: Instant,
+    pub config: Config,
     pub actor: Actor,
     pub watches: Watches,
     pub device: Device,
@@ -190,10 +191,12 @@ impl World {
             read_ids: [0xB0].into(),
             drain: Duration::from_secs(2),
             on_journal_failure: OnJournalFailure::Refuse,
+            lease: LeaseRules::default(),
             seed,
         };
-        let (actor, watches) = Actor::new(config);
+        let (actor, watches) = Actor::new(config.clone());
         Self {
+            config,
             ids: IdSource::new(!seed),
             rng,
             start: now,

@@ -1,0 +1,139 @@
+//! The lease: who may move the gripper.
+
+use std::time::Duration;
+
+use axum::Json;
+use serde::Deserialize;
+use utoipa::ToSchema;
+
+use super::body::{Body, Leased};
+use super::errors::Problem;
+use super::extract::{Gripper, GripperPath, LeaseHeader};
+use super::responses::{CommandProblem, LeaseProblem};
+use super::values::{integer, text};
+use crate::gripper::model::lease::{MAX_TTL, MIN_TTL};
+use crate::gripper::model::{Lease, OnLossHolding, OnLossMoving, TakeLease};
+
+type Answer = Result<Json<Lease>, Problem>;
+
+/// The lease
+///
+/// Who holds it, and for how long. While nobody does, anybody may move the gripper, one command at a time.
+#[utoipa::path(
+    get, path = "/grippers/{gripper}/lease", operation_id = "get_lease", tag = "lease",
+    params(GripperPath),
+    responses((status = 200, description = "The lease, without its token", body = Lease), CommandProblem)
+)]
+pub async fn get(gripper: Gripper) -> Answer {
+    Ok(Json(gripper.handle.lease().await?))
+}
+
+/// A wish to hold the lease.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(example = json!({"holder": "robot-1", "ttl_ms": 3000}))]
+pub struct Take {
+    /// The name to be known by; the peer's address where there is none. At most 32 bytes.
+    #[schema(max_length = 32, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
+    holder: Option<String>,
+    /// How long the lease lives without use, in ms: 3000 if it isn't said.
+    #[schema(value_type = Option<u64>, minimum = 100, maximum = 60000)]
+    ttl_ms: Option<f64>,
+    /// What becomes of fingers that move when the holder is lost: `fast_stop` if it isn't said and the configuration
+    /// has no other.
+    on_loss_moving: Option<OnLossMoving>,
+    /// What becomes of a part that is held then: `keep` if it isn't said and the configuration has no other.
+    on_loss_holding: Option<OnLossHolding>,
+    /// Take it from whoever holds it, as a supervisor does: a running motion is stopped.
+    #[serde(default)]
+    #[schema(default = false)]
+    force: bool,
+    /// Where somebody else holds it, tell that holder who asks. Ask again to get it once it was handed over.
+    #[serde(default)]
+    #[schema(default = false)]
+    request: bool,
+    /// The token of the lease that is held already, whose terms are to change; empty is none.
+    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
+    lease: Option<String>,
+}
+
+/// Take the lease
+///
+/// Its token goes with each command from now on, and each use renews the lease; an open request keeps it. A holder that
+/// is not heard from for `ttl_ms` is lost: what becomes of the gripper then is said here.
+#[utoipa::path(
+    post, path = "/grippers/{gripper}/lease", operation_id = "take_lease", tag = "lease",
+    params(GripperPath, LeaseHeader),
+    request_body = Option<Take>,
+    responses((status = 200, description = "The lease, with its token", body = Lease), LeaseProblem)
+)]
+pub async fn take(gripper: Gripper, Body(body): Body<Take>) -> Answer {
+    let gripper = gripper.with_lease(body.lease.as_deref())?;
+    let ttl = |ttl_ms| integer("ttl_ms", ttl_ms, MIN_TTL.as_millis() as u64..=MAX_TTL.as_millis() as u64);
+    let holder = body.holder.as_deref().filter(|holder| !holder.is_empty());
+    let take = TakeLease {
+        holder: holder.map(|holder| text("holder", holder)).transpose()?,
+        ttl: body.ttl_ms.map(ttl).transpose()?.map(Duration::from_millis),
+        on_loss_moving: body.on_loss_moving,
+        on_loss_holding: body.on_loss_holding,
+        force: body.force,
+        request: body.request,
+        token: gripper.token(),
+        client: gripper.client,
+    };
+    Ok(Json(gripper.handle.take_lease(take).await?.lease))
+}
+
+/// Renew the lease
+#[utoipa::path(
+    put, path = "/grippers/{gripper}/lease", operation_id = "renew_lease", tag = "lease",
+    params(GripperPath, LeaseHeader),
+    request_body = Option<Leased>,
+    responses((status = 200, description = "The lease, renewed", body = Lease), LeaseProblem)
+)]
+pub async fn renew(gripper: Gripper, Body(body): Body<Leased>) -> Answer {
+    let gripper = gripper.with_lease(body.lease.as_deref())?;
+    Ok(Json(gripper.handle.renew_lease(gripper.token()).await?))
+}
+
+/// Release the lease
+///
+/// A running motion stops, and nothing is latched. What isn't its caller's any more stays as it is.
+#[utoipa::path(
+    delete, path = "/grippers/{gripper}/lease", operation_id = "release_lease", tag = "lease",
+    params(GripperPath, LeaseHeader),
+    request_body = Option<Leased>,
+    responses((status = 200, description = "The lease as it is now", body = Lease), CommandProblem)
+)]
+pub async fn release(gripper: Gripper, Body(body): Body<Leased>) -> Answer {
+    let gripper = gripper.with_lease(body.lease.as_deref())?;
+    Ok(Json(gripper.handle.release_lease(gripper.token()).await?))
+}
+
+/// To whom the lease goes.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(example = json!({"to": "robot-2"}))]
+pub struct HandOver {
+    /// Who has asked for it: `requested_by`. At most 32 bytes, or the address that it asked from.
+    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
+    to: String,
+    /// The lease's token; empty is none.
+    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
+    lease: Option<String>,
+}
+
+/// Hand the lease over
+///
+/// To who has asked for it, and gets a token of its own when it asks again. A running motion goes on.
+#[utoipa::path(
+    post, path = "/grippers/{gripper}/lease/hand-over", operation_id = "hand_over_lease", tag = "lease",
+    params(GripperPath, LeaseHeader),
+    request_body = HandOver,
+    responses((status = 200, description = "The lease as it is now", body = Lease), LeaseProblem)
+)]
+pub async fn hand_over(gripper: Gripper, Body(body): Body<HandOver>) -> Answer {
+    let gripper = gripper.with_lease(body.lease.as_deref())?;
+    let to = text::<64>("to", &body.to)?;
+    Ok(Json(gripper.handle.hand_over(gripper.token(), to.as_str().to_owned()).await?))
+}

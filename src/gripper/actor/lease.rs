@@ -1,0 +1,172 @@
+//! What follows from the lease's changes: for the fingers, for the journal, and for who asked.
+
+use super::super::Now;
+use super::super::error::{Conflict, Failure, Rejection};
+use super::super::handle::{Answer, FastStopRequest, Granted};
+use super::super::lease::{Held, Holder, Taken, Terms};
+use super::super::model::{
+    Detail, FastStopCause, Lease, LeaseEvent, LeaseStep, LeaseToken, LossCause, LossEffect, OnLossHolding,
+    OnLossMoving, Reason, TakeLease,
+};
+use super::{Actor, Purpose};
+use crate::wsg::{Command, GripperState, SystemState};
+
+impl Actor {
+    /// Whether a request with this token, or without one, may change anything.
+    pub(super) fn check_lease(&self, now: Now, token: Option<&LeaseToken>) -> Result<(), Conflict> {
+        self.leasing.check(now.instant, token)
+    }
+
+    /// A request of a lease's holder has ended, as [`Leasing::closed`](super::super::lease::Leasing::closed) told.
+    pub fn lease_request_closed(&mut self, now: Now) {
+        self.leasing.request_closed(now.instant);
+        self.settle(now);
+    }
+
+    pub(super) fn lease_now(&self, now: Now) -> Lease {
+        self.leasing.lease(now.instant, None)
+    }
+
+    fn lease_of(&self, now: Now, token: Option<&LeaseToken>) -> Lease {
+        self.leasing.lease(now.instant, token)
+    }
+
+    pub(super) fn take_lease(&mut self, now: Now, wish: &TakeLease, token: LeaseToken, answer: Answer<Granted>) {
+        let granted = self.try_take_lease(now, wish, token).map(|()| {
+            let token = self.leasing.token().cloned();
+            let keep = self.leasing.keep(now.instant, token.as_ref());
+            Granted { lease: self.lease_of(now, token.as_ref()), keep }
+        });
+        // Whoever asked may be gone: then nobody uses it, and it runs out.
+        let _ = answer.send(granted);
+    }
+
+    fn try_take_lease(&mut self, now: Now, wish: &TakeLease, token: LeaseToken) -> Result<(), Rejection> {
+        if self.drain.is_some() {
+            return Err(Failure::Draining.into());
+        }
+        let terms = Terms::of(wish, &self.config.lease)?;
+        let asked_before = self.leasing.asking(now.instant).cloned();
+        let result = self.leasing.take(now.instant, wish, terms, token);
+        let asking = self.leasing.asking(now.instant).cloned();
+        if let Some(asking) = asking.filter(|asking| asked_before.as_ref() != Some(asking)) {
+            self.record_lease(now, LeaseStep::Requested, &asking, None);
+        }
+        let Some(holder) = self.leasing.holder().cloned() else { return result.map(drop).map_err(Into::into) };
+        match result? {
+            Taken::Free => self.record_lease(now, LeaseStep::Taken, &holder, None),
+            Taken::Forced => {
+                self.record_lease(now, LeaseStep::Forced, &holder, None);
+                self.stop_motion(now);
+            }
+            // That it is its now was written down when it was handed over.
+            Taken::HandedOver | Taken::Again => {}
+        }
+        Ok(())
+    }
+
+    pub(super) fn renew_lease(&mut self, now: Now, token: Option<&LeaseToken>) -> Result<Lease, Rejection> {
+        self.leasing.renew(now.instant, token)?;
+        Ok(self.lease_of(now, token))
+    }
+
+    pub(super) fn hand_over(
+        &mut self,
+        now: Now,
+        token: Option<&LeaseToken>,
+        to: &str,
+        new: LeaseToken,
+    ) -> Result<Lease, Rejection> {
+        let holder = self.leasing.hand_over(now.instant, token, to, new)?;
+        self.record_lease(now, LeaseStep::HandedOver, &holder, None);
+        Ok(self.lease_now(now))
+    }
+
+    /// A release is the announcement: a running motion stops, and nothing is latched.
+    pub(super) fn release_lease(&mut self, now: Now, token: Option<&LeaseToken>) -> Lease {
+        if let Some(held) = self.leasing.end(token) {
+            self.record_lease(now, LeaseStep::Released, &held.holder, None);
+            self.stop_motion(now);
+        }
+        self.lease_now(now)
+    }
+
+    /// The connection that the lease was bound to has ended without a release.
+    pub(super) fn lose_lease(&mut self, now: Now, token: &LeaseToken) {
+        if let Some(held) = self.leasing.end(Some(token)) {
+            self.holder_lost(now, &held, LossCause::Disconnected);
+        }
+    }
+
+    /// Ends a lease that has run out, and a reservation that protects nothing any more.
+    pub(super) fn keep_up_lease(&mut self, now: Now) {
+        if let Some(held) = self.leasing.expire(now.instant) {
+            self.holder_lost(now, &held, LossCause::Expired);
+        }
+        let holds_nothing = self.observed.gripper_state.is_some_and(|state| state != GripperState::Holding);
+        if holds_nothing && self.running.is_none() && self.is_set_up() {
+            self.leasing.unreserve();
+        }
+    }
+
+    fn holder_lost(&mut self, now: Now, held: &Held, cause: LossCause) {
+        let Terms { on_loss_moving, on_loss_holding, .. } = held.terms;
+        let holding = self.observed.gripper_state == Some(GripperState::Holding);
+        let effect = match (self.is_moving(), holding) {
+            (true, _) => match on_loss_moving {
+                OnLossMoving::FastStop => LossEffect::FastStop,
+                OnLossMoving::Stop => LossEffect::Stop,
+                OnLossMoving::Finish => LossEffect::Finish,
+            },
+            (false, true) => match on_loss_holding {
+                OnLossHolding::Keep => LossEffect::Keep,
+                OnLossHolding::FastStop => LossEffect::FastStop,
+            },
+            (false, false) => LossEffect::None,
+        };
+        let name = &held.holder.name;
+        tracing::warn!(gripper = %self.config.name, holder = %name, ?cause, ?effect, "the lease's holder is lost");
+        self.record_lease(now, LeaseStep::Lost, &held.holder, Some((effect, cause)));
+        match effect {
+            LossEffect::FastStop => {
+                let request = FastStopRequest {
+                    id: self.ids.fast_stop_id(now.wall),
+                    client: held.holder.client.clone(),
+                    cause: FastStopCause::ClientLost,
+                    reason: Reason::truncated(&format!("{name} was lost")),
+                };
+                self.latch(now, request);
+            }
+            LossEffect::Stop => self.stop_motion(now),
+            // It may end with a part that is held.
+            LossEffect::Finish | LossEffect::Keep => self.leasing.reserve(held.holder.clone()),
+            LossEffect::None => {}
+        }
+    }
+
+    /// Whether the fingers move, or are about to, as far as is known.
+    fn is_moving(&self) -> bool {
+        self.running.as_ref().is_some_and(|running| !running.has_ended())
+            || self.purposes.values().any(|purpose| self.is_custom_motion(purpose))
+            || self.observed.has(SystemState::MOVING)
+    }
+
+    /// Stops whatever moves on the gateway's own account; what waits is withdrawn.
+    fn stop_motion(&mut self, now: Now) {
+        if !self.is_moving() {
+            return;
+        }
+        self.withdraw_waiting_motion(now);
+        if self.is_moving() {
+            // A lane that is full of Stops stops it as well.
+            let _ = self.submit(now, Command::Stop, Purpose::Stop(None));
+        }
+    }
+
+    fn record_lease(&mut self, now: Now, event: LeaseStep, holder: &Holder, lost: Option<(LossEffect, LossCause)>) {
+        let (effect, cause) = lost.unzip();
+        let lease = LeaseEvent { event, holder: holder.name.clone(), epoch: self.leasing.epoch(), effect, cause };
+        let event = self.event(now, Detail::Lease(lease)).by(&holder.client);
+        self.record(event);
+    }
+}

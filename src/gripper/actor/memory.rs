@@ -1,0 +1,96 @@
+//! What has to outlive a restart of the gateway: handed to the journal when it changes, and taken in at the start.
+
+use std::sync::Arc;
+
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
+
+use super::super::Now;
+use super::super::lease::Holder;
+use super::super::model::{Client, Door, FastStopId, Latch, Memory, MemoryKey};
+use super::super::recorder::{Recollection, Record};
+use super::Actor;
+use super::settings::Remembered;
+
+/// So many leases may have been taken, and not been written down, when the gateway was killed.
+const EPOCHS_SKIPPED: u64 = 1000;
+
+/// The newest lease, as it is remembered.
+#[derive(Debug, Serialize, Deserialize)]
+struct RememberedLease {
+    epoch: u64,
+    holder: Option<RememberedHolder>,
+}
+
+#[derive(Debug, Serialize, Deserialize)]
+struct RememberedHolder {
+    name: Arc<str>,
+    subject: Arc<str>,
+    door: Door,
+}
+
+/// What the journal was told last.
+#[derive(Debug, Default)]
+pub(super) struct Told {
+    latch: Option<FastStopId>,
+    lease: (u64, Option<Holder>),
+}
+
+impl Actor {
+    /// Takes in what was remembered of an earlier run, before the first link.
+    pub fn recollect(&mut self, now: Now, recollection: Recollection) {
+        if let Some(settings) = self.remembered::<Remembered>(recollection.settings.as_deref()) {
+            self.wanted = settings.wanted();
+            self.known_serial = settings.serial_number;
+        }
+        if let Some(latch) = self.remembered::<Latch>(recollection.latch.as_deref()) {
+            self.told.latch = Some(latch.id);
+            self.latching.recollect(now.instant, latch);
+        }
+        if let Some(RememberedLease { epoch, holder }) = self.remembered(recollection.lease.as_deref()) {
+            let client = |holder: &RememberedHolder| Client { subject: holder.subject.clone(), door: holder.door };
+            let holder = holder.map(|holder| Holder { client: client(&holder), name: holder.name });
+            self.leasing.recollect(epoch + if recollection.unclean { EPOCHS_SKIPPED } else { 0 }, holder);
+        }
+        self.unannounced = recollection.unclean && self.config.traits.connection_oriented;
+        for request in recollection.requests {
+            self.book.bind_again(now, request);
+        }
+        self.settle(now);
+    }
+
+    fn remembered<T: DeserializeOwned>(&self, value: Option<&str>) -> Option<T> {
+        serde_json::from_str(value?)
+            .inspect_err(|error| {
+                tracing::warn!(gripper = %self.config.name, %error, value, "what was remembered is not understood");
+            })
+            .ok()
+    }
+
+    pub(super) fn remember<T: Serialize>(&mut self, key: MemoryKey, value: Option<&T>) {
+        // Such structures are always JSON.
+        let value = value.and_then(|value| serde_json::to_string(value).ok());
+        self.recording.push(Record::Memory(Memory { gripper: self.config.name.clone(), key, value }));
+    }
+
+    /// Hands on what has changed of the latch and the lease.
+    pub(super) fn remember_changes(&mut self) {
+        if self.told.latch != self.latching.id() {
+            self.told.latch = self.latching.id();
+            let latch = self.latching.latch().cloned();
+            self.remember(MemoryKey::Latch, latch.as_ref());
+        }
+        // A gripper that was reserved, or held by somebody who is gone with the gateway, is reserved again.
+        let holder = self.leasing.holder().or(self.leasing.reserved());
+        if (self.told.lease.0, self.told.lease.1.as_ref()) != (self.leasing.epoch(), holder) {
+            self.told.lease = (self.leasing.epoch(), holder.cloned());
+            let holder = holder.map(|Holder { name, client }| RememberedHolder {
+                name: name.clone(),
+                subject: client.subject.clone(),
+                door: client.door,
+            });
+            let lease = RememberedLease { epoch: self.leasing.epoch(), holder };
+            self.remember(MemoryKey::Lease, Some(&lease));
+        }
+    }
+}

@@ -1,0 +1,359 @@
+//! The lease of one gripper: who may move it, until when, and who is next. Pure: what follows from its changes for the
+//! fingers is the actor's.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use tokio::sync::Notify;
+
+use super::error::{Conflict, Invalid, Rejection};
+use super::model::lease::{DEFAULT_TTL, MIN_TTL};
+use super::model::{Client, Lease, LeaseRules, LeaseToken, OnLossHolding, OnLossMoving, TakeLease};
+
+/// How long somebody who asked for the lease is remembered without asking again.
+const REQUEST_LASTS: Duration = Duration::from_mins(1);
+
+/// Who holds a lease, or held it, or asks for it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct Holder {
+    pub name: Arc<str>,
+    pub client: Client,
+}
+
+impl Holder {
+    fn of(wish: &TakeLease) -> Self {
+        let name = wish.holder.as_ref().map_or_else(|| wish.client.subject.clone(), |name| name.as_str().into());
+        Self { name, client: wish.client.clone() }
+    }
+
+    /// Whether it calls itself the same and comes from the same place.
+    fn is(&self, other: &Self) -> bool {
+        self.name == other.name && self.client.subject == other.client.subject
+    }
+}
+
+/// What a lease's taker asked for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Terms {
+    pub ttl: Duration,
+    pub on_loss_moving: OnLossMoving,
+    pub on_loss_holding: OnLossHolding,
+}
+
+impl Terms {
+    /// What was asked for, or where nothing was what the rules say.
+    pub(super) fn of(wish: &TakeLease, rules: &LeaseRules) -> Result<Self, Invalid> {
+        let ttl = wish.ttl.unwrap_or(DEFAULT_TTL.min(rules.max_ttl));
+        if ttl < MIN_TTL || ttl > rules.max_ttl {
+            return Err(Invalid::OutOfRange {
+                field: "ttl_ms",
+                value: ttl.as_millis() as f32,
+                min: MIN_TTL.as_millis() as f32,
+                max: rules.max_ttl.as_millis() as f32,
+                limit: "the gripper's configuration",
+            });
+        }
+        Ok(Self {
+            ttl,
+            on_loss_moving: chosen("on_loss_moving", wish.on_loss_moving, &rules.on_loss_moving)?,
+            on_loss_holding: chosen("on_loss_holding", wish.on_loss_holding, &rules.on_loss_holding)?,
+        })
+    }
+}
+
+fn chosen<T: Copy + PartialEq + serde::Serialize>(
+    field: &'static str,
+    given: Option<T>,
+    allowed: &[T],
+) -> Result<T, Invalid> {
+    let words = || {
+        let words: Vec<_> = allowed.iter().map(|word| serde_json::json!(word).to_string()).collect();
+        words.join(" or ")
+    };
+    match (given, allowed.first()) {
+        (Some(given), _) if allowed.contains(&given) => Ok(given),
+        (None, Some(first)) => Ok(*first),
+        _ => Err(Invalid::Malformed { field, detail: format!("this gripper's configuration allows {}", words()) }),
+    }
+}
+
+/// A lease that is held, or was.
+#[derive(Debug)]
+pub(super) struct Held {
+    pub holder: Holder,
+    pub terms: Terms,
+    token: LeaseToken,
+    expires_at: Instant,
+    /// Held by each open request of the holder, too.
+    open: Arc<()>,
+    /// Whether one was open when that was looked at last.
+    was_open: bool,
+    /// Whether it was handed over, and its holder has not come for the token yet.
+    is_waiting: bool,
+}
+
+impl Held {
+    fn is_open(&self) -> bool {
+        Arc::strong_count(&self.open) > 1
+    }
+
+    fn expires_in(&self, now: Instant) -> Duration {
+        if self.is_open() { self.terms.ttl } else { self.expires_at.saturating_duration_since(now) }
+    }
+}
+
+/// Keeps a lease from running out for as long as it lives: for a request that is open, or a connection that answers.
+#[derive(Debug)]
+pub struct Keep {
+    open: Option<Arc<()>>,
+    closed: Arc<Notify>,
+}
+
+impl Drop for Keep {
+    fn drop(&mut self) {
+        // First, so that whoever is told sees it.
+        self.open = None;
+        self.closed.notify_one();
+    }
+}
+
+#[derive(Debug)]
+struct Asking {
+    holder: Holder,
+    terms: Terms,
+    at: Instant,
+}
+
+/// The lease of one gripper.
+#[derive(Debug, Default)]
+pub(super) struct Leasing {
+    epoch: u64,
+    held: Option<Held>,
+    asking: Option<Asking>,
+    /// Whose part is held, after they were lost.
+    reserved: Option<Holder>,
+    /// Told when a request of the holder ends.
+    closed: Arc<Notify>,
+}
+
+/// What became of a wish to hold the lease.
+#[derive(Debug)]
+pub(super) enum Taken {
+    /// It was free.
+    Free,
+    /// From its holder, by force.
+    Forced,
+    /// It was handed over to who asks.
+    HandedOver,
+    /// Who asks holds it already.
+    Again,
+}
+
+impl Leasing {
+    /// After a restart: the lease of this epoch was the newest, and its holder, if there was one, is lost.
+    pub(super) fn recollect(&mut self, epoch: u64, holder: Option<Holder>) {
+        self.epoch = epoch;
+        self.reserved = holder;
+    }
+
+    pub(super) fn epoch(&self) -> u64 {
+        self.epoch
+    }
+
+    pub(super) fn holder(&self) -> Option<&Holder> {
+        self.held.as_ref().map(|held| &held.holder)
+    }
+
+    pub(super) fn reserved(&self) -> Option<&Holder> {
+        self.reserved.as_ref()
+    }
+
+    /// Told when a request of a holder ends: [`Leasing::request_closed`] is to be called then.
+    pub(super) fn closed(&self) -> Arc<Notify> {
+        self.closed.clone()
+    }
+
+    /// Whether a request with this token, or without one, may move the gripper.
+    pub(super) fn check(&self, now: Instant, token: Option<&LeaseToken>) -> Result<(), Conflict> {
+        match (&self.held, token) {
+            (Some(held), Some(token)) if held.token == *token => Ok(()),
+            (_, Some(_)) => Err(self.stale()),
+            (Some(held), None) => {
+                let expires_in_ms = Some(held.expires_in(now).as_millis() as u64);
+                Err(Conflict::LeaseHeld { holder: held.holder.name.clone(), expires_in_ms })
+            }
+            (None, None) => match &self.reserved {
+                Some(holder) => Err(Conflict::LeaseHeld { holder: holder.name.clone(), expires_in_ms: None }),
+                None => Ok(()),
+            },
+        }
+    }
+
+    pub(super) fn stale(&self) -> Conflict {
+        Conflict::StaleLease { epoch: self.epoch, holder: self.holder().map(|holder| holder.name.clone()) }
+    }
+
+    /// Renews the lease of this token, and keeps it until the request ends. None where it is nobody's.
+    pub(super) fn keep(&mut self, now: Instant, token: Option<&LeaseToken>) -> Option<Keep> {
+        let closed = self.closed.clone();
+        let held = self.held.as_mut().filter(|held| Some(&held.token) == token)?;
+        held.expires_at = now + held.terms.ttl;
+        held.was_open = true;
+        Some(Keep { open: Some(held.open.clone()), closed })
+    }
+
+    /// A request of a holder has ended: from now on the time runs, if it was the last one.
+    pub(super) fn request_closed(&mut self, now: Instant) {
+        if let Some(held) = self.held.as_mut().filter(|held| held.was_open && !held.is_open()) {
+            held.was_open = false;
+            held.expires_at = now + held.terms.ttl;
+        }
+    }
+
+    /// Takes the lease for whoever asks, with a token of its own if it is a new one.
+    pub(super) fn take(
+        &mut self,
+        now: Instant,
+        wish: &TakeLease,
+        terms: Terms,
+        token: LeaseToken,
+    ) -> Result<Taken, Conflict> {
+        let holder = Holder::of(wish);
+        let way = match &mut self.held {
+            Some(held) if Some(&held.token) == wish.token.as_ref() => {
+                held.terms = terms;
+                held.expires_at = now + terms.ttl;
+                return Ok(Taken::Again);
+            }
+            Some(held) if held.is_waiting && held.holder.is(&holder) => {
+                held.is_waiting = false;
+                held.terms = terms;
+                held.expires_at = now + terms.ttl;
+                return Ok(Taken::HandedOver);
+            }
+            _ if wish.token.is_some() => return Err(self.stale()),
+            Some(_) if wish.force => Taken::Forced,
+            Some(_) => {
+                if wish.request {
+                    self.ask(now, holder, terms);
+                }
+                return self.check(now, None).map(|()| Taken::Free);
+            }
+            None if self.reserved.as_ref().is_none_or(|reserved| reserved.is(&holder)) => Taken::Free,
+            None if wish.force => Taken::Free,
+            None => return self.check(now, None).map(|()| Taken::Free),
+        };
+        self.give(now, holder, terms, token);
+        Ok(way)
+    }
+
+    fn give(&mut self, now: Instant, holder: Holder, terms: Terms, token: LeaseToken) {
+        self.epoch += 1;
+        self.reserved = None;
+        self.asking = None;
+        let (open, expires_at) = (Arc::new(()), now + terms.ttl);
+        self.held = Some(Held { holder, terms, token, expires_at, open, was_open: false, is_waiting: false });
+    }
+
+    /// Who asks first is told to the holder, until it is not heard from for a while.
+    fn ask(&mut self, now: Instant, holder: Holder, terms: Terms) {
+        match &self.asking {
+            Some(asking) if !asking.holder.is(&holder) && now < asking.at + REQUEST_LASTS => {}
+            _ => self.asking = Some(Asking { holder, terms, at: now }),
+        }
+    }
+
+    /// Renews the lease of this token.
+    pub(super) fn renew(&mut self, now: Instant, token: Option<&LeaseToken>) -> Result<(), Conflict> {
+        match self.held.as_mut().filter(|held| Some(&held.token) == token) {
+            Some(held) => {
+                held.expires_at = now + held.terms.ttl;
+                Ok(())
+            }
+            None => Err(self.stale()),
+        }
+    }
+
+    /// Gives the lease of this token to who asked for it, who has to come for a token of its own.
+    pub(super) fn hand_over(
+        &mut self,
+        now: Instant,
+        token: Option<&LeaseToken>,
+        to: &str,
+        new: LeaseToken,
+    ) -> Result<Holder, Rejection> {
+        self.renew(now, token)?;
+        let asking = self.asking_now(now);
+        let Some(Asking { holder, terms, .. }) = asking.filter(|asking| &*asking.holder.name == to) else {
+            let asks = asking.map_or("nobody".to_owned(), |asking| format!("{:?}", asking.holder.name));
+            let detail = format!("{to:?} has not asked for the lease, but {asks}");
+            return Err(Invalid::Malformed { field: "to", detail }.into());
+        };
+        let (holder, terms) = (holder.clone(), *terms);
+        self.give(now, holder.clone(), terms, new);
+        if let Some(held) = &mut self.held {
+            held.is_waiting = true;
+        }
+        Ok(holder)
+    }
+
+    /// Ends the lease of this token, if it is one. A part that is held needs no holder then.
+    pub(super) fn end(&mut self, token: Option<&LeaseToken>) -> Option<Held> {
+        let ended = self.held.take_if(|held| Some(&held.token) == token);
+        self.asking.take_if(|_| ended.is_some());
+        ended
+    }
+
+    /// Ends the lease that has run out.
+    pub(super) fn expire(&mut self, now: Instant) -> Option<Held> {
+        let ended = self.held.take_if(|held| !held.is_open() && held.expires_at <= now);
+        self.asking.take_if(|_| ended.is_some());
+        ended
+    }
+
+    /// The gripper stays reserved for the holder that was lost.
+    pub(super) fn reserve(&mut self, holder: Holder) {
+        self.reserved = Some(holder);
+    }
+
+    /// Nothing is held any more that could be dropped.
+    pub(super) fn unreserve(&mut self) -> Option<Holder> {
+        self.reserved.take()
+    }
+
+    pub(super) fn next_timeout(&self) -> Option<Instant> {
+        self.held.as_ref().filter(|held| !held.is_open()).map(|held| held.expires_at)
+    }
+
+    /// As clients are told, with the token for its taker.
+    pub(super) fn lease(&self, now: Instant, token: Option<&LeaseToken>) -> Lease {
+        let held = self.held.as_ref();
+        let ms = |time: Duration| time.as_millis() as u64;
+        Lease {
+            held: held.is_some(),
+            holder: held.map(|held| held.holder.name.clone()),
+            epoch: self.epoch,
+            token: held.map(|held| &held.token).filter(|held| Some(*held) == token).cloned(),
+            ttl_ms: held.map(|held| ms(held.terms.ttl)),
+            expires_in_ms: held.map(|held| ms(held.expires_in(now))),
+            on_loss_moving: held.map(|held| held.terms.on_loss_moving),
+            on_loss_holding: held.map(|held| held.terms.on_loss_holding),
+            requested_by: self.asking_now(now).map(|asking| asking.holder.name.clone()),
+            reserved_for: self.reserved.as_ref().map(|holder| holder.name.clone()),
+        }
+    }
+
+    /// The token of the lease that is held.
+    pub(super) fn token(&self) -> Option<&LeaseToken> {
+        self.held.as_ref().map(|held| &held.token)
+    }
+
+    /// Who asks for it to be handed over.
+    pub(super) fn asking(&self, now: Instant) -> Option<&Holder> {
+        self.asking_now(now).map(|asking| &asking.holder)
+    }
+
+    fn asking_now(&self, now: Instant) -> Option<&Asking> {
+        self.asking.as_ref().filter(|asking| now < asking.at + REQUEST_LASTS)
+    }
+}

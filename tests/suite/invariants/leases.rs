@@ -1,0 +1,325 @@
+//! The lease: who may move the gripper, and what becomes of it when that client is lost.
+
+use std::time::Duration;
+
+use tokio::sync::oneshot;
+use wsg_gateway::gripper::handle::Request;
+use wsg_gateway::gripper::model::{
+    Action, Client, Door, FastStopCause, HolderName, Lease, LeaseToken, Motion, OnLossHolding, OnLossMoving, Outcome,
+    Submission, TakeLease,
+};
+use wsg_gateway::gripper::{Conflict, Granted, Rejection, Ticket};
+use wsg_gateway::sim::Change;
+use wsg_gateway::wsg::{self, Acceleration, id};
+
+use super::NOTHING;
+use super::steps::*;
+use crate::seeds::world::World;
+
+const TTL: Duration = Duration::from_millis(500);
+
+fn wish(holder: &str) -> TakeLease {
+    TakeLease {
+        client: Client { subject: format!("http:{holder}").into(), door: Door::Http },
+        holder: HolderName::new(holder),
+        ttl: Some(TTL),
+        on_loss_moving: None,
+        on_loss_holding: None,
+        force: false,
+        request: false,
+        token: None,
+    }
+}
+
+fn take(world: &mut World, take: TakeLease) -> Result<Granted, Rejection> {
+    let token = LeaseToken::generate();
+    request(world, |answer| Request::TakeLease { take, token, answer }).try_recv().unwrap()
+}
+
+/// Takes the lease without a request that stays open.
+fn token(world: &mut World, wish: TakeLease) -> Option<LeaseToken> {
+    let granted = take(world, wish).unwrap();
+    close(world, granted.keep);
+    granted.lease.token
+}
+
+/// A request that kept a lease ends.
+fn close<T>(world: &mut World, open: T) {
+    drop(open);
+    let now = world.clock();
+    world.actor.lease_request_closed(now);
+    world.settle();
+}
+
+fn lease(world: &mut World) -> Lease {
+    request(world, |answer| Request::Lease { answer }).try_recv().unwrap()
+}
+
+fn submit_with(world: &mut World, motion: Motion, lease: Option<LeaseToken>) -> Result<Ticket, Rejection> {
+    let now = world.clock();
+    let id = world.ids.command_id(now.wall);
+    let frame = motion.request();
+    let submission = Submission { client: client(), action: Action::Motion(motion), request_id: None, lease };
+    let (answer, mut answered) = oneshot::channel();
+    world.actor.request(now, Request::Submit { submission, id, answer });
+    let ticket = answered.try_recv().unwrap()?;
+    world.clients.admitted.push(crate::seeds::client::Admitted { ticket: ticket.watched(), motion: Some(frame) });
+    world.settle();
+    Ok(ticket)
+}
+
+fn release(world: &mut World, token: Option<LeaseToken>) -> Lease {
+    request(world, |answer| Request::ReleaseLease { token, answer }).try_recv().unwrap()
+}
+
+fn fast_stops(world: &World, from: usize) -> usize {
+    received(world, from).into_iter().filter(|id| *id == id::FAST_STOP).count()
+}
+
+#[test]
+fn stale_lease_moves_nothing() {
+    let mut world = homed();
+    let a = token(&mut world, wish("a"));
+    world.advance(TTL + Duration::from_millis(10));
+    let b = token(&mut world, wish("b"));
+    let from = mark(&world);
+    let rejection = submit_with(&mut world, move_to(50.0, 50.0), a.clone()).unwrap_err();
+    assert_eq!(rejection, Conflict::StaleLease { epoch: 2, holder: Some("b".into()) }.into());
+    let acceleration = wsg::Command::SetAcceleration(Acceleration::new(500.0).unwrap());
+    let mut set =
+        request(&mut world, |answer| Request::Exchange { command: acceleration, client: client(), lease: a, answer });
+    assert!(matches!(set.try_recv().unwrap(), Err(Rejection::Conflict(Conflict::StaleLease { .. }))));
+    world.advance(Duration::from_millis(200));
+    assert_eq!(received(&world, from), NOTHING);
+    assert!(submit_with(&mut world, move_to(50.0, 50.0), b).is_ok());
+}
+
+#[test]
+fn who_holds_no_lease_is_told_who_does_and_for_how_long() {
+    let mut world = homed();
+    let a = token(&mut world, wish("a"));
+    world.advance(Duration::from_millis(100));
+    let held = Conflict::LeaseHeld { holder: "a".into(), expires_in_ms: Some(400) };
+    assert_eq!(refused(&mut world, move_to(50.0, 50.0)), held.clone().into());
+    assert_eq!(take(&mut world, wish("b")).unwrap_err(), held.into());
+    let told = lease(&mut world);
+    assert_eq!((told.held, told.holder.as_deref(), told.epoch, told.token), (true, Some("a"), 1, None));
+    assert_eq!((told.ttl_ms, told.expires_in_ms), (Some(500), Some(400)));
+    assert_eq!((state(&world).lease_holder.as_deref(), state(&world).lease_epoch), (Some("a"), 1));
+    // Readers need none.
+    let mut read = exchange(&mut world, wsg::Command::GetAcceleration);
+    world.advance(Duration::from_millis(100));
+    assert!(read.try_recv().unwrap().is_ok());
+    assert!(submit_with(&mut world, move_to(50.0, 50.0), a).is_ok());
+}
+
+#[test]
+fn a_holder_that_is_lost_while_the_fingers_move_is_a_fast_stop_within_the_time_to_live() {
+    let mut world = homed();
+    let a = token(&mut world, wish("a"));
+    let running = submit_with(&mut world, move_to(5.0, 10.0), a).unwrap();
+    let from = mark(&world);
+    close(&mut world, running);
+    let lost = world.now;
+    world.advance(Duration::from_millis(490));
+    assert_eq!(fast_stops(&world, from), 0);
+    world.advance(Duration::from_millis(60));
+    let sent = world.device.received()[from..].iter().find(|frame| frame.id == id::FAST_STOP).unwrap().at;
+    assert!(sent <= lost + TTL + Duration::from_millis(50), "{:?}", sent - lost);
+    assert_eq!(fast_stops(&world, from), 1, "it was confirmed");
+    let latch = latch(&world);
+    assert_eq!((latch.fast_stop_cause, &*latch.fast_stop_by), (FastStopCause::ClientLost, "http:a"));
+    assert_eq!(latch.fast_stop_reason.as_str(), "a was lost");
+    assert!(latch.fast_stop_confirmed && !lease(&mut world).held);
+}
+
+#[test]
+fn a_holder_that_is_lost_while_a_part_is_held_leaves_it_held_and_reserved() {
+    let mut world = homed();
+    let a = token(&mut world, wish("a"));
+    let held = submit_with(&mut world, grip(None), a).unwrap();
+    assert_eq!(finish(&mut world, &held).outcome, Some(Outcome::PartHeld));
+    close(&mut world, held);
+    let from = mark(&world);
+    world.advance(TTL * 4);
+    assert_eq!((received(&world, from), state(&world).fast_stop), (NOTHING.to_vec(), Some(false)));
+    let told = lease(&mut world);
+    assert_eq!((told.held, told.reserved_for.as_deref()), (false, Some("a")));
+    let reserved = Conflict::LeaseHeld { holder: "a".into(), expires_in_ms: None };
+    assert_eq!(refused(&mut world, move_to(50.0, 50.0)), reserved.clone().into());
+    assert_eq!(take(&mut world, wish("b")).unwrap_err(), reserved.into());
+    // The same name from elsewhere is somebody else.
+    let elsewhere = TakeLease { client: client(), ..wish("a") };
+    assert!(take(&mut world, elsewhere).is_err());
+    assert!(take(&mut world, wish("a")).is_ok());
+}
+
+#[test]
+fn a_supervisor_may_take_a_gripper_that_is_reserved() {
+    let mut world = homed();
+    let a = token(&mut world, wish("a"));
+    let held = submit_with(&mut world, grip(None), a).unwrap();
+    finish(&mut world, &held);
+    close(&mut world, held);
+    world.advance(TTL * 2);
+    assert!(take(&mut world, TakeLease { force: true, ..wish("b") }).is_ok());
+}
+
+#[test]
+fn a_part_that_is_gone_reserves_nothing() {
+    let mut world = homed();
+    let a = token(&mut world, wish("a"));
+    let held = submit_with(&mut world, grip(None), a).unwrap();
+    finish(&mut world, &held);
+    close(&mut world, held);
+    world.advance(TTL * 2);
+    world.device.apply(world.now, Change::TakePart);
+    world.advance(Duration::from_secs(1));
+    assert_eq!(lease(&mut world).reserved_for, None);
+    assert!(take(&mut world, wish("b")).is_ok());
+}
+
+#[test]
+fn a_release_stops_a_running_motion_and_latches_nothing() {
+    let mut world = homed();
+    let a = token(&mut world, wish("a"));
+    let running = submit_with(&mut world, move_to(5.0, 10.0), a.clone()).unwrap();
+    world.advance(Duration::from_millis(300));
+    let from = mark(&world);
+    let stale = release(&mut world, Some("another".into()));
+    assert!(stale.held, "what isn't its any more stays as it is");
+    assert!(!release(&mut world, a.clone()).held);
+    assert_eq!(finish(&mut world, &running).outcome, Some(Outcome::Aborted));
+    world.advance(TTL * 2);
+    assert_eq!((received(&world, from), state(&world).fast_stop), (vec![id::STOP], Some(false)));
+    assert!(!release(&mut world, a).held);
+}
+
+#[test]
+fn an_open_request_keeps_the_lease_for_as_long_as_the_motion_takes() {
+    let mut world = homed();
+    let a = token(&mut world, wish("plc"));
+    let running = submit_with(&mut world, move_to(85.0, 5.0), a).unwrap();
+    world.advance(Duration::from_secs(3));
+    assert_eq!(lease(&mut world).expires_in_ms, Some(500));
+    assert_eq!(finish(&mut world, &running).outcome, Some(Outcome::Success));
+    assert!(running.now().duration_ms.unwrap() > 4000);
+    // From the answer on its time runs.
+    close(&mut world, running);
+    world.advance(Duration::from_millis(480));
+    assert!(lease(&mut world).held);
+    world.advance(Duration::from_millis(30));
+    assert!(!lease(&mut world).held);
+    assert_eq!(state(&world).fast_stop, Some(false));
+}
+
+#[test]
+fn what_becomes_of_a_motion_is_the_holders_choice() {
+    for (choice, sent, outcome) in [
+        (OnLossMoving::Stop, vec![id::STOP], Outcome::Aborted),
+        (OnLossMoving::Finish, NOTHING.to_vec(), Outcome::Success),
+        (OnLossMoving::FastStop, vec![id::FAST_STOP], Outcome::Aborted),
+    ] {
+        let mut world = homed();
+        let a = token(&mut world, TakeLease { on_loss_moving: Some(choice), ..wish("a") });
+        let running = submit_with(&mut world, move_to(80.0, 20.0), a.clone()).unwrap();
+        world.advance(Duration::from_millis(300));
+        let from = mark(&world);
+        let lost = a.unwrap();
+        drop(request(&mut world, |_: oneshot::Sender<()>| Request::LoseLease { token: lost }));
+        assert_eq!(finish(&mut world, &running).outcome, Some(outcome), "{choice:?}");
+        world.advance(Duration::from_secs(1));
+        assert_eq!(received(&world, from), sent, "{choice:?}");
+        assert_eq!(lease(&mut world).reserved_for, None, "nothing is held: {choice:?}");
+    }
+}
+
+#[test]
+fn what_becomes_of_a_held_part_is_the_holders_choice_too() {
+    let mut world = homed();
+    let a = token(&mut world, TakeLease { on_loss_holding: Some(OnLossHolding::FastStop), ..wish("a") });
+    let held = submit_with(&mut world, grip(None), a).unwrap();
+    finish(&mut world, &held);
+    close(&mut world, held);
+    world.advance(TTL * 2);
+    assert_eq!(latch(&world).fast_stop_cause, FastStopCause::ClientLost);
+    assert_eq!(lease(&mut world).reserved_for, None);
+}
+
+#[test]
+fn a_lease_is_handed_over_to_who_asks() {
+    let mut world = homed();
+    let a = token(&mut world, wish("a"));
+    assert!(take(&mut world, TakeLease { request: true, ..wish("b") }).is_err());
+    assert!(take(&mut world, TakeLease { request: true, ..wish("c") }).is_err());
+    assert_eq!(lease(&mut world).requested_by.as_deref(), Some("b"), "who came first");
+    let hand_over = |to: &str, token: Option<LeaseToken>| {
+        let to = to.to_owned();
+        move |answer| Request::HandOver { token, to, new: LeaseToken::generate(), answer }
+    };
+    let mut wrong = request(&mut world, hand_over("c", a.clone()));
+    assert!(matches!(wrong.try_recv().unwrap(), Err(Rejection::Invalid(_))));
+    let mut right = request(&mut world, hand_over("b", a.clone()));
+    let told = right.try_recv().unwrap().unwrap();
+    assert_eq!((told.holder.as_deref(), told.epoch, told.token), (Some("b"), 2, None));
+    assert!(submit_with(&mut world, move_to(50.0, 50.0), a).is_err());
+    assert!(take(&mut world, wish("c")).is_err());
+    let b = token(&mut world, TakeLease { request: true, ..wish("b") });
+    assert_eq!(lease(&mut world).epoch, 2);
+    assert!(submit_with(&mut world, move_to(50.0, 50.0), b).is_ok());
+}
+
+#[test]
+fn a_lease_that_is_forced_stops_the_motion_of_who_held_it() {
+    let mut world = homed();
+    let a = token(&mut world, wish("a"));
+    let running = submit_with(&mut world, move_to(5.0, 10.0), a.clone()).unwrap();
+    world.advance(Duration::from_millis(300));
+    let from = mark(&world);
+    assert!(take(&mut world, TakeLease { force: true, ..wish("b") }).is_ok());
+    assert_eq!(finish(&mut world, &running).outcome, Some(Outcome::Aborted));
+    assert_eq!((received(&world, from), state(&world).fast_stop), (vec![id::STOP], Some(false)));
+    assert!(submit_with(&mut world, move_to(50.0, 50.0), a).is_err());
+}
+
+#[test]
+fn a_motion_that_waits_when_its_holder_is_lost_never_leaves() {
+    let mut world = homed();
+    let a = token(&mut world, TakeLease { on_loss_moving: Some(OnLossMoving::Stop), ..wish("a") });
+    // In the pause after the homing it waits.
+    let first = submit_with(&mut world, move_to(80.0, 200.0), a.clone()).unwrap();
+    finish(&mut world, &first);
+    let from = mark(&world);
+    let waiting = submit_with(&mut world, move_to(5.0, 10.0), a.clone()).unwrap();
+    let lost = a.unwrap();
+    drop(request(&mut world, |_: oneshot::Sender<()>| Request::LoseLease { token: lost }));
+    assert_eq!(finish(&mut world, &waiting).outcome, Some(Outcome::Aborted));
+    world.advance(Duration::from_secs(1));
+    assert!(!received(&world, from).contains(&id::PRE_POSITION));
+}
+
+#[test]
+fn an_epoch_and_a_latch_outlive_a_restart_of_the_gateway() {
+    let mut world = homed();
+    let a = token(&mut world, wish("a"));
+    let running = submit_with(&mut world, move_to(5.0, 10.0), a.clone()).unwrap();
+    close(&mut world, running);
+    world.advance(TTL * 2);
+    let stopped = latch(&world);
+    world.restart();
+    assert_eq!(latch(&world).fast_stop_id, stopped.fast_stop_id);
+    assert!(!latch(&world).fast_stop_confirmed);
+    assert_eq!(lease(&mut world).epoch, 1);
+    let from = mark(&world);
+    world.advance(Duration::from_secs(1));
+    assert_eq!(received(&world, from).first(), Some(&id::FAST_STOP), "the device may have forgotten it");
+    let again = latch(&world);
+    assert_eq!((again.fast_stop_id, again.fast_stop_cause), (stopped.fast_stop_id, FastStopCause::ClientLost));
+    assert!(again.fast_stop_confirmed);
+    take(&mut world, wish("b")).unwrap();
+    assert_eq!(lease(&mut world).epoch, 2);
+    assert!(submit_with(&mut world, home(), a).is_err());
+    let mut cleared = acknowledge(&mut world, stopped.fast_stop_id);
+    world.advance(Duration::from_millis(200));
+    assert_eq!(cleared.try_recv().unwrap(), Ok(()));
+}
