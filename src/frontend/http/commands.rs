@@ -85,6 +85,7 @@ pub async fn get(
     CommandOf(id): CommandOf,
     wait: WaitMs<0>,
 ) -> Result<Json<Command>, Problem> {
+    let gripper = gripper.with_lease(None)?;
     if let Some(mut ticket) = gripper.handle.find(id, gripper.token()).await? {
         return Ok(Json(ticket.wait(wait.0).await));
     }

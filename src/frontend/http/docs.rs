@@ -50,7 +50,7 @@ pub fn base() -> OpenApi {
 
 /// Says of optional bodies that they may be left out, not that they may be `null`.
 pub fn without_null_bodies(document: &mut OpenApi) {
-    let bodies = document.paths.paths.values_mut().flat_map(|item| [&mut item.put, &mut item.post]);
+    let bodies = document.paths.paths.values_mut().flat_map(|item| [&mut item.put, &mut item.post, &mut item.delete]);
     for body in bodies.flatten().filter_map(|operation| operation.request_body.as_mut()) {
         let RefOr::T(body) = body else { continue };
         for content in body.content.values_mut() {

@@ -63,7 +63,7 @@ pub struct StreamQuery {
     #[param(minimum = 1, maximum = 100, default = 10)]
     max_hz: Option<u64>,
     /// The same as `Last-Event-ID`, for clients that can't set a header: events begin behind this one.
-    #[param(minimum = 0)]
+    #[param(minimum = 0, maximum = 999_999_999_999_999_999_i64)]
     after: Option<i64>,
 }
 
@@ -72,8 +72,8 @@ pub struct StreamQuery {
 #[allow(dead_code, reason = "the document's words on what stream takes from the headers")]
 pub struct StreamHeaders {
     /// The `seq` of the last event that was seen: events begin behind it, without a gap. Without it they begin now.
-    #[param(rename = "Last-Event-ID", minimum = 0, nullable = false)]
-    last_event_id: Option<i64>,
+    #[param(rename = "Last-Event-ID", nullable = false, pattern = "^([0-9]{1,18})?$")]
+    last_event_id: Option<String>,
 }
 
 /// One server-sent event.
@@ -216,7 +216,9 @@ fn topics(text: &str) -> Option<HashSet<Topic>> {
 }
 
 fn seq(text: &str) -> Option<i64> {
-    text.parse().ok().filter(|seq| *seq >= 0)
+    // Of more digits there is none.
+    let digits = text.len() <= 18 && text.bytes().all(|byte| byte.is_ascii_digit());
+    text.parse().ok().filter(|_| digits)
 }
 
 fn bad_last_event_id() -> Problem {
