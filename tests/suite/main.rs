@@ -18,6 +18,7 @@ mod harness;
 mod invariants;
 mod journal_files;
 mod kills;
+mod leases;
 mod link;
 mod noisy_udp;
 mod recordings;

@@ -79,6 +79,8 @@ impl Actor {
     ) -> Result<Lease, Rejection> {
         let holder = self.leasing.hand_over(now.instant, token, to, new)?;
         self.record_lease(now, LeaseStep::HandedOver, &holder, None);
+        // A motion that runs goes on; one that has not begun would begin under somebody else's lease.
+        self.withdraw_waiting_motion(now);
         Ok(self.lease_now(now))
     }
 

@@ -45,7 +45,10 @@ impl Session {
             SlotState::InFlight(in_flight) => match in_flight.judge(id, reply.status()) {
                 Verdict::Accepted => {
                     in_flight.accepted = true;
-                    in_flight.deadline = now + in_flight.result_within;
+                    if id != id::FAST_STOP {
+                        // Its repetition is due when it is due, whatever the device makes of it.
+                        in_flight.deadline = now + in_flight.result_within;
+                    }
                     self.events.push_back(Event::Accepted(in_flight.token));
                 }
                 Verdict::Final => {

@@ -244,6 +244,19 @@ fn fast_stop_and_stop_never_wait_for_an_echo() {
 }
 
 #[test]
+fn a_fast_stop_that_is_only_said_to_be_pending_is_given_up_as_soon_as_one_without_an_answer() {
+    let mut rig = Rig::new();
+    let token = rig.submit(Command::FastStop);
+    rig.written();
+    rig.pass(Duration::from_millis(1));
+    rig.status(id::FAST_STOP, Status::E_CMD_PENDING);
+    rig.pass(ANSWER);
+    assert_eq!(rig.events(), [Event::Accepted(token), Event::Ended(token, End::NoResult { stopped: false })]);
+    rig.submit(Command::FastStop);
+    assert_eq!(rig.written()[..1], [id::FAST_STOP]);
+}
+
+#[test]
 fn the_result_of_a_stopped_motion_is_not_waited_for_long() {
     let mut rig = Rig::new();
     let motion = rig.submit(grip());

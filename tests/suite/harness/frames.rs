@@ -1,6 +1,7 @@
 //! What went over a link, frame by frame.
 
 use std::sync::{Arc, Mutex};
+use std::time::Instant;
 
 use wsg_gateway::wsg::id::MAX_OPAQUE_BYTES;
 use wsg_gateway::wsg::{ChecksumEvaluation, Decoded, Decoder};
@@ -14,6 +15,8 @@ pub struct Frame {
     pub connection: usize,
     pub id: u8,
     pub payload: Vec<u8>,
+    /// When it was seen.
+    pub at: Instant,
 }
 
 impl Frame {
@@ -54,6 +57,11 @@ impl Frames {
         self.all().iter().filter(|frame| frame.id == id).count()
     }
 
+    /// When the first of this id came after `since`.
+    pub fn first_since(&self, id: u8, since: Instant) -> Option<Instant> {
+        self.all().iter().filter(|frame| frame.id == id && frame.at >= since).map(|frame| frame.at).min()
+    }
+
     /// How many move the fingers.
     pub fn motions(&self) -> usize {
         self.all().iter().filter(|frame| frame.is_motion()).count()
@@ -81,7 +89,7 @@ impl Recorder {
         while let Some(decoded) = self.decoder.next() {
             let Decoded::Frame(frame) = decoded else { panic!("the gateway sent a damaged frame: {decoded:?}") };
             let (connection, id, payload) = (self.connection, frame.id, frame.payload.to_vec());
-            self.frames.0.lock().unwrap().push(Frame { connection, id, payload });
+            self.frames.0.lock().unwrap().push(Frame { connection, id, payload, at: Instant::now() });
         }
         assert_eq!(self.decoder.counters().skipped_bytes, 0, "the gateway sent what is no frame");
     }

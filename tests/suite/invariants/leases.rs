@@ -59,11 +59,16 @@ fn submit_with(world: &mut World, motion: Motion, lease: Option<LeaseToken>) -> 
     let now = world.clock();
     let id = world.ids.command_id(now.wall);
     let frame = motion.request();
-    let submission = Submission { client: client(), action: Action::Motion(motion), request_id: None, lease };
+    let submission =
+        Submission { client: client(), action: Action::Motion(motion), request_id: None, lease: lease.clone() };
     let (answer, mut answered) = oneshot::channel();
     world.actor.request(now, Request::Submit { submission, id, answer });
     let ticket = answered.try_recv().unwrap()?;
-    world.clients.admitted.push(crate::seeds::client::Admitted { ticket: ticket.watched(), motion: Some(frame) });
+    world.clients.admitted.push(crate::seeds::client::Admitted {
+        ticket: ticket.watched(),
+        motion: Some(frame),
+        lease,
+    });
     world.settle();
     Ok(ticket)
 }

@@ -67,7 +67,7 @@ pub fn submit(world: &mut World, action: Action, request_id: Option<&str>) -> Re
     let (answer, mut answered) = oneshot::channel();
     world.actor.request(now, Request::Submit { submission, id, answer });
     let ticket = answered.try_recv().unwrap()?;
-    world.clients.admitted.push(crate::seeds::client::Admitted { ticket: ticket.clone(), motion });
+    world.clients.admitted.push(crate::seeds::client::Admitted { ticket: ticket.clone(), motion, lease: None });
     world.settle();
     Ok(ticket)
 }

@@ -4,13 +4,14 @@ use rand::RngExt;
 use tokio::sync::oneshot;
 use wsg_gateway::gripper::handle::{FastStopRequest, Request};
 use wsg_gateway::gripper::model::{
-    Action, Client, Door, FastStopCause, FastStopId, Motion, PartId, Reason, RequestId, Submission,
+    Action, Client, Door, FastStopCause, FastStopId, LeaseToken, Motion, PartId, Reason, RequestId, Submission,
 };
 use wsg_gateway::gripper::{Failure, Rejection, Ticket};
 use wsg_gateway::wsg::{
     Acceleration, Command, CustomCommand, Data, Force, HomingDirection, LoopData, MoveFlags, Speed, Width,
 };
 
+use super::leases::Leases;
 use super::schedule::Ask;
 use super::world::World;
 
@@ -18,6 +19,8 @@ use super::world::World;
 pub struct Admitted {
     pub ticket: Ticket,
     pub motion: Option<Command>,
+    /// The lease that it was admitted with.
+    pub lease: Option<LeaseToken>,
 }
 
 /// A request that moves nothing, and the data that it must bring back, where that is known.
@@ -83,6 +86,7 @@ impl Clients {
                 let acceleration = Acceleration::new(world.rng.random_range(200.0..1000.0)).unwrap();
                 Self::exchange(world, Command::SetAcceleration(acceleration));
             }
+            Ask::Lease(ask) => Leases::act(world, ask),
             Ask::Read => Self::exchange(world, Command::GetStatistics { reset: false }),
             Ask::Loop => {
                 world.clients.submitted += 1;
@@ -106,7 +110,8 @@ impl Clients {
     fn submit_motion(world: &mut World, motion: Motion) {
         let number = world.clients.submitted;
         let request_id = world.rng.random_bool(0.5).then(|| format!("r{number}-{}", motion.kind()));
-        let submission = submission(Action::Motion(motion), request_id);
+        let lease = Leases::any_token(world);
+        let submission = Submission { lease, ..submission(Action::Motion(motion), request_id) };
         world.clients.last = Some(submission.clone());
         Self::submit(world, submission);
     }
@@ -117,18 +122,23 @@ impl Clients {
             Action::Stop => None,
         };
         let latched = world.watches.state.borrow().latch.is_some();
+        let lease = submission.lease.clone();
         let (answer, mut answered) = oneshot::channel();
         let now = world.clock();
         let id = world.ids.command_id(now.wall);
         world.actor.request(now, Request::Submit { submission, id, answer });
         let result = answered.try_recv().expect("admission is decided at once");
         world.note(&format!("  {:?}", result.as_ref().map(|ticket| ticket.now().id)));
+        if motion.is_some() {
+            Leases::asked(world, lease.as_ref(), result.as_ref());
+        }
         if let Ok(ticket) = result {
             let replayed = ticket.now().replayed;
             world.count("a request was replayed", replayed);
             if !replayed {
                 assert!(!latched || motion.is_none(), "no motion is admitted while a latch holds\n{}", world.tail());
-                world.clients.admitted.push(Admitted { ticket, motion });
+                let ticket = ticket.watched();
+                world.clients.admitted.push(Admitted { ticket, motion, lease });
             }
         }
     }

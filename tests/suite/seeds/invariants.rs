@@ -7,6 +7,7 @@ use wsg_gateway::gripper::model::{Link, Outcome, Phase};
 use wsg_gateway::sim::Interface;
 use wsg_gateway::wsg::{Command, id};
 
+use super::leases::Leases;
 use super::world::World;
 
 /// What was seen so far.
@@ -49,11 +50,12 @@ impl Invariants {
         match frame_id {
             id::HOMING | id::PRE_POSITION | id::GRIP | id::RELEASE => {
                 assert!(!latched, "latch_blocks_motion\n{}", world.tail());
-                let admitted = world
-                    .clients
-                    .admitted
-                    .iter()
-                    .filter(|admitted| admitted.motion.as_ref().is_some_and(|motion| encode(motion) == frame));
+                let all = &world.clients.admitted;
+                let admitted =
+                    all.iter().filter(|admitted| admitted.motion.as_ref().map(encode).as_deref() == Some(frame));
+                let running = admitted.clone().filter(|admitted| admitted.ticket.now().phase == Phase::Running);
+                let mut may_leave = running.map(|admitted| Leases::may_leave(world, admitted.lease.as_ref()));
+                assert!(may_leave.any(|may| may), "stale_lease_moves_nothing\n{}", world.tail());
                 // What is not written down does not move.
                 let admitted = admitted.filter(|admitted| world.journal.is_durable(admitted.ticket.now().id)).count();
                 let sent = world.invariants.motions.entry(frame.to_vec()).or_default();

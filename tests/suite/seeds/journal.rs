@@ -9,6 +9,7 @@ use wsg_gateway::gripper::actor::Actor;
 use wsg_gateway::gripper::model::{CommandEvent, CommandId, Detail, MemoryKey, Outcome};
 use wsg_gateway::gripper::recorder::Recollection;
 
+use super::leases::Leases;
 use super::world::World;
 
 /// What was recorded.
@@ -48,6 +49,11 @@ impl Journal {
     pub fn keep(world: &mut World) {
         loop {
             while let Some((record, awaited_by)) = world.actor.poll_record() {
+                if let Record::Event(event, _) = &record
+                    && let Detail::Lease(lease) = &event.detail
+                {
+                    Leases::recorded(world, lease);
+                }
                 world.journal.take(&record);
                 if let Some(id) = awaited_by {
                     Self::write(world, id);

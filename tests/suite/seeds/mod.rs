@@ -6,6 +6,7 @@
 pub mod client;
 mod invariants;
 mod journal;
+mod leases;
 pub mod schedule;
 pub mod world;
 

@@ -8,6 +8,8 @@ use rand::rngs::SmallRng;
 use wsg_gateway::sim::{Change, FaultKind, Part};
 use wsg_gateway::wsg::id;
 
+use super::leases::LeaseAsk;
+
 /// Something that happens.
 #[derive(Debug, Clone)]
 pub enum Step {
@@ -36,6 +38,7 @@ pub enum Ask {
     Read,
     Custom,
     Loop,
+    Lease(LeaseAsk),
 }
 
 /// The steps of one seed, in order.
@@ -109,7 +112,7 @@ impl Schedule {
 }
 
 fn ask(rng: &mut SmallRng) -> Ask {
-    match rng.random_range(0..24) {
+    match rng.random_range(0..32) {
         0..3 => Ask::Home,
         6 => Ask::MoveRelative,
         7..11 => Ask::Grip { with_force: rng.random_bool(0.3) },
@@ -123,6 +126,11 @@ fn ask(rng: &mut SmallRng) -> Ask {
         21 => Ask::Read,
         22 => Ask::Custom,
         23 => Ask::Loop,
+        24..27 => Ask::Lease(LeaseAsk::Take { force: rng.random_bool(0.2) }),
+        27 => Ask::Lease(LeaseAsk::HandOver),
+        28 => Ask::Lease(LeaseAsk::Renew),
+        29 => Ask::Lease(LeaseAsk::Release { stale: rng.random_bool(0.3) }),
+        30 => Ask::Lease(LeaseAsk::Lose),
         _ => Ask::Move,
     }
 }

@@ -1,0 +1,186 @@
+//! The lease over HTTP: PLCs that wait, clients that are killed, frozen or gone in order, and a gateway that restarts.
+
+use std::path::PathBuf;
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+use tokio::io::AsyncWriteExt;
+use tokio::net::TcpStream;
+
+use crate::harness::{Gateway, Proxy, Simulator, eventually};
+
+const FAST_STOP: u8 = 0x23;
+const STOP: u8 = 0x22;
+
+fn slow() -> Value {
+    json!({"width_mm": 10, "speed_mm_s": 10})
+}
+
+async fn take(gateway: &Gateway, holder: &str, ttl_ms: u64) -> String {
+    gateway.post("lease", &json!({"holder": holder, "ttl_ms": ttl_ms})).await.text("token")
+}
+
+async fn moved(gateway: &Gateway, token: &str, body: &Value) -> crate::harness::Answer {
+    gateway.send(gateway.request("POST", "move?wait_ms=20000").header("Wsg-Lease", token).json(body)).await
+}
+
+/// A client that asks for a motion on a connection of its own, and waits for its end.
+async fn client(gateway: &Gateway, token: &str) -> TcpStream {
+    let url = gateway.url("move?wait_ms=20000");
+    let (host, path) = url.strip_prefix("http://").unwrap().split_once('/').unwrap();
+    let body = slow().to_string();
+    let request = format!(
+        "POST /{path} HTTP/1.1\r\nHost: {host}\r\nWsg-Lease: {token}\r\nContent-Length: {}\r\n\r\n{body}",
+        body.len()
+    );
+    let mut stream = TcpStream::connect(host).await.unwrap();
+    stream.write_all(request.as_bytes()).await.unwrap();
+    gateway.until_moving().await;
+    stream
+}
+
+#[tokio::test]
+async fn a_holder_that_is_killed_while_the_gripper_moves_is_a_fast_stop() {
+    let device = Simulator::start(&[]).await;
+    let proxy = Proxy::to(device.address);
+    let gateway = Gateway::homed_at(proxy.address).await;
+    let token = take(&gateway, "robot", 500).await;
+    let client = client(&gateway, &token).await;
+    let killed = Instant::now();
+    drop(client);
+    let stopped = eventually("23h", async || proxy.frames.first_since(FAST_STOP, killed)).await;
+    let after = stopped - killed;
+    assert!(after >= Duration::from_millis(400) && after <= Duration::from_millis(550), "{after:?}");
+    let state = gateway.until("the latch", |state| state["fast_stop_confirmed"] == true).await;
+    assert_eq!((&state["fast_stop_cause"], &state["lease_holder"]), (&json!("client_lost"), &Value::Null), "{state}");
+    assert_eq!(state["fast_stop_reason"], "robot was lost");
+    let sent = proxy.frames.count(FAST_STOP);
+    let events = gateway.get("/api/v1/events?kind=lease&order=oldest").await.ok();
+    let steps: Vec<_> = events["events"].as_array().unwrap().iter().map(|event| event["event"].clone()).collect();
+    assert_eq!(steps, ["taken", "lost"]);
+    assert_eq!(proxy.frames.count(FAST_STOP), sent, "only until it is confirmed");
+}
+
+#[tokio::test]
+async fn a_holder_that_is_killed_while_a_part_is_held_leaves_it_held() {
+    let device = Simulator::with_part().await;
+    let proxy = Proxy::to(device.address);
+    let gateway = Gateway::homed_at(proxy.address).await;
+    let token = take(&gateway, "robot", 200).await;
+    let grip = json!({"width_mm": 20, "speed_mm_s": 100, "lease": token});
+    gateway.post("grip", &grip).await.outcome("PART_HELD");
+    let sent = proxy.frames.len();
+    gateway.until("the holder is lost", |state| state["lease_holder"] == Value::Null).await;
+    let refused = gateway.post("move", &json!({"width_mm": 50, "speed_mm_s": 50})).await.problem(409, "lease_held");
+    assert_eq!((&refused["holder"], refused.get("expires_in_ms")), (&json!("robot"), None), "{refused}");
+    let state = gateway.state().await;
+    assert_eq!((&state["state"], &state["fast_stop"]), (&json!("HOLDING"), &json!(false)));
+    assert!(proxy.frames.since(sent).iter().all(crate::harness::Frame::is_upkeep), "nothing is sent");
+    // The same holder gets it again, and may open.
+    let token = take(&gateway, "robot", 3000).await;
+    let release = json!({"width_mm": 50, "speed_mm_s": 100, "lease": token});
+    gateway.post("release", &release).await.outcome("SUCCESS");
+}
+
+#[tokio::test]
+async fn a_holder_that_releases_first_stops_the_motion_and_latches_nothing() {
+    let device = Simulator::start(&[]).await;
+    let proxy = Proxy::to(device.address);
+    let gateway = Gateway::homed_at(proxy.address).await;
+    let token = take(&gateway, "robot", 500).await;
+    let client = client(&gateway, &token).await;
+    gateway.send(gateway.request("DELETE", "lease").header("Wsg-Lease", &token)).await.ok();
+    drop(client);
+    gateway.until("it stands", |state| state["moving"] == false && state["command"] == Value::Null).await;
+    assert_eq!((proxy.frames.count(STOP), proxy.frames.count(FAST_STOP)), (1, 0));
+    assert_eq!(gateway.state().await["fast_stop"], false);
+}
+
+#[tokio::test]
+async fn a_plc_that_waits_for_its_own_slow_move_keeps_a_lease_of_500_ms() {
+    let device = Simulator::start(&[]).await;
+    let gateway = Gateway::homed_at(device.address).await;
+    let token = take(&gateway, "plc", 500).await;
+    let command = moved(&gateway, &token, &json!({"width_mm": 60, "speed_mm_s": 10})).await.outcome("SUCCESS");
+    assert!(command["duration_ms"].as_u64() >= Some(4500), "{command}");
+    assert_eq!(gateway.state().await["lease_holder"], "plc");
+    // One that was told 202 asks for its end, and that keeps it too.
+    let begun = gateway.request("POST", "move?wait_ms=0").header("Wsg-Lease", &token);
+    let begun = gateway.send(begun.json(&json!({"width_mm": 70, "speed_mm_s": 5}))).await.text("id");
+    let path = format!("commands/{begun}?wait_ms=20000");
+    gateway.send(gateway.request("GET", &path).header("Wsg-Lease", &token)).await.outcome("SUCCESS");
+}
+
+#[tokio::test]
+async fn a_client_that_was_frozen_past_its_lease_moves_nothing() {
+    let device = Simulator::start(&[]).await;
+    let proxy = Proxy::to(device.address);
+    let gateway = Gateway::homed_at(proxy.address).await;
+    let a = take(&gateway, "a", 100).await;
+    gateway.until("it ran out", |state| state["lease_holder"] == Value::Null).await;
+    let b = take(&gateway, "b", 5000).await;
+    moved(&gateway, &b, &json!({"width_mm": 90, "speed_mm_s": 200})).await.outcome("SUCCESS");
+    let motions = proxy.frames.motions();
+    let refused = moved(&gateway, &a, &slow()).await.problem(409, "stale_lease");
+    assert_eq!(refused["holder"], "b", "{refused}");
+    let setting = json!({"acceleration_mm_s2": 500, "lease": a});
+    gateway.put("settings/acceleration", &setting).await.problem(409, "stale_lease");
+    let held = gateway.put("settings/acceleration", &json!({"acceleration_mm_s2": 500})).await;
+    assert!(held.problem(409, "lease_held")["expires_in_ms"].as_u64() <= Some(5000));
+    gateway.post("tare", &json!({})).await.problem(409, "lease_held");
+    assert_eq!(proxy.frames.motions(), motions);
+    // Who reads, and who stops, needs none.
+    gateway.get("settings/acceleration").await.ok();
+    gateway.post("stop", &json!({})).await.outcome("SUCCESS");
+}
+
+#[tokio::test]
+async fn a_lease_is_asked_for_and_handed_over() {
+    let device = Simulator::start(&[]).await;
+    let gateway = Gateway::homed_at(device.address).await;
+    let a = take(&gateway, "a", 5000).await;
+    let asks = json!({"holder": "b", "request": true});
+    let refused = gateway.post("lease", &asks).await.problem(409, "lease_held");
+    assert_eq!(refused["holder"], "a", "{refused}");
+    let renewed = gateway.put("lease", &json!({"lease": a})).await.ok();
+    assert_eq!((&renewed["requested_by"], &renewed["token"]), (&json!("b"), &json!(a)), "its holder is told");
+    gateway.post("lease/hand-over", &json!({"to": "c", "lease": a})).await.problem(400, "malformed");
+    let given = gateway.post("lease/hand-over", &json!({"to": "b", "lease": a})).await.ok();
+    assert_eq!((&given["holder"], &given["epoch"], given.get("token")), (&json!("b"), &json!(2), None));
+    let taken = gateway.post("lease", &asks).await.ok();
+    assert_eq!(taken["epoch"], 2);
+    gateway.put("lease", &json!({"lease": a})).await.problem(409, "stale_lease");
+    gateway.put("lease", &json!({"lease": taken["token"]})).await.ok();
+    let told = gateway.get("lease").await.ok();
+    assert_eq!((&told["holder"], told.get("token")), (&json!("b"), None), "{told}");
+}
+
+#[tokio::test]
+async fn a_latch_and_an_epoch_outlive_a_restart_of_the_gateway() {
+    let device = Simulator::start(&[]).await;
+    let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{}-leases", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let path = folder.join("journal.db");
+    let gripper = format!("g=tcp://{}", device.address);
+    let arguments = ["--gripper", &gripper, "--journal", path.to_str().unwrap()];
+    let gateway = Gateway::start(&arguments).await;
+    gateway.until_link("connected").await;
+    take(&gateway, "a", 60_000).await;
+    let first = gateway.post("fast-stop", &json!({"reason": "first"})).await.text("fast_stop_id");
+    let stopped = gateway.post("fast-stop", &json!({"reason": "light curtain"})).await.text("fast_stop_id");
+    assert!(gateway.terminate().await.status.success());
+    let gateway = Gateway::start(&arguments).await;
+    let state = gateway.until("confirmed again", |state| state["fast_stop_confirmed"] == true).await;
+    assert_eq!((&state["fast_stop_id"], &state["fast_stop_reason"]), (&json!(stopped), &json!("light curtain")));
+    assert_eq!((&state["lease_epoch"], &state["lease_holder"]), (&json!(1), &Value::Null));
+    gateway.post("acknowledge", &json!({"fast_stop_id": first})).await.problem(409, "stale_fast_stop");
+    gateway.post("acknowledge", &json!({"fast_stop_id": stopped})).await.ok();
+    assert_eq!(gateway.post("lease", &json!({})).await.ok()["epoch"], 2);
+    // Killed, it may have forgotten the newest.
+    gateway.kill().await;
+    let gateway = Gateway::start(&arguments).await;
+    gateway.until_link("connected").await;
+    assert!(gateway.post("lease", &json!({})).await.ok()["epoch"].as_u64() > Some(2));
+    gateway.kill().await;
+    std::fs::remove_dir_all(&folder).unwrap();
+}
