@@ -14,7 +14,8 @@ use clap::{CommandFactory, Parser, Subcommand};
 use url::Url;
 
 use crate::config::{Config, Flags};
-use crate::{daemon, frontend, telemetry};
+use crate::telemetry::{self, LogFormat};
+use crate::{daemon, frontend};
 
 /// Lets many clients share Weiss/SCHUNK WSG grippers. Without a subcommand it serves; without anything, two simulated
 /// grippers.
@@ -23,6 +24,9 @@ use crate::{daemon, frontend, telemetry};
 struct Cli {
     #[command(flatten)]
     flags: Flags,
+    /// How logs are written
+    #[arg(long, value_name = "FORMAT", env = "WSG_GATEWAY_LOG_FORMAT", global = true, value_enum, default_value_t)]
+    log_format: LogFormat,
     #[command(subcommand)]
     command: Option<Command>,
 }
@@ -85,7 +89,7 @@ struct NotYet {
 /// What went wrong, and what to do about it.
 pub fn run() -> anyhow::Result<()> {
     let cli = Cli::parse();
-    let _logs = telemetry::init();
+    let _logs = telemetry::init(cli.log_format);
     match cli.command {
         None => daemon::run(&Config::load(&cli.flags)?),
         Some(Command::Sim { urls, model, part_mm, firmware, control }) => {

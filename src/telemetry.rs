@@ -14,13 +14,26 @@ const FILTER_VARIABLE: &str = "WSG_GATEWAY_LOG";
 /// Lines that may wait to be written: some seconds of a busy gateway.
 const MAX_WAITING_LINES: usize = 8192;
 
+/// How logs are written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, clap::ValueEnum)]
+pub enum LogFormat {
+    /// A line for people, with colours on a terminal
+    #[default]
+    Text,
+    /// A JSON object a line, for machines
+    Json,
+}
+
 /// Begins to log, until the guard is dropped, which writes what still waits. A second call logs nowhere new.
-pub fn init() -> WorkerGuard {
+pub fn init(format: LogFormat) -> WorkerGuard {
     let filter = EnvFilter::try_from_env(FILTER_VARIABLE).unwrap_or_else(|_| EnvFilter::new("info"));
     let writer = NonBlockingBuilder::default().lossy(true).buffered_lines_limit(MAX_WAITING_LINES);
     let (writer, guard) = writer.finish(std::io::stderr());
     let logs = tracing_subscriber::fmt().with_env_filter(filter).with_writer(writer);
     // It fails only where somebody logs already, and then there are logs.
-    let _ = logs.with_ansi(std::io::stderr().is_terminal()).try_init();
+    let _ = match format {
+        LogFormat::Text => logs.with_ansi(std::io::stderr().is_terminal()).try_init(),
+        LogFormat::Json => logs.json().flatten_event(true).with_span_list(false).try_init(),
+    };
     guard
 }
