@@ -1,5 +1,6 @@
 //! The composition root: builds everything, runs it, and ends it in order.
 
+mod metrics;
 mod simulation;
 
 use std::future::Future;
@@ -8,6 +9,7 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 
 use anyhow::Context as _;
+use prometheus::Registry;
 use rand::RngExt;
 use tokio::net::TcpListener;
 use tokio::runtime::{Builder, Runtime};
@@ -15,8 +17,8 @@ use tokio::signal::unix::{SignalKind, signal};
 use tokio_util::sync::CancellationToken;
 
 use crate::config::{self, Config, Device, Gripper, Mistake};
-use crate::frontend::http;
 use crate::frontend::refusals::Refusals;
+use crate::frontend::{self, http};
 use crate::gripper::model::{Detail, Event, GatewayEvent, MemoryKey};
 use crate::gripper::recorder::{Recollection, Record, Recorder as _};
 use crate::gripper::{self, Connector, Fleet, Handle, Now};
@@ -71,7 +73,8 @@ async fn run_gateway(config: &Config, devices: &Runtime) -> anyhow::Result<()> {
         journal.record(Record::Event(Event::new(Now::read().wall, None, Detail::Gateway(event)), None));
     }
     let shutdown = CancellationToken::new();
-    let fleet = spawn_all(config, devices, &journal, &recovered)?;
+    let registry = metrics::registry(&config.name, &journal)?;
+    let fleet = spawn_all(config, devices, &journal, &recovered, &registry)?;
     let refusals = Arc::new(Refusals::new(journal.clone()));
     let context = http::Context {
         gateway: config.name.clone(),
@@ -79,6 +82,8 @@ async fn run_gateway(config: &Config, devices: &Runtime) -> anyhow::Result<()> {
         journal: journal.clone(),
         refusals: refusals.clone(),
         closing: shutdown.child_token(),
+        metrics: frontend::metrics::Metrics::register(&registry, "http")?,
+        registry,
         allowed_hosts: config.hosts.clone(),
     };
     let server = tokio::spawn(http::serve(listener, context, http::Limits::default(), shutdown.clone()));
@@ -120,10 +125,16 @@ fn configured(config: &Config) -> GatewayEvent {
     GatewayEvent::Configuration { listen: config.listen.to_string(), grippers: grippers.collect() }
 }
 
-fn spawn_all(config: &Config, devices: &Runtime, journal: &Journal, recovered: &Recovered) -> anyhow::Result<Fleet> {
+fn spawn_all(
+    config: &Config,
+    devices: &Runtime,
+    journal: &Journal,
+    recovered: &Recovered,
+    registry: &Registry,
+) -> anyhow::Result<Fleet> {
     let _inside = devices.enter();
-    let spawn = |gripper| spawn(config, gripper, journal, recollection(recovered, gripper));
-    let handles: Result<Vec<Handle>, Mistake> = config.grippers.iter().map(spawn).collect();
+    let spawn = |gripper| spawn(config, gripper, journal, recollection(recovered, gripper), registry);
+    let handles: anyhow::Result<Vec<Handle>> = config.grippers.iter().map(spawn).collect();
     Ok(Fleet::new(handles?))
 }
 
@@ -143,7 +154,13 @@ fn recollection(recovered: &Recovered, gripper: &Gripper) -> Recollection {
     }
 }
 
-fn spawn(config: &Config, gripper: &Gripper, journal: &Journal, recollection: Recollection) -> Result<Handle, Mistake> {
+fn spawn(
+    config: &Config,
+    gripper: &Gripper,
+    journal: &Journal,
+    recollection: Recollection,
+    registry: &Registry,
+) -> anyhow::Result<Handle> {
     let connector: Arc<dyn Connector> = match &gripper.device {
         Device::At(address) => Arc::new(address.clone()),
         Device::Simulated(url) => {
@@ -164,8 +181,11 @@ fn spawn(config: &Config, gripper: &Gripper, journal: &Journal, recollection: Re
         on_journal_failure,
         lease: gripper.lease.clone(),
         seed: rand::rng().random(),
+        metrics: gripper::Metrics::register(registry, &gripper.name)?,
     };
-    Ok(gripper::spawn(config, connector, Arc::new(journal.clone()), recollection))
+    let handle = gripper::spawn(config, connector, Arc::new(journal.clone()), recollection);
+    gripper::metrics::Newest::register(registry, &handle)?;
+    Ok(handle)
 }
 
 /// Comes when the process is asked to end. SIGHUP does nothing yet, and must not be the process's unannounced end.

@@ -4,4 +4,5 @@
 //! device's limits is refused by the gripper's actor, so all doors refuse the same.
 
 pub mod http;
+pub mod metrics;
 pub mod refusals;

@@ -1,10 +1,11 @@
 //! The handle: what every door holds of a gripper. Cheap to clone; the actor behind it owns the state.
 
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use tokio::sync::{mpsc, oneshot, watch};
 
+use super::clock;
 use super::error::{Failure, Rejection};
 use super::info::Info;
 use super::lease::Keep;
@@ -57,6 +58,8 @@ pub struct FastStopRequest {
     pub cause: FastStopCause,
     /// Why, in the client's.
     pub reason: Reason,
+    /// Since when it is on its way.
+    pub at: Instant,
 }
 
 /// What became of a FAST STOP so far.
@@ -97,6 +100,12 @@ impl Ticket {
     #[must_use]
     pub fn watched(&self) -> Self {
         Self { _keep: None, ..self.clone() }
+    }
+
+    /// Its id.
+    #[must_use]
+    pub fn id(&self) -> CommandId {
+        self.record.borrow().id
     }
 
     /// Waits until it is written down, which the actor bounds.
@@ -252,12 +261,14 @@ impl Handle {
 
     /// FAST STOP: waits for nothing but the device's confirmation, and for that at most [`FAST_STOP_WAIT`].
     pub async fn fast_stop(&self, id: FastStopId, client: Client, reason: Reason) -> FastStop {
+        let at = clock::instant();
         let mut states = self.states();
         let confirmed_by = |state: &Arc<State>| {
             state.latch.as_ref().is_some_and(|latch| latch.fast_stop_id >= id && latch.fast_stop_confirmed)
         };
         let stop = async {
-            self.fast_stops.send(FastStopRequest { id, client, cause: FastStopCause::Requested, reason }).await.ok()?;
+            let cause = FastStopCause::Requested;
+            self.fast_stops.send(FastStopRequest { id, client, cause, reason, at }).await.ok()?;
             states.wait_for(confirmed_by).await.ok().map(drop)
         };
         let confirmed = tokio::time::timeout(FAST_STOP_WAIT, stop).await.is_ok_and(|confirmed| confirmed.is_some());

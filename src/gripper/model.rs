@@ -17,6 +17,7 @@ use crate::wsg::{Force, HomingDirection, MoveFlags, Speed, Status, Width};
 
 mod event;
 pub mod lease;
+pub(crate) mod names;
 mod record;
 mod state;
 
@@ -316,18 +317,6 @@ pub enum Kind {
     Release,
     /// Stop (22h).
     Stop,
-}
-
-impl fmt::Display for Kind {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Home => "home",
-            Self::Move => "move",
-            Self::Grip => "grip",
-            Self::Release => "release",
-            Self::Stop => "stop",
-        })
-    }
 }
 
 /// Whether a command has ended.

@@ -15,7 +15,7 @@ use super::extract::{
     CommandOf, CommandPath, DEFAULT_WAIT_MS, Gripper, GripperPath, Keys, LeaseHeader, NoWaitQuery, WaitMs, WaitQuery,
 };
 use super::responses::CommandProblem;
-use super::{API, Context};
+use super::{API, Context, watched};
 use crate::gripper::Ticket;
 use crate::gripper::model::{Action, Command, Phase, Submission};
 
@@ -25,6 +25,7 @@ pub async fn run(gripper: Gripper, keys: Keys, action: Action, wait: Wait) -> Re
     let Keys { request_id, lease } = keys;
     let submission = Submission { client: gripper.client, action, request_id, lease };
     let mut ticket = gripper.handle.submit(submission).await?;
+    watched::note_command(ticket.id());
     let mut command = ticket.wait(wait.0).await;
     match command.rejection.take() {
         Some(rejection) => Err(Problem::from(rejection).recorded()),

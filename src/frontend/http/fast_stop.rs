@@ -18,11 +18,11 @@ use utoipa::openapi::schema::{ObjectBuilder, SchemaType};
 use utoipa::openapi::{RefOr, Schema};
 use utoipa::{PartialSchema, ToSchema};
 
-use super::Context;
 use super::body::{self, Body, MAX_BODY_BYTES};
 use super::errors::{Code, Problem};
 use super::extract::{Asker, Gripper, GripperPath};
 use super::responses::{AnyProblem, DeviceProblem, GripperProblem};
+use super::{Context, watched};
 use crate::gripper::FastStop;
 use crate::gripper::model::{FastStopId, Reason};
 
@@ -102,6 +102,7 @@ pub async fn one(gripper: Gripper, request: Request) -> Result<Json<FastStopAnsw
     let stop =
         |reason| async move { gripper.handle.fast_stop(FastStopId::generate(), gripper.client.clone(), reason).await };
     let FastStop { id, confirmed } = with_reason(request, stop).await?;
+    watched::note_fast_stop(id);
     Ok(Json(FastStopAnswer { gripper: name, fast_stop_id: id, fast_stop_confirmed: confirmed }))
 }
 
@@ -120,6 +121,7 @@ pub async fn all(
 ) -> Result<Json<AllFastStopAnswer>, Problem> {
     let stop = |reason| async move { context.fleet.fast_stop(&client, &reason).await };
     let (id, stops) = with_reason(request, stop).await?;
+    watched::note_fast_stop(id);
     let (confirmed, unconfirmed): (Vec<_>, Vec<_>) = stops.into_iter().partition(|(_, confirmed)| *confirmed);
     let names = |stops: Vec<(_, bool)>| stops.into_iter().map(|(name, _)| ToString::to_string(&name)).collect();
     Ok(Json(AllFastStopAnswer {

@@ -53,25 +53,3 @@ pub async fn info(gripper: Gripper) -> Json<Arc<Info>> {
 pub async fn state(gripper: Gripper) -> Json<Arc<State>> {
     Json(gripper.handle.state())
 }
-
-/// A gateway that answers.
-#[derive(Debug, Serialize, ToSchema)]
-#[schema(example = json!({"gateway": "wsg", "status": "ok"}))]
-pub struct Health {
-    /// The gateway's name.
-    #[schema(max_length = 32)]
-    gateway: String,
-    /// Always `ok`.
-    status: &'static str,
-}
-
-/// Whether the gateway answers
-///
-/// Says nothing about its grippers.
-#[utoipa::path(
-    get, path = "/healthz", operation_id = "healthz", tag = "gateway",
-    responses((status = 200, description = "It does", body = Health), AnyProblem)
-)]
-pub async fn health(Shared(context): Shared<Arc<Context>>) -> Json<Health> {
-    Json(Health { gateway: context.gateway.to_string(), status: "ok" })
-}

@@ -3,8 +3,8 @@
 //! The line that mounts a handler documents it, so the document can't fall behind: what is served is what is
 //! described. A request passes, from the outside in: `guard` (who may ask at all), `body` (read within bounds, except
 //! for FAST STOP, which waits for nothing), `extract` (everything parsed, every mistake a problem), its handler. The
-//! handlers are in `grippers`, `motions`, `commands`, `fast_stop`, `settings`, `device`, `fingers`, `raw`, `journal` and
-//! `stream`.
+//! handlers are in `grippers`, `motions`, `commands`, `fast_stop`, `settings`, `device`, `fingers`, `raw`, `journal`,
+//! `stream` and `gateway`; `watched` counts and logs all of it.
 
 mod body;
 mod commands;
@@ -15,6 +15,7 @@ mod errors;
 mod extract;
 mod fast_stop;
 mod fingers;
+mod gateway;
 mod grippers;
 mod guard;
 mod journal;
@@ -29,6 +30,7 @@ mod server;
 mod settings;
 mod stream;
 mod values;
+mod watched;
 
 use std::any::Any;
 use std::sync::Arc;
@@ -36,14 +38,15 @@ use std::sync::Arc;
 use axum::http::Method;
 use axum::response::{IntoResponse, Response};
 use axum::{Extension, Router, middleware};
+use prometheus::Registry;
 use tokio_util::sync::CancellationToken;
 use tower_http::catch_panic::CatchPanicLayer;
-use tower_http::trace::TraceLayer;
 use utoipa::openapi::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use self::errors::{Code, Problem};
+use super::metrics::Metrics;
 use super::refusals::Refusals;
 use crate::gripper::Fleet;
 use crate::gripper::model::Name;
@@ -67,6 +70,10 @@ pub struct Context {
     pub refusals: Arc<Refusals>,
     /// Ends the streams when the gateway ends.
     pub closing: CancellationToken,
+    /// What this door counts.
+    pub metrics: Metrics,
+    /// Where all figures are.
+    pub registry: Registry,
     /// The names that the gateway may be called by, besides its addresses and `localhost`. Without ports.
     pub allowed_hosts: Vec<String>,
 }
@@ -78,7 +85,10 @@ impl Context {
         let (journal, _) = Journal::open(crate::journal::Place::Memory, crate::journal::Retention::default()).unwrap();
         let (gateway, fleet) = ("wsg".parse().unwrap(), Fleet::new(grippers));
         let refusals = Arc::new(Refusals::new(journal.clone()));
-        Self { gateway, fleet, journal, refusals, closing: CancellationToken::new(), allowed_hosts: Vec::new() }
+        let registry = Registry::new();
+        let metrics = Metrics::register(&registry, "http").unwrap();
+        let (closing, allowed_hosts) = (CancellationToken::new(), Vec::new());
+        Self { gateway, fleet, journal, refusals, closing, metrics, registry, allowed_hosts }
     }
 }
 
@@ -89,11 +99,10 @@ pub fn router(context: Context) -> Router {
     routes
         .layer(Extension(Arc::new(document)))
         .layer(CatchPanicLayer::custom(panicked))
-        // What failed is told where it failed; a device that is switched off is no error of each request to it.
-        .layer(TraceLayer::new_for_http().on_failure(()))
         .layer(middleware::from_fn_with_state(context.clone(), guard::refuse_foreigners))
         .layer(middleware::from_fn_with_state(context.clone(), refused::record))
         .layer(middleware::map_response(guard::harden))
+        .layer(middleware::from_fn_with_state(context.clone(), watched::watch))
         .with_state(context)
 }
 
@@ -109,7 +118,9 @@ fn routes() -> Routes {
     // Other requests are read to their end first; a FAST STOP must not wait for that.
     let unhurried = OpenApiRouter::with_openapi(docs::base())
         .nest(API, api())
-        .routes(routes!(grippers::health))
+        .routes(routes!(gateway::health))
+        .routes(routes!(gateway::readiness))
+        .routes(routes!(gateway::metrics))
         .fallback(not_found);
     let (router, document) = unhurried.split_for_parts();
     let router = router

@@ -61,6 +61,7 @@ impl Default for Limits {
 
 /// Serves until `shutdown`, and then what is being answered already.
 pub async fn serve(listener: TcpListener, context: Context, limits: Limits, shutdown: CancellationToken) {
+    let metrics = context.metrics.clone();
     let router = router(context);
     let closing = shutdown.child_token();
     let connections = Arc::new(Connections::new(limits.connections, RESERVED_CONNECTIONS));
@@ -75,7 +76,11 @@ pub async fn serve(listener: TcpListener, context: Context, limits: Limits, shut
         match accepted {
             Ok((stream, peer)) => {
                 if let Some(guest) = connections.admit(&closing) {
-                    tasks.spawn(connection(stream, peer, router.clone(), guest, limits));
+                    let (router, connected) = (router.clone(), metrics.connected());
+                    tasks.spawn(async move {
+                        connection(stream, peer, router, guest, limits).await;
+                        drop(connected);
+                    });
                 } else {
                     tracing::warn!(%peer, limit = limits.connections, "connection refused: too many are open");
                 }

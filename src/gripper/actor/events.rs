@@ -29,6 +29,7 @@ impl Actor {
     }
 
     fn take_update(&mut self, now: Now, data: &Data) {
+        self.config.metrics.updates.inc();
         let (before, state_before) = (self.observed.flags, self.observed.gripper_state);
         let missed = matches!(data, Data::SystemState(_)) && self.observed.were_missed(now.instant);
         self.observed.take(now.instant, data);
@@ -48,7 +49,7 @@ impl Actor {
         match self.latching.take_flags(now, flags, &mut origin) {
             Some(Change::Seen) => {
                 let cause = self.latching.latch().map_or(FastStopCause::Unknown, |latch| latch.cause);
-                tracing::warn!(gripper = %self.config.name, ?cause, "the device is in FAST STOP");
+                tracing::warn!(gripper = %self.config.name, cause = cause.name(), "the device is in FAST STOP");
                 self.record_fast_stop(now, FastStopStep::Latched, None);
                 self.abort_for_latch(now);
                 if let Some(session) = &mut self.session {

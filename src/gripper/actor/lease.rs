@@ -136,6 +136,7 @@ impl Actor {
                     client: held.holder.client.clone(),
                     cause: FastStopCause::ClientLost,
                     reason: Reason::truncated(&format!("{name} was lost")),
+                    at: now.instant,
                 };
                 self.latch(now, request);
             }

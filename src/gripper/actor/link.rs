@@ -31,6 +31,7 @@ impl Actor {
             nonce_seed: self.ids.nonce(),
         };
         self.session = Some(Session::new(config, now.instant));
+        self.metering.link_up();
         self.close = None;
         self.link = LinkState::SettingUp(Box::new(self.new_setup()));
         // A FAST STOP that the device may not have heard of goes before everything else.
@@ -42,6 +43,7 @@ impl Actor {
     /// The link is gone, or could not be made.
     pub fn link_down(&mut self, now: Now, cause: &str) {
         let unwritten = self.running.as_ref().and_then(super::Running::token).is_some_and(|token| self.withdraw(token));
+        self.meter_session();
         let mut session = self.session.take();
         if session.is_some() && self.close == Some(Close::Drained) {
             tracing::info!(gripper = %self.config.name, "link closed");
@@ -188,6 +190,7 @@ impl Actor {
             // A motion that a restart has ended gets no result.
             session.expect_results(now.instant);
         }
+        self.meter_set_up();
         self.was_connected = true;
         self.link_cause = None;
         self.unannounced = false;

@@ -20,6 +20,7 @@ mod events;
 mod lease;
 mod link;
 mod memory;
+mod metering;
 mod motion;
 mod publish;
 mod reads;
@@ -41,6 +42,7 @@ use super::info::Info;
 use super::latch::Latching;
 use super::lease::{Keep, Leasing};
 use super::limits::Limits;
+use super::metrics::Metrics;
 use super::model::{Client, CommandId, FastStopStep, IdSource, LeaseRules, Name, State};
 use super::observed::Observed;
 use super::setup::{Setting, Setup, Wanted};
@@ -49,6 +51,7 @@ use crate::wsg::session::{self, NotTaken, Session, Token};
 use crate::wsg::{self, Command, Data, Force, SystemInfo, id};
 use drain::Drain;
 use memory::Told;
+use metering::Metering;
 use motion::Running;
 use reads::Reads;
 pub use recording::OnJournalFailure;
@@ -80,6 +83,8 @@ pub struct Config {
     pub lease: LeaseRules,
     /// Of ids and nonces: random, but in tests.
     pub seed: u64,
+    /// Where it is counted.
+    pub metrics: Metrics,
 }
 
 /// Why the actor wants its link closed.
@@ -176,6 +181,7 @@ pub struct Actor {
     drain: Option<Drain>,
     recording: Recording,
     told: Told,
+    metering: Metering,
     sequence: u64,
     state: watch::Sender<Arc<State>>,
     info: watch::Sender<Arc<Info>>,
@@ -230,6 +236,7 @@ impl Actor {
             drain: None,
             recording: Recording::default(),
             told: Told::default(),
+            metering: Metering::default(),
             sequence: 0,
             state,
             info,
@@ -261,7 +268,8 @@ impl Actor {
 
     /// Latches a FAST STOP of the gateway's clients, or on behalf of one that was lost.
     fn latch(&mut self, now: Now, request: FastStopRequest) {
-        let FastStopRequest { id, client, cause, reason } = request.clone();
+        let FastStopRequest { id, client, cause, reason, at } = request.clone();
+        self.metering.fast_stop_requested(at);
         if let Some(token) = self.latching.request(now, request) {
             // An acknowledge of an earlier one must not come after this.
             self.withdraw(token);
@@ -269,7 +277,7 @@ impl Actor {
         self.send_fast_stop_if_due(now);
         self.record_fast_stop(now, FastStopStep::Latched, Some(&client));
         self.abort_for_latch(now);
-        tracing::warn!(gripper = %self.config.name, %id, by = %client.subject, ?cause, reason = reason.as_str(), "FAST STOP");
+        tracing::warn!(gripper = %self.config.name, %id, by = %client.subject, cause = cause.name(), reason = reason.as_str(), "FAST STOP");
     }
 
     /// Any other request of a client.
@@ -327,8 +335,10 @@ impl Actor {
         }
         let id = out[start + wsg::frame::PREAMBLE.len()];
         tracing::trace!(gripper = %self.config.name, id = id::name(id), frame = %hex::encode(&out[start..]), "sent");
-        if let (id::DISCONNECT_ANNOUNCEMENT, Some(drain)) = (id, &mut self.drain) {
-            drain.announced();
+        match (id, &mut self.drain) {
+            (id::DISCONNECT_ANNOUNCEMENT, Some(drain)) => drain.announced(),
+            (id::FAST_STOP, _) => self.meter_fast_stop_sent(now),
+            _ => {}
         }
         true
     }
@@ -351,6 +361,7 @@ impl Actor {
         self.take_events(now);
         self.keep_up(now);
         self.take_events(now);
+        self.meter_session();
         self.publish(now);
         self.remember_changes();
         self.book.tell();

@@ -367,8 +367,10 @@ impl Actor {
         });
         if let Some((client, record)) = ended {
             self.record_done(now, &client, &record);
-            tracing::info!(gripper = %self.config.name, command = %id, kind = %record.kind, outcome = ?record.outcome,
-                status = record.status, duration_ms = record.duration_ms, "ended");
+            self.meter_ended(&record);
+            tracing::info!(gripper = %self.config.name, command = %id, kind = %record.kind,
+                outcome = record.outcome.map(Outcome::name), status = record.status, duration_ms = record.duration_ms,
+                "ended");
         }
     }
 }

@@ -174,6 +174,7 @@ impl Actor {
             cause: latch.cause,
             reason: latch.reason.as_str().to_owned(),
         });
+        self.meter_fast_stop(now, step, latch.cause);
         let event = self.event(now, detail);
         self.record(match by {
             Some(client) => event.by(client),
@@ -225,6 +226,7 @@ impl Actor {
             return;
         }
         tracing::warn!(gripper = %self.config.name, "the part is lost");
+        self.config.metrics.parts_lost.inc();
         let width_mm = self.observed.width_mm.filter(|_| self.observed.has(SystemState::REFERENCED));
         let event = self.event(now, Detail::Device(DeviceEvent::PartLost { width_mm }));
         let grip = self.recording.holding.take();

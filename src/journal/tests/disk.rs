@@ -4,7 +4,7 @@ use super::*;
 
 impl Journal {
     /// Makes the disk as full as if there were no room for more pages.
-    fn limit_pages(&self, pages: i64) {
+    pub(crate) fn limit_pages(&self, pages: i64) {
         self.writing.inputs.send(Input::MaxPages(pages)).unwrap();
     }
 }

@@ -103,9 +103,9 @@ impl Barrier {
         self.in_flight.map(|(_, deadline)| deadline)
     }
 
-    /// How long the newest echo took.
-    pub(super) fn round_trip(&self) -> Option<Duration> {
-        self.round_trip
+    /// How long the newest echo took, once.
+    pub(super) fn take_round_trip(&mut self) -> Option<Duration> {
+        self.round_trip.take()
     }
 
     fn nonce(&self) -> [u8; NONCE_BYTES] {

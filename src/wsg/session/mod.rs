@@ -151,6 +151,7 @@ pub struct Session {
     barrier: Barrier,
     events: VecDeque<Event>,
     counters: Counters,
+    round_trip: Option<Duration>,
     next_token: u64,
     moving: bool,
     last_heard: Instant,
@@ -171,6 +172,7 @@ impl Session {
             barrier,
             events: VecDeque::new(),
             counters: Counters::default(),
+            round_trip: None,
             next_token: 0,
             moving: false,
             last_heard: now,
@@ -278,10 +280,9 @@ impl Session {
         self.lanes.is_empty() && self.slots.in_flight().next().is_none()
     }
 
-    /// How long the newest Loop of ours took.
-    #[must_use]
-    pub fn round_trip(&self) -> Option<Duration> {
-        self.barrier.round_trip()
+    /// How long the device took for its newest first answer to a request, once: from when that was handed out.
+    pub fn take_round_trip(&mut self) -> Option<Duration> {
+        self.barrier.take_round_trip().or(self.round_trip.take())
     }
 
     /// What was seen so far.

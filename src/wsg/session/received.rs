@@ -44,6 +44,7 @@ impl Session {
             SlotState::InFlight(in_flight) if in_flight.is_foreign_echo(&reply) => self.counters.late_replies += 1,
             SlotState::InFlight(in_flight) => match in_flight.judge(id, reply.status()) {
                 Verdict::Accepted => {
+                    self.round_trip = Some(now.saturating_duration_since(in_flight.sent_at));
                     in_flight.accepted = true;
                     if id != id::FAST_STOP {
                         // Its repetition is due when it is due, whatever the device makes of it.
@@ -53,6 +54,9 @@ impl Session {
                 }
                 Verdict::Final => {
                     let (token, order) = (in_flight.token, in_flight.order);
+                    if !in_flight.accepted {
+                        self.round_trip = Some(now.saturating_duration_since(in_flight.sent_at));
+                    }
                     if self.config.may_duplicate && !matches!(id, id::STOP | id::FAST_STOP) && !id::has_updates(id) {
                         let since = self.barrier.want();
                         slot.state = SlotState::Closed(Closed { since, echoed: false, two_step: false });

@@ -3,9 +3,10 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use prometheus::Registry;
 use wsg_gateway::daemon::{Served, SimulatedDevice, Switch, serve_device};
 use wsg_gateway::gripper::model::{Action, Client, Command, Door, Link, Motion, Outcome, State, Submission};
-use wsg_gateway::gripper::{self, Connector, Handle, Rejection, Ticket};
+use wsg_gateway::gripper::{self, Connector, Handle, Metrics, Rejection, Ticket};
 use wsg_gateway::sim::{Change, DeviceConfig, FingerConfig, Part, Script, ScriptAnswer};
 use wsg_gateway::wsg::{self, Data, HomingDirection, MoveFlags, Speed, Width};
 
@@ -47,6 +48,7 @@ pub fn spawn(connector: impl Connector) -> Handle {
         on_journal_failure: gripper::actor::OnJournalFailure::Refuse,
         lease: gripper::model::LeaseRules::default(),
         seed: 1,
+        metrics: Metrics::register(&Registry::new(), &"g".parse().unwrap()).unwrap(),
     };
     gripper::spawn(
         config,

@@ -106,6 +106,7 @@ pub fn fast_stop(world: &mut World) -> FastStopId {
             client: client(),
             cause: FastStopCause::Requested,
             reason: Reason::truncated("light curtain"),
+            at: now.instant,
         },
     );
     world.settle();

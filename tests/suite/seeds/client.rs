@@ -169,6 +169,7 @@ impl Clients {
                 client: client(),
                 cause: FastStopCause::Requested,
                 reason: Reason::truncated("test"),
+                at: now.instant,
             },
         );
     }

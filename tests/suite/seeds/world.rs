@@ -4,11 +4,12 @@ use std::collections::{BTreeMap, VecDeque};
 use std::time::{Duration, Instant};
 
 use jiff::Timestamp;
+use prometheus::Registry;
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
-use wsg_gateway::gripper::Now;
 use wsg_gateway::gripper::actor::{Actor, Close, Config, OnJournalFailure, Watches};
 use wsg_gateway::gripper::model::{IdSource, LeaseRules, Phase};
+use wsg_gateway::gripper::{Metrics, Now};
 use wsg_gateway::sim::{Device, DeviceConfig, Interface, LinkAction, Part, Script, ScriptAnswer};
 use wsg_gateway::transport::Traits;
 use wsg_gateway::wsg::Command;
@@ -198,6 +199,7 @@ impl World {
             on_journal_failure: OnJournalFailure::Refuse,
             lease: LeaseRules::default(),
             seed,
+            metrics: Metrics::register(&Registry::new(), &"g".parse().unwrap()).unwrap(),
         };
         let (actor, watches) = Actor::new(config.clone());
         Self {

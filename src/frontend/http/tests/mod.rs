@@ -2,6 +2,7 @@
 
 mod device;
 mod fast_stop;
+mod gateway;
 mod motions;
 mod raw;
 mod settings;
@@ -34,15 +35,22 @@ struct Answer {
 
 impl Gateway {
     fn new(script: Script) -> Self {
+        Self::with_journal(script).0
+    }
+
+    fn with_journal(script: Script) -> (Self, Journal) {
         let (handle, seen) = fake::gripper("left", script);
         let context = Context::of([handle]);
-        Self { router: router(context), seen }
+        let journal = context.journal.clone();
+        (Self { router: router(context), seen }, journal)
     }
 
     async fn send(&self, request: Request<Body>) -> Answer {
         let (parts, body) = self.router.clone().oneshot(request).await.unwrap().into_parts();
         let bytes = body.collect().await.unwrap().to_bytes();
-        let body = serde_json::from_slice(&bytes).unwrap_or(Value::Null);
+        let text = || String::from_utf8(bytes.to_vec()).map_or(Value::Null, Value::String);
+        let body =
+            if bytes.is_empty() { Value::Null } else { serde_json::from_slice(&bytes).unwrap_or_else(|_| text()) };
         Answer { status: parts.status.as_u16(), headers: parts.headers, body }
     }
 

@@ -1,0 +1,57 @@
+//! The registry of all figures, and those that are the gateway's own.
+
+use std::sync::{Mutex, PoisonError};
+
+use prometheus::core::{Collector, Desc};
+use prometheus::process_collector::ProcessCollector;
+use prometheus::proto::MetricFamily;
+use prometheus::{IntCounter, IntGauge, Opts, Registry, Result};
+use tokio::sync::watch;
+
+use crate::gripper::Recorder as _;
+use crate::gripper::model::Name;
+use crate::gripper::recorder::Health;
+use crate::journal::Journal;
+
+/// A registry with the figures of the process, of the gateway and of its journal.
+pub(super) fn registry(gateway: &Name, journal: &Journal) -> Result<Registry> {
+    let registry = Registry::new();
+    registry.register(Box::new(ProcessCollector::for_self()))?;
+    let info = Opts::new("wsg_build_info", "The gateway's name and version.")
+        .const_label("gateway", gateway.as_str())
+        .const_label("version", env!("CARGO_PKG_VERSION"));
+    let info = IntGauge::with_opts(info)?;
+    info.set(1);
+    registry.register(Box::new(info))?;
+    registry.register(Box::new(JournalHealth {
+        health: journal.health(),
+        told: Mutex::default(),
+        up: IntGauge::new("wsg_journal_up", "Whether the journal takes records.")?,
+        lost: IntCounter::new("wsg_journal_records_lost_total", "Records that found no place in the journal.")?,
+    }))?;
+    Ok(registry)
+}
+
+/// How the journal is, taken when it is asked for.
+struct JournalHealth {
+    health: watch::Receiver<Health>,
+    /// How many lost records were counted.
+    told: Mutex<u64>,
+    up: IntGauge,
+    lost: IntCounter,
+}
+
+impl Collector for JournalHealth {
+    fn desc(&self) -> Vec<&Desc> {
+        [self.up.desc(), self.lost.desc()].concat()
+    }
+
+    fn collect(&self) -> Vec<MetricFamily> {
+        let Health { failure, lost } = self.health.borrow().clone();
+        let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
+        self.lost.inc_by(lost.saturating_sub(*told));
+        *told = lost.max(*told);
+        self.up.set(failure.is_none().into());
+        [self.up.collect(), self.lost.collect()].concat()
+    }
+}

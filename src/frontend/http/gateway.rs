@@ -1,0 +1,95 @@
+//! The gateway itself: whether it answers, whether it is ready, and its figures.
+
+use std::sync::Arc;
+
+use axum::Json;
+use axum::extract::State as Shared;
+use axum::http::{StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use prometheus::{TEXT_FORMAT, TextEncoder};
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use super::Context;
+use super::errors::{Code, Problem};
+use super::responses::AnyProblem;
+use crate::gripper::model::Link;
+use crate::gripper::{Handle, Recorder as _};
+
+/// A gateway that answers.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({"gateway": "wsg", "status": "ok"}))]
+pub struct Health {
+    /// The gateway's name.
+    #[schema(max_length = 32)]
+    gateway: String,
+    /// Always `ok`.
+    status: &'static str,
+}
+
+/// Whether the gateway answers
+///
+/// Says nothing about its grippers.
+#[utoipa::path(
+    get, path = "/healthz", operation_id = "healthz", tag = "gateway",
+    responses((status = 200, description = "It does", body = Health), AnyProblem)
+)]
+pub async fn health(Shared(context): Shared<Arc<Context>>) -> Json<Health> {
+    Json(Health { gateway: context.gateway.to_string(), status: "ok" })
+}
+
+/// Whether the gateway can do what it is for.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({
+    "gateway": "wsg", "ready": false, "journal_cause": null, "not_ready": ["left: reconnecting: connection refused"]
+}))]
+pub struct Readiness {
+    /// The gateway's name.
+    #[schema(max_length = 32)]
+    gateway: String,
+    /// Whether every gripper is connected, and the journal takes records.
+    ready: bool,
+    /// Why the journal takes no records; null while it does.
+    #[schema(required)]
+    journal_cause: Option<String>,
+    /// The grippers that aren't connected: name, link and cause.
+    not_ready: Vec<String>,
+}
+
+/// Whether the gateway is ready
+///
+/// It is when every gripper's link is connected, and the journal takes records. A FAST STOP that holds doesn't count.
+#[utoipa::path(
+    get, path = "/readyz", operation_id = "readyz", tag = "gateway",
+    responses(
+        (status = 200, description = "It is", body = Readiness),
+        (status = 503, description = "It is not", body = Readiness),
+        AnyProblem,
+    )
+)]
+pub async fn readiness(Shared(context): Shared<Arc<Context>>) -> (StatusCode, Json<Readiness>) {
+    let journal_cause = context.journal.health().borrow().failure.clone();
+    let not_ready: Vec<_> = context.fleet.iter().filter_map(why_not_ready).collect();
+    let ready = journal_cause.is_none() && not_ready.is_empty();
+    let status = if ready { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
+    (status, Json(Readiness { gateway: context.gateway.to_string(), ready, journal_cause, not_ready }))
+}
+
+fn why_not_ready(handle: &Handle) -> Option<String> {
+    let state = handle.state();
+    let cause = state.link_cause.as_ref().map(|cause| format!(": {cause}")).unwrap_or_default();
+    (state.link != Link::Connected).then(|| format!("{}: {}{cause}", state.gripper, state.link))
+}
+
+/// The gateway's figures
+///
+/// In Prometheus' text format.
+#[utoipa::path(
+    get, path = "/metrics", operation_id = "metrics", tag = "gateway",
+    responses((status = 200, description = "The figures", body = String, content_type = "text/plain"), AnyProblem)
+)]
+pub async fn metrics(Shared(context): Shared<Arc<Context>>) -> Result<Response, Problem> {
+    let text = TextEncoder::new().encode_to_string(&context.registry.gather());
+    let text = text.map_err(|error| Problem::new(Code::Internal, format!("the figures can't be told: {error}")))?;
+    Ok(([(header::CONTENT_TYPE, TEXT_FORMAT)], text).into_response())
+}

@@ -1,0 +1,59 @@
+//! The gateway's own operations.
+
+use super::*;
+use crate::gripper::Now;
+use crate::gripper::Recorder as _;
+use crate::gripper::model::{Detail, Event, GatewayEvent};
+use crate::gripper::recorder::Record;
+
+#[tokio::test]
+async fn a_gateway_is_ready_when_its_grippers_and_its_journal_are_and_says_which_is_not() {
+    let (gateway, journal) = Gateway::with_journal(Script::default());
+    let answer = gateway.ask("GET", "/readyz", "").await;
+    assert_eq!(answer.status, 503);
+    assert_eq!(
+        answer.body,
+        json!({
+            "gateway": "wsg", "ready": false, "journal_cause": null, "not_ready": ["left: connecting: not reached yet"]
+        })
+    );
+
+    journal.limit_pages(1);
+    let mut health = journal.health();
+    while health.borrow_and_update().failure.is_none() {
+        let ended = Event::new(Now::read().wall, None, Detail::Gateway(GatewayEvent::Ended));
+        let (told, durable) = tokio::sync::oneshot::channel();
+        journal.record(Record::Event(ended, Some(told)));
+        // Its channel ends where it is not kept.
+        let _ = durable.await;
+    }
+    let answer = gateway.ask("GET", "/readyz", "").await;
+    let cause = answer.body["journal_cause"].as_str().unwrap();
+    assert!(answer.status == 503 && cause.contains("full"), "{cause}");
+}
+
+#[tokio::test]
+async fn requests_are_counted_by_their_route_and_never_by_what_clients_make_up() {
+    let gateway = Gateway::new(Script::default());
+    gateway.left("POST", "home", json!({})).await;
+    gateway.left("POST", "home", json!({"direction": "up"})).await;
+    for n in 0..3 {
+        gateway.ask("GET", &format!("/nowhere/{n}"), "").await;
+        gateway.ask(&format!("METHOD{n}"), "/healthz", "").await;
+        gateway.ask("GET", &format!("/api/v1/grippers/none-{n}/state"), "").await;
+    }
+    let metrics = gateway.ask("GET", "/metrics", "").await;
+    assert_eq!(metrics.headers[header::CONTENT_TYPE], "text/plain; version=0.0.4");
+    let text = metrics.body.as_str().unwrap();
+    let requests: Vec<_> = text.lines().filter_map(|line| line.strip_prefix("wsg_requests_total")).collect();
+    assert_eq!(
+        requests,
+        [
+            r#"{door="http",method="GET",route="/api/v1/grippers/{gripper}/state",status="404"} 3"#,
+            r#"{door="http",method="GET",route="none",status="404"} 3"#,
+            r#"{door="http",method="POST",route="/api/v1/grippers/{gripper}/home",status="200"} 1"#,
+            r#"{door="http",method="POST",route="/api/v1/grippers/{gripper}/home",status="400"} 1"#,
+            r#"{door="http",method="other",route="/healthz",status="405"} 3"#,
+        ]
+    );
+}
