@@ -102,7 +102,9 @@ impl Actor {
             fast_stop_at: Timestamp::UNIX_EPOCH,
             fast_stop_confirmed: self.script.confirms,
         };
-        self.states.send_modify(|state| *state = Arc::new(State { latch: Some(latch), ..State::clone(state) }));
+        self.states.send_modify(|state| {
+            *state = Arc::new(State { latch: Some(latch), seq: state.seq + 1, ..State::clone(state) });
+        });
         self.see(Seen::FastStop(stop.reason));
     }
 

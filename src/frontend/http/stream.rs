@@ -21,6 +21,7 @@ use super::errors::Problem;
 use super::parameters::Parameters;
 use super::responses::JournalProblem;
 use super::values::integer;
+use crate::frontend::metrics::Metrics;
 use crate::gripper::Now;
 use crate::gripper::model::State;
 use crate::journal::{Filter, Follow};
@@ -94,12 +95,19 @@ pub struct Message {
 /// One client's stream.
 struct Subscription {
     events: Option<Follow>,
-    grippers: Vec<watch::Receiver<Arc<State>>>,
+    grippers: Vec<Told>,
     topics: HashSet<Topic>,
     ticks: Interval,
+    metrics: Metrics,
     /// What is to be told, at most a message a topic and gripper.
     ready: VecDeque<sse::Event>,
     closing: CancellationToken,
+}
+
+/// One gripper's states, and which of them was told last.
+struct Told {
+    states: watch::Receiver<Arc<State>>,
+    seq: u64,
 }
 
 /// Live updates
@@ -137,6 +145,7 @@ impl Subscription {
             }
             None => context.fleet.iter().map(crate::gripper::Handle::states).collect(),
         };
+        let grippers = grippers.into_iter().map(|states| Told { states, seq: 0 }).collect();
         let max_hz = match given.parsed("max_hz", "a whole number", |text| text.parse::<f64>().ok())? {
             Some(number) => integer("max_hz", number, 1..=MAX_HZ)?,
             None => DEFAULT_HZ,
@@ -151,9 +160,9 @@ impl Subscription {
         let mut ticks = interval(Duration::from_secs(1) / max_hz as u32);
         // A client that was slow gets the newest, and not all that it missed.
         ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
-        let (ready, closing) = (VecDeque::new(), context.closing.clone());
-        let mut subscription = Self { events, grippers, topics, ticks, ready, closing };
-        subscription.gather(|_| true);
+        let (metrics, closing) = (context.metrics.clone(), context.closing.clone());
+        let mut subscription = Self { events, grippers, topics, ticks, metrics, ready: VecDeque::new(), closing };
+        subscription.gather(0, |_| true);
         Ok(subscription)
     }
 
@@ -172,18 +181,22 @@ impl Subscription {
                     Ok(None) => return None,
                     Err(()) => tokio::time::sleep(RESTS_FOR).await,
                 },
-                _ = self.ticks.tick(), if tells_states => self.gather(|state| state.has_changed().unwrap_or_default()),
+                due = self.ticks.tick(), if tells_states => {
+                    let missed_ticks = due.elapsed().as_nanos() / self.ticks.period().as_nanos();
+                    self.gather(missed_ticks as u64, |states| states.has_changed().unwrap_or_default());
+                }
             }
         }
     }
 
-    /// Makes messages of the states that are to be told.
-    fn gather(&mut self, is_told: impl Fn(&watch::Receiver<Arc<State>>) -> bool) {
-        for states in &mut self.grippers {
+    /// Makes messages of the states that are to be told, of which each tick that the client missed would have told one.
+    fn gather(&mut self, missed_ticks: u64, is_told: impl Fn(&watch::Receiver<Arc<State>>) -> bool) {
+        for Told { states, seq } in &mut self.grippers {
             if !is_told(states) {
                 continue;
             }
             let state = states.borrow_and_update().clone();
+            let dropped = state.seq.saturating_sub(*seq + 1).min(missed_ticks);
             let told = self.topics.iter().filter_map(|topic| match topic {
                 Topic::Events => None,
                 Topic::State => sse::Event::default().event("state").json_data(&*state).ok(),
@@ -191,7 +204,11 @@ impl Subscription {
                     sse::Event::default().event("telemetry").json_data(state.telemetry(Now::read().wall)).ok()
                 }
             });
-            self.ready.extend(told);
+            for message in told {
+                self.ready.push_back(message);
+                self.metrics.dropped(dropped);
+            }
+            *seq = state.seq;
         }
     }
 }
@@ -223,4 +240,35 @@ fn seq(text: &str) -> Option<i64> {
 
 fn bad_last_event_id() -> Problem {
     Problem::malformed("Last-Event-ID", "Last-Event-ID must be the seq of an event: 0 or more")
+}
+
+#[cfg(test)]
+mod tests {
+    use prometheus::TextEncoder;
+
+    use super::*;
+    use crate::gripper::fake::{self, Script};
+    use crate::gripper::model::{Client, Door, FastStopId, Reason};
+
+    #[tokio::test(start_paused = true)]
+    async fn states_that_a_slow_client_misses_are_counted_and_those_beyond_its_rate_are_not() {
+        let (handle, _seen) = fake::gripper("left", Script::default());
+        let context = Context::of([handle.clone()]);
+        let uri = Uri::from_static("/stream?topics=state,telemetry&max_hz=10");
+        let mut subscription = Subscription::new(&context, &HeaderMap::new(), &uri).unwrap();
+        // Between the changes no time passes; each is told as a state and as telemetry.
+        for (changes, later_ms, expected) in [(0, 0, 0), (3, 0, 0), (3, 350, 4), (1, 350, 4), (10, 100, 4)] {
+            for _ in 0..changes {
+                let client = Client { subject: "test".into(), door: Door::Http };
+                handle.fast_stop(FastStopId::generate(), client, Reason::truncated("")).await;
+            }
+            tokio::time::advance(Duration::from_millis(later_ms)).await;
+            for _ in 0..2 {
+                assert!(subscription.next().await.is_some());
+            }
+            let text = TextEncoder::new().encode_to_string(&context.registry.gather()).unwrap();
+            let line = format!("wsg_updates_dropped_total{{door=\"http\"}} {expected}");
+            assert!(text.lines().any(|other| other == line), "no {line} after {changes} changes in\n{text}");
+        }
+    }
 }
