@@ -20,6 +20,8 @@ mod journal_files;
 mod kills;
 mod leases;
 mod link;
+mod logs;
+mod metrics;
 mod noisy_udp;
 mod recordings;
 mod replay;

@@ -1,5 +1,6 @@
 //! The gateway, in a process of its own, and its HTTP door.
 
+use std::collections::BTreeMap;
 use std::net::SocketAddr;
 
 use reqwest::{Method, RequestBuilder, Response};
@@ -155,6 +156,17 @@ impl Gateway {
     /// The newest state.
     pub async fn state(&self) -> Value {
         self.get("state").await.ok()
+    }
+
+    /// The figures of `/metrics`, each by its name and labels as they are written there.
+    pub async fn figures(&self) -> BTreeMap<String, f64> {
+        let text = self.get("/metrics").await.ok();
+        let samples = text.as_str().unwrap().lines().filter(|line| !line.starts_with('#'));
+        let figure = |line: &str| {
+            let (series, figure) = line.rsplit_once(' ').unwrap_or_else(|| panic!("no sample: {line}"));
+            (series.to_owned(), figure.parse().unwrap_or_else(|error| panic!("{error}: {line}")))
+        };
+        samples.map(figure).collect()
     }
 
     /// Waits until the state is as `wanted` has it.
