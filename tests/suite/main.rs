@@ -9,6 +9,7 @@ mod commands;
 mod conformance;
 mod control;
 mod defaults;
+mod deploy;
 mod device;
 mod door;
 mod ends;

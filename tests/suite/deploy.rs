@@ -1,0 +1,48 @@
+//! What is shipped in `deploy/` fits what it is for.
+
+use std::collections::BTreeSet;
+use std::path::Path;
+
+use serde_json::json;
+
+use crate::harness::{Gateway, Simulator};
+
+/// The metrics that a text names.
+fn named(text: &str) -> BTreeSet<&str> {
+    let words = text.split(|character: char| !character.is_ascii_alphanumeric() && character != '_');
+    words.filter(|word| word.starts_with("wsg_")).collect()
+}
+
+/// All files below a directory.
+fn texts(directory: &Path) -> Vec<(String, String)> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(directory).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            found.extend(texts(&path));
+        } else {
+            found.push((path.display().to_string(), std::fs::read_to_string(&path).unwrap()));
+        }
+    }
+    found
+}
+
+#[tokio::test]
+async fn every_metric_that_is_watched_is_one_that_the_gateway_has() {
+    let device = Simulator::start(&[]).await;
+    let gateway = Gateway::homed_at(device.address).await;
+    // What has labels of its own is there once it has happened.
+    gateway.post("fast-stop", &json!({})).await.ok();
+    let figures = gateway.figures().await;
+    let metrics: BTreeSet<_> = figures.keys().flat_map(|series| named(series)).collect();
+
+    let texts = texts(&Path::new(env!("CARGO_MANIFEST_DIR")).join("deploy"));
+    for (path, text) in &texts {
+        let unknown: Vec<_> = named(text).difference(&metrics).copied().collect();
+        assert!(unknown.is_empty(), "{path}: {unknown:?} are not among {metrics:#?}");
+    }
+    let watched: BTreeSet<_> = texts.iter().flat_map(|(_, text)| named(text)).collect();
+    for needed in ["wsg_link_up", "wsg_journal_up", "wsg_fast_stop_latched", "wsg_checksum_errors_total"] {
+        assert!(watched.contains(needed), "nobody watches {needed}");
+    }
+}
