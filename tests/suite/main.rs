@@ -15,6 +15,7 @@ mod door;
 mod ends;
 mod fast_stop;
 mod first_grip;
+mod grips;
 mod harness;
 mod invariants;
 mod journal_files;
