@@ -1,21 +1,28 @@
-//! What the journal takes, and how soon it answers: durable commands a second on a real disk, and the time of a page of
-//! 100 among a million events, for each combination of filters.
+//! What the journal takes, and how soon it answers: durable commands a second on a real disk, what that costs a command
+//! of a gripper, and the time of a page of 100 among a million events, for each combination of filters.
 //!
 //! `cargo bench --bench journal`, or with `-- --events 100000`. Fails where a page takes longer than 20 ms.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use jiff::{SignedDuration, Timestamp};
+use prometheus::Registry;
 use tokio::sync::oneshot;
+use wsg_gateway::daemon::{Served, SimulatedDevice, Switch, serve_device};
 use wsg_gateway::gripper::model::{
-    Admitted, Client, CommandEvent, CommandId, Detail, Done, Door, Event, GripRecord, IdSource, Kind, Link, LinkEvent,
-    Name, Outcome, Parameters, PartId, Sample,
+    Action, Admitted, Client, CommandEvent, CommandId, Detail, Done, Door, Event, GripRecord, IdSource, Kind,
+    LeaseRules, Link, LinkEvent, Motion, Name, Outcome, Parameters, PartId, Sample, Submission,
 };
-use wsg_gateway::gripper::recorder::{Record, Recorder as _};
+use wsg_gateway::gripper::recorder::{Recollection, Record, Recorder, Unrecorded};
+use wsg_gateway::gripper::{self, Connector, Handle};
 use wsg_gateway::journal::{
     EventKind, EventQuery, Filter, GripQuery, Journal, Order, Page, Place, Query, ReadError, Reader, Retention, verify,
 };
+use wsg_gateway::sim::DeviceConfig;
+use wsg_gateway::wsg::{HomingDirection, MoveFlags, Speed, Width};
 
 type Error = Box<dyn std::error::Error>;
 
@@ -27,6 +34,12 @@ const PAGE_LIMIT: Duration = Duration::from_millis(20);
 
 /// How often each page is read; the fastest counts, since the machine does other things too.
 const READS: usize = 3;
+
+/// How often each command is given to a gripper with and to one without a journal.
+const COMMANDS: usize = 200;
+
+/// Longer than the pause between two motions, which is no part of a command's time.
+const REST: Duration = Duration::from_millis(60);
 
 /// How many events are recorded before it is waited until they are durable; fewer than the journal's queue has room for.
 const BURST: u32 = 4000;
@@ -53,6 +66,7 @@ fn main() -> Result<(), Error> {
         println!("{clients} clients in lockstep: {rate:.0} commands/s, each of two durable records");
         runtime.block_on(journal.close())?;
     }
+    runtime.block_on(commands(&directory.0.join("commands.db")))?;
     let path = directory.0.join("large.db");
     let begun = Instant::now();
     runtime.block_on(fill(&path, events))?;
@@ -133,6 +147,67 @@ async fn rate(journal: &Journal, clients: u64) -> Result<u32, Error> {
         commands += client.await??;
     }
     Ok(commands)
+}
+
+/// A simulated gripper with this recorder, homed, and its device, which goes with the switch.
+async fn gripper(recorder: Arc<dyn Recorder>) -> Result<(Handle, Switch), Error> {
+    let device = SimulatedDevice::new(DeviceConfig::wsg50());
+    let Served { address, switch, .. } = serve_device(&"tcp://127.0.0.1:0".parse()?, device).await?;
+    let name: Name = "g".parse()?;
+    let config = gripper::actor::Config {
+        url: address.url(),
+        traits: address.traits(),
+        read_ids: BTreeSet::new(),
+        drain: Duration::from_secs(2),
+        on_journal_failure: gripper::actor::OnJournalFailure::Refuse,
+        lease: LeaseRules::default(),
+        seed: 1,
+        metrics: gripper::Metrics::register(&Registry::new(), &name)?,
+        name,
+    };
+    let handle = gripper::spawn(config, Arc::new(address), recorder, Recollection::default());
+    handle.states().wait_for(|state| state.link == Link::Connected).await?;
+    run(&handle, Action::Motion(Motion::Home(HomingDirection::Default))).await?;
+    Ok((handle, switch))
+}
+
+/// Gives a command to a gripper, and waits until its client is told.
+async fn run(handle: &Handle, action: Action) -> Result<Duration, Error> {
+    let client = Client { subject: "http:127.0.0.1".into(), door: Door::Http };
+    let begun = Instant::now();
+    let mut ticket = handle.submit(Submission { client, action, request_id: None, lease: None }).await?;
+    let command = ticket.wait(Duration::from_mins(1)).await;
+    let took = begun.elapsed();
+    match command.outcome {
+        Some(Outcome::Success) => Ok(took),
+        outcome => Err(format!("a {} ended with {outcome:?}", command.kind).into()),
+    }
+}
+
+/// The same commands with and without a durable journal, in turn.
+async fn commands(path: &Path) -> Result<(), Error> {
+    let (journal, _) = open(path)?;
+    let (with, _device) = gripper(Arc::new(journal.clone())).await?;
+    let (without, _other_device) = gripper(Arc::new(Unrecorded)).await?;
+    let flags = MoveFlags { relative: false, stop_on_block: true };
+    let a_move =
+        |mm| Ok::<_, Error>(Action::Motion(Motion::Move { flags, width: Width::new(mm)?, speed: Speed::new(400.0)? }));
+    let stops = [Action::Stop, Action::Stop];
+    let moves = [a_move(50.0)?, a_move(51.0)?];
+    for (name, actions) in [("a Stop", stops), ("a move of 1 mm", moves)] {
+        let (mut recorded, mut unrecorded) = (Vec::new(), Vec::new());
+        for action in actions.iter().cycle().take(COMMANDS) {
+            tokio::time::sleep(REST).await;
+            recorded.push(run(&with, action.clone()).await?);
+            unrecorded.push(run(&without, action.clone()).await?);
+        }
+        recorded.sort_unstable();
+        unrecorded.sort_unstable();
+        let (recorded, unrecorded) = (recorded[COMMANDS / 2], unrecorded[COMMANDS / 2]);
+        let ratio = recorded.as_secs_f64() / unrecorded.as_secs_f64();
+        println!("{name}: with the journal {recorded:.2?}, without {unrecorded:.2?} (medians), ratio {ratio:.2}");
+    }
+    Ok(journal.close().await?)
 }
 
 /// The time of the event with this number: ten a second.
