@@ -46,7 +46,7 @@ pub fn spawn(
 ) -> Handle {
     let (requests, request_queue) = mpsc::channel(MAX_WAITING_REQUESTS);
     let (fast_stops, fast_stop_queue) = mpsc::channel(MAX_WAITING_FAST_STOPS);
-    let name = config.name.clone();
+    let (name, read_ids) = (config.name.clone(), Arc::new(config.read_ids.clone()));
     let (mut actor, watches) = Actor::new(config);
     actor.recollect(Now::read(), recollection);
     let health = recorder.health();
@@ -62,7 +62,7 @@ pub fn spawn(
         is_abandoned: false,
     };
     tokio::spawn(driver.run());
-    Handle { name, requests, fast_stops, state: watches.state, info: watches.info }
+    Handle { name, requests, fast_stops, state: watches.state, info: watches.info, read_ids }
 }
 
 struct Driver {

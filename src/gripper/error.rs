@@ -97,9 +97,6 @@ pub enum Conflict {
         /// The running one.
         id: CommandId,
     },
-    /// A custom command that counts as motion is under way.
-    #[error("a custom command is running: wait for its end, or stop it")]
-    CustomRunning,
     /// The device has restarted, and refused to take what clients had set.
     #[error("the device has lost what was set, and refused to take it again ({settings}): set it anew first")]
     SettingsLost {

@@ -17,6 +17,9 @@ use super::model::{
 };
 use crate::wsg::{self, Data};
 
+/// The custom command that only reads.
+pub const READ_ID: u8 = 0xB0;
+
 /// What the actor was asked.
 #[derive(Debug)]
 pub enum Seen {
@@ -65,7 +68,8 @@ pub fn gripper(name: &str, script: Script) -> (Handle, mpsc::UnboundedReceiver<S
     let actor =
         Actor { name: name.clone(), script, seen, states, commands: HashMap::new(), leasing: Leasing::default() };
     tokio::spawn(actor.run(asked, stopped));
-    (Handle { name, requests, fast_stops, state, info: watch::channel(Arc::new(info)).1 }, looked_at)
+    let (info, read_ids) = (watch::channel(Arc::new(info)).1, Arc::new([READ_ID].into()));
+    (Handle { name, requests, fast_stops, state, info, read_ids }, looked_at)
 }
 
 struct Actor {

@@ -1,5 +1,6 @@
 //! The handle: what every door holds of a gripper. Cheap to clone; the actor behind it owns the state.
 
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -137,6 +138,7 @@ pub struct Handle {
     pub(super) fast_stops: mpsc::Sender<FastStopRequest>,
     pub(super) state: watch::Receiver<Arc<State>>,
     pub(super) info: watch::Receiver<Arc<Info>>,
+    pub(super) read_ids: Arc<BTreeSet<u8>>,
 }
 
 impl Handle {
@@ -168,6 +170,12 @@ impl Handle {
     #[must_use]
     pub fn info(&self) -> Arc<Info> {
         self.info.borrow().clone()
+    }
+
+    /// Whether a custom command of this id only reads. Others count as motions.
+    #[must_use]
+    pub fn only_reads(&self, id: u8) -> bool {
+        self.read_ids.contains(&id)
     }
 
     /// Submits a command: admitted with an id and written down, or rejected before anything was sent.

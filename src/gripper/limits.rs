@@ -31,7 +31,7 @@ impl Limits {
     /// Checks a motion that begins at `width`, where that is known.
     pub(super) fn check_motion(&self, motion: &Motion, width: Option<f32>) -> Result<(), Invalid> {
         match *motion {
-            Motion::Home(_) => Ok(()),
+            Motion::Home(_) | Motion::Custom(_) => Ok(()),
             Motion::Move { flags, width: offset, speed } if flags.relative => {
                 self.check_offset(offset, width)?;
                 self.check_speed(speed.mm_s())

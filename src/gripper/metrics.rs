@@ -17,7 +17,7 @@ use super::handle::Handle;
 use super::model::{Link, Name, State};
 
 /// The series of one gripper, at most: all kinds with all outcomes, and all causes, have happened.
-pub const MAX_SERIES: usize = 169;
+pub const MAX_SERIES: usize = 193;
 
 /// Of answers and FAST STOPs, in seconds: from a socket in this machine to a slow line, and a link that was lost.
 const LATENCIES: [f64; 11] = [0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0];

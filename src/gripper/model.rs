@@ -13,7 +13,7 @@ use utoipa::ToSchema;
 use uuid::Uuid;
 
 use super::error::Rejection;
-use crate::wsg::{Force, HomingDirection, MoveFlags, Speed, Status, Width};
+use crate::wsg::{CustomCommand, Force, HomingDirection, MoveFlags, Speed, Status, Width};
 
 mod event;
 pub mod lease;
@@ -243,6 +243,8 @@ pub enum Motion {
         /// The speed.
         speed: Speed,
     },
+    /// A script on the device, which may move them.
+    Custom(CustomCommand),
 }
 
 impl Motion {
@@ -255,6 +257,7 @@ impl Motion {
             Self::Move { flags, width, speed } => Command::PrePosition { flags, width, speed },
             Self::Grip { width, speed, .. } => Command::Grip { width, speed },
             Self::Release { width, speed } => Command::Release { width, speed },
+            Self::Custom(ref custom) => Command::Custom(custom.clone()),
         }
     }
 
@@ -266,6 +269,7 @@ impl Motion {
             Self::Move { .. } => Kind::Move,
             Self::Grip { .. } => Kind::Grip,
             Self::Release { .. } => Kind::Release,
+            Self::Custom(_) => Kind::Custom,
         }
     }
 }
@@ -317,6 +321,8 @@ pub enum Kind {
     Release,
     /// Stop (22h).
     Stop,
+    /// A script on the device.
+    Custom,
 }
 
 /// Whether a command has ended.
@@ -410,6 +416,10 @@ pub struct Command {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<Uuid>, nullable = false)]
     pub fast_stop_id: Option<FastStopId>,
+    /// What a custom command's script answered, as hex; only then, and until the gateway ends.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<String>, nullable = false, max_length = 8192)]
+    pub payload: Option<Arc<str>>,
     /// Why it was refused: told as a problem to whoever waits for it.
     #[serde(skip)]
     pub rejection: Option<Rejection>,
@@ -439,6 +449,7 @@ impl Command {
             client: submission.client.subject.clone(),
             replayed: false,
             fast_stop_id: None,
+            payload: None,
             rejection: None,
             recorded: false,
         }

@@ -28,6 +28,8 @@ pub const EVENT_COLUMNS: &[&str] = &[
     "direction",
     "relative",
     "on_block",
+    "raw_id",
+    "payload",
     "request_id",
     "started_at",
     "duration_ms",

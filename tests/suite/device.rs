@@ -179,4 +179,43 @@ async fn a_custom_id_passes_through_as_it_is() {
     assert_eq!(sent, Some(vec![0xFF, 0x00]));
     let problem = gateway.post("raw", &json!({"id": 0xB1})).await.problem(422, "device_refused");
     assert_has(&problem, &json!({"device_status": "E_CMD_UNKNOWN", "device_status_code": 14}));
+    let written = gateway.get("/api/v1/events?kind=command&order=oldest").await.ok();
+    let written = written["events"].as_array().unwrap();
+    for (event, (phase, outcome)) in written.iter().zip([
+        ("admitted", Value::Null),
+        ("done", json!("SUCCESS")),
+        ("admitted", Value::Null),
+        ("done", json!("REFUSED")),
+    ]) {
+        assert_eq!((&event["phase"], &event["outcome"]), (&json!(phase), &outcome), "{written:?}");
+    }
+    assert_eq!((written.len(), &written[1]["command_id"]), (4, &told["command_id"]), "{written:?}");
+}
+
+#[tokio::test]
+async fn a_custom_id_counts_as_a_motion_and_is_written_down_unless_it_is_configured_to_read() {
+    // It begins, and does not end.
+    let device = Scripted::start(Table::from([(0xB0, vec![vec![0x1A, 0]]), (0xB2, vec![success(&[7])])])).await;
+    let path = std::env::temp_dir().join(format!("wsg-{}-read-ids.toml", std::process::id()));
+    std::fs::write(&path, format!("[grippers.g]\nurl = \"tcp://{}\"\nread_ids = [0xB2]\n", device.address)).unwrap();
+    let gateway = Gateway::start(&["--config", path.to_str().unwrap()]).await;
+    std::fs::remove_file(path).unwrap();
+    gateway.until_link("connected").await;
+    let script = json!({"id": 0xB0, "payload": "ff00", "request_id": "job-1"});
+    let running = gateway.post("raw?wait_ms=0", &script).await;
+    assert_eq!((running.status, running.text("kind").as_str()), (202, "custom"), "{running:?}");
+    let id = running.text("id");
+    assert_eq!(gateway.post("raw?wait_ms=0", &script).await.field("replayed"), true);
+    let refused = gateway.post("home", &json!({})).await.problem(409, "already_running");
+    assert_eq!(refused["command"], json!(id));
+    let read = gateway.post("raw", &json!({"id": 0xB2})).await.ok();
+    assert_has(&read, &json!({"payload": "07", "command_id": null}));
+
+    gateway.post("fast-stop", &json!({})).await.ok();
+    gateway.post("raw", &json!({"id": 0xB1})).await.problem(409, "fast_stop");
+    let events = gateway.get("/api/v1/events?kind=command&order=oldest").await.ok();
+    let admitted = &events["events"][0];
+    assert_has(admitted, &json!({"phase": "admitted", "command": "custom", "raw_id": 0xB0, "payload": "ff00"}));
+    assert_eq!(admitted["command_id"], json!(id), "{events}");
+    assert_eq!(device.frames.count(0xB0), 1);
 }

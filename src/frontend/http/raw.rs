@@ -11,8 +11,8 @@ use super::errors::Problem;
 use super::extract::{Gripper, GripperPath, KeyHeaders, Keys, WaitQuery};
 use super::responses::DeviceProblem;
 use super::values::{bytes, integer};
-use crate::gripper::FastStop;
 use crate::gripper::model::{Action, Command, CommandId, FastStopId, Motion, Outcome, Phase, Reason};
+use crate::gripper::{FastStop, Handle};
 use crate::wsg::id::MAX_OPAQUE_BYTES;
 use crate::wsg::{self, Data, Status, Updates};
 
@@ -62,7 +62,7 @@ pub struct RawAnswer {
     /// What came with the status, as hex.
     #[schema(max_length = 8192)]
     payload: String,
-    /// The command that it became; null unless it moves the fingers, or stops them.
+    /// The command that it became; null unless it moves the fingers, may move them, or stops them.
     #[schema(value_type = Option<uuid::Uuid>, required)]
     command_id: Option<CommandId>,
     /// How that ended.
@@ -100,7 +100,8 @@ enum Path {
 /// A raw request
 ///
 /// Ids that the manuals know take the same path as the other operations, with the same checks; 07h, 24h and automatic
-/// updates are the gateway's own, and refused.
+/// updates are the gateway's own, and refused. Other ids are custom commands: they count as motions, and are written
+/// down as such, unless the configuration has them among its `read_ids`.
 #[utoipa::path(
     post, path = "/grippers/{gripper}/raw", operation_id = "raw", tag = "device",
     params(GripperPath, WaitQuery, KeyHeaders),
@@ -122,7 +123,7 @@ pub async fn raw(gripper: Gripper, wait: Wait, keys: Keys, Body(body): Body<Raw>
         _ => Problem::malformed("payload", error.to_string()),
     })?;
     let name = gripper.name();
-    match path(command)? {
+    match path(command, &gripper.handle)? {
         Path::Command(action) => {
             let command = commands::run(gripper, keys, action, wait).await?;
             Ok(if command.phase == Phase::Done { of_command(id, command) } else { commands::told(command) })
@@ -148,6 +149,7 @@ fn of_command(id: u8, command: Command) -> Response {
         status_code: command.status_code,
         command_id: Some(command.id),
         outcome: command.outcome,
+        payload: command.payload.as_deref().unwrap_or_default().to_owned(),
         ..RawAnswer::new(command.gripper.to_string(), id, None)
     };
     Json(answer).into_response()
@@ -162,7 +164,7 @@ fn payload_of(id: u8, data: &Data) -> String {
 }
 
 /// One exhaustive match, so that a new command can't take the wrong path unnoticed.
-fn path(command: wsg::Command) -> Result<Path, Problem> {
+fn path(command: wsg::Command, gripper: &Handle) -> Result<Path, Problem> {
     use wsg::Command as C;
     Ok(match command {
         C::Homing(direction) => Path::Command(Action::Motion(Motion::Home(direction))),
@@ -171,6 +173,7 @@ fn path(command: wsg::Command) -> Result<Path, Problem> {
             Path::Command(Action::Motion(Motion::Grip { width, speed, force: None, part_id: None }))
         }
         C::Release { width, speed } => Path::Command(Action::Motion(Motion::Release { width, speed })),
+        C::Custom(custom) if !gripper.only_reads(custom.id()) => Path::Command(Action::Motion(Motion::Custom(custom))),
         C::Stop => Path::Command(Action::Stop),
         C::FastStop => Path::FastStop,
         C::DisconnectAnnouncement => {

@@ -30,7 +30,9 @@ impl Actor {
             Action::Motion(motion) => {
                 self.check_motion(now, motion, submission.lease.as_ref())?;
                 let ticket = self.enter(now, id, submission);
-                self.start_measuring(id, motion);
+                if !matches!(motion, Motion::Custom(_)) {
+                    self.start_measuring(id, motion);
+                }
                 self.running = Some(Running::new(id, motion.clone()));
                 Ok(Ticket { _keep: keep, ..ticket })
             }
@@ -52,7 +54,7 @@ impl Actor {
         self.check_link()?;
         self.check_moving()?;
         self.check_journal()?;
-        if !referenced && !matches!(motion, Motion::Home(_)) {
+        if !referenced && !matches!(motion, Motion::Home(_) | Motion::Custom(_)) {
             return Err(Conflict::NotReferenced.into());
         }
         Ok(())
@@ -66,9 +68,6 @@ impl Actor {
         if !self.lost.is_empty() {
             let lost: Vec<_> = self.lost.iter().map(ToString::to_string).collect();
             return Err(Conflict::SettingsLost { settings: lost.join(", ") });
-        }
-        if self.purposes.values().any(|purpose| self.is_custom_motion(purpose)) {
-            return Err(Conflict::CustomRunning);
         }
         match &self.running {
             Some(running) => Err(Conflict::AlreadyRunning { id: running.id }),
@@ -131,8 +130,7 @@ impl Actor {
             Command::AcknowledgeFastStop => Err(not_here("acknowledge by the FAST STOP's id")),
             Command::DisconnectAnnouncement => Err(not_here("the gateway announces its own disconnects")),
             Command::Custom(_) if !self.only_reads(command) => {
-                self.check_moving()?;
-                Ok(self.check_journal()?)
+                Err(not_here("it may move, and is a command of its own"))
             }
             command if id::has_updates(command.id()) && self.observed.newest(command.id()).is_none() => {
                 Err(Failure::DeviceTimeout { command: super::name_of(command), waited_ms: 0 }.into())

@@ -149,9 +149,7 @@ impl Actor {
 
     /// Whether the fingers move, or are about to, as far as is known.
     fn is_moving(&self) -> bool {
-        self.running.as_ref().is_some_and(|running| !running.has_ended())
-            || self.purposes.values().any(|purpose| self.is_custom_motion(purpose))
-            || self.observed.has(SystemState::MOVING)
+        self.running.as_ref().is_some_and(|running| !running.has_ended()) || self.observed.has(SystemState::MOVING)
     }
 
     /// Stops whatever moves on the gateway's own account; what waits is withdrawn.

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use super::super::Now;
 use super::super::error::{Conflict, DeviceRefusal, Failure, Rejection};
 use super::super::model::{Command as Record, CommandId, FastStopId, Kind, Motion, Outcome};
-use super::{Actor, Purpose, REPLY_WITHIN};
+use super::{Actor, Purpose, REPLY_WITHIN, RESULT_WITHIN};
 use crate::wsg::session::{End, Token};
 use crate::wsg::{Command, Data, Force, Reply, Status, SystemState};
 
@@ -40,6 +40,8 @@ pub(super) struct Running {
     pub recorded: bool,
     /// The FAST STOP that came while it ran.
     fast_stop: Option<FastStopId>,
+    /// What a script answered.
+    payload: Option<Vec<u8>>,
 }
 
 #[derive(Debug)]
@@ -64,7 +66,7 @@ struct Settling {
 
 impl Running {
     pub(super) fn new(id: CommandId, motion: Motion) -> Self {
-        Self { id, motion, stage: Stage::Waiting, accepted: false, recorded: false, fast_stop: None }
+        Self { id, motion, stage: Stage::Waiting, accepted: false, recorded: false, fast_stop: None, payload: None }
     }
 
     /// Whether it takes the fingers' reference away, for as long as it runs.
@@ -146,6 +148,7 @@ impl Actor {
     fn result_within(&self, motion: &Motion) -> Duration {
         let speed = match motion {
             Motion::Home(_) => return HOMING_WITHIN,
+            Motion::Custom(_) => return RESULT_WITHIN,
             Motion::Move { speed, .. } | Motion::Grip { speed, .. } | Motion::Release { speed, .. } => speed.mm_s(),
         };
         let stroke = self.limits.system.map_or(LONGEST_STROKE_MM, |system| system.stroke.mm());
@@ -186,6 +189,11 @@ impl Actor {
         self.last_motion_end = Some(now.instant);
         let command = super::name_of(&running.motion.request());
         let (outcome, status) = match end {
+            // A script needs no E_CMD_PENDING before.
+            End::Reply(Reply::Success(Data::Custom(payload))) => {
+                running.payload = Some(payload);
+                (Outcome::Success, Some(Status::E_SUCCESS))
+            }
             End::Reply(reply) if running.accepted => {
                 (outcome_of(running.motion.kind(), reply.status()), Some(reply.status()))
             }
@@ -236,34 +244,16 @@ impl Actor {
             if matches!(outcome, Outcome::Aborted | Outcome::Unknown) {
                 record.fast_stop_id = running.fast_stop;
             }
+            record.payload = running.payload.map(|payload| hex::encode(payload).into());
         });
     }
 
     /// A FAST STOP holds: what waits is over, what runs will be.
     pub(super) fn abort_for_latch(&mut self, now: Now) {
         let fast_stop = self.latching.id();
-        self.withdraw_custom_motions(fast_stop);
         if let Some(running) = &mut self.running {
             running.fast_stop = fast_stop;
             self.withdraw_waiting_motion(now);
-        }
-    }
-
-    /// Whether it is a custom command that counts as motion.
-    pub(super) fn is_custom_motion(&self, purpose: &Purpose) -> bool {
-        let Purpose::Exchange(exchange) = purpose else { return false };
-        matches!(&exchange.command, Command::Custom(custom) if !self.config.read_ids.contains(&custom.id()))
-    }
-
-    fn withdraw_custom_motions(&mut self, fast_stop: Option<FastStopId>) {
-        let custom = |(token, purpose): (&Token, &Purpose)| self.is_custom_motion(purpose).then_some(*token);
-        let tokens: Vec<_> = self.purposes.iter().filter_map(custom).collect();
-        for token in tokens {
-            if self.session.as_mut().is_some_and(|session| session.withdraw(token))
-                && let (Some(Purpose::Exchange(exchange)), Some(id)) = (self.purposes.remove(&token), fast_stop)
-            {
-                let _ = exchange.answer.send(Err(Conflict::FastStop { id }.into()));
-            }
         }
     }
 
@@ -360,7 +350,7 @@ impl Actor {
             let known = !matches!(record.outcome, Some(Outcome::Unknown | Outcome::Refused));
             record.width_mm = width_mm.filter(|_| known && referenced);
             record.force_n = force_n.filter(|_| known);
-            if record.kind != Kind::Stop && known {
+            if !matches!(record.kind, Kind::Stop | Kind::Custom) && known {
                 record.reached_goal = Some(matches!(record.outcome, Some(Outcome::Success | Outcome::PartHeld)));
                 record.stalled = Some(matches!(record.outcome, Some(Outcome::PartHeld | Outcome::Blocked)));
             }

@@ -120,6 +120,14 @@ pub struct Parameters {
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[schema(value_type = Option<String>, nullable = false, max_length = 48)]
     pub part_id: Option<PartId>,
+    /// A custom command's id.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[schema(nullable = false)]
+    pub raw_id: Option<u8>,
+    /// Its bytes, as hex.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[schema(nullable = false, max_length = 8192)]
+    pub payload: Option<String>,
 }
 
 /// To which end stop.
@@ -188,6 +196,10 @@ impl From<&Action> for Parameters {
             Motion::Release { width, speed } => {
                 Self { width_mm: Some(width.mm()), speed_mm_s: Some(speed.mm_s()), ..Self::default() }
             }
+            Motion::Custom(custom) => {
+                let payload = Some(hex::encode(custom.payload()));
+                Self { raw_id: Some(custom.id()), payload, ..Self::default() }
+            }
         }
     }
 }
@@ -195,7 +207,7 @@ impl From<&Action> for Parameters {
 /// A command that was admitted.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Admitted {
-    /// `home`, `move`, `grip`, `release` or `stop`.
+    /// `home`, `move`, `grip`, `release`, `stop` or `custom`.
     pub command: Kind,
     /// What makes a repetition the same request.
     #[serde(skip_serializing_if = "Option::is_none")]

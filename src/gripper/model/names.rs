@@ -14,6 +14,7 @@ impl Kind {
             Self::Grip => "grip",
             Self::Release => "release",
             Self::Stop => "stop",
+            Self::Custom => "custom",
         }
     }
 }
@@ -65,7 +66,7 @@ impl FastStopCause {
 pub(crate) mod all {
     use super::{FastStopCause, Kind, Outcome};
 
-    pub const KINDS: [Kind; 5] = [Kind::Home, Kind::Move, Kind::Grip, Kind::Release, Kind::Stop];
+    pub const KINDS: [Kind; 6] = [Kind::Home, Kind::Move, Kind::Grip, Kind::Release, Kind::Stop, Kind::Custom];
     pub const OUTCOMES: [Outcome; 10] = [
         Outcome::Success,
         Outcome::PartHeld,

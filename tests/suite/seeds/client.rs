@@ -13,7 +13,7 @@ use wsg_gateway::wsg::{
 
 use super::leases::Leases;
 use super::schedule::Ask;
-use super::world::World;
+use super::world::{READ_ID, SCRIPT_ID, World};
 
 /// An admitted motion, and the request that it may become.
 pub struct Admitted {
@@ -96,7 +96,11 @@ impl Clients {
             Ask::Custom => {
                 world.clients.submitted += 1;
                 let payload = world.clients.submitted.to_le_bytes().to_vec();
-                Self::exchange(world, Command::Custom(CustomCommand::new(0xB0, payload).unwrap()));
+                if world.rng.random_bool(0.5) {
+                    Self::exchange(world, Command::Custom(CustomCommand::new(READ_ID, payload).unwrap()));
+                } else {
+                    Self::submit_motion(world, Motion::Custom(CustomCommand::new(SCRIPT_ID, payload).unwrap()));
+                }
             }
         }
     }

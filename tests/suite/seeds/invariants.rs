@@ -3,12 +3,13 @@
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
-use wsg_gateway::gripper::model::{Link, Outcome, Phase};
+use wsg_gateway::gripper::model::{Kind, Link, Outcome, Phase};
 use wsg_gateway::sim::Interface;
 use wsg_gateway::wsg::{Command, id};
 
+use super::client::Admitted;
 use super::leases::Leases;
-use super::world::World;
+use super::world::{SCRIPT_ID, World};
 
 /// What was seen so far.
 #[derive(Default)]
@@ -48,7 +49,7 @@ impl Invariants {
             world.invariants.fast_stop_sent = Some(world.now);
         }
         match frame_id {
-            id::HOMING | id::PRE_POSITION | id::GRIP | id::RELEASE => {
+            id::HOMING | id::PRE_POSITION | id::GRIP | id::RELEASE | SCRIPT_ID => {
                 assert!(!latched, "latch_blocks_motion\n{}", world.tail());
                 let all = &world.clients.admitted;
                 let admitted =
@@ -79,6 +80,12 @@ impl Invariants {
             let Some(outcome) = admitted.ticket.now().outcome else { continue };
             let first = *world.invariants.outcomes.entry(index).or_insert(outcome);
             assert_eq!(first, outcome, "every_command_ends_once\n{}", world.log.join("\n"));
+            if let (Some(Command::Custom(custom)), Outcome::Success) = (&admitted.motion, outcome) {
+                // Its script echoes.
+                let payload = admitted.ticket.now().payload;
+                let echo = hex::encode(custom.payload());
+                assert_eq!(payload.as_deref(), Some(&*echo), "another command's answer\n{}", world.log.join("\n"));
+            }
         }
     }
 
@@ -140,6 +147,9 @@ impl Invariants {
         }
         super::journal::Journal::check(world);
         world.count("a grip record was kept", world.journal.grips > 0);
+        let is_script = |admitted: &&Admitted| admitted.ticket.now().kind == Kind::Custom;
+        let scripts = world.clients.admitted.iter().filter(is_script).count();
+        world.count("a custom command was kept", scripts > 0);
         for (name, count) in outcomes {
             *world.counts.entry(name).or_default() += count;
         }

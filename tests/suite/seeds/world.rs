@@ -20,6 +20,10 @@ use super::journal::Journal;
 use super::leases::Leases;
 use super::schedule::{Schedule, Step};
 
+/// A script that only reads, and one that counts as motion.
+pub const READ_ID: u8 = 0xB0;
+pub const SCRIPT_ID: u8 = 0xB1;
+
 /// How long a schedule goes on.
 const SCHEDULE: Duration = Duration::from_secs(8);
 
@@ -155,7 +159,7 @@ impl World {
         if rng.random_bool(0.7) {
             device = device.with_part(Part::outside(20.0));
         }
-        device.scripts.push(Script { id: 0xB0, answer: ScriptAnswer::Echo });
+        device.scripts.extend([READ_ID, SCRIPT_ID].map(|id| Script { id, answer: ScriptAnswer::Echo }));
         // A slow line has fewer updates, so that its schedules run faster; some are at full rate.
         let bytes_per_second = [None, Some(11_520), Some(960), Some(960), Some(960)][rng.random_range(0..5)];
         let interfaces = [Interface::Tcp, Interface::Tcp, Interface::Udp, Interface::Serial, Interface::Can];
@@ -194,7 +198,7 @@ impl World {
                 may_duplicate: interface == Interface::Udp,
                 frame_gap: Duration::from_millis(100),
             },
-            read_ids: [0xB0].into(),
+            read_ids: [READ_ID].into(),
             drain: Duration::from_secs(2),
             on_journal_failure: OnJournalFailure::Refuse,
             lease: LeaseRules::default(),

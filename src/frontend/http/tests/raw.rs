@@ -40,6 +40,19 @@ async fn a_raw_answer_has_the_bytes_of_the_wire() {
 }
 
 #[tokio::test]
+async fn a_custom_command_is_a_motion_unless_it_is_known_to_read() {
+    let mut gateway = Gateway::new(Script::default());
+    let answer = gateway.left("POST", "raw", json!({"id": 0xB1, "payload": "00ff"})).await;
+    assert_eq!((answer.status, &answer.body["outcome"]), (200, &"SUCCESS".into()));
+    assert!(answer.body["command_id"].is_string());
+    let custom = wsg::CustomCommand::new(0xB1, vec![0x00, 0xFF]).unwrap();
+    assert_eq!(gateway.action().await, Action::Motion(Motion::Custom(custom)));
+    let answer = gateway.left("POST", "raw", json!({"id": fake::READ_ID})).await;
+    assert_eq!((answer.status, &answer.body["command_id"]), (200, &Value::Null));
+    assert!(matches!(gateway.seen.recv().await, Some(Seen::Exchange(wsg::Command::Custom(_)))));
+}
+
+#[tokio::test]
 async fn what_is_the_gateways_own_is_no_raw_request() {
     let mut gateway = Gateway::new(Script::default());
     let cases = [
