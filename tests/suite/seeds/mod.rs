@@ -8,6 +8,7 @@ mod invariants;
 mod journal;
 mod leases;
 pub mod schedule;
+mod wire;
 pub mod world;
 
 use std::collections::BTreeMap;

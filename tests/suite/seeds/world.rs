@@ -1,6 +1,6 @@
 //! An actor, a simulated device, the wire between them, and a virtual clock.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use jiff::Timestamp;
@@ -19,6 +19,7 @@ use super::invariants::Invariants;
 use super::journal::Journal;
 use super::leases::Leases;
 use super::schedule::{Schedule, Step};
+use super::wire::{self, Wire};
 
 /// A script that only reads, and one that counts as motion.
 pub const READ_ID: u8 = 0xB0;
@@ -32,9 +33,6 @@ const REST: Duration = Duration::from_secs(150);
 
 /// How often something may fall due in one world: far more than in any that ends.
 const MAX_STEPS: u64 = 5_000_000;
-
-/// How long after the first a datagram may come again.
-const AGAIN_WITHIN: Duration = Duration::from_millis(3);
 
 /// One seed's world.
 pub struct World {
@@ -67,35 +65,6 @@ pub struct World {
     stalled_until: Option<Instant>,
     /// Whether the wire still damages what passes.
     pub noisy: bool,
-}
-
-/// One direction of the wire: in order, with a delay.
-#[derive(Default)]
-struct Wire(VecDeque<(Instant, Vec<u8>)>);
-
-impl Wire {
-    fn send(&mut self, at: Instant, bytes: Vec<u8>) {
-        // Nothing overtakes on a wire.
-        let at = self.0.back().map_or(at, |(last, _)| at.max(*last));
-        self.0.push_back((at, bytes));
-    }
-
-    /// Datagrams do overtake.
-    fn send_datagram(&mut self, at: Instant, bytes: Vec<u8>) {
-        // It overtakes others by as little: of a network that shuffles seconds no protocol without numbers makes sense.
-        let last = self.0.back().map_or(at, |(last, _)| *last);
-        let at = at.max(last.checked_sub(AGAIN_WITHIN).unwrap_or(last));
-        let index = self.0.partition_point(|(other, _)| *other <= at);
-        self.0.insert(index, (at, bytes));
-    }
-
-    fn due(&self) -> Option<Instant> {
-        self.0.front().map(|(at, _)| *at)
-    }
-
-    fn take(&mut self, now: Instant) -> Option<Vec<u8>> {
-        (self.due()? <= now).then(|| self.0.pop_front().map(|(_, bytes)| bytes))?
-    }
 }
 
 impl World {
@@ -403,7 +372,7 @@ impl World {
         let [lost, twice] = [0.003, 0.01].map(|chance| self.noisy && self.rng.random_bool(chance));
         self.count(&format!("wire: a {what}'s datagram was lost"), lost);
         self.count(&format!("wire: a {what}'s datagram came twice"), twice);
-        let again = at + Duration::from_micros(self.rng.random_range(0..AGAIN_WITHIN.as_micros() as u64));
+        let again = at + Duration::from_micros(self.rng.random_range(0..wire::AGAIN_WITHIN.as_micros() as u64));
         match (lost, twice) {
             (true, _) => Vec::new(),
             (false, true) => vec![at, again],

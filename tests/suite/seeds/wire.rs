@@ -1,0 +1,36 @@
+//! What is on its way between the gateway and the device.
+
+use std::collections::VecDeque;
+use std::time::{Duration, Instant};
+
+/// How long after the first a datagram may come again.
+pub const AGAIN_WITHIN: Duration = Duration::from_millis(3);
+
+/// One direction of the wire: in order, with a delay.
+#[derive(Default)]
+pub struct Wire(pub VecDeque<(Instant, Vec<u8>)>);
+
+impl Wire {
+    pub fn send(&mut self, at: Instant, bytes: Vec<u8>) {
+        // Nothing overtakes on a wire.
+        let at = self.0.back().map_or(at, |(last, _)| at.max(*last));
+        self.0.push_back((at, bytes));
+    }
+
+    /// Datagrams do overtake.
+    pub fn send_datagram(&mut self, at: Instant, bytes: Vec<u8>) {
+        // It overtakes others by as little: of a network that shuffles seconds no protocol without numbers makes sense.
+        let last = self.0.back().map_or(at, |(last, _)| *last);
+        let at = at.max(last.checked_sub(AGAIN_WITHIN).unwrap_or(last));
+        let index = self.0.partition_point(|(other, _)| *other <= at);
+        self.0.insert(index, (at, bytes));
+    }
+
+    pub fn due(&self) -> Option<Instant> {
+        self.0.front().map(|(at, _)| *at)
+    }
+
+    pub fn take(&mut self, now: Instant) -> Option<Vec<u8>> {
+        (self.due()? <= now).then(|| self.0.pop_front().map(|(_, bytes)| bytes))?
+    }
+}
