@@ -5,7 +5,7 @@ use super::super::latch::{Change, Origin};
 use super::super::model::{DeviceEvent, FastStopCause, FastStopStep, SettingChange};
 use super::{Actor, Close, Exchange, LinkState, Purpose};
 use crate::wsg::session::{End, Event, Token};
-use crate::wsg::{Command, Data, Reply, Status, SystemState};
+use crate::wsg::{Command, Data, GripperState, Reply, Status, SystemState};
 
 impl Actor {
     /// Takes all that the session has to tell.
@@ -42,6 +42,7 @@ impl Actor {
         };
         self.record_flags(now, before, flags);
         self.notice_restart(now, before, flags);
+        self.notice_foreign_motion(now, before, flags);
         if missed {
             self.set_up_again(now);
         }
@@ -81,6 +82,20 @@ impl Actor {
         self.record_device(now, DeviceEvent::Restarted);
         if matches!(self.link, LinkState::Up) {
             self.close = Some(Close::Restarted);
+        }
+    }
+
+    /// Fingers that begin to move, and nobody here asked for it: another client of the device, a script on it, or a hand.
+    fn notice_foreign_motion(&mut self, now: Now, before: Option<SystemState>, flags: SystemState) {
+        let moves = |flags: SystemState| flags.contains(SystemState::MOVING);
+        let begins = moves(flags) && before.is_some_and(|before| !moves(before));
+        let ours = self.may_move_until.is_some_and(|until| now.instant < until)
+            || self.running.as_ref().is_some_and(super::Running::is_sent);
+        // A part that is lost lets the fingers close on.
+        let holds = matches!(self.observed.gripper_state, Some(GripperState::Holding | GripperState::PartLost));
+        if begins && !ours && !holds {
+            tracing::warn!(gripper = %self.config.name, "the fingers move, and nobody here asked for it");
+            self.record_device(now, DeviceEvent::ForeignMotion);
         }
     }
 

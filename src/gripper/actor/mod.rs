@@ -175,6 +175,8 @@ pub struct Actor {
     book: Book,
     running: Option<Running>,
     last_motion_end: Option<Instant>,
+    /// Until when the fingers may move on behalf of a motion that has ended.
+    may_move_until: Option<Instant>,
     temperature_at: Option<Instant>,
     /// Overdrive requests that wait for the flags to show what became of them.
     awaiting_flags: Vec<(Instant, Answer<Data>)>,
@@ -231,6 +233,7 @@ impl Actor {
             book: Book::default(),
             running: None,
             last_motion_end: None,
+            may_move_until: None,
             temperature_at: None,
             awaiting_flags: Vec::new(),
             drain: None,

@@ -23,6 +23,9 @@ const MOTION_MARGIN: Duration = Duration::from_secs(10);
 /// next, is of after the motion. Updates every 10 ms bring them sooner.
 const SETTLES_WITHIN: Duration = Duration::from_millis(50);
 
+/// How long after a motion's end the flags may still show that it moves.
+const ENDS_WITHIN: Duration = Duration::from_millis(300);
+
 /// The longest that a way may take, whatever a device says of its stroke.
 const LONGEST_WAY: Duration = Duration::from_mins(5);
 
@@ -72,6 +75,11 @@ impl Running {
     /// Whether it takes the fingers' reference away, for as long as it runs.
     pub(super) fn homes(&self) -> bool {
         matches!(self.motion, Motion::Home(_)) && !self.is_waiting()
+    }
+
+    /// Whether it was given to the device, which may have begun.
+    pub(super) fn is_sent(&self) -> bool {
+        !self.is_waiting()
     }
 
     /// Whether the device has said how it ended.
@@ -156,6 +164,19 @@ impl Actor {
         way.min(LONGEST_WAY) + MOTION_MARGIN
     }
 
+    /// How long the fingers may still move on behalf of a motion that has ended.
+    fn moves_on_for(&self, ended: &Running) -> Duration {
+        let is_told = matches!(ended.stage, Stage::Settling(Settling { status: Some(_), .. }));
+        match &ended.motion {
+            // They push against an obstacle, and snap to the target when it goes.
+            Motion::Move { flags, .. } if !flags.stop_on_block => LONGEST_WAY,
+            // A script may do anything.
+            Motion::Custom(_) => RESULT_WITHIN,
+            _ if is_told => ENDS_WITHIN,
+            motion => self.result_within(motion),
+        }
+    }
+
     /// The force limit before a grip has been answered. It stays set, whatever has become of the grip.
     pub(super) fn force_ended(&mut self, now: Now, id: CommandId, force: Force, end: End) {
         self.reads.forget();
@@ -230,6 +251,7 @@ impl Actor {
     /// Ends the motion as it stands: settled, or cut off by the end of its link.
     pub(super) fn end_running(&mut self, now: Now, unwritten: bool) {
         let Some(running) = self.running.take() else { return };
+        self.may_move_until = Some(now.instant + self.moves_on_for(&running));
         let (outcome, status) = match running.stage {
             Stage::Settling(Settling { outcome, status, .. }) => (outcome, status),
             // It may have happened.

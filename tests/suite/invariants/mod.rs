@@ -435,6 +435,17 @@ fn a_cancelled_grip_leaves_its_force_limit_noted() {
 }
 
 #[test]
+fn foreign_motion_is_noticed_once_and_our_own_is_none() {
+    let mut world = homed();
+    run(&mut world, move_to(60.0, 200.0));
+    world.advance(Duration::from_secs(1));
+    assert_eq!(world.journal.foreign_motions, 0);
+    world.device.apply(world.now, Change::MoveBySomebody { width_mm: 50.0, speed_mm_s: 20.0 });
+    world.advance(Duration::from_secs(2));
+    assert_eq!(world.journal.foreign_motions, 1);
+}
+
+#[test]
 fn a_stop_needs_no_lease_not_even_a_valid_one() {
     let mut world = homed();
     let running = start(&mut world, move_to(10.0, 20.0));

@@ -146,6 +146,7 @@ impl Invariants {
             }
         }
         super::journal::Journal::check(world);
+        world.count("a foreign motion was noticed", world.journal.foreign_motions > 0);
         world.count("a grip record was kept", world.journal.grips > 0);
         let is_script = |admitted: &&Admitted| admitted.ticket.now().kind == Kind::Custom;
         let scripts = world.clients.admitted.iter().filter(is_script).count();

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use rand::RngExt;
 use wsg_gateway::gripper::Record;
 use wsg_gateway::gripper::actor::Actor;
-use wsg_gateway::gripper::model::{CommandEvent, CommandId, Detail, MemoryKey, Outcome};
+use wsg_gateway::gripper::model::{CommandEvent, CommandId, Detail, DeviceEvent, MemoryKey, Outcome};
 use wsg_gateway::gripper::recorder::Recollection;
 
 use super::leases::Leases;
@@ -21,6 +21,7 @@ pub struct Journal {
     admitted: BTreeMap<CommandId, usize>,
     done: BTreeMap<CommandId, Vec<Outcome>>,
     pub grips: usize,
+    pub foreign_motions: usize,
     memory: BTreeMap<MemoryKey, Option<String>>,
 }
 
@@ -86,6 +87,9 @@ impl Journal {
     fn take(&mut self, record: &Record) {
         match record {
             Record::Event(event, _) => {
+                if event.detail == Detail::Device(DeviceEvent::ForeignMotion) {
+                    self.foreign_motions += 1;
+                }
                 let (Detail::Command(detail), Some(id)) = (&event.detail, event.command_id) else { return };
                 match detail {
                     CommandEvent::Admitted(_) => *self.admitted.entry(id).or_default() += 1,
