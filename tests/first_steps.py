@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Runs the curl commands of README.md's first grip, and compares the answers with those that are printed there.
+"""Runs the curl commands of README.md's first steps, and compares the answers with those that are printed there.
 
 usage: first_steps.py README.md http://127.0.0.1:PORT
 """
@@ -11,11 +11,14 @@ import sys
 # Where the README's commands send to; the gateway under test listens on a port of its own.
 PRINTED_BASE = "http://127.0.0.1:8080"
 
+# Whose first block of commands is run, in this order, against one gateway.
+SECTIONS = ["A first grip", "Many clients, one gripper"]
+
 
 def steps(readme):
-    """The commands and their printed answers."""
-    block = readme.split("## A first grip", 1)[1].split("```sh\n", 1)[1].split("```", 1)[0]
-    lines = [line for line in block.splitlines() if line]
+    """The commands and their printed answers: of the first grip, and of what builds on it."""
+    blocks = [readme.split(f"## {title}\n", 1)[1].split("```sh\n", 1)[1].split("```", 1)[0] for title in SECTIONS]
+    lines = [line for block in blocks for line in block.splitlines() if line]
     for command, answer in zip(lines[::2], lines[1::2], strict=True):
         assert command.startswith("curl ") and answer.startswith("> "), (command, answer)
         yield command, json.loads(answer[2:])
@@ -33,7 +36,7 @@ def main():
     failed = 0
     with open(readme, encoding="utf-8") as file:
         all_steps = list(steps(file.read()))
-    assert len(all_steps) > 5, "the README's first grip was not found"
+    assert len(all_steps) > 5, "the README's first steps were not found"
     for command, printed in all_steps:
         command = command.replace(PRINTED_BASE, base)
         ran = subprocess.run(["bash", "-c", command.replace("curl ", "curl -sS --max-time 30 ", 1)],
