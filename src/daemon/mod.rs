@@ -149,6 +149,7 @@ fn recollection(recovered: &Recovered, gripper: &Gripper) -> Recollection {
         settings: remembered(MemoryKey::Settings),
         latch: remembered(MemoryKey::Latch),
         lease: remembered(MemoryKey::Lease),
+        holding: remembered(MemoryKey::Holding),
         requests: requests.cloned().collect(),
         unclean: recovered.unclean,
     }

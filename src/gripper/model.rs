@@ -423,6 +423,9 @@ pub struct Command {
     /// Why it was refused: told as a problem to whoever waits for it.
     #[serde(skip)]
     pub rejection: Option<Rejection>,
+    /// Who had it stopped, where that was not by a Stop or a FAST STOP: for the journal.
+    #[serde(skip)]
+    pub cancelled_by: Option<Arc<str>>,
     /// Whether clients may be told of it, since it is written down.
     #[serde(skip)]
     pub recorded: bool,
@@ -451,6 +454,7 @@ impl Command {
             fast_stop_id: None,
             payload: None,
             rejection: None,
+            cancelled_by: None,
             recorded: false,
         }
     }

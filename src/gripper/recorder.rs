@@ -34,6 +34,8 @@ pub struct Recollection {
     pub latch: Option<String>,
     /// The value of [`MemoryKey::Lease`](super::model::MemoryKey::Lease).
     pub lease: Option<String>,
+    /// The value of [`MemoryKey::Holding`](super::model::MemoryKey::Holding).
+    pub holding: Option<String>,
     /// The requests with ids of their own, so that a repetition moves nothing again: the oldest first.
     pub requests: Vec<PastRequest>,
     /// Whether that run has not ended in order, so that nothing was announced, and its last records may be missing.

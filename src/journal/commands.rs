@@ -41,6 +41,7 @@ impl CommandBody {
             client: self.subject,
             replayed: false,
             fast_stop_id: None,
+            cancelled_by: None,
             payload: None,
             rejection: None,
             recorded: true,

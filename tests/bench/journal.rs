@@ -110,6 +110,7 @@ fn done(at: Timestamp, part_id: Option<PartId>, outcome: Outcome) -> CommandEven
         started_at: at,
         duration_ms: Some(412),
         fast_stop_id: None,
+        cancelled_by: None,
         part_id,
         cause: None,
     }))

@@ -6,6 +6,8 @@ use axum::Json;
 use axum::extract::State as Shared;
 use axum::http::{HeaderMap, Uri, header};
 use axum::response::{IntoResponse, Response};
+use headers_accept::Accept;
+use mediatype::{MediaType, names};
 use serde::Serialize;
 use serde_json::value::RawValue;
 use utoipa::{IntoParams, ToSchema};
@@ -26,7 +28,7 @@ const GRIP_KINDS: &str = "home, move, grip, release";
 const OUTCOMES: &str = "SUCCESS, PART_HELD, NO_PART, BLOCKED, ABORTED, RANGE, TIMEOUT, FAILED, REFUSED, UNKNOWN";
 /// A sequence number of a journal that outlives the gateway's hardware.
 const MAX_CURSOR_DIGITS: usize = 18;
-const CSV: &str = "text/csv";
+const CSV: &str = "text/csv; charset=utf-8";
 
 #[derive(IntoParams)]
 #[into_params(parameter_in = Query)]
@@ -145,6 +147,10 @@ impl From<ReadError> for Problem {
     }
 }
 
+/// In which forms pages are told; JSON where a client has no preference.
+const OFFERED: [MediaType<'static>; 2] =
+    [MediaType::new(names::APPLICATION, names::JSON), MediaType::new(names::TEXT, names::CSV)];
+
 /// What a request's address asks for.
 fn query<K: serde::de::DeserializeOwned>(uri: &Uri, kinds: &str, more: &[&str]) -> Result<Query<K>, Problem> {
     let known = ["gripper", "kind", "part_id", "outcome", "from", "to", "limit", "cursor", "order"];
@@ -176,15 +182,11 @@ fn cursor(text: &str) -> Option<Cursor> {
     is_ours.then(|| text.parse().ok()).flatten()
 }
 
-/// Whether a client wants CSV: it names that, and not JSON before.
+/// Whether a client prefers CSV to JSON (RFC 9110 12.5.1). An Accept that can't be read is none.
 fn wants_csv(headers: &HeaderMap) -> bool {
-    let accepted = headers.get_all(header::ACCEPT).iter().filter_map(|value| value.to_str().ok());
-    let first = accepted.flat_map(|value| value.split(',')).find_map(|range| match range.split(';').next()?.trim() {
-        CSV => Some(true),
-        "application/json" | "application/*" | "*/*" => Some(false),
-        _ => None,
-    });
-    first.unwrap_or_default()
+    let values = headers.get_all(header::ACCEPT).iter().filter_map(|value| value.to_str().ok());
+    let accepted = values.collect::<Vec<_>>().join(",").parse::<Accept>();
+    accepted.is_ok_and(|accepted| accepted.negotiate(&OFFERED) == Some(&OFFERED[1]))
 }
 
 fn raw(page: &Page) -> Result<Vec<&RawValue>, Problem> {

@@ -61,7 +61,11 @@ impl Parameters {
 
     /// A time.
     pub fn time(&self, name: &str) -> Result<Option<Timestamp>, Problem> {
-        self.parsed(name, "a time like 2026-11-21T09:00:00Z (RFC 3339)", |text| text.parse().ok())
+        self.parsed(
+            name,
+            "a time like 2026-11-21T09:00:00Z (RFC 3339), before 9999-12-30; in an address + is written %2B",
+            |text| text.parse().ok(),
+        )
     }
 }
 

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::super::Now;
 use super::super::lease::Holder;
-use super::super::model::{Client, Door, FastStopId, Latch, Memory, MemoryKey};
+use super::super::model::{Client, CommandId, Door, FastStopId, Latch, Memory, MemoryKey};
 use super::super::recorder::{Recollection, Record};
 use super::Actor;
 use super::settings::Remembered;
@@ -34,6 +34,7 @@ struct RememberedHolder {
 pub(super) struct Told {
     latch: Option<FastStopId>,
     lease: (u64, Option<Holder>),
+    holding: Option<CommandId>,
 }
 
 impl Actor {
@@ -47,6 +48,8 @@ impl Actor {
             self.told.latch = Some(latch.id);
             self.latching.recollect(now.instant, latch);
         }
+        self.told.holding = self.remembered(recollection.holding.as_deref());
+        self.recording.holding = self.told.holding;
         if let Some(RememberedLease { epoch, holder }) = self.remembered(recollection.lease.as_deref()) {
             let client = |holder: &RememberedHolder| Client { subject: holder.subject.clone(), door: holder.door };
             let holder = holder.map(|holder| Holder { client: client(&holder), name: holder.name });
@@ -73,8 +76,13 @@ impl Actor {
         self.recording.push(Record::Memory(Memory { gripper: self.config.name.clone(), key, value }));
     }
 
-    /// Hands on what has changed of the latch and the lease.
+    /// Hands on what has changed of the latch, the lease and the part that is held.
     pub(super) fn remember_changes(&mut self) {
+        if self.told.holding != self.recording.holding {
+            self.told.holding = self.recording.holding;
+            let holding = self.recording.holding;
+            self.remember(MemoryKey::Holding, holding.as_ref());
+        }
         if self.told.latch != self.latching.id() {
             self.told.latch = self.latching.id();
             let latch = self.latching.latch().cloned();

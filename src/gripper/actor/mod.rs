@@ -298,7 +298,7 @@ impl Actor {
                 let ticket = self.book.find(id);
                 if ticket.is_some() {
                     tracing::info!(gripper = %self.config.name, command = %id, by = %client.subject, "cancelled");
-                    self.cancel(now, id);
+                    self.cancel(now, id, &client);
                 }
                 let _ = answer.send(ticket);
             }

@@ -1,10 +1,11 @@
 //! The one command that moves the fingers: waiting, sent, ended.
 
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::super::Now;
 use super::super::error::{Conflict, DeviceRefusal, Failure, Rejection};
-use super::super::model::{Command as Record, CommandId, FastStopId, Kind, Motion, Outcome};
+use super::super::model::{Client, Command as Record, CommandId, FastStopId, Kind, Motion, Outcome};
 use super::{Actor, Purpose, REPLY_WITHIN, RESULT_WITHIN};
 use crate::wsg::session::{End, Token};
 use crate::wsg::{Command, Data, Force, Reply, Status, SystemState};
@@ -43,6 +44,8 @@ pub(super) struct Running {
     pub recorded: bool,
     /// The FAST STOP that came while it ran.
     fast_stop: Option<FastStopId>,
+    /// Who has cancelled it.
+    cancelled_by: Option<Arc<str>>,
     /// What a script answered.
     payload: Option<Vec<u8>>,
 }
@@ -69,7 +72,16 @@ struct Settling {
 
 impl Running {
     pub(super) fn new(id: CommandId, motion: Motion) -> Self {
-        Self { id, motion, stage: Stage::Waiting, accepted: false, recorded: false, fast_stop: None, payload: None }
+        Self {
+            id,
+            motion,
+            stage: Stage::Waiting,
+            accepted: false,
+            recorded: false,
+            fast_stop: None,
+            cancelled_by: None,
+            payload: None,
+        }
     }
 
     /// Whether it takes the fingers' reference away, for as long as it runs.
@@ -201,6 +213,8 @@ impl Actor {
     pub(super) fn motion_accepted(&mut self, id: CommandId) {
         if let Some(running) = self.running.as_mut().filter(|running| running.id == id) {
             running.accepted = true;
+            // What was held is let go, or gripped anew.
+            self.recording.holding = None;
         }
     }
 
@@ -265,6 +279,7 @@ impl Actor {
             }
             if matches!(outcome, Outcome::Aborted | Outcome::Unknown) {
                 record.fast_stop_id = running.fast_stop;
+                record.cancelled_by = running.cancelled_by;
             }
             record.payload = running.payload.map(|payload| hex::encode(payload).into());
         });
@@ -284,20 +299,25 @@ impl Actor {
         let Some(running) = &self.running else { return };
         let token = running.token();
         let (id, fast_stop, waiting) = (running.id, running.fast_stop, running.is_waiting());
+        let cancelled_by = running.cancelled_by.clone();
         let withdrawn = token.is_some_and(|token| self.withdraw(token));
         if waiting || withdrawn {
             self.running = None;
             self.end(now, id, |record| {
                 record.outcome = Some(Outcome::Aborted);
                 record.fast_stop_id = fast_stop;
+                record.cancelled_by = cancelled_by;
             });
         }
     }
 
     /// Stops a command on its client's behalf.
-    pub(super) fn cancel(&mut self, now: Now, id: CommandId) {
-        if self.running.as_ref().is_none_or(|running| running.id != id || running.has_ended()) {
-            return;
+    pub(super) fn cancel(&mut self, now: Now, id: CommandId, by: &Client) {
+        match &mut self.running {
+            Some(running) if running.id == id && !running.has_ended() => {
+                running.cancelled_by.get_or_insert_with(|| by.subject.clone());
+            }
+            _ => return,
         }
         self.withdraw_waiting_motion(now);
         if self.running.is_some() {

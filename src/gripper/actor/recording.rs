@@ -42,7 +42,7 @@ pub(super) struct Recording {
     /// The motion that is being measured.
     measured: Option<Measured>,
     /// The grip that holds a part.
-    holding: Option<CommandId>,
+    pub holding: Option<CommandId>,
     /// How the link was recorded last.
     link: Option<(Link, bool)>,
 }
@@ -83,7 +83,7 @@ impl Actor {
 
     /// A command's record is durable, or will not be soon.
     pub fn recorded(&mut self, now: Now, id: CommandId, durable: bool) {
-        self.take_recorded(now, id, durable);
+        self.take_recorded(now, id, durable.then_some(()).ok_or("it did not take the record"));
         self.settle(now);
     }
 
@@ -93,13 +93,13 @@ impl Actor {
         self.settle(now);
     }
 
-    fn take_recorded(&mut self, now: Now, id: CommandId, durable: bool) {
+    fn take_recorded(&mut self, now: Now, id: CommandId, durable: Result<(), &str>) {
         self.recording.unrecorded.retain(|(_, unrecorded)| *unrecorded != id);
         if self.running.as_ref().is_some_and(|running| running.id == id && !running.recorded) {
-            if durable || self.config.on_journal_failure == OnJournalFailure::Continue {
+            if durable.is_ok() || self.config.on_journal_failure == OnJournalFailure::Continue {
                 self.let_run();
             } else {
-                let failure = self.journal_down();
+                let failure = self.journal_down(durable.err().unwrap_or_default());
                 self.reject_running(now, failure.into());
             }
         }
@@ -113,21 +113,21 @@ impl Actor {
                 break;
             }
             tracing::warn!(gripper = %self.config.name, command = %id, "its record is not durable in time");
-            self.take_recorded(now, id, false);
+            self.take_recorded(now, id, Err("it has not taken the record in time"));
         }
     }
 
     /// Whether a motion may be admitted.
     pub(super) fn check_journal(&self) -> Result<(), Failure> {
         match (self.config.on_journal_failure, self.recording.failure()) {
-            (OnJournalFailure::Refuse, Some(_)) => Err(self.journal_down()),
+            (OnJournalFailure::Refuse, Some(_)) => Err(self.journal_down("it takes none")),
             _ => Ok(()),
         }
     }
 
-    fn journal_down(&self) -> Failure {
-        let waited = || format!("it did not take the record within {} ms", RECORDED_WITHIN.as_millis());
-        Failure::JournalDown { cause: self.recording.failure().map_or_else(waited, ToOwned::to_owned) }
+    /// By the journal's own words, where it has said some.
+    fn journal_down(&self, cause: &str) -> Failure {
+        Failure::JournalDown { cause: self.recording.failure().unwrap_or(cause).to_owned() }
     }
 
     pub(super) fn record(&mut self, event: Event) {
@@ -222,14 +222,25 @@ impl Actor {
     }
 
     pub(super) fn record_gripper_state(&mut self, now: Now, before: Option<GripperState>) {
-        if self.observed.gripper_state == before || self.observed.gripper_state != Some(GripperState::PartLost) {
+        match self.observed.gripper_state {
+            state if state == before => {}
+            Some(GripperState::PartLost) => self.record_lost_part(now, before.is_none()),
+            // A part that was let go, or a device that has restarted.
+            Some(GripperState::Idle | GripperState::NoPart) if self.running.is_none() => self.recording.holding = None,
+            _ => {}
+        }
+    }
+
+    /// A part was lost: now, or while nobody looked. What was lost before the last run knew of it is no news.
+    fn record_lost_part(&mut self, now: Now, is_first_look: bool) {
+        let grip = self.recording.holding.take();
+        if is_first_look && grip.is_none() {
             return;
         }
         tracing::warn!(gripper = %self.config.name, "the part is lost");
         self.config.metrics.parts_lost.inc();
         let width_mm = self.observed.width_mm.filter(|_| self.observed.has(SystemState::REFERENCED));
         let event = self.event(now, Detail::Device(DeviceEvent::PartLost { width_mm }));
-        let grip = self.recording.holding.take();
         self.record(match grip {
             Some(grip) => event.of(grip),
             None => event,
@@ -239,7 +250,6 @@ impl Actor {
     /// A motion is to be measured from now on.
     pub(super) fn start_measuring(&mut self, id: CommandId, motion: &Motion) {
         self.finish_measuring();
-        self.recording.holding = None;
         let part_id = match motion {
             Motion::Grip { part_id, .. } => part_id.clone(),
             _ => None,

@@ -257,6 +257,10 @@ pub struct Done {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<String>, nullable = false, max_length = 48)]
     pub part_id: Option<PartId>,
+    /// Who cancelled it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<String>, nullable = false)]
+    pub cancelled_by: Option<Arc<str>>,
     /// Why it was refused, in words.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
@@ -280,6 +284,7 @@ impl Done {
             duration_ms: command.duration_ms,
             fast_stop_id: command.fast_stop_id,
             part_id,
+            cancelled_by: command.cancelled_by.clone(),
             cause: command.rejection.as_ref().map(ToString::to_string),
         }
     }

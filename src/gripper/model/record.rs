@@ -90,4 +90,6 @@ pub enum MemoryKey {
     Latch,
     /// The newest lease's epoch and holder.
     Lease,
+    /// The grip that holds a part.
+    Holding,
 }

@@ -90,6 +90,7 @@ pub(super) fn done(time: i64, gripper: &str, number: u32, part_id: Option<&str>,
         started_at: at(time),
         duration_ms: Some(412),
         fast_stop_id: None,
+        cancelled_by: None,
         part_id: part_id.and_then(PartId::new),
         cause: None,
     };

@@ -7,10 +7,10 @@ pub mod steps;
 use std::time::Duration;
 
 use wsg_gateway::gripper::handle::Request;
-use wsg_gateway::gripper::model::{Action, FastStopCause, Link, Outcome, Submission};
+use wsg_gateway::gripper::model::{Action, Client, FastStopCause, Link, Motion, Outcome, Submission};
 use wsg_gateway::gripper::{Conflict, Failure, Rejection};
-use wsg_gateway::sim::{Change, FaultKind};
-use wsg_gateway::wsg::{self, Acceleration, Force, LoopData, Status, id};
+use wsg_gateway::sim::{Change, FaultKind, Interface};
+use wsg_gateway::wsg::{self, Acceleration, Force, LoopData, Speed, Status, Width, id};
 
 use super::seeds::world::World;
 
@@ -456,4 +456,38 @@ fn a_stop_needs_no_lease_not_even_a_valid_one() {
     let mut answered = request(&mut world, |answer| Request::Submit { submission, id, answer });
     assert!(answered.try_recv().unwrap().is_ok());
     assert_eq!(finish(&mut world, &running).outcome, Some(Outcome::Aborted));
+}
+
+#[test]
+fn a_part_that_is_lost_belongs_to_its_grip_whatever_was_refused_since_and_after_a_restart() {
+    // A gripper on TCP would stop when the gateway is killed.
+    let mut world = World::calm_on(Interface::Udp, device(), None);
+    run(&mut world, home());
+    let grip = run(&mut world, grip(None));
+    let status = FaultKind::Status { code: Status::E_ACCESS_DENIED.code() };
+    world.device.apply(world.now, Change::Fault { kind: status, id: Some(id::RELEASE), times: 1 });
+    let release = Motion::Release { width: Width::new(60.0).unwrap(), speed: Speed::new(50.0).unwrap() };
+    assert_eq!(run(&mut world, release).outcome, Some(Outcome::Refused));
+    world.restart();
+    world.advance(Duration::from_secs(2));
+    assert_eq!(state(&world).state, Some("HOLDING"));
+    world.device.apply(world.now, Change::SlipPart);
+    world.advance(Duration::from_secs(1));
+    assert_eq!(world.journal.lost_parts, [Some(grip.id)]);
+    // What is known already is no news to the next run.
+    world.restart();
+    world.advance(Duration::from_secs(2));
+    assert_eq!((state(&world).state, world.journal.lost_parts.len()), (Some("PART_LOST"), 1));
+}
+
+#[test]
+fn a_cancelled_command_names_who_cancelled_it() {
+    let mut world = homed();
+    let running = start(&mut world, move_to(10.0, 20.0));
+    world.advance(Duration::from_millis(300));
+    let id = running.now().id;
+    let somebody = Client { subject: "somebody".into(), ..client() };
+    drop(request(&mut world, |answer| Request::Cancel { id, client: somebody, answer }));
+    let ended = finish(&mut world, &running);
+    assert_eq!((ended.outcome, ended.cancelled_by.as_deref()), (Some(Outcome::Aborted), Some("somebody")));
 }

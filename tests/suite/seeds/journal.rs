@@ -22,6 +22,8 @@ pub struct Journal {
     done: BTreeMap<CommandId, Vec<Outcome>>,
     pub grips: usize,
     pub foreign_motions: usize,
+    /// The grips of the parts that were lost.
+    pub lost_parts: Vec<Option<CommandId>>,
     memory: BTreeMap<MemoryKey, Option<String>>,
 }
 
@@ -33,6 +35,7 @@ impl Journal {
             settings: remembered(MemoryKey::Settings),
             latch: remembered(MemoryKey::Latch),
             lease: remembered(MemoryKey::Lease),
+            holding: remembered(MemoryKey::Holding),
             requests: Vec::new(),
             unclean: false,
         }
@@ -87,6 +90,9 @@ impl Journal {
     fn take(&mut self, record: &Record) {
         match record {
             Record::Event(event, _) => {
+                if let Detail::Device(DeviceEvent::PartLost { .. }) = event.detail {
+                    self.lost_parts.push(event.command_id);
+                }
                 if event.detail == Detail::Device(DeviceEvent::ForeignMotion) {
                     self.foreign_motions += 1;
                 }
