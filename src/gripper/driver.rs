@@ -62,7 +62,8 @@ pub fn spawn(
         is_abandoned: false,
     };
     tokio::spawn(driver.run());
-    Handle { name, requests, fast_stops, state: watches.state, info: watches.info, read_ids }
+    let super::actor::Watches { state, info, frames, .. } = watches;
+    Handle { name, requests, fast_stops, state, info, read_ids, frames }
 }
 
 struct Driver {

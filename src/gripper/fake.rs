@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use jiff::Timestamp;
-use tokio::sync::{mpsc, watch};
+use tokio::sync::{broadcast, mpsc, watch};
 
 use super::clock;
 use super::error::Rejection;
@@ -69,7 +69,8 @@ pub fn gripper(name: &str, script: Script) -> (Handle, mpsc::UnboundedReceiver<S
         Actor { name: name.clone(), script, seen, states, commands: HashMap::new(), leasing: Leasing::default() };
     tokio::spawn(actor.run(asked, stopped));
     let (info, read_ids) = (watch::channel(Arc::new(info)).1, Arc::new([READ_ID].into()));
-    (Handle { name, requests, fast_stops, state, info, read_ids }, looked_at)
+    let frames = broadcast::Sender::new(1);
+    (Handle { name, requests, fast_stops, state, info, read_ids, frames }, looked_at)
 }
 
 struct Actor {

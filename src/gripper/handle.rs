@@ -4,14 +4,14 @@ use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use tokio::sync::{mpsc, oneshot, watch};
+use tokio::sync::{broadcast, mpsc, oneshot, watch};
 
 use super::clock;
 use super::error::{Failure, Rejection};
 use super::info::Info;
 use super::lease::Keep;
 use super::model::{
-    Client, Command, CommandId, FastStopCause, FastStopId, Lease, LeaseToken, Link, Name, Phase, Reason, State,
+    Client, Command, CommandId, FastStopCause, FastStopId, Frame, Lease, LeaseToken, Link, Name, Phase, Reason, State,
     Submission, TakeLease,
 };
 use crate::wsg;
@@ -122,6 +122,13 @@ impl Ticket {
         changed
     }
 
+    /// The command when it has ended, or as it is when its gripper is given up.
+    pub async fn ended(&mut self) -> Command {
+        // The actor's end is no error here: the record says how far the command came.
+        let _ = self.record.wait_for(|command| command.phase == Phase::Done).await;
+        self.now()
+    }
+
     /// The command when it has ended, or as it is after `limit`.
     pub async fn wait(&mut self, limit: Duration) -> Command {
         // Neither a time-out nor the actor's end is an error here: the record says how far the command came.
@@ -139,6 +146,7 @@ pub struct Handle {
     pub(super) state: watch::Receiver<Arc<State>>,
     pub(super) info: watch::Receiver<Arc<Info>>,
     pub(super) read_ids: Arc<BTreeSet<u8>>,
+    pub(super) frames: broadcast::Sender<Arc<Frame>>,
 }
 
 impl Handle {
@@ -164,6 +172,12 @@ impl Handle {
     #[must_use]
     pub fn states(&self) -> watch::Receiver<Arc<State>> {
         self.state.clone()
+    }
+
+    /// The frames from now on, in both directions. Who is too slow misses some, and is told how many.
+    #[must_use]
+    pub fn frames(&self) -> broadcast::Receiver<Arc<Frame>> {
+        self.frames.subscribe()
     }
 
     /// What is known of the device. Costs the device nothing.

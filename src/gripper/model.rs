@@ -16,6 +16,7 @@ use super::error::Rejection;
 use crate::wsg::{CustomCommand, Force, HomingDirection, MoveFlags, Speed, Status, Width};
 
 mod event;
+mod frame;
 pub mod lease;
 pub(crate) mod names;
 mod record;
@@ -25,6 +26,7 @@ pub use event::{
     AcknowledgeEvent, Admitted, CommandEvent, Detail, DeviceEvent, Direction, Done, Event, FastStopEvent, FastStopStep,
     GatewayEvent, LinkEvent, OnBlock, Parameters, RefusedEvent, SettingChange, SettingsEvent,
 };
+pub use frame::{Frame, FrameDirection};
 pub use lease::{
     HolderName, Lease, LeaseEvent, LeaseRules, LeaseStep, LeaseToken, LossCause, LossEffect, OnLossHolding,
     OnLossMoving, TakeLease,
@@ -131,6 +133,8 @@ pub type RequestId = Text<64>;
 pub enum Door {
     /// REST.
     Http,
+    /// WebSocket.
+    Ws,
 }
 
 /// Who asks: the identity behind a client, and the door that it came through.

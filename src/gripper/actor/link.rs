@@ -33,6 +33,7 @@ impl Actor {
         self.session = Some(Session::new(config, now.instant));
         self.metering.link_up();
         self.close = None;
+        self.wire_log.link_up();
         self.link = LinkState::SettingUp(Box::new(self.new_setup()));
         // A FAST STOP that the device may not have heard of goes before everything else.
         self.send_fast_stop_if_due(now);

@@ -27,12 +27,13 @@ mod reads;
 mod recording;
 mod settings;
 mod upkeep;
+mod wire_log;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use tokio::sync::{Notify, oneshot, watch};
+use tokio::sync::{Notify, broadcast, oneshot, watch};
 
 use super::Now;
 use super::book::Book;
@@ -43,7 +44,7 @@ use super::latch::Latching;
 use super::lease::{Keep, Leasing};
 use super::limits::Limits;
 use super::metrics::Metrics;
-use super::model::{Client, CommandId, FastStopStep, IdSource, LeaseRules, Name, State};
+use super::model::{Client, CommandId, FastStopStep, Frame, IdSource, LeaseRules, Name, State};
 use super::observed::Observed;
 use super::setup::{Setting, Setup, Wanted};
 use crate::transport::Traits;
@@ -56,6 +57,7 @@ use motion::Running;
 use reads::Reads;
 pub use recording::OnJournalFailure;
 use recording::Recording;
+use wire_log::WireLog;
 
 /// How long the device may take to answer, before a Loop asks whether the answer was lost.
 const REPLY_WITHIN: Duration = Duration::from_secs(1);
@@ -184,6 +186,7 @@ pub struct Actor {
     recording: Recording,
     told: Told,
     metering: Metering,
+    wire_log: WireLog,
     sequence: u64,
     state: watch::Sender<Arc<State>>,
     info: watch::Sender<Arc<Info>>,
@@ -196,6 +199,8 @@ pub struct Watches {
     pub state: watch::Receiver<Arc<State>>,
     /// What is known of the device.
     pub info: watch::Receiver<Arc<Info>>,
+    /// Every frame from now on, once somebody subscribes.
+    pub frames: broadcast::Sender<Arc<Frame>>,
 }
 
 impl Actor {
@@ -210,6 +215,8 @@ impl Actor {
         );
         let (info, info_watch) = watch::channel(Arc::new(info));
         let (state, state_watch) = watch::channel(Arc::new(State::unknown(config.name.clone())));
+        let wire_log = WireLog::new(config.name.clone());
+        let frames = wire_log.listeners();
         let actor = Self {
             ids: IdSource::new(config.seed),
             observed: Observed::new(config.traits.bytes_per_second),
@@ -240,15 +247,17 @@ impl Actor {
             recording: Recording::default(),
             told: Told::default(),
             metering: Metering::default(),
+            wire_log,
             sequence: 0,
             state,
             info,
         };
-        (actor, Watches { state: state_watch, info: info_watch })
+        (actor, Watches { state: state_watch, info: info_watch, frames })
     }
 
     /// Takes bytes off the link.
     pub fn receive(&mut self, now: Now, bytes: &[u8]) {
+        self.wire_log.received(now, bytes);
         if let Some(session) = &mut self.session {
             session.receive(now.instant, bytes);
         }
@@ -338,6 +347,7 @@ impl Actor {
         }
         let id = out[start + wsg::frame::PREAMBLE.len()];
         tracing::trace!(gripper = %self.config.name, id = id::name(id), frame = %hex::encode(&out[start..]), "sent");
+        self.wire_log.sent(now, &out[start..]);
         match (id, &mut self.drain) {
             (id::DISCONNECT_ANNOUNCEMENT, Some(drain)) => drain.announced(),
             (id::FAST_STOP, _) => self.meter_fast_stop_sent(now),

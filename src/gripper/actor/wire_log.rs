@@ -1,0 +1,89 @@
+//! The wire log: every frame in both directions, for whoever listens. It costs nothing while nobody does.
+
+use std::sync::Arc;
+
+use tokio::sync::broadcast;
+
+use super::super::Now;
+use super::super::model::{Frame, FrameDirection, Name};
+use crate::wsg::text::{Direction, describe};
+use crate::wsg::{self, ChecksumEvaluation, Decoded, Decoder, id};
+
+/// How many frames a listener may be behind: about two seconds of what a device on TCP sends.
+const MAX_BEHIND: usize = 1024;
+
+#[derive(Debug)]
+pub(super) struct WireLog {
+    gripper: Name,
+    listeners: broadcast::Sender<Arc<Frame>>,
+    /// Of the frames that were told.
+    seq: u64,
+    /// Of what the device sends; none while nobody listens.
+    decoder: Option<Decoder>,
+}
+
+impl WireLog {
+    pub(super) fn new(gripper: Name) -> Self {
+        Self { gripper, listeners: broadcast::Sender::new(MAX_BEHIND), seq: 0, decoder: None }
+    }
+
+    pub(super) fn listeners(&self) -> broadcast::Sender<Arc<Frame>> {
+        self.listeners.clone()
+    }
+
+    /// One frame, whole.
+    pub(super) fn sent(&mut self, now: Now, bytes: &[u8]) {
+        if self.listeners.receiver_count() == 0 {
+            return;
+        }
+        let mut decoder = Decoder::new(id::max_request_bytes, ChecksumEvaluation::On);
+        decoder.push(bytes);
+        while let Some(Decoded::Frame(frame)) = decoder.next() {
+            self.tell(now, FrameDirection::Sent, frame);
+        }
+    }
+
+    /// Bytes as they come.
+    pub(super) fn received(&mut self, now: Now, bytes: &[u8]) {
+        if self.listeners.receiver_count() == 0 {
+            self.decoder = None;
+            return;
+        }
+        let new = || Decoder::new(id::max_reply_bytes, ChecksumEvaluation::On);
+        let mut decoder = self.decoder.take().unwrap_or_else(new);
+        decoder.push(bytes);
+        while let Some(decoded) = decoder.next() {
+            if let Decoded::Frame(frame) = decoded {
+                self.tell(now, FrameDirection::Received, frame);
+            }
+        }
+        self.decoder = Some(decoder);
+    }
+
+    /// A new link begins with a new frame.
+    pub(super) fn link_up(&mut self) {
+        self.decoder = None;
+    }
+
+    fn tell(&mut self, now: Now, direction: FrameDirection, frame: wsg::Frame<'_>) {
+        self.seq += 1;
+        let mut bytes = Vec::new();
+        wsg::frame::encode(frame.id, frame.payload, &mut bytes);
+        let read_as = match direction {
+            FrameDirection::Sent => Direction::Request,
+            FrameDirection::Received => Direction::Reply,
+        };
+        let told = Frame {
+            gripper: self.gripper.clone(),
+            seq: self.seq,
+            at: now.wall,
+            direction,
+            id: frame.id,
+            name: id::name(frame.id).map(ToOwned::to_owned),
+            hex: hex::encode(bytes),
+            text: describe(frame, read_as),
+        };
+        // The last listener may just have gone.
+        let _ = self.listeners.send(Arc::new(told));
+    }
+}
