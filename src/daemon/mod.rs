@@ -18,6 +18,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::config::{self, Config, Device, Gripper, Mistake};
 use crate::frontend::refusals::Refusals;
+use crate::frontend::updates::Updates;
 use crate::frontend::{self, http};
 use crate::gripper::model::{Detail, Event, GatewayEvent, MemoryKey};
 use crate::gripper::recorder::{Recollection, Record, Recorder as _};
@@ -81,6 +82,7 @@ async fn run_gateway(config: &Config, devices: &Runtime) -> anyhow::Result<()> {
         fleet: fleet.clone(),
         journal: journal.clone(),
         refusals: refusals.clone(),
+        updates: Arc::new(Updates::new(&fleet, journal.clone())),
         closing: shutdown.child_token(),
         metrics: frontend::metrics::Metrics::register(&registry, "http")?,
         registry,

@@ -1,6 +1,7 @@
-//! Live updates as server-sent events: what happens, from a given event on without a gap, and the newest states.
+//! Live updates as server-sent events: what happens, from a given event on without a gap, the newest states, and the
+//! frames on the wire.
 
-use std::collections::{HashSet, VecDeque};
+use std::collections::{BTreeSet, VecDeque};
 use std::convert::Infallible;
 use std::sync::Arc;
 use std::time::Duration;
@@ -9,10 +10,7 @@ use axum::extract::State as Shared;
 use axum::http::{HeaderMap, Uri};
 use axum::response::Sse;
 use axum::response::sse::{self, KeepAlive};
-use futures_util::stream::{Stream, unfold};
-use serde::{Deserialize, Serialize};
-use tokio::sync::watch;
-use tokio::time::{Interval, MissedTickBehavior, interval};
+use futures_util::stream::unfold;
 use tokio_util::sync::CancellationToken;
 use utoipa::{IntoParams, ToSchema};
 
@@ -22,15 +20,16 @@ use super::parameters::Parameters;
 use super::responses::JournalProblem;
 use super::values::integer;
 use crate::frontend::metrics::Metrics;
+use crate::frontend::updates::{Notification, Pace, Subscription, TOPICS, Topic};
 use crate::gripper::Now;
-use crate::gripper::model::State;
+use crate::gripper::model::Name;
 use crate::journal::{Filter, Follow};
 
 /// How often states and telemetry are told at most, unless a client asks for more or less.
-const DEFAULT_HZ: u64 = 10;
+pub const DEFAULT_HZ: u64 = 10;
 
 /// And at most: as often as devices tell.
-const MAX_HZ: u64 = 100;
+pub const MAX_HZ: u64 = 100;
 
 /// How often a stream on which nothing happens says that it is still there, so that proxies keep it.
 const KEPT_ALIVE_EVERY: Duration = Duration::from_secs(15);
@@ -38,24 +37,15 @@ const KEPT_ALIVE_EVERY: Duration = Duration::from_secs(15);
 /// How long a stream rests whose journal can't be read.
 const RESTS_FOR: Duration = Duration::from_secs(1);
 
-/// What can be followed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "lowercase")]
-pub enum Topic {
-    /// What happens.
-    Events,
-    /// The newest states.
-    State,
-    /// Their measured values alone.
-    Telemetry,
-}
-
 #[derive(IntoParams)]
 #[into_params(parameter_in = Query)]
 #[allow(dead_code, reason = "the document's words on what stream takes from the address")]
 pub struct StreamQuery {
-    /// `events` (default), `state`, `telemetry`, or several of them with commas between.
-    #[param(pattern = "^(events|state|telemetry)(,(events|state|telemetry))*$", example = "events,state")]
+    /// `events` (default), `state`, `telemetry`, `frames`, or several of them with commas between.
+    #[param(
+        pattern = "^(events|state|telemetry|frames)(,(events|state|telemetry|frames))*$",
+        example = "events,state"
+    )]
     topics: Option<String>,
     /// Only of this gripper.
     #[param(max_length = 32, pattern = "^[a-z0-9][a-z0-9_-]{0,31}$", example = "left")]
@@ -82,7 +72,7 @@ pub struct StreamHeaders {
 #[schema(as = StreamMessage)]
 #[allow(dead_code, reason = "the document's words on what stream sends")]
 pub struct Message {
-    /// `event`, `state` or `telemetry`.
+    /// `event`, `state`, `telemetry`, `frame` or `gap`.
     #[schema(nullable = false)]
     event: Option<String>,
     /// An event's `seq`.
@@ -93,28 +83,21 @@ pub struct Message {
 }
 
 /// One client's stream.
-struct Subscription {
+struct Stream {
     events: Option<Follow>,
-    grippers: Vec<Told>,
-    topics: HashSet<Topic>,
-    ticks: Interval,
+    updates: Subscription,
+    pace: Pace,
     metrics: Metrics,
     /// What is to be told, at most a message a topic and gripper.
-    ready: VecDeque<sse::Event>,
+    ready: VecDeque<Notification>,
     closing: CancellationToken,
-}
-
-/// One gripper's states, and which of them was told last.
-struct Told {
-    states: watch::Receiver<Arc<State>>,
-    seq: u64,
 }
 
 /// Live updates
 ///
-/// Server-sent events: `event` with its `seq` as id, `state`, `telemetry`. Events come without a gap from
+/// Server-sent events: `event` with its `seq` as id, `state`, `telemetry`, `frame`. Events come without a gap from
 /// `Last-Event-ID` on, or from now on; of states and telemetry the newest comes, and what a slow client misses is
-/// never queued.
+/// never queued; frames come one by one, and where a client was too slow for some a `gap` says for how many.
 #[utoipa::path(
     get, path = "/stream", operation_id = "stream", tag = "journal",
     params(StreamQuery, StreamHeaders),
@@ -124,28 +107,22 @@ pub async fn stream(
     Shared(context): Shared<Arc<Context>>,
     headers: HeaderMap,
     uri: Uri,
-) -> Result<Sse<impl Stream<Item = Result<sse::Event, Infallible>>>, Problem> {
-    let subscription = Subscription::new(&context, &headers, &uri)?;
-    let told = unfold(subscription, |mut subscription| async {
-        subscription.next().await.map(|event| (Ok(event), subscription))
-    });
+) -> Result<Sse<impl futures_util::Stream<Item = Result<sse::Event, Infallible>>>, Problem> {
+    let stream = Stream::new(&context, &headers, &uri)?;
+    let told = unfold(stream, |mut stream| async { stream.next().await.map(|event| (Ok(event), stream)) });
     Ok(Sse::new(told).keep_alive(KeepAlive::new().interval(KEPT_ALIVE_EVERY)))
 }
 
-impl Subscription {
+impl Stream {
     fn new(context: &Context, headers: &HeaderMap, uri: &Uri) -> Result<Self, Problem> {
         let given = Parameters::of(uri)?.only(&["topics", "gripper", "max_hz", "after"])?;
-        let topics = given.parsed("topics", "events, state, telemetry, with commas between", topics)?;
-        let topics = topics.unwrap_or_else(|| HashSet::from([Topic::Events]));
-        let name = given.parsed("gripper", "a gripper's name", |text| text.parse().ok())?;
-        let grippers: Vec<_> = match &name {
-            Some(name) => {
-                let unknown = || Problem::not_found("gripper of this name");
-                vec![context.fleet.get(name).ok_or_else(unknown)?.states()]
-            }
-            None => context.fleet.iter().map(crate::gripper::Handle::states).collect(),
-        };
-        let grippers = grippers.into_iter().map(|states| Told { states, seq: 0 }).collect();
+        let mut topics = given
+            .parsed("topics", &format!("{TOPICS}, with commas between"), topics)?
+            .unwrap_or_else(|| BTreeSet::from([Topic::Events]));
+        let name: Option<Name> = given.parsed("gripper", "a gripper's name", |text| text.parse().ok())?;
+        if let Some(name) = &name {
+            context.fleet.get(name).ok_or_else(|| Problem::not_found("gripper of this name"))?;
+        }
         let max_hz = match given.parsed("max_hz", "a whole number", |text| text.parse::<f64>().ok())? {
             Some(number) => integer("max_hz", number, 1..=MAX_HZ)?,
             None => DEFAULT_HZ,
@@ -155,24 +132,28 @@ impl Subscription {
             Some(id) => Some(id.to_str().ok().and_then(seq).ok_or_else(bad_last_event_id)?),
             None => after,
         };
-        let filter = Filter { gripper: name, ..Filter::default() };
-        let events = topics.contains(&Topic::Events).then(|| context.journal.follow(after, filter));
-        let mut ticks = interval(Duration::from_secs(1) / max_hz as u32);
-        // A client that was slow gets the newest, and not all that it missed.
-        ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
+        let only = name.iter().cloned().collect();
+        let filter = Filter { gripper: name.clone(), ..Filter::default() };
+        // The journal itself tells of events without a gap.
+        let events = topics.remove(&Topic::Events).then(|| context.journal.follow(after, filter));
+        let mut updates = context.updates.subscribe(name.as_ref().map(|_| &only), topics.iter().copied());
+        let mut ready = VecDeque::new();
+        for state in updates.snapshot() {
+            let has = |topic| topics.contains(&topic);
+            ready.extend(has(Topic::State).then(|| Notification::new("state", &*state)).flatten());
+            let telemetry = || Notification::new("telemetry", &state.telemetry(Now::read().wall));
+            ready.extend(has(Topic::Telemetry).then(telemetry).flatten());
+        }
         let (metrics, closing) = (context.metrics.clone(), context.closing.clone());
-        let mut subscription = Self { events, grippers, topics, ticks, metrics, ready: VecDeque::new(), closing };
-        subscription.gather(0, |_| true);
-        Ok(subscription)
+        Ok(Self { events, updates, pace: Pace::new(max_hz as u32), metrics, ready, closing })
     }
 
     /// The next message; none when the gateway ends.
     async fn next(&mut self) -> Option<sse::Event> {
         loop {
-            if let Some(event) = self.ready.pop_front() {
-                return Some(event);
+            if let Some(told) = self.ready.pop_front() {
+                return Some(sse::Event::default().event(told.method()).data(told.body()));
             }
-            let tells_states = self.topics.iter().any(|topic| *topic != Topic::Events);
             tokio::select! {
                 biased;
                 () = self.closing.cancelled() => return None,
@@ -181,34 +162,13 @@ impl Subscription {
                     Ok(None) => return None,
                     Err(()) => tokio::time::sleep(RESTS_FOR).await,
                 },
-                due = self.ticks.tick(), if tells_states => {
-                    let missed_ticks = due.elapsed().as_nanos() / self.ticks.period().as_nanos();
-                    self.gather(missed_ticks as u64, |states| states.has_changed().unwrap_or_default());
+                Some(frame) = self.updates.next() => self.ready.push_back(frame),
+                missed = self.pace.next(), if self.updates.has_states() => {
+                    let (told, dropped) = self.updates.newest(missed);
+                    self.ready.extend(told);
+                    self.metrics.dropped(dropped);
                 }
             }
-        }
-    }
-
-    /// Makes messages of the states that are to be told, of which each tick that the client missed would have told one.
-    fn gather(&mut self, missed_ticks: u64, is_told: impl Fn(&watch::Receiver<Arc<State>>) -> bool) {
-        for Told { states, seq } in &mut self.grippers {
-            if !is_told(states) {
-                continue;
-            }
-            let state = states.borrow_and_update().clone();
-            let dropped = state.seq.saturating_sub(*seq + 1).min(missed_ticks);
-            let told = self.topics.iter().filter_map(|topic| match topic {
-                Topic::Events => None,
-                Topic::State => sse::Event::default().event("state").json_data(&*state).ok(),
-                Topic::Telemetry => {
-                    sse::Event::default().event("telemetry").json_data(state.telemetry(Now::read().wall)).ok()
-                }
-            });
-            for message in told {
-                self.ready.push_back(message);
-                self.metrics.dropped(dropped);
-            }
-            *seq = state.seq;
         }
     }
 }
@@ -228,7 +188,7 @@ async fn next_event(events: &mut Option<Follow>) -> Result<Option<sse::Event>, (
 }
 
 /// Each once, however often it is named.
-fn topics(text: &str) -> Option<HashSet<Topic>> {
+fn topics(text: &str) -> Option<BTreeSet<Topic>> {
     text.split(',').map(|topic| serde_json::from_value(topic.into()).ok()).collect()
 }
 
@@ -255,7 +215,7 @@ mod tests {
         let (handle, _seen) = fake::gripper("left", Script::default());
         let context = Context::of([handle.clone()]);
         let uri = Uri::from_static("/stream?topics=state,telemetry&max_hz=10");
-        let mut subscription = Subscription::new(&context, &HeaderMap::new(), &uri).unwrap();
+        let mut stream = Stream::new(&context, &HeaderMap::new(), &uri).unwrap();
         // Between the changes no time passes; each is told as a state and as telemetry.
         for (changes, later_ms, expected) in [(0, 0, 0), (3, 0, 0), (3, 350, 4), (1, 350, 4), (10, 100, 4)] {
             for _ in 0..changes {
@@ -264,7 +224,7 @@ mod tests {
             }
             tokio::time::advance(Duration::from_millis(later_ms)).await;
             for _ in 0..2 {
-                assert!(subscription.next().await.is_some());
+                assert!(stream.next().await.is_some());
             }
             let text = TextEncoder::new().encode_to_string(&context.registry.gather()).unwrap();
             let line = format!("wsg_updates_dropped_total{{door=\"http\"}} {expected}");

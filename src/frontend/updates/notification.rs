@@ -1,0 +1,106 @@
+//! A serialised update, and those of late.
+
+use std::ops::Range;
+use std::sync::{Mutex, PoisonError};
+
+use axum::extract::ws::Utf8Bytes;
+use serde::Serialize;
+
+/// A JSON-RPC notification, whose parameters are the update's body. Its clones share their bytes.
+#[derive(Debug, Clone)]
+pub struct Notification {
+    method: &'static str,
+    text: Utf8Bytes,
+    body: Range<usize>,
+}
+
+impl Notification {
+    /// Of a body; none where that has no JSON.
+    pub fn new(method: &'static str, body: &impl Serialize) -> Option<Self> {
+        let json = serde_json::to_string(body).inspect_err(|error| tracing::error!(method, %error, "it has no JSON"));
+        Some(Self::of_json(method, &json.ok()?))
+    }
+
+    /// Of a body that is JSON.
+    pub(super) fn of_json(method: &'static str, json: &str) -> Self {
+        let head = format!(r#"{{"jsonrpc":"2.0","method":"{method}","params":"#);
+        let body = head.len()..head.len() + json.len();
+        Self { method, text: format!("{head}{json}}}").into(), body }
+    }
+
+    /// What it is: `state`, `telemetry`, `event`, `frame` or `gap`.
+    #[must_use]
+    pub fn method(&self) -> &'static str {
+        self.method
+    }
+
+    /// All of it.
+    #[must_use]
+    pub fn text(&self) -> Utf8Bytes {
+        self.text.clone()
+    }
+
+    /// The body alone.
+    #[must_use]
+    pub fn body(&self) -> &str {
+        self.text.get(self.body.clone()).unwrap_or_default()
+    }
+}
+
+/// The newest notifications of one kind, by their sequence number. Whoever asks for one that isn't there makes it, for
+/// all who come later.
+#[derive(Debug)]
+pub(super) struct Recent(Vec<Mutex<Option<(u64, Notification)>>>);
+
+impl Recent {
+    /// Of so many.
+    pub(super) fn new(count: usize) -> Self {
+        Self((0..count).map(|_| Mutex::default()).collect())
+    }
+
+    /// The one of this number.
+    pub(super) fn get(&self, seq: u64, make: impl FnOnce() -> Option<Notification>) -> Option<Notification> {
+        let slot = self.0.get(usize::try_from(seq % self.0.len() as u64).ok()?)?;
+        // A panic while it was locked has left nothing half done.
+        let mut slot = slot.lock().unwrap_or_else(PoisonError::into_inner);
+        match &*slot {
+            Some((kept, notification)) if *kept == seq => Some(notification.clone()),
+            // Who is behind keeps nothing from those who are not.
+            Some((kept, _)) if *kept > seq => make(),
+            _ => {
+                let new = make()?;
+                *slot = Some((seq, new.clone()));
+                Some(new)
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_notification_is_its_body_with_an_envelope() {
+        let notification = Notification::new("state", &serde_json::json!({"seq": 7})).unwrap();
+        assert_eq!(notification.text().as_str(), r#"{"jsonrpc":"2.0","method":"state","params":{"seq":7}}"#);
+        assert_eq!(notification.body(), r#"{"seq":7}"#);
+    }
+
+    #[test]
+    fn each_is_made_once_and_a_late_one_does_not_replace_a_newer() {
+        let recent = Recent::new(2);
+        let count = std::cell::Cell::new(0);
+        let ask = |seq: u64| {
+            let make = || {
+                count.set(count.get() + 1);
+                Notification::new("event", &seq)
+            };
+            recent.get(seq, make).unwrap().body().to_owned()
+        };
+        assert_eq!(["1", "2", "1", "2"], [ask(1), ask(2), ask(1), ask(2)].each_ref().map(String::as_str));
+        assert_eq!(count.get(), 2);
+        assert_eq!((ask(3), ask(1), ask(3)), ("3".to_owned(), "1".to_owned(), "3".to_owned()));
+        assert_eq!(count.get(), 4);
+    }
+}

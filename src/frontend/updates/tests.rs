@@ -1,0 +1,80 @@
+//! What subscribers are told, and what not.
+
+use futures_util::FutureExt as _;
+use serde_json::Value;
+
+use super::*;
+use crate::gripper::fake::{self, Script};
+use crate::gripper::model::{Client, Detail, Door, Event, RefusedEvent};
+use crate::gripper::recorder::{Record, Recorder as _};
+use crate::journal::{Place, Retention};
+
+fn updates() -> (Arc<Updates>, Journal) {
+    let (journal, _) = Journal::open(Place::Memory, Retention::default()).unwrap();
+    let fleet = Fleet::new([fake::gripper("left", Script::default()).0, fake::gripper("right", Script::default()).0]);
+    (Arc::new(Updates::new(&fleet, journal.clone())), journal)
+}
+
+fn record(journal: &Journal, gripper: Option<&str>) {
+    let refused = RefusedEvent { command: "grip".into(), code: "malformed".into(), cause: "a test".into(), count: 1 };
+    let client = Client { subject: "test".into(), door: Door::Ws };
+    let gripper = gripper.map(|name| name.parse().unwrap());
+    let event = Event::new(Now::read().wall, gripper, Detail::Refused(refused)).by(&client);
+    journal.record(Record::Event(event, None));
+}
+
+/// Waits until so many events are durable.
+async fn until(journal: &Journal, seq: i64) {
+    while journal.last_seq() < seq {
+        tokio::task::yield_now().await;
+    }
+}
+
+fn body(notification: &Notification) -> Value {
+    serde_json::from_str(notification.body()).unwrap()
+}
+
+#[tokio::test]
+async fn a_subscriber_that_is_too_slow_for_events_is_told_how_many_it_missed() {
+    let (updates, journal) = updates();
+    let mut subscription = updates.subscribe(None, [Topic::Events]);
+    let (count, first) = (3000, journal.last_seq());
+    for recorded in 1..=count {
+        record(&journal, None);
+        // As fast as it can be taken.
+        until(&journal, first + recorded).await;
+    }
+    let gap = subscription.next().await.unwrap();
+    let (seq, missed) = (body(&gap)["seq"].as_i64().unwrap(), body(&gap)["missed"].as_i64().unwrap());
+    assert_eq!((gap.method(), seq, body(&gap)["topic"].as_str()), ("gap", first, Some("events")));
+    assert!(missed > 0);
+    for expected in first + missed + 1..=first + count {
+        assert_eq!(body(&subscription.next().await.unwrap())["seq"], expected);
+    }
+    assert!(subscription.next().now_or_never().is_none());
+}
+
+#[tokio::test]
+async fn each_event_is_serialised_once_for_all() {
+    let (updates, journal) = updates();
+    let mut both = [updates.subscribe(None, [Topic::Events]), updates.subscribe(None, [Topic::Events])];
+    record(&journal, None);
+    let [first, second] = &mut both;
+    let (first, second) = (first.next().await.unwrap(), second.next().await.unwrap());
+    assert_eq!(first.text().as_ptr(), second.text().as_ptr());
+    assert_eq!(body(&first)["kind"], "refused");
+}
+
+#[tokio::test]
+async fn who_follows_one_gripper_is_told_of_no_other() {
+    let (updates, journal) = updates();
+    let only = BTreeSet::from(["left".parse().unwrap()]);
+    let mut subscription = updates.subscribe(Some(&only), [Topic::Events, Topic::State]);
+    let names: Vec<_> = subscription.snapshot().iter().map(|state| state.gripper.to_string()).collect();
+    assert_eq!(names, ["left"]);
+    for gripper in [Some("right"), None, Some("left")] {
+        record(&journal, gripper);
+    }
+    assert_eq!(body(&subscription.next().await.unwrap())["gripper"], "left");
+    assert!(subscription.newest(0).0.is_empty(), "nothing has changed since the snapshot");
+}
