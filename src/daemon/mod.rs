@@ -85,6 +85,7 @@ async fn run_gateway(config: &Config, devices: &Runtime) -> anyhow::Result<()> {
         updates: Arc::new(Updates::new(&fleet, journal.clone())),
         closing: shutdown.child_token(),
         metrics: frontend::metrics::Metrics::register(&registry, "http")?,
+        ws_metrics: frontend::metrics::Metrics::register(&registry, "ws")?,
         registry,
         allowed_hosts: config.hosts.clone(),
     };

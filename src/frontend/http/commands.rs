@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
-use axum::Json;
 use axum::extract::State as Shared;
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
+use axum::{Extension, Json};
 use serde::Deserialize;
 use utoipa::{IntoResponses, ToSchema};
 
@@ -21,7 +21,7 @@ use crate::gripper::model::{Action, Command, Phase, Submission};
 
 /// Submits a command, and waits for its end. What the device refused meanwhile is a problem, since its client still
 /// listens.
-pub async fn run(gripper: Gripper, keys: Keys, action: Action, wait: Wait) -> Result<Command, Problem> {
+pub async fn run(gripper: Gripper, keys: Keys, action: Action, wait: Wait) -> Result<(Command, Ticket), Problem> {
     let Keys { request_id, lease } = keys;
     let submission = Submission { client: gripper.client, action, request_id, lease };
     let mut ticket = gripper.handle.submit(submission).await?;
@@ -29,7 +29,7 @@ pub async fn run(gripper: Gripper, keys: Keys, action: Action, wait: Wait) -> Re
     let mut command = ticket.wait(wait.0).await;
     match command.rejection.take() {
         Some(rejection) => Err(Problem::from(rejection).recorded()),
-        None => Ok(command),
+        None => Ok((command, ticket)),
     }
 }
 
@@ -48,13 +48,14 @@ pub enum Told {
     Running(Command),
 }
 
-/// 200 with the command where it has ended, else 202 and where to ask for it.
-pub fn told(command: Command) -> Response {
+/// 200 with the command where it has ended, else 202 and where to ask for it; who is in this process can wait by the
+/// ticket.
+pub fn told((command, ticket): (Command, Ticket)) -> Response {
     match command.phase {
         Phase::Done => Json(command).into_response(),
         Phase::Running => {
             let location = format!("{API}/grippers/{}/commands/{}", command.gripper, command.id);
-            (StatusCode::ACCEPTED, [(header::LOCATION, location)], Json(command)).into_response()
+            (StatusCode::ACCEPTED, [(header::LOCATION, location)], Extension(ticket), Json(command)).into_response()
         }
     }
 }
@@ -113,5 +114,5 @@ pub async fn cancel(
     Body(Nothing {}): Body<Nothing>,
 ) -> Result<Response, Problem> {
     let mut ticket = known(gripper.handle.cancel(id, gripper.client).await?)?;
-    Ok(told(ticket.wait(wait.0).await))
+    Ok(told((ticket.wait(wait.0).await, ticket)))
 }

@@ -6,6 +6,8 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Instant;
 
 use tokio_util::sync::CancellationToken;
+use tokio_util::task::TaskTracker;
+use tokio_util::task::task_tracker::TaskTrackerToken;
 
 /// All of them.
 #[derive(Debug)]
@@ -13,6 +15,8 @@ pub struct Connections {
     limit: usize,
     reserved: usize,
     open: Mutex<Open>,
+    /// Counts the guests, to wait for their end.
+    guests: TaskTracker,
 }
 
 #[derive(Debug, Default)]
@@ -25,13 +29,15 @@ struct Open {
 struct Entry {
     /// Since when no request is being answered; none while one is.
     idle_since: Option<Instant>,
+    /// Whether it is a WebSocket, which is never idle.
+    stays: bool,
     leave: CancellationToken,
 }
 
 impl Connections {
     /// At most `limit`, the last `reserved` of which are kept free as far as there are idle ones.
     pub fn new(limit: usize, reserved: usize) -> Self {
-        Self { limit, reserved: reserved.min(limit / 2), open: Mutex::default() }
+        Self { limit, reserved: reserved.min(limit / 2), open: Mutex::default(), guests: TaskTracker::new() }
     }
 
     /// A place for a new one, unless all are taken by connections that are being answered.
@@ -49,8 +55,15 @@ impl Connections {
         }
         let (id, leave) = (open.next, closing.child_token());
         open.next += 1;
-        open.guests.insert(id, Entry { idle_since: Some(Instant::now()), leave: leave.clone() });
-        Some(Guest { id, leave, used: AtomicBool::new(false), connections: self.clone() })
+        open.guests.insert(id, Entry { idle_since: Some(Instant::now()), stays: false, leave: leave.clone() });
+        let (used, counted) = (AtomicBool::new(false), self.guests.token());
+        Some(Guest { id, leave, used, connections: self.clone(), _counted: counted })
+    }
+
+    /// Waits until all have ended.
+    pub async fn all_ended(&self) {
+        self.guests.close();
+        self.guests.wait().await;
     }
 
     /// A panic while it was locked has left nothing half done.
@@ -59,7 +72,7 @@ impl Connections {
     }
 
     fn set_idle_since(&self, id: u64, idle_since: Option<Instant>) {
-        if let Some(entry) = self.open().guests.get_mut(&id) {
+        if let Some(entry) = self.open().guests.get_mut(&id).filter(|entry| !entry.stays) {
             entry.idle_since = idle_since;
         }
     }
@@ -72,6 +85,7 @@ pub struct Guest {
     leave: CancellationToken,
     used: AtomicBool,
     connections: Arc<Connections>,
+    _counted: TaskTrackerToken,
 }
 
 impl Guest {
@@ -83,6 +97,17 @@ impl Guest {
     /// Whether no request has come yet, or not all of its header.
     pub fn is_unused(&self) -> bool {
         !self.used.load(Ordering::Relaxed)
+    }
+
+    /// Keeps the place for as long as the client likes, from now on. Not where nothing but the reserve would be left.
+    pub fn stay(&self) -> bool {
+        let mut open = self.connections.open();
+        let staying = open.guests.values().filter(|entry| entry.stays).count();
+        let room = staying < self.connections.limit - self.connections.reserved;
+        if let Some(entry) = open.guests.get_mut(&self.id).filter(|_| room) {
+            (entry.stays, entry.idle_since) = (true, None);
+        }
+        room
     }
 
     /// Marks a request that is being answered, until it is dropped.
@@ -134,6 +159,18 @@ mod tests {
         assert!(admit(&connections).is_none());
         drop(busy);
         assert!(admit(&connections).is_some());
+    }
+
+    #[test]
+    fn who_stays_is_never_sent_away_and_leaves_the_reserve_free() {
+        let connections = Arc::new(Connections::new(4, 2));
+        let stays: Vec<_> = (0..2).map(|_| admit(&connections).unwrap()).collect();
+        assert!(stays.iter().all(|guest| guest.stay()));
+        drop(stays[0].busy());
+        let third = admit(&connections).unwrap();
+        assert!(!third.stay(), "only the reserve is left");
+        let _fourth = admit(&connections).unwrap();
+        assert!(third.leave.is_cancelled() && stays.iter().all(|guest| !guest.leave.is_cancelled()));
     }
 
     #[test]

@@ -160,6 +160,13 @@ pub struct Members {
     is_recorded: bool,
 }
 
+impl Members {
+    /// The HTTP status.
+    pub fn status(&self) -> StatusCode {
+        self.code.status()
+    }
+}
+
 impl Problem {
     /// With this code, and these words for people.
     pub fn new(code: Code, detail: impl Into<String>) -> Self {
@@ -239,11 +246,10 @@ impl Problem {
     /// Its HTTP status.
     #[cfg(test)]
     pub fn status(&self) -> StatusCode {
-        self.0.code.status()
+        self.0.status()
     }
 
     /// What is sent.
-    #[cfg(test)]
     pub fn members(&self) -> &Members {
         &self.0
     }

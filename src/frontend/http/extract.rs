@@ -84,13 +84,18 @@ impl FromRequestParts<Arc<Context>> for Gripper {
 pub struct Asker(pub Client);
 
 impl Asker {
-    /// Of a request's extensions.
+    /// Of a request's extensions: another door says who it is.
     pub fn of(extensions: &Extensions) -> Self {
+        extensions.get().cloned().map_or_else(|| Self::through(Door::Http, "http", extensions), Self)
+    }
+
+    /// Of a request's extensions, at a door of this name.
+    pub fn through(door: Door, name: &str, extensions: &Extensions) -> Self {
         let subject = match extensions.get::<ConnectInfo<SocketAddr>>() {
-            Some(ConnectInfo(peer)) => format!("http:{}", peer.ip().to_canonical()),
-            None => "http:unknown".to_owned(),
+            Some(ConnectInfo(peer)) => format!("{name}:{}", peer.ip().to_canonical()),
+            None => format!("{name}:unknown"),
         };
-        Self(Client { subject: subject.into(), door: Door::Http })
+        Self(Client { subject: subject.into(), door })
     }
 }
 

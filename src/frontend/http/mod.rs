@@ -4,8 +4,9 @@
 //! described. A request passes, from the outside in: `guard` (who may ask at all), `body` (read within bounds, except
 //! for FAST STOP, which waits for nothing), `extract` (everything parsed, every mistake a problem), its handler. The
 //! handlers are in `grippers`, `motions`, `commands`, `fast_stop`, `settings`, `device`, `fingers`, `raw`, `journal`,
-//! `stream` and `gateway`; `watched` counts and logs all of it.
+//! `stream`, `gateway`, and `ws`, which calls the others by their names in `methods`; `watched` counts and logs all of it.
 
+mod asyncapi;
 mod body;
 mod commands;
 mod connections;
@@ -20,6 +21,7 @@ mod grippers;
 mod guard;
 mod journal;
 mod lease;
+mod methods;
 mod motions;
 mod parameters;
 mod prompt;
@@ -31,6 +33,7 @@ mod settings;
 mod stream;
 mod values;
 mod watched;
+mod ws;
 
 use std::any::Any;
 use std::sync::Arc;
@@ -46,12 +49,15 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use self::errors::{Code, Problem};
+use self::methods::Methods;
 use super::metrics::Metrics;
 use super::refusals::Refusals;
+use super::updates::Updates;
 use crate::gripper::Fleet;
 use crate::gripper::model::Name;
 use crate::journal::Journal;
 
+pub use asyncapi::{document as asyncapi_document, yaml as asyncapi};
 pub use server::{Limits, RESERVED_CONNECTIONS, serve};
 
 /// Where the API begins.
@@ -68,10 +74,14 @@ pub struct Context {
     pub journal: Journal,
     /// What was refused, on its way there.
     pub refusals: Arc<Refusals>,
+    /// What can be followed live.
+    pub updates: Arc<Updates>,
     /// Ends the streams when the gateway ends.
     pub closing: CancellationToken,
     /// What this door counts.
     pub metrics: Metrics,
+    /// What WebSocket counts.
+    pub ws_metrics: Metrics,
     /// Where all figures are.
     pub registry: Registry,
     /// The names that the gateway may be called by, besides its addresses and `localhost`. Without ports.
@@ -85,10 +95,11 @@ impl Context {
         let (journal, _) = Journal::open(crate::journal::Place::Memory, crate::journal::Retention::default()).unwrap();
         let (gateway, fleet) = ("wsg".parse().unwrap(), Fleet::new(grippers));
         let refusals = Arc::new(Refusals::new(journal.clone()));
+        let updates = Arc::new(Updates::new(&fleet, journal.clone()));
         let registry = Registry::new();
-        let metrics = Metrics::register(&registry, "http").unwrap();
+        let [metrics, ws_metrics] = ["http", "ws"].map(|door| Metrics::register(&registry, door).unwrap());
         let (closing, allowed_hosts) = (CancellationToken::new(), Vec::new());
-        Self { gateway, fleet, journal, refusals, closing, metrics, registry, allowed_hosts }
+        Self { gateway, fleet, journal, refusals, updates, closing, metrics, ws_metrics, registry, allowed_hosts }
     }
 }
 
@@ -96,11 +107,14 @@ impl Context {
 pub fn router(context: Context) -> Router {
     let context = Arc::new(context);
     let (routes, document) = routes().split_for_parts();
-    routes
-        .layer(Extension(Arc::new(document)))
-        .layer(CatchPanicLayer::custom(panicked))
+    let operations = routes.layer(Extension(Arc::new(document))).layer(CatchPanicLayer::custom(panicked));
+    let recorded = || middleware::from_fn_with_state(context.clone(), refused::record);
+    // The doors that have no paths, and their own guards, ask for the same.
+    let methods = Methods::new(operations.clone().layer(recorded()).with_state(context.clone()));
+    operations
+        .layer(Extension(methods))
         .layer(middleware::from_fn_with_state(context.clone(), guard::refuse_foreigners))
-        .layer(middleware::from_fn_with_state(context.clone(), refused::record))
+        .layer(recorded())
         .layer(middleware::map_response(guard::harden))
         .layer(middleware::from_fn_with_state(context.clone(), watched::watch))
         .with_state(context)
@@ -142,6 +156,7 @@ fn routes() -> Routes {
 fn api() -> Routes {
     OpenApiRouter::new()
         .routes(routes!(docs::openapi))
+        .routes(routes!(asyncapi::asyncapi))
         .routes(routes!(grippers::list))
         .routes(routes!(grippers::info))
         .routes(routes!(grippers::state))
@@ -173,6 +188,7 @@ fn api() -> Routes {
         .routes(routes!(journal::grip))
         .routes(routes!(journal::curve))
         .routes(routes!(stream::stream))
+        .routes(routes!(ws::open))
 }
 
 async fn not_found() -> Problem {

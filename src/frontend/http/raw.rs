@@ -125,8 +125,9 @@ pub async fn raw(gripper: Gripper, wait: Wait, keys: Keys, Body(body): Body<Raw>
     let name = gripper.name();
     match path(command, &gripper.handle)? {
         Path::Command(action) => {
-            let command = commands::run(gripper, keys, action, wait).await?;
-            Ok(if command.phase == Phase::Done { of_command(id, command) } else { commands::told(command) })
+            let (command, ticket) = commands::run(gripper, keys, action, wait).await?;
+            let has_ended = command.phase == Phase::Done;
+            Ok(if has_ended { of_command(id, command) } else { commands::told((command, ticket)) })
         }
         Path::FastStop => {
             let FastStop { id: fast_stop_id, confirmed } =

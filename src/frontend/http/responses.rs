@@ -26,7 +26,7 @@ const PROBLEMS: &[(&str, &str, &str)] = &[
         "`out_of_range`: a value is beyond its limits, which `min` and `max` say; `device_refused`: the device \
          refused, and `device_status` says how",
     ),
-    ("429", "Overloaded", "`overloaded`: too many requests wait for this gripper"),
+    ("429", "Overloaded", "`overloaded`: too many requests wait for this gripper, or too many WebSockets are open"),
     ("500", "Internal", "`internal`: a mistake of the gateway's own"),
     ("502", "DeviceProtocol", "`device_protocol`: the device's answer can't be one"),
     (
@@ -60,6 +60,8 @@ sets! {
     CommandProblem ["400" "403" "404" "408" "413" "422" "429" "500" "503"];
     /// Of what asks for the lease.
     LeaseProblem ["400" "403" "404" "408" "409" "413" "422" "429" "500" "503"];
+    /// Of what opens a WebSocket.
+    SocketProblem ["400" "403" "429" "500"];
     /// Of what reads the journal.
     JournalProblem ["400" "403" "404" "422" "500" "503"];
     /// Of what asks the device.

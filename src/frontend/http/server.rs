@@ -43,6 +43,10 @@ pub const RESERVED_CONNECTIONS: usize = 16;
 /// Headers of a request, in all. The longest that this API means is some hundred bytes; browsers add a few thousand.
 const MAX_HEADER_BYTES: usize = 16 * 1024;
 
+/// What may wait in the kernel for a client that takes no more: some dozens of updates.
+#[cfg(target_os = "linux")]
+const MAX_UNSENT_BYTES: u32 = 16 * 1024;
+
 /// How long no connection is accepted after that failed: long enough not to spin while the process is out of file
 /// descriptors, short enough not to be noticed.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
@@ -92,7 +96,11 @@ pub async fn serve(listener: TcpListener, context: Context, limits: Limits, shut
         }
     }
     drop(listener);
-    let ended = async { while tasks.join_next().await.is_some() {} };
+    let ended = async {
+        while tasks.join_next().await.is_some() {}
+        // A WebSocket has left its connection's task.
+        connections.all_ended().await;
+    };
     if timeout(limits.shutdown_time, ended).await.is_err() {
         tracing::warn!(open = tasks.len(), "connections are closed before their requests were answered");
         tasks.shutdown().await;
@@ -104,10 +112,12 @@ async fn connection(stream: TcpStream, peer: SocketAddr, router: Router, guest: 
     if let Err(error) = stream.set_nodelay(true) {
         tracing::debug!(%peer, %error, "TCP_NODELAY could not be set");
     }
+    set_unsent_limit(&stream);
     let guest = Arc::new(guest);
     let busy = guest.clone();
     let service = service_fn(move |mut request: Request<Incoming>| {
         request.extensions_mut().insert(ConnectInfo(peer));
+        request.extensions_mut().insert(busy.clone());
         let answered = router.clone().oneshot(request.map(Body::new));
         let busy = busy.busy();
         async move {
@@ -120,7 +130,8 @@ async fn connection(stream: TcpStream, peer: SocketAddr, router: Router, guest: 
         .timer(TokioTimer::new())
         .header_read_timeout(limits.header_time)
         .max_header_size(MAX_HEADER_BYTES)
-        .serve_connection(TokioIo::new(Prompt(stream)), service);
+        .serve_connection(TokioIo::new(Prompt(stream)), service)
+        .with_upgrades();
     let mut served = std::pin::pin!(served);
     let ended = tokio::select! {
         ended = served.as_mut() => ended,
@@ -135,6 +146,14 @@ async fn connection(stream: TcpStream, peer: SocketAddr, router: Router, guest: 
     };
     if let Err(error) = ended {
         tracing::debug!(%peer, %error, "connection ended");
+    }
+}
+
+/// What the kernel takes beyond what the client takes is old before it is read: newest-wins ends there.
+fn set_unsent_limit(stream: &TcpStream) {
+    #[cfg(target_os = "linux")]
+    if let Err(error) = socket2::SockRef::from(stream).set_tcp_notsent_lowat(MAX_UNSENT_BYTES) {
+        tracing::debug!(%error, "TCP_NOTSENT_LOWAT could not be set");
     }
 }
 

@@ -1,0 +1,259 @@
+//! The API's operations as methods, for the doors that have no paths. Each is a request to the same router, in this
+//! process: what is refused there is refused here, in the same words, and what is written down there is here.
+
+use std::sync::Arc;
+
+use axum::Router;
+use axum::body::Body;
+use axum::http::{Method as Verb, Request, StatusCode};
+use http_body_util::BodyExt;
+use serde_json::value::RawValue;
+use serde_json::{Map, Value};
+use tower::ServiceExt;
+
+use super::API;
+use super::errors::{Code, Problem};
+use crate::gripper::Ticket;
+use crate::gripper::model::Client;
+
+/// A method, and the operation that it is. What its path names stands among its parameters.
+#[derive(Debug, Clone, Copy)]
+pub struct Method {
+    /// Its name.
+    pub name: &'static str,
+    /// The operation's method.
+    pub verb: &'static Verb,
+    /// The operation's path, below the API's.
+    pub path: &'static str,
+    /// Whether it begins a command, whose end is told later.
+    pub is_command: bool,
+}
+
+/// FAST STOP's name: whatever comes with it, it stops.
+pub const FAST_STOP: &str = "fast-stop";
+
+macro_rules! methods {
+    (command) => { true };
+    () => { false };
+    ($($name:literal $verb:ident $path:literal $($command:ident)?;)*) => {
+        &[$(Method { name: $name, verb: &Verb::$verb, path: $path, is_command: methods!($($command)?) }),*]
+    };
+}
+
+/// All of them. Of those of one name the first counts whose path's parameters are all given.
+pub const METHODS: &[Method] = methods! {
+    "home" POST "/grippers/{gripper}/home" command;
+    "move" POST "/grippers/{gripper}/move" command;
+    "grip" POST "/grippers/{gripper}/grip" command;
+    "release" POST "/grippers/{gripper}/release" command;
+    "stop" POST "/grippers/{gripper}/stop" command;
+    "fast-stop" POST "/grippers/{gripper}/fast-stop";
+    "fast-stop" POST "/fast-stop";
+    "acknowledge" POST "/grippers/{gripper}/acknowledge";
+    "command" GET "/grippers/{gripper}/commands/{command}";
+    "cancel" POST "/grippers/{gripper}/commands/{command}/cancel" command;
+    "grippers" GET "/grippers";
+    "info" GET "/grippers/{gripper}";
+    "state" GET "/grippers/{gripper}/state";
+    "settings.acceleration" GET "/grippers/{gripper}/settings/acceleration";
+    "settings.acceleration.set" PUT "/grippers/{gripper}/settings/acceleration";
+    "settings.force-limit" GET "/grippers/{gripper}/settings/force-limit";
+    "settings.force-limit.set" PUT "/grippers/{gripper}/settings/force-limit";
+    "settings.soft-limits" GET "/grippers/{gripper}/settings/soft-limits";
+    "settings.soft-limits.set" PUT "/grippers/{gripper}/settings/soft-limits";
+    "settings.soft-limits.clear" DELETE "/grippers/{gripper}/settings/soft-limits";
+    "settings.overdrive" GET "/grippers/{gripper}/settings/overdrive";
+    "settings.overdrive.set" PUT "/grippers/{gripper}/settings/overdrive";
+    "settings.device-tag" GET "/grippers/{gripper}/settings/device-tag";
+    "settings.device-tag.set" PUT "/grippers/{gripper}/settings/device-tag";
+    "statistics" GET "/grippers/{gripper}/statistics";
+    "statistics.reset" POST "/grippers/{gripper}/statistics/reset";
+    "fingers" GET "/grippers/{gripper}/fingers/{finger}";
+    "fingers.data" GET "/grippers/{gripper}/fingers/{finger}/data";
+    "fingers.power" PUT "/grippers/{gripper}/fingers/{finger}/power";
+    "tare" POST "/grippers/{gripper}/tare";
+    "loop" POST "/grippers/{gripper}/loop";
+    "raw" POST "/grippers/{gripper}/raw" command;
+};
+
+impl Method {
+    /// The parameters that its path names, in their order.
+    pub fn path_parameters(&self) -> impl Iterator<Item = &'static str> {
+        self.path.split('/').filter_map(|part| part.strip_prefix('{')?.strip_suffix('}'))
+    }
+}
+
+/// An operation's answer.
+#[derive(Debug)]
+pub struct Answer {
+    /// Its body.
+    pub body: Box<RawValue>,
+    /// The command that was begun, and has not ended.
+    pub running: Option<Ticket>,
+}
+
+/// What an operation was refused with.
+#[derive(Debug)]
+pub struct Refusal {
+    /// The problem's status.
+    pub status: StatusCode,
+    /// The problem.
+    pub problem: Box<RawValue>,
+}
+
+impl From<Problem> for Refusal {
+    fn from(problem: Problem) -> Self {
+        let problem = problem.members();
+        Self { status: problem.status(), problem: serde_json::value::to_raw_value(problem).unwrap_or_default() }
+    }
+}
+
+/// Whoever can call them.
+#[derive(Debug, Clone)]
+pub struct Methods(Arc<Router>);
+
+impl Methods {
+    /// Of the API's router.
+    pub fn new(router: Router) -> Self {
+        Self(Arc::new(router))
+    }
+
+    /// Whether there is one of this name.
+    pub fn has(name: &str) -> bool {
+        METHODS.iter().any(|method| method.name == name)
+    }
+
+    /// Calls one for a client. A command is answered when it was admitted.
+    pub async fn call(&self, client: Client, name: &str, params: Value) -> Result<Answer, Refusal> {
+        let request = request(name, params)?;
+        self.send(client, request).await
+    }
+
+    async fn send(&self, client: Client, mut request: Request<Body>) -> Result<Answer, Refusal> {
+        request.extensions_mut().insert(client);
+        let Ok(response) = Router::clone(&self.0).oneshot(request).await;
+        let (mut parts, body) = response.into_parts();
+        let broken = |detail: String| Problem::new(Code::Internal, format!("the answer can't be told: {detail}"));
+        let bytes = body.collect().await.map_err(|error| broken(error.to_string()))?.to_bytes();
+        let body: Box<RawValue> = serde_json::from_slice(&bytes).map_err(|error| broken(error.to_string()))?;
+        if parts.status.is_success() {
+            Ok(Answer { body, running: parts.extensions.remove() })
+        } else {
+            Err(Refusal { status: parts.status, problem: body })
+        }
+    }
+}
+
+/// The request that a method is.
+fn request(name: &str, params: Value) -> Result<Request<Body>, Problem> {
+    let rows = || METHODS.iter().filter(|method| method.name == name);
+    let first = rows().next().ok_or_else(|| Problem::not_found(format!("method {:?}", shortened(name))))?;
+    let mut params = match params {
+        Value::Object(params) => params,
+        Value::Null => Map::new(),
+        _ if name == FAST_STOP => Map::new(),
+        _ => return Err(Problem::malformed("params", "params must be an object: there are none by position")),
+    };
+    let method = rows().find(|row| row.path_parameters().all(|key| params.contains_key(key))).unwrap_or(first);
+    let mut path = API.to_owned();
+    for part in method.path.split('/').filter(|part| !part.is_empty()) {
+        path.push('/');
+        match part.strip_prefix('{').and_then(|part| part.strip_suffix('}')) {
+            Some(key) => path.push_str(&path_part(key, params.remove(key))?),
+            None => path.push_str(part),
+        }
+    }
+    if method.is_command {
+        path.push_str("?wait_ms=0");
+    }
+    let has_body = matches!(*method.verb, Verb::POST | Verb::PUT);
+    if let (false, Some(field)) = (has_body, params.keys().next()) {
+        let field = shortened(field);
+        return Err(Problem::malformed(&field, format!("unknown field `{field}`: {name} has none of this name")));
+    }
+    let body = if has_body { Body::from(Value::Object(params).to_string()) } else { Body::empty() };
+    let request = Request::builder().method(method.verb).uri(path).body(body);
+    request.map_err(|error| Problem::new(Code::Internal, format!("no request: {error}")))
+}
+
+/// A parameter as a part of a path. What can't be one is nothing's name.
+fn path_part(key: &str, value: Option<Value>) -> Result<String, Problem> {
+    let part = match value {
+        Some(Value::String(text)) => text,
+        Some(Value::Number(number)) => number.to_string(),
+        Some(_) => return Err(Problem::malformed(key, format!("{key} must be a text or a number"))),
+        None => return Err(Problem::malformed(key, format!("missing field `{key}`"))),
+    };
+    let is_name = |byte: u8| byte.is_ascii_alphanumeric() || matches!(byte, b'-' | b'_');
+    if part.is_empty() || !part.bytes().all(is_name) {
+        return Err(Problem::not_found(format!("such {key}")));
+    }
+    Ok(part)
+}
+
+/// As much of what a client sent as is repeated to it.
+fn shortened(text: &str) -> String {
+    text.chars().take(32).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    fn line(name: &str, params: Value) -> String {
+        let request = request(name, params).unwrap();
+        format!("{} {}", request.method(), request.uri())
+    }
+
+    fn refused(name: &str, params: Value) -> Value {
+        serde_json::to_value(request(name, params).unwrap_err().members()).unwrap()
+    }
+
+    #[test]
+    fn a_method_is_its_operation_and_a_command_does_not_wait() {
+        let gripper = json!({"gripper": "left", "width_mm": 20});
+        assert_eq!(line("grip", gripper.clone()), "POST /api/v1/grippers/left/grip?wait_ms=0");
+        assert_eq!(line("settings.force-limit.set", gripper), "PUT /api/v1/grippers/left/settings/force-limit");
+        let finger = json!({"gripper": "left", "finger": 2});
+        assert_eq!(line("fingers.data", finger), "GET /api/v1/grippers/left/fingers/2/data");
+    }
+
+    #[test]
+    fn a_fast_stop_stops_one_or_all_whatever_comes_with_it() {
+        assert_eq!(line("fast-stop", json!({"gripper": "left"})), "POST /api/v1/grippers/left/fast-stop");
+        for params in [json!({}), Value::Null, json!([1, 2]), json!("now"), json!({"reason": 7})] {
+            assert_eq!(line("fast-stop", params), "POST /api/v1/fast-stop");
+        }
+    }
+
+    #[test]
+    fn what_is_missing_or_can_be_no_part_of_a_path_is_named() {
+        assert_eq!(refused("grip", json!({"width_mm": 20}))["field"], "gripper");
+        assert_eq!(refused("grip", json!(["left", 20]))["field"], "params");
+        assert_eq!(refused("state", json!({"gripper": "left", "width_mm": 20}))["field"], "width_mm");
+        for name in ["", "../left", "left/grip", "left?x=1", "l\u{f6}ft"] {
+            assert_eq!(refused("state", json!({"gripper": name}))["code"], "not_found", "{name}");
+        }
+        assert_eq!(refused("leap", json!({}))["code"], "not_found");
+    }
+
+    #[test]
+    fn every_method_is_an_operation_and_every_operation_on_a_gripper_is_a_method() {
+        let document = serde_json::to_value(super::super::openapi()).unwrap();
+        let paths = document["paths"].as_object().unwrap();
+        for method in METHODS {
+            let operation = &paths[&format!("{API}{}", method.path)][method.verb.as_str().to_lowercase()];
+            assert!(operation.is_object(), "{}", method.name);
+        }
+        for (path, item) in paths.iter().filter(|(path, _)| path.starts_with("/api/v1/grippers/")) {
+            for verb in item.as_object().unwrap().keys() {
+                let is_it = |method: &&Method| {
+                    format!("{API}{}", method.path) == *path && method.verb.as_str().eq_ignore_ascii_case(verb)
+                };
+                assert!(METHODS.iter().any(|method| is_it(&method)), "{verb} {path} is no method");
+            }
+        }
+    }
+}
