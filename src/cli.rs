@@ -61,6 +61,8 @@ enum Command {
     },
     /// Print the OpenAPI document
     Openapi,
+    /// Print the AsyncAPI document, of the WebSocket
+    Asyncapi,
     /// Hex to readable frames, one line a frame, and back
     Decode {
         /// Lines of hex, each perhaps behind a time and -> or <-, and comments behind #; standard input where there is
@@ -70,6 +72,10 @@ enum Command {
         /// The bytes of a frame, e.g. 'Grip width=20 speed=50', FastStop or '0xB0 0x20 150.0f "text"'
         #[arg(long, value_name = "TEXT")]
         encode: Option<String>,
+        /// The frames of a running gateway as they go, e.g. http://127.0.0.1:8080, or
+        /// http://127.0.0.1:8080/api/v1/grippers/left for one gripper
+        #[arg(long, value_name = "URL", conflicts_with_all = ["file", "encode"])]
+        follow: Option<Url>,
     },
     /// Read the journal: list, follow, export or verify it, also while the gateway runs
     Journal(journal::Journal),
@@ -105,11 +111,17 @@ pub fn run() -> anyhow::Result<()> {
             let document = serde_json::to_string_pretty(&frontend::http::openapi())?;
             quietly(writeln!(std::io::stdout(), "{document}"))
         }
+        Some(Command::Asyncapi) => quietly(write!(std::io::stdout(), "{}", frontend::http::asyncapi()?)),
         Some(Command::Decode { encode: Some(text), .. }) => {
             let frame = decode::encode(&text)?;
             quietly(writeln!(std::io::stdout(), "{frame}"))
         }
-        Some(Command::Decode { file, encode: None }) => {
+        Some(Command::Decode { follow: Some(url), .. }) => {
+            let mut output = std::io::stdout();
+            let followed = daemon::runtime()?.block_on(decode::follow(&url, &mut output));
+            followed.or_else(|error| quietly(Err(error.downcast::<std::io::Error>()?)))
+        }
+        Some(Command::Decode { file, encode: None, follow: None }) => {
             let mut output = std::io::stdout().lock();
             let wrong = quietly(match file {
                 Some(path) => {

@@ -3,11 +3,15 @@
 //! A line of input is hex, with what may stand before it: a time, and `>` or `->` (to the device), `<` or `<-` (from
 //! it). Frames may go on from one line to the next of the same direction. Lines that begin with `#` are comments.
 
+mod follow;
+
 use std::io::{self, BufRead, Write};
 
 use crate::wsg::frame::PREAMBLE;
 use crate::wsg::text::{Direction, describe};
 use crate::wsg::{ChecksumEvaluation, Command, Decoded, Decoder, id};
+
+pub(super) use follow::follow;
 
 /// The bytes of the frame that a text describes, as hex.
 ///
