@@ -29,5 +29,6 @@ mod recordings;
 mod replay;
 mod seeds;
 mod slow_line;
+mod websocket;
 mod wires;
 mod without_connection;

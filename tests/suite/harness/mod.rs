@@ -9,6 +9,7 @@ pub mod process;
 mod proxy;
 mod scripted;
 mod simulator;
+mod socket;
 
 use std::time::{Duration, Instant};
 
@@ -19,6 +20,7 @@ pub use process::Process;
 pub use proxy::Proxy;
 pub use scripted::{Scripted, Table, success};
 pub use simulator::Simulator;
+pub use socket::{Socket, request as socket_request};
 
 /// How long anything may take that has no time of its own: a busy machine is slow, and still right.
 pub const DEADLINE: Duration = Duration::from_secs(20);

@@ -1,0 +1,297 @@
+//! WebSocket: requests and their answers, updates, and clients that are slow or gone.
+
+use serde_json::{Value, json};
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+use tokio::net::TcpStream;
+use tokio_tungstenite::tungstenite::Error;
+use tokio_tungstenite::tungstenite::http::HeaderValue;
+
+use crate::harness::{Gateway, Process, Proxy, Simulator, Socket, eventually, run, socket_request};
+
+async fn connected() -> (Simulator, Gateway) {
+    let device = Simulator::start(&[]).await;
+    let gateway = Gateway::connected_to(device.address).await;
+    (device, gateway)
+}
+
+#[tokio::test]
+async fn a_command_is_answered_when_admitted_and_its_end_is_told() {
+    let (_device, gateway) = connected().await;
+    let mut socket = Socket::open(&gateway).await;
+    let running = socket.call("home", json!({"gripper": "g"})).await;
+    assert_eq!((&running["phase"], &running["kind"]), (&json!("running"), &json!("home")));
+    assert_eq!(running["client"], "ws:127.0.0.1");
+    let done = socket.told("command", |_| true).await;
+    assert_eq!((&done["id"], &done["outcome"]), (&running["id"], &json!("SUCCESS")), "{done}");
+    let again = socket.call("command", json!({"gripper": "g", "command": running["id"]})).await;
+    assert_eq!(again, done);
+    let recorded = gateway.get("/api/v1/events?kind=command&limit=1").await.ok();
+    assert_eq!(recorded["events"][0]["door"], "ws");
+}
+
+#[tokio::test]
+async fn a_subscription_begins_with_the_states_and_goes_on_with_what_changes() {
+    let (_device, gateway) = connected().await;
+    let mut socket = Socket::open(&gateway).await;
+    let told = socket.call("subscribe", json!({"topics": ["state", "telemetry", "events"], "max_hz": 50})).await;
+    assert_eq!((&told["max_hz"], &told["states"][0]["gripper"]), (&json!(50), &json!("g")), "{told}");
+    let (mut state_seq, mut event_seq) = (told["states"][0]["seq"].as_u64(), told["event_seq"].as_i64().unwrap());
+    socket.call("home", json!({"gripper": "g"})).await;
+    let (mut has_moved, mut telemetry, mut has_ended, mut is_told) = (false, 0, false, false);
+    while !(has_moved && telemetry > 3 && has_ended && is_told) {
+        let told = socket.next().await.expect("an update");
+        let body = &told["params"];
+        match told["method"].as_str().unwrap() {
+            "state" => {
+                assert!(body["seq"].as_u64() > state_seq, "{body} after {state_seq:?}");
+                state_seq = body["seq"].as_u64();
+                has_moved |= body["moving"] == true;
+            }
+            "telemetry" => telemetry += 1,
+            "event" => {
+                assert_eq!(body["seq"].as_i64(), Some(event_seq + 1), "{body}");
+                event_seq += 1;
+                has_ended |= body["kind"] == "command" && body["phase"] == "done";
+            }
+            "command" => is_told = true,
+            other => panic!("{other}"),
+        }
+    }
+    socket.call("subscribe", json!({"topics": []})).await;
+    socket.forget();
+    assert!(socket.is_silent_for(std::time::Duration::from_millis(300)).await);
+}
+
+#[tokio::test]
+async fn what_is_wrong_is_a_json_rpc_error_with_the_problem() {
+    let (_device, gateway) = connected().await;
+    let mut socket = Socket::open(&gateway).await;
+    let grip = |width: Value| json!({"gripper": "g", "width_mm": width, "speed_mm_s": 50});
+    for (method, params, code, problem, field) in [
+        ("leap", json!({}), -32601, "not_found", None),
+        ("grip", json!({"gripper": "g", "width_mm": 20}), -32602, "malformed", Some("speed_mm_s")),
+        ("grip", json!({"gripper": "g", "widht_mm": 20}), -32602, "malformed", Some("widht_mm")),
+        ("grip", json!(["g", 20, 50]), -32602, "malformed", Some("params")),
+        ("subscribe", json!({"topics": ["states"]}), -32602, "malformed", Some("topics[0]")),
+        ("subscribe", json!({"topics": [], "max_hz": 1.5}), -32602, "malformed", Some("max_hz")),
+        ("subscribe", json!({"topics": [], "grippers": ["h"]}), -32000, "not_found", Some("grippers")),
+        ("state", json!({"gripper": "h"}), -32000, "not_found", None),
+        ("grip", grip(json!(5000)), -32000, "out_of_range", Some("width_mm")),
+        ("grip", grip(json!(20)), -32000, "not_referenced", None),
+    ] {
+        let error = socket.refused(method, params.clone()).await;
+        assert_eq!((&error["code"], &error["data"]["code"]), (&json!(code), &json!(problem)), "{method} {params}");
+        assert_eq!(error["data"]["field"].as_str(), field, "{method} {params}: {error}");
+        assert_eq!(error["message"], error["data"]["detail"]);
+    }
+    for (text, code) in [("{\"jsonrpc\":", -32700), ("[]", -32600), ("{\"id\": 1}", -32600)] {
+        socket.send(text).await;
+        assert_eq!(socket.next().await.unwrap()["error"]["code"], code, "{text}");
+    }
+}
+
+#[tokio::test]
+async fn a_batch_is_answered_as_one_and_a_notification_not_at_all() {
+    let (_device, gateway) = connected().await;
+    let mut socket = Socket::open(&gateway).await;
+    let batch = json!([
+        {"jsonrpc": "2.0", "id": "a", "method": "state", "params": {"gripper": "g"}},
+        {"jsonrpc": "2.0", "method": "home", "params": {"gripper": "g"}},
+        {"jsonrpc": "2.0", "id": 2, "method": "leap"},
+        7,
+    ]);
+    socket.send(batch.to_string()).await;
+    let answer = socket.next().await.unwrap();
+    let ids: Vec<_> = answer.as_array().unwrap().iter().map(|answer| answer["id"].clone()).collect();
+    assert_eq!(ids, [json!("a"), json!(2), Value::Null]);
+    assert_eq!(answer[2]["error"]["code"], -32600);
+    gateway.until("it is homed", |state| state["referenced"] == true).await;
+    socket.send(json!([{"jsonrpc": "2.0", "method": "stop", "params": {"gripper": "g"}}]).to_string()).await;
+    let id = socket.begin("grippers", json!({})).await;
+    assert_eq!(socket.next().await.unwrap()["id"], id, "nothing was told of notifications");
+}
+
+#[tokio::test]
+async fn a_fast_stop_stops_whatever_comes_with_it() {
+    let (_device, gateway) = connected().await;
+    let mut socket = Socket::open(&gateway).await;
+    let stopped = socket.call("fast-stop", json!({"gripper": "g", "reason": "test"})).await;
+    assert_eq!(stopped["fast_stop_confirmed"], true);
+    let acknowledge = json!({"gripper": "g", "fast_stop_id": stopped["fast_stop_id"]});
+    assert_eq!(socket.call("acknowledge", acknowledge).await["fast_stop"], false);
+    socket.send(r#"{"id": {}, "method": "fast-stop", "params": "now"}"#).await;
+    let state = gateway.until("it is stopped", |state| state["fast_stop_confirmed"] == true).await;
+    assert_eq!(state["fast_stop_by"], "ws:127.0.0.1");
+}
+
+#[tokio::test]
+async fn who_is_foreign_or_speaks_something_else_gets_no_socket() {
+    let (_device, gateway) = connected().await;
+    let with = |name: &'static str, value: &'static str| {
+        let mut request = socket_request(&gateway);
+        request.headers_mut().insert(name, HeaderValue::from_static(value));
+        request
+    };
+    let cases = [
+        (with("Sec-WebSocket-Protocol", "mqtt"), 400),
+        (with("Origin", "http://evil.example"), 403),
+        (with("Host", "evil.example"), 403),
+    ];
+    for (request, expected) in cases {
+        let Err(Error::Http(response)) = Socket::with(request).await else { panic!("a socket") };
+        assert_eq!(response.status(), expected);
+    }
+    gateway.get("/api/v1/ws").await.problem(400, "malformed");
+    let mut both = socket_request(&gateway);
+    both.headers_mut().insert("Sec-WebSocket-Protocol", HeaderValue::from_static("mqtt, wsg.v1"));
+    let mut socket = Socket::with(both).await.unwrap();
+    socket.call("grippers", json!({})).await;
+}
+
+#[tokio::test]
+async fn who_answers_no_ping_is_closed_and_who_does_is_not() {
+    let (_device, gateway) = connected().await;
+    let mut lively = Socket::open(&gateway).await;
+    let address = gateway.url("/").trim_start_matches("http://").trim_end_matches('/').to_owned();
+    let mut dead = TcpStream::connect(&address).await.unwrap();
+    let head = format!(
+        "GET /api/v1/ws HTTP/1.1\r\nHost: {address}\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\
+         Sec-WebSocket-Version: 13\r\nSec-WebSocket-Key: dGhlIHNhbXBsZSBub25jZQ==\r\n\
+         Sec-WebSocket-Protocol: wsg.v1\r\n\r\n"
+    );
+    dead.write_all(head.as_bytes()).await.unwrap();
+    let mut bytes = Vec::new();
+    let reading = dead.read_to_end(&mut bytes);
+    tokio::select! {
+        end = tokio::time::timeout(crate::harness::DEADLINE, reading) => drop(end.expect("it is closed").unwrap()),
+        told = lively.next() => panic!("{told:?}"),
+    }
+    let text = String::from_utf8_lossy(&bytes);
+    assert!(text.starts_with("HTTP/1.1 101 ") && text.contains("sec-websocket-protocol: wsg.v1"), "{text}");
+    assert!(text.ends_with("pings were not answered"), "{text}");
+    lively.call("grippers", json!({})).await;
+}
+
+#[tokio::test]
+async fn a_client_that_reads_nothing_stops_all_the_same_and_then_reads_the_newest() {
+    let device = Simulator::start(&[]).await;
+    let proxy = Proxy::to(device.address);
+    let gateway = Gateway::connected_to(proxy.address).await;
+    let mut socket = Socket::open(&gateway).await;
+    let topics = json!({"topics": ["state", "telemetry", "frames"], "max_hz": 100});
+    let begun = socket.call("subscribe", topics).await["states"][0]["seq"].as_u64().unwrap();
+    let reached = |seq: u64| move |state: &Value| state["seq"].as_u64().unwrap() >= seq;
+    // About two seconds, in which much more is told than finds room on the way.
+    let stalled = gateway.until("much has happened", reached(begun + 200)).await["seq"].as_u64().unwrap();
+    let id = socket.begin("fast-stop", json!({})).await;
+    eventually("the device is stopped", async || (proxy.frames.count(0x23) > 0).then_some(())).await;
+    assert!(socket.answer(id).await["result"]["fast_stop_confirmed"] == true);
+    let (mut last, mut jump) = (begun, 0);
+    while last < stalled {
+        let seq = socket.told("state", |_| true).await["seq"].as_u64().unwrap();
+        jump = jump.max(seq - last);
+        last = seq;
+    }
+    // The device tells its state 100 times a second, as often as this client is told at most.
+    assert!(jump > 50, "nothing was left out: the largest step is {jump}");
+}
+
+#[tokio::test]
+async fn the_wire_log_has_the_bytes_that_the_device_got() {
+    let device = Simulator::start(&[]).await;
+    let proxy = Proxy::to(device.address);
+    let gateway = Gateway::connected_to(proxy.address).await;
+    let mut socket = Socket::open(&gateway).await;
+    socket.call("subscribe", json!({"topics": ["frames"], "grippers": ["g"]})).await;
+    let before = proxy.frames.len();
+    socket.call("home", json!({"gripper": "g"})).await;
+    let pending = socket.told("frame", |frame| frame["text"] == "Homing -> E_CMD_PENDING").await;
+    let hex = |id: u8, payload: &[u8]| {
+        let mut bytes = Vec::new();
+        wsg_gateway::wsg::frame::encode(id, payload, &mut bytes);
+        json!(hex::encode(bytes))
+    };
+    assert_eq!((&pending["direction"], &pending["hex"]), (&json!("received"), &hex(0x20, &[26, 0])));
+    let ended = socket.told("frame", |frame| frame["text"] == "Homing -> E_SUCCESS").await;
+    assert!(ended["seq"].as_u64() > pending["seq"].as_u64());
+    socket.call("stop", json!({"gripper": "g"})).await;
+    let sent = socket.told("frame", |frame| frame["direction"] == "sent" && frame["id"] == 0x22).await;
+    assert_eq!((&sent["name"], &sent["text"], &sent["gripper"]), (&json!("Stop"), &json!("Stop"), &json!("g")));
+    let stop = proxy.frames.since(before).into_iter().find(|frame| frame.id == 0x22).unwrap();
+    assert_eq!(sent["hex"], hex(stop.id, &stop.payload));
+}
+
+#[tokio::test]
+async fn decode_follows_the_wire_and_says_when_it_ends() {
+    let (_device, gateway) = connected().await;
+    let mut following = Process::start(&["decode", "--follow", &gateway.url("/api/v1/grippers/g")]);
+    eventually("the wire is followed", async || (following.lines() > 0).then_some(())).await;
+    gateway.post("home", &json!({})).await.outcome("SUCCESS");
+    following.word_after(" g < Homing -> E_CMD_").await;
+    assert_eq!(following.word_after(" g > Homing ").await, "direction=default");
+    gateway.terminate().await;
+    let ended = following.ended().await;
+    assert!(!ended.status.success() && ended.stderr.contains("the gateway has ended it"), "{}", ended.stderr);
+}
+
+#[tokio::test]
+async fn decode_says_why_it_can_follow_nothing() {
+    let (_device, gateway) = connected().await;
+    let said = run(&["decode", "--follow", &gateway.url("/api/v1/grippers/h")]).await.stderr;
+    assert!(said.contains("there is no gripper of this name"), "{said}");
+    let said = run(&["decode", "--follow", "http://127.0.0.1:1"]).await.stderr;
+    assert!(said.contains("no gateway answers at http://127.0.0.1:1"), "{said}");
+}
+
+#[tokio::test]
+async fn every_method_answers_as_it_is_described() {
+    let (_device, gateway) = connected().await;
+    let mut socket = Socket::open(&gateway).await;
+    socket.call("subscribe", json!({"topics": ["state", "telemetry", "events", "frames"]})).await;
+    let motion = json!({"gripper": "g", "width_mm": 50, "speed_mm_s": 400});
+    let finger = json!({"gripper": "g", "finger": 1});
+    for (method, more) in [
+        ("grippers", json!(null)),
+        ("info", json!({})),
+        ("state", json!({})),
+        ("home", json!({"direction": "inner"})),
+        ("move", motion.clone()),
+        ("stop", json!({})),
+        ("settings.acceleration", json!({})),
+        ("settings.acceleration.set", json!({"acceleration_mm_s2": 2000})),
+        ("settings.force-limit", json!({})),
+        ("settings.force-limit.set", json!({"force_n": 40})),
+        ("settings.soft-limits.set", json!({"minus_mm": 10, "plus_mm": 60})),
+        ("settings.soft-limits", json!({})),
+        ("settings.soft-limits.clear", json!({})),
+        ("settings.overdrive", json!({})),
+        ("settings.overdrive.set", json!({"enabled": false})),
+        ("settings.device-tag.set", json!({"tag": "cell 7"})),
+        ("settings.device-tag", json!({})),
+        ("statistics", json!({})),
+        ("statistics.reset", json!({})),
+        ("fingers", finger.clone()),
+        ("loop", json!({"data": "0102"})),
+        ("raw", json!({"id": 80})),
+        ("fast-stop", json!({"reason": "a test"})),
+    ] {
+        let mut params = more;
+        if params.is_object() {
+            params["gripper"] = "g".into();
+        } else {
+            params = json!({});
+        }
+        let answer = socket.call(method, params).await;
+        if answer["phase"] == "running" {
+            socket.told("command", |command| command["id"] == answer["id"]).await;
+        }
+    }
+    let all = socket.call("fast-stop", json!({})).await;
+    assert_eq!(all["confirmed"], json!(["g"]));
+    let mut state = json!({"jsonrpc": "2.0", "method": "state", "params": gateway.state().await});
+    assert!(socket.is_described("state.notification", &state));
+    state["params"]["seq"] = "newest".into();
+    assert!(!socket.is_described("state.notification", &state));
+    let served = gateway.get("/api/v1/asyncapi.yaml").await;
+    assert_eq!(served.body.as_str(), Some(wsg_gateway::frontend::http::asyncapi().unwrap().as_str()));
+}
