@@ -295,3 +295,42 @@ async fn every_method_answers_as_it_is_described() {
     let served = gateway.get("/api/v1/asyncapi.yaml").await;
     assert_eq!(served.body.as_str(), Some(wsg_gateway::frontend::http::asyncapi().unwrap().as_str()));
 }
+
+/// A socket that holds the lease of a homed gripper, and has begun a slow motion.
+async fn moving_holder(gateway: &Gateway, terms: Value) -> Socket {
+    gateway.post("home", &json!({"direction": "outer"})).await.outcome("SUCCESS");
+    let mut socket = Socket::open(gateway).await;
+    let lease = socket.call("lease.take", terms).await;
+    assert_eq!(lease["held"], true);
+    let slowly = json!({"gripper": "g", "width_mm": 5, "speed_mm_s": 10, "lease": lease["token"]});
+    socket.call("move", slowly).await;
+    gateway.until_moving().await;
+    socket
+}
+
+#[tokio::test]
+async fn a_lease_without_a_time_lives_as_long_as_its_socket_whose_end_is_a_loss() {
+    let (_device, gateway) = connected().await;
+    let mut socket = moving_holder(&gateway, json!({"gripper": "g", "holder": "robot"})).await;
+    let lease = socket.call("lease", json!({"gripper": "g"})).await;
+    assert_eq!((&lease["holder"], &lease["expires_in_ms"]), (&json!("robot"), &lease["ttl_ms"]), "it is kept");
+    gateway.post("move", &json!({"width_mm": 50, "speed_mm_s": 50})).await.problem(409, "lease_held");
+    drop(socket);
+    let state = gateway.until("the loss is a FAST STOP", |state| state["fast_stop"] == true).await;
+    assert_eq!((&state["fast_stop_cause"], &state["lease_holder"]), (&json!("client_lost"), &Value::Null), "{state}");
+}
+
+#[tokio::test]
+async fn a_lease_that_was_released_is_not_lost_with_its_socket() {
+    let (_device, gateway) = connected().await;
+    let mut socket = Socket::open(&gateway).await;
+    let lease = socket.call("lease.take", json!({"gripper": "g"})).await;
+    let renewed = socket.call("lease.renew", json!({"gripper": "g", "lease": lease["token"]})).await;
+    assert_eq!(renewed["held"], true);
+    let released = socket.call("lease.release", json!({"gripper": "g", "lease": lease["token"]})).await;
+    assert_eq!(released["held"], false);
+    let moving = gateway.begin("home", &json!({})).await;
+    drop(socket);
+    gateway.command(&moving).await.outcome("SUCCESS");
+    assert_eq!(gateway.state().await["fast_stop"], false);
+}

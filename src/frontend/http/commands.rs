@@ -55,7 +55,8 @@ pub fn told((command, ticket): (Command, Ticket)) -> Response {
         Phase::Done => Json(command).into_response(),
         Phase::Running => {
             let location = format!("{API}/grippers/{}/commands/{}", command.gripper, command.id);
-            (StatusCode::ACCEPTED, [(header::LOCATION, location)], Extension(ticket), Json(command)).into_response()
+            (StatusCode::ACCEPTED, [(header::LOCATION, location)], Extension(ticket.watched()), Json(command))
+                .into_response()
         }
     }
 }

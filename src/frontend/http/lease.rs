@@ -1,8 +1,10 @@
 //! The lease: who may move the gripper.
 
+use std::sync::Arc;
 use std::time::Duration;
 
-use axum::Json;
+use axum::response::IntoResponse;
+use axum::{Extension, Json};
 use serde::Deserialize;
 use utoipa::ToSchema;
 
@@ -12,7 +14,8 @@ use super::extract::{Gripper, GripperPath, LeaseHeader};
 use super::responses::{CommandProblem, LeaseProblem};
 use super::values::{integer, text};
 use crate::gripper::model::lease::{MAX_TTL, MIN_TTL};
-use crate::gripper::model::{Lease, OnLossHolding, OnLossMoving, TakeLease};
+use crate::gripper::model::{Lease, LeaseToken, Name, OnLossHolding, OnLossMoving, TakeLease};
+use crate::gripper::{Granted, Handle, Keep};
 
 type Answer = Result<Json<Lease>, Problem>;
 
@@ -26,6 +29,27 @@ type Answer = Result<Json<Lease>, Problem>;
 )]
 pub async fn get(gripper: Gripper) -> Answer {
     Ok(Json(gripper.handle.lease().await?))
+}
+
+/// A lease that was taken, as a door keeps it that sees its client's end. HTTP, which doesn't, drops it.
+#[derive(Debug)]
+pub struct Taken {
+    handle: Handle,
+    token: LeaseToken,
+    /// Where its taker has not said how long it lives without use: as long as the connection.
+    _keep: Option<Keep>,
+}
+
+impl Taken {
+    /// Of which gripper.
+    pub fn gripper(&self) -> &Name {
+        self.handle.name()
+    }
+
+    /// Its client has gone. One that was released, or is another's by now, stays as it is.
+    pub async fn lose(&self) {
+        self.handle.lose_lease(self.token.clone()).await;
+    }
 }
 
 /// A wish to hold the lease.
@@ -67,7 +91,7 @@ pub struct Take {
     request_body = Option<Take>,
     responses((status = 200, description = "The lease, with its token", body = Lease), LeaseProblem)
 )]
-pub async fn take(gripper: Gripper, Body(body): Body<Take>) -> Answer {
+pub async fn take(gripper: Gripper, Body(body): Body<Take>) -> Result<impl IntoResponse, Problem> {
     let gripper = gripper.with_lease(body.lease.as_deref())?;
     let ttl = |ttl_ms| integer("ttl_ms", ttl_ms, MIN_TTL.as_millis() as u64..=MAX_TTL.as_millis() as u64);
     let holder = body.holder.as_deref().filter(|holder| !holder.is_empty());
@@ -81,7 +105,10 @@ pub async fn take(gripper: Gripper, Body(body): Body<Take>) -> Answer {
         token: gripper.token(),
         client: gripper.client,
     };
-    Ok(Json(gripper.handle.take_lease(take).await?.lease))
+    let (handle, has_ttl) = (gripper.handle, take.ttl.is_some());
+    let Granted { lease, keep } = handle.take_lease(take).await?;
+    let taken = lease.token.clone().map(|token| Taken { handle, token, _keep: keep.filter(|_| !has_ttl) });
+    Ok((taken.map(|taken| Extension(Arc::new(taken))), Json(lease)))
 }
 
 /// Renew the lease

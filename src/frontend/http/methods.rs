@@ -13,6 +13,7 @@ use tower::ServiceExt;
 
 use super::API;
 use super::errors::{Code, Problem};
+use super::lease::Taken;
 use crate::gripper::Ticket;
 use crate::gripper::model::Client;
 
@@ -50,6 +51,11 @@ pub const METHODS: &[Method] = methods! {
     "fast-stop" POST "/grippers/{gripper}/fast-stop";
     "fast-stop" POST "/fast-stop";
     "acknowledge" POST "/grippers/{gripper}/acknowledge";
+    "lease" GET "/grippers/{gripper}/lease";
+    "lease.take" POST "/grippers/{gripper}/lease";
+    "lease.renew" PUT "/grippers/{gripper}/lease";
+    "lease.release" DELETE "/grippers/{gripper}/lease";
+    "lease.hand-over" POST "/grippers/{gripper}/lease/hand-over";
     "command" GET "/grippers/{gripper}/commands/{command}";
     "cancel" POST "/grippers/{gripper}/commands/{command}/cancel" command;
     "grippers" GET "/grippers";
@@ -90,6 +96,8 @@ pub struct Answer {
     pub body: Box<RawValue>,
     /// The command that was begun, and has not ended.
     pub running: Option<Ticket>,
+    /// The lease that was taken.
+    pub lease: Option<Arc<Taken>>,
 }
 
 /// What an operation was refused with.
@@ -137,7 +145,8 @@ impl Methods {
         let bytes = body.collect().await.map_err(|error| broken(error.to_string()))?.to_bytes();
         let body: Box<RawValue> = serde_json::from_slice(&bytes).map_err(|error| broken(error.to_string()))?;
         if parts.status.is_success() {
-            Ok(Answer { body, running: parts.extensions.remove() })
+            let (running, lease) = (parts.extensions.remove(), parts.extensions.remove());
+            Ok(Answer { body, running, lease })
         } else {
             Err(Refusal { status: parts.status, problem: body })
         }
@@ -166,7 +175,7 @@ fn request(name: &str, params: Value) -> Result<Request<Body>, Problem> {
     if method.is_command {
         path.push_str("?wait_ms=0");
     }
-    let has_body = matches!(*method.verb, Verb::POST | Verb::PUT);
+    let has_body = *method.verb != Verb::GET;
     if let (false, Some(field)) = (has_body, params.keys().next()) {
         let field = shortened(field);
         return Err(Problem::malformed(&field, format!("unknown field `{field}`: {name} has none of this name")));

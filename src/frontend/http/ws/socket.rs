@@ -4,6 +4,7 @@
 //! are: states and telemetry are replaced by newer ones there, and events and frames fall behind and are told as a gap.
 //! Requests are read meanwhile, so that a FAST STOP of a client that reads nothing stops all the same.
 
+use std::collections::HashMap;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -19,11 +20,12 @@ use super::outgoing::Outgoing;
 use super::rpc::{self, Answer, Call, Incoming};
 use crate::frontend::http::Context;
 use crate::frontend::http::errors::{Code, Problem};
+use crate::frontend::http::lease::Taken;
 use crate::frontend::http::methods::{FAST_STOP, Methods, Refusal};
 use crate::frontend::http::stream::ticks;
 use crate::frontend::updates::{Notification, Subscription};
 use crate::gripper::Ticket;
-use crate::gripper::model::{Client, Command};
+use crate::gripper::model::{Client, Command, Name};
 
 /// How often a client is asked for a sign of life.
 const PINGED_EVERY: Duration = Duration::from_secs(1);
@@ -62,6 +64,8 @@ pub struct Socket {
     /// Commands that were answered, and have not ended.
     running: FuturesUnordered<BoxFuture<'static, Command>>,
     following: Option<(Subscription, Interval)>,
+    /// The newest of each gripper that was taken here. It is lost with the socket, unless it was released.
+    leases: HashMap<Name, Arc<Taken>>,
     pings: Interval,
     last_pong: Instant,
 }
@@ -72,6 +76,7 @@ struct Done {
     requests: usize,
     answer: Option<String>,
     running: Vec<Ticket>,
+    leases: Vec<Arc<Taken>>,
     following: Option<Following>,
 }
 
@@ -80,6 +85,7 @@ struct Done {
 struct Answered {
     answer: Option<Answer>,
     running: Option<Ticket>,
+    lease: Option<Arc<Taken>>,
     following: Option<Following>,
 }
 
@@ -109,6 +115,7 @@ impl Socket {
             under_way: 0,
             running: FuturesUnordered::new(),
             following: None,
+            leases: HashMap::new(),
             pings: tokio::time::interval(PINGED_EVERY),
             last_pong: Instant::now(),
         }
@@ -118,6 +125,10 @@ impl Socket {
     pub async fn run(mut self) {
         let end = self.serve().await;
         tracing::debug!(client = %self.client.subject, ?end, "a WebSocket has ended");
+        // A gateway that ends has given its grippers up already.
+        for lease in self.leases.values().filter(|_| end != End::Closing) {
+            lease.lose().await;
+        }
         let (code, reason) = match end {
             End::Closing => (close_code::AWAY, "the gateway ends"),
             End::Lost => (close_code::POLICY, "pings were not answered"),
@@ -211,6 +222,7 @@ impl Socket {
                     Ok((told, following)) => Answered {
                         answer: id.map(|id| Answer::new(id, told)),
                         following: Some(following),
+                        lease: None,
                         running: None,
                     },
                     Err(problem) => {
@@ -237,6 +249,7 @@ impl Socket {
                     // Who doesn't hear of its beginning hears nothing of its end.
                     running: told.running.filter(|_| id.is_some()),
                     answer: id.map(|id| Answer::new(id, Ok(told.body))),
+                    lease: told.lease,
                     following: None,
                 },
                 Err(refusal) => {
@@ -255,6 +268,7 @@ impl Socket {
                 self.running.push(async move { ticket.ended().await }.boxed());
             }
         }
+        self.leases.extend(done.leases.into_iter().map(|lease| (lease.gripper().clone(), lease)));
         if let Some(Following { updates, max_hz }) = done.following {
             self.following = Some((updates, ticks(max_hz)));
         }
@@ -268,6 +282,7 @@ impl Done {
         for answered in all {
             answers.extend(answered.answer);
             done.running.extend(answered.running);
+            done.leases.extend(answered.lease);
             done.following = answered.following.or(done.following);
         }
         let json = match answers.as_slice() {
