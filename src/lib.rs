@@ -7,7 +7,7 @@
 //! | [`wsg`] | the protocol, sans-IO: frames, commands, replies, and the [session](wsg::session) on a link |
 //! | [`transport`] | byte pipes to devices; knows nothing of the protocol |
 //! | [`gripper`] | one actor per gripper, the only owner of its state; everyone else has a [handle](gripper::Handle) |
-//! | [`frontend`] | the doors: [HTTP](frontend::http) |
+//! | [`frontend`] | the doors: [HTTP](frontend::http), with WebSocket; and the [updates](frontend::updates) that they share |
 //! | [`journal`] | events and grip records that outlive the gateway, in SQLite |
 //! | [`sim`] | a device, modelled from the manual: a pure machine, with faults |
 //! | [`config`] | file, environment and flags to validated types; nothing else reads them |
@@ -16,14 +16,16 @@
 //!
 //! Data's way in: a door parses once and admits nothing; it hands a [`gripper::model`] value to the gripper's handle; the
 //! [actor](gripper::actor) decides, and hands a request to the session; the session makes bytes. The way out: bytes,
-//! session event, the actor's state, one watch of the newest state. The device side runs on a runtime of its own, so
-//! that no number of clients can delay a FAST STOP.
+//! session event, the actor's state, one watch of the newest state; [updates](frontend::updates) are serialised once, and
+//! their bytes shared by all clients. The device side runs on a runtime of its own, so that no number of clients can
+//! delay a FAST STOP.
 //!
 //! # Invariants
 //!
 //! Each has a test by its name, on the frames that the device received: `frame_sent_at_most_once`,
 //! `nothing_moves_unasked`, `fast_stop_overtakes`, `latch_blocks_motion`, `acknowledge_names_its_latch`,
-//! `every_command_ends_once`, `unknown_is_said`, `announce_before_close`, `device_refusal_is_not_our_error`.
+//! `every_command_ends_once`, `unknown_is_said`, `announce_before_close`, `device_refusal_is_not_our_error`,
+//! `observers_never_block`.
 //!
 //! FAST STOP is not a safety function in the sense of ISO 13850.
 

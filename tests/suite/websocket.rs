@@ -173,7 +173,7 @@ async fn who_answers_no_ping_is_closed_and_who_does_is_not() {
 }
 
 #[tokio::test]
-async fn a_client_that_reads_nothing_stops_all_the_same_and_then_reads_the_newest() {
+async fn observers_never_block() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
     let gateway = Gateway::connected_to(proxy.address).await;

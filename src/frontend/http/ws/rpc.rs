@@ -1,12 +1,12 @@
 //! JSON-RPC 2.0: requests taken apart, answers put together.
 
+use axum::http::StatusCode;
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use serde_json::value::RawValue;
 
 use crate::frontend::http::errors::{Code, Problem};
 use crate::frontend::http::methods::{FAST_STOP, Refusal};
-use axum::http::StatusCode;
 
 /// The requests of one batch at most.
 pub const MAX_BATCH: usize = 32;

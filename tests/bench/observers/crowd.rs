@@ -1,0 +1,180 @@
+//! The observers.
+
+use std::io::BufRead;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI64, AtomicU64, Ordering};
+use std::time::Duration;
+
+use futures_util::{SinkExt, StreamExt};
+use rumqttc::{AsyncClient, Event, MqttOptions, Packet, QoS};
+use serde_json::{Value, json};
+use tokio_tungstenite::tungstenite::Message;
+use tokio_tungstenite::tungstenite::client::IntoClientRequest;
+use tokio_tungstenite::tungstenite::http::HeaderValue;
+use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async};
+
+use super::{Error, number};
+
+type Socket = WebSocketStream<MaybeTlsStream<tokio::net::TcpStream>>;
+
+/// A telemetry notification, as long as the gateway's.
+const PAYLOAD: &str = r#"{"jsonrpc":"2.0","method":"telemetry","params":{"gripper":"g","seq":12345,"at":"2026-11-21T16:00:00.123Z","width_mm":null,"speed_mm_s":0.0,"force_n":0.0,"state":"IDLE","flags_raw":262144}}"#;
+
+/// Requests of the flood that are under way.
+const UNDER_WAY: usize = 8;
+
+/// How long one that reads nothing stays: the gateway closes it before.
+const STALLS_FOR: Duration = Duration::from_secs(5);
+
+#[derive(Default)]
+struct Seen {
+    ready: AtomicU64,
+    delivered: AtomicU64,
+    refused: AtomicU64,
+    /// The newest event that anybody has.
+    newest: AtomicI64,
+    /// Of each observer, the newest event up to which it has all.
+    all_until: Vec<AtomicI64>,
+}
+
+/// Observes, and reports a line for each line of input. The first one comes when all are there.
+pub fn run(what: &str, address: &str) -> Result<(), Error> {
+    let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
+    let (observers, stalled) = (number("OBSERVERS", 1000), number("STALLED", 100));
+    let healthy = observers - stalled;
+    let seen = Arc::new(Seen { all_until: (0..healthy).map(|_| AtomicI64::new(0)).collect(), ..Seen::default() });
+    for index in 0..healthy {
+        let (seen, address) = (seen.clone(), address.to_owned());
+        match what {
+            "mqtt" => drop(runtime.spawn(async move { tell("subscriber", subscriber(index, &address, &seen).await) })),
+            _ => drop(runtime.spawn(async move { tell("observer", observer(index, &address, &seen).await) })),
+        }
+        // Not so fast that the listener's backlog overflows.
+        std::thread::sleep(Duration::from_millis(2));
+    }
+    if what == "mqtt" {
+        let address = address.to_owned();
+        runtime.spawn(async move { tell("publisher", publisher(&address).await) });
+    } else {
+        for _ in 0..stalled {
+            let address = address.to_owned();
+            runtime.spawn(async move { tell("one that stalls", staller(&address).await) });
+        }
+        let (seen, address) = (seen.clone(), address.to_owned());
+        runtime.spawn(async move { tell("flood", flood(&address, &seen).await) });
+    }
+    while seen.ready.load(Ordering::Relaxed) < healthy as u64 {
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    for line in std::io::stdin().lock().lines() {
+        line?;
+        let newest = seen.newest.load(Ordering::Relaxed);
+        let complete = seen.all_until.iter().filter(|until| until.load(Ordering::Relaxed) == newest).count();
+        let count = |counter: &AtomicU64| counter.load(Ordering::Relaxed);
+        println!(
+            "{}",
+            json!({"delivered": count(&seen.delivered), "complete": complete, "incomplete": healthy - complete,
+                "refused": count(&seen.refused)})
+        );
+    }
+    Ok(())
+}
+
+fn tell(who: &str, ended: Result<(), Error>) {
+    eprintln!("{who} has ended: {ended:?}");
+}
+
+async fn connect(address: &str) -> Result<Socket, Error> {
+    let mut request = format!("ws://{address}/api/v1/ws").into_client_request()?;
+    request.headers_mut().insert("Sec-WebSocket-Protocol", HeaderValue::from_static("wsg.v1"));
+    Ok(connect_async(request).await?.0)
+}
+
+async fn subscribe(socket: &mut Socket) -> Result<i64, Error> {
+    let params = json!({"topics": ["telemetry", "events"], "max_hz": number("HZ", 50)});
+    let request = json!({"jsonrpc": "2.0", "id": 1, "method": "subscribe", "params": params});
+    socket.send(Message::text(request.to_string())).await?;
+    let answer = socket.next().await.ok_or("no answer")??;
+    let answer: Value = serde_json::from_str(answer.to_text()?).unwrap_or_default();
+    Ok(answer["result"]["event_seq"].as_i64().unwrap_or_default())
+}
+
+async fn observer(index: usize, address: &str, seen: &Seen) -> Result<(), Error> {
+    let mut socket = connect(address).await?;
+    let mut last = loop {
+        // A ping may come first.
+        let seq = subscribe(&mut socket).await?;
+        if seq > 0 {
+            break seq;
+        }
+    };
+    seen.ready.fetch_add(1, Ordering::Relaxed);
+    seen.all_until[index].store(last, Ordering::Relaxed);
+    while let Some(message) = socket.next().await {
+        let Message::Text(text) = message? else { continue };
+        seen.delivered.fetch_add(1, Ordering::Relaxed);
+        if !text.contains(r#""method":"event""#) {
+            continue;
+        }
+        let event: Value = serde_json::from_str(&text)?;
+        let seq = event["params"]["seq"].as_i64().ok_or("no seq")?;
+        if seq == last + 1 {
+            seen.all_until[index].store(seq, Ordering::Relaxed);
+            last = seq;
+        }
+        seen.newest.fetch_max(seq, Ordering::Relaxed);
+    }
+    Ok(())
+}
+
+async fn staller(address: &str) -> Result<(), Error> {
+    loop {
+        let mut socket = connect(address).await?;
+        subscribe(&mut socket).await?;
+        tokio::time::sleep(STALLS_FOR).await;
+    }
+}
+
+async fn flood(address: &str, seen: &Seen) -> Result<(), Error> {
+    let mut socket = connect(address).await?;
+    let params = json!({"gripper": "g", "width_mm": 5000, "speed_mm_s": 50});
+    let request = json!({"jsonrpc": "2.0", "id": 1, "method": "move", "params": params}).to_string();
+    for _ in 0..UNDER_WAY {
+        socket.send(Message::text(request.clone())).await?;
+    }
+    while let Some(message) = socket.next().await {
+        if message?.is_text() {
+            seen.refused.fetch_add(1, Ordering::Relaxed);
+            socket.send(Message::text(request.clone())).await?;
+        }
+    }
+    Ok(())
+}
+
+fn options(name: &str, address: &str) -> Result<MqttOptions, Error> {
+    let (host, port) = address.split_once(':').ok_or("no port")?;
+    Ok(MqttOptions::new(name, host, port.parse()?))
+}
+
+async fn subscriber(index: usize, address: &str, seen: &Seen) -> Result<(), Error> {
+    let (client, mut events) = AsyncClient::new(options(&format!("s{index}"), address)?, 10);
+    client.subscribe("telemetry", QoS::AtMostOnce).await?;
+    loop {
+        match events.poll().await? {
+            Event::Incoming(Packet::SubAck(_)) => drop(seen.ready.fetch_add(1, Ordering::Relaxed)),
+            Event::Incoming(Packet::Publish(_)) => drop(seen.delivered.fetch_add(1, Ordering::Relaxed)),
+            _ => {}
+        }
+    }
+}
+
+async fn publisher(address: &str) -> Result<(), Error> {
+    let (client, mut events) = AsyncClient::new(options("publisher", address)?, 10);
+    let mut ticks = tokio::time::interval(Duration::from_secs(1) / number("HZ", 50) as u32);
+    loop {
+        tokio::select! {
+            event = events.poll() => drop(event?),
+            _ = ticks.tick() => client.publish("telemetry", QoS::AtMostOnce, false, PAYLOAD).await?,
+        }
+    }
+}
