@@ -45,7 +45,7 @@ pub fn document() -> Value {
         let reply =
             json!({"channel": reference("channels", "ws"), "messages": [of_channel(&answer), of_channel("error")]});
         operations.insert(name.to_owned(), operation("receive", name, summary, Some(reply)));
-        messages.insert(name.to_owned(), json!({"name": name, "payload": request(name, params)}));
+        messages.insert(name.to_owned(), json!({"name": name, "payload": request(name, &params)}));
         messages.insert(answer.clone(), json!({"name": answer, "payload": answered("result", result)}));
     };
     let follow = "Follow states, telemetry, events or frames. It replaces what was followed before";
@@ -65,7 +65,7 @@ pub fn document() -> Value {
         let params = reference("components/schemas", schema);
         // `command` is a method, too.
         let message = format!("{name}.notification");
-        messages.insert(message.clone(), json!({"name": message, "payload": notification(name, params)}));
+        messages.insert(message.clone(), json!({"name": message, "payload": notification(name, &params)}));
         operations.insert(message.clone(), operation("send", &message, summary, None));
     }
     messages.insert("error".to_owned(), json!({"name": "error", "payload": answered("error", error())}));
@@ -134,13 +134,13 @@ fn operation(action: &str, message: &str, summary: &str, reply: Option<Value>) -
     operation
 }
 
-fn notification(method: &str, params: Value) -> Value {
+fn notification(method: &str, params: &Value) -> Value {
     let properties = json!({"jsonrpc": {"const": "2.0"}, "method": {"const": method}, "params": params});
     json!({"type": "object", "required": ["jsonrpc", "method", "params"], "properties": properties})
 }
 
 /// A request. Without an `id` it is not answered.
-fn request(method: &str, params: Value) -> Value {
+fn request(method: &str, params: &Value) -> Value {
     let needs_params = params["required"].as_array().is_some_and(|required| !required.is_empty());
     let mut request = notification(method, params);
     request["properties"]["id"] = json!({"type": ["string", "number", "null"]});

@@ -95,7 +95,8 @@ impl Updates {
         if topics.contains(&Topic::Frames) {
             queued.extend(sources.iter().map(|source| queued::frames((*source).clone()).boxed()));
         }
-        let watched = |source: &&Arc<Source>| Watched { source: (*source).clone(), states: source.handle.states(), seq: 0 };
+        let watched =
+            |source: &&Arc<Source>| Watched { source: (*source).clone(), states: source.handle.states(), seq: 0 };
         Subscription { watched: sources.iter().map(watched).collect(), topics, queued }
     }
 

@@ -46,22 +46,22 @@ pub fn run(what: &str, address: &str) -> Result<(), Error> {
     for index in 0..healthy {
         let (seen, address) = (seen.clone(), address.to_owned());
         match what {
-            "mqtt" => drop(runtime.spawn(async move { tell("subscriber", subscriber(index, &address, &seen).await) })),
-            _ => drop(runtime.spawn(async move { tell("observer", observer(index, &address, &seen).await) })),
+            "mqtt" => drop(runtime.spawn(async move { tell("subscriber", &subscriber(index, &address, &seen).await) })),
+            _ => drop(runtime.spawn(async move { tell("observer", &observer(index, &address, &seen).await) })),
         }
         // Not so fast that the listener's backlog overflows.
         std::thread::sleep(Duration::from_millis(2));
     }
     if what == "mqtt" {
         let address = address.to_owned();
-        runtime.spawn(async move { tell("publisher", publisher(&address).await) });
+        runtime.spawn(async move { tell("publisher", &publisher(&address).await) });
     } else {
         for _ in 0..stalled {
             let address = address.to_owned();
-            runtime.spawn(async move { tell("one that stalls", staller(&address).await) });
+            runtime.spawn(async move { tell("one that stalls", &staller(&address).await) });
         }
         let (seen, address) = (seen.clone(), address.to_owned());
-        runtime.spawn(async move { tell("flood", flood(&address, &seen).await) });
+        runtime.spawn(async move { tell("flood", &flood(&address, &seen).await) });
     }
     while seen.ready.load(Ordering::Relaxed) < healthy as u64 {
         std::thread::sleep(Duration::from_millis(10));
@@ -80,7 +80,7 @@ pub fn run(what: &str, address: &str) -> Result<(), Error> {
     Ok(())
 }
 
-fn tell(who: &str, ended: Result<(), Error>) {
+fn tell(who: &str, ended: &Result<(), Error>) {
     eprintln!("{who} has ended: {ended:?}");
 }
 

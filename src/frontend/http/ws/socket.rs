@@ -9,6 +9,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::extract::ws::{CloseFrame, Message, WebSocket, close_code};
+use axum::http::StatusCode;
 use futures_util::future::{BoxFuture, FutureExt as _, join_all};
 use futures_util::stream::{FuturesUnordered, SplitStream, StreamExt as _};
 use serde_json::value::{RawValue, to_raw_value};
@@ -22,8 +23,8 @@ use crate::frontend::http::Context;
 use crate::frontend::http::errors::{Code, Problem};
 use crate::frontend::http::lease::Taken;
 use crate::frontend::http::methods::{FAST_STOP, Methods, Refusal};
-use crate::frontend::http::stream::ticks;
-use crate::frontend::updates::{Notification, Subscription};
+use crate::frontend::metrics::Connected;
+use crate::frontend::updates::{Notification, Pace, Subscription};
 use crate::gripper::Ticket;
 use crate::gripper::model::{Client, Command, Name};
 
@@ -63,11 +64,12 @@ pub struct Socket {
     under_way: usize,
     /// Commands that were answered, and have not ended.
     running: FuturesUnordered<BoxFuture<'static, Command>>,
-    following: Option<(Subscription, Interval)>,
+    following: Option<(Subscription, Pace)>,
     /// The newest of each gripper that was taken here. It is lost with the socket, unless it was released.
     leases: HashMap<Name, Arc<Taken>>,
     pings: Interval,
     last_pong: Instant,
+    _connected: Connected,
 }
 
 /// A message that was worked off.
@@ -118,6 +120,7 @@ impl Socket {
             leases: HashMap::new(),
             pings: tokio::time::interval(PINGED_EVERY),
             last_pong: Instant::now(),
+            _connected: context.ws_metrics.connected(),
         }
     }
 
@@ -173,7 +176,8 @@ impl Socket {
                         self.outgoing.push(Message::Ping(axum::body::Bytes::new()));
                     }
                 }
-                told = updates(&mut self.following), if may_tell => {
+                (told, dropped) = updates(&mut self.following), if may_tell => {
+                    self.context.ws_metrics.dropped(dropped);
                     self.outgoing.push_all(told.into_iter().map(|told| Message::Text(told.text())));
                 }
             }
@@ -242,9 +246,12 @@ impl Socket {
             let refused = refused(Problem::new(Code::Overloaded, detail));
             return ready(Answered { answer: id.map(|id| Answer::new(id, refused)), ..Answered::default() });
         }
-        let (methods, client) = (self.methods.clone(), self.client.clone());
+        let (methods, client, metrics) = (self.methods.clone(), self.client.clone(), self.context.ws_metrics.clone());
         async move {
-            match methods.call(client, &method, params).await {
+            let told = methods.call(client, &method, params).await;
+            let status = told.as_ref().map_or_else(|refusal| refusal.status, |_| StatusCode::OK);
+            metrics.answered(Some(&method), "CALL", status.as_u16());
+            match told {
                 Ok(told) => Answered {
                     // Who doesn't hear of its beginning hears nothing of its end.
                     running: told.running.filter(|_| id.is_some()),
@@ -270,7 +277,7 @@ impl Socket {
         }
         self.leases.extend(done.leases.into_iter().map(|lease| (lease.gripper().clone(), lease)));
         if let Some(Following { updates, max_hz }) = done.following {
-            self.following = Some((updates, ticks(max_hz)));
+            self.following = Some((updates, Pace::new(max_hz as u32)));
         }
     }
 }
@@ -314,13 +321,13 @@ fn end_of(error: axum::Error) -> End {
 }
 
 /// What is to be told next: the newest states and telemetry when their time has come, or events and frames, with what
-/// else of them is there already. Cancelled without loss.
-async fn updates(following: &mut Option<(Subscription, Interval)>) -> Vec<Notification> {
-    let Some((updates, ticks)) = following else { return std::future::pending().await };
+/// else of them is there already; and how many were dropped for newer ones. Cancelled without loss.
+async fn updates(following: &mut Option<(Subscription, Pace)>) -> (Vec<Notification>, u64) {
+    let Some((updates, pace)) = following else { return std::future::pending().await };
     let has_states = updates.has_states();
     let mut told = tokio::select! {
         biased;
-        _ = ticks.tick(), if has_states => return updates.newest(),
+        missed = pace.next(), if has_states => return updates.newest(missed),
         Some(told) = updates.next() => vec![told],
         else => return std::future::pending().await,
     };
@@ -329,5 +336,5 @@ async fn updates(following: &mut Option<(Subscription, Interval)>) -> Vec<Notifi
     {
         told.push(next);
     }
-    told
+    (told, 0)
 }
