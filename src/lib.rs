@@ -17,8 +17,8 @@
 //! Data's way in: a door parses once and admits nothing; it hands a [`gripper::model`] value to the gripper's handle; the
 //! [actor](gripper::actor) decides, and hands a request to the session; the session makes bytes. The way out: bytes,
 //! session event, the actor's state, one watch of the newest state; [updates](frontend::updates) are serialised once, and
-//! their bytes shared by all clients. The device side runs on a runtime of its own, so that no number of clients can
-//! delay a FAST STOP.
+//! their bytes shared by all clients. The device side runs on a runtime of its own, and so do WebSockets, so that no
+//! number of clients delays a FAST STOP by much.
 //!
 //! # Invariants
 //!

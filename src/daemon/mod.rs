@@ -35,7 +35,10 @@ pub fn run(config: &Config) -> anyhow::Result<()> {
     // The device side has a runtime of its own, so that no number of clients can delay a FAST STOP.
     let devices = Builder::new_multi_thread().worker_threads(1).thread_name("device").enable_all().build()?;
     let clients = runtime()?;
-    clients.block_on(run_gateway(config, &devices))?;
+    // And what a thousand observers are told must not delay a request, a FAST STOP least of all.
+    let sockets = Builder::new_multi_thread().worker_threads(1).thread_name("sockets").enable_all().build()?;
+    clients.block_on(run_gateway(config, &devices, &sockets))?;
+    sockets.shutdown_background();
     devices.shutdown_background();
     Ok(())
 }
@@ -61,7 +64,7 @@ pub fn check(config: &Config) -> Result<(), Mistake> {
     Ok(())
 }
 
-async fn run_gateway(config: &Config, devices: &Runtime) -> anyhow::Result<()> {
+async fn run_gateway(config: &Config, devices: &Runtime, sockets: &Runtime) -> anyhow::Result<()> {
     let stop = stop_signal()?;
     // Before any gripper is connected: a port that is taken must not cost a connect and a disconnect.
     let listener = TcpListener::bind(config.listen).await.with_context(|| {
@@ -84,6 +87,7 @@ async fn run_gateway(config: &Config, devices: &Runtime) -> anyhow::Result<()> {
         refusals: refusals.clone(),
         updates: Arc::new(Updates::new(&fleet, journal.clone())),
         closing: shutdown.child_token(),
+        sockets: sockets.handle().clone(),
         metrics: frontend::metrics::Metrics::register(&registry, "http")?,
         ws_metrics: frontend::metrics::Metrics::register(&registry, "ws")?,
         registry,

@@ -78,6 +78,8 @@ pub struct Context {
     pub updates: Arc<Updates>,
     /// Ends the streams when the gateway ends.
     pub closing: CancellationToken,
+    /// Where WebSockets run, so that what they are told delays no request.
+    pub sockets: tokio::runtime::Handle,
     /// What this door counts.
     pub metrics: Metrics,
     /// What WebSocket counts.
@@ -99,7 +101,20 @@ impl Context {
         let registry = Registry::new();
         let [metrics, ws_metrics] = ["http", "ws"].map(|door| Metrics::register(&registry, door).unwrap());
         let (closing, allowed_hosts) = (CancellationToken::new(), Vec::new());
-        Self { gateway, fleet, journal, refusals, updates, closing, metrics, ws_metrics, registry, allowed_hosts }
+        let sockets = tokio::runtime::Handle::current();
+        Self {
+            gateway,
+            fleet,
+            journal,
+            refusals,
+            updates,
+            closing,
+            sockets,
+            metrics,
+            ws_metrics,
+            registry,
+            allowed_hosts,
+        }
     }
 }
 

@@ -70,9 +70,15 @@ pub async fn open(
         .read_buffer_size(READ_BYTES)
         .write_buffer_size(WRITE_BYTES)
         .max_write_buffer_size(MAX_UNWRITTEN_BYTES);
-    Ok(upgrade.on_upgrade(move |socket| async move {
-        Socket::new(socket, client, methods, &context).run().await;
-        // Its place is free only now.
-        drop(guest);
+    Ok(upgrade.on_upgrade(async move |socket| {
+        let sockets = context.sockets.clone();
+        let served = sockets.spawn(async move {
+            Socket::new(socket, client, methods, &context).run().await;
+            // Its place is free only now.
+            drop(guest);
+        });
+        if let Err(error) = served.await {
+            tracing::error!(%error, "a WebSocket has panicked");
+        }
     }))
 }
