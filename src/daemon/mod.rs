@@ -26,6 +26,9 @@ use crate::gripper::{self, Connector, Fleet, Handle, Now};
 use crate::journal::{self, Journal, Recovered};
 pub use simulation::{Served, SimulatedDevice, Switch, serve as serve_device, serve_simulated};
 
+/// How much the observers' thread gives way to others (`nice`): of 0 to 19 enough that the kernel prefers any of those.
+const NICE: i32 = 10;
+
 /// Runs the gateway until SIGTERM or SIGINT.
 ///
 /// # Errors
@@ -35,12 +38,21 @@ pub fn run(config: &Config) -> anyhow::Result<()> {
     // The device side has a runtime of its own, so that no number of clients can delay a FAST STOP.
     let devices = Builder::new_multi_thread().worker_threads(1).thread_name("device").enable_all().build()?;
     let clients = runtime()?;
-    // And what a thousand observers are told must not delay a request, a FAST STOP least of all.
-    let sockets = Builder::new_multi_thread().worker_threads(1).thread_name("sockets").enable_all().build()?;
+    let sockets = sockets()?;
     clients.block_on(run_gateway(config, &devices, &sockets))?;
     sockets.shutdown_background();
     devices.shutdown_background();
     Ok(())
+}
+
+/// What a thousand observers are told must not delay a request, a FAST STOP least of all: so it has a runtime of its own,
+/// whose thread gives way to all others.
+fn sockets() -> std::io::Result<Runtime> {
+    let give_way = || {
+        // Where a system has no such priorities it goes on without.
+        let _ = rustix::process::setpriority_process(None, NICE);
+    };
+    Builder::new_multi_thread().worker_threads(1).thread_name("sockets").on_thread_start(give_way).enable_all().build()
 }
 
 /// A runtime for everything but devices.
