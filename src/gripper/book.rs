@@ -143,6 +143,13 @@ impl Book {
         self.bound.push_back((since, key));
     }
 
+    /// The device has accepted a command: its clients are told at once.
+    pub(super) fn accepted(&self, id: CommandId) {
+        if let Some(entry) = self.commands.get(&id) {
+            entry.record.send_modify(|command| Arc::make_mut(command).accepted = true);
+        }
+    }
+
     /// A command's record is durable, or is not waited for any longer: its client may be told of it.
     pub(super) fn recorded(&mut self, id: CommandId) {
         if let Some(entry) = self.commands.get(&id) {

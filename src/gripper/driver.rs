@@ -18,6 +18,7 @@ use super::clock::{Now, sleep_until};
 use super::connector::Connector;
 use super::handle::{FastStopRequest, Handle, MAX_WAITING_FAST_STOPS, MAX_WAITING_REQUESTS, Request};
 use super::model::CommandId;
+use super::observed;
 use super::recorder::{Health, Recollection, Record, Recorder};
 use crate::transport::Pipe;
 use crate::wsg::Command;
@@ -47,6 +48,7 @@ pub fn spawn(
     let (requests, request_queue) = mpsc::channel(MAX_WAITING_REQUESTS);
     let (fast_stops, fast_stop_queue) = mpsc::channel(MAX_WAITING_FAST_STOPS);
     let (name, read_ids) = (config.name.clone(), Arc::new(config.read_ids.clone()));
+    let update_period_ms = observed::period_ms(config.traits.bytes_per_second);
     let (mut actor, watches) = Actor::new(config);
     actor.recollect(Now::read(), recollection);
     let health = recorder.health();
@@ -63,7 +65,7 @@ pub fn spawn(
     };
     tokio::spawn(driver.run());
     let super::actor::Watches { state, info, frames, .. } = watches;
-    Handle { name, requests, fast_stops, state, info, read_ids, frames }
+    Handle { name, requests, fast_stops, state, info, read_ids, frames, update_period_ms }
 }
 
 struct Driver {

@@ -70,7 +70,8 @@ pub fn gripper(name: &str, script: Script) -> (Handle, mpsc::UnboundedReceiver<S
     tokio::spawn(actor.run(asked, stopped));
     let (info, read_ids) = (watch::channel(Arc::new(info)).1, Arc::new([READ_ID].into()));
     let frames = broadcast::Sender::new(1);
-    (Handle { name, requests, fast_stops, state, info, read_ids, frames }, looked_at)
+    let handle = Handle { name, requests, fast_stops, state, info, read_ids, frames, update_period_ms: 10 };
+    (handle, looked_at)
 }
 
 struct Actor {

@@ -122,6 +122,13 @@ impl Ticket {
         changed
     }
 
+    /// The command when the device has accepted it, or when it has ended without that.
+    pub async fn accepted(&mut self) -> Command {
+        // An actor that is gone accepts nothing any more: the record says how far the command came.
+        let _ = self.record.wait_for(|command| command.accepted || command.phase == Phase::Done).await;
+        self.now()
+    }
+
     /// The command when it has ended, or as it is when its gripper is given up.
     pub async fn ended(&mut self) -> Command {
         // The actor's end is no error here: the record says how far the command came.
@@ -147,6 +154,7 @@ pub struct Handle {
     pub(super) info: watch::Receiver<Arc<Info>>,
     pub(super) read_ids: Arc<BTreeSet<u8>>,
     pub(super) frames: broadcast::Sender<Arc<Frame>>,
+    pub(super) update_period_ms: u16,
 }
 
 impl Handle {
@@ -178,6 +186,12 @@ impl Handle {
     #[must_use]
     pub fn frames(&self) -> broadcast::Receiver<Arc<Frame>> {
         self.frames.subscribe()
+    }
+
+    /// How often the device tells its state.
+    #[must_use]
+    pub fn update_period_ms(&self) -> u16 {
+        self.update_period_ms
     }
 
     /// What is known of the device. Costs the device nothing.

@@ -189,6 +189,12 @@ impl Leasing {
         }
     }
 
+    /// Whether this client may take it without asking anybody.
+    pub(super) fn is_free_for(&self, client: &Client) -> bool {
+        let holder = Holder { name: client.subject.clone(), client: client.clone() };
+        self.held.is_none() && self.reserved.as_ref().is_none_or(|reserved| reserved.is(&holder))
+    }
+
     pub(super) fn stale(&self) -> Conflict {
         Conflict::StaleLease { epoch: self.epoch, holder: self.holder().map(|holder| holder.name.clone()) }
     }

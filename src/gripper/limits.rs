@@ -3,7 +3,7 @@
 
 use super::error::Invalid;
 use super::model::Motion;
-use crate::wsg::{Command, Force, SoftLimits, SystemLimits, Width};
+use crate::wsg::{Acceleration, Command, Force, NotFinite, SoftLimits, Speed, SystemLimits, Width};
 
 /// Widths beyond any gripper of the family, in mm; the speeds, accelerations and forces below likewise.
 pub const WIDEST_MM: f32 = 1000.0;
@@ -52,10 +52,7 @@ impl Limits {
     pub(super) fn check_setting(&self, command: &Command) -> Result<(), Invalid> {
         match command {
             Command::SetAcceleration(acceleration) => {
-                let range = self.system.map_or((0.0, HARDEST_MM_S2, ANY_DEVICE), |system| {
-                    (system.min_acceleration.mm_s2(), system.max_acceleration.mm_s2(), DEVICE)
-                });
-                in_range("acceleration_mm_s2", acceleration.mm_s2(), range)
+                in_range("acceleration_mm_s2", acceleration.mm_s2(), self.accelerations())
             }
             Command::SetForceLimit(force) => self.check_force(*force),
             Command::SetSoftLimits(limits) => {
@@ -63,6 +60,47 @@ impl Limits {
                 in_range("plus_mm", limits.plus().mm(), self.widths())
             }
             _ => Ok(()),
+        }
+    }
+
+    /// What a device makes of a motion that goes beyond its physical limits (`fw4-en 3.2.2`); what the soft limits
+    /// forbid stays forbidden.
+    pub(super) fn clamp_motion(&self, motion: Motion, width: Option<f32>) -> Motion {
+        let (_, widest, _) = self.widths();
+        let target = |target: Width| clamped(target, target.mm(), (0.0, widest), Width::new);
+        let speed = |speed: Speed| clamped(speed, speed.mm_s(), bounds(self.speeds()), Speed::new);
+        match motion {
+            Motion::Home(_) | Motion::Custom(_) => motion,
+            Motion::Move { flags, width: offset, speed: given } if flags.relative => {
+                let from = width.unwrap_or_default().clamp(0.0, widest.max(0.0));
+                let width = clamped(offset, offset.mm(), (-from, widest - from), Width::new);
+                Motion::Move { flags, width, speed: speed(given) }
+            }
+            Motion::Move { flags, width, speed: given } => {
+                Motion::Move { flags, width: target(width), speed: speed(given) }
+            }
+            Motion::Grip { width, speed: given, force, part_id } => {
+                Motion::Grip { width: target(width), speed: speed(given), force, part_id }
+            }
+            Motion::Release { width, speed: given } => Motion::Release { width: target(width), speed: speed(given) },
+        }
+    }
+
+    /// What a device makes of a setting beyond its limits (`fw4-en 3.3`).
+    pub(super) fn clamp_setting(&self, command: Command) -> Command {
+        match command {
+            Command::SetAcceleration(given) => {
+                Command::SetAcceleration(clamped(given, given.mm_s2(), bounds(self.accelerations()), Acceleration::new))
+            }
+            Command::SetForceLimit(given) => {
+                Command::SetForceLimit(clamped(given, given.n(), bounds(self.forces()), Force::new))
+            }
+            Command::SetSoftLimits(given) => {
+                let (_, widest, _) = self.widths();
+                let width = |width: Width| clamped(width, width.mm(), (0.0, widest), Width::new);
+                Command::SetSoftLimits(SoftLimits::new(width(given.minus()), width(given.plus())).unwrap_or(given))
+            }
+            command => command,
         }
     }
 
@@ -95,26 +133,47 @@ impl Limits {
     }
 
     fn check_speed(&self, speed_mm_s: f32) -> Result<(), Invalid> {
-        let range = self.system.map_or((0.0, FASTEST_MM_S, ANY_DEVICE), |system| {
-            (system.min_speed.mm_s(), system.max_speed.mm_s(), DEVICE)
-        });
-        in_range("speed_mm_s", speed_mm_s, range)
+        in_range("speed_mm_s", speed_mm_s, self.speeds())
     }
 
     fn check_force(&self, force: Force) -> Result<(), Invalid> {
-        let range = match self.system {
+        in_range("force_n", force.n(), self.forces())
+    }
+
+    fn accelerations(&self) -> Range {
+        self.system.map_or((0.0, HARDEST_MM_S2, ANY_DEVICE), |system| {
+            (system.min_acceleration.mm_s2(), system.max_acceleration.mm_s2(), DEVICE)
+        })
+    }
+
+    fn speeds(&self) -> Range {
+        self.system.map_or((0.0, FASTEST_MM_S, ANY_DEVICE), |system| {
+            (system.min_speed.mm_s(), system.max_speed.mm_s(), DEVICE)
+        })
+    }
+
+    fn forces(&self) -> Range {
+        match self.system {
             None => (0.0, STRONGEST_N, ANY_DEVICE),
             Some(system) if self.overdrive && system.overdrive_force > system.nominal_force => {
                 (system.min_force.n(), system.overdrive_force.n(), DEVICE)
             }
             Some(system) => (system.min_force.n(), system.nominal_force.n(), NOMINAL),
-        };
-        in_range("force_n", force.n(), range)
+        }
     }
 }
 
 /// The lowest and the highest allowed value, and whose limits they are.
 type Range = (f32, f32, &'static str);
+
+fn bounds((min, max, _): Range) -> (f32, f32) {
+    (min, max)
+}
+
+/// The nearest value within the bounds.
+fn clamped<T>(given: T, value: f32, (min, max): (f32, f32), new: impl FnOnce(f32) -> Result<T, NotFinite>) -> T {
+    if (min..=max).contains(&value) { given } else { new(value.max(min).min(max)).unwrap_or(given) }
+}
 
 fn in_range(field: &'static str, value: f32, (min, max, limit): Range) -> Result<(), Invalid> {
     if value >= min && value <= max { Ok(()) } else { Err(Invalid::OutOfRange { field, value, min, max, limit }) }
@@ -123,7 +182,7 @@ fn in_range(field: &'static str, value: f32, (min, max, limit): Range) -> Result
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::wsg::{Acceleration, MoveFlags, Speed};
+    use crate::wsg::MoveFlags;
 
     fn width(mm: f32) -> Width {
         Width::new(mm).unwrap()

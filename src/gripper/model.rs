@@ -135,6 +135,17 @@ pub enum Door {
     Http,
     /// WebSocket.
     Ws,
+    /// The device's own protocol.
+    Wsg,
+}
+
+impl Door {
+    /// Whether its clients speak the device's own protocol: none of them brings a lease, so what moves takes it where it
+    /// is free; and they are used to a device that clamps what is beyond its limits.
+    #[must_use]
+    pub const fn speaks_wsg(self) -> bool {
+        matches!(self, Self::Wsg)
+    }
 }
 
 /// Who asks: the identity behind a client, and the door that it came through.
@@ -288,6 +299,20 @@ pub enum Action {
 }
 
 impl Action {
+    /// What a request of the protocol does, where it moves the fingers or stops them in order.
+    #[must_use]
+    pub fn of(request: &crate::wsg::Command) -> Option<Self> {
+        use crate::wsg::Command as C;
+        Some(Self::Motion(match *request {
+            C::Homing(direction) => Motion::Home(direction),
+            C::PrePosition { flags, width, speed } => Motion::Move { flags, width, speed },
+            C::Grip { width, speed } => Motion::Grip { width, speed, force: None, part_id: None },
+            C::Release { width, speed } => Motion::Release { width, speed },
+            C::Stop => return Some(Self::Stop),
+            _ => return None,
+        }))
+    }
+
     /// Its kind, as commands are told.
     #[must_use]
     pub const fn kind(&self) -> Kind {
@@ -433,6 +458,9 @@ pub struct Command {
     /// Whether clients may be told of it, since it is written down.
     #[serde(skip)]
     pub recorded: bool,
+    /// Whether the device has accepted it with E_CMD_PENDING.
+    #[serde(skip)]
+    pub accepted: bool,
 }
 
 impl Command {
@@ -460,6 +488,7 @@ impl Command {
             rejection: None,
             cancelled_by: None,
             recorded: false,
+            accepted: false,
         }
     }
 

@@ -45,6 +45,7 @@ impl CommandBody {
             payload: None,
             rejection: None,
             recorded: true,
+            accepted: true,
         };
         match self.event {
             CommandEvent::Admitted(_) => running,

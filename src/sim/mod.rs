@@ -16,7 +16,7 @@
 use std::collections::VecDeque;
 use std::time::Instant;
 
-use crate::wsg::{Decoder, id};
+use crate::wsg::{Decoder, Subscriptions, id};
 
 mod axis;
 mod change;
@@ -39,7 +39,8 @@ mod snapshot;
 mod stops;
 mod thermal;
 mod tick;
-mod updates;
+#[cfg(test)]
+mod updates_tests;
 mod wire;
 mod world;
 
@@ -64,7 +65,6 @@ use received::ReceivedLog;
 use replies::{Late, Ticket};
 use settings::Settings;
 use thermal::Thermal;
-use updates::Subscriptions;
 
 /// The motion that runs, and who is told of its end: nobody, where it came from another side.
 #[derive(Debug)]

@@ -149,6 +149,12 @@ impl Decoder {
         self.start < self.buffer.len()
     }
 
+    /// The beginning of a frame that waits for its rest.
+    #[must_use]
+    pub fn partial(&self) -> &[u8] {
+        self.buffer.get(self.start..).unwrap_or_default()
+    }
+
     /// Where in the stream the first undecided byte stands.
     #[must_use]
     pub fn position(&self) -> u64 {

@@ -19,6 +19,7 @@ pub mod session;
 pub mod state;
 pub mod status;
 pub mod text;
+pub mod updates;
 
 pub use command::{Command, CustomCommand, HomingDirection, InvalidRequest, LoopData, MoveFlags, Updates};
 pub use device::{
@@ -30,3 +31,4 @@ pub use quantity::{Acceleration, Force, NotFinite, Speed, Width};
 pub use reply::{Data, InvalidReply, Reply, Temperature};
 pub use state::{GripperState, SystemState};
 pub use status::Status;
+pub use updates::Subscriptions;

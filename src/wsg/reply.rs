@@ -183,6 +183,15 @@ impl Data {
         })
     }
 
+    /// As a reply of `id` carries it. A setter's reply has none: its data are what was read back after it.
+    #[must_use]
+    pub fn of_reply(self, id: u8) -> Self {
+        let mut bytes = Vec::new();
+        self.write(&mut bytes);
+        let is_possible = id::describe(id).is_none_or(|description| description.data.allow(bytes.len()));
+        if is_possible { self } else { Self::None }
+    }
+
     /// Appends the bytes that follow the status.
     pub fn write(&self, out: &mut Vec<u8>) {
         match self {

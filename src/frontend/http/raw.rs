@@ -14,7 +14,7 @@ use super::values::{bytes, integer};
 use crate::gripper::model::{Action, Command, CommandId, FastStopId, Motion, Outcome, Phase, Reason};
 use crate::gripper::{FastStop, Handle};
 use crate::wsg::id::MAX_OPAQUE_BYTES;
-use crate::wsg::{self, Data, Status, Updates};
+use crate::wsg::{self, Status, Updates};
 
 /// A request of the protocol.
 #[derive(Debug, Deserialize, ToSchema)]
@@ -138,7 +138,9 @@ pub async fn raw(gripper: Gripper, wait: Wait, keys: Keys, Body(body): Body<Raw>
         }
         Path::Exchange(command) => {
             let gripper = Gripper { lease: Ok(keys.lease), ..gripper };
-            let payload = payload_of(id, &gripper.exchange(command).await?);
+            let mut payload = Vec::new();
+            gripper.exchange(command).await?.of_reply(id).write(&mut payload);
+            let payload = hex::encode(payload);
             Ok(Json(RawAnswer { payload, ..RawAnswer::new(name, id, Some(Status::E_SUCCESS)) }).into_response())
         }
     }
@@ -156,26 +158,14 @@ fn of_command(id: u8, command: Command) -> Response {
     Json(answer).into_response()
 }
 
-/// The bytes that came with the status. A setter's reply has none: its data are what was read back after it.
-fn payload_of(id: u8, data: &Data) -> String {
-    let mut bytes = Vec::new();
-    data.write(&mut bytes);
-    let possible = wsg::id::describe(id).is_none_or(|description| description.data.allow(bytes.len()));
-    if possible { hex::encode(bytes) } else { String::new() }
-}
-
-/// One exhaustive match, so that a new command can't take the wrong path unnoticed.
 fn path(command: wsg::Command, gripper: &Handle) -> Result<Path, Problem> {
     use wsg::Command as C;
+    if let Some(action) = Action::of(&command) {
+        return Ok(Path::Command(action));
+    }
+    // What moves or stops would be refused on the path of exchanges.
     Ok(match command {
-        C::Homing(direction) => Path::Command(Action::Motion(Motion::Home(direction))),
-        C::PrePosition { flags, width, speed } => Path::Command(Action::Motion(Motion::Move { flags, width, speed })),
-        C::Grip { width, speed } => {
-            Path::Command(Action::Motion(Motion::Grip { width, speed, force: None, part_id: None }))
-        }
-        C::Release { width, speed } => Path::Command(Action::Motion(Motion::Release { width, speed })),
         C::Custom(custom) if !gripper.only_reads(custom.id()) => Path::Command(Action::Motion(Motion::Custom(custom))),
-        C::Stop => Path::Command(Action::Stop),
         C::FastStop => Path::FastStop,
         C::DisconnectAnnouncement => {
             let detail = "07h would end the gateway's own session: leave the gripper out of its configuration instead";
@@ -193,31 +183,6 @@ fn path(command: wsg::Command, gripper: &Handle) -> Result<Path, Problem> {
             let detail = "automatic updates are the gateway's own: GET state instead, or send 000000";
             return Err(Problem::malformed("payload", detail));
         }
-        command @ (C::Loop(_)
-        | C::SetAcceleration(_)
-        | C::GetAcceleration
-        | C::SetForceLimit(_)
-        | C::GetForceLimit
-        | C::SetSoftLimits(_)
-        | C::GetSoftLimits
-        | C::ClearSoftLimits
-        | C::OverdriveMode { .. }
-        | C::TareForceSensor
-        | C::GetSystemState(Updates::Off)
-        | C::GetGripperState(Updates::Off)
-        | C::GetStatistics { .. }
-        | C::GetWidth(Updates::Off)
-        | C::GetSpeed(Updates::Off)
-        | C::GetForce(Updates::Off)
-        | C::GetTemperature
-        | C::GetSystemInfo
-        | C::SetDeviceTag(_)
-        | C::GetDeviceTag
-        | C::GetSystemLimits
-        | C::GetFingerInfo(_)
-        | C::GetFingerFlags(_)
-        | C::FingerPower { .. }
-        | C::GetFingerData(_)
-        | C::Custom(_)) => Path::Exchange(command),
+        command => Path::Exchange(command),
     })
 }

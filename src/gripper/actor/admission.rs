@@ -21,6 +21,8 @@ const FLAGS_WITHIN: Duration = Duration::from_millis(500);
 impl Actor {
     /// Admits a command, or says why not.
     pub(super) fn admit(&mut self, now: Now, id: CommandId, submission: &Submission) -> Result<Ticket, Rejection> {
+        let clamped = submission.client.door.speaks_wsg().then(|| self.clamped(submission));
+        let submission = clamped.as_ref().unwrap_or(submission);
         let keep = self.leasing.keep(now.instant, submission.lease.as_ref()).map(Arc::new);
         if let Some(ticket) = self.book.replay(now.instant, submission)? {
             return Ok(Ticket { _keep: keep, ..ticket });
@@ -28,7 +30,9 @@ impl Actor {
         self.book.check_room(now.instant, submission)?;
         match &submission.action {
             Action::Motion(motion) => {
-                self.check_motion(now, motion, submission.lease.as_ref())?;
+                self.check_motion(now, motion, submission)?;
+                self.claim(now, &submission.client, submission.lease.as_ref())?;
+                let keep = self.leasing.keep(now.instant, submission.lease.as_ref()).map(Arc::new);
                 let ticket = self.enter(now, id, submission);
                 if !matches!(motion, Motion::Custom(_)) {
                     self.start_measuring(id, motion);
@@ -46,11 +50,11 @@ impl Actor {
     }
 
     /// What can't be is said first, then what can't be now.
-    fn check_motion(&self, now: Now, motion: &Motion, lease: Option<&LeaseToken>) -> Result<(), Rejection> {
+    fn check_motion(&self, now: Now, motion: &Motion, submission: &Submission) -> Result<(), Rejection> {
         let referenced = self.observed.has(SystemState::REFERENCED);
         let width = self.observed.width_mm.filter(|_| referenced);
         self.limits_now().check_motion(motion, width)?;
-        self.check_lease(now, lease)?;
+        self.check_claim(now, &submission.client, submission.lease.as_ref())?;
         self.check_link()?;
         self.check_moving()?;
         self.check_journal()?;
@@ -75,6 +79,17 @@ impl Actor {
         }
     }
 
+    /// As the device takes it: what is beyond its limits is clamped.
+    fn clamped(&self, submission: &Submission) -> Submission {
+        let action = match &submission.action {
+            Action::Motion(motion) => {
+                Action::Motion(self.limits_now().clamp_motion(motion.clone(), self.observed.width_mm))
+            }
+            Action::Stop => Action::Stop,
+        };
+        Submission { action, ..submission.clone() }
+    }
+
     fn limits_now(&self) -> super::Limits {
         super::Limits { overdrive: self.observed.has(SystemState::OVERDRIVE_MODE), ..self.limits }
     }
@@ -96,11 +111,12 @@ impl Actor {
         lease: Option<&LeaseToken>,
         answer: Answer<Data>,
     ) {
-        let keep = self.leasing.keep(now.instant, lease);
-        if let Err(rejection) = self.check_exchange(now, &command, lease) {
+        let command = if client.door.speaks_wsg() { self.limits_now().clamp_setting(command) } else { command };
+        if let Err(rejection) = self.check_exchange(now, &command, &client, lease) {
             let _ = answer.send(Err(rejection));
             return;
         }
+        let keep = self.leasing.keep(now.instant, lease);
         if let Some(data) = self.observed.newest(command.id()) {
             // Asking would switch the automatic updates off.
             let _ = answer.send(Ok(data));
@@ -114,14 +130,20 @@ impl Actor {
         self.submit_exchange(now, command, purpose);
     }
 
-    fn check_exchange(&self, now: Now, command: &Command, lease: Option<&LeaseToken>) -> Result<(), Rejection> {
+    fn check_exchange(
+        &self,
+        now: Now,
+        command: &Command,
+        client: &Client,
+        lease: Option<&LeaseToken>,
+    ) -> Result<(), Rejection> {
         let not_here = |remedy: &str| {
             let detail = format!("{} cannot be sent this way: {remedy}", super::name_of(command));
             Rejection::from(Invalid::Malformed { field: "id", detail })
         };
         self.limits_now().check_setting(command)?;
         if !self.only_reads(command) {
-            self.check_lease(now, lease)?;
+            self.check_claim(now, client, lease)?;
         }
         self.check_link()?;
         match command {

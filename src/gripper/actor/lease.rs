@@ -5,7 +5,7 @@ use super::super::error::{Conflict, Failure, Rejection};
 use super::super::handle::{Answer, FastStopRequest, Granted};
 use super::super::lease::{Held, Holder, Taken, Terms};
 use super::super::model::{
-    Detail, FastStopCause, Lease, LeaseEvent, LeaseStep, LeaseToken, LossCause, LossEffect, OnLossHolding,
+    Client, Detail, FastStopCause, Lease, LeaseEvent, LeaseStep, LeaseToken, LossCause, LossEffect, OnLossHolding,
     OnLossMoving, Reason, TakeLease,
 };
 use super::{Actor, Purpose};
@@ -15,6 +15,26 @@ impl Actor {
     /// Whether a request with this token, or without one, may change anything.
     pub(super) fn check_lease(&self, now: Now, token: Option<&LeaseToken>) -> Result<(), Conflict> {
         self.leasing.check(now.instant, token)
+    }
+
+    /// The same, of a client whose door takes the lease by moving.
+    pub(super) fn check_claim(&self, now: Now, client: &Client, token: Option<&LeaseToken>) -> Result<(), Conflict> {
+        if !client.door.speaks_wsg() {
+            return self.check_lease(now, token);
+        }
+        // Its token is its connection's own: where it is not that of the lease, there is nothing stale about it.
+        let is_holder = token.is_some() && self.leasing.token() == token;
+        if is_holder || self.leasing.is_free_for(client) { Ok(()) } else { self.check_lease(now, None) }
+    }
+
+    /// What moves takes the lease where it is free, for a client of such a door.
+    pub(super) fn claim(&mut self, now: Now, client: &Client, token: Option<&LeaseToken>) -> Result<(), Rejection> {
+        match token {
+            Some(token) if client.door.speaks_wsg() && self.leasing.is_free_for(client) => {
+                self.try_take_lease(now, &TakeLease::by(client.clone()), token.clone())
+            }
+            _ => Ok(()),
+        }
     }
 
     /// A request of a lease's holder has ended, as [`Leasing::closed`](super::super::lease::Leasing::closed) told.

@@ -117,6 +117,23 @@ pub struct TakeLease {
     pub token: Option<LeaseToken>,
 }
 
+impl TakeLease {
+    /// Of a client that asks for nothing but the lease.
+    #[must_use]
+    pub const fn by(client: Client) -> Self {
+        Self {
+            client,
+            holder: None,
+            ttl: None,
+            on_loss_moving: None,
+            on_loss_holding: None,
+            force: false,
+            request: false,
+            token: None,
+        }
+    }
+}
+
 /// The lease of a gripper, as clients are told.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 #[schema(example = json!({

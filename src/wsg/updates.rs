@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use crate::wsg::{Data, Updates, id};
+use super::{Data, Updates, id};
 
 /// The shortest period (fw4). fw2 names none; a period of 0 can't be kept, so it is the shortest there too.
 const MIN_PERIOD_MS: u16 = 10;
@@ -21,7 +21,7 @@ struct Subscription {
 
 /// The automatic updates that are switched on.
 #[derive(Debug, Default)]
-pub(super) struct Subscriptions(Vec<Subscription>);
+pub struct Subscriptions(Vec<Subscription>);
 
 impl Subscriptions {
     /// Switches the updates of `id` on or off; `now` its value is `value`.
@@ -34,6 +34,7 @@ impl Subscriptions {
         }
     }
 
+    /// Switches all of them off.
     pub fn clear(&mut self) {
         self.0.clear();
     }
@@ -41,6 +42,12 @@ impl Subscriptions {
     /// Which of them are on.
     pub fn ids(&self) -> impl Iterator<Item = u8> {
         self.0.iter().map(|subscription| subscription.id)
+    }
+
+    /// Whether some of them wait for a change.
+    #[must_use]
+    pub fn watch(&self) -> bool {
+        self.0.iter().any(|subscription| subscription.on_change)
     }
 
     /// When the next update is due, by the values that `read` tells; never before it is allowed.
@@ -61,8 +68,10 @@ impl Subscriptions {
             if waits || now < subscription.last_at + subscription.period {
                 continue;
             }
-            subscription.last_at =
-                if subscription.on_change { now } else { subscription.last_at + subscription.period };
+            // Who was not asked in time leaves out what was missed.
+            let next = subscription.last_at + subscription.period;
+            let is_late = now >= next + subscription.period;
+            subscription.last_at = if subscription.on_change || is_late { now } else { next };
             subscription.last = value.clone();
             taken.push((subscription.id, value));
         }
@@ -83,7 +92,3 @@ fn has_changed(last: &Data, value: &Data) -> bool {
 fn differ(last: f32, value: f32, threshold: f32) -> bool {
     (value - last).abs() >= threshold
 }
-
-#[cfg(test)]
-#[path = "updates_tests.rs"]
-mod tests;

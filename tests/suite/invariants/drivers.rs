@@ -1,0 +1,128 @@
+//! Clients that speak the device's own protocol: they take the lease by moving, and are clamped as the device clamps.
+
+use std::time::Duration;
+
+use tokio::sync::oneshot;
+use wsg_gateway::gripper::handle::Request;
+use wsg_gateway::gripper::model::{Action, Client, Door, LeaseToken, Motion, Outcome, Submission, TakeLease};
+use wsg_gateway::gripper::{Conflict, Invalid, Rejection, Ticket};
+use wsg_gateway::wsg::{self, Acceleration, Data, SoftLimits, Width, id};
+
+use super::NOTHING;
+use super::steps::*;
+use crate::seeds::world::World;
+
+fn driver(host: &str) -> (Client, LeaseToken) {
+    (Client { subject: format!("wsg:{host}").into(), door: Door::Wsg }, LeaseToken::generate())
+}
+
+fn moves(world: &mut World, driver: &(Client, LeaseToken), motion: Motion) -> Result<Ticket, Rejection> {
+    let frame = motion.request();
+    moves_as(world, driver, motion, frame)
+}
+
+/// A motion that the device is to get as this frame.
+fn moves_as(
+    world: &mut World,
+    (client, token): &(Client, LeaseToken),
+    motion: Motion,
+    frame: wsg::Command,
+) -> Result<Ticket, Rejection> {
+    let now = world.clock();
+    let id = world.ids.command_id(now.wall);
+    let (client, lease) = (client.clone(), Some(token.clone()));
+    let submission = Submission { client, action: Action::Motion(motion), request_id: None, lease };
+    let (answer, mut answered) = oneshot::channel();
+    world.actor.request(now, Request::Submit { submission, id, answer });
+    let ticket = answered.try_recv().unwrap();
+    if let Ok(ticket) = &ticket {
+        world.clients.admitted.push(crate::seeds::client::Admitted {
+            ticket: ticket.watched(),
+            motion: Some(frame),
+            lease: Some(token.clone()),
+        });
+    }
+    world.settle();
+    ticket
+}
+
+fn sets(world: &mut World, (client, token): &(Client, LeaseToken), command: wsg::Command) -> Result<Data, Rejection> {
+    let (client, lease) = (client.clone(), Some(token.clone()));
+    let mut answered = request(world, |answer| Request::Exchange { command, client, lease, answer });
+    world.advance(Duration::from_millis(100));
+    answered.try_recv().unwrap()
+}
+
+fn holder(world: &World) -> Option<String> {
+    state(world).lease_holder.as_deref().map(ToOwned::to_owned)
+}
+
+#[test]
+fn a_driver_takes_the_free_lease_by_moving_and_not_by_setting_or_by_what_is_refused() {
+    let mut world = world();
+    let (one, other) = (driver("10.0.0.1"), driver("10.0.0.2"));
+    assert_eq!(moves(&mut world, &one, move_to(50.0, 50.0)).unwrap_err(), Conflict::NotReferenced.into());
+    assert!(sets(&mut world, &one, wsg::Command::SetAcceleration(Acceleration::new(500.0).unwrap())).is_ok());
+    assert_eq!(holder(&world), None);
+    let homing = moves(&mut world, &one, home()).unwrap();
+    assert_eq!(holder(&world).as_deref(), Some("wsg:10.0.0.1"));
+    let held = |rejection: Rejection| matches!(rejection, Rejection::Conflict(Conflict::LeaseHeld { .. }));
+    assert!(held(moves(&mut world, &other, home()).unwrap_err()), "rather than that one is running");
+    let set = wsg::Command::SetAcceleration(Acceleration::new(500.0).unwrap());
+    assert!(held(sets(&mut world, &other, set).unwrap_err()));
+    assert_eq!(finish(&mut world, &homing).outcome, Some(Outcome::Success));
+    assert!(homing.now().accepted);
+    drop(request(&mut world, |answer| Request::ReleaseLease { token: Some(one.1.clone()), answer }));
+    assert!(moves(&mut world, &other, move_to(50.0, 50.0)).is_ok());
+}
+
+#[test]
+fn what_a_script_moves_takes_the_lease_and_what_only_reads_does_not() {
+    let mut world = homed();
+    let one = driver("10.0.0.1");
+    let custom = |id| wsg::Command::parse(id, &[1]).unwrap();
+    let _ = sets(&mut world, &one, custom(0xB0));
+    assert_eq!(holder(&world), None, "the configuration says that it reads");
+    let Some(wsg::Command::Custom(script)) = Some(custom(0xB1)) else { panic!("no script") };
+    let _ = moves(&mut world, &one, Motion::Custom(script));
+    assert_eq!(holder(&world).as_deref(), Some("wsg:10.0.0.1"));
+}
+
+#[test]
+fn a_driver_that_was_lost_comes_back_from_the_same_host_with_another_token() {
+    let mut world = homed();
+    let (one, other) = (driver("10.0.0.1"), driver("10.0.0.2"));
+    let held = moves(&mut world, &one, grip(None)).unwrap();
+    assert_eq!(finish(&mut world, &held).outcome, Some(Outcome::PartHeld));
+    let from = mark(&world);
+    let lost = one.1.clone();
+    drop(request(&mut world, |_: oneshot::Sender<()>| Request::LoseLease { token: lost }));
+    world.advance(Duration::from_secs(1));
+    assert_eq!(received(&world, from), NOTHING);
+    assert!(moves(&mut world, &other, move_to(50.0, 50.0)).is_err());
+    let take = TakeLease::by(other.0.clone());
+    let taken = request(&mut world, |answer| Request::TakeLease { take, token: LeaseToken::generate(), answer });
+    assert!({ taken }.try_recv().unwrap().is_err());
+    assert!(moves(&mut world, &driver("10.0.0.1"), move_to(50.0, 50.0)).is_ok());
+}
+
+#[test]
+fn a_driver_is_clamped_as_the_device_clamps_and_everyone_else_is_refused() {
+    let mut world = homed();
+    let one = driver("10.0.0.1");
+    assert!(matches!(refused(&mut world, move_to(5000.0, 1e6)), Rejection::Invalid(Invalid::OutOfRange { .. })));
+    let from = mark(&world);
+    let clamped = move_to(110.0, 420.0).request();
+    let ticket = moves_as(&mut world, &one, move_to(5000.0, 1e6), clamped.clone()).unwrap();
+    assert_eq!(finish(&mut world, &ticket).outcome, Some(Outcome::Success));
+    let sent = world.device.received()[from..].iter().find(|frame| frame.id == id::PRE_POSITION).unwrap();
+    assert_eq!(wsg::Command::parse(sent.id, &sent.payload), Ok(clamped));
+    let acceleration = wsg::Command::SetAcceleration(Acceleration::new(1e6).unwrap());
+    assert_eq!(sets(&mut world, &one, acceleration), Ok(Data::Acceleration(Acceleration::new(5000.0).unwrap())));
+    let width = |mm| Width::new(mm).unwrap();
+    let limits = SoftLimits::new(width(-5.0), width(60.0)).unwrap();
+    let told = sets(&mut world, &one, wsg::Command::SetSoftLimits(limits));
+    assert_eq!(told, Ok(Data::SoftLimits(SoftLimits::new(width(0.0), width(60.0)).unwrap())));
+    let forbidden = moves(&mut world, &one, move_to(70.0, 50.0)).unwrap_err();
+    assert!(matches!(forbidden, Rejection::Invalid(Invalid::OutOfRange { field: "width_mm", .. })));
+}
