@@ -15,9 +15,11 @@ use crate::transport::Address;
 
 mod file;
 mod journal;
+mod wsg_port;
 
 pub use file::File;
 pub use journal::{Journal, JournalFlags, JournalPlace, OnJournalFailure};
+pub use wsg_port::{Acknowledge, WsgAddress, WsgPort};
 
 /// Where the daemon listens unless it is told otherwise.
 const DEFAULT_LISTEN: &str = "127.0.0.1:8080";
@@ -50,7 +52,7 @@ pub struct Flags {
     /// ~/.local/state/wsg-gateway]
     #[arg(long, value_name = "PATH", env = "WSG_GATEWAY_JOURNAL")]
     pub journal: Option<String>,
-    /// Serve a gripper by the WSG protocol itself (not yet supported)
+    /// Serve a gripper by the WSG protocol itself, e.g. left=127.0.0.1:1000 or left=udp://127.0.0.1:1500 (repeatable)
     #[arg(long = "wsg-port", value_name = "NAME=ADDR", env = "WSG_GATEWAY_WSG_PORTS", value_delimiter = ',')]
     pub wsg_ports: Vec<String>,
     /// A Zenoh endpoint to listen on (not yet supported)
@@ -96,6 +98,8 @@ pub struct Gripper {
     pub read_ids: BTreeSet<u8>,
     /// What may be asked for of its lease.
     pub lease: LeaseRules,
+    /// Its WSG port.
+    pub wsg_port: WsgPort,
     /// Where that is said.
     pub place: Place,
 }
@@ -202,7 +206,7 @@ impl Config {
             name,
             listen: parse_listen(&listen, insecure)?,
             hosts: content.map(|content| content.hosts.clone()).unwrap_or_default(),
-            grippers: grippers(flags, file)?,
+            grippers: grippers(flags, file, insecure)?,
             drain: drain(file)?,
         };
         Ok(config)
@@ -211,9 +215,6 @@ impl Config {
 
 fn refuse_what_is_not_there_yet(flags: &Flags) -> Result<(), Mistake> {
     let not_yet = |flag, what| Mistake::at(&Place::Flag(flag), format!("{what} not supported yet: leave it out"));
-    if !flags.wsg_ports.is_empty() {
-        return Err(not_yet("--wsg-port", "the WSG port is"));
-    }
     if !flags.zenoh_listen.is_empty() {
         return Err(not_yet("--zenoh-listen", "Zenoh is"));
     }
@@ -250,15 +251,19 @@ fn drain(file: Option<&File>) -> Result<Duration, Mistake> {
     Ok(drain)
 }
 
-fn grippers(flags: &Flags, file: Option<&File>) -> Result<Vec<Gripper>, Mistake> {
+fn grippers(flags: &Flags, file: Option<&File>, insecure: bool) -> Result<Vec<Gripper>, Mistake> {
     let by_text = |texts: &[String], place: Place| -> Result<Vec<Gripper>, Mistake> {
         texts.iter().map(|text| parse_gripper(text, &place)).collect()
     };
-    let configured = match file {
+    let mut configured = match file {
         _ if !flags.grippers.is_empty() => by_text(&flags.grippers, Place::Flag("--gripper"))?,
         Some(file) if !file.content.grippers.is_empty() => file.grippers()?,
         _ => by_text(&DEFAULT_GRIPPERS.map(str::to_owned), Place::Default)?,
     };
+    wsg_port::take_flags(&mut configured, &flags.wsg_ports)?;
+    for gripper in &configured {
+        gripper.wsg_port.check(insecure)?;
+    }
     for (index, gripper) in configured.iter().enumerate() {
         if let Some(detail) = configured[..index].iter().find_map(|other| conflict(other, gripper)) {
             return Err(Mistake::at(&gripper.place, detail));
@@ -286,6 +291,7 @@ fn parse_gripper(text: &str, place: &Place) -> Result<Gripper, Mistake> {
         device: parse_device(url, place)?,
         read_ids: BTreeSet::new(),
         lease: LeaseRules::default(),
+        wsg_port: WsgPort::default(),
         place: place.clone(),
     })
 }
@@ -329,6 +335,11 @@ struct GripperContent {
     on_loss_moving: Option<Spanned<Vec<OnLossMoving>>>,
     on_loss_holding: Option<Spanned<Vec<OnLossHolding>>>,
     lease_max_ttl_ms: Option<Spanned<u64>>,
+    wsg_port: Option<Spanned<wsg_port::OneOrMore>>,
+    wsg_port_allow: Option<Spanned<Vec<String>>>,
+    #[serde(default)]
+    wsg_port_acknowledge: Acknowledge,
+    wsg_port_checksum_evaluation: Option<bool>,
 }
 
 #[cfg(test)]

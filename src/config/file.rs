@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use toml::Spanned;
 
-use super::{Content, Gripper, GripperContent, Mistake, Place, owned, parse_device};
+use super::{Content, Gripper, GripperContent, Mistake, Place, WsgPort, owned, parse_device};
 use crate::gripper::model::LeaseRules;
 use crate::gripper::model::lease::{MAX_TTL, MIN_TTL};
 
@@ -53,6 +53,7 @@ impl File {
                 device: parse_device(gripper.url.get_ref(), &place)?,
                 read_ids: gripper.read_ids.clone(),
                 lease: self.lease_rules(gripper)?,
+                wsg_port: WsgPort::of_file(self, gripper)?,
                 place,
             })
         };

@@ -60,7 +60,6 @@ fn a_mistake_in_a_flag_is_named_with_its_remedy() {
     assert!(mistake(twice).contains("two grippers"));
     let shared = vec!["a=tcp://10.0.0.1".to_owned(), "b=tcp://10.0.0.1:1000".to_owned()];
     assert!(mistake(Flags { grippers: shared, ..flags() }).contains("both are at tcp://10.0.0.1:1000"));
-    assert!(mistake(Flags { wsg_ports: vec!["left=127.0.0.1:1000".to_owned()], ..flags() }).contains("yet"));
     assert!(mistake(Flags { zenoh_listen: vec!["tcp/127.0.0.1:7447".to_owned()], ..flags() }).contains("yet"));
     assert!(mistake(Flags { config: Some("/nonexistent.toml".into()), ..flags() }).contains("/nonexistent.toml"));
 }
@@ -98,4 +97,52 @@ fn the_journal_is_kept_where_and_for_as_long_as_is_said() {
     assert_eq!(Config::merge(&flags, Some(&parsed)).unwrap().journal.place, JournalPlace::Memory);
     let journal = Config::load(&flags).unwrap().journal;
     assert_eq!((journal.on_failure, journal.max_age, journal.max_bytes), (OnJournalFailure::Refuse, None, None));
+}
+
+#[test]
+fn a_wsg_port_is_where_the_flag_says_or_else_the_file() {
+    let text = "[grippers.g]\nurl = \"sim://wsg50\"\nwsg_port = [\"127.0.0.1:1000\", \
+                \"udp://127.0.0.1?reply_port=1501\"]\nwsg_port_acknowledge = \"any\"\n";
+    let of = |config: Config| config.grippers.into_iter().next().unwrap().wsg_port;
+    let addresses = |port: &WsgPort| port.addresses.iter().map(|(address, _)| *address).collect::<Vec<_>>();
+    let port = of(file(text).unwrap());
+    let tcp = |text: &str| WsgAddress::Tcp(text.parse().unwrap());
+    let udp = WsgAddress::Udp("127.0.0.1:1500".parse().unwrap(), Some(1501));
+    assert_eq!(addresses(&port), [tcp("127.0.0.1:1000"), udp]);
+    assert_eq!((port.acknowledge, port.checksum_evaluation), (Acknowledge::Any, true));
+
+    let parsed = File::parse(Path::new("gateway.toml"), text.to_owned()).unwrap();
+    let flags = Flags { wsg_ports: vec!["g=[::1]:1001".to_owned()], ..flags() };
+    let port = of(Config::merge(&flags, Some(&parsed)).unwrap());
+    assert_eq!((addresses(&port), port.acknowledge), (vec![tcp("[::1]:1001")], Acknowledge::Any));
+}
+
+#[test]
+fn a_wsg_port_beyond_loopback_needs_a_list_or_a_word() {
+    let text = |more: &str| format!("[grippers.g]\nurl = \"sim://wsg50\"\nwsg_port = \"0.0.0.0:1000\"\n{more}");
+    let mistake = file(&text("")).unwrap_err().to_string();
+    assert!(mistake.starts_with("gateway.toml:3: 0.0.0.0:1000 is not a loopback address"), "{mistake}");
+    assert!(mistake.contains("wsg_port_allow") && mistake.contains("--insecure"), "{mistake}");
+    let allowed = file(&text("wsg_port_allow = [\"192.168.1.0/24\", \"10.0.0.7\"]")).unwrap();
+    let allow: Vec<_> = allowed.grippers[0].wsg_port.allow.iter().map(ToString::to_string).collect();
+    assert_eq!(allow, ["192.168.1.0/24", "10.0.0.7/32"]);
+    assert!(
+        Config::merge(&Flags { insecure: true, wsg_ports: vec!["left=0.0.0.0:1000".to_owned()], ..flags() }, None)
+            .is_ok()
+    );
+    let mistake = file(&text("wsg_port_allow = [\"192.168.1\"]")).unwrap_err().to_string();
+    assert!(mistake.starts_with("gateway.toml:4: \"192.168.1\" is no address and no network"), "{mistake}");
+}
+
+#[test]
+fn a_wrong_wsg_port_is_named_with_its_remedy() {
+    let mistake = |text: &str| {
+        let flags = Flags { wsg_ports: vec![text.to_owned()], ..flags() };
+        Config::load(&flags).unwrap_err().to_string()
+    };
+    assert!(mistake("127.0.0.1:1000").contains("left=127.0.0.1:1000"));
+    assert!(mistake("left=localhost").contains("udp://127.0.0.1:1500?reply_port=1501"));
+    assert!(mistake("left=can://can0").contains("127.0.0.1:1000"));
+    assert!(mistake("left=udp://127.0.0.1:1500?local_port=1").contains("reply_port"));
+    assert!(mistake("middle=127.0.0.1:1000").contains("there are: left, right"));
 }

@@ -1,6 +1,7 @@
 //! The composition root: builds everything, runs it, and ends it in order.
 
 mod metrics;
+mod ports;
 mod simulation;
 
 use std::future::Future;
@@ -20,10 +21,11 @@ use crate::config::{self, Config, Device, Gripper, Mistake};
 use crate::frontend::refusals::Refusals;
 use crate::frontend::updates::Updates;
 use crate::frontend::{self, http};
-use crate::gripper::model::{Detail, Event, GatewayEvent, MemoryKey};
+use crate::gripper::model::{Detail, Event, GatewayEvent, MemoryKey, Name};
 use crate::gripper::recorder::{Recollection, Record, Recorder as _};
 use crate::gripper::{self, Connector, Fleet, Handle, Now};
 use crate::journal::{self, Journal, Recovered};
+use ports::Ports;
 pub use simulation::{Served, SimulatedDevice, Switch, serve as serve_device, serve_simulated};
 
 /// How much the observers' thread gives way to others (`nice`): of 0 to 19 enough that the kernel prefers any of those.
@@ -83,12 +85,13 @@ async fn run_gateway(config: &Config, devices: &Runtime, sockets: &Runtime) -> a
         format!("cannot listen on {}: choose another address with --listen, or end what listens there", config.listen)
     })?;
     let address = listener.local_addr()?;
+    let ports = ports::bind(config)?;
     let (journal, recovered) = open_journal(config)?;
     tell_of_last_run(&recovered);
     for event in [started(config), configured(config)] {
         journal.record(Record::Event(Event::new(Now::read().wall, None, Detail::Gateway(event)), None));
     }
-    let shutdown = CancellationToken::new();
+    let (draining, shutdown) = (CancellationToken::new(), CancellationToken::new());
     let registry = metrics::registry(&config.name, &journal)?;
     let fleet = spawn_all(config, devices, &journal, &recovered, &registry)?;
     let refusals = Arc::new(Refusals::new(journal.clone()));
@@ -106,15 +109,18 @@ async fn run_gateway(config: &Config, devices: &Runtime, sockets: &Runtime) -> a
         allowed_hosts: config.hosts.clone(),
     };
     let server = tokio::spawn(http::serve(listener, context, http::Limits::default(), shutdown.clone()));
-    announce(config, address);
+    announce(config, address, &ports)?;
+    let ports = ports::serve(devices, config, ports, &fleet, &refusals, &draining, &shutdown);
     tokio::select! {
         () = stop => {}
         () = refusals.count() => {}
     }
     tracing::info!("ending: the grippers first");
+    draining.cancel();
     fleet.drain().await;
     shutdown.cancel();
     server.await?;
+    ports.join_all().await.into_iter().collect::<Result<(), _>>()?;
     Ok(journal.close().await?)
 }
 
@@ -225,16 +231,26 @@ fn stop_signal() -> std::io::Result<impl Future<Output = ()>> {
 }
 
 /// Says on standard output what is served, where, and what to try. Nobody may be reading it.
-fn announce(config: &Config, address: SocketAddr) {
+fn announce(config: &Config, address: SocketAddr, ports: &Ports) -> std::io::Result<()> {
+    let urls = ports.iter().map(|(name, listener)| Ok((name, listener.url()?))).collect::<std::io::Result<Vec<_>>>()?;
     let mut out = std::io::stdout().lock();
-    let _ = write_announcement(config, address, &mut out).and_then(|()| out.flush());
+    let _ = write_announcement(config, address, &urls, &mut out).and_then(|()| out.flush());
+    Ok(())
 }
 
-fn write_announcement(config: &Config, address: SocketAddr, out: &mut impl Write) -> std::io::Result<()> {
+fn write_announcement(
+    config: &Config,
+    address: SocketAddr,
+    ports: &[(&Name, String)],
+    out: &mut impl Write,
+) -> std::io::Result<()> {
     let base = format!("http://{address}");
     writeln!(out, "wsg-gateway {} serves {} at {base}/", env!("CARGO_PKG_VERSION"), config.name)?;
     for gripper in &config.grippers {
         writeln!(out, "  {:<8} {}", gripper.name.as_str(), gripper.device)?;
+    }
+    for (name, url) in ports {
+        writeln!(out, "WSG port of {name}: {url}")?;
     }
     writeln!(out, "documentation: {base}/docs")?;
     if let Some(gripper) = config.grippers.first() {

@@ -7,3 +7,4 @@ pub mod http;
 pub mod metrics;
 pub mod refusals;
 pub mod updates;
+pub mod wsg_port;

@@ -1,0 +1,178 @@
+//! Where a gripper is served by the WSG protocol itself, and to whom.
+
+use std::net::SocketAddr;
+
+use ipnet::IpNet;
+use serde::Deserialize;
+use url::Url;
+
+use super::{File, Gripper, GripperContent, Mistake, Place};
+use crate::transport::Options;
+
+/// The ports that devices listen on (field practice).
+const DEFAULT_TCP_PORT: u16 = 1000;
+/// And on UDP.
+const DEFAULT_UDP_PORT: u16 = 1500;
+
+/// The WSG port of one gripper.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct WsgPort {
+    /// Where it is served, and where that is said.
+    pub addresses: Vec<(WsgAddress, Place)>,
+    /// Who may connect; none is everyone.
+    pub allow: Vec<IpNet>,
+    /// Who may acknowledge which FAST STOP.
+    pub acknowledge: Acknowledge,
+    /// Whether the checksums of requests count.
+    pub checksum_evaluation: bool,
+}
+
+impl Default for WsgPort {
+    fn default() -> Self {
+        Self {
+            addresses: Vec::new(),
+            allow: Vec::new(),
+            acknowledge: Acknowledge::default(),
+            checksum_evaluation: true,
+        }
+    }
+}
+
+/// An address of a WSG port.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum WsgAddress {
+    /// TCP.
+    Tcp(SocketAddr),
+    /// UDP, and where answers go instead of to the sender's port.
+    Udp(SocketAddr, Option<u16>),
+}
+
+/// Who may acknowledge a FAST STOP by 24h.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Acknowledge {
+    /// Who was told of it, if it has caused it, or the device has.
+    #[default]
+    Own,
+    /// Everyone, always.
+    Any,
+}
+
+/// One text, or several.
+#[derive(Debug, Deserialize)]
+#[serde(untagged)]
+pub(super) enum OneOrMore {
+    One(String),
+    More(Vec<String>),
+}
+
+impl WsgPort {
+    /// As a file has it.
+    pub(super) fn of_file(file: &File, gripper: &GripperContent) -> Result<Self, Mistake> {
+        let texts = match gripper.wsg_port.as_ref().map(|texts| (texts.span(), texts.get_ref())) {
+            None => Vec::new(),
+            Some((span, OneOrMore::One(text))) => vec![(text, file.place(span.start))],
+            Some((span, OneOrMore::More(texts))) => texts.iter().map(|text| (text, file.place(span.start))).collect(),
+        };
+        let addresses = texts.into_iter().map(|(text, place)| Ok((parse(text, &place)?, place)));
+        let allow = match &gripper.wsg_port_allow {
+            Some(texts) => parse_nets(texts.get_ref(), &file.place(texts.span().start))?,
+            None => Vec::new(),
+        };
+        Ok(Self {
+            addresses: addresses.collect::<Result<_, Mistake>>()?,
+            allow,
+            acknowledge: gripper.wsg_port_acknowledge,
+            checksum_evaluation: gripper.wsg_port_checksum_evaluation.unwrap_or(true),
+        })
+    }
+
+    /// Another address than loopback needs a list of who may connect, or a word that everyone may.
+    pub(super) fn check(&self, insecure: bool) -> Result<(), Mistake> {
+        for (address, place) in &self.addresses {
+            let (WsgAddress::Tcp(address) | WsgAddress::Udp(address, _)) = address;
+            if !address.ip().is_loopback() && self.allow.is_empty() && !insecure {
+                let detail = format!(
+                    "{address} is not a loopback address, and the WSG protocol knows no credentials: whoever reaches it \
+                     can move the gripper. Name who may in wsg_port_allow, or say --insecure if the network is yours alone"
+                );
+                return Err(Mistake::at(place, detail));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What `--wsg-port` says beats the file, gripper by gripper.
+pub(super) fn take_flags(grippers: &mut [Gripper], texts: &[String]) -> Result<(), Mistake> {
+    let place = Place::Flag("--wsg-port");
+    let mut given: Vec<(&str, WsgAddress)> = Vec::new();
+    for text in texts {
+        let (name, address) = text
+            .split_once('=')
+            .ok_or_else(|| Mistake::at(&place, format!("{text:?} is no WSG port: write it as left=127.0.0.1:1000")))?;
+        given.push((name, parse(address, &place)?));
+        if !grippers.iter().any(|gripper| gripper.name.as_str() == name) {
+            let names: Vec<_> = grippers.iter().map(|gripper| gripper.name.as_str()).collect();
+            let detail = format!("there is no gripper {name:?} to serve; there are: {}", names.join(", "));
+            return Err(Mistake::at(&place, detail));
+        }
+    }
+    for gripper in grippers {
+        let of_it = given.iter().filter(|(name, _)| *name == gripper.name.as_str());
+        let addresses: Vec<_> = of_it.map(|(_, address)| (*address, place.clone())).collect();
+        if !addresses.is_empty() {
+            gripper.wsg_port.addresses = addresses;
+        }
+    }
+    Ok(())
+}
+
+fn parse(text: &str, place: &Place) -> Result<WsgAddress, Mistake> {
+    parse_address(text).map_err(|detail| Mistake::at(place, detail))
+}
+
+fn parse_address(text: &str) -> Result<WsgAddress, String> {
+    if let Ok(address) = text.parse() {
+        return Ok(WsgAddress::Tcp(address));
+    }
+    let wrong = || {
+        format!(
+            "{text:?} is no address of a WSG port: write it as 127.0.0.1:1000, or, for UDP, as \
+             udp://127.0.0.1:1500?reply_port=1501"
+        )
+    };
+    let url: Url = text.parse().map_err(|_| wrong())?;
+    let host = url.host_str().unwrap_or_default().trim_start_matches('[').trim_end_matches(']');
+    let address = |default| {
+        let ip = host.parse().map_err(|_| wrong())?;
+        Ok::<_, String>(SocketAddr::new(ip, url.port().unwrap_or(default)))
+    };
+    match url.scheme() {
+        "tcp" => {
+            Options::of(&url, &[])?;
+            Ok(WsgAddress::Tcp(address(DEFAULT_TCP_PORT)?))
+        }
+        "udp" => {
+            let reply_port = Options::of(&url, &["reply_port"])?.port("reply_port")?;
+            Ok(WsgAddress::Udp(address(DEFAULT_UDP_PORT)?, reply_port))
+        }
+        _ => Err(wrong()),
+    }
+}
+
+fn parse_nets(texts: &[String], place: &Place) -> Result<Vec<IpNet>, Mistake> {
+    if texts.is_empty() {
+        let detail =
+            "wsg_port_allow is empty: name who may connect, or leave it out where only loopback is listened on";
+        return Err(Mistake::at(place, detail));
+    }
+    let parse = |text: &String| {
+        let one = || text.parse().map(|ip: std::net::IpAddr| IpNet::from(ip));
+        text.parse::<IpNet>().or_else(|_| one()).map_err(|_| {
+            let detail = format!("{text:?} is no address and no network: write it as 192.168.1.0/24 or 192.168.1.7");
+            Mistake::at(place, detail)
+        })
+    };
+    texts.iter().map(parse).collect()
+}

@@ -1,0 +1,66 @@
+//! The WSG ports: bound before any gripper is connected, served until the grippers are given up.
+
+use std::sync::Arc;
+
+use anyhow::Context as _;
+use tokio::runtime::Runtime;
+use tokio::task::JoinSet;
+use tokio_util::sync::CancellationToken;
+
+use crate::config::{Acknowledge, Config, WsgAddress, WsgPort};
+use crate::frontend::refusals::Refusals;
+use crate::frontend::wsg_port::{Address, Listener, Port, Rules};
+use crate::gripper::Fleet;
+use crate::gripper::model::Name;
+
+/// Each with the gripper that it is of.
+pub(super) type Ports = Vec<(Name, Listener)>;
+
+pub(super) fn bind(config: &Config) -> anyhow::Result<Ports> {
+    let mut ports = Vec::new();
+    for gripper in &config.grippers {
+        for (address, place) in &gripper.wsg_port.addresses {
+            let address = match *address {
+                WsgAddress::Tcp(address) => Address::Tcp(address),
+                WsgAddress::Udp(address, reply_port) => Address::Udp(address, reply_port),
+            };
+            let listener = Listener::bind(address).with_context(|| {
+                let name = &gripper.name;
+                format!(
+                    "{place}: the WSG port of {name} cannot listen on {address}: choose another, or end what has it"
+                )
+            })?;
+            ports.push((gripper.name.clone(), listener));
+        }
+    }
+    Ok(ports)
+}
+
+/// Serves them where the grippers are: a Loop's way to a gripper and back costs no change of threads. Their clients are
+/// few, and what each does in its turn is bounded.
+pub(super) fn serve(
+    devices: &Runtime,
+    config: &Config,
+    ports: Ports,
+    fleet: &Fleet,
+    refusals: &Arc<Refusals>,
+    draining: &CancellationToken,
+    closing: &CancellationToken,
+) -> JoinSet<std::io::Result<()>> {
+    let mut served = JoinSet::new();
+    for (name, listener) in ports {
+        let configured = config.grippers.iter().find(|gripper| gripper.name == name);
+        let (Some(handle), Some(gripper)) = (fleet.get(&name), configured) else { continue };
+        let port = Port::new(handle.clone(), rules(&gripper.wsg_port), refusals.clone());
+        served.spawn_on(port.serve(listener, draining.clone(), closing.clone()), devices.handle());
+    }
+    served
+}
+
+fn rules(configured: &WsgPort) -> Rules {
+    Rules {
+        checksum_evaluation: configured.checksum_evaluation,
+        acknowledge_any: configured.acknowledge == Acknowledge::Any,
+        allow: configured.allow.clone(),
+    }
+}

@@ -1,0 +1,369 @@
+//! One client's virtual device: bytes, answers and `now` go in; frames, and orders for the gripper, come out. Sans-IO.
+//!
+//! # How it is driven
+//!
+//! - Inputs: [`VirtualDevice::receive`], [`VirtualDevice::answer`], [`VirtualDevice::handle_timeout`]. Each takes the
+//!   newest state, which queries and automatic updates are served from.
+//! - Outputs, to be drained after each input: [`VirtualDevice::poll_order`], [`VirtualDevice::poll_refused`];
+//!   [`VirtualDevice::poll_frame`] whenever the client can take one; [`VirtualDevice::poll_timeout`].
+//!
+//! Requests are taken up in order, each when the one before it was answered; only Stop and FAST STOP overtake. What a
+//! device takes its time for (a motion once it is accepted, a Stop, a script) holds up nothing.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::time::Instant;
+
+use super::Rules;
+use super::input::{Input, Request};
+use super::status::Refusal;
+use crate::gripper::FastStop;
+use crate::gripper::model::{Action, FastStopCause, FastStopId, LatchFields, Link, State};
+use crate::wsg::{
+    ChecksumEvaluation, Command, Data, Force, GripperState, Reply, Speed, Status, Subscriptions, SystemState, Updates,
+    Width, id,
+};
+
+/// Requests of one client that may wait for their turn. Further ones are answered E_OVERRUN.
+pub(super) const MAX_WAITING_REQUESTS: usize = 64;
+
+/// Frames that may wait for a client to read. With more it reads nothing any more, and is given up.
+pub(super) const MAX_WAITING_FRAMES: usize = 256;
+
+/// With so many frames waiting, automatic updates are left out: the next one is newer.
+const MAX_FRAMES_BEFORE_UPDATES: usize = 16;
+
+/// What is to be asked of the gripper.
+#[derive(Debug, PartialEq)]
+pub(super) enum Order {
+    Command(Action),
+    FastStop,
+    Acknowledge(FastStopId),
+    Exchange(Command),
+    Release,
+}
+
+/// An order, and the request that it is for.
+#[derive(Debug, PartialEq)]
+pub(super) struct Ordered {
+    pub ask: Ask,
+    pub order: Order,
+}
+
+/// A request that was taken up.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Ask {
+    pub id: u8,
+    /// Whether the next request waits for its answer.
+    pub is_awaited: bool,
+}
+
+/// What became of an order.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum Answer {
+    /// The device has accepted a motion: its result follows.
+    Accepted,
+    Reply(Reply),
+    Refused(Refusal),
+    FastStopped(FastStop),
+}
+
+/// A request that was refused here and is to be written down.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) struct Refused {
+    pub id: u8,
+    pub status: Status,
+    pub cause: &'static str,
+}
+
+#[derive(Debug)]
+pub(super) struct VirtualDevice {
+    rules: Arc<Rules>,
+    shortest_period_ms: u16,
+    input: Input,
+    waiting: VecDeque<Request>,
+    /// Answers that the next request waits for.
+    awaited: usize,
+    subscriptions: Subscriptions,
+    orders: VecDeque<Ordered>,
+    refused: VecDeque<Refused>,
+    frames: VecDeque<Vec<u8>>,
+    announced: bool,
+    overflown: bool,
+    /// The FAST STOP that this client has caused last.
+    caused: Option<FastStopId>,
+    /// The one that it was told of last.
+    seen: Option<FastStopId>,
+}
+
+impl VirtualDevice {
+    /// With automatic updates no faster than this.
+    pub(super) fn new(rules: Arc<Rules>, shortest_period_ms: u16) -> Self {
+        Self {
+            input: Input::new(if rules.checksum_evaluation { ChecksumEvaluation::On } else { ChecksumEvaluation::Off }),
+            rules,
+            shortest_period_ms,
+            waiting: VecDeque::new(),
+            awaited: 0,
+            subscriptions: Subscriptions::default(),
+            orders: VecDeque::new(),
+            refused: VecDeque::new(),
+            frames: VecDeque::new(),
+            announced: false,
+            overflown: false,
+            caused: None,
+            seen: None,
+        }
+    }
+
+    pub(super) fn receive(&mut self, now: Instant, bytes: &[u8], state: &State) {
+        self.input.push(now, bytes);
+        self.take_requests(now, state);
+    }
+
+    pub(super) fn handle_timeout(&mut self, now: Instant, state: &State) {
+        self.input.handle_timeout(now);
+        self.take_requests(now, state);
+        let due = self.subscriptions.take_due(now, |id| value(id, state));
+        // What is not known any more is no news.
+        if state.link == Link::Connected && self.frames.len() < MAX_FRAMES_BEFORE_UPDATES {
+            for (id, data) in due {
+                self.tell(id, data, state);
+            }
+        }
+    }
+
+    /// What became of an order.
+    pub(super) fn answer(&mut self, now: Instant, ask: Ask, answer: Answer, state: &State) {
+        match answer {
+            Answer::Accepted => self.status(ask.id, Status::E_CMD_PENDING),
+            Answer::Reply(reply) => self.reply(ask.id, &reply),
+            Answer::Refused(refusal) => {
+                self.seen = refusal.fast_stop.or(self.seen);
+                self.status(ask.id, refusal.status);
+            }
+            Answer::FastStopped(FastStop { id, confirmed }) => {
+                (self.caused, self.seen) = (Some(id), Some(id));
+                self.status(ask.id, if confirmed { Status::E_SUCCESS } else { Status::E_TIMEOUT });
+            }
+        }
+        if ask.is_awaited {
+            self.awaited = self.awaited.saturating_sub(1);
+            self.take_up(now, state);
+        }
+    }
+
+    pub(super) fn poll_order(&mut self) -> Option<Ordered> {
+        self.orders.pop_front()
+    }
+
+    pub(super) fn poll_refused(&mut self) -> Option<Refused> {
+        self.refused.pop_front()
+    }
+
+    pub(super) fn poll_frame(&mut self) -> Option<Vec<u8>> {
+        self.frames.pop_front()
+    }
+
+    pub(super) fn poll_timeout(&self, state: &State) -> Option<Instant> {
+        self.input.deadline().into_iter().chain(self.subscriptions.due(|id| value(id, state))).min()
+    }
+
+    /// Whether some updates wait for a change: then every new state may have one.
+    pub(super) fn watches(&self) -> bool {
+        self.subscriptions.watch()
+    }
+
+    /// Whether its client has announced the end, also in a request that waits.
+    pub(super) fn has_announced(&self) -> bool {
+        let announces = |request: &Request| matches!(request.command, Ok(Command::DisconnectAnnouncement));
+        self.announced || self.waiting.iter().any(announces)
+    }
+
+    /// Whether nothing is under way or waits to be sent.
+    pub(super) fn is_idle(&self) -> bool {
+        self.awaited == 0 && self.waiting.is_empty() && self.orders.is_empty() && self.frames.is_empty()
+    }
+
+    /// Whether its client doesn't read what it asks for.
+    pub(super) fn has_overflown(&self) -> bool {
+        self.overflown
+    }
+
+    fn take_requests(&mut self, now: Instant, state: &State) {
+        while let Some(request) = self.input.next() {
+            let id = request.id;
+            match request.command {
+                Ok(Command::FastStop) => self.order(id, true, Order::FastStop),
+                Ok(Command::Stop) => {
+                    self.abort_waiting_motions();
+                    self.order(id, false, Order::Command(Action::Stop));
+                }
+                _ if self.waiting.len() >= MAX_WAITING_REQUESTS => self.status(id, Status::E_OVERRUN),
+                _ => self.waiting.push_back(request),
+            }
+            // What can be begun is, before what comes behind it.
+            self.take_up(now, state);
+        }
+    }
+
+    /// A Stop also stops what came before it and was not begun.
+    fn abort_waiting_motions(&mut self) {
+        for request in self.waiting.iter_mut().filter(|request| id::is_motion(request.id)) {
+            request.command = Err(Status::E_CMD_ABORTED);
+        }
+    }
+
+    fn take_up(&mut self, now: Instant, state: &State) {
+        while self.awaited == 0
+            && let Some(Request { id, command }) = self.waiting.pop_front()
+        {
+            match command {
+                // fw4-en 3.1.2: until the connection has ended.
+                _ if self.announced => self.status(id, Status::E_ACCESS_DENIED),
+                Ok(command) => self.execute(now, command, state),
+                Err(status) => self.refuse_malformed(id, status, state),
+            }
+        }
+    }
+
+    fn execute(&mut self, now: Instant, command: Command, state: &State) {
+        let id = command.id();
+        match command {
+            Command::GetSystemState(updates)
+            | Command::GetGripperState(updates)
+            | Command::GetWidth(updates)
+            | Command::GetSpeed(updates)
+            | Command::GetForce(updates) => self.query(now, id, updates, state),
+            Command::AcknowledgeFastStop => self.acknowledge(state),
+            Command::DisconnectAnnouncement => {
+                self.announced = true;
+                self.subscriptions.clear();
+                self.order(id, true, Order::Release);
+            }
+            command @ (Command::Custom(_) | Command::FingerPower { .. }) => {
+                self.order(id, false, Order::Exchange(command));
+            }
+            command => {
+                let order = Action::of(&command).map_or_else(|| Order::Exchange(command), Order::Command);
+                self.order(id, true, order);
+            }
+        }
+    }
+
+    /// A motion is checked in the order in which the manual lists the statuses: its form comes behind what is in its way.
+    fn refuse_malformed(&mut self, id: u8, status: Status, state: &State) {
+        let status = match &state.latch {
+            Some(latch) if id::is_motion(id) => {
+                self.seen = Some(latch.fast_stop_id);
+                Status::E_ACCESS_DENIED
+            }
+            None if id::is_motion(id) && state.command.is_some() => Status::E_ALREADY_RUNNING,
+            _ => status,
+        };
+        self.status(id, status);
+    }
+
+    /// Switching updates on is answered, too: some wait for that.
+    fn query(&mut self, now: Instant, id: u8, updates: Updates, state: &State) {
+        let updates = match updates {
+            Updates::Off => Updates::Off,
+            Updates::On { on_change, period_ms } => {
+                Updates::On { on_change, period_ms: period_ms.max(self.shortest_period_ms) }
+            }
+        };
+        let data = value(id, state);
+        self.subscriptions.set(id, updates, data.clone(), now);
+        if state.link == Link::Connected {
+            self.tell(id, data, state);
+        } else {
+            self.status(id, Status::E_IO_ERROR);
+        }
+    }
+
+    fn tell(&mut self, id: u8, data: Data, state: &State) {
+        if let (id::GET_SYSTEM_STATE, Some(latch)) = (id, &state.latch) {
+            self.seen = Some(latch.fast_stop_id);
+        }
+        self.reply(id, &Reply::Success(data));
+    }
+
+    /// A FAST STOP is acknowledged by who knows of it and may: many send 24h first of all, and would wipe out what
+    /// happened.
+    fn acknowledge(&mut self, state: &State) {
+        let id = id::ACKNOWLEDGE_FAST_STOP;
+        match &state.latch {
+            Some(latch) if self.rules.acknowledge_any || self.may_acknowledge(latch) => {
+                self.order(id, true, Order::Acknowledge(latch.fast_stop_id));
+            }
+            Some(_) => {
+                let cause = "a FAST STOP is acknowledged on a connection that was told of it, if that connection or \
+                             the device has caused it";
+                self.refused.push_back(Refused { id, status: Status::E_ACCESS_DENIED, cause });
+                self.status(id, Status::E_ACCESS_DENIED);
+            }
+            None if state.link == Link::Connected => self.reply(id, &Reply::Success(Data::None)),
+            None => self.status(id, Status::E_IO_ERROR),
+        }
+    }
+
+    fn may_acknowledge(&self, latch: &LatchFields) -> bool {
+        let id = Some(latch.fast_stop_id);
+        let is_the_clients = match latch.fast_stop_cause {
+            FastStopCause::Requested | FastStopCause::ClientLost => true,
+            FastStopCause::UnannouncedDisconnect
+            | FastStopCause::TemperatureFault
+            | FastStopCause::PowerFault
+            | FastStopCause::CurrentFault
+            | FastStopCause::FingerFault
+            | FastStopCause::SoftLimit
+            | FastStopCause::Unknown => false,
+        };
+        self.seen == id && (!is_the_clients || self.caused == id)
+    }
+
+    fn order(&mut self, id: u8, is_awaited: bool, order: Order) {
+        self.awaited += usize::from(is_awaited);
+        self.orders.push_back(Ordered { ask: Ask { id, is_awaited }, order });
+    }
+
+    fn status(&mut self, id: u8, status: Status) {
+        self.reply(id, &Reply::Status(status));
+    }
+
+    fn reply(&mut self, id: u8, reply: &Reply) {
+        if self.frames.len() >= MAX_WAITING_FRAMES {
+            self.overflown = true;
+            return;
+        }
+        let mut frame = Vec::new();
+        reply.encode(id, &mut frame);
+        self.frames.push_back(frame);
+    }
+}
+
+/// The newest value of a getter with automatic updates, as a device tells it.
+fn value(id: u8, state: &State) -> Data {
+    match id {
+        id::GET_SYSTEM_STATE => {
+            let flags = SystemState::from_bits_retain(state.flags_raw.unwrap_or_default());
+            // It holds for clients, though the device may have forgotten it, or not have heard of it yet.
+            let latched = if state.latch.is_some() { SystemState::FAST_STOP } else { SystemState::empty() };
+            Data::SystemState(flags | latched)
+        }
+        id::GET_GRIPPER_STATE => Data::GripperState(GripperState::from_code(state.state_code.unwrap_or_default())),
+        // fw4-en 3.4.4: 0 unless referenced.
+        id::GET_WIDTH => Data::Width(finite(state.width_mm, Width::new, Width::ZERO)),
+        id::GET_SPEED => Data::Speed(finite(state.speed_mm_s, Speed::new, Speed::ZERO)),
+        id::GET_FORCE => Data::Force(finite(state.force_n, Force::new, Force::ZERO)),
+        _ => Data::None,
+    }
+}
+
+fn finite<T, E>(value: Option<f32>, new: impl FnOnce(f32) -> Result<T, E>, zero: T) -> T {
+    value.and_then(|value| new(value).ok()).unwrap_or(zero)
+}
+
+#[cfg(test)]
+#[path = "device_tests.rs"]
+mod tests;

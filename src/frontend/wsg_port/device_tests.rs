@@ -1,0 +1,314 @@
+use std::time::Duration;
+
+use super::*;
+use crate::gripper::model::{Motion, Reason};
+use crate::wsg::{Decoded, Decoder, HomingDirection};
+
+fn rules() -> Rules {
+    Rules { checksum_evaluation: true, acknowledge_any: false, allow: Vec::new() }
+}
+
+fn state() -> State {
+    State {
+        link: Link::Connected,
+        flags_raw: Some(1),
+        state_code: Some(4),
+        width_mm: Some(20.0),
+        speed_mm_s: Some(0.0),
+        force_n: Some(40.0),
+        ..State::unknown("g".parse().unwrap())
+    }
+}
+
+fn latched(id: FastStopId, cause: FastStopCause) -> State {
+    let latch = LatchFields {
+        fast_stop_id: id,
+        fast_stop_by: "somebody".into(),
+        fast_stop_cause: cause,
+        fast_stop_reason: Reason::truncated(""),
+        fast_stop_at: jiff::Timestamp::UNIX_EPOCH,
+        fast_stop_confirmed: true,
+    };
+    State { latch: Some(latch), ..state() }
+}
+
+/// A virtual device, and the time.
+struct Bench {
+    device: VirtualDevice,
+    now: Instant,
+    state: State,
+}
+
+impl Bench {
+    fn new() -> Self {
+        Self::with(rules())
+    }
+
+    fn with(rules: Rules) -> Self {
+        Self { device: VirtualDevice::new(Arc::new(rules), 10), now: Instant::now(), state: state() }
+    }
+
+    fn send(&mut self, id: u8, payload: &[u8]) {
+        let mut bytes = Vec::new();
+        crate::wsg::frame::encode(id, payload, &mut bytes);
+        self.device.receive(self.now, &bytes, &self.state);
+    }
+
+    fn order(&mut self) -> Ordered {
+        self.device.poll_order().expect("an order")
+    }
+
+    fn answer(&mut self, ask: Ask, answer: Answer) {
+        self.device.answer(self.now, ask, answer, &self.state);
+    }
+
+    /// Lets time pass, as its driver would.
+    fn pass(&mut self, time: Duration) {
+        let until = self.now + time;
+        while let Some(at) = self.device.poll_timeout(&self.state).filter(|at| *at <= until) {
+            self.now = self.now.max(at);
+            self.device.handle_timeout(self.now, &self.state);
+        }
+        self.now = until;
+    }
+
+    /// What was sent: ids and statuses.
+    fn sent(&mut self) -> Vec<(u8, Status)> {
+        let mut sent = Vec::new();
+        while let Some(frame) = self.device.poll_frame() {
+            let mut decoder = Decoder::new(id::max_reply_bytes, ChecksumEvaluation::On);
+            decoder.push(&frame);
+            let Some(Decoded::Frame(reply)) = decoder.next() else { panic!("no frame: {frame:x?}") };
+            sent.push((reply.id, Reply::parse(reply.id, reply.payload).unwrap().status()));
+            assert!(!decoder.is_partial(), "one frame, one write");
+        }
+        sent
+    }
+}
+
+const NOTHING: Answer = Answer::Reply(Reply::Success(Data::None));
+
+#[test]
+fn requests_are_taken_up_in_order_and_stops_overtake() {
+    let mut bench = Bench::new();
+    bench.send(id::HOMING, &[0]);
+    bench.send(id::GET_FORCE_LIMIT, &[]);
+    bench.send(id::STOP, &[]);
+    bench.send(id::FAST_STOP, b"whatever");
+    let homing = bench.order();
+    assert_eq!(homing.order, Order::Command(Action::Motion(Motion::Home(HomingDirection::Default))));
+    assert_eq!(bench.order().order, Order::Command(Action::Stop));
+    let fast_stop = bench.order();
+    assert_eq!((fast_stop.order, bench.device.poll_order()), (Order::FastStop, None));
+    bench.answer(homing.ask, Answer::Accepted);
+    assert_eq!(bench.device.poll_order(), None, "a FAST STOP is waited for");
+    let id = FastStopId::generate();
+    bench.answer(fast_stop.ask, Answer::FastStopped(FastStop { id, confirmed: true }));
+    assert_eq!(bench.order().order, Order::Exchange(Command::GetForceLimit));
+    assert_eq!(bench.sent(), [(id::HOMING, Status::E_CMD_PENDING), (id::FAST_STOP, Status::E_SUCCESS)]);
+}
+
+#[test]
+fn a_stop_ends_what_came_before_it_also_what_was_not_begun() {
+    let mut bench = Bench::new();
+    let mut bytes = Vec::new();
+    for (id, payload) in [(id::LOOP, &b"x"[..]), (id::HOMING, &[0]), (id::STOP, &[])] {
+        crate::wsg::frame::encode(id, payload, &mut bytes);
+    }
+    bench.device.receive(bench.now, &bytes, &bench.state);
+    let (first, stop) = (bench.order(), bench.order());
+    assert_eq!((first.ask.id, stop.order), (id::LOOP, Order::Command(Action::Stop)));
+    bench.answer(first.ask, NOTHING);
+    assert_eq!(bench.device.poll_order(), None, "no motion behind the Stop");
+    assert_eq!(bench.sent(), [(id::LOOP, Status::E_SUCCESS), (id::HOMING, Status::E_CMD_ABORTED)]);
+}
+
+#[test]
+fn a_motion_is_begun_before_the_stop_behind_it() {
+    let mut bench = Bench::new();
+    let mut bytes = Vec::new();
+    crate::wsg::frame::encode(id::HOMING, &[0], &mut bytes);
+    crate::wsg::frame::encode(id::STOP, &[], &mut bytes);
+    bench.device.receive(bench.now, &bytes, &bench.state);
+    assert_eq!([bench.order().ask.id, bench.order().ask.id], [id::HOMING, id::STOP]);
+}
+
+#[test]
+fn a_script_holds_up_nothing() {
+    let mut bench = Bench::new();
+    bench.send(0xB0, &[1]);
+    bench.send(id::GET_SYSTEM_STATE, &[0; 3]);
+    assert!(matches!(bench.order().order, Order::Exchange(Command::Custom(_))));
+    assert_eq!(bench.sent(), [(id::GET_SYSTEM_STATE, Status::E_SUCCESS)]);
+}
+
+#[test]
+fn after_the_announcement_stops_alone_are_taken() {
+    let mut bench = Bench::new();
+    bench.send(id::GET_GRIPPER_STATE, &[1, 10, 0]);
+    bench.send(id::DISCONNECT_ANNOUNCEMENT, &[]);
+    assert!(bench.device.has_announced());
+    let release = bench.order();
+    assert_eq!(release.order, Order::Release);
+    bench.send(id::GRIP, &[0; 8]);
+    bench.answer(release.ask, NOTHING);
+    bench.send(id::STOP, &[]);
+    assert_eq!(bench.order().order, Order::Command(Action::Stop));
+    bench.pass(Duration::from_secs(1));
+    let denied = (id::GRIP, Status::E_ACCESS_DENIED);
+    let expected =
+        [(id::GET_GRIPPER_STATE, Status::E_SUCCESS), (id::DISCONNECT_ANNOUNCEMENT, Status::E_SUCCESS), denied];
+    assert_eq!(bench.sent(), expected, "and no update");
+}
+
+#[test]
+fn an_announcement_that_waits_counts() {
+    let mut bench = Bench::new();
+    bench.send(id::HOMING, &[0]);
+    bench.send(id::DISCONNECT_ANNOUNCEMENT, &[]);
+    assert!(bench.device.has_announced());
+}
+
+#[test]
+fn updates_come_at_their_own_period_and_no_faster_than_the_links() {
+    let mut bench = Bench { device: VirtualDevice::new(Arc::new(rules()), 50), ..Bench::new() };
+    bench.send(id::GET_WIDTH, &[1, 10, 0]);
+    bench.send(id::GET_FORCE, &[1, 100, 0]);
+    assert_eq!(bench.sent().len(), 2, "switching on is answered");
+    bench.pass(Duration::from_millis(500));
+    let sent = bench.sent();
+    let of = |id| sent.iter().filter(|(sent, _)| *sent == id).count();
+    assert_eq!((of(id::GET_WIDTH), of(id::GET_FORCE)), (10, 5));
+    bench.send(id::GET_WIDTH, &[0; 3]);
+    bench.pass(Duration::from_millis(100));
+    assert_eq!(bench.sent().iter().filter(|(sent, _)| *sent == id::GET_WIDTH).count(), 1, "off, and one answer");
+}
+
+#[test]
+fn updates_on_change_come_with_a_change() {
+    let mut bench = Bench::new();
+    bench.send(id::GET_GRIPPER_STATE, &[3, 10, 0]);
+    assert!(bench.device.watches());
+    bench.pass(Duration::from_secs(1));
+    assert_eq!(bench.sent().len(), 1);
+    bench.state.state_code = Some(0);
+    bench.pass(Duration::from_millis(1));
+    assert_eq!(bench.sent(), [(id::GET_GRIPPER_STATE, Status::E_SUCCESS)]);
+}
+
+#[test]
+fn updates_that_nobody_reads_are_left_out_and_what_is_asked_for_is_not() {
+    let mut bench = Bench::new();
+    bench.send(id::GET_FORCE, &[1, 10, 0]);
+    bench.pass(Duration::from_secs(10));
+    bench.send(id::GET_SPEED, &[0; 3]);
+    let sent = bench.sent();
+    assert_eq!((sent.len(), sent.last().unwrap().0), (MAX_FRAMES_BEFORE_UPDATES + 1, id::GET_SPEED));
+    assert!(!bench.device.has_overflown());
+}
+
+#[test]
+fn a_client_that_asks_and_never_reads_is_given_up() {
+    let mut bench = Bench::new();
+    for _ in 0..MAX_WAITING_FRAMES {
+        bench.send(id::GET_SPEED, &[0; 3]);
+    }
+    assert!(!bench.device.has_overflown());
+    bench.send(id::GET_SPEED, &[0; 3]);
+    assert!(bench.device.has_overflown());
+}
+
+#[test]
+fn more_requests_than_may_wait_are_an_overrun() {
+    let mut bench = Bench::new();
+    for _ in 0..=MAX_WAITING_REQUESTS {
+        bench.send(id::LOOP, b"x");
+    }
+    assert_eq!(bench.sent(), []);
+    bench.send(id::LOOP, b"x");
+    assert_eq!(bench.sent(), [(id::LOOP, Status::E_OVERRUN)]);
+    bench.send(id::FAST_STOP, &[]);
+    assert_eq!((bench.order().ask.id, bench.order().order), (id::LOOP, Order::FastStop), "which finds a place always");
+}
+
+fn acknowledges(bench: &mut Bench) -> bool {
+    bench.send(id::ACKNOWLEDGE_FAST_STOP, b"ack");
+    match bench.device.poll_order() {
+        Some(Ordered { order: Order::Acknowledge(_), ask }) => {
+            bench.answer(ask, NOTHING);
+            assert_eq!(bench.sent().last(), Some(&(id::ACKNOWLEDGE_FAST_STOP, Status::E_SUCCESS)));
+            true
+        }
+        None => {
+            assert_eq!(bench.sent().last(), Some(&(id::ACKNOWLEDGE_FAST_STOP, Status::E_ACCESS_DENIED)));
+            assert_eq!(bench.device.poll_refused().unwrap().status, Status::E_ACCESS_DENIED);
+            false
+        }
+        order => panic!("{order:?}"),
+    }
+}
+
+#[test]
+fn a_latch_is_acknowledged_by_who_has_seen_it_and_where_its_client_or_the_device_has_caused_it() {
+    let id = FastStopId::generate();
+    let refusal = Answer::Refused(Refusal { status: Status::E_ACCESS_DENIED, fast_stop: Some(id) });
+    for (cause, by_device) in [
+        (FastStopCause::Requested, false),
+        (FastStopCause::ClientLost, false),
+        (FastStopCause::UnannouncedDisconnect, true),
+        (FastStopCause::CurrentFault, true),
+        (FastStopCause::Unknown, true),
+    ] {
+        let mut blind = Bench { state: latched(id, cause), ..Bench::new() };
+        assert!(!acknowledges(&mut blind), "{cause:?}");
+        blind.send(id::GET_SYSTEM_STATE, &[0; 3]);
+        assert_eq!(acknowledges(&mut blind), by_device, "seen in 40h: {cause:?}");
+
+        let mut refused = Bench { state: latched(id, cause), ..Bench::new() };
+        refused.send(id::HOMING, &[0]);
+        let ask = refused.order().ask;
+        refused.answer(ask, refusal.clone());
+        assert_eq!(acknowledges(&mut refused), by_device, "by a refused motion: {cause:?}");
+
+        let mut malformed = Bench { state: latched(id, cause), ..Bench::new() };
+        malformed.send(id::HOMING, &[]);
+        assert_eq!(malformed.sent(), [(id::HOMING, Status::E_ACCESS_DENIED)]);
+        assert_eq!(acknowledges(&mut malformed), by_device, "by a malformed one: {cause:?}");
+
+        let mut any = Bench::with(Rules { acknowledge_any: true, ..rules() });
+        any.state = latched(id, cause);
+        assert!(acknowledges(&mut any), "with any: {cause:?}");
+    }
+    let mut own = Bench { state: latched(id, FastStopCause::Requested), ..Bench::new() };
+    own.send(id::FAST_STOP, &[]);
+    let ask = own.order().ask;
+    own.answer(ask, Answer::FastStopped(FastStop { id, confirmed: true }));
+    assert!(acknowledges(&mut own), "its own");
+    // A further one by somebody else is another.
+    own.state = latched(FastStopId::generate(), FastStopCause::Requested);
+    assert!(!acknowledges(&mut own));
+}
+
+#[test]
+fn a_latch_is_shown_in_the_flags_also_where_the_device_has_forgotten_it() {
+    let mut bench = Bench { state: latched(FastStopId::generate(), FastStopCause::Requested), ..Bench::new() };
+    bench.send(id::GET_SYSTEM_STATE, &[0; 3]);
+    let frame = bench.device.poll_frame().unwrap();
+    assert_eq!(frame[8..12], (1_u32 | 1 << 12).to_le_bytes());
+}
+
+#[test]
+fn without_a_link_nothing_stale_is_told() {
+    let mut bench = Bench::new();
+    bench.send(id::GET_WIDTH, &[1, 10, 0]);
+    bench.state.link = Link::Reconnecting;
+    bench.sent();
+    bench.pass(Duration::from_secs(1));
+    bench.send(id::GET_SPEED, &[0; 3]);
+    bench.send(id::ACKNOWLEDGE_FAST_STOP, b"ack");
+    let io = Status::E_IO_ERROR;
+    assert_eq!(bench.sent(), [(id::GET_SPEED, io), (id::ACKNOWLEDGE_FAST_STOP, io)]);
+    bench.state.link = Link::Connected;
+    bench.pass(Duration::from_millis(100));
+    assert!((9..=11).contains(&bench.sent().len()), "and what was missed does not come later");
+}

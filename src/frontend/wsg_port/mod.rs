@@ -1,0 +1,155 @@
+//! The WSG port: a gripper that speaks the manual's own protocol, to several clients at a time, each with a virtual
+//! device of its own.
+//!
+//! [`device`] is that device, a pure machine, with [`input`] (requests in bytes) and [`status`] (what was not done, as a
+//! status); [`client`] is the I/O around it, and [`tcp`] and [`udp`] bring clients in.
+//!
+//! A motion takes the lease where it is free, and the client keeps it until it announces its end (07h), or is lost. No
+//! client gets a frame that it has not asked for.
+
+mod client;
+mod device;
+mod input;
+mod status;
+mod tcp;
+mod udp;
+
+use std::fmt;
+use std::io;
+use std::net::{IpAddr, SocketAddr, TcpListener, UdpSocket};
+use std::sync::Arc;
+use std::time::Duration;
+
+use ipnet::IpNet;
+use tokio_util::sync::CancellationToken;
+
+use super::refusals::Refusals;
+use crate::gripper::Handle;
+use crate::gripper::model::{Client, Door};
+
+/// Clients of one port at a time: one of them moves the gripper, so there are seldom more than a few.
+pub const MAX_CLIENTS: usize = 32;
+
+/// A client that has been silent for so long is lost: one that doesn't acknowledge its TCP segments, or that sends no
+/// datagram.
+pub const LOST_AFTER: Duration = Duration::from_secs(3);
+
+/// Where a gripper is served.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Address {
+    /// Connections.
+    Tcp(SocketAddr),
+    /// Datagrams, which are answered to another port than the sender's where one is given, as devices do.
+    Udp(SocketAddr, Option<u16>),
+}
+
+impl fmt::Display for Address {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Tcp(address) => write!(f, "tcp://{address}"),
+            Self::Udp(address, _) => write!(f, "udp://{address}"),
+        }
+    }
+}
+
+/// What a port grants its clients.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Rules {
+    /// Whether checksums of requests count.
+    pub checksum_evaluation: bool,
+    /// Whether everyone may acknowledge every FAST STOP.
+    pub acknowledge_any: bool,
+    /// Who may connect; none is everyone.
+    pub allow: Vec<IpNet>,
+}
+
+/// One gripper's ports.
+#[derive(Debug)]
+pub struct Port {
+    gripper: Handle,
+    rules: Arc<Rules>,
+    refusals: Arc<Refusals>,
+}
+
+/// A port that clients can reach, and that is not served yet: by whichever runtime will do so.
+#[derive(Debug)]
+pub enum Listener {
+    /// Connections.
+    Tcp(TcpListener),
+    /// Datagrams, and the port that answers go to.
+    Udp(UdpSocket, Option<u16>),
+}
+
+impl Listener {
+    /// At this address.
+    ///
+    /// # Errors
+    /// As the operating system says.
+    pub fn bind(address: Address) -> io::Result<Self> {
+        Ok(match address {
+            Address::Tcp(address) => {
+                let listener = TcpListener::bind(address)?;
+                listener.set_nonblocking(true)?;
+                Self::Tcp(listener)
+            }
+            Address::Udp(address, reply_port) => {
+                let socket = UdpSocket::bind(address)?;
+                socket.set_nonblocking(true)?;
+                Self::Udp(socket, reply_port)
+            }
+        })
+    }
+
+    /// Where clients reach it.
+    ///
+    /// # Errors
+    /// As the operating system says.
+    pub fn url(&self) -> io::Result<String> {
+        Ok(match self {
+            Self::Tcp(listener) => format!("tcp://{}", listener.local_addr()?),
+            Self::Udp(socket, _) => format!("udp://{}", socket.local_addr()?),
+        })
+    }
+}
+
+impl Port {
+    /// Of this gripper.
+    #[must_use]
+    pub fn new(gripper: Handle, rules: Rules, refusals: Arc<Refusals>) -> Arc<Self> {
+        Arc::new(Self { gripper, rules: Arc::new(rules), refusals })
+    }
+
+    /// Serves clients: new ones until `draining`, and all until `closing`.
+    ///
+    /// # Errors
+    /// As the operating system says.
+    pub async fn serve(
+        self: Arc<Self>,
+        listener: Listener,
+        draining: CancellationToken,
+        closing: CancellationToken,
+    ) -> io::Result<()> {
+        match listener {
+            Listener::Tcp(listener) => {
+                let listener = tokio::net::TcpListener::from_std(listener)?;
+                tcp::serve(self, listener, draining, closing).await;
+            }
+            Listener::Udp(socket, reply_port) => {
+                let socket = tokio::net::UdpSocket::from_std(socket)?;
+                udp::serve(self, socket, reply_port, draining, closing).await;
+            }
+        }
+        Ok(())
+    }
+
+    fn allows(&self, peer: IpAddr) -> bool {
+        let peer = peer.to_canonical();
+        self.rules.allow.is_empty() || self.rules.allow.iter().any(|net| net.contains(&peer))
+    }
+
+    /// Before there are credentials, a client is its address: a driver that was restarted is the same again, though
+    /// its port is another.
+    fn client(peer: SocketAddr) -> Client {
+        Client { subject: format!("wsg:{}", peer.ip().to_canonical()).into(), door: Door::Wsg }
+    }
+}

@@ -1,0 +1,64 @@
+//! What a client is answered when its request was not done: every [`Rejection`] as a status of the manual.
+
+use crate::gripper::model::{Command, FastStopId, Outcome};
+use crate::gripper::{Conflict, DeviceRefusal, Failure, Invalid, Rejection};
+use crate::wsg::Status;
+
+/// Why a request was not done, as the protocol has it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Refusal {
+    pub status: Status,
+    /// The FAST STOP that was in the way.
+    pub fast_stop: Option<FastStopId>,
+}
+
+impl From<&Rejection> for Refusal {
+    fn from(rejection: &Rejection) -> Self {
+        let fast_stop = match rejection {
+            Rejection::Conflict(Conflict::FastStop { id }) => Some(*id),
+            Rejection::Device(refusal) => refusal.fast_stop,
+            _ => None,
+        };
+        Self { status: status_of(rejection), fast_stop }
+    }
+}
+
+/// One exhaustive match, so that a new reason can't go without its status.
+fn status_of(rejection: &Rejection) -> Status {
+    match rejection {
+        Rejection::Invalid(Invalid::OutOfRange { .. }) => Status::E_RANGE_ERROR,
+        Rejection::Invalid(Invalid::Malformed { .. }) => Status::E_CMD_FORMAT_ERROR,
+        Rejection::Conflict(conflict) => match conflict {
+            Conflict::FastStop { .. }
+            | Conflict::StaleFastStop { .. }
+            | Conflict::FastStopUnconfirmed { .. }
+            | Conflict::LeaseHeld { .. }
+            | Conflict::StaleLease { .. } => Status::E_ACCESS_DENIED,
+            Conflict::AlreadyRunning { .. } | Conflict::Acknowledging { .. } => Status::E_ALREADY_RUNNING,
+            Conflict::NotReferenced | Conflict::SettingsLost { .. } => Status::E_NOT_INITIALIZED,
+            Conflict::FastStopPersists { .. } | Conflict::RequestIdReused => Status::E_CMD_FAILED,
+        },
+        Rejection::Device(DeviceRefusal { status, .. }) => *status,
+        Rejection::Failure(failure) => match failure {
+            Failure::LinkDown { .. } => Status::E_IO_ERROR,
+            Failure::Draining => Status::E_ACCESS_DENIED,
+            Failure::DeviceTimeout { .. } => Status::E_TIMEOUT,
+            Failure::DeviceProtocol { .. } => Status::E_INCONSISTENT_DATA,
+            Failure::Overloaded { .. } | Failure::LineTime { .. } => Status::E_INSUFFICIENT_RESOURCES,
+            Failure::JournalDown { .. } => Status::E_WRITE_ERROR,
+        },
+    }
+}
+
+/// What the last reply to a command says: the device's own status, where it gave one.
+pub(super) fn status_of_end(command: &Command) -> Status {
+    if let Some(rejection) = &command.rejection {
+        return status_of(rejection);
+    }
+    match (command.status_code, command.outcome) {
+        (Some(code), _) => Status::from_code(code),
+        (None, Some(Outcome::Aborted)) => Status::E_CMD_ABORTED,
+        // It may have happened: neither a success nor a failure is said.
+        (None, _) => Status::E_TIMEOUT,
+    }
+}

@@ -1,0 +1,105 @@
+//! Clients by TCP: a connection each.
+
+use std::io;
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::Duration;
+
+use socket2::{SockRef, TcpKeepalive};
+use tokio::net::{TcpListener, TcpStream};
+use tokio::task::JoinSet;
+use tokio::time::sleep;
+use tokio_util::sync::CancellationToken;
+
+use super::client::Served;
+use super::{LOST_AFTER, MAX_CLIENTS, Port};
+
+/// How often a silent peer is asked whether it is still there.
+const PROBE_EVERY: Duration = Duration::from_secs(1);
+
+/// How long no connection is accepted after that failed: long enough not to spin while the process is out of file
+/// descriptors, short enough not to be noticed.
+const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
+
+pub(super) async fn serve(
+    port: Arc<Port>,
+    listener: TcpListener,
+    draining: CancellationToken,
+    closing: CancellationToken,
+) {
+    let mut clients = JoinSet::new();
+    loop {
+        let accepted = tokio::select! {
+            biased;
+            () = draining.cancelled() => break,
+            Some(_) = clients.join_next() => continue,
+            accepted = listener.accept() => accepted,
+        };
+        match accepted {
+            Ok((stream, peer)) => {
+                if let Some(served) = admit(&port, stream, peer, clients.len()) {
+                    clients.spawn(served.run(closing.clone()));
+                }
+            }
+            Err(error) => {
+                tracing::warn!(%error, "no connection could be accepted");
+                sleep(ACCEPT_PAUSE).await;
+            }
+        }
+    }
+    drop(listener);
+    while clients.join_next().await.is_some() {}
+}
+
+type Connection = Served<tokio::net::tcp::OwnedReadHalf, tokio::net::tcp::OwnedWriteHalf>;
+
+fn admit(port: &Arc<Port>, stream: TcpStream, peer: SocketAddr, clients: usize) -> Option<Connection> {
+    let gripper = port.gripper.name();
+    if !port.allows(peer.ip()) {
+        tracing::warn!(%gripper, %peer, "connection refused: wsg_port_allow does not name its address");
+        return None;
+    }
+    if clients >= MAX_CLIENTS {
+        tracing::warn!(%gripper, %peer, limit = MAX_CLIENTS, "connection refused: too many are open");
+        return None;
+    }
+    if let Err(error) = prepare(&stream) {
+        // It has just ended.
+        tracing::debug!(%gripper, %peer, %error, "connection refused: its options could not be set");
+        return None;
+    }
+    tracing::info!(%gripper, %peer, "connected to the WSG port");
+    let (reader, writer) = stream.into_split();
+    Some(Served::new(port.clone(), Port::client(peer), reader, writer, None))
+}
+
+/// Each frame leaves at once and by itself, and a peer that is gone without a word is noticed within [`LOST_AFTER`].
+fn prepare(stream: &TcpStream) -> io::Result<()> {
+    stream.set_nodelay(true)?;
+    let socket = SockRef::from(stream);
+    let keepalive = TcpKeepalive::new().with_time(PROBE_EVERY).with_interval(PROBE_EVERY).with_retries(2);
+    socket.set_tcp_keepalive(&keepalive)?;
+    socket.set_tcp_user_timeout(Some(LOST_AFTER))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn a_dead_peer_is_found_within_three_seconds() {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let client = TcpStream::connect(listener.local_addr().unwrap());
+        let (client, accepted) = tokio::join!(client, listener.accept());
+        let (stream, _) = accepted.unwrap();
+        prepare(&stream).unwrap();
+        let socket = SockRef::from(&stream);
+        let probes = socket.tcp_keepalive_retries().unwrap() * PROBE_EVERY.as_secs() as u32;
+        let idle = socket.tcp_keepalive_time().unwrap();
+        assert_eq!(socket.tcp_keepalive_interval().unwrap(), PROBE_EVERY);
+        assert_eq!(idle + Duration::from_secs(probes.into()), LOST_AFTER);
+        assert_eq!(socket.tcp_user_timeout().unwrap(), Some(LOST_AFTER), "of what was sent and not acknowledged");
+        assert!(socket.keepalive().unwrap() && socket.tcp_nodelay().unwrap());
+        drop(client);
+    }
+}

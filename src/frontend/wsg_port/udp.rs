@@ -1,0 +1,115 @@
+//! Clients by UDP: a source address each, which is lost when it has been silent for too long.
+
+use std::collections::HashMap;
+use std::io;
+use std::net::SocketAddr;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::task::{Context, Poll, ready};
+
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::net::UdpSocket;
+use tokio::sync::mpsc;
+use tokio::task::JoinSet;
+use tokio_util::sync::CancellationToken;
+
+use super::client::Served;
+use super::{LOST_AFTER, MAX_CLIENTS, Port};
+
+/// The longest datagram there can be.
+const MAX_DATAGRAM_BYTES: usize = 65_535;
+
+/// Datagrams of one client that may wait to be read; further ones are lost, as datagrams are.
+const MAX_WAITING_DATAGRAMS: usize = 32;
+
+pub(super) async fn serve(
+    port: Arc<Port>,
+    socket: UdpSocket,
+    reply_port: Option<u16>,
+    draining: CancellationToken,
+    closing: CancellationToken,
+) {
+    let socket = Arc::new(socket);
+    let (mut known, mut clients) = (HashMap::<SocketAddr, mpsc::Sender<Vec<u8>>>::new(), JoinSet::new());
+    let mut datagram = vec![0; MAX_DATAGRAM_BYTES];
+    loop {
+        let received = tokio::select! {
+            biased;
+            () = closing.cancelled() => break,
+            Some(_) = clients.join_next() => {
+                known.retain(|_, client| !client.is_closed());
+                continue;
+            }
+            received = socket.recv_from(&mut datagram) => received,
+        };
+        // An error is of something that was sent before: its client will be silent.
+        let Ok((bytes, peer)) = received else { continue };
+        let bytes = datagram.get(..bytes).unwrap_or_default().to_vec();
+        let client = known.get(&peer).filter(|client| !client.is_closed()).cloned();
+        let client = match client {
+            Some(client) => client,
+            None if draining.is_cancelled() || !port.allows(peer.ip()) || clients.len() >= MAX_CLIENTS => {
+                tracing::debug!(gripper = %port.gripper.name(), %peer, limit = MAX_CLIENTS, "datagram ignored");
+                continue;
+            }
+            None => {
+                tracing::info!(gripper = %port.gripper.name(), %peer, "a client of the WSG port, by UDP");
+                let (sender, datagrams) = mpsc::channel(MAX_WAITING_DATAGRAMS);
+                let answered_at = SocketAddr::new(peer.ip(), reply_port.unwrap_or(peer.port()));
+                let writer = Writer { socket: socket.clone(), peer: answered_at };
+                let reader = Reader { datagrams, rest: Vec::new() };
+                let served = Served::new(port.clone(), Port::client(peer), reader, writer, Some(LOST_AFTER));
+                clients.spawn(served.run(closing.clone()));
+                known.insert(peer, sender.clone());
+                sender
+            }
+        };
+        // It comes too fast.
+        let _ = client.try_send(bytes);
+    }
+    while clients.join_next().await.is_some() {}
+}
+
+/// One client's datagrams.
+struct Reader {
+    datagrams: mpsc::Receiver<Vec<u8>>,
+    rest: Vec<u8>,
+}
+
+impl AsyncRead for Reader {
+    fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, out: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
+        // An empty one is no end.
+        while self.rest.is_empty() {
+            match ready!(self.datagrams.poll_recv(cx)) {
+                Some(datagram) => self.rest = datagram,
+                None => return Poll::Ready(Ok(())),
+            }
+        }
+        let taken = self.rest.len().min(out.remaining());
+        out.put_slice(self.rest.get(..taken).unwrap_or_default());
+        self.rest.drain(..taken);
+        Poll::Ready(Ok(()))
+    }
+}
+
+/// Sends one client its frames, a datagram each.
+struct Writer {
+    socket: Arc<UdpSocket>,
+    peer: SocketAddr,
+}
+
+impl AsyncWrite for Writer {
+    fn poll_write(self: Pin<&mut Self>, cx: &mut Context<'_>, frame: &[u8]) -> Poll<io::Result<usize>> {
+        // What can't be sent is lost, as datagrams are; a client that is gone is silent.
+        let _ = ready!(self.socket.poll_send_to(cx, frame, self.peer));
+        Poll::Ready(Ok(frame.len()))
+    }
+
+    fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+
+    fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Poll::Ready(Ok(()))
+    }
+}
