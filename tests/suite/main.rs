@@ -32,3 +32,4 @@ mod slow_line;
 mod websocket;
 mod wires;
 mod without_connection;
+mod wsg_port;

@@ -88,6 +88,21 @@ impl Gateway {
         gateway
     }
 
+    /// Serves the device at `device` as `g`, connected, with a WSG port and these arguments.
+    pub async fn with_port(device: SocketAddr, arguments: &[&str]) -> (Self, SocketAddr) {
+        let gripper = format!("g=tcp://{device}");
+        let own = ["--gripper", &gripper, "--wsg-port", "g=127.0.0.1:0"];
+        let gateway = Self::start(&[&own[..], arguments].concat()).await;
+        gateway.until_link("connected").await;
+        let port = gateway.process.word_after("WSG port of g: tcp://").await.parse().unwrap();
+        (gateway, port)
+    }
+
+    /// The word that it said behind this one.
+    pub async fn word_after(&self, before: &str) -> String {
+        self.process.word_after(before).await
+    }
+
     /// Starts it with these arguments, on a port that the operating system chooses.
     pub async fn start(arguments: &[&str]) -> Self {
         let process = Process::start(&[&["--listen", "127.0.0.1:0"], arguments].concat());

@@ -10,6 +10,7 @@ mod proxy;
 mod scripted;
 mod simulator;
 mod socket;
+pub mod wsg;
 
 use std::time::{Duration, Instant};
 

@@ -1,0 +1,129 @@
+//! Stand-ins for whole drivers, each with its habits.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use super::{CMD_FAILED, Cell, GRIP, MOVE, SUCCESS};
+use crate::harness::wsg::{PENDING, floats, move_to, request};
+
+/// A simple blocking driver: a blind acknowledge, then each request waits for its answer; a motion until its status is
+/// not pending. It never announces its end.
+#[tokio::test]
+async fn a_simple_blocking_driver_works() {
+    let cell = Cell::new().await;
+    let mut driver = cell.driver().await;
+    assert_eq!(driver.status(0x24, b"ack").await, SUCCESS);
+    for (id, parameters) in [
+        (0x20, vec![1]),
+        (0x32, floats(&[40.0])),
+        (0x30, floats(&[2000.0])),
+        (GRIP, floats(&[20.0, 100.0])),
+        (0x26, floats(&[80.0, 200.0])),
+        (MOVE, move_to(40.0, 200.0)),
+    ] {
+        let mut status = driver.status(id, &parameters).await;
+        while status == PENDING {
+            status = driver.next().await.status;
+        }
+        assert_eq!(status, SUCCESS, "{id:02X}h");
+    }
+    assert_eq!(driver.status(GRIP, &floats(&[90.0, 200.0])).await, PENDING);
+    assert_eq!(driver.end_of(GRIP).await, CMD_FAILED, "no part is found by opening");
+    drop(driver);
+    let state = cell.gateway.until("nobody holds it", |state| state["lease_holder"].is_null()).await;
+    assert_eq!(state["fast_stop"], false, "it left while nothing moved");
+}
+
+/// A driver that has all updates sent, and finds the answers among them by their ids.
+#[tokio::test]
+async fn a_driver_that_lives_on_updates_works() {
+    let cell = Cell::homed().await;
+    let mut driver = cell.driver().await;
+    for id in [0x40, 0x41, 0x43, 0x44, 0x45] {
+        driver.send(id, &[1, 10, 0]).await;
+    }
+    driver.send(0x26, &floats(&[80.0, 100.0])).await;
+    let (mut updates, mut steps) = (BTreeMap::<u8, usize>::new(), Vec::new());
+    while steps.len() < 2 {
+        let reply = driver.next().await;
+        match reply.id {
+            0x26 => steps.push(reply.status),
+            id => *updates.entry(id).or_default() += 1,
+        }
+    }
+    assert_eq!(steps, [PENDING, SUCCESS]);
+    assert_eq!(updates.keys().copied().collect::<Vec<_>>(), [0x40, 0x41, 0x43, 0x44, 0x45]);
+    assert!(updates.values().all(|&count| count >= 5), "{updates:?}");
+    // One is switched off by asking once.
+    for id in [0x40, 0x41, 0x44, 0x45] {
+        driver.send(id, &[0; 3]).await;
+    }
+    driver.send(0x06, b"behind").await;
+    while driver.next().await.id != 0x06 {}
+    for _ in 0..10 {
+        assert_eq!(driver.next().await.id, 0x43);
+    }
+    driver.send(0x43, &[0; 3]).await;
+    while driver.next_within(Duration::from_millis(100)).await.is_some() {}
+    driver.reset();
+}
+
+/// A driver that sends all it has to say at once, and takes the answers as they come.
+#[tokio::test]
+async fn a_driver_that_pipelines_gets_its_answers_in_order() {
+    let cell = Cell::homed().await;
+    let mut driver = cell.driver().await;
+    let all = [
+        request(0x32, &floats(&[30.0])),
+        request(0x33, &[]),
+        request(0x50, &[]),
+        request(0x40, &[0; 3]),
+        request(0x06, b"one"),
+        request(0x06, b"two"),
+        request(0x25, &floats(&[20.0, 200.0])),
+        request(0x41, &[0; 3]),
+        request(0x26, &floats(&[60.0, 200.0])),
+        request(0x43, &[0; 3]),
+    ];
+    driver.send_raw(&all.concat()).await;
+    let mut answers = Vec::new();
+    while answers.len() < 11 {
+        let reply = driver.next().await;
+        answers.push((reply.id, reply.status));
+    }
+    let end = answers.iter().position(|answer| *answer == (GRIP, SUCCESS)).expect("the grip's end");
+    answers.remove(end);
+    let expected = [
+        (0x32, SUCCESS),
+        (0x33, SUCCESS),
+        (0x50, SUCCESS),
+        (0x40, SUCCESS),
+        (0x06, SUCCESS),
+        (0x06, SUCCESS),
+        (GRIP, PENDING),
+        (0x41, SUCCESS),
+        (0x26, super::ALREADY_RUNNING),
+        (0x43, SUCCESS),
+    ];
+    assert_eq!(answers, expected);
+    let ids: Vec<_> =
+        cell.proxy.frames.all().iter().map(|frame| frame.id).filter(|id| [0x25, 0x32].contains(id)).collect();
+    assert_eq!(ids, [0x32, 0x25], "the gripper gets them in this order, too");
+}
+
+/// A Stop that comes right behind a motion stops that motion, however little of it has happened.
+#[tokio::test]
+async fn a_stop_in_the_same_write_as_its_motion_stops_it() {
+    let cell = Cell::homed().await;
+    let mut driver = cell.driver().await;
+    driver.send_raw(&[request(MOVE, &move_to(5.0, 5.0)), request(0x22, &[])].concat()).await;
+    let mut replies: Vec<(u8, u16)> = Vec::new();
+    while replies.len() < 3 {
+        let reply = driver.next().await;
+        replies.push((reply.id, reply.status));
+    }
+    let of_motion: Vec<_> = replies.iter().filter(|(id, _)| *id == MOVE).map(|(_, status)| *status).collect();
+    assert_eq!(of_motion, [PENDING, super::ABORTED], "{replies:?}");
+    assert!(replies.contains(&(0x22, SUCCESS)), "{replies:?}");
+    cell.gateway.until("it stands", |state| state["moving"] == false && state["command"].is_null()).await;
+}

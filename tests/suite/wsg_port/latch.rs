@@ -1,0 +1,108 @@
+//! Who may acknowledge a FAST STOP by 24h.
+
+use serde_json::json;
+
+use super::{ACCESS_DENIED, ALREADY_RUNNING, CMD_FAILED, Cell, MOVE, SUCCESS};
+use crate::harness::wsg::{PENDING, move_to};
+use crate::harness::{Gateway, Simulator, eventually};
+
+const FAST_STOP: u32 = 1 << 12;
+
+#[tokio::test]
+async fn a_blind_acknowledge_does_not_wipe_out_what_happened() {
+    // A gateway that dies leaves its device in FAST STOP.
+    let device = Simulator::start(&[]).await;
+    Gateway::connected_to(device.address).await.kill().await;
+    let (gateway, port) = Gateway::with_port(device.address, &[]).await;
+    let latched = gateway.until("the FAST STOP", |state| state["fast_stop"] == true).await;
+    let mut driver = crate::harness::wsg::Driver::connect(port).await;
+    assert_eq!(driver.status(0x24, b"ack").await, ACCESS_DENIED, "it knows of none");
+    assert_eq!(gateway.state().await["fast_stop_id"], latched["fast_stop_id"]);
+    // Told of it, and the device has caused it.
+    assert_eq!(driver.flags().await & FAST_STOP, FAST_STOP);
+    assert_eq!(driver.status(0x24, b"ack").await, SUCCESS);
+    assert_eq!(driver.flags().await & FAST_STOP, 0);
+    assert_eq!(gateway.state().await["fast_stop"], false);
+}
+
+#[tokio::test]
+async fn a_refused_motion_tells_of_it_too() {
+    let device = Simulator::start(&[]).await;
+    Gateway::connected_to(device.address).await.kill().await;
+    let (_gateway, port) = Gateway::with_port(device.address, &[]).await;
+    let mut driver = crate::harness::wsg::Driver::connect(port).await;
+    assert_eq!(driver.status(0x20, &[0]).await, ACCESS_DENIED);
+    assert_eq!(driver.status(0x24, b"ack").await, SUCCESS);
+    assert_eq!(driver.run(0x20, &[0]).await, SUCCESS);
+}
+
+#[tokio::test]
+async fn a_fast_stop_is_acknowledged_by_who_caused_it_and_by_no_other_driver() {
+    let cell = Cell::homed().await;
+    let (mut one, mut other) = (cell.driver().await, cell.driver().await);
+    assert_eq!(one.status(MOVE, &move_to(10.0, 5.0)).await, PENDING);
+    // Who doesn't hold the lease stops all the same.
+    assert_eq!(other.status(0x23, &[]).await, SUCCESS);
+    assert_eq!(one.end_of(MOVE).await, super::ABORTED);
+    assert_eq!(one.flags().await & FAST_STOP, FAST_STOP);
+    assert_eq!(one.status(0x24, b"ack").await, ACCESS_DENIED);
+    assert_eq!(other.status(0x24, b"ack").await, SUCCESS);
+    assert_eq!(one.run(MOVE, &move_to(20.0, 200.0)).await, SUCCESS, "it holds the lease still");
+}
+
+#[tokio::test]
+async fn a_fast_stop_of_http_is_acknowledged_there() {
+    let cell = Cell::homed().await;
+    let mut driver = cell.driver().await;
+    let stopped = cell.gateway.post("fast-stop", &json!({"reason": "light curtain"})).await.ok();
+    assert_eq!(driver.flags().await & FAST_STOP, FAST_STOP);
+    assert_eq!(driver.status(0x24, b"ack").await, ACCESS_DENIED);
+    let refused = eventually("the refusal is written down", async || {
+        let events = cell.gateway.get("/api/v1/events?kind=refused").await.ok();
+        events["events"].get(0).cloned()
+    })
+    .await;
+    let told = ["door", "subject", "command", "code"].map(|field| refused[field].as_str().unwrap());
+    assert_eq!(told, ["wsg", "wsg:127.0.0.1", "AcknowledgeFastStop", "E_ACCESS_DENIED"], "{refused}");
+    cell.gateway.post("acknowledge", &json!({"fast_stop_id": stopped["fast_stop_id"]})).await.ok();
+    assert_eq!(driver.status(0x24, b"ack").await, SUCCESS, "nothing is latched");
+}
+
+#[tokio::test]
+async fn with_any_everyone_may() {
+    let device = Simulator::start(&[]).await;
+    let text = format!(
+        "[grippers.g]\nurl = \"tcp://{}\"\nwsg_port = \"127.0.0.1:0\"\nwsg_port_acknowledge = \"any\"\n",
+        device.address
+    );
+    let gateway = super::configured("any.toml", &text).await;
+    let mut driver = super::connect(&gateway).await;
+    gateway.post("fast-stop", &json!({})).await.ok();
+    assert_eq!(driver.status(0x24, b"ack").await, SUCCESS);
+    assert_eq!(gateway.state().await["fast_stop"], false);
+}
+
+#[tokio::test]
+async fn a_latch_of_a_lost_driver_is_not_for_the_next_one() {
+    let cell = Cell::homed().await;
+    let mut driver = cell.driver().await;
+    assert_eq!(driver.status(MOVE, &move_to(10.0, 5.0)).await, PENDING);
+    cell.gateway.until_moving().await;
+    driver.reset();
+    cell.gateway.until("confirmed", |state| state["fast_stop_confirmed"] == true).await;
+    let mut next = cell.driver().await;
+    assert_eq!(next.status(MOVE, &move_to(10.0, 5.0)).await, ACCESS_DENIED);
+    assert_eq!(next.status(0x24, b"ack").await, ACCESS_DENIED);
+}
+
+#[tokio::test]
+async fn a_fast_stop_and_its_acknowledge_in_one_write_are_done_in_order() {
+    let cell = Cell::homed().await;
+    let mut driver = cell.driver().await;
+    let both = [crate::harness::wsg::request(0x23, &[]), crate::harness::wsg::request(0x24, b"ack")].concat();
+    driver.send_raw(&both).await;
+    let replies = [driver.next().await, driver.next().await];
+    assert_eq!(replies.map(|reply| (reply.id, reply.status)), [(0x23, SUCCESS), (0x24, SUCCESS)]);
+    let second = driver.status(MOVE, &move_to(50.0, 200.0)).await;
+    assert!(second != ALREADY_RUNNING && second != CMD_FAILED && second == PENDING);
+}

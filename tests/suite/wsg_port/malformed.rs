@@ -1,0 +1,142 @@
+//! Wrong requests: the port answers as the device does.
+
+use std::time::Duration;
+
+use super::{
+    ACCESS_DENIED, ALREADY_RUNNING, CHECKSUM_ERROR, Cell, FORMAT_ERROR, MOVE, NOT_INITIALIZED, RANGE_ERROR, SUCCESS,
+};
+use crate::harness::Simulator;
+use crate::harness::wsg::{Driver, PENDING, floats, move_to, request};
+
+#[tokio::test]
+async fn wrong_requests_get_the_devices_answers() {
+    let cell = Cell::new().await;
+    let device = Simulator::start(&[]).await;
+    let (mut port, mut device) = (cell.driver().await, Driver::connect(device.address).await);
+    let long = vec![0; 257];
+    let wrong: [(u8, &[u8]); 26] = [
+        (0x06, &long),
+        (0x07, &[1]),
+        (0x20, &[]),
+        (0x20, &[3]),
+        (0x21, &[1, 2, 3]),
+        (0x22, &[1]),
+        (0x24, b"nak"),
+        (0x24, &[]),
+        (0x25, &[0; 9]),
+        (0x26, &[]),
+        (0x30, &[0; 3]),
+        (0x31, &[0]),
+        (0x32, &[]),
+        (0x33, &[0]),
+        (0x34, &[0; 7]),
+        (0x35, &[0]),
+        (0x36, &[0]),
+        (0x37, &[]),
+        (0x38, &[0]),
+        (0x40, &[0; 2]),
+        (0x42, &[0; 2]),
+        (0x46, &[0]),
+        (0x50, &[0]),
+        (0x51, &[7]),
+        (0x51, &[b'x'; 65]),
+        (0x62, &[2]),
+    ];
+    for (id, parameters) in wrong {
+        let (told, expected) = (port.ask(id, parameters).await, device.ask(id, parameters).await);
+        assert_eq!(told, expected, "{id:02X}h with {} bytes", parameters.len());
+    }
+    for number in [f32::NAN, f32::INFINITY] {
+        let parameters = floats(&[number]);
+        assert_eq!(port.ask(0x30, &parameters).await, device.ask(0x30, &parameters).await);
+    }
+    assert_eq!(port.ask(0xB0, &[1]).await, device.ask(0xB0, &[1]).await, "an id that nobody knows");
+}
+
+/// Without a damaged frame the device's own port stays as it is.
+#[tokio::test]
+async fn damage_costs_a_status_or_nothing_and_the_next_request_is_answered() {
+    let cell = Cell::new().await;
+    let mut driver = cell.driver().await;
+    let mut damaged = request(0x50, &[]);
+    damaged[6] ^= 0xFF;
+    driver.send_raw(&damaged).await;
+    let reply = driver.next().await;
+    assert_eq!((reply.id, reply.status), (0x50, CHECKSUM_ERROR));
+    let oversized = [0xAA, 0xAA, 0xAA, 0x40, 0xFF, 0xFF];
+    for garbage in [&b"GET / HTTP/1.1\r\n\r\n"[..], &[0xAA; 7], &[0x00, 0xAA, 0xAA, 0x20], &oversized] {
+        driver.send_raw(&[garbage, &request(0x50, &[])].concat()).await;
+        let reply = driver.next().await;
+        assert_eq!((reply.id, reply.status), (0x50, SUCCESS), "{garbage:x?}");
+    }
+    // Half a frame, and then silence: what comes later is no part of it.
+    driver.send_raw(&request(MOVE, &move_to(10.0, 10.0))[..9]).await;
+    assert_eq!(driver.next_within(Duration::from_millis(700)).await, None);
+    assert_eq!(driver.status(0x50, &[]).await, SUCCESS);
+    assert_eq!(cell.proxy.frames.motions(), 0);
+}
+
+#[tokio::test]
+async fn a_request_split_at_every_byte_is_one_request() {
+    let cell = Cell::new().await;
+    let mut driver = cell.driver().await;
+    for byte in request(0x06, b"hello") {
+        driver.send_raw(&[byte]).await;
+    }
+    assert_eq!(driver.next().await.data, b"hello");
+}
+
+#[tokio::test]
+async fn what_is_in_a_motions_way_is_said_before_what_is_wrong_with_it() {
+    let cell = Cell::new().await;
+    let mut driver = cell.driver().await;
+    assert_eq!(driver.status(MOVE, &move_to(10.0, 10.0)).await, NOT_INITIALIZED);
+    assert_eq!(driver.run(0x20, &[0]).await, SUCCESS);
+    assert_eq!(driver.status(MOVE, &[]).await, FORMAT_ERROR);
+    assert_eq!(driver.status(MOVE, &move_to(5.0, 5.0)).await, PENDING);
+    for parameters in [vec![], move_to(50.0, 50.0)] {
+        assert_eq!(driver.status(MOVE, &parameters).await, ALREADY_RUNNING);
+    }
+    driver.send(0x23, &[]).await;
+    let mut ids = [driver.next().await.id, driver.next().await.id];
+    ids.sort_unstable();
+    assert_eq!(ids, [MOVE, 0x23]);
+    for parameters in [vec![], move_to(50.0, 50.0)] {
+        assert_eq!(driver.status(MOVE, &parameters).await, ACCESS_DENIED);
+    }
+}
+
+#[tokio::test]
+async fn what_a_device_clamps_is_clamped_and_what_the_soft_limits_forbid_is_refused() {
+    let cell = Cell::homed().await;
+    let mut driver = cell.driver().await;
+    assert_eq!(driver.run(MOVE, &move_to(5000.0, 100_000.0)).await, SUCCESS);
+    let sent = cell.proxy.frames.all().into_iter().rfind(|frame| frame.id == MOVE).unwrap();
+    assert_eq!(sent.payload, move_to(110.0, 420.0), "the stroke, and the highest speed");
+    for (set, get, given, taken) in [(0x30, 0x31, 1e9, 5000.0), (0x32, 0x33, 0.0, 5.0), (0x32, 0x33, 1e9, 80.0)] {
+        assert_eq!(driver.status(set, &floats(&[given])).await, SUCCESS);
+        assert_eq!(driver.ask(get, &[]).await.data, floats(&[taken]));
+    }
+    assert_eq!(driver.status(0x34, &floats(&[10.0, 60.0])).await, SUCCESS);
+    assert_eq!(driver.status(MOVE, &move_to(70.0, 100.0)).await, RANGE_ERROR);
+    assert_eq!(driver.run(MOVE, &move_to(50.0, 100.0)).await, SUCCESS);
+    assert_eq!(driver.status(0x36, &[]).await, SUCCESS);
+    assert_eq!(driver.status(0x35, &[]).await, 1, "E_NOT_AVAILABLE");
+}
+
+#[tokio::test]
+async fn too_many_requests_at_once_are_an_overrun_and_the_rest_is_answered() {
+    let cell = Cell::new().await;
+    let mut driver = cell.driver().await;
+    let many = request(0x06, b"x").repeat(100);
+    driver.send_raw(&many).await;
+    let mut statuses = [0; 2];
+    for _ in 0..100 {
+        match driver.next().await.status {
+            SUCCESS => statuses[0] += 1,
+            27 => statuses[1] += 1,
+            other => panic!("{other}"),
+        }
+    }
+    assert!(statuses[0] >= 64 && statuses[0] + statuses[1] == 100, "{statuses:?}");
+}

@@ -1,0 +1,107 @@
+//! Drivers side by side, with a REST client and an observer: all work, and none sees a frame that isn't its own.
+
+use std::time::Duration;
+
+use serde_json::json;
+
+use super::{ACCESS_DENIED, Cell, GRIP, MOVE, SUCCESS};
+use crate::harness::wsg::{floats, move_to};
+use crate::harness::{DEADLINE, eventually};
+
+#[tokio::test]
+async fn two_drivers_a_rest_client_and_an_observer_share_one_gripper() {
+    let cell = Cell::new().await;
+    let mut observer = cell.gateway.request("GET", "/api/v1/stream?topics=events").send().await.unwrap();
+    let (mut one, mut two) = (cell.driver().await, cell.driver().await);
+    // The first motion takes the lease, so that the other driver's are refused.
+    assert_eq!(one.run(0x20, &[0]).await, SUCCESS);
+    // The other's updates are its own.
+    assert_eq!(two.status(0x43, &[1, 10, 0]).await, SUCCESS);
+    let reading = async {
+        let (mut widths, mut denied) = (0, 0);
+        while widths < 60 || denied < 3 {
+            if widths % 20 == 0 && widths < 60 {
+                two.send(MOVE, &move_to(50.0, 50.0)).await;
+            }
+            let reply = two.next().await;
+            match (reply.id, reply.status) {
+                (0x43, SUCCESS) => widths += 1,
+                (MOVE, ACCESS_DENIED) => denied += 1,
+                other => panic!("not its own: {other:?}"),
+            }
+        }
+        two.send(0x43, &[0; 3]).await;
+        two.send(0x31, &[]).await;
+        loop {
+            match two.next().await.id {
+                0x31 => break,
+                0x43 => {}
+                MOVE => denied += 1,
+                other => panic!("not its own: {other:02X}h"),
+            }
+        }
+        denied
+    };
+    let moving = async {
+        assert_eq!(one.run(0x20, &[0]).await, SUCCESS);
+        assert_eq!(one.run(GRIP, &floats(&[20.0, 100.0])).await, SUCCESS);
+        assert_eq!(one.run(0x26, &floats(&[60.0, 200.0])).await, SUCCESS);
+    };
+    let asking = async {
+        for _ in 0..10 {
+            let state = cell.gateway.state().await;
+            assert_eq!(state["link"], "connected");
+        }
+    };
+    let (denied, (), ()) = tokio::join!(reading, moving, asking);
+    assert!(denied >= 3, "{denied}");
+    assert_eq!(one.next_within(Duration::from_millis(100)).await, None, "nothing that it did not ask for");
+    let rest = cell.gateway.post("move", &json!({"width_mm": 40, "speed_mm_s": 100})).await;
+    assert_eq!(rest.problem(409, "lease_held")["holder"], "wsg:127.0.0.1");
+    let mut seen = String::new();
+    while !seen.contains("\"door\":\"wsg\"") || !seen.contains("PART_HELD") {
+        let chunk = tokio::time::timeout(DEADLINE, observer.chunk()).await;
+        let chunk = chunk.unwrap_or_else(|_| panic!("no more of {seen}")).unwrap();
+        seen += &String::from_utf8_lossy(&chunk.expect("more"));
+    }
+
+    // Its end gives the gripper to the next.
+    one.leave().await;
+    cell.gateway.post("move", &json!({"width_mm": 40, "speed_mm_s": 200})).await.outcome("SUCCESS");
+    assert_eq!(two.run(MOVE, &move_to(50.0, 200.0)).await, SUCCESS);
+}
+
+#[tokio::test]
+async fn a_rest_client_with_the_lease_keeps_drivers_from_moving_and_not_from_reading() {
+    let cell = Cell::homed().await;
+    let lease = cell.gateway.post("lease", &json!({"holder": "robot-1", "ttl_ms": 60000})).await.ok();
+    let mut driver = cell.driver().await;
+    for (id, parameters) in [(MOVE, move_to(50.0, 50.0)), (0x30, floats(&[500.0])), (0x38, vec![]), (0x42, vec![1])] {
+        assert_eq!(driver.status(id, &parameters).await, ACCESS_DENIED, "{id:02X}h");
+    }
+    for (id, parameters) in [(0x31, vec![]), (0x40, vec![0; 3]), (0x42, vec![0]), (0x06, vec![1, 2])] {
+        assert_eq!(driver.status(id, &parameters).await, SUCCESS, "{id:02X}h");
+    }
+    // A Stop needs no lease.
+    let body = json!({"width_mm": 5, "speed_mm_s": 5, "lease": lease["token"]});
+    let id = cell.gateway.begin("move", &body).await;
+    cell.gateway.until_moving().await;
+    assert_eq!(driver.status(0x22, &[]).await, SUCCESS);
+    cell.gateway.command(&id).await.outcome("ABORTED");
+}
+
+#[tokio::test]
+async fn the_journal_knows_what_drivers_did() {
+    let cell = Cell::homed().await;
+    let mut driver = cell.driver().await;
+    assert_eq!(driver.run(GRIP, &floats(&[20.0, 100.0])).await, SUCCESS);
+    let events = cell.gateway.get("/api/v1/events?kind=command&limit=2").await.ok();
+    for event in events["events"].as_array().unwrap() {
+        assert_eq!((&event["door"], &event["subject"]), (&json!("wsg"), &json!("wsg:127.0.0.1")), "{event}");
+    }
+    eventually("its grip record", async || {
+        let grips = cell.gateway.get("/api/v1/grips").await.ok();
+        (grips["grips"][0]["outcome"] == "PART_HELD").then_some(())
+    })
+    .await;
+}

@@ -1,0 +1,101 @@
+//! Clients by UDP: a source address each.
+
+use std::net::SocketAddr;
+use std::time::{Duration, Instant};
+
+use serde_json::json;
+use tokio::net::UdpSocket;
+
+use super::{ACCESS_DENIED, MOVE, SUCCESS};
+use crate::harness::wsg::{PENDING, move_to, request};
+use crate::harness::{DEADLINE, Gateway, Proxy, Simulator};
+
+async fn port(proxy: &Proxy, option: &str) -> (Gateway, SocketAddr) {
+    let gripper = format!("g=tcp://{}", proxy.address);
+    let port = format!("g=udp://127.0.0.1:0{option}");
+    let gateway = Gateway::start(&["--gripper", &gripper, "--wsg-port", &port]).await;
+    gateway.until_link("connected").await;
+    let port = gateway.word_after("WSG port of g: udp://").await.parse().unwrap();
+    gateway.post("home", &json!({})).await.outcome("SUCCESS");
+    (gateway, port)
+}
+
+async fn client() -> UdpSocket {
+    UdpSocket::bind("127.0.0.1:0").await.unwrap()
+}
+
+async fn next(socket: &UdpSocket) -> (u8, u16) {
+    let mut datagram = [0; 512];
+    let received = tokio::time::timeout(DEADLINE, socket.recv(&mut datagram)).await.expect("a datagram");
+    assert_eq!(received.unwrap(), 8 + usize::from(datagram[4]), "one frame a datagram");
+    (datagram[3], u16::from_le_bytes([datagram[6], datagram[7]]))
+}
+
+async fn ask(socket: &UdpSocket, port: SocketAddr, id: u8, payload: &[u8]) -> u16 {
+    socket.send_to(&request(id, payload), port).await.unwrap();
+    let (answered, status) = next(socket).await;
+    assert_eq!(answered, id);
+    status
+}
+
+#[tokio::test]
+async fn a_client_that_is_silent_for_three_seconds_is_lost() {
+    let device = Simulator::start(&[]).await;
+    let proxy = Proxy::to(device.address);
+    let (gateway, port) = port(&proxy, "").await;
+    let (one, two) = (client().await, client().await);
+    assert_eq!(ask(&one, port, MOVE, &move_to(5.0, 5.0)).await, PENDING);
+    let silent = Instant::now();
+    assert_eq!(ask(&two, port, MOVE, &move_to(50.0, 50.0)).await, ACCESS_DENIED, "another address is somebody else");
+    assert_eq!(ask(&two, port, 0x40, &[0; 3]).await, SUCCESS);
+    let state = gateway.until("it is lost", |state| state["fast_stop_cause"] == "client_lost").await;
+    let lost = silent.elapsed();
+    assert!(lost > Duration::from_millis(2900) && lost < Duration::from_secs(6), "{lost:?}");
+    assert_eq!((&state["lease_holder"], proxy.frames.count(0x23)), (&json!(null), 1), "{state}");
+}
+
+#[tokio::test]
+async fn a_client_that_goes_on_asking_is_there() {
+    let device = Simulator::start(&[]).await;
+    let proxy = Proxy::to(device.address);
+    let (gateway, port) = port(&proxy, "").await;
+    let socket = client().await;
+    assert_eq!(ask(&socket, port, MOVE, &move_to(5.0, 20.0)).await, PENDING);
+    let begun = Instant::now();
+    // 85 mm or more at 20 mm/s take longer than a silent client has.
+    let ended = loop {
+        socket.send_to(&request(0x43, &[0; 3]), port).await.unwrap();
+        if let (MOVE, status) = next(&socket).await {
+            break status;
+        }
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    };
+    assert!(begun.elapsed() > Duration::from_secs(3));
+    assert_eq!((ended, &gateway.state().await["fast_stop"]), (SUCCESS, &json!(false)));
+}
+
+#[tokio::test]
+async fn an_announced_end_stops_in_order() {
+    let device = Simulator::start(&[]).await;
+    let proxy = Proxy::to(device.address);
+    let (gateway, port) = port(&proxy, "").await;
+    let socket = client().await;
+    assert_eq!(ask(&socket, port, MOVE, &move_to(5.0, 5.0)).await, PENDING);
+    gateway.until_moving().await;
+    socket.send_to(&request(0x07, &[]), port).await.unwrap();
+    let state = gateway.until("nobody holds it", |state| state["lease_holder"].is_null()).await;
+    assert_eq!(state["fast_stop"], false, "{state}");
+    gateway.until("it stands", |state| state["moving"] == false).await;
+    assert_eq!((proxy.frames.count(0x22), proxy.frames.count(0x23)), (1, 0));
+}
+
+#[tokio::test]
+async fn answers_go_to_a_configured_port_where_one_is_given() {
+    let device = Simulator::start(&[]).await;
+    let proxy = Proxy::to(device.address);
+    let (sender, receiver) = (client().await, client().await);
+    let option = format!("?reply_port={}", receiver.local_addr().unwrap().port());
+    let (_gateway, port) = port(&proxy, &option).await;
+    sender.send_to(&request(0x50, &[]), port).await.unwrap();
+    assert_eq!(next(&receiver).await, (0x50, SUCCESS));
+}
