@@ -1,0 +1,171 @@
+//! A Loop through the WSG port, against one through a plain TCP relay (socat): in turn, in one run, while three other
+//! clients use the WSG port.
+//!
+//! `cargo bench --bench wsg_port`. Times are noisy; the ratio is what counts.
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::{SocketAddr, TcpListener, TcpStream};
+use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
+
+use wsg_gateway::wsg::{self, ChecksumEvaluation, Decoded, Decoder, LoopData, Updates, id};
+
+/// Round trips of each kind.
+const ROUNDS: usize = 20_000;
+
+/// Round trips that are not counted, first.
+const WARM_UP: usize = 1000;
+
+/// How often the other clients ask: as scripts in the field do.
+const POLLED_EVERY: Duration = Duration::from_millis(20);
+
+type Error = Box<dyn std::error::Error + Send + Sync>;
+
+/// A process that is ended with the bench.
+struct Running(Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Starts the program, and returns the words that it says behind each of `before`, in this order.
+fn start(arguments: &[&str], before: &[&str]) -> Result<(Running, Vec<String>), Error> {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_wsg-gateway"));
+    command.env("WSG_GATEWAY_JOURNAL", ":memory:");
+    let mut child = command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::null()).spawn()?;
+    let lines = BufReader::new(child.stdout.take().ok_or("no output")?).lines();
+    let (running, mut words) = (Running(child), Vec::new());
+    for line in lines {
+        if let Some((_, rest)) = before.get(words.len()).and_then(|before| line.as_ref().ok()?.split_once(before)) {
+            words.push(rest.trim_end_matches('/').to_owned());
+        }
+        if words.len() == before.len() {
+            return Ok((running, words));
+        }
+    }
+    Err(format!("it never said {before:?}").into())
+}
+
+/// A client that waits for each answer.
+struct Client {
+    stream: TcpStream,
+    decoder: Decoder,
+}
+
+impl Client {
+    fn connect(address: &str) -> Result<Self, Error> {
+        let address: SocketAddr = address.parse()?;
+        let deadline = Instant::now() + Duration::from_secs(5);
+        loop {
+            match TcpStream::connect(address) {
+                Ok(stream) => {
+                    stream.set_nodelay(true)?;
+                    stream.set_read_timeout(Some(Duration::from_secs(5)))?;
+                    return Ok(Self { stream, decoder: Decoder::new(id::max_reply_bytes, ChecksumEvaluation::On) });
+                }
+                Err(error) if Instant::now() > deadline => return Err(error.into()),
+                Err(_) => thread::sleep(Duration::from_millis(10)),
+            }
+        }
+    }
+
+    /// Returns the status of the next reply of this id.
+    fn ask(&mut self, command: &wsg::Command) -> Result<u16, Error> {
+        let mut frame = Vec::new();
+        command.encode(&mut frame);
+        self.stream.write_all(&frame)?;
+        let mut bytes = [0; 512];
+        loop {
+            let read = self.stream.read(&mut bytes)?;
+            if read == 0 {
+                return Err("closed".into());
+            }
+            self.decoder.push(&bytes[..read]);
+            while let Some(decoded) = self.decoder.next() {
+                if let Decoded::Frame(reply) = decoded
+                    && reply.id == command.id()
+                {
+                    return Ok(u16::from_le_bytes([reply.payload[0], reply.payload[1]]));
+                }
+            }
+        }
+    }
+}
+
+fn main() -> Result<(), Error> {
+    let (_relayed, relayed) = start(&["sim", "tcp://127.0.0.1:0"], &[" at tcp://"])?;
+    let (_served, served) = start(&["sim", "tcp://127.0.0.1:0"], &[" at tcp://"])?;
+    let gripper = format!("g=tcp://{}", served[0]);
+    let arguments = ["--listen", "127.0.0.1:0", "--gripper", &gripper, "--wsg-port", "g=127.0.0.1:0"];
+    let (_gateway, said) = start(&arguments, &["WSG port of g: tcp://"])?;
+    let free = TcpListener::bind("127.0.0.1:0")?.local_addr()?.port();
+    let listen = format!("TCP-LISTEN:{free},bind=127.0.0.1,nodelay,reuseaddr");
+    let relay = Command::new("socat").args([listen, format!("TCP:{},nodelay", relayed[0])]).spawn();
+    let _relay = Running(relay.map_err(|error| format!("socat is needed: {error}"))?);
+
+    let mut through_relay = Client::connect(&format!("127.0.0.1:{free}"))?;
+    let mut through_port = Client::connect(&said[0])?;
+    let command = wsg::Command::Loop(LoopData::new(vec![0x55; 16]).ok_or("too long")?);
+    let deadline = Instant::now() + Duration::from_secs(5);
+    while through_port.ask(&command)? != 0 {
+        if Instant::now() > deadline {
+            return Err("the gripper does not become ready".into());
+        }
+    }
+    let (ends, polls) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicU64::new(0)));
+    let others: Vec<_> = (0..3).map(|_| poll(said[0].clone(), ends.clone(), polls.clone())).collect();
+    let (mut by_relay, mut by_port) = (Vec::new(), Vec::new());
+    for round in 0..WARM_UP + ROUNDS {
+        let (relay, port) = (timed(&mut through_relay, &command)?, timed(&mut through_port, &command)?);
+        if round >= WARM_UP {
+            by_relay.push(relay);
+            by_port.push(port);
+        }
+    }
+    ends.store(true, Ordering::Relaxed);
+    for other in others {
+        other.join().map_err(|_| "another client panicked")??;
+    }
+    report(&mut by_relay, &mut by_port, polls.load(Ordering::Relaxed));
+    Ok(())
+}
+
+/// A client beside: it has automatic updates on, and polls.
+fn poll(address: String, ends: Arc<AtomicBool>, polls: Arc<AtomicU64>) -> thread::JoinHandle<Result<(), Error>> {
+    thread::spawn(move || {
+        let mut client = Client::connect(&address)?;
+        client.ask(&wsg::Command::GetWidth(Updates::On { on_change: false, period_ms: 20 }))?;
+        while !ends.load(Ordering::Relaxed) {
+            client.ask(&wsg::Command::GetSystemState(Updates::Off))?;
+            polls.fetch_add(1, Ordering::Relaxed);
+            thread::sleep(POLLED_EVERY);
+        }
+        Ok(())
+    })
+}
+
+fn timed(client: &mut Client, command: &wsg::Command) -> Result<Duration, Error> {
+    let begun = Instant::now();
+    match client.ask(command)? {
+        0 => Ok(begun.elapsed()),
+        status => Err(format!("status {status}").into()),
+    }
+}
+
+fn report(by_relay: &mut [Duration], by_port: &mut [Duration], polls: u64) {
+    by_relay.sort_unstable();
+    by_port.sort_unstable();
+    println!("a Loop of 16 bytes, {ROUNDS} times each, in turn, beside {polls} polls of three other clients");
+    for (name, percent) in [("p50", 50), ("p99", 99)] {
+        let of = |times: &[Duration]| times[(times.len() - 1) * percent / 100];
+        let (relay, port) = (of(by_relay), of(by_port));
+        let ratio = port.as_secs_f64() / relay.as_secs_f64();
+        println!("{name}: through socat {relay:?}, through the WSG port {port:?}, ratio {ratio:.2}");
+    }
+}
