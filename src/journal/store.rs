@@ -105,6 +105,11 @@ impl Store {
         }
     }
 
+    /// The ends of the chains: of events and of grip records.
+    pub(super) fn ends(&self) -> rusqlite::Result<[Tip; 2]> {
+        Ok([self.end(Chain::Events)?, self.end(Chain::Grips)?])
+    }
+
     /// Makes records and memories durable, all or none.
     pub(super) fn commit(&mut self, rows: &[Row], memories: &Memories) -> rusqlite::Result<()> {
         let transaction = self.begin()?;

@@ -13,7 +13,7 @@ use super::prune::Pruning;
 use super::row::{Row, Stored, now};
 use super::shared::Shared;
 use super::store::{Memories, Store};
-use crate::gripper::model::{Detail, Event, GatewayEvent};
+use crate::gripper::model::{Detail, Event, GatewayEvent, GripRecord};
 use crate::gripper::recorder::Record;
 
 /// How many records one transaction has at most: some milliseconds of work, for which its first has to wait.
@@ -41,17 +41,34 @@ pub(super) enum Input {
     MaxPages(i64),
 }
 
-/// What has a place in the chains, and is not durable yet.
+/// What gets a place in a chain.
+#[derive(Debug)]
+enum Placed {
+    Event(Event),
+    Grip(Box<GripRecord>),
+}
+
+impl Placed {
+    /// With its place behind these ends of the chains.
+    fn row(&self, ends: &[Tip; 2]) -> serde_json::Result<Row> {
+        match self {
+            Self::Event(event) => Row::event(ends[Chain::Events as usize], event),
+            Self::Grip(grip) => Row::grip(ends[Chain::Grips as usize], grip),
+        }
+    }
+}
+
+/// What is not durable yet. Its records get their places when they are written.
 #[derive(Debug, Default)]
 struct Batch {
-    rows: Vec<Row>,
+    records: Vec<Placed>,
     memories: Memories,
     waiters: Vec<oneshot::Sender<()>>,
 }
 
 impl Batch {
     fn is_empty(&self) -> bool {
-        self.rows.is_empty() && self.memories.is_empty()
+        self.records.is_empty() && self.memories.is_empty()
     }
 }
 
@@ -61,8 +78,8 @@ pub(super) struct Writer {
     store: Store,
     shared: Arc<Shared>,
     told: broadcast::Sender<Arc<Stored>>,
-    /// Of events and of grip records, with the batch.
-    ends: [Tip; 2],
+    /// Of events and of grip records; none after a write that failed, until the file has said where they are.
+    ends: Option<[Tip; 2]>,
     batch: Batch,
     /// While the disk fails, when it is tried again.
     retry_at: Option<Instant>,
@@ -73,11 +90,11 @@ pub(super) struct Writer {
 
 impl Writer {
     pub(super) fn new(store: Store, retention: Retention) -> rusqlite::Result<Self> {
-        let ends = [store.end(Chain::Events)?, store.end(Chain::Grips)?];
+        let ends = store.ends()?;
         let pruning = Pruning::new(retention, Instant::now());
         let (shared, told) = Shared::new(ends[Chain::Events as usize].seq);
         let (shared, batch) = (Arc::new(shared), Batch::default());
-        Ok(Self { store, shared, told, ends, batch, retry_at: None, lost_told: 0, pruning })
+        Ok(Self { store, shared, told, ends: Some(ends), batch, retry_at: None, lost_told: 0, pruning })
     }
 
     pub(super) fn shared(&self) -> Arc<Shared> {
@@ -103,7 +120,7 @@ impl Writer {
                     #[cfg(test)]
                     Input::MaxPages(pages) => self.store.limit_pages(pages),
                 }
-                let room = self.retry_at.is_none() && self.batch.rows.len() < MAX_BATCH;
+                let room = self.retry_at.is_none() && self.batch.records.len() < MAX_BATCH;
                 input = if room { inputs.try_recv().ok() } else { None };
             }
             let now = Instant::now();
@@ -114,35 +131,47 @@ impl Writer {
         }
     }
 
-    /// Gives a record its place.
     fn take(&mut self, record: Record) {
-        if self.batch.rows.len() >= MAX_HELD && !matches!(record, Record::Memory(_)) {
+        if self.batch.records.len() >= MAX_HELD && !matches!(record, Record::Memory(_)) {
             return self.shared.lose();
         }
         match record {
             Record::Event(event, waiter) => {
-                self.push(Chain::Events, |end| Row::event(end, &event));
+                self.batch.records.push(Placed::Event(event));
                 // While the disk fails, the channel's end says so at once.
                 self.batch.waiters.extend(waiter.filter(|_| self.retry_at.is_none()));
             }
-            Record::Grip(grip) => self.push(Chain::Grips, |end| Row::grip(end, &grip)),
+            Record::Grip(grip) => self.batch.records.push(Placed::Grip(grip)),
             Record::Memory(memory) => {
                 self.batch.memories.insert((memory.gripper, memory.key), memory.value);
             }
         }
     }
 
-    fn push(&mut self, chain: Chain, row: impl FnOnce(Tip) -> serde_json::Result<Row>) {
-        match row(self.ends[chain as usize]) {
+    /// The ends of the chains, which count as unknown until whoever asks has written behind them.
+    fn take_ends(&mut self) -> rusqlite::Result<[Tip; 2]> {
+        self.ends.take().map_or_else(|| self.store.ends(), Ok)
+    }
+
+    /// Gives the batch's records their places, and writes all of it.
+    fn write(&mut self) -> rusqlite::Result<Vec<Row>> {
+        let mut ends = self.take_ends()?;
+        let mut rows = Vec::with_capacity(self.batch.records.len());
+        self.batch.records.retain(|record| match record.row(&ends) {
             Ok(row) => {
-                self.ends[chain as usize] = row.tip;
-                self.batch.rows.push(row);
+                ends[row.chain as usize] = row.tip;
+                rows.push(row);
+                true
             }
             Err(error) => {
                 tracing::error!(%error, "a record has no JSON, and is lost");
                 self.shared.lose();
+                false
             }
-        }
+        });
+        self.store.commit(&rows, &self.batch.memories)?;
+        self.ends = Some(ends);
+        Ok(rows)
     }
 
     /// Makes the batch durable, and tells of it; where that fails, keeps it.
@@ -155,21 +184,15 @@ impl Writer {
             self.retry_at = None;
             return;
         }
-        if let Err(error) = self.store.commit(&self.batch.rows, &self.batch.memories) {
-            let failure = self.store.source.words(&error);
-            if self.retry_at.is_none() {
-                tracing::error!(failure, "the journal can't be written");
-            }
-            self.shared.set_failure(Some(failure));
-            self.batch.waiters.clear();
-            self.retry_at = Some(now + RETRY);
-            return;
-        }
+        let rows = match self.write() {
+            Ok(rows) => rows,
+            Err(error) => return self.fail(&error, now),
+        };
         let batch = std::mem::take(&mut self.batch);
         if self.retry_at.take().is_some() {
-            tracing::info!(records = batch.rows.len(), "the journal is written again");
+            tracing::info!(records = rows.len(), "the journal is written again");
         }
-        for event in batch.rows.into_iter().filter_map(|row| row.event) {
+        for event in rows.into_iter().filter_map(|row| row.event) {
             self.tell(event);
         }
         for waiter in batch.waiters {
@@ -180,6 +203,17 @@ impl Writer {
             self.shared.set_failure(None);
             self.commit(now);
         }
+    }
+
+    /// The batch was not written, and is tried again.
+    fn fail(&mut self, error: &rusqlite::Error, now: Instant) {
+        let failure = self.store.source.words(error);
+        if self.retry_at.is_none() {
+            tracing::error!(failure, "the journal can't be written");
+        }
+        self.shared.set_failure(Some(failure));
+        self.batch.waiters.clear();
+        self.retry_at = Some(now + RETRY);
     }
 
     /// Tells of a durable event: first that it can be read, then what it is.
@@ -198,21 +232,29 @@ impl Writer {
     }
 
     fn own(&mut self, event: GatewayEvent) {
-        self.push(Chain::Events, |end| Row::event(end, &Event::new(now(), None, Detail::Gateway(event))));
+        self.batch.records.push(Placed::Event(Event::new(now(), None, Detail::Gateway(event))));
     }
 
     fn prune(&mut self, now: Instant) {
         if self.retry_at.is_some() || now < self.pruning.due() {
             return;
         }
-        match self.pruning.step(&mut self.store, self.ends[Chain::Events as usize], now) {
-            Ok(Some(row)) => {
-                self.ends[Chain::Events as usize] = row.tip;
-                row.event.into_iter().for_each(|event| self.tell(event));
-            }
+        match self.remove(now) {
+            Ok(Some(event)) => self.tell(event),
             Ok(None) => {}
             Err(error) => tracing::warn!(failure = self.store.source.words(&error), "old records were not removed"),
         }
+    }
+
+    /// Removes what retention says, and returns the event that attests it.
+    fn remove(&mut self, now: Instant) -> rusqlite::Result<Option<Arc<Stored>>> {
+        let mut ends = self.take_ends()?;
+        let row = self.pruning.step(&mut self.store, ends[Chain::Events as usize], now)?;
+        if let Some(row) = &row {
+            ends[Chain::Events as usize] = row.tip;
+        }
+        self.ends = Some(ends);
+        Ok(row.and_then(|row| row.event))
     }
 
     fn end(mut self, orderly: bool) -> Result<(), String> {
@@ -224,7 +266,7 @@ impl Writer {
             self.commit(Instant::now());
             let Some(failure) = self.shared.health.borrow().failure.clone() else { break };
             if !orderly || Instant::now() + RETRY > until {
-                return Err(format!("{} records were not kept: {failure}", self.batch.rows.len()));
+                return Err(format!("{} records were not kept: {failure}", self.batch.records.len()));
             }
             std::thread::sleep(RETRY);
         }

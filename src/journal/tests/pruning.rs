@@ -129,3 +129,20 @@ async fn a_removal_that_the_events_do_not_attest_is_found() {
     let findings = verify(&directory.journal()).unwrap().findings;
     assert!(findings.iter().any(|finding| finding.to_string() == "events 7: missing, up to 8"), "{findings:?}");
 }
+
+#[tokio::test]
+async fn a_file_that_can_not_be_made_smaller_is_written_on() {
+    let directory = Directory::new();
+    let (journal, _) = directory.open();
+    fill(&journal, 300).await;
+    journal.close().await.unwrap();
+    drop(journal);
+    // Without what its second page says, no page of the file can be moved to another's place.
+    let file = std::fs::File::options().write(true).open(directory.journal()).unwrap();
+    std::os::unix::fs::FileExt::write_all_at(&file, &[0; 4096], 4096).unwrap();
+    let retention = Retention { max_age: Some(Duration::from_hours(20)), ..Retention::default() };
+    let (journal, _) = Journal::open(directory.place(), retention).unwrap();
+    pruned(&journal, |event| event["up_to_seq"] == 600 && event["grips_up_to_seq"] == 299).await;
+    assert!(kept(&journal, link(1, "left")).await);
+    assert_eq!(*journal.health().borrow(), Health::default());
+}
