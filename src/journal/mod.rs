@@ -84,18 +84,19 @@ struct Writing {
 pub struct CloseError(String);
 
 impl Journal {
-    /// Opens a journal, and ends what its last run left open.
+    /// Opens a journal, and ends what its last run left open. A disk that takes nothing is a [`Health`], and is tried
+    /// again.
     ///
     /// # Errors
-    /// [`OpenError`], where another gateway has it, where it is no journal, or can't be read and written.
+    /// [`OpenError`], where another gateway has it, where it is no journal, or can't be made or read.
     pub fn open(place: Place, retention: Retention) -> Result<(Self, Recovered), OpenError> {
         let in_memory = place == Place::Memory;
         let max_bytes = retention.max_bytes.or(in_memory.then_some(MEMORY_BYTES));
-        let mut store = Store::open(place)?;
+        let store = Store::open(place)?;
         let source = store.source.clone();
         let unusable = |error| OpenError::Unusable(source.words(&error));
-        let recovered = recovery::recover(&mut store).map_err(unusable)?;
-        let writer = Writer::new(store, Retention { max_bytes, ..retention }).map_err(unusable)?;
+        let (recovered, events) = recovery::recover(&store.connection).map_err(unusable)?;
+        let writer = Writer::new(store, Retention { max_bytes, ..retention }, events).map_err(unusable)?;
         let shared = writer.shared();
         let (inputs, queue) = sync_channel(QUEUE);
         let thread = std::thread::Builder::new().name("journal".to_owned()).spawn(move || writer.run(&queue));

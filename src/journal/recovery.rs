@@ -5,12 +5,11 @@ use std::collections::BTreeMap;
 use jiff::{SignedDuration, Timestamp};
 use rusqlite::{Connection, OptionalExtension};
 
-use super::chain::{Chain, memory_hash};
+use super::chain::memory_hash;
 use super::commands::CommandBody;
 use super::query::{Cursor, EventQuery, Filter, Limit, Order, page};
-use super::row::{EventKind, Row, now};
-use super::store::{Memories, Store};
-use crate::gripper::model::{Command, CommandEvent, CommandId, Detail, Done, Event, GatewayEvent, Memory, Outcome};
+use super::row::{EventKind, now};
+use crate::gripper::model::{Command, CommandEvent, CommandId, Detail, Done, Event, GatewayEvent, Memory, Outcome, Phase};
 use crate::gripper::recorder::PastRequest;
 
 /// How long a request id stands for its command.
@@ -23,33 +22,28 @@ pub struct Recovered {
     pub memory: Vec<Memory>,
     /// Whether the last run has ended in order, if there was one.
     pub unclean: bool,
-    /// The commands that were running: each has a record now that it ended as `UNKNOWN`.
+    /// The commands that were running: each gets a record that it ended as `UNKNOWN`.
     pub running: Vec<CommandId>,
     /// The requests of the last ten minutes that had an id, in the order of their admission. A refused one is not
     /// among them, since it binds nothing.
     pub requests: Vec<PastRequest>,
 }
 
-/// Ends what the last run left open, and reads what outlives it.
-pub(super) fn recover(store: &mut Store) -> rusqlite::Result<Recovered> {
-    let running = running(&store.connection)?;
+/// Reads what outlives the last run, and says what is to be written down of what it left open.
+pub(super) fn recover(connection: &Connection) -> rusqlite::Result<(Recovered, Vec<Event>)> {
+    let running = running(connection)?;
     let ids: Vec<_> = running.iter().map(|body| body.command_id).collect();
-    let unclean = !ended(&store.connection)?;
-    let mut end = store.end(Chain::Events)?;
-    let mut rows = Vec::new();
+    let unclean = !ended(connection)?;
     let mut events: Vec<_> = running.into_iter().map(unknown).collect();
     if unclean {
         let event = GatewayEvent::UncleanEnd { running: ids.clone() };
         events.push(Event::new(now(), None, Detail::Gateway(event)));
     }
-    for event in events {
-        let row = Row::event(end, &event).map_err(|error| rusqlite::Error::ToSqlConversionFailure(error.into()))?;
-        end = row.tip;
-        rows.push(row);
+    let (memory, mut requests) = (memory(connection)?, requests(connection, now() - REPLAYED_FOR)?);
+    for request in requests.iter_mut().filter(|request| ids.contains(&request.command.id)) {
+        request.command = unknown_command(request.command.clone());
     }
-    store.commit(&rows, &Memories::new())?;
-    let (memory, requests) = (memory(&store.connection)?, requests(&store.connection, now() - REPLAYED_FOR)?);
-    Ok(Recovered { memory, unclean, running: ids, requests })
+    Ok((Recovered { memory, unclean, running: ids, requests }, events))
 }
 
 /// The admitted records of the commands without an end.
@@ -66,6 +60,11 @@ fn parsed(body: &str) -> Option<CommandBody> {
 }
 
 /// Nobody knows what became of it.
+fn unknown_command(running: Command) -> Command {
+    Command { phase: Phase::Done, outcome: Some(Outcome::Unknown), ..running }
+}
+
+/// The second record of a command that has only the first.
 fn unknown(admitted: CommandBody) -> Event {
     let part_id = match &admitted.event {
         CommandEvent::Admitted(admitted) => admitted.parameters.part_id.clone(),
@@ -73,7 +72,7 @@ fn unknown(admitted: CommandBody) -> Event {
     };
     let (subject, door) = (Some(admitted.subject.clone()), admitted.door);
     let (gripper, id) = (Some(admitted.gripper.clone()), admitted.command_id);
-    let command = Command { outcome: Some(Outcome::Unknown), ..admitted.command() };
+    let command = unknown_command(admitted.command());
     let done = CommandEvent::Done(Box::new(Done::of(&command, part_id)));
     Event { subject, door, ..Event::new(now(), gripper, Detail::Command(done)) }.of(id)
 }

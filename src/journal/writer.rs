@@ -89,12 +89,16 @@ pub(super) struct Writer {
 }
 
 impl Writer {
-    pub(super) fn new(store: Store, retention: Retention) -> rusqlite::Result<Self> {
+    /// Writes what is to be said of the last run, or will with what comes, where the disk takes nothing.
+    pub(super) fn new(store: Store, retention: Retention, last_run: Vec<Event>) -> rusqlite::Result<Self> {
         let ends = store.ends()?;
         let pruning = Pruning::new(retention, Instant::now());
         let (shared, told) = Shared::new(ends[Chain::Events as usize].seq);
-        let (shared, batch) = (Arc::new(shared), Batch::default());
-        Ok(Self { store, shared, told, ends: Some(ends), batch, retry_at: None, lost_told: 0, pruning })
+        let (shared, mut batch) = (Arc::new(shared), Batch::default());
+        batch.records.extend(last_run.into_iter().map(Placed::Event));
+        let mut writer = Self { store, shared, told, ends: Some(ends), batch, retry_at: None, lost_told: 0, pruning };
+        writer.commit(Instant::now());
+        Ok(writer)
     }
 
     pub(super) fn shared(&self) -> Arc<Shared> {

@@ -170,3 +170,27 @@ fn directories_are_made_and_one_that_can_t_be_is_named() {
     let refused = Journal::open(place, Retention::default()).unwrap_err().to_string();
     assert!(refused.contains("/file can't be made") || refused.contains("/file/journal.db"), "{refused}");
 }
+
+#[tokio::test]
+async fn a_disk_that_takes_nothing_at_the_start_is_said_and_tried_again() {
+    let directory = Directory::new();
+    let (journal, _) = directory.open();
+    let now = Timestamp::now().as_millisecond();
+    record(&journal, admitted(now - 1000, "left", 1, None));
+    journal.record(Record::Memory(memory("left", MemoryKey::Latch, Some("1"))));
+    drop(journal);
+    let disk = rusqlite::Connection::open(directory.journal()).unwrap();
+    disk.execute_batch("CREATE TRIGGER full BEFORE INSERT ON events BEGIN SELECT RAISE(ABORT, 'full'); END").unwrap();
+    let (journal, recovered) = directory.open();
+    assert_eq!((recovered.unclean, &*recovered.running), (true, &[id(1)][..]));
+    assert_eq!(recovered.memory, [memory("left", MemoryKey::Latch, Some("1"))]);
+    assert_eq!(recovered.requests[0].command.outcome, Some(Outcome::Unknown));
+    let mut health = journal.health();
+    assert!(health.borrow().failure.as_deref().is_some_and(|failure| failure.contains("full")));
+    assert!(!kept(&journal, started(now)).await);
+    disk.execute_batch("DROP TRIGGER full").unwrap();
+    health.wait_for(|health| health.failure.is_none()).await.unwrap();
+    let events = fields(&all(&journal).await, &["seq", "phase", "outcome", "event"]);
+    assert_eq!(events, ["1 admitted", "2 done UNKNOWN", "3 unclean_end", "4 started"]);
+    assert_eq!(journal.health().borrow().lost, 0);
+}
