@@ -17,6 +17,9 @@ use crate::gripper::model::{MemoryKey, Name};
 /// What the write-ahead log shrinks to after a burst, in bytes.
 const LOG_BYTES: i64 = 16 << 20;
 
+/// How many links a path may lead over: as many as Linux follows.
+const MAX_LINKS: usize = 40;
+
 /// The newest values to remember; none forgets one.
 pub(super) type Memories = BTreeMap<(Name, MemoryKey), Option<String>>;
 
@@ -184,7 +187,7 @@ fn lock(path: &Path) -> Result<File, OpenError> {
     if let Some(directory) = path.parent().filter(|directory| !directory.as_os_str().is_empty()) {
         DirBuilder::new().recursive(true).mode(0o700).create(directory).map_err(failed(directory))?;
     }
-    let mut name = path.as_os_str().to_owned();
+    let mut name = real(path).map_err(failed(path))?.into_os_string();
     name.push("-lock");
     let name = PathBuf::from(name);
     let lock = File::options().write(true).create(true).truncate(false).open(&name).map_err(failed(&name))?;
@@ -193,6 +196,21 @@ fn lock(path: &Path) -> Result<File, OpenError> {
         Err(TryLockError::WouldBlock) => Err(OpenError::Locked(path.to_owned())),
         Err(TryLockError::Error(cause)) => Err(failed(&name)(cause)),
     }
+}
+
+/// The file's one name, whatever links lead to it, as SQLite writes to where they lead: also where there is no file yet.
+fn real(path: &Path) -> io::Result<PathBuf> {
+    let mut path = path.to_owned();
+    for _ in 0..MAX_LINKS {
+        let directory = path.parent().filter(|directory| !directory.as_os_str().is_empty());
+        let directory = directory.unwrap_or(Path::new(".")).canonicalize()?;
+        let file = path.file_name().map_or_else(|| directory.clone(), |name| directory.join(name));
+        match file.read_link() {
+            Ok(target) => path = directory.join(target),
+            Err(_) => return Ok(file),
+        }
+    }
+    Err(io::Error::other(format!("it leads over more than {MAX_LINKS} links")))
 }
 
 #[cfg(test)]

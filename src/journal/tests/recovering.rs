@@ -140,6 +140,25 @@ async fn a_journal_has_one_gateway() {
 }
 
 #[test]
+fn a_journal_has_one_gateway_whatever_links_lead_to_it() {
+    use std::os::unix::fs::symlink;
+    let directory = Directory::new();
+    let by = |name: &str| directory.0.join(name);
+    std::fs::create_dir(by("real")).unwrap();
+    symlink("real", by("directory")).unwrap();
+    symlink("directory/journal.db", by("link")).unwrap();
+    // The first makes the file that the link leads to.
+    for (first, second) in [("link", "real/journal.db"), ("directory/journal.db", "link"), ("real/journal.db", "link")] {
+        let (_journal, _) = Journal::open(Place::File(by(first)), Retention::default()).unwrap();
+        let refused = Journal::open(Place::File(by(second)), Retention::default()).unwrap_err();
+        assert!(matches!(refused, OpenError::Locked(_)), "{refused}");
+    }
+    symlink("round", by("round")).unwrap();
+    let refused = Journal::open(Place::File(by("round")), Retention::default()).unwrap_err().to_string();
+    assert!(refused.contains("links"), "{refused}");
+}
+
+#[test]
 fn what_is_no_journal_is_refused_and_left_as_it_is() {
     let directory = Directory::new();
     let refused = || Journal::open(directory.place(), Retention::default()).unwrap_err().to_string();
