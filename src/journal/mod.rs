@@ -99,8 +99,10 @@ impl Journal {
         let writer = Writer::new(store, Retention { max_bytes, ..retention }, events).map_err(unusable)?;
         let shared = writer.shared();
         let (inputs, queue) = sync_channel(QUEUE);
-        let thread = std::thread::Builder::new().name("journal".to_owned()).spawn(move || writer.run(&queue));
-        let thread = thread.map_err(|error| OpenError::Unusable(format!("no thread for the journal: {error}")))?;
+        let (watched, place) = (shared.clone(), source.place.clone());
+        // It ends with the thread that it watches.
+        spawn("journal-watch", move || watched.watch(&place))?;
+        let thread = spawn("journal", move || writer.run(&queue))?;
         let writing = Arc::new(Writing { inputs, thread: Mutex::new(Some(thread)) });
         Ok((Self { writing, shared, pool: Pool::new(&source) }, recovered))
     }
@@ -172,6 +174,14 @@ impl Journal {
     pub async fn command(&self, gripper: Name, id: CommandId) -> Result<Option<Command>, ReadError> {
         self.pool.read(move |reader| reader.command(&gripper, id)).await
     }
+}
+
+fn spawn<T: Send + 'static>(
+    name: &str,
+    run: impl FnOnce() -> T + Send + 'static,
+) -> Result<JoinHandle<T>, OpenError> {
+    let thread = std::thread::Builder::new().name(name.to_owned()).spawn(run);
+    thread.map_err(|error| OpenError::Unusable(format!("no thread for the journal: {error}")))
 }
 
 impl Recorder for Journal {

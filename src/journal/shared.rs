@@ -1,15 +1,30 @@
 //! What the journal's handles and its writing thread share.
 
-use std::sync::Arc;
 use std::sync::atomic::{AtomicI64, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
 
 use tokio::sync::{broadcast, watch};
 
 use super::row::Stored;
+use super::source::Place;
 use crate::gripper::recorder::Health;
 
 /// How many events a slow follower may be behind before it reads them from the file.
 const BROADCAST: usize = 1024;
+
+/// How long a write may take until it is told that the journal takes no records: as long as a motion waits for its own.
+const WRITTEN_WITHIN: Duration = Duration::from_millis(500);
+
+/// What the thread that writes is doing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Work {
+    Idle,
+    /// It waits for the disk since then.
+    Writing(Instant),
+    /// It has gone.
+    Over,
+}
 
 /// The newest of what is known.
 #[derive(Debug)]
@@ -18,6 +33,9 @@ pub(super) struct Shared {
     /// Of the thread that writes: its end ends what listens.
     events: broadcast::WeakSender<Arc<Stored>>,
     committed: AtomicI64,
+    work: Mutex<Work>,
+    /// Told of each change of the work.
+    work_changed: Condvar,
 }
 
 impl Shared {
@@ -25,7 +43,8 @@ impl Shared {
     pub(super) fn new(committed: i64) -> (Self, broadcast::Sender<Arc<Stored>>) {
         let events = broadcast::Sender::new(BROADCAST);
         let (health, committed) = (watch::Sender::default(), AtomicI64::new(committed));
-        (Self { health, events: events.downgrade(), committed }, events)
+        let (work, work_changed) = (Mutex::new(Work::Idle), Condvar::new());
+        (Self { health, events: events.downgrade(), committed, work, work_changed }, events)
     }
 
     pub(super) fn subscribe(&self) -> broadcast::Receiver<Arc<Stored>> {
@@ -55,5 +74,58 @@ impl Shared {
             health.failure = failure;
             changed
         });
+    }
+
+    /// Writes, and is told of if that takes long.
+    pub(super) fn while_watched<T>(&self, write: impl FnOnce() -> T) -> T {
+        self.work_is(Work::Writing(Instant::now()));
+        let written = write();
+        self.work_is(Work::Idle);
+        written
+    }
+
+    /// Nothing is written from now on.
+    pub(super) fn over(&self) {
+        self.work_is(Work::Over);
+        self.set_failure(Some("the journal is closed: nothing is written any more".to_owned()));
+    }
+
+    fn work_is(&self, work: Work) {
+        *self.work() = work;
+        self.work_changed.notify_all();
+    }
+
+    fn work(&self) -> MutexGuard<'_, Work> {
+        self.work.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Tells of each write that takes too long, while it does: the thread that writes can't, as it waits for the disk.
+    pub(super) fn watch(&self, place: &Place) {
+        let mut work = self.work();
+        let mut told = None;
+        while *work != Work::Over {
+            let left = match *work {
+                Work::Writing(since) if told != Some(since) => WRITTEN_WITHIN.checked_sub(since.elapsed()),
+                _ => Some(Duration::MAX),
+            };
+            work = match left {
+                Some(Duration::MAX) => self.work_changed.wait(work).unwrap_or_else(PoisonError::into_inner),
+                Some(left) => self.work_changed.wait_timeout(work, left).unwrap_or_else(PoisonError::into_inner).0,
+                None => {
+                    if let Work::Writing(since) = *work {
+                        told = Some(since);
+                    }
+                    let limit_ms = WRITTEN_WITHIN.as_millis();
+                    let failure = format!(
+                        "the journal {place}: its disk has not taken a record within {limit_ms} ms: look at its disk, \
+                         and at the system's log"
+                    );
+                    tracing::error!(failure, "the journal is not written");
+                    // With the work's lock: who has written meanwhile says so behind it.
+                    self.set_failure(Some(failure));
+                    work
+                }
+            };
+        }
     }
 }

@@ -173,7 +173,7 @@ impl Writer {
                 false
             }
         });
-        self.store.commit(&rows, &self.batch.memories)?;
+        self.shared.while_watched(|| self.store.commit(&rows, &self.batch.memories))?;
         self.ends = Some(ends);
         Ok(rows)
     }
@@ -248,12 +248,15 @@ impl Writer {
             Ok(None) => {}
             Err(error) => tracing::warn!(failure = self.store.source.words(&error), "old records were not removed"),
         }
+        // Whatever it took: what is written next is tried at once.
+        self.shared.set_failure(None);
     }
 
     /// Removes what retention says, and returns the event that attests it.
     fn remove(&mut self, now: Instant) -> rusqlite::Result<Option<Arc<Stored>>> {
         let mut ends = self.take_ends()?;
-        let row = self.pruning.step(&mut self.store, ends[Chain::Events as usize], now)?;
+        let end = ends[Chain::Events as usize];
+        let row = self.shared.while_watched(|| self.pruning.step(&mut self.store, end, now))?;
         if let Some(row) = &row {
             ends[Chain::Events as usize] = row.tip;
         }
@@ -278,5 +281,11 @@ impl Writer {
             tracing::warn!(failure = self.store.source.words(&error), "the write-ahead log stays");
         }
         Ok(())
+    }
+}
+
+impl Drop for Writer {
+    fn drop(&mut self) {
+        self.shared.over();
     }
 }

@@ -75,3 +75,34 @@ async fn an_end_on_a_full_disk_says_what_was_not_kept() {
     drop(journal);
     assert!(directory.open().1.unclean);
 }
+
+/// Keeps a journal's disk from taking anything, for as long as it is there.
+fn stall(directory: &Directory) -> rusqlite::Connection {
+    let disk = rusqlite::Connection::open(directory.journal()).unwrap();
+    disk.execute_batch("BEGIN IMMEDIATE").unwrap();
+    disk
+}
+
+#[tokio::test]
+async fn a_disk_that_stalls_is_said_while_it_does() {
+    let directory = Directory::new();
+    let (journal, _) = directory.open();
+    let mut health = journal.health();
+    let stalled = stall(&directory);
+    let waiting = tokio::spawn({
+        let journal = journal.clone();
+        async move { kept(&journal, started(1)).await }
+    });
+    // Long before SQLite gives up.
+    let failure = health.wait_for(|health| health.failure.is_some()).await.unwrap().failure.clone().unwrap();
+    assert!(failure.contains("journal.db: ") && failure.contains("within 500 ms: look at its disk"), "{failure}");
+    assert!(!waiting.is_finished());
+    assert!(!kept(&journal, started(2)).await, "who asks meanwhile is told at once");
+    drop(stalled);
+    assert!(waiting.await.unwrap());
+    health.wait_for(|health| health.failure.is_none()).await.unwrap();
+    assert!(kept(&journal, started(3)).await);
+    assert_eq!(fields(&all(&journal).await, &["at"]).len(), 3);
+    journal.close().await.unwrap();
+    assert!(health.borrow().failure.as_deref().is_some_and(|failure| failure.contains("closed")));
+}
