@@ -24,14 +24,14 @@ mod tests;
 mod verify;
 mod writer;
 
-use std::sync::mpsc::{SyncSender, sync_channel};
+use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
 use tokio::sync::{broadcast, watch};
 
-use crate::gripper::model::{Command, CommandId, Name, Sample};
+use crate::gripper::model::{Command, CommandEvent, CommandId, Detail, Event, Memory, Name, Sample};
 use crate::gripper::recorder::{Health, Record, Recorder};
 use reader::Pool;
 use shared::Shared;
@@ -50,6 +50,10 @@ pub use verify::{Finding, Report, verify};
 
 /// How many records may wait for the thread that writes: what comes in while a disk stalls for some seconds.
 const QUEUE: usize = 8192;
+
+/// How many ends of commands have a place besides: more than run at once. A command without its end would be `UNKNOWN`
+/// at the next start, and keep all behind it from being removed.
+const ENDS: usize = 1024;
 
 /// How large a journal in memory gets where nothing else is said, in bytes.
 const MEMORY_BYTES: u64 = 64 << 20;
@@ -98,7 +102,7 @@ impl Journal {
         let (recovered, events) = recovery::recover(&store.connection).map_err(unusable)?;
         let writer = Writer::new(store, Retention { max_bytes, ..retention }, events).map_err(unusable)?;
         let shared = writer.shared();
-        let (inputs, queue) = sync_channel(QUEUE);
+        let (inputs, queue) = sync_channel(QUEUE + ENDS);
         let (watched, place) = (shared.clone(), source.place.clone());
         // It ends with the thread that it watches.
         spawn("journal-watch", move || watched.watch(&place))?;
@@ -189,15 +193,40 @@ impl Recorder for Journal {
         let record = match record {
             // Its end would come too late, if a try to write takes long.
             Record::Event(event, Some(_)) if self.shared.failing() => Record::Event(event, None),
+            Record::Memory(memory) => return self.remember(memory),
             record => record,
         };
-        if self.writing.inputs.try_send(Input::Record(Box::new(record))).is_err() {
-            self.shared.lose();
+        let has_place = self.shared.waits(places(&record, QUEUE));
+        if has_place && self.writing.inputs.try_send(Input::Record(Box::new(record))).is_ok() {
+            return;
         }
+        if has_place {
+            self.shared.waits_no_more();
+        }
+        self.shared.lose();
     }
 
     fn health(&self) -> watch::Receiver<Health> {
         self.shared.health.subscribe()
+    }
+}
+
+impl Journal {
+    /// A value finds its place however much waits, since it takes that of the one before.
+    fn remember(&self, memory: Memory) {
+        self.shared.remember(memory);
+        // Where there is no room for it, the thread has enough to do, and looks when it has done that.
+        if let Err(TrySendError::Disconnected(_)) = self.writing.inputs.try_send(Input::Memories) {
+            self.shared.lose();
+        }
+    }
+}
+
+/// How many records may wait for this one to have a place too.
+fn places(record: &Record, places: usize) -> usize {
+    match record {
+        Record::Event(Event { detail: Detail::Command(CommandEvent::Done(_)), .. }, _) => places + ENDS,
+        _ => places,
     }
 }
 

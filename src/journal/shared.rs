@@ -1,6 +1,6 @@
 //! What the journal's handles and its writing thread share.
 
-use std::sync::atomic::{AtomicI64, Ordering};
+use std::sync::atomic::{AtomicI64, AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -8,6 +8,8 @@ use tokio::sync::{broadcast, watch};
 
 use super::row::Stored;
 use super::source::Place;
+use super::store::Memories;
+use crate::gripper::model::Memory;
 use crate::gripper::recorder::Health;
 
 /// How many events a slow follower may be behind before it reads them from the file.
@@ -33,6 +35,10 @@ pub(super) struct Shared {
     /// Of the thread that writes: its end ends what listens.
     events: broadcast::WeakSender<Arc<Stored>>,
     committed: AtomicI64,
+    /// How many records wait for the thread that writes.
+    waiting: AtomicUsize,
+    /// What is to be remembered, the newest of each: as many as grippers have.
+    memories: Mutex<Memories>,
     work: Mutex<Work>,
     /// Told of each change of the work.
     work_changed: Condvar,
@@ -44,7 +50,8 @@ impl Shared {
         let events = broadcast::Sender::new(BROADCAST);
         let (health, committed) = (watch::Sender::default(), AtomicI64::new(committed));
         let (work, work_changed) = (Mutex::new(Work::Idle), Condvar::new());
-        (Self { health, events: events.downgrade(), committed, work, work_changed }, events)
+        let (waiting, memories) = (AtomicUsize::new(0), Mutex::default());
+        (Self { health, events: events.downgrade(), committed, waiting, memories, work, work_changed }, events)
     }
 
     pub(super) fn subscribe(&self) -> broadcast::Receiver<Arc<Stored>> {
@@ -74,6 +81,29 @@ impl Shared {
             health.failure = failure;
             changed
         });
+    }
+
+    /// One more record waits, where fewer than so many do.
+    pub(super) fn waits(&self, places: usize) -> bool {
+        let one_more = |waiting| (waiting < places).then_some(waiting + 1);
+        self.waiting.fetch_update(Ordering::AcqRel, Ordering::Acquire, one_more).is_ok()
+    }
+
+    pub(super) fn waits_no_more(&self) {
+        self.waiting.fetch_sub(1, Ordering::AcqRel);
+    }
+
+    pub(super) fn remember(&self, memory: Memory) {
+        self.memories().insert((memory.gripper, memory.key), memory.value);
+    }
+
+    /// What is to be remembered since this was asked last.
+    pub(super) fn take_memories(&self) -> Memories {
+        std::mem::take(&mut *self.memories())
+    }
+
+    fn memories(&self) -> MutexGuard<'_, Memories> {
+        self.memories.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     /// Writes, and is told of if that takes long.

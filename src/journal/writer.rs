@@ -7,12 +7,12 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::{broadcast, oneshot};
 
-use super::Retention;
 use super::chain::{Chain, Tip};
 use super::prune::Pruning;
 use super::row::{Row, Stored, now};
 use super::shared::Shared;
 use super::store::{Memories, Store};
+use super::{Retention, places};
 use crate::gripper::model::{Detail, Event, GatewayEvent, GripRecord};
 use crate::gripper::recorder::Record;
 
@@ -32,6 +32,8 @@ const CLOSE_WITHIN: Duration = Duration::from_secs(3);
 #[derive(Debug)]
 pub(super) enum Input {
     Record(Box<Record>),
+    /// There is something to remember.
+    Memories,
     /// The end; in order, or as if the process were killed after what it had recorded.
     End {
         orderly: bool,
@@ -119,7 +121,11 @@ impl Writer {
             };
             while let Some(next) = input {
                 match next {
-                    Input::Record(record) => self.take(*record),
+                    Input::Record(record) => {
+                        self.shared.waits_no_more();
+                        self.take(*record);
+                    }
+                    Input::Memories => {}
                     Input::End { orderly } => return self.end(orderly),
                     #[cfg(test)]
                     Input::MaxPages(pages) => self.store.limit_pages(pages),
@@ -136,7 +142,7 @@ impl Writer {
     }
 
     fn take(&mut self, record: Record) {
-        if self.batch.records.len() >= MAX_HELD && !matches!(record, Record::Memory(_)) {
+        if self.batch.records.len() >= places(&record, MAX_HELD) {
             return self.shared.lose();
         }
         match record {
@@ -146,9 +152,7 @@ impl Writer {
                 self.batch.waiters.extend(waiter.filter(|_| self.retry_at.is_none()));
             }
             Record::Grip(grip) => self.batch.records.push(Placed::Grip(grip)),
-            Record::Memory(memory) => {
-                self.batch.memories.insert((memory.gripper, memory.key), memory.value);
-            }
+            Record::Memory(memory) => self.shared.remember(memory),
         }
     }
 
@@ -184,6 +188,7 @@ impl Writer {
         if self.retry_at.is_none() {
             self.tell_of_lost();
         }
+        self.batch.memories.extend(self.shared.take_memories());
         if self.batch.is_empty() {
             self.retry_at = None;
             return;

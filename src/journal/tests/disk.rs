@@ -106,3 +106,29 @@ async fn a_disk_that_stalls_is_said_while_it_does() {
     journal.close().await.unwrap();
     assert!(health.borrow().failure.as_deref().is_some_and(|failure| failure.contains("closed")));
 }
+
+#[tokio::test]
+async fn an_end_and_a_memory_find_a_place_where_nothing_else_does() {
+    let directory = Directory::new();
+    let (journal, _) = directory.open();
+    assert!(kept(&journal, admitted(1, "left", 1, None)).await);
+    let stalled = stall(&directory);
+    while journal.health().borrow().lost == 0 {
+        for _ in 0..1000 {
+            record(&journal, link(2, "left"));
+        }
+    }
+    record(&journal, done(3, "left", 1, None, Outcome::PartHeld));
+    for value in ["1", "2"] {
+        journal.record(Record::Memory(memory("left", MemoryKey::Latch, Some(value))));
+    }
+    let lost = journal.health().borrow().lost;
+    drop(stalled);
+    journal.close().await.unwrap();
+    assert_eq!(journal.health().borrow().lost, lost);
+    drop(journal);
+    let (journal, recovered) = directory.open();
+    assert_eq!((recovered.unclean, recovered.memory), (false, vec![memory("left", MemoryKey::Latch, Some("2"))]));
+    let command = journal.command(name("left"), id(1)).await.unwrap().unwrap();
+    assert_eq!(command.outcome, Some(Outcome::PartHeld));
+}
