@@ -121,6 +121,7 @@ async fn run_gateway(config: &Config, devices: &Runtime, sockets: &Runtime) -> a
     shutdown.cancel();
     server.await?;
     ports.join_all().await.into_iter().collect::<Result<(), _>>()?;
+    refusals.write_down();
     Ok(journal.close().await?)
 }
 

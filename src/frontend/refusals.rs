@@ -65,10 +65,15 @@ impl Refusals {
     pub async fn count(&self) {
         loop {
             tokio::time::sleep(COUNTED_FOR).await;
-            let counted = std::mem::take(&mut *self.counted.lock().unwrap_or_else(PoisonError::into_inner));
-            for (refusal, (cause, count)) in counted.into_iter().filter(|(_, (_, count))| *count > 0) {
-                self.record(&refusal, cause, count);
-            }
+            self.write_down();
+        }
+    }
+
+    /// Writes down what was counted until now.
+    pub fn write_down(&self) {
+        let counted = std::mem::take(&mut *self.counted.lock().unwrap_or_else(PoisonError::into_inner));
+        for (refusal, (cause, count)) in counted.into_iter().filter(|(_, (_, count))| *count > 0) {
+            self.record(&refusal, cause, count);
         }
     }
 

@@ -132,6 +132,7 @@ impl Driver {
             back_off = (back_off * 2).min(LONGEST_BACK_OFF);
         }
         self.actor.drained();
+        // Who drains waits for the driver's end, and so for these.
         self.pass_records_on();
     }
 

@@ -322,7 +322,10 @@ impl Handle {
     /// Gives the gripper up in order: no new commands, a running one may finish, the device is told, the link closed.
     pub async fn drain(&self) {
         // An actor that is gone already has nothing left to give up.
-        let _ = self.ask(|answer| Request::Drain { answer }).await;
+        if self.ask(|answer| Request::Drain { answer }).await.is_ok() {
+            // Behind the answer come its last records.
+            self.requests.closed().await;
+        }
     }
 
     async fn ask<T>(&self, request: impl FnOnce(oneshot::Sender<T>) -> Request) -> Result<T, Failure> {

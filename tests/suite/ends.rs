@@ -1,6 +1,9 @@
 //! How a gateway ends: in order, the device being told; or not, the device stopping by itself.
 
-use serde_json::json;
+use std::path::PathBuf;
+
+use serde_json::{Value, json};
+use wsg_gateway::journal::{EventKind, EventQuery, Filter, GripQuery, Reader};
 
 use crate::harness::{Frame, Gateway, Proxy, Simulator};
 
@@ -83,4 +86,27 @@ async fn after_sigkill_the_device_stops_and_the_next_gateway_says_so_and_moves_n
     next.post("acknowledge", &json!({"fast_stop_id": id})).await.ok();
     next.post("move", &json!({"width_mm": 40, "speed_mm_s": 100})).await.outcome("SUCCESS");
     assert_eq!((proxy.frames.motions(), proxy.frames.count(0x24)), (1, 1));
+}
+
+#[tokio::test]
+async fn what_happened_just_before_the_end_is_in_the_journal() {
+    let directory = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{}-ends", std::process::id()));
+    let path = directory.join("journal.db");
+    let arguments = ["--gripper", "g=sim://wsg50?part_mm=20", "--journal", path.to_str().unwrap()];
+    let gateway = Gateway::start(&arguments).await;
+    gateway.until_link("connected").await;
+    gateway.post("home", &json!({})).await.outcome("SUCCESS");
+    for _ in 0..5 {
+        gateway.post("move", &json!({"width_mm": 1000, "speed_mm_s": 50})).await.problem(422, "out_of_range");
+    }
+    gateway.post("grip", &json!({"width_mm": 20, "speed_mm_s": 200})).await.outcome("PART_HELD");
+    assert!(gateway.terminate().await.status.success());
+    let reader = Reader::open(&path).unwrap();
+    let filter = Filter { kind: Some(EventKind::Refused), ..Filter::default() };
+    let refused = reader.events(&EventQuery { filter, ..EventQuery::default() }).unwrap();
+    let count = |body: &str| serde_json::from_str::<Value>(body).unwrap()["count"].as_u64().unwrap();
+    assert_eq!(refused.bodies.iter().map(|body| count(body)).sum::<u64>(), 5, "{refused:?}");
+    let grips = reader.grips(&GripQuery::default()).unwrap();
+    assert!(grips.bodies[0].contains("\"kind\":\"grip\""), "{grips:?}");
+    std::fs::remove_dir_all(directory).unwrap();
 }
