@@ -1,7 +1,7 @@
 //! Retention: the oldest records are removed in small steps between batches, and what is removed is attested.
 //!
-//! The newest `pruned` event names the last removed record of each chain and its hash, so that what is left is proved
-//! to be all that followed.
+//! A removal begins with its `pruned` event. The newest such event names the last record of each chain that it removes,
+//! and its hash, so that what is left is proved to be all that followed.
 
 use std::time::{Duration, Instant};
 
@@ -15,7 +15,8 @@ use super::schema::SPAN_BITS;
 use super::store::{Store, anchor, insert};
 use crate::gripper::model::{Detail, Event, GatewayEvent};
 
-/// How many records a step removes at most: some milliseconds, for which a command may have to wait.
+/// How many records a step removes: some milliseconds, for which a command may have to wait. Where more are written
+/// between two steps, it is twice as many as those.
 const STEP: i64 = 256;
 
 /// How many pages a step gives back to the disk at most; more than a step's records have.
@@ -23,6 +24,9 @@ const STEP_PAGES: i64 = 1024;
 
 /// How often it is looked whether something is too old or too much.
 const EVERY: Duration = Duration::from_mins(1);
+
+/// It is looked earlier when so much of the greatest size has been written, as one part of this many.
+const LOOK_PART: u64 = 64;
 
 /// How much older than allowed the oldest record gets, so that not each look removes a few, with an event of its own.
 const LEEWAY: SignedDuration = SignedDuration::from_hours(1);
@@ -37,17 +41,16 @@ pub(super) struct Pruning {
     due: Instant,
     /// While a journal that was too large is made smaller.
     shrinking: bool,
-}
-
-/// The records of a chain up to this one can go.
-struct Removal {
-    chain: Chain,
-    last: i64,
+    /// What is being removed: of events and of grip records, all up to these.
+    removal: Option<[Tip; 2]>,
+    /// How many records were written since the last step, and how many bytes since the last look.
+    rows: i64,
+    bytes: u64,
 }
 
 impl Pruning {
     pub(super) fn new(retention: Retention, now: Instant) -> Self {
-        Self { retention, due: now, shrinking: false }
+        Self { retention, due: now, shrinking: false, removal: None, rows: 0, bytes: 0 }
     }
 
     /// When the next step is.
@@ -55,66 +58,117 @@ impl Pruning {
         self.due
     }
 
-    /// Removes some of what is too old or too much, and returns the event that attests it; none where nothing is.
+    /// Takes account of what was written.
+    pub(super) fn wrote(&mut self, rows: &[Row], at: Instant) {
+        self.rows += i64::try_from(rows.len()).unwrap_or(i64::MAX);
+        self.bytes += rows.iter().map(Row::bytes).sum::<u64>();
+        if self.retention.max_bytes.is_some_and(|max| self.bytes > max / LOOK_PART) {
+            self.due = self.due.min(at);
+        }
+    }
+
+    /// Looks whether something is too old or too much, and returns the event that attests its removal; or removes some
+    /// of it.
     pub(super) fn step(&mut self, store: &mut Store, end: Tip, at: Instant) -> rusqlite::Result<Option<Row>> {
         self.due = at + EVERY;
-        let Some(removal) = self.removal(&store.connection, now())? else { return Ok(None) };
-        let row = remove(store, &removal, end)?;
-        // What was removed is, whether or not the file gets smaller by it.
-        if let Err(error) = give_back(&store.connection) {
-            tracing::warn!(failure = store.source.words(&error), "the journal's file was not made smaller");
+        let step = STEP.max(std::mem::take(&mut self.rows).saturating_mul(2));
+        if let Some(removal) = self.removal.take() {
+            if remove(store, removal, step)? {
+                self.removal = Some(removal);
+            }
+            self.due = at;
+            return Ok(None);
         }
+        self.bytes = 0;
+        let Some(removal) = self.look(&store.connection, now())? else { return Ok(None) };
+        let row = attest(store, removal, end)?;
+        self.removal = Some(removal);
         self.due = at;
         Ok(Some(row))
     }
 
-    fn removal(&mut self, connection: &Connection, now: Timestamp) -> rusqlite::Result<Option<Removal>> {
+    fn look(&mut self, connection: &Connection, now: Timestamp) -> rusqlite::Result<Option<[Tip; 2]>> {
         if let Some(before) = self.retention.max_age.and_then(|age| now.checked_sub(age).ok()) {
+            let is_overdue = |at: i64| at < milliseconds(before - LEEWAY);
             for chain in Chain::ALL {
-                let overdue = oldest(connection, chain)?.is_some_and(|at| at < milliseconds(before - LEEWAY));
-                if overdue && let Some(removal) = last_of_step(connection, chain, milliseconds(before))? {
+                if oldest(connection, chain, now)?.is_some_and(is_overdue)
+                    && let Some(removal) = removal(connection, |chain| before_time(connection, chain, before, now))?
+                {
                     return Ok(Some(removal));
                 }
             }
         }
         let Some(max) = self.retention.max_bytes else { return Ok(None) };
         let target = if self.shrinking { max / 100 * SHRINK_TO_PERCENT } else { max };
-        self.shrinking = used(connection)? > target;
+        let used = used(connection)?;
+        self.shrinking = used > target;
         if !self.shrinking {
             return Ok(None);
         }
-        let mut removals = Vec::new();
-        for chain in Chain::ALL {
-            let removal = last_of_step(connection, chain, i64::MAX)?;
-            removals.extend(removal.zip(oldest(connection, chain)?));
-        }
-        Ok(removals.into_iter().min_by_key(|(_, oldest)| *oldest).map(|(removal, _)| removal))
+        let excess = (used - max / 100 * SHRINK_TO_PERCENT) as f64 / used as f64;
+        removal(connection, |chain| {
+            let (anchor, newest) = (anchor(connection, chain)?.seq, newest(connection, chain)?);
+            Ok(anchor + (((newest - anchor) as f64 * excess) as i64).max(STEP))
+        })
     }
 }
 
-/// The last of the chain's first records that a step removes: all before that time, none of a command that has not
-/// ended, and never the chain's end.
-fn last_of_step(connection: &Connection, chain: Chain, before: i64) -> rusqlite::Result<Option<Removal>> {
-    let anchor = anchor(connection, chain)?.seq;
-    let kept = match chain {
-        Chain::Events => "coalesce((SELECT min(seq) FROM running), ?4)",
-        Chain::Grips => "?4",
-    };
-    let table = chain.name();
-    // The first that stays ends the removal, for a later one with an earlier time was written by a clock gone wrong.
-    let sql = format!(
-        "SELECT min(
-             coalesce((SELECT min(seq) FROM {table} WHERE seq <= ?1 + ?2 AND at >= ?3), ?4) - 1,
-             (SELECT max(seq) FROM {table}) - 1, ?1 + ?2, {kept} - 1)"
-    );
-    let values = params![anchor, STEP, before, i64::MAX];
-    let last = connection.query_row(&sql, values, |row| row.get::<_, Option<i64>>(0))?.unwrap_or(anchor);
-    Ok((last > anchor).then_some(Removal { chain, last }))
+/// What can go of each chain, where `last` says the last record that should: none of a command that has not ended, and
+/// never the chain's end.
+fn removal(
+    connection: &Connection,
+    last: impl Fn(Chain) -> rusqlite::Result<i64>,
+) -> rusqlite::Result<Option<[Tip; 2]>> {
+    let mut removal = [anchor(connection, Chain::Events)?, anchor(connection, Chain::Grips)?];
+    let before = removal;
+    for chain in Chain::ALL {
+        let mut last = last(chain)?.min(newest(connection, chain)? - 1);
+        if chain == Chain::Events {
+            let running = "SELECT min(seq) FROM running";
+            let running: Option<i64> = connection.query_row(running, [], |row| row.get(0))?;
+            last = last.min(running.map_or(i64::MAX, |running| running - 1));
+        }
+        if last > before[chain as usize].seq {
+            let sql = format!("SELECT hash FROM {} WHERE seq = ?", chain.name());
+            let hash = connection.query_row(&sql, [last], |row| row.get(0))?;
+            removal[chain as usize] = Tip { seq: last, hash };
+        }
+    }
+    Ok((removal != before).then_some(removal))
 }
 
-fn oldest(connection: &Connection, chain: Chain) -> rusqlite::Result<Option<i64>> {
-    let sql = format!("SELECT at FROM {} ORDER BY seq LIMIT 1", chain.name());
-    connection.query_row(&sql, [], |row| row.get(0)).optional()
+fn newest(connection: &Connection, chain: Chain) -> rusqlite::Result<i64> {
+    let sql = format!("SELECT coalesce(max(seq), 0) FROM {}", chain.name());
+    connection.query_row(&sql, [], |row| row.get(0))
+}
+
+/// The last record before the first that is not older. What is later than now was written by a clock gone wrong, and
+/// goes with its neighbours.
+fn before_time(connection: &Connection, chain: Chain, before: Timestamp, now: Timestamp) -> rusqlite::Result<i64> {
+    let first = first_within(connection, chain, milliseconds(before), now)?;
+    Ok(first.map_or(i64::MAX, |(seq, _)| seq - 1))
+}
+
+/// When the first record was that a right clock may have written.
+fn oldest(connection: &Connection, chain: Chain, now: Timestamp) -> rusqlite::Result<Option<i64>> {
+    Ok(first_within(connection, chain, i64::MIN, now)?.map(|(_, at)| at))
+}
+
+/// The first record of a time up to now, and its time.
+fn first_within(
+    connection: &Connection,
+    chain: Chain,
+    from: i64,
+    now: Timestamp,
+) -> rusqlite::Result<Option<(i64, i64)>> {
+    let table = chain.name();
+    let sql = format!(
+        "SELECT seq, at FROM {table} NOT INDEXED WHERE at BETWEEN ?1 AND ?2 AND seq >=
+             (SELECT min(span) << {SPAN_BITS} FROM spans WHERE chain = ?3 AND newest >= ?1 AND oldest <= ?2)
+         ORDER BY seq LIMIT 1"
+    );
+    let values = params![from, milliseconds(now), table];
+    connection.query_row(&sql, values, |row| Ok((row.get(0)?, row.get(1)?))).optional()
 }
 
 /// How large the file is without its free pages, in bytes.
@@ -123,17 +177,8 @@ fn used(connection: &Connection) -> rusqlite::Result<u64> {
     Ok((number("page_count")? - number("freelist_count")?) * number("page_size")?)
 }
 
-fn remove(store: &mut Store, removal: &Removal, end: Tip) -> rusqlite::Result<Row> {
-    let transaction = store.begin()?;
-    let chain = removal.chain.name();
-    let sql = format!("SELECT hash FROM {chain} WHERE seq = ?");
-    let hash: [u8; 32] = transaction.query_row(&sql, [removal.last], |row| row.get(0))?;
-    transaction.execute(&format!("DELETE FROM {chain} WHERE seq <= ?"), [removal.last])?;
-    let spans = "DELETE FROM spans WHERE chain = ? AND span < ?";
-    transaction.execute(spans, params![chain, (removal.last + 1) >> SPAN_BITS])?;
-    let sql = "INSERT OR REPLACE INTO anchors(chain, seq, hash) VALUES (?, ?, ?)";
-    transaction.execute(sql, params![chain, removal.last, hash])?;
-    let (events, grips) = (anchor(&transaction, Chain::Events)?, anchor(&transaction, Chain::Grips)?);
+/// Writes down what is removed from now on.
+fn attest(store: &mut Store, [events, grips]: [Tip; 2], end: Tip) -> rusqlite::Result<Row> {
     let event = GatewayEvent::Pruned {
         up_to_seq: events.seq,
         hash: hex::encode(events.hash),
@@ -142,9 +187,39 @@ fn remove(store: &mut Store, removal: &Removal, end: Tip) -> rusqlite::Result<Ro
     };
     let row = Row::event(end, &Event::new(now(), None, Detail::Gateway(event)))
         .map_err(|error| rusqlite::Error::ToSqlConversionFailure(error.into()))?;
+    let transaction = store.begin()?;
     insert(&transaction, &row)?;
     transaction.commit()?;
     Ok(row)
+}
+
+/// Removes some of what is to go; false where all of it has gone.
+fn remove(store: &mut Store, removal: [Tip; 2], step: i64) -> rusqlite::Result<bool> {
+    for chain in Chain::ALL {
+        let (before, to) = (anchor(&store.connection, chain)?.seq, removal[chain as usize].seq);
+        if before < to {
+            remove_of(store, chain, to.min(before + step))?;
+            // What was removed is, whether or not the file gets smaller by it.
+            if let Err(error) = give_back(&store.connection) {
+                tracing::warn!(failure = store.source.words(&error), "the journal's file was not made smaller");
+            }
+            return Ok(true);
+        }
+    }
+    Ok(false)
+}
+
+fn remove_of(store: &mut Store, chain: Chain, last: i64) -> rusqlite::Result<()> {
+    let transaction = store.begin()?;
+    let chain = chain.name();
+    let sql = format!("SELECT hash FROM {chain} WHERE seq = ?");
+    let hash: [u8; 32] = transaction.query_row(&sql, [last], |row| row.get(0))?;
+    transaction.execute(&format!("DELETE FROM {chain} WHERE seq <= ?"), [last])?;
+    let spans = "DELETE FROM spans WHERE chain = ? AND span < ?";
+    transaction.execute(spans, params![chain, (last + 1) >> SPAN_BITS])?;
+    let sql = "INSERT OR REPLACE INTO anchors(chain, seq, hash) VALUES (?, ?, ?)";
+    transaction.execute(sql, params![chain, last, hash])?;
+    transaction.commit()
 }
 
 /// Makes the file smaller.

@@ -97,6 +97,11 @@ impl Row {
         })
     }
 
+    /// How long it is.
+    pub(super) fn bytes(&self) -> u64 {
+        (self.body.len() + self.curve.as_ref().map_or(0, Vec::len)) as u64
+    }
+
     /// The grip record that comes behind this end of its chain.
     pub(super) fn grip(end: Tip, grip: &GripRecord) -> serde_json::Result<Self> {
         let body: Arc<str> = serde_json::to_string(&Numbered { seq: end.seq + 1, record: grip })?.into();

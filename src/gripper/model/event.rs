@@ -475,11 +475,11 @@ pub enum GatewayEvent {
     },
     /// Old records were removed.
     Pruned {
-        /// The last event that was removed; 0 where none was yet.
+        /// The last event that is removed from now on; 0 where none was yet.
         up_to_seq: i64,
         /// Its hash, as hex: what is left begins behind it.
         hash: String,
-        /// The last grip record that was removed; 0 where none was yet.
+        /// The last grip record that is; 0 where none was yet.
         grips_up_to_seq: i64,
         /// Its hash, as hex.
         grips_hash: String,

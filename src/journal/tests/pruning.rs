@@ -20,6 +20,13 @@ async fn pruned(journal: &Journal, up_to: impl Fn(&serde_json::Value) -> bool) -
     }
 }
 
+/// Waits until the oldest event is the one behind this.
+async fn removed(journal: &Journal, up_to_seq: i64) {
+    while all(journal).await[0]["seq"] != up_to_seq + 1 {
+        assert!(kept(journal, started(1)).await);
+    }
+}
+
 fn old(number: i64) -> i64 {
     Timestamp::now().as_millisecond() - 86_400_000 + number
 }
@@ -44,8 +51,12 @@ async fn what_is_too_old_goes_and_what_is_left_is_proved() {
     let retention = Retention { max_age: Some(Duration::from_hours(20)), ..Retention::default() };
     let journal = reopened(&directory, journal, retention).await;
     let event = pruned(&journal, |event| event["up_to_seq"] == 600 && event["grips_up_to_seq"] == 299).await;
-    assert!(kept(&journal, link(now, "left")).await);
-    let report = verify(&directory.journal()).unwrap();
+    removed(&journal, 600).await;
+    let mut report = verify(&directory.journal()).unwrap();
+    while report.grips > 1 {
+        assert!(kept(&journal, started(now)).await);
+        report = verify(&directory.journal()).unwrap();
+    }
     assert_eq!((report.findings, report.grips), (Vec::new(), 1));
     let events = all(&journal).await;
     assert_eq!(fields(&events[..2], &["seq", "link", "event"]), ["601 connected", "602 ended"]);
@@ -74,8 +85,9 @@ async fn a_command_that_has_not_ended_stays_with_all_behind_it() {
     let mut store = store::Store::open(directory.place()).unwrap();
     let mut pruning = prune::Pruning::new(retention, std::time::Instant::now());
     let mut end = store.end(chain::Chain::Events).unwrap();
-    while let Some(row) = pruning.step(&mut store, end, std::time::Instant::now()).unwrap() {
-        end = row.tip;
+    let at = std::time::Instant::now();
+    while pruning.due() <= at {
+        end = pruning.step(&mut store, end, at).unwrap().map_or(end, |row| row.tip);
     }
     let first: i64 = connection.query_row("SELECT min(seq) FROM events", [], |row| row.get(0)).unwrap();
     assert_eq!(first, 21);
@@ -87,25 +99,21 @@ async fn a_file_that_is_too_large_shrinks_and_its_sequence_goes_on() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
     fill(&journal, 1000).await;
-    let max = 600_000;
-    let journal = reopened(&directory, journal, Retention { max_bytes: Some(max), ..Retention::default() }).await;
+    let max: i64 = 600_000;
+    let journal = reopened(&directory, journal, Retention { max_bytes: Some(600_000), ..Retention::default() }).await;
     pruned(&journal, |event| event["up_to_seq"].as_i64() > Some(256) && event["grips_up_to_seq"].as_i64() > Some(0))
         .await;
-    let mut previous = u64::MAX;
-    // Until a step has found nothing more to do, which it does between two commits.
-    loop {
+    let connection = rusqlite::Connection::open(directory.journal()).unwrap();
+    let bytes = || connection.pragma_query_value(None, "page_count", |row| row.get::<_, i64>(0)).unwrap() * 4096;
+    while bytes() > max {
         assert!(kept(&journal, link(1, "left")).await);
-        let report = verify(&directory.journal()).unwrap();
-        assert_eq!(report.findings, []);
-        if report.events >= previous {
-            break;
-        }
-        previous = report.events;
+        assert_eq!(verify(&directory.journal()).unwrap().findings, [], "also in the midst of a removal");
     }
+    drop(connection);
     let last = journal.last_seq();
     journal.close().await.unwrap();
     drop(journal);
-    assert!(std::fs::metadata(directory.journal()).unwrap().len() <= max);
+    assert!(std::fs::metadata(directory.journal()).unwrap().len() <= 600_000);
     assert_eq!(verify(&directory.journal()).unwrap().findings, []);
     assert!(last > 2000);
 }
@@ -142,7 +150,57 @@ async fn a_file_that_can_not_be_made_smaller_is_written_on() {
     std::os::unix::fs::FileExt::write_all_at(&file, &[0; 4096], 4096).unwrap();
     let retention = Retention { max_age: Some(Duration::from_hours(20)), ..Retention::default() };
     let (journal, _) = Journal::open(directory.place(), retention).unwrap();
-    pruned(&journal, |event| event["up_to_seq"] == 600 && event["grips_up_to_seq"] == 299).await;
-    assert!(kept(&journal, link(1, "left")).await);
+    removed(&journal, 600).await;
     assert_eq!(*journal.health().borrow(), Health::default());
+}
+
+#[tokio::test]
+async fn a_removal_is_one_event_however_many_records_go() {
+    let directory = Directory::new();
+    let (journal, _) = directory.open();
+    fill(&journal, 600).await;
+    let retention = Retention { max_age: Some(Duration::from_hours(20)), ..Retention::default() };
+    let journal = reopened(&directory, journal, retention).await;
+    removed(&journal, 1200).await;
+    let events = fields(&all(&journal).await, &["event"]);
+    assert_eq!(events.iter().filter(|event| *event == "pruned").count(), 1, "{events:?}");
+}
+
+#[tokio::test]
+async fn a_time_to_come_keeps_nothing_that_is_too_old() {
+    let directory = Directory::new();
+    let (journal, _) = directory.open();
+    let ahead = Timestamp::now().as_millisecond() + 86_400_000;
+    record(&journal, link(ahead, "left"));
+    fill(&journal, 10).await;
+    record(&journal, link(ahead, "left"));
+    fill(&journal, 10).await;
+    record(&journal, started(Timestamp::now().as_millisecond()));
+    let retention = Retention { max_age: Some(Duration::from_hours(20)), ..Retention::default() };
+    let journal = reopened(&directory, journal, retention).await;
+    let event = pruned(&journal, |_| true).await;
+    assert_eq!((event["up_to_seq"].as_i64(), event["grips_up_to_seq"].as_i64()), (Some(42), Some(19)));
+    removed(&journal, 42).await;
+    assert_eq!(verify(&directory.journal()).unwrap().findings, []);
+}
+
+#[tokio::test]
+async fn a_file_stays_as_small_as_is_said_while_much_is_written() {
+    let directory = Directory::new();
+    let max = 3_000_000;
+    let (journal, _) =
+        Journal::open(directory.place(), Retention { max_bytes: Some(max), ..Retention::default() }).unwrap();
+    let connection = rusqlite::Connection::open(directory.journal()).unwrap();
+    let mut largest = 0;
+    for number in 0..20 {
+        for _ in 0..1000 {
+            record(&journal, done(number, "left", 1, None, Outcome::PartHeld));
+        }
+        assert!(kept(&journal, started(number)).await);
+        let pages: u64 = connection.pragma_query_value(None, "page_count", |row| row.get::<_, u32>(0)).unwrap().into();
+        largest = largest.max(pages * 4096);
+    }
+    assert!(journal.last_seq() > 20_000);
+    // Some batches of two megabytes come before the first step. All that was written takes more than 30.
+    assert!(largest < max + 7_000_000, "{largest} bytes, where {max} are allowed");
 }
