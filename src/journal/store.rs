@@ -5,17 +5,21 @@ use std::fs::{DirBuilder, File, TryLockError};
 use std::io;
 use std::os::unix::fs::DirBuilderExt;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use rusqlite::{Connection, OptionalExtension, Transaction, TransactionBehavior, params};
 
 use super::chain::{Chain, Tip, memory_hash};
 use super::row::{EventKind, Row, word};
 use super::schema::{self, APPLICATION_ID, Content, SPAN_BITS, VERSION};
-use super::source::{Place, Source};
+use super::source::{BUSY_TIMEOUT, Place, Source};
 use crate::gripper::model::{MemoryKey, Name};
 
-/// What the write-ahead log shrinks to after a burst, in bytes.
-const LOG_BYTES: i64 = 16 << 20;
+/// How large the write-ahead log gets while readers don't need more of it, in bytes.
+const LOG_BYTES: u64 = 16 << 20;
+
+/// How long the log waits to be emptied for who reads from it.
+const EMPTY_LOG_WITHIN: Duration = Duration::from_millis(100);
 
 /// How many links a path may lead over: as many as Linux follows.
 const MAX_LINKS: usize = 40;
@@ -129,9 +133,18 @@ impl Store {
         self.connection.transaction_with_behavior(TransactionBehavior::Immediate)
     }
 
-    /// Brings the write-ahead log into the file, and empties it.
+    /// Brings the write-ahead log into the file, and empties it, unless somebody reads from it for long.
     pub(super) fn checkpoint(&self) -> rusqlite::Result<()> {
-        self.connection.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |_| Ok(()))
+        self.connection.busy_timeout(EMPTY_LOG_WITHIN)?;
+        let emptied = self.connection.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |_| Ok(()));
+        self.connection.busy_timeout(BUSY_TIMEOUT)?;
+        emptied
+    }
+
+    /// Whether the write-ahead log is larger than it has to be.
+    pub(super) fn log_is_large(&self) -> bool {
+        let log = self.connection.path().map(|path| format!("{path}-wal"));
+        log.and_then(|log| std::fs::metadata(log).ok()).is_some_and(|log| log.len() > LOG_BYTES)
     }
 }
 
@@ -175,7 +188,7 @@ fn remember(connection: &Connection, gripper: &str, key: &str, value: Option<&st
 fn write_ahead(connection: &Connection) -> rusqlite::Result<()> {
     connection.pragma_update_and_check(None, "journal_mode", "WAL", |_| Ok(()))?;
     connection.pragma_update(None, "synchronous", "FULL")?;
-    connection.pragma_update_and_check(None, "journal_size_limit", LOG_BYTES, |_| Ok(()))
+    connection.pragma_update_and_check(None, "journal_size_limit", LOG_BYTES.cast_signed(), |_| Ok(()))
 }
 
 /// Keeps a second gateway from writing the same file. Readers take no notice of it.

@@ -25,6 +25,9 @@ const MAX_HELD: usize = 8192;
 /// How soon a disk that failed is tried again.
 const RETRY: Duration = Duration::from_secs(1);
 
+/// How soon a write-ahead log that could not be emptied is tried again.
+const EMPTY_LOG_EVERY: Duration = Duration::from_secs(1);
+
 /// How long an orderly end tries to write what a failing disk didn't take.
 const CLOSE_WITHIN: Duration = Duration::from_secs(3);
 
@@ -85,6 +88,8 @@ pub(super) struct Writer {
     batch: Batch,
     /// While the disk fails, when it is tried again.
     retry_at: Option<Instant>,
+    /// While the write-ahead log is too large, when it is emptied.
+    empty_log_at: Option<Instant>,
     /// How many lost records have been told of.
     lost_told: u64,
     pruning: Pruning,
@@ -98,7 +103,7 @@ impl Writer {
         let (shared, told) = Shared::new(ends[Chain::Events as usize].seq);
         let (shared, mut batch) = (Arc::new(shared), Batch::default());
         batch.records.extend(last_run.into_iter().map(Placed::Event));
-        let mut writer = Self { store, shared, told, ends: Some(ends), batch, retry_at: None, lost_told: 0, pruning };
+        let mut writer = Self { store, shared, told, ends: Some(ends), batch, retry_at: None, empty_log_at: None, lost_told: 0, pruning };
         writer.commit(Instant::now());
         Ok(writer)
     }
@@ -113,7 +118,8 @@ impl Writer {
     /// What was not written, and why.
     pub(super) fn run(mut self, inputs: &Receiver<Input>) -> Result<(), String> {
         loop {
-            let wake = self.retry_at.unwrap_or_else(|| self.pruning.due());
+            let due = self.empty_log_at.into_iter().fold(self.pruning.due(), Instant::min);
+            let wake = self.retry_at.unwrap_or(due);
             let mut input = match inputs.recv_timeout(wake.saturating_duration_since(Instant::now())) {
                 Ok(input) => Some(input),
                 Err(RecvTimeoutError::Timeout) => None,
@@ -135,9 +141,11 @@ impl Writer {
             }
             let now = Instant::now();
             if self.retry_at.is_none_or(|at| now >= at) {
+                self.make_room(now);
                 self.commit(now);
             }
             self.prune(now);
+            self.empty_log(now);
         }
     }
 
@@ -197,6 +205,7 @@ impl Writer {
             Ok(rows) => rows,
             Err(error) => return self.fail(&error, now),
         };
+        self.pruning.wrote(&rows, now);
         let batch = std::mem::take(&mut self.batch);
         if self.retry_at.take().is_some() {
             tracing::info!(records = rows.len(), "the journal is written again");
@@ -255,6 +264,31 @@ impl Writer {
         }
         // Whatever it took: what is written next is tried at once.
         self.shared.set_failure(None);
+    }
+
+    /// Before a disk that failed is tried again: it may be full of what has had its time.
+    fn make_room(&mut self, now: Instant) {
+        if self.retry_at.is_none() {
+            return;
+        }
+        let emptied = self.store.checkpoint();
+        match emptied.and_then(|()| self.remove(now)) {
+            Ok(event) => event.into_iter().for_each(|event| self.tell(event)),
+            Err(error) => tracing::debug!(%error, "nothing was removed"),
+        }
+    }
+
+    /// Keeps the write-ahead log small, also where it never has a moment without a reader.
+    fn empty_log(&mut self, now: Instant) {
+        if self.retry_at.is_some() || self.empty_log_at.is_some_and(|at| now < at) {
+            return;
+        }
+        if self.store.log_is_large()
+            && let Err(error) = self.shared.while_watched(|| self.store.checkpoint())
+        {
+            tracing::warn!(failure = self.store.source.words(&error), "the write-ahead log was not emptied");
+        }
+        self.empty_log_at = self.store.log_is_large().then_some(now + EMPTY_LOG_EVERY);
     }
 
     /// Removes what retention says, and returns the event that attests it.

@@ -132,3 +132,26 @@ async fn an_end_and_a_memory_find_a_place_where_nothing_else_does() {
     let command = journal.command(name("left"), id(1)).await.unwrap().unwrap();
     assert_eq!(command.outcome, Some(Outcome::PartHeld));
 }
+
+#[tokio::test]
+async fn a_log_that_a_reader_made_large_is_emptied_when_that_has_gone() {
+    let directory = Directory::new();
+    let (journal, _) = directory.open();
+    assert!(kept(&journal, started(1)).await);
+    let reader = rusqlite::Connection::open(directory.journal()).unwrap();
+    reader.execute_batch("BEGIN; SELECT count(*) FROM events;").unwrap();
+    let log = || std::fs::metadata(directory.0.join("journal.db-wal")).unwrap().len();
+    while log() <= 16 << 20 {
+        for number in 0..500 {
+            record(&journal, done(number, "left", 1, None, Outcome::PartHeld));
+        }
+        assert!(kept(&journal, started(2)).await);
+    }
+    drop(reader);
+    let emptied = async {
+        while log() > 16 << 20 {
+            tokio::time::sleep(Duration::from_millis(10)).await;
+        }
+    };
+    tokio::time::timeout(Duration::from_secs(30), emptied).await.unwrap();
+}
