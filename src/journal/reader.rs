@@ -11,7 +11,7 @@ use super::commands::command_of;
 use super::curve;
 use super::query::{EventQuery, Filter, GripQuery, Page, page};
 use super::schema::{Content, content};
-use super::source::{Place, ReadError, Source};
+use super::source::{Place, ReadError, Source, no_file};
 use crate::gripper::model::{Command, CommandId, Name, Sample};
 
 /// How many read at once: what more than the cores do only waits longer.
@@ -32,6 +32,9 @@ impl Reader {
     pub fn open(path: &Path) -> Result<Self, ReadError> {
         if !path.exists() {
             return Err(ReadError(format!("there is no journal {}: name the gateway's file", path.display())));
+        }
+        if let Some(no_file) = no_file(path) {
+            return Err(ReadError(no_file));
         }
         let reader = Self::connect(&Source::new(Place::File(path.to_owned())))?;
         match reader.with(content)? {

@@ -9,7 +9,9 @@ use super::chain::memory_hash;
 use super::commands::CommandBody;
 use super::query::{Cursor, EventQuery, Filter, Limit, Order, page};
 use super::row::{EventKind, now};
-use crate::gripper::model::{Command, CommandEvent, CommandId, Detail, Done, Event, GatewayEvent, Memory, Outcome, Phase};
+use crate::gripper::model::{
+    Command, CommandEvent, CommandId, Detail, Done, Event, GatewayEvent, Memory, Outcome, Phase,
+};
 use crate::gripper::recorder::PastRequest;
 
 /// How long a request id stands for its command.

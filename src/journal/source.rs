@@ -1,7 +1,7 @@
 //! Where a journal is, how to connect to it, and what its errors mean.
 
 use std::fmt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use rusqlite::{Connection, ErrorCode, OpenFlags};
@@ -72,6 +72,11 @@ impl Source {
     }
 }
 
+/// Why a path can't be a journal's file, where it can't.
+pub(super) fn no_file(path: &Path) -> Option<String> {
+    path.is_dir().then(|| format!("{0} is a directory: name a file, such as {0}/journal.db", path.display()))
+}
+
 /// The journal could not be read.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
@@ -86,8 +91,8 @@ fn remedy(error: &rusqlite::Error) -> &'static str {
         }
         Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked) => "end the other program that writes it",
         Some(ErrorCode::DatabaseCorrupt | ErrorCode::NotADatabase) => {
-            "wsg-gateway journal verify says what is damaged; move the file away to begin anew"
+            "the file is damaged: put a copy of it in its place, or move it away to begin anew"
         }
-        _ => "wsg-gateway journal verify says whether the file is damaged",
+        _ => "if the file is damaged, put a copy of it in its place, or move it away to begin anew",
     }
 }

@@ -12,7 +12,7 @@ use rusqlite::{Connection, OptionalExtension, Transaction, TransactionBehavior, 
 use super::chain::{Chain, Tip, memory_hash};
 use super::row::{EventKind, Row, word};
 use super::schema::{self, APPLICATION_ID, Content, SPAN_BITS, VERSION};
-use super::source::{BUSY_TIMEOUT, Place, Source};
+use super::source::{BUSY_TIMEOUT, Place, Source, no_file};
 use crate::gripper::model::{MemoryKey, Name};
 
 /// How large the write-ahead log gets while readers don't need more of it, in bytes.
@@ -82,7 +82,10 @@ pub(super) struct Store {
 impl Store {
     pub(super) fn open(place: Place) -> Result<Self, OpenError> {
         let lock = match &place {
-            Place::File(path) => Some(lock(path)?),
+            Place::File(path) => match no_file(path) {
+                Some(no_file) => return Err(OpenError::NoJournal(no_file)),
+                None => Some(lock(path)?),
+            },
             Place::Memory => None,
         };
         let source = Source::new(place);

@@ -103,7 +103,17 @@ impl Writer {
         let (shared, told) = Shared::new(ends[Chain::Events as usize].seq);
         let (shared, mut batch) = (Arc::new(shared), Batch::default());
         batch.records.extend(last_run.into_iter().map(Placed::Event));
-        let mut writer = Self { store, shared, told, ends: Some(ends), batch, retry_at: None, empty_log_at: None, lost_told: 0, pruning };
+        let mut writer = Self {
+            store,
+            shared,
+            told,
+            ends: Some(ends),
+            batch,
+            retry_at: None,
+            empty_log_at: None,
+            lost_told: 0,
+            pruning,
+        };
         writer.commit(Instant::now());
         Ok(writer)
     }

@@ -148,7 +148,8 @@ fn a_journal_has_one_gateway_whatever_links_lead_to_it() {
     symlink("real", by("directory")).unwrap();
     symlink("directory/journal.db", by("link")).unwrap();
     // The first makes the file that the link leads to.
-    for (first, second) in [("link", "real/journal.db"), ("directory/journal.db", "link"), ("real/journal.db", "link")] {
+    for (first, second) in [("link", "real/journal.db"), ("directory/journal.db", "link"), ("real/journal.db", "link")]
+    {
         let (_journal, _) = Journal::open(Place::File(by(first)), Retention::default()).unwrap();
         let refused = Journal::open(Place::File(by(second)), Retention::default()).unwrap_err();
         assert!(matches!(refused, OpenError::Locked(_)), "{refused}");
@@ -212,4 +213,23 @@ async fn a_disk_that_takes_nothing_at_the_start_is_said_and_tried_again() {
     let events = fields(&all(&journal).await, &["seq", "phase", "outcome", "event"]);
     assert_eq!(events, ["1 admitted", "2 done UNKNOWN", "3 unclean_end", "4 started"]);
     assert_eq!(journal.health().borrow().lost, 0);
+}
+
+#[tokio::test]
+async fn what_can_not_be_read_is_named_with_what_helps() {
+    let directory = Directory::new();
+    let (journal, _) = directory.open();
+    record(&journal, started(1));
+    journal.close().await.unwrap();
+    drop(journal);
+    let whole = std::fs::metadata(directory.journal()).unwrap().len();
+    std::fs::File::options().write(true).open(directory.journal()).unwrap().set_len(whole / 8192 * 4096).unwrap();
+    let said = match verify(&directory.journal()) {
+        Ok(report) => report.findings.iter().map(ToString::to_string).collect(),
+        Err(error) => error.to_string(),
+    };
+    assert!(!said.is_empty() && !said.contains("journal verify"), "{said}");
+    let refused = Journal::open(Place::File(directory.0.clone()), Retention::default()).unwrap_err().to_string();
+    let unread = verify(&directory.0).unwrap_err().to_string();
+    assert!(refused.contains("is a directory: name a file") && unread == refused, "{refused} {unread}");
 }
