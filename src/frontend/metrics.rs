@@ -4,7 +4,7 @@ use prometheus::core::Collector;
 use prometheus::{IntCounter, IntCounterVec, IntGauge, Opts, Registry, Result};
 
 /// The route of what no route was found for: paths are the clients', and there is no end of them.
-const NO_ROUTE: &str = "none";
+pub(super) const NO_ROUTE: &str = "none";
 
 /// One door's figures. There is a series for each route, method and status that was answered, and two more.
 #[derive(Debug, Clone)]

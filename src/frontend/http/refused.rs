@@ -2,18 +2,16 @@
 
 use std::sync::Arc;
 
-use axum::extract::{Request, State};
+use axum::extract::{MatchedPath, Request, State};
 use axum::http::Method;
 use axum::middleware::Next;
 use axum::response::Response;
 
 use super::extract::Asker;
 use super::{API, Context};
+use crate::frontend::metrics::NO_ROUTE;
 use crate::frontend::refusals::Refusal;
-use crate::gripper::model::{Name, Text};
-
-/// The most bytes of a path's end that are written down.
-const MAX_COMMAND_BYTES: usize = 32;
+use crate::gripper::model::Name;
 
 /// What a problem leaves at its response.
 #[derive(Debug, Clone)]
@@ -30,7 +28,8 @@ pub async fn record(State(context): State<Arc<Context>>, request: Request, next:
         return next.run(request).await;
     }
     let client = Asker::of(request.extensions()).0;
-    let (gripper, command) = asked_for(request.uri().path());
+    let route = request.extensions().get::<MatchedPath>().map(MatchedPath::as_str);
+    let (gripper, command) = (gripper(request.uri().path()), command(route));
     let response = next.run(request).await;
     if let Some(Refused { code, cause }) = response.extensions().get().cloned() {
         context.refusals.take(Refusal { gripper, client, command, code }, cause);
@@ -38,12 +37,16 @@ pub async fn record(State(context): State<Arc<Context>>, request: Request, next:
     response
 }
 
-/// The gripper that a path names, and its last part.
-fn asked_for(path: &str) -> (Option<Name>, String) {
+/// The gripper that a path names.
+fn gripper(path: &str) -> Option<Name> {
     let below = path.strip_prefix(API).and_then(|path| path.strip_prefix("/grippers/"));
-    let gripper = below.and_then(|below| below.split('/').next()).and_then(|name| name.parse().ok());
-    let last = path.rsplit('/').next().unwrap_or_default();
-    (gripper, Text::<MAX_COMMAND_BYTES>::truncated(last).as_str().to_owned())
+    below.and_then(|below| below.split('/').next()).and_then(|name| name.parse().ok())
+}
+
+/// The last part of a route's template that is no parameter: paths are the clients', and there is no end of them.
+fn command(route: Option<&str>) -> String {
+    let last = route.and_then(|route| route.rsplit('/').find(|part| !part.starts_with('{')));
+    last.unwrap_or(NO_ROUTE).to_owned()
 }
 
 #[cfg(test)]
@@ -51,10 +54,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_path_names_its_gripper_and_what_is_asked_of_it() {
-        let (gripper, command) = asked_for("/api/v1/grippers/left/settings/acceleration");
-        assert_eq!((gripper.unwrap().as_str(), command.as_str()), ("left", "acceleration"));
-        assert_eq!(asked_for("/api/v1/fast-stop"), (None, "fast-stop".to_owned()));
-        assert_eq!(asked_for(&format!("/{}", "x".repeat(100))).1.len(), MAX_COMMAND_BYTES);
+    fn a_path_names_its_gripper_and_its_route_what_is_asked_of_it() {
+        let left = gripper("/api/v1/grippers/left/settings/acceleration");
+        assert_eq!(left.unwrap().as_str(), "left");
+        assert_eq!(gripper("/api/v1/fast-stop"), None);
+        assert_eq!(command(Some("/api/v1/grippers/{g}/settings/acceleration")), "acceleration");
+        assert_eq!(command(Some("/api/v1/grippers/{g}/custom/{id}")), "custom");
+        assert_eq!(command(None), "none");
     }
 }
