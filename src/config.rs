@@ -49,7 +49,7 @@ pub struct Flags {
     #[arg(long, value_name = "NAME", env = "WSG_GATEWAY_NAME")]
     pub name: Option<String>,
     /// Where to keep the journal: a file, or :memory: [default: NAME.db in $STATE_DIRECTORY or
-    /// ~/.local/state/wsg-gateway]
+    /// ~/.local/state/wsg-gateway]; of a file the newest 4096 MB are kept, or journal_max_size_mb of the --config file
     #[arg(long, value_name = "PATH", env = "WSG_GATEWAY_JOURNAL")]
     pub journal: Option<String>,
     /// Serve a gripper by the WSG protocol itself, e.g. left=127.0.0.1:1000 or left=udp://127.0.0.1:1500 (repeatable)

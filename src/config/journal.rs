@@ -1,6 +1,7 @@
 //! Where the journal is kept, for how long, and what happens while it can't be written.
 
 use std::ffi::OsString;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -16,6 +17,10 @@ const MAX_AGE_DAYS: u64 = 36_525;
 /// How large a file may be told to get at most, in MB: what SQLite can address with pages of 4 KiB.
 const MAX_SIZE_MB: u64 = 16_000_000;
 
+/// How large a file gets where nothing is said, in MB: millions of records, and no disk full of those of a client that
+/// asks without end.
+const DEFAULT_SIZE_MB: u64 = 4096;
+
 /// The journal.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Journal {
@@ -25,7 +30,7 @@ pub struct Journal {
     pub on_failure: OnJournalFailure,
     /// How old its records get; for ever where there is none.
     pub max_age: Option<Duration>,
-    /// How large its file gets, in bytes.
+    /// How large its file gets, in bytes; without an end where there is none.
     pub max_bytes: Option<u64>,
 }
 
@@ -89,8 +94,13 @@ impl Journal {
         let content = file.map(|file| &file.content);
         let max_age_days = content.and_then(|content| content.journal_max_age_days.as_ref());
         let max_size_mb = content.and_then(|content| content.journal_max_size_mb.as_ref());
-        let max_age_days = bounded(file, "journal_max_age_days", max_age_days, MAX_AGE_DAYS)?;
-        let max_size_mb = bounded(file, "journal_max_size_mb", max_size_mb, MAX_SIZE_MB)?;
+        let max_age_days =
+            bounded(file, "journal_max_age_days", max_age_days, 1..=MAX_AGE_DAYS, "leave it out to keep everything")?;
+        let remedy = "0 is without limit";
+        let max_size_mb = bounded(file, "journal_max_size_mb", max_size_mb, 0..=MAX_SIZE_MB, remedy)?;
+        // What one in memory gets is the journal's to say.
+        let default = matches!(place, JournalPlace::File(_)).then_some(DEFAULT_SIZE_MB);
+        let max_size_mb = max_size_mb.or(default).filter(|megabytes| *megabytes > 0);
         Ok(Self {
             place,
             on_failure: content.map(|content| content.on_journal_failure).unwrap_or_default(),
@@ -100,12 +110,19 @@ impl Journal {
     }
 }
 
-fn bounded(file: Option<&File>, key: &str, value: Option<&Spanned<u64>>, max: u64) -> Result<Option<u64>, Mistake> {
+fn bounded(
+    file: Option<&File>,
+    key: &str,
+    value: Option<&Spanned<u64>>,
+    allowed: RangeInclusive<u64>,
+    remedy: &str,
+) -> Result<Option<u64>, Mistake> {
     let Some((file, value)) = file.zip(value) else { return Ok(None) };
-    if (1..=max).contains(value.get_ref()) {
+    if allowed.contains(value.get_ref()) {
         return Ok(Some(*value.get_ref()));
     }
-    let detail = format!("{key} is {}, and must be from 1 to {max}: leave it out to keep everything", value.get_ref());
+    let (least, most) = allowed.into_inner();
+    let detail = format!("{key} is {}, and must be from {least} to {most}: {remedy}", value.get_ref());
     Err(Mistake::at(&file.place(value.span().start), detail))
 }
 

@@ -40,7 +40,9 @@ fn a_mistake_in_a_file_is_named_with_its_line_and_remedy() {
     assert!(mistake("[grippers.Left]\nurl = \"sim://wsg50\"").starts_with("gateway.toml:1: \"Left\" is no name"));
     assert!(mistake("journal = \"\"").starts_with("gateway.toml:1: the journal has no name"));
     assert!(
-        mistake("\njournal_max_size_mb = 0").starts_with("gateway.toml:2: journal_max_size_mb is 0, and must be from")
+        mistake("\njournal_max_size_mb = 20000000").starts_with(
+            "gateway.toml:2: journal_max_size_mb is 20000000, and must be from 0 to 16000000: 0 is without"
+        )
     );
     assert!(mistake("journal_max_age_days = 40000").contains("from 1 to 36525"));
     assert!(mistake("on_journal_failure = \"stop\"").contains("expected `refuse` or `continue`"));
@@ -97,6 +99,10 @@ fn the_journal_is_kept_where_and_for_as_long_as_is_said() {
     assert_eq!(Config::merge(&flags, Some(&parsed)).unwrap().journal.place, JournalPlace::Memory);
     let journal = Config::load(&flags).unwrap().journal;
     assert_eq!((journal.on_failure, journal.max_age, journal.max_bytes), (OnJournalFailure::Refuse, None, None));
+    let on_disk = Flags { journal: Some("a.db".to_owned()), ..flags };
+    assert_eq!(Config::load(&on_disk).unwrap().journal.max_bytes, Some(4_096_000_000));
+    let endless = File::parse(Path::new("gateway.toml"), "journal_max_size_mb = 0".to_owned()).unwrap();
+    assert_eq!(Config::merge(&on_disk, Some(&endless)).unwrap().journal.max_bytes, None);
 }
 
 #[test]
