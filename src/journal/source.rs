@@ -91,8 +91,8 @@ fn remedy(error: &rusqlite::Error) -> &'static str {
         }
         Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked) => "end the other program that writes it",
         Some(ErrorCode::DatabaseCorrupt | ErrorCode::NotADatabase) => {
-            "the file is damaged: put a copy of it in its place, or move it away to begin anew"
+            "put a copy of it in its place, or move the file away to begin anew"
         }
-        _ => "if the file is damaged, put a copy of it in its place, or move it away to begin anew",
+        _ => "if the file is damaged, put a copy of it in its place, or move the file away to begin anew",
     }
 }
