@@ -109,7 +109,7 @@ pub fn yaml() -> Result<String, serde_saphyr::ser::Error> {
 /// Of the WebSocket.
 #[utoipa::path(
     get, path = "/asyncapi.yaml", operation_id = "asyncapi", tag = "gateway",
-    responses((status = 200, description = "The document", body = String, content_type = "application/yaml"), AnyProblem)
+    responses((status = 200, description = "The document", body = serde_json::Value, content_type = "application/yaml"), AnyProblem)
 )]
 pub async fn asyncapi() -> Result<impl IntoResponse, Problem> {
     let yaml = yaml().map_err(|error| Problem::new(Code::Internal, format!("the document has no YAML: {error}")))?;

@@ -37,7 +37,7 @@ impl Actor {
         }
     }
 
-    /// A request of a lease's holder has ended, as [`Leasing::closed`](super::super::lease::Leasing::closed) told.
+    /// A request of a lease's holder has ended, as [`Actor::lease_requests`] told.
     pub fn lease_request_closed(&mut self, now: Now) {
         self.leasing.request_closed(now.instant);
         self.settle(now);
