@@ -139,7 +139,7 @@ impl Ticket {
     /// The command when it has ended, or as it is after `limit`.
     pub async fn wait(&mut self, limit: Duration) -> Command {
         // Neither a time-out nor the actor's end is an error here: the record says how far the command came.
-        let _ = tokio::time::timeout(limit, self.record.wait_for(|command| command.phase == Phase::Done)).await;
+        let _ = tokio::time::timeout(limit, self.ended()).await;
         self.now()
     }
 }

@@ -54,8 +54,9 @@ impl Drop for Directory {
 }
 
 fn main() -> Result<(), Error> {
-    let mut arguments = std::env::args().skip_while(|argument| argument != "--events").skip(1);
-    let events: u32 = arguments.next().map_or(Ok(1_000_000), |count| count.parse())?;
+    let arguments: Vec<_> = std::env::args().collect();
+    let events = arguments.windows(2).find(|pair| pair[0] == "--events").map(|pair| &pair[1]);
+    let events: u32 = events.map_or(Ok(1_000_000), |count| count.parse())?;
     let directory =
         Directory(Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("journal-bench-{}", std::process::id())));
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;

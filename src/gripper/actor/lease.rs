@@ -13,18 +13,13 @@ use crate::wsg::{Command, GripperState, SystemState};
 
 impl Actor {
     /// Whether a request with this token, or without one, may change anything.
-    pub(super) fn check_lease(&self, now: Now, token: Option<&LeaseToken>) -> Result<(), Conflict> {
-        self.leasing.check(now.instant, token)
-    }
-
-    /// The same, of a client whose door takes the lease by moving.
     pub(super) fn check_claim(&self, now: Now, client: &Client, token: Option<&LeaseToken>) -> Result<(), Conflict> {
         if !client.door.speaks_wsg() {
-            return self.check_lease(now, token);
+            return self.leasing.check(now.instant, token);
         }
         // Its token is its connection's own: where it is not that of the lease, there is nothing stale about it.
         let is_holder = token.is_some() && self.leasing.token() == token;
-        if is_holder || self.leasing.is_free_for(client) { Ok(()) } else { self.check_lease(now, None) }
+        if is_holder || self.leasing.is_free_for(client) { Ok(()) } else { self.leasing.check(now.instant, None) }
     }
 
     /// What moves takes the lease where it is free, for a client of such a door.
@@ -47,15 +42,11 @@ impl Actor {
         self.leasing.lease(now.instant, None)
     }
 
-    fn lease_of(&self, now: Now, token: Option<&LeaseToken>) -> Lease {
-        self.leasing.lease(now.instant, token)
-    }
-
     pub(super) fn take_lease(&mut self, now: Now, wish: &TakeLease, token: LeaseToken, answer: Answer<Granted>) {
         let granted = self.try_take_lease(now, wish, token).map(|()| {
             let token = self.leasing.token().cloned();
             let keep = self.leasing.keep(now.instant, token.as_ref());
-            Granted { lease: self.lease_of(now, token.as_ref()), keep }
+            Granted { lease: self.leasing.lease(now.instant, token.as_ref()), keep }
         });
         // Whoever asked may be gone: then nobody uses it, and it runs out.
         let _ = answer.send(granted);
@@ -87,7 +78,7 @@ impl Actor {
 
     pub(super) fn renew_lease(&mut self, now: Now, token: Option<&LeaseToken>) -> Result<Lease, Rejection> {
         self.leasing.renew(now.instant, token)?;
-        Ok(self.lease_of(now, token))
+        Ok(self.leasing.lease(now.instant, token))
     }
 
     pub(super) fn hand_over(

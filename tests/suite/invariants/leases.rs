@@ -77,6 +77,15 @@ fn release(world: &mut World, token: Option<LeaseToken>) -> Lease {
     request(world, |answer| Request::ReleaseLease { token, answer }).try_recv().unwrap()
 }
 
+/// A holder grips the part, and is lost.
+fn lose_while_holding(world: &mut World, wish: TakeLease) {
+    let token = token(world, wish);
+    let held = submit_with(world, grip(None), token).unwrap();
+    finish(world, &held);
+    close(world, held);
+    world.advance(TTL * 2);
+}
+
 fn fast_stops(world: &World, from: usize) -> usize {
     received(world, from).into_iter().filter(|id| *id == id::FAST_STOP).count()
 }
@@ -162,22 +171,14 @@ fn a_holder_that_is_lost_while_a_part_is_held_leaves_it_held_and_reserved() {
 #[test]
 fn a_supervisor_may_take_a_gripper_that_is_reserved() {
     let mut world = homed();
-    let a = token(&mut world, wish("a"));
-    let held = submit_with(&mut world, grip(None), a).unwrap();
-    finish(&mut world, &held);
-    close(&mut world, held);
-    world.advance(TTL * 2);
+    lose_while_holding(&mut world, wish("a"));
     assert!(take(&mut world, TakeLease { force: true, ..wish("b") }).is_ok());
 }
 
 #[test]
 fn a_part_that_is_gone_reserves_nothing() {
     let mut world = homed();
-    let a = token(&mut world, wish("a"));
-    let held = submit_with(&mut world, grip(None), a).unwrap();
-    finish(&mut world, &held);
-    close(&mut world, held);
-    world.advance(TTL * 2);
+    lose_while_holding(&mut world, wish("a"));
     world.device.apply(world.now, Change::TakePart);
     world.advance(Duration::from_secs(1));
     assert_eq!(lease(&mut world).reserved_for, None);
@@ -242,11 +243,7 @@ fn what_becomes_of_a_motion_is_the_holders_choice() {
 #[test]
 fn what_becomes_of_a_held_part_is_the_holders_choice_too() {
     let mut world = homed();
-    let a = token(&mut world, TakeLease { on_loss_holding: Some(OnLossHolding::FastStop), ..wish("a") });
-    let held = submit_with(&mut world, grip(None), a).unwrap();
-    finish(&mut world, &held);
-    close(&mut world, held);
-    world.advance(TTL * 2);
+    lose_while_holding(&mut world, TakeLease { on_loss_holding: Some(OnLossHolding::FastStop), ..wish("a") });
     assert_eq!(latch(&world).fast_stop_cause, FastStopCause::ClientLost);
     assert_eq!(lease(&mut world).reserved_for, None);
 }
