@@ -9,31 +9,21 @@
 
 #[path = "observers/crowd.rs"]
 mod crowd;
+mod program;
 #[path = "observers/tap.rs"]
 mod tap;
 
 use std::io::{BufRead, BufReader, Write};
 use std::net::TcpListener;
-use std::process::{Child, ChildStdin, Command, Stdio};
+use std::process::{ChildStdin, Command, Stdio};
 use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
+use program::{Error, Running, start};
 use serde_json::{Value, json};
-
-type Error = Box<dyn std::error::Error + Send + Sync>;
 
 /// What the kernel counts processor time in, a second.
 const TICKS: f64 = 100.0;
-
-/// A process that is ended with the bench.
-struct Running(Child);
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
 
 impl Running {
     /// The memory that it has, in MiB.
@@ -83,21 +73,6 @@ impl Crowd {
 
 fn number(name: &str, default: usize) -> usize {
     std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(default)
-}
-
-/// Starts the gateway's program, and returns what it says between `before` and the end of the line.
-fn start(arguments: &[&str], before: &str) -> Result<(Running, String), Error> {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_wsg-gateway"));
-    command.env("WSG_GATEWAY_JOURNAL", ":memory:").env("WSG_GATEWAY_LOG", "error");
-    let mut child = command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::null()).spawn()?;
-    let lines = BufReader::new(child.stdout.take().ok_or("no output")?).lines();
-    let running = Running(child);
-    for line in lines {
-        if let Some((_, rest)) = line?.split_once(before) {
-            return Ok((running, rest.trim_end_matches('/').to_owned()));
-        }
-    }
-    Err(format!("it never said {before:?}").into())
 }
 
 /// A client that stops the gripper, and acknowledges.

@@ -2,11 +2,13 @@
 //!
 //! `cargo bench --bench round_trip`. Times are noisy; the ratio is what counts.
 
-use std::io::{BufRead, BufReader, Read, Write};
+mod program;
+
+use std::io::{Read, Write};
 use std::net::TcpStream;
-use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
+use program::{Error, start};
 use wsg_gateway::wsg::{self, ChecksumEvaluation, Decoded, Decoder, LoopData, id};
 
 /// Round trips of each kind.
@@ -14,33 +16,6 @@ const ROUNDS: usize = 2000;
 
 /// Round trips that are not counted, first.
 const WARM_UP: usize = 200;
-
-type Error = Box<dyn std::error::Error>;
-
-/// A process that is ended with the bench.
-struct Running(Child);
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-/// Starts the program, and returns what it says between `before` and the end of the line.
-fn start(arguments: &[&str], before: &str) -> Result<(Running, String), Error> {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_wsg-gateway"));
-    command.env("WSG_GATEWAY_JOURNAL", ":memory:");
-    let mut child = command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::null()).spawn()?;
-    let lines = BufReader::new(child.stdout.take().ok_or("no output")?).lines();
-    let running = Running(child);
-    for line in lines {
-        if let Some((_, rest)) = line?.split_once(before) {
-            return Ok((running, rest.trim_end_matches('/').to_owned()));
-        }
-    }
-    Err(format!("it never said {before:?}").into())
-}
 
 fn main() -> Result<(), Error> {
     let (_straight, straight) = start(&["sim", "tcp://127.0.0.1:0"], " at tcp://")?;

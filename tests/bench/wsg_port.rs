@@ -3,14 +3,17 @@
 //!
 //! `cargo bench --bench wsg_port`. Times are noisy; the ratio is what counts.
 
-use std::io::{BufRead, BufReader, Read, Write};
+mod program;
+
+use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
-use std::process::{Child, Command, Stdio};
+use std::process::Command;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 
+use program::{Error, Running, start};
 use wsg_gateway::wsg::{self, ChecksumEvaluation, Decoded, Decoder, LoopData, Updates, id};
 
 /// Round trips of each kind.
@@ -21,36 +24,6 @@ const WARM_UP: usize = 1000;
 
 /// How often the other clients ask: as scripts in the field do.
 const POLLED_EVERY: Duration = Duration::from_millis(20);
-
-type Error = Box<dyn std::error::Error + Send + Sync>;
-
-/// A process that is ended with the bench.
-struct Running(Child);
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
-/// Starts the program, and returns the words that it says behind each of `before`, in this order.
-fn start(arguments: &[&str], before: &[&str]) -> Result<(Running, Vec<String>), Error> {
-    let mut command = Command::new(env!("CARGO_BIN_EXE_wsg-gateway"));
-    command.env("WSG_GATEWAY_JOURNAL", ":memory:");
-    let mut child = command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::null()).spawn()?;
-    let lines = BufReader::new(child.stdout.take().ok_or("no output")?).lines();
-    let (running, mut words) = (Running(child), Vec::new());
-    for line in lines {
-        if let Some((_, rest)) = before.get(words.len()).and_then(|before| line.as_ref().ok()?.split_once(before)) {
-            words.push(rest.trim_end_matches('/').to_owned());
-        }
-        if words.len() == before.len() {
-            return Ok((running, words));
-        }
-    }
-    Err(format!("it never said {before:?}").into())
-}
 
 /// A client that waits for each answer.
 struct Client {
@@ -99,18 +72,18 @@ impl Client {
 }
 
 fn main() -> Result<(), Error> {
-    let (_relayed, relayed) = start(&["sim", "tcp://127.0.0.1:0"], &[" at tcp://"])?;
-    let (_served, served) = start(&["sim", "tcp://127.0.0.1:0"], &[" at tcp://"])?;
-    let gripper = format!("g=tcp://{}", served[0]);
+    let (_relayed, relayed) = start(&["sim", "tcp://127.0.0.1:0"], " at tcp://")?;
+    let (_served, served) = start(&["sim", "tcp://127.0.0.1:0"], " at tcp://")?;
+    let gripper = format!("g=tcp://{served}");
     let arguments = ["--listen", "127.0.0.1:0", "--gripper", &gripper, "--wsg-port", "g=127.0.0.1:0"];
-    let (_gateway, said) = start(&arguments, &["WSG port of g: tcp://"])?;
+    let (_gateway, said) = start(&arguments, "WSG port of g: tcp://")?;
     let free = TcpListener::bind("127.0.0.1:0")?.local_addr()?.port();
     let listen = format!("TCP-LISTEN:{free},bind=127.0.0.1,nodelay,reuseaddr");
-    let relay = Command::new("socat").args([listen, format!("TCP:{},nodelay", relayed[0])]).spawn();
+    let relay = Command::new("socat").args([listen, format!("TCP:{relayed},nodelay")]).spawn();
     let _relay = Running(relay.map_err(|error| format!("socat is needed: {error}"))?);
 
     let mut through_relay = Client::connect(&format!("127.0.0.1:{free}"))?;
-    let mut through_port = Client::connect(&said[0])?;
+    let mut through_port = Client::connect(&said)?;
     let command = wsg::Command::Loop(LoopData::new(vec![0x55; 16]).ok_or("too long")?);
     let deadline = Instant::now() + Duration::from_secs(5);
     while through_port.ask(&command)? != 0 {
@@ -119,7 +92,7 @@ fn main() -> Result<(), Error> {
         }
     }
     let (ends, polls) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicU64::new(0)));
-    let others: Vec<_> = (0..3).map(|_| poll(said[0].clone(), ends.clone(), polls.clone())).collect();
+    let others: Vec<_> = (0..3).map(|_| poll(said.clone(), ends.clone(), polls.clone())).collect();
     let (mut by_relay, mut by_port) = (Vec::new(), Vec::new());
     for round in 0..WARM_UP + ROUNDS {
         let (relay, port) = (timed(&mut through_relay, &command)?, timed(&mut through_port, &command)?);

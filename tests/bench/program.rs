@@ -1,0 +1,32 @@
+//! The gateway's program, as the benches start it.
+
+use std::io::{BufRead, BufReader};
+use std::process::{Child, Command, Stdio};
+
+pub type Error = Box<dyn std::error::Error + Send + Sync>;
+
+/// A process that is ended with the bench.
+pub struct Running(pub Child);
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
+}
+
+/// Starts the program, and returns what it says between `before` and the end of the line. Its log is of errors alone:
+/// what it costs to write is not what is measured.
+pub fn start(arguments: &[&str], before: &str) -> Result<(Running, String), Error> {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_wsg-gateway"));
+    command.env("WSG_GATEWAY_JOURNAL", ":memory:").env("WSG_GATEWAY_LOG", "error");
+    let mut child = command.args(arguments).stdout(Stdio::piped()).stderr(Stdio::null()).spawn()?;
+    let lines = BufReader::new(child.stdout.take().ok_or("no output")?).lines();
+    let running = Running(child);
+    for line in lines {
+        if let Some((_, rest)) = line?.split_once(before) {
+            return Ok((running, rest.trim_end_matches('/').to_owned()));
+        }
+    }
+    Err(format!("it never said {before:?}").into())
+}
