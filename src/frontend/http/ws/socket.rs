@@ -13,7 +13,7 @@ use axum::http::StatusCode;
 use futures_util::future::{BoxFuture, FutureExt as _, join_all};
 use futures_util::stream::{FuturesUnordered, SplitStream, StreamExt as _};
 use serde_json::value::{RawValue, to_raw_value};
-use tokio::time::{Instant, Interval, timeout};
+use tokio::time::{Interval, MissedTickBehavior, timeout};
 use tokio_tungstenite::tungstenite;
 
 use super::bodies::{self, Following};
@@ -31,8 +31,9 @@ use crate::gripper::model::{Client, Command, Name};
 /// How often a client is asked for a sign of life.
 const PINGED_EVERY: Duration = Duration::from_secs(1);
 
-/// And after how long without one it is lost.
-const LOST_AFTER: Duration = Duration::from_secs(3);
+/// And after how many in a row without one it is lost: pings are counted, and not time, so that nobody is lost because
+/// the gateway itself got no processor time.
+const MAX_UNANSWERED: u32 = 3;
 
 /// Requests of one client that may be under way. More are refused as `overloaded`, but for FAST STOPs.
 const MAX_CALLS: usize = 32;
@@ -68,7 +69,8 @@ pub struct Socket {
     /// The newest of each gripper that was taken here. It is lost with the socket, unless it was released.
     leases: HashMap<Name, Arc<Taken>>,
     pings: Interval,
-    last_pong: Instant,
+    /// Pings since the newest pong.
+    unanswered: u32,
     _connected: Connected,
 }
 
@@ -107,6 +109,8 @@ enum End {
 impl Socket {
     pub fn new(socket: WebSocket, client: Client, methods: Methods, context: &Arc<Context>) -> Self {
         let (sink, incoming) = socket.split();
+        let mut pings = tokio::time::interval(PINGED_EVERY);
+        pings.set_missed_tick_behavior(MissedTickBehavior::Delay);
         Self {
             client,
             methods,
@@ -118,8 +122,8 @@ impl Socket {
             running: FuturesUnordered::new(),
             following: None,
             leases: HashMap::new(),
-            pings: tokio::time::interval(PINGED_EVERY),
-            last_pong: Instant::now(),
+            pings,
+            unanswered: 0,
             _connected: context.ws_metrics.connected(),
         }
     }
@@ -169,12 +173,11 @@ impl Socket {
                     }
                 }
                 _ = self.pings.tick() => {
-                    if self.last_pong.elapsed() >= LOST_AFTER {
+                    if self.unanswered >= MAX_UNANSWERED {
                         return End::Lost;
                     }
-                    if may_tell {
-                        self.outgoing.push(Message::Ping(axum::body::Bytes::new()));
-                    }
+                    self.unanswered += 1;
+                    self.outgoing.push(Message::Ping(axum::body::Bytes::new()));
                 }
                 (told, dropped) = updates(&mut self.following), if may_tell => {
                     self.context.ws_metrics.dropped(dropped);
@@ -192,7 +195,7 @@ impl Socket {
     fn take_message(&mut self, message: Option<Result<Message, axum::Error>>) -> Option<End> {
         match message {
             Some(Ok(Message::Text(text))) => self.take_requests(rpc::parse(&text)),
-            Some(Ok(Message::Pong(_))) => self.last_pong = Instant::now(),
+            Some(Ok(Message::Pong(_))) => self.unanswered = 0,
             Some(Ok(Message::Ping(_))) => {}
             Some(Ok(Message::Binary(_))) => return Some(End::Unspoken(close_code::UNSUPPORTED, "only text is read")),
             Some(Err(error)) => return Some(end_of(error)),
