@@ -8,6 +8,7 @@ use std::future::Future;
 use std::io::Write;
 use std::net::SocketAddr;
 use std::sync::Arc;
+use std::time::Duration;
 
 use anyhow::Context as _;
 use prometheus::Registry;
@@ -15,6 +16,8 @@ use rand::RngExt;
 use tokio::net::TcpListener;
 use tokio::runtime::{Builder, Runtime};
 use tokio::signal::unix::{SignalKind, signal};
+use tokio::sync::oneshot;
+use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 
 use crate::config::{self, Config, Device, Gripper, Mistake};
@@ -30,6 +33,9 @@ pub use simulation::{Served, SimulatedDevice, Switch, serve as serve_device, ser
 
 /// How much the observers' thread gives way to others (`nice`): of 0 to 19 enough that the kernel prefers any of those.
 const NICE: i32 = 10;
+
+/// How long a start waits for the journal: as long as a motion does.
+const START_WRITTEN_WITHIN: Duration = Duration::from_millis(500);
 
 /// Runs the gateway until SIGTERM or SIGINT.
 ///
@@ -88,9 +94,7 @@ async fn run_gateway(config: &Config, devices: &Runtime, sockets: &Runtime) -> a
     let ports = ports::bind(config)?;
     let (journal, recovered) = open_journal(config)?;
     tell_of_last_run(&recovered);
-    for event in [started(config), configured(config)] {
-        journal.record(Record::Event(Event::new(Now::read().wall, None, Detail::Gateway(event)), None));
-    }
+    write_down_start(config, &journal).await;
     let (draining, shutdown) = (CancellationToken::new(), CancellationToken::new());
     let registry = metrics::registry(&config.name, &journal)?;
     let fleet = spawn_all(config, devices, &journal, &recovered, &registry)?;
@@ -140,6 +144,18 @@ fn tell_of_last_run(recovered: &Recovered) {
         let running: Vec<_> = recovered.running.iter().map(ToString::to_string).collect();
         tracing::warn!(running = running.join(", "), "the last run has not ended in order: what ran then is UNKNOWN");
     }
+}
+
+/// Says that this run has begun, and waits until that is durable: by that the next run knows that leases were given which
+/// it may not know of, if this one is killed. A disk that doesn't take it is said to be so elsewhere, and ends no start.
+async fn write_down_start(config: &Config, journal: &Journal) {
+    let (written, is_written) = oneshot::channel();
+    let record = |event, waiter| {
+        journal.record(Record::Event(Event::new(Now::read().wall, None, Detail::Gateway(event)), waiter));
+    };
+    record(started(config), None);
+    record(configured(config), Some(written));
+    let _ = timeout(START_WRITTEN_WITHIN, is_written).await;
 }
 
 fn started(config: &Config) -> GatewayEvent {
