@@ -27,6 +27,20 @@ fn the_shortest_period_is_10_ms() {
 }
 
 #[test]
+fn those_of_one_period_come_together_whenever_they_were_switched_on() {
+    let mut bench = Bench::homed(DeviceConfig::wsg50());
+    bench.ask(&Command::GetWidth(updates(false, 20)));
+    assert_eq!(bench.pass(ms(7)), []);
+    bench.ask(&Command::GetForce(updates(false, 20)));
+    assert_eq!(bench.pass(ms(12)), []);
+    for _ in 0..3 {
+        let together: Vec<_> = bench.pass(ms(1)).into_iter().map(|(id, _)| id).collect();
+        assert_eq!(together, [id::GET_WIDTH, id::GET_FORCE]);
+        assert_eq!(bench.pass(ms(19)), []);
+    }
+}
+
+#[test]
 fn a_query_without_updates_switches_them_off() {
     let mut bench = Bench::new(DeviceConfig::wsg50());
     bench.ask(&Command::GetSpeed(updates(false, 10)));

@@ -24,12 +24,15 @@ struct Subscription {
 pub struct Subscriptions(Vec<Subscription>);
 
 impl Subscriptions {
-    /// Switches the updates of `id` on or off; `now` its value is `value`.
+    /// Switches the updates of `id` on or off; `now` its value is `value`. Those of one period come in one cycle, so that
+    /// their values are of one instant.
     pub fn set(&mut self, id: u8, updates: Updates, value: Data, now: Instant) {
         self.0.retain(|subscription| subscription.id != id);
         if let Updates::On { on_change, period_ms } = updates {
             let period = Duration::from_millis(period_ms.max(MIN_PERIOD_MS).into());
-            self.0.push(Subscription { id, on_change, period, last_at: now, last: value });
+            let is_in_step = |other: &&Subscription| !on_change && !other.on_change && other.period == period;
+            let last_at = self.0.iter().find(is_in_step).map_or(now, |other| other.last_at);
+            self.0.push(Subscription { id, on_change, period, last_at, last: value });
             self.0.sort_by_key(|subscription| IDS.iter().position(|&id| id == subscription.id));
         }
     }
