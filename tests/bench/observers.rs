@@ -5,7 +5,7 @@
 //! `cargo bench --bench observers`. `OBSERVERS` (1000), `STALLED` (100), `HZ` (50), `STOPS` (200, each once idle and once
 //! loaded) and `SECONDS` (10, of each fan-out) change it. Times are noisy; the ratios are what counts. Mosquitto is left
 //! out where it isn't installed. The observers are a process of their own, on the same processors,
-//! which gives way to the gateway (`nice` 19).
+//! which gives way to the gateway (`chrt --idle`, of util-linux).
 
 #[path = "observers/crowd.rs"]
 mod crowd;
@@ -51,8 +51,9 @@ struct Crowd {
 
 impl Crowd {
     fn start(what: &str, address: &str) -> Result<Self, Error> {
-        let mut command = Command::new(std::env::current_exe()?);
-        command.env("CROWD", what).env("ADDRESS", address);
+        // Elsewhere observers have processors of their own: here they must not take the gateway's, nor its caller's.
+        let mut command = Command::new("chrt");
+        command.args(["--idle", "0"]).arg(std::env::current_exe()?).env("CROWD", what).env("ADDRESS", address);
         let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn()?;
         let (asks, says) = (child.stdin.take().ok_or("no input")?, child.stdout.take().ok_or("no output")?);
         let mut crowd = Self { running: Running(child), asks, says: BufReader::new(says) };
@@ -121,8 +122,6 @@ fn percentile(times: &[Duration], percent: usize) -> Duration {
 
 fn main() -> Result<(), Error> {
     if let (Ok(what), Ok(address)) = (std::env::var("CROWD"), std::env::var("ADDRESS")) {
-        // Elsewhere observers have processors of their own: here they must not take the gateway's.
-        rustix::process::setpriority_process(None, 19)?;
         return crowd::run(&what, &address);
     }
     let (_device, device) = start(&["sim", "tcp://127.0.0.1:0"], " at tcp://")?;
