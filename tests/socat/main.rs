@@ -1,5 +1,6 @@
-//! RS-232 through socat, which stands for an adapter that is pulled and comes back. Not a part of plain `cargo test`, so
-//! that a machine without socat never counts it as passed: `cargo test --test socat`.
+//! What takes socat, which stands for an adapter that is pulled and comes back, and for a client's machine that is frozen
+//! by SIGSTOP. Not a part of plain `cargo test`, so that a machine without socat never counts it as passed: `cargo test
+//! --test socat`.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
@@ -8,12 +9,14 @@
 mod harness;
 
 use std::path::{Path, PathBuf};
+use std::process::Stdio;
 
-use serde_json::json;
+use serde_json::{Value, json};
+use tokio::io::{AsyncBufReadExt, BufReader};
 use tokio::process::{Child, Command};
 
-use harness::process::Process;
-use harness::{Gateway, eventually};
+use harness::process::{Process, signal};
+use harness::{Gateway, Proxy, Simulator, eventually};
 
 fn path(name: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{}-{name}", std::process::id()))
@@ -53,4 +56,52 @@ async fn a_pulled_adapter_is_named_and_comes_back() {
     let _adapter = plug_in(&port, &line).await;
     gateway.until_link("connected").await;
     gateway.post("home", &json!({})).await.outcome("SUCCESS");
+}
+
+/// What one client has between itself and the gateway, and the address that it connects to: what is sent while it is
+/// frozen arrives when it thaws.
+async fn between(gateway: &Gateway) -> (Child, String) {
+    let target = gateway.url("/").replace("http://", "TCP:").trim_end_matches('/').to_owned();
+    let mut command = Command::new("socat");
+    command.args(["-d", "-d", "TCP-LISTEN:0,bind=127.0.0.1", &target]).stderr(Stdio::piped()).kill_on_drop(true);
+    let mut child = command.spawn().expect("socat has to be installed");
+    let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
+    loop {
+        let line = lines.next_line().await.unwrap().expect("it listens");
+        if let Some((_, address)) = line.split_once("listening on AF=2 ") {
+            // It goes on saying what it does.
+            tokio::spawn(async move { while let Ok(Some(_)) = lines.next_line().await {} });
+            return (child, address.trim().to_owned());
+        }
+    }
+}
+
+#[tokio::test]
+async fn a_client_that_is_frozen_past_its_lease_moves_nothing_when_it_thaws() {
+    let device = Simulator::start(&[]).await;
+    let proxy = Proxy::to(device.address);
+    let gateway = Gateway::homed_at(proxy.address).await;
+    let (frozen, address) = between(&gateway).await;
+    let http = reqwest::Client::builder().pool_max_idle_per_host(1).build().unwrap();
+    let post = async |path: &str, body: Value| {
+        let answer = http.post(format!("http://{address}/api/v1/grippers/g/{path}")).json(&body).send().await.unwrap();
+        answer.json::<Value>().await.unwrap()
+    };
+    let lease = post("lease", json!({"holder": "a", "ttl_ms": 300})).await;
+    let pid = frozen.id().unwrap();
+    signal(pid, "STOP");
+
+    let thawed = post("move", json!({"width_mm": 10, "speed_mm_s": 50, "lease": lease["token"]}));
+    let meanwhile = async {
+        gateway.until("it ran out", |state| state["lease_holder"].is_null()).await;
+        let taken = gateway.post("lease", &json!({"holder": "b", "ttl_ms": 60000})).await.ok();
+        let body = json!({"width_mm": 90, "speed_mm_s": 200, "lease": taken["token"]});
+        gateway.post("move", &body).await.outcome("SUCCESS");
+        let motions = proxy.frames.motions();
+        signal(pid, "CONT");
+        motions
+    };
+    let (refused, motions) = tokio::join!(thawed, meanwhile);
+    assert_eq!((&refused["code"], &refused["holder"]), (&json!("stale_lease"), &json!("b")), "{refused}");
+    assert_eq!(proxy.frames.motions(), motions, "the device never sees it");
 }

@@ -49,6 +49,13 @@ pub struct Ended {
     pub stderr: String,
 }
 
+/// Sends a signal to a process.
+pub fn signal(pid: u32, name: &str) {
+    let sent =
+        std::process::Command::new("sh").args(["-c", "kill -\"$1\" \"$2\"", "sh", name, &pid.to_string()]).status();
+    assert!(sent.unwrap().success(), "SIG{name} to {pid}");
+}
+
 /// A process of the binary. It is killed, by its own id, when this is dropped.
 #[derive(Debug)]
 pub struct Process {
@@ -95,9 +102,7 @@ impl Process {
 
     /// Sends SIGTERM.
     pub fn terminate(&self) {
-        let id = self.child.id().expect("it runs").to_string();
-        let sent = std::process::Command::new("sh").args(["-c", "kill -TERM \"$1\"", "sh", &id]).status();
-        assert!(sent.unwrap().success(), "SIGTERM to {id}");
+        signal(self.child.id().expect("it runs"), "TERM");
     }
 
     /// Sends SIGKILL.
