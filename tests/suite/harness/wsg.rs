@@ -48,7 +48,11 @@ pub fn move_to(width_mm: f32, speed_mm_s: f32) -> Vec<u8> {
 
 impl Driver {
     pub async fn connect(port: SocketAddr) -> Self {
-        let stream = TcpStream::connect(port).await.unwrap();
+        Self::over(TcpStream::connect(port).await.unwrap())
+    }
+
+    /// On this connection.
+    pub fn over(stream: TcpStream) -> Self {
         stream.set_nodelay(true).unwrap();
         let decoder = Decoder::new(id::max_reply_bytes, ChecksumEvaluation::On);
         Self { stream, decoder, waiting: VecDeque::new() }

@@ -1,5 +1,6 @@
 //! The WSG port, with stand-ins for the drivers that will connect.
 
+mod allowed;
 mod drivers;
 mod ends;
 mod field_notes;
