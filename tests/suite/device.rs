@@ -179,8 +179,7 @@ async fn a_custom_id_passes_through_as_it_is() {
     assert_eq!(sent, Some(vec![0xFF, 0x00]));
     let problem = gateway.post("raw", &json!({"id": 0xB1})).await.problem(422, "device_refused");
     assert_has(&problem, &json!({"device_status": "E_CMD_UNKNOWN", "device_status_code": 14}));
-    let written = gateway.get("/api/v1/events?kind=command&order=oldest").await.ok();
-    let written = written["events"].as_array().unwrap();
+    let written = gateway.events("kind=command&order=oldest", 4).await;
     for (event, (phase, outcome)) in written.iter().zip([
         ("admitted", Value::Null),
         ("done", json!("SUCCESS")),
@@ -213,9 +212,9 @@ async fn a_custom_id_counts_as_a_motion_and_is_written_down_unless_it_is_configu
 
     gateway.post("fast-stop", &json!({})).await.ok();
     gateway.post("raw", &json!({"id": 0xB1})).await.problem(409, "fast_stop");
-    let events = gateway.get("/api/v1/events?kind=command&order=oldest").await.ok();
-    let admitted = &events["events"][0];
+    let events = gateway.events("kind=command&order=oldest", 1).await;
+    let admitted = &events[0];
     assert_has(admitted, &json!({"phase": "admitted", "command": "custom", "raw_id": 0xB0, "payload": "ff00"}));
-    assert_eq!(admitted["command_id"], json!(id), "{events}");
+    assert_eq!(admitted["command_id"], json!(id), "{events:?}");
     assert_eq!(device.frames.count(0xB0), 1);
 }

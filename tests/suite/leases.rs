@@ -55,8 +55,8 @@ async fn a_holder_that_is_killed_while_the_gripper_moves_is_a_fast_stop() {
     assert_eq!((&state["fast_stop_cause"], &state["lease_holder"]), (&json!("client_lost"), &Value::Null), "{state}");
     assert_eq!(state["fast_stop_reason"], "robot was lost");
     let sent = proxy.frames.count(FAST_STOP);
-    let events = gateway.get("/api/v1/events?kind=lease&order=oldest").await.ok();
-    let steps: Vec<_> = events["events"].as_array().unwrap().iter().map(|event| event["event"].clone()).collect();
+    let events = gateway.events("kind=lease&order=oldest", 2).await;
+    let steps: Vec<_> = events.iter().map(|event| &event["event"]).collect();
     assert_eq!(steps, ["taken", "lost"]);
     assert_eq!(proxy.frames.count(FAST_STOP), sent, "only until it is confirmed");
 }
@@ -91,7 +91,7 @@ async fn a_holder_that_releases_first_stops_the_motion_and_latches_nothing() {
     let client = client(&gateway, &token).await;
     gateway.send(gateway.request("DELETE", "lease").header("Wsg-Lease", &token)).await.ok();
     drop(client);
-    gateway.until("it stands", |state| state["moving"] == false && state["command"] == Value::Null).await;
+    gateway.until_standing().await;
     assert_eq!((proxy.frames.count(STOP), proxy.frames.count(FAST_STOP)), (1, 0));
     assert_eq!(gateway.state().await["fast_stop"], false);
 }

@@ -13,8 +13,7 @@ async fn one_command_id_is_in_the_answer_the_journal_and_the_log() {
     let id = gateway.post("home", &json!({})).await.outcome("SUCCESS")["id"].clone();
     let fast_stop_id = gateway.post("fast-stop", &json!({})).await.ok()["fast_stop_id"].clone();
 
-    let events = gateway.get("/api/v1/events?kind=command&order=oldest").await.ok();
-    let events = events["events"].as_array().unwrap().clone();
+    let events = gateway.events("kind=command&order=oldest", 2).await;
     assert_eq!(events.iter().map(|event| &event["phase"]).collect::<Vec<_>>(), ["admitted", "done"]);
     assert!(events.iter().all(|event| event["command_id"] == id), "{id} {events:?}");
 

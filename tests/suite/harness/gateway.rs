@@ -189,9 +189,24 @@ impl Gateway {
         eventually(what, async || Some(self.state().await).filter(&wanted)).await
     }
 
+    /// The journal's events that this query finds, once there are so many: what is told may be written down after.
+    pub async fn events(&self, query: &str, count: usize) -> Vec<Value> {
+        let path = format!("/api/v1/events?{query}");
+        eventually(&format!("{count} events: {query}"), async || {
+            let Value::Array(events) = self.get(&path).await.ok()["events"].take() else { return None };
+            (events.len() >= count).then_some(events)
+        })
+        .await
+    }
+
     /// Waits until the fingers move.
     pub async fn until_moving(&self) {
         self.until("it moves", |state| state["moving"] == true).await;
+    }
+
+    /// Waits until the fingers stand and no command runs: only then is the next motion taken.
+    pub async fn until_standing(&self) -> Value {
+        self.until("it stands", |state| state["moving"] == false && state["command"].is_null()).await
     }
 
     /// Waits until the link is so.

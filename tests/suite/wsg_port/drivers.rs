@@ -125,5 +125,5 @@ async fn a_stop_in_the_same_write_as_its_motion_stops_it() {
     let of_motion: Vec<_> = replies.iter().filter(|(id, _)| *id == MOVE).map(|(_, status)| *status).collect();
     assert_eq!(of_motion, [PENDING, super::ABORTED], "{replies:?}");
     assert!(replies.contains(&(0x22, SUCCESS)), "{replies:?}");
-    cell.gateway.until("it stands", |state| state["moving"] == false && state["command"].is_null()).await;
+    cell.gateway.until_standing().await;
 }

@@ -43,9 +43,8 @@ async fn a_holder_that_announces_its_end_while_it_moves_is_a_stop_and_nothing_is
     assert_eq!(replies.map(|reply| (reply.id, reply.status)), [(0x07, SUCCESS), (MOVE, ABORTED)]);
     assert_eq!(driver.status(0x31, &[]).await, ACCESS_DENIED, "nothing more is taken");
     drop(driver);
-    let stands = |state: &serde_json::Value| state["lease_holder"].is_null() && state["command"].is_null();
-    let state = cell.gateway.until("it stands, and nobody holds it", stands).await;
-    assert_eq!(state["fast_stop"], false, "{state}");
+    let state = cell.gateway.until_standing().await;
+    assert!(state["fast_stop"] == false && state["lease_holder"].is_null(), "{state}");
     assert_eq!((cell.proxy.frames.count(0x22), cell.proxy.frames.count(0x23)), (1, 0));
     assert_eq!(cell.proxy.frames.count(0x07), 0, "the gripper's own session goes on");
 }

@@ -50,8 +50,8 @@ async fn many_announce_and_close_without_reading() {
         cell.gateway.until_moving().await;
         driver.send(0x07, &[]).await;
         driver.reset();
-        cell.gateway.until("it stands", |state| state["moving"] == false && state["lease_holder"].is_null()).await;
-        assert_eq!(cell.gateway.state().await["fast_stop"], false);
+        let state = cell.gateway.until_standing().await;
+        assert!(state["fast_stop"] == false && state["lease_holder"].is_null(), "{state}");
         let mut back = cell.driver().await;
         assert_eq!(back.run(MOVE, &move_to(90.0, 400.0)).await, SUCCESS);
         back.leave().await;
@@ -68,9 +68,8 @@ async fn one_announces_with_a_one_byte_size_field() {
     cell.gateway.until_moving().await;
     driver.send_raw(&[0xAA, 0xAA, 0xAA, 0x07, 0x00, 0x62, 0xD1]).await;
     driver.reset();
-    let stands = |state: &serde_json::Value| state["lease_holder"].is_null() && state["command"].is_null();
-    let state = cell.gateway.until("it stands, and nobody holds it", stands).await;
-    assert_eq!(state["fast_stop"], false, "{state}");
+    let state = cell.gateway.until_standing().await;
+    assert!(state["fast_stop"] == false && state["lease_holder"].is_null(), "{state}");
     assert_eq!((cell.proxy.frames.count(0x22), cell.proxy.frames.count(0x23)), (1, 0));
 }
 

@@ -4,7 +4,7 @@ use serde_json::json;
 
 use super::{ACCESS_DENIED, ALREADY_RUNNING, CMD_FAILED, Cell, MOVE, SUCCESS};
 use crate::harness::wsg::{PENDING, move_to};
-use crate::harness::{Gateway, Simulator, eventually};
+use crate::harness::{Gateway, Simulator};
 
 const FAST_STOP: u32 = 1 << 12;
 
@@ -57,11 +57,7 @@ async fn a_fast_stop_of_http_is_acknowledged_there() {
     let stopped = cell.gateway.post("fast-stop", &json!({"reason": "light curtain"})).await.ok();
     assert_eq!(driver.flags().await & FAST_STOP, FAST_STOP);
     assert_eq!(driver.status(0x24, b"ack").await, ACCESS_DENIED);
-    let refused = eventually("the refusal is written down", async || {
-        let events = cell.gateway.get("/api/v1/events?kind=refused").await.ok();
-        events["events"].get(0).cloned()
-    })
-    .await;
+    let refused = cell.gateway.events("kind=refused", 1).await.remove(0);
     let told = ["door", "subject", "command", "code"].map(|field| refused[field].as_str().unwrap());
     assert_eq!(told, ["wsg", "wsg:127.0.0.1", "AcknowledgeFastStop", "E_ACCESS_DENIED"], "{refused}");
     cell.gateway.post("acknowledge", &json!({"fast_stop_id": stopped["fast_stop_id"]})).await.ok();

@@ -6,12 +6,13 @@ use serde_json::json;
 
 use super::{ACCESS_DENIED, Cell, GRIP, MOVE, SUCCESS};
 use crate::harness::wsg::{floats, move_to};
-use crate::harness::{DEADLINE, eventually};
+use crate::harness::{Socket, eventually};
 
 #[tokio::test]
 async fn two_drivers_a_rest_client_and_an_observer_share_one_gripper() {
     let cell = Cell::new().await;
-    let mut observer = cell.gateway.request("GET", "/api/v1/stream?topics=events").send().await.unwrap();
+    let mut observer = Socket::open(&cell.gateway).await;
+    observer.call("subscribe", json!({"topics": ["events", "telemetry"]})).await;
     let (mut one, mut two) = (cell.driver().await, cell.driver().await);
     // The first motion takes the lease, so that the other driver's are refused.
     assert_eq!(one.run(0x20, &[0]).await, SUCCESS);
@@ -58,12 +59,8 @@ async fn two_drivers_a_rest_client_and_an_observer_share_one_gripper() {
     assert_eq!(one.next_within(Duration::from_millis(100)).await, None, "nothing that it did not ask for");
     let rest = cell.gateway.post("move", &json!({"width_mm": 40, "speed_mm_s": 100})).await;
     assert_eq!(rest.problem(409, "lease_held")["holder"], "wsg:127.0.0.1");
-    let mut seen = String::new();
-    while !seen.contains("\"door\":\"wsg\"") || !seen.contains("PART_HELD") {
-        let chunk = tokio::time::timeout(DEADLINE, observer.chunk()).await;
-        let chunk = chunk.unwrap_or_else(|_| panic!("no more of {seen}")).unwrap();
-        seen += &String::from_utf8_lossy(&chunk.expect("more"));
-    }
+    let held = |event: &serde_json::Value| event["door"] == "wsg" && event["outcome"] == "PART_HELD";
+    assert_eq!(observer.told("event", held).await["kind"], "command");
 
     // Its end gives the gripper to the next.
     one.leave().await;
@@ -95,8 +92,8 @@ async fn the_journal_knows_what_drivers_did() {
     let cell = Cell::homed().await;
     let mut driver = cell.driver().await;
     assert_eq!(driver.run(GRIP, &floats(&[20.0, 100.0])).await, SUCCESS);
-    let events = cell.gateway.get("/api/v1/events?kind=command&limit=2").await.ok();
-    for event in events["events"].as_array().unwrap() {
+    // The first two are of the homing.
+    for event in cell.gateway.events("kind=command&order=oldest", 4).await.split_off(2) {
         assert_eq!((&event["door"], &event["subject"]), (&json!("wsg"), &json!("wsg:127.0.0.1")), "{event}");
     }
     eventually("its grip record", async || {

@@ -83,9 +83,8 @@ async fn an_announced_end_stops_in_order() {
     assert_eq!(ask(&socket, port, MOVE, &move_to(5.0, 5.0)).await, PENDING);
     gateway.until_moving().await;
     socket.send_to(&request(0x07, &[]), port).await.unwrap();
-    let state = gateway.until("nobody holds it", |state| state["lease_holder"].is_null()).await;
-    assert_eq!(state["fast_stop"], false, "{state}");
-    gateway.until("it stands", |state| state["moving"] == false).await;
+    let state = gateway.until_standing().await;
+    assert!(state["fast_stop"] == false && state["lease_holder"].is_null(), "{state}");
     assert_eq!((proxy.frames.count(0x22), proxy.frames.count(0x23)), (1, 0));
 }
 
