@@ -76,13 +76,15 @@ impl Socket {
 
     /// Opens one by this request.
     pub async fn with(request: Request) -> Result<Self, Error> {
+        // It takes a while, in which no ping would be answered.
+        let description = Description::read();
         let address = request.uri().authority().unwrap().as_str().parse().unwrap();
         let socket = TcpSocket::new_v4().unwrap();
         // Small, so that a test that doesn't read needn't wait for megabytes.
         socket.set_recv_buffer_size(SMALL_BUFFER).unwrap();
         let connected = socket.connect(address).await.unwrap();
         let (stream, _) = client_async(request, connected).await?;
-        let (asked, told, description) = (HashMap::new(), VecDeque::new(), Description::read());
+        let (asked, told) = (HashMap::new(), VecDeque::new());
         Ok(Self { stream, last_id: 0, asked, told, description })
     }
 
@@ -114,7 +116,10 @@ impl Socket {
             loop {
                 match self.stream.next().await {
                     Some(Ok(Message::Text(text))) => return Some(text),
-                    Some(Ok(Message::Close(_)) | Err(_)) | None => return None,
+                    end @ (Some(Ok(Message::Close(_)) | Err(_)) | None) => {
+                        eprintln!("the socket has ended: {end:?}");
+                        return None;
+                    }
                     // Pings come all the time.
                     Some(Ok(_)) => {}
                 }
