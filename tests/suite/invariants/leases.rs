@@ -31,6 +31,11 @@ fn wish(holder: &str) -> TakeLease {
     }
 }
 
+/// Lost while the fingers move, they may finish.
+fn finish_moving(wish: TakeLease) -> TakeLease {
+    TakeLease { on_loss_moving: Some(OnLossMoving::Finish), ..wish }
+}
+
 fn take(world: &mut World, take: TakeLease) -> Result<Granted, Rejection> {
     let token = LeaseToken::generate();
     request(world, |answer| Request::TakeLease { take, token, answer }).try_recv().unwrap()
@@ -282,6 +287,24 @@ fn a_lease_that_is_forced_stops_the_motion_of_who_held_it() {
     assert_eq!(finish(&mut world, &running).outcome, Some(Outcome::Aborted));
     assert_eq!((received(&world, from), state(&world).fast_stop), (vec![id::STOP], Some(false)));
     assert!(submit_with(&mut world, move_to(50.0, 50.0), a).is_err());
+}
+
+#[test]
+fn force_stops_what_moves_where_nobody_holds_the_lease_too() {
+    for with_holder in [true, false] {
+        let mut world = homed();
+        let lost = with_holder.then(|| token(&mut world, finish_moving(wish("a"))).unwrap());
+        let running = submit_with(&mut world, move_to(5.0, 10.0), lost.clone()).unwrap();
+        world.advance(Duration::from_millis(300));
+        if let Some(token) = lost {
+            drop(request(&mut world, |_: oneshot::Sender<()>| Request::LoseLease { token }));
+        }
+        assert_eq!(lease(&mut world).reserved_for.as_deref(), with_holder.then_some("a"));
+        let from = mark(&world);
+        assert!(take(&mut world, TakeLease { force: true, ..wish("b") }).is_ok());
+        assert_eq!(finish(&mut world, &running).outcome, Some(Outcome::Aborted));
+        assert_eq!((received(&world, from), state(&world).fast_stop), (vec![id::STOP], Some(false)));
+    }
 }
 
 #[test]
