@@ -30,6 +30,8 @@ pub(super) struct Observed {
     pub force_n: Option<f32>,
     pub temperature: Option<Temperature>,
     pub updated_at: Option<Instant>,
+    /// Whether a part is held, as far as is known: nothing has said since that it is gone.
+    pub holds_part: bool,
     /// When each of [`UPDATED`] was last heard.
     heard: [Option<Instant>; UPDATED.len()],
     /// When each of them was last heard, or asked for.
@@ -51,6 +53,7 @@ impl Observed {
             force_n: None,
             temperature: None,
             updated_at: None,
+            holds_part: false,
             heard: [None; UPDATED.len()],
             fresh: [None; UPDATED.len()],
             renew_after: RENEW_AFTER.max(MISSED_PERIODS * period),
@@ -75,6 +78,7 @@ impl Observed {
                 id::GET_SYSTEM_STATE
             }
             Data::GripperState(state) => {
+                self.holds_part = self.holds_part_in(state);
                 self.gripper_state = Some(state);
                 id::GET_GRIPPER_STATE
             }
@@ -96,6 +100,20 @@ impl Observed {
         self.asked(now, id);
         if let Some(index) = UPDATED.iter().position(|&updated| updated == id) {
             self.heard[index] = Some(now);
+        }
+    }
+
+    /// A FAST STOP ends HOLDING, and not what is between the fingers: ERROR tells nothing of it, nor what follows, nor
+    /// the IDLE that fw2 has in its place.
+    fn holds_part_in(&self, state: GripperState) -> bool {
+        match state {
+            GripperState::Holding => true,
+            GripperState::NoPart | GripperState::PartLost => false,
+            GripperState::Idle => {
+                let tells_nothing = matches!(self.gripper_state, None | Some(GripperState::Idle | GripperState::Error));
+                self.holds_part && (tells_nothing || self.has(SystemState::FAST_STOP))
+            }
+            _ => self.holds_part,
         }
     }
 
@@ -209,6 +227,26 @@ mod tests {
     fn a_slow_line_is_given_a_few_periods() {
         assert_eq!(Observed::new(Some(11_520)).renew_after, Duration::from_secs(1));
         assert_eq!(Observed::new(Some(120)).renew_after, Duration::from_millis(3351), "1200 baud");
+    }
+
+    #[test]
+    fn a_part_is_held_until_it_is_known_to_be_gone() {
+        use GripperState::{Error, Holding, Idle, NoPart, PartLost, Releasing};
+        let stopped = Data::SystemState(SystemState::FAST_STOP);
+        let holds = |state| Data::GripperState(state);
+        for (seen, held) in [
+            (vec![holds(Holding), holds(Error), holds(Idle), holds(Idle)], true),
+            (vec![holds(Holding), stopped.clone(), holds(Idle), Data::SystemState(SystemState::empty())], true),
+            (vec![holds(Holding), holds(Error), holds(Releasing), holds(Idle)], false),
+            (vec![holds(Holding), holds(Error), holds(PartLost)], false),
+            (vec![holds(Holding), holds(NoPart)], false),
+            (vec![holds(Holding), holds(Idle)], false),
+            (vec![stopped, holds(Error), holds(Idle)], false),
+        ] {
+            let mut observed = Observed::new(None);
+            seen.iter().for_each(|data| observed.take(Instant::now(), data));
+            assert_eq!(observed.holds_part, held, "{seen:?}");
+        }
     }
 
     #[test]

@@ -9,7 +9,7 @@ use super::super::model::{
     OnLossMoving, Reason, TakeLease,
 };
 use super::{Actor, Purpose};
-use crate::wsg::{Command, GripperState, SystemState};
+use crate::wsg::{Command, SystemState};
 
 impl Actor {
     /// Whether a request with this token, or without one, may change anything.
@@ -118,7 +118,7 @@ impl Actor {
         if let Some(held) = self.leasing.expire(now.instant) {
             self.holder_lost(now, &held, LossCause::Expired);
         }
-        let holds_nothing = self.observed.gripper_state.is_some_and(|state| state != GripperState::Holding);
+        let holds_nothing = self.observed.gripper_state.is_some() && !self.observed.holds_part;
         if holds_nothing && self.running.is_none() && self.is_set_up() {
             self.leasing.unreserve();
         }
@@ -126,8 +126,7 @@ impl Actor {
 
     fn holder_lost(&mut self, now: Now, held: &Held, cause: LossCause) {
         let Terms { on_loss_moving, on_loss_holding, .. } = held.terms;
-        let holding = self.observed.gripper_state == Some(GripperState::Holding);
-        let effect = match (self.is_moving(), holding) {
+        let effect = match (self.is_moving(), self.observed.holds_part) {
             (true, _) => match on_loss_moving {
                 OnLossMoving::FastStop => LossEffect::FastStop,
                 OnLossMoving::Stop => LossEffect::Stop,

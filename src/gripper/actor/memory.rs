@@ -50,6 +50,7 @@ impl Actor {
         }
         self.told.holding = self.remembered(recollection.holding.as_deref());
         self.recording.holding = self.told.holding;
+        self.observed.holds_part = self.told.holding.is_some();
         if let Some(RememberedLease { epoch, holder }) = self.remembered(recollection.lease.as_deref()) {
             let client = |holder: &RememberedHolder| Client { subject: holder.subject.clone(), door: holder.door };
             let holder = holder.map(|holder| Holder { client: client(&holder), name: holder.name });

@@ -215,6 +215,7 @@ impl Actor {
             running.accepted = true;
             // What was held is let go, or gripped anew.
             self.recording.holding = None;
+            self.observed.holds_part = false;
             self.book.accepted(id);
         }
     }

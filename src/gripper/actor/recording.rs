@@ -226,7 +226,9 @@ impl Actor {
             state if state == before => {}
             Some(GripperState::PartLost) => self.record_lost_part(now, before.is_none()),
             // A part that was let go, or a device that has restarted.
-            Some(GripperState::Idle | GripperState::NoPart) if self.running.is_none() => self.recording.holding = None,
+            Some(GripperState::Idle | GripperState::NoPart) if self.running.is_none() && !self.observed.holds_part => {
+                self.recording.holding = None;
+            }
             _ => {}
         }
     }

@@ -10,7 +10,7 @@ use wsg_gateway::gripper::model::{
 };
 use wsg_gateway::gripper::{Conflict, Granted, Rejection, Ticket};
 use wsg_gateway::sim::Change;
-use wsg_gateway::wsg::{self, Acceleration, id};
+use wsg_gateway::wsg::{self, Acceleration, Speed, Width, id};
 
 use super::NOTHING;
 use super::steps::*;
@@ -188,6 +188,52 @@ fn a_part_that_is_gone_reserves_nothing() {
     world.advance(Duration::from_secs(1));
     assert_eq!(lease(&mut world).reserved_for, None);
     assert!(take(&mut world, wish("b")).is_ok());
+}
+
+#[test]
+fn a_fast_stop_takes_no_reservation_away_from_a_part_that_is_held() {
+    for (device, stopped_first) in
+        [(device(), true), (device(), false), (device().fw2(), true), (device().fw2(), false)]
+    {
+        let mut world = World::calm(device, None);
+        run(&mut world, home());
+        let a = token(&mut world, wish("a"));
+        let held = submit_with(&mut world, grip(None), a.clone()).unwrap();
+        assert_eq!(finish(&mut world, &held).outcome, Some(Outcome::PartHeld));
+        let lose = |world: &mut World| {
+            let token = a.clone().unwrap();
+            drop(request(world, |_: oneshot::Sender<()>| Request::LoseLease { token }));
+        };
+        if !stopped_first {
+            lose(&mut world);
+        }
+        let stopped = fast_stop(&mut world);
+        world.advance(Duration::from_millis(200));
+        if stopped_first {
+            lose(&mut world);
+        }
+        let mut cleared = acknowledge(&mut world, stopped);
+        world.advance(Duration::from_millis(200));
+        assert_eq!(cleared.try_recv().unwrap(), Ok(()));
+        world.restart();
+        world.advance(Duration::from_secs(1));
+        let latched = state(&world).latch.map(|latch| latch.fast_stop_id);
+        if let Some(id) = latched {
+            let mut cleared = acknowledge(&mut world, id);
+            world.advance(Duration::from_millis(200));
+            assert_eq!(cleared.try_recv().unwrap(), Ok(()));
+        }
+        assert_eq!(lease(&mut world).reserved_for.as_deref(), Some("a"), "{stopped_first}");
+        let release = Motion::Release { width: Width::new(60.0).unwrap(), speed: Speed::new(50.0).unwrap() };
+        let reserved = Conflict::LeaseHeld { holder: "a".into(), expires_in_ms: None };
+        assert_eq!(refused(&mut world, release.clone()), reserved.into());
+        let again = token(&mut world, wish("a"));
+        let opened = submit_with(&mut world, release, again.clone()).unwrap();
+        assert_eq!(finish(&mut world, &opened).outcome, Some(Outcome::Success));
+        let token = again.unwrap();
+        drop(request(&mut world, |_: oneshot::Sender<()>| Request::LoseLease { token }));
+        assert_eq!(lease(&mut world).reserved_for, None, "it was released");
+    }
 }
 
 #[test]
