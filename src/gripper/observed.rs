@@ -244,7 +244,9 @@ mod tests {
             (vec![stopped, holds(Error), holds(Idle)], false),
         ] {
             let mut observed = Observed::new(None);
-            seen.iter().for_each(|data| observed.take(Instant::now(), data));
+            for data in &seen {
+                observed.take(Instant::now(), data);
+            }
             assert_eq!(observed.holds_part, held, "{seen:?}");
         }
     }

@@ -64,14 +64,14 @@ impl Actor {
             self.record_lease(now, LeaseStep::Requested, &asking, None);
         }
         let Some(holder) = self.leasing.holder().cloned() else { return result.map(drop).map_err(Into::into) };
-        let taken = result?;
-        match taken {
+        let way = result?;
+        match way {
             Taken::Free => self.record_lease(now, LeaseStep::Taken, &holder, None),
             Taken::Forced => self.record_lease(now, LeaseStep::Forced, &holder, None),
             // That it is its now was written down when it was handed over.
             Taken::HandedOver | Taken::Again => {}
         }
-        if wish.force && !matches!(taken, Taken::Again) {
+        if wish.force && !matches!(way, Taken::Again) {
             // Whoever it is that moves the fingers: nobody, somebody who was lost, or who has handed over.
             self.stop_motion(now);
         }
