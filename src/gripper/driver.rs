@@ -6,11 +6,12 @@ use std::io;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
+use futures_util::FutureExt as _;
 use futures_util::stream::{FuturesUnordered, StreamExt as _};
 use rand::RngExt;
-use tokio::io::{AsyncReadExt, AsyncWrite, AsyncWriteExt};
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio::sync::{Notify, mpsc, oneshot, watch};
 
 use super::actor::{Actor, Config};
@@ -32,11 +33,16 @@ const LONGEST_BACK_OFF: Duration = Duration::from_secs(2);
 /// How long a farewell to a device that is being given up on may take to be written.
 const FAREWELL_WITHIN: Duration = Duration::from_millis(100);
 
-/// So often requests may be passed over for what the device sends: one that sends without end must not silence them.
+/// So often deadlines and requests may be passed over for what the device sends: one that sends without end must not
+/// silence them.
 const READS_IN_A_ROW: u32 = 8;
 
-/// What is read at once: far more than a device sends between two wake-ups.
-const READ_BYTES: usize = 4096;
+/// What is read at once: all that a device sends in four seconds with its updates every 10 ms. Who was held up for less
+/// judges it by all that it has said meanwhile.
+const READ_BYTES: usize = 32 * 1024;
+
+/// Who comes so late to a deadline had no processor time, and has not looked at what was sent to it meanwhile.
+const OVERSLEPT: Duration = Duration::from_millis(50);
 
 /// Starts a gripper on the current runtime. It ends when it was drained, or when all its handles are gone.
 pub fn spawn(
@@ -99,6 +105,8 @@ struct LinkIo {
     pipe: Pipe,
     outgoing: Outgoing,
     incoming: Vec<u8>,
+    /// Why nothing can be read any more: told once what came before it was taken in.
+    failed: Option<io::Error>,
     reads_in_a_row: u32,
 }
 
@@ -173,7 +181,8 @@ impl Driver {
     /// Serves a link until it ends. Returns whether it was ever set up.
     async fn serve(&mut self, pipe: Pipe) -> bool {
         self.actor.link_up(Now::read());
-        let mut link = LinkIo { pipe, outgoing: Outgoing::default(), incoming: vec![0; READ_BYTES], reads_in_a_row: 0 };
+        let (outgoing, incoming) = (Outgoing::default(), vec![0; READ_BYTES]);
+        let mut link = LinkIo { pipe, outgoing, incoming, failed: None, reads_in_a_row: 0 };
         let cause = loop {
             if let Some(close) = self.actor.wants_close() {
                 self.farewell(&mut link).await;
@@ -196,28 +205,41 @@ impl Driver {
         was_set_up
     }
 
-    /// Waits for the next input. Cancelled without loss. The order is the priority: a FAST STOP first, then what makes
-    /// room for its frame. Requests come behind what the device sends, but for every few reads before it.
+    /// Waits for the next input. Cancelled without loss.
     async fn wait(&mut self, link: Option<&mut LinkIo>) -> Input {
         self.pass_records_on();
         let deadline = self.actor.poll_timeout();
-        let mut requests_first = false;
-        let (pipe, outgoing, incoming) = match link {
-            Some(LinkIo { pipe, outgoing, incoming, reads_in_a_row }) => {
-                requests_first = *reads_in_a_row >= READS_IN_A_ROW;
-                *reads_in_a_row = if requests_first { 0 } else { *reads_in_a_row + 1 };
-                (Some(pipe), Some(outgoing), incoming.as_mut_slice())
-            }
-            None => (None, None, [].as_mut_slice()),
-        };
-        if requests_first {
-            if let Ok(request) = self.fast_stops.try_recv() {
-                return Input::FastStop(Some(request));
-            }
-            if let Ok(request) = self.requests.try_recv() {
-                return Input::Request(Some(request));
-            }
+        let input = self.next_input(link, deadline).await;
+        let now = Now::read();
+        if deadline.is_some_and(|deadline| now.instant >= deadline + OVERSLEPT) {
+            self.actor.overslept(now);
         }
+        input
+    }
+
+    /// The order is the priority: a FAST STOP first, then what makes room for its frame. Deadlines come behind what the
+    /// device and the journal have said already, and requests behind them, but for every few reads before it.
+    async fn next_input(&mut self, link: Option<&mut LinkIo>, deadline: Option<Instant>) -> Input {
+        let mut failed_before = None;
+        let (pipe, outgoing, incoming, failed) = match link {
+            Some(LinkIo { pipe, outgoing, incoming, failed, reads_in_a_row }) => {
+                if *reads_in_a_row >= READS_IN_A_ROW {
+                    if let Ok(request) = self.fast_stops.try_recv() {
+                        return Input::FastStop(Some(request));
+                    }
+                    if deadline.is_some_and(|deadline| deadline <= Now::read().instant) {
+                        return Input::Deadline;
+                    }
+                    *reads_in_a_row = 0;
+                    if let Ok(request) = self.requests.try_recv() {
+                        return Input::Request(Some(request));
+                    }
+                }
+                *reads_in_a_row += 1;
+                (Some(pipe), Some(outgoing), incoming.as_mut_slice(), failed)
+            }
+            None => (None, None, [].as_mut_slice(), &mut failed_before),
+        };
         let (mut reader, mut writer) = pipe.map(|pipe| (&mut pipe.reader, &mut pipe.writer)).unzip();
         let is_writing = outgoing.as_ref().is_some_and(|outgoing| !outgoing.is_written());
         tokio::select! {
@@ -230,15 +252,15 @@ impl Driver {
                 }
             }, if is_writing => Input::Written(written),
             () = self.lease_requests.notified() => Input::LeaseRequestClosed,
-            () = sleep_until(deadline) => Input::Deadline,
             Some((id, durable)) = self.awaited.next() => Input::Recorded(id, durable),
             Ok(()) = self.health.changed() => Input::Health(self.health.borrow_and_update().clone()),
             read = async {
                 match &mut reader {
-                    Some(reader) => reader.read(incoming).await,
+                    Some(reader) => read_all(reader, incoming, failed).await,
                     None => std::future::pending().await,
                 }
             } => Input::Read(read),
+            () = sleep_until(deadline) => Input::Deadline,
             request = self.requests.recv(), if !self.is_abandoned => Input::Request(request),
         }
     }
@@ -282,6 +304,30 @@ impl Driver {
             say_good_bye(&mut link.pipe, link.outgoing.rest()).await;
         }
     }
+}
+
+/// Reads all that is there, as far as it has a place. Cancelled without loss. An end that comes behind something is
+/// told by the next read.
+async fn read_all(
+    reader: &mut (impl AsyncRead + Unpin),
+    incoming: &mut [u8],
+    failed: &mut Option<io::Error>,
+) -> io::Result<usize> {
+    if let Some(error) = failed.take() {
+        return Err(error);
+    }
+    let mut bytes = reader.read(incoming).await?;
+    while let Some(place) = incoming.get_mut(bytes..).filter(|place| bytes > 0 && !place.is_empty()) {
+        match reader.read(place).now_or_never() {
+            Some(Ok(more)) if more > 0 => bytes += more,
+            Some(Err(error)) => {
+                *failed = Some(error);
+                break;
+            }
+            _ => break,
+        }
+    }
+    Ok(bytes)
 }
 
 /// Writes 07h behind what was being written. It may not get through: links are also closed because nothing does.
@@ -329,5 +375,36 @@ impl Outgoing {
                 Ok(())
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::VecDeque;
+
+    use tokio::io::ReadBuf;
+
+    use super::*;
+
+    struct Datagrams(VecDeque<io::Result<&'static [u8]>>);
+
+    impl AsyncRead for Datagrams {
+        fn poll_read(mut self: Pin<&mut Self>, _: &mut Context<'_>, out: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
+            match self.0.pop_front() {
+                Some(read) => Poll::Ready(read.map(|bytes| out.put_slice(bytes))),
+                None => Poll::Pending,
+            }
+        }
+    }
+
+    #[tokio::test]
+    async fn what_is_there_is_read_at_once_and_its_end_is_told_behind_it() {
+        let refused = Err(io::ErrorKind::ConnectionRefused.into());
+        let mut reader = Datagrams([Ok(&b"first"[..]), Ok(&b"second"[..]), refused].into());
+        let (mut incoming, mut failed) = (vec![0; 64], None);
+        assert_eq!(read_all(&mut reader, &mut incoming, &mut failed).await.unwrap(), 11);
+        assert_eq!(&incoming[..11], b"firstsecond");
+        let error = read_all(&mut reader, &mut incoming, &mut failed).await.unwrap_err();
+        assert_eq!(error.kind(), io::ErrorKind::ConnectionRefused);
     }
 }

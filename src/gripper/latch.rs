@@ -63,7 +63,18 @@ struct Acknowledging {
 enum Progress {
     Sent(Token),
     /// The device said success; its flags have until then to show it.
-    Watching(Instant),
+    Watching {
+        until: Instant,
+        shown: Shown,
+    },
+}
+
+/// What the flags have shown since the device has said success.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Shown {
+    /// They have not come.
+    Nothing,
+    FastStop,
 }
 
 /// What a FAST STOP that nobody asked for needs to become a latch.
@@ -114,7 +125,7 @@ impl Latching {
             self.untold.push(Acknowledged { id, client, answer, result: Err(stale.into()) });
             match progress {
                 Progress::Sent(token) => Some(token),
-                Progress::Watching(_) => None,
+                Progress::Watching { .. } => None,
             }
         });
         self.latch = Some(Latch {
@@ -176,6 +187,13 @@ impl Latching {
                 self.finish_acknowledge(Ok(()));
                 Some(Change::Cleared)
             }
+            (Some(_), true) => {
+                if let Some(Acknowledging { progress: Progress::Watching { shown, .. }, .. }) = &mut self.acknowledging
+                {
+                    *shown = Shown::FastStop;
+                }
+                None
+            }
             _ => None,
         }
     }
@@ -202,15 +220,17 @@ impl Latching {
             return;
         }
         match result {
-            Ok(()) => acknowledging.progress = Progress::Watching(now + CLEARS_WITHIN),
+            Ok(()) => {
+                acknowledging.progress = Progress::Watching { until: now + CLEARS_WITHIN, shown: Shown::Nothing };
+            }
             Err(rejection) => self.finish_acknowledge(Err(rejection)),
         }
     }
 
-    /// Gives up waiting for flags that stay.
+    /// Gives up waiting for flags that stay. Those of before its answer tell nothing of an acknowledge.
     pub(super) fn handle_timeout(&mut self, now: Instant, flags: Option<SystemState>) {
-        let Some(Acknowledging { id, progress: Progress::Watching(until), .. }) = &self.acknowledging else { return };
-        if *until <= now {
+        let Some(Acknowledging { id, .. }) = &self.acknowledging else { return };
+        if self.clears_at().is_some_and(|at| at <= now) {
             let names: Vec<_> = flags.unwrap_or_default().names().collect();
             let persists = Conflict::FastStopPersists { id: *id, flags: names.join(", ") };
             self.finish_acknowledge(Err(persists.into()));
@@ -227,15 +247,19 @@ impl Latching {
 
     pub(super) fn next_timeout(&self) -> Option<Instant> {
         let repeat = (self.is_unconfirmed() && self.sent.is_none()).then_some(self.repeat_at).flatten();
-        let clears = match &self.acknowledging {
-            Some(Acknowledging { progress: Progress::Watching(until), .. }) => Some(*until),
+        repeat.into_iter().chain(self.clears_at()).min()
+    }
+
+    /// Until when the flags that show a FAST STOP may go on doing so.
+    fn clears_at(&self) -> Option<Instant> {
+        match self.acknowledging.as_ref()?.progress {
+            Progress::Watching { until, shown: Shown::FastStop } => Some(until),
             _ => None,
-        };
-        repeat.into_iter().chain(clears).min()
+        }
     }
 
     fn is_watching(&self) -> bool {
-        matches!(self.acknowledging, Some(Acknowledging { progress: Progress::Watching(_), .. }))
+        matches!(self.acknowledging, Some(Acknowledging { progress: Progress::Watching { .. }, .. }))
     }
 
     fn finish_acknowledge(&mut self, result: Result<(), Rejection>) {
@@ -263,4 +287,48 @@ fn cause_of(flags: SystemState, unannounced: bool) -> FastStopCause {
     let named = causes.into_iter().find(|(flag, _)| flags.contains(*flag)).map(|(_, cause)| cause);
     let otherwise = if unannounced { FastStopCause::UnannouncedDisconnect } else { FastStopCause::Unknown };
     named.unwrap_or(otherwise)
+}
+
+#[cfg(test)]
+mod tests {
+    use tokio::sync::oneshot;
+
+    use super::*;
+    use crate::gripper::model::Door;
+    use crate::wsg::Command;
+    use crate::wsg::session::{Config, Request, Session};
+
+    fn acknowledge_frame(now: Instant) -> Token {
+        let frame_gap = Duration::from_millis(100);
+        let config = Config { bytes_per_second: None, frame_gap, may_duplicate: false, nonce_seed: 1 };
+        let [reply_within, result_within] = [Duration::from_secs(1); 2];
+        let request = Request { command: Command::AcknowledgeFastStop, reply_within, result_within };
+        Session::new(config, now).submit(now, request).unwrap()
+    }
+
+    #[test]
+    fn an_acknowledge_is_judged_by_flags_of_after_its_answer() {
+        let answered = Now::read();
+        let later = Now { instant: answered.instant + CLEARS_WITHIN, ..answered };
+        for (flags, cleared) in [(SystemState::empty(), true), (SystemState::FAST_STOP, false)] {
+            let mut ids = IdSource::new(1);
+            let mut latching = Latching::default();
+            let mut take_flags = |latching: &mut Latching, now, flags| {
+                latching.take_flags(now, flags, &mut Origin { ids: &mut ids, unannounced: false })
+            };
+            assert_eq!(take_flags(&mut latching, answered, SystemState::FAST_STOP), Some(Change::Seen));
+            let id = latching.id().unwrap();
+            let client = Client { subject: "test".into(), door: Door::Http };
+            let token = acknowledge_frame(answered.instant);
+            latching.acknowledge_sent(id, client, token, oneshot::channel().0);
+            latching.acknowledge_ended(answered.instant, token, Ok(()));
+            // The gateway had no processor time: the flags that it knows are those of before.
+            latching.handle_timeout(later.instant, Some(SystemState::FAST_STOP));
+            assert!(latching.take_acknowledged().is_empty());
+            assert_eq!(take_flags(&mut latching, later, flags), cleared.then_some(Change::Cleared));
+            latching.handle_timeout(later.instant, Some(flags));
+            let told = latching.take_acknowledged().pop().unwrap().result;
+            assert_eq!(told.is_ok(), cleared, "{told:?}");
+        }
+    }
 }

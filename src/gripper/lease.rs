@@ -90,11 +90,18 @@ pub(super) struct Held {
     was_open: bool,
     /// Whether it was handed over, and its holder has not come for the token yet.
     is_waiting: bool,
+    /// Whether its holder was given time because the gateway had none, and was not heard since.
+    is_excused: bool,
 }
 
 impl Held {
     fn is_open(&self) -> bool {
         Arc::strong_count(&self.open) > 1
+    }
+
+    fn used(&mut self, now: Instant) {
+        self.expires_at = now + self.terms.ttl;
+        self.is_excused = false;
     }
 
     fn expires_in(&self, now: Instant) -> Duration {
@@ -203,7 +210,7 @@ impl Leasing {
     pub(super) fn keep(&mut self, now: Instant, token: Option<&LeaseToken>) -> Option<Keep> {
         let closed = self.closed.clone();
         let held = self.held.as_mut().filter(|held| Some(&held.token) == token)?;
-        held.expires_at = now + held.terms.ttl;
+        held.used(now);
         held.was_open = true;
         Some(Keep { open: Some(held.open.clone()), closed })
     }
@@ -212,7 +219,7 @@ impl Leasing {
     pub(super) fn request_closed(&mut self, now: Instant) {
         if let Some(held) = self.held.as_mut().filter(|held| held.was_open && !held.is_open()) {
             held.was_open = false;
-            held.expires_at = now + held.terms.ttl;
+            held.used(now);
         }
     }
 
@@ -228,13 +235,13 @@ impl Leasing {
         let way = match &mut self.held {
             Some(held) if Some(&held.token) == wish.token.as_ref() => {
                 held.terms = terms;
-                held.expires_at = now + terms.ttl;
+                held.used(now);
                 return Ok(Taken::Again);
             }
             Some(held) if held.is_waiting && held.holder.is(&holder) => {
                 held.is_waiting = false;
                 held.terms = terms;
-                held.expires_at = now + terms.ttl;
+                held.used(now);
                 return Ok(Taken::HandedOver);
             }
             _ if wish.token.is_some() => return Err(self.stale()),
@@ -258,7 +265,8 @@ impl Leasing {
         self.reserved = None;
         self.asking = None;
         let (open, expires_at) = (Arc::new(()), now + terms.ttl);
-        self.held = Some(Held { holder, terms, token, expires_at, open, was_open: false, is_waiting: false });
+        let (was_open, is_waiting, is_excused) = (false, false, false);
+        self.held = Some(Held { holder, terms, token, expires_at, open, was_open, is_waiting, is_excused });
     }
 
     /// Who asks first is told to the holder, until it is not heard from for a while.
@@ -273,7 +281,7 @@ impl Leasing {
     pub(super) fn renew(&mut self, now: Instant, token: Option<&LeaseToken>) -> Result<(), Conflict> {
         match self.held.as_mut().filter(|held| Some(&held.token) == token) {
             Some(held) => {
-                held.expires_at = now + held.terms.ttl;
+                held.used(now);
                 Ok(())
             }
             None => Err(self.stale()),
@@ -308,6 +316,13 @@ impl Leasing {
         let ended = self.held.take_if(|held| Some(&held.token) == token);
         self.asking.take_if(|_| ended.is_some());
         ended
+    }
+
+    /// Its holder has until then to be heard, since nobody was there to hear it: once, until it is.
+    pub(super) fn excuse(&mut self, until: Instant) {
+        if let Some(held) = self.held.as_mut().filter(|held| !held.is_excused && held.expires_at < until) {
+            (held.expires_at, held.is_excused) = (until, true);
+        }
     }
 
     /// Ends the lease that has run out.

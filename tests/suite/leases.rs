@@ -135,6 +135,34 @@ async fn a_client_that_was_frozen_past_its_lease_moves_nothing() {
 }
 
 #[tokio::test]
+async fn a_gateway_that_had_no_processor_time_loses_nobody_who_was_there() {
+    const TTL: Duration = Duration::from_secs(3);
+    let device = Simulator::start(&[]).await;
+    let gateway = Gateway::homed_at(device.address).await;
+    let token = take(&gateway, "robot", TTL.as_millis() as u64).await;
+    gateway.begin("move", &json!({"width_mm": 10, "speed_mm_s": 5, "lease": token})).await;
+    gateway.until_moving().await;
+    gateway.freeze();
+    let lease = json!({"lease": token});
+    // Its renewal waits in the socket.
+    let renewed = gateway.put("lease", &lease);
+    let thawed = async {
+        tokio::time::sleep(TTL).await;
+        gateway.thaw();
+    };
+    let (renewed, ()) = tokio::join!(renewed, thawed);
+    renewed.ok();
+    let state = gateway.state().await;
+    assert_eq!((&state["fast_stop"], &state["lease_holder"]), (&json!(false), &json!("robot")), "{state}");
+    // One who is gone is lost all the same.
+    gateway.freeze();
+    tokio::time::sleep(TTL).await;
+    gateway.thaw();
+    let state = gateway.until("the latch", |state| state["fast_stop"] == true).await;
+    assert_eq!(state["fast_stop_cause"], "client_lost", "{state}");
+}
+
+#[tokio::test]
 async fn a_lease_is_asked_for_and_handed_over() {
     let device = Simulator::start(&[]).await;
     let gateway = Gateway::homed_at(device.address).await;

@@ -14,7 +14,17 @@ use crate::wsg::Command;
 /// The temperature has no automatic updates (`fw4-en 3.4.7`), and changes slowly.
 const TEMPERATURE_EVERY: Duration = Duration::from_secs(5);
 
+/// How long what clients have sent may take through their doors, after the gateway had no processor time.
+const DOORS_TAKE: Duration = Duration::from_millis(200);
+
 impl Actor {
+    /// To be called before the next input when a deadline was come to much too late: what clients have sent meanwhile
+    /// is on its way, and nobody is lost because nobody was there to hear.
+    pub fn overslept(&mut self, now: Now) {
+        tracing::debug!(gripper = %self.config.name, "the gateway had no processor time");
+        self.leasing.excuse(now.instant + DOORS_TAKE);
+    }
+
     /// Does all that is due.
     pub(super) fn keep_up(&mut self, now: Now) {
         self.supervise(now);

@@ -214,6 +214,16 @@ impl Gateway {
         self.until(link, |state| state["link"] == link).await
     }
 
+    /// Takes its processor time away until [`Gateway::thaw`].
+    pub fn freeze(&self) {
+        self.process.signal("STOP");
+    }
+
+    /// Gives it processor time again.
+    pub fn thaw(&self) {
+        self.process.signal("CONT");
+    }
+
     /// Sends SIGTERM, and waits for the end.
     pub async fn terminate(mut self) -> Ended {
         self.process.terminate();

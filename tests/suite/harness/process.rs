@@ -102,7 +102,12 @@ impl Process {
 
     /// Sends SIGTERM.
     pub fn terminate(&self) {
-        signal(self.child.id().expect("it runs"), "TERM");
+        self.signal("TERM");
+    }
+
+    /// Sends a signal.
+    pub fn signal(&self, name: &str) {
+        signal(self.child.id().expect("it runs"), name);
     }
 
     /// Sends SIGKILL.

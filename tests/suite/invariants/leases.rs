@@ -271,6 +271,23 @@ fn an_open_request_keeps_the_lease_for_as_long_as_the_motion_takes() {
 }
 
 #[test]
+fn a_holder_has_a_little_time_where_the_gateway_had_none_and_once() {
+    let mut world = homed();
+    token(&mut world, wish("a"));
+    let oversleep = |world: &mut World| {
+        let now = world.clock();
+        world.actor.overslept(now);
+    };
+    world.advance(TTL * 9 / 10);
+    oversleep(&mut world);
+    world.advance(Duration::from_millis(190));
+    assert!(lease(&mut world).held, "it may be on its way");
+    oversleep(&mut world);
+    world.advance(Duration::from_millis(20));
+    assert!(!lease(&mut world).held, "it was not");
+}
+
+#[test]
 fn what_becomes_of_a_motion_is_the_holders_choice() {
     for (choice, sent, outcome) in [
         (OnLossMoving::Stop, vec![id::STOP], Outcome::Aborted),
