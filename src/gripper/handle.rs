@@ -11,13 +11,15 @@ use super::error::{Failure, Rejection};
 use super::info::Info;
 use super::lease::Keep;
 use super::model::{
-    Client, Command, CommandId, FastStopCause, FastStopId, Frame, Lease, LeaseToken, Link, Name, Phase, Reason, State,
-    Submission, TakeLease,
+    Action, Client, Command, CommandId, FastStopCause, FastStopId, Frame, Lease, LeaseToken, Link, Name, Phase, Reason,
+    State, Submission, TakeLease,
 };
 use crate::wsg;
 
 /// Requests that may wait for the actor. It answers each within microseconds, so more than this many waiting means
-/// that it can't keep up, and the next is told so rather than queued.
+/// that it can't keep up, and the next is told so rather than queued: but for what ends or keeps the right to move, and
+/// what stops, which wait for a place. They get the next one that is free, in their order, and are as many at most as
+/// the doors let their clients ask at a time.
 pub const MAX_WAITING_REQUESTS: usize = 64;
 
 /// FAST STOPs that may wait for the actor, on a lane of their own. A sender waits for a place, which the actor frees
@@ -212,7 +214,9 @@ impl Handle {
     /// [`Rejection`]
     pub async fn submit(&self, submission: Submission) -> Result<Ticket, Rejection> {
         let id = CommandId::generate();
-        let mut ticket = self.ask(|answer| Request::Submit { submission, id, answer }).await??;
+        let is_stop = matches!(submission.action, Action::Stop);
+        let request = |answer| Request::Submit { submission, id, answer };
+        let mut ticket = if is_stop { self.insist(request).await } else { self.ask(request).await }??;
         ticket.recorded().await;
         Ok(ticket)
     }
@@ -230,7 +234,7 @@ impl Handle {
     /// # Errors
     /// [`Failure`], where the actor can't be asked.
     pub async fn cancel(&self, id: CommandId, client: Client) -> Result<Option<Ticket>, Failure> {
-        self.ask(|answer| Request::Cancel { id, client, answer }).await
+        self.insist(|answer| Request::Cancel { id, client, answer }).await
     }
 
     /// One request to the device that moves nothing, and its reply's data. After a setter the value is read back, and
@@ -261,7 +265,7 @@ impl Handle {
     /// [`Rejection`]
     pub async fn take_lease(&self, take: TakeLease) -> Result<Granted, Rejection> {
         let token = LeaseToken::generate();
-        self.ask(|answer| Request::TakeLease { take, token, answer }).await?
+        self.insist(|answer| Request::TakeLease { take, token, answer }).await?
     }
 
     /// Renews the lease of this token.
@@ -269,7 +273,7 @@ impl Handle {
     /// # Errors
     /// [`Rejection`], where it is nobody's.
     pub async fn renew_lease(&self, token: Option<LeaseToken>) -> Result<Lease, Rejection> {
-        self.ask(|answer| Request::RenewLease { token, answer }).await?
+        self.insist(|answer| Request::RenewLease { token, answer }).await?
     }
 
     /// Gives the lease of this token to who has asked for it.
@@ -278,7 +282,7 @@ impl Handle {
     /// [`Rejection`]
     pub async fn hand_over(&self, token: Option<LeaseToken>, to: String) -> Result<Lease, Rejection> {
         let new = LeaseToken::generate();
-        self.ask(|answer| Request::HandOver { token, to, new, answer }).await?
+        self.insist(|answer| Request::HandOver { token, to, new, answer }).await?
     }
 
     /// Gives the lease of this token back: a running motion is stopped. Where the token is nobody's, nothing happens.
@@ -286,7 +290,7 @@ impl Handle {
     /// # Errors
     /// [`Failure`], where the actor can't be asked.
     pub async fn release_lease(&self, token: Option<LeaseToken>) -> Result<Lease, Failure> {
-        self.ask(|answer| Request::ReleaseLease { token, answer }).await
+        self.insist(|answer| Request::ReleaseLease { token, answer }).await
     }
 
     /// The client that holds the lease of this token was lost.
@@ -316,18 +320,19 @@ impl Handle {
     /// # Errors
     /// [`Rejection`]
     pub async fn acknowledge(&self, id: FastStopId, client: Client) -> Result<(), Rejection> {
-        self.ask(|answer| Request::Acknowledge { id, client, answer }).await?
+        self.insist(|answer| Request::Acknowledge { id, client, answer }).await?
     }
 
     /// Gives the gripper up in order: no new commands, a running one may finish, the device is told, the link closed.
     pub async fn drain(&self) {
         // An actor that is gone already has nothing left to give up.
-        if self.ask(|answer| Request::Drain { answer }).await.is_ok() {
+        if self.insist(|answer| Request::Drain { answer }).await.is_ok() {
             // Behind the answer come its last records.
             self.requests.closed().await;
         }
     }
 
+    /// Asks what may be refused where too much waits already.
     async fn ask<T>(&self, request: impl FnOnce(oneshot::Sender<T>) -> Request) -> Result<T, Failure> {
         let (answer, answered) = oneshot::channel();
         self.requests.try_send(request(answer)).map_err(|error| match error {
@@ -335,5 +340,76 @@ impl Handle {
             mpsc::error::TrySendError::Closed(_) => Failure::Draining,
         })?;
         answered.await.map_err(|_| Failure::Draining)
+    }
+
+    /// Asks what has to get through: it waits for a place, before what others [`Handle::ask`] from now on.
+    async fn insist<T>(&self, request: impl FnOnce(oneshot::Sender<T>) -> Request) -> Result<T, Failure> {
+        let (answer, answered) = oneshot::channel();
+        self.requests.send(request(answer)).await.map_err(|_| Failure::Draining)?;
+        answered.await.map_err(|_| Failure::Draining)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use futures_util::FutureExt as _;
+
+    use super::*;
+    use crate::gripper::fake;
+    use crate::gripper::model::Door;
+
+    /// A handle whose actor takes nothing by itself.
+    fn idle() -> (Handle, mpsc::Receiver<Request>) {
+        let (requests, queue) = mpsc::channel(MAX_WAITING_REQUESTS);
+        let (handle, _) = fake::gripper("left", fake::Script::default());
+        (Handle { requests, ..handle }, queue)
+    }
+
+    #[tokio::test]
+    async fn who_floods_a_gripper_refuses_nobody_a_stop_or_the_lease() {
+        let (handle, mut queue) = idle();
+        let client = Client { subject: "test".into(), door: Door::Http };
+        let reads: Vec<_> = (0..MAX_WAITING_REQUESTS).map(|_| Box::pin(handle.lease())).collect();
+        let mut reads: Vec<_> = reads.into_iter().map(|mut read| ((&mut read).now_or_never(), read)).collect();
+        assert!(reads.iter().all(|(answered, _)| answered.is_none()), "each has a place");
+        let refused = handle.lease().now_or_never();
+        assert_eq!(refused, Some(Err(Failure::Overloaded { limit: MAX_WAITING_REQUESTS })));
+        let token = LeaseToken::generate();
+        let stop = Submission { client: client.clone(), action: Action::Stop, request_id: None, lease: None };
+        let mut asked = [
+            handle.submit(stop).map(drop).boxed(),
+            handle.release_lease(Some(token.clone())).map(drop).boxed(),
+            handle.renew_lease(Some(token.clone())).map(drop).boxed(),
+            handle.take_lease(TakeLease::by(client.clone())).map(drop).boxed(),
+            handle.hand_over(Some(token), "other".to_owned()).map(drop).boxed(),
+            handle.acknowledge(FastStopId::generate(), client.clone()).map(drop).boxed(),
+            handle.cancel(CommandId::generate(), client).map(drop).boxed(),
+        ];
+        tokio::task::yield_now().await;
+        for asked in &mut asked {
+            assert!(asked.now_or_never().is_none(), "it waits");
+        }
+        for _ in 0..asked.len() {
+            // So that each may be polled as often as it is.
+            tokio::task::yield_now().await;
+            assert!(matches!(queue.try_recv(), Ok(Request::Lease { .. })));
+            let refused = handle.lease().now_or_never();
+            assert_eq!(refused, Some(Err(Failure::Overloaded { limit: MAX_WAITING_REQUESTS })), "others wait longer");
+            for asked in &mut asked {
+                assert!(asked.now_or_never().is_none(), "it is not answered yet");
+            }
+        }
+        for _ in asked.len()..MAX_WAITING_REQUESTS {
+            assert!(matches!(queue.try_recv(), Ok(Request::Lease { .. })));
+        }
+        reads.clear();
+        let mut next = || queue.try_recv().unwrap();
+        assert!(matches!(next(), Request::Submit { .. }));
+        assert!(matches!(next(), Request::ReleaseLease { .. }));
+        assert!(matches!(next(), Request::RenewLease { .. }));
+        assert!(matches!(next(), Request::TakeLease { .. }));
+        assert!(matches!(next(), Request::HandOver { .. }));
+        assert!(matches!(next(), Request::Acknowledge { .. }));
+        assert!(matches!(next(), Request::Cancel { .. }));
     }
 }
