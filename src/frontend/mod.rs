@@ -6,5 +6,6 @@
 pub mod http;
 pub mod metrics;
 pub mod refusals;
+pub mod sockets;
 pub mod updates;
 pub mod wsg_port;

@@ -23,6 +23,7 @@ use tower::ServiceExt;
 use super::connections::{Connections, Guest};
 use super::prompt::Prompt;
 use super::{Context, router};
+use crate::frontend::sockets;
 
 /// Bounds of the server.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -108,9 +109,9 @@ pub async fn serve(listener: TcpListener, context: Context, limits: Limits, shut
 }
 
 async fn connection(stream: TcpStream, peer: SocketAddr, router: Router, guest: Guest, limits: Limits) {
-    // Answers are small, and awaited: they must not wait for more to send.
-    if let Err(error) = stream.set_nodelay(true) {
-        tracing::debug!(%peer, %error, "TCP_NODELAY could not be set");
+    // Answers are small, and awaited; and an open request keeps a lease, so that whose machine vanishes must be noticed.
+    if let Err(error) = sockets::prepare(&stream) {
+        return tracing::debug!(%peer, %error, "connection refused: its options could not be set");
     }
     set_unsent_limit(&stream);
     let guest = Arc::new(guest);

@@ -32,7 +32,7 @@ pub const MAX_CLIENTS: usize = 32;
 
 /// A client that has been silent for so long is lost: one that doesn't acknowledge its TCP segments, or that sends no
 /// datagram.
-pub const LOST_AFTER: Duration = Duration::from_secs(3);
+pub const LOST_AFTER: Duration = super::sockets::LOST_AFTER;
 
 /// Where a gripper is served.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -5,7 +5,7 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
-use socket2::{SockRef, TcpKeepalive};
+use socket2::SockRef;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::task::JoinSet;
 use tokio::time::sleep;
@@ -13,9 +13,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::client::Served;
 use super::{LOST_AFTER, MAX_CLIENTS, Port};
-
-/// How often a silent peer is asked whether it is still there.
-const PROBE_EVERY: Duration = Duration::from_secs(1);
+use crate::frontend::sockets;
 
 /// How long no connection is accepted after that failed: long enough not to spin while the process is out of file
 /// descriptors, short enough not to be noticed.
@@ -73,13 +71,11 @@ fn admit(port: &Arc<Port>, stream: TcpStream, peer: SocketAddr, clients: usize) 
     Some(Served::new(port.clone(), Port::client(peer), reader, writer, None))
 }
 
-/// Each frame leaves at once and by itself, and a peer that is gone without a word is noticed within [`LOST_AFTER`].
+/// Each frame leaves at once and by itself, and a peer that is gone without a word is noticed within [`LOST_AFTER`]:
+/// also one to which frames are on their way, as automatic updates always are.
 fn prepare(stream: &TcpStream) -> io::Result<()> {
-    stream.set_nodelay(true)?;
-    let socket = SockRef::from(stream);
-    let keepalive = TcpKeepalive::new().with_time(PROBE_EVERY).with_interval(PROBE_EVERY).with_retries(2);
-    socket.set_tcp_keepalive(&keepalive)?;
-    socket.set_tcp_user_timeout(Some(LOST_AFTER))
+    sockets::prepare(stream)?;
+    SockRef::from(stream).set_tcp_user_timeout(Some(LOST_AFTER))
 }
 
 #[cfg(test)]
@@ -94,10 +90,6 @@ mod tests {
         let (stream, _) = accepted.unwrap();
         prepare(&stream).unwrap();
         let socket = SockRef::from(&stream);
-        let probes = socket.tcp_keepalive_retries().unwrap() * PROBE_EVERY.as_secs() as u32;
-        let idle = socket.tcp_keepalive_time().unwrap();
-        assert_eq!(socket.tcp_keepalive_interval().unwrap(), PROBE_EVERY);
-        assert_eq!(idle + Duration::from_secs(probes.into()), LOST_AFTER);
         assert_eq!(socket.tcp_user_timeout().unwrap(), Some(LOST_AFTER), "of what was sent and not acknowledged");
         assert!(socket.keepalive().unwrap() && socket.tcp_nodelay().unwrap());
         drop(client);
