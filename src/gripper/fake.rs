@@ -143,6 +143,9 @@ impl Actor {
             Request::TakeLease { take, token, answer } => {
                 let _ = answer.send(self.take(&take, token));
             }
+            Request::UseLease { token, answer } => {
+                let _ = answer.send(self.leasing.keep(clock::instant(), Some(&token)));
+            }
             Request::RenewLease { token, answer } => {
                 let renewed = self.leasing.renew(clock::instant(), token.as_ref());
                 let _ = answer

@@ -40,6 +40,7 @@ pub enum Request {
     Acknowledge { id: FastStopId, client: Client, answer: Answer<()> },
     Lease { answer: oneshot::Sender<Lease> },
     TakeLease { take: TakeLease, token: LeaseToken, answer: Answer<Granted> },
+    UseLease { token: LeaseToken, answer: oneshot::Sender<Option<Keep>> },
     RenewLease { token: Option<LeaseToken>, answer: Answer<Lease> },
     HandOver { token: Option<LeaseToken>, to: String, new: LeaseToken, answer: Answer<Lease> },
     ReleaseLease { token: Option<LeaseToken>, answer: oneshot::Sender<Lease> },
@@ -81,6 +82,12 @@ pub struct Granted {
     pub lease: Lease,
     /// Keeps it from running out: for a door whose client's connection is as good as a use.
     pub keep: Option<Keep>,
+}
+
+/// A lease in use: it doesn't run out for as long as this lives.
+#[derive(Debug)]
+pub struct Using {
+    _keep: oneshot::Receiver<Option<Keep>>,
 }
 
 /// A command that was admitted, and can be waited for: its client's lease doesn't run out meanwhile.
@@ -266,6 +273,20 @@ impl Handle {
     pub async fn take_lease(&self, take: TakeLease) -> Result<Granted, Rejection> {
         let token = LeaseToken::generate();
         self.insist(|answer| Request::TakeLease { take, token, answer }).await?
+    }
+
+    /// Uses the lease of this token, where it is somebody's. Nobody waits for that, a FAST STOP least of all.
+    #[must_use]
+    pub fn use_lease(&self, token: LeaseToken) -> Using {
+        let (answer, keep) = oneshot::channel();
+        if let Err(mpsc::error::TrySendError::Full(request)) =
+            self.requests.try_send(Request::UseLease { token, answer })
+        {
+            let requests = self.requests.clone();
+            // As one that insists. An actor that is gone has no lease.
+            tokio::spawn(async move { requests.send(request).await });
+        }
+        Using { _keep: keep }
     }
 
     /// Renews the lease of this token.

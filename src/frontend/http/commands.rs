@@ -6,10 +6,9 @@ use axum::extract::State as Shared;
 use axum::http::{StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use axum::{Extension, Json};
-use serde::Deserialize;
-use utoipa::{IntoResponses, ToSchema};
+use utoipa::IntoResponses;
 
-use super::body::Body;
+use super::body::{Body, Leased};
 use super::errors::Problem;
 use super::extract::{
     CommandOf, CommandPath, DEFAULT_WAIT_MS, Gripper, GripperPath, Keys, LeaseHeader, NoWaitQuery, WaitMs, WaitQuery,
@@ -61,12 +60,6 @@ pub fn told((command, ticket): (Command, Ticket)) -> Response {
     }
 }
 
-/// A body that says nothing.
-#[derive(Debug, Deserialize, ToSchema)]
-#[serde(deny_unknown_fields)]
-#[schema(example = json!({}))]
-pub struct Nothing {}
-
 fn known(ticket: Option<Ticket>) -> Result<Ticket, Problem> {
     ticket.ok_or_else(|| Problem::not_found("command of this id here: commands are kept for an hour"))
 }
@@ -104,16 +97,17 @@ pub async fn get(
     path = "/grippers/{gripper}/commands/{command}/cancel",
     operation_id = "cancel_command",
     tag = "commands",
-    params(GripperPath, CommandPath, WaitQuery),
-    request_body(content = Option<Nothing>, description = "Nothing, or an empty object"),
+    params(GripperPath, CommandPath, WaitQuery, LeaseHeader),
+    request_body(content = Option<Leased>, description = "Nothing, or the lease's token"),
     responses(Told, CommandProblem)
 )]
 pub async fn cancel(
     gripper: Gripper,
     CommandOf(id): CommandOf,
     wait: Wait,
-    Body(Nothing {}): Body<Nothing>,
+    Body(Leased { lease }): Body<Leased>,
 ) -> Result<Response, Problem> {
+    let gripper = gripper.with_lease(lease.as_deref())?;
     let mut ticket = known(gripper.handle.cancel(id, gripper.client).await?)?;
     Ok(told((ticket.wait(wait.0).await, ticket)))
 }

@@ -13,6 +13,7 @@ use super::Context;
 use super::errors::{Code, Problem};
 use super::parameters::Parameters;
 use super::values::{integer, text};
+use crate::gripper::handle::Using;
 use crate::gripper::model::{Client, CommandId, Door, LeaseToken, RequestId, Text};
 use crate::gripper::{Handle, Rejection};
 use crate::wsg::{self, Finger};
@@ -42,6 +43,8 @@ pub struct Gripper {
     pub client: Client,
     /// The lease's token, where it could be read: a FAST STOP asks for none, and must not fail for it.
     pub lease: Result<Option<LeaseToken>, Problem>,
+    /// The lease is used, for as long as the request is open.
+    pub using: Option<Arc<Using>>,
 }
 
 impl Gripper {
@@ -53,7 +56,8 @@ impl Gripper {
     /// With the lease's token of the body, too.
     pub fn with_lease(self, body: Option<&str>) -> Result<Self, Problem> {
         let Keys { lease, .. } = Keys { lease: self.lease?, request_id: None }.or_body(None, body)?;
-        Ok(Self { lease: Ok(lease), ..self })
+        let using = self.using.or_else(|| using(&self.handle, lease.as_ref()));
+        Ok(Self { lease: Ok(lease), using, ..self })
     }
 
     /// The lease's token, if there is one.
@@ -75,8 +79,14 @@ impl FromRequestParts<Arc<Context>> for Gripper {
         let name = path_parameter(parts, "gripper").await?.parse().map_err(|_| unknown())?;
         let handle = context.fleet.get(&name).ok_or_else(unknown)?.clone();
         let lease = Keys::of(&parts.headers).map(|keys| keys.lease);
-        Ok(Self { handle, client: Asker::of(&parts.extensions).0, lease })
+        let using = using(&handle, lease.as_ref().ok().and_then(Option::as_ref));
+        Ok(Self { handle, client: Asker::of(&parts.extensions).0, lease, using })
     }
+}
+
+/// Each request with a lease's token uses that lease, whatever it asks for.
+fn using(handle: &Handle, lease: Option<&LeaseToken>) -> Option<Arc<Using>> {
+    lease.map(|lease| Arc::new(handle.use_lease(lease.clone())))
 }
 
 /// Who asks. Before there are credentials that is the peer's address.

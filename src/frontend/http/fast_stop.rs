@@ -20,7 +20,7 @@ use utoipa::{PartialSchema, ToSchema};
 
 use super::body::{self, Body, MAX_BODY_BYTES};
 use super::errors::{Code, Problem};
-use super::extract::{Asker, Gripper, GripperPath};
+use super::extract::{Asker, Gripper, GripperPath, LeaseHeader};
 use super::responses::{AnyProblem, DeviceProblem, GripperProblem};
 use super::{Context, watched};
 use crate::gripper::FastStop;
@@ -166,6 +166,9 @@ pub struct Acknowledge {
     /// The FAST STOP's id, as the state tells it.
     #[schema(value_type = uuid::Uuid)]
     fast_stop_id: String,
+    /// The lease's token, which is used by this as by any request; empty is none.
+    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
+    lease: Option<String>,
 }
 
 /// An acknowledged FAST STOP.
@@ -189,7 +192,7 @@ pub struct Acknowledged {
 /// Clears the FAST STOP of this id, if it is the newest, and confirmed by the device. Nothing moves.
 #[utoipa::path(
     post, path = "/grippers/{gripper}/acknowledge", operation_id = "acknowledge", tag = "fast stop",
-    params(GripperPath),
+    params(GripperPath, LeaseHeader),
     request_body = Acknowledge,
     responses((status = 200, description = "The device's flags show that it is gone", body = Acknowledged), DeviceProblem)
 )]
@@ -198,6 +201,7 @@ pub async fn acknowledge(gripper: Gripper, Body(body): Body<Acknowledge>) -> Res
         Problem::malformed("fast_stop_id", format!("fast_stop_id is no UUID: {error}"))
             .value(Some(body.fast_stop_id.clone().into()))
     })?;
+    let gripper = gripper.with_lease(body.lease.as_deref())?;
     gripper.handle.acknowledge(id, gripper.client.clone()).await?;
     Ok(Json(Acknowledged { gripper: gripper.name(), fast_stop_id: id, fast_stop: false }))
 }

@@ -8,7 +8,8 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::Context;
-use super::extract::{Gripper, GripperPath};
+use super::errors::Problem;
+use super::extract::{Gripper, GripperPath, LeaseHeader};
 use super::responses::{AnyProblem, GripperProblem};
 use crate::gripper::Info;
 use crate::gripper::model::State;
@@ -35,11 +36,11 @@ pub async fn list(Shared(context): Shared<Arc<Context>>) -> Json<Grippers> {
 /// Its device, limits, capabilities and link.
 #[utoipa::path(
     get, path = "/grippers/{gripper}", operation_id = "get_gripper", tag = "grippers",
-    params(GripperPath),
+    params(GripperPath, LeaseHeader),
     responses((status = 200, description = "The gripper", body = Info), GripperProblem)
 )]
-pub async fn info(gripper: Gripper) -> Json<Arc<Info>> {
-    Json(gripper.handle.info())
+pub async fn info(gripper: Gripper) -> Result<Json<Arc<Info>>, Problem> {
+    Ok(Json(gripper.with_lease(None)?.handle.info()))
 }
 
 /// A gripper's state
@@ -47,9 +48,9 @@ pub async fn info(gripper: Gripper) -> Json<Arc<Info>> {
 /// The newest; `age_ms` says how old it is.
 #[utoipa::path(
     get, path = "/grippers/{gripper}/state", operation_id = "get_state", tag = "grippers",
-    params(GripperPath),
+    params(GripperPath, LeaseHeader),
     responses((status = 200, description = "The newest state", body = State), GripperProblem)
 )]
-pub async fn state(gripper: Gripper) -> Json<Arc<State>> {
-    Json(gripper.handle.state())
+pub async fn state(gripper: Gripper) -> Result<Json<Arc<State>>, Problem> {
+    Ok(Json(gripper.with_lease(None)?.handle.state()))
 }

@@ -24,11 +24,11 @@ type Answer = Result<Json<Lease>, Problem>;
 /// Who holds it, and for how long. While nobody does, anybody may move the gripper, one command at a time.
 #[utoipa::path(
     get, path = "/grippers/{gripper}/lease", operation_id = "get_lease", tag = "lease",
-    params(GripperPath),
+    params(GripperPath, LeaseHeader),
     responses((status = 200, description = "The lease, without its token", body = Lease), CommandProblem)
 )]
 pub async fn get(gripper: Gripper) -> Answer {
-    Ok(Json(gripper.handle.lease().await?))
+    Ok(Json(gripper.with_lease(None)?.handle.lease().await?))
 }
 
 /// A lease that was taken, as a door keeps it that sees its client's end. HTTP, which doesn't, drops it.

@@ -319,6 +319,10 @@ impl Actor {
                 let _ = answer.send(self.lease_now(now));
             }
             Request::TakeLease { take, token, answer } => self.take_lease(now, &take, token, answer),
+            Request::UseLease { token, answer } => {
+                // Where its user is gone already, it was used once.
+                let _ = answer.send(self.leasing.keep(now.instant, Some(&token)));
+            }
             Request::RenewLease { token, answer } => {
                 let _ = answer.send(self.renew_lease(now, token.as_ref()));
             }
