@@ -32,6 +32,8 @@ impl Actor {
             Action::Motion(motion) => {
                 self.check_motion(now, motion, submission)?;
                 self.claim(now, &submission.client, submission.lease.as_ref())?;
+                // One that has ended is told as it is, rather than by the values of after it.
+                self.end_running(now, false);
                 let keep = self.leasing.keep(now.instant, submission.lease.as_ref()).map(Arc::new);
                 let ticket = self.enter(now, id, submission);
                 if !matches!(motion, Motion::Custom(_)) {
@@ -74,8 +76,8 @@ impl Actor {
             return Err(Conflict::SettingsLost { settings: lost.join(", ") });
         }
         match &self.running {
-            Some(running) => Err(Conflict::AlreadyRunning { id: running.id }),
-            None => Ok(()),
+            Some(running) if !running.has_ended() => Err(Conflict::AlreadyRunning { id: running.id }),
+            _ => Ok(()),
         }
     }
 

@@ -3,6 +3,7 @@
 
 mod drivers;
 mod leases;
+mod repeats;
 pub mod steps;
 
 use std::time::Duration;
