@@ -9,7 +9,7 @@ use wsg_gateway::gripper::model::{
     Submission, TakeLease,
 };
 use wsg_gateway::gripper::{Conflict, Granted, Rejection, Ticket};
-use wsg_gateway::sim::Change;
+use wsg_gateway::sim::{Change, Interface};
 use wsg_gateway::wsg::{self, Acceleration, Speed, Width, id};
 
 use super::NOTHING;
@@ -337,6 +337,58 @@ fn a_lease_is_handed_over_to_who_asks() {
     let b = token(&mut world, TakeLease { request: true, ..wish("b") });
     assert_eq!(lease(&mut world).epoch, 2);
     assert!(submit_with(&mut world, move_to(50.0, 50.0), b).is_ok());
+}
+
+#[test]
+fn a_motion_that_waits_when_its_lease_is_handed_over_never_leaves() {
+    let mut world = homed();
+    let a = token(&mut world, wish("a"));
+    let first = submit_with(&mut world, move_to(80.0, 200.0), a.clone()).unwrap();
+    finish(&mut world, &first);
+    // In the pause after the first one it waits.
+    let waiting = submit_with(&mut world, move_to(5.0, 10.0), a.clone()).unwrap();
+    assert!(take(&mut world, TakeLease { request: true, ..wish("b") }).is_err());
+    let from = mark(&world);
+    let (to, new) = ("b".to_owned(), LeaseToken::generate());
+    let mut given = request(&mut world, |answer| Request::HandOver { token: a, to, new, answer });
+    assert!(given.try_recv().unwrap().is_ok());
+    assert_eq!(waiting.now().outcome, Some(Outcome::Aborted));
+    world.advance(Duration::from_secs(1));
+    assert_eq!(received(&world, from), NOTHING);
+}
+
+#[test]
+fn a_holder_that_is_lost_while_the_fingers_move_on_after_an_unknown_is_a_fast_stop() {
+    let mut world = World::calm_on(Interface::Udp, device(), None);
+    run(&mut world, home());
+    let a = token(&mut world, TakeLease { ttl: Some(Duration::from_mins(1)), ..wish("a") });
+    let running = submit_with(&mut world, move_to(5.0, 5.0), a.clone()).unwrap();
+    world.advance(Duration::from_millis(300));
+    // No connection ends there: the fingers move on.
+    world.disconnected("unplugged");
+    assert_eq!(finish(&mut world, &running).outcome, Some(Outcome::Unknown));
+    world.advance(Duration::from_secs(1));
+    assert_eq!((state(&world).moving, state(&world).command), (Some(true), None));
+    let from = mark(&world);
+    let lost = a.unwrap();
+    drop(request(&mut world, |_: oneshot::Sender<()>| Request::LoseLease { token: lost }));
+    world.advance(Duration::from_millis(200));
+    assert_eq!(received(&world, from), [id::FAST_STOP]);
+    assert!(!world.device.snapshot().moving);
+}
+
+#[test]
+fn a_part_that_a_lost_holder_was_about_to_grip_is_reserved_for_it() {
+    let mut world = homed();
+    let a = token(&mut world, finish_moving(wish("a")));
+    let gripping = submit_with(&mut world, grip(None), a.clone()).unwrap();
+    world.advance(Duration::from_millis(200));
+    let lost = a.unwrap();
+    drop(request(&mut world, |_: oneshot::Sender<()>| Request::LoseLease { token: lost }));
+    assert_eq!(finish(&mut world, &gripping).outcome, Some(Outcome::PartHeld));
+    let reserved = Conflict::LeaseHeld { holder: "a".into(), expires_in_ms: None };
+    assert_eq!(refused(&mut world, move_to(50.0, 50.0)), reserved.clone().into());
+    assert_eq!(take(&mut world, wish("b")).unwrap_err(), reserved.into());
 }
 
 #[test]
