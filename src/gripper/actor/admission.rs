@@ -43,9 +43,18 @@ impl Actor {
                 Ok(Ticket { _keep: keep, ..ticket })
             }
             Action::Stop => {
+                if let Some(ticket) = self.repeated_stop(now, submission) {
+                    // A lane that is full of Stops stops it as well.
+                    let _ = self.submit(now, Command::Stop, Purpose::Stop(None));
+                    return Ok(Ticket { _keep: keep, ..ticket });
+                }
+                let is_moving = self.is_moving();
                 // An unresponsive device may still hear it, so all that it needs is a link.
                 self.submit(now, Command::Stop, Purpose::Stop(Some(id))).map_err(|not_taken| not_taken.0)?;
                 self.withdraw_waiting_motion(now);
+                if !is_moving {
+                    self.note_stop(now, &submission.client, id);
+                }
                 Ok(Ticket { _keep: keep, ..self.enter(now, id, submission) })
             }
         }

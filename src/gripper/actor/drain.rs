@@ -88,6 +88,7 @@ impl Actor {
     /// Tells everyone who waits for it that the gripper was given up.
     pub fn drained(&mut self) {
         self.finish_measuring();
+        self.record_repeats();
         for answer in self.drain.take().into_iter().flat_map(|drain| drain.answers) {
             let _ = answer.send(());
         }

@@ -160,7 +160,7 @@ impl Actor {
     }
 
     /// Whether the fingers move, or are about to, as far as is known.
-    fn is_moving(&self) -> bool {
+    pub(super) fn is_moving(&self) -> bool {
         self.running.as_ref().is_some_and(|running| !running.has_ended()) || self.observed.has(SystemState::MOVING)
     }
 

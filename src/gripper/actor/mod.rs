@@ -25,6 +25,7 @@ mod motion;
 mod publish;
 mod reads;
 mod recording;
+mod repeats;
 mod settings;
 mod upkeep;
 mod wire_log;

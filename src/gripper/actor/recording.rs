@@ -16,6 +16,7 @@ use super::super::model::{
 };
 use super::super::recorder::{Health, Record};
 use super::Actor;
+use super::repeats::Repeats;
 use crate::wsg::{GripperState, SystemState};
 
 /// How long a command waits for its record. One that waits longer is refused, or goes on, and is never sent later.
@@ -45,6 +46,7 @@ pub(super) struct Recording {
     pub holding: Option<CommandId>,
     /// How the link was recorded last.
     link: Option<(Link, bool)>,
+    pub repeats: Repeats,
 }
 
 /// A motion that is being measured.
@@ -61,7 +63,7 @@ impl Recording {
     pub(super) fn next_timeout(&self) -> Option<Instant> {
         let record = self.unrecorded.front().map(|(until, _)| *until);
         let curve = self.measured.as_ref().and_then(|measured| Some(measured.ended.as_ref()?.0));
-        record.into_iter().chain(curve).min()
+        record.into_iter().chain(curve).chain(self.repeats.next_timeout()).min()
     }
 
     /// Takes a record that nobody waits for.
@@ -173,18 +175,21 @@ impl Actor {
             fast_stop_id: latch.id,
             cause: latch.cause,
             reason: latch.reason.as_str().to_owned(),
+            count: 1,
         });
         self.meter_fast_stop(now, step, latch.cause);
         let event = self.event(now, detail);
-        self.record(match by {
+        let event = match by {
             Some(client) => event.by(client),
             None => event,
-        });
+        };
+        self.record_or_count(now, event, by);
     }
 
     /// Tells clients how their acknowledges ended, and writes it down.
     pub(super) fn tell_acknowledges(&mut self, now: Now) {
         for acknowledged in self.latching.take_acknowledged() {
+            self.record_repeats();
             let cause = acknowledged.result.as_ref().err().map(ToString::to_string);
             let detail = Detail::Acknowledge(AcknowledgeEvent {
                 fast_stop_id: acknowledged.id,

@@ -35,6 +35,7 @@ impl Actor {
         self.give_up_recording(now);
         self.start_waiting_motion(now);
         self.finish_measuring_if_due(now);
+        self.record_repeats_if_due(now);
         self.expire_awaiting_flags(now);
         if self.drain.is_some() {
             self.continue_drain(now);

@@ -302,6 +302,9 @@ pub struct FastStopEvent {
     pub cause: FastStopCause,
     /// Why, in the client's words.
     pub reason: String,
+    /// How many it stands for: of those that a client repeats while one holds, the newest is told, once a second.
+    #[schema(minimum = 1, maximum = 9_007_199_254_740_991_i64)]
+    pub count: u64,
 }
 
 /// How far a FAST STOP is.

@@ -232,7 +232,7 @@ async fn every_event_that_there_is_can_be_written_and_read() {
     let fast_stop_id = IdSource::new(1).fast_stop_id(at(1));
     let (reason, cause) = ("a \"quote\"\u{2028}".to_owned(), FastStopCause::Requested);
     let details = [
-        Detail::FastStop(FastStopEvent { event: FastStopStep::Latched, fast_stop_id, cause, reason }),
+        Detail::FastStop(FastStopEvent { event: FastStopStep::Latched, fast_stop_id, cause, reason, count: 1 }),
         Detail::Acknowledge(AcknowledgeEvent { fast_stop_id, cleared: true, cause: None }),
         Detail::Device(DeviceEvent::Restarted),
         Detail::Device(DeviceEvent::Fault { flags: vec!["TEMP_FAULT"] }),

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use wsg_gateway::gripper::Conflict;
-use wsg_gateway::gripper::model::{Action, Outcome, Phase};
+use wsg_gateway::gripper::model::{Action, Detail, FastStopStep, Outcome, Phase};
 use wsg_gateway::wsg::id;
 
 use super::steps::*;
@@ -31,4 +31,51 @@ fn a_motion_whose_end_is_known_is_not_in_the_way_of_the_next() {
     let motions: Vec<_> = world.device.received()[from..].iter().filter(|frame| frame.id == id::PRE_POSITION).collect();
     assert_eq!(motions.len(), 2);
     assert!(motions[1].at >= taken + Duration::from_millis(45), "it waits for its pause");
+}
+
+#[test]
+fn what_is_repeated_is_written_down_by_the_second() {
+    let mut world = homed();
+    let (events, from) = (world.journal.events.len(), mark(&world));
+    let mut newest = None;
+    for _ in 0..500 {
+        newest = Some(fast_stop(&mut world));
+        submit(&mut world, Action::Stop, None).unwrap();
+        world.advance(Duration::from_millis(10));
+    }
+    world.advance(Duration::from_secs(2));
+    let newest = newest.unwrap();
+    assert!(received(&world, from).len() > 500, "all the same each is sent");
+    assert_eq!(latch(&world).fast_stop_id, newest, "and each has an id of its own");
+    let mut cleared = acknowledge(&mut world, newest);
+    world.advance(Duration::from_millis(200));
+    assert_eq!(cleared.try_recv().unwrap(), Ok(()));
+    let events = &world.journal.events[events..];
+    assert!(events.len() < 60, "{} in 5 s", events.len());
+    let latched = events.iter().filter_map(|detail| match detail {
+        Detail::FastStop(fast_stop) if fast_stop.event == FastStopStep::Latched => Some(fast_stop),
+        _ => None,
+    });
+    let latched: Vec<_> = latched.collect();
+    assert_eq!(latched.iter().map(|fast_stop| fast_stop.count).sum::<u64>(), 500);
+    assert_eq!(latched.last().unwrap().fast_stop_id, newest);
+    let confirmed = |detail: &&Detail| matches!(detail, Detail::FastStop(told) if told.event == FastStopStep::Confirmed && told.fast_stop_id == newest);
+    assert_eq!(events.iter().filter(confirmed).count(), 1);
+    // After an acknowledge it is another one.
+    let again = fast_stop(&mut world);
+    assert!(matches!(world.journal.events.last(), Some(Detail::FastStop(told)) if told.fast_stop_id == again));
+}
+
+#[test]
+fn a_stop_that_has_something_to_stop_is_none_that_is_repeated() {
+    let mut world = homed();
+    let first = submit(&mut world, Action::Stop, None).unwrap();
+    world.advance(Duration::from_millis(100));
+    let repeated = submit(&mut world, Action::Stop, None).unwrap();
+    assert_eq!((repeated.id(), repeated.now().replayed), (first.id(), true));
+    let running = start(&mut world, move_to(5.0, 10.0));
+    world.advance(Duration::from_millis(200));
+    let stopped = submit(&mut world, Action::Stop, None).unwrap();
+    assert_ne!(stopped.id(), first.id());
+    assert_eq!(finish(&mut world, &running).outcome, Some(Outcome::Aborted));
 }

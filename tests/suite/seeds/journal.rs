@@ -24,6 +24,8 @@ pub struct Journal {
     pub foreign_motions: usize,
     /// The grips of the parts that were lost.
     pub lost_parts: Vec<Option<CommandId>>,
+    /// All that was written down.
+    pub events: Vec<Detail>,
     memory: BTreeMap<MemoryKey, Option<String>>,
 }
 
@@ -53,10 +55,11 @@ impl Journal {
     pub fn keep(world: &mut World) {
         loop {
             while let Some((record, awaited_by)) = world.actor.poll_record() {
-                if let Record::Event(event, _) = &record
-                    && let Detail::Lease(lease) = &event.detail
-                {
-                    Leases::recorded(world, lease);
+                if let Record::Event(event, _) = &record {
+                    world.journal.events.push(event.detail.clone());
+                    if let Detail::Lease(lease) = &event.detail {
+                        Leases::recorded(world, lease);
+                    }
                 }
                 world.journal.take(&record);
                 if let Some(id) = awaited_by {

@@ -1,0 +1,121 @@
+//! What clients repeat while nothing comes of it: written down once, and counted by the second, so that a client that
+//! floods its gripper fills no disk.
+
+use std::time::{Duration, Instant};
+
+use super::super::Now;
+use super::super::handle::Ticket;
+use super::super::model::{Client, CommandId, Detail, Event, FastStopEvent, Outcome, Submission};
+use super::Actor;
+
+/// How long what is repeated is counted.
+const COUNTED_FOR: Duration = Duration::from_secs(1);
+
+/// Clients that are told apart meanwhile. What more of them do is counted together, or is not known to be repeated.
+const MAX_CLIENTS: usize = 16;
+
+/// What was written down within the last second.
+#[derive(Debug, Default)]
+pub(super) struct Repeats {
+    fast_stops: Option<FastStops>,
+    /// The Stops that had nothing to stop, and until when another one of their clients is the same.
+    stops: Vec<(Instant, Client, CommandId)>,
+}
+
+/// The FAST STOPs of a second.
+#[derive(Debug)]
+struct FastStops {
+    until: Instant,
+    /// Whose first one is written down.
+    clients: Vec<Client>,
+    /// How many came since, the newest of them, and what the device's flags have shown behind it.
+    more: u64,
+    newest: Option<Event>,
+    confirmed: Option<Event>,
+}
+
+impl Repeats {
+    /// Takes the event of a FAST STOP that a client asked for: to be written down now, or counted.
+    fn fast_stop(&mut self, now: Instant, client: &Client, event: Event) -> Option<Event> {
+        let opened =
+            || FastStops { until: now + COUNTED_FOR, clients: Vec::new(), more: 0, newest: None, confirmed: None };
+        let second = self.fast_stops.get_or_insert_with(opened);
+        if second.clients.len() < MAX_CLIENTS && !second.clients.contains(client) {
+            second.clients.push(client.clone());
+            return Some(event);
+        }
+        second.more += 1;
+        second.newest = Some(event);
+        second.confirmed = None;
+        None
+    }
+
+    /// Takes what else is written down of FAST STOPs: behind those that are counted, if there are some.
+    fn behind_fast_stops(&mut self, event: Event) -> Option<Event> {
+        match &mut self.fast_stops {
+            Some(second) if second.newest.is_some() => {
+                second.confirmed = Some(event);
+                None
+            }
+            _ => Some(event),
+        }
+    }
+
+    fn stop(&mut self, now: Instant, client: &Client) -> Option<CommandId> {
+        self.stops.retain(|(until, ..)| now < *until);
+        self.stops.iter().find(|(_, stopper, _)| stopper == client).map(|(.., id)| *id)
+    }
+
+    pub(super) fn next_timeout(&self) -> Option<Instant> {
+        self.fast_stops.as_ref().map(|second| second.until)
+    }
+}
+
+impl Actor {
+    /// Writes an event of a FAST STOP down, now or with those that are counted.
+    pub(super) fn record_or_count(&mut self, now: Now, event: Event, by: Option<&Client>) {
+        let repeats = &mut self.recording.repeats;
+        let event = match by {
+            Some(client) => repeats.fast_stop(now.instant, client, event),
+            None => repeats.behind_fast_stops(event),
+        };
+        if let Some(event) = event {
+            self.record(event);
+        }
+    }
+
+    /// Writes down what was counted: the newest, and how many it stands for.
+    pub(super) fn record_repeats(&mut self) {
+        let Some(FastStops { more, newest, confirmed, .. }) = self.recording.repeats.fast_stops.take() else { return };
+        if let Some(Event { detail: Detail::FastStop(fast_stop), .. }) = &newest {
+            let detail = Detail::FastStop(FastStopEvent { count: more, ..fast_stop.clone() });
+            for event in newest.map(|newest| Event { detail, ..newest }).into_iter().chain(confirmed) {
+                self.record(event);
+            }
+        }
+    }
+
+    pub(super) fn record_repeats_if_due(&mut self, now: Now) {
+        if self.recording.repeats.next_timeout().is_some_and(|until| until <= now.instant) {
+            self.record_repeats();
+        }
+    }
+
+    /// The Stop that this one repeats: of the same client, within a second, while there is nothing to stop.
+    pub(super) fn repeated_stop(&mut self, now: Now, submission: &Submission) -> Option<Ticket> {
+        if submission.request_id.is_some() || self.check_link().is_err() || self.is_moving() {
+            return None;
+        }
+        let ticket = self.book.find(self.recording.repeats.stop(now.instant, &submission.client)?)?;
+        let may_succeed = matches!(ticket.now().outcome, None | Some(Outcome::Success));
+        may_succeed.then_some(Ticket { replayed: true, ..ticket })
+    }
+
+    /// A Stop was admitted, which had nothing to stop.
+    pub(super) fn note_stop(&mut self, now: Now, client: &Client, id: CommandId) {
+        let stops = &mut self.recording.repeats.stops;
+        if stops.len() < MAX_CLIENTS {
+            stops.push((now.instant + COUNTED_FOR, client.clone(), id));
+        }
+    }
+}
