@@ -133,8 +133,9 @@ impl Device {
         if self.config.has_force_sensor() { (force_n + self.sensor_offset_n).abs() } else { force_n }
     }
 
-    /// `fw4-en` Appendix B.
-    pub(super) fn flags(&self) -> SystemState {
+    /// The system state flags (40h; `fw4-en` Appendix B).
+    #[must_use]
+    pub fn flags(&self) -> SystemState {
         let mechanics = &self.mechanics;
         let temperature_c = self.thermal.temperature_c(self.clock);
         let soft_limit = self.at_soft_limit();

@@ -114,8 +114,13 @@ impl Clients {
     fn submit_motion(world: &mut World, motion: Motion) {
         let number = world.clients.submitted;
         let request_id = world.rng.random_bool(0.5).then(|| format!("r{number}-{}", motion.kind()));
-        let lease = Leases::any_token(world);
-        let submission = Submission { lease, ..submission(Action::Motion(motion), request_id) };
+        let submission = if world.rng.random_bool(0.2) && is_never_clamped(&motion) {
+            let (client, token) = Leases::driver(world);
+            Submission { client, lease: Some(token), ..submission(Action::Motion(motion), None) }
+        } else {
+            let lease = Leases::any_token(world);
+            Submission { lease, ..submission(Action::Motion(motion), request_id) }
+        };
         world.clients.last = Some(submission.clone());
         Self::submit(world, submission);
     }
@@ -126,7 +131,7 @@ impl Clients {
             Action::Stop => None,
         };
         let latched = world.watches.state.borrow().latch.is_some();
-        let lease = submission.lease.clone();
+        let (lease, door) = (submission.lease.clone(), submission.client.door);
         let (answer, mut answered) = oneshot::channel();
         let now = world.clock();
         let id = world.ids.command_id(now.wall);
@@ -134,7 +139,7 @@ impl Clients {
         let result = answered.try_recv().expect("admission is decided at once");
         world.note(&format!("  {:?}", result.as_ref().map(|ticket| ticket.now().id)));
         if motion.is_some() {
-            Leases::asked(world, lease.as_ref(), result.as_ref());
+            Leases::asked(world, door, lease.as_ref(), result.as_ref());
         }
         if let Ok(ticket) = result {
             let replayed = ticket.now().replayed;
@@ -245,6 +250,15 @@ impl Clients {
         let now = world.clock();
         world.actor.request(now, Request::Drain { answer });
         world.clients.drained = Some(drained);
+    }
+}
+
+/// Whether it is within the limits of every model, so that a driver's frame is the one that it asked for.
+fn is_never_clamped(motion: &Motion) -> bool {
+    match motion {
+        Motion::Home(_) | Motion::Custom(_) | Motion::Release { .. } => true,
+        Motion::Move { flags, width, .. } => !flags.relative && width.mm() <= 60.0,
+        Motion::Grip { force, .. } => force.is_none(),
     }
 }
 

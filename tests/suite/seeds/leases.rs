@@ -1,5 +1,6 @@
 //! Clients that take the lease, use it, lose it and use old ones: what they may do is known here independently.
 
+use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
 
 use rand::RngExt;
@@ -10,6 +11,9 @@ use wsg_gateway::gripper::model::{
     TakeLease,
 };
 use wsg_gateway::gripper::{Conflict, Rejection, Ticket};
+use wsg_gateway::wsg::SystemState;
+
+use wsg_gateway::gripper::model::lease::DEFAULT_TTL;
 
 use super::world::World;
 
@@ -31,6 +35,15 @@ pub enum LeaseAsk {
 /// How late a lease may run out.
 const LATE: Duration = Duration::from_millis(50);
 
+/// How long the device has to move, or to stand, until the gateway must know.
+const KNOWN_AFTER: Duration = Duration::from_secs(2);
+
+/// And how lately it must have been heard.
+const HEARD_WITHIN: Duration = Duration::from_millis(300);
+
+/// Who speaks the device's protocol.
+const DRIVER: &str = "wsg:10.0.0.1";
+
 /// What is known of the leases.
 #[derive(Default)]
 pub struct Leases {
@@ -39,6 +52,20 @@ pub struct Leases {
     current: Option<Current>,
     /// The open requests of its holder.
     open: Vec<Ticket>,
+    /// How many drivers there were.
+    drivers: usize,
+    /// What was agreed on for fingers that move, by epoch.
+    on_loss_moving: BTreeMap<u64, OnLossMoving>,
+    /// What was seen of the fingers.
+    fingers: Fingers,
+}
+
+/// Since when the device moves, or stands, and what the gateway knew of that after the last step.
+#[derive(Default)]
+struct Fingers {
+    since: Option<(bool, Instant)>,
+    told_moving: Option<bool>,
+    runs: bool,
 }
 
 struct Current {
@@ -106,6 +133,9 @@ impl Leases {
         assert!(granted.lease.epoch >= epoch, "epochs only grow\n{}", world.tail());
         world.count("lease: taken", !wish.force);
         world.count("lease: forced", wish.force && !free);
+        let terms = granted.lease.on_loss_moving.expect("it is held");
+        assert!(wish.on_loss_moving.is_none_or(|wished| wished == terms), "{}", world.tail());
+        world.leases.on_loss_moving.insert(granted.lease.epoch, terms);
         let token = granted.lease.token.clone().expect("its taker is told");
         world.leases.given.push(token.clone());
         world.leases.open.clear();
@@ -191,8 +221,35 @@ impl Leases {
         }
     }
 
+    /// A client that speaks the device's protocol, and its connection's token: of the one that holds the lease, or of one
+    /// that has just connected.
+    pub fn driver(world: &mut World) -> (Client, LeaseToken) {
+        let holder = world.leases.current.as_ref().filter(|current| current.holder == DRIVER);
+        let token = holder.map_or_else(
+            || LeaseToken::from(format!("driver {}", world.leases.drivers).as_str()),
+            |current| current.token.clone(),
+        );
+        world.leases.drivers += 1;
+        (Client { subject: DRIVER.into(), door: Door::Wsg }, token)
+    }
+
+    /// A driver's motion was admitted while nobody held the lease: it has taken it.
+    fn claimed(world: &mut World, token: &LeaseToken) {
+        world.count("lease: taken by a motion", true);
+        let epoch = world.watches.state.borrow().lease_epoch;
+        world.leases.on_loss_moving.insert(epoch, OnLossMoving::FastStop);
+        world.leases.given.push(token.clone());
+        world.leases.open.clear();
+        let (token, ttl) = (token.clone(), DEFAULT_TTL);
+        world.leases.current = Some(Current { token, holder: DRIVER, ttl, used: world.now });
+    }
+
     /// A request for a motion was admitted, or not.
-    pub fn asked(world: &mut World, token: Option<&LeaseToken>, result: Result<&Ticket, &Rejection>) {
+    pub fn asked(world: &mut World, door: Door, token: Option<&LeaseToken>, result: Result<&Ticket, &Rejection>) {
+        let is_new = result.is_ok_and(|ticket| !ticket.now().replayed);
+        if let (Door::Wsg, Some(token), true) = (door, token, is_new && !Self::is_alive(world)) {
+            Self::claimed(world, token);
+        }
         let alive = Self::is_alive(world);
         let current = world.leases.current.as_ref().map(|current| &current.token).filter(|_| alive);
         let right = token == current;
@@ -271,6 +328,52 @@ impl Leases {
         }
         if event.effect == Some(LossEffect::FastStop) {
             assert!(world.watches.state.borrow().latch.is_some(), "a lost holder is a FAST STOP\n{}", world.tail());
+        }
+        let chosen = match world.leases.on_loss_moving.get(&event.epoch) {
+            Some(OnLossMoving::FastStop) => LossEffect::FastStop,
+            Some(OnLossMoving::Stop) => LossEffect::Stop,
+            Some(OnLossMoving::Finish) => LossEffect::Finish,
+            None => return,
+        };
+        let moved = Self::moved(world);
+        if moved == Some(true) {
+            assert_eq!(event.effect, Some(chosen), "the fingers moved when the holder was lost\n{}", world.tail());
+        }
+        if moved == Some(false) {
+            // A part that is held may be a FAST STOP.
+            let moving = matches!(event.effect, Some(LossEffect::Stop | LossEffect::Finish));
+            assert!(!moving, "they stood: {:?}\n{}", event.effect, world.tail());
+        }
+        world.count("lease: a holder is lost while the fingers move", moved == Some(true));
+        world.count("lease: a holder is lost while they stand", moved == Some(false));
+    }
+
+    /// Whether the fingers move, where the gateway must know: by the device itself, which has done so for long and is
+    /// heard, or by what the gateway has told before and after.
+    fn moved(world: &World) -> Option<bool> {
+        let state = world.watches.state.borrow();
+        let fingers = &world.leases.fingers;
+        let (moves, since) = fingers.since?;
+        let is_long = world.now >= since + KNOWN_AFTER;
+        let is_heard = state.updated_at.is_some_and(|at| world.now < at + HEARD_WITHIN);
+        let told = state.moving.filter(|_| state.moving == fingers.told_moving);
+        let stands = !fingers.runs && state.command.is_none();
+        match (moves && is_long && is_heard, told) {
+            (true, _) | (_, Some(true)) => Some(true),
+            (_, Some(false)) if stands => Some(false),
+            _ => None,
+        }
+    }
+
+    /// Looks at the fingers, after each step.
+    pub fn look(world: &mut World) {
+        let moves = world.device.flags().contains(SystemState::MOVING);
+        let state = world.watches.state.borrow();
+        let fingers = &mut world.leases.fingers;
+        fingers.told_moving = state.moving;
+        fingers.runs = state.command.is_some();
+        if fingers.since.is_none_or(|(before, _)| before != moves) {
+            fingers.since = Some((moves, world.now));
         }
     }
 }

@@ -282,6 +282,7 @@ impl World {
         Journal::keep(self);
         Clients::collect(self);
         Leases::check(self);
+        Leases::look(self);
         Invariants::check(self);
     }
 
