@@ -79,6 +79,7 @@ fn against_house_rules(source: &Source) -> Vec<String> {
             (line.contains(".unwrap()"), "unwrap() belongs in tests"),
             (line.contains("unsafe ") || line.contains("unsafe{"), "no unsafe"),
             (item.starts_with("static "), "no statics: state has an owner"),
+            (has_unnamed_limit(line), "a queue has a limit, and a name for it"),
         ];
         found.extend(rules.iter().filter(|(broken, _)| *broken).map(|(_, rule)| (line, *rule)));
         if MACHINES.contains(&source.room().as_str()) && OF_THE_WORLD.iter().any(|what| line.contains(what)) {
@@ -86,6 +87,20 @@ fn against_house_rules(source: &Source) -> Vec<String> {
         }
     }
     found.into_iter().map(|(line, rule)| format!("src/{}: {rule}: {}", source.path, line.trim())).collect()
+}
+
+/// Whether a queue is made here without a limit, or with one that has no name. One or none needs none.
+fn has_unnamed_limit(line: &str) -> bool {
+    let is_named = |limit: &str| {
+        let limit = limit.split(')').next().unwrap_or_default();
+        limit.split(" + ").all(|word| {
+            let word = word.rsplit("::").next().unwrap_or_default();
+            word == "1" || !word.is_empty() && word.chars().all(|c| c.is_ascii_uppercase() || c == '_')
+        })
+    };
+    let made = ["mpsc::channel(", "broadcast::channel(", "broadcast::Sender::new(", "sync_channel("];
+    let limits = made.iter().filter_map(|made| line.split_once(made));
+    line.contains("unbounded") || limits.map(|(_, limit)| limit).any(|limit| !is_named(limit))
 }
 
 fn files(below: &Path) -> Vec<(String, String)> {
@@ -184,6 +199,9 @@ fn a_line_against_a_rule_is_found() {
         ("gripper/handle.rs", "let name = text.parse().unwrap();"),
         ("cli.rs", "pub(crate) static COUNT: AtomicU64 = AtomicU64::new(0);"),
         ("cli.rs", "let pid = unsafe { getpid() };"),
+        ("gripper/driver.rs", "let (a, b) = mpsc::unbounded_channel();"),
+        ("gripper/driver.rs", "let (a, b) = mpsc::channel(64);"),
+        ("journal/mod.rs", "let (a, b) = sync_channel(QUEUE + 2);"),
     ] {
         assert_ne!(against_house_rules(&Source::new(path, text)), Vec::<String>::new(), "{path}: {text}");
     }

@@ -1,6 +1,7 @@
 //! The invariants of the gripper, each by its name, and what else the actor promises: on a virtual clock, and checked on
 //! the frames that the device received.
 
+mod bounds;
 mod drivers;
 mod leases;
 mod repeats;
