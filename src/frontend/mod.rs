@@ -3,6 +3,7 @@
 //! Architecture invariant: a door decides nothing about a gripper. What is refused because of a lease, a latch or a
 //! device's limits is refused by the gripper's actor, so all doors refuse the same.
 
+mod connections;
 pub mod http;
 pub mod metrics;
 pub mod refusals;

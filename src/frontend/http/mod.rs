@@ -9,7 +9,6 @@
 mod asyncapi;
 mod body;
 mod commands;
-mod connections;
 mod device;
 mod docs;
 mod errors;

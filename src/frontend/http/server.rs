@@ -20,10 +20,10 @@ use tokio::time::{sleep, timeout};
 use tokio_util::sync::CancellationToken;
 use tower::ServiceExt;
 
-use super::connections::{Connections, Guest};
 use super::prompt::Prompt;
 use super::{Context, router};
 use crate::frontend::sockets;
+use crate::frontend::connections::{Connections, Guest};
 
 /// Bounds of the server.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

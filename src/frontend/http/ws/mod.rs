@@ -16,11 +16,11 @@ use axum::response::Response;
 
 use super::Context;
 use super::body::MAX_BODY_BYTES;
-use super::connections::Guest;
 use super::errors::{Code, Problem};
 use super::extract::Asker;
 use super::methods::Methods;
 use super::responses::SocketProblem;
+use crate::frontend::connections::Guest;
 use crate::gripper::model::Door;
 use socket::Socket;
 
