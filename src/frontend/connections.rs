@@ -27,8 +27,10 @@ struct Open {
 
 #[derive(Debug)]
 struct Entry {
-    /// Since when no request is being answered; none while one is.
-    idle_since: Option<Instant>,
+    /// What keeps it busy: requests that are being answered.
+    busy: usize,
+    /// When it was busy last.
+    idle_since: Instant,
     /// Whether it is a WebSocket, which is never idle.
     stays: bool,
     leave: CancellationToken,
@@ -44,7 +46,8 @@ impl Connections {
     pub fn admit(self: &Arc<Self>, closing: &CancellationToken) -> Option<Guest> {
         let mut open = self.open();
         if open.guests.len() >= self.limit - self.reserved {
-            let longest = open.guests.iter().filter_map(|(id, entry)| Some((entry.idle_since?, *id))).min();
+            let idle = open.guests.iter().filter(|(_, entry)| entry.busy == 0 && !entry.stays);
+            let longest = idle.map(|(id, entry)| (entry.idle_since, *id)).min();
             // It is forgotten at once, so that nobody else is sent away in its stead while it leaves.
             if let Some(entry) = longest.and_then(|(_, id)| open.guests.remove(&id)) {
                 entry.leave.cancel();
@@ -55,7 +58,7 @@ impl Connections {
         }
         let (id, leave) = (open.next, closing.child_token());
         open.next += 1;
-        open.guests.insert(id, Entry { idle_since: Some(Instant::now()), stays: false, leave: leave.clone() });
+        open.guests.insert(id, Entry { busy: 0, idle_since: Instant::now(), stays: false, leave: leave.clone() });
         let (used, counted) = (AtomicBool::new(false), self.guests.token());
         Some(Guest { id, leave, used, connections: self.clone(), _counted: counted })
     }
@@ -71,9 +74,9 @@ impl Connections {
         self.open.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn set_idle_since(&self, id: u64, idle_since: Option<Instant>) {
-        if let Some(entry) = self.open().guests.get_mut(&id).filter(|entry| !entry.stays) {
-            entry.idle_since = idle_since;
+    fn change(&self, id: u64, change: impl FnOnce(&mut Entry)) {
+        if let Some(entry) = self.open().guests.get_mut(&id) {
+            change(entry);
         }
     }
 }
@@ -105,15 +108,15 @@ impl Guest {
         let staying = open.guests.values().filter(|entry| entry.stays).count();
         let room = staying < self.connections.limit - self.connections.reserved;
         if let Some(entry) = open.guests.get_mut(&self.id).filter(|_| room) {
-            (entry.stays, entry.idle_since) = (true, None);
+            entry.stays = true;
         }
         room
     }
 
-    /// Marks a request that is being answered, until it is dropped.
+    /// Marks what keeps the connection, until it is dropped: a request that is being answered.
     pub fn busy(self: &Arc<Self>) -> Busy {
         self.used.store(true, Ordering::Relaxed);
-        self.connections.set_idle_since(self.id, None);
+        self.connections.change(self.id, |entry| entry.busy += 1);
         Busy(self.clone())
     }
 }
@@ -124,13 +127,16 @@ impl Drop for Guest {
     }
 }
 
-/// A request that is being answered.
+/// What keeps a connection, such as a request that is being answered.
 #[derive(Debug)]
 pub struct Busy(Arc<Guest>);
 
 impl Drop for Busy {
     fn drop(&mut self) {
-        self.0.connections.set_idle_since(self.0.id, Some(Instant::now()));
+        self.0.connections.change(self.0.id, |entry| {
+            entry.busy = entry.busy.saturating_sub(1);
+            entry.idle_since = Instant::now();
+        });
     }
 }
 
@@ -158,6 +164,17 @@ mod tests {
         let busy = (first.busy(), second.busy());
         assert!(admit(&connections).is_none());
         drop(busy);
+        assert!(admit(&connections).is_some());
+    }
+
+    #[test]
+    fn what_is_busy_twice_is_busy_until_both_have_ended() {
+        let connections = Arc::new(Connections::new(1, 0));
+        let guest = admit(&connections).unwrap();
+        let (first, second) = (guest.busy(), guest.busy());
+        drop(first);
+        assert!(admit(&connections).is_none());
+        drop(second);
         assert!(admit(&connections).is_some());
     }
 

@@ -12,12 +12,13 @@ use tokio_util::sync::CancellationToken;
 use super::Port;
 use super::device::{Answer, Ask, Order, Ordered, VirtualDevice};
 use super::status::{Refusal, status_of_end};
+use crate::frontend::connections::{Busy, Guest};
 use crate::frontend::refusals;
 use crate::gripper::clock::{self, sleep_until};
 use crate::gripper::model::{
-    Action, Client, Command, FastStopId, LeaseToken, Motion, Outcome, Phase, Reason, Submission, TakeLease,
+    Action, Client, Command, FastStopId, LeaseToken, Motion, Outcome, Phase, Reason, State, Submission, TakeLease,
 };
-use crate::gripper::{Handle, Keep, Rejection, Ticket};
+use crate::gripper::{Granted, Handle, Keep, Rejection, Ticket};
 use crate::wsg::{self, Data, Reply, Status, id};
 
 /// What is read at once: the answers to as many requests have a place before any of them is written.
@@ -38,7 +39,8 @@ pub(super) struct Served<R, W> {
     device: VirtualDevice,
     under_way: FuturesUnordered<BoxFuture<'static, Step>>,
     /// Keeps the lease for as long as the client is there.
-    kept: Option<Keep>,
+    kept: Option<Kept>,
+    place: Arc<Guest>,
     reader: R,
     writer: W,
     outgoing: Vec<u8>,
@@ -46,6 +48,13 @@ pub(super) struct Served<R, W> {
     /// How long it may be silent, where that is its end.
     silence: Option<Duration>,
     heard: Instant,
+}
+
+/// The lease for as long as its client is there, who is not sent away meanwhile.
+struct Kept {
+    epoch: u64,
+    _keep: Keep,
+    _busy: Busy,
 }
 
 /// How far an order has come.
@@ -57,7 +66,7 @@ enum Step {
     Accepted(Ask, Ticket, Box<Command>),
     /// Whether a refusal is to be written down.
     Rejected(Ask, Rejection, bool),
-    Kept(Option<Keep>),
+    Kept(Option<Granted>),
 }
 
 /// Why a client is not served any longer.
@@ -70,7 +79,13 @@ enum End {
 }
 
 impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
-    pub(super) fn new(port: Arc<Port>, client: Client, reader: R, writer: W, silence: Option<Duration>) -> Self {
+    pub(super) fn new(
+        port: Arc<Port>,
+        client: Client,
+        place: Guest,
+        (reader, writer): (R, W),
+        silence: Option<Duration>,
+    ) -> Self {
         let device = VirtualDevice::new(port.rules.clone(), port.gripper.update_period_ms());
         Self {
             port,
@@ -79,6 +94,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             device,
             under_way: FuturesUnordered::new(),
             kept: None,
+            place: Arc::new(place),
             reader,
             writer,
             outgoing: Vec::new(),
@@ -126,11 +142,18 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
                 self.outgoing = self.device.poll_frame().unwrap_or_default();
             }
             let (state, is_writing) = (self.port.gripper.state(), !self.outgoing.is_empty());
+            self.forget_lost_lease(&state);
+            let (holds_lease, watches) = (self.kept.is_some(), self.kept.is_some() || self.device.watches());
             let silent_at = self.silence.map(|silence| self.heard + silence);
             let deadline = self.device.poll_timeout(&state).into_iter().chain(silent_at).min();
             tokio::select! {
                 biased;
                 () = closing.cancelled() => return End::Closing,
+                () = self.place.asked_to_leave(), if !holds_lease => {
+                    tracing::warn!(gripper = %self.port.gripper.name(), client = %self.client.subject,
+                        "a client was silent for longer than the others, and makes room for a new one");
+                    return End::Gone;
+                }
                 written = self.writer.write(self.outgoing.get(self.written..).unwrap_or_default()), if is_writing => {
                     match written {
                         Ok(bytes) if bytes > 0 => self.written += bytes,
@@ -149,7 +172,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
                     }
                     self.device.handle_timeout(now, &self.port.gripper.state());
                 }
-                Ok(()) = states.changed(), if self.device.watches() => drop(states.borrow_and_update()),
+                Ok(()) = states.changed(), if watches => drop(states.borrow_and_update()),
             }
         }
     }
@@ -177,6 +200,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
 
     fn receive(&mut self, bytes: &[u8]) {
         self.heard = clock::instant();
+        drop(self.place.busy());
         self.device.receive(self.heard, bytes, &self.port.gripper.state());
     }
 
@@ -279,7 +303,11 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
                 self.begin(accepted.boxed());
             }
             Step::Accepted(ask, ticket, command) => self.accepted(ask, ticket, &command),
-            Step::Kept(keep) => self.kept = keep,
+            Step::Kept(granted) => {
+                self.kept = granted.and_then(|granted| {
+                    Some(Kept { epoch: granted.lease.epoch, _keep: granted.keep?, _busy: self.place.busy() })
+                });
+            }
         }
     }
 
@@ -309,8 +337,14 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
         let take = TakeLease { token: Some(self.token.clone()), ..TakeLease::by(self.client.clone()) };
         let gripper: Handle = self.port.gripper.clone();
         // It may have been forced away just now.
-        let kept = async move { Step::Kept(gripper.take_lease(take).await.ok().and_then(|granted| granted.keep)) };
+        let kept = async move { Step::Kept(gripper.take_lease(take).await.ok()) };
         self.begin(kept.boxed());
+    }
+
+    /// Whose lease was forced away, or given back, is a client like others.
+    fn forget_lost_lease(&mut self, state: &State) {
+        let is_held = |kept: &Kept| state.lease_holder.is_some() && state.lease_epoch == kept.epoch;
+        self.kept.take_if(|kept| !is_held(kept));
     }
 
     fn record(&self, id: u8, status: Status, cause: String) {

@@ -23,12 +23,16 @@ use std::time::Duration;
 use ipnet::IpNet;
 use tokio_util::sync::CancellationToken;
 
+use super::connections::{Connections, Guest};
 use super::refusals::Refusals;
 use crate::gripper::Handle;
 use crate::gripper::model::{Client, Door};
 
 /// Clients of one port at a time: one of them moves the gripper, so there are seldom more than a few.
 pub const MAX_CLIENTS: usize = 32;
+
+/// Places beyond them, for a new client whose FAST STOP must not wait while those who were there are being sent away.
+const RESERVED_CLIENTS: usize = 8;
 
 /// A client that has been silent for so long is lost: one that doesn't acknowledge its TCP segments, or that sends no
 /// datagram.
@@ -140,6 +144,22 @@ impl Port {
             }
         }
         Ok(())
+    }
+
+    /// The places of its clients.
+    fn places() -> Arc<Connections> {
+        Arc::new(Connections::new(MAX_CLIENTS + RESERVED_CLIENTS, RESERVED_CLIENTS))
+    }
+
+    /// A place for a client: that of the one that has been silent the longest, where all are taken. Who holds the lease
+    /// is not sent away.
+    fn admit(&self, places: &Arc<Connections>, peer: SocketAddr) -> Option<Guest> {
+        // What ends on closing ends by another way.
+        let place = places.admit(&CancellationToken::new());
+        if place.is_none() {
+            tracing::warn!(gripper = %self.gripper.name(), %peer, limit = MAX_CLIENTS, "too many clients: one is refused");
+        }
+        place
     }
 
     fn allows(&self, peer: IpAddr) -> bool {

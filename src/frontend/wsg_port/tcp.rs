@@ -12,7 +12,8 @@ use tokio::time::sleep;
 use tokio_util::sync::CancellationToken;
 
 use super::client::Served;
-use super::{LOST_AFTER, MAX_CLIENTS, Port};
+use super::{LOST_AFTER, Port};
+use crate::frontend::connections::Connections;
 use crate::frontend::sockets;
 
 /// How long no connection is accepted after that failed: long enough not to spin while the process is out of file
@@ -25,7 +26,7 @@ pub(super) async fn serve(
     draining: CancellationToken,
     closing: CancellationToken,
 ) {
-    let mut clients = JoinSet::new();
+    let (places, mut clients) = (Port::places(), JoinSet::new());
     loop {
         let accepted = tokio::select! {
             biased;
@@ -35,7 +36,7 @@ pub(super) async fn serve(
         };
         match accepted {
             Ok((stream, peer)) => {
-                if let Some(served) = admit(&port, stream, peer, clients.len()) {
+                if let Some(served) = admit(&port, stream, peer, &places) {
                     clients.spawn(served.run(closing.clone()));
                 }
             }
@@ -51,14 +52,10 @@ pub(super) async fn serve(
 
 type Connection = Served<tokio::net::tcp::OwnedReadHalf, tokio::net::tcp::OwnedWriteHalf>;
 
-fn admit(port: &Arc<Port>, stream: TcpStream, peer: SocketAddr, clients: usize) -> Option<Connection> {
+fn admit(port: &Arc<Port>, stream: TcpStream, peer: SocketAddr, places: &Arc<Connections>) -> Option<Connection> {
     let gripper = port.gripper.name();
     if !port.allows(peer.ip()) {
         tracing::warn!(%gripper, %peer, "connection refused: wsg_port_allow does not name its address");
-        return None;
-    }
-    if clients >= MAX_CLIENTS {
-        tracing::warn!(%gripper, %peer, limit = MAX_CLIENTS, "connection refused: too many are open");
         return None;
     }
     if let Err(error) = prepare(&stream) {
@@ -66,9 +63,10 @@ fn admit(port: &Arc<Port>, stream: TcpStream, peer: SocketAddr, clients: usize) 
         tracing::debug!(%gripper, %peer, %error, "connection refused: its options could not be set");
         return None;
     }
+    let place = port.admit(places, peer)?;
     tracing::info!(%gripper, %peer, "connected to the WSG port");
     let (reader, writer) = stream.into_split();
-    Some(Served::new(port.clone(), Port::client(peer), reader, writer, None))
+    Some(Served::new(port.clone(), Port::client(peer), place, (reader, writer), None))
 }
 
 /// Each frame leaves at once and by itself, and a peer that is gone without a word is noticed within [`LOST_AFTER`]:

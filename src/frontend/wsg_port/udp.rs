@@ -1,4 +1,4 @@
-//! Clients by UDP: a source address each, which is lost when it has been silent for too long.
+//! Clients by UDP: each is the address that it is answered at, and is lost when it has been silent for too long.
 
 use std::collections::HashMap;
 use std::io;
@@ -14,7 +14,7 @@ use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
 use super::client::Served;
-use super::{LOST_AFTER, MAX_CLIENTS, Port};
+use super::{LOST_AFTER, Port};
 
 /// The longest datagram there can be.
 const MAX_DATAGRAM_BYTES: usize = 65_535;
@@ -29,7 +29,7 @@ pub(super) async fn serve(
     draining: CancellationToken,
     closing: CancellationToken,
 ) {
-    let socket = Arc::new(socket);
+    let (socket, places) = (Arc::new(socket), Port::places());
     let (mut known, mut clients) = (HashMap::<SocketAddr, mpsc::Sender<Vec<u8>>>::new(), JoinSet::new());
     let mut datagram = vec![0; MAX_DATAGRAM_BYTES];
     loop {
@@ -45,22 +45,26 @@ pub(super) async fn serve(
         // An error is of something that was sent before: its client will be silent.
         let Ok((bytes, peer)) = received else { continue };
         let bytes = datagram.get(..bytes).unwrap_or_default().to_vec();
-        let client = known.get(&peer).filter(|client| !client.is_closed()).cloned();
+        // Who is answered at one place is one client: its answers could not be told from those of another.
+        let answered_at = SocketAddr::new(peer.ip(), reply_port.unwrap_or(peer.port()));
+        let client = known.get(&answered_at).filter(|client| !client.is_closed()).cloned();
         let client = match client {
             Some(client) => client,
-            None if draining.is_cancelled() || !port.allows(peer.ip()) || clients.len() >= MAX_CLIENTS => {
-                tracing::debug!(gripper = %port.gripper.name(), %peer, limit = MAX_CLIENTS, "datagram ignored");
+            None if draining.is_cancelled() => continue,
+            None if !port.allows(peer.ip()) => {
+                tracing::debug!(gripper = %port.gripper.name(), %peer, "datagram ignored: wsg_port_allow does not name its address");
                 continue;
             }
             None => {
+                let Some(place) = port.admit(&places, peer) else { continue };
                 tracing::info!(gripper = %port.gripper.name(), %peer, "a client of the WSG port, by UDP");
                 let (sender, datagrams) = mpsc::channel(MAX_WAITING_DATAGRAMS);
-                let answered_at = SocketAddr::new(peer.ip(), reply_port.unwrap_or(peer.port()));
                 let writer = Writer { socket: socket.clone(), peer: answered_at };
                 let reader = Reader { datagrams, rest: Vec::new() };
-                let served = Served::new(port.clone(), Port::client(peer), reader, writer, Some(LOST_AFTER));
+                let client = Port::client(peer);
+                let served = Served::new(port.clone(), client, place, (reader, writer), Some(LOST_AFTER));
                 clients.spawn(served.run(closing.clone()));
-                known.insert(peer, sender.clone());
+                known.insert(answered_at, sender.clone());
                 sender
             }
         };

@@ -146,6 +146,12 @@ impl Driver {
         assert_eq!(self.status(0x07, &[]).await, 0);
     }
 
+    /// Whether the port ends the connection, with nothing left to read.
+    pub async fn has_ended(&mut self) -> bool {
+        let read = tokio::time::timeout(DEADLINE, self.stream.read(&mut [0; 16])).await.expect("an end");
+        matches!(read, Ok(0) | Err(_))
+    }
+
     /// Leaves so that unread bytes don't matter: with a reset.
     pub fn reset(self) {
         self.stream.set_zero_linger().unwrap();

@@ -102,3 +102,22 @@ async fn the_journal_knows_what_drivers_did() {
     })
     .await;
 }
+
+/// Drivers that leave their connections open and say nothing take no place from who wants to stop.
+#[tokio::test]
+async fn a_fast_stop_finds_a_place_and_the_holder_keeps_its_own() {
+    let cell = Cell::homed().await;
+    let mut holder = cell.driver().await;
+    assert_eq!(holder.run(MOVE, &move_to(60.0, 300.0)).await, SUCCESS);
+    let mut others = Vec::new();
+    for _ in 0..40 {
+        let mut other = cell.driver().await;
+        assert_eq!(other.status(0x50, &[]).await, SUCCESS);
+        others.push(other);
+    }
+    assert_eq!(others[39].status(0x23, &[]).await, SUCCESS);
+    assert_eq!(cell.gateway.state().await["fast_stop_cause"], "requested");
+    assert_eq!(holder.status(MOVE, &move_to(50.0, 300.0)).await, ACCESS_DENIED, "it is there still, and is told");
+    assert!(others[0].has_ended().await, "it was silent for longer than all others");
+    assert_eq!(cell.gateway.state().await["lease_holder"], "wsg:127.0.0.1");
+}

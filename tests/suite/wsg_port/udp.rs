@@ -1,4 +1,4 @@
-//! Clients by UDP: a source address each.
+//! Clients by UDP: each is the address that it is answered at.
 
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
@@ -97,4 +97,41 @@ async fn answers_go_to_a_configured_port_where_one_is_given() {
     let (_gateway, port) = port(&proxy, &option).await;
     sender.send_to(&request(0x50, &[]), port).await.unwrap();
     assert_eq!(next(&receiver).await, (0x50, SUCCESS));
+}
+
+/// Two of them could not tell their answers apart: a driver with a new socket for each request is one client.
+#[tokio::test]
+async fn who_is_answered_at_one_port_is_one_client() {
+    let device = Simulator::start(&[]).await;
+    let proxy = Proxy::to(device.address);
+    let receiver = client().await;
+    let option = format!("?reply_port={}", receiver.local_addr().unwrap().port());
+    let (_gateway, port) = port(&proxy, &option).await;
+    for (width, expected) in [(60.0, PENDING), (50.0, PENDING)] {
+        client().await.send_to(&request(MOVE, &move_to(width, 300.0)), port).await.unwrap();
+        assert_eq!(next(&receiver).await, (MOVE, expected));
+        assert_eq!(next(&receiver).await, (MOVE, SUCCESS));
+    }
+    // More than there can be clients, and each is answered.
+    for _ in 0..40 {
+        client().await.send_to(&request(0x06, b"x"), port).await.unwrap();
+        assert_eq!(next(&receiver).await, (0x06, SUCCESS));
+    }
+}
+
+#[tokio::test]
+async fn a_fast_stop_finds_a_place_among_datagrams() {
+    let device = Simulator::start(&[]).await;
+    let proxy = Proxy::to(device.address);
+    let (gateway, port) = port(&proxy, "").await;
+    let (holder, mut others) = (client().await, Vec::new());
+    assert_eq!(ask(&holder, port, MOVE, &move_to(60.0, 300.0)).await, PENDING);
+    assert_eq!(next(&holder).await, (MOVE, SUCCESS));
+    for _ in 0..40 {
+        let other = client().await;
+        assert_eq!(ask(&other, port, 0x50, &[]).await, SUCCESS);
+        others.push(other);
+    }
+    assert_eq!(ask(&client().await, port, 0x23, &[]).await, SUCCESS);
+    assert_eq!(gateway.state().await["fast_stop_cause"], "requested");
 }
