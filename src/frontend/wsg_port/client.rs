@@ -27,7 +27,8 @@ const READ_BYTES: usize = 1024;
 /// So many things are done for one client before it is another one's turn: none of them can hold up a gripper.
 const TURN: u32 = 16;
 
-/// How long a client may take to read what it is still told when the gateway ends.
+/// How long a client may take to read what it is still told when the gateway ends, and how long its last FAST STOPs may
+/// take to be passed on when it is gone.
 const LAST_WORDS_WITHIN: Duration = Duration::from_millis(500);
 
 /// One client, until it ends.
@@ -118,10 +119,13 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
         self.start_orders();
         if self.device.has_announced() {
             // An actor that is gone has given its device up.
-            let _ = self.port.gripper.release_lease(Some(self.token)).await;
+            let _ = self.port.gripper.release_lease(Some(self.token.clone())).await;
         } else {
-            self.port.gripper.lose_lease(self.token).await;
+            self.port.gripper.lose_lease(self.token.clone()).await;
         }
+        self.device.forget_waiting();
+        // Its FAST STOPs may still wait for a place.
+        let _ = tokio::time::timeout(LAST_WORDS_WITHIN, self.finish_fast_stops()).await;
     }
 
     async fn serve(&mut self, closing: &CancellationToken) -> End {
@@ -189,6 +193,15 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             if self.writer.write_all(&frame).await.is_err() {
                 return;
             }
+        }
+    }
+
+    async fn finish_fast_stops(&mut self) {
+        while self.device.is_stopping()
+            && let Some(step) = self.under_way.next().await
+        {
+            self.take(step);
+            self.start_orders();
         }
     }
 

@@ -27,6 +27,10 @@ use crate::wsg::{
 /// Requests of one client that may wait for their turn. Further ones are answered E_OVERRUN.
 pub(super) const MAX_WAITING_REQUESTS: usize = 64;
 
+/// Stops of one client that may be under way. A further one is answered E_OVERRUN: all but one of these are written
+/// behind whatever it was to stop.
+pub(super) const MAX_STOPS: usize = 16;
+
 /// Frames that may wait for a client to read. With more it reads nothing any more, and is given up.
 pub(super) const MAX_WAITING_FRAMES: usize = 256;
 
@@ -76,6 +80,15 @@ pub(super) struct Refused {
     pub cause: &'static str,
 }
 
+/// The FAST STOPs of one client. Those that come before one is answered become one more when it is: so many at a time
+/// cost no more than two, and none is lost if that one is acknowledged meanwhile.
+#[derive(Debug, Default)]
+struct FastStops {
+    /// The requests that are answered with the one under way: none where none is.
+    under_way: usize,
+    waiting: usize,
+}
+
 #[derive(Debug)]
 pub(super) struct VirtualDevice {
     rules: Arc<Rules>,
@@ -84,6 +97,9 @@ pub(super) struct VirtualDevice {
     waiting: VecDeque<Request>,
     /// Answers that the next request waits for.
     awaited: usize,
+    /// Stops that were not answered yet.
+    stops: usize,
+    fast_stops: FastStops,
     subscriptions: Subscriptions,
     orders: VecDeque<Ordered>,
     refused: VecDeque<Refused>,
@@ -105,6 +121,8 @@ impl VirtualDevice {
             shortest_period_ms,
             waiting: VecDeque::new(),
             awaited: 0,
+            stops: 0,
+            fast_stops: FastStops::default(),
             subscriptions: Subscriptions::default(),
             orders: VecDeque::new(),
             refused: VecDeque::new(),
@@ -135,6 +153,7 @@ impl VirtualDevice {
 
     /// What became of an order.
     pub(super) fn answer(&mut self, now: Instant, ask: Ask, answer: Answer, state: &State) {
+        let is_last = answer != Answer::Accepted;
         match answer {
             Answer::Accepted => self.status(ask.id, Status::E_CMD_PENDING),
             Answer::Reply(reply) => self.reply(ask.id, &reply),
@@ -144,8 +163,14 @@ impl VirtualDevice {
             }
             Answer::FastStopped(FastStop { id, confirmed }) => {
                 (self.caused, self.seen) = (Some(id), Some(id));
-                self.status(ask.id, if confirmed { Status::E_SUCCESS } else { Status::E_TIMEOUT });
+                for _ in 0..std::mem::take(&mut self.fast_stops.under_way) {
+                    self.status(ask.id, if confirmed { Status::E_SUCCESS } else { Status::E_TIMEOUT });
+                }
+                self.begin_fast_stop();
             }
+        }
+        if ask.id == id::STOP && is_last {
+            self.stops = self.stops.saturating_sub(1);
         }
         if ask.is_awaited {
             self.awaited = self.awaited.saturating_sub(1);
@@ -185,6 +210,17 @@ impl VirtualDevice {
         self.awaited == 0 && self.waiting.is_empty() && self.orders.is_empty() && self.frames.is_empty()
     }
 
+    /// Its client is gone: what was not begun will not be, but for its FAST STOPs.
+    pub(super) fn forget_waiting(&mut self) {
+        self.waiting.clear();
+        self.subscriptions.clear();
+    }
+
+    /// Whether a FAST STOP was not answered yet.
+    pub(super) fn is_stopping(&self) -> bool {
+        self.fast_stops.under_way > 0
+    }
+
     /// Whether its client doesn't read what it asks for.
     pub(super) fn has_overflown(&self) -> bool {
         self.overflown
@@ -194,9 +230,20 @@ impl VirtualDevice {
         while let Some(request) = self.input.next() {
             let id = request.id;
             match request.command {
-                Ok(Command::FastStop) => self.order(id, true, Order::FastStop),
+                Ok(Command::FastStop) if self.fast_stops.waiting >= MAX_WAITING_REQUESTS => {
+                    self.status(id, Status::E_OVERRUN);
+                }
+                Ok(Command::FastStop) => {
+                    self.fast_stops.waiting += 1;
+                    self.begin_fast_stop();
+                }
+                Ok(Command::Stop) if self.stops >= MAX_STOPS => {
+                    self.abort_waiting_motions();
+                    self.status(id, Status::E_OVERRUN);
+                }
                 Ok(Command::Stop) => {
                     self.abort_waiting_motions();
+                    self.stops += 1;
                     self.order(id, false, Order::Command(Action::Stop));
                 }
                 _ if self.waiting.len() >= MAX_WAITING_REQUESTS => self.status(id, Status::E_OVERRUN),
@@ -204,6 +251,14 @@ impl VirtualDevice {
             }
             // What can be begun is, before what comes behind it.
             self.take_up(now, state);
+        }
+    }
+
+    /// All those that wait are one, when there is none before it.
+    fn begin_fast_stop(&mut self) {
+        if self.fast_stops.under_way == 0 && self.fast_stops.waiting > 0 {
+            self.fast_stops.under_way = std::mem::take(&mut self.fast_stops.waiting);
+            self.order(id::FAST_STOP, true, Order::FastStop);
         }
     }
 

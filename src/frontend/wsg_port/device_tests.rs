@@ -231,6 +231,64 @@ fn more_requests_than_may_wait_are_an_overrun() {
     assert_eq!((bench.order().ask.id, bench.order().order), (id::LOOP, Order::FastStop), "which finds a place always");
 }
 
+#[test]
+fn many_fast_stops_at_once_are_one_and_those_that_come_before_its_answer_one_more() {
+    let mut bench = Bench::new();
+    for _ in 0..=MAX_WAITING_REQUESTS {
+        bench.send(id::FAST_STOP, &[]);
+    }
+    let first = bench.order();
+    assert_eq!((first.order, bench.device.poll_order()), (Order::FastStop, None));
+    bench.send(id::FAST_STOP, &[]);
+    assert_eq!(bench.sent(), [(id::FAST_STOP, Status::E_OVERRUN)], "those before it stop as well");
+    let stopped = |confirmed| Answer::FastStopped(FastStop { id: FastStopId::generate(), confirmed });
+    bench.answer(first.ask, stopped(true));
+    assert_eq!(bench.sent(), [(id::FAST_STOP, Status::E_SUCCESS)]);
+    // The first may have been acknowledged by now.
+    let second = bench.order();
+    assert_eq!((second.order, bench.device.poll_order()), (Order::FastStop, None));
+    bench.send(id::GET_FORCE_LIMIT, &[]);
+    bench.answer(second.ask, stopped(false));
+    assert_eq!(bench.sent(), [(id::FAST_STOP, Status::E_TIMEOUT)].repeat(MAX_WAITING_REQUESTS));
+    assert_eq!(bench.order().ask.id, id::GET_FORCE_LIMIT);
+    assert!(!bench.device.is_stopping());
+}
+
+#[test]
+fn a_stop_beyond_those_under_way_is_an_overrun_and_stops_what_waits_all_the_same() {
+    let mut bench = Bench::new();
+    bench.send(id::LOOP, b"x");
+    bench.send(id::HOMING, &[0]);
+    for _ in 0..MAX_STOPS {
+        bench.send(id::STOP, &[]);
+    }
+    let (looped, first) = (bench.order(), bench.order());
+    assert_eq!(std::iter::from_fn(|| bench.device.poll_order()).count(), MAX_STOPS - 1);
+    bench.send(id::STOP, &[]);
+    assert_eq!((bench.device.poll_order(), bench.sent()), (None, vec![(id::STOP, Status::E_OVERRUN)]));
+    bench.answer(looped.ask, NOTHING);
+    assert_eq!(bench.device.poll_order(), None, "no motion behind the Stops");
+    bench.answer(first.ask, NOTHING);
+    bench.send(id::STOP, &[]);
+    assert_eq!(bench.order().ask.id, id::STOP);
+}
+
+#[test]
+fn of_a_client_that_is_gone_nothing_is_begun_but_its_fast_stops() {
+    let mut bench = Bench::new();
+    bench.send(id::LOOP, b"x");
+    bench.send(id::HOMING, &[0]);
+    bench.send(id::FAST_STOP, &[]);
+    bench.send(id::FAST_STOP, &[]);
+    let (looped, first) = (bench.order(), bench.order());
+    bench.device.forget_waiting();
+    bench.answer(looped.ask, NOTHING);
+    bench.answer(first.ask, Answer::FastStopped(FastStop { id: FastStopId::generate(), confirmed: true }));
+    let second = bench.order();
+    assert_eq!((second.order, bench.device.poll_order()), (Order::FastStop, None));
+    assert!(bench.device.is_stopping());
+}
+
 fn acknowledges(bench: &mut Bench) -> bool {
     bench.send(id::ACKNOWLEDGE_FAST_STOP, b"ack");
     match bench.device.poll_order() {
