@@ -1,5 +1,6 @@
 //! The composition root: builds everything, runs it, and ends it in order.
 
+mod listen;
 mod metrics;
 mod ports;
 mod simulation;
@@ -10,7 +11,6 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
-use anyhow::Context as _;
 use prometheus::Registry;
 use rand::RngExt;
 use tokio::net::TcpListener;
@@ -87,9 +87,9 @@ pub fn check(config: &Config) -> Result<(), Mistake> {
 async fn run_gateway(config: &Config, devices: &Runtime, sockets: &Runtime) -> anyhow::Result<()> {
     let stop = stop_signal()?;
     // Before any gripper is connected: a port that is taken must not cost a connect and a disconnect.
-    let listener = TcpListener::bind(config.listen).await.with_context(|| {
-        format!("cannot listen on {}: choose another address with --listen, or end what listens there", config.listen)
-    })?;
+    let listener = TcpListener::bind(config.listen)
+        .await
+        .map_err(|error| listen::failed(format_args!("cannot listen on {} (--listen)", config.listen), error))?;
     let address = listener.local_addr()?;
     let ports = ports::bind(config)?;
     let (journal, recovered) = open_journal(config)?;

@@ -2,11 +2,11 @@
 
 use std::sync::Arc;
 
-use anyhow::Context as _;
 use tokio::runtime::Runtime;
 use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
+use super::listen;
 use crate::config::{Acknowledge, Config, WsgAddress, WsgPort};
 use crate::frontend::refusals::Refusals;
 use crate::frontend::wsg_port::{Address, Listener, Port, Rules};
@@ -24,11 +24,9 @@ pub(super) fn bind(config: &Config) -> anyhow::Result<Ports> {
                 WsgAddress::Tcp(address) => Address::Tcp(address),
                 WsgAddress::Udp(address, reply_port) => Address::Udp(address, reply_port),
             };
-            let listener = Listener::bind(address).with_context(|| {
+            let listener = Listener::bind(address).map_err(|error| {
                 let name = &gripper.name;
-                format!(
-                    "{place}: the WSG port of {name} cannot listen on {address}: choose another, or end what has it"
-                )
+                listen::failed(format_args!("{place}: the WSG port of {name} cannot listen on {address}"), error)
             })?;
             ports.push((gripper.name.clone(), listener));
         }

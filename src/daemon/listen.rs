@@ -1,0 +1,35 @@
+//! What helps where an address can't be listened on.
+
+use std::fmt::Display;
+use std::io::{self, ErrorKind};
+
+/// Says what could not be listened on, and the remedy.
+pub(super) fn failed(what: impl Display, error: io::Error) -> anyhow::Error {
+    let remedy = match error.kind() {
+        ErrorKind::AddrInUse => "choose another address, or end what listens there",
+        ErrorKind::PermissionDenied => {
+            "a port below 1024 needs a privilege: choose a higher one, or give the program CAP_NET_BIND_SERVICE"
+        }
+        ErrorKind::AddrNotAvailable => "this machine has no such address: choose one that it has",
+        _ => "choose another address",
+    };
+    anyhow::Error::new(error).context(format!("{what}: {remedy}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_remedy_is_for_what_was_wrong() {
+        for (kind, remedy, wrong) in [
+            (ErrorKind::AddrInUse, "end what listens there", "privilege"),
+            (ErrorKind::PermissionDenied, "CAP_NET_BIND_SERVICE", "end what listens"),
+            (ErrorKind::AddrNotAvailable, "no such address", "end what listens"),
+        ] {
+            let error = format!("{:#}", failed("cannot listen on 127.0.0.1:80", kind.into()));
+            assert!(error.starts_with("cannot listen on 127.0.0.1:80: ") && error.contains(remedy), "{error}");
+            assert!(!error.contains(wrong) && error.ends_with(&io::Error::from(kind).to_string()), "{error}");
+        }
+    }
+}
