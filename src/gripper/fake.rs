@@ -129,7 +129,7 @@ impl Actor {
                 }
                 let _ = answer.send(self.ticket(id));
             }
-            Request::Exchange { command, answer, .. } => {
+            Request::Exchange { command, answer: (_, answer), .. } => {
                 let _ = answer.send((self.script.exchange)(&command));
                 self.see(Seen::Exchange(command));
             }

@@ -36,7 +36,7 @@ pub enum Request {
     Submit { submission: Submission, id: CommandId, answer: Answer<Ticket> },
     Find { id: CommandId, lease: Option<LeaseToken>, answer: oneshot::Sender<Option<Ticket>> },
     Cancel { id: CommandId, client: Client, answer: oneshot::Sender<Option<Ticket>> },
-    Exchange { command: wsg::Command, client: Client, lease: Option<LeaseToken>, answer: Answer<wsg::Data> },
+    Exchange { command: wsg::Command, client: Client, lease: Option<LeaseToken>, answer: Steps },
     Acknowledge { id: FastStopId, client: Client, answer: Answer<()> },
     Lease { answer: oneshot::Sender<Lease> },
     TakeLease { take: TakeLease, token: LeaseToken, answer: Answer<Granted> },
@@ -50,6 +50,10 @@ pub enum Request {
 
 /// Where an answer or a rejection goes.
 pub type Answer<T> = oneshot::Sender<Result<T, Rejection>>;
+
+/// Where it is told that the device has accepted a request and takes its time for it, for who wants to know; and where
+/// its last reply's data go.
+pub type Steps = (Option<oneshot::Sender<()>>, Answer<wsg::Data>);
 
 /// A FAST STOP on its way to the actor, on a lane of its own.
 #[derive(Debug, Clone)]
@@ -255,7 +259,21 @@ impl Handle {
         client: Client,
         lease: Option<LeaseToken>,
     ) -> Result<wsg::Data, Rejection> {
-        self.ask(|answer| Request::Exchange { command, client, lease, answer }).await?
+        self.ask(|answer| Request::Exchange { command, client, lease, answer: (None, answer) }).await?
+    }
+
+    /// The same, and `accepted` is told when the device has answered `E_CMD_PENDING`, after which its last reply follows.
+    ///
+    /// # Errors
+    /// [`Rejection`]
+    pub async fn exchange_in_steps(
+        &self,
+        command: wsg::Command,
+        client: Client,
+        lease: Option<LeaseToken>,
+        accepted: oneshot::Sender<()>,
+    ) -> Result<wsg::Data, Rejection> {
+        self.ask(|answer| Request::Exchange { command, client, lease, answer: (Some(accepted), answer) }).await?
     }
 
     /// The lease as it is.

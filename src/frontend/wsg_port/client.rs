@@ -7,6 +7,7 @@ use futures_util::FutureExt as _;
 use futures_util::future::BoxFuture;
 use futures_util::stream::{FuturesUnordered, StreamExt as _};
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
+use tokio::sync::oneshot;
 use tokio_util::sync::CancellationToken;
 
 use super::Port;
@@ -61,6 +62,8 @@ struct Kept {
 /// How far an order has come.
 enum Step {
     Answered(Ask, Answer),
+    /// The device has accepted what moves nothing, and takes its time for it.
+    Begun(Ask, BoxFuture<'static, Step>),
     /// A command was admitted.
     Admitted(Ask, Ticket),
     /// It was accepted, or has ended before.
@@ -278,15 +281,26 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
                 }
             }
             .boxed(),
-            Order::Exchange(command) => async move {
-                // Who only reads changes nothing, and leaves no trace.
-                let changes = !command.is_read();
-                match gripper.exchange(command, client, Some(token)).await {
-                    Ok(data) => Step::Answered(ask, Answer::Reply(Reply::Success(data.of_reply(ask.id)))),
-                    Err(rejection) => Step::Rejected(ask, rejection, changes),
+            Order::Exchange(command) => {
+                let (accepted, is_accepted) = oneshot::channel();
+                let mut exchanged = async move {
+                    // Who only reads changes nothing, and leaves no trace.
+                    let changes = !command.is_read();
+                    match gripper.exchange_in_steps(command, client, Some(token), accepted).await {
+                        Ok(data) => Step::Answered(ask, Answer::Reply(Reply::Success(data.of_reply(ask.id)))),
+                        Err(rejection) => Step::Rejected(ask, rejection, changes),
+                    }
                 }
+                .boxed();
+                let begun = async move {
+                    tokio::select! {
+                        biased;
+                        Ok(()) = is_accepted => Step::Begun(ask, exchanged),
+                        step = &mut exchanged => step,
+                    }
+                };
+                begun.boxed()
             }
-            .boxed(),
             Order::Release => async move {
                 let _ = gripper.release_lease(Some(token)).await;
                 Step::Answered(ask, Answer::Reply(Reply::Success(Data::None)))
@@ -298,6 +312,13 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
     fn take(&mut self, step: Step) {
         match step {
             Step::Answered(ask, answer) => self.answer(ask, answer),
+            Step::Begun(ask, rest) => {
+                // Where the next request waits for the last reply, that is all that its client expects.
+                if !ask.is_awaited {
+                    self.answer(ask, Answer::Accepted);
+                }
+                self.begin(rest);
+            }
             Step::Rejected(ask, rejection, is_recorded) => {
                 let refusal = Refusal::from(&rejection);
                 if is_recorded {

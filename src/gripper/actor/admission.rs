@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use super::super::Now;
 use super::super::error::{Conflict, Failure, Invalid, Rejection};
-use super::super::handle::{Answer, Ticket};
+use super::super::handle::{Answer, Steps, Ticket};
 use super::super::model::{
     Action, Client, Command as Record, CommandId, FastStopId, LeaseToken, Motion, SettingChange, Submission,
 };
@@ -120,7 +120,7 @@ impl Actor {
         command: Command,
         client: Client,
         lease: Option<&LeaseToken>,
-        answer: Answer<Data>,
+        (accepted, answer): Steps,
     ) {
         let command = if client.door.speaks_wsg() { self.limits_now().clamp_setting(command) } else { command };
         if let Err(rejection) = self.check_exchange(now, &command, &client, lease) {
@@ -137,7 +137,8 @@ impl Actor {
         if is_slow_getter(&command) {
             return self.read(now, command, answer);
         }
-        let purpose = Purpose::Exchange(Exchange { command: command.clone(), answer, setter: None, client, keep });
+        let exchange = Exchange { command: command.clone(), answer, accepted, setter: None, client, keep };
+        let purpose = Purpose::Exchange(exchange);
         self.submit_exchange(now, command, purpose);
     }
 
@@ -182,7 +183,7 @@ impl Actor {
 
     /// Notes what a setter has set, and reads back what the device made of it.
     pub(super) fn exchange_succeeded(&mut self, now: Now, exchange: Exchange, data: Data) {
-        let Exchange { command, answer, setter, client, keep } = exchange;
+        let Exchange { command, answer, setter, client, keep, .. } = exchange;
         let getter = match &command {
             Command::SetAcceleration(_) => Command::GetAcceleration,
             Command::SetForceLimit(_) => Command::GetForceLimit,
@@ -205,8 +206,9 @@ impl Actor {
                 return;
             }
         };
-        let purpose =
-            Purpose::Exchange(Exchange { command: getter.clone(), answer, setter: Some(command), client, keep });
+        let exchange =
+            Exchange { command: getter.clone(), answer, accepted: None, setter: Some(command), client, keep };
+        let purpose = Purpose::Exchange(exchange);
         self.submit_exchange(now, getter, purpose);
     }
 

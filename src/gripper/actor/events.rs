@@ -13,12 +13,19 @@ impl Actor {
         while let Some(event) = self.session.as_mut().and_then(crate::wsg::session::Session::poll_event) {
             match event {
                 Event::Update(data) => self.take_update(now, &data),
-                Event::Accepted(token) => {
-                    if let Some(Purpose::Motion(id)) = self.purposes.get(&token) {
+                Event::Accepted(token) => match self.purposes.get_mut(&token) {
+                    Some(Purpose::Motion(id)) => {
                         let id = *id;
                         self.motion_accepted(id);
                     }
-                }
+                    Some(Purpose::Exchange(exchange)) => {
+                        if let Some(accepted) = exchange.accepted.take() {
+                            // Whoever asked may be gone.
+                            let _ = accepted.send(());
+                        }
+                    }
+                    _ => {}
+                },
                 Event::Ended(token, end) => {
                     if let Some(purpose) = self.purposes.remove(&token) {
                         self.take_end(now, token, purpose, end);

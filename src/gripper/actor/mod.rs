@@ -130,6 +130,8 @@ enum Purpose {
 struct Exchange {
     command: Command,
     answer: Answer<Data>,
+    /// Who is told when the device has accepted it.
+    accepted: Option<Answered>,
     /// The setter whose value is being read back.
     setter: Option<Command>,
     client: Client,

@@ -48,7 +48,7 @@ fn moves_as(
 
 fn sets(world: &mut World, (client, token): &(Client, LeaseToken), command: wsg::Command) -> Result<Data, Rejection> {
     let (client, lease) = (client.clone(), Some(token.clone()));
-    let mut answered = request(world, |answer| Request::Exchange { command, client, lease, answer });
+    let mut answered = request(world, |answer| Request::Exchange { command, client, lease, answer: (None, answer) });
     world.advance(Duration::from_millis(100));
     answered.try_recv().unwrap()
 }

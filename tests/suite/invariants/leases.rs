@@ -105,8 +105,12 @@ fn stale_lease_moves_nothing() {
     let rejection = submit_with(&mut world, move_to(50.0, 50.0), a.clone()).unwrap_err();
     assert_eq!(rejection, Conflict::StaleLease { epoch: 2, holder: Some("b".into()) }.into());
     let acceleration = wsg::Command::SetAcceleration(Acceleration::new(500.0).unwrap());
-    let mut set =
-        request(&mut world, |answer| Request::Exchange { command: acceleration, client: client(), lease: a, answer });
+    let mut set = request(&mut world, |answer| Request::Exchange {
+        command: acceleration,
+        client: client(),
+        lease: a,
+        answer: (None, answer),
+    });
     assert!(matches!(set.try_recv().unwrap(), Err(Rejection::Conflict(Conflict::StaleLease { .. }))));
     world.advance(Duration::from_millis(200));
     assert_eq!(received(&world, from), NOTHING);

@@ -120,7 +120,7 @@ pub fn acknowledge(world: &mut World, id: FastStopId) -> oneshot::Receiver<Resul
 }
 
 pub fn exchange(world: &mut World, command: wsg::Command) -> oneshot::Receiver<Result<wsg::Data, Rejection>> {
-    request(world, |answer| Request::Exchange { command, client: client(), lease: None, answer })
+    request(world, |answer| Request::Exchange { command, client: client(), lease: None, answer: (None, answer) })
 }
 
 pub fn state(world: &World) -> State {

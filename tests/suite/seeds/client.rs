@@ -208,7 +208,7 @@ impl Clients {
         };
         let (answer, answered) = oneshot::channel();
         let now = world.clock();
-        world.actor.request(now, Request::Exchange { command, client: client(), lease: None, answer });
+        world.actor.request(now, Request::Exchange { command, client: client(), lease: None, answer: (None, answer) });
         world.clients.exchanges.push(Exchange { answered, expected });
     }
 

@@ -161,6 +161,25 @@ async fn a_motion_has_exactly_two_frames() {
     assert_eq!(driver.next_within(Duration::from_millis(100)).await, None);
 }
 
+/// The manual has two for a finger that is powered up, and a script may take its time, too.
+#[tokio::test]
+async fn what_moves_nothing_and_takes_its_time_has_two_frames_too() {
+    let cell = Cell::new().await;
+    let mut driver = cell.driver().await;
+    assert_eq!(driver.run(0x62, &[1]).await, SUCCESS);
+    assert_eq!(driver.status(0x62, &[0]).await, SUCCESS, "off is one step");
+    assert_eq!(driver.next_within(Duration::from_millis(100)).await, None);
+
+    let device = Scripted::start(Table::from([(0xB0, vec![vec![0x1A, 0], success(&[7])])])).await;
+    let text =
+        format!("[grippers.g]\nurl = \"tcp://{}\"\nread_ids = [0xB0]\nwsg_port = \"127.0.0.1:0\"\n", device.address);
+    let gateway = configured("two-steps.toml", &text).await;
+    let mut driver = connect(&gateway).await;
+    assert_eq!(driver.status(0xB0, &[]).await, PENDING);
+    let reply = driver.next().await;
+    assert_eq!((reply.id, reply.status, reply.data), (0xB0, SUCCESS, vec![7]));
+}
+
 /// "Checksum evaluation is switched off at some sites; such clients send any two bytes."
 #[tokio::test]
 async fn checksums_can_be_any_two_bytes_at_sites_that_say_so() {
