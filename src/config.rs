@@ -10,7 +10,7 @@ use std::time::Duration;
 use serde::Deserialize;
 use toml::Spanned;
 
-use crate::gripper::model::{LeaseRules, Name, OnLossHolding, OnLossMoving};
+use crate::gripper::model::{CustomIds, LeaseRules, Name, OnLossHolding, OnLossMoving};
 use crate::transport::Address;
 
 mod file;
@@ -94,8 +94,8 @@ pub struct Gripper {
     pub name: Name,
     /// Where it is.
     pub device: Device,
-    /// Custom ids that only read; all others count as motion.
-    pub read_ids: BTreeSet<u8>,
+    /// What the ids of its scripts mean.
+    pub custom_ids: CustomIds,
     /// What may be asked for of its lease.
     pub lease: LeaseRules,
     /// Its WSG port.
@@ -289,7 +289,7 @@ fn parse_gripper(text: &str, place: &Place) -> Result<Gripper, Mistake> {
     Ok(Gripper {
         name: name.parse().map_err(|error| Mistake::at(place, error))?,
         device: parse_device(url, place)?,
-        read_ids: BTreeSet::new(),
+        custom_ids: CustomIds::default(),
         lease: LeaseRules::default(),
         wsg_port: WsgPort::default(),
         place: place.clone(),
@@ -332,6 +332,7 @@ struct GripperContent {
     url: Spanned<String>,
     #[serde(default)]
     read_ids: BTreeSet<u8>,
+    stream_ids: Option<Spanned<BTreeSet<u8>>>,
     on_loss_moving: Option<Spanned<Vec<OnLossMoving>>>,
     on_loss_holding: Option<Spanned<Vec<OnLossHolding>>>,
     lease_max_ttl_ms: Option<Spanned<u64>>,

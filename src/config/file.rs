@@ -6,8 +6,8 @@ use std::time::Duration;
 use toml::Spanned;
 
 use super::{Content, Gripper, GripperContent, Mistake, Place, WsgPort, owned, parse_device};
-use crate::gripper::model::LeaseRules;
 use crate::gripper::model::lease::{MAX_TTL, MIN_TTL};
+use crate::gripper::model::{CustomIds, LeaseRules};
 
 /// A file that was read, with what is needed to name its lines.
 #[derive(Debug)]
@@ -51,7 +51,7 @@ impl File {
             Ok(Gripper {
                 name: name.get_ref().parse().map_err(|error| Mistake::at(&self.place(name.span().start), error))?,
                 device: parse_device(gripper.url.get_ref(), &place)?,
-                read_ids: gripper.read_ids.clone(),
+                custom_ids: self.custom_ids(gripper)?,
                 lease: self.lease_rules(gripper)?,
                 wsg_port: WsgPort::of_file(self, gripper)?,
                 place,
@@ -62,6 +62,16 @@ impl File {
 }
 
 impl File {
+    fn custom_ids(&self, gripper: &GripperContent) -> Result<CustomIds, Mistake> {
+        let read = gripper.read_ids.clone();
+        let Some(stream) = &gripper.stream_ids else { return Ok(CustomIds { read, ..CustomIds::default() }) };
+        if let Some(both) = stream.get_ref().intersection(&read).next() {
+            let detail = format!("{both} is among read_ids and stream_ids: it moves the fingers, or it doesn't");
+            return Err(Mistake::at(&self.place(stream.span().start), detail));
+        }
+        Ok(CustomIds { read, stream: stream.get_ref().clone() })
+    }
+
     fn lease_rules(&self, gripper: &GripperContent) -> Result<LeaseRules, Mistake> {
         let default = LeaseRules::default();
         let max_ttl = match &gripper.lease_max_ttl_ms {

@@ -47,6 +47,10 @@ fn a_mistake_in_a_file_is_named_with_its_line_and_remedy() {
     assert!(mistake("journal_max_age_days = 40000").contains("from 1 to 36525"));
     assert!(mistake("on_journal_failure = \"stop\"").contains("expected `refuse` or `continue`"));
     assert!(mistake("[grippers.g]\nurl = \"sim://wsg50\"\nread_ids = [256]").starts_with("gateway.toml:3: "));
+    assert!(
+        mistake("[grippers.g]\nurl = \"sim://wsg50\"\nread_ids = [176]\nstream_ids = [177, 176]")
+            .starts_with("gateway.toml:4: 176 is among read_ids and stream_ids")
+    );
     assert!(mistake("[grippers.g]\n").contains("missing field `url`"));
     assert!(mistake("\ndrain_ms = 60001").starts_with("gateway.toml:2: drain_ms is 60001, and may be 60000 at most"));
 }

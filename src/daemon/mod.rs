@@ -219,7 +219,7 @@ fn spawn(
         name: gripper.name.clone(),
         url: connector.url(),
         traits: connector.traits(),
-        read_ids: gripper.read_ids.clone(),
+        custom_ids: gripper.custom_ids.clone(),
         drain: config.drain,
         on_journal_failure,
         lease: gripper.lease.clone(),

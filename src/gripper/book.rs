@@ -18,6 +18,9 @@ const KEPT_FOR: Duration = Duration::from_hours(1);
 /// How many commands are kept at most: at one a second, more than an hour of them.
 const MAX_COMMANDS: usize = 4096;
 
+/// How many commands of streams are kept: those of the last second or two, of which there are many more than of others.
+const MAX_STREAMED: usize = 64;
+
 /// How long a request id stands for its command.
 const REPLAYED_FOR: Duration = Duration::from_mins(10);
 
@@ -29,6 +32,8 @@ const MAX_REQUEST_IDS: usize = 65_536;
 pub(super) struct Book {
     /// In order of admission, since ids are.
     commands: BTreeMap<CommandId, Entry>,
+    /// Those of streams, the oldest first.
+    streamed: VecDeque<CommandId>,
     requests: HashMap<Key, Bound>,
     /// When each request id was bound, the oldest first.
     bound: VecDeque<(Instant, Key)>,
@@ -90,6 +95,21 @@ impl Book {
         }
         self.commands.insert(id, Entry { record, client: submission.client.clone(), admitted_at: now, key });
         ticket
+    }
+
+    /// Keeps this command for as long as there are not many like it.
+    pub(super) fn keep_few(&mut self, id: CommandId) {
+        self.streamed.push_back(id);
+        if self.streamed.len() > MAX_STREAMED
+            && let Some(oldest) = self.streamed.pop_front()
+        {
+            self.commands.remove(&oldest);
+        }
+    }
+
+    /// Whether it is one of those.
+    pub(super) fn is_streamed(&self, id: CommandId) -> bool {
+        self.streamed.contains(&id)
     }
 
     /// Who asked for a command.

@@ -53,7 +53,7 @@ pub fn spawn(
 ) -> Handle {
     let (requests, request_queue) = mpsc::channel(MAX_WAITING_REQUESTS);
     let (fast_stops, fast_stop_queue) = mpsc::channel(MAX_WAITING_FAST_STOPS);
-    let (name, read_ids) = (config.name.clone(), Arc::new(config.read_ids.clone()));
+    let (name, custom_ids) = (config.name.clone(), Arc::new(config.custom_ids.clone()));
     let update_period_ms = observed::period_ms(config.traits.bytes_per_second);
     let (mut actor, watches) = Actor::new(config);
     actor.recollect(Now::read(), recollection);
@@ -71,7 +71,7 @@ pub fn spawn(
     };
     tokio::spawn(driver.run());
     let super::actor::Watches { state, info, frames, .. } = watches;
-    Handle { name, requests, fast_stops, state, info, read_ids, frames, update_period_ms }
+    Handle { name, requests, fast_stops, state, info, custom_ids, frames, update_period_ms }
 }
 
 struct Driver {
@@ -139,7 +139,7 @@ impl Driver {
             }
             back_off = (back_off * 2).min(LONGEST_BACK_OFF);
         }
-        self.actor.drained();
+        self.actor.drained(Now::read());
         // Who drains waits for the driver's end, and so for these.
         self.pass_records_on();
     }

@@ -12,8 +12,8 @@ use super::handle::{FastStopRequest, Granted, Handle, Request, Ticket};
 use super::info::Info;
 use super::lease::{Leasing, Terms};
 use super::model::{
-    Command, CommandId, FastStopCause, FastStopId, LatchFields, LeaseRules, LeaseToken, Name, Outcome, Phase, Reason,
-    State, Submission, TakeLease,
+    Command, CommandId, CustomIds, FastStopCause, FastStopId, LatchFields, LeaseRules, LeaseToken, Name, Outcome,
+    Phase, Reason, State, Submission, TakeLease,
 };
 use crate::wsg::{self, Data};
 
@@ -68,9 +68,10 @@ pub fn gripper(name: &str, script: Script) -> (Handle, mpsc::UnboundedReceiver<S
     let actor =
         Actor { name: name.clone(), script, seen, states, commands: HashMap::new(), leasing: Leasing::default() };
     tokio::spawn(actor.run(asked, stopped));
-    let (info, read_ids) = (watch::channel(Arc::new(info)).1, Arc::new([READ_ID].into()));
+    let custom_ids = Arc::new(CustomIds { read: [READ_ID].into(), ..CustomIds::default() });
+    let info = watch::channel(Arc::new(info)).1;
     let frames = broadcast::Sender::new(1);
-    let handle = Handle { name, requests, fast_stops, state, info, read_ids, frames, update_period_ms: 10 };
+    let handle = Handle { name, requests, fast_stops, state, info, custom_ids, frames, update_period_ms: 10 };
     (handle, looked_at)
 }
 

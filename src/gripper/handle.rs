@@ -1,6 +1,5 @@
 //! The handle: what every door holds of a gripper. Cheap to clone; the actor behind it owns the state.
 
-use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -11,8 +10,8 @@ use super::error::{Failure, Rejection};
 use super::info::Info;
 use super::lease::Keep;
 use super::model::{
-    Action, Client, Command, CommandId, FastStopCause, FastStopId, Frame, Lease, LeaseToken, Link, Name, Phase, Reason,
-    State, Submission, TakeLease,
+    Action, Client, Command, CommandId, CustomIds, FastStopCause, FastStopId, Frame, Lease, LeaseToken, Link, Name,
+    Phase, Reason, State, Submission, TakeLease,
 };
 use crate::wsg;
 
@@ -165,7 +164,7 @@ pub struct Handle {
     pub(super) fast_stops: mpsc::Sender<FastStopRequest>,
     pub(super) state: watch::Receiver<Arc<State>>,
     pub(super) info: watch::Receiver<Arc<Info>>,
-    pub(super) read_ids: Arc<BTreeSet<u8>>,
+    pub(super) custom_ids: Arc<CustomIds>,
     pub(super) frames: broadcast::Sender<Arc<Frame>>,
     pub(super) update_period_ms: u16,
 }
@@ -216,7 +215,13 @@ impl Handle {
     /// Whether a custom command of this id only reads. Others count as motions.
     #[must_use]
     pub fn only_reads(&self, id: u8) -> bool {
-        self.read_ids.contains(&id)
+        self.custom_ids.read.contains(&id)
+    }
+
+    /// What the ids of its scripts mean.
+    #[must_use]
+    pub fn custom_ids(&self) -> Arc<CustomIds> {
+        self.custom_ids.clone()
     }
 
     /// Submits a command: admitted with an id and written down, or rejected before anything was sent.

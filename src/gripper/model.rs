@@ -15,6 +15,7 @@ use uuid::Uuid;
 use super::error::Rejection;
 use crate::wsg::{CustomCommand, Force, HomingDirection, MoveFlags, Speed, Status, Width};
 
+mod custom;
 mod event;
 mod frame;
 pub mod lease;
@@ -22,6 +23,7 @@ pub(crate) mod names;
 mod record;
 mod state;
 
+pub use custom::CustomIds;
 pub use event::{
     AcknowledgeEvent, Admitted, CommandEvent, Detail, DeviceEvent, Direction, Done, Event, FastStopEvent, FastStopStep,
     GatewayEvent, LinkEvent, OnBlock, Parameters, RefusedEvent, SettingChange, SettingsEvent,

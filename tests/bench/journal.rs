@@ -3,7 +3,6 @@
 //!
 //! `cargo bench --bench journal`, or with `-- --events 100000`. Fails where a page takes longer than 20 ms.
 
-use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -159,7 +158,7 @@ async fn gripper(recorder: Arc<dyn Recorder>) -> Result<(Handle, Switch), Error>
     let config = gripper::actor::Config {
         url: address.url(),
         traits: address.traits(),
-        read_ids: BTreeSet::new(),
+        custom_ids: gripper::model::CustomIds::default(),
         drain: Duration::from_secs(2),
         on_journal_failure: gripper::actor::OnJournalFailure::Refuse,
         lease: LeaseRules::default(),

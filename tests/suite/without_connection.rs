@@ -150,7 +150,8 @@ fn the_orderly_end_is_a_stop_if_it_moves_and_never_an_announcement() {
     world.advance(Duration::from_secs(2));
     assert_eq!(received(&world, from), [id::STOP]);
     assert!(!world.device.snapshot().moving);
-    world.actor.drained();
+    let now = world.clock();
+    world.actor.drained(now);
     assert_eq!(drained.try_recv(), Ok(()));
 }
 

@@ -101,7 +101,8 @@ enum Path {
 ///
 /// Ids that the manuals know take the same path as the other operations, with the same checks; 07h, 24h and automatic
 /// updates are the gateway's own, and refused. Other ids are custom commands: they count as motions, and are written
-/// down as such, unless the configuration has them among its `read_ids`.
+/// down as such, unless the configuration has them among its `read_ids`. Those among its `stream_ids` are motions that
+/// come many times a second: they wait for no pause, and are counted in the journal by the second.
 #[utoipa::path(
     post, path = "/grippers/{gripper}/raw", operation_id = "raw", tag = "device",
     params(GripperPath, WaitQuery, KeyHeaders),

@@ -90,7 +90,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
         (reader, writer): (R, W),
         silence: Option<Duration>,
     ) -> Self {
-        let device = VirtualDevice::new(port.rules.clone(), port.gripper.update_period_ms());
+        let device = VirtualDevice::new(port.rules.clone(), port.gripper.custom_ids(), port.gripper.update_period_ms());
         Self {
             port,
             client,

@@ -18,7 +18,7 @@ use super::Rules;
 use super::input::{Input, Request};
 use super::status::Refusal;
 use crate::gripper::FastStop;
-use crate::gripper::model::{Action, FastStopCause, FastStopId, LatchFields, Link, State};
+use crate::gripper::model::{Action, CustomIds, FastStopCause, FastStopId, LatchFields, Link, State};
 use crate::wsg::{
     ChecksumEvaluation, Command, Data, Force, GripperState, Reply, Speed, Status, Subscriptions, SystemState, Updates,
     Width, id,
@@ -92,6 +92,7 @@ struct FastStops {
 #[derive(Debug)]
 pub(super) struct VirtualDevice {
     rules: Arc<Rules>,
+    custom_ids: Arc<CustomIds>,
     shortest_period_ms: u16,
     input: Input,
     waiting: VecDeque<Request>,
@@ -114,10 +115,11 @@ pub(super) struct VirtualDevice {
 
 impl VirtualDevice {
     /// With automatic updates no faster than this.
-    pub(super) fn new(rules: Arc<Rules>, shortest_period_ms: u16) -> Self {
+    pub(super) fn new(rules: Arc<Rules>, custom_ids: Arc<CustomIds>, shortest_period_ms: u16) -> Self {
         Self {
             input: Input::new(if rules.checksum_evaluation { ChecksumEvaluation::On } else { ChecksumEvaluation::Off }),
             rules,
+            custom_ids,
             shortest_period_ms,
             waiting: VecDeque::new(),
             awaited: 0,
@@ -264,8 +266,11 @@ impl VirtualDevice {
 
     /// A Stop also stops what came before it and was not begun.
     fn abort_waiting_motions(&mut self) {
-        for request in self.waiting.iter_mut().filter(|request| id::is_motion(request.id)) {
-            request.command = Err(Status::E_CMD_ABORTED);
+        for request in &mut self.waiting {
+            let is_script = id::describe(request.id).is_none() && !self.custom_ids.read.contains(&request.id);
+            if id::is_motion(request.id) || is_script {
+                request.command = Err(Status::E_CMD_ABORTED);
+            }
         }
     }
 
@@ -297,7 +302,8 @@ impl VirtualDevice {
                 self.order(id, true, Order::Release);
             }
             command @ (Command::Custom(_) | Command::FingerPower { .. }) => {
-                self.order(id, false, Order::Exchange(command));
+                // Those that follow one another wait for one another.
+                self.order(id, self.custom_ids.stream.contains(&id), Order::Exchange(command));
             }
             command => {
                 let order = Action::of(&command).map_or_else(|| Order::Exchange(command), Order::Command);

@@ -8,6 +8,11 @@ fn rules() -> Rules {
     Rules { checksum_evaluation: true, acknowledge_any: false, allow: Vec::new() }
 }
 
+/// A script that reads, and one that is steered; all others are motions.
+fn custom_ids() -> CustomIds {
+    CustomIds { read: [0xB2].into(), stream: [0xB1].into() }
+}
+
 fn state() -> State {
     State {
         link: Link::Connected,
@@ -45,7 +50,11 @@ impl Bench {
     }
 
     fn with(rules: Rules) -> Self {
-        Self { device: VirtualDevice::new(Arc::new(rules), 10), now: Instant::now(), state: state() }
+        Self {
+            device: VirtualDevice::new(Arc::new(rules), Arc::new(custom_ids()), 10),
+            now: Instant::now(),
+            state: state(),
+        }
     }
 
     fn send(&mut self, id: u8, payload: &[u8]) {
@@ -143,6 +152,22 @@ fn a_script_holds_up_nothing() {
 }
 
 #[test]
+fn requests_of_a_stream_wait_for_one_another_and_a_stop_ends_those_that_wait() {
+    let mut bench = Bench::new();
+    for id in [0xB1, 0xB1, 0xB0, 0xB2] {
+        bench.send(id, &[1]);
+    }
+    let first = bench.order();
+    assert_eq!((first.ask.id, bench.device.poll_order()), (0xB1, None));
+    bench.send(id::STOP, &[]);
+    assert_eq!(bench.order().order, Order::Command(Action::Stop));
+    bench.answer(first.ask, NOTHING);
+    assert_eq!(bench.order().ask.id, 0xB2, "what only reads is no motion");
+    let aborted = Status::E_CMD_ABORTED;
+    assert_eq!(bench.sent(), [(0xB1, Status::E_SUCCESS), (0xB1, aborted), (0xB0, aborted)]);
+}
+
+#[test]
 fn after_the_announcement_stops_alone_are_taken() {
     let mut bench = Bench::new();
     bench.send(id::GET_GRIPPER_STATE, &[1, 10, 0]);
@@ -171,7 +196,7 @@ fn an_announcement_that_waits_counts() {
 
 #[test]
 fn updates_come_at_their_own_period_and_no_faster_than_the_links() {
-    let mut bench = Bench { device: VirtualDevice::new(Arc::new(rules()), 50), ..Bench::new() };
+    let mut bench = Bench { device: VirtualDevice::new(Arc::new(rules()), Arc::new(custom_ids()), 50), ..Bench::new() };
     bench.send(id::GET_WIDTH, &[1, 10, 0]);
     bench.send(id::GET_FORCE, &[1, 100, 0]);
     assert_eq!(bench.sent().len(), 2, "switching on is answered");

@@ -39,7 +39,12 @@ impl Actor {
                 if !matches!(motion, Motion::Custom(_)) {
                     self.start_measuring(id, motion);
                 }
-                self.running = Some(Running::new(id, motion.clone()));
+                self.running = Some(Running::new(id, motion.clone(), self.is_streamed(motion)));
+                if self.is_streamed(motion) {
+                    // Nothing waits for a record of it.
+                    self.let_run();
+                    self.book.recorded(id);
+                }
                 Ok(Ticket { _keep: keep, ..ticket })
             }
             Action::Stop => {
@@ -48,7 +53,7 @@ impl Actor {
                     let _ = self.submit(now, Command::Stop, Purpose::Stop(None));
                     return Ok(Ticket { _keep: keep, ..ticket });
                 }
-                let is_moving = self.is_moving();
+                let is_moving = self.is_moving(now.instant);
                 // An unresponsive device may still hear it, so all that it needs is a link.
                 self.submit(now, Command::Stop, Purpose::Stop(Some(id))).map_err(|not_taken| not_taken.0)?;
                 self.withdraw_waiting_motion(now);
@@ -107,10 +112,19 @@ impl Actor {
 
     fn enter(&mut self, now: Now, id: CommandId, submission: &Submission) -> Ticket {
         let kind = submission.action.kind();
-        tracing::info!(gripper = %self.config.name, command = %id, %kind, client = %submission.client.subject, "admitted");
-        self.record_admitted(now, id, submission);
+        let is_streamed = matches!(&submission.action, Action::Motion(motion) if self.is_streamed(motion));
+        if is_streamed {
+            self.count_streamed(now, submission);
+        } else {
+            tracing::info!(gripper = %self.config.name, command = %id, %kind, client = %submission.client.subject, "admitted");
+            self.record_admitted(now, id, submission);
+        }
         let record = Record::admitted(id, self.config.name.clone(), submission, now.wall);
-        self.book.enter(now.instant, record, submission)
+        let ticket = self.book.enter(now.instant, record, submission);
+        if is_streamed {
+            self.book.keep_few(id);
+        }
+        ticket
     }
 
     /// Takes up a request that moves nothing.
@@ -176,7 +190,7 @@ impl Actor {
     /// Whether it leaves the gripper as it is, so that anybody may ask for it.
     fn only_reads(&self, command: &Command) -> bool {
         match command {
-            Command::Custom(custom) => self.config.read_ids.contains(&custom.id()),
+            Command::Custom(custom) => self.config.custom_ids.read.contains(&custom.id()),
             command => command.is_read(),
         }
     }

@@ -86,9 +86,10 @@ impl Actor {
     }
 
     /// Tells everyone who waits for it that the gripper was given up.
-    pub fn drained(&mut self) {
+    pub fn drained(&mut self, now: Now) {
         self.finish_measuring();
         self.record_repeats();
+        self.write_streamed(now);
         for answer in self.drain.take().into_iter().flat_map(|drain| drain.answers) {
             let _ = answer.send(());
         }

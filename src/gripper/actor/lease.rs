@@ -1,5 +1,7 @@
 //! What follows from the lease's changes: for the fingers, for the journal, and for who asked.
 
+use std::time::Instant;
+
 use super::super::Now;
 use super::super::error::{Conflict, Failure, Rejection};
 use super::super::handle::{Answer, FastStopRequest, Granted};
@@ -126,7 +128,11 @@ impl Actor {
 
     fn holder_lost(&mut self, now: Now, held: &Held, cause: LossCause) {
         let Terms { on_loss_moving, on_loss_holding, .. } = held.terms;
-        let effect = match (self.is_moving(), self.observed.holds_part) {
+        let last_heard = match cause {
+            LossCause::Expired => now.instant.checked_sub(held.terms.ttl).unwrap_or(now.instant),
+            LossCause::Disconnected => now.instant,
+        };
+        let effect = match (self.is_moving(last_heard), self.observed.holds_part) {
             (true, _) => match on_loss_moving {
                 OnLossMoving::FastStop => LossEffect::FastStop,
                 OnLossMoving::Stop => LossEffect::Stop,
@@ -157,23 +163,27 @@ impl Actor {
             LossEffect::Finish | LossEffect::Keep => self.leasing.reserve(held.holder.clone()),
             LossEffect::None => {}
         }
+        self.streaming.stopped();
     }
 
-    /// Whether the fingers move, or are about to, as far as is known.
-    pub(super) fn is_moving(&self) -> bool {
-        self.running.as_ref().is_some_and(|running| !running.has_ended()) || self.observed.has(SystemState::MOVING)
+    /// Whether the fingers move, or are about to, as far as is known, or were steered at that time.
+    pub(super) fn is_moving(&self, at: Instant) -> bool {
+        self.running.as_ref().is_some_and(|running| !running.has_ended())
+            || self.observed.has(SystemState::MOVING)
+            || self.is_streaming(at)
     }
 
     /// Stops whatever moves on the gateway's own account; what waits is withdrawn.
     fn stop_motion(&mut self, now: Now) {
-        if !self.is_moving() {
+        if !self.is_moving(now.instant) {
             return;
         }
         self.withdraw_waiting_motion(now);
-        if self.is_moving() {
+        if self.is_moving(now.instant) {
             // A lane that is full of Stops stops it as well.
             let _ = self.submit(now, Command::Stop, Purpose::Stop(None));
         }
+        self.streaming.stopped();
     }
 
     fn record_lease(&mut self, now: Now, event: LeaseStep, holder: &Holder, lost: Option<(LossEffect, LossCause)>) {

@@ -27,6 +27,7 @@ mod reads;
 mod recording;
 mod repeats;
 mod settings;
+mod streaming;
 mod upkeep;
 mod wire_log;
 
@@ -45,7 +46,7 @@ use super::latch::Latching;
 use super::lease::{Keep, Leasing};
 use super::limits::Limits;
 use super::metrics::Metrics;
-use super::model::{Client, CommandId, FastStopStep, Frame, IdSource, LeaseRules, Name, State};
+use super::model::{Client, CommandId, CustomIds, FastStopStep, Frame, IdSource, LeaseRules, Name, State};
 use super::observed::Observed;
 use super::setup::{Setting, Setup, Wanted};
 use crate::transport::Traits;
@@ -58,6 +59,7 @@ use motion::Running;
 use reads::Reads;
 pub use recording::OnJournalFailure;
 use recording::Recording;
+use streaming::Streaming;
 use wire_log::WireLog;
 
 /// How long the device may take to answer, before a Loop asks whether the answer was lost.
@@ -76,8 +78,8 @@ pub struct Config {
     pub url: String,
     /// What its transport means for the protocol.
     pub traits: Traits,
-    /// Custom ids that only read; all others count as motion.
-    pub read_ids: BTreeSet<u8>,
+    /// What the ids of its scripts mean.
+    pub custom_ids: CustomIds,
     /// How long a running command may take to finish when the gripper is given up.
     pub drain: Duration,
     /// What becomes of motions while the journal takes no records.
@@ -189,6 +191,7 @@ pub struct Actor {
     recording: Recording,
     told: Told,
     metering: Metering,
+    streaming: Streaming,
     wire_log: WireLog,
     sequence: u64,
     state: watch::Sender<Arc<State>>,
@@ -250,6 +253,7 @@ impl Actor {
             recording: Recording::default(),
             told: Told::default(),
             metering: Metering::default(),
+            streaming: Streaming::default(),
             wire_log,
             sequence: 0,
             state,

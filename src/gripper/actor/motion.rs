@@ -40,6 +40,8 @@ pub(super) struct Running {
     motion: Motion,
     stage: Stage,
     accepted: bool,
+    /// Whether it is one of many that steer the fingers: it waits for nothing, and neither does its client.
+    is_streamed: bool,
     /// Whether its `admitted` record is durable, or need not be.
     pub recorded: bool,
     /// The FAST STOP that came while it ran.
@@ -71,12 +73,13 @@ struct Settling {
 }
 
 impl Running {
-    pub(super) fn new(id: CommandId, motion: Motion) -> Self {
+    pub(super) fn new(id: CommandId, motion: Motion, is_streamed: bool) -> Self {
         Self {
             id,
             motion,
             stage: Stage::Waiting,
             accepted: false,
+            is_streamed,
             recorded: false,
             fast_stop: None,
             cancelled_by: None,
@@ -124,7 +127,7 @@ impl Actor {
     /// When the waiting motion may start, once the link is set up.
     pub(super) fn motion_due(&self) -> Option<Instant> {
         let running = self.running.as_ref().filter(|running| running.recorded && self.is_set_up())?;
-        let paused_until = self.last_motion_end.map(|end| end + PAUSE);
+        let paused_until = self.last_motion_end.filter(|_| !running.is_streamed).map(|end| end + PAUSE);
         matches!(running.stage, Stage::Waiting).then_some(paused_until).flatten()
     }
 
@@ -258,8 +261,11 @@ impl Actor {
 
     /// Ends a motion that has settled.
     pub(super) fn end_settled_motion(&mut self, now: Now) {
-        let Some(Running { stage: Stage::Settling(settling), .. }) = &self.running else { return };
-        if self.observed.is_newer_than(settling.since) || self.settles_at().is_some_and(|at| at <= now.instant) {
+        let Some(Running { stage: Stage::Settling(settling), is_streamed, .. }) = &self.running else { return };
+        if *is_streamed
+            || self.observed.is_newer_than(settling.since)
+            || self.settles_at().is_some_and(|at| at <= now.instant)
+        {
             self.end_running(now, false);
         }
     }
@@ -331,10 +337,13 @@ impl Actor {
     /// A Stop has ended.
     pub(super) fn stop_ended(&mut self, now: Now, id: CommandId, end: End) {
         match end {
-            End::Reply(Reply::Success(_)) => self.end(now, id, |record| {
-                record.outcome = Some(Outcome::Success);
-                record.set_status(Status::E_SUCCESS);
-            }),
+            End::Reply(Reply::Success(_)) => {
+                self.streaming.stopped();
+                self.end(now, id, |record| {
+                    record.outcome = Some(Outcome::Success);
+                    record.set_status(Status::E_SUCCESS);
+                });
+            }
             end => {
                 // Written and not answered, it may have happened all the same.
                 let unknown = matches!(end, End::Unanswered { written: true, .. } | End::NoResult { .. });
@@ -400,8 +409,11 @@ impl Actor {
             }
         });
         if let Some((client, record)) = ended {
-            self.record_done(now, &client, &record);
             self.meter_ended(&record);
+            if self.book.is_streamed(id) {
+                return;
+            }
+            self.record_done(now, &client, &record);
             tracing::info!(gripper = %self.config.name, command = %id, kind = %record.kind,
                 outcome = record.outcome.map(Outcome::name), status = record.status, duration_ms = record.duration_ms,
                 "ended");

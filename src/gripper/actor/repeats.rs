@@ -103,7 +103,7 @@ impl Actor {
 
     /// The Stop that this one repeats: of the same client, within a second, while there is nothing to stop.
     pub(super) fn repeated_stop(&mut self, now: Now, submission: &Submission) -> Option<Ticket> {
-        if submission.request_id.is_some() || self.check_link().is_err() || self.is_moving() {
+        if submission.request_id.is_some() || self.check_link().is_err() || self.is_moving(now.instant) {
             return None;
         }
         let ticket = self.book.find(self.recording.repeats.stop(now.instant, &submission.client)?)?;

@@ -36,6 +36,7 @@ impl Actor {
         self.start_waiting_motion(now);
         self.finish_measuring_if_due(now);
         self.record_repeats_if_due(now);
+        self.write_streamed_if_due(now);
         self.expire_awaiting_flags(now);
         if self.drain.is_some() {
             self.continue_drain(now);
@@ -62,6 +63,7 @@ impl Actor {
             self.motion_due(),
             self.settles_at(),
             self.recording.next_timeout(),
+            self.streaming.next_timeout(),
             self.awaiting_flags.iter().map(|(until, _)| *until).min(),
             self.observed.next_silent().filter(|_| up),
             self.temperature_at.filter(|_| up && self.reads_temperature()),

@@ -368,6 +368,13 @@ pub enum DeviceEvent {
     },
     /// The fingers move, and nobody here asked for it.
     ForeignMotion,
+    /// A script was asked to move them, by an id of `stream_ids`: the first time, or so often in one second.
+    Streamed {
+        /// Its id.
+        raw_id: u8,
+        /// How many requests were admitted.
+        count: u64,
+    },
     /// A part that was held is gone; the event belongs to its grip.
     PartLost {
         /// The opening width in mm where it was seen.

@@ -43,7 +43,7 @@ pub fn spawn(connector: impl Connector) -> Handle {
         name: "g".parse().unwrap(),
         url: connector.url(),
         traits: connector.traits(),
-        read_ids: (0xB0..=0xB7).collect(),
+        custom_ids: gripper::model::CustomIds { read: (0xB0..=0xB7).collect(), ..Default::default() },
         drain: Duration::from_secs(2),
         on_journal_failure: gripper::actor::OnJournalFailure::Refuse,
         lease: gripper::model::LeaseRules::default(),

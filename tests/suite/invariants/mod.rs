@@ -198,7 +198,8 @@ fn announce_before_close() {
     assert_eq!(received(&world, from), [id::STOP, id::DISCONNECT_ANNOUNCEMENT]);
     assert_eq!(world.device.received().last().unwrap().id, id::DISCONNECT_ANNOUNCEMENT);
     assert!(!world.device.snapshot().fast_stop);
-    world.actor.drained();
+    let now = world.clock();
+    world.actor.drained(now);
     assert_eq!(drained.try_recv(), Ok(()));
 }
 

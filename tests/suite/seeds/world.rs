@@ -8,7 +8,7 @@ use prometheus::Registry;
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
 use wsg_gateway::gripper::actor::{Actor, Close, Config, OnJournalFailure, Watches};
-use wsg_gateway::gripper::model::{IdSource, LeaseRules, Phase};
+use wsg_gateway::gripper::model::{CustomIds, IdSource, LeaseRules, Phase};
 use wsg_gateway::gripper::{Metrics, Now};
 use wsg_gateway::sim::{Device, DeviceConfig, Interface, LinkAction, Part, Script, ScriptAnswer};
 use wsg_gateway::transport::Traits;
@@ -167,7 +167,7 @@ impl World {
                 may_duplicate: interface == Interface::Udp,
                 frame_gap: Duration::from_millis(100),
             },
-            read_ids: [READ_ID].into(),
+            custom_ids: CustomIds { read: [READ_ID].into(), ..CustomIds::default() },
             drain: Duration::from_secs(2),
             on_journal_failure: OnJournalFailure::Refuse,
             lease: LeaseRules::default(),

@@ -1,0 +1,142 @@
+//! Clients that steer a script on the gripper, many times a second.
+
+use std::time::{Duration, Instant};
+
+use serde_json::json;
+use tokio::time::{MissedTickBehavior, interval};
+
+use super::{ACCESS_DENIED, SUCCESS, configured, connect};
+use crate::harness::wsg::Driver;
+use crate::harness::{Gateway, Scripted, Table, eventually, success};
+
+/// The script that is steered, one that is a motion like others, and one that only reads.
+const STREAM: u8 = 0xB1;
+const MOTION: u8 = 0xB0;
+const READ: u8 = 0xB2;
+
+/// As research users run them.
+const EVERY: Duration = Duration::from_millis(20);
+
+const REQUESTS: u32 = 100;
+
+async fn cell(name: &str) -> (Scripted, Gateway) {
+    let scripts = [STREAM, MOTION, READ].map(|id| (id, vec![success(&[id])]));
+    let device = Scripted::start(Table::from(scripts)).await;
+    let text = format!(
+        "[grippers.g]\nurl = \"tcp://{}\"\nread_ids = [{READ}]\nstream_ids = [{STREAM}]\nwsg_port = \"127.0.0.1:0\"\n",
+        device.address
+    );
+    let gateway = configured(name, &text).await;
+    (device, gateway)
+}
+
+async fn stream(driver: &mut Driver) {
+    let reply = driver.ask(STREAM, &[0xAA; 16]).await;
+    assert_eq!((reply.status, reply.data), (SUCCESS, vec![STREAM]));
+}
+
+/// How many requests of the stream the journal has, and in how many records.
+async fn counted(gateway: &Gateway) -> (u64, usize) {
+    let events = gateway.events("kind=device&order=oldest&limit=1000", 1).await;
+    let streamed: Vec<_> = events.iter().filter(|event| event["event"] == "streamed").collect();
+    assert!(streamed.iter().all(|event| event["raw_id"] == STREAM && event["subject"].is_string()), "{streamed:?}");
+    (streamed.iter().map(|event| event["count"].as_u64().unwrap()).sum(), streamed.len())
+}
+
+#[tokio::test]
+async fn a_stream_keeps_its_rate_and_costs_the_journal_a_record_a_second() {
+    let (device, gateway) = cell("stream.toml").await;
+    let mut driver = connect(&gateway).await;
+    let mut due = interval(EVERY);
+    // One that was late is not made up for.
+    due.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    let mut slowest = Vec::new();
+    for _ in 0..REQUESTS {
+        due.tick().await;
+        let asked = Instant::now();
+        stream(&mut driver).await;
+        slowest.push(asked.elapsed());
+    }
+    slowest.sort();
+    let median = slowest[slowest.len() / 2];
+    assert!(median < EVERY, "it could not keep its rate: {median:?}");
+    assert_eq!(device.frames.count(STREAM), REQUESTS as usize);
+    assert_eq!(gateway.state().await["lease_holder"], "wsg:127.0.0.1", "it has taken the lease, as motions do");
+    let (count, records) = eventually("all are counted", async || {
+        let counted = counted(&gateway).await;
+        (counted.0 == u64::from(REQUESTS)).then_some(counted)
+    })
+    .await;
+    assert!(records <= REQUESTS as usize / 10, "{count} in {records} records");
+    assert!(gateway.events("kind=command", 0).await.is_empty());
+    // Another motion right behind it is held to its pause, and to nothing else.
+    assert_eq!(driver.status(MOTION, &[]).await, SUCCESS);
+    stream(&mut driver).await;
+    driver.leave().await;
+    assert_eq!(gateway.state().await["fast_stop"], false);
+}
+
+#[tokio::test]
+async fn many_requests_of_a_stream_at_once_wait_for_one_another() {
+    let (_device, gateway) = cell("stream-at-once.toml").await;
+    let mut driver = connect(&gateway).await;
+    for _ in 0..20 {
+        driver.send(STREAM, &[]).await;
+    }
+    for _ in 0..20 {
+        assert_eq!(driver.next().await.status, SUCCESS);
+    }
+}
+
+#[tokio::test]
+async fn a_stream_is_refused_in_fast_stop_and_while_another_holds_the_lease() {
+    let (device, gateway) = cell("stream-refused.toml").await;
+    let raw = json!({"id": STREAM, "payload": "00"});
+    let answer = gateway.post("raw", &raw).await.ok();
+    assert_eq!((&answer["payload"], &answer["outcome"]), (&json!("b1"), &json!("SUCCESS")), "{answer}");
+
+    let lease = gateway.post("lease", &json!({"holder": "other", "ttl_ms": 60_000})).await.ok();
+    let sent = device.frames.count(STREAM);
+    let mut driver = connect(&gateway).await;
+    assert_eq!(driver.status(STREAM, &[]).await, ACCESS_DENIED);
+    gateway.post("raw", &raw).await.problem(409, "lease_held");
+    assert_eq!(driver.status(READ, &[]).await, SUCCESS, "who only reads may");
+    assert_eq!(device.frames.count(STREAM), sent);
+    for _ in 0..50 {
+        let streamed = gateway.request("POST", "raw").header("Wsg-Lease", lease["token"].as_str().unwrap()).json(&raw);
+        gateway.send(streamed).await.ok();
+    }
+    assert_eq!(device.frames.count(STREAM), sent + 50);
+
+    gateway.post("fast-stop", &json!({})).await.ok();
+    let streamed = gateway.request("POST", "raw").header("Wsg-Lease", lease["token"].as_str().unwrap()).json(&raw);
+    gateway.send(streamed).await.problem(409, "fast_stop");
+    assert_eq!(driver.status(STREAM, &[]).await, ACCESS_DENIED);
+    assert_eq!(device.frames.count(STREAM), sent + 50);
+}
+
+#[tokio::test]
+async fn who_is_lost_while_it_streams_is_a_fast_stop_and_who_announces_its_end_a_stop() {
+    let (device, gateway) = cell("stream-lost.toml").await;
+    let mut driver = connect(&gateway).await;
+    stream(&mut driver).await;
+    driver.leave().await;
+    eventually("a Stop", async || (device.frames.count(0x22) == 1).then_some(())).await;
+    assert_eq!(device.frames.count(0x23), 0);
+    let mut driver = connect(&gateway).await;
+    stream(&mut driver).await;
+    driver.reset();
+    gateway.until("it is lost", |state| state["fast_stop_cause"] == "client_lost").await;
+}
+
+#[tokio::test]
+async fn who_is_lost_long_after_it_has_streamed_is_none() {
+    let (device, gateway) = cell("stream-over.toml").await;
+    let mut driver = connect(&gateway).await;
+    stream(&mut driver).await;
+    let until = Instant::now() + Duration::from_millis(1200);
+    eventually("longer than a stream lasts", async || (Instant::now() > until).then_some(())).await;
+    driver.reset();
+    let state = gateway.until("nobody holds it", |state| state["lease_holder"].is_null()).await;
+    assert_eq!((&state["fast_stop"], device.frames.count(0x23)), (&json!(false), 0));
+}
