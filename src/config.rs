@@ -16,10 +16,12 @@ use crate::transport::Address;
 mod file;
 mod journal;
 mod wsg_port;
+mod zenoh;
 
 pub use file::File;
 pub use journal::{Journal, JournalFlags, JournalPlace, OnJournalFailure};
 pub use wsg_port::{Acknowledge, WsgAddress, WsgPort};
+pub use zenoh::{Zenoh, ZenohFlags, ZenohMode};
 
 /// Where the daemon listens unless it is told otherwise.
 const DEFAULT_LISTEN: &str = "127.0.0.1:8080";
@@ -55,12 +57,9 @@ pub struct Flags {
     /// Serve a gripper by the WSG protocol itself, e.g. left=127.0.0.1:1000 or left=udp://127.0.0.1:1500 (repeatable)
     #[arg(long = "wsg-port", value_name = "NAME=ADDR", env = "WSG_GATEWAY_WSG_PORTS", value_delimiter = ',')]
     pub wsg_ports: Vec<String>,
-    /// A Zenoh endpoint to listen on (not yet supported)
-    #[arg(long, value_name = "ENDPOINT", env = "WSG_GATEWAY_ZENOH_LISTEN", value_delimiter = ',')]
-    pub zenoh_listen: Vec<String>,
-    /// A Zenoh endpoint to connect to (not yet supported)
-    #[arg(long, value_name = "ENDPOINT", env = "WSG_GATEWAY_ZENOH_CONNECT", value_delimiter = ',')]
-    pub zenoh_connect: Vec<String>,
+    /// Zenoh.
+    #[command(flatten)]
+    pub zenoh: ZenohFlags,
     /// A TOML file, for these and all other settings
     #[arg(long, value_name = "FILE", env = "WSG_GATEWAY_CONFIG")]
     pub config: Option<PathBuf>,
@@ -85,6 +84,8 @@ pub struct Config {
     pub drain: Duration,
     /// The journal.
     pub journal: Journal,
+    /// Zenoh, unless it is off.
+    pub zenoh: Option<Zenoh>,
 }
 
 /// One gripper.
@@ -185,7 +186,6 @@ impl Config {
     }
 
     fn merge(flags: &Flags, file: Option<&File>) -> Result<Self, Mistake> {
-        refuse_what_is_not_there_yet(flags)?;
         let content = file.map(|file| &file.content);
         let pick = |flag: &Option<String>, name: &'static str, in_file: Option<&Spanned<String>>, default: &str| match (
             flag, file, in_file,
@@ -208,20 +208,10 @@ impl Config {
             hosts: content.map(|content| content.hosts.clone()).unwrap_or_default(),
             grippers: grippers(flags, file, insecure)?,
             drain: drain(file)?,
+            zenoh: Zenoh::merge(flags, file, insecure)?,
         };
         Ok(config)
     }
-}
-
-fn refuse_what_is_not_there_yet(flags: &Flags) -> Result<(), Mistake> {
-    let not_yet = |flag, what| Mistake::at(&Place::Flag(flag), format!("{what} not supported yet: leave it out"));
-    if !flags.zenoh_listen.is_empty() {
-        return Err(not_yet("--zenoh-listen", "Zenoh is"));
-    }
-    if !flags.zenoh_connect.is_empty() {
-        return Err(not_yet("--zenoh-connect", "Zenoh is"));
-    }
-    Ok(())
 }
 
 fn parse_listen(listen: &Placed<String>, insecure: bool) -> Result<SocketAddr, Mistake> {
@@ -323,6 +313,7 @@ struct Content {
     journal_max_age_days: Option<Spanned<u64>>,
     journal_max_size_mb: Option<Spanned<u64>>,
     drain_ms: Option<Spanned<u64>>,
+    zenoh: zenoh::Content,
     grippers: std::collections::BTreeMap<Spanned<String>, GripperContent>,
 }
 

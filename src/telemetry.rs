@@ -11,6 +11,9 @@ use tracing_subscriber::EnvFilter;
 /// The environment variable that says what is logged, e.g. `debug` or `wsg_gateway::gripper=trace`.
 const FILTER_VARIABLE: &str = "WSG_GATEWAY_LOG";
 
+/// What of others' words is logged where nothing else is said: Zenoh repeats each try to connect as a warning.
+const OTHERS: &str = "zenoh=warn,zenoh::net::runtime::orchestrator=error";
+
 /// Lines that may wait to be written: some seconds of a busy gateway.
 const MAX_WAITING_LINES: usize = 8192;
 
@@ -26,7 +29,8 @@ pub enum LogFormat {
 
 /// Begins to log, until the guard is dropped, which writes what still waits. A second call logs nowhere new.
 pub fn init(format: LogFormat) -> WorkerGuard {
-    let filter = EnvFilter::try_from_env(FILTER_VARIABLE).unwrap_or_else(|_| EnvFilter::new("info"));
+    let wanted = std::env::var(FILTER_VARIABLE).ok().filter(|wanted| EnvFilter::try_new(wanted).is_ok());
+    let filter = EnvFilter::new(format!("{OTHERS},{}", wanted.as_deref().unwrap_or("info")));
     let writer = NonBlockingBuilder::default().lossy(true).buffered_lines_limit(MAX_WAITING_LINES);
     let (writer, guard) = writer.finish(std::io::stderr());
     let logs = tracing_subscriber::fmt().with_env_filter(filter).with_writer(writer);

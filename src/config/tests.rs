@@ -66,7 +66,6 @@ fn a_mistake_in_a_flag_is_named_with_its_remedy() {
     assert!(mistake(twice).contains("two grippers"));
     let shared = vec!["a=tcp://10.0.0.1".to_owned(), "b=tcp://10.0.0.1:1000".to_owned()];
     assert!(mistake(Flags { grippers: shared, ..flags() }).contains("both are at tcp://10.0.0.1:1000"));
-    assert!(mistake(Flags { zenoh_listen: vec!["tcp/127.0.0.1:7447".to_owned()], ..flags() }).contains("yet"));
     assert!(mistake(Flags { config: Some("/nonexistent.toml".into()), ..flags() }).contains("/nonexistent.toml"));
 }
 

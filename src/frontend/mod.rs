@@ -10,3 +10,4 @@ pub mod refusals;
 pub mod sockets;
 pub mod updates;
 pub mod wsg_port;
+pub mod zenoh;

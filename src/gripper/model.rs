@@ -137,6 +137,8 @@ pub enum Door {
     Http,
     /// WebSocket.
     Ws,
+    /// Zenoh.
+    Zenoh,
     /// The device's own protocol.
     Wsg,
 }

@@ -41,6 +41,11 @@ pub struct Taken {
 }
 
 impl Taken {
+    /// The same, which runs out without use.
+    pub fn without_keep(&self) -> Self {
+        Self { handle: self.handle.clone(), token: self.token.clone(), _keep: None }
+    }
+
     /// Of which gripper.
     pub fn gripper(&self) -> &Name {
         self.handle.name()

@@ -30,6 +30,15 @@ pub struct Method {
     pub is_command: bool,
 }
 
+/// How long a command is waited for.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Wait<'a> {
+    /// Not at all: it is answered when it was admitted.
+    No,
+    /// As long as over HTTP: so many ms, or as long as where nothing is said.
+    Ms(Option<&'a str>),
+}
+
 /// FAST STOP's name: whatever comes with it, it stops.
 pub const FAST_STOP: &str = "fast-stop";
 
@@ -131,9 +140,12 @@ impl Methods {
         METHODS.iter().any(|method| method.name == name)
     }
 
-    /// Calls one for a client. A command is answered when it was admitted.
-    pub async fn call(&self, client: Client, name: &str, params: Value) -> Result<Answer, Refusal> {
-        let request = request(name, params)?;
+    /// Calls one for a client.
+    ///
+    /// # Errors
+    /// [`Refusal`], as the operation has it.
+    pub async fn call(&self, client: Client, name: &str, params: Value, wait: Wait<'_>) -> Result<Answer, Refusal> {
+        let request = request(name, params, wait)?;
         self.send(client, request).await
     }
 
@@ -154,7 +166,7 @@ impl Methods {
 }
 
 /// The request that a method is.
-fn request(name: &str, params: Value) -> Result<Request<Body>, Problem> {
+fn request(name: &str, params: Value, wait: Wait<'_>) -> Result<Request<Body>, Problem> {
     let rows = || METHODS.iter().filter(|method| method.name == name);
     let first = rows().next().ok_or_else(|| Problem::not_found(format!("method {:?}", shortened(name))))?;
     let mut params = match params {
@@ -172,8 +184,13 @@ fn request(name: &str, params: Value) -> Result<Request<Body>, Problem> {
             None => path.push_str(part),
         }
     }
-    if method.is_command {
-        path.push_str("?wait_ms=0");
+    match wait {
+        Wait::No if method.is_command => path.push_str("?wait_ms=0"),
+        Wait::Ms(Some(wait_ms)) => {
+            path.push_str("?wait_ms=");
+            path.push_str(&form_urlencoded(wait_ms));
+        }
+        _ => {}
     }
     let has_body = *method.verb != Verb::GET;
     if let (false, Some(field)) = (has_body, params.keys().next()) {
@@ -200,6 +217,11 @@ fn path_part(key: &str, value: Option<Value>) -> Result<String, Problem> {
     Ok(part)
 }
 
+/// As a value in an address.
+fn form_urlencoded(text: &str) -> String {
+    url::form_urlencoded::byte_serialize(text.as_bytes()).collect()
+}
+
 /// As much of what a client sent as is repeated to it.
 fn shortened(text: &str) -> String {
     text.chars().take(32).collect()
@@ -212,12 +234,12 @@ mod tests {
     use super::*;
 
     fn line(name: &str, params: Value) -> String {
-        let request = request(name, params).unwrap();
+        let request = request(name, params, Wait::No).unwrap();
         format!("{} {}", request.method(), request.uri())
     }
 
     fn refused(name: &str, params: Value) -> Value {
-        serde_json::to_value(request(name, params).unwrap_err().members()).unwrap()
+        serde_json::to_value(request(name, params, Wait::No).unwrap_err().members()).unwrap()
     }
 
     #[test]
@@ -227,6 +249,14 @@ mod tests {
         assert_eq!(line("settings.force-limit.set", gripper), "PUT /api/v1/grippers/left/settings/force-limit");
         let finger = json!({"gripper": "left", "finger": 2});
         assert_eq!(line("fingers.data", finger), "GET /api/v1/grippers/left/fingers/2/data");
+    }
+
+    #[test]
+    fn a_command_is_waited_for_as_its_door_says() {
+        let uri = |wait| request("home", json!({"gripper": "left"}), wait).unwrap().uri().to_string();
+        assert_eq!(uri(Wait::Ms(None)), "/api/v1/grippers/left/home");
+        assert_eq!(uri(Wait::Ms(Some("60000"))), "/api/v1/grippers/left/home?wait_ms=60000");
+        assert_eq!(uri(Wait::Ms(Some("1 &#"))), "/api/v1/grippers/left/home?wait_ms=1+%26%23");
     }
 
     #[test]

@@ -37,7 +37,7 @@ mod ws;
 use std::any::Any;
 use std::sync::Arc;
 
-use axum::http::Method;
+use axum::http::Method as Verb;
 use axum::response::{IntoResponse, Response};
 use axum::{Extension, Router, middleware};
 use prometheus::Registry;
@@ -47,8 +47,6 @@ use utoipa::openapi::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use self::errors::{Code, Problem};
-use self::methods::Methods;
 use super::metrics::Metrics;
 use super::refusals::Refusals;
 use super::updates::Updates;
@@ -57,6 +55,10 @@ use crate::gripper::model::Name;
 use crate::journal::Journal;
 
 pub use asyncapi::{document as asyncapi_document, yaml as asyncapi};
+pub use body::{MAX_BODY_BYTES, parse as parse_body};
+pub use errors::{Code, Problem};
+pub use lease::Taken;
+pub use methods::{Answer, FAST_STOP, METHODS, Method, Methods, Refusal, Wait};
 pub use server::{Limits, RESERVED_CONNECTIONS, serve};
 
 /// Where the API begins.
@@ -118,20 +120,25 @@ impl Context {
 }
 
 /// The whole of the HTTP door.
-pub fn router(context: Context) -> Router {
-    let context = Arc::new(context);
-    let (routes, document) = routes().split_for_parts();
-    let operations = routes.layer(Extension(Arc::new(document))).layer(CatchPanicLayer::custom(panicked));
-    let recorded = || middleware::from_fn_with_state(context.clone(), refused::record);
-    // The doors that have no paths, and their own guards, ask for the same.
-    let methods = Methods::new(operations.clone().layer(recorded()).with_state(context.clone()));
-    operations
-        .layer(Extension(methods))
+pub fn router(context: &Arc<Context>) -> Router {
+    operations()
+        .layer(Extension(methods(context)))
         .layer(middleware::from_fn_with_state(context.clone(), guard::refuse_foreigners))
-        .layer(recorded())
+        .layer(middleware::from_fn_with_state(context.clone(), refused::record))
         .layer(middleware::map_response(guard::harden))
         .layer(middleware::from_fn_with_state(context.clone(), watched::watch))
-        .with_state(context)
+        .with_state(context.clone())
+}
+
+/// The same operations for the doors that have no paths, and their own guards.
+pub fn methods(context: &Arc<Context>) -> Methods {
+    let recorded = middleware::from_fn_with_state(context.clone(), refused::record);
+    Methods::new(operations().layer(recorded).with_state(context.clone()))
+}
+
+fn operations() -> Router<Arc<Context>> {
+    let (routes, document) = routes().split_for_parts();
+    routes.layer(Extension(Arc::new(document))).layer(CatchPanicLayer::custom(panicked))
 }
 
 /// The document of what [`router`] serves.
@@ -209,7 +216,7 @@ async fn not_found() -> Problem {
     Problem::not_found("such path")
 }
 
-async fn method_not_allowed(method: Method) -> Problem {
+async fn method_not_allowed(method: Verb) -> Problem {
     Problem::new(Code::MethodNotAllowed, format!("{method} is not among the methods of this path, which Allow lists"))
 }
 

@@ -65,9 +65,9 @@ impl Default for Limits {
 }
 
 /// Serves until `shutdown`, and then what is being answered already.
-pub async fn serve(listener: TcpListener, context: Context, limits: Limits, shutdown: CancellationToken) {
+pub async fn serve(listener: TcpListener, context: Arc<Context>, limits: Limits, shutdown: CancellationToken) {
     let metrics = context.metrics.clone();
-    let router = router(context);
+    let router = router(&context);
     let closing = shutdown.child_token();
     let connections = Arc::new(Connections::new(limits.connections, RESERVED_CONNECTIONS));
     let mut tasks = JoinSet::new();

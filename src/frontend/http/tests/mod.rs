@@ -43,7 +43,7 @@ impl Gateway {
         let (handle, seen) = fake::gripper("left", script);
         let context = Context::of([handle]);
         let journal = context.journal.clone();
-        (Self { router: router(context), seen }, journal)
+        (Self { router: router(&Arc::new(context)), seen }, journal)
     }
 
     async fn send(&self, request: Request<Body>) -> Answer {

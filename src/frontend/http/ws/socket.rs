@@ -22,7 +22,7 @@ use super::rpc::{self, Answer, Call, Incoming};
 use crate::frontend::http::Context;
 use crate::frontend::http::errors::{Code, Problem};
 use crate::frontend::http::lease::Taken;
-use crate::frontend::http::methods::{FAST_STOP, Methods, Refusal};
+use crate::frontend::http::methods::{FAST_STOP, Methods, Refusal, Wait};
 use crate::frontend::metrics::Connected;
 use crate::frontend::updates::{Notification, Pace, Subscription};
 use crate::gripper::Ticket;
@@ -251,7 +251,7 @@ impl Socket {
         }
         let (methods, client, metrics) = (self.methods.clone(), self.client.clone(), self.context.ws_metrics.clone());
         async move {
-            let told = methods.call(client, &method, params).await;
+            let told = methods.call(client, &method, params, Wait::No).await;
             let status = told.as_ref().map_or_else(|refusal| refusal.status, |_| StatusCode::OK);
             metrics.answered(Some(&method), "CALL", status.as_u16());
             match told {

@@ -1,0 +1,306 @@
+//! How the gateway is on a Zenoh network: by Zenoh's own configuration where a file is given, with what is said here on
+//! top. Where neither says anything it is on loopback alone, and looks for nobody.
+
+use std::path::PathBuf;
+
+use serde::Deserialize;
+use serde_json::{Value, json};
+use toml::Spanned;
+use zenoh::config::{EndPoint, WhatAmI};
+
+use super::{File, Flags, Mistake, Place};
+
+/// Where it listens unless it is told otherwise.
+const DEFAULT_LISTEN: &str = "tcp/127.0.0.1:7447";
+
+/// How often states and telemetry are published at most, a second and gripper, unless it is told otherwise.
+const DEFAULT_HZ: u64 = 50;
+
+/// And at most: as often as devices tell.
+const MAX_HZ: u64 = 100;
+
+/// The largest message that is taken in, in bytes. Requests have 64 KiB at most, and what is larger is refused by name
+/// while it is below this.
+const MAX_MESSAGE_BYTES: u64 = 1024 * 1024;
+
+/// After how long without a sign of life others count this gateway as gone, in ms: a fleet shows it within 2 s.
+const LEASE_MS: u64 = 1500;
+
+/// How long a message that may be dropped waits for its place, in µs: not at all, since newer ones come.
+const DROPPED_AFTER_US: u64 = 0;
+
+/// How long one that may not be dropped waits before its receiver counts as gone, in µs.
+const CLOSED_AFTER_US: u64 = 1_000_000;
+
+/// The protocols that this build speaks.
+const PROTOCOLS: &[&str] = &["tcp", "tls"];
+
+/// What the gateway is on a Zenoh network.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, clap::ValueEnum)]
+#[serde(rename_all = "lowercase")]
+pub enum ZenohMode {
+    /// On none
+    Off,
+    /// Others connect to it, and it to others; it passes on nothing between them
+    Peer,
+    /// It connects to a router or a peer
+    Client,
+    /// Others connect to it, and reach each other through it
+    Router,
+}
+
+impl ZenohMode {
+    fn role(self) -> Option<WhatAmI> {
+        match self {
+            Self::Off => None,
+            Self::Peer => Some(WhatAmI::Peer),
+            Self::Client => Some(WhatAmI::Client),
+            Self::Router => Some(WhatAmI::Router),
+        }
+    }
+}
+
+/// What is said of Zenoh on the command line and in the environment.
+#[derive(Debug, Clone, Default, clap::Args)]
+pub struct ZenohFlags {
+    /// What to be on a Zenoh network [default: peer]
+    #[arg(long, value_name = "MODE", env = "WSG_GATEWAY_ZENOH_MODE", value_enum)]
+    pub zenoh_mode: Option<ZenohMode>,
+    /// A Zenoh endpoint to listen on (repeatable) [default: tcp/127.0.0.1:7447]
+    #[arg(long, value_name = "ENDPOINT", env = "WSG_GATEWAY_ZENOH_LISTEN", value_delimiter = ',')]
+    pub zenoh_listen: Vec<String>,
+    /// A Zenoh endpoint to connect to, e.g. tcp/127.0.0.1:7448 (repeatable)
+    #[arg(long, value_name = "ENDPOINT", env = "WSG_GATEWAY_ZENOH_CONNECT", value_delimiter = ',')]
+    pub zenoh_connect: Vec<String>,
+}
+
+/// The `[zenoh]` section of a file.
+#[derive(Debug, Default, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub(super) struct Content {
+    mode: Option<ZenohMode>,
+    listen: Option<Spanned<Vec<String>>>,
+    connect: Option<Spanned<Vec<String>>>,
+    config: Option<Spanned<PathBuf>>,
+    max_hz: Option<Spanned<u64>>,
+}
+
+/// How the gateway is on a Zenoh network.
+#[derive(Debug, Clone)]
+pub struct Zenoh {
+    /// Zenoh's own configuration.
+    pub settings: zenoh::Config,
+    /// Where it listens.
+    pub listen: Vec<String>,
+    /// Where it connects to.
+    pub connect: Vec<String>,
+    /// How often states and telemetry are published at most, a second and gripper.
+    pub max_hz: u32,
+}
+
+impl PartialEq for Zenoh {
+    fn eq(&self, other: &Self) -> bool {
+        let all = |zenoh: &Self| (zenoh.settings.to_string(), zenoh.max_hz);
+        all(self) == all(other)
+    }
+}
+
+impl Zenoh {
+    /// None where it is off.
+    pub(super) fn merge(flags: &Flags, file: Option<&File>, insecure: bool) -> Result<Option<Self>, Mistake> {
+        let content = file.map(|file| (file, &file.content.zenoh));
+        let flags = &flags.zenoh;
+        let base = Base::read(content)?;
+        let mode = flags.zenoh_mode.or_else(|| content.and_then(|(_, content)| content.mode));
+        let mode = match (mode, base.mode()) {
+            (Some(mode), _) => mode.role(),
+            (None, mode) => Some(mode.unwrap_or(WhatAmI::Peer)),
+        };
+        let Some(mode) = mode else { return Ok(None) };
+        let of_file = |pick: fn(&Content) -> &Option<Spanned<Vec<String>>>| {
+            let (file, content) = content?;
+            let endpoints = pick(content).as_ref()?;
+            Some((endpoints.get_ref().clone(), file.place(endpoints.span().start)))
+        };
+        let given = |flag: &'static str, given: &[String], in_file| match given {
+            [] => in_file,
+            given => Some((given.to_vec(), Place::Flag(flag))),
+        };
+        let listen = given("--zenoh-listen", &flags.zenoh_listen, of_file(|content| &content.listen));
+        let connect = given("--zenoh-connect", &flags.zenoh_connect, of_file(|content| &content.connect));
+        let mut settings = base.settings.clone();
+        let mut set = |key: &str, value: Value| {
+            settings
+                .insert_json5(key, &value.to_string())
+                .map_err(|error| Mistake::at(&base.place, format!("{key}: {error}")))
+        };
+        set("mode", json!(mode.to_str()))?;
+        let default_listen = if mode == WhatAmI::Client { vec![] } else { vec![DEFAULT_LISTEN.to_owned()] };
+        let listen = endpoints(listen, &base, "listen/endpoints", mode, default_listen)?;
+        let connect = endpoints(connect, &base, "connect/endpoints", mode, Vec::new())?;
+        if mode == WhatAmI::Client && connect.0.is_empty() {
+            let detail =
+                "a Zenoh client needs a router or a peer: name it with --zenoh-connect, e.g. tcp/127.0.0.1:7447";
+            return Err(Mistake::at(&base.place, detail));
+        }
+        set("listen/endpoints", json!(listen.0))?;
+        set("connect/endpoints", json!(connect.0))?;
+        for (key, value) in defaults() {
+            if base.leaves_out(key) {
+                set(key, value)?;
+            }
+        }
+        let zenoh = Self { max_hz: max_hz(content)?, settings, listen: listen.0.clone(), connect: connect.0.clone() };
+        if !insecure && !zenoh.asks_for_credentials() {
+            zenoh.check_loopback([&listen, &connect], &base.place)?;
+        }
+        Ok(Some(zenoh))
+    }
+
+    fn setting(&self, key: &str) -> Value {
+        setting(&self.settings, key)
+    }
+
+    /// Whether those that it is exposed to have to show who they are, and are told apart.
+    fn asks_for_credentials(&self) -> bool {
+        let mut exposed = self.listen.iter().chain(&self.connect).filter(|endpoint| !is_loopback(endpoint));
+        let mutual_tls = self.setting("transport/link/tls/enable_mtls") == true;
+        self.setting("access_control/enabled") == true
+            || (mutual_tls && exposed.all(|endpoint| endpoint.starts_with("tls/")) && self.looks_for().is_none())
+    }
+
+    /// By what it finds others whose addresses nobody has named.
+    fn looks_for(&self) -> Option<&'static str> {
+        let (multicast, gossip) = ("scouting/multicast/enabled", "scouting/gossip/autoconnect");
+        if self.setting(multicast) == true {
+            return Some(multicast);
+        }
+        (!texts(&self.setting(gossip)).concat().is_empty()).then_some(gossip)
+    }
+
+    fn check_loopback(&self, endpoints: [&(Vec<String>, Place); 2], place: &Place) -> Result<(), Mistake> {
+        let exposed = endpoints.into_iter().flat_map(|(endpoints, place)| endpoints.iter().map(move |e| (e, place)));
+        let exposed =
+            exposed.map(|(endpoint, place)| (endpoint.as_str(), place)).find(|(endpoint, _)| !is_loopback(endpoint));
+        let Some((what, place)) = exposed.or_else(|| Some((self.looks_for()?, place))) else { return Ok(()) };
+        let detail = format!(
+            "{what} reaches beyond loopback, and there are no credentials yet: whoever is on that Zenoh network can move \
+             the grippers. Give a Zenoh configuration with access_control or mutual TLS in [zenoh] config, or say \
+             --insecure if the network is yours alone"
+        );
+        Err(Mistake::at(place, detail))
+    }
+}
+
+/// Zenoh's own file, or nothing.
+struct Base {
+    settings: zenoh::Config,
+    place: Place,
+}
+
+impl Base {
+    fn read(content: Option<(&File, &Content)>) -> Result<Self, Mistake> {
+        let given = content.and_then(|(file, content)| Some((file, content.config.as_ref()?)));
+        let Some((file, path)) = given else {
+            return Ok(Self { settings: zenoh::Config::default(), place: Place::Flag("--zenoh-mode") });
+        };
+        let place = file.place(path.span().start);
+        let path = path.get_ref();
+        let settings = zenoh::Config::from_file(path)
+            .map_err(|error| Mistake::at(&place, format!("{} is no Zenoh configuration: {error}", path.display())))?;
+        Ok(Self { settings, place })
+    }
+
+    fn mode(&self) -> Option<WhatAmI> {
+        setting(&self.settings, "mode").as_str()?.parse().ok()
+    }
+
+    /// Whether it says nothing of this, or what Zenoh has by default.
+    fn leaves_out(&self, key: &str) -> bool {
+        let here = setting(&self.settings, key);
+        here.is_null() || here == setting(&zenoh::Config::default(), key)
+    }
+}
+
+/// What Zenoh has otherwise: it would look for others, take in 1 GiB at once, not start where a port is taken, and
+/// notice after 10 s that a gateway is gone.
+fn defaults() -> [(&'static str, Value); 10] {
+    [
+        ("scouting/multicast/enabled", json!(false)),
+        ("scouting/gossip/autoconnect", json!({"router": [], "peer": [], "client": []})),
+        ("listen/exit_on_failure", json!(false)),
+        ("connect/exit_on_failure", json!(false)),
+        ("connect/timeout_ms", json!(-1)),
+        ("connect/retry", json!({"period_init_ms": 250, "period_max_ms": 2000, "period_increase_factor": 2})),
+        ("transport/link/rx/max_message_size", json!(MAX_MESSAGE_BYTES)),
+        ("transport/link/tx/lease", json!(LEASE_MS)),
+        ("transport/link/tx/queue/congestion_control/drop/wait_before_drop", json!(DROPPED_AFTER_US)),
+        ("transport/link/tx/queue/congestion_control/block/wait_before_close", json!(CLOSED_AFTER_US)),
+    ]
+}
+
+fn setting(settings: &zenoh::Config, key: &str) -> Value {
+    settings.get_json(key).ok().and_then(|json| serde_json::from_str(&json).ok()).unwrap_or_default()
+}
+
+/// Those that are given, or those of Zenoh's own file, or else these; and where they are said.
+fn endpoints(
+    given: Option<(Vec<String>, Place)>,
+    base: &Base,
+    key: &str,
+    mode: WhatAmI,
+    default: Vec<String>,
+) -> Result<(Vec<String>, Place), Mistake> {
+    let (endpoints, place) = match given {
+        Some(given) => given,
+        None if base.leaves_out(key) => (default, base.place.clone()),
+        None => {
+            let all = setting(&base.settings, key);
+            let of_mode = all.get(mode.to_str()).unwrap_or(&all);
+            // Beside endpoints a group of them has the name of a strategy.
+            (texts(of_mode).into_iter().filter(|text| text.contains('/')).collect(), base.place.clone())
+        }
+    };
+    for endpoint in &endpoints {
+        let parsed = endpoint.parse::<EndPoint>();
+        if !parsed.as_ref().is_ok_and(|parsed| PROTOCOLS.contains(&parsed.protocol().as_str())) {
+            let detail =
+                format!("{endpoint:?} is no Zenoh endpoint: write it as {DEFAULT_LISTEN} or tls/cell-7.example:7447");
+            return Err(Mistake::at(&place, detail));
+        }
+    }
+    Ok((endpoints, place))
+}
+
+/// All texts in a list, and in the lists and groups in it.
+fn texts(value: &Value) -> Vec<String> {
+    match value {
+        Value::String(text) => vec![text.clone()],
+        Value::Array(items) => items.iter().flat_map(texts).collect(),
+        Value::Object(members) => members.values().flat_map(texts).collect(),
+        _ => Vec::new(),
+    }
+}
+
+fn is_loopback(endpoint: &str) -> bool {
+    let Ok(endpoint) = endpoint.parse::<EndPoint>() else { return false };
+    let address = endpoint.address();
+    match address.as_str().parse::<std::net::SocketAddr>() {
+        Ok(address) => address.ip().is_loopback(),
+        Err(_) => address.as_str().rsplit_once(':').is_some_and(|(host, _)| host == "localhost"),
+    }
+}
+
+fn max_hz(content: Option<(&File, &Content)>) -> Result<u32, Mistake> {
+    let given = content.and_then(|(file, content)| Some((file, content.max_hz.as_ref()?)));
+    let Some((file, max_hz)) = given else { return Ok(DEFAULT_HZ as u32) };
+    if (1..=MAX_HZ).contains(max_hz.get_ref()) {
+        return Ok(*max_hz.get_ref() as u32);
+    }
+    let detail = format!("max_hz is {}, and must be from 1 to {MAX_HZ}", max_hz.get_ref());
+    Err(Mistake::at(&file.place(max_hz.span().start), detail))
+}
+
+#[cfg(test)]
+#[path = "zenoh_tests.rs"]
+mod tests;

@@ -1,0 +1,114 @@
+use std::path::Path;
+
+use super::super::{Config, Flags};
+use super::*;
+
+fn flags() -> Flags {
+    Flags::default()
+}
+
+fn listening(endpoint: &str) -> Flags {
+    Flags { zenoh: ZenohFlags { zenoh_listen: vec![endpoint.to_owned()], ..ZenohFlags::default() }, ..flags() }
+}
+
+fn load(flags: &Flags) -> Result<Zenoh, String> {
+    Config::load(flags).map(|config| config.zenoh.unwrap()).map_err(|mistake| mistake.to_string())
+}
+
+/// With this as Zenoh's own file, and this in the gateway's.
+fn of_files(name: &str, own: &str, section: &str, flags: &Flags) -> Result<Zenoh, String> {
+    let directory = std::env::temp_dir().join(format!("wsg-gateway-{}-{name}", std::process::id()));
+    std::fs::create_dir_all(&directory).unwrap();
+    let path = directory.join("zenoh.json5");
+    std::fs::write(&path, own).unwrap();
+    let text = format!("[zenoh]\nconfig = {:?}\n{section}", path.display().to_string());
+    let file = File::parse(Path::new("gateway.toml"), text).map_err(|mistake| mistake.to_string());
+    let config = file.and_then(|file| Config::merge(flags, Some(&file)).map_err(|mistake| mistake.to_string()));
+    std::fs::remove_dir_all(directory).unwrap();
+    config.map(|config| config.zenoh.unwrap())
+}
+
+#[test]
+fn without_a_word_it_is_a_peer_on_loopback_that_looks_for_nobody() {
+    let zenoh = load(&flags()).unwrap();
+    assert_eq!((zenoh.listen.as_slice(), zenoh.connect.len(), zenoh.max_hz), (&[DEFAULT_LISTEN.to_owned()][..], 0, 50));
+    assert_eq!(zenoh.setting("mode"), "peer");
+    assert_eq!(zenoh.setting("listen/endpoints"), json!([DEFAULT_LISTEN]));
+    assert_eq!(zenoh.looks_for(), None);
+    for (key, value) in defaults() {
+        if key != "scouting/gossip/autoconnect" && key != "connect/retry" {
+            assert_eq!(zenoh.setting(key), value, "{key}");
+        }
+    }
+}
+
+#[test]
+fn it_can_be_off_and_a_client_needs_somebody() {
+    let mode = |mode| Flags { zenoh: ZenohFlags { zenoh_mode: Some(mode), ..ZenohFlags::default() }, ..flags() };
+    assert_eq!(Config::load(&mode(ZenohMode::Off)).unwrap().zenoh, None);
+    assert!(load(&mode(ZenohMode::Client)).unwrap_err().contains("--zenoh-connect"));
+    let mut client = mode(ZenohMode::Client);
+    client.zenoh.zenoh_connect = vec!["tcp/127.0.0.1:7447".to_owned()];
+    assert_eq!(load(&client).unwrap().listen.len(), 0);
+}
+
+#[test]
+fn what_reaches_beyond_loopback_needs_credentials_or_insecure() {
+    for endpoint in ["tcp/127.0.0.1:7447", "tcp/[::1]:0", "tcp/localhost:7447", "tls/127.1.2.3:7447"] {
+        assert!(load(&listening(endpoint)).is_ok(), "{endpoint}");
+    }
+    for endpoint in ["tcp/0.0.0.0:7447", "tcp/[::]:7447", "tcp/192.168.1.5:7447", "tcp/cell-7.example:7447"] {
+        let mistake = load(&listening(endpoint)).unwrap_err();
+        assert!(mistake.starts_with("--zenoh-listen: ") && mistake.contains("--insecure"), "{mistake}");
+        assert!(load(&Flags { insecure: true, ..listening(endpoint) }).is_ok());
+    }
+    for endpoint in ["", "7447", "127.0.0.1:7447", "udp/127.0.0.1:7447"] {
+        assert!(load(&listening(endpoint)).unwrap_err().contains("no Zenoh endpoint"), "{endpoint}");
+    }
+}
+
+#[test]
+fn zenohs_own_file_counts_and_what_it_leaves_out_is_as_without_it() {
+    let file = "{mode: 'router', listen: {endpoints: {router: ['tcp/127.0.0.1:7450']}}, transport: {link: {tx: {lease: 5000}}}}";
+    let zenoh = of_files("counts", file, "max_hz = 20\nconnect = ['tcp/127.0.0.1:7451']", &flags()).unwrap();
+    assert_eq!(
+        (zenoh.listen[0].as_str(), zenoh.connect[0].as_str(), zenoh.max_hz),
+        ("tcp/127.0.0.1:7450", "tcp/127.0.0.1:7451", 20)
+    );
+    assert_eq!((zenoh.setting("mode"), zenoh.setting("transport/link/tx/lease")), (json!("router"), json!(5000)));
+    assert_eq!(zenoh.setting("transport/link/rx/max_message_size"), MAX_MESSAGE_BYTES);
+    assert_eq!(zenoh.looks_for(), None);
+    let flag = of_files("flag", file, "", &listening("tcp/127.0.0.1:0")).unwrap();
+    assert_eq!(flag.listen, ["tcp/127.0.0.1:0"]);
+    assert_eq!(of_files("nothing", "{}", "", &flags()).unwrap().listen, [DEFAULT_LISTEN]);
+}
+
+#[test]
+fn a_file_that_exposes_the_grippers_asks_for_credentials() {
+    let refused = |name, file| of_files(name, file, "", &flags()).unwrap_err();
+    let mistake = refused("open", "{listen: {endpoints: ['tcp/0.0.0.0:7447']}}");
+    assert!(mistake.starts_with("gateway.toml:2: tcp/0.0.0.0:7447 reaches beyond loopback"), "{mistake}");
+    assert!(refused("scouts", "{scouting: {multicast: {enabled: true}}}").contains("scouting/multicast/enabled"));
+    assert!(refused("gossips", "{scouting: {gossip: {autoconnect: {peer: ['peer']}}}}").contains("gossip"));
+    assert!(refused("no", "{mode: 'leader'}").starts_with("gateway.toml:2: "));
+    for file in [
+        "{listen: {endpoints: ['tcp/0.0.0.0:7447']}, access_control: {enabled: true, default_permission: 'deny', rules: [], subjects: [], policies: []}}",
+        "{listen: {endpoints: ['tls/0.0.0.0:7447']}, transport: {link: {tls: {enable_mtls: true}}}}",
+    ] {
+        of_files("credentials", file, "", &flags()).unwrap();
+    }
+    let only_tls = "{listen: {endpoints: ['tcp/0.0.0.0:7447']}, transport: {link: {tls: {enable_mtls: true}}}}";
+    assert!(refused("mixed", only_tls).contains("tcp/0.0.0.0:7447"));
+}
+
+#[test]
+fn a_mistake_in_the_section_is_named_with_its_line() {
+    let mistake = |text: &str| {
+        let file = File::parse(Path::new("gateway.toml"), text.to_owned());
+        file.and_then(|file| Config::merge(&flags(), Some(&file))).unwrap_err().to_string()
+    };
+    assert!(mistake("[zenoh]\nmax_hz = 0").starts_with("gateway.toml:2: max_hz is 0, and must be from 1 to 100"));
+    assert!(mistake("[zenoh]\nlisten = ['nowhere']").starts_with("gateway.toml:2: \"nowhere\" is no Zenoh endpoint"));
+    assert!(mistake("[zenoh]\nconfig = 'none.json5'").contains("none.json5"));
+    assert!(mistake("[zenoh]\nmode = 'leader'").starts_with("gateway.toml:2: "));
+}
