@@ -21,9 +21,10 @@ use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 
 use crate::config::{self, Config, Device, Gripper, Mistake};
+use crate::frontend::network::Network;
 use crate::frontend::refusals::Refusals;
 use crate::frontend::updates::Updates;
-use crate::frontend::{self, http};
+use crate::frontend::{self, http, zenoh};
 use crate::gripper::model::{Detail, Event, GatewayEvent, MemoryKey, Name};
 use crate::gripper::recorder::{Recollection, Record, Recorder as _};
 use crate::gripper::{self, Connector, Fleet, Handle, Now};
@@ -99,11 +100,12 @@ async fn run_gateway(config: &Config, devices: &Runtime, sockets: &Runtime) -> a
     let registry = metrics::registry(&config.name, &journal)?;
     let fleet = spawn_all(config, devices, &journal, &recovered, &registry)?;
     let refusals = Arc::new(Refusals::new(journal.clone()));
-    let context = http::Context {
+    let context = Arc::new(http::Context {
         gateway: config.name.clone(),
         fleet: fleet.clone(),
         journal: journal.clone(),
         refusals: refusals.clone(),
+        network: Arc::new(Network::new(config.name.clone(), fleet.clone())),
         updates: Arc::new(Updates::new(&fleet, journal.clone())),
         closing: shutdown.child_token(),
         sockets: sockets.handle().clone(),
@@ -111,9 +113,12 @@ async fn run_gateway(config: &Config, devices: &Runtime, sockets: &Runtime) -> a
         ws_metrics: frontend::metrics::Metrics::register(&registry, "ws")?,
         registry,
         allowed_hosts: config.hosts.clone(),
-    };
-    let server = tokio::spawn(http::serve(listener, context, http::Limits::default(), shutdown.clone()));
+    });
+    let on_zenoh = config.zenoh.as_ref().map(|zenoh| zenoh_settings(zenoh, &context.registry)).transpose()?;
+    let server = tokio::spawn(http::serve(listener, context.clone(), http::Limits::default(), shutdown.clone()));
     announce(config, address, &ports)?;
+    // Of its own: whatever becomes of it, the rest goes on.
+    let zenoh = on_zenoh.map(|settings| tokio::spawn(zenoh::serve(settings, context, announce_zenoh)));
     let ports = ports::serve(devices, config, ports, &fleet, &refusals, &draining, &shutdown);
     tokio::select! {
         () = stop => {}
@@ -124,6 +129,9 @@ async fn run_gateway(config: &Config, devices: &Runtime, sockets: &Runtime) -> a
     fleet.drain().await;
     shutdown.cancel();
     server.await?;
+    if let Some(zenoh) = zenoh {
+        zenoh.await?;
+    }
     ports.join_all().await.into_iter().collect::<Result<(), _>>()?;
     refusals.write_down();
     Ok(journal.close().await?)
@@ -253,6 +261,23 @@ fn announce(config: &Config, address: SocketAddr, ports: &Ports) -> std::io::Res
     let mut out = std::io::stdout().lock();
     let _ = write_announcement(config, address, &urls, &mut out).and_then(|()| out.flush());
     Ok(())
+}
+
+fn zenoh_settings(zenoh: &config::Zenoh, registry: &Registry) -> anyhow::Result<zenoh::Settings> {
+    Ok(zenoh::Settings {
+        zenoh: zenoh.settings.clone(),
+        listen: zenoh.listen.clone(),
+        max_hz: zenoh.max_hz,
+        metrics: frontend::metrics::Metrics::register(registry, "zenoh")?,
+    })
+}
+
+/// Says where Zenoh is, which may be later than all else.
+fn announce_zenoh(locators: &[String]) {
+    let mut out = std::io::stdout().lock();
+    for locator in locators {
+        let _ = writeln!(out, "Zenoh: {locator}").and_then(|()| out.flush());
+    }
 }
 
 fn write_announcement(

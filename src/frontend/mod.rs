@@ -6,6 +6,7 @@
 mod connections;
 pub mod http;
 pub mod metrics;
+pub mod network;
 pub mod refusals;
 pub mod sockets;
 pub mod updates;

@@ -37,7 +37,8 @@ pub async fn read_first(request: Request, next: Next) -> Response {
     }
 }
 
-async fn read(stream: Stream) -> Result<Bytes, Problem> {
+/// Reads it, within the bounds above.
+pub async fn read(stream: Stream) -> Result<Bytes, Problem> {
     let too_late = || Problem::new(Code::RequestTimeout, format!("the body did not arrive within {BODY_TIME:?}"));
     timeout(BODY_TIME, collect(stream)).await.map_err(|_| too_late())?
 }

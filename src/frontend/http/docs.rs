@@ -32,6 +32,7 @@ use super::responses;
         (name = "fast stop", description = "The stop that holds until it is acknowledged by its id"),
         (name = "commands", description = "What became of a request"),
         (name = "lease", description = "Who may move a gripper, and what becomes of it when that client is lost"),
+        (name = "fleet", description = "All grippers of all gateways on the Zenoh network"),
         (name = "settings", description = "What the device keeps until it restarts, and its tag"),
         (name = "device", description = "What else the manual has"),
         (name = "journal", description = "What happened, and how parts were held"),

@@ -88,6 +88,10 @@ codes! {
     JournalDown SERVICE_UNAVAILABLE;
     /// The device did not answer in time.
     DeviceTimeout GATEWAY_TIMEOUT;
+    /// The gateway that owns the gripper is gone: nothing was sent to it.
+    GatewayGone SERVICE_UNAVAILABLE;
+    /// The gateway that owns the gripper did not answer: whether it was done isn't known.
+    GatewayTimeout GATEWAY_TIMEOUT;
 }
 
 /// A problem, as RFC 9457 has it. Boxed: it is the rare case of every handler's result.

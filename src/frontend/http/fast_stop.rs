@@ -134,7 +134,7 @@ pub async fn all(
 
 /// Stops with the body's reason, if there is one by now. What is left of the body is read meanwhile, so that the
 /// client sees its answer. On a task of its own, since a handler ends with its client's connection.
-async fn with_reason<T, S, F>(request: Request, stop: S) -> Result<T, Problem>
+pub async fn with_reason<T, S, F>(request: Request, stop: S) -> Result<T, Problem>
 where
     T: Send + 'static,
     S: FnOnce(Reason) -> F + Send + 'static,

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use axum::Router;
 use axum::body::Body;
 use axum::http::{Method as Verb, Request, StatusCode};
+use axum::response::Response;
 use http_body_util::BodyExt;
 use serde_json::value::RawValue;
 use serde_json::{Map, Value};
@@ -39,8 +40,14 @@ pub enum Wait<'a> {
     Ms(Option<&'a str>),
 }
 
-/// FAST STOP's name: whatever comes with it, it stops.
-pub const FAST_STOP: &str = "fast-stop";
+/// The names of FAST STOPs: whatever comes with one, it stops.
+const FAST_STOPS: [&str; 2] = ["fast-stop", "fleet.fast-stop"];
+
+/// Whether a method is a FAST STOP.
+#[must_use]
+pub fn is_fast_stop(name: &str) -> bool {
+    FAST_STOPS.contains(&name)
+}
 
 macro_rules! methods {
     (command) => { true };
@@ -89,6 +96,8 @@ pub const METHODS: &[Method] = methods! {
     "tare" POST "/grippers/{gripper}/tare";
     "loop" POST "/grippers/{gripper}/loop";
     "raw" POST "/grippers/{gripper}/raw" command;
+    "fleet" GET "/fleet";
+    "fleet.fast-stop" POST "/fleet/fast-stop";
 };
 
 impl Method {
@@ -149,10 +158,15 @@ impl Methods {
         self.send(client, request).await
     }
 
-    async fn send(&self, client: Client, mut request: Request<Body>) -> Result<Answer, Refusal> {
+    /// Asks for an operation by its path.
+    pub async fn forward(&self, client: Client, mut request: Request<Body>) -> Response {
         request.extensions_mut().insert(client);
         let Ok(response) = Router::clone(&self.0).oneshot(request).await;
-        let (mut parts, body) = response.into_parts();
+        response
+    }
+
+    async fn send(&self, client: Client, request: Request<Body>) -> Result<Answer, Refusal> {
+        let (mut parts, body) = self.forward(client, request).await.into_parts();
         let broken = |detail: String| Problem::new(Code::Internal, format!("the answer can't be told: {detail}"));
         let bytes = body.collect().await.map_err(|error| broken(error.to_string()))?.to_bytes();
         let body: Box<RawValue> = serde_json::from_slice(&bytes).map_err(|error| broken(error.to_string()))?;
@@ -172,7 +186,7 @@ fn request(name: &str, params: Value, wait: Wait<'_>) -> Result<Request<Body>, P
     let mut params = match params {
         Value::Object(params) => params,
         Value::Null => Map::new(),
-        _ if name == FAST_STOP => Map::new(),
+        _ if is_fast_stop(name) => Map::new(),
         _ => return Err(Problem::malformed("params", "params must be an object: there are none by position")),
     };
     let method = rows().find(|row| row.path_parameters().all(|key| params.contains_key(key))).unwrap_or(first);

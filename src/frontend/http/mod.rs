@@ -4,7 +4,7 @@
 //! described. A request passes, from the outside in: `guard` (who may ask at all), `body` (read within bounds, except
 //! for FAST STOP, which waits for nothing), `extract` (everything parsed, every mistake a problem), its handler. The
 //! handlers are in `grippers`, `motions`, `commands`, `fast_stop`, `settings`, `device`, `fingers`, `raw`, `journal`,
-//! `stream`, `gateway`, and `ws`, which calls the others by their names in `methods`; `watched` counts and logs all of it.
+//! `stream`, `gateway`, `fleet`, and `ws`, which calls the others by their names in `methods`; `watched` counts and logs all of it.
 
 mod asyncapi;
 mod body;
@@ -15,6 +15,7 @@ mod errors;
 mod extract;
 mod fast_stop;
 mod fingers;
+mod fleet;
 mod gateway;
 mod grippers;
 mod guard;
@@ -39,6 +40,7 @@ use std::sync::Arc;
 
 use axum::http::Method as Verb;
 use axum::response::{IntoResponse, Response};
+use axum::routing::any;
 use axum::{Extension, Router, middleware};
 use prometheus::Registry;
 use tokio_util::sync::CancellationToken;
@@ -48,6 +50,7 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use super::metrics::Metrics;
+use super::network::Network;
 use super::refusals::Refusals;
 use super::updates::Updates;
 use crate::gripper::Fleet;
@@ -58,7 +61,7 @@ pub use asyncapi::{document as asyncapi_document, yaml as asyncapi};
 pub use body::{MAX_BODY_BYTES, parse as parse_body};
 pub use errors::{Code, Problem};
 pub use lease::Taken;
-pub use methods::{Answer, FAST_STOP, METHODS, Method, Methods, Refusal, Wait};
+pub use methods::{Answer, METHODS, Method, Methods, Refusal, Wait, is_fast_stop};
 pub use server::{Limits, RESERVED_CONNECTIONS, serve};
 
 /// Where the API begins.
@@ -75,6 +78,8 @@ pub struct Context {
     pub journal: Journal,
     /// What was refused, on its way there.
     pub refusals: Arc<Refusals>,
+    /// The other gateways.
+    pub network: Arc<Network>,
     /// What can be followed live.
     pub updates: Arc<Updates>,
     /// Ends the streams when the gateway ends.
@@ -99,6 +104,7 @@ impl Context {
         let (gateway, fleet) = ("wsg".parse().unwrap(), Fleet::new(grippers));
         let refusals = Arc::new(Refusals::new(journal.clone()));
         let updates = Arc::new(Updates::new(&fleet, journal.clone()));
+        let network = Arc::new(Network::new("wsg".parse().unwrap(), fleet.clone()));
         let registry = Registry::new();
         let [metrics, ws_metrics] = ["http", "ws"].map(|door| Metrics::register(&registry, door).unwrap());
         let (closing, allowed_hosts) = (CancellationToken::new(), Vec::new());
@@ -108,6 +114,7 @@ impl Context {
             fleet,
             journal,
             refusals,
+            network,
             updates,
             closing,
             sockets,
@@ -162,9 +169,8 @@ fn routes() -> Routes {
         .merge(docs::page())
         .method_not_allowed_fallback(method_not_allowed)
         .layer(middleware::from_fn(body::read_first));
-    let (fast_stops, fast_stop_document) = OpenApiRouter::<Arc<Context>>::new()
-        .nest(API, OpenApiRouter::new().routes(routes!(fast_stop::one)).routes(routes!(fast_stop::all)))
-        .split_for_parts();
+    let (fast_stops, fast_stop_document) =
+        OpenApiRouter::<Arc<Context>>::new().nest(API, unhurried_by_bodies()).split_for_parts();
     let fast_stops = fast_stops.method_not_allowed_fallback(method_not_allowed);
     let mut all = OpenApiRouter::from(router.merge(fast_stops));
     let merged = all.get_openapi_mut();
@@ -172,6 +178,16 @@ fn routes() -> Routes {
     merged.merge(fast_stop_document);
     docs::without_null_bodies(merged);
     all
+}
+
+fn unhurried_by_bodies() -> Routes {
+    OpenApiRouter::new()
+        .routes(routes!(fast_stop::one))
+        .routes(routes!(fast_stop::all))
+        .routes(routes!(fleet::fast_stop))
+        // A FAST STOP may be among them.
+        .route(fleet::FORWARDED[0], any(fleet::forward))
+        .route(fleet::FORWARDED[1], any(fleet::forward))
 }
 
 fn api() -> Routes {
@@ -210,6 +226,7 @@ fn api() -> Routes {
         .routes(routes!(journal::curve))
         .routes(routes!(stream::stream))
         .routes(routes!(ws::open))
+        .routes(routes!(fleet::list))
 }
 
 async fn not_found() -> Problem {

@@ -33,9 +33,14 @@ const PROBLEMS: &[(&str, &str, &str)] = &[
         "503",
         "LinkDown",
         "`link_down`: there is no working link to the device; `journal_down`: the journal takes no records, or can't \
-         be read",
+         be read; `gateway_gone`: the gateway that owns the gripper is gone, and nothing was sent to it",
     ),
-    ("504", "DeviceTimeout", "`device_timeout`: the device did not answer in time"),
+    (
+        "504",
+        "DeviceTimeout",
+        "`device_timeout`: the device did not answer in time; `gateway_timeout`: the gateway that owns the gripper did \
+         not, and whether it was done isn't known",
+    ),
 ];
 
 macro_rules! sets {

@@ -22,7 +22,7 @@ async fn start(limits: Limits, script: Script) -> Server {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();
     let shutdown = CancellationToken::new();
-    let task = tokio::spawn(serve(listener, context, limits, shutdown.clone()));
+    let task = tokio::spawn(serve(listener, Arc::new(context), limits, shutdown.clone()));
     Server { address, shutdown, task, seen }
 }
 

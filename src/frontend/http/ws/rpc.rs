@@ -6,7 +6,7 @@ use serde_json::Value;
 use serde_json::value::RawValue;
 
 use crate::frontend::http::errors::{Code, Problem};
-use crate::frontend::http::methods::{FAST_STOP, Refusal};
+use crate::frontend::http::methods::{Refusal, is_fast_stop};
 
 /// The requests of one batch at most.
 pub const MAX_BATCH: usize = 32;
@@ -129,8 +129,8 @@ fn call(mut request: Value) -> Result<Call, Answer> {
     let params = params.unwrap_or_default();
     let is_id = |id: &Value| matches!(id, Value::String(_) | Value::Number(_) | Value::Null);
     let known_id = id.as_ref().filter(|id| is_id(id)).cloned();
-    if method.as_ref().and_then(Value::as_str) == Some(FAST_STOP) {
-        return Ok(Call { id: known_id, method: FAST_STOP.to_owned(), params });
+    if let Some(method) = method.as_ref().and_then(Value::as_str).filter(|method| is_fast_stop(method)) {
+        return Ok(Call { id: known_id, method: method.to_owned(), params });
     }
     let invalid = |detail: &str| {
         Err(Answer::invalid(known_id.clone().unwrap_or_default(), INVALID_REQUEST, malformed(detail.to_owned())))
@@ -195,7 +195,8 @@ mod tests {
     #[test]
     fn a_fast_stop_is_one_however_it_is_put() {
         for request in [json!({"method": "fast-stop"}), json!({"jsonrpc": 2, "id": [], "method": "fast-stop"})] {
-            assert_eq!(one(&request).unwrap().method, FAST_STOP);
+            assert_eq!(one(&request).unwrap().method, "fast-stop");
         }
+        assert_eq!(one(&json!({"method": "fleet.fast-stop"})).unwrap().method, "fleet.fast-stop");
     }
 }

@@ -22,7 +22,7 @@ use super::rpc::{self, Answer, Call, Incoming};
 use crate::frontend::http::Context;
 use crate::frontend::http::errors::{Code, Problem};
 use crate::frontend::http::lease::Taken;
-use crate::frontend::http::methods::{FAST_STOP, Methods, Refusal, Wait};
+use crate::frontend::http::methods::{Methods, Refusal, Wait, is_fast_stop};
 use crate::frontend::metrics::Connected;
 use crate::frontend::updates::{Notification, Pace, Subscription};
 use crate::gripper::Ticket;
@@ -243,7 +243,7 @@ impl Socket {
             let error = rpc::Error::no_method(Problem::new(Code::NotFound, names).into());
             return ready(Answered { answer: id.map(|id| Answer::new(id, Err(error))), ..Answered::default() });
         }
-        if self.under_way > MAX_CALLS && method != FAST_STOP {
+        if self.under_way > MAX_CALLS && !is_fast_stop(&method) {
             let detail =
                 format!("{MAX_CALLS} requests of this socket are under way already: await their answers first");
             let refused = refused(Problem::new(Code::Overloaded, detail));

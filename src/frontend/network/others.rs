@@ -1,0 +1,164 @@
+//! What is known of the other gateways' grippers.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::time::{Duration, Instant};
+
+use super::told::{FleetGripper, Told};
+use crate::gripper::Now;
+use crate::gripper::model::Name;
+
+/// Grippers of other gateways that are known at a time: a hundred cells, and more. Those that are gone make room.
+const MAX_GRIPPERS: usize = 4096;
+
+/// Gateways that are known to live at a time.
+const MAX_GATEWAYS: usize = 1024;
+
+/// A gateway tells each state twice a second at least: one that has said nothing for so long is gone, whatever its
+/// liveliness token says.
+const GONE_AFTER: Duration = Duration::from_millis(1900);
+
+/// How long a gripper whose gateway is gone is still told of.
+const KEPT_FOR: Duration = Duration::from_mins(60);
+
+/// How often it is said that another gateway has the same name.
+const TWIN_TOLD_EVERY: Duration = Duration::from_mins(1);
+
+/// What a gripper's gateway told last, and when.
+#[derive(Debug)]
+struct Known {
+    told: Told,
+    at: Instant,
+}
+
+/// All of it.
+#[derive(Debug, Default)]
+pub(super) struct Others {
+    grippers: BTreeMap<(Name, Name), Known>,
+    alive: BTreeSet<Name>,
+    twin_told: Option<Instant>,
+}
+
+impl Others {
+    pub(super) fn take_state(&mut self, gateway: Name, gripper: Name, told: Told) {
+        let at = Now::read().instant;
+        let name = (gateway, gripper);
+        if self.grippers.len() >= MAX_GRIPPERS && !self.grippers.contains_key(&name) && !self.make_room(at) {
+            tracing::warn!(gateway = %name.0, gripper = %name.1, MAX_GRIPPERS, "too many grippers on the network");
+            return;
+        }
+        self.grippers.insert(name, Known { told, at });
+    }
+
+    pub(super) fn take_token(&mut self, gateway: Name, is_alive: bool) {
+        if !is_alive {
+            self.alive.remove(&gateway);
+        } else if self.alive.len() < MAX_GATEWAYS {
+            self.alive.insert(gateway);
+        }
+    }
+
+    /// A gateway that has the name of this one: clients can't tell them apart, and what they ask goes to both.
+    pub(super) fn tell_of_twin(&mut self, gateway: &Name) {
+        let now = Now::read().instant;
+        if self.twin_told.is_none_or(|at| now.saturating_duration_since(at) >= TWIN_TOLD_EVERY) {
+            self.twin_told = Some(now);
+            tracing::error!(%gateway, "another gateway on this Zenoh network has the same name: give each its own --name");
+        }
+    }
+
+    /// Whether a gateway is known, and if so whether it lives.
+    pub(super) fn is_alive(&self, gateway: &Name) -> Option<bool> {
+        let is_known = self.grippers.keys().any(|(known, _)| known == gateway);
+        if self.alive.contains(gateway) { Some(true) } else { is_known.then_some(false) }
+    }
+
+    pub(super) fn grippers(&self, now: Instant) -> Vec<FleetGripper> {
+        let tell = |((gateway, gripper), known): (&(Name, Name), &Known)| {
+            let since = now.saturating_duration_since(known.at);
+            let gone = self.is_gone(gateway, known, now);
+            (since < KEPT_FOR).then(|| known.told.of_gripper(gateway, gripper, since, gone))
+        };
+        self.grippers.iter().filter_map(tell).collect()
+    }
+
+    /// Of those whose gateway lives, whether they have told since then that they are stopped.
+    pub(super) fn stopped_since(&self, begun: Instant) -> Vec<(String, bool)> {
+        let now = Now::read().instant;
+        let living = self.grippers.iter().filter(|((gateway, _), known)| !self.is_gone(gateway, known, now));
+        let stopped = |known: &Known| known.at >= begun && known.told.is_stopped();
+        living.map(|((gateway, gripper), known)| (format!("{gateway}/{gripper}"), stopped(known))).collect()
+    }
+
+    fn is_gone(&self, gateway: &Name, known: &Known, now: Instant) -> bool {
+        !self.alive.contains(gateway) || now.saturating_duration_since(known.at) >= GONE_AFTER
+    }
+
+    /// Forgets the gripper that was not heard of for longest, if its gateway is gone.
+    fn make_room(&mut self, now: Instant) -> bool {
+        let gone = self.grippers.iter().filter(|((gateway, _), known)| self.is_gone(gateway, known, now));
+        let oldest = gone.min_by_key(|(_, known)| known.at).map(|(name, _)| name.clone());
+        oldest.is_some_and(|name| self.grippers.remove(&name).is_some())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn told(fast_stop: bool) -> Told {
+        let state = serde_json::json!({"link": "connected", "age_ms": 5, "fast_stop": fast_stop, "fast_stop_confirmed": fast_stop});
+        Told::of(state.to_string().as_bytes()).unwrap()
+    }
+
+    fn name(text: &str) -> Name {
+        text.parse().unwrap()
+    }
+
+    fn gone(others: &Others, now: Instant) -> Vec<serde_json::Value> {
+        others.grippers(now).iter().map(|gripper| serde_json::to_value(gripper).unwrap()["gone"].clone()).collect()
+    }
+
+    #[test]
+    fn a_gateway_is_gone_with_its_token_and_when_it_is_silent() {
+        let mut others = Others::default();
+        others.take_token(name("cell-1"), true);
+        others.take_state(name("cell-1"), name("left"), told(false));
+        let now = Instant::now();
+        assert_eq!(gone(&others, now), [false]);
+        assert_eq!(gone(&others, now + GONE_AFTER), [true]);
+        others.take_token(name("cell-1"), false);
+        assert_eq!(gone(&others, now), [true]);
+        assert_eq!((others.is_alive(&name("cell-1")), others.is_alive(&name("cell-2"))), (Some(false), None));
+        assert_eq!(gone(&others, now + KEPT_FOR), [] as [bool; 0]);
+    }
+
+    #[test]
+    fn a_stop_counts_that_was_told_of_since_it_was_asked_for() {
+        let mut others = Others::default();
+        others.take_token(name("cell-1"), true);
+        others.take_state(name("cell-1"), name("left"), told(true));
+        let begun = Instant::now() + Duration::from_nanos(1);
+        assert_eq!(others.stopped_since(begun), [("cell-1/left".to_owned(), false)]);
+        std::thread::yield_now();
+        while Now::read().instant < begun {}
+        others.take_state(name("cell-1"), name("left"), told(true));
+        assert_eq!(others.stopped_since(begun), [("cell-1/left".to_owned(), true)]);
+    }
+
+    #[test]
+    fn who_is_gone_makes_room_and_who_lives_does_not() {
+        let mut others = Others::default();
+        others.take_token(name("cell-1"), true);
+        for index in 0..MAX_GRIPPERS {
+            others.take_state(name("cell-1"), name(&format!("g{index}")), told(false));
+        }
+        others.take_token(name("cell-2"), true);
+        others.take_state(name("cell-2"), name("left"), told(false));
+        assert_eq!(others.grippers.len(), MAX_GRIPPERS);
+        assert!(!others.grippers.contains_key(&(name("cell-2"), name("left"))));
+        others.take_token(name("cell-1"), false);
+        others.take_state(name("cell-2"), name("left"), told(false));
+        assert_eq!(others.grippers.len(), MAX_GRIPPERS);
+        assert!(others.grippers.contains_key(&(name("cell-2"), name("left"))));
+    }
+}

@@ -1,0 +1,124 @@
+//! Zenoh: states, telemetry and events as publications, commands as queries, FAST STOP as a put, and the fleet.
+//!
+//! | key, below `wsg/v1/{gateway}` | what it is |
+//! | --- | --- |
+//! | `/{gripper}/state`, `/telemetry`, `/event` | publications of what HTTP and WebSocket tell; `/event` without a gripper, too |
+//! | `/{gripper}/state`, `/info` | queries |
+//! | `/{gripper}/command/{name}` | queries, by the names that WebSocket has: `grip`, `lease.take`; [`queries`] |
+//! | `/{gripper}/alive` | a liveliness token while the gripper's link is up; `/alive` while the gateway is |
+//! | `/client/{name}` | a liveliness token of a client, which a lease is bound to; [`clients`] |
+//! | `/fast-stop` | a put stops all grippers of the gateway; one to `wsg/v1/fast-stop` those of all gateways |
+//! | `/fleet` | a query: all grippers of all gateways |
+//!
+//! Zenoh may wait for a client that takes nothing, for as long as its configuration says. So nothing here runs where
+//! somebody else waits: commands are worked off where those of HTTP are, but replies and publications are sent from
+//! elsewhere. A FAST STOP passes none of that.
+
+mod clients;
+mod fast_stop;
+mod publications;
+mod queries;
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::runtime::Handle;
+use tokio::task::JoinSet;
+use zenoh::liveliness::LivelinessToken;
+
+use self::clients::Clients;
+use self::fast_stop::FastStops;
+use self::publications::Publications;
+use self::queries::Queries;
+use crate::frontend::http::{self, Context};
+use crate::frontend::metrics::Metrics;
+use crate::frontend::network::keys::Keys;
+use crate::gripper::model::Text;
+
+/// The most bytes of the name that a client gives itself.
+const MAX_CLIENT_BYTES: usize = 64;
+
+/// How long a farewell may take.
+const FAREWELL_WITHIN: Duration = Duration::from_secs(1);
+
+/// How the gateway is on a Zenoh network.
+#[derive(Debug, Clone)]
+pub struct Settings {
+    /// Zenoh's own configuration.
+    pub zenoh: zenoh::Config,
+    /// Where it is to listen.
+    pub listen: Vec<String>,
+    /// How often states and telemetry are published at most, a second and gripper.
+    pub max_hz: u32,
+    /// What is counted.
+    pub metrics: Metrics,
+}
+
+/// Serves until the gateway closes. Where Zenoh can't be had, the gateway is served without; `opened` is told where
+/// others find it.
+pub async fn serve(settings: Settings, context: Arc<Context>, opened: impl FnOnce(&[String])) {
+    let Settings { zenoh: config, listen, max_hz, metrics } = settings;
+    let session = tokio::select! {
+        biased;
+        () = context.closing.cancelled() => return,
+        session = zenoh::open(config) => session,
+    };
+    let session = match session {
+        Ok(session) => session,
+        Err(error) => {
+            tracing::warn!(%error, "Zenoh can't be opened: the grippers are served without it");
+            return;
+        }
+    };
+    let locators: Vec<_> = session.info().locators().await.iter().map(ToString::to_string).collect();
+    if locators.len() < listen.len() {
+        tracing::warn!(
+            listen = listen.join(", "),
+            listening = locators.join(", "),
+            "Zenoh does not listen everywhere: choose other endpoints with --zenoh-listen, or end what listens there"
+        );
+    }
+    match declare(&session, &context, max_hz, metrics).await {
+        Ok((_alive, _told)) => {
+            opened(&locators);
+            context.closing.cancelled().await;
+        }
+        Err(error) => tracing::error!(%error, "Zenoh declares nothing: the grippers are served without it"),
+    }
+    if tokio::time::timeout(FAREWELL_WITHIN, session.close()).await.is_err() {
+        tracing::warn!("Zenoh did not end within {FAREWELL_WITHIN:?}");
+    }
+}
+
+/// Everything that the gateway is to others; it ends with what is returned.
+async fn declare(
+    session: &zenoh::Session,
+    context: &Arc<Context>,
+    max_hz: u32,
+    metrics: Metrics,
+) -> zenoh::Result<(LivelinessToken, JoinSet<()>)> {
+    let keys = Keys::of(&context.gateway);
+    // First: it stops what may be moving already.
+    FastStops::new(context.fleet.clone(), Handle::current()).declare(session, &keys).await?;
+    let clients = Arc::new(Clients::new(Handle::current(), metrics.clone()));
+    clients.declare(session, &keys).await?;
+    context.network.join(session).await?;
+    let methods = http::methods(context);
+    let queries = Queries::new(keys.clone(), methods, clients, metrics.clone(), Handle::current());
+    Arc::new(queries).declare(session, &context.fleet).await?;
+    let mut told = JoinSet::new();
+    for handle in context.fleet.iter() {
+        let publications = Publications::declare(session, &keys, handle).await?;
+        told.spawn_on(publications.tell(context.clone(), metrics.clone(), max_hz), &context.sockets);
+    }
+    told.spawn_on(publications::tell_events(session.clone(), keys.clone(), context.clone()), &context.sockets);
+    Ok((session.liveliness().declare_token(keys.own("alive")).await?, told))
+}
+
+/// A client's identity before there are credentials: the name that it gives.
+fn subject(client: Option<Text<MAX_CLIENT_BYTES>>) -> Arc<str> {
+    match client {
+        Some(name) => format!("zenoh:{}", name.as_str()).into(),
+        None => "zenoh:unknown".into(),
+    }
+}

@@ -1,0 +1,214 @@
+//! Queries: a gripper's `state` and `info`, its commands, and the fleet. All of them are operations of the API, so what is
+//! refused there is refused here, in the same words.
+//!
+//! A reply may wait for a client that takes none, so each is sent from a thread where nobody else waits.
+
+use std::sync::Arc;
+
+use serde::Deserialize;
+use serde_json::value::RawValue;
+use serde_json::{Map, Value};
+use tokio::runtime::Handle;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore};
+use zenoh::Wait as _;
+use zenoh::bytes::Encoding;
+use zenoh::query::Query;
+
+use super::clients::Clients;
+use crate::frontend::http::{self, Code, Methods, Problem, Refusal, Wait, is_fast_stop};
+use crate::frontend::metrics::Metrics;
+use crate::frontend::network::keys::{Keys, last_part};
+use crate::gripper::Fleet;
+use crate::gripper::model::{Client, Door, Name, Text};
+
+/// Queries that may be under way. More are refused as `overloaded`, but for FAST STOPs.
+const MAX_QUERIES: usize = 64;
+
+/// And FAST STOPs among the queries, each of which ends within 250 ms.
+const MAX_FAST_STOPS: usize = 64;
+
+/// The parameters of a query's selector.
+const WAIT_MS: &str = "wait_ms";
+const CLIENT: &str = "client";
+
+/// Who answers.
+#[derive(Debug)]
+pub struct Queries {
+    pub keys: Keys,
+    pub methods: Methods,
+    pub clients: Arc<Clients>,
+    pub metrics: Metrics,
+    runtime: Handle,
+    places: Arc<Semaphore>,
+    fast_stop_places: Arc<Semaphore>,
+}
+
+/// What a query asks for.
+#[derive(Debug)]
+struct Asked {
+    /// Under which key it is answered.
+    key: String,
+    /// The operation.
+    method: String,
+    params: Map<String, Value>,
+    wait_ms: Option<String>,
+    client: Client,
+}
+
+impl Queries {
+    pub fn new(keys: Keys, methods: Methods, clients: Arc<Clients>, metrics: Metrics, runtime: Handle) -> Self {
+        let [places, fast_stop_places] = [MAX_QUERIES, MAX_FAST_STOPS].map(|places| Arc::new(Semaphore::new(places)));
+        Self { keys, methods, clients, metrics, runtime, places, fast_stop_places }
+    }
+
+    /// Takes queries for these grippers.
+    pub async fn declare(self: &Arc<Self>, session: &zenoh::Session, fleet: &Fleet) -> zenoh::Result<()> {
+        for gripper in fleet.iter().map(crate::gripper::Handle::name) {
+            for what in ["state", "info"] {
+                let (queries, key) = (self.clone(), self.keys.gripper(gripper, what));
+                let params = Map::from_iter([("gripper".to_owned(), gripper.as_str().into())]);
+                let answered = key.clone();
+                let answer = move |query: Query| queries.read(query, answered.clone(), what, params.clone());
+                session.declare_queryable(key).callback(answer).background().await?;
+            }
+            let (queries, gripper, key) = (self.clone(), gripper.clone(), self.keys.gripper(gripper, "command/*"));
+            let answer = move |query: Query| queries.command(query, &gripper);
+            session.declare_queryable(key).callback(answer).background().await?;
+        }
+        let (queries, key) = (self.clone(), self.keys.own("fleet"));
+        let answer = move |query: Query| queries.read(query, queries.keys.own("fleet"), "fleet", Map::new());
+        session.declare_queryable(key).callback(answer).background().await
+    }
+
+    fn read(self: &Arc<Self>, query: Query, key: String, what: &'static str, params: Map<String, Value>) {
+        let asked = Asked {
+            key,
+            method: what.to_owned(),
+            params,
+            wait_ms: None,
+            client: Client { subject: super::subject(None), door: Door::Zenoh },
+        };
+        self.answer(query, Ok(asked));
+    }
+
+    fn command(self: &Arc<Self>, query: Query, gripper: &Name) {
+        let asked = self.asked(&query, gripper);
+        self.answer(query, asked);
+    }
+
+    /// What a query for a command asks for. One for a FAST STOP is one whatever comes with it.
+    fn asked(&self, query: &Query, gripper: &Name) -> Result<Asked, Problem> {
+        let method = last_part(query.key_expr().as_str()).to_owned();
+        let is_fast_stop = is_fast_stop(&method);
+        let key = self.keys.gripper(gripper, &format!("command/{method}"));
+        if key != query.key_expr().as_str() && !is_fast_stop {
+            let detail =
+                "a command is asked of one gripper, by its name: only FAST STOPs may have wildcards in their key";
+            return Err(Problem::malformed("key", detail));
+        }
+        let is_a_grippers =
+            |row: &&http::Method| row.name == method && row.path_parameters().any(|key| key == "gripper");
+        if !http::METHODS.iter().any(|row| is_a_grippers(&row)) {
+            return Err(Problem::not_found("such command: the API's description has them all"));
+        }
+        let payload = query.payload().map(zenoh::bytes::ZBytes::to_bytes).unwrap_or_default();
+        let given = |key| query.parameters().get(key).filter(|given| !given.is_empty());
+        let client = given(CLIENT).map(|name| Text::new(name).ok_or_else(|| too_long(name))).transpose();
+        let (mut params, client) = if is_fast_stop {
+            (http::parse_body(&payload).unwrap_or_default(), client.unwrap_or_default())
+        } else {
+            (body(&payload)?, client?)
+        };
+        let other = params.insert("gripper".to_owned(), gripper.as_str().into());
+        if !is_fast_stop && other.is_some_and(|other| other != gripper.as_str()) {
+            return Err(Problem::malformed("gripper", "gripper is another one than that of the key"));
+        }
+        Ok(Asked {
+            key,
+            method,
+            params,
+            wait_ms: given(WAIT_MS).map(ToOwned::to_owned),
+            client: Client { subject: super::subject(client), door: Door::Zenoh },
+        })
+    }
+
+    /// Answers in its turn; refuses where too many are under way.
+    fn answer(self: &Arc<Self>, query: Query, asked: Result<Asked, Problem>) {
+        let is_fast_stop = asked.as_ref().is_ok_and(|asked| is_fast_stop(&asked.method));
+        let places = if is_fast_stop { &self.fast_stop_places } else { &self.places };
+        let Ok(place) = places.clone().try_acquire_owned() else {
+            // It was asked for by so many already that it is under way.
+            tracing::warn!(key = %query.key_expr(), "too many Zenoh queries are under way");
+            let detail = format!("{MAX_QUERIES} Zenoh queries are under way already: await their answers first");
+            let refusal = Refusal::from(Problem::new(Code::Overloaded, detail));
+            self.reply(query, None, Err(refusal), None);
+            return;
+        };
+        let queries = self.clone();
+        self.runtime.spawn(async move {
+            let (key, told) = match asked {
+                Ok(asked) => (Some(asked.key.clone()), queries.call(asked).await),
+                Err(problem) => (None, Err(problem.into())),
+            };
+            queries.reply(query, key, told, Some(place));
+        });
+    }
+
+    async fn call(&self, asked: Asked) -> Result<Box<RawValue>, Refusal> {
+        let Asked { method, params, wait_ms, client, .. } = asked;
+        let holder = holder(&params).filter(|_| method == "lease.take");
+        let was_alive = holder.as_deref().is_some_and(|holder| self.clients.is_alive(holder));
+        let told = self.methods.call(client, &method, Value::Object(params), Wait::Ms(wait_ms.as_deref())).await;
+        let status = told.as_ref().map_or_else(|refusal| refusal.status.as_u16(), |_| 200);
+        self.metrics.answered(Some(&method), "QUERY", status);
+        let answer = told?;
+        if let (Some(taken), Some(holder)) = (answer.lease, holder) {
+            self.clients.bind(&holder, taken, was_alive);
+        }
+        Ok(answer.body)
+    }
+
+    /// Sends a reply from where it may wait.
+    fn reply(
+        &self,
+        query: Query,
+        key: Option<String>,
+        told: Result<Box<RawValue>, Refusal>,
+        place: Option<OwnedSemaphorePermit>,
+    ) {
+        self.runtime.spawn_blocking(move || {
+            let json = Encoding::APPLICATION_JSON;
+            let sent = match (key, told) {
+                (Some(key), Ok(body)) => query.reply(key, body.get()).encoding(json).wait(),
+                (None, Ok(body)) => query.reply(query.key_expr(), body.get()).encoding(json).wait(),
+                (_, Err(refusal)) => query.reply_err(refusal.problem.get()).encoding(json).wait(),
+            };
+            if let Err(error) = sent {
+                tracing::debug!(%error, "a Zenoh reply is not sent: who asked is gone");
+            }
+            drop((query, place));
+        });
+    }
+}
+
+/// A query's payload, within the bounds of a request's body.
+fn body(payload: &[u8]) -> Result<Map<String, Value>, Problem> {
+    if payload.len() > http::MAX_BODY_BYTES {
+        let detail = format!("the payload is larger than {} bytes", http::MAX_BODY_BYTES);
+        return Err(Problem::new(Code::TooLarge, detail).limits(None, Some(http::MAX_BODY_BYTES.into())));
+    }
+    http::parse_body(payload)
+}
+
+/// By which name a lease is asked for.
+fn holder(params: &Map<String, Value>) -> Option<String> {
+    #[derive(Deserialize)]
+    struct Take {
+        holder: String,
+    }
+    Take::deserialize(params).ok().map(|Take { holder }| holder)
+}
+
+fn too_long(name: &str) -> Problem {
+    Problem::too_long(CLIENT, name.len(), super::MAX_CLIENT_BYTES)
+}
