@@ -33,3 +33,4 @@ mod websocket;
 mod wires;
 mod without_connection;
 mod wsg_port;
+mod zenoh;

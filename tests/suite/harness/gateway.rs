@@ -103,9 +103,11 @@ impl Gateway {
         self.process.word_after(before).await
     }
 
-    /// Starts it with these arguments, on a port that the operating system chooses.
+    /// Starts it with these arguments, on ports that the operating system chooses.
     pub async fn start(arguments: &[&str]) -> Self {
-        let process = Process::start(&[&["--listen", "127.0.0.1:0"], arguments].concat());
+        let listens = arguments.iter().any(|argument| argument.starts_with("--zenoh"));
+        let zenoh: &[&str] = if listens { &[] } else { &["--zenoh-listen", "tcp/127.0.0.1:0"] };
+        let process = Process::start(&[&["--listen", "127.0.0.1:0"], zenoh, arguments].concat());
         let base = process.word_after(" at http://").await;
         let base = format!("http://{}", base.trim_end_matches('/'));
         Self { process, base, http: reqwest::Client::new() }
@@ -212,6 +214,11 @@ impl Gateway {
     /// Waits until the link is so.
     pub async fn until_link(&self, link: &str) -> Value {
         self.until(link, |state| state["link"] == link).await
+    }
+
+    /// Waits until it has logged this.
+    pub async fn until_said(&self, what: &str) {
+        self.process.until_said(what).await;
     }
 
     /// Takes its processor time away until [`Gateway::thaw`].

@@ -100,12 +100,17 @@ impl Process {
         self.stdout.lines.lock().unwrap().len()
     }
 
+    /// Waits until standard error has this.
+    pub async fn until_said(&self, what: &str) {
+        eventually(what, async || self.stderr.text().contains(what).then_some(())).await;
+    }
+
     /// Sends SIGTERM.
     pub fn terminate(&self) {
         self.signal("TERM");
     }
 
-    /// Sends a signal.
+    /// Sends a signal by its name.
     pub fn signal(&self, name: &str) {
         signal(self.child.id().expect("it runs"), name);
     }

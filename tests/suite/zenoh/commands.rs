@@ -1,0 +1,171 @@
+//! Commands over Zenoh are those of HTTP: what they do, what they are refused with, and what is written down of them.
+
+use std::time::Instant;
+
+use serde_json::{Map, Value, json};
+
+use super::Rig;
+use crate::harness::{Gateway, MOTIONS, ZenohClient, eventually};
+
+const FAST_STOP: u8 = 0x23;
+
+/// The records of a command, without what no two commands share.
+async fn records(gateway: &Gateway, id: &Value) -> Vec<Map<String, Value>> {
+    let both = async || {
+        let events = gateway.get("/api/v1/events?kind=command&order=oldest&limit=500").await.ok();
+        let events = events["events"].as_array().unwrap().clone();
+        let of_it: Vec<_> = events.into_iter().filter(|event| event["command_id"] == *id).collect();
+        (of_it.len() == 2).then_some(of_it)
+    };
+    let events = eventually("two records", both).await;
+    let own = ["seq", "at", "command_id", "duration_ms"];
+    let common = |event: Value| {
+        let mut members = event.as_object().unwrap().clone();
+        members.retain(|name, _| !own.contains(&name.as_str()));
+        members
+    };
+    events.into_iter().map(common).collect()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_command_leaves_the_same_records_as_over_http_but_for_the_door() {
+    let rig = Rig::start(&["--part-mm", "20"]).await;
+    rig.gateway.post("home", &json!({})).await.outcome("SUCCESS");
+    let open = json!({"width_mm": 60, "speed_mm_s": 400});
+    let grip = json!({"width_mm": 20, "speed_mm_s": 200, "force_n": 30, "part_id": "A-1", "request_id": "one"});
+    rig.gateway.post("release", &open).await.outcome("SUCCESS");
+    let over_http = rig.gateway.post("grip", &grip).await.outcome("PART_HELD");
+    rig.gateway.post("release", &open).await.outcome("SUCCESS");
+    let over_zenoh = rig.client.command("grip?client=robot-1", &grip).await.unwrap();
+    assert_eq!((&over_zenoh["outcome"], &over_zenoh["replayed"]), (&json!("PART_HELD"), &json!(false)));
+
+    let mut http = records(&rig.gateway, &over_http["id"]).await;
+    let mut zenoh = records(&rig.gateway, &over_zenoh["id"]).await;
+    for (http, zenoh) in http.iter_mut().zip(&mut zenoh) {
+        let by = |record: &mut Map<String, Value>| (record.remove("door").unwrap(), record.remove("subject").unwrap());
+        assert_eq!(by(http), (json!("http"), json!("http:127.0.0.1")));
+        assert_eq!(by(zenoh), (json!("zenoh"), json!("zenoh:robot-1")));
+        // What the device measured.
+        for measured in ["width_mm", "force_n"].into_iter().filter(|_| http["phase"] == "done") {
+            let (one, other) = (http.remove(measured), zenoh.remove(measured));
+            let difference = one.unwrap().as_f64().unwrap() - other.unwrap().as_f64().unwrap();
+            assert!(difference.abs() < 1.0, "{measured}");
+        }
+    }
+    assert_eq!(http, zenoh);
+
+    let again = rig.client.command("grip?client=robot-1", &grip).await.unwrap();
+    assert_eq!((&again["id"], &again["replayed"]), (&over_zenoh["id"], &json!(true)));
+    let mut other = grip.clone();
+    other["width_mm"] = 21.into();
+    let refused = rig.client.command("grip?client=robot-1", &other).await.unwrap_err();
+    assert_eq!(refused["code"], "request_id_reused");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_refused_is_the_problem_that_http_has() {
+    let rig = Rig::start(&[]).await;
+    let before = rig.proxy.frames.len();
+    for (command, body) in [
+        ("move", json!({"width_mm": 20, "speed_mm_s": 50})),
+        ("grip", json!({"width_mm": 5000, "speed_mm_s": 50})),
+        ("move", json!({"width_mm": 20})),
+        ("move", json!({"width_mm": "20", "speed_mm_s": 50})),
+        ("home", json!({"direction": "up"})),
+        ("home", json!({"nonsense": 1})),
+        ("home", json!([])),
+        ("acknowledge", json!({"fast_stop_id": "none"})),
+        ("move", json!({"width_mm": 20, "speed_mm_s": 50, "lease": "stale"})),
+    ] {
+        let over_zenoh = rig.client.command(command, &body).await.unwrap_err();
+        assert_eq!(over_zenoh, rig.gateway.post(command, &body).await.body, "{command} {body}");
+    }
+    let long = rig.client.command("home", &json!({"direction": "x".repeat(70_000)})).await.unwrap_err();
+    assert_eq!((&long["code"], &long["max"]), (&json!("too_large"), &json!(65536)));
+    let mut refused = rig.client.all("wsg/v1/gateway/g/command/home", "{\"direction\"").await;
+    assert_eq!(refused.remove(0).1.unwrap_err()["code"], "malformed");
+    let waits = rig.client.command("home?wait_ms=60001", &json!({})).await.unwrap_err();
+    assert_eq!((&waits["code"], &waits["field"]), (&json!("out_of_range"), &json!("wait_ms")));
+    assert_eq!(rig.client.command("leap", &json!({})).await.unwrap_err()["code"], "not_found");
+    assert_eq!(rig.client.command("home", &json!({"gripper": "h"})).await.unwrap_err()["field"], "gripper");
+    assert!(rig.proxy.frames.since(before).iter().all(|frame| !MOTIONS.contains(&frame.id)), "nothing moves");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn one_query_moves_one_gripper_and_a_wildcard_none() {
+    let rig = Rig::start(&[]).await;
+    let before = rig.proxy.frames.len();
+    for key in ["wsg/v1/*/*/command/home", "wsg/v1/gateway/*/command/home", "wsg/v1/gateway/g/command/*", "wsg/v1/**"] {
+        for (_, answer) in rig.client.all(key, "{}").await {
+            let Err(problem) = answer else { continue };
+            assert_eq!((&problem["code"], &problem["field"]), (&json!("malformed"), &json!("key")), "{problem}");
+        }
+    }
+    assert!(rig.proxy.frames.since(before).iter().all(|frame| !MOTIONS.contains(&frame.id)), "nothing moves");
+    let begun = rig.client.command("home?wait_ms=0", &json!({})).await.unwrap();
+    assert_eq!(begun["phase"], "running");
+    let command = json!({"command": begun["id"]});
+    let ended = rig.client.command("command?wait_ms=20000", &command).await.unwrap();
+    assert_eq!((&ended["phase"], &ended["outcome"]), (&json!("done"), &json!("SUCCESS")));
+    let stopped = rig.client.all("wsg/v1/*/*/command/fast-stop", "no JSON").await;
+    assert_eq!(stopped[0].1.as_ref().unwrap()["fast_stop_confirmed"], true);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_put_stops_one_gateway_or_all_whatever_it_carries() {
+    let rig = Rig::start(&[]).await;
+    rig.gateway.post("home", &json!({"direction": "outer"})).await.outcome("SUCCESS");
+    for (key, payload, reason) in [
+        ("wsg/v1/gateway/fast-stop", &b"{\"reason\": \"light curtain\"}"[..], "light curtain"),
+        ("wsg/v1/fast-stop", b"door open", "door open"),
+        ("wsg/v1/fast-stop", b"", ""),
+        ("wsg/v1/gateway/fast-stop", b"\xFF{]", "\u{FFFD}{]"),
+    ] {
+        rig.gateway.begin("move", &json!({"width_mm": 5, "speed_mm_s": 5})).await;
+        rig.gateway.until_moving().await;
+        let put = Instant::now();
+        rig.client.put(key, payload).await;
+        eventually("23h", async || rig.proxy.frames.first_since(FAST_STOP, put)).await;
+        let state = rig.gateway.until("it is confirmed", |state| state["fast_stop_confirmed"] == true).await;
+        assert_eq!((&state["fast_stop_reason"], &state["fast_stop_by"]), (&json!(reason), &json!("zenoh:unknown")));
+        let acknowledge = json!({"fast_stop_id": state["fast_stop_id"]});
+        let acknowledged = rig.client.command("acknowledge", &acknowledge).await.unwrap();
+        assert_eq!(acknowledged["fast_stop"], false);
+        rig.gateway.post("home", &json!({"direction": "outer"})).await.outcome("SUCCESS");
+    }
+    rig.client.put("wsg/v1/another/fast-stop", "not this one").await;
+    let state = rig.client.ask("wsg/v1/gateway/g/state", &Value::Null).await.unwrap();
+    assert_eq!(state["fast_stop"], false);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_taken_port_is_a_warning_and_the_gripper_is_served() {
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let endpoint = format!("tcp/{}", taken.local_addr().unwrap());
+    let gateway = Gateway::start(&["--gripper", "g=sim://wsg50", "--zenoh-listen", &endpoint]).await;
+    gateway.until_link("connected").await;
+    gateway.post("home", &json!({})).await.outcome("SUCCESS");
+    let ended = gateway.terminate().await;
+    assert!(ended.status.success(), "{}", ended.stderr);
+    assert!(ended.stderr.contains("choose other endpoints with --zenoh-listen"), "{}", ended.stderr);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_asked_is_counted_by_its_door() {
+    let rig = Rig::start(&[]).await;
+    rig.client.command("home", &json!({})).await.unwrap();
+    rig.client.command("grip", &json!({})).await.unwrap_err();
+    let token = rig.client.live(&ZenohClient::of(&rig.gateway).await, "wsg/v1/gateway/client/robot").await;
+    let figures = rig.gateway.figures().await;
+    let of = |rest: &str| figures.get(&format!("wsg_{rest}")).copied();
+    let counted = |route: &str, status: u16| {
+        of(&format!("requests_total{{door=\"zenoh\",method=\"QUERY\",route=\"{route}\",status=\"{status}\"}}"))
+    };
+    assert_eq!((counted("home", 200), counted("grip", 400)), (Some(1.0), Some(1.0)));
+    eventually("the client is counted", async || {
+        let figures = rig.gateway.figures().await;
+        (figures["wsg_clients_connected{door=\"zenoh\"}"] == 1.0).then_some(())
+    })
+    .await;
+    drop(token);
+}

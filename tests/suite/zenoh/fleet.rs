@@ -1,0 +1,270 @@
+//! Three gateways and one router: one fleet, which the router's death does not end.
+
+use std::collections::BTreeSet;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+
+use crate::harness::{DEADLINE, Gateway, Proxy, Simulator, Socket, ZenohClient, eventually, zenoh::config};
+
+/// Within which a gateway that has vanished is told as gone.
+const GONE_WITHIN: Duration = Duration::from_secs(2);
+
+/// The environment variable that makes the test below a router.
+const ROUTER_AT: &str = "WSG_TEST_ZENOH_ROUTER_AT";
+
+/// Zenoh's router, in a process of its own: what `zenohd` runs, without its plug-ins.
+struct Router {
+    child: Child,
+    endpoint: String,
+}
+
+impl Router {
+    /// On a free port.
+    fn start() -> Self {
+        let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+        Self::at(format!("tcp/127.0.0.1:{port}"))
+    }
+
+    fn at(endpoint: String) -> Self {
+        let mut command = Command::new(std::env::current_exe().unwrap());
+        command.args(["--exact", "zenoh::fleet::router_process"]).env(ROUTER_AT, &endpoint);
+        let child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+        Self { child, endpoint }
+    }
+
+    /// It dies, and says nothing.
+    fn kill(mut self) -> String {
+        self.child.kill().unwrap();
+        self.child.wait().unwrap();
+        std::mem::take(&mut self.endpoint)
+    }
+}
+
+impl Drop for Router {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// What a [`Router`] runs; without its variable it does nothing.
+#[tokio::test(flavor = "multi_thread")]
+async fn router_process() {
+    let Ok(endpoint) = std::env::var(ROUTER_AT) else { return };
+    let parent = std::os::unix::process::parent_id();
+    let _session = zenoh::open(config("router", &[&endpoint], &[])).await.unwrap();
+    while std::os::unix::process::parent_id() == parent {
+        tokio::time::sleep(Duration::from_millis(200)).await;
+    }
+}
+
+/// A gateway that is connected to the router, with so many simulated grippers, besides these.
+async fn gateway(name: &str, router: &str, simulated: usize, others: &[String]) -> Gateway {
+    let simulated = (0..simulated).map(|index| format!("g{index}=sim://wsg50"));
+    let grippers: Vec<_> = simulated.chain(others.iter().cloned()).collect();
+    let mut arguments = vec!["--name", name, "--zenoh-listen", "tcp/127.0.0.1:0", "--zenoh-connect", router];
+    arguments.extend(grippers.iter().flat_map(|gripper| ["--gripper", gripper]));
+    Gateway::start(&arguments).await
+}
+
+async fn fleet(gateway: &Gateway) -> Vec<Value> {
+    gateway.get("/api/v1/fleet").await.ok()["grippers"].as_array().unwrap().clone()
+}
+
+fn is_whole(grippers: &[Value], count: usize) -> bool {
+    grippers.len() == count && grippers.iter().all(|gripper| gripper["gone"] == false && gripper["link"] == "connected")
+}
+
+async fn until_whole(gateway: &Gateway, count: usize) -> Vec<Value> {
+    eventually(&format!("{count} grippers"), async || {
+        let grippers = fleet(gateway).await;
+        is_whole(&grippers, count).then_some(grippers)
+    })
+    .await
+}
+
+async fn until_gone(gateway: &Gateway, of: &str) -> Duration {
+    let since = Instant::now();
+    eventually("it is gone", async || {
+        let grippers = fleet(gateway).await;
+        grippers.iter().filter(|gripper| gripper["gateway"] == of).all(|gripper| gripper["gone"] == true).then_some(())
+    })
+    .await;
+    since.elapsed()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn thirty_grippers_of_three_gateways_are_one_fleet_also_after_the_routers_death() {
+    let router = Router::start();
+    let names = ["cell-1", "cell-2", "cell-3"];
+    let [one, two, three] = names.map(|name| gateway(name, &router.endpoint, 10, &[]));
+    let (one, two, three) = tokio::join!(one, two, three);
+    let gateways = [&one, &two, &three];
+    for gateway in gateways {
+        let grippers = until_whole(gateway, 30).await;
+        let found: BTreeSet<_> =
+            grippers.iter().map(|gripper| format!("{}/{}", gripper["gateway"], gripper["gripper"])).collect();
+        assert_eq!(found.len(), 30, "{found:?}");
+        let order: Vec<_> = grippers.iter().map(|gripper| gripper["gateway"].as_str().unwrap()).collect();
+        assert!(order.is_sorted(), "{order:?}");
+    }
+    let mut socket = Socket::open(&one).await;
+    assert_eq!(socket.call("fleet", json!({})).await["grippers"].as_array().unwrap().len(), 30);
+    let client = ZenohClient::at(&router.endpoint).await;
+    assert_eq!(
+        client.ask("wsg/v1/cell-2/fleet", &Value::Null).await.unwrap()["grippers"].as_array().unwrap().len(),
+        30
+    );
+
+    let endpoint = router.kill();
+    for gateway in gateways {
+        let others = names.iter().filter(|name| gateway_name(gateway) != **name);
+        for other in others {
+            until_gone(gateway, other).await;
+        }
+        let home = gateway.post("/api/v1/grippers/g0/home", &json!({})).await;
+        home.outcome("SUCCESS");
+        let remote = names.iter().find(|name| gateway_name(gateway) != **name).unwrap();
+        let refused = gateway.post(&format!("/api/v1/fleet/{remote}/grippers/g0/home"), &json!({})).await;
+        refused.problem(503, "gateway_gone");
+    }
+    let _router = Router::at(endpoint);
+    for gateway in gateways {
+        until_whole(gateway, 30).await;
+    }
+    let home = one.post("/api/v1/fleet/cell-3/grippers/g1/home", &json!({})).await;
+    home.outcome("SUCCESS");
+}
+
+fn gateway_name(gateway: &Gateway) -> String {
+    let said = gateway.stdout();
+    said.split_once(" serves ").unwrap().1.split_whitespace().next().unwrap().to_owned()
+}
+
+/// Two gateways, the second one with a gripper `g` whose wire is seen.
+struct Pair {
+    _router: Router,
+    _device: Simulator,
+    proxy: Proxy,
+    near: Gateway,
+    far: Gateway,
+}
+
+impl Pair {
+    async fn start() -> Self {
+        let router = Router::start();
+        let device = Simulator::with_part().await;
+        let proxy = Proxy::to(device.address);
+        let far = [format!("g=tcp://{}", proxy.address)];
+        let (near, far) =
+            tokio::join!(gateway("near", &router.endpoint, 1, &[]), gateway("far", &router.endpoint, 0, &far));
+        until_whole(&near, 2).await;
+        until_whole(&far, 2).await;
+        Self { _router: router, _device: device, proxy, near, far }
+    }
+}
+
+fn far(path: &str) -> String {
+    format!("/api/v1/fleet/far/grippers/g{path}")
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn another_gateways_gripper_answers_as_over_there() {
+    let pair = Pair::start().await;
+    for path in ["", "/lease", "/settings/acceleration"] {
+        let (here, there) = (pair.near.get(&far(path)).await, pair.far.get(path.trim_start_matches('/')).await);
+        assert_eq!((here.status, &here.body), (there.status, &there.body), "{path}");
+    }
+    pair.near.post(&far("/home"), &json!({})).await.outcome("SUCCESS");
+    let running = pair.near.post(&far("/move?wait_ms=0"), &json!({"width_mm": 60, "speed_mm_s": 300})).await;
+    assert_eq!(running.status, 202, "{}", running.body);
+    let location = running.location.clone().unwrap();
+    assert_eq!(location, far(&format!("/commands/{}", running.text("id"))));
+    pair.near.get(&format!("{location}?wait_ms=20000")).await.outcome("SUCCESS");
+
+    let lease = pair.near.post(&far("/lease"), &json!({"holder": "robot", "ttl_ms": 60000})).await;
+    let token = lease.text("token");
+    let grip = json!({"width_mm": 20, "speed_mm_s": 400});
+    let held = pair.near.post(&far("/grip"), &grip).await.problem(409, "lease_held");
+    assert_eq!(held["holder"], "robot");
+    let leased =
+        |token: &str| pair.near.request("POST", &far("/grip")).header("Wsg-Lease", token.to_owned()).json(&grip);
+    pair.near.send(leased("stale")).await.problem(409, "stale_lease");
+    pair.near.send(leased(&token)).await.outcome("PART_HELD");
+    for (path, body) in [("/move", json!({"width_mm": 5000, "speed_mm_s": 1})), ("/grip", json!({"width_mm": 1}))] {
+        let over_there = pair.far.post(path.trim_start_matches('/'), &body).await;
+        let here = pair.near.post(&far(path), &body).await;
+        assert_eq!((here.status, &here.body), (over_there.status, &over_there.body), "{path}");
+    }
+    for (path, status, code) in [
+        ("/api/v1/fleet/nobody/grippers/g/state", 404, "not_found"),
+        ("/api/v1/fleet/far/grippers/h/leap", 404, "not_found"),
+        ("/api/v1/fleet/far/grippers/g/home", 405, "method_not_allowed"),
+        ("/api/v1/fleet/near/grippers/nobody/state", 404, "not_found"),
+    ] {
+        pair.near.get(path).await.problem(status, code);
+    }
+    let own = pair.near.get("/api/v1/fleet/near/grippers/g0").await.ok();
+    assert_eq!(own, pair.near.get("/api/v1/grippers/g0").await.ok());
+    let events = pair.far.get("/api/v1/events?kind=command&limit=1").await.ok();
+    let event = &events["events"][0];
+    assert_eq!((&event["door"], &event["subject"]), (&json!("zenoh"), &json!("zenoh:near/http:127.0.0.1")));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_fast_stop_of_the_fleet_stops_everyone() {
+    let pair = Pair::start().await;
+    pair.near.post(&far("/home"), &json!({"direction": "outer"})).await.outcome("SUCCESS");
+    pair.near.post(&far("/move?wait_ms=0"), &json!({"width_mm": 5, "speed_mm_s": 5})).await;
+    pair.far.until_moving().await;
+    let begun = Instant::now();
+    let stopped = pair.near.post("/api/v1/fleet/fast-stop", &json!({"reason": "light curtain"})).await.ok();
+    eventually("23h", async || pair.proxy.frames.first_since(0x23, begun)).await;
+    let told: BTreeSet<_> =
+        ["confirmed", "unconfirmed"].into_iter().flat_map(|key| stopped[key].as_array().unwrap()).collect();
+    assert_eq!(told, BTreeSet::from([&json!("far/g"), &json!("near/g0")]), "{stopped}");
+    let state = pair.far.until("it is confirmed", |state| state["fast_stop_confirmed"] == true).await;
+    assert_eq!(state["fast_stop_reason"], "light curtain");
+    let grippers = eventually("the fleet shows it", async || {
+        let grippers = fleet(&pair.near).await;
+        grippers.iter().all(|gripper| gripper["fast_stop_confirmed"] == true).then_some(grippers)
+    })
+    .await;
+    assert_eq!(grippers[1]["fast_stop_id"], stopped["fast_stop_id"]);
+    assert_eq!(grippers[0]["fast_stop_id"], state["fast_stop_id"]);
+    let acknowledge = json!({"fast_stop_id": grippers[0]["fast_stop_id"]});
+    assert_eq!(pair.near.post(&far("/acknowledge"), &acknowledge).await.ok()["fast_stop"], false);
+    let one = pair.near.post(&far("/fast-stop"), &json!("whatever")).await.ok();
+    assert_eq!(one["fast_stop_confirmed"], true);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_gateway_that_vanishes_is_gone_within_two_seconds() {
+    let Pair { _router, _device, proxy, near, far } = Pair::start().await;
+    far.kill().await;
+    let took = until_gone(&near, "far").await;
+    assert!(took < GONE_WITHIN, "{took:?}");
+    near.post("/api/v1/fleet/far/grippers/g/home", &json!({})).await.problem(503, "gateway_gone");
+    drop(proxy);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_gateway_that_is_frozen_is_gone_within_two_seconds() {
+    let pair = Pair::start().await;
+    pair.far.freeze();
+    let took = until_gone(&pair.near, "far").await;
+    assert!(took < GONE_WITHIN + DEADLINE / 20, "{took:?}");
+    pair.far.thaw();
+    until_whole(&pair.near, 2).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn who_has_the_name_of_another_is_told_so() {
+    let router = Router::start();
+    let (one, other) =
+        tokio::join!(gateway("twin", &router.endpoint, 1, &[]), gateway("twin", &router.endpoint, 1, &[]));
+    one.until_said("give each its own --name").await;
+    other.until_said("give each its own --name").await;
+}

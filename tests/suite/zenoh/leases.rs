@@ -1,0 +1,98 @@
+//! Leases that are bound to a client's liveliness token.
+
+use std::time::Instant;
+
+use serde_json::{Value, json};
+
+use super::Rig;
+use crate::harness::{ZenohClient, eventually};
+
+const FAST_STOP: u8 = 0x23;
+const TOKEN: &str = "wsg/v1/gateway/client/robot-1";
+
+fn slowly(lease: &Value) -> Value {
+    json!({"width_mm": 5, "speed_mm_s": 5, "lease": lease["token"]})
+}
+
+async fn homed() -> Rig {
+    let rig = Rig::start(&["--part-mm", "20"]).await;
+    rig.gateway.post("home", &json!({"direction": "outer"})).await.outcome("SUCCESS");
+    rig
+}
+
+/// How often a holder was lost, and why.
+async fn losses(rig: &Rig) -> Vec<Value> {
+    let events = rig.gateway.get("/api/v1/events?kind=lease&order=oldest").await.ok();
+    let events = events["events"].as_array().unwrap().clone();
+    events.into_iter().filter(|event| event["event"] == "lost").map(|event| event["cause"].clone()).collect()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_lease_lives_as_long_as_its_holders_token_and_its_end_is_a_loss() {
+    let rig = homed().await;
+    let robot = ZenohClient::of(&rig.gateway).await;
+    let _token = robot.live(&rig.client, TOKEN).await;
+    let lease = robot.command("lease.take", &json!({"holder": "robot-1"})).await.unwrap();
+    let held = rig.client.command("lease", &json!({})).await.unwrap();
+    assert_eq!((&held["holder"], &held["expires_in_ms"]), (&json!("robot-1"), &held["ttl_ms"]), "it is kept");
+    let refused = rig.client.command("move", &json!({"width_mm": 50, "speed_mm_s": 50})).await.unwrap_err();
+    assert_eq!((&refused["code"], &refused["holder"]), (&json!("lease_held"), &json!("robot-1")));
+    robot.command("move?wait_ms=0", &slowly(&lease)).await.unwrap();
+    rig.gateway.until_moving().await;
+    let gone = Instant::now();
+    robot.close().await;
+    eventually("23h", async || rig.proxy.frames.first_since(FAST_STOP, gone)).await;
+    let state = rig.gateway.until("the loss is a FAST STOP", |state| state["fast_stop_confirmed"] == true).await;
+    assert_eq!(state["fast_stop_reason"], "robot-1 was lost");
+    assert_eq!(losses(&rig).await, ["disconnected"]);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_part_that_a_lost_client_held_stays_held_for_it_alone() {
+    let rig = homed().await;
+    let robot = ZenohClient::of(&rig.gateway).await;
+    let token = robot.live(&rig.client, TOKEN).await;
+    let lease = robot.command("lease.take?client=robot-1", &json!({"holder": "robot-1"})).await.unwrap();
+    let grip = json!({"width_mm": 20, "speed_mm_s": 400, "lease": lease["token"]});
+    let held = robot.command("grip?client=robot-1", &grip).await.unwrap();
+    assert_eq!(held["outcome"], "PART_HELD");
+    token.undeclare().await.unwrap();
+    rig.gateway.until("it is lost", |state| state["lease_holder"] == Value::Null).await;
+    let state = rig.gateway.state().await;
+    assert_eq!((&state["state"], &state["fast_stop"]), (&json!("HOLDING"), &json!(false)));
+    let open = json!({"width_mm": 60, "speed_mm_s": 400});
+    assert_eq!(rig.client.command("release", &open).await.unwrap_err()["code"], "lease_held");
+    let again = robot.command("lease.take?client=robot-1", &json!({"holder": "robot-1"})).await.unwrap();
+    assert_eq!(again["held"], true);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_lease_without_a_token_and_one_with_a_time_run_out() {
+    let rig = homed().await;
+    let unbound = rig.client.command("lease.take", &json!({"holder": "robot-2", "ttl_ms": 200})).await.unwrap();
+    assert_eq!(unbound["held"], true);
+    rig.gateway.until("it has run out", |state| state["lease_holder"] == Value::Null).await;
+    let other = ZenohClient::of(&rig.gateway).await;
+    let _token = rig.client.live(&other, TOKEN).await;
+    rig.client.command("lease.take", &json!({"holder": "robot-1", "ttl_ms": 200})).await.unwrap();
+    rig.gateway.until("it has run out", |state| state["lease_holder"] == Value::Null).await;
+    // Without a token, a lease is not kept by being taken.
+    let unbound = rig.client.command("lease.take", &json!({"holder": "robot-2"})).await.unwrap();
+    assert_eq!(unbound["held"], true);
+    rig.gateway.until("it has run out", |state| state["lease_holder"] == Value::Null).await;
+    assert_eq!(losses(&rig).await, ["expired", "expired", "expired"]);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_was_released_is_not_lost_with_the_token() {
+    let rig = homed().await;
+    let robot = ZenohClient::of(&rig.gateway).await;
+    let _token = robot.live(&rig.client, TOKEN).await;
+    let lease = robot.command("lease.take", &json!({"holder": "robot-1"})).await.unwrap();
+    let released = robot.command("lease.release", &json!({"lease": lease["token"]})).await.unwrap();
+    assert_eq!(released["held"], false);
+    let moving = rig.gateway.begin("move", &json!({"width_mm": 50, "speed_mm_s": 50})).await;
+    robot.close().await;
+    rig.gateway.command(&moving).await.outcome("SUCCESS");
+    assert_eq!(losses(&rig).await, [] as [&str; 0]);
+}

@@ -1,0 +1,26 @@
+//! The Zenoh door, by clients on a network of their own.
+
+mod commands;
+mod fleet;
+mod leases;
+mod publications;
+
+use crate::harness::{Gateway, Proxy, Simulator, ZenohClient};
+
+/// A connected gripper `g`, with what went over its wire, and a client.
+struct Rig {
+    _device: Simulator,
+    proxy: Proxy,
+    gateway: Gateway,
+    client: ZenohClient,
+}
+
+impl Rig {
+    async fn start(options: &[&str]) -> Self {
+        let device = Simulator::start(options).await;
+        let proxy = Proxy::to(device.address);
+        let gateway = Gateway::connected_to(proxy.address).await;
+        let client = ZenohClient::of(&gateway).await;
+        Self { _device: device, proxy, gateway, client }
+    }
+}

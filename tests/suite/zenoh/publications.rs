@@ -1,0 +1,86 @@
+//! What is published is what HTTP says, and a late joiner has it at once.
+
+use std::collections::BTreeSet;
+
+use serde_json::{Value, json};
+
+use super::Rig;
+use crate::harness::{ZenohClient, eventually};
+
+fn keys(body: &Value) -> BTreeSet<String> {
+    body.as_object().unwrap_or_else(|| panic!("no object: {body}")).keys().cloned().collect()
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn states_telemetry_and_events_have_the_bodies_of_http() {
+    let rig = Rig::start(&["--part-mm", "20"]).await;
+    let told = rig.client.subscribe("wsg/v1/gateway/**").await;
+    told.until("wsg/v1/gateway/g/state", |_| true).await;
+    rig.gateway.post("home", &json!({})).await.outcome("SUCCESS");
+    let grip = json!({"width_mm": 20, "speed_mm_s": 400});
+    rig.gateway.post("grip", &grip).await.outcome("PART_HELD");
+
+    let state = told.until("wsg/v1/gateway/g/state", |state| state["state"] == "HOLDING").await;
+    assert_eq!(keys(&state), keys(&rig.gateway.state().await));
+    let telemetry = told.until("wsg/v1/gateway/g/telemetry", |told| told["state"] == "HOLDING").await;
+    let fields = ["gripper", "seq", "at", "width_mm", "speed_mm_s", "force_n", "state", "flags_raw"];
+    assert_eq!(keys(&telemetry), fields.map(str::to_owned).into());
+
+    let is_done = |event: &Value| event["kind"] == "command" && event["outcome"] == "PART_HELD";
+    let events = eventually("all events", async || {
+        let events = told.of("wsg/v1/gateway/g/event");
+        events.iter().any(is_done).then_some(events)
+    })
+    .await;
+    let stored = rig.gateway.get("/api/v1/events?gripper=g&order=oldest&limit=500").await.ok();
+    let stored = stored["events"].as_array().unwrap();
+    let first = stored.iter().position(|event| *event == events[0]).expect("it is stored");
+    assert_eq!(stored[first..first + events.len()], events, "each once, in order, none left out");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_late_joiner_asks_and_has_all_at_once() {
+    let rig = Rig::start(&[]).await;
+    let info = rig.client.ask("wsg/v1/gateway/g/info", &Value::Null).await.unwrap();
+    assert_eq!(info, rig.gateway.get("/api/v1/grippers/g").await.ok());
+    let state = rig.client.ask("wsg/v1/*/*/state", &Value::Null).await.unwrap();
+    assert_eq!((&state["gripper"], &state["link"]), (&json!("g"), &json!("connected")));
+    assert_eq!(keys(&state), keys(&rig.gateway.state().await));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_gripper_is_alive_while_its_link_is_up_and_a_gateway_while_it_runs() {
+    let rig = Rig::start(&[]).await;
+    let tokens = rig.client.tokens("wsg/v1/**").await;
+    tokens.until("wsg/v1/gateway/g/alive", |body| *body == "").await;
+    tokens.until("wsg/v1/gateway/alive", |body| *body == "").await;
+    drop(rig.proxy);
+    tokens.until("wsg/v1/gateway/g/alive", Value::is_null).await;
+    assert_eq!(tokens.of("wsg/v1/gateway/alive"), [""]);
+    rig.gateway.terminate().await;
+    tokens.until("wsg/v1/gateway/alive", Value::is_null).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_client_that_reads_nothing_delays_no_one() {
+    let rig = Rig::start(&[]).await;
+    let stalled = ZenohClient::of(&rig.gateway).await;
+    let (block, blocked) = std::sync::mpsc::channel::<()>();
+    let blocked = std::sync::Mutex::new(blocked);
+    // Nothing more is read of its connection while this waits.
+    let wait = move |_| drop(blocked.lock().unwrap().recv());
+    stalled.session.declare_subscriber("wsg/v1/**").callback(wait).background().await.unwrap();
+    let told = rig.client.subscribe("wsg/v1/gateway/g/*").await;
+    rig.gateway.post("home", &json!({})).await.outcome("SUCCESS");
+    for round in 0..20 {
+        let width_mm = if round % 2 == 0 { 50 } else { 60 };
+        let answer = rig.client.command("move", &json!({"width_mm": width_mm, "speed_mm_s": 400})).await.unwrap();
+        assert_eq!(answer["outcome"], "SUCCESS", "{answer}");
+    }
+    let is_done = |event: &&Value| event["kind"] == "command" && event["phase"] == "done";
+    eventually("all ends", async || {
+        (told.of("wsg/v1/gateway/g/event").iter().filter(is_done).count() >= 21).then_some(())
+    })
+    .await;
+    drop(block);
+}
