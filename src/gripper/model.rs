@@ -15,6 +15,7 @@ use uuid::Uuid;
 use super::error::Rejection;
 use crate::wsg::{CustomCommand, Force, HomingDirection, MoveFlags, Speed, Status, Width};
 
+mod client;
 mod custom;
 mod event;
 mod frame;
@@ -23,6 +24,7 @@ pub(crate) mod names;
 mod record;
 mod state;
 
+pub use client::{Client, Door};
 pub use custom::CustomIds;
 pub use event::{
     AcknowledgeEvent, Admitted, CommandEvent, Detail, DeviceEvent, Direction, Done, Event, FastStopEvent, FastStopStep,
@@ -128,38 +130,6 @@ pub type Reason = Text<64>;
 pub type PartId = Text<48>;
 /// What makes a request the same as an earlier one (`Idempotency-Key`).
 pub type RequestId = Text<64>;
-
-/// The way in.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "lowercase")]
-pub enum Door {
-    /// REST.
-    Http,
-    /// WebSocket.
-    Ws,
-    /// Zenoh.
-    Zenoh,
-    /// The device's own protocol.
-    Wsg,
-}
-
-impl Door {
-    /// Whether its clients speak the device's own protocol: none of them brings a lease, so what moves takes it where it
-    /// is free; and they are used to a device that clamps what is beyond its limits.
-    #[must_use]
-    pub const fn speaks_wsg(self) -> bool {
-        matches!(self, Self::Wsg)
-    }
-}
-
-/// Who asks: the identity behind a client, and the door that it came through.
-#[derive(Debug, Clone, PartialEq, Eq, Hash)]
-pub struct Client {
-    /// Before there are credentials, the door and the peer's address.
-    pub subject: Arc<str>,
-    /// The door.
-    pub door: Door,
-}
 
 macro_rules! identifiers {
     ($($(#[$doc:meta])* $name:ident)*) => {$(
