@@ -7,7 +7,7 @@
 //! | [`wsg`] | the protocol, sans-IO: frames, commands, replies, and the [session](wsg::session) on a link |
 //! | [`transport`] | byte pipes to devices; knows nothing of the protocol |
 //! | [`gripper`] | one actor per gripper, the only owner of its state; everyone else has a [handle](gripper::Handle) |
-//! | [`frontend`] | the doors: [HTTP](frontend::http), the [WSG port](frontend::wsg_port); what they [tell](frontend::updates) |
+//! | [`frontend`] | the doors: [HTTP](frontend::http), [Zenoh](frontend::zenoh), the [WSG port](frontend::wsg_port); what they [tell](frontend::updates), and the [other gateways](frontend::network) |
 //! | [`journal`] | events and grip records that outlive the gateway, in SQLite |
 //! | [`sim`] | a device, modelled from the manual: a pure machine, with faults |
 //! | [`config`] | file, environment and flags to validated types; nothing else reads them |

@@ -32,6 +32,9 @@ const DROPPED_AFTER_US: u64 = 0;
 /// How long one that may not be dropped waits before its receiver counts as gone, in µs.
 const CLOSED_AFTER_US: u64 = 1_000_000;
 
+/// Clients and routers that may be connected at a time.
+const MAX_SESSIONS: u64 = 256;
+
 /// The protocols that this build speaks.
 const PROTOCOLS: &[&str] = &["tcp", "tls"];
 
@@ -41,11 +44,11 @@ const PROTOCOLS: &[&str] = &["tcp", "tls"];
 pub enum ZenohMode {
     /// On none
     Off,
-    /// Others connect to it, and it to others; it passes on nothing between them
+    /// Clients connect to it
     Peer,
-    /// It connects to a router or a peer
+    /// It connects to a router, and nobody to it
     Client,
-    /// Others connect to it, and reach each other through it
+    /// Clients and routers connect to it, and it to routers: all of them reach each other
     Router,
 }
 
@@ -63,7 +66,7 @@ impl ZenohMode {
 /// What is said of Zenoh on the command line and in the environment.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct ZenohFlags {
-    /// What to be on a Zenoh network [default: peer]
+    /// What to be on a Zenoh network [default: peer, or router where it connects to others]
     #[arg(long, value_name = "MODE", env = "WSG_GATEWAY_ZENOH_MODE", value_enum)]
     pub zenoh_mode: Option<ZenohMode>,
     /// A Zenoh endpoint to listen on (repeatable) [default: tcp/127.0.0.1:7447]
@@ -111,12 +114,6 @@ impl Zenoh {
         let content = file.map(|file| (file, &file.content.zenoh));
         let flags = &flags.zenoh;
         let base = Base::read(content)?;
-        let mode = flags.zenoh_mode.or_else(|| content.and_then(|(_, content)| content.mode));
-        let mode = match (mode, base.mode()) {
-            (Some(mode), _) => mode.role(),
-            (None, mode) => Some(mode.unwrap_or(WhatAmI::Peer)),
-        };
-        let Some(mode) = mode else { return Ok(None) };
         let of_file = |pick: fn(&Content) -> &Option<Spanned<Vec<String>>>| {
             let (file, content) = content?;
             let endpoints = pick(content).as_ref()?;
@@ -128,6 +125,13 @@ impl Zenoh {
         };
         let listen = given("--zenoh-listen", &flags.zenoh_listen, of_file(|content| &content.listen));
         let connect = given("--zenoh-connect", &flags.zenoh_connect, of_file(|content| &content.connect));
+        // Peers pass nothing on between each other, so who connects to others does it as a router.
+        let default = if connect.is_some() { WhatAmI::Router } else { WhatAmI::Peer };
+        let mode = match flags.zenoh_mode.or_else(|| content.and_then(|(_, content)| content.mode)) {
+            Some(mode) => mode.role(),
+            None => Some(base.mode().unwrap_or(default)),
+        };
+        let Some(mode) = mode else { return Ok(None) };
         let mut settings = base.settings.clone();
         let mut set = |key: &str, value: Value| {
             settings
@@ -224,7 +228,7 @@ impl Base {
 
 /// What Zenoh has otherwise: it would look for others, take in 1 GiB at once, not start where a port is taken, and
 /// notice after 10 s that a gateway is gone.
-fn defaults() -> [(&'static str, Value); 10] {
+fn defaults() -> [(&'static str, Value); 12] {
     [
         ("scouting/multicast/enabled", json!(false)),
         ("scouting/gossip/autoconnect", json!({"router": [], "peer": [], "client": []})),
@@ -233,10 +237,22 @@ fn defaults() -> [(&'static str, Value); 10] {
         ("connect/timeout_ms", json!(-1)),
         ("connect/retry", json!({"period_init_ms": 250, "period_max_ms": 2000, "period_increase_factor": 2})),
         ("transport/link/rx/max_message_size", json!(MAX_MESSAGE_BYTES)),
+        ("qos/network", json!([fast_stops_first()])),
+        ("transport/unicast/max_sessions", json!(MAX_SESSIONS)),
         ("transport/link/tx/lease", json!(LEASE_MS)),
         ("transport/link/tx/queue/congestion_control/drop/wait_before_drop", json!(DROPPED_AFTER_US)),
         ("transport/link/tx/queue/congestion_control/block/wait_before_close", json!(CLOSED_AFTER_US)),
     ]
+}
+
+/// A FAST STOP that comes by, to this gateway or another, goes on before all else, whatever its sender has said.
+fn fast_stops_first() -> Value {
+    json!({
+        "messages": ["put", "query"],
+        "key_exprs": ["wsg/v1/fast-stop", "wsg/v1/*/fast-stop", "wsg/v1/*/*/command/fast-stop"],
+        "overwrite": {"priority": "real_time", "congestion_control": "block", "express": true},
+        "flows": ["ingress", "egress"],
+    })
 }
 
 fn setting(settings: &zenoh::Config, key: &str) -> Value {

@@ -72,6 +72,8 @@ codes! {
     FastStopUnconfirmed CONFLICT;
     /// The request id was used for another request.
     RequestIdReused CONFLICT;
+    /// Another gateway on the Zenoh network has the same name.
+    NameTaken CONFLICT;
     /// A value is beyond its limits.
     OutOfRange UNPROCESSABLE_ENTITY;
     /// The device refused, with a status that has no code of its own here.

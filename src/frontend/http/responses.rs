@@ -17,7 +17,7 @@ const PROBLEMS: &[(&str, &str, &str)] = &[
         "409",
         "Conflict",
         "`fast_stop`, `not_referenced`, `already_running`, `lease_held`, `stale_lease`, `stale_fast_stop`, \
-         `fast_stop_unconfirmed`, `request_id_reused`: not now; the members say what is in the way",
+         `fast_stop_unconfirmed`, `request_id_reused`, `name_taken`: not now; the members say what is in the way",
     ),
     ("413", "TooLarge", "`too_large`: the body is larger than `max` bytes"),
     (

@@ -96,6 +96,12 @@ impl Network {
         self.gateway == *gateway
     }
 
+    /// Whether another gateway has the name of this one: what is asked of either goes to both.
+    #[must_use]
+    pub fn has_twin(&self) -> bool {
+        self.others().has_twin()
+    }
+
     /// Stops the grippers of all gateways. Its own don't wait for the others, nor for Zenoh.
     pub async fn fast_stop(&self, client: &Client, reason: &Reason) -> FleetStop {
         let begun = Now::read().instant;
@@ -138,7 +144,7 @@ impl Network {
     fn take_state(&self, key: &str, state: &[u8]) {
         let Some((gateway, gripper)) = keys::of_gripper(key) else { return };
         if gateway == self.gateway {
-            self.others().tell_of_twin(&gateway);
+            self.others().take_twin(&gateway);
             return;
         }
         if state.len() <= MAX_STATE_BYTES

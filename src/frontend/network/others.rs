@@ -20,6 +20,9 @@ const GONE_AFTER: Duration = Duration::from_millis(1900);
 /// How long a gripper whose gateway is gone is still told of.
 const KEPT_FOR: Duration = Duration::from_mins(60);
 
+/// How long a gateway that has the same name counts as there without a word from it.
+const TWIN_LASTS: Duration = Duration::from_secs(5);
+
 /// How often it is said that another gateway has the same name.
 const TWIN_TOLD_EVERY: Duration = Duration::from_mins(1);
 
@@ -35,6 +38,7 @@ struct Known {
 pub(super) struct Others {
     grippers: BTreeMap<(Name, Name), Known>,
     alive: BTreeSet<Name>,
+    twin_seen: Option<Instant>,
     twin_told: Option<Instant>,
 }
 
@@ -58,12 +62,17 @@ impl Others {
     }
 
     /// A gateway that has the name of this one: clients can't tell them apart, and what they ask goes to both.
-    pub(super) fn tell_of_twin(&mut self, gateway: &Name) {
+    pub(super) fn take_twin(&mut self, gateway: &Name) {
         let now = Now::read().instant;
+        self.twin_seen = Some(now);
         if self.twin_told.is_none_or(|at| now.saturating_duration_since(at) >= TWIN_TOLD_EVERY) {
             self.twin_told = Some(now);
             tracing::error!(%gateway, "another gateway on this Zenoh network has the same name: give each its own --name");
         }
+    }
+
+    pub(super) fn has_twin(&self) -> bool {
+        self.twin_seen.is_some_and(|at| Now::read().instant.saturating_duration_since(at) < TWIN_LASTS)
     }
 
     /// Whether a gateway is known, and if so whether it lives.

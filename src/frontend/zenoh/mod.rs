@@ -30,7 +30,7 @@ use self::clients::Clients;
 use self::fast_stop::FastStops;
 use self::publications::Publications;
 use self::queries::Queries;
-use crate::frontend::http::{self, Context};
+use crate::frontend::http::Context;
 use crate::frontend::metrics::Metrics;
 use crate::frontend::network::keys::Keys;
 use crate::gripper::model::Text;
@@ -78,7 +78,12 @@ pub async fn serve(settings: Settings, context: Arc<Context>, opened: impl FnOnc
             "Zenoh does not listen everywhere: choose other endpoints with --zenoh-listen, or end what listens there"
         );
     }
-    match declare(&session, &context, max_hz, metrics).await {
+    let declared = tokio::select! {
+        biased;
+        () = context.closing.cancelled() => return,
+        declared = declare(&session, &context, max_hz, metrics) => declared,
+    };
+    match declared {
         Ok((_alive, _told)) => {
             opened(&locators);
             context.closing.cancelled().await;
@@ -103,8 +108,7 @@ async fn declare(
     let clients = Arc::new(Clients::new(Handle::current(), metrics.clone()));
     clients.declare(session, &keys).await?;
     context.network.join(session).await?;
-    let methods = http::methods(context);
-    let queries = Queries::new(keys.clone(), methods, clients, metrics.clone(), Handle::current());
+    let queries = Queries::new(keys.clone(), context, clients, metrics.clone());
     Arc::new(queries).declare(session, &context.fleet).await?;
     let mut told = JoinSet::new();
     for handle in context.fleet.iter() {

@@ -16,7 +16,7 @@ use crate::frontend::metrics::Metrics;
 use crate::frontend::network::keys::Keys;
 use crate::frontend::updates::{Notification, Pace, Topic};
 use crate::gripper::Handle;
-use crate::gripper::model::Link;
+use crate::gripper::model::{Link, State};
 use crate::journal::{Filter, Stored};
 
 /// How often a state is told that has not changed: who counts on it sees by its silence that the gateway is gone, and
@@ -34,6 +34,8 @@ pub struct Publications {
     state: Publisher<'static>,
     telemetry: Publisher<'static>,
     alive: Option<LivelinessToken>,
+    /// What was told last, without what changes all the time.
+    told: Option<State>,
 }
 
 impl Publications {
@@ -53,6 +55,7 @@ impl Publications {
             state: publisher("state", Priority::Data).await?,
             telemetry: publisher("telemetry", Priority::DataLow).await?,
             alive: None,
+            told: None,
         })
     }
 
@@ -70,28 +73,31 @@ impl Publications {
                 missed = pace.next() => {
                     let (told, dropped) = updates.newest(missed);
                     metrics.dropped(dropped);
-                    if !told.is_empty() {
-                        unchanged.reset();
-                    }
                     for told in told {
-                        self.publish(&told);
+                        if told.method() == "telemetry" {
+                            publish(&self.telemetry, &told);
+                        } else if self.is_news() {
+                            publish(&self.state, &told);
+                            unchanged.reset();
+                        }
                     }
                     self.keep_token();
                 }
                 _ = unchanged.tick() => {
                     if let Some(told) = Notification::new("state", &*self.handle.state()) {
-                        self.publish(&told);
+                        publish(&self.state, &told);
                     }
                 }
             }
         }
     }
 
-    fn publish(&self, told: &Notification) {
-        let publisher = if told.method() == "telemetry" { &self.telemetry } else { &self.state };
-        if let Err(error) = publisher.put(told.body()).wait() {
-            tracing::debug!(%error, "a state is not published");
-        }
+    /// Whether the state says more than that the device is still there: all gateways of a fleet are told each that does.
+    fn is_news(&mut self) -> bool {
+        let state = State { seq: 0, updated_at: None, ..State::clone(&self.handle.state()) };
+        let is_news = self.told.as_ref() != Some(&state);
+        self.told = Some(state);
+        is_news
     }
 
     /// Declares the gripper alive while its link is up.
@@ -106,6 +112,12 @@ impl Publications {
             (false, Some(_)) => self.alive = None,
             _ => {}
         }
+    }
+}
+
+fn publish(publisher: &Publisher<'_>, told: &Notification) {
+    if let Err(error) = publisher.put(told.body()).wait() {
+        tracing::debug!(%error, "a state is not published");
     }
 }
 

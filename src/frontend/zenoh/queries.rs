@@ -15,8 +15,9 @@ use zenoh::bytes::Encoding;
 use zenoh::query::Query;
 
 use super::clients::Clients;
-use crate::frontend::http::{self, Code, Methods, Problem, Refusal, Wait, is_fast_stop};
+use crate::frontend::http::{self, Code, Context, Methods, Problem, Refusal, Wait, is_fast_stop};
 use crate::frontend::metrics::Metrics;
+use crate::frontend::network::Network;
 use crate::frontend::network::keys::{Keys, last_part};
 use crate::gripper::Fleet;
 use crate::gripper::model::{Client, Door, Name, Text};
@@ -34,10 +35,11 @@ const CLIENT: &str = "client";
 /// Who answers.
 #[derive(Debug)]
 pub struct Queries {
-    pub keys: Keys,
-    pub methods: Methods,
-    pub clients: Arc<Clients>,
-    pub metrics: Metrics,
+    keys: Keys,
+    methods: Methods,
+    network: Arc<Network>,
+    clients: Arc<Clients>,
+    metrics: Metrics,
     runtime: Handle,
     places: Arc<Semaphore>,
     fast_stop_places: Arc<Semaphore>,
@@ -56,9 +58,11 @@ struct Asked {
 }
 
 impl Queries {
-    pub fn new(keys: Keys, methods: Methods, clients: Arc<Clients>, metrics: Metrics, runtime: Handle) -> Self {
+    /// On the runtime that this is called on.
+    pub fn new(keys: Keys, context: &Arc<Context>, clients: Arc<Clients>, metrics: Metrics) -> Self {
+        let (methods, network, runtime) = (http::methods(context), context.network.clone(), Handle::current());
         let [places, fast_stop_places] = [MAX_QUERIES, MAX_FAST_STOPS].map(|places| Arc::new(Semaphore::new(places)));
-        Self { keys, methods, clients, metrics, runtime, places, fast_stop_places }
+        Self { keys, methods, network, clients, metrics, runtime, places, fast_stop_places }
     }
 
     /// Takes queries for these grippers.
@@ -101,7 +105,7 @@ impl Queries {
         let method = last_part(query.key_expr().as_str()).to_owned();
         let is_fast_stop = is_fast_stop(&method);
         let key = self.keys.gripper(gripper, &format!("command/{method}"));
-        if key != query.key_expr().as_str() && !is_fast_stop {
+        if (key != query.key_expr().as_str() || method.contains('*')) && !is_fast_stop {
             let detail =
                 "a command is asked of one gripper, by its name: only FAST STOPs may have wildcards in their key";
             return Err(Problem::malformed("key", detail));
@@ -110,6 +114,10 @@ impl Queries {
             |row: &&http::Method| row.name == method && row.path_parameters().any(|key| key == "gripper");
         if !http::METHODS.iter().any(|row| is_a_grippers(&row)) {
             return Err(Problem::not_found("such command: the API's description has them all"));
+        }
+        if self.network.has_twin() && !is_fast_stop {
+            let detail = "another gateway on the Zenoh network has the name of this one, and would do it, too: give each its own";
+            return Err(Problem::new(Code::NameTaken, detail));
         }
         let payload = query.payload().map(zenoh::bytes::ZBytes::to_bytes).unwrap_or_default();
         let given = |key| query.parameters().get(key).filter(|given| !given.is_empty());

@@ -107,7 +107,12 @@ impl Gateway {
     pub async fn start(arguments: &[&str]) -> Self {
         let listens = arguments.iter().any(|argument| argument.starts_with("--zenoh"));
         let zenoh: &[&str] = if listens { &[] } else { &["--zenoh-listen", "tcp/127.0.0.1:0"] };
-        let process = Process::start(&[&["--listen", "127.0.0.1:0"], zenoh, arguments].concat());
+        Self::start_as_told(&[zenoh, arguments].concat()).await
+    }
+
+    /// The same, with Zenoh as a file says.
+    pub async fn start_as_told(arguments: &[&str]) -> Self {
+        let process = Process::start(&[&["--listen", "127.0.0.1:0"], arguments].concat());
         let base = process.word_after(" at http://").await;
         let base = format!("http://{}", base.trim_end_matches('/'));
         Self { process, base, http: reqwest::Client::new() }

@@ -23,7 +23,7 @@ pub use proxy::Proxy;
 pub use scripted::{Scripted, Table, success};
 pub use simulator::Simulator;
 pub use socket::{Socket, request as socket_request};
-pub use zenoh::{Told, ZenohClient};
+pub use zenoh::ZenohClient;
 
 /// How long anything may take that has no time of its own: a busy machine is slow, and still right.
 pub const DEADLINE: Duration = Duration::from_secs(20);

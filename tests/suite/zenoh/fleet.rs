@@ -222,9 +222,9 @@ async fn a_fast_stop_of_the_fleet_stops_everyone() {
     let begun = Instant::now();
     let stopped = pair.near.post("/api/v1/fleet/fast-stop", &json!({"reason": "light curtain"})).await.ok();
     eventually("23h", async || pair.proxy.frames.first_since(0x23, begun)).await;
-    let told: BTreeSet<_> =
-        ["confirmed", "unconfirmed"].into_iter().flat_map(|key| stopped[key].as_array().unwrap()).collect();
-    assert_eq!(told, BTreeSet::from([&json!("far/g"), &json!("near/g0")]), "{stopped}");
+    let named = |key: &str| stopped[key].as_array().unwrap().iter().map(|name| name.as_str().unwrap().to_owned());
+    let told: BTreeSet<_> = named("confirmed").chain(named("unconfirmed")).collect();
+    assert_eq!(told, ["far/g", "near/g0"].map(str::to_owned).into(), "{stopped}");
     let state = pair.far.until("it is confirmed", |state| state["fast_stop_confirmed"] == true).await;
     assert_eq!(state["fast_stop_reason"], "light curtain");
     let grippers = eventually("the fleet shows it", async || {
@@ -267,4 +267,11 @@ async fn who_has_the_name_of_another_is_told_so() {
         tokio::join!(gateway("twin", &router.endpoint, 1, &[]), gateway("twin", &router.endpoint, 1, &[]));
     one.until_said("give each its own --name").await;
     other.until_said("give each its own --name").await;
+    let client = ZenohClient::at(&router.endpoint).await;
+    let answers = client.all("wsg/v1/twin/g0/command/home", "{}").await;
+    assert!(!answers.is_empty());
+    for (_, answer) in answers {
+        assert_eq!(answer.unwrap_err()["code"], "name_taken");
+    }
+    one.post("/api/v1/grippers/g0/home", &json!({})).await.outcome("SUCCESS");
 }

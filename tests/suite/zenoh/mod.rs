@@ -4,6 +4,7 @@ mod commands;
 mod fleet;
 mod leases;
 mod publications;
+mod tls;
 
 use crate::harness::{Gateway, Proxy, Simulator, ZenohClient};
 

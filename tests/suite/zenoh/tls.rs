@@ -1,0 +1,128 @@
+//! The configuration that is shipped for a network: an observer's certificate reads and stops, and moves nothing.
+
+use std::path::PathBuf;
+
+use rcgen::{BasicConstraints, CertificateParams, DnType, IsCa, Issuer, KeyPair};
+use serde_json::{Value, json};
+
+use crate::harness::{Gateway, MOTIONS, Proxy, Simulator, ZenohClient, eventually, zenoh::config};
+
+const SHIPPED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/deploy/zenoh/gateway.json5");
+
+/// A directory with certificates of one authority, which is gone with the test.
+struct Certificates {
+    directory: PathBuf,
+    authority: Issuer<'static, KeyPair>,
+}
+
+impl Certificates {
+    fn new() -> Self {
+        let directory = std::env::temp_dir().join(format!("wsg-gateway-{}-certificates", std::process::id()));
+        std::fs::create_dir_all(&directory).unwrap();
+        let (mut params, key) = (named("cell CA"), KeyPair::generate().unwrap());
+        params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
+        let certificate = params.self_signed(&key).unwrap();
+        std::fs::write(directory.join("ca.pem"), certificate.pem()).unwrap();
+        Self { directory, authority: Issuer::new(params, key) }
+    }
+
+    fn issue(&self, name: &str) {
+        let key = KeyPair::generate().unwrap();
+        let certificate = named(name).signed_by(&key, &self.authority).unwrap();
+        std::fs::write(self.path(&format!("{name}.pem")), certificate.pem()).unwrap();
+        std::fs::write(self.path(&format!("{name}.key")), key.serialize_pem()).unwrap();
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.directory.join(name)
+    }
+
+    /// Who brings the certificate of this name.
+    async fn client(&self, name: &str, endpoint: &str) -> ZenohClient {
+        self.issue(name);
+        let mut client = config("client", &[], &[endpoint]);
+        let path = |name: &str| json!(self.path(name)).to_string();
+        for (key, value) in [
+            ("root_ca_certificate", path("ca.pem")),
+            ("connect_certificate", path(&format!("{name}.pem"))),
+            ("connect_private_key", path(&format!("{name}.key"))),
+            ("enable_mtls", "true".to_owned()),
+        ] {
+            client.insert_json5(&format!("transport/link/tls/{key}"), &value).unwrap();
+        }
+        ZenohClient::with(client).await
+    }
+}
+
+impl Drop for Certificates {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.directory);
+    }
+}
+
+fn named(name: &str) -> CertificateParams {
+    let mut params = CertificateParams::new(["localhost".to_owned(), "gateway".to_owned()]).unwrap();
+    params.distinguished_name.push(DnType::CommonName, name);
+    params
+}
+
+/// The shipped file, with these certificates and on a free port of loopback.
+fn shipped(certificates: &Certificates) -> String {
+    let text = std::fs::read_to_string(SHIPPED).unwrap();
+    let text = text.replace("/etc/wsg-gateway", certificates.directory.to_str().unwrap());
+    let changed = text.replace("tls/0.0.0.0:7447", "tls/localhost:0");
+    assert!(changed.contains("localhost:0") && !changed.contains("/etc/"), "{changed}");
+    changed
+}
+
+async fn moves_nothing(client: &ZenohClient, command: &str, payload: &Value) -> bool {
+    let key = format!("wsg/v1/gateway/g/command/{command}");
+    client.all(&key, payload.to_string()).await.iter().all(|(_, answer)| answer.is_err())
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_observer_reads_and_stops_and_moves_nothing() {
+    let certificates = Certificates::new();
+    certificates.issue("gateway");
+    let own = certificates.path("zenoh.json5");
+    std::fs::write(&own, shipped(&certificates)).unwrap();
+    let toml = certificates.path("gateway.toml");
+    std::fs::write(&toml, format!("[zenoh]\nconfig = {:?}\n", own.display().to_string())).unwrap();
+    let device = Simulator::start(&[]).await;
+    let proxy = Proxy::to(device.address);
+    let gripper = format!("g=tcp://{}", proxy.address);
+    let gateway = Gateway::start_as_told(&["--gripper", &gripper, "--config", toml.to_str().unwrap()]).await;
+    gateway.until_link("connected").await;
+    let endpoint = gateway.word_after("Zenoh: ").await;
+    let port = endpoint.rsplit(':').next().unwrap();
+    let endpoint = format!("tls/localhost:{port}");
+
+    let observer = certificates.client("observer", &endpoint).await;
+    let told = observer.subscribe("wsg/v1/gateway/g/*").await;
+    told.until("wsg/v1/gateway/g/state", |state| state["link"] == "connected").await;
+    assert_eq!(observer.ask("wsg/v1/gateway/g/state", &Value::Null).await.unwrap()["gripper"], "g");
+    assert_eq!(observer.ask("wsg/v1/gateway/fleet", &Value::Null).await.unwrap()["grippers"][0]["gripper"], "g");
+    observer.tokens("wsg/v1/**").await.until("wsg/v1/gateway/g/alive", |body| *body == "").await;
+    let before = proxy.frames.len();
+    for command in ["home", "stop", "lease.take", "settings.force-limit.set", "acknowledge"] {
+        assert!(moves_nothing(&observer, command, &json!({})).await, "{command}");
+    }
+    assert!(moves_nothing(&observer, "*", &json!({})).await);
+    assert!(proxy.frames.since(before).iter().all(|frame| !MOTIONS.contains(&frame.id)), "nothing moves");
+    assert_eq!(gateway.state().await["lease_holder"], Value::Null);
+
+    let operator = certificates.client("robot-1", &endpoint).await;
+    assert_eq!(operator.command("home", &json!({})).await.unwrap()["outcome"], "SUCCESS");
+    observer.put("wsg/v1/fast-stop", "an observer").await;
+    let state = gateway.until("it stops", |state| state["fast_stop_confirmed"] == true).await;
+    assert_eq!(state["fast_stop_reason"], "an observer");
+    let acknowledge = json!({"fast_stop_id": state["fast_stop_id"]});
+    assert!(moves_nothing(&observer, "acknowledge", &acknowledge).await);
+    operator.command("acknowledge", &acknowledge).await.unwrap();
+    observer.command("fast-stop", &json!({})).await.unwrap();
+
+    let stranger = certificates.client("stranger", &endpoint).await;
+    assert!(moves_nothing(&stranger, "home", &json!({})).await);
+    assert!(stranger.all("wsg/v1/gateway/g/state", "").await.is_empty(), "who is not named reads nothing");
+    eventually("it is told", async || (!told.of("wsg/v1/gateway/g/event").is_empty()).then_some(())).await;
+}
