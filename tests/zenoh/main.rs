@@ -1,0 +1,107 @@
+//! The examples for users of Zenoh, in Python. Not a part of plain `cargo test`, so that a machine without the package
+//! never counts them as passed: `WSG_TEST_PYTHON=…/bin/python cargo test --test zenoh`, with `eclipse-zenoh` there.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+
+#[path = "../suite/harness/mod.rs"]
+#[allow(dead_code, unused_imports, reason = "the other doubles are for the other tests")]
+mod harness;
+
+use std::process::Stdio;
+use std::time::Instant;
+
+use serde_json::{Value, json};
+use tokio::io::{AsyncBufReadExt as _, BufReader};
+use tokio::process::{Child, Command};
+use tokio::time::timeout;
+
+use harness::{DEADLINE, Gateway, Proxy, Simulator, eventually};
+
+const FAST_STOP: u8 = 0x23;
+const DISCONNECT_ANNOUNCEMENT: u8 = 0x07;
+
+/// A gripper with a part of 20 mm in reach, and what goes over its wire.
+struct Rig {
+    _device: Simulator,
+    proxy: Proxy,
+    gateway: Gateway,
+    endpoint: String,
+}
+
+impl Rig {
+    async fn start() -> Self {
+        let device = Simulator::with_part().await;
+        let proxy = Proxy::to(device.address);
+        let gateway = Gateway::connected_to(proxy.address).await;
+        let endpoint = gateway.word_after("Zenoh: ").await;
+        Self { _device: device, proxy, gateway, endpoint }
+    }
+
+    fn example(&self, name: &str, arguments: &[&str]) -> Child {
+        let python = std::env::var("WSG_TEST_PYTHON").expect("WSG_TEST_PYTHON names a Python with eclipse-zenoh");
+        let script = format!("{}/deploy/zenoh/{name}", env!("CARGO_MANIFEST_DIR"));
+        let mut command = Command::new(python);
+        command.env("PYTHONDONTWRITEBYTECODE", "1").arg(script).args(arguments);
+        command.args(["--connect", &self.endpoint, "--gripper", "g"]);
+        command.stdout(Stdio::piped()).stderr(Stdio::inherit()).kill_on_drop(true).spawn().unwrap()
+    }
+
+    /// Runs it to its end, and returns what it has said.
+    async fn said(&self, name: &str, arguments: &[&str]) -> String {
+        let ended = timeout(DEADLINE * 2, self.example(name, arguments).wait_with_output()).await;
+        let ended = ended.expect("it ends").unwrap();
+        let said = String::from_utf8(ended.stdout).unwrap();
+        assert!(ended.status.success(), "{name}: {said}");
+        said
+    }
+}
+
+#[tokio::test]
+async fn the_example_watches_and_grips() {
+    let rig = Rig::start().await;
+    let said = rig.said("watch_and_grip.py", &["--speed-mm-s", "100"]).await;
+    assert!(said.contains("grip: PART_HELD, "), "{said}");
+    assert!(said.lines().filter(|line| line.contains(" mm ")).count() > 3, "it watches: {said}");
+    let state = rig.gateway.state().await;
+    assert_eq!((&state["state"], &state["lease_holder"]), (&json!("HOLDING"), &Value::Null));
+    assert_eq!(rig.proxy.frames.count(FAST_STOP), 0);
+}
+
+#[tokio::test]
+async fn the_example_that_is_killed_while_it_grips_leaves_a_fast_stop() {
+    let rig = Rig::start().await;
+    rig.gateway.post("home", &json!({"direction": "outer"})).await.outcome("SUCCESS");
+    let mut example = rig.example("watch_and_grip.py", &["--speed-mm-s", "5"]);
+    let mut lines = BufReader::new(example.stdout.take().unwrap()).lines();
+    let line = timeout(DEADLINE, lines.next_line()).await.expect("it grips").unwrap();
+    assert!(line.is_some(), "it watches what moves");
+    rig.gateway.until_moving().await;
+    let killed = Instant::now();
+    example.kill().await.unwrap();
+    eventually("23h", async || rig.proxy.frames.first_since(FAST_STOP, killed)).await;
+    let state = rig.gateway.until("it is confirmed", |state| state["fast_stop_confirmed"] == true).await;
+    assert_eq!((&state["fast_stop_cause"], &state["lease_holder"]), (&json!("client_lost"), &Value::Null), "{state}");
+    let event = rig.gateway.get("/api/v1/events?kind=lease&limit=1").await.ok()["events"][0].clone();
+    assert_eq!(
+        (&event["event"], &event["cause"], &event["door"]),
+        (&json!("lost"), &json!("disconnected"), &json!("zenoh"))
+    );
+    assert_eq!(rig.proxy.frames.count(DISCONNECT_ANNOUNCEMENT), 0, "the gateway's own connection stays");
+}
+
+#[tokio::test]
+async fn a_gripper_command_has_the_result_that_ros_2_knows() {
+    let rig = Rig::start().await;
+    let result = async |position: &str, effort: &str| -> Value {
+        serde_json::from_str(&rig.said("gripper_command.py", &[position, effort]).await).unwrap()
+    };
+    let held = result("0.020", "30.0").await;
+    assert_eq!((&held["stalled"], &held["reached_goal"]), (&json!(true), &json!(true)), "{held}");
+    assert!(
+        (held["position"].as_f64().unwrap() - 0.020).abs() < 0.001 && held["effort"].as_f64().unwrap() > 20.0,
+        "{held}"
+    );
+    let open = result("0.060", "0.0").await;
+    assert_eq!((&open["stalled"], &open["reached_goal"]), (&json!(false), &json!(true)), "{open}");
+    assert!((open["position"].as_f64().unwrap() - 0.060).abs() < 0.001, "{open}");
+}
