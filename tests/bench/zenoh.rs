@@ -1,0 +1,184 @@
+//! Telemetry of one gripper to many subscribers, by Zenoh, by WebSocket, and by a bare Zenoh publisher without the
+//! gateway: how much arrives, and how late. Then how long a FAST STOP's put takes to the device while its client floods
+//! the gateway with telemetry, beside one that does nothing else.
+//!
+//! `cargo bench --bench zenoh`. `SUBSCRIBERS` (20), `SECONDS` (5, of each) and `STOPS` (100, each) change it. Times are
+//! noisy, and those of telemetry are told in whole milliseconds; the ratios are what counts.
+
+mod program;
+#[path = "zenoh/subscribers.rs"]
+mod subscribers;
+#[path = "observers/tap.rs"]
+mod tap;
+
+use std::process::{Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::mpsc::Receiver;
+use std::time::{Duration, Instant};
+
+use program::{Error, Running, start};
+use serde_json::{Value, json};
+use subscribers::{Seen, now_ms};
+use zenoh::Wait as _;
+use zenoh::qos::{CongestionControl, Priority};
+
+/// As often as the gateway tells of a gripper.
+const HZ: u64 = 50;
+
+/// Of one that floods: as large as a state.
+const FLOOD_BYTES: usize = 700;
+
+fn number(name: &str, default: usize) -> usize {
+    std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(default)
+}
+
+/// A port that was free just now.
+fn free() -> Result<String, Error> {
+    Ok(std::net::TcpListener::bind("127.0.0.1:0")?.local_addr()?.to_string())
+}
+
+/// Zenoh's configuration of one that does only what it is told.
+fn config(mode: &str, listen: &[&str], connect: &[&str]) -> Result<zenoh::Config, Error> {
+    let mut config = zenoh::Config::default();
+    for (key, value) in [
+        ("mode", json!(mode)),
+        ("listen/endpoints", json!(listen)),
+        ("connect/endpoints", json!(connect)),
+        ("scouting/multicast/enabled", json!(false)),
+        ("scouting/gossip/autoconnect", json!({"router": [], "peer": [], "client": []})),
+    ] {
+        config.insert_json5(key, &value.to_string())?;
+    }
+    Ok(config)
+}
+
+/// Publishes what the gateway would, without the gateway.
+fn publish(endpoint: &str) -> Result<(), Error> {
+    let session = zenoh::open(config("peer", &[endpoint], &[])?).wait()?;
+    let publisher = session.declare_publisher("wsg/v1/bare/g/telemetry").priority(Priority::DataLow).wait()?;
+    println!("publishes");
+    for seq in 0_u64.. {
+        let at = jiff::Timestamp::from_millisecond(now_ms())?;
+        let told = json!({"gripper": "g", "seq": seq, "at": at, "width_mm": null, "speed_mm_s": 0.0, "force_n": 0.0,
+            "state": "IDLE", "flags_raw": 262_144});
+        publisher.put(told.to_string()).wait()?;
+        std::thread::sleep(Duration::from_secs(1) / HZ as u32);
+    }
+    Ok(())
+}
+
+/// Counts for a while.
+fn measure(name: &str, seen: &Arc<Seen>, subscribers: usize) -> (f64, f64) {
+    std::thread::sleep(Duration::from_secs(1));
+    seen.begin();
+    let begun = Instant::now();
+    std::thread::sleep(Duration::from_secs(number("SECONDS", 5) as u64));
+    let (count, mean_ms, p99_ms) = seen.end();
+    let rate = count as f64 / begun.elapsed().as_secs_f64() / subscribers as f64;
+    println!("{name}: {rate:.1} a second to each of {subscribers}, {mean_ms:.2} ms late on average, p99 {p99_ms} ms");
+    (rate, mean_ms)
+}
+
+/// A client that stops the gripper by a put, and acknowledges.
+struct Stopper {
+    session: zenoh::Session,
+    stops: Receiver<Instant>,
+}
+
+impl Stopper {
+    fn ask(&self, what: &str, payload: &Value) -> Result<Value, Error> {
+        let replies = self.session.get(format!("wsg/v1/gateway/g/{what}")).payload(payload.to_string()).wait()?;
+        let reply = replies.recv()?.into_result().map_err(|error| format!("{:?}", error.payload()))?;
+        Ok(serde_json::from_slice(&reply.payload().to_bytes())?)
+    }
+
+    /// How long it takes from the put to the frame at the device.
+    fn stop(&self) -> Result<Duration, Error> {
+        while self.stops.try_recv().is_ok() {}
+        let begun = Instant::now();
+        let put = self.session.put("wsg/v1/fast-stop", "a bench").priority(Priority::RealTime).express(true);
+        put.congestion_control(CongestionControl::Block).wait()?;
+        let reached = self.stops.recv_timeout(Duration::from_secs(5))?;
+        let stopped = loop {
+            let state = self.ask("state", &json!({}))?;
+            if state["fast_stop_confirmed"] == true {
+                break state;
+            }
+        };
+        self.ask("command/acknowledge", &json!({"fast_stop_id": stopped["fast_stop_id"]}))?;
+        Ok(reached - begun)
+    }
+
+    fn stops(&self, count: usize) -> Result<Vec<Duration>, Error> {
+        let mut times = (0..count).map(|_| self.stop()).collect::<Result<Vec<_>, _>>()?;
+        times.sort_unstable();
+        Ok(times)
+    }
+}
+
+fn percentile(times: &[Duration], percent: usize) -> Duration {
+    times[(times.len() - 1) * percent / 100]
+}
+
+fn main() -> Result<(), Error> {
+    if let Ok(endpoint) = std::env::var("PUBLISH_AT") {
+        return publish(&endpoint);
+    }
+    let subscribers = number("SUBSCRIBERS", 20);
+    let (_device, device) = start(&["sim", "tcp://127.0.0.1:0"], " at tcp://")?;
+    let (tapped, stops) = tap::start(device)?;
+    let (gripper, http) = (format!("g=tcp://{tapped}"), free()?);
+    let arguments = ["--listen", &http, "--zenoh-listen", "tcp/127.0.0.1:0", "--gripper", &gripper];
+    let (_gateway, endpoint) = start(&arguments, "Zenoh: ")?;
+
+    let by_zenoh = subscribers::zenoh(subscribers, &endpoint, "wsg/v1/gateway/g/telemetry")?;
+    let zenoh = measure("Zenoh", &by_zenoh.0, subscribers);
+    drop(by_zenoh);
+    let by_websocket = subscribers::websocket(subscribers, &http)?;
+    let websocket = measure("WebSocket", &by_websocket.0, subscribers);
+    drop(by_websocket);
+    let bare_endpoint = format!("tcp/{}", free()?);
+    let mut command = Command::new(std::env::current_exe()?);
+    let publisher = Running(command.env("PUBLISH_AT", &bare_endpoint).stdout(Stdio::null()).spawn()?);
+    let by_bare = subscribers::zenoh(subscribers, &bare_endpoint, "wsg/v1/bare/g/telemetry")?;
+    let bare = measure("bare Zenoh", &by_bare.0, subscribers);
+    drop((by_bare, publisher));
+    for (name, (rate, late)) in [("Zenoh", zenoh), ("WebSocket", websocket)] {
+        println!("{name} to bare Zenoh: rate {:.2}, lateness {:.2}", rate / bare.0, late / bare.1);
+    }
+
+    let crowd = subscribers::zenoh(subscribers, &endpoint, "wsg/v1/**")?;
+    let stopper = Stopper { session: zenoh::open(config("client", &[], &[&endpoint])?).wait()?, stops };
+    while stopper.ask("state", &json!({}))?["link"] != "connected" {}
+    stopper.stops(10)?;
+    let count = number("STOPS", 100);
+    let idle = stopper.stops(count)?;
+    let (floods, put) = (Arc::new(AtomicBool::new(true)), Arc::new(AtomicU64::new(0)));
+    let flood = {
+        let (session, floods, put) = (stopper.session.clone(), floods.clone(), put.clone());
+        std::thread::spawn(move || {
+            while floods.load(Ordering::Relaxed) {
+                let telemetry =
+                    session.put("wsg/v1/flood/g/state", vec![b' '; FLOOD_BYTES]).priority(Priority::DataLow);
+                let _ = telemetry.congestion_control(CongestionControl::Drop).wait();
+                put.fetch_add(1, Ordering::Relaxed);
+            }
+        })
+    };
+    let begun = Instant::now();
+    let loaded = stopper.stops(count)?;
+    let rate = put.load(Ordering::Relaxed) as f64 / begun.elapsed().as_secs_f64();
+    floods.store(false, Ordering::Relaxed);
+    let _ = flood.join();
+    println!(
+        "a FAST STOP's put, beside {subscribers} subscribers of all, and {rate:.0} puts a second of its own client:"
+    );
+    for (name, percent) in [("p50", 50), ("p99", 99)] {
+        let (idle, loaded) = (percentile(&idle, percent), percentile(&loaded, percent));
+        let ratio = loaded.as_secs_f64() / idle.as_secs_f64();
+        println!("to the device, {name} of {count}: without {idle:?}, with {loaded:?}, ratio {ratio:.2}");
+    }
+    drop(crowd);
+    Ok(())
+}
