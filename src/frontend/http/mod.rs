@@ -58,10 +58,10 @@ use crate::gripper::model::Name;
 use crate::journal::Journal;
 
 pub use asyncapi::{document as asyncapi_document, yaml as asyncapi};
-pub use body::{MAX_BODY_BYTES, parse as parse_body};
-pub use errors::{Code, Problem};
-pub use lease::Taken;
-pub use methods::{Answer, METHODS, Method, Methods, Refusal, Wait, is_fast_stop};
+pub(super) use body::{MAX_BODY_BYTES, parse as parse_body};
+pub(super) use errors::{Code, Problem};
+pub(super) use lease::Taken;
+pub(super) use methods::{METHODS, Method, Methods, Refusal, Wait, is_fast_stop};
 pub use server::{Limits, RESERVED_CONNECTIONS, serve};
 
 /// Where the API begins.
@@ -138,7 +138,7 @@ pub fn router(context: &Arc<Context>) -> Router {
 }
 
 /// The same operations for the doors that have no paths, and their own guards.
-pub fn methods(context: &Arc<Context>) -> Methods {
+pub(super) fn methods(context: &Arc<Context>) -> Methods {
     let recorded = middleware::from_fn_with_state(context.clone(), refused::record);
     Methods::new(operations().layer(recorded).with_state(context.clone()))
 }

@@ -18,7 +18,7 @@ const MAX_GATEWAYS: usize = 1024;
 const GONE_AFTER: Duration = Duration::from_millis(1900);
 
 /// How long a gripper whose gateway is gone is still told of.
-const KEPT_FOR: Duration = Duration::from_mins(60);
+const KEPT_FOR: Duration = Duration::from_hours(1);
 
 /// How long a gateway that has the same name counts as there without a word from it.
 const TWIN_LASTS: Duration = Duration::from_secs(5);
