@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use axum::body::Body as Stream;
 use axum::extract::{RawPathParams, Request, State as Shared};
-use axum::http::{HeaderName, Method as Verb, StatusCode, Uri, header};
+use axum::http::{HeaderName, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use axum::{Extension, Json};
 use serde::Serialize;
@@ -17,8 +17,9 @@ use utoipa::ToSchema;
 use super::errors::{Code, Problem};
 use super::extract::{Asker, DEFAULT_WAIT_MS, MAX_WAIT_MS};
 use super::fast_stop::{FastStopBody, with_reason};
-use super::methods::{METHODS, Method, Methods, is_fast_stop};
+use super::methods::{IDEMPOTENCY_KEY, METHODS, Method, Methods, WSG_LEASE, is_fast_stop};
 use super::parameters::Parameters;
+use super::refused::Refused;
 use super::responses::AnyProblem;
 use super::values::integer;
 use super::{API, Context, body, watched};
@@ -32,9 +33,8 @@ pub const FORWARDED: [&str; 2] =
 /// A problem's Content-Type.
 const PROBLEM_JSON: &str = "application/problem+json";
 
-/// The headers that stand for fields of a body.
-const FIELDS: [(HeaderName, &str); 2] =
-    [(HeaderName::from_static("wsg-lease"), "lease"), (HeaderName::from_static("idempotency-key"), "request_id")];
+/// What travels beside a request's fields, by its header and by its name there.
+const ASIDE: [(HeaderName, &str); 2] = [(WSG_LEASE, "lease"), (IDEMPOTENCY_KEY, "request_id")];
 
 /// The grippers of all gateways.
 #[derive(Debug, Serialize, ToSchema)]
@@ -138,21 +138,26 @@ pub async fn forward(
     if context.network.is_own(&target.gateway) {
         let query = request.uri().query().map(|query| format!("?{query}")).unwrap_or_default();
         let path = format!("{API}/grippers/{}{}{query}", target.gripper, target.operation);
-        return Ok(methods.forward(client, to(path, request)?).await);
+        let mut response = methods.forward(client, to(path, request)?).await;
+        // Over there it is written down already.
+        response.extensions_mut().remove::<Refused>();
+        return Ok(response);
     }
     let gripper = target.gripper.parse().map_err(|_| Problem::not_found("gripper of this name"))?;
-    let (method, params) = operation(&request, &target.operation)?;
-    let wait = wait(&request, method)?;
+    let Some((method, params)) = operation(&request, &target.operation)? else {
+        return Ok(not_allowed(&request, &target.operation));
+    };
+    let (wait, aside) = (wait(&request, method)?, aside(&request));
     let gateway = target.gateway.clone();
     let ask = move |params, is_urgent| async move {
-        let ask = Ask { gateway, gripper, method: method.name, params: Value::Object(params), wait, client, is_urgent };
-        context.network.ask(ask).await
+        let (method, params) = (method.name, Value::Object(params));
+        context.network.ask(Ask { gateway, gripper, method, params, wait, aside, client, is_urgent }).await
     };
     let asked = if is_fast_stop(method.name) {
         let stop = |reason: Reason| ask(Map::from_iter([("reason".to_owned(), reason.as_str().into())]), true);
         with_reason(request, stop).await?
     } else {
-        ask(fields(request, method, params).await?, false).await
+        ask(fields(request, params).await?, false).await
     };
     match asked {
         Ok(Ok(answer)) => Ok(answered(&target.gateway, &answer)),
@@ -161,26 +166,19 @@ pub async fn forward(
     }
 }
 
-/// A request's fields: those of its path, its body, and the headers that stand for some.
-async fn fields(
-    request: Request,
-    method: &Method,
-    mut fields: Map<String, Value>,
-) -> Result<Map<String, Value>, Problem> {
-    let headers = request.headers().clone();
+/// A request's fields: those of its path, and those of its body.
+async fn fields(request: Request, mut fields: Map<String, Value>) -> Result<Map<String, Value>, Problem> {
     let given: Map<String, Value> = body::parse(&body::read(request.into_body()).await?)?;
     fields.extend(given);
-    for (name, field) in FIELDS.into_iter().filter(|_| *method.verb != Verb::GET) {
-        let value = headers.get(name).and_then(|value| value.to_str().ok()).filter(|value| !value.is_empty());
-        let Some(value) = value else { continue };
-        if fields.insert(field.to_owned(), value.into()).is_some_and(|other| other != "" && other != value) {
-            return Err(Problem::malformed(
-                field,
-                format!("{field} is given in a header and in the body, and differs"),
-            ));
-        }
-    }
     Ok(fields)
+}
+
+/// What its headers say.
+fn aside(request: &Request) -> Vec<(&'static str, String)> {
+    let given = |(header, name): (HeaderName, &'static str)| {
+        Some((name, String::from_utf8_lossy(request.headers().get(header)?.as_bytes()).into_owned()))
+    };
+    ASIDE.into_iter().filter_map(given).collect()
 }
 
 /// The same request for another path.
@@ -194,17 +192,19 @@ fn to(path: String, request: Request) -> Result<Request, Problem> {
     forwarded.map_err(|error| Problem::new(Code::Internal, format!("no request: {error}")))
 }
 
-/// The operation that a path below a gripper is, and the parameters in it.
-fn operation(request: &Request, path: &str) -> Result<(&'static Method, Map<String, Value>), Problem> {
+/// The operation that a request for a path below a gripper is, and the parameters in it; none where the path is there, and
+/// does not take the method.
+fn operation(request: &Request, path: &str) -> Result<Option<(&'static Method, Map<String, Value>)>, Problem> {
     let mut of_path = METHODS.iter().filter_map(|method| Some((method, parameters_of(method, path)?))).peekable();
-    if of_path.peek().is_none() {
-        return Err(Problem::not_found("such path"));
-    }
-    let found = of_path.find(|(method, _)| method.verb == request.method());
-    found.ok_or_else(|| {
-        let detail = format!("{} is not among the methods of this path", request.method());
-        Problem::new(Code::MethodNotAllowed, detail)
-    })
+    of_path.peek().ok_or_else(|| Problem::not_found("such path"))?;
+    Ok(of_path.find(|(method, _)| method.verb == request.method()))
+}
+
+fn not_allowed(request: &Request, path: &str) -> Response {
+    let of_path = METHODS.iter().filter(|method| parameters_of(method, path).is_some());
+    let allowed: Vec<_> = of_path.map(|method| method.verb.as_str()).collect();
+    let detail = format!("{} is not among the methods of this path, which Allow lists", request.method());
+    ([(header::ALLOW, allowed.join(","))], Problem::new(Code::MethodNotAllowed, detail)).into_response()
 }
 
 fn parameters_of(method: &Method, path: &str) -> Option<Map<String, Value>> {

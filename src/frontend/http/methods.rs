@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use axum::Router;
 use axum::body::Body;
-use axum::http::{Method as Verb, Request, StatusCode};
+use axum::http::{HeaderMap, HeaderName, Method as Verb, Request, StatusCode};
 use axum::response::Response;
 use http_body_util::BodyExt;
 use serde_json::value::RawValue;
@@ -30,6 +30,11 @@ pub struct Method {
     /// Whether it begins a command, whose end is told later.
     pub is_command: bool,
 }
+
+/// The headers that any operation understands, and that say the same as fields of some.
+pub const WSG_LEASE: HeaderName = HeaderName::from_static("wsg-lease");
+/// See [`WSG_LEASE`].
+pub const IDEMPOTENCY_KEY: HeaderName = HeaderName::from_static("idempotency-key");
 
 /// How long a command is waited for.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -149,12 +154,20 @@ impl Methods {
         METHODS.iter().any(|method| method.name == name)
     }
 
-    /// Calls one for a client.
+    /// Calls one for a client. The headers are those of the request that it is.
     ///
     /// # Errors
     /// [`Refusal`], as the operation has it.
-    pub async fn call(&self, client: Client, name: &str, params: Value, wait: Wait<'_>) -> Result<Answer, Refusal> {
-        let request = request(name, params, wait)?;
+    pub async fn call(
+        &self,
+        client: Client,
+        name: &str,
+        params: Value,
+        wait: Wait<'_>,
+        headers: HeaderMap,
+    ) -> Result<Answer, Refusal> {
+        let mut request = request(name, params, wait)?;
+        *request.headers_mut() = headers;
         self.send(client, request).await
     }
 

@@ -61,7 +61,7 @@ pub use asyncapi::{document as asyncapi_document, yaml as asyncapi};
 pub(super) use body::{MAX_BODY_BYTES, parse as parse_body};
 pub(super) use errors::{Code, Problem};
 pub(super) use lease::Taken;
-pub(super) use methods::{METHODS, Method, Methods, Refusal, Wait, is_fast_stop};
+pub(super) use methods::{IDEMPOTENCY_KEY, METHODS, Method, Methods, Refusal, WSG_LEASE, Wait, is_fast_stop};
 pub use server::{Limits, RESERVED_CONNECTIONS, serve};
 
 /// Where the API begins.

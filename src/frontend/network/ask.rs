@@ -12,11 +12,11 @@ use zenoh::query::{QueryTarget, Reply};
 use zenoh::sample::Locality;
 
 use super::Network;
-use super::keys::Keys;
+use super::keys::{self, Keys};
 use crate::gripper::model::{Client, Name};
 
 /// How long an answer may take on its way, beside what its operation may take.
-const ON_ITS_WAY: Duration = Duration::from_secs(2);
+const ON_ITS_WAY: Duration = Duration::from_secs(5);
 
 /// What is asked.
 #[derive(Debug)]
@@ -31,6 +31,8 @@ pub struct Ask {
     pub params: Value,
     /// How long it may take there; as long as that says where nothing is said.
     pub wait: Option<Duration>,
+    /// What goes with them: `lease`, `request_id`.
+    pub aside: Vec<(&'static str, String)>,
     /// Who asks here.
     pub client: Client,
     /// Whether it goes before all else.
@@ -71,13 +73,15 @@ impl Network {
             Err(_) => return Err(NoAnswer::TooMany),
         };
         let key = Keys::of(&ask.gateway).gripper(&ask.gripper, &format!("command/{}", ask.method));
-        let subject = format!("client={}/{}", self.gateway, ask.client.subject);
-        let wait_ms = ask.wait.map(|wait| format!(";wait_ms={}", wait.as_millis())).unwrap_or_default();
+        let subject = ("client", format!("{}/{}", self.gateway, ask.client.subject));
+        let wait_ms = ask.wait.map(|wait| ("wait_ms", wait.as_millis().to_string()));
+        let parameters = [subject].into_iter().chain(wait_ms).chain(ask.aside);
+        let parameters: Vec<_> = parameters.map(|(key, value)| format!("{key}={}", keys::encoded(&value))).collect();
         let timeout = ask.wait.unwrap_or_default() + ON_ITS_WAY;
         let (payload, is_urgent) = (ask.params.to_string(), ask.is_urgent);
         // It may wait for a place, and nobody else does there.
         let sent = tokio::task::spawn_blocking(move || {
-            let get = session.get(format!("{key}?{subject}{wait_ms}")).payload(payload).timeout(timeout);
+            let get = session.get(format!("{key}?{}", parameters.join(";"))).payload(payload).timeout(timeout);
             let get = get.encoding(Encoding::APPLICATION_JSON).allowed_destination(Locality::Remote);
             let get = get.target(QueryTarget::All).express(is_urgent);
             get.priority(if is_urgent { Priority::RealTime } else { Priority::DataHigh }).wait()

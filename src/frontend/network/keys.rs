@@ -55,9 +55,30 @@ pub fn of_gripper(key: &str) -> Option<(Name, Name)> {
     Some((gateway.parse().ok()?, gripper.parse().ok()?))
 }
 
+/// A parameter's value as a selector has it: percent-encoded.
+#[must_use]
+pub fn encoded(value: &str) -> String {
+    url::form_urlencoded::byte_serialize(value.as_bytes()).collect()
+}
+
+/// The same, decoded. What needs no encoding may come without.
+#[must_use]
+pub fn decoded(value: &str) -> String {
+    let (key, rest) = url::form_urlencoded::parse(value.as_bytes()).next().unwrap_or_default();
+    if value.contains('=') { format!("{key}={rest}") } else { key.into_owned() }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_parameter_travels_encoded_and_may_come_without() {
+        for value in ["robot-1", "near/http:127.0.0.1", "a;b=c|d&e+f%20 g", "\u{f6}", ""] {
+            assert_eq!(decoded(&encoded(value)), value);
+        }
+        assert_eq!((decoded("near/http:::1"), decoded("a=b")), ("near/http:::1".to_owned(), "a=b".to_owned()));
+    }
 
     #[test]
     fn a_key_names_what_it_was_made_of() {

@@ -4,9 +4,9 @@
 //! | --- | --- |
 //! | `/{gripper}/state`, `/telemetry`, `/event` | publications of what HTTP and WebSocket tell; `/event` without a gripper, too |
 //! | `/{gripper}/state`, `/info` | queries |
-//! | `/{gripper}/command/{name}` | queries, by the names that WebSocket has: `grip`, `lease.take`; [`queries`] |
+//! | `/{gripper}/command/{name}` | queries, by the names that WebSocket has: `grip`, `lease.take` |
 //! | `/{gripper}/alive` | a liveliness token while the gripper's link is up; `/alive` while the gateway is |
-//! | `/client/{name}` | a liveliness token of a client, which a lease is bound to; [`clients`] |
+//! | `/client/{name}` | a liveliness token of a client, which a lease is bound to |
 //! | `/fast-stop` | a put stops all grippers of the gateway; one to `wsg/v1/fast-stop` those of all gateways |
 //! | `/fleet` | a query: all grippers of all gateways |
 //!

@@ -62,7 +62,7 @@ impl Publications {
     /// Tells states and telemetry, so often a second at most, until the gateway closes.
     pub async fn tell(mut self, context: Arc<Context>, metrics: Metrics, max_hz: u32) {
         let only = BTreeSet::from([self.handle.name().clone()]);
-        let mut updates = context.updates.subscribe(Some(&only), [Topic::State, Topic::Telemetry]);
+        let mut updates = context.updates.subscribe(Some(&only), [Topic::Telemetry]);
         let mut pace = Pace::new(max_hz);
         let mut unchanged = interval(TOLD_EVERY);
         unchanged.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -74,12 +74,11 @@ impl Publications {
                     let (told, dropped) = updates.newest(missed);
                     metrics.dropped(dropped);
                     for told in told {
-                        if told.method() == "telemetry" {
-                            publish(&self.telemetry, &told);
-                        } else if self.is_news() {
-                            publish(&self.state, &told);
-                            unchanged.reset();
-                        }
+                        publish(&self.telemetry, &told);
+                    }
+                    if let Some(told) = self.news() {
+                        publish(&self.state, &told);
+                        unchanged.reset();
                     }
                     self.keep_token();
                 }
@@ -92,12 +91,15 @@ impl Publications {
         }
     }
 
-    /// Whether the state says more than that the device is still there: all gateways of a fleet are told each that does.
-    fn is_news(&mut self) -> bool {
-        let state = State { seq: 0, updated_at: None, ..State::clone(&self.handle.state()) };
-        let is_news = self.told.as_ref() != Some(&state);
-        self.told = Some(state);
-        is_news
+    /// The state, where it says more than that the device is still there: all gateways of a fleet are told each that does.
+    fn news(&mut self) -> Option<Notification> {
+        let state = self.handle.state();
+        let lasting = State { seq: 0, updated_at: None, ..State::clone(&state) };
+        if self.told.as_ref() == Some(&lasting) {
+            return None;
+        }
+        self.told = Some(lasting);
+        Notification::new("state", &*state)
     }
 
     /// Declares the gripper alive while its link is up.

@@ -5,6 +5,7 @@
 
 use std::sync::Arc;
 
+use axum::http::{HeaderMap, HeaderName, HeaderValue};
 use serde::Deserialize;
 use serde_json::value::RawValue;
 use serde_json::{Map, Value};
@@ -18,7 +19,7 @@ use super::clients::Clients;
 use crate::frontend::http::{self, Code, Context, Methods, Problem, Refusal, Wait, is_fast_stop};
 use crate::frontend::metrics::Metrics;
 use crate::frontend::network::Network;
-use crate::frontend::network::keys::{Keys, last_part};
+use crate::frontend::network::keys::{Keys, decoded, last_part};
 use crate::gripper::Fleet;
 use crate::gripper::model::{Client, Door, Name, Text};
 
@@ -31,6 +32,8 @@ const MAX_FAST_STOPS: usize = 64;
 /// The parameters of a query's selector.
 const WAIT_MS: &str = "wait_ms";
 const CLIENT: &str = "client";
+/// Those that are headers over HTTP.
+const ASIDE: [(HeaderName, &str); 2] = [(http::WSG_LEASE, "lease"), (http::IDEMPOTENCY_KEY, "request_id")];
 
 /// Who answers.
 #[derive(Debug)]
@@ -54,6 +57,7 @@ struct Asked {
     method: String,
     params: Map<String, Value>,
     wait_ms: Option<String>,
+    headers: HeaderMap,
     client: Client,
 }
 
@@ -90,6 +94,7 @@ impl Queries {
             method: what.to_owned(),
             params,
             wait_ms: None,
+            headers: HeaderMap::new(),
             client: Client { subject: super::subject(None), door: Door::Zenoh },
         };
         self.answer(query, Ok(asked));
@@ -120,8 +125,8 @@ impl Queries {
             return Err(Problem::new(Code::NameTaken, detail));
         }
         let payload = query.payload().map(zenoh::bytes::ZBytes::to_bytes).unwrap_or_default();
-        let given = |key| query.parameters().get(key).filter(|given| !given.is_empty());
-        let client = given(CLIENT).map(|name| Text::new(name).ok_or_else(|| too_long(name))).transpose();
+        let given = |key| query.parameters().get(key).filter(|given| !given.is_empty()).map(decoded);
+        let client = given(CLIENT).map(|name| Text::new(&name).ok_or_else(|| too_long(&name))).transpose();
         let (mut params, client) = if is_fast_stop {
             (http::parse_body(&payload).unwrap_or_default(), client.unwrap_or_default())
         } else {
@@ -135,7 +140,8 @@ impl Queries {
             key,
             method,
             params,
-            wait_ms: given(WAIT_MS).map(ToOwned::to_owned),
+            wait_ms: given(WAIT_MS),
+            headers: if is_fast_stop { HeaderMap::new() } else { headers(given)? },
             client: Client { subject: super::subject(client), door: Door::Zenoh },
         })
     }
@@ -163,10 +169,11 @@ impl Queries {
     }
 
     async fn call(&self, asked: Asked) -> Result<Box<RawValue>, Refusal> {
-        let Asked { method, params, wait_ms, client, .. } = asked;
+        let Asked { method, params, wait_ms, headers, client, .. } = asked;
         let holder = holder(&params).filter(|_| method == "lease.take");
         let was_alive = holder.as_deref().is_some_and(|holder| self.clients.is_alive(holder));
-        let told = self.methods.call(client, &method, Value::Object(params), Wait::Ms(wait_ms.as_deref())).await;
+        let (params, wait) = (Value::Object(params), Wait::Ms(wait_ms.as_deref()));
+        let told = self.methods.call(client, &method, params, wait, headers).await;
         let status = told.as_ref().map_or_else(|refusal| refusal.status.as_u16(), |_| 200);
         self.metrics.answered(Some(&method), "QUERY", status);
         let answer = told?;
@@ -206,6 +213,16 @@ fn body(payload: &[u8]) -> Result<Map<String, Value>, Problem> {
         return Err(Problem::new(Code::TooLarge, detail).limits(None, Some(http::MAX_BODY_BYTES.into())));
     }
     http::parse_body(payload)
+}
+
+fn headers(given: impl Fn(&'static str) -> Option<String>) -> Result<HeaderMap, Problem> {
+    let mut headers = HeaderMap::new();
+    for (header, name) in ASIDE {
+        let Some(given) = given(name) else { continue };
+        let no_header = |_| Problem::malformed(name, format!("{name} must have no control characters"));
+        headers.insert(header, HeaderValue::from_str(&given).map_err(no_header)?);
+    }
+    Ok(headers)
 }
 
 /// By which name a lease is asked for.

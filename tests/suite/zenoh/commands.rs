@@ -152,6 +152,22 @@ async fn a_taken_port_is_a_warning_and_the_gripper_is_served() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_router_that_is_not_there_delays_nothing_and_no_end() {
+    let nobody = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    // It takes connections, and says nothing.
+    let endpoint = format!("tcp/{}", nobody.local_addr().unwrap());
+    let zenoh = ["--zenoh-mode", "client", "--zenoh-connect", &endpoint];
+    let gateway = Gateway::start(&[&["--gripper", "g=sim://wsg50"], &zenoh[..]].concat()).await;
+    gateway.until_link("connected").await;
+    gateway.post("home", &json!({})).await.outcome("SUCCESS");
+    assert_eq!(gateway.get("/api/v1/fleet").await.ok()["grippers"].as_array().unwrap().len(), 1);
+    let stopped = gateway.post("/api/v1/fleet/fast-stop", &json!({})).await.ok();
+    assert_eq!(stopped["confirmed"], json!(["gateway/g"]));
+    let ended = gateway.terminate().await;
+    assert!(ended.status.success(), "{}", ended.stderr);
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn what_is_asked_is_counted_by_its_door() {
     let rig = Rig::start(&[]).await;
     rig.client.command("home", &json!({})).await.unwrap();

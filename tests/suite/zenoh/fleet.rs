@@ -206,6 +206,17 @@ async fn another_gateways_gripper_answers_as_over_there() {
     ] {
         pair.near.get(path).await.problem(status, code);
     }
+    let refused = pair.near.post("/api/v1/fleet/near/grippers/g0/move", &json!({})).await;
+    refused.problem(400, "malformed");
+    let refusals = pair.near.get("/api/v1/events?kind=refused").await.ok();
+    assert_eq!(refusals["events"].as_array().unwrap().len(), 1, "once: {refusals}");
+    let again = |lease: &str| {
+        let request = pair.near.request("POST", &far("/stop")).header("Idempotency-Key", "a;b=c&d");
+        request.header("Wsg-Lease", lease.to_owned())
+    };
+    let stop = pair.near.send(again(&token)).await.ok();
+    let replayed = pair.near.send(again(&token)).await.ok();
+    assert_eq!((&replayed["id"], &replayed["replayed"]), (&stop["id"], &json!(true)));
     let own = pair.near.get("/api/v1/fleet/near/grippers/g0").await.ok();
     assert_eq!(own, pair.near.get("/api/v1/grippers/g0").await.ok());
     let events = pair.far.get("/api/v1/events?kind=command&limit=1").await.ok();

@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::extract::ws::{CloseFrame, Message, WebSocket, close_code};
-use axum::http::StatusCode;
+use axum::http::{HeaderMap, StatusCode};
 use futures_util::future::{BoxFuture, FutureExt as _, join_all};
 use futures_util::stream::{FuturesUnordered, SplitStream, StreamExt as _};
 use serde_json::value::{RawValue, to_raw_value};
@@ -251,7 +251,7 @@ impl Socket {
         }
         let (methods, client, metrics) = (self.methods.clone(), self.client.clone(), self.context.ws_metrics.clone());
         async move {
-            let told = methods.call(client, &method, params, Wait::No).await;
+            let told = methods.call(client, &method, params, Wait::No, HeaderMap::new()).await;
             let status = told.as_ref().map_or_else(|refusal| refusal.status, |_| StatusCode::OK);
             metrics.answered(Some(&method), "CALL", status.as_u16());
             match told {
