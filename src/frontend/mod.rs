@@ -4,6 +4,7 @@
 //! device's limits is refused by the gripper's actor, so all doors refuse the same.
 
 mod connections;
+pub mod dashboard;
 pub mod http;
 pub mod metrics;
 pub mod network;

@@ -49,6 +49,7 @@ use utoipa::openapi::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
+use super::dashboard;
 use super::metrics::Metrics;
 use super::network::Network;
 use super::refusals::Refusals;
@@ -167,6 +168,7 @@ fn routes() -> Routes {
     let (router, document) = unhurried.split_for_parts();
     let router = router
         .merge(docs::page())
+        .merge(dashboard::page())
         .method_not_allowed_fallback(method_not_allowed)
         .layer(middleware::from_fn(body::read_first));
     let (fast_stops, fast_stop_document) =

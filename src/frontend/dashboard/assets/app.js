@@ -1,0 +1,67 @@
+// The page: a bar that is always there, and one of five views.
+
+import { html, render } from './lib.js';
+import { LANGUAGES, language, t } from './model/i18n.js';
+import { myName, theme } from './model/prefs.js';
+import { gripper, view, VIEWS } from './model/store.js';
+import { Alarms, Announcer } from './ui/alarms.js';
+import { Bar, Picker } from './ui/bar.js';
+import { Charts } from './ui/charts.js';
+import { Control } from './ui/control.js';
+import { Device } from './ui/device.js';
+import { Flags } from './ui/flags.js';
+import { History } from './ui/history.js';
+import { Jaws } from './ui/jaws.js';
+import { Log } from './ui/log.js';
+import { Motion } from './ui/motion.js';
+import { All } from './ui/overview.js';
+import { Choice } from './ui/parts.js';
+import { go, start } from './ui/route.js';
+
+function Views() {
+  return html`<nav class="views" aria-label=${t('nav.label')}>
+    ${VIEWS.map((name) => html`<button type="button" key=${name} data-view=${name} aria-current=${view.value === name ? 'page' : 'false'} onClick=${() => go(name)}>${t(`nav.${name}`)}</button>`)}
+  </nav>`;
+}
+
+function Operate({ one }) {
+  return html`<div class="operate">
+    <div class="column column-main"><${Jaws} one=${one} /><${Charts} one=${one} /></div>
+    <div class="column column-side"><${Motion} one=${one} /></div>
+    <div class="column column-more"><${Alarms} /><${Control} one=${one} /><${Flags} one=${one} /></div>
+  </div>`;
+}
+
+const OF_VIEW = { operate: Operate, history: History, log: Log, device: Device, all: All };
+
+function Main() {
+  const one = gripper.value;
+  if (!one) return html`<main class="waiting"><p>${t('stale.connecting')}</p></main>`;
+  const View = OF_VIEW[view.value];
+  return html`<main key=${view.value === 'all' ? 'all' : one.name}><${View} one=${one} /></main>`;
+}
+
+function Footer() {
+  return html`<footer class="foot">
+    <p class="safety">${t('foot.safety')}</p>
+    <div class="prefs">
+      <label for="my-name">${t('foot.name')}</label>
+      <input id="my-name" type="text" maxlength="32" value=${myName.value} onChange=${(event) => { myName.value = event.currentTarget.value.trim() || myName.peek(); }} />
+      <${Choice} label=${t('foot.language')} name="language" value=${language.value} onChange=${(key) => { language.value = key; }} options=${LANGUAGES.map((key) => [key, key.toUpperCase()])} />
+      <${Choice} label=${t('foot.theme')} name="theme" value=${theme.value} onChange=${(key) => { theme.value = key; }} options=${['auto', 'light', 'dark'].map((key) => [key, t(`theme.${key}`)])} />
+      <a href="/docs">${t('foot.docs')}</a>
+    </div>
+  </footer>`;
+}
+
+function App() {
+  return html`<a class="skip" href="#main" onClick=${(event) => { event.preventDefault(); document.querySelector('main button, main input')?.focus(); }}>${t('nav.skip')}</a>
+    <${Bar} />
+    <div class="navigation"><${Picker} /><${Views} /></div>
+    <div id="main"><${Main} /></div>
+    <${Footer} /><${Announcer} />`;
+}
+
+start();
+document.getElementById('app').replaceChildren();
+render(html`<${App} />`, document.getElementById('app'));

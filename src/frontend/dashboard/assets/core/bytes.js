@@ -1,0 +1,78 @@
+// Bytes as people write and read them: what the command editor takes, and what selected bytes mean.
+
+/** One thing that the editor takes: "text", a hexadecimal or decimal number, a float with an f. */
+const TOKEN = /\s*(?:"((?:[^"\\]|\\.)*)"|(0x[0-9a-f]+)|([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?f)|(\d+)|([^\s]+))/giy;
+
+function littleEndian(hex) {
+  const even = hex.length % 2 ? `0${hex}` : hex;
+  return (even.match(/../g) ?? []).map((digits) => Number.parseInt(digits, 16)).reverse();
+}
+
+function float(text) {
+  const bytes = new Uint8Array(4);
+  new DataView(bytes.buffer).setFloat32(0, Number.parseFloat(text), true);
+  return bytes;
+}
+
+/**
+ * The bytes of `0x20 150.0f "text" 7`: hexadecimal numbers take as many bytes as they have pairs of digits, little
+ * endian; decimal ones one byte; floats four; texts one for each character. `wrong` is the first part that is none.
+ */
+export function parse(text) {
+  const bytes = [];
+  const trimmed = text.trim();
+  TOKEN.lastIndex = 0;
+  while (TOKEN.lastIndex < trimmed.length) {
+    const match = TOKEN.exec(trimmed);
+    if (!match) return { bytes, wrong: trimmed };
+    const [, quoted, hex, single, decimal, other] = match;
+    if (quoted !== undefined) {
+      const plain = quoted.replace(/\\(.)/g, '$1');
+      const codes = Array.from(plain, (character) => character.codePointAt(0));
+      if (codes.some((code) => code > 0xff)) return { bytes, wrong: quoted };
+      bytes.push(...codes);
+    } else if (hex !== undefined) {
+      bytes.push(...littleEndian(hex.slice(2)));
+    } else if (single !== undefined) {
+      bytes.push(...float(single));
+    } else if (decimal !== undefined && Number(decimal) <= 0xff) {
+      bytes.push(Number(decimal));
+    } else {
+      return { bytes, wrong: other ?? decimal };
+    }
+  }
+  return { bytes, wrong: null };
+}
+
+/** One byte for a command's id, as it is written in the manual or as a number; null where it is none. */
+export function parseId(text) {
+  const trimmed = text.trim().toLowerCase();
+  const manual = /^([0-9a-f]{2})h$/.exec(trimmed);
+  const value = manual ? Number.parseInt(manual[1], 16) : /^(0x[0-9a-f]{1,2}|\d{1,3})$/.test(trimmed) ? Number(trimmed) : NaN;
+  return value >= 0 && value <= 0xff ? value : null;
+}
+
+/** What bytes mean, where their number fits. */
+export function interpretations(bytes) {
+  const view = new DataView(Uint8Array.from(bytes).buffer);
+  const told = [];
+  const tell = (type, value) => told.push({ type, value });
+  switch (bytes.length) {
+    case 1:
+      tell('u8', view.getUint8(0));
+      tell('i8', view.getInt8(0));
+      break;
+    case 2:
+      tell('u16', view.getUint16(0, true));
+      tell('i16', view.getInt16(0, true));
+      break;
+    case 4:
+      tell('f32', view.getFloat32(0, true));
+      tell('u32', view.getUint32(0, true));
+      tell('i32', view.getInt32(0, true));
+      break;
+    default:
+  }
+  tell('text', Array.from(bytes, (byte) => (byte >= 0x20 && byte < 0x7f ? String.fromCharCode(byte) : '\u00b7')).join(''));
+  return told;
+}

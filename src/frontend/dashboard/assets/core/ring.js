@@ -1,0 +1,90 @@
+// Samples of one gripper: a ring of typed arrays, so that a page that is open for a week takes no more memory than one
+// that is open for ten minutes.
+
+/** Times are in ms, of a clock that only goes forward. What isn't known is NaN. */
+export class Samples {
+  constructor(capacity, columns = 3) {
+    this.capacity = capacity;
+    this.times = new Float64Array(capacity);
+    this.columns = Array.from({ length: columns }, () => new Float32Array(capacity));
+    this.start = 0;
+    this.length = 0;
+  }
+
+  push(time, values) {
+    const at = (this.start + this.length) % this.capacity;
+    this.times[at] = time;
+    this.columns.forEach((column, index) => { column[at] = values[index] ?? NaN; });
+    if (this.length < this.capacity) this.length += 1;
+    else this.start = (this.start + 1) % this.capacity;
+  }
+
+  clear() {
+    this.start = 0;
+    this.length = 0;
+  }
+
+  time(index) {
+    return this.times[(this.start + index) % this.capacity];
+  }
+
+  value(column, index) {
+    return this.columns[column][(this.start + index) % this.capacity];
+  }
+
+  /** The first index whose time is not before `time`. */
+  indexOf(time) {
+    let low = 0;
+    let high = this.length;
+    while (low < high) {
+      const middle = (low + high) >> 1;
+      if (this.time(middle) < time) low = middle + 1;
+      else high = middle;
+    }
+    return low;
+  }
+
+  /**
+   * The samples from `from` to `to` as uPlot takes them: seconds relative to `to`, then each column, null where nothing
+   * is known. Of more samples than `points` the lowest and the highest of each stretch stay, so that no peak is lost.
+   */
+  window(from, to, points) {
+    const first = Math.max(0, this.indexOf(from) - 1);
+    const last = this.indexOf(to);
+    const count = last - first;
+    const stretch = Math.max(1, Math.ceil((2 * count) / points));
+    const told = [[], ...this.columns.map(() => [])];
+    for (let begin = first; begin < last; begin += stretch) {
+      const end = Math.min(begin + stretch, last);
+      if (stretch === 1) this.#tell(told, begin, to, [begin]);
+      else this.#tellExtremes(told, begin, end, to);
+    }
+    return told;
+  }
+
+  #tell(told, index, to, indexes) {
+    told[0].push((this.time(index) - to) / 1000);
+    this.columns.forEach((_, column) => {
+      const value = this.value(column, indexes[column] ?? index);
+      told[column + 1].push(Number.isNaN(value) ? null : value);
+    });
+  }
+
+  #tellExtremes(told, begin, end, to) {
+    const lows = [];
+    const highs = [];
+    this.columns.forEach((_, column) => {
+      let low = begin;
+      let high = begin;
+      for (let index = begin + 1; index < end; index += 1) {
+        const value = this.value(column, index);
+        if (value < this.value(column, low)) low = index;
+        if (value > this.value(column, high)) high = index;
+      }
+      lows.push(Math.min(low, high));
+      highs.push(Math.max(low, high));
+    });
+    this.#tell(told, begin, to, lows);
+    if (end - begin > 1) this.#tell(told, end - 1, to, highs);
+  }
+}

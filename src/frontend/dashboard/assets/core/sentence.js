@@ -1,0 +1,33 @@
+// What an event says, as the key of a sentence and its parameters. Pure: the words are the dictionaries'.
+
+/** `of` are words that are to be looked up themselves. */
+export function sentence(event) {
+  switch (event.kind) {
+    case 'command':
+      if (event.phase === 'admitted') return { key: 'event.admitted', of: { command: `command.${event.command}` } };
+      return { key: null, of: { command: `command.${event.command}`, outcome: `outcome.${event.outcome}` } };
+    case 'fast_stop':
+      return { key: `event.${event.event}`, of: { cause: `cause.${event.cause}` } };
+    case 'acknowledge':
+      return event.cleared ? { key: 'event.acknowledged' } : { key: 'event.not_acknowledged', with: { cause: event.cause ?? '' } };
+    case 'lease':
+      return { key: `event.${event.event}`, with: { holder: event.holder } };
+    case 'link':
+      return { key: `link.${event.link}` };
+    case 'device':
+      return { key: `event.${event.event}`, with: { flags: (event.flags ?? []).join(', ') } };
+    case 'refused':
+      return { key: 'event.refused', with: { command: event.command, cause: event.cause } };
+    case 'gateway':
+      return { key: `event.${event.event}`, with: { version: event.version ?? '', count: event.count ?? '' } };
+    default:
+      return { key: null };
+  }
+}
+
+/** The values that an event has beside its sentence, by their field names. */
+const FIELDS = ['width_mm', 'speed_mm_s', 'force_n', 'direction', 'part_id', 'reason', 'link_cause', 'setting', 'acceleration_mm_s2', 'minus_mm', 'plus_mm', 'enabled', 'tag', 'restored', 'effect', 'status'];
+
+export function details(event) {
+  return FIELDS.filter((field) => event[field] !== undefined && event[field] !== null && event[field] !== '').map((field) => [field, event[field]]);
+}

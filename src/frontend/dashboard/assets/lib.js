@@ -1,0 +1,11 @@
+// The vendored libraries, by one name each.
+
+import { h, render, Fragment } from './vendor/preact.js';
+import htm from './vendor/htm.js';
+
+export { useEffect, useLayoutEffect, useMemo, useRef, useState, useId } from './vendor/hooks.js';
+export { batch, computed, effect, signal, untracked, useComputed, useSignal, useSignalEffect } from './vendor/signals.js';
+export { default as uPlot } from './vendor/uplot.js';
+export { Fragment, render };
+
+export const html = htm.bind(h);

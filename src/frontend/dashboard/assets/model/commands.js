@@ -1,0 +1,98 @@
+// What people ask for: each request with the lease that this page holds, and what is refused shown beside its control.
+
+import { get, post } from '../net/rest.js';
+import { noConnection } from '../net/rpc.js';
+import { myName, onLossHolding, onLossMoving } from './prefs.js';
+import { rpc } from './store.js';
+
+/** A request on a gripper. Resolves with its answer, or null where it was refused. */
+export async function ask(one, method, params = {}) {
+  one.problem.value = null;
+  const lease = one.held.peek();
+  try {
+    return await rpc.call(method, { gripper: one.name, ...(lease && method !== 'lease' ? { lease: lease.token } : {}), ...params });
+  } catch (problem) {
+    one.problem.value = problem;
+    return null;
+  }
+}
+
+/** A request whose method knows no lease. */
+export async function askFreely(one, method, params = {}) {
+  one.problem.value = null;
+  try {
+    return await rpc.call(method, { gripper: one.name, ...params });
+  } catch (problem) {
+    one.problem.value = problem;
+    return null;
+  }
+}
+
+export async function move(one, method, params) {
+  const command = await ask(one, method, params);
+  if (command) one.command.value = command;
+  return command;
+}
+
+const terms = () => ({ holder: myName.peek(), on_loss_moving: onLossMoving.peek(), on_loss_holding: onLossHolding.peek() });
+
+/** Takes control: it lives as long as this page answers. Of somebody else's by `force`, or by asking with `request`. */
+export async function takeControl(one, { force = false, request = false } = {}) {
+  const lease = await askFreely(one, 'lease.take', { ...terms(), force, request });
+  if (lease) {
+    one.lease.value = lease;
+    one.held.value = { token: lease.token, epoch: lease.epoch };
+    one.isAsking.value = false;
+  } else if (request && one.problem.peek()?.code === 'lease_held') {
+    one.problem.value = null;
+    one.isAsking.value = true;
+  }
+  return lease;
+}
+
+/** Other terms for what is held already. */
+export async function changeTerms(one, more = {}) {
+  const held = one.held.peek();
+  if (!held) return null;
+  const lease = await askFreely(one, 'lease.take', { ...terms(), lease: held.token, ...more });
+  if (lease) one.lease.value = lease;
+  return lease;
+}
+
+export async function releaseControl(one) {
+  const lease = await ask(one, 'lease.release');
+  one.held.value = null;
+  if (lease) one.lease.value = lease;
+}
+
+export async function handOver(one, to) {
+  const lease = await ask(one, 'lease.hand-over', { to });
+  if (lease) {
+    one.held.value = null;
+    one.lease.value = lease;
+  }
+}
+
+/** Nothing but the FAST STOP that is shown is acknowledged. */
+export function acknowledge(one, id) {
+  return askFreely(one, 'acknowledge', { fast_stop_id: id });
+}
+
+/** A stop that waits for no connection: by the WebSocket, and where that doesn't answer at once by a request of its own. */
+const FALLS_BACK_AFTER_MS = 300;
+
+export async function fastStop(gripperName = null) {
+  // The gateway keeps 64 bytes of it.
+  const params = { reason: `dashboard, ${myName.peek()}` };
+  const path = gripperName ? `grippers/${gripperName}/fast-stop` : 'fast-stop';
+  const overSocket = rpc.call('fast-stop', gripperName ? { ...params, gripper: gripperName } : params, 3000);
+  const late = new Promise((_, reject) => { setTimeout(() => reject(noConnection()), FALLS_BACK_AFTER_MS); });
+  try {
+    return await Promise.race([overSocket, late]);
+  } catch {
+    // Two stops are one stop too many, and none is one too few.
+    return Promise.any([overSocket, post(path, params, { withinMs: 3000 })]);
+  }
+}
+
+export { get, post };

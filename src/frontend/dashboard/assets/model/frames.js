@@ -1,0 +1,44 @@
+// The frames on a gripper's wire, over a connection of their own: there may be hundreds a second, and what the page
+// shows of grippers must not wait behind them. Open only while somebody looks.
+
+import { signal } from '../lib.js';
+import { Rpc } from '../net/rpc.js';
+
+const MAX_FRAMES = 400;
+/** Ids whose answers come by themselves. */
+const UPDATES = [0x40, 0x41, 0x43, 0x44, 0x45];
+
+export const frames = signal([]);
+export const hasUpdates = signal(false);
+export const isPaused = signal(false);
+
+let waiting = [];
+
+function take(frame) {
+  if (isPaused.peek() || (!hasUpdates.peek() && frame.direction === 'received' && UPDATES.includes(frame.id))) return;
+  if (waiting.length === 0) requestAnimationFrame(show);
+  waiting.push(frame);
+  if (waiting.length > MAX_FRAMES) waiting.shift();
+}
+
+function show() {
+  frames.value = [...frames.peek(), ...waiting].slice(-MAX_FRAMES);
+  waiting = [];
+}
+
+export function clear() {
+  frames.value = [];
+}
+
+/** Follows a gripper's frames until the answer is called. */
+export function follow(name) {
+  clear();
+  const rpc = new Rpc({
+    onOpen: () => rpc.call('subscribe', { grippers: [name], topics: ['frames'] }).catch(() => {}),
+    onTold: (method, params) => {
+      if (method === 'frame') take(params);
+      if (method === 'gap') take({ seq: `gap-${params.seq}`, direction: 'gap', missed: params.missed });
+    },
+  });
+  return () => rpc.close();
+}

@@ -1,0 +1,75 @@
+// One gripper, as the page knows it.
+
+import { computed, signal } from '../lib.js';
+import { Samples } from '../core/ring.js';
+import { has } from '../core/flags.js';
+
+/** Ten minutes at 20 a second. */
+const SAMPLES = 12_288;
+
+/** Marks on the charts: more are not told apart. */
+const MAX_MARKS = 64;
+
+export class Gripper {
+  constructor(name) {
+    this.name = name;
+    /** What was told last, and perhaps not shown yet. */
+    this.newest = null;
+    this.state = signal(null);
+    this.info = signal(null);
+    this.lease = signal(null);
+    this.softLimits = signal(null);
+    /** Where a running motion goes: `{command, kind, width_mm}`. */
+    this.target = signal(null);
+    /** The newest command that began or ended here, whoever asked: for the line below the controls. */
+    this.command = signal(null);
+    this.problem = signal(null);
+    /** What entitles this page to move it: `{token, epoch}`. */
+    this.held = signal(null);
+    this.isAsking = signal(false);
+    this.samples = new Samples(SAMPLES);
+    this.marks = [];
+
+    const of = (read) => computed(() => (this.state.value === null ? null : read(this.state.value)));
+    this.width = of((state) => state.width_mm);
+    this.speed = of((state) => state.speed_mm_s);
+    this.force = of((state) => state.force_n);
+    this.gripperState = of((state) => state.state);
+    this.link = of((state) => state.link);
+    this.linkCause = of((state) => state.link_cause);
+    this.flags = of((state) => state.flags_raw);
+    this.isMoving = of((state) => state.moving);
+    this.isReferenced = of((state) => state.referenced);
+    this.holder = of((state) => state.lease_holder);
+    this.temperature = of((state) => state.temperature_c);
+    this.runs = of((state) => state.command);
+    this.latchId = of((state) => (state.fast_stop ? state.fast_stop_id : null));
+    this.isConfirmed = of((state) => state.fast_stop_confirmed ?? null);
+    this.hasOverdrive = computed(() => has(this.flags.value, 'OVERDRIVE_MODE'));
+    this.isMine = computed(() => this.held.value !== null && this.held.value.epoch === this.state.value?.lease_epoch);
+    this.isThere = computed(() => this.link.value === 'connected');
+    /** -1 closes, 1 opens, 0 stands. */
+    this.direction = computed(() => {
+      if (!this.isMoving.value) return 0;
+      const speed = this.speed.value ?? 0;
+      if (Math.abs(speed) > 0.1) return Math.sign(speed);
+      const target = this.target.value?.width_mm;
+      return target === undefined || target === null || this.width.value === null ? 0 : Math.sign(target - this.width.value);
+    });
+  }
+
+  /** Takes a state; it is shown with the next frame of the screen. */
+  take(state, at) {
+    this.newest = state;
+    if (state.link === 'connected') this.samples.push(at, [state.width_mm ?? NaN, state.speed_mm_s ?? NaN, state.force_n ?? NaN]);
+  }
+
+  show() {
+    if (this.newest !== null && this.newest !== this.state.peek()) this.state.value = this.newest;
+  }
+
+  mark(at, kind, text) {
+    this.marks.push({ at, kind, text });
+    if (this.marks.length > MAX_MARKS) this.marks.shift();
+  }
+}

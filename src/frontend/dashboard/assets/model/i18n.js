@@ -1,0 +1,73 @@
+// The words of the page, in the language of whoever reads it.
+
+import { computed, effect } from '../lib.js';
+import { fill } from '../core/words.js';
+import { kept } from './prefs.js';
+import { de } from '../locales/de.js';
+import { en } from '../locales/en.js';
+
+const DICTIONARIES = { de, en };
+
+export const LANGUAGES = Object.keys(DICTIONARIES);
+
+const preferred = navigator.languages.map((tag) => tag.slice(0, 2)).find((tag) => tag in DICTIONARIES) ?? 'en';
+
+export const language = kept('language', preferred);
+
+const words = computed(() => DICTIONARIES[language.value] ?? en);
+
+effect(() => {
+  document.documentElement.lang = language.value;
+});
+
+/** The words for a key. */
+export function t(key, parameters) {
+  const template = words.value[key];
+  return template === undefined ? key : fill(template, parameters);
+}
+
+/** Whether there are words for a key, which came from elsewhere. */
+export const isKnown = (key) => key in words.value;
+
+const formats = computed(() => {
+  const tag = language.value;
+  const digits = (count) => new Intl.NumberFormat(tag, { minimumFractionDigits: count, maximumFractionDigits: count });
+  return {
+    digits: [digits(0), digits(1), digits(2)],
+    any: new Intl.NumberFormat(tag, { maximumFractionDigits: 2 }),
+    time: new Intl.DateTimeFormat(tag, { hour: '2-digit', minute: '2-digit', second: '2-digit', hour12: false }),
+    date: new Intl.DateTimeFormat(tag, { day: '2-digit', month: '2-digit', hour: '2-digit', minute: '2-digit', second: '2-digit', hour12: false }),
+  };
+});
+
+/** A number with so many decimals; a dash where it isn't known. */
+export function fixed(value, decimals = 1) {
+  return value === null || value === undefined || Number.isNaN(value) ? '–' : formats.value.digits[decimals].format(value);
+}
+
+export const plain = (value) => (value === null || value === undefined ? '–' : formats.value.any.format(value));
+
+export const time = (at) => formats.value.time.format(new Date(at));
+
+/** The time, and the day where it isn't today's. */
+export function moment(at) {
+  const date = new Date(at);
+  const isToday = date.toDateString() === new Date().toDateString();
+  return (isToday ? formats.value.time : formats.value.date).format(date);
+}
+
+/** A length of time, as coarse as people say it. */
+export function span(ms) {
+  const seconds = Math.max(0, Math.floor(ms / 1000));
+  if (seconds < 60) return t('span.seconds', { count: seconds });
+  if (seconds < 3600) return t('span.minutes', { count: Math.floor(seconds / 60) });
+  if (seconds < 86400) return t('span.hours', { count: Math.floor(seconds / 3600) });
+  return t('span.days', { count: Math.floor(seconds / 86400) });
+}
+
+/** What a problem says: in this language where its code is known, and always in the server's own words. */
+export function ofProblem(problem) {
+  const key = `problem.${problem.code}`;
+  const limits = { field: problem.field ?? '', value: problem.value ?? '', min: problem.min ?? '', max: problem.max ?? '', holder: problem.holder ?? '' };
+  return isKnown(key) ? t(key, limits) : problem.detail || problem.code;
+}

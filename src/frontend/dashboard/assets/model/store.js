@@ -1,0 +1,151 @@
+// What the page knows, fed by one WebSocket. Messages are taken as they come; the screen is told once a frame.
+
+import { batch, computed, effect, signal } from '../lib.js';
+import { acknowledged, updated, wrongWith } from '../core/alarms.js';
+import { Rpc } from '../net/rpc.js';
+import { take as takeEvent } from './events.js';
+import { Gripper } from './gripper.js';
+
+/** So often states come at most: of a gripper in view, of all at a glance, and of a page that nobody sees. */
+const HZ = { one: 20, all: 8, hidden: 1 };
+
+/** Without anything from the gateway for that long, what is shown may be old. Half of it passes before it is asked. */
+const STALE_AFTER_MS = 1400;
+const ASKED_EVERY_MS = 600;
+
+/** A connection on which nothing comes for that long is given up. */
+const RENEWED_AFTER_MS = 4000;
+
+export const VIEWS = ['operate', 'history', 'log', 'device', 'all'];
+
+export const grippers = signal([]);
+export const selected = signal(null);
+export const view = signal('operate');
+export const alarms = signal([]);
+/** `connecting` at first, then `live`, `silent` or `lost`. */
+export const connection = signal('connecting');
+/** When the newest message came: the time of day. */
+export const heardAt = signal(null);
+/** Ticks, for ages. */
+export const now = signal(Date.now());
+/** The newest event's number, so that what shows the journal looks again. */
+export const eventSeq = signal(0);
+/** Names that were heard of lately, and when. */
+export const others = signal(new Map());
+
+const isHidden = signal(document.hidden);
+const byName = new Map();
+let lastHeard = -Infinity;
+let isDirty = false;
+
+export const isLive = computed(() => connection.value === 'live');
+export const gripper = computed(() => grippers.value.find(({ name }) => name === selected.value) ?? grippers.value[0] ?? null);
+
+export const find = (name) => byName.get(name);
+
+function ensure(name) {
+  if (!byName.has(name)) {
+    byName.set(name, new Gripper(name));
+    grippers.value = [...byName.values()].sort((a, b) => a.name.localeCompare(b.name));
+  }
+  return byName.get(name);
+}
+
+function show() {
+  isDirty = false;
+  batch(() => {
+    grippers.value.forEach((one) => one.show());
+    const wrong = grippers.value.flatMap((one) => (one.newest ? wrongWith(one.newest) : []));
+    alarms.value = updated(alarms.value, wrong, Date.now());
+  });
+}
+
+function takeState(state) {
+  ensure(state.gripper).take(state, performance.now());
+  if (isDirty) return;
+  isDirty = true;
+  // A page that isn't seen gets no frames.
+  if (document.hidden) show();
+  else requestAnimationFrame(show);
+}
+
+export const rpc = new Rpc({
+  onOpen: () => subscribe(),
+  onEnd: () => {
+    // What was held lives with the connection.
+    byName.forEach((one) => { one.held.value = null; });
+    if (connection.value !== 'connecting') connection.value = 'lost';
+  },
+  onHeard: () => { lastHeard = performance.now(); },
+  onTold: (method, params) => {
+    if (method === 'state') takeState(params);
+    if (method === 'event') takeEvent(params, find(params.gripper));
+    if (method === 'command') find(params.gripper).command.value = params;
+  },
+});
+
+const hz = computed(() => (isHidden.value ? HZ.hidden : view.value === 'all' ? HZ.all : HZ.one));
+
+async function subscribe() {
+  try {
+    const { states, event_seq: seq } = await rpc.call('subscribe', { topics: ['state', 'events'], max_hz: hz.peek() });
+    states.forEach(takeState);
+    show();
+    eventSeq.value = seq;
+    look();
+    const told = await rpc.call('grippers');
+    told.grippers.forEach((info) => { ensure(info.gripper).info.value = info; });
+    await Promise.all(grippers.peek().map(learn));
+  } catch {
+    // The connection has ended, and will be made again.
+  }
+}
+
+/** What no state tells: limits, and the terms of the lease. */
+export async function learn(one) {
+  const [info, lease, soft] = await Promise.allSettled([
+    rpc.call('info', { gripper: one.name }),
+    rpc.call('lease', { gripper: one.name }),
+    rpc.call('settings.soft-limits', { gripper: one.name }),
+  ]);
+  batch(() => {
+    if (info.value) one.info.value = info.value;
+    if (lease.value) one.lease.value = lease.value;
+    if (soft.value) one.softLimits.value = soft.value;
+  });
+}
+
+export function acknowledgeAlarm(id) {
+  alarms.value = acknowledged(alarms.value, id, Date.now());
+}
+
+/** Whether what is shown is of now. */
+function look() {
+  const silence = performance.now() - lastHeard;
+  const next = !rpc.isOpen ? (connection.peek() === 'connecting' ? 'connecting' : 'lost') : silence > STALE_AFTER_MS ? 'silent' : 'live';
+  batch(() => {
+    connection.value = next;
+    if (next === 'live') heardAt.value = Date.now() - silence;
+    now.value = Date.now();
+  });
+  if (silence > RENEWED_AFTER_MS && rpc.isOpen) rpc.renew();
+}
+
+setInterval(look, 250);
+setInterval(() => {
+  const asked = gripper.peek();
+  // Whatever is answered: the gateway is there.
+  if (rpc.isOpen && asked) rpc.call('state', { gripper: asked.name }, RENEWED_AFTER_MS).then(takeState, () => {});
+}, ASKED_EVERY_MS);
+
+effect(() => {
+  const max_hz = hz.value;
+  if (rpc.isOpen) rpc.call('subscribe', { topics: ['state', 'events'], max_hz }).then(({ states }) => states.forEach(takeState), () => {});
+});
+
+document.addEventListener('visibilitychange', () => {
+  isHidden.value = document.hidden;
+  look();
+  rpc.hurry();
+});
+addEventListener('online', () => rpc.hurry());

@@ -1,0 +1,8 @@
+// How long ago something was.
+
+import { span, t } from '../model/i18n.js';
+import { now } from '../model/store.js';
+
+export { t };
+
+export const ago = (at) => t('ago', { span: span(now.value - at) });

@@ -1,0 +1,40 @@
+// Alarms: what is wrong now, what was, and what somebody has seen.
+
+import { html } from '../lib.js';
+import { sorted } from '../core/alarms.js';
+import { moment, t } from '../model/i18n.js';
+import { acknowledgeAlarm, alarms, selected } from '../model/store.js';
+import { Panel, Shape } from './parts.js';
+import { go } from './route.js';
+
+export function alarmText({ what }) {
+  const [kind, detail] = what.split('/');
+  return kind === 'fast_stop' || kind === 'journal' || kind === 'part_lost' ? t(`alarm.${kind}`) : t(`alarm.${kind}.${detail}`);
+}
+
+function Row({ alarm }) {
+  const isLatch = alarm.what.startsWith('fast_stop/') && !alarm.clearedAt;
+  const words = alarm.clearedAt ? 'alarm.cleared' : alarm.acknowledgedAt ? 'alarm.acknowledged' : 'alarm.active';
+  return html`<li class=${`alarm tone-${alarm.clearedAt || alarm.acknowledgedAt ? 'over' : alarm.priority}`}>
+    <${Shape} name=${alarm.priority} />
+    <div class="alarm-text"><strong>${alarm.gripper}: ${alarmText(alarm)}</strong>
+      <span class="muted small">${t(words)} · ${moment(alarm.since)}${alarm.clearedAt ? ` – ${moment(alarm.clearedAt)}` : ''}${alarm.cause ? ` · ${alarm.cause}` : ''}</span></div>
+    ${isLatch ? html`<button type="button" onClick=${() => { selected.value = alarm.gripper; go('operate'); requestAnimationFrame(() => document.getElementById('motion-title')?.scrollIntoView({ block: 'center' })); }}>${t('alarm.show')}</button>`
+      : !alarm.acknowledgedAt && html`<button type="button" aria-label=${t('alarm.acknowledge_one', { alarm: alarmText(alarm) })} onClick=${() => acknowledgeAlarm(alarm.id)}>${t('alarm.acknowledge')}</button>`}
+  </li>`;
+}
+
+export function Alarms() {
+  const list = sorted(alarms.value);
+  return html`<${Panel} title=${t('alarm.title')} id="alarms" class="alarms-panel">
+    ${list.length === 0 ? html`<p class="muted nothing"><${Shape} name="check" /> ${t('alarm.none')}</p>`
+      : html`<ul class="alarm-list">${list.map((alarm) => html`<${Row} key=${alarm.id} alarm=${alarm} />`)}</ul>`}
+    <p class="hint">${t('alarm.hint')}</p>
+  </${Panel}>`;
+}
+
+/** Read aloud at once, wherever somebody is on the page. */
+export function Announcer() {
+  const newest = alarms.value.find((alarm) => !alarm.clearedAt && !alarm.acknowledgedAt);
+  return html`<div class="visually-hidden" aria-live="assertive" role="alert">${newest ? `${newest.gripper}: ${alarmText(newest)}` : ''}</div>`;
+}

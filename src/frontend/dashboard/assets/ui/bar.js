@@ -1,0 +1,103 @@
+// The bar that is always there: the link, the state, who holds control, alarms, and STOP.
+
+import { html, signal } from '../lib.js';
+import { ofProblem, t, time } from '../model/i18n.js';
+import { fastStop } from '../model/commands.js';
+import { alarms, connection, gripper, grippers, heardAt, selected } from '../model/store.js';
+import { Shape, whyOld } from './parts.js';
+import { go } from './route.js';
+
+/** What became of the last STOP: `sent`, then `confirmed`, `unconfirmed` or a problem. */
+const stopped = signal(null);
+
+export async function stop() {
+  stopped.value = { text: t('stop.sent') };
+  try {
+    const told = await fastStop();
+    stopped.value = { text: t(told.fast_stop_confirmed ? 'stop.confirmed' : 'stop.unconfirmed'), isWrong: !told.fast_stop_confirmed };
+  } catch (error) {
+    const problem = error instanceof AggregateError ? error.errors.at(-1) : error;
+    stopped.value = { text: t('stop.failed', { why: ofProblem(problem) }), isWrong: true };
+  }
+}
+
+/** Works from any view, also while something is typed. */
+addEventListener('keydown', (event) => {
+  if ((event.key === 'Escape' || event.key === 'Pause') && !event.repeat) {
+    event.preventDefault();
+    stop();
+  }
+}, { capture: true });
+
+function Stop() {
+  return html`<div class="stop-place">
+    <button type="button" class="stop" id="stop" onClick=${stop} aria-describedby="stop-note">
+      <span class="stop-word">${t('stop.word')}</span><span class="stop-scope">${t(grippers.value.length > 1 ? 'stop.all' : 'stop.one')} <kbd>Esc</kbd></span>
+    </button>
+    <p class="stop-note" id="stop-note">${t('stop.not')}</p>
+  </div>`;
+}
+
+function Item({ label, shape, text, tone = '' }) {
+  return html`<div class=${`status ${tone}`}><span class="status-label">${label}</span><span class="status-text"><${Shape} name=${shape} />${text}</span></div>`;
+}
+
+function linkItem(one) {
+  if (connection.value !== 'live') {
+    const since = heardAt.value && connection.value !== 'connecting' ? ` ${t('bar.since', { time: time(heardAt.value) })}` : '';
+    return { shape: 'high', tone: 'tone-high', text: t(`bar.gateway.${connection.value}`) + since };
+  }
+  const link = one?.link.value;
+  if (!link) return { shape: 'off', text: '–' };
+  return link === 'connected' ? { shape: 'on', text: t('link.connected') } : { shape: 'high', tone: 'tone-high', text: t(`link.${link}`) };
+}
+
+function stateItem(one) {
+  if (!one || whyOld(one)) return { shape: 'off', text: t('bar.unknown') };
+  if (one.latchId.value) return { shape: 'critical', tone: 'tone-critical', text: t('state.FAST_STOP') };
+  const state = one.gripperState.value;
+  if (!state) return { shape: 'off', text: '–' };
+  const tone = { ERROR: 'tone-critical', PART_LOST: 'tone-high' }[state] ?? '';
+  return { shape: one.isMoving.value ? 'moving' : tone ? 'high' : 'on', tone, text: t(`state.${state}`) };
+}
+
+function controlItem(one) {
+  const holder = one?.holder.value;
+  if (one?.isMine.value) return { shape: 'lock', tone: 'tone-mine', text: t('bar.mine') };
+  return holder ? { shape: 'lock', text: holder } : { shape: 'off', text: t('bar.free') };
+}
+
+function Alarms() {
+  const open = alarms.value.filter((alarm) => !alarm.acknowledgedAt);
+  const worst = ['critical', 'high', 'low'].find((priority) => open.some((alarm) => alarm.priority === priority));
+  return html`<button type="button" class=${`alarm-badge ${worst ? `tone-${worst}` : ''}`} onClick=${() => { go('operate'); requestAnimationFrame(() => document.getElementById('alarms')?.scrollIntoView()); }}>
+    <${Shape} name=${worst ?? 'check'} /><span>${open.length === 0 ? t('bar.no_alarms') : t(open.length === 1 ? 'bar.alarm' : 'bar.alarms', { count: open.length })}</span>
+  </button>`;
+}
+
+export function Bar() {
+  const one = gripper.value;
+  return html`<header class="bar">
+    <div class="bar-top">
+      <h1 class="brand"><span class="brand-name">WSG Gateway</span></h1>
+      <div class="statuses">
+        <${Item} label=${t('bar.link')} ...${linkItem(one)} />
+        <${Item} label=${t('bar.state')} ...${stateItem(one)} />
+        <${Item} label=${t('bar.control')} ...${controlItem(one)} />
+        <${Alarms} />
+      </div>
+      <${Stop} />
+    </div>
+    ${stopped.value && html`<p class=${`stopped ${stopped.value.isWrong ? 'tone-critical' : ''}`} role="status">${stopped.value.text}
+      <button type="button" class="quiet" onClick=${() => { stopped.value = null; }}>${t('close')}</button></p>`}
+  </header>`;
+}
+
+/** Which gripper is looked at. */
+export function Picker() {
+  const all = grippers.value;
+  return html`<nav class="picker" aria-label=${t('bar.grippers')}>
+    ${all.map((one) => html`<button type="button" key=${one.name} class="chip" aria-current=${one === gripper.value ? 'true' : 'false'} onClick=${() => { selected.value = one.name; go(); }}>
+      <${Shape} name=${whyOld(one) ? 'high' : one.latchId.value ? 'critical' : one.isMoving.value ? 'moving' : 'on'} />${one.name}</button>`)}
+  </nav>`;
+}

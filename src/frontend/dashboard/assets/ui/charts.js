@@ -1,0 +1,125 @@
+// Strip charts of width, speed and force: the newest at the right, with grips marked.
+
+import { html, signal, uPlot, useEffect, useRef } from '../lib.js';
+import { fixed, language, t } from '../model/i18n.js';
+import { theme } from '../model/prefs.js';
+import { Choice, Covered, Panel } from './parts.js';
+
+const WINDOWS_S = [10, 30, 120, 600];
+
+/** More points than that are not told apart on a screen. */
+const POINTS = 600;
+
+/** So often a moving gripper is drawn, and one that stands. */
+const MOVING_MS = 100;
+const STANDING_MS = 500;
+
+const MARK_SHAPES = { begin: '\u25bd', held: '\u25cf', end: '\u25cb' };
+
+const windowS = signal(30);
+/** When the charts were stopped; null while they go on. */
+const pausedAt = signal(null);
+
+const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
+
+const CHARTS = [
+  { key: 'width', unit: 'mm', column: 1, range: (one) => [0, one.info.peek()?.stroke_mm ?? 110] },
+  { key: 'speed', unit: 'mm/s', column: 2, range: (one, low, high) => [Math.min(-10, low), Math.max(10, high)] },
+  { key: 'force', unit: 'N', column: 3, range: (one, low, high) => [0, Math.max(10, high * 1.1)] },
+];
+
+function markAt(plot, marks, until) {
+  const { ctx, bbox } = plot;
+  ctx.save();
+  ctx.fillStyle = css('--ink-2');
+  ctx.strokeStyle = css('--line-strong');
+  ctx.font = `${11 * devicePixelRatio}px system-ui, sans-serif`;
+  ctx.textAlign = 'center';
+  for (const { at, kind } of marks) {
+    const seconds = (at - until) / 1000;
+    if (seconds < plot.scales.x.min || seconds > 0) continue;
+    const x = plot.valToPos(seconds, 'x', true);
+    ctx.beginPath();
+    ctx.setLineDash(kind === 'begin' ? [4, 4] : []);
+    ctx.moveTo(x, bbox.top);
+    ctx.lineTo(x, bbox.top + bbox.height);
+    ctx.stroke();
+    ctx.fillText(MARK_SHAPES[kind], x, bbox.top + 12 * devicePixelRatio);
+  }
+  ctx.restore();
+}
+
+function make(one, chart, place, until) {
+  const axis = (more) => ({ stroke: css('--ink-2'), font: '11px system-ui, sans-serif', grid: { stroke: css('--grid'), width: 1 }, ticks: { show: false }, ...more });
+  return new uPlot({
+    width: place.clientWidth,
+    height: place.clientHeight,
+    legend: { show: false },
+    cursor: { show: false },
+    padding: [8, 8, 0, 0],
+    scales: { x: { time: false, range: () => [-windowS.peek(), 0] }, y: { range: (_, low, high) => chart.range(one, low ?? 0, high ?? 0) } },
+    axes: [
+      axis({ size: 20, values: (_, splits) => splits.map((value) => (value === 0 ? t('chart.now') : `${value} s`)), space: 70 }),
+      axis({ size: 44, space: 26, values: (_, splits) => splits.map((value) => fixed(value, 0)) }),
+    ],
+    series: [{}, { stroke: css('--trace'), width: 1.5, points: { show: false }, spanGaps: false }],
+    hooks: { draw: [(plot) => markAt(plot, one.marks, until())] },
+  }, [[], []], place);
+}
+
+function Charted({ one }) {
+  const places = useRef([]);
+  const looks = `${theme.value} ${language.value} ${windowS.value}`;
+  useEffect(() => {
+    let until = performance.now();
+    let drawnAt = 0;
+    let timer;
+    const plots = CHARTS.map((chart, index) => make(one, chart, places.current[index], () => until));
+    const draw = () => {
+      until = pausedAt.peek() ?? performance.now();
+      const columns = one.samples.window(until - windowS.peek() * 1000, until, POINTS);
+      plots.forEach((plot, index) => plot.setData([columns[0], columns[CHARTS[index].column]]));
+      drawnAt = performance.now();
+    };
+    const tick = () => {
+      const every = one.isMoving.peek() ? MOVING_MS : STANDING_MS;
+      const isDue = performance.now() - drawnAt >= every - 20;
+      if (isDue && pausedAt.peek() === null && !document.hidden) requestAnimationFrame(draw);
+      timer = setTimeout(tick, MOVING_MS);
+    };
+    draw();
+    tick();
+    const resized = new ResizeObserver(() => plots.forEach((plot, index) => {
+      const { clientWidth: width, clientHeight: height } = places.current[index];
+      if (width > 0 && (width !== plot.width || height !== plot.height)) plot.setSize({ width, height });
+    }));
+    places.current.forEach((place) => resized.observe(place));
+    const colours = matchMedia('(prefers-color-scheme: dark)');
+    const redraw = () => { windowS.value = windowS.peek(); draw(); };
+    colours.addEventListener('change', redraw);
+    return () => {
+      clearTimeout(timer);
+      resized.disconnect();
+      colours.removeEventListener('change', redraw);
+      plots.forEach((plot) => plot.destroy());
+    };
+  }, [one, looks]);
+  return html`<div class="charts">
+    ${CHARTS.map((chart, index) => html`<figure class="chart" key=${chart.key}>
+      <figcaption>${t(chart.key)} <span class="unit">${chart.unit}</span></figcaption>
+      <div class="chart-place" role="img" aria-label=${t('chart.label', { what: t(chart.key), seconds: windowS.value })} ref=${(place) => { places.current[index] = place; }}></div>
+    </figure>`)}
+  </div>`;
+}
+
+export function Charts({ one }) {
+  const isPaused = pausedAt.value !== null;
+  const actions = html`
+    <${Choice} label=${t('chart.window')} name="window" value=${windowS.value} onChange=${(seconds) => { windowS.value = seconds; }}
+      options=${WINDOWS_S.map((seconds) => [seconds, seconds < 60 ? `${seconds} s` : `${seconds / 60} min`])} />
+    <button type="button" class="quiet" aria-pressed=${isPaused ? 'true' : 'false'} onClick=${() => { pausedAt.value = isPaused ? null : performance.now(); }}>${t(isPaused ? 'chart.resume' : 'chart.pause')}</button>`;
+  return html`<${Panel} title=${t('chart.title')} id="chart-title" class="charts-panel" actions=${actions}>
+    <${Covered} one=${one}><${Charted} one=${one} /></${Covered}>
+    <p class="legend muted small">${MARK_SHAPES.begin} ${t('chart.begin')} ${MARK_SHAPES.held} ${t('chart.held')} ${MARK_SHAPES.end} ${t('chart.end')}</p>
+  </${Panel}>`;
+}

@@ -1,0 +1,62 @@
+// Moving while a button is held, and by small steps.
+
+import { html, useEffect, useMemo } from '../lib.js';
+import { mistake, number } from '../core/limits.js';
+import { plain, t } from '../model/i18n.js';
+import { move } from '../model/commands.js';
+import { Jog } from '../model/jog.js';
+
+const STEPS_MM = [0.1, 1, 5];
+/** A slow speed for jogging; the field's where that is slower. */
+const JOG_MM_S = 25;
+
+function HoldButton({ id, label, jog, one, direction, speed, limits, disabled }) {
+  const begin = (event) => {
+    if (disabled || (event.type === 'pointerdown' && event.button !== 0)) return;
+    if (event.type === 'pointerdown') event.currentTarget.setPointerCapture(event.pointerId);
+    jog.begin(one, direction, speed, limits);
+  };
+  const end = () => jog.end(one);
+  const isKey = ({ key }) => key === ' ' || key === 'Enter';
+  return html`<button type="button" id=${id} class="hold" disabled=${disabled}
+    onPointerDown=${begin} onPointerUp=${end} onPointerCancel=${end} onLostPointerCapture=${end} onBlur=${end}
+    onContextMenu=${(event) => event.preventDefault()}
+    onKeyDown=${(event) => { if (isKey(event)) { event.preventDefault(); if (!event.repeat) begin(event); } }}
+    onKeyUp=${(event) => { if (isKey(event)) { event.preventDefault(); end(); } }}>${label}</button>`;
+}
+
+export function JogPanel({ one, speed, limits, reason }) {
+  const jog = useMemo(() => new Jog(), [one]);
+  useEffect(() => {
+    const end = () => jog.end(one);
+    const hidden = () => { if (document.hidden) end(); };
+    addEventListener('blur', end);
+    addEventListener('pagehide', end);
+    document.addEventListener('visibilitychange', hidden);
+    return () => {
+      end();
+      removeEventListener('blur', end);
+      removeEventListener('pagehide', end);
+      document.removeEventListener('visibilitychange', hidden);
+    };
+  }, [jog, one]);
+  const given = number(speed.value);
+  const { min, max } = limits.speed.value;
+  const pace = Math.min(max, Math.max(min, mistake(given, limits.speed.value) ? JOG_MM_S : Math.min(given, JOG_MM_S)));
+  const widths = limits.width.value;
+  // While it is held its own motion is what runs, and must not let go of the button.
+  const isOff = reason !== null && reason !== 'why.running';
+  const canStep = (by) => reason === null && one.width.value !== null && !mistake(Math.min(widths.max, Math.max(widths.min, one.width.value)) + by, widths);
+  const step = (by) => move(one, 'move', { width_mm: by, relative: true, speed_mm_s: pace });
+  return html`<div class="jog" role="group" aria-label=${t('jog.title')}>
+    <div class="holds">
+      <${HoldButton} id="jog-close" label=${html`<span aria-hidden="true">\u25b6\u25c0</span> ${t('jog.close')}`} jog=${jog} one=${one} direction=${-1} speed=${pace} limits=${widths} disabled=${isOff} />
+      <${HoldButton} id="jog-open" label=${html`<span aria-hidden="true">\u25c0\u25b6</span> ${t('jog.open')}`} jog=${jog} one=${one} direction=${1} speed=${pace} limits=${widths} disabled=${isOff} />
+    </div>
+    <div class="steps">
+      ${[...STEPS_MM].reverse().map((mm) => html`<button type="button" key=${-mm} disabled=${!canStep(-mm)} onClick=${() => step(-mm)}>−${plain(mm)}</button>`)}
+      ${STEPS_MM.map((mm) => html`<button type="button" key=${mm} disabled=${!canStep(mm)} onClick=${() => step(mm)}>+${plain(mm)}</button>`)}
+    </div>
+    <p class="hint">${t('jog.hint', { speed: plain(pace) })}</p>
+  </div>`;
+}

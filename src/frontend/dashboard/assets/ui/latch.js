@@ -1,0 +1,49 @@
+// A FAST STOP that holds covers the controls: who, why, when, what to check; acknowledged by its name alone.
+
+import { html, useEffect, useSignal } from '../lib.js';
+import { span, t, time } from '../model/i18n.js';
+import { acknowledge } from '../model/commands.js';
+import { now } from '../model/store.js';
+import { Shape } from './parts.js';
+
+/** A FAST STOP that comes while a finger is on its way to the button must be seen first. */
+const SEEN_AFTER_MS = 800;
+
+const CHECKS = {
+  requested: ['hands', 'area', 'reason'],
+  client_lost: ['hands', 'client', 'part'],
+  unannounced_disconnect: ['hands', 'gateway', 'part'],
+  temperature_fault: ['cool', 'load'],
+  power_fault: ['power', 'cable'],
+  current_fault: ['blocked', 'wait'],
+  finger_fault: ['finger', 'cable'],
+  soft_limit: ['limits', 'hands'],
+  unknown: ['hands', 'area', 'device'],
+};
+
+/** So much of an id is read aloud. */
+export const shortId = (id) => id.slice(-4);
+
+export function Latch({ one }) {
+  const state = one.state.value;
+  const { fast_stop_id: id, fast_stop_by: by, fast_stop_cause: cause, fast_stop_reason: reason, fast_stop_at: at, fast_stop_confirmed: isConfirmed } = state;
+  const isSeen = useSignal(false);
+  useEffect(() => {
+    isSeen.value = false;
+    const timer = setTimeout(() => { isSeen.value = true; }, SEEN_AFTER_MS);
+    return () => clearTimeout(timer);
+  }, [id]);
+  return html`<div class="latch" role="group" aria-labelledby="latch-title">
+    <h3 id="latch-title"><${Shape} name="critical" /> ${t('latch.title')} <code>…${shortId(id)}</code></h3>
+    <dl class="facts">
+      <div><dt>${t('latch.by')}</dt><dd id="latch-by">${by === 'device' ? t('latch.device') : by}</dd></div>
+      <div><dt>${t('latch.cause')}</dt><dd>${t(`cause.${cause}`)}${reason && html`<br /><q>${reason}</q>`}</dd></div>
+      <div><dt>${t('latch.at')}</dt><dd>${time(at)} (${t('ago', { span: span(now.value - Date.parse(at)) })})</dd></div>
+      <div><dt>${t('latch.device_says')}</dt><dd>${t(isConfirmed ? 'latch.confirmed' : 'latch.unconfirmed')}</dd></div>
+    </dl>
+    <h4>${t('latch.check')}</h4>
+    <ul>${(CHECKS[cause] ?? CHECKS.unknown).map((check) => html`<li key=${check}>${t(`check.${check}`)}</li>`)}</ul>
+    <button type="button" id="acknowledge" class="primary" disabled=${!isSeen.value || !isConfirmed} onClick=${() => acknowledge(one, id)}>${t('latch.acknowledge', { id: `…${shortId(id)}` })}</button>
+    <p class="hint">${t('latch.hint')}</p>
+  </div>`;
+}

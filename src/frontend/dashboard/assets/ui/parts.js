@@ -1,0 +1,97 @@
+// Small parts that many panels are made of.
+
+import { Fragment, html } from '../lib.js';
+import { mistake, number } from '../core/limits.js';
+import { fixed, ofProblem, plain, span, t, time } from '../model/i18n.js';
+import { connection, heardAt, now } from '../model/store.js';
+
+/** Shapes beside words: nothing is said by colour alone. */
+const SHAPES = {
+  critical: 'M8 1 15.5 15H.5z',
+  high: 'M8 .8 15.2 8 8 15.2.8 8z',
+  low: 'M2 2h12v12H2z',
+  on: 'M8 2a6 6 0 1 1 0 12A6 6 0 0 1 8 2z',
+  off: 'M8 2a6 6 0 1 1 0 12A6 6 0 0 1 8 2zm0 2a4 4 0 1 0 0 8 4 4 0 0 0 0-8z',
+  moving: 'M1 8l5-5v3h4V3l5 5-5 5v-3H6v3z',
+  check: 'M2 8.5 4 6.5l3 3 5.5-6 2 2L7 13.5z',
+  lock: 'M4 7V5a4 4 0 0 1 8 0v2h1v8H3V7zm2 0h4V5a2 2 0 0 0-4 0z',
+};
+
+export function Shape({ name }) {
+  return html`<svg class=${`shape shape-${name}`} viewBox="0 0 16 16" aria-hidden="true"><path d=${SHAPES[name]} /></svg>`;
+}
+
+export function Panel({ title, id, actions, class: extra = '', children }) {
+  return html`<section class=${`panel ${extra}`} aria-labelledby=${id}>
+    <header class="panel-head"><h2 id=${id}>${title}</h2><div class="panel-actions">${actions}</div></header>
+    ${children}
+  </section>`;
+}
+
+/** Since when what is shown is not of now; null while it is. */
+export function whyOld(one) {
+  if (connection.value === 'connecting') return { text: t('stale.connecting') };
+  if (connection.value !== 'live') {
+    return { text: t(`stale.${connection.value}`), since: heardAt.value };
+  }
+  if (one && one.link.value !== null && one.link.value !== 'connected') {
+    return { text: t(`stale.link.${one.link.value}`), detail: one.linkCause.value };
+  }
+  return null;
+}
+
+/** Covers what is old, and says since when: an old number never looks live. */
+export function Covered({ one, children }) {
+  const old = whyOld(one);
+  if (!old) return html`<${Fragment}>${children}</${Fragment}>`;
+  return html`<div class="covered">
+    <div class="covered-content" inert aria-hidden="true">${children}</div>
+    <div class="cover">
+      <p><${Shape} name="high" /> <strong>${old.text}</strong></p>
+      ${old.since && html`<p>${t('stale.since', { time: time(old.since), span: span(now.value - old.since) })}</p>`}
+      ${old.detail && html`<p class="muted" lang="en">${old.detail}</p>`}
+    </div>
+  </div>`;
+}
+
+export function ProblemNote({ problem }) {
+  const known = problem.value;
+  return html`<div class="problem-place" role="alert">
+    ${known && html`<div class="problem"><${Shape} name="high" /><div>
+      <p>${ofProblem(known)}</p>
+      ${known.detail && html`<p class="muted small" lang="en">${known.detail}</p>`}
+    </div></div>`}
+  </div>`;
+}
+
+export const limitsText = ({ min, max, whose }, unit) =>
+  whose === null ? t('limit.unknown') : `${plain(min)} – ${plain(max)} ${unit}${whose === 'device' ? '' : ` (${t(`limit.${whose}`)})`}`;
+
+/** A number with its unit and its limits. `value` is a signal of what was typed. */
+export function NumberField({ id, label, unit, value, limits, isOptional = false }) {
+  const typed = value.value;
+  const isEmpty = isOptional && typed.trim() === '';
+  const wrong = isEmpty ? null : mistake(number(typed), limits);
+  return html`<div class=${`field ${wrong ? 'wrong' : ''}`}>
+    <label for=${id}>${label}</label>
+    <div class="input"><input id=${id} type="text" inputmode="decimal" autocomplete="off" value=${typed}
+      aria-describedby=${`${id}-hint`} aria-invalid=${wrong ? 'true' : 'false'}
+      onInput=${(event) => { value.value = event.currentTarget.value; }} /><span class="unit">${unit}</span></div>
+    <p class="hint" id=${`${id}-hint`}>${wrong && html`<${Shape} name="high" /> `}${wrong && wrong !== 'missing' ? t(`limit.${wrong}`, { min: plain(limits.min), max: plain(limits.max) }) : limitsText(limits, unit)}</p>
+  </div>`;
+}
+
+/** Few choices, one of them taken. */
+export function Choice({ label, name, options, value, onChange }) {
+  return html`<div class="segments" role="group" aria-label=${label}>
+    ${options.map(([key, text]) => html`<button type="button" key=${key} data-choice=${`${name}-${key}`} aria-pressed=${key === value ? 'true' : 'false'} onClick=${() => onChange(key)}>${text}</button>`)}
+  </div>`;
+}
+
+export function Figure({ label, value, decimals, unit, note, class: extra = '' }) {
+  return html`<div class=${`figure ${extra}`}>
+    <span class="figure-label">${label}</span>
+    <span class="figure-value">${fixed(value, decimals)}<span class="unit">${unit}</span></span>
+    <span class="figure-note">${note ?? ''}</span>
+  </div>`;
+}

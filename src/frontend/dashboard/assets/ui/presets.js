@@ -1,0 +1,40 @@
+// Presets: values for the fields, by a name, kept in this browser.
+
+import { html, useSignal } from '../lib.js';
+import { plain, t } from '../model/i18n.js';
+import { presets } from '../model/prefs.js';
+
+const MAX_PRESETS = 12;
+
+export function Presets({ one, fields }) {
+  const name = useSignal('');
+  const mine = presets.value[one.name] ?? [];
+  const keep = (list) => { presets.value = { ...presets.value, [one.name]: list }; };
+  const use = (preset) => {
+    fields.width.value = preset.width;
+    fields.speed.value = preset.speed;
+    fields.force.value = preset.force;
+  };
+  const save = (event) => {
+    event.preventDefault();
+    const given = name.value.trim() || `${fields.width.value} mm`;
+    const preset = { name: given, width: fields.width.value, speed: fields.speed.value, force: fields.force.value };
+    keep([...mine.filter((other) => other.name !== given), preset].slice(-MAX_PRESETS));
+    name.value = '';
+  };
+  return html`<div class="presets">
+    <h3>${t('preset.title')}</h3>
+    <div class="preset-list">
+      ${mine.length === 0 && html`<span class="muted small">${t('preset.none')}</span>`}
+      ${mine.map((preset) => html`<span class="preset" key=${preset.name}>
+        <button type="button" class="chip" title=${`${preset.width} mm, ${preset.speed} mm/s, ${preset.force} N`} onClick=${() => use(preset)}>${preset.name}</button>
+        <button type="button" class="chip chip-end" aria-label=${t('preset.remove', { name: preset.name })} onClick=${() => keep(mine.filter((other) => other !== preset))}>×</button>
+      </span>`)}
+    </div>
+    <form class="preset-new" onSubmit=${save}>
+      <label class="visually-hidden" for="preset-name">${t('preset.name')}</label>
+      <input id="preset-name" type="text" maxlength="24" placeholder=${t('preset.name')} value=${name.value} onInput=${(event) => { name.value = event.currentTarget.value; }} />
+      <button type="submit">${t('preset.save')}</button>
+    </form>
+  </div>`;
+}

@@ -1,0 +1,106 @@
+// What the browser's tests stand on: the real gateway, Debian's Chromium, and pages that are watched for what must not
+// happen. Ports are the system's choice; every wait is for a condition; what was started is ended.
+
+import assert from 'node:assert/strict';
+import { spawn } from 'node:child_process';
+import { mkdirSync } from 'node:fs';
+import { createRequire } from 'node:module';
+import { join } from 'node:path';
+import { fileURLToPath } from 'node:url';
+
+const ROOT = fileURLToPath(new URL('../../', import.meta.url));
+const installed = createRequire(join(ROOT, 'target/browser/package.json'));
+const { chromium } = installed('playwright-core');
+
+export const AXE = installed.resolve('axe-core/axe.min.js');
+export const SHOTS = join(ROOT, 'target/browser/screenshots');
+export const ASSETS = join(ROOT, 'src/frontend/dashboard/assets/');
+
+/** How long anything may take that has no time of its own: a busy machine is slow, and still right. */
+export const DEADLINE_MS = 30_000;
+
+const FLAGS = ['--disable-gpu', '--disable-quic', '--no-first-run', '--disable-background-networking', '--disable-component-update', '--disable-sync'];
+
+/** What was started, to be ended in the opposite order. */
+const started = [];
+
+export async function endAll() {
+  while (started.length > 0) await started.pop()();
+}
+
+export async function until(what, look) {
+  const end = Date.now() + DEADLINE_MS;
+  for (;;) {
+    const found = await look();
+    if (found) return found;
+    assert.ok(Date.now() < end, `not within ${DEADLINE_MS} ms: ${what}`);
+    await new Promise((resolve) => { setTimeout(resolve, 20); });
+  }
+}
+
+/** A gateway of its own; with `port` 0 at any that is free. */
+export async function gateway({ port = 0, more = [] } = {}) {
+  const program = process.env.WSG_GATEWAY_PROGRAM ?? join(ROOT, 'target/debug/wsg-gateway');
+  const child = spawn(program, ['--listen', `127.0.0.1:${port}`, '--journal', ':memory:', ...more], { stdio: ['ignore', 'pipe', 'pipe'] });
+  const ended = new Promise((resolve) => { child.once('exit', resolve); });
+  let said = '';
+  let log = '';
+  child.stdout.on('data', (text) => { said += text; });
+  child.stderr.on('data', (text) => { log += text; });
+  const kill = async (signal = 'SIGKILL') => {
+    child.kill(signal);
+    await ended;
+  };
+  started.push(() => kill('SIGTERM'));
+  const url = await until('the gateway says where it is', () => {
+    assert.equal(child.exitCode, null, `the gateway has ended: ${log}`);
+    return /(http:\/\/127\.0\.0\.1:\d+)\//.exec(said)?.[1];
+  });
+  const ask = async (method, path, body) => {
+    const response = await fetch(`${url}/api/v1/${path}`, { method, body: body && JSON.stringify(body) });
+    return response.json();
+  };
+  const one = { url, child, port: Number(new URL(url).port), kill, ask };
+  await until('all grippers are connected', async () => {
+    const { grippers } = await ask('GET', 'grippers');
+    return grippers.length > 0 && grippers.every(({ link }) => link === 'connected');
+  });
+  return one;
+}
+
+export async function browser() {
+  const launched = await chromium.launch({ executablePath: process.env.CHROMIUM ?? '/usr/bin/chromium', args: FLAGS, chromiumSandbox: false });
+  started.push(() => launched.close());
+  return launched;
+}
+
+/** A window of its own, in which nobody has been; its page is watched. */
+export async function visit(launched, { url }, { path = '/', width = 1280, height = 800, ...more } = {}) {
+  const context = await launched.newContext({ viewport: { width, height }, locale: 'en-GB', timezoneId: 'UTC', ...more });
+  context.setDefaultTimeout(DEADLINE_MS);
+  const page = await context.newPage();
+  const wrong = [];
+  /** While the gateway is away on purpose, the browser says so. */
+  const allowed = { connections: false };
+  const isAllowed = (text) => allowed.connections && /ERR_CONNECTION|ERR_EMPTY_RESPONSE|WebSocket|ERR_SOCKET/.test(text);
+  page.on('console', (message) => {
+    if (['error', 'warning'].includes(message.type()) && !isAllowed(message.text())) wrong.push(`${message.type()}: ${message.text()} ${message.location().url}`);
+  });
+  page.on('pageerror', (error) => wrong.push(`exception: ${error.stack}`));
+  page.on('request', (request) => {
+    const { protocol, host } = new URL(request.url());
+    if (!['data:', 'blob:'].includes(protocol) && host !== new URL(url).host) wrong.push(`request to ${request.url()}`);
+  });
+  await page.goto(url + path);
+  return { page, context, wrong, allowed, close: () => context.close() };
+}
+
+/** Nothing in the console, no exception, no request that leaves the gateway. */
+export function assertClean({ wrong }) {
+  assert.deepEqual(wrong, []);
+}
+
+export async function shoot(page, name, options = {}) {
+  mkdirSync(SHOTS, { recursive: true });
+  await page.screenshot({ path: join(SHOTS, `${name}.png`), ...options });
+}
