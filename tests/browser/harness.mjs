@@ -38,8 +38,8 @@ export async function until(what, look) {
   }
 }
 
-/** A gateway of its own; with `port` 0 at any that is free. */
-export async function gateway({ port = 0, more = [] } = {}) {
+/** A gateway of its own; with `port` 0 at any that is free. It is there once these grippers are connected, or all. */
+export async function gateway({ port = 0, more = [], connects = null } = {}) {
   const program = process.env.WSG_GATEWAY_PROGRAM ?? join(ROOT, 'target/debug/wsg-gateway');
   const child = spawn(program, ['--listen', `127.0.0.1:${port}`, '--journal', ':memory:', ...more], { stdio: ['ignore', 'pipe', 'pipe'] });
   const ended = new Promise((resolve) => { child.once('exit', resolve); });
@@ -61,9 +61,9 @@ export async function gateway({ port = 0, more = [] } = {}) {
     return response.json();
   };
   const one = { url, child, port: Number(new URL(url).port), kill, ask };
-  await until('all grippers are connected', async () => {
+  await until('its grippers are connected', async () => {
     const { grippers } = await ask('GET', 'grippers');
-    return grippers.length > 0 && grippers.every(({ link }) => link === 'connected');
+    return grippers.length > 0 && grippers.every(({ gripper, link }) => link === 'connected' || connects?.includes(gripper) === false);
   });
   return one;
 }

@@ -13,6 +13,7 @@ use utoipa::openapi::{OpenApi, RefOr, Schema};
 
 use super::errors::{self, Problem};
 use super::responses;
+use crate::journal::{EventKind, Order};
 
 /// What the document says before its operations.
 #[derive(utoipa::OpenApi)]
@@ -38,7 +39,7 @@ use super::responses;
         (name = "journal", description = "What happened, and how parts were held"),
         (name = "gateway", description = "The gateway itself"),
     ),
-    components(schemas(errors::Members)),
+    components(schemas(errors::Members, EventKind, Order)),
 )]
 struct Document;
 

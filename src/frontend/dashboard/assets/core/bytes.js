@@ -1,7 +1,7 @@
 // Bytes as people write and read them: what the command editor takes, and what selected bytes mean.
 
 /** One thing that the editor takes: "text", a hexadecimal or decimal number, a float with an f. */
-const TOKEN = /\s*(?:"((?:[^"\\]|\\.)*)"|(0x[0-9a-f]+)|([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?f)|(\d+)|([^\s]+))/giy;
+const TOKEN = /\s*(?:"((?:[^"\\]|\\.)*)"(?!\S)|(0x[0-9a-f]+)(?!\S)|([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?f)(?!\S)|(\d+)(?!\S)|(\S+))/giy;
 
 function littleEndian(hex) {
   const even = hex.length % 2 ? `0${hex}` : hex;

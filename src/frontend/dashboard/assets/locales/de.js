@@ -1,7 +1,7 @@
 // German. Each key is in every dictionary: a test holds that.
 
 export const de = {
-  width: 'Öffnungsweite', speed: 'Geschwindigkeit', force: 'Kraft', ago: 'vor {span}', close: 'Schließen', cancel: 'Abbrechen', yes: 'ja', no: 'nein',
+  width: 'Öffnungsweite', speed: 'Geschwindigkeit', force: 'Kraft', ago: 'vor {span}', close: 'Schließen', cancel: 'Abbrechen',
   'span.seconds': '{count} s', 'span.minutes': '{count} min', 'span.hours': '{count} h', 'span.days': '{count} d',
 
   'nav.label': 'Ansichten', 'nav.skip': 'Zu den Bedienelementen', 'nav.operate': 'Bedienen', 'nav.history': 'Verlauf', 'nav.log': 'Protokoll', 'nav.device': 'Gerät', 'nav.all': 'Alle',

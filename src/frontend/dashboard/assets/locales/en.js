@@ -1,7 +1,7 @@
 // English. Each key is in every dictionary: a test holds that.
 
 export const en = {
-  width: 'Width', speed: 'Speed', force: 'Force', ago: '{span} ago', close: 'Close', cancel: 'Cancel', yes: 'yes', no: 'no',
+  width: 'Width', speed: 'Speed', force: 'Force', ago: '{span} ago', close: 'Close', cancel: 'Cancel',
   'span.seconds': '{count} s', 'span.minutes': '{count} min', 'span.hours': '{count} h', 'span.days': '{count} d',
 
   'nav.label': 'Views', 'nav.skip': 'Skip to the controls', 'nav.operate': 'Operate', 'nav.history': 'History', 'nav.log': 'Log', 'nav.device': 'Device', 'nav.all': 'All',

@@ -5,6 +5,8 @@ import { signal } from '../lib.js';
 import { Rpc } from '../net/rpc.js';
 
 const MAX_FRAMES = 400;
+/** Nobody reads faster. */
+const SHOWN_EVERY_MS = 200;
 /** Ids whose answers come by themselves. */
 const UPDATES = [0x40, 0x41, 0x43, 0x44, 0x45];
 
@@ -16,7 +18,7 @@ let waiting = [];
 
 function take(frame) {
   if (isPaused.peek() || (!hasUpdates.peek() && frame.direction === 'received' && UPDATES.includes(frame.id))) return;
-  if (waiting.length === 0) requestAnimationFrame(show);
+  if (waiting.length === 0) setTimeout(show, SHOWN_EVERY_MS);
   waiting.push(frame);
   if (waiting.length > MAX_FRAMES) waiting.shift();
 }

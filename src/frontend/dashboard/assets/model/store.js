@@ -9,9 +9,10 @@ import { Gripper } from './gripper.js';
 /** So often states come at most: of a gripper in view, of all at a glance, and of a page that nobody sees. */
 const HZ = { one: 20, all: 8, hidden: 1 };
 
-/** Without anything from the gateway for that long, what is shown may be old. Half of it passes before it is asked. */
-const STALE_AFTER_MS = 1400;
-const ASKED_EVERY_MS = 600;
+/** Without anything from the gateway for that long, what is shown may be old: it is said within 2 s. It is asked in time. */
+const STALE_AFTER_MS = 1200;
+const ASKED_EVERY_MS = 500;
+const LOOKED_EVERY_MS = 200;
 
 /** A connection on which nothing comes for that long is given up. */
 const RENEWED_AFTER_MS = 4000;
@@ -131,7 +132,7 @@ function look() {
   if (silence > RENEWED_AFTER_MS && rpc.isOpen) rpc.renew();
 }
 
-setInterval(look, 250);
+setInterval(look, LOOKED_EVERY_MS);
 setInterval(() => {
   const asked = gripper.peek();
   // Whatever is answered: the gateway is there.

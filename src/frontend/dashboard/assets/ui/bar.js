@@ -7,14 +7,19 @@ import { alarms, connection, gripper, grippers, heardAt, selected } from '../mod
 import { Shape, whyOld } from './parts.js';
 import { go } from './route.js';
 
-/** What became of the last STOP: `sent`, then `confirmed`, `unconfirmed` or a problem. */
+/** What became of the last STOP, in words. */
 const stopped = signal(null);
+
+/** Good news goes by itself. */
+const TOLD_FOR_MS = 8000;
 
 export async function stop() {
   stopped.value = { text: t('stop.sent') };
   try {
     const told = await fastStop();
     stopped.value = { text: t(told.fast_stop_confirmed ? 'stop.confirmed' : 'stop.unconfirmed'), isWrong: !told.fast_stop_confirmed };
+    const shown = stopped.value;
+    setTimeout(() => { if (stopped.value === shown && !shown.isWrong) stopped.value = null; }, TOLD_FOR_MS);
   } catch (error) {
     const problem = error instanceof AggregateError ? error.errors.at(-1) : error;
     stopped.value = { text: t('stop.failed', { why: ofProblem(problem) }), isWrong: true };
@@ -39,7 +44,7 @@ function Stop() {
 }
 
 function Item({ label, shape, text, tone = '' }) {
-  return html`<div class=${`status ${tone}`}><span class="status-label">${label}</span><span class="status-text"><${Shape} name=${shape} />${text}</span></div>`;
+  return html`<div class=${`status ${tone}`}><span class="status-label">${label}</span><span class="status-text"><${Shape} name=${shape} /><span title=${text}>${text}</span></span></div>`;
 }
 
 function linkItem(one) {
@@ -79,7 +84,7 @@ export function Bar() {
   const one = gripper.value;
   return html`<header class="bar">
     <div class="bar-top">
-      <h1 class="brand"><span class="brand-name">WSG Gateway</span></h1>
+      <h1 class="brand"><span class="brand-name">WSG Gateway</span> <span>${one?.name}</span></h1>
       <div class="statuses">
         <${Item} label=${t('bar.link')} ...${linkItem(one)} />
         <${Item} label=${t('bar.state')} ...${stateItem(one)} />

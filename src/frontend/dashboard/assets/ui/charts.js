@@ -89,11 +89,12 @@ function Charted({ one }) {
     };
     draw();
     tick();
+    const mounted = [...places.current];
     const resized = new ResizeObserver(() => plots.forEach((plot, index) => {
-      const { clientWidth: width, clientHeight: height } = places.current[index];
+      const { clientWidth: width, clientHeight: height } = mounted[index];
       if (width > 0 && (width !== plot.width || height !== plot.height)) plot.setSize({ width, height });
     }));
-    places.current.forEach((place) => resized.observe(place));
+    mounted.forEach((place) => resized.observe(place));
     const colours = matchMedia('(prefers-color-scheme: dark)');
     const redraw = () => { windowS.value = windowS.peek(); draw(); };
     colours.addEventListener('change', redraw);

@@ -43,7 +43,7 @@ function Setting({ one, id, method, fields, limits, done }) {
     done();
   };
   return html`<form class="setting" onSubmit=${send}>
-    <div class="fields">${fields.map(({ key, label, unit, value }) => html`<${NumberField} key=${key} id=${`${id}-${key}`} label=${label} unit=${unit} value=${value} limits=${limits(key)} />`)}</div>
+    <div class="fields">${fields.map(({ key, label, unit, value }) => html`<${NumberField} key=${key} id=${`${id}-${key}`} label=${label} unit=${unit} value=${value} limits=${limits(key)} isOptional=${true} />`)}</div>
     <div class="buttons"><button type="submit" disabled=${wrong}>${t('settings.set')}</button>
     ${method === 'settings.soft-limits' && html`<button type="button" disabled=${one.softLimits.value?.minus_mm == null} onClick=${async () => { if (await askFreely(one, 'settings.soft-limits.clear')) done(); }}>${t('settings.clear')}</button>`}</div>
   </form>`;

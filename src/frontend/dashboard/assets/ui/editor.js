@@ -4,8 +4,7 @@ import { html, useSignal } from '../lib.js';
 import { interpretations, parse, parseId } from '../core/bytes.js';
 import { encode, fromHex, MAX_PAYLOAD, toHex } from '../core/frame.js';
 import { t } from '../model/i18n.js';
-import { post } from '../net/rest.js';
-import { isLive } from '../model/store.js';
+import { isLive, rpc } from '../model/store.js';
 import { Panel, ProblemNote } from './parts.js';
 
 /** A long frame's begin and end: the checksum is there in any case. */
@@ -29,7 +28,7 @@ export function Editor({ one }) {
     [answer.value, problem.value] = [null, null];
     const lease = one.held.peek()?.token;
     try {
-      answer.value = await post(`grippers/${one.name}/raw`, { id: code, payload: toHex(bytes), ...(lease ? { lease } : {}) });
+      answer.value = await rpc.call('raw', { gripper: one.name, id: code, payload: toHex(bytes), ...(lease ? { lease } : {}) });
     } catch (refused) {
       problem.value = refused;
     }

@@ -25,6 +25,8 @@ function said(event) {
 
 const value = (one) => (typeof one === 'number' ? plain(one) : String(one));
 
+const NUMBERS = ['width', 'history.peak', 'history.contact', 'history.duration'];
+
 function Events({ list }) {
   return html`<table><thead><tr>${['history.at', 'history.kind', 'history.details', 'history.who'].map((key) => html`<th scope="col" key=${key}>${t(key)}</th>`)}</tr></thead>
     <tbody>${list.map((event) => html`<tr key=${event.seq} class=${event.kind === 'fast_stop' ? 'stop-row' : event.kind === 'refused' || BAD.includes(event.outcome) ? 'bad' : ''}>
@@ -34,7 +36,7 @@ function Events({ list }) {
 
 function Grips({ list, picked }) {
   const columns = ['history.at', 'history.kind', 'history.outcome', 'history.part', 'width', 'history.peak', 'history.contact', 'history.duration', 'history.curve'];
-  return html`<table><thead><tr>${columns.map((key) => html`<th scope="col" key=${key}>${t(key)}</th>`)}</tr></thead>
+  return html`<table><thead><tr>${columns.map((key) => html`<th scope="col" key=${key} class=${NUMBERS.includes(key) ? 'number' : ''}>${t(key)}</th>`)}</tr></thead>
     <tbody>${list.map((grip) => html`<tr key=${grip.id} aria-selected=${picked.value?.id === grip.id ? 'true' : 'false'} class=${BAD.includes(grip.outcome) || grip.part_lost_at ? 'bad' : ''}>
       <td>${moment(grip.started_at)}</td><td>${t(`command.${grip.kind}`)}</td><td>${t(`outcome.${grip.outcome}`)}${grip.part_lost_at ? `, ${t('event.part_lost')}` : ''}</td><td>${grip.part_id ?? '–'}</td>
       <td class="number">${fixed(grip.width_mm, 2)} mm</td><td class="number">${fixed(grip.peak_force_n, 1)} N</td><td class="number">${grip.contact_width_mm == null ? '–' : `${fixed(grip.contact_width_mm, 2)} mm`}</td><td class="number">${grip.duration_ms == null ? '–' : `${fixed(grip.duration_ms / 1000, 2)} s`}</td>

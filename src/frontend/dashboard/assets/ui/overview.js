@@ -15,6 +15,11 @@ const fleet = signal(null);
 async function askFleet() {
   if (!isLive.peek() || document.hidden || fleet.peek() === false) return;
   try {
+    // The API's description says whether there is one, without an error in the browser's console.
+    if (fleet.peek() === null && !('/api/v1/fleet' in (await get('openapi.json')).paths)) {
+      fleet.value = false;
+      return;
+    }
     const told = await get('fleet');
     fleet.value = Array.isArray(told) ? told : Object.values(told).find(Array.isArray) ?? [];
   } catch (problem) {

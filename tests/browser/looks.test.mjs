@@ -1,0 +1,126 @@
+// How the page looks, to people and to axe: the three sizes, light and dark, German and English. The screenshots are
+// kept in target/browser/screenshots, and are to be looked at.
+
+import assert from 'node:assert/strict';
+import { readFileSync } from 'node:fs';
+import { after, test } from 'node:test';
+
+import { assertClean, ASSETS, AXE, browser, endAll, gateway, shoot, visit } from './harness.mjs';
+
+after(endAll);
+const launched = await browser();
+
+const SIZES = { phone: { width: 390, height: 844, hasTouch: true, isMobile: true }, panel: { width: 1280, height: 800, hasTouch: true }, desk: { width: 1920, height: 1080 } };
+const VIEWS = ['operate', 'history', 'log', 'device', 'all'];
+const axe = readFileSync(AXE, 'utf8');
+
+async function violations(page) {
+  // Puts the checker in by the debugger, which the page's policy does not concern.
+  await page.evaluate(axe);
+  const { violations: found } = await page.evaluate(() => globalThis.axe.run(document, { runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa', 'best-practice'] }));
+  return found.map(({ id, nodes }) => ({ id, nodes: nodes.map(({ target, failureSummary }) => `${target}: ${failureSummary}`) }));
+}
+
+/** What is wider than the screen, and what is too small to touch. */
+async function misfits(page) {
+  return page.evaluate(() => {
+    const small = [...document.querySelectorAll('button, select, input, a[href], summary')]
+      .filter((one) => one.checkVisibility() && !one.closest('[inert]') && !one.matches('.byte, .frame, .skip'))
+      .map((one) => ({ one, box: one.getBoundingClientRect() }))
+      .filter(({ box }) => box.height < 43.5 || box.width < 24)
+      .map(({ one, box }) => `${one.outerHTML.slice(0, 90)} is ${Math.round(box.width)} x ${Math.round(box.height)}`);
+    const wide = document.documentElement.scrollWidth > innerWidth ? [`the page is ${document.documentElement.scrollWidth} wide`] : [];
+    return [...wide, ...small];
+  });
+}
+
+/** They come by the hundred: what is to be read is held first. */
+async function pickAFrame(page) {
+  await page.click('#with-updates');
+  await page.waitForSelector('.frame');
+  await page.click('#pause-log');
+  await page.locator('.frame').first().click();
+}
+
+for (const [size, shape] of Object.entries(SIZES)) {
+  for (const [language, colorScheme] of [['en', 'light'], ['de', 'dark']]) {
+    test(`${size}, ${language}, ${colorScheme}: axe finds nothing, and all fits`, async () => {
+      const served = await gateway();
+      const visitor = await visit(launched, served, { ...shape, colorScheme, locale: language === 'de' ? 'de-DE' : 'en-GB' });
+      const { page } = visitor;
+      await page.click('#take-control');
+      await page.click('#home:enabled');
+      await page.waitForSelector('[data-outcome=SUCCESS]');
+      await page.fill('#speed', '150');
+      await page.click('#grip:enabled');
+      await page.waitForSelector('[data-outcome=PART_HELD]');
+      assert.equal(await page.locator('html').getAttribute('lang'), language);
+      await page.click('#grip:enabled');
+      for (const view of VIEWS) {
+        await page.click(`[data-view=${view}]`);
+        await page.waitForFunction((name) => document.querySelector(`[data-view=${name}]`).getAttribute('aria-current') === 'page', view);
+        if (view === 'history') await page.click('tbody button');
+        if (view === 'log') await pickAFrame(page);
+        if (view === 'history') await page.waitForSelector('.curve-place canvas');
+        await page.evaluate(() => scrollTo(0, 0));
+        await shoot(page, `${size}-${view}-${language}`);
+        assert.deepEqual(await violations(page), [], view);
+        assert.deepEqual(await misfits(page), [], view);
+      }
+      await page.click('#stop');
+      await page.click('[data-view=operate]');
+      await page.waitForSelector('#acknowledge:enabled');
+      await page.evaluate(() => scrollTo(0, 0));
+      await shoot(page, `${size}-stopped-${language}`);
+      await shoot(page, `${size}-stopped-${language}-whole`, { fullPage: true });
+      assert.deepEqual(await violations(page), [], 'stopped');
+      assertClean(visitor);
+      await visitor.close();
+    });
+  }
+}
+
+test('no word is left in the other language', async () => {
+  const { de } = await import(`${ASSETS}locales/de.js`);
+  const served = await gateway();
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  await page.click('[data-choice=language-de]');
+  await page.waitForSelector(`#take-control:has-text("${de['control.take']}")`);
+  const shown = await page.locator('body').innerText();
+  for (const key of ['motion.title', 'stop.not', 'chart.pause', 'command.grip', 'control.title', 'flag.REFERENCED', 'nav.history']) assert.ok(shown.includes(de[key]), key);
+  await page.reload();
+  await page.waitForSelector(`#take-control:has-text("${de['control.take']}")`);
+  assertClean(visitor);
+  await visitor.close();
+});
+
+test('everything is reached and done by keyboard', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  await page.waitForSelector('#take-control');
+  const press = async (selector, key = 'Enter') => {
+    for (let tabs = 0; tabs < 120; tabs += 1) {
+      if (await page.evaluate((wanted) => document.activeElement?.matches(wanted), selector)) {
+        await page.keyboard.press(key);
+        return;
+      }
+      await page.keyboard.press('Tab');
+    }
+    assert.fail(`${selector} is not reached by Tab`);
+  };
+  await press('#take-control');
+  await page.waitForSelector('#home:enabled');
+  await press('#home');
+  await page.waitForSelector('[data-outcome=SUCCESS]');
+  await press('[data-view=history]');
+  await page.waitForSelector('#export');
+  await press('#stop', 'Space');
+  await press('[data-view=operate]');
+  await page.waitForSelector('#acknowledge:enabled');
+  await press('#acknowledge');
+  await page.waitForSelector('#grip:enabled');
+  assertClean(visitor);
+  await visitor.close();
+});

@@ -1,0 +1,227 @@
+// What a person does with the page, in a real browser, against the real gateway.
+
+import assert from 'node:assert/strict';
+import { after, test } from 'node:test';
+
+import { assertClean, browser, endAll, gateway, shoot, until, visit } from './harness.mjs';
+
+after(endAll);
+const launched = await browser();
+
+const text = (page, selector) => page.locator(selector).first().innerText();
+
+test('home, grip, hold, stop, see who stopped it, acknowledge', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  assert.ok(await page.locator('#home').isDisabled(), 'nobody moves without control');
+  await page.click('#take-control');
+  await page.waitForSelector('.why:has-text("Home first")');
+  await page.click('#home:enabled');
+  await page.waitForSelector('[data-outcome=SUCCESS]');
+  await page.fill('#width', '20');
+  await page.fill('#speed', '200');
+  await page.fill('#part', 'lot-7');
+  await page.click('#grip:enabled');
+  await page.waitForSelector('[data-outcome=PART_HELD]');
+  await page.waitForSelector('.jaws-words[data-state=HOLDING]');
+  const state = await served.ask('GET', 'grippers/left/state');
+  assert.equal(state.state, 'HOLDING');
+  const shown = Number((await text(page, '.figure-main .figure-value')).replace(/[^\d.]/g, ''));
+  assert.ok(Math.abs(shown - state.width_mm) < 0.02, `${shown} is not ${state.width_mm}`);
+  // The jaws stand as far apart as the part is wide: 540 units for 110 mm.
+  const drawn = Number(await page.locator('.jaws .part').getAttribute('width'));
+  assert.ok(Math.abs(drawn - (state.width_mm * 540) / 110) < 1, `${drawn}`);
+  await shoot(page, 'holding');
+
+  await page.click('#stop');
+  await page.waitForSelector('#latch-title');
+  const stopped = await served.ask('GET', 'grippers/left/state');
+  assert.equal(stopped.fast_stop, true);
+  assert.equal((await served.ask('GET', 'grippers/right/state')).fast_stop_id, stopped.fast_stop_id, 'all grippers');
+  assert.equal(await text(page, '#latch-by'), stopped.fast_stop_by);
+  assert.match(await text(page, '.latch'), /dashboard, browser-/);
+  assert.match(await text(page, '#latch-title'), new RegExp(`…${stopped.fast_stop_id.slice(-4)}`));
+  assert.equal(await page.locator('#grip').count(), 0, 'the controls are covered');
+  await shoot(page, 'stopped');
+  await page.click('#acknowledge:enabled');
+  await page.waitForSelector('#grip');
+  assert.equal((await served.ask('GET', 'grippers/left/state')).fast_stop, false);
+  assert.equal((await served.ask('GET', 'grippers/right/state')).fast_stop, true, 'only what was shown');
+
+  // The part's name has gone with the grip.
+  await page.click('[data-view=history]');
+  await page.fill('#part-filter', 'lot-7');
+  await page.waitForSelector('tbody tr:first-child td:has-text("lot-7")');
+  await page.click('tbody button');
+  await page.waitForSelector('.curve-place canvas');
+  await shoot(page, 'history');
+  const [file] = await Promise.all([page.waitForEvent('download'), page.click('#export')]);
+  assert.equal(file.suggestedFilename(), 'left-grips.csv');
+  assert.match(await (await import('node:fs/promises')).readFile(await file.path(), 'utf8'), /lot-7/);
+  assertClean(visitor);
+  await visitor.close();
+});
+
+test('a value beyond its limits is not sent, and its field says why', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  await page.click('#take-control');
+  await page.click('#home:enabled');
+  await page.waitForSelector('[data-outcome=SUCCESS]');
+  assert.match(await text(page, '#width-hint'), /0 – 110 mm/);
+  for (const [id, wrong, hint] of [['width', '111', /at most 110/], ['speed', '4', /at least 5/], ['force', '81', /at most 80/]]) {
+    const right = await page.inputValue(`#${id}`);
+    await page.fill(`#${id}`, wrong);
+    assert.match(await text(page, `#${id}-hint`), hint);
+    assert.ok(await page.locator('#grip').isDisabled(), id);
+    await page.fill(`#${id}`, right);
+  }
+  await page.fill('#width', '20,5');
+  assert.ok(await page.locator('#grip').isEnabled(), 'a comma is a point');
+  const before = await served.ask('GET', 'events?kind=refused');
+  assert.deepEqual(before.events, []);
+  // Soft limits narrow what may be asked for.
+  await page.click('[data-view=device]');
+  await page.fill('#soft-limits-minus_mm', '10');
+  await page.fill('#soft-limits-plus_mm', '60');
+  await page.locator('form:has(#soft-limits-plus_mm) button[type=submit]').click();
+  await page.click('[data-view=operate]');
+  await page.waitForSelector('#width-hint:has-text("10 – 60 mm")');
+  assert.ok(await page.locator('.jaws .forbidden rect').count() >= 2);
+  assertClean(visitor);
+  await visitor.close();
+});
+
+test('STOP works by key from any view and from a field, and without the WebSocket', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  await page.waitForSelector('#take-control');
+  const latch = async () => (await served.ask('GET', 'grippers/left/state')).fast_stop_id;
+  let last = null;
+  const stopsBy = async (how, act) => {
+    await act();
+    last = await until(how, async () => {
+      const now = await latch();
+      return now && now !== last ? now : null;
+    });
+  };
+  for (const view of ['operate', 'history', 'log', 'device', 'all']) {
+    await page.click(`[data-view=${view}]`);
+    await stopsBy(`Escape in ${view}`, () => page.keyboard.press('Escape'));
+  }
+  await page.click('[data-view=log]');
+  await page.focus('#editor-payload');
+  await stopsBy('Escape in a field', () => page.keyboard.press('Escape'));
+  await stopsBy('Pause', () => page.keyboard.press('Pause'));
+
+  // No WebSocket at all: what remains is a request.
+  const without = await visit(launched, served, { path: '/' });
+  without.allowed.connections = true;
+  await without.page.routeWebSocket('**/api/v1/ws', (socket) => socket.close());
+  await without.page.reload();
+  await without.page.waitForSelector('#stop');
+  await stopsBy('STOP without a WebSocket', () => without.page.click('#stop'));
+  await without.page.waitForSelector('.stopped:has-text("confirmed")');
+
+  // One that swallows everything: the request follows without delay.
+  const silent = await visit(launched, served);
+  await silent.page.routeWebSocket('**/api/v1/ws', (socket) => {
+    const server = socket.connectToServer();
+    socket.onMessage((message) => { if (!String(message).includes('fast-stop')) server.send(message); });
+  });
+  await silent.page.reload();
+  await silent.page.waitForSelector('#take-control');
+  await stopsBy('STOP on a WebSocket that swallows it', () => silent.page.click('#stop'));
+  assertClean(visitor);
+  assertClean(silent);
+  await Promise.all([visitor, without, silent].map((one) => one.close()));
+});
+
+test('what is jogged moves while it is held and no longer', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  await page.click('#take-control');
+  await page.click('#home:enabled');
+  await page.waitForSelector('[data-outcome=SUCCESS]');
+  const state = () => served.ask('GET', 'grippers/left/state');
+  const button = page.locator('#jog-close');
+  await button.scrollIntoViewIfNeeded();
+  for (const [how, press, release] of [
+    ['by pointer', () => page.mouse.down(), () => page.mouse.up()],
+    ['by key', () => page.keyboard.down('Space'), () => page.keyboard.up('Space')],
+    ['left by the pointer outside', () => page.mouse.down(), async () => { await page.mouse.move(2, 2); await page.mouse.up(); }],
+    ['left by a change of view', () => page.keyboard.down('Enter'), () => page.evaluate(() => document.querySelector('[data-view=history]').click())],
+  ]) {
+    await page.waitForSelector('#jog-close:enabled');
+    await button.hover();
+    await button.focus();
+    const from = (await state()).width_mm;
+    await press();
+    await until(`it moves ${how}`, async () => (await state()).width_mm < from - 1);
+    await release();
+    await until(`it stands when let go ${how}`, async () => {
+      const { moving, command } = await state();
+      return moving === false && command === null;
+    });
+    const at = (await state()).width_mm;
+    assert.ok(at > 5, `${how}: it went to the end, ${at}`);
+    await page.keyboard.up('Enter');
+    if (how.includes('view')) await page.click('[data-view=operate]');
+  }
+  assertClean(visitor);
+  await visitor.close();
+});
+
+test('presets are kept in the browser', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  await page.fill('#width', '33');
+  await page.fill('#preset-name', 'small');
+  await page.click('.preset-new button');
+  await page.reload();
+  await page.click('.preset button:has-text("small")');
+  assert.equal(await page.inputValue('#width'), '33');
+  await page.click('[aria-label="Remove small"]');
+  assert.equal(await page.locator('.preset').count(), 0);
+  assertClean(visitor);
+  await visitor.close();
+});
+
+test('frames are decoded, their bytes read, and a command is sent from the editor', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served, { path: '/#/left/log' });
+  const { page } = visitor;
+  await page.fill('#editor-id', '0x30');
+  await page.fill('#editor-payload', '150.0f');
+  assert.equal(await text(page, '#editor-frame'), 'aa aa aa 30 04 00 00 00 16 43 de cd');
+  await page.click('#editor-send');
+  await page.waitForSelector('#answer:has-text("E_SUCCESS")');
+  await page.fill('#editor-id', '31h');
+  await page.fill('#editor-payload', '');
+  await page.click('#editor-send');
+  await page.waitForSelector('#answer [data-type=f32]:has-text("150")');
+  await page.click('.frame.received:has-text("Acceleration")');
+  await page.click('#with-hex');
+  await page.waitForSelector('.frame .hex');
+  // An answer with a float: its four bytes, picked from one to the other.
+  await page.locator('.frame.received', { hasText: '150' }).last().click();
+  await page.locator('.byte').nth(8).click();
+  await page.locator('.byte').nth(11).click({ modifiers: ['Shift'] });
+  assert.equal(await text(page, '#meanings [data-type=f32]'), '150');
+  await page.fill('#editor-payload', '0x20 nonsense');
+  assert.match(await text(page, '#editor-payload-hint'), /nonsense/);
+  assert.ok(await page.locator('#editor-send').isDisabled());
+  // What is refused is told in the gateway's words.
+  await page.fill('#editor-id', '07h');
+  await page.fill('#editor-payload', '');
+  await page.click('#editor-send');
+  await page.waitForSelector('.problem:has-text("07h")');
+  await shoot(page, 'log');
+  assertClean(visitor);
+  await visitor.close();
+});

@@ -1,0 +1,137 @@
+// More than one person, and a gateway that goes away.
+
+import assert from 'node:assert/strict';
+import { after, test } from 'node:test';
+
+import { assertClean, browser, endAll, gateway, shoot, until, visit } from './harness.mjs';
+
+after(endAll);
+const launched = await browser();
+
+test('one browser asks, the other hands over, and the first takes it back by force', async () => {
+  const served = await gateway();
+  const [anna, ben] = [await visit(launched, served), await visit(launched, served)];
+  const named = async ({ page }, name) => {
+    await page.fill('#my-name', name);
+    await page.press('#my-name', 'Tab');
+  };
+  await named(anna, 'Anna');
+  await named(ben, 'Ben');
+  await anna.page.click('#take-control');
+  await ben.page.waitForSelector('.status:has-text("Anna")');
+  assert.ok(await ben.page.locator('#home').isDisabled());
+  await ben.page.click('#ask-control');
+  await anna.page.waitForSelector('.asked:has-text("Ben asks for control")');
+  await shoot(anna.page, 'asked', { fullPage: true });
+  await anna.page.click('#hand-over');
+  await ben.page.waitForSelector('.control-panel:has-text("You have control, as Ben")');
+  await anna.page.waitForSelector('.control-panel:has-text("Ben has control")');
+  await ben.page.click('#home:enabled');
+  await until('Ben moves it', async () => (await served.ask('GET', 'grippers/left/state')).moving);
+  await anna.page.waitForSelector('.last:has-text("Home")');
+
+  await anna.page.click('#force-control');
+  await anna.page.click('#force-sure');
+  await anna.page.waitForSelector('.control-panel:has-text("You have control, as Anna")');
+  await ben.page.waitForSelector('.control-panel:has-text("Anna has control")');
+  const { events } = await served.ask('GET', 'events?kind=lease&order=oldest');
+  assert.deepEqual(events.map(({ event, holder }) => [event, holder]), [['taken', 'Anna'], ['requested', 'Ben'], ['handed_over', 'Ben'], ['forced', 'Anna']]);
+  await anna.page.click('#give-back');
+  await ben.page.waitForSelector('#take-control');
+  [anna, ben].forEach(assertClean);
+  await Promise.all([anna.close(), ben.close()]);
+});
+
+test('a browser that goes while its fingers move leaves a FAST STOP that says so', async () => {
+  const served = await gateway();
+  const [goes, stays] = [await visit(launched, served), await visit(launched, served)];
+  await goes.page.click('#take-control');
+  await goes.page.click('#home:enabled');
+  await goes.page.waitForSelector('[data-outcome=SUCCESS]');
+  await goes.page.fill('#width', '1');
+  await goes.page.fill('#speed', '5');
+  await goes.page.click('#move:enabled');
+  await until('it moves', async () => (await served.ask('GET', 'grippers/left/state')).moving);
+  await goes.close();
+  await stays.page.waitForSelector('.latch:has-text("Who was in control was lost")');
+  assert.equal((await served.ask('GET', 'grippers/left/state')).fast_stop_cause, 'client_lost');
+  assertClean(stays);
+  await stays.close();
+});
+
+/** Within that time of the gateway's end no old number may look live. */
+const SAID_WITHIN_MS = 2000;
+
+/** When the page covers what it shows, by the clock of its machine, which is this one. */
+async function watchForCover(page) {
+  await page.evaluate(() => {
+    globalThis.coveredAt = new Promise((resolve) => {
+      const look = () => { if (document.querySelector('.jaws-panel .cover')) resolve(Date.now()); };
+      new MutationObserver(look).observe(document.body, { subtree: true, childList: true });
+    });
+  });
+  return () => page.evaluate(() => globalThis.coveredAt);
+}
+
+test('the page says within 2 s that the gateway is gone, and recovers', async () => {
+  const first = await gateway();
+  const visitor = await visit(launched, first);
+  const { page } = visitor;
+  await page.waitForSelector('#take-control');
+  assert.equal(await page.locator('.cover').count(), 0);
+  visitor.allowed.connections = true;
+  const covered = await watchForCover(page);
+  const killedAt = Date.now();
+  await first.kill('SIGKILL');
+  const said = (await covered()) - killedAt;
+  assert.ok(said < SAID_WITHIN_MS, `said after ${said} ms`);
+  await page.waitForSelector('.cover:has-text("Since")');
+  assert.ok(await page.locator('#stop').isEnabled(), 'STOP stays');
+  await page.click('#stop');
+  await page.waitForSelector('.stopped:has-text("did not get through")');
+  await shoot(page, 'gone');
+  await gateway({ port: first.port });
+  await page.waitForFunction(() => !document.querySelector('.cover'));
+  await page.click('#take-control');
+  await page.waitForSelector('.status.tone-mine');
+  assertClean(visitor);
+  await visitor.close();
+});
+
+test('a gateway that is frozen is noticed as soon, though its connection stands', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  await page.waitForSelector('#take-control');
+  const covered = await watchForCover(page);
+  const frozenAt = Date.now();
+  served.child.kill('SIGSTOP');
+  try {
+    const said = (await covered()) - frozenAt;
+    assert.ok(said < SAID_WITHIN_MS, `said after ${said} ms`);
+    assert.match(await page.locator('.cover').first().innerText(), /does not answer/);
+  } finally {
+    visitor.allowed.connections = true;
+    served.child.kill('SIGCONT');
+  }
+  await page.waitForFunction(() => !document.querySelector('.cover'));
+  assertClean(visitor);
+  await visitor.close();
+});
+
+test('a gripper that is not there is covered, and an alarm until somebody has seen it', async () => {
+  // Nothing listens on the port of TCP's discard.
+  const served = await gateway({ more: ['--gripper', 'here=sim://wsg50', '--gripper', 'there=tcp://127.0.0.1:9'], connects: ['here'] });
+  const visitor = await visit(launched, served, { path: '/#/there/operate' });
+  const { page } = visitor;
+  await page.waitForSelector('.jaws-panel .cover:has-text("not reached yet")');
+  await page.waitForSelector('.alarm:has-text("there: not reached yet")');
+  await page.click('.alarm button');
+  await page.waitForSelector('.alarm:has-text("acknowledged")');
+  await page.waitForSelector('.alarm-badge:has-text("No alarms")');
+  await page.click('.chip:has-text("here")');
+  await page.waitForSelector('#take-control');
+  assert.equal(await page.locator('.jaws-panel .cover').count(), 0);
+  assertClean(visitor);
+  await visitor.close();
+});

@@ -1,0 +1,128 @@
+// The dashboard's pure modules.
+
+import assert from 'node:assert/strict';
+import { test } from 'node:test';
+
+import { ASSETS } from './harness.mjs';
+
+const core = (name) => import(`${ASSETS}core/${name}.js`);
+const { checksum, encode, fromHex, parts, toHex } = await core('frame');
+const { interpretations, parse, parseId } = await core('bytes');
+const { Samples } = await core('ring');
+const { forceLimits, mistake, number, speedLimits, widthLimits } = await core('limits');
+const { acknowledged, MAX_ALARMS, sorted, updated, wrongWith } = await core('alarms');
+const { FLAGS, has } = await core('flags');
+const { delay } = await core('backoff');
+
+test('frames and their checksums are those of the manuals', () => {
+  const vectors = ['aaaaaa010000e810', 'aaaaaa0102001234' + '6d66', 'aaaaaa2002000000b3fd', 'aaaaaa900200' + '0e00fd02', 'aaaaaa2102001a0067cb', 'aaaaaa21020000002804', 'aaaaaa310600' + '0000000016431caf'];
+  for (const hex of vectors) {
+    const { id, size, payload } = parts(fromHex(hex));
+    assert.equal(size, payload.length, hex);
+    assert.equal(toHex(encode(id, [...payload])), hex);
+    assert.equal(checksum(fromHex(hex)), 0, hex);
+  }
+});
+
+test('the editor takes bytes, floats and texts, and names what is none', () => {
+  const bytes = (text) => {
+    const { bytes: found, wrong } = parse(text);
+    assert.equal(wrong, null, text);
+    return toHex(found);
+  };
+  assert.equal(bytes(''), '');
+  assert.equal(bytes('0x20'), '20');
+  assert.equal(bytes('0x1234 0x123'), '34122301');
+  assert.equal(bytes('150.0f'), '00001643');
+  assert.equal(bytes('-1f .5f 1e2f'), '000080bf0000003f0000c842');
+  assert.equal(bytes('"text" 7 255'), '7465787407ff');
+  assert.equal(bytes('"a b\\"c"'), '6120622263');
+  assert.equal(bytes('  0x00   20.0f 0x0A '), '000000a0410a');
+  for (const [text, wrong] of [['256', '256'], ['0x', '0x'], ['1.5', '1.5'], ['0x20 x', 'x'], ['"open', '"open'], ['"\u20ac"', '\u20ac'], ['-1', '-1']]) {
+    assert.equal(parse(text).wrong, wrong, text);
+  }
+});
+
+test('an id is written as a number or as the manual writes it', () => {
+  for (const [text, id] of [['0x31', 0x31], ['31h', 0x31], [' FFh ', 255], ['49', 49], ['0', 0]]) assert.equal(parseId(text), id, text);
+  for (const text of ['', '256', '0x100', '-1', '1.5', 'xyz', '31']) assert.equal(parseId(text), text === '31' ? 31 : null, text);
+});
+
+test('bytes are read as what fits their number', () => {
+  const read = (hex) => Object.fromEntries(interpretations([...fromHex(hex)]).map(({ type, value }) => [type, value]));
+  assert.deepEqual(read('ff'), { u8: 255, i8: -1, text: '\u00b7' });
+  assert.deepEqual(read('f6ff'), { u16: 65526, i16: -10, text: '\u00b7\u00b7' });
+  assert.deepEqual(read('00001643'), { f32: 150, u32: 1125515264, i32: 1125515264, text: '\u00b7\u00b7\u00b7C' });
+  assert.deepEqual(read('61636b'), { text: 'ack' });
+});
+
+test('the ring keeps the newest, and a window of it keeps the peaks', () => {
+  const samples = new Samples(1000, 2);
+  for (let at = 0; at < 2500; at += 1) samples.push(at, [at, at === 2000 ? 500 : NaN]);
+  assert.equal(samples.length, 1000);
+  assert.equal(samples.time(0), 1500);
+  const all = samples.window(2400, 2500, 1000);
+  assert.deepEqual([all[0].length, all[0][0], all[1].at(-1), all[2][0]], [101, -0.101, 2499, null]);
+  const few = samples.window(1500, 2500, 100);
+  assert.ok(few[0].length <= 101, `${few[0].length}`);
+  assert.equal(few[1].at(-1), 2499);
+  const peaks = new Samples(1000, 1);
+  for (let at = 0; at < 1000; at += 1) peaks.push(at, [at === 777 ? 80 : 1]);
+  assert.ok(peaks.window(0, 1000, 50)[1].includes(80));
+  assert.deepEqual(new Samples(10).window(0, 10, 10), [[], [], [], []]);
+});
+
+test('limits are the narrower of the device’s and the soft ones', () => {
+  const info = { stroke_mm: 110, min_speed_mm_s: 5, max_speed_mm_s: 420, min_force_n: 5, nominal_force_n: 80, overdrive_force_n: 120 };
+  assert.deepEqual(widthLimits(info, { minus_mm: null }), { min: 0, max: 110, whose: 'device' });
+  assert.deepEqual(widthLimits(info, { minus_mm: 10, plus_mm: 200 }), { min: 10, max: 110, whose: 'soft' });
+  assert.equal(forceLimits(info, false).max, 80);
+  assert.equal(forceLimits(info, true).max, 120);
+  assert.equal(widthLimits(null, null).whose, null);
+  const speeds = speedLimits(info);
+  const found = [4.9, 5, 420, 420.1, NaN].map((value) => mistake(value, speeds));
+  assert.deepEqual(found, ['low', null, null, 'high', 'missing']);
+  assert.deepEqual(['1,5', ' 2.5 ', '', '1e3', '0x10', '-3', '1.2.3'].map(number), [1.5, 2.5, NaN, NaN, NaN, -3, NaN]);
+});
+
+const state = (more) => ({ gripper: 'left', link: 'connected', fast_stop: false, flags_raw: 1, state: 'IDLE', journal_cause: null, ...more });
+
+test('an alarm that is over stays until somebody has seen it', () => {
+  const faulty = wrongWith(state({ flags_raw: 1 | (1 << 14) }));
+  assert.deepEqual(faulty.map(({ what, priority }) => [what, priority]), [['flag/TEMP_FAULT', 'critical']]);
+  let alarms = updated([], faulty, 10);
+  assert.equal(updated(alarms, faulty, 20), alarms, 'nothing has changed');
+  alarms = updated(alarms, [], 30);
+  assert.deepEqual([alarms[0].since, alarms[0].clearedAt], [10, 30]);
+  alarms = updated(alarms, faulty, 40);
+  assert.equal(alarms.length, 2, 'again is another one');
+  assert.equal(acknowledged(alarms, alarms[1].id, 50).length, 1);
+  const seen = acknowledged(alarms, alarms[0].id, 50);
+  assert.equal(seen.length, 2, 'what is wrong now stays');
+  assert.equal(sorted(seen)[0].clearedAt, 30, 'what nobody has seen comes first');
+  assert.equal(updated(seen, [], 60).length, 1);
+});
+
+test('a newer FAST STOP is another alarm, and the list has an end', () => {
+  let alarms = [];
+  for (let count = 0; count < 3 * MAX_ALARMS; count += 1) {
+    alarms = updated(alarms, wrongWith(state({ fast_stop: true, fast_stop_id: String(count), fast_stop_by: 'test' })), count);
+  }
+  assert.equal(alarms.length, MAX_ALARMS);
+  assert.deepEqual([alarms[0].what, alarms[0].clearedAt], [`fast_stop/${3 * MAX_ALARMS - 1}`, null]);
+  const many = wrongWith(state({ link: 'reconnecting', link_cause: 'refused', journal_cause: 'disk full', state: 'PART_LOST' }));
+  assert.deepEqual(many.map(({ what }) => what), ['link/reconnecting', 'journal', 'part_lost']);
+});
+
+test('flags are read by their bits', () => {
+  assert.equal(FLAGS.length, 32);
+  assert.equal(FLAGS.filter(({ name }) => name === null).length, 13);
+  assert.ok(has(0x1000, 'FAST_STOP') && !has(0x1000, 'MOVING') && !has(null, 'MOVING'));
+  assert.ok(FLAGS[20].name === 'SCRIPT_FAILURE' && FLAGS[8].name === 'OVERDRIVE_MODE');
+});
+
+test('tries come later and later, up to a bound', () => {
+  const delays = Array.from({ length: 20 }, (_, tries) => delay(tries, 0.5));
+  assert.ok(delays.every((ms, index) => index === 0 || ms >= delays[index - 1]));
+  assert.ok(delays[0] < 300 && delays.at(-1) === 3000);
+});
