@@ -56,7 +56,7 @@ test(`eight grippers at full rate, ${SECONDS} s`, async () => {
   const stops = Array.from({ length: GRIPPERS }, (_, index) => keepMoving(served, `g${index + 1}`));
   const whole = await launched.newBrowserCDPSession();
   for (const view of ['operate', 'all']) {
-    const visitor = await visit(launched, served, { path: `/#/g1/${view}`, width: 1920, height: 1080 });
+    const visitor = await visit(launched, served, { path: `/#/g1/${view}`, width: 1280, height: 800 });
     const { page, context } = visitor;
     const session = await context.newCDPSession(page);
     await session.send('Performance.enable');

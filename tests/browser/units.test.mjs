@@ -6,8 +6,9 @@ import { test } from 'node:test';
 import { ASSETS } from './harness.mjs';
 
 const core = (name) => import(`${ASSETS}core/${name}.js`);
-const { checksum, encode, fromHex, parts, toHex } = await core('frame');
-const { interpretations, parse, parseId } = await core('bytes');
+const view = (name) => import(`${ASSETS}views/${name}.js`);
+const { checksum, encode, fromHex, parts, toHex } = await view('frame');
+const { interpretations, parse, parseId } = await view('bytes');
 const { Samples } = await core('ring');
 const { forceLimits, mistake, number, speedLimits, widthLimits } = await core('limits');
 const { acknowledged, MAX_ALARMS, sorted, updated, wrongWith } = await core('alarms');

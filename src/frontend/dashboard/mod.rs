@@ -25,6 +25,9 @@ struct Assets;
 /// The page, whose modules are named where it is served.
 const PAGE: &str = "index.html";
 
+/// The modules of the views that aren't seen first.
+const LATER: &str = "views/";
+
 /// Everything from here, nothing that stands in the page itself, no form that leads anywhere, and nobody's frame.
 const POLICY: HeaderValue = HeaderValue::from_static(
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; \
@@ -72,10 +75,11 @@ fn version() -> String {
     digits
 }
 
-/// The page, with where its parts are. All its modules are named, so that none has to wait for another that imports it.
+/// The page, with where its parts are. The modules that it begins with are named, so that none has to wait for another
+/// that imports it; those of [`LATER`] views it fetches by itself.
 fn with_modules(version: &str) -> String {
     let page = Assets::get(PAGE).map(|file| String::from_utf8_lossy(&file.data).into_owned()).unwrap_or_default();
-    let mut modules: Vec<_> = Assets::iter().filter(|path| is_module(path)).collect();
+    let mut modules: Vec<_> = Assets::iter().filter(|path| is_module(path) && !path.starts_with(LATER)).collect();
     modules.sort();
     let link = |path: &Cow<'static, str>| format!("<link rel=\"modulepreload\" href=\"/assets/{version}/{path}\">\n");
     let links: String = modules.iter().map(link).collect();

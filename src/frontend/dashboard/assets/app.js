@@ -1,6 +1,6 @@
 // The page: a bar that is always there, and one of five views.
 
-import { html, render, useEffect } from './lib.js';
+import { html, render, signal, useEffect } from './lib.js';
 import { LANGUAGES, language, t } from './model/i18n.js';
 import { myName, theme } from './model/prefs.js';
 import { gripper, view, VIEWS } from './model/store.js';
@@ -8,13 +8,9 @@ import { Alarms, Announcer } from './ui/alarms.js';
 import { Bar, Picker } from './ui/bar.js';
 import { Charts } from './ui/charts.js';
 import { Control } from './ui/control.js';
-import { Device } from './ui/device.js';
 import { Flags } from './ui/flags.js';
-import { History } from './ui/history.js';
 import { Jaws } from './ui/jaws.js';
-import { Log } from './ui/log.js';
 import { Motion } from './ui/motion.js';
-import { All } from './ui/overview.js';
 import { Choice } from './ui/parts.js';
 import { go, start } from './ui/route.js';
 
@@ -31,16 +27,27 @@ function Operate({ one }) {
   </div>`;
 }
 
-const OF_VIEW = { operate: Operate, history: History, log: Log, device: Device, all: All };
+/** Those that aren't seen first are fetched once the first one is there, before anybody can ask for them. */
+const ofView = signal({ operate: Operate });
+
+async function fetchViews() {
+  const [{ History }, { Log }, { Device }, { All }] = await Promise.all([import('./views/history.js'), import('./views/log.js'), import('./views/device.js'), import('./views/overview.js')]);
+  ofView.value = { operate: Operate, history: History, log: Log, device: Device, all: All };
+}
 
 function Main() {
   const one = gripper.value;
   useEffect(() => {
     // For whoever measures: what is there to see is on the screen with the frame after this.
-    if (one) requestAnimationFrame(() => performance.mark('useful'));
+    if (!one) return;
+    requestAnimationFrame(() => {
+      performance.mark('useful');
+      fetchViews();
+    });
   }, [one !== null]);
   if (!one) return html`<main class="waiting"><p>${t('stale.connecting')}</p></main>`;
-  const View = OF_VIEW[view.value];
+  const View = ofView.value[view.value];
+  if (!View) return html`<main class="waiting"></main>`;
   return html`<main key=${view.value === 'all' ? 'all' : one.name}><${View} one=${one} /></main>`;
 }
 

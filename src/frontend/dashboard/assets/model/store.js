@@ -1,4 +1,4 @@
-// What the page knows, fed by one WebSocket. Messages are taken as they come; the screen is told once a frame.
+// What the page knows, fed by one WebSocket. Messages are taken as they come; the screen is told ten times a second.
 
 import { batch, computed, effect, signal } from '../lib.js';
 import { acknowledged, updated, wrongWith } from '../core/alarms.js';
@@ -6,8 +6,13 @@ import { Rpc } from '../net/rpc.js';
 import { take as takeEvent } from './events.js';
 import { Gripper } from './gripper.js';
 
-/** So often states come at most: of a gripper in view, of all at a glance, and of a page that nobody sees. */
-const HZ = { one: 20, all: 8, hidden: 1 };
+/** So often states of each gripper come at most: where one is in view, of all at a glance, and where nobody looks. */
+const HZ = { one: 20, all: 5, hidden: 1 };
+/** And of all grippers together: each message costs a panel's processor. */
+const MAX_HZ_TOGETHER = 80;
+
+/** So often the screen changes: faster is not read, and costs a panel's processor. */
+const SHOWN_EVERY_MS = 95;
 
 /** Without anything from the gateway for that long, what is shown may be old: it is said within 2 s. It is asked in time. */
 const STALE_AFTER_MS = 1200;
@@ -27,7 +32,7 @@ export const alarms = signal([]);
 export const connection = signal('connecting');
 /** When the newest message came: the time of day. */
 export const heardAt = signal(null);
-/** Ticks, for ages. */
+/** Ticks by the second, for ages. */
 export const now = signal(Date.now());
 /** The newest event's number, so that what shows the journal looks again. */
 export const eventSeq = signal(0);
@@ -38,6 +43,8 @@ const isHidden = signal(document.hidden);
 const byName = new Map();
 let lastHeard = -Infinity;
 let isDirty = false;
+let shownAt = 0;
+const drawings = new Set();
 
 export const isLive = computed(() => connection.value === 'live');
 export const gripper = computed(() => grippers.value.find(({ name }) => name === selected.value) ?? grippers.value[0] ?? null);
@@ -54,11 +61,19 @@ function ensure(name) {
 
 function show() {
   isDirty = false;
+  shownAt = performance.now();
   batch(() => {
     grippers.value.forEach((one) => one.show());
     const wrong = grippers.value.flatMap((one) => (one.newest ? wrongWith(one.newest) : []));
     alarms.value = updated(alarms.value, wrong, Date.now());
   });
+  drawings.forEach((draw) => draw());
+}
+
+/** Draws with what is shown, in the same frame of the screen, until the answer is called. */
+export function drawWith(draw) {
+  drawings.add(draw);
+  return () => drawings.delete(draw);
 }
 
 function takeState(state) {
@@ -66,8 +81,8 @@ function takeState(state) {
   if (isDirty) return;
   isDirty = true;
   // A page that isn't seen gets no frames.
-  if (document.hidden) show();
-  else requestAnimationFrame(show);
+  const next = () => (document.hidden ? show() : requestAnimationFrame(show));
+  setTimeout(next, Math.max(0, shownAt + SHOWN_EVERY_MS - performance.now()));
 }
 
 export const rpc = new Rpc({
@@ -85,7 +100,11 @@ export const rpc = new Rpc({
   },
 });
 
-const hz = computed(() => (isHidden.value ? HZ.hidden : view.value === 'all' ? HZ.all : HZ.one));
+const hz = computed(() => {
+  if (isHidden.value) return HZ.hidden;
+  const share = Math.floor(MAX_HZ_TOGETHER / Math.max(1, grippers.value.length));
+  return Math.max(HZ.all, Math.min(view.value === 'all' ? HZ.all : HZ.one, share));
+});
 
 async function subscribe() {
   try {
@@ -127,7 +146,8 @@ function look() {
   batch(() => {
     connection.value = next;
     if (next === 'live') heardAt.value = Date.now() - silence;
-    now.value = Date.now();
+    const second = Math.floor(Date.now() / 1000) * 1000;
+    if (second !== now.peek()) now.value = second;
   });
   if (silence > RENEWED_AFTER_MS && rpc.isOpen) rpc.renew();
 }

@@ -3,6 +3,7 @@
 import { html, signal, uPlot, useEffect, useRef } from '../lib.js';
 import { fixed, language, t } from '../model/i18n.js';
 import { theme } from '../model/prefs.js';
+import { drawWith } from '../model/store.js';
 import { Choice, Covered, Panel } from './parts.js';
 
 const WINDOWS_S = [10, 30, 120, 600];
@@ -10,8 +11,7 @@ const WINDOWS_S = [10, 30, 120, 600];
 /** More points than that are not told apart on a screen. */
 const POINTS = 600;
 
-/** So often a moving gripper is drawn, and one that stands. */
-const MOVING_MS = 100;
+/** So often a gripper is drawn that stands; one that moves with each change of the screen. */
 const STANDING_MS = 500;
 
 const MARK_SHAPES = { begin: '\u25bd', held: '\u25cf', end: '\u25cb' };
@@ -73,7 +73,6 @@ function Charted({ one }) {
   useEffect(() => {
     let until = performance.now();
     let drawnAt = 0;
-    let timer;
     const plots = CHARTS.map((chart, index) => make(one, chart, places.current[index], () => until));
     const draw = () => {
       until = pausedAt.peek() ?? performance.now();
@@ -81,14 +80,9 @@ function Charted({ one }) {
       plots.forEach((plot, index) => plot.setData([columns[0], columns[CHARTS[index].column]]));
       drawnAt = performance.now();
     };
-    const tick = () => {
-      const every = one.isMoving.peek() ? MOVING_MS : STANDING_MS;
-      const isDue = performance.now() - drawnAt >= every - 20;
-      if (isDue && pausedAt.peek() === null && !document.hidden) requestAnimationFrame(draw);
-      timer = setTimeout(tick, MOVING_MS);
-    };
+    const isDue = () => one.isMoving.peek() || performance.now() - drawnAt >= STANDING_MS;
     draw();
-    tick();
+    const end = drawWith(() => { if (pausedAt.peek() === null && !document.hidden && isDue()) draw(); });
     const mounted = [...places.current];
     const resized = new ResizeObserver(() => plots.forEach((plot, index) => {
       const { clientWidth: width, clientHeight: height } = mounted[index];
@@ -99,7 +93,7 @@ function Charted({ one }) {
     const redraw = () => { windowS.value = windowS.peek(); draw(); };
     colours.addEventListener('change', redraw);
     return () => {
-      clearTimeout(timer);
+      end();
       resized.disconnect();
       colours.removeEventListener('change', redraw);
       plots.forEach((plot) => plot.destroy());

@@ -4,8 +4,8 @@ import { html, signal, useEffect } from '../lib.js';
 import { fixed, plain, span, t } from '../model/i18n.js';
 import { get } from '../net/rest.js';
 import { grippers, isLive, selected } from '../model/store.js';
-import { Panel, Shape, whyOld } from './parts.js';
-import { go } from './route.js';
+import { Panel, Shape, whyOld } from '../ui/parts.js';
+import { go } from '../ui/route.js';
 
 const ASKED_EVERY_MS = 2000;
 

@@ -5,7 +5,7 @@ import { accelerationLimits, forceLimits, mistake, number, widthLimits } from '.
 import { fixed, plain, t } from '../model/i18n.js';
 import { ask, askFreely } from '../model/commands.js';
 import { connection } from '../model/store.js';
-import { Covered, limitsText, NumberField, Panel, ProblemNote } from './parts.js';
+import { Covered, limitsText, NumberField, Panel, ProblemNote } from '../ui/parts.js';
 
 function Facts({ facts }) {
   return html`<dl class="facts">${facts.filter(([, value]) => value !== null && value !== undefined && value !== '').map(([key, value]) => html`<div key=${key}><dt>${t(key)}</dt><dd>${value}</dd></div>`)}</dl>`;

@@ -1,11 +1,11 @@
 // The command editor: bytes as people write them, the frame that they make, and what the gripper answers.
 
 import { html, useSignal } from '../lib.js';
-import { interpretations, parse, parseId } from '../core/bytes.js';
-import { encode, fromHex, MAX_PAYLOAD, toHex } from '../core/frame.js';
+import { interpretations, parse, parseId } from './bytes.js';
+import { encode, fromHex, MAX_PAYLOAD, toHex } from './frame.js';
 import { t } from '../model/i18n.js';
 import { isLive, rpc } from '../model/store.js';
-import { Panel, ProblemNote } from './parts.js';
+import { Panel, ProblemNote } from '../ui/parts.js';
 
 /** A long frame's begin and end: the checksum is there in any case. */
 const SHOWN = 240;

@@ -1,12 +1,12 @@
 // The communication log: frames decoded, their bytes on demand, and a command editor.
 
 import { html, useEffect, useRef, useSignal } from '../lib.js';
-import { interpretations } from '../core/bytes.js';
-import { fromHex, toHex } from '../core/frame.js';
+import { interpretations } from './bytes.js';
+import { fromHex, toHex } from './frame.js';
 import { t } from '../model/i18n.js';
-import { clear, follow, frames, hasUpdates, isPaused } from '../model/frames.js';
+import { clear, follow, frames, hasUpdates, isPaused } from './frames.js';
 import { Editor } from './editor.js';
-import { Panel } from './parts.js';
+import { Panel } from '../ui/parts.js';
 
 const clock = (at) => at.slice(11, 23).replace('Z', '');
 

@@ -1,13 +1,13 @@
 // History: what happened, and how parts were held, from the journal.
 
 import { html, useEffect, useSignal } from '../lib.js';
-import { details, sentence } from '../core/sentence.js';
+import { details, sentence } from './sentence.js';
 import { fixed, moment, plain, t } from '../model/i18n.js';
-import { download } from '../model/export.js';
+import { download } from './export.js';
 import { get, query } from '../net/rest.js';
 import { eventSeq, isLive } from '../model/store.js';
 import { Curve } from './curve.js';
-import { Choice, Covered, Panel, ProblemNote } from './parts.js';
+import { Choice, Covered, Panel, ProblemNote } from '../ui/parts.js';
 
 const PAGE = 50;
 /** News come in bursts: the list is asked for at most this often. */
