@@ -176,6 +176,39 @@ test('what is jogged moves while it is held and no longer', async () => {
   await visitor.close();
 });
 
+test('a page that hangs while it is jogged stops the fingers all the same', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  await page.click('#take-control');
+  await page.click('#home:enabled');
+  await page.waitForSelector('[data-outcome=SUCCESS]');
+  await page.waitForSelector('#jog-close:enabled');
+  await page.locator('#jog-close').hover();
+  await page.mouse.down();
+  const state = () => served.ask('GET', 'grippers/left/state');
+  await until('it moves', async () => (await state()).width_mm < 105);
+  // Its connection answers pings still: that is the browser's doing, not the page's.
+  const hangs = page.evaluate(() => new Promise((resolve) => {
+    setTimeout(() => {
+      const end = Date.now() + 2500;
+      while (Date.now() < end);
+      resolve();
+    });
+  }));
+  const stopped = await until('it is stopped', async () => {
+    const now = await state();
+    return now.fast_stop ? now : null;
+  });
+  assert.equal(stopped.fast_stop_cause, 'client_lost');
+  assert.ok(stopped.width_mm > 20, `at ${stopped.width_mm}`);
+  await hangs;
+  await page.mouse.up();
+  await page.waitForSelector('.latch:has-text("was lost while the fingers moved")');
+  assertClean(visitor);
+  await visitor.close();
+});
+
 test('presets are kept in the browser', async () => {
   const served = await gateway();
   const visitor = await visit(launched, served);

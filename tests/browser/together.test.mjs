@@ -86,6 +86,8 @@ test('the page says within 2 s that the gateway is gone, and recovers', async ()
   const said = (await covered()) - killedAt;
   assert.ok(said < SAID_WITHIN_MS, `said after ${said} ms`);
   await page.waitForSelector('.cover:has-text("Since")');
+  await page.waitForSelector('.alarm:has-text("No connection to the gateway")');
+  assert.equal(await page.locator('.jaws-words').count(), 0, 'no old word looks live');
   assert.ok(await page.locator('#stop').isEnabled(), 'STOP stays');
   await page.click('#stop');
   await page.waitForSelector('.stopped:has-text("did not get through")');

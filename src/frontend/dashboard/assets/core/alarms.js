@@ -25,6 +25,9 @@ export function wrongWith(state) {
   return wrong;
 }
 
+/** What is wrong with the way to the gateway, of which nothing else is known then. */
+export const GATEWAY_GONE = { key: 'gateway', gripper: null, what: 'gateway', priority: 'high', cause: null };
+
 /**
  * The list after `wrong` was seen at `now`: new alarms first, those that are over marked, the oldest of those that are
  * over and acknowledged left out.

@@ -1,7 +1,7 @@
 // German. Each key is in every dictionary: a test holds that.
 
 export const de = {
-  width: 'Öffnungsweite', speed: 'Geschwindigkeit', force: 'Kraft', ago: 'vor {span}', close: 'Schließen', cancel: 'Abbrechen',
+  width: 'Öffnungsweite', speed: 'Geschwindigkeit', force: 'Kraft', ago: 'vor {span}', close: 'Schließen', newer: 'Das Gateway liefert eine neuere Fassung dieser Seite.', reload: 'Laden', cancel: 'Abbrechen',
   'span.seconds': '{count} s', 'span.minutes': '{count} min', 'span.hours': '{count} h', 'span.days': '{count} d',
 
   'nav.label': 'Ansichten', 'nav.skip': 'Zu den Bedienelementen', 'nav.operate': 'Bedienen', 'nav.history': 'Verlauf', 'nav.log': 'Protokoll', 'nav.device': 'Gerät', 'nav.all': 'Alle',
@@ -53,7 +53,7 @@ export const de = {
 
   'alarm.title': 'Alarme', 'alarm.none': 'Alles in Ordnung.', 'alarm.hint': 'Quittiert für diesen Browser; ein FAST STOP für alle, bei den Bedienelementen.', 'alarm.active': 'aktiv', 'alarm.cleared': 'vorbei', 'alarm.acknowledged': 'aktiv, quittiert',
   'alarm.acknowledge': 'Quittieren', 'alarm.acknowledge_one': 'Quittieren: {alarm}', 'alarm.show': 'Zeigen',
-  'alarm.fast_stop': 'FAST STOP', 'alarm.journal': 'Das Journal nimmt nichts an', 'alarm.part_lost': 'Teil verloren', 'alarm.link.connecting': 'noch nicht erreicht', 'alarm.link.unresponsive': 'stumm', 'alarm.link.reconnecting': 'keine Verbindung',
+  'alarm.fast_stop': 'FAST STOP', 'alarm.journal': 'Das Journal nimmt nichts an', 'alarm.part_lost': 'Teil verloren', 'alarm.gateway': 'Keine Verbindung zum Gateway', 'alarm.link.connecting': 'noch nicht erreicht', 'alarm.link.unresponsive': 'stumm', 'alarm.link.reconnecting': 'keine Verbindung',
   'alarm.flag.TEMP_WARNING': 'warm', 'alarm.flag.TEMP_FAULT': 'Temperaturfehler', 'alarm.flag.POWER_FAULT': 'Fehler der Stromversorgung', 'alarm.flag.CURR_FAULT': 'Motor überlastet', 'alarm.flag.FINGER_FAULT': 'Fingerfehler', 'alarm.flag.SCRIPT_FAILURE': 'Skript fehlgeschlagen',
 
   'control.title': 'Steuerung', 'control.nobody': 'Niemand steuert.', 'control.take': 'Steuerung übernehmen', 'control.more': 'Darum bitten', 'control.held_by': '{holder} steuert.', 'control.mine': 'Sie steuern, als {name}.', 'control.release': 'Steuerung abgeben',
@@ -62,7 +62,7 @@ export const de = {
   'control.terms': 'Wenn dieser Browser verschwindet', 'control.if_gone': 'Wenn dieser Browser verschwindet, ohne die Steuerung abzugeben', 'control.on_moving': 'Während die Finger fahren', 'control.on_holding': 'Während ein Teil gehalten wird',
   'loss.fast_stop': 'FAST STOP', 'loss.stop': 'anhalten', 'loss.finish': 'Bewegung beenden', 'loss.keep': 'weiter halten',
   'gone.moving.fast_stop': 'Fahrende Finger stoppt ein FAST STOP.', 'gone.moving.stop': 'Fahrende Finger halten an.', 'gone.moving.finish': 'Eine Bewegung läuft zu Ende; der Tippbetrieb hält trotzdem an.', 'gone.holding.keep': 'Ein gehaltenes Teil bleibt gehalten, und der Greifer ist Ihnen vorbehalten.', 'gone.holding.fast_stop': 'Bei gehaltenem Teil kommt ein FAST STOP.',
-  'gone.link': 'Verschwunden ist er 3 s nach dem letzten Lebenszeichen.', 'control.others': 'Wer sonst da ist', 'control.connected': '{door}: {count}', 'door.http': 'HTTP', 'door.ws': 'WebSocket', 'door.wsg': 'WSG-Port', 'door.zenoh': 'Zenoh',
+  'gone.link': 'Verschwunden ist er 3 s nach dem letzten Lebenszeichen.', 'control.others': 'Wer sonst da ist', 'control.connections': 'Offene Verbindungen: {list}', 'door.http': 'HTTP', 'door.ws': 'WebSocket', 'door.wsg': 'WSG-Port', 'door.zenoh': 'Zenoh',
 
   'machine.label': 'Greiferzustände; jetzt: {state}', 'flags.title': 'Zustand und Flags', 'flags.reserved': 'Die Bits 10, 11 und 21 bis 31 sind reserviert; sie erscheinen, wenn sie gesetzt sind.', 'flag.reserved': 'reserviert', 'flag.set': 'an', 'flag.clear': 'aus',
   'flag.REFERENCED': 'referenziert', 'flag.MOVING': 'fährt', 'flag.BLOCKED_MINUS': 'blockiert beim Schließen', 'flag.BLOCKED_PLUS': 'blockiert beim Öffnen', 'flag.SOFT_LIMIT_MINUS': 'am unteren Soft-Limit', 'flag.SOFT_LIMIT_PLUS': 'am oberen Soft-Limit', 'flag.AXIS_STOPPED': 'durch Halt gestoppt', 'flag.TARGET_POS_REACHED': 'Ziel erreicht',

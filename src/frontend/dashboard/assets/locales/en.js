@@ -1,7 +1,7 @@
 // English. Each key is in every dictionary: a test holds that.
 
 export const en = {
-  width: 'Width', speed: 'Speed', force: 'Force', ago: '{span} ago', close: 'Close', cancel: 'Cancel',
+  width: 'Width', speed: 'Speed', force: 'Force', ago: '{span} ago', close: 'Close', newer: 'The gateway serves a newer version of this page.', reload: 'Load it', cancel: 'Cancel',
   'span.seconds': '{count} s', 'span.minutes': '{count} min', 'span.hours': '{count} h', 'span.days': '{count} d',
 
   'nav.label': 'Views', 'nav.skip': 'Skip to the controls', 'nav.operate': 'Operate', 'nav.history': 'History', 'nav.log': 'Log', 'nav.device': 'Device', 'nav.all': 'All',
@@ -53,7 +53,7 @@ export const en = {
 
   'alarm.title': 'Alarms', 'alarm.none': 'Nothing is wrong.', 'alarm.hint': 'Acknowledged for this browser; a FAST STOP for everybody, at the controls.', 'alarm.active': 'active', 'alarm.cleared': 'over', 'alarm.acknowledged': 'active, acknowledged',
   'alarm.acknowledge': 'Acknowledge', 'alarm.acknowledge_one': 'Acknowledge: {alarm}', 'alarm.show': 'Show',
-  'alarm.fast_stop': 'FAST STOP', 'alarm.journal': 'The journal takes no records', 'alarm.part_lost': 'Part lost', 'alarm.link.connecting': 'not reached yet', 'alarm.link.unresponsive': 'silent', 'alarm.link.reconnecting': 'no link',
+  'alarm.fast_stop': 'FAST STOP', 'alarm.journal': 'The journal takes no records', 'alarm.part_lost': 'Part lost', 'alarm.gateway': 'No connection to the gateway', 'alarm.link.connecting': 'not reached yet', 'alarm.link.unresponsive': 'silent', 'alarm.link.reconnecting': 'no link',
   'alarm.flag.TEMP_WARNING': 'warm', 'alarm.flag.TEMP_FAULT': 'temperature fault', 'alarm.flag.POWER_FAULT': 'power fault', 'alarm.flag.CURR_FAULT': 'motor overloaded', 'alarm.flag.FINGER_FAULT': 'finger fault', 'alarm.flag.SCRIPT_FAILURE': 'script failed',
 
   'control.title': 'Control', 'control.nobody': 'Nobody has control.', 'control.take': 'Take control', 'control.more': 'Ask for it', 'control.held_by': '{holder} has control.', 'control.mine': 'You have control, as {name}.', 'control.release': 'Give control back',
@@ -62,7 +62,7 @@ export const en = {
   'control.terms': 'If this browser goes', 'control.if_gone': 'If this browser goes without giving control back', 'control.on_moving': 'While the fingers move', 'control.on_holding': 'While a part is held',
   'loss.fast_stop': 'FAST STOP', 'loss.stop': 'stop', 'loss.finish': 'finish the motion', 'loss.keep': 'keep holding',
   'gone.moving.fast_stop': 'Moving fingers are stopped by a FAST STOP.', 'gone.moving.stop': 'Moving fingers stop.', 'gone.moving.finish': 'A motion is finished; jogging stops all the same.', 'gone.holding.keep': 'A held part stays held, and the gripper is reserved for you.', 'gone.holding.fast_stop': 'A held part gets a FAST STOP.',
-  'gone.link': 'It counts as gone 3 s after the last sign of life.', 'control.others': 'Who else is here', 'control.connected': '{door}: {count}', 'door.http': 'HTTP', 'door.ws': 'WebSocket', 'door.wsg': 'WSG port', 'door.zenoh': 'Zenoh',
+  'gone.link': 'It counts as gone 3 s after the last sign of life.', 'control.others': 'Who else is here', 'control.connections': 'Open connections: {list}', 'door.http': 'HTTP', 'door.ws': 'WebSocket', 'door.wsg': 'WSG port', 'door.zenoh': 'Zenoh',
 
   'machine.label': 'Gripper states; now: {state}', 'flags.title': 'State and flags', 'flags.reserved': 'Bits 10, 11 and 21 to 31 are reserved, and shown when set.', 'flag.reserved': 'reserved', 'flag.set': 'on', 'flag.clear': 'off',
   'flag.REFERENCED': 'referenced', 'flag.MOVING': 'moving', 'flag.BLOCKED_MINUS': 'blocked, closing', 'flag.BLOCKED_PLUS': 'blocked, opening', 'flag.SOFT_LIMIT_MINUS': 'at lower soft limit', 'flag.SOFT_LIMIT_PLUS': 'at upper soft limit', 'flag.AXIS_STOPPED': 'stopped by a Stop', 'flag.TARGET_POS_REACHED': 'target reached',

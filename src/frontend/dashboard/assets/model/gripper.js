@@ -65,7 +65,13 @@ export class Gripper {
   }
 
   show() {
-    if (this.newest !== null && this.newest !== this.state.peek()) this.state.value = this.newest;
+    const state = this.newest;
+    if (state === null || state === this.state.peek()) return;
+    this.state.value = state;
+    const held = this.held.peek();
+    // What was lost, or is somebody else's by now, entitles to nothing: its token would only be refused.
+    const isOver = held && (state.lease_epoch > held.epoch || (state.lease_epoch === held.epoch && state.lease_holder === null));
+    if (isOver) this.held.value = null;
   }
 
   mark(at, kind, text) {

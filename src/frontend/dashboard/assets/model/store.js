@@ -1,9 +1,10 @@
 // What the page knows, fed by one WebSocket. Messages are taken as they come; the screen is told ten times a second.
 
 import { batch, computed, effect, signal } from '../lib.js';
-import { acknowledged, updated, wrongWith } from '../core/alarms.js';
+import { acknowledged, GATEWAY_GONE, updated, wrongWith } from '../core/alarms.js';
 import { Rpc } from '../net/rpc.js';
 import { take as takeEvent } from './events.js';
+import { lookForNewer } from './version.js';
 import { Gripper } from './gripper.js';
 
 /** So often states of each gripper come at most: where one is in view, of all at a glance, and where nobody looks. */
@@ -59,13 +60,18 @@ function ensure(name) {
   return byName.get(name);
 }
 
+function noteAlarms() {
+  const wrong = grippers.value.flatMap((one) => (one.newest ? wrongWith(one.newest) : []));
+  if (connection.value === 'lost' || connection.value === 'silent') wrong.push(GATEWAY_GONE);
+  alarms.value = updated(alarms.value, wrong, Date.now());
+}
+
 function show() {
   isDirty = false;
   shownAt = performance.now();
   batch(() => {
     grippers.value.forEach((one) => one.show());
-    const wrong = grippers.value.flatMap((one) => (one.newest ? wrongWith(one.newest) : []));
-    alarms.value = updated(alarms.value, wrong, Date.now());
+    noteAlarms();
   });
   drawings.forEach((draw) => draw());
 }
@@ -86,11 +92,14 @@ function takeState(state) {
 }
 
 export const rpc = new Rpc({
-  onOpen: () => subscribe(),
+  onOpen: () => {
+    subscribe();
+    lookForNewer();
+  },
   onEnd: () => {
     // What was held lives with the connection.
     byName.forEach((one) => { one.held.value = null; });
-    if (connection.value !== 'connecting') connection.value = 'lost';
+    look();
   },
   onHeard: () => { lastHeard = performance.now(); },
   onTold: (method, params) => {
@@ -144,7 +153,10 @@ function look() {
   const silence = performance.now() - lastHeard;
   const next = !rpc.isOpen ? (connection.peek() === 'connecting' ? 'connecting' : 'lost') : silence > STALE_AFTER_MS ? 'silent' : 'live';
   batch(() => {
-    connection.value = next;
+    if (next !== connection.peek()) {
+      connection.value = next;
+      noteAlarms();
+    }
     if (next === 'live') heardAt.value = Date.now() - silence;
     const second = Math.floor(Date.now() / 1000) * 1000;
     if (second !== now.peek()) now.value = second;

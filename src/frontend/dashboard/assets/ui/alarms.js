@@ -7,9 +7,11 @@ import { acknowledgeAlarm, alarms, selected } from '../model/store.js';
 import { Panel, Shape } from './parts.js';
 import { go } from './route.js';
 
+const named = (alarm) => (alarm.gripper ? `${alarm.gripper}: ${alarmText(alarm)}` : alarmText(alarm));
+
 export function alarmText({ what }) {
   const [kind, detail] = what.split('/');
-  return kind === 'fast_stop' || kind === 'journal' || kind === 'part_lost' ? t(`alarm.${kind}`) : t(`alarm.${kind}.${detail}`);
+  return kind === 'link' || kind === 'flag' ? t(`alarm.${kind}.${detail}`) : t(`alarm.${kind}`);
 }
 
 function Row({ alarm }) {
@@ -17,7 +19,7 @@ function Row({ alarm }) {
   const words = alarm.clearedAt ? 'alarm.cleared' : alarm.acknowledgedAt ? 'alarm.acknowledged' : 'alarm.active';
   return html`<li class=${`alarm tone-${alarm.clearedAt || alarm.acknowledgedAt ? 'over' : alarm.priority}`}>
     <${Shape} name=${alarm.priority} />
-    <div class="alarm-text"><strong>${alarm.gripper}: ${alarmText(alarm)}</strong>
+    <div class="alarm-text"><strong>${named(alarm)}</strong>
       <span class="muted small">${t(words)} · ${moment(alarm.since)}${alarm.clearedAt ? ` – ${moment(alarm.clearedAt)}` : ''}${alarm.cause ? ` · ${alarm.cause}` : ''}</span></div>
     ${isLatch ? html`<button type="button" onClick=${() => { selected.value = alarm.gripper; go('operate'); requestAnimationFrame(() => document.getElementById('motion-title')?.scrollIntoView({ block: 'center' })); }}>${t('alarm.show')}</button>`
       : !alarm.acknowledgedAt && html`<button type="button" aria-label=${t('alarm.acknowledge_one', { alarm: alarmText(alarm) })} onClick=${() => acknowledgeAlarm(alarm.id)}>${t('alarm.acknowledge')}</button>`}
@@ -36,5 +38,5 @@ export function Alarms() {
 /** Read aloud at once, wherever somebody is on the page. */
 export function Announcer() {
   const newest = alarms.value.find((alarm) => !alarm.clearedAt && !alarm.acknowledgedAt);
-  return html`<div class="visually-hidden" aria-live="assertive" role="alert">${newest ? `${newest.gripper}: ${alarmText(newest)}` : ''}</div>`;
+  return html`<div class="visually-hidden" aria-live="assertive" role="alert">${newest ? named(newest) : ''}</div>`;
 }

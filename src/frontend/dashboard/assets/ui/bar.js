@@ -3,7 +3,8 @@
 import { html, signal } from '../lib.js';
 import { ofProblem, t, time } from '../model/i18n.js';
 import { fastStop } from '../model/commands.js';
-import { alarms, connection, gripper, grippers, heardAt, selected } from '../model/store.js';
+import { alarms, connection, gripper, grippers, heardAt, isLive, selected } from '../model/store.js';
+import { isOld } from '../model/version.js';
 import { Shape, whyOld } from './parts.js';
 import { go } from './route.js';
 
@@ -67,6 +68,7 @@ function stateItem(one) {
 }
 
 function controlItem(one) {
+  if (!isLive.value) return { shape: 'off', text: t('bar.unknown') };
   const holder = one?.holder.value;
   if (one?.isMine.value) return { shape: 'lock', tone: 'tone-mine', text: t('bar.mine') };
   return holder ? { shape: 'lock', text: holder } : { shape: 'off', text: t('bar.free') };
@@ -93,6 +95,7 @@ export function Bar() {
       </div>
       <${Stop} />
     </div>
+    ${isOld.value && html`<p class="newer" role="status">${t('newer')} <button type="button" onClick=${() => location.reload()}>${t('reload')}</button></p>`}
     ${stopped.value && html`<p class=${`stopped ${stopped.value.isWrong ? 'tone-critical' : ''}`} role="status">${stopped.value.text}
       <button type="button" class="quiet" onClick=${() => { stopped.value = null; }}>${t('close')}</button></p>`}
   </header>`;

@@ -56,7 +56,7 @@ function make(one, chart, place, until) {
     height: place.clientHeight,
     legend: { show: false },
     cursor: { show: false },
-    padding: [8, 8, 0, 0],
+    padding: [8, 16, 0, 0],
     scales: { x: { time: false, range: () => [-windowS.peek(), 0] }, y: { range: (_, low, high) => chart.range(one, low ?? 0, high ?? 0) } },
     axes: [
       axis({ size: 20, values: (_, splits) => splits.map((value) => (value === 0 ? t('chart.now') : `${value} s`)), space: 70 }),

@@ -56,7 +56,7 @@ function Others() {
   useEffect(watchClients, []);
   const list = [...others.value].reverse().slice(0, 6);
   return html`<h3>${t('control.others')}</h3>
-    <p class="small">${clients.value.map(({ door, count }) => t('control.connected', { door: t(`door.${door}`), count })).join(' · ') || '–'}</p>
+    <p class="small">${t('control.connections', { list: clients.value.map(({ door, count }) => `${t(`door.${door}`)} ${count}`).join(', ') || '–' })}</p>
     <ul class="others small">${list.map(([name, { door, at }]) => html`<li key=${name}><code>${name}</code> <span class="muted">${t(`door.${door}`)}, ${ago(at)}</span></li>`)}</ul>`;
 }
 

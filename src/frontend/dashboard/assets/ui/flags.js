@@ -3,7 +3,7 @@
 import { html } from '../lib.js';
 import { FLAGS, isSet } from '../core/flags.js';
 import { t } from '../model/i18n.js';
-import { Covered, Panel, Shape } from './parts.js';
+import { Covered, Panel, Shape, whyOld } from './parts.js';
 
 const BOXES = {
   IDLE: [10, 70], POSITIONING: [10, 150], RELEASING: [180, 150], GRASPING: [180, 70],
@@ -38,7 +38,7 @@ function Flag({ flag, raw }) {
 
 export function Flags({ one }) {
   const raw = one.flags.value;
-  return html`<${Panel} title=${t('flags.title')} id="flags-title" class="flags-panel" actions=${html`<code class="muted small">${raw === null ? '' : `0x${raw.toString(16).padStart(8, '0')}`}</code>`}>
+  return html`<${Panel} title=${t('flags.title')} id="flags-title" class="flags-panel" actions=${raw !== null && !whyOld(one) && html`<code class="muted small">0x${raw.toString(16).padStart(8, '0')}</code>`}>
     <${Covered} one=${one}>
       <${StateMachine} one=${one} />
       <ul class="flags">${FLAGS.filter(({ name, bit }) => name || isSet(raw, bit)).map((flag) => html`<${Flag} key=${flag.bit} flag=${flag} raw=${raw} />`)}</ul>

@@ -2,7 +2,7 @@
 
 import { html, useComputed } from '../lib.js';
 import { fixed, plain, t } from '../model/i18n.js';
-import { Covered, Figure, Panel } from './parts.js';
+import { Covered, Figure, Panel, whyOld } from './parts.js';
 
 const MIDDLE = 340;
 const SPAN = 540;
@@ -42,8 +42,7 @@ function Target({ one, scale }) {
 function Jaw({ side, place, direction }) {
   const mirror = side < 0 ? 'scale(-1 1)' : '';
   return html`<g transform=${place}><g transform=${mirror}>
-    <path class="jaw" d="M0 84v80h16v-62l34-14V44H6v40z" />
-    <path class="carriage" d="M6 44h60v18H6z" />
+    <path class="jaw" d="M0 84v80h16v-60l34-16V64h18V44H6v40z" />
     ${direction !== 0 && html`<path class="arrow" d=${direction > 0 ? 'M24 47h12v-5l12 11-12 11v-5H24z' : 'M48 47H36v-5L24 53l12 11v-5h12z'} />`}
   </g></g>`;
 }
@@ -98,7 +97,7 @@ function Figures({ one }) {
 }
 
 export function Jaws({ one }) {
-  return html`<${Panel} title=${one.name} id="jaws-title" class="jaws-panel" actions=${html`<span class="jaws-words" data-state=${one.gripperState.value}>${words(one)}</span>`}>
+  return html`<${Panel} title=${one.name} id="jaws-title" class="jaws-panel" actions=${!whyOld(one) && html`<span class="jaws-words" data-state=${one.gripperState.value}>${words(one)}</span>`}>
     <${Covered} one=${one}><${Drawing} one=${one} /><${Figures} one=${one} /></${Covered}>
   </${Panel}>`;
 }

@@ -3,7 +3,7 @@
 import { computed, html, signal, useMemo } from '../lib.js';
 import { forceLimits, mistake, number, speedLimits, widthLimits } from '../core/limits.js';
 import { fixed, plain, t } from '../model/i18n.js';
-import { ask, fastStop, move, takeControl } from '../model/commands.js';
+import { askFreely, fastStop, move, takeControl } from '../model/commands.js';
 import { isLive } from '../model/store.js';
 import { JogPanel } from './jog.js';
 import { Latch } from './latch.js';
@@ -93,7 +93,7 @@ function Controls({ one }) {
 
 export function Motion({ one }) {
   const isLatched = one.latchId.value !== null;
-  const actions = html`<button type="button" id="stop-soft" disabled=${!isLive.value} onClick=${() => ask(one, 'stop')}>${t('command.stop')}</button>
+  const actions = html`<button type="button" id="stop-soft" disabled=${!isLive.value} onClick=${() => askFreely(one, 'stop')}>${t('command.stop')}</button>
     <button type="button" id="stop-one" onClick=${() => fastStop(one.name).catch((problem) => { one.problem.value = problem.errors?.at(-1) ?? problem; })}>${t('motion.fast_stop', { gripper: one.name })}</button>`;
   return html`<${Panel} title=${t('motion.title')} id="motion-title" class="motion-panel" actions=${actions}>
     <${Covered} one=${one}>

@@ -1,0 +1,17 @@
+// Whether the gateway serves another page than this by now: an operator leaves it open for weeks.
+
+import { signal } from '../lib.js';
+
+/** `/assets/VERSION/`, where this module came from. */
+const OURS = new URL('..', import.meta.url).pathname;
+
+export const isOld = signal(false);
+
+export async function lookForNewer() {
+  try {
+    const page = await fetch('/', { cache: 'no-cache', signal: AbortSignal.timeout(5000) });
+    isOld.value = page.ok && !(await page.text()).includes(OURS);
+  } catch {
+    // With the next connection.
+  }
+}
