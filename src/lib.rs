@@ -8,6 +8,7 @@
 //! | [`transport`] | byte pipes to devices; knows nothing of the protocol |
 //! | [`gripper`] | one actor per gripper, the only owner of its state; everyone else has a [handle](gripper::Handle) |
 //! | [`frontend`] | the doors: [HTTP](frontend::http), [Zenoh](frontend::zenoh), the [WSG port](frontend::wsg_port); what they [tell](frontend::updates), and the [other gateways](frontend::network) |
+//! | [`frontend::dashboard`] | the page at `/`, which uses the public WebSocket and REST alone |
 //! | [`journal`] | events and grip records that outlive the gateway, in SQLite |
 //! | [`sim`] | a device, modelled from the manual: a pure machine, with faults |
 //! | [`config`] | file, environment and flags to validated types; nothing else reads them |

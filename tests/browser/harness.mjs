@@ -19,10 +19,11 @@ export const ASSETS = join(ROOT, 'src/frontend/dashboard/assets/');
 /** How long anything may take that has no time of its own: a busy machine is slow, and still right. */
 export const DEADLINE_MS = 30_000;
 
-const FLAGS = ['--disable-gpu', '--disable-quic', '--no-first-run', '--disable-background-networking', '--disable-component-update', '--disable-sync'];
+export const CHROMIUM = process.env.CHROMIUM ?? '/usr/bin/chromium';
+export const FLAGS = ['--disable-gpu', '--disable-quic', '--no-first-run', '--disable-background-networking', '--disable-component-update', '--disable-sync'];
 
 /** What was started, to be ended in the opposite order. */
-const started = [];
+export const started = [];
 
 export async function endAll() {
   while (started.length > 0) await started.pop()();
@@ -69,7 +70,7 @@ export async function gateway({ port = 0, more = [], connects = null } = {}) {
 }
 
 export async function browser() {
-  const launched = await chromium.launch({ executablePath: process.env.CHROMIUM ?? '/usr/bin/chromium', args: FLAGS, chromiumSandbox: false });
+  const launched = await chromium.launch({ executablePath: CHROMIUM, args: FLAGS, chromiumSandbox: false });
   started.push(() => launched.close());
   return launched;
 }

@@ -22,13 +22,17 @@ function Views() {
 
 function Operate({ one }) {
   return html`<div class="operate">
-    <${Jaws} one=${one} /><${Motion} one=${one} /><${Charts} one=${one} />
-    <div class="column-more"><${Alarms} /><${Control} one=${one} /><${Flags} one=${one} /></div>
+    <${Jaws} one=${one} /><${Motion} one=${one} />
+    ${isSecond.value && html`<${Charts} one=${one} />`}
+    <div class="column-more">${isSecond.value && html`<${Alarms} /><${Control} one=${one} /><${Flags} one=${one} />`}</div>
   </div>`;
 }
 
 /** Those that aren't seen first are fetched once the first one is there, before anybody can ask for them. */
 const ofView = signal({ operate: Operate });
+
+/** What is looked at second comes with the frame after what is looked at first. */
+const isSecond = signal(false);
 
 async function fetchViews() {
   const [{ History }, { Log }, { Device }, { All }] = await Promise.all([import('./views/history.js'), import('./views/log.js'), import('./views/device.js'), import('./views/overview.js')]);
@@ -42,7 +46,10 @@ function Main() {
     if (!one) return;
     requestAnimationFrame(() => {
       performance.mark('useful');
-      fetchViews();
+      setTimeout(() => {
+        isSecond.value = true;
+        fetchViews();
+      });
     });
   }, [one !== null]);
   if (!one) return html`<main class="waiting"><p>${t('stale.connecting')}</p></main>`;

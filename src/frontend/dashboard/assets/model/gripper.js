@@ -7,15 +7,22 @@ import { has } from '../core/flags.js';
 /** Ten minutes at 20 a second. */
 const SAMPLES = 12_288;
 
+/** Nobody reads figures that change faster. */
+const READ_EVERY_MS = 180;
+
 /** Marks on the charts: more are not told apart. */
 const MAX_MARKS = 64;
 
 export class Gripper {
+  #readAt = -Infinity;
+
   constructor(name) {
     this.name = name;
     /** What was told last, and perhaps not shown yet. */
     this.newest = null;
     this.state = signal(null);
+    /** The same for figures that people read, less often while it moves. */
+    this.reading = signal(null);
     this.info = signal(null);
     this.lease = signal(null);
     this.softLimits = signal(null);
@@ -68,6 +75,11 @@ export class Gripper {
     const state = this.newest;
     if (state === null || state === this.state.peek()) return;
     this.state.value = state;
+    const now = performance.now();
+    if (!state.moving || now - this.#readAt >= READ_EVERY_MS) {
+      this.#readAt = now;
+      this.reading.value = state;
+    }
     const held = this.held.peek();
     // What was lost, or is somebody else's by now, entitles to nothing: its token would only be refused.
     const isOver = held && (state.lease_epoch > held.epoch || (state.lease_epoch === held.epoch && state.lease_holder === null));

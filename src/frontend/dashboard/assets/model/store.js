@@ -1,4 +1,4 @@
-// What the page knows, fed by one WebSocket. Messages are taken as they come; the screen is told ten times a second.
+// What the page knows, fed by one WebSocket. Messages are taken as they come; the screen is told less than ten times a second.
 
 import { batch, computed, effect, signal } from '../lib.js';
 import { acknowledged, GATEWAY_GONE, updated, wrongWith } from '../core/alarms.js';
@@ -10,10 +10,10 @@ import { Gripper } from './gripper.js';
 /** So often states of each gripper come at most: where one is in view, of all at a glance, and where nobody looks. */
 const HZ = { one: 20, all: 5, hidden: 1 };
 /** And of all grippers together: each message costs a panel's processor. */
-const MAX_HZ_TOGETHER = 80;
+const MAX_HZ_TOGETHER = 64;
 
 /** So often the screen changes: faster is not read, and costs a panel's processor. */
-const SHOWN_EVERY_MS = 95;
+const SHOWN_EVERY_MS = 110;
 
 /** Without anything from the gateway for that long, what is shown may be old: it is said within 2 s. It is asked in time. */
 const STALE_AFTER_MS = 1200;

@@ -7,7 +7,14 @@ const OURS = new URL('..', import.meta.url).pathname;
 
 export const isOld = signal(false);
 
+let isFirst = true;
+
 export async function lookForNewer() {
+  // The first connection is made by a page that has just come.
+  if (isFirst) {
+    isFirst = false;
+    return;
+  }
   try {
     const page = await fetch('/', { cache: 'no-cache', signal: AbortSignal.timeout(5000) });
     isOld.value = page.ok && !(await page.text()).includes(OURS);

@@ -11,7 +11,8 @@ const WINDOWS_S = [10, 30, 120, 600];
 /** More points than that are not told apart on a screen. */
 const POINTS = 600;
 
-/** So often a gripper is drawn that stands; one that moves with each change of the screen. */
+/** So often a gripper is drawn that moves, and one that stands. */
+const MOVING_MS = 180;
 const STANDING_MS = 500;
 
 const MARK_SHAPES = { begin: '\u25bd', held: '\u25cf', end: '\u25cb' };
@@ -80,7 +81,7 @@ function Charted({ one }) {
       plots.forEach((plot, index) => plot.setData([columns[0], columns[CHARTS[index].column]]));
       drawnAt = performance.now();
     };
-    const isDue = () => one.isMoving.peek() || performance.now() - drawnAt >= STANDING_MS;
+    const isDue = () => performance.now() - drawnAt >= (one.isMoving.peek() ? MOVING_MS : STANDING_MS);
     draw();
     const end = drawWith(() => { if (pausedAt.peek() === null && !document.hidden && isDue()) draw(); });
     const mounted = [...places.current];

@@ -85,14 +85,15 @@ function Drawing({ one }) {
 }
 
 function Figures({ one }) {
+  const read = one.reading.value;
   const info = one.info.value;
   const soft = one.softLimits.value;
   const hasSoft = soft?.minus_mm != null;
   const widths = hasSoft ? t('figure.soft', { min: plain(soft.minus_mm), max: plain(soft.plus_mm) }) : t('figure.stroke', { max: plain(info?.stroke_mm) });
   return html`<div class="figures">
-    <${Figure} label=${t('width')} value=${one.width.value} decimals=${2} unit="mm" note=${widths} class="figure-main" />
-    <${Figure} label=${t('speed')} value=${one.speed.value} decimals=${1} unit="mm/s" note=${t('figure.max', { max: plain(info?.max_speed_mm_s), unit: 'mm/s' })} />
-    <${Figure} label=${t('force')} value=${one.force.value} decimals=${1} unit="N" note=${t('figure.max', { max: plain(one.hasOverdrive.value ? info?.overdrive_force_n : info?.nominal_force_n), unit: 'N' })} />
+    <${Figure} label=${t('width')} value=${read?.width_mm} decimals=${2} unit="mm" note=${widths} class="figure-main" />
+    <${Figure} label=${t('speed')} value=${read?.speed_mm_s} decimals=${1} unit="mm/s" note=${t('figure.max', { max: plain(info?.max_speed_mm_s), unit: 'mm/s' })} />
+    <${Figure} label=${t('force')} value=${read?.force_n} decimals=${1} unit="N" note=${t('figure.max', { max: plain(one.hasOverdrive.value ? info?.overdrive_force_n : info?.nominal_force_n), unit: 'N' })} />
   </div>`;
 }
 
