@@ -137,3 +137,23 @@ test('a gripper that is not there is covered, and an alarm until somebody has se
   assertClean(visitor);
   await visitor.close();
 });
+
+test('a fleet is shown where there is one', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  const description = await served.ask('GET', 'openapi.json');
+  const fleet = [
+    { gateway: 'cell-1', gripper: 'left', link: 'connected', state: 'HOLDING', fast_stop: false, lease_holder: 'robot-1', age_ms: 12 },
+    { gateway: 'cell-2', gripper: 'right', link: 'reconnecting', state: null, fast_stop: true, lease_holder: null, age_ms: 61_000 },
+  ];
+  await page.route('**/api/v1/openapi.json', (route) => route.fulfill({ json: { ...description, paths: { ...description.paths, '/api/v1/fleet': {} } } }));
+  await page.route('**/api/v1/fleet', (route) => route.fulfill({ json: { grippers: fleet } }));
+  await page.click('[data-view=all]');
+  const rows = page.locator('tbody tr');
+  await rows.nth(1).waitFor();
+  assert.match(await rows.nth(0).innerText(), /cell-1\s+left\s+connected\s+Holding\s+robot-1\s+12 ms/);
+  assert.match(await rows.nth(1).innerText(), /cell-2\s+right\s+reconnecting\s+FAST STOP\s+–\s+1 min/);
+  assertClean(visitor);
+  await visitor.close();
+});

@@ -28,9 +28,15 @@ export async function askFreely(one, method, params = {}) {
   }
 }
 
+/** By then the state tells of a command that was admitted. */
+const TOLD_WITHIN_MS = 300;
+
+/** A motion. Until the state tells of it nothing else is asked for. */
 export async function move(one, method, params) {
+  one.isAsked.value = true;
   const command = await ask(one, method, params);
   if (command) one.command.value = command;
+  setTimeout(() => { one.isAsked.value = false; }, command ? TOLD_WITHIN_MS : 0);
   return command;
 }
 

@@ -1,6 +1,7 @@
 // What an event of the journal means for the page. All clients' doings come this way, whatever door they use.
 
 import { batch } from '../lib.js';
+import { myName } from './prefs.js';
 import { eventSeq, learn, others } from './store.js';
 
 /** Names that are remembered. */
@@ -29,6 +30,12 @@ function takeCommand(event, one) {
   if (kind === 'grip') one.mark(performance.now(), event.outcome === 'PART_HELD' ? 'held' : 'end', event.outcome);
 }
 
+/** Whoever has asked for control fetches it when it is handed over; whatever else becomes of it is no answer any more. */
+function takeAnswer({ event, holder }, one) {
+  if (event === 'requested') return;
+  one.isAsking.value = event === 'handed_over' && holder === myName.peek() ? 'come' : false;
+}
+
 /** Takes one; `one` is its gripper, where it has one. */
 export function take(event, one) {
   batch(() => {
@@ -38,6 +45,6 @@ export function take(event, one) {
     if (event.kind === 'command') takeCommand(event, one);
     const changes = event.kind === 'lease' || event.kind === 'settings' || (event.kind === 'link' && event.link === 'connected');
     if (changes) learn(one);
-    if (event.kind === 'lease' && event.event === 'handed_over' && one.isAsking.peek()) one.isAsking.value = 'come';
+    if (event.kind === 'lease' && one.isAsking.peek()) takeAnswer(event, one);
   });
 }

@@ -34,6 +34,8 @@ export class Gripper {
     /** What entitles this page to move it: `{token, epoch}`. */
     this.held = signal(null);
     this.isAsking = signal(false);
+    /** Whether a motion of this page was asked for, of which no state tells yet. */
+    this.isAsked = signal(false);
     this.samples = new Samples(SAMPLES);
     this.marks = [];
 

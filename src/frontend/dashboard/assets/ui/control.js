@@ -42,9 +42,8 @@ function Terms({ one }) {
     if (one.isMine.peek()) changeTerms(one);
   };
   const told = one.isMine.value && one.lease.value ? one.lease.value : { on_loss_moving: onLossMoving.value, on_loss_holding: onLossHolding.value };
-  return html`<h3>${t('control.if_gone')}</h3>
-    <p class="small">${t(`gone.moving.${told.on_loss_moving}`)} ${t(`gone.holding.${told.on_loss_holding}`)} ${t('gone.link')}</p>
-    <div class="fields">
+  return html`<p class="small">${t(`gone.moving.${told.on_loss_moving}`)} ${t(`gone.holding.${told.on_loss_holding}`)} ${t('gone.link')}</p>
+    <div class="fields terms">
       <div class="field"><label for="on-moving">${t('control.on_moving')}</label><select id="on-moving" value=${onLossMoving.value} onChange=${choose(onLossMoving)}>
         ${['fast_stop', 'stop', 'finish'].map((choice) => html`<option value=${choice}>${t(`loss.${choice}`)}</option>`)}</select></div>
       <div class="field"><label for="on-holding">${t('control.on_holding')}</label><select id="on-holding" value=${onLossHolding.value} onChange=${choose(onLossHolding)}>
@@ -69,7 +68,7 @@ export function Control({ one }) {
   return html`<${Panel} title=${t('control.title')} id="control-title" class="control-panel">
     <${Covered}>
       ${one.isMine.value ? html`<${Held} one=${one} />` : holder ? html`<${OfAnother} one=${one} holder=${holder} />` : html`<${Free} one=${one} />`}
-      <details class="more" open><summary>${t('control.terms')}</summary><${Terms} one=${one} /></details>
+      <details class="more" open><summary>${t('control.if_gone')}</summary><${Terms} one=${one} /></details>
       <${Others} />
     </${Covered}>
   </${Panel}>`;

@@ -23,7 +23,7 @@ function whyNot(one, needsReference = true) {
   if (!isLive.value || !one.isThere.value) return 'why.link';
   if (one.latchId.value) return 'why.fast_stop';
   if (!one.isMine.value) return 'why.control';
-  if (one.runs.value) return 'why.running';
+  if (one.runs.value || one.isAsked.value) return 'why.running';
   if (needsReference && one.isReferenced.value === false) return 'why.not_referenced';
   return null;
 }
