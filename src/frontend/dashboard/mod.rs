@@ -25,8 +25,8 @@ struct Assets;
 /// The page, whose modules are named where it is served.
 const PAGE: &str = "index.html";
 
-/// The modules of the views that aren't seen first.
-const LATER: &str = "views/";
+/// What isn't seen first: the page fetches it by itself, afterwards.
+const LATER: [&str; 3] = ["views/", "vendor/uplot.js", "net/early.js"];
 
 /// Everything from here, nothing that stands in the page itself, no form that leads anywhere, and nobody's frame.
 const POLICY: HeaderValue = HeaderValue::from_static(
@@ -76,14 +76,18 @@ fn version() -> String {
 }
 
 /// The page, with where its parts are. The modules that it begins with are named, so that none has to wait for another
-/// that imports it; those of [`LATER`] views it fetches by itself.
+/// that imports it.
 fn with_modules(version: &str) -> String {
     let page = Assets::get(PAGE).map(|file| String::from_utf8_lossy(&file.data).into_owned()).unwrap_or_default();
-    let mut modules: Vec<_> = Assets::iter().filter(|path| is_module(path) && !path.starts_with(LATER)).collect();
+    let mut modules: Vec<_> = Assets::iter().filter(|path| is_first(path)).collect();
     modules.sort();
     let link = |path: &Cow<'static, str>| format!("<link rel=\"modulepreload\" href=\"/assets/{version}/{path}\">\n");
     let links: String = modules.iter().map(link).collect();
     page.replace("<!-- modules -->\n", &links).replace("{version}", version)
+}
+
+fn is_first(path: &str) -> bool {
+    is_module(path) && !LATER.iter().any(|later| path.starts_with(later))
 }
 
 fn is_module(path: &str) -> bool {

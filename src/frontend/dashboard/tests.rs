@@ -44,7 +44,7 @@ async fn the_page_is_asked_for_each_time_and_told_once() {
 async fn all_that_the_page_names_is_there_and_kept() {
     let page = text(get("/", None).await).await;
     let named: Vec<_> = page.split('"').filter(|text| text.starts_with("/assets/")).collect();
-    let modules = Assets::iter().filter(|path| is_module(path) && !path.starts_with(LATER)).count();
+    let modules = Assets::iter().filter(|path| is_first(path)).count();
     assert!(named.len() > modules, "{named:?}");
     for path in named {
         let part = get(path, None).await;

@@ -6,9 +6,6 @@ import { myName, theme } from './model/prefs.js';
 import { gripper, view, VIEWS } from './model/store.js';
 import { Alarms, Announcer } from './ui/alarms.js';
 import { Bar, Picker } from './ui/bar.js';
-import { Charts } from './ui/charts.js';
-import { Control } from './ui/control.js';
-import { Flags } from './ui/flags.js';
 import { Jaws } from './ui/jaws.js';
 import { Motion } from './ui/motion.js';
 import { Choice } from './ui/parts.js';
@@ -20,24 +17,26 @@ function Views() {
   </nav>`;
 }
 
-function Operate({ one }) {
-  return html`<div class="operate">
-    <${Jaws} one=${one} /><${Motion} one=${one} />
-    ${isSecond.value && html`<${Charts} one=${one} />`}
-    <div class="column-more">${isSecond.value && html`<${Alarms} /><${Control} one=${one} /><${Flags} one=${one} />`}</div>
-  </div>`;
-}
+/** What is looked at second is fetched once what is looked at first is there. */
+const later = signal({});
 
-/** Those that aren't seen first are fetched once the first one is there, before anybody can ask for them. */
-const ofView = signal({ operate: Operate });
-
-/** What is looked at second comes with the frame after what is looked at first. */
-const isSecond = signal(false);
-
-async function fetchViews() {
+async function fetchLater() {
+  const [{ Charts }, { Control }, { Flags }] = await Promise.all([import('./views/charts.js'), import('./views/control.js'), import('./views/flags.js')]);
+  later.value = { Charts, Control, Flags };
   const [{ History }, { Log }, { Device }, { All }] = await Promise.all([import('./views/history.js'), import('./views/log.js'), import('./views/device.js'), import('./views/overview.js')]);
   ofView.value = { operate: Operate, history: History, log: Log, device: Device, all: All };
 }
+
+function Operate({ one }) {
+  const { Charts, Control, Flags } = later.value;
+  return html`<div class="operate">
+    <${Jaws} one=${one} /><${Motion} one=${one} />
+    ${Charts && html`<${Charts} one=${one} />`}
+    <div class="column-more"><${Alarms} />${Control && html`<${Control} one=${one} /><${Flags} one=${one} />`}</div>
+  </div>`;
+}
+
+const ofView = signal({ operate: Operate });
 
 function Main() {
   const one = gripper.value;
@@ -46,10 +45,7 @@ function Main() {
     if (!one) return;
     requestAnimationFrame(() => {
       performance.mark('useful');
-      setTimeout(() => {
-        isSecond.value = true;
-        fetchViews();
-      });
+      fetchLater();
     });
   }, [one !== null]);
   if (!one) return html`<main class="waiting"><p>${t('stale.connecting')}</p></main>`;

@@ -5,7 +5,6 @@ import htm from './vendor/htm.js';
 
 export { useEffect, useLayoutEffect, useMemo, useRef, useState, useId } from './vendor/hooks.js';
 export { batch, computed, effect, signal, untracked, useComputed, useSignal, useSignalEffect } from './vendor/signals.js';
-export { default as uPlot } from './vendor/uplot.js';
 export { Fragment, render };
 
 export const html = htm.bind(h);

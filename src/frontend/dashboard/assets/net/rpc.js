@@ -20,6 +20,13 @@ function address() {
   return `${scheme}://${location.host}/api/v1/ws`;
 }
 
+/** What `early.js` has begun, for the first who asks. */
+function early() {
+  const socket = globalThis.earlySocket;
+  delete globalThis.earlySocket;
+  return socket && socket.readyState <= WebSocket.OPEN ? socket : null;
+}
+
 export class Rpc {
   #socket = null;
   #calls = new Map();
@@ -77,16 +84,18 @@ export class Rpc {
 
   #connect() {
     clearTimeout(this.#timer);
-    const socket = new WebSocket(address(), SUBPROTOCOL);
+    const socket = early() ?? new WebSocket(address(), SUBPROTOCOL);
     this.#socket = socket;
     const tooLate = setTimeout(() => socket.readyState === WebSocket.CONNECTING && socket.close(), CONNECTS_WITHIN_MS);
-    socket.onopen = () => {
+    const opened = () => {
       if (socket !== this.#socket) return;
       clearTimeout(tooLate);
       this.#tries = 0;
       this.handlers.onHeard?.();
       this.handlers.onOpen?.();
     };
+    if (socket.readyState === WebSocket.OPEN) queueMicrotask(opened);
+    else socket.onopen = opened;
     socket.onmessage = ({ data }) => socket === this.#socket && this.#take(JSON.parse(data));
     socket.onclose = () => {
       clearTimeout(tooLate);

@@ -1,6 +1,7 @@
 // The curve of one motion: width, speed and force.
 
-import { html, uPlot, useEffect, useRef, useSignal } from '../lib.js';
+import { html, useEffect, useRef, useSignal } from '../lib.js';
+import uPlot from '../vendor/uplot.js';
 import { fixed, language, t } from '../model/i18n.js';
 import { theme } from '../model/prefs.js';
 import { get } from '../net/rest.js';

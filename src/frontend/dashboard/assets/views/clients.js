@@ -2,7 +2,7 @@
 
 import { signal } from '../lib.js';
 import { text } from '../net/rest.js';
-import { isLive } from './store.js';
+import { isLive } from '../model/store.js';
 
 const ASKED_EVERY_MS = 5000;
 const LINE = /^wsg_clients_connected\{door="(\w+)"\} (\d+)/gm;

@@ -3,7 +3,7 @@
 import { html } from '../lib.js';
 import { FLAGS, isSet } from '../core/flags.js';
 import { t } from '../model/i18n.js';
-import { Covered, Panel, Shape, whyOld } from './parts.js';
+import { Covered, Panel, Shape, whyOld } from '../ui/parts.js';
 
 const BOXES = {
   IDLE: [10, 70], POSITIONING: [10, 150], RELEASING: [180, 150], GRASPING: [180, 70],

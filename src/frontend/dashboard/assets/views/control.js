@@ -1,12 +1,12 @@
 // Control: who moves the gripper, how it changes hands, and what happens if this browser goes.
 
 import { html, useEffect, useSignal } from '../lib.js';
-import { ago, t } from './ago.js';
+import { ago, t } from '../ui/ago.js';
 import { changeTerms, handOver, releaseControl, takeControl } from '../model/commands.js';
-import { clients, watchClients } from '../model/clients.js';
+import { clients, watchClients } from './clients.js';
 import { myName, onLossHolding, onLossMoving } from '../model/prefs.js';
 import { others } from '../model/store.js';
-import { Covered, Panel, Shape } from './parts.js';
+import { Covered, Panel, Shape } from '../ui/parts.js';
 
 function Held({ one }) {
   const asked = one.lease.value?.requested_by;

@@ -1,10 +1,11 @@
 // Strip charts of width, speed and force: the newest at the right, with grips marked.
 
-import { html, signal, uPlot, useEffect, useRef } from '../lib.js';
+import { html, signal, useEffect, useRef } from '../lib.js';
+import uPlot from '../vendor/uplot.js';
 import { fixed, language, t } from '../model/i18n.js';
 import { theme } from '../model/prefs.js';
 import { drawWith } from '../model/store.js';
-import { Choice, Covered, Panel } from './parts.js';
+import { Choice, Covered, Panel } from '../ui/parts.js';
 
 const WINDOWS_S = [10, 30, 120, 600];
 
