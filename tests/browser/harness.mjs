@@ -39,24 +39,36 @@ export async function until(what, look) {
   }
 }
 
-/** A gateway of its own; with `port` 0 at any that is free. It is there once these grippers are connected, or all. */
-export async function gateway({ port = 0, more = [], connects = null } = {}) {
+/** The program, once it has said on standard output what is looked for. */
+async function run(flags, looksFor) {
   const program = process.env.WSG_GATEWAY_PROGRAM ?? join(ROOT, 'target/debug/wsg-gateway');
-  const child = spawn(program, ['--listen', `127.0.0.1:${port}`, '--journal', ':memory:', ...more], { stdio: ['ignore', 'pipe', 'pipe'] });
+  const child = spawn(program, flags, { stdio: ['ignore', 'pipe', 'pipe'] });
   const ended = new Promise((resolve) => { child.once('exit', resolve); });
-  let said = '';
+  let output = '';
   let log = '';
-  child.stdout.on('data', (text) => { said += text; });
+  child.stdout.on('data', (text) => { output += text; });
   child.stderr.on('data', (text) => { log += text; });
   const kill = async (signal = 'SIGKILL') => {
     child.kill(signal);
     await ended;
   };
   started.push(() => kill('SIGTERM'));
-  const url = await until('the gateway says where it is', () => {
-    assert.equal(child.exitCode, null, `the gateway has ended: ${log}`);
-    return /(http:\/\/127\.0\.0\.1:\d+)\//.exec(said)?.[1];
+  const said = await until(`${flags.join(' ')} says where it is`, () => {
+    assert.equal(child.exitCode, null, `it has ended: ${log}`);
+    return looksFor.exec(output)?.[1];
   });
+  return { child, kill, said };
+}
+
+/** A simulated device in a process of its own, which can be stopped. */
+export async function simulator() {
+  const { child, said: url } = await run(['sim', 'tcp://127.0.0.1:0'], /(tcp:\/\/127\.0\.0\.1:[1-9]\d*)/);
+  return { child, url };
+}
+
+/** A gateway of its own; with `port` 0 at any that is free. It is there once these grippers are connected, or all. */
+export async function gateway({ port = 0, more = [], connects = null } = {}) {
+  const { child, kill, said: url } = await run(['--listen', `127.0.0.1:${port}`, '--journal', ':memory:', ...more], /(http:\/\/127\.0\.0\.1:\d+)\//);
   const ask = async (method, path, body) => {
     const response = await fetch(`${url}/api/v1/${path}`, { method, body: body && JSON.stringify(body) });
     return response.json();

@@ -3,7 +3,7 @@
 import assert from 'node:assert/strict';
 import { after, test } from 'node:test';
 
-import { assertClean, browser, endAll, gateway, shoot, until, visit } from './harness.mjs';
+import { assertClean, browser, endAll, gateway, shoot, simulator, until, visit } from './harness.mjs';
 
 after(endAll);
 const launched = await browser();
@@ -134,6 +134,23 @@ test('a gripper that is not there is covered, and an alarm until somebody has se
   await page.click('.chip:has-text("here")');
   await page.waitForSelector('#take-control');
   assert.equal(await page.locator('.jaws-panel .cover').count(), 0);
+  assertClean(visitor);
+  await visitor.close();
+});
+
+test('a gripper whose link is lost is covered since it was heard last, and comes back', async () => {
+  const device = await simulator();
+  const served = await gateway({ more: ['--gripper', `left=${device.url}`] });
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  await page.waitForSelector('#take-control');
+  device.child.kill('SIGSTOP');
+  await page.waitForSelector('.jaws-panel .cover:has-text("Since")');
+  assert.match(await page.locator('.jaws-panel .cover').innerText(), /The gripper is silent|No link to the gripper/);
+  await page.waitForSelector('.alarm:has-text("left:")');
+  device.child.kill('SIGCONT');
+  await page.waitForFunction(() => !document.querySelector('.cover'));
+  await page.waitForSelector('.alarm:has-text("over")');
   assertClean(visitor);
   await visitor.close();
 });

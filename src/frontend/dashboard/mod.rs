@@ -2,7 +2,8 @@
 //!
 //! Its modules are served as they are written, without a build step. Their addresses carry a version, which is a hash of
 //! all of them, so that a browser keeps them for as long as they are the same and asks for the page alone. The policy
-//! lets nothing in from elsewhere, and no script or style that stands in the page itself.
+//! lets nothing in from elsewhere, and no script or style that stands in the page itself. The libraries in `vendor/` are
+//! what `tests/browser/vendor` has fetched.
 
 use std::borrow::Cow;
 use std::sync::Arc;

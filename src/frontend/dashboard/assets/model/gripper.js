@@ -23,6 +23,8 @@ export class Gripper {
     this.state = signal(null);
     /** The same for figures that people read, less often while it moves. */
     this.reading = signal(null);
+    /** When the gripper was heard last, while it isn't connected. */
+    this.lostAt = signal(null);
     this.info = signal(null);
     this.lease = signal(null);
     this.softLimits = signal(null);
@@ -77,6 +79,8 @@ export class Gripper {
     const state = this.newest;
     if (state === null || state === this.state.peek()) return;
     this.state.value = state;
+    if (state.link === 'connected') this.lostAt.value = null;
+    else if (this.lostAt.peek() === null && state.age_ms !== null) this.lostAt.value = Date.now() - state.age_ms;
     const now = performance.now();
     if (!state.moving || now - this.#readAt >= READ_EVERY_MS) {
       this.#readAt = now;

@@ -35,7 +35,7 @@ export function whyOld(one) {
     return { text: t(`stale.${connection.value}`), since: heardAt.value };
   }
   if (one && one.link.value !== null && one.link.value !== 'connected') {
-    return { text: t(`stale.link.${one.link.value}`), detail: one.linkCause.value };
+    return { text: t(`stale.link.${one.link.value}`), since: one.lostAt.value, detail: one.linkCause.value };
   }
   return null;
 }
