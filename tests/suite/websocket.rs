@@ -119,9 +119,66 @@ async fn a_fast_stop_stops_whatever_comes_with_it() {
     assert_eq!(stopped["fast_stop_confirmed"], true);
     let acknowledge = json!({"gripper": "g", "fast_stop_id": stopped["fast_stop_id"]});
     assert_eq!(socket.call("acknowledge", acknowledge).await["fast_stop"], false);
-    socket.send(r#"{"id": {}, "method": "fast-stop", "params": "now"}"#).await;
-    let state = gateway.until("it is stopped", |state| state["fast_stop_confirmed"] == true).await;
-    assert_eq!(state["fast_stop_by"], "ws:127.0.0.1");
+    let nested = format!(r#"{}{{"method": "fast-stop"}}"#, "[".repeat(200));
+    for text in [
+        r#"{"id": {}, "method": "fast-stop", "params": "now"}"#,
+        r#"{"jsonrpc": "2.0", "method": "fast-stop", "params": {"gripper": "G", "reason": "hand"}}"#,
+        r#"{"jsonrpc": "2.0", "method": "fast-stop", "params": {"gripper": null}}"#,
+        r#"{"jsonrpc": "2.0", "method": "fast-stop", "params": {"gripper": "g"}}}"#,
+        &nested,
+    ] {
+        socket.send(text).await;
+        let stopped = |state: &Value| state["fast_stop_confirmed"] == true;
+        let state = gateway.until("it is stopped", stopped).await;
+        assert_eq!(state["fast_stop_by"], "ws:127.0.0.1");
+        assert_eq!(state["fast_stop_reason"] == "hand", text.contains("hand"), "{state}");
+        let acknowledge = json!({"gripper": "g", "fast_stop_id": state["fast_stop_id"]});
+        assert_eq!(socket.call("acknowledge", acknowledge).await["fast_stop"], false, "{text}");
+    }
+}
+
+#[tokio::test]
+async fn a_fast_stop_behind_requests_whose_answers_are_not_read_stops() {
+    let (_device, gateway) = connected().await;
+    let mut socket = Socket::open(&gateway).await;
+    for _ in 0..400 {
+        socket.begin("info", json!({"gripper": "g"})).await;
+    }
+    socket.begin("fast-stop", json!({"gripper": "g"})).await;
+    gateway.until("it is stopped", |state| state["fast_stop_confirmed"] == true).await;
+}
+
+#[tokio::test]
+async fn who_reads_slowly_and_answers_pings_is_not_closed() {
+    let (_device, gateway) = connected().await;
+    let mut socket = Socket::open(&gateway).await;
+    let topics = json!({"topics": ["state", "telemetry", "frames"], "max_hz": 100});
+    let begun = socket.call("subscribe", topics).await["states"][0]["seq"].as_u64().unwrap();
+    // Longer than a client without an answer stays, and less than a tenth of what is told.
+    let mut between = tokio::time::interval(std::time::Duration::from_millis(30));
+    while gateway.state().await["seq"].as_u64().unwrap() < begun + 450 {
+        between.tick().await;
+        socket.read().await.expect("it stays");
+    }
+}
+
+#[tokio::test]
+async fn what_is_said_twice_is_refused() {
+    let (_device, gateway) = connected().await;
+    let mut socket = Socket::open(&gateway).await;
+    let params = r#"{"gripper": "g", "width_mm": 50, "width_mm": 60, "speed_mm_s": 50}"#;
+    socket.send(format!(r#"{{"jsonrpc": "2.0", "id": 1, "method": "move", "params": {params}}}"#)).await;
+    let error = socket.next().await.unwrap()["error"].take();
+    assert!(error["message"].as_str().unwrap().contains("duplicate field `width_mm`"), "{error}");
+}
+
+#[tokio::test]
+async fn a_lease_whose_token_nobody_hears_is_not_taken() {
+    let (_device, gateway) = connected().await;
+    let mut socket = Socket::open(&gateway).await;
+    socket.send(r#"{"jsonrpc": "2.0", "method": "lease.take", "params": {"gripper": "g"}}"#).await;
+    socket.call("lease.take", json!({"gripper": "g", "holder": "a"})).await;
+    assert_eq!(gateway.state().await["lease_epoch"], 1);
 }
 
 #[tokio::test]

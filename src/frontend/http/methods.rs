@@ -9,7 +9,7 @@ use axum::http::{HeaderMap, HeaderName, Method as Verb, Request, StatusCode};
 use axum::response::Response;
 use http_body_util::BodyExt;
 use serde_json::value::RawValue;
-use serde_json::{Map, Value};
+use serde_json::{Map, Value, json};
 use tower::ServiceExt;
 
 use super::API;
@@ -52,6 +52,12 @@ const FAST_STOPS: [&str; 2] = ["fast-stop", "fleet.fast-stop"];
 #[must_use]
 pub fn is_fast_stop(name: &str) -> bool {
     FAST_STOPS.contains(&name)
+}
+
+/// The FAST STOP that a text names which is no request.
+#[must_use]
+pub fn fast_stop_in(text: &str) -> Option<&'static str> {
+    FAST_STOPS.into_iter().find(|name| text.contains(&format!("\"{name}\"")))
 }
 
 macro_rules! methods {
@@ -154,7 +160,8 @@ impl Methods {
         METHODS.iter().any(|method| method.name == name)
     }
 
-    /// Calls one for a client. The headers are those of the request that it is.
+    /// Calls one for a client. The headers are those of the request that it is. A FAST STOP of a gripper that isn't known
+    /// stops all: the one that is meant is among them.
     ///
     /// # Errors
     /// [`Refusal`], as the operation has it.
@@ -166,9 +173,18 @@ impl Methods {
         wait: Wait<'_>,
         headers: HeaderMap,
     ) -> Result<Answer, Refusal> {
-        let mut request = request(name, params, wait)?;
-        *request.headers_mut() = headers;
-        self.send(client, request).await
+        let of_all = is_fast_stop(name).then(|| json!({"reason": params.get("reason")}));
+        let answer = match request(name, params, wait) {
+            Ok(mut asked) => {
+                *asked.headers_mut() = headers;
+                self.send(client.clone(), asked).await
+            }
+            Err(problem) => Err(problem.into()),
+        };
+        match (answer, of_all) {
+            (Err(_), Some(params)) => self.send(client, request(name, params, Wait::No)?).await,
+            (answer, _) => answer,
+        }
     }
 
     /// Asks for an operation by its path.
@@ -256,8 +272,6 @@ fn shortened(text: &str) -> String {
 
 #[cfg(test)]
 mod tests {
-    use serde_json::json;
-
     use super::*;
 
     fn line(name: &str, params: Value) -> String {

@@ -31,6 +31,7 @@ mod responses;
 mod server;
 mod settings;
 mod stream;
+mod unique;
 mod values;
 mod watched;
 mod ws;

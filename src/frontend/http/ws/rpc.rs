@@ -6,7 +6,8 @@ use serde_json::Value;
 use serde_json::value::RawValue;
 
 use crate::frontend::http::errors::{Code, Problem};
-use crate::frontend::http::methods::{Refusal, is_fast_stop};
+use crate::frontend::http::methods::{Refusal, fast_stop_in, is_fast_stop};
+use crate::frontend::http::unique::Unique;
 
 /// The requests of one batch at most.
 pub const MAX_BATCH: usize = 32;
@@ -107,10 +108,16 @@ impl From<Refusal> for Error {
     }
 }
 
-/// Takes a message apart.
+/// Takes a message apart. One that can't be, and names a FAST STOP, is one for all grippers.
 pub fn parse(text: &str) -> Incoming {
-    let invalid = |code, detail: String| Incoming::One(Err(Answer::invalid(Value::Null, code, malformed(detail))));
-    match serde_json::from_str(text) {
+    let invalid = |code, detail: String| {
+        Incoming::One(match fast_stop_in(text) {
+            Some(name) => Ok(Call { id: Some(Value::Null), method: name.to_owned(), params: Value::Null }),
+            None => Err(Answer::invalid(Value::Null, code, malformed(detail))),
+        })
+    };
+    match serde_json::from_str(text).map(|Unique(message)| message) {
+        Err(error) if error.is_data() => invalid(INVALID_REQUEST, format!("the message is no request: {error}")),
         Err(error) => invalid(PARSE_ERROR, format!("the message is no JSON: {error}")),
         Ok(Value::Array(batch)) if batch.is_empty() => invalid(INVALID_REQUEST, "the batch is empty".to_owned()),
         Ok(Value::Array(batch)) if batch.len() > MAX_BATCH => {
@@ -127,7 +134,8 @@ fn call(mut request: Value) -> Result<Call, Answer> {
     let mut take = |key: &str| request.get_mut(key).map(Value::take);
     let (version, id, method, params) = (take("jsonrpc"), take("id"), take("method"), take("params"));
     let params = params.unwrap_or_default();
-    let is_id = |id: &Value| matches!(id, Value::String(_) | Value::Number(_) | Value::Null);
+    // A number that is told back otherwise than it came is nobody's.
+    let is_id = |id: &Value| id.is_string() || id.is_i64() || id.is_u64() || id.is_null();
     let known_id = id.as_ref().filter(|id| is_id(id)).cloned();
     if let Some(method) = method.as_ref().and_then(Value::as_str).filter(|method| is_fast_stop(method)) {
         return Ok(Call { id: known_id, method: method.to_owned(), params });
@@ -139,7 +147,7 @@ fn call(mut request: Value) -> Result<Call, Answer> {
         return invalid("a request has \"jsonrpc\": \"2.0\"");
     }
     if known_id.is_none() && id.is_some() {
-        return invalid("an id is a text or a number");
+        return invalid("an id is a text, or a whole number below 2^64");
     }
     match method {
         Some(Value::String(method)) => Ok(Call { id, method, params }),
@@ -180,6 +188,7 @@ mod tests {
             (json!({"jsonrpc": "2.0", "id": 7}), json!(7)),
             (json!({"jsonrpc": "2.0", "id": 7, "method": 1}), json!(7)),
             (json!({"jsonrpc": "2.0", "id": {}, "method": "state"}), Value::Null),
+            (json!({"jsonrpc": "2.0", "id": 1e29, "method": "state"}), Value::Null),
             (json!("state"), Value::Null),
             (json!([]), Value::Null),
         ] {
@@ -190,6 +199,11 @@ mod tests {
         let Incoming::One(Err(answer)) = parse("{\"jsonrpc\"") else { panic!() };
         assert_eq!(serde_json::to_value(answer).unwrap()["error"]["code"], -32700);
         assert!(matches!(parse(&json!(vec![1; MAX_BATCH + 1]).to_string()), Incoming::One(Err(_))));
+        let Incoming::One(Err(answer)) = parse(r#"{"jsonrpc": "2.0", "id": 1, "id": 2, "method": "state"}"#) else {
+            panic!()
+        };
+        let error = serde_json::to_value(answer).unwrap()["error"].take();
+        assert!(error["code"] == -32600 && error["message"].as_str().unwrap().contains("`id`"), "{error}");
     }
 
     #[test]
@@ -198,5 +212,18 @@ mod tests {
             assert_eq!(one(&request).unwrap().method, "fast-stop");
         }
         assert_eq!(one(&json!({"method": "fleet.fast-stop"})).unwrap().method, "fleet.fast-stop");
+        let request = r#"{"jsonrpc": "2.0", "id": 1, "method": "fast-stop", "params": {"gripper": "left"}}"#;
+        let batch = format!("[{}]", [request; MAX_BATCH + 1].join(","));
+        let nested = format!("{}{request}", "[".repeat(200));
+        for text in [
+            &batch,
+            &nested,
+            &format!("{request}}}"),
+            &format!("\u{feff}{request}"),
+            &request.replace('1', "1, \"id\": 2"),
+        ] {
+            let Incoming::One(Ok(call)) = parse(text) else { panic!("{text}") };
+            assert_eq!(call, Call { id: Some(Value::Null), method: "fast-stop".to_owned(), params: Value::Null });
+        }
     }
 }

@@ -41,8 +41,12 @@ const MAX_CALLS: usize = 32;
 /// With FAST STOPs, each of which ends within 250 ms: more are read then.
 const MAX_CALLS_AND_FAST_STOPS: usize = 64;
 
-/// Answers that may wait for a client to read them. No more requests are read then.
+/// Answers that may wait for a client to read them. Requests but for FAST STOPs are refused as `overloaded` then; they
+/// are read all the same, since a FAST STOP may be behind them.
 const MAX_UNREAD: usize = 64;
+
+/// And of all answers: who goes on asking without reading is sent away.
+const MAX_WAITING: usize = 1024;
 
 /// Commands of one client whose end is waited for. The end of more is not told, and has to be asked for.
 const MAX_COMMANDS: usize = 64;
@@ -52,6 +56,9 @@ const MAX_GATHERED: usize = 64;
 
 /// How long a farewell may take.
 const FAREWELL_WITHIN: Duration = Duration::from_secs(1);
+
+/// The method whose answer has a token.
+const TAKE: &str = "lease.take";
 
 /// A client's socket.
 pub struct Socket {
@@ -69,7 +76,7 @@ pub struct Socket {
     /// The newest of each gripper that was taken here. It is lost with the socket, unless it was released.
     leases: HashMap<Name, Arc<Taken>>,
     pings: Interval,
-    /// Pings since the newest pong.
+    /// Pings since anything came from the client.
     unanswered: u32,
     _connected: Connected,
 }
@@ -157,11 +164,16 @@ impl Socket {
     async fn serve(&mut self) -> End {
         loop {
             let may_tell = self.outgoing.is_idle();
-            let may_read = self.under_way < MAX_CALLS_AND_FAST_STOPS && self.outgoing.waiting() < MAX_UNREAD;
+            let may_read = self.under_way < MAX_CALLS_AND_FAST_STOPS;
             tokio::select! {
                 biased;
                 () = self.context.closing.cancelled() => return End::Closing,
-                Some(done) = self.calls.next() => self.take_done(done),
+                Some(done) = self.calls.next() => {
+                    self.take_done(done);
+                    if self.outgoing.waiting() > MAX_WAITING {
+                        return End::Unspoken(close_code::POLICY, "answers are not read");
+                    }
+                }
                 Some(command) = self.running.next() => self.tell(Notification::new("command", &command)),
                 message = self.incoming.next(), if may_read => match self.take_message(message) {
                     None => {}
@@ -193,10 +205,10 @@ impl Socket {
 
     /// Takes what came from the client, unless that ends the socket.
     fn take_message(&mut self, message: Option<Result<Message, axum::Error>>) -> Option<End> {
+        self.unanswered = 0;
         match message {
             Some(Ok(Message::Text(text))) => self.take_requests(rpc::parse(&text)),
-            Some(Ok(Message::Pong(_))) => self.unanswered = 0,
-            Some(Ok(Message::Ping(_))) => {}
+            Some(Ok(Message::Ping(_) | Message::Pong(_))) => {}
             Some(Ok(Message::Binary(_))) => return Some(End::Unspoken(close_code::UNSUPPORTED, "only text is read")),
             Some(Err(error)) => return Some(end_of(error)),
             Some(Ok(Message::Close(_))) | None => return Some(End::Closed),
@@ -223,6 +235,10 @@ impl Socket {
             Err(answer) => return ready(Answered { answer: Some(answer), ..Answered::default() }),
         };
         let refused = |problem: Problem| Err(rpc::Error::from(Refusal::from(problem)));
+        if let Some(detail) = self.overload().filter(|_| !is_fast_stop(&method)) {
+            let refused = refused(Problem::new(Code::Overloaded, detail));
+            return ready(Answered { answer: id.map(|id| Answer::new(id, refused)), ..Answered::default() });
+        }
         if method == "subscribe" {
             return ready(
                 match bodies::subscribe(&self.context, &params).map(|(told, following)| (raw(&told), following)) {
@@ -243,11 +259,9 @@ impl Socket {
             let error = rpc::Error::no_method(Problem::new(Code::NotFound, names).into());
             return ready(Answered { answer: id.map(|id| Answer::new(id, Err(error))), ..Answered::default() });
         }
-        if self.under_way > MAX_CALLS && !is_fast_stop(&method) {
-            let detail =
-                format!("{MAX_CALLS} requests of this socket are under way already: await their answers first");
-            let refused = refused(Problem::new(Code::Overloaded, detail));
-            return ready(Answered { answer: id.map(|id| Answer::new(id, refused)), ..Answered::default() });
+        if method == TAKE && id.is_none() {
+            // Nobody would hear its token.
+            return ready(Answered::default());
         }
         let (methods, client, metrics) = (self.methods.clone(), self.client.clone(), self.context.ws_metrics.clone());
         async move {
@@ -268,6 +282,15 @@ impl Socket {
             }
         }
         .boxed()
+    }
+
+    /// Why this client may begin nothing more for now, if so.
+    fn overload(&self) -> Option<String> {
+        if self.outgoing.waiting() >= MAX_UNREAD {
+            return Some(format!("{MAX_UNREAD} answers of this socket wait to be read: read them first"));
+        }
+        (self.under_way > MAX_CALLS)
+            .then(|| format!("{MAX_CALLS} requests of this socket are under way already: await their answers first"))
     }
 
     fn take_done(&mut self, done: Done) {
