@@ -6,6 +6,7 @@ mod architecture;
 mod bodies;
 mod command_line;
 mod commands;
+mod compose;
 mod conformance;
 mod control;
 mod defaults;

@@ -1,0 +1,174 @@
+//! `docker-compose.yml` and `deploy/Dockerfile`: what they name is there, and what they run runs, as plain processes.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::process::Command;
+
+use serde::Deserialize;
+use serde_json::Value;
+
+use crate::harness::{Gateway, Process, eventually};
+use crate::zenoh::fleet::Router;
+
+#[derive(Debug, Deserialize)]
+struct Compose {
+    services: BTreeMap<String, Service>,
+    volumes: BTreeMap<String, Option<Value>>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Service {
+    image: String,
+    build: Option<Build>,
+    command: Vec<String>,
+    #[serde(default)]
+    ports: Vec<String>,
+    #[serde(default)]
+    volumes: Vec<String>,
+    #[serde(default)]
+    depends_on: Vec<String>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Build {
+    context: String,
+    dockerfile: String,
+}
+
+fn top() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn read(path: &str) -> String {
+    std::fs::read_to_string(top().join(path)).unwrap_or_else(|error| panic!("{path}: {error}"))
+}
+
+fn compose() -> Compose {
+    serde_saphyr::from_str(&read("docker-compose.yml")).unwrap()
+}
+
+/// What stands behind each instruction of this name, with its lines joined.
+fn instructions(name: &str) -> Vec<String> {
+    let text = read("deploy/Dockerfile").replace("\\\n", " ");
+    let of =
+        |line: &str| line.strip_prefix(name).and_then(|rest| rest.strip_prefix(' ')).map(|rest| rest.trim().to_owned());
+    text.lines().filter_map(of).collect()
+}
+
+/// A crate's version, as it is built.
+fn locked(name: &str) -> String {
+    let lock: toml::Table = read("Cargo.lock").parse().unwrap();
+    let package = lock["package"].as_array().unwrap().iter().find(|package| package["name"].as_str() == Some(name));
+    package.unwrap()["version"].as_str().unwrap().to_owned()
+}
+
+#[test]
+fn what_the_dockerfile_copies_and_builds_is_there() {
+    let manifest: toml::Table = read("Cargo.toml").parse().unwrap();
+    let rust = format!("rust:{}-slim-bookworm AS build", manifest["package"]["rust-version"].as_str().unwrap());
+    assert!(instructions("FROM").contains(&rust), "{:?}", instructions("FROM"));
+    let ignored = read(".dockerignore");
+    for copied in instructions("COPY").iter().filter(|copied| !copied.starts_with("--from")) {
+        let sources: Vec<_> = copied.split_whitespace().collect();
+        for source in &sources[..sources.len() - 1] {
+            assert!(top().join(source).exists(), "{source}");
+            assert!(ignored.lines().any(|line| line.strip_prefix('!') == Some(source)), "{source} is ignored");
+        }
+    }
+    let bin = manifest["bin"][0]["name"].as_str().unwrap();
+    assert!(instructions("RUN").contains(&format!("cargo build --release --locked --bin {bin}")));
+    assert!(instructions("COPY").contains(&format!("--from=build /src/target/release/{bin} /usr/local/bin/{bin}")));
+    assert_eq!(instructions("ENTRYPOINT"), [format!("[\"{bin}\"]")]);
+    // Not as root, and its journal is where it may write and what outlives it.
+    let home = format!("/var/lib/{bin}");
+    assert!(
+        instructions("USER") == [bin]
+            && instructions("RUN").iter().any(|run| run.contains(&format!("--home-dir {home} {bin}")))
+    );
+    assert_eq!((instructions("ENV"), instructions("VOLUME")), (vec![format!("STATE_DIRECTORY={home}")], vec![home]));
+}
+
+#[tokio::test]
+async fn the_health_check_tells_a_gateway_from_none() {
+    let check = instructions("HEALTHCHECK").remove(0);
+    let command: Vec<String> = serde_json::from_str(check.split_once("CMD ").unwrap().1).unwrap();
+    let gateway = Gateway::start(&["--gripper", "g=sim://wsg50"]).await;
+    let url = gateway.url("/");
+    let (_, port) = url.trim_end_matches('/').rsplit_once(':').unwrap();
+    let exposed = instructions("EXPOSE").remove(0);
+    let run = |command: &[String]| Command::new(&command[0]).args(&command[1..]).output().unwrap();
+    let at = |port: &str| command.iter().map(|word| word.replace(&exposed, port)).collect::<Vec<_>>();
+    assert_ne!(at(port), command, "it asks at the port that is exposed");
+    let healthy = run(&at(port));
+    assert!(healthy.status.success(), "{healthy:?}");
+    let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    assert!(!run(&at(&free.to_string())).status.success());
+}
+
+#[test]
+fn what_the_services_name_is_there() {
+    let compose = compose();
+    let exposed = instructions("EXPOSE").remove(0);
+    for (name, service) in &compose.services {
+        for other in &service.depends_on {
+            assert!(compose.services.contains_key(other), "{name} depends on {other}");
+        }
+        if let Some(Build { context, dockerfile }) = &service.build {
+            assert!(top().join(context).join(dockerfile).is_file(), "{name}: {dockerfile}");
+        }
+        if service.image != "wsg-gateway" {
+            assert_eq!(service.image, format!("eclipse/zenoh:{}", locked("zenoh")), "{name} speaks the same Zenoh");
+        }
+        for volume in &service.volumes {
+            let (volume, place) = volume.split_once(':').unwrap();
+            assert!(compose.volumes.contains_key(volume) && instructions("VOLUME") == [place], "{name}: {volume}");
+        }
+        for port in &service.ports {
+            assert!(port.starts_with("127.0.0.1:") && port.ends_with(&format!(":{exposed}")), "{name}: {port}");
+            assert!(service.command.contains(&format!("--listen=0.0.0.0:{exposed}")), "{name}: {port}");
+        }
+    }
+    let built: Vec<_> = compose.services.values().filter(|service| service.build.is_some()).collect();
+    assert!(built.len() == 1 && built[0].image == "wsg-gateway", "the image is built once: {built:?}");
+}
+
+/// A simulated device, by its service's command, and where it is.
+async fn device(service: &Service) -> (Process, String) {
+    let command: Vec<_> = service.command.iter().map(|word| word.replace("0.0.0.0:1000", "127.0.0.1:0")).collect();
+    assert_ne!(command, service.command);
+    let process = Process::start(&command.iter().map(String::as_str).collect::<Vec<_>>());
+    let address = process.word_after(" at tcp://").await;
+    (process, address)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_services_run_as_plain_processes_and_are_one_fleet() {
+    let compose = compose();
+    let (_left, left) = device(&compose.services["left"]).await;
+    let (_right, right) = device(&compose.services["right"]).await;
+    let router = Router::start();
+    let gateway = async |name: &str| {
+        let arguments: Vec<_> = compose.services[name]
+            .command
+            .iter()
+            .filter(|word| !word.starts_with("--listen="))
+            .map(|word| {
+                word.replace("left:1000", &left)
+                    .replace("right:1000", &right)
+                    .replace("tcp/router:7447", router.endpoint())
+            })
+            .chain(["--zenoh-listen=tcp/127.0.0.1:0".to_owned()])
+            .collect();
+        Gateway::start(&arguments.iter().map(String::as_str).collect::<Vec<_>>()).await
+    };
+    let (_cell, office) = (gateway("cell").await, gateway("office").await);
+    eventually("the fleet", async || {
+        let Value::Array(grippers) = office.get("/api/v1/fleet").await.ok()["grippers"].take() else { return None };
+        let connected = grippers.iter().filter(|gripper| gripper["link"] == "connected");
+        let mut names: Vec<_> =
+            connected.map(|gripper| format!("{}/{}", gripper["gateway"], gripper["gripper"])).collect();
+        names.sort();
+        (names == [r#""cell"/"left""#, r#""cell"/"right""#, r#""office"/"spare""#]).then_some(())
+    })
+    .await;
+}
