@@ -160,8 +160,8 @@ impl Actor {
                 self.leasing.end(token.as_ref());
                 let _ = answer.send(self.leasing.lease(clock::instant(), None));
             }
-            Request::LoseLease { token } => {
-                self.leasing.end(Some(&token));
+            Request::LoseLease { token, times_taken } => {
+                self.leasing.lose(&token, times_taken);
             }
             Request::Drain { answer } => {
                 let _ = answer.send(());
@@ -172,7 +172,8 @@ impl Actor {
     fn take(&mut self, take: &TakeLease, token: LeaseToken) -> Result<Granted, Rejection> {
         let terms = Terms::of(take, &LeaseRules::default())?;
         self.leasing.take(clock::instant(), take, terms, token)?;
-        Ok(Granted { lease: self.leasing.lease(clock::instant(), self.leasing.token()), keep: None })
+        let times_taken = self.leasing.times_taken();
+        Ok(Granted { lease: self.leasing.lease(clock::instant(), self.leasing.token()), times_taken, keep: None })
     }
 
     fn submit(&mut self, submission: &Submission, id: CommandId) -> Result<Ticket, Rejection> {

@@ -43,7 +43,7 @@ pub enum Request {
     RenewLease { token: Option<LeaseToken>, answer: Answer<Lease> },
     HandOver { token: Option<LeaseToken>, to: String, new: LeaseToken, answer: Answer<Lease> },
     ReleaseLease { token: Option<LeaseToken>, answer: oneshot::Sender<Lease> },
-    LoseLease { token: LeaseToken },
+    LoseLease { token: LeaseToken, times_taken: u64 },
     Drain { answer: oneshot::Sender<()> },
 }
 
@@ -83,6 +83,8 @@ pub struct FastStop {
 pub struct Granted {
     /// The lease, with its token.
     pub lease: Lease,
+    /// How often it was taken by now: who takes it again, on another connection, has it from then on.
+    pub times_taken: u64,
     /// Keeps it from running out: for a door whose client's connection is as good as a use.
     pub keep: Option<Keep>,
 }
@@ -337,10 +339,10 @@ impl Handle {
         self.insist(|answer| Request::ReleaseLease { token, answer }).await
     }
 
-    /// The client that holds the lease of this token was lost.
-    pub async fn lose_lease(&self, token: LeaseToken) {
+    /// The client that holds the lease of this token was lost, unless it has taken it again since.
+    pub async fn lose_lease(&self, token: LeaseToken, times_taken: u64) {
         // An actor that is gone has given its device up.
-        let _ = self.requests.send(Request::LoseLease { token }).await;
+        let _ = self.requests.send(Request::LoseLease { token, times_taken }).await;
     }
 
     /// FAST STOP: waits for nothing but the device's confirmation, and for that at most [`FAST_STOP_WAIT`].

@@ -83,6 +83,8 @@ pub(super) struct Held {
     pub holder: Holder,
     pub terms: Terms,
     token: LeaseToken,
+    /// How often it was taken again: it is lost with the newest connection that took it, and not with one before.
+    times_taken: u64,
     expires_at: Instant,
     /// Held by each open request of the holder, too.
     open: Arc<()>,
@@ -235,6 +237,7 @@ impl Leasing {
         let way = match &mut self.held {
             Some(held) if Some(&held.token) == wish.token.as_ref() => {
                 held.terms = terms;
+                held.times_taken += 1;
                 held.used(now);
                 return Ok(Taken::Again);
             }
@@ -266,7 +269,9 @@ impl Leasing {
         self.asking = None;
         let (open, expires_at) = (Arc::new(()), now + terms.ttl);
         let (was_open, is_waiting, is_excused) = (false, false, false);
-        self.held = Some(Held { holder, terms, token, expires_at, open, was_open, is_waiting, is_excused });
+        let times_taken = 1;
+        self.held =
+            Some(Held { holder, terms, token, times_taken, expires_at, open, was_open, is_waiting, is_excused });
     }
 
     /// Who asks first is told to the holder, until it is not heard from for a while.
@@ -316,6 +321,17 @@ impl Leasing {
         let ended = self.held.take_if(|held| Some(&held.token) == token);
         self.asking.take_if(|_| ended.is_some());
         ended
+    }
+
+    /// How often the lease that is held was taken.
+    pub(super) fn times_taken(&self) -> u64 {
+        self.held.as_ref().map_or(0, |held| held.times_taken)
+    }
+
+    /// Ends the lease of this token, unless it was taken again since.
+    pub(super) fn lose(&mut self, token: &LeaseToken, times_taken: u64) -> Option<Held> {
+        let is_newest = self.times_taken() == times_taken;
+        is_newest.then(|| self.end(Some(token))).flatten()
     }
 
     /// Its holder has until then to be heard, since nobody was there to hear it: once, until it is.

@@ -378,6 +378,23 @@ async fn a_lease_without_a_time_lives_as_long_as_its_socket_whose_end_is_a_loss(
 }
 
 #[tokio::test]
+async fn a_lease_that_was_taken_again_is_not_lost_with_the_socket_before() {
+    let (_device, gateway) = connected().await;
+    let mut before = Socket::open(&gateway).await;
+    let lease = before.call("lease.take", json!({"gripper": "g", "holder": "robot"})).await;
+    let mut socket = Socket::open(&gateway).await;
+    let again = socket.call("lease.take", json!({"gripper": "g", "holder": "robot", "lease": lease["token"]})).await;
+    assert_eq!((&again["token"], &again["epoch"]), (&lease["token"], &lease["epoch"]));
+    let homed = socket.call("home", json!({"gripper": "g", "lease": lease["token"]})).await;
+    drop(before);
+    let done = socket.told("command", |_| true).await;
+    assert_eq!((&done["id"], &done["outcome"]), (&homed["id"], &json!("SUCCESS")), "{done}");
+    assert_eq!(gateway.state().await["lease_holder"], "robot");
+    drop(socket);
+    gateway.until("nobody holds it", |state| state["lease_holder"].is_null()).await;
+}
+
+#[tokio::test]
 async fn a_lease_that_was_released_is_not_lost_with_its_socket() {
     let (_device, gateway) = connected().await;
     let mut socket = Socket::open(&gateway).await;

@@ -65,6 +65,7 @@ pub(super) use errors::{Code, Problem};
 pub(super) use lease::Taken;
 pub(super) use methods::{IDEMPOTENCY_KEY, METHODS, Method, Methods, Refusal, WSG_LEASE, Wait, is_fast_stop};
 pub use server::{Limits, RESERVED_CONNECTIONS, serve};
+pub(super) use unique::Unique;
 
 /// Where the API begins.
 const API: &str = "/api/v1";

@@ -22,8 +22,8 @@ use tower::ServiceExt;
 
 use super::prompt::Prompt;
 use super::{Context, router};
-use crate::frontend::sockets;
 use crate::frontend::connections::{Connections, Guest};
+use crate::frontend::sockets;
 
 /// Bounds of the server.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

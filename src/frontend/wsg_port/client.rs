@@ -124,7 +124,8 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             // An actor that is gone has given its device up.
             let _ = self.port.gripper.release_lease(Some(self.token.clone())).await;
         } else {
-            self.port.gripper.lose_lease(self.token.clone()).await;
+            // Its token is its own, so it was taken once.
+            self.port.gripper.lose_lease(self.token.clone(), 1).await;
         }
         self.device.forget_waiting();
         // Its FAST STOPs may still wait for a place.

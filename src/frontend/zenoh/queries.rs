@@ -212,7 +212,11 @@ fn body(payload: &[u8]) -> Result<Map<String, Value>, Problem> {
         let detail = format!("the payload is larger than {} bytes", http::MAX_BODY_BYTES);
         return Err(Problem::new(Code::TooLarge, detail).limits(None, Some(http::MAX_BODY_BYTES.into())));
     }
-    http::parse_body(payload)
+    match http::parse_body(payload)? {
+        http::Unique(Value::Object(params)) => Ok(params),
+        // Nothing else is a body.
+        http::Unique(_) => Ok(Map::new()),
+    }
 }
 
 fn headers(given: impl Fn(&'static str) -> Option<String>) -> Result<HeaderMap, Problem> {

@@ -48,7 +48,8 @@ impl Actor {
         let granted = self.try_take_lease(now, wish, token).map(|()| {
             let token = self.leasing.token().cloned();
             let keep = self.leasing.keep(now.instant, token.as_ref());
-            Granted { lease: self.leasing.lease(now.instant, token.as_ref()), keep }
+            let times_taken = self.leasing.times_taken();
+            Granted { lease: self.leasing.lease(now.instant, token.as_ref()), times_taken, keep }
         });
         // Whoever asked may be gone: then nobody uses it, and it runs out.
         let _ = answer.send(granted);
@@ -109,8 +110,8 @@ impl Actor {
     }
 
     /// The connection that the lease was bound to has ended without a release.
-    pub(super) fn lose_lease(&mut self, now: Now, token: &LeaseToken) {
-        if let Some(held) = self.leasing.end(Some(token)) {
+    pub(super) fn lose_lease(&mut self, now: Now, token: &LeaseToken, times_taken: u64) {
+        if let Some(held) = self.leasing.lose(token, times_taken) {
             self.holder_lost(now, &held, LossCause::Disconnected);
         }
     }

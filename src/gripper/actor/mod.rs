@@ -339,7 +339,7 @@ impl Actor {
             Request::ReleaseLease { token, answer } => {
                 let _ = answer.send(self.release_lease(now, token.as_ref()));
             }
-            Request::LoseLease { token } => self.lose_lease(now, &token),
+            Request::LoseLease { token, times_taken } => self.lose_lease(now, &token, times_taken),
             Request::Drain { answer } => self.start_drain(now, answer),
         }
         self.settle(now);

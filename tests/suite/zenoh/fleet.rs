@@ -15,16 +15,21 @@ const GONE_WITHIN: Duration = Duration::from_secs(2);
 const ROUTER_AT: &str = "WSG_TEST_ZENOH_ROUTER_AT";
 
 /// Zenoh's router, in a process of its own: what `zenohd` runs, without its plug-ins.
-struct Router {
+pub struct Router {
     child: Child,
     endpoint: String,
 }
 
 impl Router {
     /// On a free port.
-    fn start() -> Self {
+    pub fn start() -> Self {
         let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
         Self::at(format!("tcp/127.0.0.1:{port}"))
+    }
+
+    /// Where it listens.
+    pub fn endpoint(&self) -> &str {
+        &self.endpoint
     }
 
     fn at(endpoint: String) -> Self {

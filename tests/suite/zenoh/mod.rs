@@ -1,7 +1,7 @@
 //! The Zenoh door, by clients on a network of their own.
 
 mod commands;
-mod fleet;
+pub mod fleet;
 mod leases;
 mod publications;
 mod tls;
