@@ -23,7 +23,9 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::runtime::Handle;
+use tokio::sync::oneshot;
 use tokio::task::JoinSet;
+use zenoh::Wait as _;
 use zenoh::liveliness::LivelinessToken;
 
 use self::clients::Clients;
@@ -61,7 +63,7 @@ pub async fn serve(settings: Settings, context: Arc<Context>, opened: impl FnOnc
     let session = tokio::select! {
         biased;
         () = context.closing.cancelled() => return,
-        session = zenoh::open(config) => session,
+        session = open(config) => session,
     };
     let session = match session {
         Ok(session) => session,
@@ -93,6 +95,17 @@ pub async fn serve(settings: Settings, context: Arc<Context>, opened: impl FnOnc
     if tokio::time::timeout(FAREWELL_WITHIN, session.close()).await.is_err() {
         tracing::warn!("Zenoh did not end within {FAREWELL_WITHIN:?}");
     }
+}
+
+/// Opens a session. It may wait for a router for ever, and not as futures do: so it has a thread of its own, which nobody
+/// waits for when the gateway ends.
+async fn open(config: zenoh::Config) -> zenoh::Result<zenoh::Session> {
+    let (send, opened) = oneshot::channel();
+    std::thread::Builder::new().name("zenoh-open".to_owned()).spawn(move || {
+        // Whoever asked may have ended meanwhile.
+        let _ = send.send(zenoh::open(config).wait());
+    })?;
+    opened.await?
 }
 
 /// Everything that the gateway is to others; it ends with what is returned.
