@@ -192,9 +192,12 @@ fn to(path: String, request: Request) -> Result<Request, Problem> {
     forwarded.map_err(|error| Problem::new(Code::Internal, format!("no request: {error}")))
 }
 
+/// An operation, and the parameters in its path.
+type Found = (&'static Method, Map<String, Value>);
+
 /// The operation that a request for a path below a gripper is, and the parameters in it; none where the path is there, and
 /// does not take the method.
-fn operation(request: &Request, path: &str) -> Result<Option<(&'static Method, Map<String, Value>)>, Problem> {
+fn operation(request: &Request, path: &str) -> Result<Option<Found>, Problem> {
     let mut of_path = METHODS.iter().filter_map(|method| Some((method, parameters_of(method, path)?))).peekable();
     of_path.peek().ok_or_else(|| Problem::not_found("such path"))?;
     Ok(of_path.find(|(method, _)| method.verb == request.method()))

@@ -36,7 +36,7 @@ pub async fn get(gripper: Gripper) -> Answer {
 pub struct Taken {
     handle: Handle,
     token: LeaseToken,
-    times_taken: u64,
+    takes: u64,
     /// Where its taker has not said how long it lives without use: as long as the connection.
     _keep: Option<Keep>,
 }
@@ -44,7 +44,7 @@ pub struct Taken {
 impl Taken {
     /// The same, which runs out without use.
     pub fn without_keep(&self) -> Self {
-        Self { handle: self.handle.clone(), token: self.token.clone(), times_taken: self.times_taken, _keep: None }
+        Self { handle: self.handle.clone(), token: self.token.clone(), takes: self.takes, _keep: None }
     }
 
     /// Of which gripper.
@@ -54,7 +54,7 @@ impl Taken {
 
     /// Its client has gone. One that was released, is another's by now, or was taken again elsewhere, stays as it is.
     pub async fn lose(&self) {
-        self.handle.lose_lease(self.token.clone(), self.times_taken).await;
+        self.handle.lose_lease(self.token.clone(), self.takes).await;
     }
 }
 
@@ -112,8 +112,8 @@ pub async fn take(gripper: Gripper, Body(body): Body<Take>) -> Result<impl IntoR
         client: gripper.client,
     };
     let (handle, has_ttl) = (gripper.handle, take.ttl.is_some());
-    let Granted { lease, times_taken, keep } = handle.take_lease(take).await?;
-    let taken = lease.token.clone().map(|token| Taken { handle, token, times_taken, _keep: keep.filter(|_| !has_ttl) });
+    let Granted { lease, times_taken: takes, keep } = handle.take_lease(take).await?;
+    let taken = lease.token.clone().map(|token| Taken { handle, token, takes, _keep: keep.filter(|_| !has_ttl) });
     Ok((taken.map(|taken| Extension(Arc::new(taken))), Json(lease)))
 }
 
