@@ -65,12 +65,10 @@ const SAID_WITHIN_MS = 2000;
 /** When the page covers what it shows, by the clock of its machine, which is this one. */
 async function watchForCover(page) {
   await page.evaluate(() => {
-    globalThis.coveredAt = new Promise((resolve) => {
-      const look = () => { if (document.querySelector('.jaws-panel .cover')) resolve(Date.now()); };
-      new MutationObserver(look).observe(document.body, { subtree: true, childList: true });
-    });
+    const look = () => { if (document.querySelector('.jaws-panel .cover')) globalThis.coveredAt ??= Date.now(); };
+    new MutationObserver(look).observe(document.body, { subtree: true, childList: true });
   });
-  return () => page.evaluate(() => globalThis.coveredAt);
+  return async () => (await page.waitForFunction(() => globalThis.coveredAt)).jsonValue();
 }
 
 test('the page says within 2 s that the gateway is gone, and recovers', async () => {
