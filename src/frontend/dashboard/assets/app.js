@@ -13,7 +13,8 @@ import { go, start } from './ui/route.js';
 
 function Views() {
   return html`<nav class="views" aria-label=${t('nav.label')}>
-    ${VIEWS.map((name) => html`<button type="button" key=${name} data-view=${name} aria-current=${view.value === name ? 'page' : 'false'} onClick=${() => go(name)}>${t(`nav.${name}`)}</button>`)}
+    ${VIEWS.map((name) => html`<button type="button" key=${name} data-view=${name}
+        aria-current=${view.value === name ? 'page' : 'false'} onClick=${() => go(name)}>${t(`nav.${name}`)}</button>`)}
   </nav>`;
 }
 
@@ -21,9 +22,11 @@ function Views() {
 const later = signal({});
 
 async function fetchLater() {
-  const [{ Charts }, { Control }, { Flags }] = await Promise.all([import('./views/charts.js'), import('./views/control.js'), import('./views/flags.js')]);
+  const [{ Charts }, { Control }, { Flags }] = await Promise.all([import('./views/charts.js'),
+      import('./views/control.js'), import('./views/flags.js')]);
   later.value = { Charts, Control, Flags };
-  const [{ History }, { Log }, { Device }, { All }] = await Promise.all([import('./views/history.js'), import('./views/log.js'), import('./views/device.js'), import('./views/overview.js')]);
+  const [{ History }, { Log }, { Device }, { All }] = await Promise.all([import('./views/history.js'),
+      import('./views/log.js'), import('./views/device.js'), import('./views/overview.js')]);
   ofView.value = { operate: Operate, history: History, log: Log, device: Device, all: All };
 }
 
@@ -59,16 +62,22 @@ function Footer() {
     <p class="safety">${t('foot.safety')}</p>
     <div class="prefs">
       <label for="my-name">${t('foot.name')}</label>
-      <input id="my-name" type="text" maxlength="32" value=${myName.value} onChange=${(event) => { myName.value = event.currentTarget.value.trim() || myName.peek(); }} />
-      <${Choice} label=${t('foot.language')} name="language" value=${language.value} onChange=${(key) => { language.value = key; }} options=${LANGUAGES.map((key) => [key, key.toUpperCase()])} />
-      <${Choice} label=${t('foot.theme')} name="theme" value=${theme.value} onChange=${(key) => { theme.value = key; }} options=${['auto', 'light', 'dark'].map((key) => [key, t(`theme.${key}`)])} />
+      <input id="my-name" type="text" maxlength="32" value=${myName.value}
+          onChange=${(event) => { myName.value = event.currentTarget.value.trim() || myName.peek(); }} />
+      <${Choice} label=${t('foot.language')} name="language" value=${language.value}
+          onChange=${(key) => { language.value = key; }} options=${LANGUAGES.map((key) => [key, key.toUpperCase()])} />
+      <${Choice} label=${t('foot.theme')} name="theme" value=${theme.value}
+          onChange=${(key) => { theme.value = key; }} options=${['auto', 'light', 'dark'].map((key) => [key,
+              t(`theme.${key}`)])} />
       <a href="/docs">${t('foot.docs')}</a>
     </div>
   </footer>`;
 }
 
 function App() {
-  return html`<a class="skip" href="#main" onClick=${(event) => { event.preventDefault(); document.querySelector('main button, main input')?.focus(); }}>${t('nav.skip')}</a>
+  return html`<a class="skip" href="#main"
+      onClick=${(event) => { event.preventDefault(); document.querySelector('main button, main input')?.focus(); }}>${t('nav.skip')}
+        </a>
     <${Bar} />
     <div class="navigation"><${Picker} /><${Views} /></div>
     <div id="main"><${Main} /></div>

@@ -20,9 +20,13 @@ function Row({ alarm }) {
   return html`<li class=${`alarm tone-${alarm.clearedAt || alarm.acknowledgedAt ? 'over' : alarm.priority}`}>
     <${Shape} name=${alarm.priority} />
     <div class="alarm-text"><strong>${named(alarm)}</strong>
-      <span class="muted small">${t(words)} · ${moment(alarm.since)}${alarm.clearedAt ? ` – ${moment(alarm.clearedAt)}` : ''}${alarm.cause ? ` · ${alarm.cause}` : ''}</span></div>
-    ${isLatch ? html`<button type="button" onClick=${() => { selected.value = alarm.gripper; go('operate'); requestAnimationFrame(() => document.getElementById('motion-title')?.scrollIntoView({ block: 'center' })); }}>${t('alarm.show')}</button>`
-      : !alarm.acknowledgedAt && html`<button type="button" aria-label=${t('alarm.acknowledge_one', { alarm: alarmText(alarm) })} onClick=${() => acknowledgeAlarm(alarm.id)}>${t('alarm.acknowledge')}</button>`}
+      <span class="muted small">${t(words)} · ${moment(alarm.since)}${alarm.clearedAt ? ` – ${moment(alarm.clearedAt)}` : ''}${alarm.cause ? ` · ${alarm.cause}` : ''}
+        </span></div>
+    ${isLatch ? html`<button type="button"
+        onClick=${() => { selected.value = alarm.gripper; go('operate'); requestAnimationFrame(() => document.getElementById('motion-title')?.scrollIntoView({ block: 'center' })); }}>${t('alarm.show')}
+          </button>`
+      : !alarm.acknowledgedAt && html`<button type="button" aria-label=${t('alarm.acknowledge_one',
+          { alarm: alarmText(alarm) })} onClick=${() => acknowledgeAlarm(alarm.id)}>${t('alarm.acknowledge')}</button>`}
   </li>`;
 }
 

@@ -18,7 +18,8 @@ export async function stop() {
   stopped.value = { text: t('stop.sent') };
   try {
     const told = await fastStop();
-    stopped.value = { text: t(told.fast_stop_confirmed ? 'stop.confirmed' : 'stop.unconfirmed'), isWrong: !told.fast_stop_confirmed };
+    stopped.value = { text: t(told.fast_stop_confirmed ? 'stop.confirmed' : 'stop.unconfirmed'),
+        isWrong: !told.fast_stop_confirmed };
     const shown = stopped.value;
     setTimeout(() => { if (stopped.value === shown && !shown.isWrong) stopped.value = null; }, TOLD_FOR_MS);
   } catch (error) {
@@ -38,24 +39,28 @@ addEventListener('keydown', (event) => {
 function Stop() {
   return html`<div class="stop-place">
     <button type="button" class="stop" id="stop" onClick=${stop} aria-describedby="stop-note">
-      <span class="stop-word">${t('stop.word')}</span><span class="stop-scope">${t(grippers.value.length > 1 ? 'stop.all' : 'stop.one')} <kbd>Esc</kbd></span>
+      <span class="stop-word">${t('stop.word')}</span><span
+          class="stop-scope">${t(grippers.value.length > 1 ? 'stop.all' : 'stop.one')} <kbd>Esc</kbd></span>
     </button>
     <p class="stop-note" id="stop-note">${t('stop.not')}</p>
   </div>`;
 }
 
 function Item({ label, shape, text, tone = '' }) {
-  return html`<div class=${`status ${tone}`}><span class="status-label">${label}</span><span class="status-text"><${Shape} name=${shape} /><span title=${text}>${text}</span></span></div>`;
+  return html`<div class=${`status ${tone}`}><span class="status-label">${label}</span><span class="status-text">
+    <${Shape} name=${shape} /><span title=${text}>${text}</span></span></div>`;
 }
 
 function linkItem(one) {
   if (connection.value !== 'live') {
-    const since = heardAt.value && connection.value !== 'connecting' ? ` ${t('bar.since', { time: time(heardAt.value) })}` : '';
+    const since = heardAt.value && connection.value !== 'connecting' ? ` ${t('bar.since',
+        { time: time(heardAt.value) })}` : '';
     return { shape: 'high', tone: 'tone-high', text: t(`bar.gateway.${connection.value}`) + since };
   }
   const link = one?.link.value;
   if (!link) return { shape: 'off', text: '–' };
-  return link === 'connected' ? { shape: 'on', text: t('link.connected') } : { shape: 'high', tone: 'tone-high', text: t(`link.${link}`) };
+  return link === 'connected' ? { shape: 'on', text: t('link.connected') } : { shape: 'high', tone: 'tone-high',
+      text: t(`link.${link}`) };
 }
 
 function stateItem(one) {
@@ -77,8 +82,11 @@ function controlItem(one) {
 function Alarms() {
   const open = alarms.value.filter((alarm) => !alarm.acknowledgedAt);
   const worst = ['critical', 'high', 'low'].find((priority) => open.some((alarm) => alarm.priority === priority));
-  return html`<button type="button" class=${`alarm-badge ${worst ? `tone-${worst}` : ''}`} onClick=${() => { go('operate'); requestAnimationFrame(() => document.getElementById('alarms')?.scrollIntoView()); }}>
-    <${Shape} name=${worst ?? 'check'} /><span>${open.length === 0 ? t('bar.no_alarms') : t(open.length === 1 ? 'bar.alarm' : 'bar.alarms', { count: open.length })}</span>
+  return html`<button type="button" class=${`alarm-badge ${worst ? `tone-${worst}` : ''}`}
+      onClick=${() => { go('operate'); requestAnimationFrame(() => document.getElementById('alarms')?.scrollIntoView()); }}>
+    <${Shape} name=${worst ?? 'check'} />
+      <span>${open.length === 0 ? t('bar.no_alarms') : t(open.length === 1 ? 'bar.alarm' : 'bar.alarms',
+          { count: open.length })}</span>
   </button>`;
 }
 
@@ -95,8 +103,10 @@ export function Bar() {
       </div>
       <${Stop} />
     </div>
-    ${isOld.value && html`<p class="newer" role="status">${t('newer')} <button type="button" onClick=${() => location.reload()}>${t('reload')}</button></p>`}
-    ${stopped.value && html`<p class=${`stopped ${stopped.value.isWrong ? 'tone-critical' : ''}`} role="status">${stopped.value.text}
+    ${isOld.value && html`<p class="newer" role="status">${t('newer')} <button type="button"
+        onClick=${() => location.reload()}>${t('reload')}</button></p>`}
+    ${stopped.value && html`<p class=${`stopped ${stopped.value.isWrong ? 'tone-critical' : ''}`}
+        role="status">${stopped.value.text}
       <button type="button" class="quiet" onClick=${() => { stopped.value = null; }}>${t('close')}</button></p>`}
   </header>`;
 }
@@ -105,7 +115,9 @@ export function Bar() {
 export function Picker() {
   const all = grippers.value;
   return html`<nav class="picker" aria-label=${t('bar.grippers')}>
-    ${all.map((one) => html`<button type="button" key=${one.name} class="chip" aria-current=${one === gripper.value ? 'true' : 'false'} onClick=${() => { selected.value = one.name; go(); }}>
-      <${Shape} name=${whyOld(one) ? 'high' : one.latchId.value ? 'critical' : one.isMoving.value ? 'moving' : 'on'} />${one.name}</button>`)}
+    ${all.map((one) => html`<button type="button" key=${one.name} class="chip"
+        aria-current=${one === gripper.value ? 'true' : 'false'} onClick=${() => { selected.value = one.name; go(); }}>
+      <${Shape} name=${whyOld(one) ? 'high' : one.latchId.value ? 'critical' : one.isMoving.value ? 'moving' : 'on'} />${one.name}
+        </button>`)}
   </nav>`;
 }

@@ -46,16 +46,21 @@ export function JogPanel({ one, speed, limits, reason }) {
   const widths = limits.width.value;
   // While it is held its own motion is what runs, and must not let go of the button.
   const isOff = reason !== null && reason !== 'why.running';
-  const canStep = (by) => reason === null && one.width.value !== null && !mistake(Math.min(widths.max, Math.max(widths.min, one.width.value)) + by, widths);
+  const canStep = (by) => reason === null && one.width.value !== null && !mistake(Math.min(widths.max,
+      Math.max(widths.min, one.width.value)) + by, widths);
   const step = (by) => move(one, 'move', { width_mm: by, relative: true, speed_mm_s: pace });
   return html`<div class="jog" role="group" aria-label=${t('jog.title')}>
     <div class="holds">
-      <${HoldButton} id="jog-close" label=${html`<span aria-hidden="true">\u25b6\u25c0</span> ${t('jog.close')}`} jog=${jog} one=${one} direction=${-1} speed=${pace} limits=${widths} disabled=${isOff} />
-      <${HoldButton} id="jog-open" label=${html`<span aria-hidden="true">\u25c0\u25b6</span> ${t('jog.open')}`} jog=${jog} one=${one} direction=${1} speed=${pace} limits=${widths} disabled=${isOff} />
+      <${HoldButton} id="jog-close" label=${html`<span aria-hidden="true">\u25b6\u25c0</span> ${t('jog.close')}`}
+          jog=${jog} one=${one} direction=${-1} speed=${pace} limits=${widths} disabled=${isOff} />
+      <${HoldButton} id="jog-open" label=${html`<span aria-hidden="true">\u25c0\u25b6</span> ${t('jog.open')}`}
+          jog=${jog} one=${one} direction=${1} speed=${pace} limits=${widths} disabled=${isOff} />
     </div>
     <div class="steps">
-      ${[...STEPS_MM].reverse().map((mm) => html`<button type="button" key=${-mm} disabled=${!canStep(-mm)} onClick=${() => step(-mm)}>−${plain(mm)}</button>`)}
-      ${STEPS_MM.map((mm) => html`<button type="button" key=${mm} disabled=${!canStep(mm)} onClick=${() => step(mm)}>+${plain(mm)}</button>`)}
+      ${[...STEPS_MM].reverse().map((mm) => html`<button type="button" key=${-mm} disabled=${!canStep(-mm)}
+          onClick=${() => step(-mm)}>−${plain(mm)}</button>`)}
+      ${STEPS_MM.map((mm) => html`<button type="button" key=${mm} disabled=${!canStep(mm)}
+          onClick=${() => step(mm)}>+${plain(mm)}</button>`)}
     </div>
     <p class="hint">${t('jog.hint', { speed: plain(pace) })}</p>
   </div>`;

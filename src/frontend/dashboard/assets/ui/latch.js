@@ -26,7 +26,8 @@ export const shortId = (id) => id.slice(-4);
 
 export function Latch({ one }) {
   const state = one.state.value;
-  const { fast_stop_id: id, fast_stop_by: by, fast_stop_cause: cause, fast_stop_reason: reason, fast_stop_at: at, fast_stop_confirmed: isConfirmed } = state;
+  const { fast_stop_id: id, fast_stop_by: by, fast_stop_cause: cause, fast_stop_reason: reason, fast_stop_at: at,
+      fast_stop_confirmed: isConfirmed } = state;
   const isSeen = useSignal(false);
   useEffect(() => {
     isSeen.value = false;
@@ -43,7 +44,8 @@ export function Latch({ one }) {
     </dl>
     <h4>${t('latch.check')}</h4>
     <ul>${(CHECKS[cause] ?? CHECKS.unknown).map((check) => html`<li key=${check}>${t(`check.${check}`)}</li>`)}</ul>
-    <button type="button" id="acknowledge" class="primary" disabled=${!isSeen.value || !isConfirmed} onClick=${() => acknowledge(one, id)}>${t('latch.acknowledge', { id: `…${shortId(id)}` })}</button>
+    <button type="button" id="acknowledge" class="primary" disabled=${!isSeen.value || !isConfirmed}
+        onClick=${() => acknowledge(one, id)}>${t('latch.acknowledge', { id: `…${shortId(id)}` })}</button>
     <p class="hint">${t('latch.hint')}</p>
   </div>`;
 }

@@ -14,7 +14,8 @@ import { Presets } from './presets.js';
 const typed = new Map();
 
 function fieldsOf(one) {
-  if (!typed.has(one)) typed.set(one, { width: signal('20'), speed: signal('50'), force: signal('30'), part: signal(''), direction: signal('default'), block: signal('stop') });
+  if (!typed.has(one)) typed.set(one, { width: signal('20'), speed: signal('50'), force: signal('30'),
+      part: signal(''), direction: signal('default'), block: signal('stop') });
   return typed.get(one);
 }
 
@@ -32,8 +33,11 @@ function NoControl({ one }) {
   const holder = one.holder.value;
   return html`<div class="take">
     <p>${holder ? t('control.held_by', { holder }) : t('control.nobody')}</p>
-    ${!holder && html`<button type="button" class="primary" onClick=${() => takeControl(one)}>${t('control.take')}</button>`}
-    ${holder && html`<a class="button" href="#control-title" onClick=${(event) => { event.preventDefault(); document.getElementById('control-title').scrollIntoView({ block: 'center' }); }}>${t('control.more')}</a>`}
+    ${!holder && html`<button type="button" class="primary" onClick=${() => takeControl(one)}>${t('control.take')}
+      </button>`}
+    ${holder && html`<a class="button" href="#control-title"
+        onClick=${(event) => { event.preventDefault(); document.getElementById('control-title').scrollIntoView({ block: 'center' }); }}>${t('control.more')}
+          </a>`}
   </div>`;
 }
 
@@ -43,10 +47,14 @@ function LastCommand({ one }) {
   if (!command) return html`<p class="last muted" role="status">${t('last.none')}</p>`;
   const isBad = ['BLOCKED', 'RANGE', 'TIMEOUT', 'FAILED', 'REFUSED', 'UNKNOWN', 'ABORTED'].includes(command.outcome);
   const shape = command.phase === 'running' ? 'moving' : isBad ? 'high' : 'check';
-  const measured = [command.width_mm != null && `${fixed(command.width_mm, 2)} mm`, command.kind === 'grip' && command.force_n != null && `${fixed(command.force_n, 1)} N`, command.duration_ms != null && `${fixed(command.duration_ms / 1000, 2)} s`];
+  const measured = [command.width_mm != null && `${fixed(command.width_mm, 2)} mm`,
+      command.kind === 'grip' && command.force_n != null && `${fixed(command.force_n, 1)} N`,
+          command.duration_ms != null && `${fixed(command.duration_ms / 1000, 2)} s`];
   return html`<p class="last" role="status" data-outcome=${command.outcome ?? 'running'}><${Shape} name=${shape} />
-    <strong>${t(`command.${command.kind}`)}</strong> ${command.outcome ? t(`outcome.${command.outcome}`) : t('outcome.running')}
-    <span class="muted">${command.phase === 'done' || command.outcome ? measured.filter(Boolean).join(' · ') : ''}</span></p>`;
+    <strong>${t(`command.${command.kind}`)}
+      </strong> ${command.outcome ? t(`outcome.${command.outcome}`) : t('outcome.running')}
+    <span class="muted">${command.phase === 'done' || command.outcome ? measured.filter(Boolean).join(' · ') : ''}
+      </span></p>`;
 }
 
 function Controls({ one }) {
@@ -56,36 +64,50 @@ function Controls({ one }) {
     speed: computed(() => speedLimits(one.info.value)),
     force: computed(() => forceLimits(one.info.value, one.hasOverdrive.value)),
   }), [one]);
-  const values = { width_mm: number(fields.width.value), speed_mm_s: number(fields.speed.value), force_n: number(fields.force.value) };
+  const values = { width_mm: number(fields.width.value), speed_mm_s: number(fields.speed.value),
+      force_n: number(fields.force.value) };
   const reason = whyNot(one);
   const homing = whyNot(one, false);
   const wrong = mistake(values.width_mm, limits.width.value) || mistake(values.speed_mm_s, limits.speed.value);
   const wrongForce = fields.force.value.trim() !== '' && mistake(values.force_n, limits.force.value);
   const path = { width_mm: values.width_mm, speed_mm_s: values.speed_mm_s };
-  const grip = () => move(one, 'grip', { ...path, ...(fields.force.value.trim() === '' ? {} : { force_n: values.force_n }), ...(fields.part.value === '' ? {} : { part_id: fields.part.value }) });
+  const grip = () => move(one, 'grip', { ...path,
+      ...(fields.force.value.trim() === '' ? {} : { force_n: values.force_n }),
+          ...(fields.part.value === '' ? {} : { part_id: fields.part.value }) });
   const shown = reason ?? (wrong || wrongForce ? 'why.limits' : null);
   return html`<div class="controls">
     <div class="fields">
-      <${NumberField} id="width" label=${t('field.width')} unit="mm" value=${fields.width} limits=${limits.width.value} />
+      <${NumberField} id="width" label=${t('field.width')} unit="mm" value=${fields.width}
+          limits=${limits.width.value} />
       <${NumberField} id="speed" label=${t('speed')} unit="mm/s" value=${fields.speed} limits=${limits.speed.value} />
-      <${NumberField} id="force" label=${t('field.force')} unit="N" value=${fields.force} limits=${limits.force.value} isOptional=${true} />
+      <${NumberField} id="force" label=${t('field.force')} unit="N" value=${fields.force} limits=${limits.force.value}
+          isOptional=${true} />
       <div class="field"><label for="part">${t('field.part')}</label>
-        <div class="input"><input id="part" type="text" maxlength="48" autocomplete="off" value=${fields.part.value} onInput=${(event) => { fields.part.value = event.currentTarget.value; }} /></div>
+        <div class="input"><input id="part" type="text" maxlength="48" autocomplete="off" value=${fields.part.value}
+            onInput=${(event) => { fields.part.value = event.currentTarget.value; }} /></div>
         <p class="hint">${t('field.part_hint')}</p></div>
     </div>
     <div class="buttons">
-      <button type="button" id="grip" class="primary" disabled=${reason || wrong || wrongForce} onClick=${grip}>${t('command.grip')}</button>
-      <button type="button" id="release" disabled=${reason || wrong} onClick=${() => move(one, 'release', path)}>${t('command.release')}</button>
-      <button type="button" id="move" disabled=${reason || wrong} onClick=${() => move(one, 'move', { ...path, on_block: fields.block.value })}>${t('command.move')}</button>
-      <button type="button" id="home" disabled=${homing} onClick=${() => move(one, 'home', { direction: fields.direction.value })}>${t('command.home')}</button>
+      <button type="button" id="grip" class="primary" disabled=${reason || wrong || wrongForce}
+          onClick=${grip}>${t('command.grip')}</button>
+      <button type="button" id="release" disabled=${reason || wrong} onClick=${() => move(one, 'release',
+          path)}>${t('command.release')}</button>
+      <button type="button" id="move" disabled=${reason || wrong} onClick=${() => move(one, 'move', { ...path,
+          on_block: fields.block.value })}>${t('command.move')}</button>
+      <button type="button" id="home" disabled=${homing} onClick=${() => move(one, 'home',
+          { direction: fields.direction.value })}>${t('command.home')}</button>
     </div>
     <p class="why muted small" role="status">${shown ? t(shown) : t('why.ready', { width: plain(values.width_mm) })}</p>
     <${JogPanel} one=${one} speed=${fields.speed} limits=${limits} reason=${reason} />
     <${Presets} one=${one} fields=${fields} />
     <details class="more"><summary>${t('field.more')}</summary><div class="fields">
-      <div class="field"><label for="direction">${t('field.direction')}</label><select id="direction" value=${fields.direction.value} onChange=${(event) => { fields.direction.value = event.currentTarget.value; }}>
-        ${['default', 'outer', 'inner'].map((direction) => html`<option value=${direction}>${t(`direction.${direction}`)}</option>`)}</select></div>
-      <div class="field"><label for="block">${t('field.block')}</label><select id="block" value=${fields.block.value} onChange=${(event) => { fields.block.value = event.currentTarget.value; }}>
+      <div class="field"><label for="direction">${t('field.direction')}</label><select id="direction"
+          value=${fields.direction.value}
+              onChange=${(event) => { fields.direction.value = event.currentTarget.value; }}>
+        ${['default', 'outer', 'inner'].map((direction) => html`<option
+            value=${direction}>${t(`direction.${direction}`)}</option>`)}</select></div>
+      <div class="field"><label for="block">${t('field.block')}</label><select id="block" value=${fields.block.value}
+          onChange=${(event) => { fields.block.value = event.currentTarget.value; }}>
         ${['stop', 'clamp'].map((block) => html`<option value=${block}>${t(`block.${block}`)}</option>`)}</select></div>
     </div></details>
   </div>`;
@@ -93,8 +115,11 @@ function Controls({ one }) {
 
 export function Motion({ one }) {
   const isLatched = one.latchId.value !== null;
-  const actions = html`<button type="button" id="stop-soft" disabled=${!isLive.value} onClick=${() => askFreely(one, 'stop')}>${t('command.stop')}</button>
-    <button type="button" id="stop-one" onClick=${() => fastStop(one.name).catch((problem) => { one.problem.value = problem.errors?.at(-1) ?? problem; })}>${t('motion.fast_stop', { gripper: one.name })}</button>`;
+  const actions = html`<button type="button" id="stop-soft" disabled=${!isLive.value} onClick=${() => askFreely(one,
+      'stop')}>${t('command.stop')}</button>
+    <button type="button" id="stop-one"
+        onClick=${() => fastStop(one.name).catch((problem) => { one.problem.value = problem.errors?.at(-1) ?? problem; })}>${t('motion.fast_stop',
+            { gripper: one.name })}</button>`;
   return html`<${Panel} title=${t('motion.title')} id="motion-title" class="motion-panel" actions=${actions}>
     <${Covered} one=${one}>
       ${isLatched ? html`<${Latch} one=${one} />` : html`

@@ -18,7 +18,8 @@ const SHAPES = {
 };
 
 export function Shape({ name }) {
-  return html`<svg class=${`shape shape-${name}`} viewBox="0 0 16 16" aria-hidden="true"><path d=${SHAPES[name]} /></svg>`;
+  return html`<svg class=${`shape shape-${name}`} viewBox="0 0 16 16" aria-hidden="true"><path d=${SHAPES[name]} />
+    </svg>`;
 }
 
 export function Panel({ title, id, actions, class: extra = '', children }) {
@@ -77,14 +78,17 @@ export function NumberField({ id, label, unit, value, limits, isOptional = false
     <div class="input"><input id=${id} type="text" inputmode="decimal" autocomplete="off" value=${typed}
       aria-describedby=${`${id}-hint`} aria-invalid=${wrong ? 'true' : 'false'}
       onInput=${(event) => { value.value = event.currentTarget.value; }} /><span class="unit">${unit}</span></div>
-    <p class="hint" id=${`${id}-hint`}>${wrong && html`<${Shape} name="high" /> `}${wrong && wrong !== 'missing' ? t(`limit.${wrong}`, { min: plain(limits.min), max: plain(limits.max) }) : limitsText(limits, unit)}</p>
+    <p class="hint" id=${`${id}-hint`}>${wrong && html`<${Shape}
+        name="high" /> `}${wrong && wrong !== 'missing' ? t(`limit.${wrong}`, { min: plain(limits.min),
+            max: plain(limits.max) }) : limitsText(limits, unit)}</p>
   </div>`;
 }
 
 /** Few choices, one of them taken. */
 export function Choice({ label, name, options, value, onChange }) {
   return html`<div class="segments" role="group" aria-label=${label}>
-    ${options.map(([key, text]) => html`<button type="button" key=${key} data-choice=${`${name}-${key}`} aria-pressed=${key === value ? 'true' : 'false'} onClick=${() => onChange(key)}>${text}</button>`)}
+    ${options.map(([key, text]) => html`<button type="button" key=${key} data-choice=${`${name}-${key}`}
+        aria-pressed=${key === value ? 'true' : 'false'} onClick=${() => onChange(key)}>${text}</button>`)}
   </div>`;
 }
 

@@ -52,16 +52,19 @@ function markAt(plot, marks, until) {
 }
 
 function make(one, chart, place, until) {
-  const axis = (more) => ({ stroke: css('--ink-2'), font: '11px system-ui, sans-serif', grid: { stroke: css('--grid'), width: 1 }, ticks: { show: false }, ...more });
+  const axis = (more) => ({ stroke: css('--ink-2'), font: '11px system-ui, sans-serif', grid: { stroke: css('--grid'),
+      width: 1 }, ticks: { show: false }, ...more });
   return new uPlot({
     width: place.clientWidth,
     height: place.clientHeight,
     legend: { show: false },
     cursor: { show: false },
     padding: [8, 16, 0, 0],
-    scales: { x: { time: false, range: () => [-windowS.peek(), 0] }, y: { range: (_, low, high) => chart.range(one, low ?? 0, high ?? 0) } },
+    scales: { x: { time: false, range: () => [-windowS.peek(), 0] }, y: { range: (_, low, high) => chart.range(one,
+        low ?? 0, high ?? 0) } },
     axes: [
-      axis({ size: 20, values: (_, splits) => splits.map((value) => (value === 0 ? t('chart.now') : `${value} s`)), space: 70 }),
+      axis({ size: 20, values: (_, splits) => splits.map((value) => (value === 0 ? t('chart.now') : `${value} s`)),
+          space: 70 }),
       axis({ size: 44, space: 26, values: (_, splits) => splits.map((value) => fixed(value, 0)) }),
     ],
     series: [{}, { stroke: css('--trace'), width: 1.5, points: { show: false }, spanGaps: false }],
@@ -104,7 +107,8 @@ function Charted({ one }) {
   return html`<div class="charts">
     ${CHARTS.map((chart, index) => html`<figure class="chart" key=${chart.key}>
       <figcaption>${t(chart.key)} <span class="unit">${chart.unit}</span></figcaption>
-      <div class="chart-place" role="img" aria-label=${t('chart.label', { what: t(chart.key), seconds: windowS.value })} ref=${(place) => { places.current[index] = place; }}></div>
+      <div class="chart-place" role="img" aria-label=${t('chart.label', { what: t(chart.key),
+          seconds: windowS.value })} ref=${(place) => { places.current[index] = place; }}></div>
     </figure>`)}
   </div>`;
 }
@@ -112,11 +116,15 @@ function Charted({ one }) {
 export function Charts({ one }) {
   const isPaused = pausedAt.value !== null;
   const actions = html`
-    <${Choice} label=${t('chart.window')} name="window" value=${windowS.value} onChange=${(seconds) => { windowS.value = seconds; }}
+    <${Choice} label=${t('chart.window')} name="window" value=${windowS.value}
+        onChange=${(seconds) => { windowS.value = seconds; }}
       options=${WINDOWS_S.map((seconds) => [seconds, seconds < 60 ? `${seconds} s` : `${seconds / 60} min`])} />
-    <button type="button" class="quiet" aria-pressed=${isPaused ? 'true' : 'false'} onClick=${() => { pausedAt.value = isPaused ? null : performance.now(); }}>${t(isPaused ? 'chart.resume' : 'chart.pause')}</button>`;
+    <button type="button" class="quiet" aria-pressed=${isPaused ? 'true' : 'false'}
+        onClick=${() => { pausedAt.value = isPaused ? null : performance.now(); }}>${t(isPaused ? 'chart.resume' : 'chart.pause')}
+          </button>`;
   return html`<${Panel} title=${t('chart.title')} id="chart-title" class="charts-panel" actions=${actions}>
     <${Covered} one=${one}><${Charted} one=${one} /></${Covered}>
-    <p class="legend muted small">${MARK_SHAPES.begin} ${t('chart.begin')} ${MARK_SHAPES.held} ${t('chart.held')} ${MARK_SHAPES.end} ${t('chart.end')}</p>
+    <p class="legend muted small">${MARK_SHAPES.begin} ${t('chart.begin')} ${MARK_SHAPES.held} ${t('chart.held')} ${MARK_SHAPES.end} ${t('chart.end')}
+      </p>
   </${Panel}>`;
 }

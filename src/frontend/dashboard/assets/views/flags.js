@@ -20,11 +20,15 @@ const WAYS = [
 
 export function StateMachine({ one }) {
   const current = one.latchId.value ? 'ERROR' : one.gripperState.value;
-  return html`<svg class="machine" viewBox="0 0 490 200" role="img" aria-label=${t('machine.label', { state: t(`state.${current ?? 'unknown'}`) })}>
-    <defs><marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="7" markerHeight="7" orient="auto-start-reverse"><path d="M0 0 8 4 0 8z" /></marker></defs>
+  return html`<svg class="machine" viewBox="0 0 490 200" role="img" aria-label=${t('machine.label',
+      { state: t(`state.${current ?? 'unknown'}`) })}>
+    <defs><marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="7" markerHeight="7"
+        orient="auto-start-reverse"><path d="M0 0 8 4 0 8z" /></marker></defs>
     <g class="ways">${WAYS.map((d) => html`<path key=${d} d=${d} marker-end="url(#tip)" />`)}</g>
-    ${Object.entries(BOXES).map(([state, [x, y]]) => html`<g key=${state} class=${`box ${state === current ? 'current' : ''} ${state === current && state === 'ERROR' ? 'tone-critical' : ''}`}>
-      <rect x=${x} y=${y} width=${W} height=${H} rx="4" /><text x=${x + W / 2} y=${y + 18}>${t(`state.${state}`)}</text><text class="name" x=${x + W / 2} y=${y + 32}>${state}</text></g>`)}
+    ${Object.entries(BOXES).map(([state, [x, y]]) => html`<g key=${state}
+        class=${`box ${state === current ? 'current' : ''} ${state === current && state === 'ERROR' ? 'tone-critical' : ''}`}>
+      <rect x=${x} y=${y} width=${W} height=${H} rx="4" /><text x=${x + W / 2} y=${y + 18}>${t(`state.${state}`)}
+        </text><text class="name" x=${x + W / 2} y=${y + 32}>${state}</text></g>`)}
   </svg>`;
 }
 
@@ -32,16 +36,22 @@ function Flag({ flag, raw }) {
   const { bit, name, weight } = flag;
   const isOn = isSet(raw, bit);
   const shape = isOn ? { fault: 'critical', warning: 'high', normal: 'on' }[weight] : 'off';
-  return html`<li class=${`flag ${isOn ? 'set' : ''} ${isOn && weight !== 'normal' ? `tone-${weight === 'fault' ? 'critical' : 'high'}` : ''}`} title=${name ?? ''}>
-    <${Shape} name=${shape} /><span class="flag-bit">${bit}</span><span class="flag-text">${name ? t(`flag.${name}`) : t('flag.reserved')}</span><span class="visually-hidden">${t(isOn ? 'flag.set' : 'flag.clear')}</span></li>`;
+  return html`<li class=${`flag ${isOn ? 'set' : ''} ${isOn && weight !== 'normal' ? `tone-${weight === 'fault' ? 'critical' : 'high'}` : ''}`}
+      title=${name ?? ''}>
+    <${Shape} name=${shape} /><span class="flag-bit">${bit}</span><span
+        class="flag-text">${name ? t(`flag.${name}`) : t('flag.reserved')}</span><span
+            class="visually-hidden">${t(isOn ? 'flag.set' : 'flag.clear')}</span></li>`;
 }
 
 export function Flags({ one }) {
   const raw = one.flags.value;
-  return html`<${Panel} title=${t('flags.title')} id="flags-title" class="flags-panel" actions=${raw !== null && !whyOld(one) && html`<code class="muted small">0x${raw.toString(16).padStart(8, '0')}</code>`}>
+  return html`<${Panel} title=${t('flags.title')} id="flags-title" class="flags-panel"
+      actions=${raw !== null && !whyOld(one) && html`<code class="muted small">0x${raw.toString(16).padStart(8, '0')}
+        </code>`}>
     <${Covered} one=${one}>
       <${StateMachine} one=${one} />
-      <ul class="flags">${FLAGS.filter(({ name, bit }) => name || isSet(raw, bit)).map((flag) => html`<${Flag} key=${flag.bit} flag=${flag} raw=${raw} />`)}</ul>
+      <ul class="flags">${FLAGS.filter(({ name, bit }) => name || isSet(raw, bit)).map((flag) => html`<${Flag}
+          key=${flag.bit} flag=${flag} raw=${raw} />`)}</ul>
       <p class="hint">${t('flags.reserved')}</p>
     </${Covered}>
   </${Panel}>`;

@@ -30,7 +30,9 @@ async function askFleet() {
 function Gauge({ one }) {
   const stroke = one.info.value?.stroke_mm ?? 110;
   const gap = ((one.width.value ?? 0) / stroke) * 200;
-  return html`<svg class="gauge" viewBox="0 0 200 14" preserveAspectRatio="none" aria-hidden="true"><rect class="track" width="200" height="14" rx="2" /><rect class="gap" x=${(100 - gap / 2).toFixed(1)} width=${gap.toFixed(1)} height="14" /></svg>`;
+  return html`<svg class="gauge" viewBox="0 0 200 14" preserveAspectRatio="none" aria-hidden="true"><rect
+      class="track" width="200" height="14" rx="2" /><rect class="gap" x=${(100 - gap / 2).toFixed(1)}
+          width=${gap.toFixed(1)} height="14" /></svg>`;
 }
 
 function Tile({ one }) {
@@ -39,11 +41,16 @@ function Tile({ one }) {
   const state = isLatched ? 'FAST_STOP' : one.gripperState.value ?? 'unknown';
   const tone = old || state === 'PART_LOST' ? 'tone-high' : isLatched || state === 'ERROR' ? 'tone-critical' : '';
   const shape = old ? 'high' : isLatched ? 'critical' : one.isMoving.value ? 'moving' : 'on';
-  return html`<button type="button" class="tile" data-gripper=${one.name} onClick=${() => { selected.value = one.name; go('operate'); }}>
-    <span class="tile-head"><span>${one.name}</span><span class=${`tile-state ${tone}`}><${Shape} name=${shape} />${old ? old.text : t(`state.${state}`)}</span></span>
+  return html`<button type="button" class="tile" data-gripper=${one.name}
+      onClick=${() => { selected.value = one.name; go('operate'); }}>
+    <span class="tile-head"><span>${one.name}</span><span class=${`tile-state ${tone}`}><${Shape}
+        name=${shape} />${old ? old.text : t(`state.${state}`)}</span></span>
     ${old ? html`<span class="muted small">${old.detail ?? ''}</span>` : html`<${Gauge} one=${one} />
-      <span class="tile-figures"><span>${fixed(one.width.value, 1)}<span class="unit">mm</span></span><span>${fixed(one.speed.value, 0)}<span class="unit">mm/s</span></span><span>${fixed(one.force.value, 1)}<span class="unit">N</span></span></span>`}
-    <span class="muted small">${one.holder.value ? t('all.control', { holder: one.holder.value }) : t('all.no_control')}</span>
+      <span class="tile-figures"><span>${fixed(one.width.value, 1)}<span class="unit">mm</span></span>
+        <span>${fixed(one.speed.value, 0)}<span class="unit">mm/s</span></span><span>${fixed(one.force.value, 1)}<span
+            class="unit">N</span></span></span>`}
+    <span class="muted small">${one.holder.value ? t('all.control',
+        { holder: one.holder.value }) : t('all.no_control')}</span>
   </button>`;
 }
 
@@ -55,13 +62,22 @@ function Fleet() {
   }, []);
   const list = fleet.value;
   if (!list) return html`<p class="muted small">${list === false ? t('all.no_fleet') : ''}</p>`;
-  return html`<${Panel} title=${t('all.fleet')} id="fleet-title"><div class="table-place" tabindex="0" role="region" aria-label=${t('all.fleet')}><table>
-    <thead><tr>${['all.gateway', 'all.gripper', 'bar.link', 'bar.state', 'bar.control', 'all.age'].map((key) => html`<th scope="col" key=${key}>${t(key)}</th>`)}</tr></thead>
-    <tbody>${list.map((one) => html`<tr key=${`${one.gateway}/${one.gripper}`} class=${one.fast_stop ? 'stop-row' : one.link === 'connected' ? '' : 'bad'}>
-      <td>${one.gateway}</td><td>${one.gripper}</td><td>${t(`link.${one.link}`)}</td><td>${one.fast_stop ? t('state.FAST_STOP') : t(`state.${one.state ?? 'unknown'}`)}</td><td>${one.lease_holder ?? '–'}</td><td>${one.age_ms == null ? '–' : one.age_ms < 1000 ? `${plain(one.age_ms)} ms` : span(one.age_ms)}</td></tr>`)}</tbody>
+  return html`<${Panel} title=${t('all.fleet')} id="fleet-title"><div class="table-place" tabindex="0" role="region"
+      aria-label=${t('all.fleet')}><table>
+    <thead><tr>${['all.gateway', 'all.gripper', 'bar.link', 'bar.state', 'bar.control',
+        'all.age'].map((key) => html`<th scope="col" key=${key}>${t(key)}</th>`)}</tr></thead>
+    <tbody>${list.map((one) => html`<tr key=${`${one.gateway}/${one.gripper}`}
+        class=${one.fast_stop ? 'stop-row' : one.link === 'connected' ? '' : 'bad'}>
+      <td>${one.gateway}</td><td>${one.gripper}</td><td>${t(`link.${one.link}`)}</td>
+        <td>${one.fast_stop ? t('state.FAST_STOP') : t(`state.${one.state ?? 'unknown'}`)}</td>
+          <td>${one.lease_holder ?? '–'}</td>
+            <td>${one.age_ms == null ? '–' : one.age_ms < 1000 ? `${plain(one.age_ms)} ms` : span(one.age_ms)}</td>
+              </tr>`)}</tbody>
   </table></div></${Panel}>`;
 }
 
 export function All() {
-  return html`<div class="column"><${Panel} title=${t('all.title')} id="all-title"><div class="tiles">${grippers.value.map((one) => html`<${Tile} key=${one.name} one=${one} />`)}</div></${Panel}><${Fleet} /></div>`;
+  return html`<div class="column"><${Panel} title=${t('all.title')} id="all-title"><div
+      class="tiles">${grippers.value.map((one) => html`<${Tile} key=${one.name} one=${one} />`)}</div></${Panel}>
+        <${Fleet} /></div>`;
 }
