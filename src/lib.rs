@@ -25,8 +25,8 @@
 //!
 //! Each has a test by its name, on the frames that the device received: `frame_sent_at_most_once`,
 //! `nothing_moves_unasked`, `fast_stop_overtakes`, `latch_blocks_motion`, `acknowledge_names_its_latch`,
-//! `every_command_ends_once`, `unknown_is_said`, `announce_before_close`, `device_refusal_is_not_our_error`,
-//! `observers_never_block`.
+//! `stale_lease_moves_nothing`, `every_command_ends_once`, `unknown_is_said`, `announce_before_close`,
+//! `device_refusal_is_not_our_error`, `observers_never_block`, `bounded`.
 //!
 //! FAST STOP is not a safety function in the sense of ISO 13850.
 

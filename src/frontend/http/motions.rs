@@ -187,7 +187,7 @@ pub async fn release(gripper: Gripper, wait: Wait, keys: Keys, Body(body): Body<
 /// Stop
 ///
 /// Ends a running motion; its command ends with `ABORTED`. Needs no lease, and latches nothing. One that its client
-/// repeats within a second, while there is nothing to stop, is the same command, `replayed`, and is sent all the same.
+/// repeats within a second, while there is nothing to stop, is the same command, `replayed`.
 #[utoipa::path(
     post, path = "/grippers/{gripper}/stop", operation_id = "stop", tag = "motion",
     params(GripperPath, WaitQuery, KeyHeaders),

@@ -49,8 +49,7 @@ impl Actor {
             }
             Action::Stop => {
                 if let Some(ticket) = self.repeated_stop(now, submission) {
-                    // A lane that is full of Stops stops it as well.
-                    let _ = self.submit(now, Command::Stop, Purpose::Stop(None));
+                    self.stop_again(now);
                     return Ok(Ticket { _keep: keep, ..ticket });
                 }
                 let is_moving = self.is_moving(now.instant);

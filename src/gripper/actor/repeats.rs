@@ -6,7 +6,8 @@ use std::time::{Duration, Instant};
 use super::super::Now;
 use super::super::handle::Ticket;
 use super::super::model::{Client, CommandId, Detail, Event, FastStopEvent, Outcome, Submission};
-use super::Actor;
+use super::{Actor, Purpose};
+use crate::wsg::Command;
 
 /// How long what is repeated is counted.
 const COUNTED_FOR: Duration = Duration::from_secs(1);
@@ -109,6 +110,13 @@ impl Actor {
         let ticket = self.book.find(self.recording.repeats.stop(now.instant, &submission.client)?)?;
         let may_succeed = matches!(ticket.now().outcome, None | Some(Outcome::Success));
         may_succeed.then_some(Ticket { replayed: true, ..ticket })
+    }
+
+    /// Sends a Stop that has nothing to stop, as far as is known, unless one is on its way: the lane is for others.
+    pub(super) fn stop_again(&mut self, now: Now) {
+        if !self.purposes.values().any(|purpose| matches!(purpose, Purpose::Stop(_))) {
+            let _ = self.submit(now, Command::Stop, Purpose::Stop(None));
+        }
     }
 
     /// A Stop was admitted, which had nothing to stop.

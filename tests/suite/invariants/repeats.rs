@@ -73,6 +73,14 @@ fn a_stop_that_has_something_to_stop_is_none_that_is_repeated() {
     world.advance(Duration::from_millis(100));
     let repeated = submit(&mut world, Action::Stop, None).unwrap();
     assert_eq!((repeated.id(), repeated.now().replayed), (first.id(), true));
+    // However many they are, they take nobody's place.
+    let from = mark(&world);
+    for _ in 0..1000 {
+        assert!(submit(&mut world, Action::Stop, None).is_ok());
+    }
+    assert!(submit(&mut world, Action::Stop, Some("another")).is_ok());
+    world.advance(Duration::from_millis(100));
+    assert_eq!(received(&world, from), [id::STOP, id::STOP]);
     let running = start(&mut world, move_to(5.0, 10.0));
     world.advance(Duration::from_millis(200));
     let stopped = submit(&mut world, Action::Stop, None).unwrap();
