@@ -6,11 +6,8 @@ use std::fmt;
 use std::sync::Arc;
 
 use jiff::Timestamp;
-use rand::rngs::SmallRng;
-use rand::{RngExt, SeedableRng};
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
-use uuid::Uuid;
 
 use super::error::Rejection;
 use crate::wsg::{CustomCommand, Force, HomingDirection, MoveFlags, Speed, Status, Width};
@@ -19,6 +16,7 @@ mod client;
 mod custom;
 mod event;
 mod frame;
+mod ids;
 pub mod lease;
 pub(crate) mod names;
 mod record;
@@ -31,6 +29,7 @@ pub use event::{
     GatewayEvent, LinkEvent, OnBlock, Parameters, RefusedEvent, SettingChange, SettingsEvent,
 };
 pub use frame::{Frame, FrameDirection};
+pub use ids::{CommandId, FastStopId, IdSource};
 pub use lease::{
     HolderName, Lease, LeaseEvent, LeaseRules, LeaseStep, LeaseToken, LossCause, LossEffect, OnLossHolding,
     OnLossMoving, TakeLease,
@@ -130,75 +129,6 @@ pub type Reason = Text<64>;
 pub type PartId = Text<48>;
 /// What makes a request the same as an earlier one (`Idempotency-Key`).
 pub type RequestId = Text<64>;
-
-macro_rules! identifiers {
-    ($($(#[$doc:meta])* $name:ident)*) => {$(
-        $(#[$doc])*
-        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-        pub struct $name(Uuid);
-
-        impl $name {
-            /// A new one, later than all before it.
-            #[must_use]
-            pub fn generate() -> Self {
-                Self(Uuid::now_v7())
-            }
-        }
-
-        impl std::str::FromStr for $name {
-            type Err = uuid::Error;
-
-            fn from_str(text: &str) -> Result<Self, uuid::Error> {
-                text.parse().map(Self)
-            }
-        }
-
-        impl fmt::Display for $name {
-            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-                self.0.fmt(f)
-            }
-        }
-    )*};
-}
-
-identifiers! {
-    /// A command's id, a UUID of version 7.
-    CommandId
-    /// A FAST STOP's id, a UUID of version 7.
-    FastStopId
-}
-
-/// Makes ids without a clock or chance of its own, so that the same seed gives the same ids.
-#[derive(Debug)]
-pub struct IdSource(SmallRng);
-
-impl IdSource {
-    /// From a seed, which should be random but in tests.
-    #[must_use]
-    pub fn new(seed: u64) -> Self {
-        Self(SmallRng::seed_from_u64(seed))
-    }
-
-    /// What makes the nonces of one link differ from those of another.
-    pub fn nonce(&mut self) -> u64 {
-        self.0.random()
-    }
-
-    /// A command's id, of this time.
-    pub fn command_id(&mut self, at: Timestamp) -> CommandId {
-        CommandId(self.uuid(at))
-    }
-
-    /// A FAST STOP's id, of this time.
-    pub fn fast_stop_id(&mut self, at: Timestamp) -> FastStopId {
-        FastStopId(self.uuid(at))
-    }
-
-    fn uuid(&mut self, at: Timestamp) -> Uuid {
-        let millis = u64::try_from(at.as_millisecond()).unwrap_or_default();
-        uuid::Builder::from_unix_timestamp_millis(millis, &self.0.random()).into_uuid()
-    }
-}
 
 /// A command that moves the fingers.
 #[derive(Debug, Clone, PartialEq)]

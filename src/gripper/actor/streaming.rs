@@ -1,7 +1,8 @@
 //! Motions that come many times a second, from a client that steers a script on the device. Each is a command, held to
 //! lease and latch; what they have of their own is here.
 
-use std::collections::BTreeMap;
+use std::collections::HashMap;
+use std::collections::hash_map::Entry;
 use std::time::{Duration, Instant};
 
 use super::super::Now;
@@ -20,8 +21,8 @@ const LASTS: Duration = Duration::from_secs(1);
 pub(super) struct Streaming {
     /// When it was last.
     at: Option<Instant>,
-    /// By id, since the first one was written down: who has asked last, and how often.
-    counted: BTreeMap<u8, (Client, u64)>,
+    /// How often since that was written down last, by id and client: no more of them than the device answers in a second.
+    counted: HashMap<(u8, Client), u64>,
     /// When that is to be written down.
     written_at: Option<Instant>,
 }
@@ -55,12 +56,10 @@ impl Actor {
         let Action::Motion(Motion::Custom(custom)) = &submission.action else { return };
         let (id, client) = (custom.id(), &submission.client);
         self.streaming.at = Some(now.instant);
-        match self.streaming.counted.get_mut(&id) {
-            Some((known, count)) if known == client => *count += 1,
-            _ => {
-                if let Some((before, count)) = self.streaming.counted.insert(id, (client.clone(), 0)) {
-                    self.record_streamed(now, id, &before, count);
-                }
+        match self.streaming.counted.entry((id, client.clone())) {
+            Entry::Occupied(mut entry) => *entry.get_mut() += 1,
+            Entry::Vacant(entry) => {
+                entry.insert(0);
                 self.record_streamed(now, id, client, 1);
             }
         }
@@ -76,17 +75,15 @@ impl Actor {
     /// Writes down what was counted. What goes on is counted on, so that it costs one record a second.
     pub(super) fn write_streamed(&mut self, now: Now) {
         let counted = std::mem::take(&mut self.streaming.counted);
-        for (id, (client, count)) in counted.into_iter().filter(|(_, (_, count))| *count > 0) {
+        for ((id, client), count) in counted.into_iter().filter(|(_, count)| *count > 0) {
             self.record_streamed(now, id, &client, count);
-            self.streaming.counted.insert(id, (client, 0));
+            self.streaming.counted.insert((id, client), 0);
         }
         self.streaming.written_at = (!self.streaming.counted.is_empty()).then_some(now.instant + COUNTED_FOR);
     }
 
     fn record_streamed(&mut self, now: Now, raw_id: u8, client: &Client, count: u64) {
-        if count > 0 {
-            let event = self.event(now, Detail::Device(DeviceEvent::Streamed { raw_id, count })).by(client);
-            self.record(event);
-        }
+        let event = self.event(now, Detail::Device(DeviceEvent::Streamed { raw_id, count })).by(client);
+        self.record(event);
     }
 }
