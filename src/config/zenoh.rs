@@ -32,6 +32,10 @@ const DROPPED_AFTER_US: u64 = 0;
 /// How long one that may not be dropped waits before its receiver counts as gone, in µs.
 const CLOSED_AFTER_US: u64 = 1_000_000;
 
+/// What may wait in the system's buffers of a connection, in each direction: what is there goes before a FAST STOP,
+/// whatever its priority.
+const SOCKET_BYTES: u64 = 64 * 1024;
+
 /// Clients and routers that may be connected at a time.
 const MAX_SESSIONS: u64 = 256;
 
@@ -228,7 +232,7 @@ impl Base {
 
 /// What Zenoh has otherwise: it would look for others, take in 1 GiB at once, not start where a port is taken, and
 /// notice after 10 s that a gateway is gone.
-fn defaults() -> [(&'static str, Value); 12] {
+fn defaults() -> [(&'static str, Value); 14] {
     [
         ("scouting/multicast/enabled", json!(false)),
         ("scouting/gossip/autoconnect", json!({"router": [], "peer": [], "client": []})),
@@ -236,6 +240,8 @@ fn defaults() -> [(&'static str, Value); 12] {
         ("connect/exit_on_failure", json!(false)),
         ("connect/timeout_ms", json!(-1)),
         ("connect/retry", json!({"period_init_ms": 250, "period_max_ms": 2000, "period_increase_factor": 2})),
+        ("transport/link/tcp/so_rcvbuf", json!(SOCKET_BYTES)),
+        ("transport/link/tcp/so_sndbuf", json!(SOCKET_BYTES)),
         ("transport/link/rx/max_message_size", json!(MAX_MESSAGE_BYTES)),
         ("qos/network", json!([fast_stops_first()])),
         ("transport/unicast/max_sessions", json!(MAX_SESSIONS)),
