@@ -43,7 +43,7 @@ pub enum Request {
     RenewLease { token: Option<LeaseToken>, answer: Answer<Lease> },
     HandOver { token: Option<LeaseToken>, to: String, new: LeaseToken, answer: Answer<Lease> },
     ReleaseLease { token: Option<LeaseToken>, answer: oneshot::Sender<Lease> },
-    LoseLease { token: LeaseToken, times_taken: u64 },
+    LoseLease { token: LeaseToken, times_taken: Option<u64> },
     Drain { answer: oneshot::Sender<()> },
 }
 
@@ -339,8 +339,9 @@ impl Handle {
         self.insist(|answer| Request::ReleaseLease { token, answer }).await
     }
 
-    /// The client that holds the lease of this token was lost, unless it has taken it again since.
-    pub async fn lose_lease(&self, token: LeaseToken, times_taken: u64) {
+    /// The client that holds the lease of this token was lost; where it says how often it had taken it, unless it has taken
+    /// it again since.
+    pub async fn lose_lease(&self, token: LeaseToken, times_taken: Option<u64>) {
         // An actor that is gone has given its device up.
         let _ = self.requests.send(Request::LoseLease { token, times_taken }).await;
     }

@@ -328,9 +328,9 @@ impl Leasing {
         self.held.as_ref().map_or(0, |held| held.times_taken)
     }
 
-    /// Ends the lease of this token, unless it was taken again since.
-    pub(super) fn lose(&mut self, token: &LeaseToken, times_taken: u64) -> Option<Held> {
-        let is_newest = self.times_taken() == times_taken;
+    /// Ends the lease of this token; where it says how often it was taken, unless it was taken again since.
+    pub(super) fn lose(&mut self, token: &LeaseToken, times_taken: Option<u64>) -> Option<Held> {
+        let is_newest = times_taken.is_none_or(|times_taken| times_taken == self.times_taken());
         is_newest.then(|| self.end(Some(token))).flatten()
     }
 

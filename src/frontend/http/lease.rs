@@ -54,7 +54,7 @@ impl Taken {
 
     /// Its client has gone. One that was released, is another's by now, or was taken again elsewhere, stays as it is.
     pub async fn lose(&self) {
-        self.handle.lose_lease(self.token.clone(), self.takes).await;
+        self.handle.lose_lease(self.token.clone(), Some(self.takes)).await;
     }
 }
 

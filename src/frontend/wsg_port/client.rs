@@ -124,8 +124,8 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             // An actor that is gone has given its device up.
             let _ = self.port.gripper.release_lease(Some(self.token.clone())).await;
         } else {
-            // Its token is its own, so it was taken once.
-            self.port.gripper.lose_lease(self.token.clone(), 1).await;
+            // Its token is its connection's own, however often it was taken.
+            self.port.gripper.lose_lease(self.token.clone(), None).await;
         }
         self.device.forget_waiting();
         // Its FAST STOPs may still wait for a place.

@@ -110,7 +110,7 @@ impl Actor {
     }
 
     /// The connection that the lease was bound to has ended without a release.
-    pub(super) fn lose_lease(&mut self, now: Now, token: &LeaseToken, times_taken: u64) {
+    pub(super) fn lose_lease(&mut self, now: Now, token: &LeaseToken, times_taken: Option<u64>) {
         if let Some(held) = self.leasing.lose(token, times_taken) {
             self.holder_lost(now, &held, LossCause::Disconnected);
         }

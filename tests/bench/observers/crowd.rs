@@ -8,14 +8,15 @@ use std::time::Duration;
 use futures_util::{SinkExt, StreamExt};
 use rumqttc::{AsyncClient, Event, MqttOptions, Packet, QoS};
 use serde_json::{Value, json};
+use tokio::net::{TcpSocket, TcpStream};
 use tokio_tungstenite::tungstenite::Message;
 use tokio_tungstenite::tungstenite::client::IntoClientRequest;
 use tokio_tungstenite::tungstenite::http::HeaderValue;
-use tokio_tungstenite::{MaybeTlsStream, WebSocketStream, connect_async};
+use tokio_tungstenite::{WebSocketStream, client_async};
 
 use super::{Error, number};
 
-type Socket = WebSocketStream<MaybeTlsStream<tokio::net::TcpStream>>;
+type Socket = WebSocketStream<TcpStream>;
 
 /// A telemetry notification, as long as the gateway's.
 const PAYLOAD: &str = r#"{"jsonrpc":"2.0","method":"telemetry","params":{"gripper":"g","seq":12345,"at":"2026-11-21T16:00:00.123Z","width_mm":null,"speed_mm_s":0.0,"force_n":0.0,"state":"IDLE","flags_raw":262144}}"#;
@@ -23,8 +24,11 @@ const PAYLOAD: &str = r#"{"jsonrpc":"2.0","method":"telemetry","params":{"grippe
 /// Requests of the flood that are under way.
 const UNDER_WAY: usize = 8;
 
-/// How long one that reads nothing stays: the gateway closes it before.
-const STALLS_FOR: Duration = Duration::from_secs(5);
+/// How long one that reads nothing stays: as long as the gateway lets it.
+const STALLS_FOR: Duration = Duration::from_secs(3);
+
+/// What the system has room for of its own: so little that the gateway can't get rid of what it has to tell.
+const STALLED_BYTES: u32 = 4096;
 
 #[derive(Default)]
 struct Seen {
@@ -84,10 +88,16 @@ fn tell(who: &str, ended: &Result<(), Error>) {
     eprintln!("{who} has ended: {ended:?}");
 }
 
-async fn connect(address: &str) -> Result<Socket, Error> {
+async fn connect(address: &str, buffer: Option<u32>) -> Result<Socket, Error> {
+    let tcp = TcpSocket::new_v4()?;
+    if let Some(bytes) = buffer {
+        tcp.set_recv_buffer_size(bytes)?;
+    }
+    let tcp = tcp.connect(address.parse()?).await?;
+    tcp.set_nodelay(true)?;
     let mut request = format!("ws://{address}/api/v1/ws").into_client_request()?;
     request.headers_mut().insert("Sec-WebSocket-Protocol", HeaderValue::from_static("wsg.v1"));
-    Ok(connect_async(request).await?.0)
+    Ok(client_async(request, tcp).await?.0)
 }
 
 async fn subscribe(socket: &mut Socket) -> Result<i64, Error> {
@@ -100,7 +110,7 @@ async fn subscribe(socket: &mut Socket) -> Result<i64, Error> {
 }
 
 async fn observer(index: usize, address: &str, seen: &Seen) -> Result<(), Error> {
-    let mut socket = connect(address).await?;
+    let mut socket = connect(address, None).await?;
     let mut last = loop {
         // A ping may come first.
         let seq = subscribe(&mut socket).await?;
@@ -129,14 +139,14 @@ async fn observer(index: usize, address: &str, seen: &Seen) -> Result<(), Error>
 
 async fn staller(address: &str) -> Result<(), Error> {
     loop {
-        let mut socket = connect(address).await?;
+        let mut socket = connect(address, Some(STALLED_BYTES)).await?;
         subscribe(&mut socket).await?;
         tokio::time::sleep(STALLS_FOR).await;
     }
 }
 
 async fn flood(address: &str, seen: &Seen) -> Result<(), Error> {
-    let mut socket = connect(address).await?;
+    let mut socket = connect(address, None).await?;
     let params = json!({"gripper": "g", "width_mm": 5000, "speed_mm_s": 50});
     let request = json!({"jsonrpc": "2.0", "id": 1, "method": "move", "params": params}).to_string();
     for _ in 0..UNDER_WAY {

@@ -96,7 +96,7 @@ fn a_driver_that_was_lost_comes_back_from_the_same_host_with_another_token() {
     assert_eq!(finish(&mut world, &held).outcome, Some(Outcome::PartHeld));
     let from = mark(&world);
     let lost = one.1.clone();
-    drop(request(&mut world, |_: oneshot::Sender<()>| Request::LoseLease { token: lost, times_taken: 1 }));
+    drop(request(&mut world, |_: oneshot::Sender<()>| Request::LoseLease { token: lost, times_taken: None }));
     world.advance(Duration::from_secs(1));
     assert_eq!(received(&world, from), NOTHING);
     assert!(moves(&mut world, &other, move_to(50.0, 50.0)).is_err());

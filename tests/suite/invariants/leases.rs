@@ -206,7 +206,7 @@ fn a_fast_stop_takes_no_reservation_away_from_a_part_that_is_held() {
         assert_eq!(finish(&mut world, &held).outcome, Some(Outcome::PartHeld));
         let lose = |world: &mut World| {
             let token = a.clone().unwrap();
-            drop(request(world, |_: oneshot::Sender<()>| Request::LoseLease { token, times_taken: 1 }));
+            drop(request(world, |_: oneshot::Sender<()>| Request::LoseLease { token, times_taken: None }));
         };
         if !stopped_first {
             lose(&mut world);
@@ -235,7 +235,7 @@ fn a_fast_stop_takes_no_reservation_away_from_a_part_that_is_held() {
         let opened = submit_with(&mut world, release, again.clone()).unwrap();
         assert_eq!(finish(&mut world, &opened).outcome, Some(Outcome::Success));
         let token = again.unwrap();
-        drop(request(&mut world, |_: oneshot::Sender<()>| Request::LoseLease { token, times_taken: 1 }));
+        drop(request(&mut world, |_: oneshot::Sender<()>| Request::LoseLease { token, times_taken: None }));
         assert_eq!(lease(&mut world).reserved_for, None, "it was released");
     }
 }
@@ -304,7 +304,7 @@ fn what_becomes_of_a_motion_is_the_holders_choice() {
         world.advance(Duration::from_millis(300));
         let from = mark(&world);
         let lost = a.unwrap();
-        drop(request(&mut world, |_: oneshot::Sender<()>| Request::LoseLease { token: lost, times_taken: 1 }));
+        drop(request(&mut world, |_: oneshot::Sender<()>| Request::LoseLease { token: lost, times_taken: None }));
         assert_eq!(finish(&mut world, &running).outcome, Some(outcome), "{choice:?}");
         world.advance(Duration::from_secs(1));
         assert_eq!(received(&world, from), sent, "{choice:?}");
@@ -375,7 +375,7 @@ fn a_holder_that_is_lost_while_the_fingers_move_on_after_an_unknown_is_a_fast_st
     assert_eq!((state(&world).moving, state(&world).command), (Some(true), None));
     let from = mark(&world);
     let lost = a.unwrap();
-    drop(request(&mut world, |_: oneshot::Sender<()>| Request::LoseLease { token: lost, times_taken: 1 }));
+    drop(request(&mut world, |_: oneshot::Sender<()>| Request::LoseLease { token: lost, times_taken: None }));
     world.advance(Duration::from_millis(200));
     assert_eq!(received(&world, from), [id::FAST_STOP]);
     assert!(!world.device.snapshot().moving);
@@ -388,7 +388,7 @@ fn a_part_that_a_lost_holder_was_about_to_grip_is_reserved_for_it() {
     let gripping = submit_with(&mut world, grip(None), a.clone()).unwrap();
     world.advance(Duration::from_millis(200));
     let lost = a.unwrap();
-    drop(request(&mut world, |_: oneshot::Sender<()>| Request::LoseLease { token: lost, times_taken: 1 }));
+    drop(request(&mut world, |_: oneshot::Sender<()>| Request::LoseLease { token: lost, times_taken: None }));
     assert_eq!(finish(&mut world, &gripping).outcome, Some(Outcome::PartHeld));
     let reserved = Conflict::LeaseHeld { holder: "a".into(), expires_in_ms: None };
     assert_eq!(refused(&mut world, move_to(50.0, 50.0)), reserved.clone().into());
@@ -416,7 +416,7 @@ fn force_stops_what_moves_where_nobody_holds_the_lease_too() {
         let running = submit_with(&mut world, move_to(5.0, 10.0), lost.clone()).unwrap();
         world.advance(Duration::from_millis(300));
         if let Some(token) = lost {
-            drop(request(&mut world, |_: oneshot::Sender<()>| Request::LoseLease { token, times_taken: 1 }));
+            drop(request(&mut world, |_: oneshot::Sender<()>| Request::LoseLease { token, times_taken: None }));
         }
         assert_eq!(lease(&mut world).reserved_for.as_deref(), with_holder.then_some("a"));
         let from = mark(&world);
@@ -436,7 +436,7 @@ fn a_motion_that_waits_when_its_holder_is_lost_never_leaves() {
     let from = mark(&world);
     let waiting = submit_with(&mut world, move_to(5.0, 10.0), a.clone()).unwrap();
     let lost = a.unwrap();
-    drop(request(&mut world, |_: oneshot::Sender<()>| Request::LoseLease { token: lost, times_taken: 1 }));
+    drop(request(&mut world, |_: oneshot::Sender<()>| Request::LoseLease { token: lost, times_taken: None }));
     assert_eq!(finish(&mut world, &waiting).outcome, Some(Outcome::Aborted));
     world.advance(Duration::from_secs(1));
     assert!(!received(&world, from).contains(&id::PRE_POSITION));

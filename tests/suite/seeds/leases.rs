@@ -86,7 +86,7 @@ impl Leases {
                 if let Some(current) = world.leases.current.take() {
                     world.leases.open.clear();
                     let now = world.clock();
-                    world.actor.request(now, Request::LoseLease { token: current.token, times_taken: 1 });
+                    world.actor.request(now, Request::LoseLease { token: current.token, times_taken: None });
                     assert_eq!(world.watches.state.borrow().lease_holder, None, "{}", world.tail());
                 }
             }
