@@ -104,7 +104,7 @@ pub fn run() -> anyhow::Result<()> {
             if let Some(part_mm) = part_mm {
                 device = device.with("part_mm", &part_mm).map_err(anyhow::Error::msg)?;
             }
-            daemon::runtime()?.block_on(daemon::serve_simulated(&urls, &device, control))
+            daemon::run_simulated(&urls, &device, control)
         }
         Some(Command::Check { flags }) => check(&flags),
         Some(Command::Openapi) => {

@@ -173,7 +173,8 @@ impl Zenoh {
     fn asks_for_credentials(&self) -> bool {
         let mut exposed = self.listen.iter().chain(&self.connect).filter(|endpoint| !is_loopback(endpoint));
         let mutual_tls = self.setting("transport/link/tls/enable_mtls") == true;
-        self.setting("access_control/enabled") == true
+        let denies = self.setting("access_control/default_permission") == "deny";
+        (self.setting("access_control/enabled") == true && denies)
             || (mutual_tls && exposed.all(|endpoint| endpoint.starts_with("tls/")) && self.looks_for().is_none())
     }
 
@@ -193,7 +194,7 @@ impl Zenoh {
         let Some((what, place)) = exposed.or_else(|| Some((self.looks_for()?, place))) else { return Ok(()) };
         let detail = format!(
             "{what} reaches beyond loopback, and there are no credentials yet: whoever is on that Zenoh network can move \
-             the grippers. Give a Zenoh configuration with access_control or mutual TLS in [zenoh] config, or say \
+             the grippers. Give a Zenoh configuration with mutual TLS, or with access_control that denies what no rule allows, in [zenoh] config, or say \
              --insecure if the network is yours alone"
         );
         Err(Mistake::at(place, detail))

@@ -19,6 +19,7 @@ use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::oneshot;
 use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
+use url::Url;
 
 use crate::config::{self, Config, Device, Gripper, Mistake};
 use crate::frontend::network::Network;
@@ -30,7 +31,7 @@ use crate::gripper::recorder::{Recollection, Record, Recorder as _};
 use crate::gripper::{self, Connector, Fleet, Handle, Now};
 use crate::journal::{self, Journal, Recovered};
 use ports::Ports;
-pub use simulation::{Served, SimulatedDevice, Switch, serve as serve_device, serve_simulated};
+pub use simulation::{Served, SimulatedDevice, Switch, serve as serve_device};
 
 /// How much the observers' thread gives way to others (`nice`): of 0 to 19 enough that the kernel prefers any of those.
 const NICE: i32 = 10;
@@ -52,6 +53,23 @@ pub fn run(config: &Config) -> anyhow::Result<()> {
     sockets.shutdown_background();
     devices.shutdown_background();
     Ok(())
+}
+
+/// Serves a simulated device on each of these URLs, and their faults on the control port, until SIGTERM or SIGINT.
+///
+/// # Errors
+/// Where a URL can't be served: which, and why.
+pub fn run_simulated(urls: &[Url], device: &SimulatedDevice, control: Option<SocketAddr>) -> anyhow::Result<()> {
+    let runtime = runtime()?;
+    let served = runtime.block_on(async {
+        let stop = stop_signal()?;
+        tokio::select! {
+            served = simulation::serve_simulated(urls, device, control) => served,
+            () = stop => Ok(()),
+        }
+    });
+    runtime.shutdown_background();
+    served
 }
 
 /// What a thousand observers are told must not delay a request, a FAST STOP least of all: so it has a runtime of its own,

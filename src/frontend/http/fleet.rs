@@ -72,13 +72,14 @@ pub struct FleetFastStopAnswer {
     fast_stop_confirmed: bool,
     /// The grippers whose flags have shown it, as gateway/gripper.
     confirmed: Vec<String>,
-    /// The grippers of which that isn't known yet: their gateways repeat it until it is.
+    /// The grippers of which that isn't known yet. Their gateways repeat it until it is; one that is gone, and comes back
+    /// within a minute without knowing of it, is told again.
     unconfirmed: Vec<String>,
 }
 
 /// FAST STOP of the fleet
 ///
-/// Stops all grippers of all gateways. Answers once all that live have confirmed, or after 500 ms. It is not a safety
+/// Stops all grippers of all gateways. Answers once all whose gateways live have confirmed, or after 500 ms. It is not a safety
 /// function in the sense of ISO 13850.
 #[utoipa::path(
     post, path = "/fleet/fast-stop", operation_id = "fleet_fast_stop", tag = "fleet",
@@ -169,6 +170,10 @@ pub async fn forward(
 /// A request's fields: those of its path, and those of its body.
 async fn fields(request: Request, mut fields: Map<String, Value>) -> Result<Map<String, Value>, Problem> {
     let given: Map<String, Value> = body::parse(&body::read(request.into_body()).await?)?;
+    // As below a gripper of one's own, where the path alone says which it is.
+    if let Some(field) = given.keys().find(|key| fields.contains_key(*key) || *key == "gripper") {
+        return Err(Problem::malformed(field, format!("unknown field `{field}`: the path says which")));
+    }
     fields.extend(given);
     Ok(fields)
 }

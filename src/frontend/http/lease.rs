@@ -112,8 +112,9 @@ pub async fn take(gripper: Gripper, Body(body): Body<Take>) -> Result<impl IntoR
         client: gripper.client,
     };
     let (handle, has_ttl) = (gripper.handle, take.ttl.is_some());
-    let Granted { lease, times_taken: takes, keep } = handle.take_lease(take).await?;
-    let taken = lease.token.clone().map(|token| Taken { handle, token, takes, _keep: keep.filter(|_| !has_ttl) });
+    let Granted { lease, times_taken, keep } = handle.take_lease(take).await?;
+    let taken =
+        lease.token.clone().map(|token| Taken { handle, token, takes: times_taken, _keep: keep.filter(|_| !has_ttl) });
     Ok((taken.map(|taken| Extension(Arc::new(taken))), Json(lease)))
 }
 

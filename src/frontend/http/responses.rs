@@ -60,7 +60,7 @@ sets! {
     /// Of what every operation can answer.
     AnyProblem ["400" "403" "500"];
     /// Of what reads the gateway's own knowledge of a gripper.
-    GripperProblem ["400" "403" "404" "500"];
+    GripperProblem ["400" "403" "404" "422" "500"];
     /// Of what asks a gripper's actor about its commands.
     CommandProblem ["400" "403" "404" "408" "413" "422" "429" "500" "503"];
     /// Of what asks for the lease.

@@ -8,16 +8,18 @@ pub mod keys;
 mod others;
 mod told;
 
+use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
 use tokio::sync::{Notify, Semaphore};
+use tokio::task::AbortHandle;
 use zenoh::Wait as _;
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::sample::{Locality, Sample, SampleKind};
 
-use self::keys::{FAST_STOP_OF_ALL, ROOT};
-use self::others::Others;
+use self::keys::{FAST_STOP_OF_ALL, Keys, ROOT};
+use self::others::{Others, Stop};
 use crate::gripper::model::{Client, FastStopId, Name, Reason, State};
 use crate::gripper::{Fleet, Now};
 
@@ -30,6 +32,11 @@ const MAX_ASKS: usize = 64;
 /// How long the confirmations of other gateways' grippers are waited for: as long as for one's own, and as long again for
 /// the network.
 const FAST_STOP_WAIT: Duration = crate::gripper::handle::FAST_STOP_WAIT.saturating_mul(2);
+
+/// How often, and for how long, a gateway is told again of a FAST STOP that it has missed: it was frozen, or its router was
+/// away. Later than that somebody may work there again, and has not heard of it.
+const INSISTS_EVERY: Duration = Duration::from_millis(250);
+const INSISTS_FOR: Duration = Duration::from_mins(1);
 
 /// The largest state of another gateway that is looked at, in bytes.
 const MAX_STATE_BYTES: usize = 16 * 1024;
@@ -44,6 +51,8 @@ pub struct Network {
     /// Told when a state of another gateway has come.
     news: Notify,
     asks: Arc<Semaphore>,
+    /// Who tells gateways again that have missed the newest FAST STOP of all.
+    insisting: Mutex<Option<AbortHandle>>,
 }
 
 /// A FAST STOP of all gateways.
@@ -60,7 +69,8 @@ impl Network {
     #[must_use]
     pub fn new(gateway: Name, own: Fleet) -> Self {
         let (session, others, news) = (OnceLock::new(), Mutex::default(), Notify::new());
-        Self { gateway, own, session, others, news, asks: Arc::new(Semaphore::new(MAX_ASKS)) }
+        let (asks, insisting) = (Arc::new(Semaphore::new(MAX_ASKS)), Mutex::default());
+        Self { gateway, own, session, others, news, asks, insisting }
     }
 
     /// Goes on the network of this session.
@@ -102,31 +112,34 @@ impl Network {
         self.others().has_twin()
     }
 
-    /// Stops the grippers of all gateways. Its own don't wait for the others, nor for Zenoh.
-    pub async fn fast_stop(&self, client: &Client, reason: &Reason) -> FleetStop {
+    /// Stops the grippers of all gateways. Its own don't wait for the others, nor for Zenoh. A gateway that was not reached
+    /// is told again, for [`INSISTS_FOR`].
+    pub async fn fast_stop(self: &Arc<Self>, client: &Client, reason: &Reason) -> FleetStop {
         let begun = Now::read().instant;
-        let ((id, own), ()) = tokio::join!(self.own.fast_stop(client, reason), self.stop_others(begun, reason));
+        let told = serde_json::json!({"reason": reason.as_str(), "client": &*client.subject}).to_string();
+        let ((id, own), ()) = tokio::join!(self.own.fast_stop(client, reason), self.stop_others(begun, &told));
         let own = own.into_iter().map(|(gripper, confirmed)| (format!("{}/{gripper}", self.gateway), confirmed));
-        let others = self.others().stopped_since(begun);
-        FleetStop { id, stops: own.chain(others).collect() }
+        let others = self.others().stops_since(begun);
+        let is_open = |stop: &Stop| matches!(stop, Stop::Unknown { .. } | Stop::Gone);
+        let open: BTreeSet<_> = others.iter().filter(|(_, stop)| is_open(stop)).map(|(name, _)| name.clone()).collect();
+        if !open.is_empty() {
+            let insisting = tokio::spawn(self.clone().insist(begun, told, open));
+            // The newest is for all that are open.
+            if let Some(before) = self.insisting().replace(insisting.abort_handle()) {
+                before.abort();
+            }
+        }
+        let confirmed = |((gateway, gripper), stop)| (format!("{gateway}/{gripper}"), stop == Stop::Confirmed);
+        FleetStop { id, stops: own.chain(others.into_iter().map(confirmed)).collect() }
     }
 
     /// Tells the others, and waits until all of them that live have confirmed.
-    async fn stop_others(&self, begun: Instant, reason: &Reason) {
-        let Some(session) = self.session.get().cloned() else { return };
-        let reason = serde_json::json!({"reason": reason.as_str()}).to_string();
-        // It may wait for a place, and this must not.
-        tokio::task::spawn_blocking(move || {
-            let put = session.put(FAST_STOP_OF_ALL, reason).allowed_destination(Locality::Remote).express(true);
-            let put = put.priority(Priority::RealTime).congestion_control(CongestionControl::Block);
-            if let Err(error) = put.wait() {
-                tracing::error!(%error, "the other gateways are not told of a FAST STOP");
-            }
-        });
+    async fn stop_others(&self, begun: Instant, told: &str) {
+        self.put_fast_stop(FAST_STOP_OF_ALL.to_owned(), told.to_owned());
         let confirmed = async {
             loop {
                 let news = self.news.notified();
-                if self.others().stopped_since(begun).iter().all(|(_, confirmed)| *confirmed) {
+                if self.others().stops_since(begun).values().all(|stop| matches!(stop, Stop::Confirmed | Stop::Gone)) {
                     return;
                 }
                 news.await;
@@ -134,6 +147,43 @@ impl Network {
         };
         // Who has not confirmed by then is told as that.
         let _ = tokio::time::timeout(FAST_STOP_WAIT, confirmed).await;
+    }
+
+    /// Tells gateways of a FAST STOP again that come back and know of none, until all these grippers' do.
+    async fn insist(self: Arc<Self>, begun: Instant, told: String, mut open: BTreeSet<(Name, Name)>) {
+        let insisted = async {
+            let mut ticks = tokio::time::interval(INSISTS_EVERY);
+            while !open.is_empty() {
+                ticks.tick().await;
+                let stops = self.others().stops_since(begun);
+                open.retain(|name| !matches!(stops.get(name), Some(Stop::Confirmed | Stop::Latched)));
+                let is_missed = |name: &&(Name, Name)| stops.get(name) == Some(&Stop::Unknown { is_news: true });
+                let gateways: BTreeSet<_> = open.iter().filter(is_missed).map(|(gateway, _)| gateway).collect();
+                for gateway in gateways {
+                    tracing::warn!(%gateway, "a gateway has missed a FAST STOP, and is told again");
+                    self.put_fast_stop(Keys::of(gateway).own("fast-stop"), told.clone());
+                }
+            }
+        };
+        if tokio::time::timeout(INSISTS_FOR, insisted).await.is_err() {
+            tracing::error!(?open, "a FAST STOP of all gateways has not reached these grippers'");
+        }
+    }
+
+    /// Puts one, from where it may wait for a place.
+    fn put_fast_stop(&self, key: String, told: String) {
+        let Some(session) = self.session.get().cloned() else { return };
+        tokio::task::spawn_blocking(move || {
+            let put = session.put(key, told).allowed_destination(Locality::Remote).express(true);
+            let put = put.priority(Priority::RealTime).congestion_control(CongestionControl::Block);
+            if let Err(error) = put.wait() {
+                tracing::error!(%error, "the other gateways are not told of a FAST STOP");
+            }
+        });
+    }
+
+    fn insisting(&self) -> MutexGuard<'_, Option<AbortHandle>> {
+        self.insisting.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
     fn of_own(&self, state: &State) -> Option<FleetGripper> {

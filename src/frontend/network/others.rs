@@ -33,6 +33,22 @@ struct Known {
     at: Instant,
 }
 
+/// What is known of a FAST STOP of one gripper.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Stop {
+    /// The gripper's flags have shown it.
+    Confirmed,
+    /// Its gateway repeats it until they do.
+    Latched,
+    /// Its gateway has not told of it; or has told, since it was asked for, that there is none.
+    Unknown {
+        /// That.
+        is_news: bool,
+    },
+    /// Its gateway is gone.
+    Gone,
+}
+
 /// All of it.
 #[derive(Debug, Default)]
 pub(super) struct Others {
@@ -90,12 +106,21 @@ impl Others {
         self.grippers.iter().filter_map(tell).collect()
     }
 
-    /// Of those whose gateway lives, whether they have told since then that they are stopped.
-    pub(super) fn stopped_since(&self, begun: Instant) -> Vec<(String, bool)> {
+    /// What is known of each gripper's FAST STOP since then, also of those whose gateway is gone: they may move on.
+    pub(super) fn stops_since(&self, begun: Instant) -> BTreeMap<(Name, Name), Stop> {
         let now = Now::read().instant;
-        let living = self.grippers.iter().filter(|((gateway, _), known)| !self.is_gone(gateway, known, now));
-        let stopped = |known: &Known| known.at >= begun && known.told.is_stopped();
-        living.map(|((gateway, gripper), known)| (format!("{gateway}/{gripper}"), stopped(known))).collect()
+        let known = self.grippers.iter().filter(|(_, known)| now.saturating_duration_since(known.at) < KEPT_FOR);
+        let stop = |(name, known): (&(Name, Name), &Known)| {
+            let is_news = known.at >= begun;
+            let stop = match (is_news, self.is_gone(&name.0, known, now)) {
+                (true, _) if known.told.is_stopped() => Stop::Confirmed,
+                (true, _) if known.told.is_latched() => Stop::Latched,
+                (_, true) => Stop::Gone,
+                (is_news, false) => Stop::Unknown { is_news },
+            };
+            (name.clone(), stop)
+        };
+        known.map(stop).collect()
     }
 
     fn is_gone(&self, gateway: &Name, known: &Known, now: Instant) -> bool {
@@ -147,11 +172,16 @@ mod tests {
         others.take_token(name("cell-1"), true);
         others.take_state(name("cell-1"), name("left"), told(true));
         let begun = Instant::now() + Duration::from_nanos(1);
-        assert_eq!(others.stopped_since(begun), [("cell-1/left".to_owned(), false)]);
-        std::thread::yield_now();
+        let stops = |others: &Others| others.stops_since(begun).into_values().collect::<Vec<_>>();
+        assert_eq!(stops(&others), [Stop::Unknown { is_news: false }]);
         while Now::read().instant < begun {}
+        others.take_state(name("cell-1"), name("left"), told(false));
+        assert_eq!(stops(&others), [Stop::Unknown { is_news: true }]);
         others.take_state(name("cell-1"), name("left"), told(true));
-        assert_eq!(others.stopped_since(begun), [("cell-1/left".to_owned(), true)]);
+        assert_eq!(stops(&others), [Stop::Confirmed]);
+        others.take_state(name("cell-1"), name("left"), told(false));
+        others.take_token(name("cell-1"), false);
+        assert_eq!(stops(&others), [Stop::Gone], "it may move on");
     }
 
     #[test]

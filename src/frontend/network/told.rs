@@ -28,6 +28,11 @@ impl Told {
         serde_json::from_slice(state).ok()
     }
 
+    /// Whether its gateway knows of a FAST STOP, which it repeats until the gripper has confirmed it.
+    pub(super) fn is_latched(&self) -> bool {
+        self.fast_stop == Some(true)
+    }
+
     pub(super) fn is_stopped(&self) -> bool {
         self.fast_stop == Some(true) && self.fast_stop_confirmed == Some(true)
     }

@@ -2,12 +2,13 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
+use serde_json::Value;
 use tokio::runtime::Handle;
 use zenoh::sample::Sample;
 
 use crate::frontend::network::keys::{FAST_STOP_OF_ALL, Keys};
 use crate::gripper::Fleet;
-use crate::gripper::model::{Client, Door, Reason};
+use crate::gripper::model::{Client, Door, Reason, Text};
 
 /// FAST STOPs that may be under way. Each ends within 250 ms; of those that come meanwhile the newest begins when one
 /// has ended, since one that is under way stops the grippers already.
@@ -27,7 +28,7 @@ pub struct FastStops {
 #[derive(Debug, Default)]
 struct UnderWay {
     count: usize,
-    next: Option<Reason>,
+    next: Option<(Client, Reason)>,
 }
 
 impl FastStops {
@@ -40,27 +41,30 @@ impl FastStops {
     pub async fn declare(self, session: &zenoh::Session, keys: &Keys) -> zenoh::Result<()> {
         for key in [keys.own("fast-stop"), FAST_STOP_OF_ALL.to_owned()] {
             let stops = self.clone();
-            let stop = move |sample: Sample| stops.begin(reason(&sample.payload().to_bytes()));
+            let stop = move |sample: Sample| {
+                let (client, reason) = asked(&sample.payload().to_bytes());
+                stops.begin(client, reason);
+            };
             session.declare_subscriber(key).callback(stop).background().await?;
         }
         Ok(())
     }
 
     /// Stops all grippers. Waits for nothing.
-    fn begin(&self, reason: Reason) {
+    fn begin(&self, client: Client, reason: Reason) {
         {
             let mut under_way = self.under_way.lock().unwrap_or_else(PoisonError::into_inner);
             if under_way.count >= MAX_UNDER_WAY {
-                under_way.next = Some(reason);
+                under_way.next = Some((client, reason));
                 return;
             }
             under_way.count += 1;
         }
         let stops = self.clone();
         self.clients.spawn(async move {
-            let mut next = Some(reason);
-            while let Some(reason) = next {
-                let (id, _) = stops.fleet.fast_stop(&client(), &reason).await;
+            let mut next = Some((client, reason));
+            while let Some((client, reason)) = next {
+                let (id, _) = stops.fleet.fast_stop(&client, &reason).await;
                 tracing::info!(fast_stop = %id, reason = reason.as_str(), "FAST STOP by Zenoh");
                 next = stops.ended();
             }
@@ -68,7 +72,7 @@ impl FastStops {
     }
 
     /// What is to be done next by whoever has ended one; none where it is not to go on.
-    fn ended(&self) -> Option<Reason> {
+    fn ended(&self) -> Option<(Client, Reason)> {
         let mut under_way = self.under_way.lock().unwrap_or_else(PoisonError::into_inner);
         let next = under_way.next.take();
         under_way.count -= usize::from(next.is_none());
@@ -76,22 +80,20 @@ impl FastStops {
     }
 }
 
-/// Who puts: Zenoh doesn't say.
-fn client() -> Client {
-    Client { subject: super::subject(None), door: Door::Zenoh }
-}
-
-/// A put's reason: the field of an object, as over HTTP, or its text.
-fn reason(payload: &[u8]) -> Reason {
+/// Who puts, by the name that it gives, and why: the fields `client` and `reason` of an object, or a text, which is why.
+fn asked(payload: &[u8]) -> (Client, Reason) {
     let payload = payload.get(..MAX_REASON_BYTES).unwrap_or(payload);
     let text = String::from_utf8_lossy(payload);
-    match serde_json::from_str(&text) {
-        Ok(serde_json::Value::Object(body)) => {
-            Reason::truncated(body.get("reason").and_then(serde_json::Value::as_str).unwrap_or_default())
+    let (client, reason) = match serde_json::from_str(&text) {
+        Ok(Value::Object(body)) => {
+            let field = |name: &str| body.get(name).and_then(Value::as_str).unwrap_or_default().to_owned();
+            (field("client"), field("reason"))
         }
-        Ok(serde_json::Value::String(reason)) => Reason::truncated(&reason),
-        _ => Reason::truncated(&text),
-    }
+        Ok(Value::String(reason)) => (String::new(), reason),
+        _ => (String::new(), text.into_owned()),
+    };
+    let subject = super::subject(Text::new(&client).filter(|name| !name.as_str().is_empty()));
+    (Client { subject, door: Door::Zenoh }, Reason::truncated(&reason))
 }
 
 #[cfg(test)]
@@ -110,8 +112,11 @@ mod tests {
             (b"\xFF\x00", "\u{FFFD}"),
             (&[b'x'; 5000], &"x".repeat(64)),
         ] {
-            assert_eq!(reason(payload).as_str(), expected);
+            let (client, reason) = asked(payload);
+            assert_eq!((reason.as_str(), &*client.subject), (expected, "zenoh:unknown"));
         }
+        let (client, reason) = asked(br#"{"reason": "light curtain", "client": "http:127.0.0.1"}"#);
+        assert_eq!((reason.as_str(), &*client.subject), ("light curtain", "zenoh:http:127.0.0.1"));
     }
 
     #[tokio::test]
@@ -119,7 +124,7 @@ mod tests {
         let (handle, mut seen) = fake::gripper("left", Script::default());
         let stops = FastStops::new(Fleet::new([handle]), Handle::current());
         for index in 0..=2 * MAX_UNDER_WAY {
-            stops.begin(Reason::truncated(&index.to_string()));
+            stops.begin(asked(b"").0, Reason::truncated(&index.to_string()));
         }
         let newest = (2 * MAX_UNDER_WAY).to_string();
         let mut count = 0;

@@ -3,6 +3,7 @@
 //!
 //! A reply may wait for a client that takes none, so each is sent from a thread where nobody else waits.
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use axum::http::{HeaderMap, HeaderName, HeaderValue};
@@ -23,10 +24,11 @@ use crate::frontend::network::keys::{Keys, decoded, last_part};
 use crate::gripper::Fleet;
 use crate::gripper::model::{Client, Door, Name, Text};
 
-/// Queries that may be under way. More are refused as `overloaded`, but for FAST STOPs.
+/// Queries that may be under way, of those that may take their time and of those that don't. More are refused as
+/// `overloaded`, but for FAST STOPs.
 const MAX_QUERIES: usize = 64;
 
-/// And FAST STOPs among the queries, each of which ends within 250 ms.
+/// And FAST STOPs of one gripper among the queries, each of which ends within 250 ms: one more is under way already.
 const MAX_FAST_STOPS: usize = 64;
 
 /// The parameters of a query's selector.
@@ -45,7 +47,9 @@ pub struct Queries {
     metrics: Metrics,
     runtime: Handle,
     places: Arc<Semaphore>,
-    fast_stop_places: Arc<Semaphore>,
+    /// Of those that may wait for a command's end.
+    waiting_places: Arc<Semaphore>,
+    fast_stop_places: BTreeMap<Name, Arc<Semaphore>>,
 }
 
 /// What a query asks for.
@@ -65,8 +69,11 @@ impl Queries {
     /// On the runtime that this is called on.
     pub fn new(keys: Keys, context: &Arc<Context>, clients: Arc<Clients>, metrics: Metrics) -> Self {
         let (methods, network, runtime) = (http::methods(context), context.network.clone(), Handle::current());
-        let [places, fast_stop_places] = [MAX_QUERIES, MAX_FAST_STOPS].map(|places| Arc::new(Semaphore::new(places)));
-        Self { keys, methods, network, clients, metrics, runtime, places, fast_stop_places }
+        let semaphore = |places| Arc::new(Semaphore::new(places));
+        let (places, waiting_places) = (semaphore(MAX_QUERIES), semaphore(MAX_QUERIES));
+        let names = context.fleet.iter().map(crate::gripper::Handle::name);
+        let fast_stop_places = names.map(|name| (name.clone(), semaphore(MAX_FAST_STOPS))).collect();
+        Self { keys, methods, network, clients, metrics, runtime, places, waiting_places, fast_stop_places }
     }
 
     /// Takes queries for these grippers.
@@ -148,10 +155,8 @@ impl Queries {
 
     /// Answers in its turn; refuses where too many are under way.
     fn answer(self: &Arc<Self>, query: Query, asked: Result<Asked, Problem>) {
-        let is_fast_stop = asked.as_ref().is_ok_and(|asked| is_fast_stop(&asked.method));
-        let places = if is_fast_stop { &self.fast_stop_places } else { &self.places };
+        let places = asked.as_ref().map_or(&self.places, |asked| self.places_for(asked));
         let Ok(place) = places.clone().try_acquire_owned() else {
-            // It was asked for by so many already that it is under way.
             tracing::warn!(key = %query.key_expr(), "too many Zenoh queries are under way");
             let detail = format!("{MAX_QUERIES} Zenoh queries are under way already: await their answers first");
             let refusal = Refusal::from(Problem::new(Code::Overloaded, detail));
@@ -166,6 +171,17 @@ impl Queries {
             };
             queries.reply(query, key, told, Some(place));
         });
+    }
+
+    /// Who waits for a command takes no place of who doesn't, and nobody one of a FAST STOP.
+    fn places_for(&self, asked: &Asked) -> &Arc<Semaphore> {
+        if is_fast_stop(&asked.method) {
+            let gripper = asked.params.get("gripper").and_then(Value::as_str).and_then(|name| name.parse().ok());
+            return gripper.and_then(|name: Name| self.fast_stop_places.get(&name)).unwrap_or(&self.places);
+        }
+        let is_command = http::METHODS.iter().any(|row| row.name == asked.method && row.is_command);
+        let may_wait = asked.wait_ms.is_some() || (is_command && asked.method != "stop");
+        if may_wait { &self.waiting_places } else { &self.places }
     }
 
     async fn call(&self, asked: Asked) -> Result<Box<RawValue>, Refusal> {

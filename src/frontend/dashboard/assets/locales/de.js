@@ -50,6 +50,7 @@ export const de = {
   'link.connected': 'verbunden',
   'link.unresponsive': 'stumm',
   'link.reconnecting': 'verbindet neu',
+  'link.gone': 'Gateway weg',
   'state.IDLE': 'Ruht',
   'state.GRASPING': 'Greift',
   'state.NO_PART': 'Kein Teil',
@@ -433,5 +434,8 @@ export const de = {
   'problem.link_down': 'Es gibt keine Verbindung zum Greifer.',
   'problem.journal_down': 'Das Journal nimmt nichts an.',
   'problem.device_timeout': 'Der Greifer hat nicht rechtzeitig geantwortet.',
+  'problem.name_taken': 'Ein anderes Gateway heißt genauso: jedes braucht einen eigenen Namen.',
+  'problem.gateway_gone': 'Dieses Gateway ist weg.',
+  'problem.gateway_timeout': 'Dieses Gateway hat nicht rechtzeitig geantwortet.',
   'problem.not_found': 'Das gibt es nicht.',
 };

@@ -50,6 +50,7 @@ export const en = {
   'link.connected': 'connected',
   'link.unresponsive': 'silent',
   'link.reconnecting': 'reconnecting',
+  'link.gone': 'gateway gone',
   'state.IDLE': 'Idle',
   'state.GRASPING': 'Gripping',
   'state.NO_PART': 'No part',
@@ -433,5 +434,8 @@ export const en = {
   'problem.link_down': 'There is no link to the gripper.',
   'problem.journal_down': 'The journal takes no records.',
   'problem.device_timeout': 'The gripper did not answer in time.',
+  'problem.name_taken': 'Another gateway has the same name: give each its own.',
+  'problem.gateway_gone': 'That gateway is gone.',
+  'problem.gateway_timeout': 'That gateway did not answer in time.',
   'problem.not_found': 'There is no such thing.',
 };

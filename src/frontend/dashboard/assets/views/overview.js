@@ -62,13 +62,13 @@ function Fleet() {
   }, []);
   const list = fleet.value;
   if (!list) return html`<p class="muted small">${list === false ? t('all.no_fleet') : ''}</p>`;
-  return html`<${Panel} title=${t('all.fleet')} id="fleet-title"><div class="table-place" tabindex="0" role="region"
+  return html`<${Panel} title=${t('all.fleet')} id="fleet-title"><div class="table-place" tabindex="0" role="group"
       aria-label=${t('all.fleet')}><table>
     <thead><tr>${['all.gateway', 'all.gripper', 'bar.link', 'bar.state', 'bar.control',
         'all.age'].map((key) => html`<th scope="col" key=${key}>${t(key)}</th>`)}</tr></thead>
     <tbody>${list.map((one) => html`<tr key=${`${one.gateway}/${one.gripper}`}
-        class=${one.fast_stop ? 'stop-row' : one.link === 'connected' ? '' : 'bad'}>
-      <td>${one.gateway}</td><td>${one.gripper}</td><td>${t(`link.${one.link}`)}</td>
+        class=${one.fast_stop ? 'stop-row' : one.link === 'connected' && !one.gone ? '' : 'bad'}>
+      <td>${one.gateway}</td><td>${one.gripper}</td><td>${t(`link.${one.gone ? 'gone' : one.link}`)}</td>
         <td>${one.fast_stop ? t('state.FAST_STOP') : t(`state.${one.state ?? 'unknown'}`)}</td>
           <td>${one.lease_holder ?? '–'}</td>
             <td>${one.age_ms == null ? '–' : one.age_ms < 1000 ? `${plain(one.age_ms)} ms` : span(one.age_ms)}</td>
