@@ -140,6 +140,25 @@ test('STOP works by key from any view and from a field, and without the WebSocke
   await Promise.all([visitor, without, silent].map((one) => one.close()));
 });
 
+test('STOP stops when it is touched, also with another finger on the screen and when the finger slides', async () => {
+  const served = await gateway();
+  const { page } = await visit(launched, served);
+  await page.waitForSelector('#stop');
+  const box = await page.locator('#stop').boundingBox();
+  const touches = await page.context().newCDPSession(page);
+  const touch = (type, points) => touches.send('Input.dispatchTouchEvent', { type, touchPoints: points });
+  const other = { x: 20, y: box.y + 300, id: 0 };
+  const finger = { x: box.x + 20, y: box.y + 20, id: 1 };
+  await touch('touchStart', [other]);
+  await touch('touchStart', [other, finger]);
+  await touch('touchMove', [other, { ...finger, x: finger.x + 60 }]);
+  await until('it is stopped', async () => (await served.ask('GET', 'grippers/left/state')).fast_stop);
+  const first = (await served.ask('GET', 'grippers/left/state')).fast_stop_id;
+  await touch('touchEnd', []);
+  await page.waitForSelector('#latch-title');
+  assert.equal((await served.ask('GET', 'grippers/left/state')).fast_stop_id, first, 'one press is one FAST STOP');
+});
+
 test('what is jogged moves while it is held and no longer', async () => {
   const served = await gateway();
   const visitor = await visit(launched, served);

@@ -3,7 +3,7 @@
 import { html, render, signal, useEffect } from './lib.js';
 import { LANGUAGES, language, t } from './model/i18n.js';
 import { myName, theme } from './model/prefs.js';
-import { gripper, view, VIEWS } from './model/store.js';
+import { gripper, isLive, selected, view, VIEWS } from './model/store.js';
 import { Alarms, Announcer } from './ui/alarms.js';
 import { Bar, Picker } from './ui/bar.js';
 import { Jaws } from './ui/jaws.js';
@@ -21,13 +21,19 @@ function Views() {
 /** What is looked at second is fetched once what is looked at first is there. */
 const later = signal({});
 
+/** Whether some of it has not come. */
+const isMissing = signal(false);
+
+async function fetchAll(parts) {
+  const fetched = await Promise.allSettled(parts);
+  later.value = Object.assign({}, later.peek(), ...fetched.map(({ value }) => value ?? {}));
+  if (fetched.some(({ status }) => status === 'rejected')) isMissing.value = true;
+}
+
 async function fetchLater() {
-  const [{ Charts }, { Control }, { Flags }] = await Promise.all([import('./views/charts.js'),
-      import('./views/control.js'), import('./views/flags.js')]);
-  later.value = { Charts, Control, Flags };
-  const [{ History }, { Log }, { Device }, { All }] = await Promise.all([import('./views/history.js'),
-      import('./views/log.js'), import('./views/device.js'), import('./views/overview.js')]);
-  ofView.value = { operate: Operate, history: History, log: Log, device: Device, all: All };
+  await fetchAll([import('./views/charts.js'), import('./views/control.js'), import('./views/flags.js')]);
+  await fetchAll([import('./views/history.js'), import('./views/log.js'), import('./views/device.js'),
+      import('./views/overview.js')]);
 }
 
 function Operate({ one }) {
@@ -35,11 +41,15 @@ function Operate({ one }) {
   return html`<div class="operate">
     <${Jaws} one=${one} /><${Motion} one=${one} />
     ${Charts && html`<${Charts} one=${one} />`}
-    <div class="column-more"><${Alarms} />${Control && html`<${Control} one=${one} /><${Flags} one=${one} />`}</div>
+    <div class="column-more"><${Alarms} />${Control && html`<${Control} one=${one} />`}${Flags && html`<${Flags}
+        one=${one} />`}</div>
   </div>`;
 }
 
-const ofView = signal({ operate: Operate });
+function viewOf(name) {
+  const { All, Device, History, Log } = later.value;
+  return { operate: Operate, history: History, log: Log, device: Device, all: All }[name];
+}
 
 function Main() {
   const one = gripper.value;
@@ -51,9 +61,11 @@ function Main() {
       fetchLater();
     });
   }, [one !== null]);
-  if (!one) return html`<main class="waiting"><p>${t('stale.connecting')}</p></main>`;
-  const View = ofView.value[view.value];
-  if (!View) return html`<main class="waiting"></main>`;
+  if (!one) return html`<main class="waiting"><p>${isLive.value && selected.value ? t('stale.not_served', {
+      gripper: selected.value }) : t('stale.connecting')}</p></main>`;
+  const View = viewOf(view.value);
+  if (!View) return html`<main class="waiting">${isMissing.value && html`<p role="alert">${t('part.missing')}</p><button
+      type="button" onClick=${() => location.reload()}>${t('reload')}</button>`}</main>`;
   return html`<main key=${view.value === 'all' ? 'all' : one.name}><${View} one=${one} /></main>`;
 }
 
@@ -69,7 +81,7 @@ function Footer() {
       <${Choice} label=${t('foot.theme')} name="theme" value=${theme.value}
           onChange=${(key) => { theme.value = key; }} options=${['auto', 'light', 'dark'].map((key) => [key,
               t(`theme.${key}`)])} />
-      <a href="/docs">${t('foot.docs')}</a>
+      <a href="/docs" target="_blank" rel="noopener">${t('foot.docs')}</a>
     </div>
   </footer>`;
 }

@@ -66,6 +66,8 @@ export const de = {
   'stale.silent': 'Das Gateway antwortet nicht',
   'stale.lost': 'Keine Verbindung zum Gateway',
   'stale.since': 'Seit {time} ({span}). Was darunter liegt, ist alt.',
+  'stale.not_served': '{gripper} gibt es an diesem Gateway nicht mehr: bitte einen anderen wählen.',
+  'part.missing': 'Ein Teil dieser Seite konnte nicht geladen werden.',
   'stale.link.connecting': 'Dieser Greifer wurde noch nicht erreicht',
   'stale.link.unresponsive': 'Der Greifer ist stumm',
   'stale.link.reconnecting': 'Keine Verbindung zum Greifer',

@@ -66,6 +66,8 @@ export const en = {
   'stale.silent': 'The gateway does not answer',
   'stale.lost': 'No connection to the gateway',
   'stale.since': 'Since {time} ({span}). What lies below is old.',
+  'stale.not_served': '{gripper} is not served by this gateway any more: choose another one.',
+  'part.missing': 'A part of this page could not be fetched.',
   'stale.link.connecting': 'This gripper was not reached yet',
   'stale.link.unresponsive': 'The gripper is silent',
   'stale.link.reconnecting': 'No link to the gripper',

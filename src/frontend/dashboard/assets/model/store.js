@@ -48,7 +48,8 @@ let shownAt = 0;
 const drawings = new Set();
 
 export const isLive = computed(() => connection.value === 'live');
-export const gripper = computed(() => grippers.value.find(({ name }) => name === selected.value) ?? grippers.value[0] ?? null);
+/** Which never becomes another one by itself: null where it isn't served here any more. */
+export const gripper = computed(() => grippers.value.find(({ name }) => name === selected.value) ?? null);
 
 export const find = (name) => byName.get(name);
 
@@ -58,6 +59,13 @@ function ensure(name) {
     grippers.value = [...byName.values()].sort((a, b) => a.name.localeCompare(b.name));
   }
   return byName.get(name);
+}
+
+/** What this gateway serves is told by each connection anew. */
+function keepOnly(names) {
+  for (const name of byName.keys()) if (!names.includes(name)) byName.delete(name);
+  grippers.value = grippers.peek().filter(({ name }) => byName.has(name));
+  selected.value ??= grippers.peek()[0]?.name ?? null;
 }
 
 function noteAlarms() {
@@ -119,6 +127,7 @@ async function subscribe() {
   try {
     const { states, event_seq: seq } = await rpc.call('subscribe', { topics: ['state', 'events'], max_hz: hz.peek() });
     states.forEach(takeState);
+    keepOnly(states.map((state) => state.gripper));
     show();
     eventSeq.value = seq;
     look();

@@ -5,7 +5,7 @@ import { ofProblem, t, time } from '../model/i18n.js';
 import { fastStop } from '../model/commands.js';
 import { alarms, connection, gripper, grippers, heardAt, isLive, selected } from '../model/store.js';
 import { isOld } from '../model/version.js';
-import { Shape, whyOld } from './parts.js';
+import { onPress, Shape, whyOld } from './parts.js';
 import { go } from './route.js';
 
 /** What became of the last STOP, in words. */
@@ -38,7 +38,7 @@ addEventListener('keydown', (event) => {
 
 function Stop() {
   return html`<div class="stop-place">
-    <button type="button" class="stop" id="stop" onClick=${stop} aria-describedby="stop-note">
+    <button type="button" class="stop" id="stop" ...${onPress(stop)} aria-describedby="stop-note">
       <span class="stop-word">${t('stop.word')}</span><span
           class="stop-scope">${t(grippers.value.length > 1 ? 'stop.all' : 'stop.one')} <kbd>Esc</kbd></span>
     </button>

@@ -28,10 +28,9 @@ export function Latch({ one }) {
   const state = one.state.value;
   const { fast_stop_id: id, fast_stop_by: by, fast_stop_cause: cause, fast_stop_reason: reason, fast_stop_at: at,
       fast_stop_confirmed: isConfirmed } = state;
-  const isSeen = useSignal(false);
+  const seen = useSignal(null);
   useEffect(() => {
-    isSeen.value = false;
-    const timer = setTimeout(() => { isSeen.value = true; }, SEEN_AFTER_MS);
+    const timer = setTimeout(() => { seen.value = id; }, SEEN_AFTER_MS);
     return () => clearTimeout(timer);
   }, [id]);
   return html`<div class="latch" role="group" aria-labelledby="latch-title">
@@ -44,7 +43,7 @@ export function Latch({ one }) {
     </dl>
     <h4>${t('latch.check')}</h4>
     <ul>${(CHECKS[cause] ?? CHECKS.unknown).map((check) => html`<li key=${check}>${t(`check.${check}`)}</li>`)}</ul>
-    <button type="button" id="acknowledge" class="primary" disabled=${!isSeen.value || !isConfirmed}
+    <button type="button" id="acknowledge" class="primary" disabled=${seen.value !== id || !isConfirmed}
         onClick=${() => acknowledge(one, id)}>${t('latch.acknowledge', { id: `…${shortId(id)}` })}</button>
     <p class="hint">${t('latch.hint')}</p>
   </div>`;

@@ -7,7 +7,7 @@ import { askFreely, fastStop, move, takeControl } from '../model/commands.js';
 import { isLive } from '../model/store.js';
 import { JogPanel } from './jog.js';
 import { Latch } from './latch.js';
-import { Covered, NumberField, Panel, ProblemNote, Shape } from './parts.js';
+import { Covered, NumberField, onPress, Panel, ProblemNote, Shape } from './parts.js';
 import { Presets } from './presets.js';
 
 /** What is typed, kept for each gripper while the page lives. */
@@ -117,8 +117,8 @@ export function Motion({ one }) {
   const isLatched = one.latchId.value !== null;
   const actions = html`<button type="button" id="stop-soft" disabled=${!isLive.value} onClick=${() => askFreely(one,
       'stop')}>${t('command.stop')}</button>
-    <button type="button" id="stop-one"
-        onClick=${() => fastStop(one.name).catch((problem) => { one.problem.value = problem.errors?.at(-1) ?? problem; })}>${t('motion.fast_stop',
+    <button type="button" id="stop-one" class="at-once" ...${onPress(() => fastStop(one.name).catch((problem) => {
+        one.problem.value = problem.errors?.at(-1) ?? problem; }))}>${t('motion.fast_stop',
             { gripper: one.name })}</button>`;
   return html`<${Panel} title=${t('motion.title')} id="motion-title" class="motion-panel" actions=${actions}>
     <${Covered} one=${one}>

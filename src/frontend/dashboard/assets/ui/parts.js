@@ -99,3 +99,12 @@ export function Figure({ label, value, decimals, unit, note, class: extra = '' }
     <span class="figure-note">${note ?? ''}</span>
   </div>`;
 }
+
+/**
+ * Of a button that acts when it is touched, and not only when it is let go: also with another finger on the screen, and
+ * where the finger slides. Keys, and who reads the screen aloud, click.
+ */
+export const onPress = (act) => ({
+  onPointerDown: () => act(),
+  onClick: (event) => { if (event.detail === 0) act(); },
+});

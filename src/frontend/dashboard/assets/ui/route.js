@@ -5,7 +5,11 @@ import { gripper, selected, view, VIEWS } from '../model/store.js';
 
 function read() {
   const [, name, wanted] = location.hash.split('/');
-  if (name) selected.value = decodeURIComponent(name);
+  try {
+    if (name) selected.value = decodeURIComponent(name);
+  } catch {
+    // An address that names nothing: the page is there all the same.
+  }
   if (VIEWS.includes(wanted)) view.value = wanted;
 }
 

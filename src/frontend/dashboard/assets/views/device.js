@@ -55,7 +55,7 @@ function Setting({ one, id, method, fields, limits, done }) {
           </div>
     <div class="buttons"><button type="submit" disabled=${wrong}>${t('settings.set')}</button>
     ${method === 'settings.soft-limits' && html`<button type="button"
-        disabled=${one.softLimits.value?.minus_mm == null} onClick=${async () => { if (await askFreely(one,
+        disabled=${one.softLimits.value?.minus_mm == null} onClick=${async () => { if (await ask(one,
             'settings.soft-limits.clear')) done(); }}>${t('settings.clear')}</button>`}</div>
   </form>`;
 }

@@ -49,7 +49,7 @@ function Tile({ one }) {
       <span class="tile-figures"><span>${fixed(one.width.value, 1)}<span class="unit">mm</span></span>
         <span>${fixed(one.speed.value, 0)}<span class="unit">mm/s</span></span><span>${fixed(one.force.value, 1)}<span
             class="unit">N</span></span></span>`}
-    <span class="muted small">${one.holder.value ? t('all.control',
+    <span class="muted small">${whyOld(one) ? '' : one.holder.value ? t('all.control',
         { holder: one.holder.value }) : t('all.no_control')}</span>
   </button>`;
 }
@@ -61,6 +61,8 @@ function Fleet() {
     return () => clearInterval(timer);
   }, []);
   const list = fleet.value;
+  const old = whyOld(null);
+  if (old) return html`<p role="status">${old.text}</p>`;
   if (!list) return html`<p class="muted small">${list === false ? t('all.no_fleet') : ''}</p>`;
   return html`<${Panel} title=${t('all.fleet')} id="fleet-title"><div class="table-place" tabindex="0" role="group"
       aria-label=${t('all.fleet')}><table>
