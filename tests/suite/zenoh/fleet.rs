@@ -277,6 +277,22 @@ async fn a_gateway_that_is_frozen_is_gone_within_two_seconds() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn a_fast_stop_of_the_fleet_is_told_again_to_who_was_away() {
+    let pair = Pair::start().await;
+    pair.far.freeze();
+    until_gone(&pair.near, "far").await;
+    let stopped = pair.near.post("/api/v1/fleet/fast-stop", &json!({"reason": "light curtain"})).await.ok();
+    assert_eq!(stopped["fast_stop_confirmed"], false, "it may move on: {stopped}");
+    assert!(stopped["unconfirmed"].as_array().unwrap().contains(&json!("far/g")), "{stopped}");
+    pair.far.thaw();
+    let state = pair.far.until("it is stopped", |state| state["fast_stop_confirmed"] == true).await;
+    assert_eq!(
+        (&state["fast_stop_reason"], &state["fast_stop_by"]),
+        (&json!("light curtain"), &json!("zenoh:http:127.0.0.1"))
+    );
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn who_has_the_name_of_another_is_told_so() {
     let router = Router::start();
     let (one, other) =
