@@ -113,7 +113,7 @@ impl Network {
     }
 
     /// Stops the grippers of all gateways. Its own don't wait for the others, nor for Zenoh. A gateway that was not reached
-    /// is told again, for [`INSISTS_FOR`].
+    /// is told again, for a minute.
     pub async fn fast_stop(self: &Arc<Self>, client: &Client, reason: &Reason) -> FleetStop {
         let begun = Now::read().instant;
         let told = serde_json::json!({"reason": reason.as_str(), "client": &*client.subject}).to_string();

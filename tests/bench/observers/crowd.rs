@@ -27,6 +27,9 @@ const UNDER_WAY: usize = 8;
 /// How long one that reads nothing stays: as long as the gateway lets it.
 const STALLS_FOR: Duration = Duration::from_secs(3);
 
+/// When one that found no place tries again.
+const AGAIN_AFTER: Duration = Duration::from_millis(100);
+
 /// What the system has room for of its own: so little that the gateway can't get rid of what it has to tell.
 const STALLED_BYTES: u32 = 4096;
 
@@ -139,7 +142,11 @@ async fn observer(index: usize, address: &str, seen: &Seen) -> Result<(), Error>
 
 async fn staller(address: &str) -> Result<(), Error> {
     loop {
-        let mut socket = connect(address, Some(STALLED_BYTES)).await?;
+        // While the one before is seen off, all places may be taken.
+        let Ok(mut socket) = connect(address, Some(STALLED_BYTES)).await else {
+            tokio::time::sleep(AGAIN_AFTER).await;
+            continue;
+        };
         subscribe(&mut socket).await?;
         tokio::time::sleep(STALLS_FOR).await;
     }
