@@ -195,6 +195,29 @@ test('what is jogged moves while it is held and no longer', async () => {
   await visitor.close();
 });
 
+test('a tap before it ends no jog that is held', async () => {
+  const served = await gateway();
+  const { page } = await visit(launched, served);
+  await page.click('#take-control');
+  await page.click('#home:enabled');
+  await page.waitForSelector('[data-outcome=SUCCESS]');
+  await page.waitForSelector('#jog-close:enabled');
+  const state = () => served.ask('GET', 'grippers/left/state');
+  const from = (await state()).width_mm;
+  await page.locator('#jog-close').hover();
+  for (let taps = 0; taps < 3; taps += 1) {
+    await page.mouse.down();
+    await page.mouse.up();
+  }
+  await page.mouse.down();
+  // At 25 mm/s that is longer than the lease lives without a renewal.
+  await until('it moves as long as it is held', async () => (await state()).width_mm < from - 50);
+  assert.equal((await state()).fast_stop, false);
+  await page.mouse.up();
+  await until('it stands', async () => (await state()).moving === false);
+  assert.equal((await state()).fast_stop, false);
+});
+
 test('a page that hangs while it is jogged stops the fingers all the same', async () => {
   const served = await gateway();
   const visitor = await visit(launched, served);

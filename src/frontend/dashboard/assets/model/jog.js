@@ -13,56 +13,57 @@ const STOPPED_EVERY_MS = 150;
 const MAX_STOPS = 40;
 
 export class Jog {
-  #press = 0;
-  #isHeld = false;
-  #renewing = null;
+  /** The newest press. */
+  #press = null;
+  #settled = Promise.resolve();
 
   /** `limits` are the widths that may be reached. */
-  async begin(one, direction, speed, limits) {
-    if (this.#isHeld || !one.isMine.peek()) return;
-    this.#isHeld = true;
-    this.#press += 1;
-    const press = this.#press;
-    const isHeld = () => this.#isHeld && press === this.#press;
+  begin(one, direction, speed, limits) {
+    if (this.#press?.isHeld || !one.isMine.peek()) return;
+    const press = { isHeld: true, command: null };
+    press.over = new Promise((resolve) => { press.letGo = resolve; });
+    this.#press = press;
+    // One after the other: the end of a press must not end what the next one renews.
+    this.#settled = this.#settled.then(() => this.#hold(one, press, direction, speed, limits)).catch(() => {});
+  }
+
+  end(one) {
+    if (!this.#press?.isHeld) return;
+    this.#press.isHeld = false;
+    this.#press.letGo();
+    rpc.call('stop', { gripper: one.name }).catch(() => {});
+  }
+
+  async #hold(one, press, direction, speed, limits) {
+    if (!press.isHeld) return;
     // Fingers whose page has gone must not go on, whatever else is allowed to finish.
     const on_loss_moving = onLossMoving.peek() === 'finish' ? 'fast_stop' : onLossMoving.peek();
     const lease = await changeTerms(one, { ttl_ms: LIVES_MS, on_loss_moving });
-    if (lease && isHeld()) {
-      this.#renewing = setInterval(() => {
-        const held = one.held.peek();
-        if (held) rpc.call('lease.renew', { gripper: one.name, lease: held.token }).catch(() => {});
-      }, RENEWED_EVERY_MS);
-      const command = await move(one, 'move', { width_mm: direction < 0 ? limits.min : limits.max, speed_mm_s: speed });
-      // Let go before it was known to run.
-      if (command && !isHeld()) await this.#stop(one, command.id);
-      this.running = command?.id ?? null;
+    const renewing = setInterval(() => {
+      const held = one.held.peek();
+      if (held) rpc.call('lease.renew', { gripper: one.name, lease: held.token }).catch(() => {});
+    }, RENEWED_EVERY_MS);
+    try {
+      if (lease && press.isHeld) {
+        const command = await move(one, 'move', { width_mm: direction < 0 ? limits.min : limits.max, speed_mm_s: speed });
+        press.command = command?.id ?? null;
+      }
+      await press.over;
+      await this.#stop(one, press.command);
+    } finally {
+      clearInterval(renewing);
     }
-    if (!isHeld()) await this.#settle(one);
-  }
-
-  async end(one) {
-    if (!this.#isHeld) return;
-    this.#isHeld = false;
-    await this.#stop(one, this.running);
-    await this.#settle(one);
+    // Control lives with the connection again.
+    await changeTerms(one);
   }
 
   /** Once, and again until it has stopped. */
   async #stop(one, command) {
-    const press = this.#press;
     for (let tries = 0; tries < MAX_STOPS; tries += 1) {
       rpc.call('stop', { gripper: one.name }).catch(() => {});
       await new Promise((resolve) => { setTimeout(resolve, STOPPED_EVERY_MS); });
       const isOver = one.newest?.moving === false && (command === null || one.newest?.command !== command);
-      if (isOver || press !== this.#press || !rpc.isOpen) return;
+      if (isOver || !rpc.isOpen) return;
     }
-  }
-
-  /** Control lives with the connection again. */
-  async #settle(one) {
-    clearInterval(this.#renewing);
-    this.#renewing = null;
-    this.running = null;
-    if (!this.#isHeld) await changeTerms(one);
   }
 }
