@@ -8,7 +8,8 @@
 //!   [`VirtualDevice::poll_frame`] whenever the client can take one; [`VirtualDevice::poll_timeout`].
 //!
 //! Requests are taken up in order, each when the one before it was answered; only Stop and FAST STOP overtake. What a
-//! device takes its time for (a motion once it is accepted, a Stop, a script) holds up nothing.
+//! device takes its time for (a motion once it is accepted, a Stop, a script) holds up nothing, but for a motion behind a
+//! Stop: many stop and move on in one breath.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -100,6 +101,10 @@ pub(super) struct VirtualDevice {
     awaited: usize,
     /// Stops that were not answered yet.
     stops: usize,
+    /// What may move, was ordered, and has not ended.
+    motions: usize,
+    /// Whether a Stop came while something of this client moved, which has not ended since.
+    motions_are_stopping: bool,
     fast_stops: FastStops,
     subscriptions: Subscriptions,
     orders: VecDeque<Ordered>,
@@ -124,6 +129,8 @@ impl VirtualDevice {
             waiting: VecDeque::new(),
             awaited: 0,
             stops: 0,
+            motions: 0,
+            motions_are_stopping: false,
             fast_stops: FastStops::default(),
             subscriptions: Subscriptions::default(),
             orders: VecDeque::new(),
@@ -174,10 +181,14 @@ impl VirtualDevice {
         if ask.id == id::STOP && is_last {
             self.stops = self.stops.saturating_sub(1);
         }
+        if self.moves(ask.id) && is_last {
+            self.motions = self.motions.saturating_sub(1);
+            self.motions_are_stopping &= self.motions > 0;
+        }
         if ask.is_awaited {
             self.awaited = self.awaited.saturating_sub(1);
-            self.take_up(now, state);
         }
+        self.take_up(now, state);
     }
 
     pub(super) fn poll_order(&mut self) -> Option<Ordered> {
@@ -246,6 +257,7 @@ impl VirtualDevice {
                 Ok(Command::Stop) => {
                     self.abort_waiting_motions();
                     self.stops += 1;
+                    self.motions_are_stopping = self.motions > 0;
                     self.order(id, false, Order::Command(Action::Stop));
                 }
                 _ if self.waiting.len() >= MAX_WAITING_REQUESTS => self.status(id, Status::E_OVERRUN),
@@ -266,17 +278,27 @@ impl VirtualDevice {
 
     /// A Stop also stops what came before it and was not begun.
     fn abort_waiting_motions(&mut self) {
-        for request in &mut self.waiting {
-            let is_script = id::describe(request.id).is_none() && !self.custom_ids.read.contains(&request.id);
-            if id::is_motion(request.id) || is_script {
-                request.command = Err(Status::E_CMD_ABORTED);
-            }
+        let mut waiting = std::mem::take(&mut self.waiting);
+        for request in waiting.iter_mut().filter(|request| self.moves(request.id)) {
+            request.command = Err(Status::E_CMD_ABORTED);
         }
+        self.waiting = waiting;
+    }
+
+    /// Whether this may move the fingers: a motion, or a script that doesn't only read.
+    fn moves(&self, id: u8) -> bool {
+        id::is_motion(id) || (id::describe(id).is_none() && !self.custom_ids.read.contains(&id))
+    }
+
+    /// Until it is known that the fingers stand, a motion behind a Stop would be refused for the one that is being
+    /// stopped.
+    fn waits_for_a_stop(&self, request: &Request) -> bool {
+        request.command.is_ok() && self.moves(request.id) && (self.stops > 0 || self.motions_are_stopping)
     }
 
     fn take_up(&mut self, now: Instant, state: &State) {
         while self.awaited == 0
-            && let Some(Request { id, command }) = self.waiting.pop_front()
+            && let Some(Request { id, command }) = self.next_request()
         {
             match command {
                 // fw4-en 3.1.2: until the connection has ended.
@@ -285,6 +307,13 @@ impl VirtualDevice {
                 Err(status) => self.refuse_malformed(id, status, state),
             }
         }
+    }
+
+    fn next_request(&mut self) -> Option<Request> {
+        if self.waiting.front().is_some_and(|request| self.waits_for_a_stop(request)) {
+            return None;
+        }
+        self.waiting.pop_front()
     }
 
     fn execute(&mut self, now: Instant, command: Command, state: &State) {
@@ -385,6 +414,7 @@ impl VirtualDevice {
 
     fn order(&mut self, id: u8, is_awaited: bool, order: Order) {
         self.awaited += usize::from(is_awaited);
+        self.motions += usize::from(self.moves(id));
         self.orders.push_back(Ordered { ask: Ask { id, is_awaited }, order });
     }
 

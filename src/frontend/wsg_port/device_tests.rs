@@ -143,6 +143,48 @@ fn a_motion_is_begun_before_the_stop_behind_it() {
 }
 
 #[test]
+fn a_motion_behind_a_stop_waits_until_it_is_known_that_the_fingers_stand() {
+    let mut bench = Bench::new();
+    bench.send(id::HOMING, &[0]);
+    let homing = bench.order();
+    bench.answer(homing.ask, Answer::Accepted);
+    let homing = Ask { is_awaited: false, ..homing.ask };
+    // Devices tell the end of a Stop and of what it stopped in either order.
+    for stop_is_answered_first in [true, false] {
+        bench.send(id::STOP, &[]);
+        let stop = bench.order();
+        bench.send(id::HOMING, &[1]);
+        bench.send(id::GET_FORCE_LIMIT, &[]);
+        assert_eq!(bench.device.poll_order(), None, "nor does what is behind it overtake");
+        let mut ends = [(stop.ask, NOTHING), (homing, Answer::Reply(Reply::Status(Status::E_CMD_ABORTED)))];
+        if !stop_is_answered_first {
+            ends.reverse();
+        }
+        let [first, second] = ends;
+        bench.answer(first.0, first.1);
+        assert_eq!(bench.device.poll_order(), None);
+        bench.answer(second.0, second.1);
+        let next = bench.order();
+        assert_eq!(next.order, Order::Command(Action::Motion(Motion::Home(HomingDirection::Outer))));
+        bench.answer(next.ask, Answer::Accepted);
+        let setting = bench.order();
+        bench.answer(setting.ask, NOTHING);
+    }
+    // Where nothing moves, the Stop alone is waited for, and another one ends what waits.
+    bench.answer(homing, Answer::Reply(Reply::Status(Status::E_SUCCESS)));
+    bench.send(id::STOP, &[]);
+    bench.send(id::HOMING, &[0]);
+    bench.send(id::STOP, &[]);
+    let (one, other) = (bench.order(), bench.order());
+    assert_eq!((one.ask.id, other.ask.id, bench.device.poll_order()), (id::STOP, id::STOP, None));
+    bench.send(id::HOMING, &[0]);
+    bench.answer(one.ask, NOTHING);
+    assert_eq!(bench.device.poll_order(), None);
+    bench.answer(other.ask, NOTHING);
+    assert_eq!(bench.order().ask.id, id::HOMING);
+}
+
+#[test]
 fn a_script_holds_up_nothing() {
     let mut bench = Bench::new();
     bench.send(0xB0, &[1]);

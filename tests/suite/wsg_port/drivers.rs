@@ -111,6 +111,43 @@ async fn a_driver_that_pipelines_gets_its_answers_in_order() {
     assert_eq!(ids, [0x32, 0x25], "the gripper gets them in this order, too");
 }
 
+/// A driver that lives on updates and has a thread that writes without ever waiting: to move on, it sends a Stop and the
+/// next motion in two writes, one right behind the other.
+#[tokio::test]
+async fn a_driver_that_stops_and_moves_on_in_one_breath_works() {
+    let cell = Cell::homed().await;
+    let mut driver = cell.driver().await;
+    for id in [0x43, 0x44, 0x45] {
+        assert_eq!(driver.status_among_updates(id, &[1, 20, 0]).await, SUCCESS);
+    }
+    let (mut moved, mut widths) = (Vec::new(), 0);
+    for target in [10.0, 90.0, 60.0] {
+        driver.send(0x22, &[]).await;
+        driver.send(MOVE, &move_to(target, 50.0)).await;
+        loop {
+            let reply = driver.next().await;
+            match reply.id {
+                MOVE if reply.status == PENDING => break,
+                MOVE => moved.push(reply.status),
+                0x22 => assert_eq!(reply.status, SUCCESS),
+                id => assert!([0x43, 0x44, 0x45].contains(&id), "{reply:?}"),
+            }
+        }
+        cell.gateway.until_moving().await;
+    }
+    while moved.len() < 3 {
+        let reply = driver.next().await;
+        match reply.id {
+            MOVE => moved.push(reply.status),
+            0x43 => widths += 1,
+            _ => {}
+        }
+    }
+    assert_eq!(moved, [super::ABORTED, super::ABORTED, SUCCESS], "each motion is told, and none is refused");
+    assert!(widths > 0);
+    driver.reset();
+}
+
 /// A Stop that comes right behind a motion stops that motion, however little of it has happened.
 #[tokio::test]
 async fn a_stop_in_the_same_write_as_its_motion_stops_it() {
