@@ -50,6 +50,8 @@ pub(super) struct Served<R, W> {
     /// How long it may be silent, where that is its end.
     silence: Option<Duration>,
     heard: Instant,
+    /// It was silent for too long. What it still waits for is told all the same: many wait for ever.
+    is_lost: bool,
 }
 
 /// The lease for as long as its client is there, who is not sent away meanwhile.
@@ -105,6 +107,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             written: 0,
             silence,
             heard: clock::instant(),
+            is_lost: false,
         }
     }
 
@@ -124,8 +127,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             // An actor that is gone has given its device up.
             let _ = self.port.gripper.release_lease(Some(self.token.clone())).await;
         } else {
-            // Its token is its connection's own, however often it was taken.
-            self.port.gripper.lose_lease(self.token.clone(), None).await;
+            self.lose().await;
         }
         self.device.forget_waiting();
         // Its FAST STOPs may still wait for a place.
@@ -142,7 +144,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
                 tokio::task::yield_now().await;
             }
             self.start_orders();
-            if self.device.has_overflown() || self.has_left() {
+            if self.device.has_overflown() || self.has_left() || (self.is_lost && self.is_owed_nothing()) {
                 return End::Gone;
             }
             if self.written == self.outgoing.len() {
@@ -152,7 +154,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             let (state, is_writing) = (self.port.gripper.state(), !self.outgoing.is_empty());
             self.forget_lost_lease(&state);
             let (holds_lease, watches) = (self.kept.is_some(), self.kept.is_some() || self.device.watches());
-            let silent_at = self.silence.map(|silence| self.heard + silence);
+            let silent_at = self.silence.filter(|_| !self.is_lost).map(|silence| self.heard + silence);
             let deadline = self.device.poll_timeout(&state).into_iter().chain(silent_at).min();
             tokio::select! {
                 biased;
@@ -176,7 +178,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
                 () = sleep_until(deadline) => {
                     let now = clock::instant();
                     if silent_at.is_some_and(|at| at <= now) {
-                        return End::Gone;
+                        self.lose().await;
                     }
                     self.device.handle_timeout(now, &self.port.gripper.state());
                 }
@@ -209,14 +211,29 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
         }
     }
 
+    /// It is lost, and its lease with it.
+    async fn lose(&mut self) {
+        self.is_lost = true;
+        // Its token is its connection's own, however often it was taken.
+        self.port.gripper.lose_lease(self.token.clone(), None).await;
+    }
+
     /// Where nothing else ends it, a client that has announced its end is gone once it was told so.
     fn has_left(&self) -> bool {
-        let is_told = self.device.is_idle() && self.written == self.outgoing.len();
-        self.silence.is_some() && self.device.has_announced() && is_told
+        self.silence.is_some() && self.device.has_announced() && self.is_told()
+    }
+
+    fn is_told(&self) -> bool {
+        self.device.is_idle() && self.written == self.outgoing.len()
+    }
+
+    fn is_owed_nothing(&self) -> bool {
+        self.under_way.is_empty() && self.is_told()
     }
 
     fn receive(&mut self, bytes: &[u8]) {
         self.heard = clock::instant();
+        self.is_lost = false;
         drop(self.place.busy());
         self.device.receive(self.heard, bytes, &self.port.gripper.state());
     }

@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use serde_json::json;
 use tokio::net::UdpSocket;
 
-use super::{ACCESS_DENIED, MOVE, SUCCESS};
+use super::{ABORTED, ACCESS_DENIED, MOVE, SUCCESS};
 use crate::harness::wsg::{PENDING, move_to, request};
 use crate::harness::{DEADLINE, Gateway, Proxy, Simulator};
 
@@ -52,6 +52,7 @@ async fn a_client_that_is_silent_for_three_seconds_is_lost() {
     let lost = silent.elapsed();
     assert!(lost > Duration::from_millis(2900) && lost < Duration::from_secs(6), "{lost:?}");
     assert_eq!((&state["lease_holder"], proxy.frames.count(0x23)), (&json!(null), 1), "{state}");
+    assert_eq!(next(&one).await, (MOVE, ABORTED), "it may be there, and wait for ever");
 }
 
 #[tokio::test]
