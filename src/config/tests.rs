@@ -111,12 +111,16 @@ fn the_journal_is_kept_where_and_for_as_long_as_is_said() {
 #[test]
 fn a_wsg_port_is_where_the_flag_says_or_else_the_file() {
     let text = "[grippers.g]\nurl = \"sim://wsg50\"\nwsg_port = [\"127.0.0.1:1000\", \
-                \"udp://127.0.0.1?reply_port=1501\"]\nwsg_port_acknowledge = \"any\"\n";
+                \"udp://127.0.0.1?reply_port=1501&lost_after_ms=10000\"]\nwsg_port_acknowledge = \"any\"\n";
     let of = |config: Config| config.grippers.into_iter().next().unwrap().wsg_port;
     let addresses = |port: &WsgPort| port.addresses.iter().map(|(address, _)| *address).collect::<Vec<_>>();
     let port = of(file(text).unwrap());
     let tcp = |text: &str| WsgAddress::Tcp(text.parse().unwrap());
-    let udp = WsgAddress::Udp("127.0.0.1:1500".parse().unwrap(), Some(1501));
+    let udp = WsgAddress::Udp {
+        address: "127.0.0.1:1500".parse().unwrap(),
+        reply_port: Some(1501),
+        lost_after: Some(Duration::from_secs(10)),
+    };
     assert_eq!(addresses(&port), [tcp("127.0.0.1:1000"), udp]);
     assert_eq!((port.acknowledge, port.checksum_evaluation), (Acknowledge::Any, true));
 
@@ -153,5 +157,6 @@ fn a_wrong_wsg_port_is_named_with_its_remedy() {
     assert!(mistake("left=localhost").contains("udp://127.0.0.1:1500?reply_port=1501"));
     assert!(mistake("left=can://can0").contains("127.0.0.1:1000"));
     assert!(mistake("left=udp://127.0.0.1:1500?local_port=1").contains("reply_port"));
+    assert!(mistake("left=udp://127.0.0.1?lost_after_ms=1").contains("a number from 100 to 60000"));
     assert!(mistake("middle=127.0.0.1:1000").contains("there are: left, right"));
 }

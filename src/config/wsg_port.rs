@@ -1,6 +1,8 @@
 //! Where a gripper is served by the WSG protocol itself, and to whom.
 
 use std::net::SocketAddr;
+use std::ops::RangeInclusive;
+use std::time::Duration;
 
 use ipnet::IpNet;
 use serde::Deserialize;
@@ -13,6 +15,9 @@ use crate::transport::Options;
 const DEFAULT_TCP_PORT: u16 = 1000;
 /// And on UDP.
 const DEFAULT_UDP_PORT: u16 = 1500;
+
+/// What can be said of how long a client may be silent, in ms: as long as a lease may live.
+const LOST_AFTER_MS: RangeInclusive<u32> = 100..=60_000;
 
 /// The WSG port of one gripper.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -43,8 +48,15 @@ impl Default for WsgPort {
 pub enum WsgAddress {
     /// TCP.
     Tcp(SocketAddr),
-    /// UDP, and where answers go instead of to the sender's port.
-    Udp(SocketAddr, Option<u16>),
+    /// UDP.
+    Udp {
+        /// Where requests come to.
+        address: SocketAddr,
+        /// Where answers go instead of to the sender's port.
+        reply_port: Option<u16>,
+        /// How long a client may be silent, where that is said.
+        lost_after: Option<Duration>,
+    },
 }
 
 /// Who may acknowledge a FAST STOP by 24h.
@@ -90,7 +102,7 @@ impl WsgPort {
     /// Another address than loopback needs a list of who may connect, or a word that everyone may.
     pub(super) fn check(&self, insecure: bool) -> Result<(), Mistake> {
         for (address, place) in &self.addresses {
-            let (WsgAddress::Tcp(address) | WsgAddress::Udp(address, _)) = address;
+            let (WsgAddress::Tcp(address) | WsgAddress::Udp { address, .. }) = address;
             if !address.ip().is_loopback() && self.allow.is_empty() && !insecure {
                 let detail = format!(
                     "{address} is not a loopback address, and the WSG protocol knows no credentials: whoever reaches it \
@@ -154,8 +166,11 @@ fn parse_address(text: &str) -> Result<WsgAddress, String> {
             Ok(WsgAddress::Tcp(address(DEFAULT_TCP_PORT)?))
         }
         "udp" => {
-            let reply_port = Options::of(&url, &["reply_port"])?.port("reply_port")?;
-            Ok(WsgAddress::Udp(address(DEFAULT_UDP_PORT)?, reply_port))
+            let options = Options::of(&url, &["reply_port", "lost_after_ms"])?;
+            let reply_port = options.port("reply_port")?;
+            let lost_after = options.number("lost_after_ms", LOST_AFTER_MS)?;
+            let lost_after = lost_after.map(|ms| Duration::from_millis(ms.into()));
+            Ok(WsgAddress::Udp { address: address(DEFAULT_UDP_PORT)?, reply_port, lost_after })
         }
         _ => Err(wrong()),
     }

@@ -9,7 +9,7 @@ use tokio_util::sync::CancellationToken;
 use super::listen;
 use crate::config::{Acknowledge, Config, WsgAddress, WsgPort};
 use crate::frontend::refusals::Refusals;
-use crate::frontend::wsg_port::{Address, Listener, Port, Rules};
+use crate::frontend::wsg_port::{Address, Datagrams, LOST_AFTER, Listener, Port, Rules};
 use crate::gripper::Fleet;
 use crate::gripper::model::Name;
 
@@ -22,7 +22,9 @@ pub(super) fn bind(config: &Config) -> anyhow::Result<Ports> {
         for (address, place) in &gripper.wsg_port.addresses {
             let address = match *address {
                 WsgAddress::Tcp(address) => Address::Tcp(address),
-                WsgAddress::Udp(address, reply_port) => Address::Udp(address, reply_port),
+                WsgAddress::Udp { address, reply_port, lost_after } => {
+                    Address::Udp(address, Datagrams { reply_port, lost_after: lost_after.unwrap_or(LOST_AFTER) })
+                }
             };
             let listener = Listener::bind(address).map_err(|error| {
                 let name = &gripper.name;

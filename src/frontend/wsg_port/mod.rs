@@ -35,7 +35,7 @@ pub const MAX_CLIENTS: usize = 32;
 const RESERVED_CLIENTS: usize = 8;
 
 /// A client that has been silent for so long is lost: one that doesn't acknowledge its TCP segments, or that sends no
-/// datagram.
+/// datagram where nothing else is said.
 pub const LOST_AFTER: Duration = super::sockets::LOST_AFTER;
 
 /// Where a gripper is served.
@@ -43,8 +43,17 @@ pub const LOST_AFTER: Duration = super::sockets::LOST_AFTER;
 pub enum Address {
     /// Connections.
     Tcp(SocketAddr),
-    /// Datagrams, which are answered to another port than the sender's where one is given, as devices do.
-    Udp(SocketAddr, Option<u16>),
+    /// Datagrams.
+    Udp(SocketAddr, Datagrams),
+}
+
+/// How clients that send datagrams are served.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Datagrams {
+    /// Answers go to this port, as those of devices do, and otherwise to the sender's.
+    pub reply_port: Option<u16>,
+    /// How long a client may be silent.
+    pub lost_after: Duration,
 }
 
 impl fmt::Display for Address {
@@ -80,8 +89,8 @@ pub struct Port {
 pub enum Listener {
     /// Connections.
     Tcp(TcpListener),
-    /// Datagrams, and the port that answers go to.
-    Udp(UdpSocket, Option<u16>),
+    /// Datagrams.
+    Udp(UdpSocket, Datagrams),
 }
 
 impl Listener {
@@ -96,10 +105,10 @@ impl Listener {
                 listener.set_nonblocking(true)?;
                 Self::Tcp(listener)
             }
-            Address::Udp(address, reply_port) => {
+            Address::Udp(address, datagrams) => {
                 let socket = UdpSocket::bind(address)?;
                 socket.set_nonblocking(true)?;
-                Self::Udp(socket, reply_port)
+                Self::Udp(socket, datagrams)
             }
         })
     }
@@ -138,9 +147,9 @@ impl Port {
                 let listener = tokio::net::TcpListener::from_std(listener)?;
                 tcp::serve(self, listener, draining, closing).await;
             }
-            Listener::Udp(socket, reply_port) => {
+            Listener::Udp(socket, datagrams) => {
                 let socket = tokio::net::UdpSocket::from_std(socket)?;
-                udp::serve(self, socket, reply_port, draining, closing).await;
+                udp::serve(self, socket, datagrams, draining, closing).await;
             }
         }
         Ok(())

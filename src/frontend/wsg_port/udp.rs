@@ -14,7 +14,7 @@ use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
 use super::client::Served;
-use super::{LOST_AFTER, Port};
+use super::{Datagrams, Port};
 
 /// The longest datagram there can be.
 const MAX_DATAGRAM_BYTES: usize = 65_535;
@@ -25,7 +25,7 @@ const MAX_WAITING_DATAGRAMS: usize = 32;
 pub(super) async fn serve(
     port: Arc<Port>,
     socket: UdpSocket,
-    reply_port: Option<u16>,
+    Datagrams { reply_port, lost_after }: Datagrams,
     draining: CancellationToken,
     closing: CancellationToken,
 ) {
@@ -62,7 +62,7 @@ pub(super) async fn serve(
                 let writer = Writer { socket: socket.clone(), peer: answered_at };
                 let reader = Reader { datagrams, rest: Vec::new() };
                 let client = Port::client(peer);
-                let served = Served::new(port.clone(), client, place, (reader, writer), Some(LOST_AFTER));
+                let served = Served::new(port.clone(), client, place, (reader, writer), Some(lost_after));
                 clients.spawn(served.run(closing.clone()));
                 known.insert(answered_at, sender.clone());
                 sender

@@ -55,6 +55,21 @@ async fn a_client_that_is_silent_for_three_seconds_is_lost() {
     assert_eq!(next(&one).await, (MOVE, ABORTED), "it may be there, and wait for ever");
 }
 
+/// Drivers that wait for the end of a motion and have no time-out send nothing meanwhile.
+#[tokio::test]
+async fn how_long_a_client_may_be_silent_can_be_said() {
+    let device = Simulator::start(&[]).await;
+    let proxy = Proxy::to(device.address);
+    let (gateway, port) = port(&proxy, "?lost_after_ms=20000").await;
+    let socket = client().await;
+    let begun = Instant::now();
+    // 85 mm or more at 20 mm/s.
+    assert_eq!(ask(&socket, port, MOVE, &move_to(5.0, 20.0)).await, PENDING);
+    assert_eq!(next(&socket).await, (MOVE, SUCCESS));
+    assert!(begun.elapsed() > Duration::from_secs(3), "it was silent for longer than is usual");
+    assert_eq!(gateway.state().await["lease_holder"], "wsg:127.0.0.1");
+}
+
 #[tokio::test]
 async fn a_client_that_goes_on_asking_is_there() {
     let device = Simulator::start(&[]).await;
