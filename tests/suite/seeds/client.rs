@@ -13,7 +13,7 @@ use wsg_gateway::wsg::{
 
 use super::leases::Leases;
 use super::schedule::Ask;
-use super::world::{READ_ID, SCRIPT_ID, World};
+use super::world::{READ_ID, SCRIPT_ID, STREAM_ID, World};
 
 /// An admitted motion, and the request that it may become.
 pub struct Admitted {
@@ -94,15 +94,25 @@ impl Clients {
                 Self::exchange(world, Command::Loop(LoopData::new(data).unwrap()));
             }
             Ask::Custom => {
-                world.clients.submitted += 1;
-                let payload = world.clients.submitted.to_le_bytes().to_vec();
-                if world.rng.random_bool(0.5) {
-                    Self::exchange(world, Command::Custom(CustomCommand::new(READ_ID, payload).unwrap()));
+                let only_reads = world.rng.random_bool(0.5);
+                let custom = Self::next_custom(world, if only_reads { READ_ID } else { SCRIPT_ID });
+                if only_reads {
+                    Self::exchange(world, Command::Custom(custom));
                 } else {
-                    Self::submit_motion(world, Motion::Custom(CustomCommand::new(SCRIPT_ID, payload).unwrap()));
+                    Self::submit_motion(world, Motion::Custom(custom));
                 }
             }
+            Ask::Stream => {
+                let custom = Self::next_custom(world, STREAM_ID);
+                Self::submit_motion(world, Motion::Custom(custom));
+            }
         }
+    }
+
+    /// A script's command that is like no other.
+    fn next_custom(world: &mut World, id: u8) -> CustomCommand {
+        world.clients.submitted += 1;
+        CustomCommand::new(id, world.clients.submitted.to_le_bytes().to_vec()).unwrap()
     }
 
     /// A speed that no other motion has, so that a frame tells which request it came from.
@@ -146,6 +156,11 @@ impl Clients {
             world.count("a request was replayed", replayed);
             if !replayed {
                 assert!(!latched || motion.is_none(), "no motion is admitted while a latch holds\n{}", world.tail());
+                let is_streamed = motion.as_ref().is_some_and(is_streamed);
+                world.count("a stream went on", is_streamed);
+                if is_streamed {
+                    Leases::streamed(world);
+                }
                 let ticket = ticket.watched();
                 world.clients.admitted.push(Admitted { ticket, motion, lease });
             }
@@ -253,6 +268,11 @@ impl Clients {
         world.actor.request(now, Request::Drain { answer });
         world.clients.drained = Some(drained);
     }
+}
+
+/// Whether it is one of many that steer the fingers.
+pub fn is_streamed(motion: &Command) -> bool {
+    motion.id() == STREAM_ID
 }
 
 /// Whether it is within the limits of every model, so that a driver's frame is the one that it asked for.

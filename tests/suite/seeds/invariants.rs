@@ -7,9 +7,9 @@ use wsg_gateway::gripper::model::{Kind, Link, Outcome, Phase};
 use wsg_gateway::sim::Interface;
 use wsg_gateway::wsg::{Command, id};
 
-use super::client::Admitted;
+use super::client::{Admitted, is_streamed};
 use super::leases::Leases;
-use super::world::{SCRIPT_ID, World};
+use super::world::{SCRIPT_ID, STREAM_ID, World};
 
 /// What was seen so far.
 #[derive(Default)]
@@ -49,7 +49,7 @@ impl Invariants {
             world.invariants.fast_stop_sent = Some(world.now);
         }
         match frame_id {
-            id::HOMING | id::PRE_POSITION | id::GRIP | id::RELEASE | SCRIPT_ID => {
+            id::HOMING | id::PRE_POSITION | id::GRIP | id::RELEASE | SCRIPT_ID | STREAM_ID => {
                 assert!(!latched, "latch_blocks_motion\n{}", world.tail());
                 let all = &world.clients.admitted;
                 let admitted =
@@ -57,8 +57,12 @@ impl Invariants {
                 let running = admitted.clone().filter(|admitted| admitted.ticket.now().phase == Phase::Running);
                 let mut may_leave = running.map(|admitted| Leases::may_leave(world, admitted.lease.as_ref()));
                 assert!(may_leave.any(|may| may), "stale_lease_moves_nothing\n{}", world.tail());
-                // What is not written down does not move.
-                let admitted = admitted.filter(|admitted| world.journal.is_durable(admitted.ticket.now().id)).count();
+                // What is not written down does not move: only a stream waits for no disk.
+                let may_move = |admitted: &&Admitted| {
+                    admitted.motion.as_ref().is_some_and(is_streamed)
+                        || world.journal.is_durable(admitted.ticket.now().id)
+                };
+                let admitted = admitted.filter(may_move).count();
                 let sent = world.invariants.motions.entry(frame.to_vec()).or_default();
                 *sent += 1;
                 let sent = *sent;

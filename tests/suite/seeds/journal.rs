@@ -9,6 +9,7 @@ use wsg_gateway::gripper::actor::Actor;
 use wsg_gateway::gripper::model::{CommandEvent, CommandId, Detail, DeviceEvent, MemoryKey, Outcome};
 use wsg_gateway::gripper::recorder::Recollection;
 
+use super::client::{Admitted, is_streamed};
 use super::leases::Leases;
 use super::world::World;
 
@@ -112,15 +113,23 @@ impl Journal {
         }
     }
 
-    /// Two records of each command, the second with the outcome that its client was told.
+    /// Two records of each command, the second with the outcome that its client was told. Those of streams are counted.
     pub fn check(world: &World) {
-        for admitted in &world.clients.admitted {
+        let has_records = |admitted: &&Admitted| !admitted.motion.as_ref().is_some_and(is_streamed);
+        let (recorded, streamed): (Vec<_>, Vec<_>) = world.clients.admitted.iter().partition(has_records);
+        for admitted in &recorded {
             let command = admitted.ticket.now();
             let records = (world.journal.admitted.get(&command.id), world.journal.done.get(&command.id));
             let outcome = command.outcome.expect("it has ended");
             assert_eq!(records, (Some(&1), Some(&vec![outcome])), "every_command_ends_once\n{}", world.tail());
         }
-        assert_eq!(world.journal.admitted.len(), world.clients.admitted.len(), "{}", world.tail());
+        assert_eq!(world.journal.admitted.len(), recorded.len(), "{}", world.tail());
+        let count = |event: &Detail| match event {
+            Detail::Device(DeviceEvent::Streamed { count, .. }) => *count,
+            _ => 0,
+        };
+        let counted: u64 = world.journal.events.iter().map(count).sum();
+        assert_eq!(counted, streamed.len() as u64, "each request of a stream is counted once\n{}", world.tail());
     }
 }
 

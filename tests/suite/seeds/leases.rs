@@ -41,6 +41,10 @@ const KNOWN_AFTER: Duration = Duration::from_secs(2);
 /// And how lately it must have been heard.
 const HEARD_WITHIN: Duration = Duration::from_millis(300);
 
+/// How long after a request of a stream somebody may be lost while steering the fingers: within a second of it, and
+/// whose lease runs out was lost when it was heard last.
+const STREAM_LASTS: Duration = Duration::from_secs(1).saturating_add(DEFAULT_TTL);
+
 /// Who speaks the device's protocol.
 const DRIVER: &str = "wsg:10.0.0.1";
 
@@ -66,6 +70,8 @@ struct Fingers {
     since: Option<(bool, Instant)>,
     told_moving: Option<bool>,
     runs: bool,
+    /// When they were steered last.
+    streamed: Option<Instant>,
 }
 
 struct Current {
@@ -358,11 +364,18 @@ impl Leases {
         let is_heard = state.updated_at.is_some_and(|at| world.now < at + HEARD_WITHIN);
         let told = state.moving.filter(|_| state.moving == fingers.told_moving);
         let stands = !fingers.runs && state.command.is_none();
+        let is_steered = fingers.streamed.is_some_and(|at| world.now < at + STREAM_LASTS);
         match (moves && is_long && is_heard, told) {
+            _ if is_steered && !moves => None,
             (true, _) | (_, Some(true)) => Some(true),
             (_, Some(false)) if stands => Some(false),
             _ => None,
         }
+    }
+
+    /// A request of a stream was admitted: whoever is lost now may be lost while steering.
+    pub fn streamed(world: &mut World) {
+        world.leases.fingers.streamed = Some(world.now);
     }
 
     /// Looks at the fingers, after each step.

@@ -37,6 +37,7 @@ pub enum Ask {
     Set,
     Read,
     Custom,
+    Stream,
     Loop,
     Lease(LeaseAsk),
 }
@@ -74,6 +75,11 @@ impl Schedule {
             for after in [Duration::from_millis(5), Duration::from_millis(1050)] {
                 steps.push((begins + after, Step::Client(Ask::Custom)));
             }
+        }
+        if rng.random_bool(0.2) {
+            let begins = at(rng);
+            let every = Duration::from_millis(rng.random_range(5..40));
+            steps.extend((0..50).map(|n| (begins + n * every, Step::Client(Ask::Stream))));
         }
         steps.sort_by_key(|(at, _)| *at);
         Self(steps.into())

@@ -21,9 +21,10 @@ use super::leases::Leases;
 use super::schedule::{Schedule, Step};
 use super::wire::{self, Wire};
 
-/// A script that only reads, and one that counts as motion.
+/// A script that only reads, one that counts as motion, and one that clients steer the fingers with.
 pub const READ_ID: u8 = 0xB0;
 pub const SCRIPT_ID: u8 = 0xB1;
+pub const STREAM_ID: u8 = 0xB2;
 
 /// How long a schedule goes on.
 const SCHEDULE: Duration = Duration::from_secs(8);
@@ -128,7 +129,7 @@ impl World {
         if rng.random_bool(0.7) {
             device = device.with_part(Part::outside(20.0));
         }
-        device.scripts.extend([READ_ID, SCRIPT_ID].map(|id| Script { id, answer: ScriptAnswer::Echo }));
+        device.scripts.extend([READ_ID, SCRIPT_ID, STREAM_ID].map(|id| Script { id, answer: ScriptAnswer::Echo }));
         // A slow line has fewer updates, so that its schedules run faster; some are at full rate.
         let bytes_per_second = [None, Some(11_520), Some(960), Some(960), Some(960)][rng.random_range(0..5)];
         let interfaces = [Interface::Tcp, Interface::Tcp, Interface::Udp, Interface::Serial, Interface::Can];
@@ -167,7 +168,7 @@ impl World {
                 may_duplicate: interface == Interface::Udp,
                 frame_gap: Duration::from_millis(100),
             },
-            custom_ids: CustomIds { read: [READ_ID].into(), ..CustomIds::default() },
+            custom_ids: CustomIds { read: [READ_ID].into(), stream: [STREAM_ID].into() },
             drain: Duration::from_secs(2),
             on_journal_failure: OnJournalFailure::Refuse,
             lease: LeaseRules::default(),
