@@ -1,5 +1,6 @@
 //! What waits is bounded, and who comes too much is told by which limit. Other limits are filled where they are: of the
-//! queue to the actor at its handle, of connections and sockets at their doors, of records at the journal.
+//! queue to the actor at its handle, of commands and request ids at their book, of connections and sockets at their doors,
+//! of records at the journal.
 
 use std::time::Duration;
 
