@@ -148,6 +148,36 @@ async fn a_driver_that_stops_and_moves_on_in_one_breath_works() {
     driver.reset();
 }
 
+/// A driver that has its target and its force limit sent again 50 times a second, and waits for no answer.
+#[tokio::test]
+async fn a_driver_that_commands_the_same_again_and_again_is_answered_each_time() {
+    const ROUNDS: usize = 60;
+    let cell = Cell::homed().await;
+    let mut driver = cell.driver().await;
+    let mut due = tokio::time::interval(Duration::from_millis(20));
+    for _ in 0..ROUNDS {
+        due.tick().await;
+        driver.send(0x32, &floats(&[40.0])).await;
+        driver.send(MOVE, &move_to(60.0, 100.0)).await;
+    }
+    let (mut set, mut moved) = (0, BTreeMap::<u16, usize>::new());
+    let of = |moved: &BTreeMap<u16, usize>, status| moved.get(&status).copied().unwrap_or_default();
+    while set < ROUNDS || moved.values().sum::<usize>() < ROUNDS + of(&moved, PENDING) {
+        let reply = driver.next().await;
+        match reply.id {
+            0x32 => set += 1,
+            MOVE => *moved.entry(reply.status).or_default() += 1,
+            other => panic!("{other:02X}h"),
+        }
+    }
+    let (begun, ended) = (of(&moved, PENDING), of(&moved, SUCCESS));
+    assert!(begun > 0 && begun == ended, "what is begun ends: {moved:?}");
+    let width = driver.ask(0x43, &[0; 3]).await.data;
+    assert_eq!(width, floats(&[60.0]));
+    driver.leave().await;
+    assert_eq!(cell.gateway.state().await["fast_stop"], false);
+}
+
 /// A Stop that comes right behind a motion stops that motion, however little of it has happened.
 #[tokio::test]
 async fn a_stop_in_the_same_write_as_its_motion_stops_it() {
