@@ -178,6 +178,9 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
                 () = sleep_until(deadline) => {
                     let now = clock::instant();
                     if silent_at.is_some_and(|at| at <= now) {
+                        if self.device.has_announced() {
+                            return End::Gone;
+                        }
                         self.lose().await;
                     }
                     self.device.handle_timeout(now, &self.port.gripper.state());
@@ -211,9 +214,10 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
         }
     }
 
-    /// It is lost, and its lease with it.
+    /// It is lost, and its lease with it. What it has asked for and was not begun will not be.
     async fn lose(&mut self) {
         self.is_lost = true;
+        self.device.forget_waiting();
         // Its token is its connection's own, however often it was taken.
         self.port.gripper.lose_lease(self.token.clone(), None).await;
     }
