@@ -1,5 +1,5 @@
 //! Refused requests, written down: the first of a kind at once, and those that repeat counted by the second, so that a
-//! client that floods the gateway fills no disk.
+//! client that floods the gateway fills no disk; and held back, so that it takes no processor time from a FAST STOP.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -16,6 +16,12 @@ pub const COUNTED_FOR: Duration = Duration::from_secs(1);
 
 /// Kinds of refusals that are told apart within a second. The rest is counted together.
 const MAX_KINDS: usize = 256;
+
+/// How many refusals of a kind are answered at once within a second: who tries again each cycle of a PLC has fewer.
+const MAX_PROMPT: u64 = 100;
+
+/// How long the answer to each further one waits.
+const HELD_BACK_FOR: Duration = Duration::from_millis(50);
 
 /// Who was refused what, and why.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
@@ -45,18 +51,23 @@ impl Refusals {
         Self { journal, counted: Mutex::default() }
     }
 
-    /// Takes one.
-    pub fn take(&self, mut refusal: Refusal, cause: String) {
+    /// Takes one, and says how long its answer is to be held back, if it is.
+    pub fn take(&self, mut refusal: Refusal, cause: String) -> Option<Duration> {
         let mut counted = self.counted.lock().unwrap_or_else(PoisonError::into_inner);
         if counted.len() >= MAX_KINDS && !counted.contains_key(&refusal) {
             let others = Client { subject: "others".into(), door: refusal.client.door };
             refusal = Refusal { gripper: None, client: others, command: "others".to_owned(), ..refusal };
         }
         match counted.entry(refusal) {
-            Entry::Occupied(mut entry) => *entry.get_mut() = (cause, entry.get().1 + 1),
+            Entry::Occupied(mut entry) => {
+                let repeats = entry.get().1 + 1;
+                *entry.get_mut() = (cause, repeats);
+                (repeats >= MAX_PROMPT).then_some(HELD_BACK_FOR)
+            }
             Entry::Vacant(entry) => {
                 self.record(entry.key(), cause.clone(), 1);
                 entry.insert((cause, 0));
+                None
             }
         }
     }

@@ -9,6 +9,7 @@ mod raw;
 mod settings;
 
 use std::collections::BTreeSet;
+use std::time::Duration;
 
 use axum::body::Body;
 use axum::http::{Request, header};
@@ -165,4 +166,23 @@ async fn a_body_that_does_not_come_is_408() {
     let never = Body::from_stream(futures_util::stream::pending::<Result<&[u8], std::io::Error>>());
     let answer = gateway.ask("POST", "/api/v1/grippers/left/home", never).await;
     assert_eq!((answer.status, &answer.body["code"]), (408, &"request_timeout".into()));
+}
+
+#[tokio::test(start_paused = true)]
+async fn who_is_refused_without_end_hears_of_it_later_and_a_fast_stop_at_once() {
+    let gateway = Gateway::new(Script::default());
+    let begun = tokio::time::Instant::now();
+    for _ in 0..100 {
+        assert_eq!(gateway.left("POST", "move", json!({"width_mm": "wide"})).await.status, 400);
+        assert_eq!(gateway.ask("POST", "/api/v1/grippers/right/fast-stop", "").await.status, 404);
+    }
+    assert_eq!(begun.elapsed(), Duration::ZERO);
+    assert_eq!(gateway.left("POST", "move", json!({"width_mm": "wide"})).await.status, 400);
+    let held_back_for = begun.elapsed();
+    assert!(held_back_for >= Duration::from_millis(50), "{held_back_for:?}");
+    // Others are not, nor what is not refused.
+    assert_eq!(gateway.left("POST", "grip", json!({"force_n": "much"})).await.status, 400);
+    assert_eq!(gateway.ask("POST", "/api/v1/grippers/right/fast-stop", "").await.status, 404);
+    assert_eq!(gateway.left("POST", "move", json!({"width_mm": 20, "speed_mm_s": 50})).await.status, 200);
+    assert_eq!(begun.elapsed(), held_back_for);
 }
