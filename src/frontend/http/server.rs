@@ -131,7 +131,7 @@ async fn connection(stream: TcpStream, peer: SocketAddr, router: Router, guest: 
         .timer(TokioTimer::new())
         .header_read_timeout(limits.header_time)
         .max_header_size(MAX_HEADER_BYTES)
-        .serve_connection(TokioIo::new(Prompt(stream)), service)
+        .serve_connection(TokioIo::new(Prompt::new(stream)), service)
         .with_upgrades();
     let mut served = std::pin::pin!(served);
     let ended = tokio::select! {
