@@ -185,8 +185,12 @@ pub async fn a_reboot(url: &str) {
 pub async fn silence_and_recovery(url: &str) {
     let rig = Rig::homed(url).await;
     rig.apply(Change::Silent { on: true }).await;
-    let noticed = rig.link(Link::Unresponsive, SOON).await;
-    assert!(noticed < Duration::from_millis(1900), "noticed after {noticed:?}");
+    // Beside another wait, and not by the clock: an emulated machine may stand still for a second.
+    tokio::select! {
+        biased;
+        _ = rig.link(Link::Unresponsive, SOON) => {}
+        () = sleep(Duration::from_millis(1900)) => panic!("not noticed"),
+    }
     assert!(rig.submit(Action::Motion(home())).await.is_err());
     rig.apply(Change::Silent { on: false }).await;
     rig.link(Link::Connected, SOON).await;
