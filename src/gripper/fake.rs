@@ -121,7 +121,7 @@ impl Actor {
                 let _ = answer.send(self.submit(&submission, id));
                 self.see(Seen::Submission(submission));
             }
-            Request::Find { id, answer, .. } => {
+            Request::Find { id, answer } => {
                 let _ = answer.send(self.ticket(id));
             }
             Request::Cancel { id, answer, .. } => {

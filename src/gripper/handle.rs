@@ -33,7 +33,7 @@ pub const FAST_STOP_WAIT: Duration = Duration::from_millis(250);
 #[allow(missing_docs, reason = "said at the handle's methods")]
 pub enum Request {
     Submit { submission: Submission, id: CommandId, answer: Answer<Ticket> },
-    Find { id: CommandId, lease: Option<LeaseToken>, answer: oneshot::Sender<Option<Ticket>> },
+    Find { id: CommandId, answer: oneshot::Sender<Option<Ticket>> },
     Cancel { id: CommandId, client: Client, answer: oneshot::Sender<Option<Ticket>> },
     Exchange { command: wsg::Command, client: Client, lease: Option<LeaseToken>, answer: Steps },
     Acknowledge { id: FastStopId, client: Client, answer: Answer<()> },
@@ -243,8 +243,8 @@ impl Handle {
     ///
     /// # Errors
     /// [`Failure`], where the actor can't be asked.
-    pub async fn find(&self, id: CommandId, lease: Option<LeaseToken>) -> Result<Option<Ticket>, Failure> {
-        self.ask(|answer| Request::Find { id, lease, answer }).await
+    pub async fn find(&self, id: CommandId) -> Result<Option<Ticket>, Failure> {
+        self.ask(|answer| Request::Find { id, answer }).await
     }
 
     /// Stops a command if it still runs.

@@ -16,14 +16,16 @@ use super::extract::{
 use super::responses::CommandProblem;
 use super::{API, Context, watched};
 use crate::gripper::Ticket;
-use crate::gripper::model::{Action, Command, Phase, Submission};
+use crate::gripper::model::{Action, Command, LeaseToken, Phase, Submission};
 
 /// Submits a command, and waits for its end. What the device refused meanwhile is a problem, since its client still
 /// listens.
 pub async fn run(gripper: Gripper, keys: Keys, action: Action, wait: Wait) -> Result<(Command, Ticket), Problem> {
     let Keys { request_id, lease } = keys;
-    let submission = Submission { client: gripper.client, action, request_id, lease };
-    let mut ticket = gripper.handle.submit(submission).await?;
+    let gripper = gripper.with_lease(lease.as_ref().map(LeaseToken::as_str))?;
+    let submission = Submission { client: gripper.client.clone(), action, request_id, lease };
+    // What keeps the lease meanwhile is the request.
+    let mut ticket = gripper.handle.submit(submission).await?.watched();
     watched::note_command(ticket.id());
     let mut command = ticket.wait(wait.0).await;
     match command.rejection.take() {
@@ -54,8 +56,7 @@ pub fn told((command, ticket): (Command, Ticket)) -> Response {
         Phase::Done => Json(command).into_response(),
         Phase::Running => {
             let location = format!("{API}/grippers/{}/commands/{}", command.gripper, command.id);
-            (StatusCode::ACCEPTED, [(header::LOCATION, location)], Extension(ticket.watched()), Json(command))
-                .into_response()
+            (StatusCode::ACCEPTED, [(header::LOCATION, location)], Extension(ticket), Json(command)).into_response()
         }
     }
 }
@@ -82,7 +83,7 @@ pub async fn get(
     wait: WaitMs<0>,
 ) -> Result<Json<Command>, Problem> {
     let gripper = gripper.with_lease(None)?;
-    if let Some(mut ticket) = gripper.handle.find(id, gripper.token()).await? {
+    if let Some(mut ticket) = gripper.handle.find(id).await? {
         return Ok(Json(ticket.wait(wait.0).await));
     }
     let written_down = context.journal.command(gripper.handle.name().clone(), id).await?;

@@ -44,7 +44,18 @@ pub struct Gripper {
     /// The lease's token, where it could be read: a FAST STOP asks for none, and must not fail for it.
     pub lease: Result<Option<LeaseToken>, Problem>,
     /// The lease is used, for as long as the request is open.
-    pub using: Option<Arc<Using>>,
+    using: Option<Arc<Using>>,
+    presence: Presence,
+}
+
+/// Whether it shows when a client is gone while its request is open.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Presence {
+    /// The request ends with its client: while it is open, it keeps the lease.
+    #[default]
+    Seen,
+    /// It does not: the request uses the lease when it comes, and the lease's time runs while it is open.
+    Unseen,
 }
 
 impl Gripper {
@@ -56,7 +67,7 @@ impl Gripper {
     /// With the lease's token of the body, too.
     pub fn with_lease(self, body: Option<&str>) -> Result<Self, Problem> {
         let Keys { lease, .. } = Keys { lease: self.lease?, request_id: None }.or_body(None, body)?;
-        let using = self.using.or_else(|| using(&self.handle, lease.as_ref()));
+        let using = self.using.or_else(|| using(&self.handle, lease.as_ref(), self.presence));
         Ok(Self { lease: Ok(lease), using, ..self })
     }
 
@@ -79,14 +90,16 @@ impl FromRequestParts<Arc<Context>> for Gripper {
         let name = path_parameter(parts, "gripper").await?.parse().map_err(|_| unknown())?;
         let handle = context.fleet.get(&name).ok_or_else(unknown)?.clone();
         let lease = Keys::of(&parts.headers).map(|keys| keys.lease);
-        let using = using(&handle, lease.as_ref().ok().and_then(Option::as_ref));
-        Ok(Self { handle, client: Asker::of(&parts.extensions).0, lease, using })
+        let presence = parts.extensions.get().copied().unwrap_or_default();
+        let using = using(&handle, lease.as_ref().ok().and_then(Option::as_ref), presence);
+        Ok(Self { handle, client: Asker::of(&parts.extensions).0, lease, using, presence })
     }
 }
 
 /// Each request with a lease's token uses that lease, whatever it asks for.
-fn using(handle: &Handle, lease: Option<&LeaseToken>) -> Option<Arc<Using>> {
-    lease.map(|lease| Arc::new(handle.use_lease(lease.clone())))
+fn using(handle: &Handle, lease: Option<&LeaseToken>, presence: Presence) -> Option<Arc<Using>> {
+    let using = handle.use_lease(lease?.clone());
+    (presence == Presence::Seen).then(|| Arc::new(using))
 }
 
 /// Who asks. Before there are credentials that is the peer's address.

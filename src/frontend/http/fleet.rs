@@ -17,13 +17,13 @@ use utoipa::ToSchema;
 use super::errors::{Code, Problem};
 use super::extract::{Asker, DEFAULT_WAIT_MS, MAX_WAIT_MS};
 use super::fast_stop::{FastStopBody, with_reason};
-use super::methods::{IDEMPOTENCY_KEY, METHODS, Method, Methods, WSG_LEASE, is_fast_stop};
+use super::methods::{IDEMPOTENCY_KEY, METHODS, Method, Methods, WSG_LEASE, is_fast_stop, is_unhindered};
 use super::parameters::Parameters;
 use super::refused::Refused;
 use super::responses::AnyProblem;
 use super::values::integer;
 use super::{API, Context, body, watched};
-use crate::frontend::network::{Ask, FleetGripper, FleetStop, NoAnswer};
+use crate::frontend::network::{Ask, FleetGripper, FleetStop, NoAnswer, Urgency};
 use crate::gripper::model::{FastStopId, Name, Reason};
 
 /// Where the grippers of any gateway are.
@@ -150,15 +150,20 @@ pub async fn forward(
     };
     let (wait, aside) = (wait(&request, method)?, aside(&request));
     let gateway = target.gateway.clone();
-    let ask = move |params, is_urgent| async move {
-        let (method, params) = (method.name, Value::Object(params));
-        context.network.ask(Ask { gateway, gripper, method, params, wait, aside, client, is_urgent }).await
+    let urgency = match method.name {
+        name if is_fast_stop(name) => Urgency::FastStop,
+        name if is_unhindered(name) => Urgency::Stop,
+        _ => Urgency::None,
     };
-    let asked = if is_fast_stop(method.name) {
-        let stop = |reason: Reason| ask(Map::from_iter([("reason".to_owned(), reason.as_str().into())]), true);
+    let ask = move |params| async move {
+        let (method, params) = (method.name, Value::Object(params));
+        context.network.ask(Ask { gateway, gripper, method, params, wait, aside, client, urgency }).await
+    };
+    let asked = if urgency == Urgency::FastStop {
+        let stop = |reason: Reason| ask(Map::from_iter([("reason".to_owned(), reason.as_str().into())]));
         with_reason(request, stop).await?
     } else {
-        ask(fields(request, params).await?, false).await
+        ask(fields(request, params).await?).await
     };
     match asked {
         Ok(Ok(answer)) => Ok(answered(&target.gateway, &answer)),

@@ -47,6 +47,11 @@ impl Taken {
         Self { handle: self.handle.clone(), token: self.token.clone(), takes: self.takes, _keep: None }
     }
 
+    /// Whether it is the lease of this token.
+    pub fn is(&self, token: &str) -> bool {
+        self.token.as_str() == token
+    }
+
     /// Of which gripper.
     pub fn gripper(&self) -> &Name {
         self.handle.name()

@@ -14,6 +14,7 @@ use tower::ServiceExt;
 
 use super::API;
 use super::errors::{Code, Problem};
+use super::extract::Presence;
 use super::lease::Taken;
 use crate::gripper::Ticket;
 use crate::gripper::model::Client;
@@ -41,8 +42,8 @@ pub const IDEMPOTENCY_KEY: HeaderName = HeaderName::from_static("idempotency-key
 pub enum Wait<'a> {
     /// Not at all: it is answered when it was admitted.
     No,
-    /// As long as over HTTP: so many ms, or as long as where nothing is said.
-    Ms(Option<&'a str>),
+    /// As long as over HTTP: so many ms, or as long as where nothing is said; by a client who is, or is not, seen meanwhile.
+    Ms(Option<&'a str>, Presence),
 }
 
 /// The names of FAST STOPs: whatever comes with one, it stops.
@@ -52,6 +53,15 @@ const FAST_STOPS: [&str; 2] = ["fast-stop", "fleet.fast-stop"];
 #[must_use]
 pub fn is_fast_stop(name: &str) -> bool {
     FAST_STOPS.contains(&name)
+}
+
+/// What only stops, or keeps or ends a lease: it waits for nothing that moves or reads, and is refused for nobody else.
+const UNHINDERED: [&str; 4] = ["stop", "cancel", "lease.renew", "lease.release"];
+
+/// Whether a method is one of those.
+#[must_use]
+pub fn is_unhindered(name: &str) -> bool {
+    UNHINDERED.contains(&name)
 }
 
 /// The FAST STOP that a text names which is no request.
@@ -229,7 +239,7 @@ fn request(name: &str, params: Value, wait: Wait<'_>) -> Result<Request<Body>, P
     }
     match wait {
         Wait::No if method.is_command => path.push_str("?wait_ms=0"),
-        Wait::Ms(Some(wait_ms)) => {
+        Wait::Ms(Some(wait_ms), _) => {
             path.push_str("?wait_ms=");
             path.push_str(&form_urlencoded(wait_ms));
         }
@@ -241,7 +251,11 @@ fn request(name: &str, params: Value, wait: Wait<'_>) -> Result<Request<Body>, P
         return Err(Problem::malformed(&field, format!("unknown field `{field}`: {name} has none of this name")));
     }
     let body = if has_body { Body::from(Value::Object(params).to_string()) } else { Body::empty() };
-    let request = Request::builder().method(method.verb).uri(path).body(body);
+    let mut request = Request::builder().method(method.verb).uri(path);
+    if let Wait::Ms(_, presence) = wait {
+        request = request.extension(presence);
+    }
+    let request = request.body(body);
     request.map_err(|error| Problem::new(Code::Internal, format!("no request: {error}")))
 }
 
@@ -295,9 +309,10 @@ mod tests {
     #[test]
     fn a_command_is_waited_for_as_its_door_says() {
         let uri = |wait| request("home", json!({"gripper": "left"}), wait).unwrap().uri().to_string();
-        assert_eq!(uri(Wait::Ms(None)), "/api/v1/grippers/left/home");
-        assert_eq!(uri(Wait::Ms(Some("60000"))), "/api/v1/grippers/left/home?wait_ms=60000");
-        assert_eq!(uri(Wait::Ms(Some("1 &#"))), "/api/v1/grippers/left/home?wait_ms=1+%26%23");
+        let ms = |ms| Wait::Ms(ms, Presence::Unseen);
+        assert_eq!(uri(ms(None)), "/api/v1/grippers/left/home");
+        assert_eq!(uri(ms(Some("60000"))), "/api/v1/grippers/left/home?wait_ms=60000");
+        assert_eq!(uri(ms(Some("1 &#"))), "/api/v1/grippers/left/home?wait_ms=1+%26%23");
     }
 
     #[test]

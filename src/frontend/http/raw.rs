@@ -138,7 +138,7 @@ pub async fn raw(gripper: Gripper, wait: Wait, keys: Keys, Body(body): Body<Raw>
             Ok(Json(answer).into_response())
         }
         Path::Exchange(command) => {
-            let gripper = Gripper { lease: Ok(keys.lease), ..gripper };
+            let gripper = gripper.with_lease(body.lease.as_deref())?;
             let mut payload = Vec::new();
             gripper.exchange(command).await?.of_reply(id).write(&mut payload);
             let payload = hex::encode(payload);

@@ -1,10 +1,12 @@
 //! Asking another gateway: one of its operations on one of its grippers, and its answer as it is.
 
+use std::convert::Infallible;
+use std::future::pending;
 use std::time::Duration;
 
 use serde::Deserialize;
-use serde_json::Value;
 use serde_json::value::RawValue;
+use serde_json::{Value, json};
 use zenoh::Wait as _;
 use zenoh::bytes::{Encoding, ZBytes};
 use zenoh::qos::Priority;
@@ -13,13 +15,21 @@ use zenoh::sample::Locality;
 
 use super::Network;
 use super::keys::{self, Keys};
+use crate::gripper::model::lease::MIN_TTL;
 use crate::gripper::model::{Client, Name};
 
 /// How long an answer may take on its way, beside what its operation may take.
 const ON_ITS_WAY: Duration = Duration::from_secs(5);
 
+/// How often a lease is used that is kept: two may be lost on their way.
+const USES_A_TTL: u32 = 3;
+
+/// The field that names a lease, and how it is refused that it is nobody's any more.
+const LEASE: &str = "lease";
+const CONFLICT: u16 = 409;
+
 /// What is asked.
-#[derive(Debug)]
+#[derive(Debug, Clone)]
 pub struct Ask {
     /// Whom.
     pub gateway: Name,
@@ -35,8 +45,29 @@ pub struct Ask {
     pub aside: Vec<(&'static str, String)>,
     /// Who asks here.
     pub client: Client,
-    /// Whether it goes before all else.
-    pub is_urgent: bool,
+    /// Before what it goes.
+    pub urgency: Urgency,
+}
+
+/// Before what a request goes, and whose places it takes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Urgency {
+    /// Before all else, and needs no place: FAST STOP.
+    FastStop,
+    /// Before what moves and reads: what only stops, and what keeps or ends a lease.
+    Stop,
+    /// Everything else.
+    None,
+}
+
+impl Urgency {
+    fn priority(self) -> Priority {
+        match self {
+            Self::FastStop => Priority::RealTime,
+            Self::Stop => Priority::InteractiveHigh,
+            Self::None => Priority::DataHigh,
+        }
+    }
 }
 
 /// What was answered: a body, or a problem with its status.
@@ -56,40 +87,98 @@ pub enum NoAnswer {
 }
 
 impl Network {
-    /// Asks the gateway that owns a gripper, and waits for its answer.
+    /// Asks the gateway that owns a gripper, and waits for its answer. For as long as that is waited for, and no longer, the
+    /// lease that is named is kept.
     ///
     /// # Errors
     /// [`NoAnswer`], which says whether anything was sent.
     pub async fn ask(&self, ask: Ask) -> Result<Asked, NoAnswer> {
-        let session = self.session.get().cloned().ok_or(NoAnswer::Unknown)?;
         match self.others().is_alive(&ask.gateway) {
             None => return Err(NoAnswer::Unknown),
             Some(false) => return Err(NoAnswer::Gone),
             Some(true) => {}
         }
-        let place = match self.asks.clone().try_acquire_owned() {
-            Ok(place) => Some(place),
-            Err(_) if ask.is_urgent => None,
-            Err(_) => return Err(NoAnswer::TooMany),
+        let places = match ask.urgency {
+            Urgency::FastStop => None,
+            Urgency::Stop => Some(&self.stops),
+            Urgency::None => Some(&self.asks),
         };
+        let place = places.map(|places| places.clone().try_acquire_owned()).transpose();
+        let _place = place.map_err(|_| NoAnswer::TooMany)?;
+        let renewal = ask.renewal();
+        tokio::select! {
+            answer = self.send(ask) => answer,
+            never = self.keep_lease(renewal) => match never {},
+        }
+    }
+
+    /// Uses a lease as often as it needs, for as long as this is polled: the gateway that owns it does not see whether who
+    /// asks here is still there.
+    async fn keep_lease(&self, renewal: Option<Ask>) -> Infallible {
+        #[derive(Deserialize)]
+        struct Renewed {
+            ttl_ms: u64,
+        }
+        let Some(renewal) = renewal else { return pending().await };
+        // Until it is known how long it lives.
+        let mut every = MIN_TTL / USES_A_TTL;
+        loop {
+            tokio::time::sleep(every).await;
+            match tokio::time::timeout(every, self.send(renewal.clone())).await {
+                Ok(Ok(Ok(lease))) => {
+                    let ttl = serde_json::from_str(lease.get()).map(|Renewed { ttl_ms }| Duration::from_millis(ttl_ms));
+                    every = ttl.map_or(every, |ttl| ttl.max(MIN_TTL) / USES_A_TTL);
+                }
+                // It is nobody's any more.
+                Ok(Ok(Err((CONFLICT, _)))) => return pending().await,
+                _ => {}
+            }
+        }
+    }
+
+    async fn send(&self, ask: Ask) -> Result<Asked, NoAnswer> {
+        let session = self.session.get().cloned().ok_or(NoAnswer::Unknown)?;
         let key = Keys::of(&ask.gateway).gripper(&ask.gripper, &format!("command/{}", ask.method));
         let subject = ("client", format!("{}/{}", self.gateway, ask.client.subject));
         let wait_ms = ask.wait.map(|wait| ("wait_ms", wait.as_millis().to_string()));
         let parameters = [subject].into_iter().chain(wait_ms).chain(ask.aside);
         let parameters: Vec<_> = parameters.map(|(key, value)| format!("{key}={}", keys::encoded(&value))).collect();
         let timeout = ask.wait.unwrap_or_default() + ON_ITS_WAY;
-        let (payload, is_urgent) = (ask.params.to_string(), ask.is_urgent);
+        let (payload, urgency) = (ask.params.to_string(), ask.urgency);
         // It may wait for a place, and nobody else does there.
         let sent = tokio::task::spawn_blocking(move || {
             let get = session.get(format!("{key}?{}", parameters.join(";"))).payload(payload).timeout(timeout);
             let get = get.encoding(Encoding::APPLICATION_JSON).allowed_destination(Locality::Remote);
-            let get = get.target(QueryTarget::All).express(is_urgent);
-            get.priority(if is_urgent { Priority::RealTime } else { Priority::DataHigh }).wait()
+            get.target(QueryTarget::All).express(urgency == Urgency::FastStop).priority(urgency.priority()).wait()
         });
         let replies = sent.await.ok().and_then(Result::ok).ok_or(NoAnswer::None)?;
-        let reply = replies.recv_async().await.map_err(|_| NoAnswer::None)?;
-        drop(place);
-        told(&reply).ok_or(NoAnswer::None)
+        let mut refused = None;
+        // Where several answer, it counts who has done it.
+        while let Ok(reply) = replies.recv_async().await {
+            match told(&reply) {
+                Some(Ok(answer)) => return Ok(Ok(answer)),
+                told => refused = told.or(refused),
+            }
+        }
+        refused.ok_or(NoAnswer::None)
+    }
+}
+
+impl Ask {
+    /// What keeps the lease that this names.
+    fn renewal(&self) -> Option<Self> {
+        let aside = self.aside.iter().find(|(name, _)| *name == LEASE).map(|(_, lease)| lease.as_str());
+        let lease = aside.or_else(|| self.params.get(LEASE)?.as_str()).filter(|lease| !lease.is_empty())?;
+        Some(Self {
+            gateway: self.gateway.clone(),
+            gripper: self.gripper.clone(),
+            method: "lease.renew",
+            params: json!({LEASE: lease}),
+            wait: None,
+            aside: Vec::new(),
+            client: self.client.clone(),
+            urgency: Urgency::Stop,
+        })
     }
 }
 

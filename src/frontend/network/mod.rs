@@ -23,10 +23,10 @@ use self::others::{Others, Stop};
 use crate::gripper::model::{Client, FastStopId, Name, Reason, State};
 use crate::gripper::{Fleet, Now};
 
-pub use ask::{Ask, Asked, NoAnswer};
+pub use ask::{Ask, Asked, NoAnswer, Urgency};
 pub use told::FleetGripper;
 
-/// Requests to other gateways that may be under way.
+/// Requests to other gateways that may be under way, of those that only stop, or keep or end a lease, and of all others.
 const MAX_ASKS: usize = 64;
 
 /// How long the confirmations of other gateways' grippers are waited for: as long as for one's own, and as long again for
@@ -54,6 +54,7 @@ pub struct Network {
     /// Who tells gateways again that have missed the newest FAST STOP of all.
     insisting: Mutex<Option<AbortHandle>>,
 }
+    stops: Arc<Semaphore>,
 
 /// A FAST STOP of all gateways.
 #[derive(Debug)]
@@ -73,7 +74,7 @@ impl Network {
         Self { gateway, own, session, others, news, asks, insisting }
     }
 
-    /// Goes on the network of this session.
+    /// Goes on the network of this session, for as long as what is returned lives.
     ///
     /// # Errors
     /// As Zenoh says.

@@ -65,6 +65,13 @@ impl Clients {
         self.known().alive.contains_key(name)
     }
 
+    /// Whether this token is that of a lease whose end comes with its holder's: its open queries keep it until then.
+    pub fn has_bound(&self, gripper: &str, token: &str) -> bool {
+        let known = self.known();
+        let bound = gripper.parse().ok().and_then(|gripper: Name| known.leases.get(&gripper));
+        bound.is_some_and(|bound| bound.taken.is(token) && known.alive.contains_key(&bound.holder))
+    }
+
     /// Takes a lease that was taken by this holder, who was known to live when he asked.
     pub fn bind(&self, holder: &str, taken: Arc<Taken>, was_alive: bool) {
         let mut known = self.known();

@@ -17,15 +17,17 @@ use zenoh::bytes::Encoding;
 use zenoh::query::Query;
 
 use super::clients::Clients;
-use crate::frontend::http::{self, Code, Context, Methods, Problem, Refusal, Wait, is_fast_stop};
+use crate::frontend::http::{
+    self, Code, Context, Methods, Presence, Problem, Refusal, Wait, is_fast_stop, is_unhindered,
+};
 use crate::frontend::metrics::Metrics;
 use crate::frontend::network::Network;
 use crate::frontend::network::keys::{Keys, decoded, last_part};
 use crate::gripper::Fleet;
 use crate::gripper::model::{Client, Door, Name, Text};
 
-/// Queries that may be under way, of those that may take their time and of those that don't. More are refused as
-/// `overloaded`, but for FAST STOPs.
+/// Queries that may be under way, of those that may take their time, of those that don't, and of those that only stop, or
+/// keep or end a lease. More are refused as `overloaded`, but for FAST STOPs.
 const MAX_QUERIES: usize = 64;
 
 /// And FAST STOPs of one gripper among the queries, each of which ends within 250 ms: one more is under way already.
@@ -49,6 +51,8 @@ pub struct Queries {
     places: Arc<Semaphore>,
     /// Of those that may wait for a command's end.
     waiting_places: Arc<Semaphore>,
+    /// Of those that wait for nobody else.
+    unhindered_places: Arc<Semaphore>,
     fast_stop_places: BTreeMap<Name, Arc<Semaphore>>,
 }
 
@@ -70,10 +74,21 @@ impl Queries {
     pub fn new(keys: Keys, context: &Arc<Context>, clients: Arc<Clients>, metrics: Metrics) -> Self {
         let (methods, network, runtime) = (http::methods(context), context.network.clone(), Handle::current());
         let semaphore = |places| Arc::new(Semaphore::new(places));
-        let (places, waiting_places) = (semaphore(MAX_QUERIES), semaphore(MAX_QUERIES));
+        let [places, waiting_places, unhindered_places] = [MAX_QUERIES; 3].map(semaphore);
         let names = context.fleet.iter().map(crate::gripper::Handle::name);
         let fast_stop_places = names.map(|name| (name.clone(), semaphore(MAX_FAST_STOPS))).collect();
-        Self { keys, methods, network, clients, metrics, runtime, places, waiting_places, fast_stop_places }
+        Self {
+            keys,
+            methods,
+            network,
+            clients,
+            metrics,
+            runtime,
+            places,
+            waiting_places,
+            unhindered_places,
+            fast_stop_places,
+        }
     }
 
     /// Takes queries for these grippers.
@@ -179,16 +194,18 @@ impl Queries {
             let gripper = asked.params.get("gripper").and_then(Value::as_str).and_then(|name| name.parse().ok());
             return gripper.and_then(|name: Name| self.fast_stop_places.get(&name)).unwrap_or(&self.places);
         }
+        if is_unhindered(&asked.method) {
+            return &self.unhindered_places;
+        }
         let is_command = http::METHODS.iter().any(|row| row.name == asked.method && row.is_command);
-        let may_wait = asked.wait_ms.is_some() || (is_command && asked.method != "stop");
-        if may_wait { &self.waiting_places } else { &self.places }
+        if asked.wait_ms.is_some() || is_command { &self.waiting_places } else { &self.places }
     }
 
     async fn call(&self, asked: Asked) -> Result<Box<RawValue>, Refusal> {
         let Asked { method, params, wait_ms, headers, client, .. } = asked;
         let holder = holder(&params).filter(|_| method == "lease.take");
         let was_alive = holder.as_deref().is_some_and(|holder| self.clients.is_alive(holder));
-        let (params, wait) = (Value::Object(params), Wait::Ms(wait_ms.as_deref()));
+        let (wait, params) = (Wait::Ms(wait_ms.as_deref(), self.presence(&params, &headers)), Value::Object(params));
         let told = self.methods.call(client, &method, params, wait, headers).await;
         let status = told.as_ref().map_or_else(|refusal| refusal.status.as_u16(), |_| 200);
         self.metrics.answered(Some(&method), "QUERY", status);
@@ -197,6 +214,14 @@ impl Queries {
             self.clients.bind(&holder, taken, was_alive);
         }
         Ok(answer.body)
+    }
+
+    /// Zenoh does not tell who is gone that has asked: only a client's liveliness token does.
+    fn presence(&self, params: &Map<String, Value>, headers: &HeaderMap) -> Presence {
+        let text = |name: &str| params.get(name).and_then(Value::as_str);
+        let token = text("lease").or_else(|| headers.get(http::WSG_LEASE)?.to_str().ok());
+        let is_seen = text("gripper").zip(token).is_some_and(|(gripper, token)| self.clients.has_bound(gripper, token));
+        if is_seen { Presence::Seen } else { Presence::Unseen }
     }
 
     /// Sends a reply from where it may wait.

@@ -140,7 +140,8 @@ impl Actor {
             let _ = answer.send(Err(rejection));
             return;
         }
-        let keep = self.leasing.keep(now.instant, lease);
+        // A lease that is nobody's has nothing to renew.
+        let _ = self.leasing.renew(now.instant, lease);
         if let Some(data) = self.observed.newest(command.id()) {
             // Asking would switch the automatic updates off.
             let _ = answer.send(Ok(data));
@@ -150,7 +151,7 @@ impl Actor {
         if is_slow_getter(&command) {
             return self.read(now, command, answer);
         }
-        let exchange = Exchange { command: command.clone(), answer, accepted, setter: None, client, keep };
+        let exchange = Exchange { command: command.clone(), answer, accepted, setter: None, client };
         let purpose = Purpose::Exchange(exchange);
         self.submit_exchange(now, command, purpose);
     }
@@ -196,7 +197,7 @@ impl Actor {
 
     /// Notes what a setter has set, and reads back what the device made of it.
     pub(super) fn exchange_succeeded(&mut self, now: Now, exchange: Exchange, data: Data) {
-        let Exchange { command, answer, setter, client, keep, .. } = exchange;
+        let Exchange { command, answer, setter, client, .. } = exchange;
         let getter = match &command {
             Command::SetAcceleration(_) => Command::GetAcceleration,
             Command::SetForceLimit(_) => Command::GetForceLimit,
@@ -219,8 +220,7 @@ impl Actor {
                 return;
             }
         };
-        let exchange =
-            Exchange { command: getter.clone(), answer, accepted: None, setter: Some(command), client, keep };
+        let exchange = Exchange { command: getter.clone(), answer, accepted: None, setter: Some(command), client };
         let purpose = Purpose::Exchange(exchange);
         self.submit_exchange(now, getter, purpose);
     }

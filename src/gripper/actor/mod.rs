@@ -40,10 +40,10 @@ use tokio::sync::{Notify, broadcast, oneshot, watch};
 use super::Now;
 use super::book::Book;
 use super::error::{Failure, Rejection};
-use super::handle::{Answer, FastStopRequest, Request, Ticket};
+use super::handle::{Answer, FastStopRequest, Request};
 use super::info::Info;
 use super::latch::Latching;
-use super::lease::{Keep, Leasing};
+use super::lease::Leasing;
 use super::limits::Limits;
 use super::metrics::Metrics;
 use super::model::{Client, CommandId, CustomIds, FastStopStep, Frame, IdSource, LeaseRules, Name, State};
@@ -137,8 +137,6 @@ struct Exchange {
     /// The setter whose value is being read back.
     setter: Option<Command>,
     client: Client,
-    /// Its client's lease doesn't run out meanwhile.
-    keep: Option<Keep>,
 }
 
 /// Why a request was not taken by the session, and what it was for.
@@ -306,9 +304,8 @@ impl Actor {
                 // Whoever asked may be gone; a command that was admitted goes on all the same.
                 let _ = answer.send(self.admit(now, id, &submission));
             }
-            Request::Find { id, lease, answer } => {
-                let keep = self.leasing.keep(now.instant, lease.as_ref()).map(Arc::new);
-                let _ = answer.send(self.book.find(id).map(|ticket| Ticket { _keep: keep, ..ticket }));
+            Request::Find { id, answer } => {
+                let _ = answer.send(self.book.find(id));
             }
             Request::Cancel { id, client, answer } => {
                 let ticket = self.book.find(id);

@@ -8,6 +8,8 @@ use serde_json::{Value, json};
 
 use crate::harness::{DEADLINE, Gateway, Proxy, Simulator, Socket, ZenohClient, eventually, zenoh::config};
 
+const FAST_STOP: u8 = 0x23;
+
 /// Within which a gateway that has vanished is told as gone.
 const GONE_WITHIN: Duration = Duration::from_secs(2);
 
@@ -150,7 +152,7 @@ fn gateway_name(gateway: &Gateway) -> String {
 
 /// Two gateways, the second one with a gripper `g` whose wire is seen.
 struct Pair {
-    _router: Router,
+    router: Router,
     _device: Simulator,
     proxy: Proxy,
     near: Gateway,
@@ -167,7 +169,7 @@ impl Pair {
             tokio::join!(gateway("near", &router.endpoint, 1, &[]), gateway("far", &router.endpoint, 0, &far));
         until_whole(&near, 2).await;
         until_whole(&far, 2).await;
-        Self { _router: router, _device: device, proxy, near, far }
+        Self { router, _device: device, proxy, near, far }
     }
 }
 
@@ -237,7 +239,7 @@ async fn a_fast_stop_of_the_fleet_stops_everyone() {
     pair.far.until_moving().await;
     let begun = Instant::now();
     let stopped = pair.near.post("/api/v1/fleet/fast-stop", &json!({"reason": "light curtain"})).await.ok();
-    eventually("23h", async || pair.proxy.frames.first_since(0x23, begun)).await;
+    eventually("23h", async || pair.proxy.frames.first_since(FAST_STOP, begun)).await;
     let named = |key: &str| stopped[key].as_array().unwrap().iter().map(|name| name.as_str().unwrap().to_owned());
     let told: BTreeSet<_> = named("confirmed").chain(named("unconfirmed")).collect();
     assert_eq!(told, ["far/g", "near/g0"].map(str::to_owned).into(), "{stopped}");
@@ -258,7 +260,7 @@ async fn a_fast_stop_of_the_fleet_stops_everyone() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_gateway_that_vanishes_is_gone_within_two_seconds() {
-    let Pair { _router, _device, proxy, near, far } = Pair::start().await;
+    let Pair { router: _router, _device, proxy, near, far } = Pair::start().await;
     far.kill().await;
     let took = until_gone(&near, "far").await;
     assert!(took < GONE_WITHIN, "{took:?}");

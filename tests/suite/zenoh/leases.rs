@@ -1,11 +1,11 @@
 //! Leases that are bound to a client's liveliness token.
 
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
 use super::Rig;
-use crate::harness::{ZenohClient, eventually};
+use crate::harness::{DEADLINE, ZenohClient, eventually};
 
 const FAST_STOP: u8 = 0x23;
 const TOKEN: &str = "wsg/v1/gateway/client/robot-1";
@@ -94,5 +94,37 @@ async fn what_was_released_is_not_lost_with_the_token() {
     let moving = rig.gateway.begin("move", &json!({"width_mm": 50, "speed_mm_s": 50})).await;
     robot.close().await;
     rig.gateway.command(&moving).await.outcome("SUCCESS");
+    assert_eq!(losses(&rig).await, [] as [&str; 0]);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn who_is_gone_while_its_query_is_open_is_lost_when_its_time_has_run() {
+    const TTL: Duration = Duration::from_secs(2);
+    let rig = homed().await;
+    let robot = ZenohClient::of(&rig.gateway).await;
+    let lease = json!({"holder": "robot-2", "ttl_ms": TTL.as_millis() as u64});
+    let lease = robot.command("lease.take", &lease).await.unwrap();
+    let query = robot.session.get("wsg/v1/gateway/g/command/move?wait_ms=60000").payload(slowly(&lease).to_string());
+    let _answers = query.timeout(Duration::from_secs(60)).await.unwrap();
+    rig.gateway.until_moving().await;
+    let gone = Instant::now();
+    robot.close().await;
+    let stopped = eventually("23h", async || rig.proxy.frames.first_since(FAST_STOP, gone)).await;
+    let took = stopped - gone;
+    println!("23h {} ms after the client's end, by a ttl_ms of {}", took.as_millis(), TTL.as_millis());
+    assert!(took < TTL + DEADLINE / 10, "{took:?}");
+    assert_eq!(losses(&rig).await, ["expired"]);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn an_open_query_keeps_the_lease_of_who_is_known_to_live() {
+    let rig = homed().await;
+    let robot = ZenohClient::of(&rig.gateway).await;
+    let _token = robot.live(&rig.client, TOKEN).await;
+    let lease = robot.command("lease.take", &json!({"holder": "robot-1", "ttl_ms": 500})).await.unwrap();
+    let slow = json!({"width_mm": 70, "speed_mm_s": 15, "lease": lease["token"]});
+    let moved = robot.command("move?wait_ms=60000", &slow).await.unwrap();
+    assert_eq!(moved["outcome"], "SUCCESS", "{moved}");
+    assert!(moved["duration_ms"].as_u64() > Some(1500), "longer than its time: {moved}");
     assert_eq!(losses(&rig).await, [] as [&str; 0]);
 }
