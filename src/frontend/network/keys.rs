@@ -21,7 +21,7 @@ impl Keys {
         Self { gateway: gateway.clone() }
     }
 
-    /// What is its own: `fast-stop`, `fleet`, `event`, `alive`, `client/…`.
+    /// What is its own: `fast-stop`, `fleet`, `event`, `alive`, `instance/…`, `client/…`.
     #[must_use]
     pub fn own(&self, what: &str) -> String {
         format!("{ROOT}/{}/{what}", self.gateway)

@@ -15,10 +15,11 @@ use std::time::{Duration, Instant};
 use tokio::sync::{Notify, Semaphore};
 use tokio::task::AbortHandle;
 use zenoh::Wait as _;
+use zenoh::liveliness::LivelinessToken;
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::sample::{Locality, Sample, SampleKind};
 
-use self::keys::{FAST_STOP_OF_ALL, Keys, ROOT};
+use self::keys::{FAST_STOP_OF_ALL, Keys, ROOT, last_part};
 use self::others::{Others, Stop};
 use crate::gripper::model::{Client, FastStopId, Name, Reason, State};
 use crate::gripper::{Fleet, Now};
@@ -78,7 +79,7 @@ impl Network {
     ///
     /// # Errors
     /// As Zenoh says.
-    pub async fn join(self: &Arc<Self>, session: &zenoh::Session) -> zenoh::Result<()> {
+    pub async fn join(self: &Arc<Self>, session: &zenoh::Session) -> zenoh::Result<LivelinessToken> {
         let network = self.clone();
         let told = move |state: Sample| network.take_state(state.key_expr().as_str(), &state.payload().to_bytes());
         let states = session.declare_subscriber(format!("{ROOT}/*/*/state")).allowed_origin(Locality::Remote);
@@ -90,6 +91,17 @@ impl Network {
         // Who is on one already stays there.
         let _ = self.session.set(session.clone());
         Ok(())
+        let (network, own) = (self.clone(), session.zid().to_string());
+        let is_one = move |token: Sample| {
+            let (key, is_alive) = (token.key_expr().as_str(), token.kind() == SampleKind::Put);
+            if last_part(key) != own {
+                network.take_instance(key, is_alive);
+            }
+        };
+        let instances = session.liveliness().declare_subscriber(format!("{ROOT}/*/instance/*")).history(true);
+        instances.callback(is_one).background().await?;
+        let instance = Keys::of(&self.gateway).own(&format!("instance/{}", session.zid()));
+        let token = session.liveliness().declare_token(instance).await?;
     }
 
     /// All grippers of all gateways, by gateway and name.
@@ -110,7 +122,7 @@ impl Network {
     /// Whether another gateway has the name of this one: what is asked of either goes to both.
     #[must_use]
     pub fn has_twin(&self) -> bool {
-        self.others().has_twin()
+        self.others().count(&self.gateway) > 0
     }
 
     /// Stops the grippers of all gateways. Its own don't wait for the others, nor for Zenoh. A gateway that was not reached
@@ -119,7 +131,14 @@ impl Network {
         let begun = Now::read().instant;
         let told = serde_json::json!({"reason": reason.as_str(), "client": &*client.subject}).to_string();
         let ((id, own), ()) = tokio::join!(self.own.fast_stop(client, reason), self.stop_others(begun, &told));
-        let own = own.into_iter().map(|(gripper, confirmed)| (format!("{}/{gripper}", self.gateway), confirmed));
+        // Of several gateways of one name it isn't known which of them has confirmed.
+        let is_one = |gateway: &Name| {
+            let others = self.others().count(gateway);
+            if self.is_own(gateway) { others == 0 } else { others < 2 }
+        };
+        let own_is_one = is_one(&self.gateway);
+        let own = own.into_iter();
+        let own = own.map(|(gripper, confirmed)| (format!("{}/{gripper}", self.gateway), confirmed && own_is_one));
         let others = self.others().stops_since(begun);
         let is_open = |stop: &Stop| matches!(stop, Stop::Unknown { .. } | Stop::Gone);
         let open: BTreeSet<_> = others.iter().filter(|(_, stop)| is_open(stop)).map(|(name, _)| name.clone()).collect();
@@ -130,7 +149,8 @@ impl Network {
                 before.abort();
             }
         }
-        let confirmed = |((gateway, gripper), stop)| (format!("{gateway}/{gripper}"), stop == Stop::Confirmed);
+        let confirmed =
+            |((gateway, gripper), stop)| (format!("{gateway}/{gripper}"), stop == Stop::Confirmed && is_one(&gateway));
         FleetStop { id, stops: own.chain(others.into_iter().map(confirmed)).collect() }
     }
 
@@ -194,11 +214,8 @@ impl Network {
 
     fn take_state(&self, key: &str, state: &[u8]) {
         let Some((gateway, gripper)) = keys::of_gripper(key) else { return };
-        if gateway == self.gateway {
-            self.others().take_twin(&gateway);
-            return;
-        }
-        if state.len() <= MAX_STATE_BYTES
+        if gateway != self.gateway
+            && state.len() <= MAX_STATE_BYTES
             && let Some(told) = told::Told::of(state)
         {
             self.others().take_state(gateway, gripper, told);
@@ -217,3 +234,11 @@ impl Network {
         self.others.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
+    fn take_instance(&self, key: &str, is_alive: bool) {
+        let Some(gateway) = keys::of_gateway(key) else { return };
+        if gateway == self.gateway && is_alive {
+            tracing::error!(%gateway, "another gateway on this Zenoh network has the same name: give each its own --name");
+        }
+        self.others().take_instance(gateway, last_part(key), is_alive);
+    }
+

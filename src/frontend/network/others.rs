@@ -13,18 +13,15 @@ const MAX_GRIPPERS: usize = 4096;
 /// Gateways that are known to live at a time.
 const MAX_GATEWAYS: usize = 1024;
 
+/// The most bytes of what tells gateways apart that have one name.
+const MAX_INSTANCE_BYTES: usize = 32;
+
 /// A gateway tells each state twice a second at least: one that has said nothing for so long is gone, whatever its
 /// liveliness token says.
 const GONE_AFTER: Duration = Duration::from_millis(1900);
 
 /// How long a gripper whose gateway is gone is still told of.
 const KEPT_FOR: Duration = Duration::from_hours(1);
-
-/// How long a gateway that has the same name counts as there without a word from it.
-const TWIN_LASTS: Duration = Duration::from_secs(5);
-
-/// How often it is said that another gateway has the same name.
-const TWIN_TOLD_EVERY: Duration = Duration::from_mins(1);
 
 /// What a gripper's gateway told last, and when.
 #[derive(Debug)]
@@ -54,8 +51,8 @@ pub(super) enum Stop {
 pub(super) struct Others {
     grippers: BTreeMap<(Name, Name), Known>,
     alive: BTreeSet<Name>,
-    twin_seen: Option<Instant>,
-    twin_told: Option<Instant>,
+    /// Which of them there are by each name, this one left out.
+    instances: BTreeSet<(Name, String)>,
 }
 
 impl Others {
@@ -77,18 +74,19 @@ impl Others {
         }
     }
 
-    /// A gateway that has the name of this one: clients can't tell them apart, and what they ask goes to both.
-    pub(super) fn take_twin(&mut self, gateway: &Name) {
-        let now = Now::read().instant;
-        self.twin_seen = Some(now);
-        if self.twin_told.is_none_or(|at| now.saturating_duration_since(at) >= TWIN_TOLD_EVERY) {
-            self.twin_told = Some(now);
-            tracing::error!(%gateway, "another gateway on this Zenoh network has the same name: give each its own --name");
+    /// One of the gateways of this name, which says so by a token that is its own.
+    pub(super) fn take_instance(&mut self, gateway: Name, instance: &str, is_alive: bool) {
+        let instance = (gateway, instance.to_owned());
+        if !is_alive {
+            self.instances.remove(&instance);
+        } else if self.instances.len() < MAX_GATEWAYS && instance.1.len() <= MAX_INSTANCE_BYTES {
+            self.instances.insert(instance);
         }
     }
 
-    pub(super) fn has_twin(&self) -> bool {
-        self.twin_seen.is_some_and(|at| Now::read().instant.saturating_duration_since(at) < TWIN_LASTS)
+    /// How many other gateways have this name.
+    pub(super) fn count(&self, gateway: &Name) -> usize {
+        self.instances.iter().filter(|(name, _)| name == gateway).count()
     }
 
     /// Whether a gateway is known, and if so whether it lives.

@@ -6,6 +6,7 @@
 //! | `/{gripper}/state`, `/info` | queries |
 //! | `/{gripper}/command/{name}` | queries, by the names that WebSocket has: `grip`, `lease.take` |
 //! | `/{gripper}/alive` | a liveliness token while the gripper's link is up; `/alive` while the gateway is |
+//! | `/instance/{id}` | a liveliness token of the gateway that is this one's alone: two of them are two gateways of one name |
 //! | `/client/{name}` | a liveliness token of a client, which a lease is bound to |
 //! | `/fast-stop` | a put stops all grippers of the gateway; one to `wsg/v1/fast-stop` those of all gateways |
 //! | `/fleet` | a query: all grippers of all gateways |
@@ -114,13 +115,13 @@ async fn declare(
     context: &Arc<Context>,
     max_hz: u32,
     metrics: Metrics,
-) -> zenoh::Result<(LivelinessToken, JoinSet<()>)> {
+) -> zenoh::Result<([LivelinessToken; 2], JoinSet<()>)> {
     let keys = Keys::of(&context.gateway);
     // First: it stops what may be moving already.
     FastStops::new(context.fleet.clone(), Handle::current()).declare(session, &keys).await?;
     let clients = Arc::new(Clients::new(Handle::current(), metrics.clone()));
     clients.declare(session, &keys).await?;
-    context.network.join(session).await?;
+    let instance = context.network.join(session).await?;
     let queries = Queries::new(keys.clone(), context, clients, metrics.clone());
     Arc::new(queries).declare(session, &context.fleet).await?;
     let mut told = JoinSet::new();
@@ -129,7 +130,7 @@ async fn declare(
         told.spawn_on(publications.tell(context.clone(), metrics.clone(), max_hz), &context.sockets);
     }
     told.spawn_on(publications::tell_events(session.clone(), keys.clone(), context.clone()), &context.sockets);
-    Ok((session.liveliness().declare_token(keys.own("alive")).await?, told))
+    Ok(([instance, session.liveliness().declare_token(keys.own("alive")).await?], told))
 }
 
 /// A client's identity before there are credentials: the name that it gives.

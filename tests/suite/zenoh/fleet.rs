@@ -231,6 +231,41 @@ async fn another_gateways_gripper_answers_as_over_there() {
     assert_eq!((&event["door"], &event["subject"]), (&json!("zenoh"), &json!("zenoh:near/http:127.0.0.1")));
 }
 
+/// Moves the far gripper slowly, by a lease of so many ms that was taken through the near gateway.
+async fn slow_move(pair: &Pair, ttl_ms: u64, body: &Value) -> reqwest::RequestBuilder {
+    pair.near.post(&far("/home"), &json!({"direction": "outer"})).await.outcome("SUCCESS");
+    let lease = pair.near.post(&far("/lease"), &json!({"holder": "plc", "ttl_ms": ttl_ms})).await;
+    pair.near.request("POST", &far("/move?wait_ms=30000")).header("Wsg-Lease", lease.text("token")).json(body)
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_plc_that_waits_for_its_own_slow_move_over_there_keeps_a_lease_of_500_ms() {
+    let pair = Pair::start().await;
+    let slow = slow_move(&pair, 500, &json!({"width_mm": 60, "speed_mm_s": 10})).await;
+    let command = pair.near.send(slow).await.outcome("SUCCESS");
+    assert!(command["duration_ms"].as_u64() > Some(4500), "{command}");
+    assert_eq!(pair.far.state().await["lease_holder"], "plc");
+    assert_eq!(pair.proxy.frames.count(FAST_STOP), 0);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn who_is_gone_that_waits_for_a_move_over_there_is_lost_when_its_time_has_run() {
+    const TTL: Duration = Duration::from_secs(1);
+    let pair = Pair::start().await;
+    let slow = slow_move(&pair, TTL.as_millis() as u64, &json!({"width_mm": 5, "speed_mm_s": 5})).await;
+    let waiting = tokio::spawn(slow.send());
+    pair.far.until_moving().await;
+    let begun = Instant::now();
+    while begun.elapsed() < TTL * 2 {
+        assert_eq!(pair.far.state().await["moving"], true, "it is kept while somebody waits");
+    }
+    let gone = Instant::now();
+    waiting.abort();
+    let stopped = eventually("23h", async || pair.proxy.frames.first_since(FAST_STOP, gone)).await;
+    println!("23h {} ms after the client's end, by a ttl_ms of {}", (stopped - gone).as_millis(), TTL.as_millis());
+    assert!(stopped - gone < TTL + DEADLINE / 10, "{:?}", stopped - gone);
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_fast_stop_of_the_fleet_stops_everyone() {
     let pair = Pair::start().await;
@@ -295,17 +330,70 @@ async fn a_fast_stop_of_the_fleet_is_told_again_to_who_was_away() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn who_has_the_name_of_another_is_told_so() {
+async fn who_has_the_name_of_another_is_told_so_and_is_stopped_and_kept_all_the_same() {
     let router = Router::start();
-    let (one, other) =
-        tokio::join!(gateway("twin", &router.endpoint, 1, &[]), gateway("twin", &router.endpoint, 1, &[]));
+    let (one, other, near) = tokio::join!(
+        gateway("twin", &router.endpoint, 1, &[]),
+        gateway("twin", &router.endpoint, 1, &[]),
+        gateway("near", &router.endpoint, 1, &[])
+    );
     one.until_said("give each its own --name").await;
     other.until_said("give each its own --name").await;
+    until_whole(&near, 2).await;
     let client = ZenohClient::at(&router.endpoint).await;
-    let answers = client.all("wsg/v1/twin/g0/command/home", "{}").await;
-    assert!(!answers.is_empty());
-    for (_, answer) in answers {
-        assert_eq!(answer.unwrap_err()["code"], "name_taken");
+    let codes = async |command: &str, body: &str| -> Vec<Value> {
+        let answers = client.all(&format!("wsg/v1/twin/g0/command/{command}"), body).await;
+        assert!(!answers.is_empty(), "{command}");
+        let code =
+            |answer: Result<Value, Value>| answer.map_or_else(|problem| problem["code"].clone(), |_| json!("OK"));
+        let mut codes: Vec<_> = answers.into_iter().map(|(_, answer)| code(answer)).collect();
+        // Of answers with the same key Zenoh tells one.
+        codes.dedup();
+        codes
+    };
+    for command in ["home", "lease.take", "lease"] {
+        assert_eq!(codes(command, "{}").await, ["name_taken"], "{command}");
     }
-    one.post("/api/v1/grippers/g0/home", &json!({})).await.outcome("SUCCESS");
+    assert_eq!(codes("stop", "{}").await, ["OK"]);
+    assert_eq!(codes("lease.release", "{}").await, ["OK"]);
+    assert_eq!(codes("lease.renew", r#"{"lease": "stale"}"#).await, ["stale_lease"]);
+    let lease = one.post("/api/v1/grippers/g0/lease", &json!({"holder": "plc"})).await.text("token");
+    let renew = near.request("PUT", "/api/v1/fleet/twin/grippers/g0/lease").header("Wsg-Lease", lease);
+    assert_eq!(near.send(renew).await.ok()["holder"], "plc", "it counts who has it");
+    one.post("/api/v1/grippers/g0/home", &json!({})).await;
+
+    for (gateway, sure) in [(&near, json!(["near/g0"])), (&one, json!(["near/g0"]))] {
+        let stopped = eventually("who is one has confirmed", async || {
+            let stopped = gateway.post("/api/v1/fleet/fast-stop", &json!({})).await.ok();
+            (stopped["confirmed"] == sure).then_some(stopped)
+        })
+        .await;
+        assert_eq!((&stopped["fast_stop_confirmed"], &stopped["unconfirmed"]), (&json!(false), &json!(["twin/g0"])));
+    }
+    for twin in [&one, &other] {
+        let state = twin.get("/api/v1/grippers/g0").await.ok();
+        assert_eq!(state["gripper"], "g0");
+        assert_eq!(twin.get("/api/v1/grippers/g0/state").await.ok()["fast_stop"], true, "both are told");
+    }
+    other.terminate().await;
+    eventually("it is alone", async || {
+        let answers = client.all("wsg/v1/twin/g0/command/lease", "{}").await;
+        matches!(&answers[..], [(_, Ok(_))]).then_some(())
+    })
+    .await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_put_to_a_gateways_own_state_is_no_twin() {
+    let pair = Pair::start().await;
+    let client = ZenohClient::at(&pair.router.endpoint).await;
+    let state = pair.far.state().await.to_string();
+    for key in ["wsg/v1/far/g/state", "wsg/v1/far/h/state"] {
+        client.put(key, state.clone()).await;
+    }
+    client.put("wsg/v1/far/alive", "").await;
+    client.put("wsg/v1/far/instance/1234", "").await;
+    for command in ["home", "stop", "lease"] {
+        client.ask(&format!("wsg/v1/far/g/command/{command}"), &json!({})).await.unwrap();
+    }
 }
