@@ -233,11 +233,13 @@ impl Base {
 
 /// What Zenoh has otherwise: it would look for others, take in 1 GiB at once, not start where a port is taken, and
 /// notice after 10 s that a gateway is gone.
-fn defaults() -> [(&'static str, Value); 14] {
+fn defaults() -> [(&'static str, Value); 16] {
     [
         ("scouting/multicast/enabled", json!(false)),
         ("scouting/gossip/autoconnect", json!({"router": [], "peer": [], "client": []})),
         ("listen/exit_on_failure", json!(false)),
+        ("listen/timeout_ms", json!(-1)),
+        ("listen/retry", json!({"period_init_ms": 250, "period_max_ms": 2000, "period_increase_factor": 2})),
         ("connect/exit_on_failure", json!(false)),
         ("connect/timeout_ms", json!(-1)),
         ("connect/retry", json!({"period_init_ms": 250, "period_max_ms": 2000, "period_increase_factor": 2})),

@@ -36,7 +36,7 @@ fn without_a_word_it_is_a_peer_on_loopback_that_looks_for_nobody() {
     assert_eq!(zenoh.setting("listen/endpoints"), json!([DEFAULT_LISTEN]));
     assert_eq!(zenoh.looks_for(), None);
     // Of these Zenoh tells more than was said.
-    let longer = ["scouting/gossip/autoconnect", "connect/retry", "qos/network"];
+    let longer = ["scouting/gossip/autoconnect", "listen/retry", "connect/retry", "qos/network"];
     for (key, value) in defaults().into_iter().filter(|(key, _)| !longer.contains(key)) {
         assert_eq!(zenoh.setting(key), value, "{key}");
     }

@@ -1,23 +1,20 @@
 //! What helps where an address can't be listened on.
 
 use std::fmt::Display;
-use std::io::{self, ErrorKind};
+use std::io;
+
+use crate::frontend::sockets::remedy;
 
 /// Says what could not be listened on, and the remedy.
 pub(super) fn failed(what: impl Display, error: io::Error) -> anyhow::Error {
-    let remedy = match error.kind() {
-        ErrorKind::AddrInUse => "choose another address, or end what listens there",
-        ErrorKind::PermissionDenied => {
-            "a port below 1024 needs a privilege: choose a higher one, or give the program CAP_NET_BIND_SERVICE"
-        }
-        ErrorKind::AddrNotAvailable => "this machine has no such address: choose one that it has",
-        _ => "choose another address",
-    };
+    let remedy = remedy(error.kind());
     anyhow::Error::new(error).context(format!("{what}: {remedy}"))
 }
 
 #[cfg(test)]
 mod tests {
+    use std::io::ErrorKind;
+
     use super::*;
 
     #[test]

@@ -8,6 +8,7 @@ use prometheus::proto::MetricFamily;
 use prometheus::{IntCounter, IntGauge, Opts, Registry, Result};
 use tokio::sync::watch;
 
+use crate::frontend::network::Network;
 use crate::gripper::Recorder as _;
 use crate::gripper::model::Name;
 use crate::gripper::recorder::Health;
@@ -53,5 +54,28 @@ impl Collector for JournalHealth {
         *told = lost.max(*told);
         self.up.set(failure.is_none().into());
         [self.up.collect(), self.lost.collect()].concat()
+    }
+}
+
+/// Adds whether Zenoh's clients find the gateway.
+pub(super) fn register_zenoh(registry: &Registry, network: &Network) -> Result<()> {
+    let up = IntGauge::new("wsg_zenoh_up", "Whether Zenoh listens wherever it is to.")?;
+    registry.register(Box::new(ZenohHealth { cause: network.cause(), up }))
+}
+
+/// How Zenoh is, taken when it is asked for.
+struct ZenohHealth {
+    cause: watch::Receiver<Option<String>>,
+    up: IntGauge,
+}
+
+impl Collector for ZenohHealth {
+    fn desc(&self) -> Vec<&Desc> {
+        self.up.desc()
+    }
+
+    fn collect(&self) -> Vec<MetricFamily> {
+        self.up.set(self.cause.borrow().is_none().into());
+        self.up.collect()
     }
 }

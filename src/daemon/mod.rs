@@ -132,7 +132,7 @@ async fn run_gateway(config: &Config, devices: &Runtime, sockets: &Runtime) -> a
         registry,
         allowed_hosts: config.hosts.clone(),
     });
-    let on_zenoh = config.zenoh.as_ref().map(|zenoh| zenoh_settings(zenoh, &context.registry)).transpose()?;
+    let on_zenoh = config.zenoh.as_ref().map(|zenoh| zenoh_settings(zenoh, &context)).transpose()?;
     let server = tokio::spawn(http::serve(listener, context.clone(), http::Limits::default(), shutdown.clone()));
     announce(config, address, &ports)?;
     // Of its own: whatever becomes of it, the rest goes on.
@@ -281,12 +281,14 @@ fn announce(config: &Config, address: SocketAddr, ports: &Ports) -> std::io::Res
     Ok(())
 }
 
-fn zenoh_settings(zenoh: &config::Zenoh, registry: &Registry) -> anyhow::Result<zenoh::Settings> {
+fn zenoh_settings(zenoh: &config::Zenoh, context: &http::Context) -> anyhow::Result<zenoh::Settings> {
+    metrics::register_zenoh(&context.registry, &context.network)?;
+    context.network.set_cause(Some("Zenoh is not open yet".to_owned()));
     Ok(zenoh::Settings {
         zenoh: zenoh.settings.clone(),
         listen: zenoh.listen.clone(),
         max_hz: zenoh.max_hz,
-        metrics: frontend::metrics::Metrics::register(registry, "zenoh")?,
+        metrics: frontend::metrics::Metrics::register(&context.registry, "zenoh")?,
     })
 }
 

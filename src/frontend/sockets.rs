@@ -1,6 +1,6 @@
-//! Clients' TCP connections, at whichever door.
+//! Clients' TCP connections, at whichever door, and what helps where they can't come in.
 
-use std::io;
+use std::io::{self, ErrorKind};
 use std::time::Duration;
 
 use socket2::{SockRef, TcpKeepalive};
@@ -21,6 +21,19 @@ pub fn prepare(stream: &TcpStream) -> io::Result<()> {
     stream.set_nodelay(true)?;
     let keepalive = TcpKeepalive::new().with_time(PROBE_EVERY).with_interval(PROBE_EVERY).with_retries(2);
     SockRef::from(stream).set_tcp_keepalive(&keepalive)
+}
+
+/// What helps where an address can't be listened on.
+#[must_use]
+pub fn remedy(error: ErrorKind) -> &'static str {
+    match error {
+        ErrorKind::AddrInUse => "choose another address, or end what listens there",
+        ErrorKind::PermissionDenied => {
+            "a port below 1024 needs a privilege: choose a higher one, or give the program CAP_NET_BIND_SERVICE"
+        }
+        ErrorKind::AddrNotAvailable => "this machine has no such address: choose one that it has",
+        _ => "choose another address",
+    }
 }
 
 #[cfg(test)]

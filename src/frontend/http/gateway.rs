@@ -41,24 +41,27 @@ pub async fn health(Shared(context): Shared<Arc<Context>>) -> Json<Health> {
 /// Whether the gateway can do what it is for.
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(example = json!({
-    "gateway": "wsg", "ready": false, "journal_cause": null, "not_ready": ["left: reconnecting: connection refused"]
+    "gateway": "wsg", "ready": false, "journal_cause": null, "zenoh_cause": null, "not_ready": ["left: reconnecting: connection refused"]
 }))]
 pub struct Readiness {
     /// The gateway's name.
     #[schema(max_length = 32)]
     gateway: String,
-    /// Whether every gripper is connected, and the journal takes records.
+    /// Whether every gripper is connected, the journal takes records, and Zenoh's clients find the gateway.
     ready: bool,
     /// Why the journal takes no records; null while it does.
     #[schema(required)]
     journal_cause: Option<String>,
+    /// Why Zenoh's clients don't find the gateway, or not everywhere; null while they do, and where Zenoh is off.
+    #[schema(required)]
+    zenoh_cause: Option<String>,
     /// The grippers that aren't connected: name, link and cause.
     not_ready: Vec<String>,
 }
 
 /// Whether the gateway is ready
 ///
-/// It is when every gripper's link is connected, and the journal takes records. A FAST STOP that holds doesn't count.
+/// It is when every gripper's link is connected, the journal takes records, and Zenoh listens wherever it is to. A FAST STOP that holds doesn't count.
 #[utoipa::path(
     get, path = "/readyz", operation_id = "readyz", tag = "gateway",
     responses(
@@ -70,9 +73,10 @@ pub struct Readiness {
 pub async fn readiness(Shared(context): Shared<Arc<Context>>) -> (StatusCode, Json<Readiness>) {
     let journal_cause = context.journal.health().borrow().failure.clone();
     let not_ready: Vec<_> = context.fleet.iter().filter_map(why_not_ready).collect();
-    let ready = journal_cause.is_none() && not_ready.is_empty();
+    let zenoh_cause = context.network.cause().borrow().clone();
+    let ready = journal_cause.is_none() && zenoh_cause.is_none() && not_ready.is_empty();
     let status = if ready { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
-    (status, Json(Readiness { gateway: context.gateway.to_string(), ready, journal_cause, not_ready }))
+    (status, Json(Readiness { gateway: context.gateway.to_string(), ready, journal_cause, zenoh_cause, not_ready }))
 }
 
 fn why_not_ready(handle: &Handle) -> Option<String> {

@@ -12,7 +12,7 @@ use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
-use tokio::sync::{Notify, Semaphore};
+use tokio::sync::{Notify, Semaphore, watch};
 use tokio::task::AbortHandle;
 use zenoh::Wait as _;
 use zenoh::liveliness::LivelinessToken;
@@ -48,14 +48,16 @@ pub struct Network {
     gateway: Name,
     own: Fleet,
     session: OnceLock<zenoh::Session>,
+    /// Why it is not on it as it should be.
+    cause: watch::Sender<Option<String>>,
     others: Mutex<Others>,
     /// Told when a state of another gateway has come.
     news: Notify,
     asks: Arc<Semaphore>,
+    stops: Arc<Semaphore>,
     /// Who tells gateways again that have missed the newest FAST STOP of all.
     insisting: Mutex<Option<AbortHandle>>,
 }
-    stops: Arc<Semaphore>,
 
 /// A FAST STOP of all gateways.
 #[derive(Debug)]
@@ -71,8 +73,9 @@ impl Network {
     #[must_use]
     pub fn new(gateway: Name, own: Fleet) -> Self {
         let (session, others, news) = (OnceLock::new(), Mutex::default(), Notify::new());
-        let (asks, insisting) = (Arc::new(Semaphore::new(MAX_ASKS)), Mutex::default());
-        Self { gateway, own, session, others, news, asks, insisting }
+        let [asks, stops] = [MAX_ASKS; 2].map(|places| Arc::new(Semaphore::new(places)));
+        let cause = watch::Sender::new(None);
+        Self { gateway, own, session, cause, others, news, asks, stops, insisting: Mutex::default() }
     }
 
     /// Goes on the network of this session, for as long as what is returned lives.
@@ -88,9 +91,6 @@ impl Network {
         let lives = move |token: Sample| network.take_token(token.key_expr().as_str(), token.kind() == SampleKind::Put);
         let gateways = session.liveliness().declare_subscriber(format!("{ROOT}/*/alive")).history(true);
         gateways.callback(lives).background().await?;
-        // Who is on one already stays there.
-        let _ = self.session.set(session.clone());
-        Ok(())
         let (network, own) = (self.clone(), session.zid().to_string());
         let is_one = move |token: Sample| {
             let (key, is_alive) = (token.key_expr().as_str(), token.kind() == SampleKind::Put);
@@ -102,6 +102,20 @@ impl Network {
         instances.callback(is_one).background().await?;
         let instance = Keys::of(&self.gateway).own(&format!("instance/{}", session.zid()));
         let token = session.liveliness().declare_token(instance).await?;
+        // Who is on one already stays there.
+        let _ = self.session.set(session.clone());
+        Ok(token)
+    }
+
+    /// Says why it is not on the network as it should be; none where it is.
+    pub fn set_cause(&self, cause: Option<String>) {
+        self.cause.send_replace(cause);
+    }
+
+    /// Why it is not on the network as it should be; none where it is, or is to be on none.
+    #[must_use]
+    pub fn cause(&self) -> watch::Receiver<Option<String>> {
+        self.cause.subscribe()
     }
 
     /// All grippers of all gateways, by gateway and name.
@@ -230,10 +244,6 @@ impl Network {
         }
     }
 
-    fn others(&self) -> MutexGuard<'_, Others> {
-        self.others.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-}
     fn take_instance(&self, key: &str, is_alive: bool) {
         let Some(gateway) = keys::of_gateway(key) else { return };
         if gateway == self.gateway && is_alive {
@@ -242,3 +252,7 @@ impl Network {
         self.others().take_instance(gateway, last_part(key), is_alive);
     }
 
+    fn others(&self) -> MutexGuard<'_, Others> {
+        self.others.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}

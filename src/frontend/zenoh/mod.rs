@@ -17,6 +17,7 @@
 
 mod clients;
 mod fast_stop;
+mod listeners;
 mod publications;
 mod queries;
 
@@ -35,11 +36,16 @@ use self::publications::Publications;
 use self::queries::Queries;
 use crate::frontend::http::Context;
 use crate::frontend::metrics::Metrics;
+use crate::frontend::network::Network;
 use crate::frontend::network::keys::Keys;
 use crate::gripper::model::Text;
 
 /// The most bytes of the name that a client gives itself.
 const MAX_CLIENT_BYTES: usize = 64;
+
+/// After how long Zenoh is opened again that could not be, at first and at most.
+const OPENED_AGAIN_AFTER: Duration = Duration::from_millis(250);
+const OPENED_AGAIN_AT_LEAST_EVERY: Duration = Duration::from_secs(30);
 
 /// How long a farewell may take.
 const FAREWELL_WITHIN: Duration = Duration::from_secs(1);
@@ -57,30 +63,15 @@ pub struct Settings {
     pub metrics: Metrics,
 }
 
-/// Serves until the gateway closes. Where Zenoh can't be had, the gateway is served without; `opened` is told where
-/// others find it.
-pub async fn serve(settings: Settings, context: Arc<Context>, opened: impl FnOnce(&[String])) {
+/// Serves until the gateway closes. Where Zenoh can't be had, the gateway is served without until it can; `opened` is told
+/// where others find it.
+pub async fn serve(settings: Settings, context: Arc<Context>, opened: impl FnMut(&[String])) {
     let Settings { zenoh: config, listen, max_hz, metrics } = settings;
     let session = tokio::select! {
         biased;
         () = context.closing.cancelled() => return,
-        session = open(config) => session,
+        session = open_at_last(&config, &context.network) => session,
     };
-    let session = match session {
-        Ok(session) => session,
-        Err(error) => {
-            tracing::warn!(%error, "Zenoh can't be opened: the grippers are served without it");
-            return;
-        }
-    };
-    let locators: Vec<_> = session.info().locators().await.iter().map(ToString::to_string).collect();
-    if locators.len() < listen.len() {
-        tracing::warn!(
-            listen = listen.join(", "),
-            listening = locators.join(", "),
-            "Zenoh does not listen everywhere: choose other endpoints with --zenoh-listen, or end what listens there"
-        );
-    }
     let declared = tokio::select! {
         biased;
         () = context.closing.cancelled() => return,
@@ -88,13 +79,37 @@ pub async fn serve(settings: Settings, context: Arc<Context>, opened: impl FnOnc
     };
     match declared {
         Ok((_alive, _told)) => {
-            opened(&locators);
-            context.closing.cancelled().await;
+            tokio::select! {
+                biased;
+                () = context.closing.cancelled() => {}
+                () = listeners::watch(&session, &config, &listen, &context.network, opened) => {
+                    context.closing.cancelled().await;
+                }
+            }
         }
-        Err(error) => tracing::error!(%error, "Zenoh declares nothing: the grippers are served without it"),
+        Err(error) => {
+            tracing::error!(%error, "Zenoh declares nothing: the grippers are served without it");
+            context.network.set_cause(Some(format!("Zenoh declares nothing: {error}")));
+        }
     }
     if tokio::time::timeout(FAREWELL_WITHIN, session.close()).await.is_err() {
         tracing::warn!("Zenoh did not end within {FAREWELL_WITHIN:?}");
+    }
+}
+
+/// Opens a session, and tries again where that fails.
+async fn open_at_last(config: &zenoh::Config, network: &Network) -> zenoh::Session {
+    let mut again_after = OPENED_AGAIN_AFTER;
+    loop {
+        match open(config.clone()).await {
+            Ok(session) => return session,
+            Err(error) => {
+                tracing::warn!(%error, "Zenoh can't be opened, and is tried again: the grippers are served without it");
+                network.set_cause(Some(format!("Zenoh can't be opened: {error}")));
+            }
+        }
+        tokio::time::sleep(again_after).await;
+        again_after = (again_after * 2).min(OPENED_AGAIN_AT_LEAST_EVERY);
     }
 }
 

@@ -139,16 +139,35 @@ async fn a_put_stops_one_gateway_or_all_whatever_it_carries() {
     assert_eq!(state["fast_stop"], false);
 }
 
+/// Whether it is ready, why Zenoh is not, and the figure of that.
+async fn readiness(gateway: &Gateway) -> (Value, String, f64) {
+    let ready = gateway.get("/readyz").await.body;
+    let up = gateway.figures().await["wsg_zenoh_up"];
+    (ready["ready"].clone(), ready["zenoh_cause"].as_str().unwrap_or_default().to_owned(), up)
+}
+
 #[tokio::test(flavor = "multi_thread")]
-async fn a_taken_port_is_a_warning_and_the_gripper_is_served() {
+async fn a_taken_port_is_told_and_tried_again_and_the_gripper_is_served() {
     let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let endpoint = format!("tcp/{}", taken.local_addr().unwrap());
     let gateway = Gateway::start(&["--gripper", "g=sim://wsg50", "--zenoh-listen", &endpoint]).await;
     gateway.until_link("connected").await;
     gateway.post("home", &json!({})).await.outcome("SUCCESS");
-    let ended = gateway.terminate().await;
-    assert!(ended.status.success(), "{}", ended.stderr);
-    assert!(ended.stderr.contains("choose other endpoints with --zenoh-listen"), "{}", ended.stderr);
+    let cause = eventually("it is told", async || {
+        let (ready, cause, up) = readiness(&gateway).await;
+        assert_eq!((ready, up), (json!(false), 0.0));
+        cause.contains(&endpoint).then_some(cause)
+    })
+    .await;
+    assert!(cause.contains("end what listens there") && cause.contains("--zenoh-listen"), "{cause}");
+    gateway.until_said(&cause).await;
+    drop(taken);
+    eventually("it is ready", async || (readiness(&gateway).await == (json!(true), String::new(), 1.0)).then_some(()))
+        .await;
+    assert_eq!(gateway.word_after("Zenoh: ").await, endpoint);
+    let client = ZenohClient::of(&gateway).await;
+    assert_eq!(client.command("stop", &json!({})).await.unwrap()["outcome"], "SUCCESS");
+    assert!(gateway.terminate().await.status.success());
 }
 
 #[tokio::test(flavor = "multi_thread")]
