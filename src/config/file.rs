@@ -40,6 +40,11 @@ impl File {
         Ok(Self { path: owned(path), text, content })
     }
 
+    /// What a path in it means: beside it, unless it is absolute.
+    pub(super) fn beside(&self, path: &Path) -> PathBuf {
+        self.path.parent().map_or_else(|| path.to_owned(), |directory| directory.join(path))
+    }
+
     /// The place of this byte.
     pub(super) fn place(&self, offset: usize) -> Place {
         Place::File { path: self.path.clone(), line: line_of(&self.text, offset) }

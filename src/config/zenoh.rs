@@ -20,8 +20,8 @@ const DEFAULT_HZ: u64 = 50;
 const MAX_HZ: u64 = 100;
 
 /// The largest message that is taken in, in bytes. Requests have 64 KiB at most, and what is larger is refused by name
-/// while it is below this.
-const MAX_MESSAGE_BYTES: u64 = 1024 * 1024;
+/// while it is below this: 2 MiB as over HTTP, and what stands around it. Zenoh tells nobody of a larger one.
+const MAX_MESSAGE_BYTES: u64 = (2048 + 64) * 1024;
 
 /// After how long without a sign of life others count this gateway as gone, in ms: a fleet shows it within 2 s.
 const LEASE_MS: u64 = 1500;
@@ -214,8 +214,8 @@ impl Base {
             return Ok(Self { settings: zenoh::Config::default(), place: Place::Flag("--zenoh-mode") });
         };
         let place = file.place(path.span().start);
-        let path = path.get_ref();
-        let settings = zenoh::Config::from_file(path)
+        let path = file.beside(path.get_ref());
+        let settings = zenoh::Config::from_file(&path)
             .map_err(|error| Mistake::at(&place, format!("{} is no Zenoh configuration: {error}", path.display())))?;
         Ok(Self { settings, place })
     }

@@ -87,6 +87,37 @@ fn zenohs_own_file_counts_and_what_it_leaves_out_is_as_without_it() {
 }
 
 #[test]
+fn zenohs_own_file_is_looked_for_beside_the_gateways() {
+    let directory = std::env::temp_dir().join(format!("wsg-gateway-{}-beside", std::process::id()));
+    std::fs::create_dir_all(directory.join("network")).unwrap();
+    std::fs::write(directory.join("network/own.json5"), "{mode: 'router'}").unwrap();
+    let path = directory.join("gateway.toml");
+    std::fs::write(&path, "[zenoh]\nconfig = 'network/own.json5'").unwrap();
+    let zenoh = load(&Flags { config: Some(path), ..flags() });
+    std::fs::remove_dir_all(directory).unwrap();
+    assert_eq!(zenoh.unwrap().setting("mode"), "router");
+}
+
+#[test]
+fn access_control_that_allows_what_no_rule_denies_is_no_credential() {
+    let file = |permission: &str| {
+        format!(
+            "{{listen: {{endpoints: ['tcp/0.0.0.0:7447']}}, access_control: {{enabled: true, \
+             default_permission: '{permission}', rules: [], subjects: [], policies: []}}}}"
+        )
+    };
+    let mistake = of_files("allows", &file("allow"), "", &flags()).unwrap_err();
+    assert!(mistake.contains("access_control that denies what no rule allows"), "{mistake}");
+    of_files("denies", &file("deny"), "", &flags()).unwrap();
+    let off = file("deny").replace("enabled: true", "enabled: false");
+    assert!(of_files("off", &off, "", &flags()).is_err());
+    let shipped = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/deploy/zenoh/gateway.json5")).unwrap();
+    let shipped = of_files("shipped", &shipped, "", &flags()).unwrap();
+    assert_eq!(shipped.setting("access_control/default_permission"), "deny");
+    assert!(shipped.asks_for_credentials());
+}
+
+#[test]
 fn a_file_that_exposes_the_grippers_asks_for_credentials() {
     let refused = |name, file| of_files(name, file, "", &flags()).unwrap_err();
     let mistake = refused("open", "{listen: {endpoints: ['tcp/0.0.0.0:7447']}}");
