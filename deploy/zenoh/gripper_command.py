@@ -10,6 +10,7 @@ Goal: `position`, the opening in m, and `max_effort` in N. Feedback and result: 
 import argparse
 import dataclasses
 import json
+import math
 
 from watch_and_grip import Gripper, connect
 
@@ -19,12 +20,20 @@ SPEED_MM_S = 100.0
 
 @dataclasses.dataclass
 class Result:
-    """As GripperCommand's result and feedback have it."""
+    """As GripperCommand's result and feedback have it; what isn't known is NaN, as in ROS."""
 
     position: float
     effort: float
     stalled: bool
     reached_goal: bool
+
+    @classmethod
+    def of(cls, told):
+        """Of a command that has ended, or of telemetry; what is null there isn't known."""
+        width_mm, force_n = told["width_mm"], told["force_n"]
+        position = math.nan if width_mm is None else width_mm / 1000
+        effort = math.nan if force_n is None else force_n
+        return cls(position, effort, bool(told.get("stalled")), bool(told.get("reached_goal")))
 
 
 class GripperCommand:
@@ -41,17 +50,16 @@ class GripperCommand:
         """Runs a goal to its end. To close is to grip a part, to open is to move."""
 
         def tell(sample):
-            told = json.loads(sample.payload.to_string())
-            if told["width_mm"] is not None:
-                feedback(Result(told["width_mm"] / 1000, told["force_n"], False, False))
+            feedback(Result.of(json.loads(sample.payload.to_string())))
 
         with self.session.declare_subscriber(f"{self.gripper.key}/telemetry", tell):
             width_mm, now_mm = position * 1000, self.gripper.query("state")["width_mm"]
-            if width_mm < now_mm and max_effort > 0:
+            is_closing = now_mm is None or width_mm < now_mm
+            if is_closing and max_effort > 0:
                 done = self.gripper.command("grip", width_mm=width_mm, speed_mm_s=SPEED_MM_S, force_n=max_effort)
             else:
                 done = self.gripper.command("move", width_mm=width_mm, speed_mm_s=SPEED_MM_S)
-        return Result(done["width_mm"] / 1000, done["force_n"], done["stalled"], done["reached_goal"])
+        return Result.of(done)
 
     def cancel(self):
         """A goal is cancelled by a Stop."""
@@ -71,7 +79,9 @@ def main():
     given = parser.parse_args()
     with connect(given.connect) as session:
         action = GripperCommand(session, given.gateway, given.gripper, "gripper-command")
-        print(json.dumps(dataclasses.asdict(action.execute(given.position, given.max_effort))))
+        result = dataclasses.asdict(action.execute(given.position, given.max_effort))
+        # JSON has no NaN.
+        print(json.dumps({name: None if value != value else value for name, value in result.items()}))
         action.close()
 
 

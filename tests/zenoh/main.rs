@@ -105,3 +105,17 @@ async fn a_gripper_command_has_the_result_that_ros_2_knows() {
     assert_eq!((&open["stalled"], &open["reached_goal"]), (&json!(false), &json!(true)), "{open}");
     assert!((open["position"].as_f64().unwrap() - 0.060).abs() < 0.001, "{open}");
 }
+
+#[tokio::test]
+async fn a_gripper_command_whose_end_is_not_known_has_a_result_without_values() {
+    let mut rig = Rig::start().await;
+    rig.gateway.post("home", &json!({"direction": "outer"})).await.outcome("SUCCESS");
+    let command = rig.example("gripper_command.py", &["0.005", "0.0"]);
+    rig.gateway.until_moving().await;
+    rig.proxy.go_away().await;
+    let ended = timeout(DEADLINE * 2, command.wait_with_output()).await.expect("it ends").unwrap();
+    let said = String::from_utf8(ended.stdout).unwrap();
+    assert!(ended.status.success(), "{said}");
+    let result: Value = serde_json::from_str(&said).unwrap();
+    assert_eq!((&result["position"], &result["reached_goal"]), (&Value::Null, &json!(false)), "{result}");
+}
