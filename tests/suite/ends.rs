@@ -33,6 +33,19 @@ async fn sigterm_announces_the_disconnect_once_last_and_leaves_no_fast_stop() {
 }
 
 #[tokio::test]
+async fn a_simulated_device_ends_in_order_on_sigterm_also_while_it_is_connected() {
+    for is_connected in [false, true] {
+        let device = Simulator::start(&[]).await;
+        let gateway = Gateway::of(device.address).await;
+        if is_connected {
+            gateway.until_link("connected").await;
+        }
+        let ended = device.terminate().await;
+        assert!(ended.status.success(), "{ended:?}");
+    }
+}
+
+#[tokio::test]
 async fn sigterm_lets_a_short_motion_finish() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);

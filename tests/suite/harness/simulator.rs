@@ -3,7 +3,7 @@
 use std::net::SocketAddr;
 
 use super::eventually;
-use super::process::Process;
+use super::process::{Ended, Process};
 
 /// `wsg-gateway sim`.
 #[derive(Debug)]
@@ -37,6 +37,12 @@ impl Simulator {
         })
         .await;
         Self { process, address }
+    }
+
+    /// Sends SIGTERM, and waits for its end.
+    pub async fn terminate(mut self) -> Ended {
+        self.process.terminate();
+        self.process.ended().await
     }
 
     /// What it said when it started.
