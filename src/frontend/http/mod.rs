@@ -4,7 +4,7 @@
 //! described. A request passes, from the outside in: `guard` (who may ask at all), `body` (read within bounds, except
 //! for FAST STOP, which waits for nothing), `extract` (everything parsed, every mistake a problem), its handler. The
 //! handlers are in `grippers`, `motions`, `commands`, `fast_stop`, `settings`, `device`, `fingers`, `raw`, `journal`,
-//! `stream`, `gateway`, `fleet`, and `ws`, which calls the others by their names in `methods`; `watched` counts and logs all of it.
+//! `stream`, `gateway`, `fleet` with `forwarded`, and `ws`, which calls the others by their names in `methods`; `watched` counts and logs all of it.
 
 mod asyncapi;
 mod body;
@@ -16,6 +16,7 @@ mod extract;
 mod fast_stop;
 mod fingers;
 mod fleet;
+mod forwarded;
 mod gateway;
 mod grippers;
 mod guard;
@@ -41,11 +42,12 @@ use std::sync::Arc;
 
 use axum::http::Method as Verb;
 use axum::response::{IntoResponse, Response};
-use axum::routing::any;
+use axum::routing::get;
 use axum::{Extension, Router, middleware};
 use prometheus::Registry;
 use tokio_util::sync::CancellationToken;
 use tower_http::catch_panic::CatchPanicLayer;
+use utoipa::OpenApi as _;
 use utoipa::openapi::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
@@ -105,7 +107,7 @@ pub struct Context {
 #[cfg(test)]
 impl Context {
     /// Of these grippers, with a journal in memory.
-    fn of(grippers: impl IntoIterator<Item = crate::gripper::Handle>) -> Self {
+    pub(super) fn of(grippers: impl IntoIterator<Item = crate::gripper::Handle>) -> Self {
         let (journal, _) = Journal::open(crate::journal::Place::Memory, crate::journal::Retention::default()).unwrap();
         let (gateway, fleet) = ("wsg".parse().unwrap(), Fleet::new(grippers));
         let refusals = Arc::new(Refusals::new(journal.clone()));
@@ -183,6 +185,7 @@ fn routes() -> Routes {
     let merged = all.get_openapi_mut();
     *merged = document;
     merged.merge(fast_stop_document);
+    merged.merge(forwarded::Forwarded::openapi());
     docs::without_null_bodies(merged);
     all
 }
@@ -193,8 +196,8 @@ fn unhurried_by_bodies() -> Routes {
         .routes(routes!(fast_stop::all))
         .routes(routes!(fleet::fast_stop))
         // A FAST STOP may be among them.
-        .route(fleet::FORWARDED[0], any(fleet::forward))
-        .route(fleet::FORWARDED[1], any(fleet::forward))
+        .route(fleet::FORWARDED[0], get(fleet::forward))
+        .route(fleet::FORWARDED[1], get(fleet::forward).post(fleet::forward).put(fleet::forward).delete(fleet::forward))
 }
 
 fn api() -> Routes {
