@@ -236,12 +236,14 @@ fn parameters_of(method: &Method, path: &str) -> Option<Map<String, Value>> {
     Some(parameters)
 }
 
-/// How long the operation may take; none where it takes no time of its own.
+/// How long the operation may take; none where it takes no time of its own. What has no `wait_ms` doesn't look at one.
 fn wait(request: &Request, method: &Method) -> Result<Option<Duration>, Problem> {
+    if !method.waits() {
+        return Ok(None);
+    }
     let given = Parameters::of(request.uri())?.parsed("wait_ms", "a number of ms", |text| text.parse::<f64>().ok())?;
-    let default = if method.is_command { Some(DEFAULT_WAIT_MS) } else { None };
-    let wait_ms = given.map(|number| integer("wait_ms", number, 0..=MAX_WAIT_MS)).transpose()?.or(default);
-    Ok(wait_ms.map(Duration::from_millis))
+    let wait_ms = given.map(|number| integer("wait_ms", number, 0..=MAX_WAIT_MS)).transpose()?;
+    Ok(wait_ms.or(method.is_command.then_some(DEFAULT_WAIT_MS)).map(Duration::from_millis))
 }
 
 /// As over there: 202 and where to ask where a command runs.

@@ -122,6 +122,11 @@ pub const METHODS: &[Method] = methods! {
 };
 
 impl Method {
+    /// Whether it has a `wait_ms`.
+    pub fn waits(&self) -> bool {
+        self.is_command || self.name == "command"
+    }
+
     /// The parameters that its path names, in their order.
     pub fn path_parameters(&self) -> impl Iterator<Item = &'static str> {
         self.path.split('/').filter_map(|part| part.strip_prefix('{')?.strip_suffix('}'))

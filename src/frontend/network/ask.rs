@@ -15,6 +15,7 @@ use zenoh::sample::Locality;
 
 use super::Network;
 use super::keys::{self, Keys};
+use crate::gripper::Now;
 use crate::gripper::model::lease::MIN_TTL;
 use crate::gripper::model::{Client, Name};
 
@@ -93,10 +94,11 @@ impl Network {
     /// # Errors
     /// [`NoAnswer`], which says whether anything was sent.
     pub async fn ask(&self, ask: Ask) -> Result<Asked, NoAnswer> {
-        match self.others().is_alive(&ask.gateway) {
+        match self.others().has_lost(&ask.gateway, &ask.gripper, Now::read().instant) {
             None => return Err(NoAnswer::Unknown),
-            Some(false) => return Err(NoAnswer::Gone),
-            Some(true) => {}
+            // A FAST STOP is worth the attempt, and what waits for a way there must not move later.
+            Some(true) if ask.urgency != Urgency::FastStop => return Err(NoAnswer::Gone),
+            Some(_) => {}
         }
         let places = match ask.urgency {
             Urgency::FastStop => None,

@@ -89,10 +89,15 @@ impl Others {
         self.instances.iter().filter(|(name, _)| name == gateway).count()
     }
 
-    /// Whether a gateway is known, and if so whether it lives.
-    pub(super) fn is_alive(&self, gateway: &Name) -> Option<bool> {
-        let is_known = self.grippers.keys().any(|(known, _)| known == gateway);
-        if self.alive.contains(gateway) { Some(true) } else { is_known.then_some(false) }
+    /// Whether the gateway is gone that has this gripper, or would have it; none where it isn't known.
+    pub(super) fn has_lost(&self, gateway: &Name, gripper: &Name, now: Instant) -> Option<bool> {
+        let mut known =
+            self.grippers.iter().filter(|((name, _), _)| name == gateway).map(|(_, known)| known).peekable();
+        match self.grippers.get(&(gateway.clone(), gripper.clone())) {
+            Some(known) => Some(self.is_gone(gateway, known, now)),
+            None if known.peek().is_some() => Some(known.all(|known| self.is_gone(gateway, known, now))),
+            None => self.alive.contains(gateway).then_some(false),
+        }
     }
 
     pub(super) fn grippers(&self, now: Instant) -> Vec<FleetGripper> {
@@ -156,11 +161,19 @@ mod tests {
         others.take_token(name("cell-1"), true);
         others.take_state(name("cell-1"), name("left"), told(false));
         let now = Instant::now();
+        let lost = |others: &Others, gateway, gripper, now| others.has_lost(&name(gateway), &name(gripper), now);
         assert_eq!(gone(&others, now), [false]);
         assert_eq!(gone(&others, now + GONE_AFTER), [true]);
+        for gripper in ["left", "right"] {
+            assert_eq!(lost(&others, "cell-1", gripper, now), Some(false));
+            assert_eq!(lost(&others, "cell-1", gripper, now + GONE_AFTER), Some(true), "as it is told");
+        }
         others.take_token(name("cell-1"), false);
         assert_eq!(gone(&others, now), [true]);
-        assert_eq!((others.is_alive(&name("cell-1")), others.is_alive(&name("cell-2"))), (Some(false), None));
+        assert_eq!(lost(&others, "cell-1", "left", now), Some(true));
+        assert_eq!(lost(&others, "cell-2", "left", now), None);
+        others.take_token(name("cell-2"), true);
+        assert_eq!(lost(&others, "cell-2", "left", now), Some(false), "it has not told of it yet");
         assert_eq!(gone(&others, now + KEPT_FOR), [] as [bool; 0]);
     }
 

@@ -250,8 +250,9 @@ impl Queries {
 /// A query's payload, within the bounds of a request's body.
 fn body(payload: &[u8]) -> Result<Map<String, Value>, Problem> {
     if payload.len() > http::MAX_BODY_BYTES {
-        let detail = format!("the payload is larger than {} bytes", http::MAX_BODY_BYTES);
-        return Err(Problem::new(Code::TooLarge, detail).limits(None, Some(http::MAX_BODY_BYTES.into())));
+        let (bytes, max) = (payload.len(), http::MAX_BODY_BYTES);
+        let detail = format!("the payload has {bytes} bytes, and may have {max} at most");
+        return Err(Problem::new(Code::TooLarge, detail).value(Some(bytes.into())).limits(None, Some(max.into())));
     }
     match http::parse_body(payload)? {
         http::Unique(Value::Object(params)) => Ok(params),
@@ -281,4 +282,52 @@ fn holder(params: &Map<String, Value>) -> Option<String> {
 
 fn too_long(name: &str) -> Problem {
     Problem::too_long(CLIENT, name.len(), super::MAX_CLIENT_BYTES)
+}
+
+#[cfg(test)]
+mod tests {
+    use prometheus::Registry;
+
+    use super::*;
+    use crate::gripper::fake::{self, Script};
+
+    fn asked(gripper: &str, method: &str, wait_ms: Option<&str>) -> Asked {
+        Asked {
+            key: String::new(),
+            method: method.to_owned(),
+            params: Map::from_iter([("gripper".to_owned(), gripper.into())]),
+            wait_ms: wait_ms.map(ToOwned::to_owned),
+            headers: HeaderMap::new(),
+            client: Client { subject: super::super::subject(None), door: Door::Zenoh },
+        }
+    }
+
+    #[tokio::test]
+    async fn nobody_takes_the_place_of_who_waits_less_nor_one_of_a_fast_stop() {
+        let grippers = ["left", "right"].map(|name| fake::gripper(name, Script::default()).0);
+        let context = Arc::new(Context::of(grippers));
+        let metrics = Metrics::register(&Registry::new(), "zenoh").unwrap();
+        let clients = Arc::new(Clients::new(Handle::current(), metrics.clone()));
+        let queries = Queries::new(Keys::of(&context.gateway), &context, clients, metrics);
+        let lanes = [
+            asked("left", "move", None),
+            asked("left", "command", Some("60000")),
+            asked("left", "state", None),
+            asked("left", "stop", None),
+            asked("left", "lease.renew", None),
+            asked("left", "fast-stop", None),
+            asked("right", "fast-stop", Some("60000")),
+        ];
+        // Those of one lane stand behind each other.
+        let lane_of = [0, 0, 1, 2, 2, 3, 4];
+        for (asked, lane) in lanes.iter().zip(lane_of) {
+            let places = queries.places_for(asked).clone();
+            let all: Vec<_> = std::iter::from_fn(|| places.clone().try_acquire_owned().ok()).collect();
+            assert!(!all.is_empty() && all.len() <= MAX_QUERIES.max(MAX_FAST_STOPS), "{}", asked.method);
+            for (other, other_lane) in lanes.iter().zip(lane_of) {
+                let has_place = queries.places_for(other).clone().try_acquire_owned().is_ok();
+                assert_eq!(has_place, lane != other_lane, "{} while {} has all", other.method, asked.method);
+            }
+        }
+    }
 }

@@ -81,8 +81,11 @@ async fn what_is_refused_is_the_problem_that_http_has() {
         let over_zenoh = rig.client.command(command, &body).await.unwrap_err();
         assert_eq!(over_zenoh, rig.gateway.post(command, &body).await.body, "{command} {body}");
     }
-    let long = rig.client.command("home", &json!({"direction": "x".repeat(70_000)})).await.unwrap_err();
-    assert_eq!((&long["code"], &long["max"]), (&json!("too_large"), &json!(65536)));
+    for bytes in [70_000, 2 * 1024 * 1024] {
+        let mut long = rig.client.all("wsg/v1/gateway/g/command/home", "x".repeat(bytes)).await;
+        let long = long.remove(0).1.unwrap_err();
+        assert_eq!((&long["code"], &long["value"], &long["max"]), (&json!("too_large"), &json!(bytes), &json!(65536)));
+    }
     let mut refused = rig.client.all("wsg/v1/gateway/g/command/home", "{\"direction\"").await;
     assert_eq!(refused.remove(0).1.unwrap_err()["code"], "malformed");
     let waits = rig.client.command("home?wait_ms=60001", &json!({})).await.unwrap_err();

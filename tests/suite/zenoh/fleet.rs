@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
+use crate::harness::process::signal;
 use crate::harness::{DEADLINE, Gateway, Proxy, Simulator, Socket, ZenohClient, eventually, zenoh::config};
 
 const FAST_STOP: u8 = 0x23;
@@ -39,6 +40,11 @@ impl Router {
         command.args(["--exact", "zenoh::fleet::router_process"]).env(ROUTER_AT, &endpoint);
         let child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
         Self { child, endpoint }
+    }
+
+    /// Takes its processor time away until it gets the signal `CONT`.
+    fn freeze(&self) {
+        signal(self.child.id(), "STOP");
     }
 
     /// It dies, and says nothing.
@@ -213,9 +219,24 @@ async fn another_gateways_gripper_answers_as_over_there() {
     ] {
         pair.near.get(path).await.problem(status, code);
     }
+    for (verb, path, body) in [
+        ("PUT", "/fingers/1/power", json!({"enabled": false, "finger": 2})),
+        ("POST", "/home", json!({"gripper": "h"})),
+        ("POST", "/commands/019aa5c8-5a70-7c31-9f3f-4a3b7c1d2e4f/cancel", json!({"command": running.body["id"]})),
+    ] {
+        let refused = pair.near.send(pair.near.request(verb, &far(path)).json(&body)).await.problem(400, "malformed");
+        assert!(body.get(refused["field"].as_str().unwrap()).is_some(), "{path}: {refused}");
+    }
+    for wait_ms in ["soon", "60001"] {
+        let (read, moved) = (format!("/state?wait_ms={wait_ms}"), format!("/move?wait_ms={wait_ms}"));
+        let (here, there) = (pair.near.get(&far(&read)).await, pair.far.get(&read[1..]).await);
+        assert_eq!((here.status, there.status), (200, 200), "what doesn't wait doesn't look at it");
+        let (here, there) = (pair.near.post(&far(&moved), &grip).await, pair.far.post(&moved[1..], &grip).await);
+        assert_eq!((here.status, &here.body), (there.status, &there.body), "{wait_ms}");
+    }
     let refused = pair.near.post("/api/v1/fleet/near/grippers/g0/move", &json!({})).await;
     refused.problem(400, "malformed");
-    let refusals = pair.near.get("/api/v1/events?kind=refused").await.ok();
+    let refusals = pair.near.get("/api/v1/events?kind=refused&gripper=g0").await.ok();
     assert_eq!(refusals["events"].as_array().unwrap().len(), 1, "once: {refusals}");
     let again = |lease: &str| {
         let request = pair.near.request("POST", &far("/stop")).header("Idempotency-Key", "a;b=c&d");
@@ -311,6 +332,65 @@ async fn a_gateway_that_is_frozen_is_gone_within_two_seconds() {
     assert!(took < GONE_WITHIN + DEADLINE / 20, "{took:?}");
     pair.far.thaw();
     until_whole(&pair.near, 2).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn what_is_told_as_gone_behind_a_frozen_router_is_asked_for_nothing() {
+    let pair = Pair::start().await;
+    pair.router.freeze();
+    let took = until_gone(&pair.near, "far").await;
+    assert!(took < GONE_WITHIN + DEADLINE / 20, "{took:?}");
+    let before = pair.proxy.frames.motions();
+    for path in ["/home", "/tare"] {
+        pair.near.post(&far(path), &json!({})).await.problem(503, "gateway_gone");
+    }
+    signal(pair.router.child.id(), "CONT");
+    until_whole(&pair.near, 2).await;
+    assert_eq!(pair.proxy.frames.motions(), before, "nothing has waited for a way there");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_fast_stop_of_the_fleet_while_the_router_is_away_is_told_again_when_it_is_back() {
+    let pair = Pair::start().await;
+    pair.near.post(&far("/home"), &json!({"direction": "outer"})).await.outcome("SUCCESS");
+    let Pair { router, _device, proxy, near, far: there } = pair;
+    let endpoint = router.kill();
+    until_gone(&near, "far").await;
+    let stopped = near.post("/api/v1/fleet/fast-stop", &json!({"reason": "light curtain"})).await.ok();
+    assert_eq!(stopped["fast_stop_confirmed"], false, "it may move on: {stopped}");
+    assert!(stopped["unconfirmed"].as_array().unwrap().contains(&json!("far/g")), "{stopped}");
+    assert_eq!(proxy.frames.count(FAST_STOP), 0);
+    there.begin("move", &json!({"width_mm": 5, "speed_mm_s": 5})).await;
+    let back = Instant::now();
+    let _router = Router::at(endpoint);
+    eventually("23h", async || proxy.frames.first_since(FAST_STOP, back)).await;
+    let state = there.until("it is stopped", |state| state["fast_stop_confirmed"] == true).await;
+    assert_eq!(state["fast_stop_reason"], "light curtain");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_lease_that_lasts_longer_than_the_routers_outage_is_kept_and_a_shorter_one_is_lost() {
+    let mut pair = Pair::start().await;
+    let lease = pair.near.post(&far("/lease"), &json!({"holder": "plc", "ttl_ms": 60000})).await.text("token");
+    let endpoint = pair.router.kill();
+    until_gone(&pair.near, "far").await;
+    assert_eq!(pair.far.state().await["lease_holder"], "plc");
+    pair.router = Router::at(endpoint);
+    until_whole(&pair.near, 2).await;
+    let leased = |verb: &str, path: &str| pair.near.request(verb, &far(path)).header("Wsg-Lease", &lease);
+    pair.near.send(leased("POST", "/home").json(&json!({"direction": "outer"}))).await.outcome("SUCCESS");
+    pair.near.send(leased("DELETE", "/lease")).await.ok();
+
+    let slow = slow_move(&pair, 1000, &json!({"width_mm": 5, "speed_mm_s": 5})).await;
+    let waiting = tokio::spawn(slow.send());
+    pair.far.until_moving().await;
+    let away = Instant::now();
+    let _endpoint = pair.router.kill();
+    let stopped = eventually("23h", async || pair.proxy.frames.first_since(FAST_STOP, away)).await;
+    println!("23h {} ms after the router's end, by a ttl_ms of 1000", (stopped - away).as_millis());
+    let state = pair.far.until("it is confirmed", |state| state["fast_stop_confirmed"] == true).await;
+    assert_eq!(state["fast_stop_reason"], "plc was lost");
+    waiting.abort();
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -105,7 +105,7 @@ async fn who_is_gone_while_its_query_is_open_is_lost_when_its_time_has_run() {
     let lease = json!({"holder": "robot-2", "ttl_ms": TTL.as_millis() as u64});
     let lease = robot.command("lease.take", &lease).await.unwrap();
     let query = robot.session.get("wsg/v1/gateway/g/command/move?wait_ms=60000").payload(slowly(&lease).to_string());
-    let _answers = query.timeout(Duration::from_secs(60)).await.unwrap();
+    let _answers = query.timeout(Duration::from_mins(1)).await.unwrap();
     rig.gateway.until_moving().await;
     let gone = Instant::now();
     robot.close().await;
