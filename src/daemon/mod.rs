@@ -118,13 +118,14 @@ async fn run_gateway(config: &Config, devices: &Runtime, sockets: &Runtime) -> a
     let registry = metrics::registry(&config.name, &journal)?;
     let fleet = spawn_all(config, devices, &journal, &recovered, &registry)?;
     let refusals = Arc::new(Refusals::new(journal.clone()));
+    let network = Arc::new(Network::new(config.name.clone(), fleet.clone()));
     let context = Arc::new(http::Context {
         gateway: config.name.clone(),
         fleet: fleet.clone(),
         journal: journal.clone(),
         refusals: refusals.clone(),
-        network: Arc::new(Network::new(config.name.clone(), fleet.clone())),
-        updates: Arc::new(Updates::new(&fleet, journal.clone())),
+        network: network.clone(),
+        updates: Arc::new(Updates::new(&fleet, journal.clone(), network)),
         closing: shutdown.child_token(),
         sockets: sockets.handle().clone(),
         metrics: frontend::metrics::Metrics::register(&registry, "http")?,

@@ -25,6 +25,11 @@ const NOTIFICATIONS: &[(&str, &str, &str)] = &[
     ("telemetry", "Telemetry", "Its measured values alone, of topic `telemetry`: likewise"),
     ("event", "StoredEvent", "What has happened, of topic `events`, once it is durable: one by one, in order"),
     ("frame", "Frame", "A frame on the wire, of topic `frames`: one by one, in order"),
+    (
+        "fleet",
+        "FleetGripper",
+        "A gripper of any gateway, of topic `fleet`: all of them first, and then what has changed",
+    ),
     ("gap", "Gap", "Events or frames that are missing here, since the client was too slow"),
     ("command", "Command", "The end of a command that this socket began, and whose answer was that it runs"),
 ];
@@ -48,7 +53,7 @@ pub fn document() -> Value {
         messages.insert(name.to_owned(), json!({"name": name, "payload": request(name, &params)}));
         messages.insert(answer.clone(), json!({"name": answer, "payload": answered("result", result)}));
     };
-    let follow = "Follow states, telemetry, events or frames. It replaces what was followed before";
+    let follow = "Follow states, telemetry, events, frames or the fleet. It replaces what was followed before";
     add_method(
         "subscribe",
         follow,

@@ -111,8 +111,8 @@ impl Context {
         let (journal, _) = Journal::open(crate::journal::Place::Memory, crate::journal::Retention::default()).unwrap();
         let (gateway, fleet) = ("wsg".parse().unwrap(), Fleet::new(grippers));
         let refusals = Arc::new(Refusals::new(journal.clone()));
-        let updates = Arc::new(Updates::new(&fleet, journal.clone()));
         let network = Arc::new(Network::new("wsg".parse().unwrap(), fleet.clone()));
+        let updates = Arc::new(Updates::new(&fleet, journal.clone(), network.clone()));
         let registry = Registry::new();
         let [metrics, ws_metrics] = ["http", "ws"].map(|door| Metrics::register(&registry, door).unwrap());
         let (closing, allowed_hosts) = (CancellationToken::new(), Vec::new());

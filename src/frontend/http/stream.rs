@@ -41,9 +41,9 @@ const RESTS_FOR: Duration = Duration::from_secs(1);
 #[into_params(parameter_in = Query)]
 #[allow(dead_code, reason = "the document's words on what stream takes from the address")]
 pub struct StreamQuery {
-    /// `events` (default), `state`, `telemetry`, `frames`, or several of them with commas between.
+    /// `events` (default), `state`, `telemetry`, `frames`, `fleet`, or several of them with commas between.
     #[param(
-        pattern = "^(events|state|telemetry|frames)(,(events|state|telemetry|frames))*$",
+        pattern = "^(events|state|telemetry|frames|fleet)(,(events|state|telemetry|frames|fleet))*$",
         example = "events,state"
     )]
     topics: Option<String>,
@@ -72,7 +72,7 @@ pub struct StreamHeaders {
 #[schema(as = StreamMessage)]
 #[allow(dead_code, reason = "the document's words on what stream sends")]
 pub struct Message {
-    /// `event`, `state`, `telemetry`, `frame` or `gap`.
+    /// `event`, `state`, `telemetry`, `frame`, `fleet` or `gap`.
     #[schema(nullable = false)]
     event: Option<String>,
     /// An event's `seq`.
@@ -95,7 +95,7 @@ struct Stream {
 
 /// Live updates
 ///
-/// Server-sent events: `event` with its `seq` as id, `state`, `telemetry`, `frame`. Events come without a gap from
+/// Server-sent events: `event` with its `seq` as id, `state`, `telemetry`, `frame`, `fleet`. Events come without a gap from
 /// `Last-Event-ID` on, or from now on; of states and telemetry the newest comes, and what a slow client misses is
 /// never queued; frames come one by one, and where a client was too slow for some a `gap` says for how many.
 #[utoipa::path(

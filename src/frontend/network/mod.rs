@@ -123,7 +123,7 @@ impl Network {
     pub fn grippers(&self) -> Vec<FleetGripper> {
         let own = self.own.iter().filter_map(|handle| self.of_own(&handle.state()));
         let mut all: Vec<_> = own.chain(self.others().grippers(Now::read().instant)).collect();
-        all.sort_by(|one, other| one.name().cmp(&other.name()));
+        all.sort_by_cached_key(FleetGripper::name);
         all
     }
 

@@ -108,8 +108,15 @@ pub struct FleetGripper {
 }
 
 impl FleetGripper {
-    /// By which it is found.
-    pub(super) fn name(&self) -> (&str, &str) {
-        (&self.gateway, &self.gripper)
+    /// By which it is found: its gateway, and its name there.
+    #[must_use]
+    pub fn name(&self) -> (String, String) {
+        (self.gateway.clone(), self.gripper.clone())
+    }
+
+    /// What is told without what changes all the time.
+    #[must_use]
+    pub fn lasting(&self) -> Self {
+        Self { age_ms: None, ..self.clone() }
     }
 }

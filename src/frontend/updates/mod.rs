@@ -4,6 +4,7 @@
 //! states and telemetry each subscriber gets the newest when it has room for it, and nothing is queued. Events and
 //! frames come one by one; a subscriber that is too far behind misses some, and is told how many by a `gap`.
 
+mod fleet;
 mod notification;
 mod pace;
 mod queued;
@@ -17,9 +18,11 @@ use serde::{Deserialize, Serialize};
 use tokio::sync::watch;
 use utoipa::ToSchema;
 
+use crate::frontend::network::Network;
 use crate::gripper::model::{Frame, Name, State};
 use crate::gripper::{Fleet, Handle, Now};
 use crate::journal::{Journal, Stored};
+use fleet::FleetNews;
 use notification::Recent;
 
 pub use notification::Notification;
@@ -38,10 +41,12 @@ pub enum Topic {
     Events,
     /// Every frame to and from a device.
     Frames,
+    /// The grippers of all gateways.
+    Fleet,
 }
 
 /// The topics, as a mistake names them.
-pub const TOPICS: &str = "state, telemetry, events, frames";
+pub const TOPICS: &str = "state, telemetry, events, frames, fleet";
 
 /// So many serialised events are kept for those who tell them later than the first.
 const RECENT_EVENTS: usize = 64;
@@ -55,6 +60,7 @@ pub struct Updates {
     journal: Journal,
     events: Recent,
     grippers: Vec<Arc<Source>>,
+    fleet: FleetNews,
 }
 
 /// One gripper's.
@@ -67,18 +73,19 @@ struct Source {
 }
 
 impl Updates {
-    /// Of these grippers, and of this journal.
+    /// Of these grippers, of this journal, and of all gateways' grippers.
     #[must_use]
-    pub fn new(fleet: &Fleet, journal: Journal) -> Self {
+    pub fn new(fleet: &Fleet, journal: Journal, network: Arc<Network>) -> Self {
         let source = |handle: &Handle| {
             let (state, telemetry, frames) = (Recent::new(1), Recent::new(1), Recent::new(RECENT_FRAMES));
             Arc::new(Source { handle: handle.clone(), state, telemetry, frames })
         };
-        Self { journal, events: Recent::new(RECENT_EVENTS), grippers: fleet.iter().map(source).collect() }
+        let (events, grippers) = (Recent::new(RECENT_EVENTS), fleet.iter().map(source).collect());
+        Self { journal, events, grippers, fleet: FleetNews::new(network) }
     }
 
     /// Follows these topics of these grippers, from now on. Events that concern no gripper come only where `grippers` is
-    /// none, which is all.
+    /// none, which is all; of the fleet all come in any case.
     #[must_use]
     pub fn subscribe(
         self: &Arc<Self>,
@@ -97,7 +104,8 @@ impl Updates {
         }
         let watched =
             |source: &&Arc<Source>| Watched { source: (*source).clone(), states: source.handle.states(), seq: 0 };
-        Subscription { watched: sources.iter().map(watched).collect(), topics, queued }
+        let watched = sources.iter().map(watched).collect();
+        Subscription { updates: self.clone(), watched, fleet_seq: 0, topics, queued }
     }
 
     fn event(&self, event: &Stored) -> Option<Notification> {
@@ -130,7 +138,10 @@ struct Watched {
 
 /// What one client follows.
 pub struct Subscription {
+    updates: Arc<Updates>,
     watched: Vec<Watched>,
+    /// Up to which change of the fleet it was told.
+    fleet_seq: u64,
     topics: BTreeSet<Topic>,
     queued: SelectAll<BoxStream<'static, Notification>>,
 }
@@ -139,7 +150,8 @@ impl Subscription {
     /// Whether it has any of what is told by [`Subscription::newest`].
     #[must_use]
     pub fn has_states(&self) -> bool {
-        !self.watched.is_empty() && self.topics.iter().any(|topic| matches!(topic, Topic::State | Topic::Telemetry))
+        let has_own = self.topics.contains(&Topic::State) || self.topics.contains(&Topic::Telemetry);
+        self.topics.contains(&Topic::Fleet) || (has_own && !self.watched.is_empty())
     }
 
     /// The states as they are now, which count as told.
@@ -153,8 +165,8 @@ impl Subscription {
         self.watched.iter_mut().map(look).collect()
     }
 
-    /// The states and telemetry that have changed since they were told, and how many were dropped for them: of those
-    /// that there were, each tick that the client missed would have told one.
+    /// The states, telemetry and grippers of the fleet that have changed since they were told, and how many states and
+    /// telemetry were dropped for them: of those that there were, each tick that the client missed would have told one.
     pub fn newest(&mut self, missed_ticks: u64) -> (Vec<Notification>, u64) {
         let (mut told, mut dropped) = (Vec::new(), 0);
         for Watched { source, states, seq } in &mut self.watched {
@@ -171,6 +183,9 @@ impl Subscription {
             dropped += missed * new.iter().flatten().count() as u64;
             told.extend(new.into_iter().flatten());
             *seq = state.seq;
+        }
+        if self.topics.contains(&Topic::Fleet) {
+            told.extend(self.updates.fleet.since(&mut self.fleet_seq));
         }
         (told, dropped)
     }

@@ -28,7 +28,7 @@ impl Notification {
         Self { method, text: format!("{head}{json}}}").into(), body }
     }
 
-    /// What it is: `state`, `telemetry`, `event`, `frame` or `gap`.
+    /// What it is: `state`, `telemetry`, `event`, `frame`, `fleet` or `gap`.
     #[must_use]
     pub fn method(&self) -> &'static str {
         self.method

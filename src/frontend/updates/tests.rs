@@ -5,14 +5,15 @@ use serde_json::Value;
 
 use super::*;
 use crate::gripper::fake::{self, Script};
-use crate::gripper::model::{Client, Detail, Door, Event, RefusedEvent};
+use crate::gripper::model::{Client, Detail, Door, Event, FastStopId, Reason, RefusedEvent};
 use crate::gripper::recorder::{Record, Recorder as _};
 use crate::journal::{Place, Retention};
 
 fn updates() -> (Arc<Updates>, Journal) {
     let (journal, _) = Journal::open(Place::Memory, Retention::default()).unwrap();
     let fleet = Fleet::new([fake::gripper("left", Script::default()).0, fake::gripper("right", Script::default()).0]);
-    (Arc::new(Updates::new(&fleet, journal.clone())), journal)
+    let network = Arc::new(Network::new("wsg".parse().unwrap(), fleet.clone()));
+    (Arc::new(Updates::new(&fleet, journal.clone(), network)), journal)
 }
 
 fn record(journal: &Journal, gripper: Option<&str>) {
@@ -77,4 +78,34 @@ async fn who_follows_one_gripper_is_told_of_no_other() {
     }
     assert_eq!(body(&subscription.next().await.unwrap())["gripper"], "left");
     assert!(subscription.newest(0).0.is_empty(), "nothing has changed since the snapshot");
+}
+
+#[tokio::test]
+async fn the_fleet_is_told_whole_and_then_what_has_changed() {
+    let (updates, _) = updates();
+    let (mut one, mut other) = (updates.subscribe(None, [Topic::Fleet]), updates.subscribe(None, [Topic::State]));
+    assert!(one.has_states());
+    let told = |subscription: &mut Subscription| {
+        let (told, _) = subscription.newest(0);
+        let body = |told: Notification| -> Value { serde_json::from_str(told.body()).unwrap() };
+        told.into_iter().filter(|told| told.method() == "fleet").map(body).collect::<Vec<_>>()
+    };
+    let names: Vec<_> = told(&mut one).iter().map(|body| format!("{}/{}", body["gateway"], body["gripper"])).collect();
+    assert_eq!(names, [r#""wsg"/"left""#, r#""wsg"/"right""#]);
+    assert_eq!((told(&mut one).len(), told(&mut other).len()), (0, 0));
+    let right = updates.grippers[1].handle.clone();
+    let client = Client { subject: "test".into(), door: Door::Http };
+    right.fast_stop(FastStopId::generate(), client, Reason::truncated("")).await;
+    let changed = async {
+        loop {
+            let changed = told(&mut one);
+            if !changed.is_empty() {
+                return changed;
+            }
+            tokio::task::yield_now().await;
+        }
+    };
+    let changed = tokio::time::timeout(std::time::Duration::from_secs(20), changed).await.expect("it is told");
+    assert_eq!((changed.len(), &changed[0]["gripper"], &changed[0]["fast_stop"]), (1, &"right".into(), &true.into()));
+    assert_eq!(told(&mut updates.subscribe(None, [Topic::Fleet])).len(), 2, "who comes later has all");
 }

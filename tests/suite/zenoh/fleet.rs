@@ -5,6 +5,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
+use tokio::time::timeout;
 
 use crate::harness::process::signal;
 use crate::harness::{DEADLINE, Gateway, Proxy, Simulator, Socket, ZenohClient, eventually, zenoh::config};
@@ -322,6 +323,25 @@ async fn a_gateway_that_vanishes_is_gone_within_two_seconds() {
     assert!(took < GONE_WITHIN, "{took:?}");
     near.post("/api/v1/fleet/far/grippers/g/home", &json!({})).await.problem(503, "gateway_gone");
     drop(proxy);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_fleet_is_followed_live_on_a_websocket() {
+    let pair = Pair::start().await;
+    let mut socket = Socket::open(&pair.near).await;
+    socket.call("subscribe", json!({"topics": ["fleet"]})).await;
+    let mut of = async |name: &str, wanted: &dyn Fn(&Value) -> bool| {
+        timeout(DEADLINE, socket.told("fleet", |told| told["gripper"] == name && wanted(told)))
+            .await
+            .expect("it is told")
+    };
+    assert_eq!(of("g", &|_| true).await["gateway"], "far", "all are told first");
+    pair.near.post(&far("/home"), &json!({})).await.outcome("SUCCESS");
+    of("g", &|told| told["state"] == "HOMING" || told["moving"] == true).await;
+    pair.near.post(&far("/fast-stop"), &json!({})).await.ok();
+    of("g", &|told| told["fast_stop_confirmed"] == true).await;
+    pair.far.kill().await;
+    of("g", &|told| told["gone"] == true).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

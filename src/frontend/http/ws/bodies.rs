@@ -25,7 +25,7 @@ pub struct Subscribe {
     grippers: Option<Vec<String>>,
     /// What to be told of.
     topics: BTreeSet<Topic>,
-    /// How many states and telemetry a second at most, of each gripper.
+    /// How many states and telemetry a second at most, of each gripper; of the fleet 10 in any case.
     #[schema(value_type = Option<u64>, nullable = false, minimum = 1, maximum = 100, default = 10)]
     max_hz: Option<f64>,
 }
