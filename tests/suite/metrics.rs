@@ -101,7 +101,10 @@ async fn a_gateway_is_ready_while_its_device_is_there_and_counts_how_often_it_ca
 
     proxy.accept();
     let ready = eventually("it is ready", async || Some(gateway.get("/readyz").await).filter(|it| it.status == 200));
-    assert_eq!(ready.await.body, json!({"gateway": "gateway", "ready": true, "journal_cause": null, "not_ready": []}));
+    assert_eq!(
+        ready.await.body,
+        json!({"gateway": "gateway", "ready": true, "journal_cause": null, "zenoh_cause": null, "not_ready": []})
+    );
     let figures = gateway.figures().await;
     assert_eq!((of(&figures, &g("wsg_link_up", "")), of(&figures, &g("wsg_reconnects_total", ""))), (1.0, 0.0));
 
