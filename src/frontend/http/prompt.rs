@@ -43,9 +43,10 @@ impl Prompt {
 }
 
 /// The kernel forgets it again, so it is said after each read. Where it can't be said, the answers are just later.
-fn acknowledge(_stream: &TcpStream) {
+#[cfg_attr(not(target_os = "linux"), expect(unused_variables, reason = "no other system can be told"))]
+fn acknowledge(stream: &TcpStream) {
     #[cfg(target_os = "linux")]
-    let _ = socket2::SockRef::from(_stream).set_tcp_quickack(true);
+    let _ = socket2::SockRef::from(stream).set_tcp_quickack(true);
 }
 
 impl AsyncRead for Prompt {
