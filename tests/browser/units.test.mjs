@@ -10,10 +10,12 @@ const view = (name) => import(`${ASSETS}views/${name}.js`);
 const { checksum, encode, fromHex, parts, toHex } = await view('frame');
 const { interpretations, parse, parseId } = await view('bytes');
 const { Samples } = await core('ring');
-const { forceLimits, mistake, number, speedLimits, widthLimits } = await core('limits');
+const { asTyped, forceLimits, mistake, number, readings, speedLimits, widthLimits } = await core('limits');
 const { acknowledged, MAX_ALARMS, sorted, updated, wrongWith } = await core('alarms');
 const { FLAGS, has } = await core('flags');
 const { delay } = await core('backoff');
+const { bytesOf, cut } = await core('bytes');
+const { numbered } = await core('newest');
 
 test('frames and their checksums are those of the manuals', () => {
   const vectors = ['aaaaaa010000e810', 'aaaaaa0102001234' + '6d66', 'aaaaaa2002000000b3fd', 'aaaaaa900200' + '0e00fd02', 'aaaaaa2102001a0067cb', 'aaaaaa21020000002804', 'aaaaaa310600' + '0000000016431caf'];
@@ -73,6 +75,56 @@ test('the ring keeps the newest, and a window of it keeps the peaks', () => {
   assert.deepEqual(new Samples(10).window(0, 10, 10), [[], [], [], []]);
 });
 
+test('a gap stays a gap, however many samples are one point', () => {
+  for (const points of [2000, 40]) {
+    const samples = new Samples(4096, 2);
+    samples.gap();
+    assert.equal(samples.length, 0, 'before anything is known there is none');
+    for (let at = 0; at < 1000; at += 1) {
+      samples.push(at, [NaN, at]);
+      if (at === 499) for (let count = 0; count < 3; count += 1) samples.gap();
+    }
+    const [times, unknown, known] = samples.window(0, 1000, points);
+    const gaps = known.flatMap((value, index) => (value === null ? [index] : []));
+    assert.equal(gaps.length, 1, `${points} points`);
+    assert.deepEqual([known[gaps[0] - 1], known[gaps[0] + 1]], [499, 500]);
+    assert.equal(times[gaps[0]], -0.501);
+    assert.ok(unknown.every((value) => value === null));
+  }
+  const mixed = new Samples(100, 1);
+  for (let at = 0; at < 100; at += 1) mixed.push(at, [at % 3 ? at : NaN]);
+  assert.ok(mixed.window(0, 100, 20)[0].length > 40, 'where samples are missing each one is a gap');
+});
+
+test('a number that is another one elsewhere is none, and what is put into fields is none of those', () => {
+  for (const text of ['1,000', '5.000', ' 33.125 ', '-12,345', '999.999']) {
+    assert.ok(Number.isNaN(number(text)), text);
+    assert.equal(readings(text).length, 2, text);
+  }
+  assert.deepEqual(readings('1,050'), [1.05, 1050]);
+  for (const [text, value] of [['0,125', 0.125], ['1000', 1000], ['1234.567', 1234.567], ['12,34', 12.34], ['1.0000', 1]]) {
+    assert.equal(readings(text), null, text);
+    assert.equal(number(text), value, text);
+  }
+  for (const value of [12.345, 5000, 0.125, 33.3331]) assert.ok(Math.abs(number(asTyped(value)) - value) < 0.006, `${value}`);
+  assert.equal(asTyped(null), '');
+});
+
+test('texts are cut by bytes, and no character in two', () => {
+  assert.deepEqual(['abc', 'äöü', '€', '😀'].map(bytesOf), [3, 6, 3, 4]);
+  assert.equal(cut('a'.repeat(50), 48), 'a'.repeat(48));
+  assert.equal(cut('ä'.repeat(40), 48), 'ä'.repeat(24));
+  assert.equal(cut('abc😀', 6), 'abc');
+  assert.equal(cut('abc😀', 7), 'abc😀');
+});
+
+test('of questions the newest is known', () => {
+  const [asking, other] = [numbered(), numbered()];
+  const [first, second] = [asking(), asking()];
+  other();
+  assert.deepEqual([first(), second()], [false, true]);
+});
+
 test('limits are the narrower of the device’s and the soft ones', () => {
   const info = { stroke_mm: 110, min_speed_mm_s: 5, max_speed_mm_s: 420, min_force_n: 5, nominal_force_n: 80, overdrive_force_n: 120 };
   assert.deepEqual(widthLimits(info, { minus_mm: null }), { min: 0, max: 110, whose: 'device' });
@@ -113,6 +165,17 @@ test('a newer FAST STOP is another alarm, and the list has an end', () => {
   assert.deepEqual([alarms[0].what, alarms[0].clearedAt], [`fast_stop/${3 * MAX_ALARMS - 1}`, null]);
   const many = wrongWith(state({ link: 'reconnecting', link_cause: 'refused', journal_cause: 'disk full', state: 'PART_LOST' }));
   assert.deepEqual(many.map(({ what }) => what), ['link/reconnecting', 'journal', 'part_lost']);
+});
+
+test('what is wrong now stays in the list, however much has come and gone', () => {
+  const warm = state({ gripper: 'here', flags_raw: 1 | (1 << 13) });
+  let alarms = updated([], wrongWith(warm), 0);
+  for (let count = 1; count < 3 * MAX_ALARMS; count += 1) {
+    const flapping = state({ gripper: 'there', link: count % 2 ? 'reconnecting' : 'connected' });
+    alarms = updated(alarms, [...wrongWith(warm), ...wrongWith(flapping)], count);
+  }
+  assert.equal(alarms.filter(({ what, clearedAt }) => what === 'flag/TEMP_WARNING' && !clearedAt).length, 1);
+  assert.ok(alarms.length <= MAX_ALARMS + 1, `${alarms.length}`);
 });
 
 test('flags are read by their bits', () => {

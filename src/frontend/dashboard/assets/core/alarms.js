@@ -4,7 +4,7 @@
 
 import { FLAGS, isSet } from './flags.js';
 
-/** As many are kept as somebody reads. */
+/** As many are kept as somebody reads; what is wrong now in any case. */
 export const MAX_ALARMS = 100;
 
 /** Priorities, the highest first. */
@@ -39,7 +39,10 @@ export function updated(alarms, wrong, now) {
   const isOver = (alarm) => !alarm.clearedAt && !present.has(alarm.key);
   if (begun.length === 0 && !alarms.some(isOver)) return alarms;
   const kept = alarms.map((alarm) => (isOver(alarm) ? { ...alarm, clearedAt: now } : alarm));
-  return [...begun, ...kept].filter((alarm) => !alarm.clearedAt || !alarm.acknowledgedAt).slice(0, MAX_ALARMS);
+  const all = [...begun, ...kept];
+  const over = all.filter((alarm) => alarm.clearedAt && !alarm.acknowledgedAt);
+  const dropped = new Set(over.slice(Math.max(0, MAX_ALARMS - present.size)));
+  return all.filter((alarm) => !alarm.clearedAt || (!alarm.acknowledgedAt && !dropped.has(alarm)));
 }
 
 /** The list after somebody has seen one. */

@@ -33,8 +33,17 @@ export function mistake(value, { min, max }) {
   return null;
 }
 
-/** A number that somebody typed, with a point or a comma; NaN where it is none. */
+/** A number that somebody typed, with a point or a comma; NaN where it is none, or may be another one as well. */
 export function number(text) {
   const trimmed = String(text).trim().replace(',', '.');
-  return /^[+-]?(\d+\.?\d*|\.\d+)$/.test(trimmed) ? Number(trimmed) : NaN;
+  return /^[+-]?(\d+\.?\d*|\.\d+)$/.test(trimmed) && readings(text) === null ? Number(trimmed) : NaN;
 }
+
+/** `1,000` and `5.000` are one number in English and another in German: both, or null where there is but one. */
+export function readings(text) {
+  const [, whole, rest] = /^\s*([+-]?[1-9]\d{0,2})[.,](\d{3})\s*$/.exec(text) ?? [];
+  return whole === undefined ? null : [Number(`${whole}.${rest}`), Number(whole + rest)];
+}
+
+/** A value as it is put into a field: with no more decimals than can be read in one way only. */
+export const asTyped = (value) => (value === null || value === undefined ? '' : String(Math.round(value * 100) / 100));

@@ -19,9 +19,10 @@ export class Samples {
     else this.start = (this.start + 1) % this.capacity;
   }
 
-  clear() {
-    this.start = 0;
-    this.length = 0;
+  /** From the newest sample to the next one nothing is known. */
+  gap() {
+    const last = this.length - 1;
+    if (last >= 0 && !this.#isGap(last)) this.push(this.time(last), []);
   }
 
   time(index) {
@@ -46,20 +47,27 @@ export class Samples {
 
   /**
    * The samples from `from` to `to` as uPlot takes them: seconds relative to `to`, then each column, null where nothing
-   * is known. Of more samples than `points` the lowest and the highest of each stretch stay, so that no peak is lost.
+   * is known. Of more samples than `points` the lowest and the highest of each stretch stay, so that no peak is lost;
+   * a gap is in no stretch, so that it stays, too.
    */
   window(from, to, points) {
     const first = Math.max(0, this.indexOf(from) - 1);
     const last = this.indexOf(to);
-    const count = last - first;
-    const stretch = Math.max(1, Math.ceil((2 * count) / points));
+    const stretch = Math.max(1, Math.ceil((2 * (last - first)) / points));
     const told = [[], ...this.columns.map(() => [])];
-    for (let begin = first; begin < last; begin += stretch) {
-      const end = Math.min(begin + stretch, last);
-      if (stretch === 1) this.#tell(told, begin, to, [begin]);
+    for (let begin = first, end; begin < last; begin = end) {
+      end = begin + 1;
+      const most = this.#isGap(begin) ? end : Math.min(begin + stretch, last);
+      while (end < most && !this.#isGap(end)) end += 1;
+      if (end - begin === 1) this.#tell(told, begin, to, [begin]);
       else this.#tellExtremes(told, begin, end, to);
     }
     return told;
+  }
+
+  #isGap(index) {
+    const at = (this.start + index) % this.capacity;
+    return this.columns.every((column) => Number.isNaN(column[at]));
   }
 
   #tell(told, index, to, indexes) {
@@ -78,13 +86,14 @@ export class Samples {
       let high = begin;
       for (let index = begin + 1; index < end; index += 1) {
         const value = this.value(column, index);
-        if (value < this.value(column, low)) low = index;
-        if (value > this.value(column, high)) high = index;
+        // What isn't known is neither: it gives way to any value.
+        if (!(this.value(column, low) <= value) && !Number.isNaN(value)) low = index;
+        if (!(this.value(column, high) >= value) && !Number.isNaN(value)) high = index;
       }
       lows.push(Math.min(low, high));
       highs.push(Math.max(low, high));
     });
     this.#tell(told, begin, to, lows);
-    if (end - begin > 1) this.#tell(told, end - 1, to, highs);
+    this.#tell(told, end - 1, to, highs);
   }
 }
