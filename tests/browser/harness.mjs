@@ -4,6 +4,7 @@
 import assert from 'node:assert/strict';
 import { spawn } from 'node:child_process';
 import { mkdirSync } from 'node:fs';
+import { createServer, request } from 'node:http';
 import { createRequire } from 'node:module';
 import { join } from 'node:path';
 import { fileURLToPath } from 'node:url';
@@ -81,6 +82,31 @@ export async function gateway({ port = 0, more = [], connects = null } = {}) {
   return one;
 }
 
+/** The same gateway, whose lists nobody gets an answer to, and which has no WebSocket; `held` are those who wait now. */
+export async function slowReads({ url }) {
+  const waiting = new Set();
+  const proxy = createServer((asked, answer) => {
+    if (asked.method === 'GET' && /^\/api\/v1\/(events|grips)|^\/metrics/.test(asked.url)) {
+      waiting.add(answer);
+      return;
+    }
+    const { method, headers } = asked;
+    const passed = request(new URL(asked.url, url), { method, headers }, (told) => {
+      answer.writeHead(told.statusCode, told.headers);
+      told.pipe(answer);
+    });
+    passed.on('error', () => answer.destroy());
+    asked.pipe(passed);
+  });
+  proxy.on('upgrade', (asked, socket) => socket.destroy());
+  await new Promise((resolve) => { proxy.listen(0, '127.0.0.1', resolve); });
+  started.push(() => {
+    proxy.closeAllConnections();
+    proxy.close();
+  });
+  return { url: `http://127.0.0.1:${proxy.address().port}`, held: () => waiting.size };
+}
+
 export async function browser() {
   const launched = await chromium.launch({ executablePath: CHROMIUM, args: FLAGS, chromiumSandbox: false });
   started.push(() => launched.close());
@@ -106,6 +132,20 @@ export async function visit(launched, { url }, { path = '/', width = 1280, heigh
   });
   await page.goto(url + path);
   return { page, context, wrong, allowed, close: () => context.close() };
+}
+
+/** Has control of the gripper that is shown. */
+export async function controlled(page) {
+  await page.click('#take-control');
+  await page.waitForSelector('.status.tone-mine');
+}
+
+/** Has control of it, and it is referenced. */
+export async function homed(page) {
+  await controlled(page);
+  await page.click('#home:enabled');
+  await page.waitForSelector('.last[data-outcome=SUCCESS]');
+  await page.waitForSelector('#move:enabled');
 }
 
 /** Nothing in the console, no exception, no request that leaves the gateway. */

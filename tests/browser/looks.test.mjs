@@ -5,7 +5,7 @@ import assert from 'node:assert/strict';
 import { readFileSync } from 'node:fs';
 import { after, test } from 'node:test';
 
-import { assertClean, ASSETS, AXE, browser, endAll, gateway, shoot, visit } from './harness.mjs';
+import { assertClean, ASSETS, AXE, browser, endAll, gateway, homed, shoot, visit } from './harness.mjs';
 
 after(endAll);
 const launched = await browser();
@@ -48,9 +48,7 @@ for (const [size, shape] of Object.entries(SIZES)) {
       const served = await gateway();
       const visitor = await visit(launched, served, { ...shape, colorScheme, locale: language === 'de' ? 'de-DE' : 'en-GB' });
       const { page } = visitor;
-      await page.click('#take-control');
-      await page.click('#home:enabled');
-      await page.waitForSelector('[data-outcome=SUCCESS]');
+      await homed(page);
       await page.fill('#speed', '150');
       await page.click('#grip:enabled');
       await page.waitForSelector('[data-outcome=PART_HELD]');

@@ -3,7 +3,7 @@
 import assert from 'node:assert/strict';
 import { after, test } from 'node:test';
 
-import { assertClean, browser, endAll, gateway, shoot, until, visit } from './harness.mjs';
+import { assertClean, browser, endAll, gateway, homed, shoot, until, visit } from './harness.mjs';
 
 after(endAll);
 const launched = await browser();
@@ -67,9 +67,7 @@ test('a value beyond its limits is not sent, and its field says why', async () =
   const served = await gateway();
   const visitor = await visit(launched, served);
   const { page } = visitor;
-  await page.click('#take-control');
-  await page.click('#home:enabled');
-  await page.waitForSelector('[data-outcome=SUCCESS]');
+  await homed(page);
   assert.match(await text(page, '#width-hint'), /0 – 110 mm/);
   for (const [id, wrong, hint] of [['width', '111', /at most 110/], ['speed', '4', /at least 5/], ['force', '81', /at most 80/]]) {
     const right = await page.inputValue(`#${id}`);
@@ -94,78 +92,11 @@ test('a value beyond its limits is not sent, and its field says why', async () =
   await visitor.close();
 });
 
-test('STOP works by key from any view and from a field, and without the WebSocket', async () => {
-  const served = await gateway();
-  const visitor = await visit(launched, served);
-  const { page } = visitor;
-  await page.waitForSelector('#take-control');
-  const latch = async () => (await served.ask('GET', 'grippers/left/state')).fast_stop_id;
-  let last = null;
-  const stopsBy = async (how, act) => {
-    await act();
-    last = await until(how, async () => {
-      const now = await latch();
-      return now && now !== last ? now : null;
-    });
-  };
-  for (const view of ['operate', 'history', 'log', 'device', 'all']) {
-    await page.click(`[data-view=${view}]`);
-    await stopsBy(`Escape in ${view}`, () => page.keyboard.press('Escape'));
-  }
-  await page.click('[data-view=log]');
-  await page.focus('#editor-payload');
-  await stopsBy('Escape in a field', () => page.keyboard.press('Escape'));
-  await stopsBy('Pause', () => page.keyboard.press('Pause'));
-
-  // No WebSocket at all: what remains is a request.
-  const without = await visit(launched, served, { path: '/' });
-  without.allowed.connections = true;
-  await without.page.routeWebSocket('**/api/v1/ws', (socket) => socket.close());
-  await without.page.reload();
-  await without.page.waitForSelector('#stop');
-  await stopsBy('STOP without a WebSocket', () => without.page.click('#stop'));
-  await without.page.waitForSelector('.stopped:has-text("confirmed")');
-
-  // One that swallows everything: the request follows without delay.
-  const silent = await visit(launched, served);
-  await silent.page.routeWebSocket('**/api/v1/ws', (socket) => {
-    const server = socket.connectToServer();
-    socket.onMessage((message) => { if (!String(message).includes('fast-stop')) server.send(message); });
-  });
-  await silent.page.reload();
-  await silent.page.waitForSelector('#take-control');
-  await stopsBy('STOP on a WebSocket that swallows it', () => silent.page.click('#stop'));
-  assertClean(visitor);
-  assertClean(silent);
-  await Promise.all([visitor, without, silent].map((one) => one.close()));
-});
-
-test('STOP stops when it is touched, also with another finger on the screen and when the finger slides', async () => {
-  const served = await gateway();
-  const { page } = await visit(launched, served);
-  await page.waitForSelector('#stop');
-  const box = await page.locator('#stop').boundingBox();
-  const touches = await page.context().newCDPSession(page);
-  const touch = (type, points) => touches.send('Input.dispatchTouchEvent', { type, touchPoints: points });
-  const other = { x: 20, y: box.y + 300, id: 0 };
-  const finger = { x: box.x + 20, y: box.y + 20, id: 1 };
-  await touch('touchStart', [other]);
-  await touch('touchStart', [other, finger]);
-  await touch('touchMove', [other, { ...finger, x: finger.x + 60 }]);
-  await until('it is stopped', async () => (await served.ask('GET', 'grippers/left/state')).fast_stop);
-  const first = (await served.ask('GET', 'grippers/left/state')).fast_stop_id;
-  await touch('touchEnd', []);
-  await page.waitForSelector('#latch-title');
-  assert.equal((await served.ask('GET', 'grippers/left/state')).fast_stop_id, first, 'one press is one FAST STOP');
-});
-
 test('what is jogged moves while it is held and no longer', async () => {
   const served = await gateway();
   const visitor = await visit(launched, served);
   const { page } = visitor;
-  await page.click('#take-control');
-  await page.click('#home:enabled');
-  await page.waitForSelector('[data-outcome=SUCCESS]');
+  await homed(page);
   const state = () => served.ask('GET', 'grippers/left/state');
   const button = page.locator('#jog-close');
   await button.scrollIntoViewIfNeeded();
@@ -198,9 +129,7 @@ test('what is jogged moves while it is held and no longer', async () => {
 test('a tap before it ends no jog that is held', async () => {
   const served = await gateway();
   const { page } = await visit(launched, served);
-  await page.click('#take-control');
-  await page.click('#home:enabled');
-  await page.waitForSelector('[data-outcome=SUCCESS]');
+  await homed(page);
   await page.waitForSelector('#jog-close:enabled');
   const state = () => served.ask('GET', 'grippers/left/state');
   const from = (await state()).width_mm;
@@ -222,9 +151,7 @@ test('a page that hangs while it is jogged stops the fingers all the same', asyn
   const served = await gateway();
   const visitor = await visit(launched, served);
   const { page } = visitor;
-  await page.click('#take-control');
-  await page.click('#home:enabled');
-  await page.waitForSelector('[data-outcome=SUCCESS]');
+  await homed(page);
   await page.waitForSelector('#jog-close:enabled');
   await page.locator('#jog-close').hover();
   await page.mouse.down();

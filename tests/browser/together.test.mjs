@@ -3,7 +3,7 @@
 import assert from 'node:assert/strict';
 import { after, test } from 'node:test';
 
-import { assertClean, browser, endAll, gateway, shoot, simulator, until, visit } from './harness.mjs';
+import { assertClean, browser, endAll, gateway, homed, shoot, simulator, until, visit } from './harness.mjs';
 
 after(endAll);
 const launched = await browser();
@@ -45,9 +45,7 @@ test('one browser asks, the other hands over, and the first takes it back by for
 test('a browser that goes while its fingers move leaves a FAST STOP that says so', async () => {
   const served = await gateway();
   const [goes, stays] = [await visit(launched, served), await visit(launched, served)];
-  await goes.page.click('#take-control');
-  await goes.page.click('#home:enabled');
-  await goes.page.waitForSelector('[data-outcome=SUCCESS]');
+  await homed(goes.page);
   await goes.page.fill('#width', '1');
   await goes.page.fill('#speed', '5');
   await goes.page.click('#move:enabled');

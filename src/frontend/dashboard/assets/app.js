@@ -2,13 +2,14 @@
 
 import { html, render, signal, useEffect } from './lib.js';
 import { LANGUAGES, language, t } from './model/i18n.js';
-import { myName, theme } from './model/prefs.js';
+import { MAX_NAME_BYTES, myName, rename } from './model/name.js';
+import { theme } from './model/prefs.js';
 import { gripper, isLive, selected, view, VIEWS } from './model/store.js';
 import { Alarms, Announcer } from './ui/alarms.js';
 import { Bar, Picker } from './ui/bar.js';
 import { Jaws } from './ui/jaws.js';
 import { Motion } from './ui/motion.js';
-import { Choice } from './ui/parts.js';
+import { Choice, within } from './ui/parts.js';
 import { go, start } from './ui/route.js';
 
 function Views() {
@@ -74,8 +75,8 @@ function Footer() {
     <p class="safety">${t('foot.safety')}</p>
     <div class="prefs">
       <label for="my-name">${t('foot.name')}</label>
-      <input id="my-name" type="text" maxlength="32" value=${myName.value}
-          onChange=${(event) => { myName.value = event.currentTarget.value.trim() || myName.peek(); }} />
+      <input id="my-name" type="text" value=${myName.value} onInput=${within(MAX_NAME_BYTES, () => {})}
+          onChange=${(event) => { rename(event.currentTarget.value); event.currentTarget.value = myName.peek(); }} />
       <${Choice} label=${t('foot.language')} name="language" value=${language.value}
           onChange=${(key) => { language.value = key; }} options=${LANGUAGES.map((key) => [key, key.toUpperCase()])} />
       <${Choice} label=${t('foot.theme')} name="theme" value=${theme.value}

@@ -1,8 +1,10 @@
 // What people ask for: each request with the lease that this page holds, and what is refused shown beside its control.
 
-import { get, post } from '../net/rest.js';
+import { cut } from '../core/bytes.js';
+import { postUrgently } from '../net/rest.js';
 import { noConnection } from '../net/rpc.js';
-import { myName, onLossHolding, onLossMoving } from './prefs.js';
+import { myName } from './name.js';
+import { onLossHolding, onLossMoving } from './prefs.js';
 import { rpc } from './store.js';
 
 /** A request on a gripper. Resolves with its answer, or null where it was refused. */
@@ -50,8 +52,10 @@ export async function takeControl(one, { force = false, request = false } = {}) 
     one.held.value = { token: lease.token, epoch: lease.epoch };
     one.isAsking.value = false;
   } else if (request && one.problem.peek()?.code === 'lease_held') {
-    one.problem.value = null;
-    one.isAsking.value = true;
+    // Of several who ask the first is told to the holder: whoever is another one isn't asking.
+    const told = await askFreely(one, 'lease');
+    one.isAsking.value = told?.requested_by === myName.peek();
+    if (told && !one.isAsking.peek()) one.problem.value = { code: 'lease_asked', holder: told.requested_by };
   }
   return lease;
 }
@@ -86,19 +90,31 @@ export function acknowledge(one, id) {
 
 /** A stop that waits for no connection: by the WebSocket, and where that doesn't answer at once by a request of its own. */
 const FALLS_BACK_AFTER_MS = 300;
+/** Then it has failed, and it is said. */
+const STOPS_WITHIN_MS = 3000;
+/** The gateway keeps so much of a reason. */
+const MAX_REASON_BYTES = 64;
 
 export async function fastStop(gripperName = null) {
-  // The gateway keeps 64 bytes of it.
-  const params = { reason: `dashboard, ${myName.peek()}` };
+  const params = { reason: cut(`dashboard, ${myName.peek()}`, MAX_REASON_BYTES) };
   const path = gripperName ? `grippers/${gripperName}/fast-stop` : 'fast-stop';
-  const overSocket = rpc.call('fast-stop', gripperName ? { ...params, gripper: gripperName } : params, 3000);
+  const overSocket = rpc.call('fast-stop', gripperName ? { ...params, gripper: gripperName } : params, STOPS_WITHIN_MS);
   const late = new Promise((_, reject) => { setTimeout(() => reject(noConnection()), FALLS_BACK_AFTER_MS); });
   try {
     return await Promise.race([overSocket, late]);
   } catch {
     // Two stops are one stop too many, and none is one too few.
-    return Promise.any([overSocket, post(path, params, { withinMs: 3000 })]);
+    return Promise.any([overSocket, postUrgently(path, params, STOPS_WITHIN_MS)]).catch((both) => { throw both.errors.at(-1); });
   }
 }
 
-export { get, post };
+/** The same for one gripper; what became of the newest is shown beside its controls. */
+export async function fastStopOne(one) {
+  const isNewest = one.stopping();
+  one.problem.value = null;
+  try {
+    await fastStop(one.name);
+  } catch (problem) {
+    if (isNewest()) one.problem.value = problem;
+  }
+}

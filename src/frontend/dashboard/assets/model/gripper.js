@@ -3,6 +3,7 @@
 import { computed, signal } from '../lib.js';
 import { Samples } from '../core/ring.js';
 import { has } from '../core/flags.js';
+import { numbered } from '../core/newest.js';
 
 /** Ten minutes at 20 a second. */
 const SAMPLES = 12_288;
@@ -12,6 +13,8 @@ const READ_EVERY_MS = 180;
 
 /** Marks on the charts: more are not told apart. */
 const MAX_MARKS = 64;
+
+const SETTINGS = ['acceleration_mm_s2', 'force_n', 'minus_mm', 'plus_mm', 'tag'];
 
 export class Gripper {
   #readAt = -Infinity;
@@ -27,8 +30,11 @@ export class Gripper {
     this.lostAt = signal(null);
     this.info = signal(null);
     this.lease = signal(null);
-    this.softLimits = signal(null);
-    /** Where a running motion goes: `{command, kind, width_mm}`. */
+    /** What is set, by the field names of the API; what isn't known is left out. */
+    this.settings = signal({});
+    /** The event that told of the newest change of a setting. */
+    this.settingsChange = signal(null);
+    /** Where a running motion goes: `{command, kind, width_mm, force_n}`. */
     this.target = signal(null);
     /** The newest command that began or ended here, whoever asked: for the line below the controls. */
     this.command = signal(null);
@@ -36,6 +42,8 @@ export class Gripper {
     /** What entitles this page to move it: `{token, epoch}`. */
     this.held = signal(null);
     this.isAsking = signal(false);
+    /** Numbers its FAST STOPs. */
+    this.stopping = numbered();
     /** Whether a motion of this page was asked for, of which no state tells yet. */
     this.isAsked = signal(false);
     this.samples = new Samples(SAMPLES);
@@ -58,6 +66,7 @@ export class Gripper {
     this.isConfirmed = of((state) => state.fast_stop_confirmed ?? null);
     this.hasOverdrive = computed(() => has(this.flags.value, 'OVERDRIVE_MODE'));
     this.isMine = computed(() => this.held.value !== null && this.held.value.epoch === this.state.value?.lease_epoch);
+    this.softLimits = computed(() => ({ minus_mm: this.settings.value.minus_mm ?? null, plus_mm: this.settings.value.plus_mm ?? null }));
     this.isThere = computed(() => this.link.value === 'connected');
     /** -1 closes, 1 opens, 0 stands. */
     this.direction = computed(() => {
@@ -73,6 +82,13 @@ export class Gripper {
   take(state, at) {
     this.newest = state;
     if (state.link === 'connected') this.samples.push(at, [state.width_mm ?? NaN, state.speed_mm_s ?? NaN, state.force_n ?? NaN]);
+    else this.samples.gap();
+  }
+
+  /** Takes what is set, out of whatever tells it. */
+  takeSettings(told) {
+    const fields = SETTINGS.filter((field) => field in told).map((field) => [field, told[field]]);
+    this.settings.value = { ...this.settings.peek(), ...Object.fromEntries(fields) };
   }
 
   show() {

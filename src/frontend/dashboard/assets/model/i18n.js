@@ -1,7 +1,7 @@
 // The words of the page, in the language of whoever reads it.
 
 import { computed, effect } from '../lib.js';
-import { fill } from '../core/words.js';
+import { fill, placeholders } from '../core/words.js';
 import { kept } from './prefs.js';
 import { de } from '../locales/de.js';
 import { en } from '../locales/en.js';
@@ -26,15 +26,13 @@ export function t(key, parameters) {
   return template === undefined ? key : fill(template, parameters);
 }
 
-/** Whether there are words for a key, which came from elsewhere. */
-export const isKnown = (key) => key in words.value;
-
 const formats = computed(() => {
   const tag = language.value;
-  const digits = (count) => new Intl.NumberFormat(tag, { minimumFractionDigits: count, maximumFractionDigits: count });
+  // Digits in groups would be read as decimals elsewhere, and are not taken where numbers are typed.
+  const digits = (count) => new Intl.NumberFormat(tag, { useGrouping: false, minimumFractionDigits: count, maximumFractionDigits: count });
   return {
     digits: [digits(0), digits(1), digits(2)],
-    any: new Intl.NumberFormat(tag, { maximumFractionDigits: 2 }),
+    any: new Intl.NumberFormat(tag, { useGrouping: false, maximumFractionDigits: 2 }),
     time: new Intl.DateTimeFormat(tag, { hour: '2-digit', minute: '2-digit', second: '2-digit', hour12: false }),
     date: new Intl.DateTimeFormat(tag, { day: '2-digit', month: '2-digit', hour: '2-digit', minute: '2-digit', second: '2-digit', hour12: false }),
   };
@@ -65,9 +63,9 @@ export function span(ms) {
   return t('span.days', { count: Math.floor(seconds / 86400) });
 }
 
-/** What a problem says: in this language where its code is known, and always in the server's own words. */
+/** What a problem says: in this language where its code is known, and it has what the words are about; else in the server's own words. */
 export function ofProblem(problem) {
-  const key = `problem.${problem.code}`;
-  const limits = { field: problem.field ?? '', value: problem.value ?? '', min: problem.min ?? '', max: problem.max ?? '', holder: problem.holder ?? '' };
-  return isKnown(key) ? t(key, limits) : problem.detail || problem.code;
+  const template = words.value[`problem.${problem.code}`];
+  const isWhole = template !== undefined && placeholders(template).every((name) => (problem[name] ?? '') !== '');
+  return isWhole ? fill(template, problem) : problem.detail || problem.title || problem.code;
 }

@@ -20,7 +20,7 @@ export class Jog {
   /** `limits` are the widths that may be reached. */
   begin(one, direction, speed, limits) {
     if (this.#press?.isHeld || !one.isMine.peek()) return;
-    const press = { isHeld: true, command: null };
+    const press = { isHeld: true, command: null, epoch: one.held.peek().epoch };
     press.over = new Promise((resolve) => { press.letGo = resolve; });
     this.#press = press;
     // One after the other: the end of a press must not end what the next one renews.
@@ -31,7 +31,7 @@ export class Jog {
     if (!this.#press?.isHeld) return;
     this.#press.isHeld = false;
     this.#press.letGo();
-    rpc.call('stop', { gripper: one.name }).catch(() => {});
+    stop(one, this.#press);
   }
 
   async #hold(one, press, direction, speed, limits) {
@@ -49,21 +49,33 @@ export class Jog {
         press.command = command?.id ?? null;
       }
       await press.over;
-      await this.#stop(one, press.command);
+      await this.#stop(one, press);
     } finally {
       clearInterval(renewing);
     }
     // Control lives with the connection again.
-    await changeTerms(one);
+    if (isOurs(one, press)) await changeTerms(one);
   }
 
   /** Once, and again until it has stopped. */
-  async #stop(one, command) {
-    for (let tries = 0; tries < MAX_STOPS; tries += 1) {
-      rpc.call('stop', { gripper: one.name }).catch(() => {});
+  async #stop(one, press) {
+    for (let tries = 0; tries < MAX_STOPS && isOurs(one, press); tries += 1) {
+      stop(one, press);
       await new Promise((resolve) => { setTimeout(resolve, STOPPED_EVERY_MS); });
-      const isOver = one.newest?.moving === false && (command === null || one.newest?.command !== command);
+      const isOver = one.newest?.moving === false && (press.command === null || one.newest?.command !== press.command);
       if (isOver || !rpc.isOpen) return;
     }
   }
+}
+
+/** Whether control is still what it was when the button was pressed: what moves under another's is the other's. */
+function isOurs(one, { epoch }) {
+  return one.held.peek()?.epoch === epoch && one.newest?.lease_epoch === epoch;
+}
+
+/** Ends the motion of a press, by its name as soon as that is known: so no other's is ended, whatever happens meanwhile. */
+function stop(one, press) {
+  const ended = press.command === null ? (isOurs(one, press) ? rpc.call('stop', { gripper: one.name }) : null)
+    : rpc.call('cancel', { gripper: one.name, command: press.command });
+  ended?.catch(() => {});
 }

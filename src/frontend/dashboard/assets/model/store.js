@@ -3,7 +3,7 @@
 import { batch, computed, effect, signal } from '../lib.js';
 import { acknowledged, GATEWAY_GONE, updated, wrongWith } from '../core/alarms.js';
 import { Rpc } from '../net/rpc.js';
-import { take as takeEvent } from './events.js';
+import { catchUp, take as takeEvent } from './events.js';
 import { lookForNewer } from './version.js';
 import { Gripper } from './gripper.js';
 
@@ -113,7 +113,9 @@ export const rpc = new Rpc({
   onTold: (method, params) => {
     if (method === 'state') takeState(params);
     if (method === 'event') takeEvent(params, find(params.gripper));
-    if (method === 'command') find(params.gripper).command.value = params;
+    if (method === 'command' && find(params.gripper)) find(params.gripper).command.value = params;
+    // Events were missed: how things are now is asked anew.
+    if (method === 'gap') subscribe();
   },
 });
 
@@ -133,7 +135,7 @@ async function subscribe() {
     look();
     const told = await rpc.call('grippers');
     told.grippers.forEach((info) => { ensure(info.gripper).info.value = info; });
-    await Promise.all(grippers.peek().map(learn));
+    await Promise.all(grippers.peek().flatMap((one) => [catchUp(one), learn(one), learnSettings(one)]));
   } catch {
     // The connection has ended, and will be made again.
   }
@@ -141,16 +143,21 @@ async function subscribe() {
 
 /** What no state tells: limits, and the terms of the lease. */
 export async function learn(one) {
-  const [info, lease, soft] = await Promise.allSettled([
+  const [info, lease] = await Promise.allSettled([
     rpc.call('info', { gripper: one.name }),
     rpc.call('lease', { gripper: one.name }),
-    rpc.call('settings.soft-limits', { gripper: one.name }),
   ]);
   batch(() => {
     if (info.value) one.info.value = info.value;
     if (lease.value) one.lease.value = lease.value;
-    if (soft.value) one.softLimits.value = soft.value;
   });
+}
+
+/** What the device is set to; what changes later is told by events. Answers what was wrong with it, or null. */
+export async function learnSettings(one, names = ['soft-limits', 'force-limit']) {
+  const told = await Promise.allSettled(names.map((name) => rpc.call(`settings.${name}`, { gripper: one.name })));
+  told.forEach(({ value }) => value && one.takeSettings(value));
+  return told.find(({ status }) => status === 'rejected')?.reason ?? null;
 }
 
 export function acknowledgeAlarm(id) {
@@ -164,6 +171,7 @@ function look() {
   batch(() => {
     if (next !== connection.peek()) {
       connection.value = next;
+      if (next !== 'live') byName.forEach((one) => one.samples.gap());
       noteAlarms();
     }
     if (next === 'live') heardAt.value = Date.now() - silence;

@@ -1,6 +1,7 @@
 // Whether the gateway serves another page than this by now: an operator leaves it open for weeks.
 
 import { signal } from '../lib.js';
+import { text } from '../net/rest.js';
 
 /** `/assets/VERSION/`, where this module came from. */
 const OURS = new URL('..', import.meta.url).pathname;
@@ -16,8 +17,8 @@ export async function lookForNewer() {
     return;
   }
   try {
-    const page = await fetch('/', { cache: 'no-cache', signal: AbortSignal.timeout(5000) });
-    isOld.value = page.ok && !(await page.text()).includes(OURS);
+    const page = await text('/', 'text/html');
+    isOld.value = !page.text.includes(OURS);
   } catch {
     // With the next connection.
   }

@@ -4,32 +4,52 @@ import { noConnection } from './rpc.js';
 
 const API = '/api/v1';
 
-async function send(method, path, { body, accept = 'application/json', withinMs = 15000 } = {}) {
-  const options = { method, headers: { accept }, cache: 'no-store', signal: AbortSignal.timeout(withinMs) };
-  if (body !== undefined) options.body = JSON.stringify(body);
-  let response;
+/** What an answer may take, and a thousand records. */
+const ANSWERS_WITHIN_MS = 5000;
+const RECORDS_WITHIN_MS = 20_000;
+
+/** What is being read. A browser opens six connections to a host, and whatever else is asked for waits for one of them. */
+const reading = new Set();
+
+/** Gives up what is being read, so that there is a connection for what must not wait. */
+function makeWay() {
+  reading.forEach((one) => one.abort());
+}
+
+/** An answer, taken by `take` within the time that it may take as a whole. */
+async function ask(take, method, path, { body, accept = 'application/json', withinMs = ANSWERS_WITHIN_MS, isUrgent = false } = {}) {
+  if (isUrgent) makeWay();
+  const abort = new AbortController();
+  const tooLate = setTimeout(() => abort.abort(), withinMs);
+  if (!isUrgent) reading.add(abort);
   try {
-    response = await fetch(path.startsWith('/') ? path : `${API}/${path}`, options);
-  } catch {
-    throw noConnection();
+    const options = { method, headers: { accept }, cache: 'no-store', signal: abort.signal, priority: isUrgent ? 'high' : 'auto' };
+    if (body !== undefined) options.body = JSON.stringify(body);
+    const response = await fetch(path.startsWith('/') ? path : `${API}/${path}`, options).catch(() => { throw noConnection(); });
+    if (response.ok) return await take(response).catch(() => { throw noConnection(); });
+    const problem = await response.json().catch(() => null);
+    throw problem ?? { code: 'internal', detail: `HTTP ${response.status}`, status: response.status };
+  } finally {
+    clearTimeout(tooLate);
+    reading.delete(abort);
   }
-  if (response.ok) return response;
-  const problem = await response.json().catch(() => null);
-  throw problem ?? { code: 'internal', detail: `HTTP ${response.status}`, status: response.status };
 }
 
-export async function get(path, options) {
-  return (await send('GET', path, options)).json();
+const asJson = (response) => response.json();
+
+export function get(path) {
+  return ask(asJson, 'GET', path);
 }
 
-export async function post(path, body, options) {
-  return (await send('POST', path, { ...options, body })).json();
+/** A request that waits for nothing that is being read. */
+export function postUrgently(path, body, withinMs) {
+  return ask(asJson, 'POST', path, { body, withinMs, isUrgent: true });
 }
 
 /** Text, and where its next page begins. */
-export async function text(path, accept) {
-  const response = await send('GET', path, { accept });
-  return { text: await response.text(), next: response.headers.get('next-cursor') };
+export function text(path, accept) {
+  const take = async (response) => ({ text: await response.text(), next: response.headers.get('next-cursor') });
+  return ask(take, 'GET', path, { accept, withinMs: RECORDS_WITHIN_MS });
 }
 
 /** A query, without what is empty. */

@@ -1,6 +1,7 @@
 // The bar that is always there: the link, the state, who holds control, alarms, and STOP.
 
 import { html, signal } from '../lib.js';
+import { numbered } from '../core/newest.js';
 import { ofProblem, t, time } from '../model/i18n.js';
 import { fastStop } from '../model/commands.js';
 import { alarms, connection, gripper, grippers, heardAt, isLive, selected } from '../model/store.js';
@@ -8,23 +9,23 @@ import { isOld } from '../model/version.js';
 import { onPress, Shape, whyOld } from './parts.js';
 import { go } from './route.js';
 
-/** What became of the last STOP, in words. */
+/** What became of the newest STOP, in words: an older one's end says nothing any more. */
 const stopped = signal(null);
+const press = numbered();
 
 /** Good news goes by itself. */
 const TOLD_FOR_MS = 8000;
 
 export async function stop() {
-  stopped.value = { text: t('stop.sent') };
+  const isNewest = press();
+  const tell = (told) => { if (isNewest()) stopped.value = told; };
+  tell({ text: t('stop.sent') });
   try {
-    const told = await fastStop();
-    stopped.value = { text: t(told.fast_stop_confirmed ? 'stop.confirmed' : 'stop.unconfirmed'),
-        isWrong: !told.fast_stop_confirmed };
-    const shown = stopped.value;
-    setTimeout(() => { if (stopped.value === shown && !shown.isWrong) stopped.value = null; }, TOLD_FOR_MS);
-  } catch (error) {
-    const problem = error instanceof AggregateError ? error.errors.at(-1) : error;
-    stopped.value = { text: t('stop.failed', { why: ofProblem(problem) }), isWrong: true };
+    const isConfirmed = (await fastStop()).fast_stop_confirmed;
+    tell({ text: t(isConfirmed ? 'stop.confirmed' : 'stop.unconfirmed'), isWrong: !isConfirmed });
+    if (isConfirmed) setTimeout(() => tell(null), TOLD_FOR_MS);
+  } catch (problem) {
+    tell({ text: t('stop.failed', { why: ofProblem(problem) }), isWrong: true });
   }
 }
 

@@ -3,11 +3,11 @@
 import { computed, html, signal, useMemo } from '../lib.js';
 import { forceLimits, mistake, number, speedLimits, widthLimits } from '../core/limits.js';
 import { fixed, plain, t } from '../model/i18n.js';
-import { askFreely, fastStop, move, takeControl } from '../model/commands.js';
+import { askFreely, fastStopOne, move, takeControl } from '../model/commands.js';
 import { isLive } from '../model/store.js';
 import { JogPanel } from './jog.js';
 import { Latch } from './latch.js';
-import { Covered, NumberField, onPress, Panel, ProblemNote, Shape } from './parts.js';
+import { Covered, MAX_PART_BYTES, NumberField, onPress, Panel, ProblemNote, Shape, within } from './parts.js';
 import { Presets } from './presets.js';
 
 /** What is typed, kept for each gripper while the page lives. */
@@ -81,10 +81,10 @@ function Controls({ one }) {
           limits=${limits.width.value} />
       <${NumberField} id="speed" label=${t('speed')} unit="mm/s" value=${fields.speed} limits=${limits.speed.value} />
       <${NumberField} id="force" label=${t('field.force')} unit="N" value=${fields.force} limits=${limits.force.value}
-          isOptional=${true} />
+          isOptional=${true} whenEmpty=${t('field.force_empty', { force: plain(one.settings.value.force_n) })} />
       <div class="field"><label for="part">${t('field.part')}</label>
-        <div class="input"><input id="part" type="text" maxlength="48" autocomplete="off" value=${fields.part.value}
-            onInput=${(event) => { fields.part.value = event.currentTarget.value; }} /></div>
+        <div class="input"><input id="part" type="text" autocomplete="off" value=${fields.part.value}
+            onInput=${within(MAX_PART_BYTES, (text) => { fields.part.value = text; })} /></div>
         <p class="hint">${t('field.part_hint')}</p></div>
     </div>
     <div class="buttons">
@@ -117,8 +117,7 @@ export function Motion({ one }) {
   const isLatched = one.latchId.value !== null;
   const actions = html`<button type="button" id="stop-soft" disabled=${!isLive.value} onClick=${() => askFreely(one,
       'stop')}>${t('command.stop')}</button>
-    <button type="button" id="stop-one" class="at-once" ...${onPress(() => fastStop(one.name).catch((problem) => {
-        one.problem.value = problem.errors?.at(-1) ?? problem; }))}>${t('motion.fast_stop',
+    <button type="button" id="stop-one" class="at-once" ...${onPress(() => fastStopOne(one))}>${t('motion.fast_stop',
             { gripper: one.name })}</button>`;
   return html`<${Panel} title=${t('motion.title')} id="motion-title" class="motion-panel" actions=${actions}>
     <${Covered} one=${one}>

@@ -1,7 +1,8 @@
 // Small parts that many panels are made of.
 
 import { Fragment, html } from '../lib.js';
-import { mistake, number } from '../core/limits.js';
+import { cut } from '../core/bytes.js';
+import { mistake, number, readings } from '../core/limits.js';
 import { fixed, ofProblem, plain, span, t, time } from '../model/i18n.js';
 import { connection, heardAt, now } from '../model/store.js';
 
@@ -68,8 +69,15 @@ export function ProblemNote({ problem }) {
 export const limitsText = ({ min, max, whose }, unit) =>
   whose === null ? t('limit.unknown') : `${plain(min)} – ${plain(max)} ${unit}${whose === 'device' ? '' : ` (${t(`limit.${whose}`)})`}`;
 
-/** A number with its unit and its limits. `value` is a signal of what was typed. */
-export function NumberField({ id, label, unit, value, limits, isOptional = false }) {
+/** What is wrong with what was typed, in words. */
+function mistakeText(typed, wrong, limits) {
+  const both = readings(typed);
+  if (both !== null) return t('limit.ambiguous', { typed: typed.trim(), one: plain(both[0]), other: plain(both[1]) });
+  return t(`limit.${wrong}`, { min: plain(limits.min), max: plain(limits.max) });
+}
+
+/** A number with its unit and its limits. `value` is a signal of what was typed; `whenEmpty` says what holds then. */
+export function NumberField({ id, label, unit, value, limits, isOptional = false, whenEmpty = null }) {
   const typed = value.value;
   const isEmpty = isOptional && typed.trim() === '';
   const wrong = isEmpty ? null : mistake(number(typed), limits);
@@ -78,11 +86,21 @@ export function NumberField({ id, label, unit, value, limits, isOptional = false
     <div class="input"><input id=${id} type="text" inputmode="decimal" autocomplete="off" value=${typed}
       aria-describedby=${`${id}-hint`} aria-invalid=${wrong ? 'true' : 'false'}
       onInput=${(event) => { value.value = event.currentTarget.value; }} /><span class="unit">${unit}</span></div>
-    <p class="hint" id=${`${id}-hint`}>${wrong && html`<${Shape}
-        name="high" /> `}${wrong && wrong !== 'missing' ? t(`limit.${wrong}`, { min: plain(limits.min),
-            max: plain(limits.max) }) : limitsText(limits, unit)}</p>
+    <p class="hint" id=${`${id}-hint`}>${wrong ? html`<${Shape} name="high" /> ${mistakeText(typed, wrong, limits)}`
+      : (isEmpty && whenEmpty) || limitsText(limits, unit)}</p>
   </div>`;
 }
+
+/** The gateway's limit of a part's id. */
+export const MAX_PART_BYTES = 48;
+
+/** Takes what is typed into a field, as far as the gateway takes it. */
+export const within = (maxBytes, take) => ({ currentTarget: field, isComposing }) => {
+  const text = cut(field.value, maxBytes);
+  // What is being composed isn't written yet.
+  if (text !== field.value && !isComposing) field.value = text;
+  take(text);
+};
 
 /** Few choices, one of them taken. */
 export function Choice({ label, name, options, value, onChange }) {

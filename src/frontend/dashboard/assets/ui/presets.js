@@ -2,14 +2,13 @@
 
 import { html, useSignal } from '../lib.js';
 import { plain, t } from '../model/i18n.js';
-import { presets } from '../model/prefs.js';
+import { changePresets, presets } from '../model/prefs.js';
 
 const MAX_PRESETS = 12;
 
 export function Presets({ one, fields }) {
   const name = useSignal('');
   const mine = presets.value[one.name] ?? [];
-  const keep = (list) => { presets.value = { ...presets.value, [one.name]: list }; };
   const use = (preset) => {
     fields.width.value = preset.width;
     fields.speed.value = preset.speed;
@@ -19,7 +18,7 @@ export function Presets({ one, fields }) {
     event.preventDefault();
     const given = name.value.trim() || `${fields.width.value} mm`;
     const preset = { name: given, width: fields.width.value, speed: fields.speed.value, force: fields.force.value };
-    keep([...mine.filter((other) => other.name !== given), preset].slice(-MAX_PRESETS));
+    changePresets(one.name, (list) => [...list.filter((other) => other.name !== given), preset].slice(-MAX_PRESETS));
     name.value = '';
   };
   return html`<div class="presets">
@@ -30,7 +29,7 @@ export function Presets({ one, fields }) {
         <button type="button" class="chip" title=${`${preset.width} mm, ${preset.speed} mm/s, ${preset.force} N`}
             onClick=${() => use(preset)}>${preset.name}</button>
         <button type="button" class="chip chip-end" aria-label=${t('preset.remove', { name: preset.name })}
-            onClick=${() => keep(mine.filter((other) => other !== preset))}>×</button>
+            onClick=${() => changePresets(one.name, (list) => list.filter((other) => other.name !== preset.name))}>×</button>
       </span>`)}
     </div>
     <form class="preset-new" onSubmit=${save}>

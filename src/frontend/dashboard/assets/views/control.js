@@ -4,7 +4,8 @@ import { html, useEffect, useSignal } from '../lib.js';
 import { ago, t } from '../ui/ago.js';
 import { changeTerms, handOver, releaseControl, takeControl } from '../model/commands.js';
 import { clients, watchClients } from './clients.js';
-import { myName, onLossHolding, onLossMoving } from '../model/prefs.js';
+import { myName } from '../model/name.js';
+import { onLossHolding, onLossMoving } from '../model/prefs.js';
 import { others } from '../model/store.js';
 import { Covered, Panel, Shape } from '../ui/parts.js';
 
@@ -78,10 +79,6 @@ function Others() {
 
 export function Control({ one }) {
   const holder = one.holder.value;
-  useEffect(() => {
-    // It was handed over, and is waiting to be fetched.
-    if (one.isAsking.value === 'come') takeControl(one);
-  }, [one.isAsking.value]);
   return html`<${Panel} title=${t('control.title')} id="control-title" class="control-panel">
     <${Covered}>
       ${one.isMine.value ? html`<${Held} one=${one} />` : holder ? html`<${OfAnother} one=${one}

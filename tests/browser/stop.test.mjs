@@ -1,0 +1,118 @@
+// STOP: from anywhere, over whatever way there is, and what it says of itself.
+
+import assert from 'node:assert/strict';
+import { after, test } from 'node:test';
+
+import { assertClean, browser, endAll, gateway, slowReads, until, visit } from './harness.mjs';
+
+after(endAll);
+const launched = await browser();
+
+test('STOP works by key from any view and from a field, and without the WebSocket', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  await page.waitForSelector('#take-control');
+  const latch = async () => (await served.ask('GET', 'grippers/left/state')).fast_stop_id;
+  let last = null;
+  const stopsBy = async (how, act) => {
+    await act();
+    last = await until(how, async () => {
+      const now = await latch();
+      return now && now !== last ? now : null;
+    });
+  };
+  for (const view of ['operate', 'history', 'log', 'device', 'all']) {
+    await page.click(`[data-view=${view}]`);
+    await stopsBy(`Escape in ${view}`, () => page.keyboard.press('Escape'));
+  }
+  await page.click('[data-view=log]');
+  await page.focus('#editor-payload');
+  await stopsBy('Escape in a field', () => page.keyboard.press('Escape'));
+  await stopsBy('Pause', () => page.keyboard.press('Pause'));
+
+  // No WebSocket at all: what remains is a request.
+  const without = await visit(launched, served, { path: '/' });
+  without.allowed.connections = true;
+  await without.page.routeWebSocket('**/api/v1/ws', (socket) => socket.close());
+  await without.page.reload();
+  await without.page.waitForSelector('#stop');
+  await stopsBy('STOP without a WebSocket', () => without.page.click('#stop'));
+  await without.page.waitForSelector('.stopped:has-text("confirmed")');
+
+  // One that swallows everything: the request follows without delay.
+  const silent = await visit(launched, served);
+  await silent.page.routeWebSocket('**/api/v1/ws', (socket) => {
+    const server = socket.connectToServer();
+    socket.onMessage((message) => { if (!String(message).includes('fast-stop')) server.send(message); });
+  });
+  await silent.page.reload();
+  await silent.page.waitForSelector('#take-control');
+  await stopsBy('STOP on a WebSocket that swallows it', () => silent.page.click('#stop'));
+  assertClean(visitor);
+  assertClean(silent);
+  await Promise.all([visitor, without, silent].map((one) => one.close()));
+});
+
+test('STOP stops when it is touched, also with another finger on the screen and when the finger slides', async () => {
+  const served = await gateway();
+  const { page } = await visit(launched, served);
+  await page.waitForSelector('#stop');
+  const box = await page.locator('#stop').boundingBox();
+  const touches = await page.context().newCDPSession(page);
+  const touch = (type, points) => touches.send('Input.dispatchTouchEvent', { type, touchPoints: points });
+  const other = { x: 20, y: box.y + 300, id: 0 };
+  const finger = { x: box.x + 20, y: box.y + 20, id: 1 };
+  await touch('touchStart', [other]);
+  await touch('touchStart', [other, finger]);
+  await touch('touchMove', [other, { ...finger, x: finger.x + 60 }]);
+  await until('it is stopped', async () => (await served.ask('GET', 'grippers/left/state')).fast_stop);
+  const first = (await served.ask('GET', 'grippers/left/state')).fast_stop_id;
+  await touch('touchEnd', []);
+  await page.waitForSelector('#latch-title');
+  assert.equal((await served.ask('GET', 'grippers/left/state')).fast_stop_id, first, 'one press is one FAST STOP');
+});
+
+test('STOP does not wait behind what is being read', async () => {
+  const served = await gateway();
+  const slow = await slowReads(served);
+  const visitor = await visit(launched, slow, { path: '/#/left/history' });
+  const { page } = visitor;
+  visitor.allowed.connections = true;
+  await page.waitForSelector('#stop');
+  // More than a browser has connections to a host.
+  await page.evaluate(async () => {
+    const { get } = await import(new URL('net/rest.js', document.querySelector('script[type=module]').src));
+    for (let count = 0; count < 8; count += 1) get(`events?limit=${count + 1}`).catch(() => {});
+  });
+  await until('all connections are taken', () => slow.held() >= 6);
+  await page.click('#stop');
+  await page.waitForSelector('.stopped:has-text("confirmed")');
+  assert.equal((await served.ask('GET', 'grippers/left/state')).fast_stop, true);
+  assert.ok(slow.held() >= 6, 'no read was answered meanwhile');
+  await visitor.close();
+});
+
+test('what became of the newest STOP is said, whenever an older one ends', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  visitor.allowed.connections = true;
+  await page.routeWebSocket('**/api/v1/ws', (socket) => socket.close());
+  let presses = 0;
+  await page.route('**/api/v1/fast-stop', async (route) => {
+    presses += 1;
+    // The first one gets no answer.
+    if (presses > 1) await route.continue();
+  });
+  await page.reload();
+  const ended = page.waitForEvent('requestfailed', (request) => request.url().endsWith('/fast-stop'));
+  await page.click('#stop');
+  await until('the first one is on its way', () => presses === 1);
+  await page.click('#stop');
+  await page.waitForSelector('.stopped:has-text("confirmed")');
+  await ended;
+  await page.evaluate(() => new Promise((resolve) => { requestAnimationFrame(() => setTimeout(resolve)); }));
+  assert.equal(await page.locator('.stopped:has-text("did not get through")').count(), 0);
+  await visitor.close();
+});
