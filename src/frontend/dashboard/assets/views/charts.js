@@ -1,10 +1,9 @@
 // Strip charts of width, speed and force: the newest at the right, with grips marked.
 
 import { html, signal, useEffect, useRef } from '../lib.js';
-import uPlot from '../vendor/uplot.js';
-import { fixed, language, t } from '../model/i18n.js';
-import { theme } from '../model/prefs.js';
+import { t } from '../model/i18n.js';
 import { drawWith } from '../model/store.js';
+import { css, fit, looks, plot } from './plot.js';
 import { Choice, Covered, Panel } from '../ui/parts.js';
 
 const WINDOWS_S = [10, 30, 120, 600];
@@ -22,16 +21,14 @@ const windowS = signal(30);
 /** When the charts were stopped; null while they go on. */
 const pausedAt = signal(null);
 
-const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
-
 const CHARTS = [
   { key: 'width', unit: 'mm', column: 1, range: (one) => [0, one.info.peek()?.stroke_mm ?? 110] },
   { key: 'speed', unit: 'mm/s', column: 2, range: (one, low, high) => [Math.min(-10, low), Math.max(10, high)] },
   { key: 'force', unit: 'N', column: 3, range: (one, low, high) => [0, Math.max(10, high * 1.1)] },
 ];
 
-function markAt(plot, marks, until) {
-  const { ctx, bbox } = plot;
+function markAt(drawn, marks, until) {
+  const { ctx, bbox } = drawn;
   ctx.save();
   ctx.fillStyle = css('--ink-2');
   ctx.strokeStyle = css('--line-strong');
@@ -39,8 +36,8 @@ function markAt(plot, marks, until) {
   ctx.textAlign = 'center';
   for (const { at, kind } of marks) {
     const seconds = (at - until) / 1000;
-    if (seconds < plot.scales.x.min || seconds > 0) continue;
-    const x = plot.valToPos(seconds, 'x', true);
+    if (seconds < drawn.scales.x.min || seconds > 0) continue;
+    const x = drawn.valToPos(seconds, 'x', true);
     ctx.beginPath();
     ctx.setLineDash(kind === 'begin' ? [4, 4] : []);
     ctx.moveTo(x, bbox.top);
@@ -52,58 +49,39 @@ function markAt(plot, marks, until) {
 }
 
 function make(one, chart, place, until) {
-  const axis = (more) => ({ stroke: css('--ink-2'), font: '11px system-ui, sans-serif', grid: { stroke: css('--grid'),
-      width: 1 }, ticks: { show: false }, ...more });
-  return new uPlot({
-    width: place.clientWidth,
-    height: place.clientHeight,
-    legend: { show: false },
-    cursor: { show: false },
+  return plot(place, {
+    data: [[], []],
     padding: [8, 16, 0, 0],
-    scales: { x: { time: false, range: () => [-windowS.peek(), 0] }, y: { range: (_, low, high) => chart.range(one,
-        low ?? 0, high ?? 0) } },
-    axes: [
-      axis({ size: 20, values: (_, splits) => splits.map((value) => (value === 0 ? t('chart.now') : `${value} s`)),
-          space: 70 }),
-      axis({ size: 44, space: 26, values: (_, splits) => splits.map((value) => fixed(value, 0)) }),
-    ],
-    series: [{}, { stroke: css('--trace'), width: 1.5, points: { show: false }, spanGaps: false }],
-    hooks: { draw: [(plot) => markAt(plot, one.marks, until())] },
-  }, [[], []], place);
+    x: { values: (_, splits) => splits.map((value) => (value === 0 ? t('chart.now') : `${value} s`)), space: 70 },
+    xScale: { range: () => [-windowS.peek(), 0] },
+    yScale: { range: (_, low, high) => chart.range(one, low ?? 0, high ?? 0) },
+    hooks: { draw: [(drawn) => markAt(drawn, one.marks, until())] },
+  });
 }
 
 function Charted({ one }) {
   const places = useRef([]);
-  const looks = `${theme.value} ${language.value} ${windowS.value}`;
   useEffect(() => {
     let until = performance.now();
     let drawnAt = 0;
-    const plots = CHARTS.map((chart, index) => make(one, chart, places.current[index], () => until));
+    const mounted = [...places.current];
+    const plots = CHARTS.map((chart, index) => make(one, chart, mounted[index], () => until));
     const draw = () => {
       until = pausedAt.peek() ?? performance.now();
       const columns = one.samples.window(until - windowS.peek() * 1000, until, POINTS);
-      plots.forEach((plot, index) => plot.setData([columns[0], columns[CHARTS[index].column]]));
+      plots.forEach((drawn, index) => drawn.setData([columns[0], columns[CHARTS[index].column]]));
       drawnAt = performance.now();
     };
     const isDue = () => performance.now() - drawnAt >= (one.isMoving.peek() ? MOVING_MS : STANDING_MS);
     draw();
-    const end = drawWith(() => { if (pausedAt.peek() === null && !document.hidden && isDue()) draw(); });
-    const mounted = [...places.current];
-    const resized = new ResizeObserver(() => plots.forEach((plot, index) => {
-      const { clientWidth: width, clientHeight: height } = mounted[index];
-      if (width > 0 && (width !== plot.width || height !== plot.height)) plot.setSize({ width, height });
-    }));
-    mounted.forEach((place) => resized.observe(place));
-    const colours = matchMedia('(prefers-color-scheme: dark)');
-    const redraw = () => { windowS.value = windowS.peek(); draw(); };
-    colours.addEventListener('change', redraw);
+    const endDrawing = drawWith(() => { if (pausedAt.peek() === null && !document.hidden && isDue()) draw(); });
+    const endFitting = fit(plots, mounted);
     return () => {
-      end();
-      resized.disconnect();
-      colours.removeEventListener('change', redraw);
-      plots.forEach((plot) => plot.destroy());
+      endDrawing();
+      endFitting();
+      plots.forEach((drawn) => drawn.destroy());
     };
-  }, [one, looks]);
+  }, [one, looks(), windowS.value]);
   return html`<div class="charts">
     ${CHARTS.map((chart, index) => html`<figure class="chart" key=${chart.key}>
       <figcaption>${t(chart.key)} <span class="unit">${chart.unit}</span></figcaption>

@@ -1,11 +1,11 @@
 // The device: what it is, what it can do, what it is set to, and how its grips went.
 
-import { html, useEffect, useSignal } from '../lib.js';
-import { accelerationLimits, forceLimits, mistake, number, widthLimits } from '../core/limits.js';
+import { html, useEffect, useRef, useSignal } from '../lib.js';
+import { accelerationLimits, asTyped, forceLimits, mistake, number, widthLimits } from '../core/limits.js';
 import { fixed, plain, t } from '../model/i18n.js';
 import { ask, askFreely } from '../model/commands.js';
-import { connection } from '../model/store.js';
-import { Covered, limitsText, NumberField, Panel, ProblemNote } from '../ui/parts.js';
+import { connection, learnSettings } from '../model/store.js';
+import { Covered, limitsText, NumberField, Panel, ProblemNote, Shape } from '../ui/parts.js';
 
 function Facts({ facts }) {
   return html`<dl class="facts">${facts.filter(([,
@@ -38,73 +38,101 @@ function Limits({ one }) {
   ]} /></${Panel}>`;
 }
 
+/**
+ * What is typed for a setting. It follows what is set, by whomever, until somebody types: from then on it stays, and
+ * `meanwhile` is what it was set to elsewhere.
+ */
+function useDraft(one, field, asText = asTyped) {
+  const set = asText(one.settings.value[field] ?? null);
+  const value = useSignal(set);
+  const known = useRef(set);
+  const isOvertaken = useSignal(false);
+  useEffect(() => {
+    if (value.peek() === known.current) value.value = set;
+    else if (set !== known.current) isOvertaken.value = true;
+    known.current = set;
+  }, [set]);
+  useEffect(() => { if (value.value === set) isOvertaken.value = false; }, [value.value, set]);
+  return { key: field, value, meanwhile: isOvertaken.value && value.value !== set ? set : null, follow: () => { value.value = set; } };
+}
+
+/** What was set elsewhere while something else was being typed, and a way to take it. */
+function Meanwhile({ one, drafts }) {
+  const overtaken = drafts.filter(({ meanwhile }) => meanwhile !== null);
+  if (overtaken.length === 0) return null;
+  const by = one.settingsChange.value?.subject ?? '–';
+  return html`<p class="meanwhile small" role="status"><${Shape} name="high" /> ${t('settings.meanwhile', { by,
+      value: overtaken.map(({ meanwhile, unit = '' }) => `${meanwhile || '–'} ${unit}`.trim()).join(', ') })}
+    <button type="button" class="quiet" onClick=${() => overtaken.forEach(({ follow }) => follow())}>${t('settings.follow')}
+      </button></p>`;
+}
+
 /** One setting: what is typed, and what the device made of it. */
-function Setting({ one, id, method, fields, limits, done }) {
+function Setting({ one, id, method, fields, limits, send, children }) {
   const wrong = fields.some(({ value, key }) => mistake(number(value.value), limits(key)));
-  const send = async (event) => {
+  const set = (event) => {
     event.preventDefault();
-    const told = await ask(one, `${method}.set`, Object.fromEntries(fields.map(({ key, value }) => [key,
-        number(value.value)])));
-    if (!told) return;
-    fields.forEach(({ key, value }) => { value.value = String(told[key]); });
-    done();
+    send(`${method}.set`, fields, number);
   };
-  return html`<form class="setting" onSubmit=${send}>
+  return html`<form class="setting" onSubmit=${set}>
     <div class="fields">${fields.map(({ key, label, unit, value }) => html`<${NumberField} key=${key}
         id=${`${id}-${key}`} label=${label} unit=${unit} value=${value} limits=${limits(key)} isOptional=${true} />`)}
           </div>
-    <div class="buttons"><button type="submit" disabled=${wrong}>${t('settings.set')}</button>
-    ${method === 'settings.soft-limits' && html`<button type="button"
-        disabled=${one.softLimits.value?.minus_mm == null} onClick=${async () => { if (await ask(one,
-            'settings.soft-limits.clear')) done(); }}>${t('settings.clear')}</button>`}</div>
+    <div class="buttons"><button type="submit" disabled=${wrong}>${t('settings.set')}</button>${children}</div>
+    <${Meanwhile} one=${one} drafts=${fields} />
   </form>`;
 }
 
+const ALL_SETTINGS = ['acceleration', 'force-limit', 'soft-limits', 'device-tag'];
+
 function Settings({ one }) {
-  const [acceleration, force, minus, plus, tag] = [useSignal(''), useSignal(''), useSignal(''), useSignal(''),
-      useSignal('')];
+  const acceleration = { ...useDraft(one, 'acceleration_mm_s2'), label: t('settings.acceleration'), unit: 'mm/s²' };
+  const force = { ...useDraft(one, 'force_n'), label: t('settings.force_limit'), unit: 'N' };
+  const minus = { ...useDraft(one, 'minus_mm'), label: t('settings.minus'), unit: 'mm' };
+  const plus = { ...useDraft(one, 'plus_mm'), label: t('settings.plus'), unit: 'mm' };
+  const tag = useDraft(one, 'tag', (text) => text ?? '');
   const said = useSignal('');
-  const read = async () => {
-    const [a, f, s, d] = await Promise.all(['acceleration', 'force-limit', 'soft-limits',
-        'device-tag'].map((name) => askFreely(one, `settings.${name}`)));
-    if (a) acceleration.value = String(a.acceleration_mm_s2);
-    if (f) force.value = String(f.force_n);
-    if (s?.minus_mm != null) [minus.value, plus.value] = [String(s.minus_mm), String(s.plus_mm)];
-    if (d) tag.value = d.tag ?? '';
+  useEffect(() => { learnSettings(one, ALL_SETTINGS).then((problem) => { if (problem) one.problem.value = problem; }); },
+      [one, connection.value === 'live']);
+  const change = async (method, params) => {
+    said.value = '';
+    const told = await ask(one, method, params);
+    if (told) said.value = t('settings.done');
+    return told;
   };
-  useEffect(() => { read(); }, [one, connection.value === 'live']);
-  const done = () => { said.value = t('settings.done'); };
+  const send = async (method, fields, read) => {
+    const told = await change(method, Object.fromEntries(fields.map(({ key, value }) => [key, read(value.value)])));
+    if (!told) return;
+    one.takeSettings(told);
+    fields.forEach(({ key, value }) => { value.value = typeof told[key] === 'number' ? asTyped(told[key]) : told[key] ?? ''; });
+  };
   const hasOverdrive = one.info.value?.capabilities.includes('overdrive');
-  const isTag = /^[ -~]{0,64}$/.test(tag.value);
+  const isTag = /^[ -~]{0,64}$/.test(tag.value.value);
+  const width = widthLimits(one.info.value, null);
+  const widths = (key) => (key === 'minus_mm' ? { ...width, max: Math.min(width.max, number(plus.value.value) || width.max) }
+    : { ...width, min: Math.max(0, number(minus.value.value) || 0) });
   return html`<${Panel} title=${t('settings.title')} id="settings-title" class="settings-panel">
     <p class="hint">${t('settings.hint')}</p>
-    <${Setting} one=${one} id="acceleration" method="settings.acceleration"
-        limits=${() => accelerationLimits(one.info.value)} done=${done} fields=${[{ key: 'acceleration_mm_s2',
-            label: t('settings.acceleration'), unit: 'mm/s²', value: acceleration }]} />
-    <${Setting} one=${one} id="force-limit" method="settings.force-limit" limits=${() => forceLimits(one.info.value,
-        one.hasOverdrive.value)} done=${done} fields=${[{ key: 'force_n', label: t('settings.force_limit'), unit: 'N',
-            value: force }]} />
-    <${Setting} one=${one} id="soft-limits" method="settings.soft-limits" done=${done} limits=${(key) => {
-      const all = widthLimits(one.info.value, null);
-      return key === 'minus_mm' ? { ...all, max: Math.min(all.max, number(plus.value) || all.max) } : { ...all,
-          min: Math.max(0, number(minus.value) || 0) };
-    }} fields=${[{ key: 'minus_mm', label: t('settings.minus'), unit: 'mm', value: minus }, { key: 'plus_mm',
-        label: t('settings.plus'), unit: 'mm', value: plus }]} />
-    <form class="setting" onSubmit=${async (event) => { event.preventDefault(); if (await ask(one,
-        'settings.device-tag.set', { tag: tag.value })) done(); }}>
+    <${Setting} one=${one} id="acceleration" method="settings.acceleration" send=${send} fields=${[acceleration]}
+        limits=${() => accelerationLimits(one.info.value)} />
+    <${Setting} one=${one} id="force-limit" method="settings.force-limit" send=${send} fields=${[force]}
+        limits=${() => forceLimits(one.info.value, one.hasOverdrive.value)} />
+    <${Setting} one=${one} id="soft-limits" method="settings.soft-limits" send=${send} fields=${[minus, plus]}
+        limits=${widths}><button type="button" disabled=${one.softLimits.value.minus_mm === null}
+            onClick=${() => change('settings.soft-limits.clear')}>${t('settings.clear')}</button></${Setting}>
+    <form class="setting" onSubmit=${(event) => { event.preventDefault(); send('settings.device-tag.set', [tag], String); }}>
       <div class=${`field ${isTag ? '' : 'wrong'}`}><label for="tag">${t('settings.tag')}</label><input id="tag"
           type="text" maxlength="64" aria-invalid=${isTag ? 'false' : 'true'} aria-describedby="tag-hint"
-              value=${tag.value} onInput=${(event) => { tag.value = event.currentTarget.value; }} /><p class="hint"
+              value=${tag.value.value} onInput=${(event) => { tag.value.value = event.currentTarget.value; }} /><p class="hint"
                   id="tag-hint">${t('settings.tag_hint')}</p></div>
       <div class="buttons"><button type="submit" disabled=${!isTag}>${t('settings.set')}</button></div>
+      <${Meanwhile} one=${one} drafts=${[tag]} />
     </form>
     <div class="buttons">
       ${hasOverdrive && html`<button type="button" aria-pressed=${one.hasOverdrive.value ? 'true' : 'false'}
-          onClick=${async () => { if (await ask(one, 'settings.overdrive.set',
-              { enabled: !one.hasOverdrive.peek() })) done(); }}>${t('settings.overdrive')}: ${t(one.hasOverdrive.value ? 'settings.off' : 'settings.on')}
+          onClick=${() => change('settings.overdrive.set', { enabled: !one.hasOverdrive.value })}>${t('settings.overdrive')}: ${t(one.hasOverdrive.value ? 'settings.off' : 'settings.on')}
                 </button>`}
-      <button type="button" onClick=${async () => { if (await ask(one, 'tare')) done(); }}>${t('settings.tare')}
-        </button>
+      <button type="button" onClick=${() => change('tare')}>${t('settings.tare')}</button>
     </div>
     <p class="small" role="status">${said.value}</p>
     <${ProblemNote} problem=${one.problem} />
@@ -115,7 +143,7 @@ function Statistics({ one }) {
   const told = useSignal(null);
   const isSure = useSignal(false);
   useEffect(() => { askFreely(one, 'statistics').then((statistics) => { told.value = statistics; }); }, [one,
-      one.runs.value, connection.value === 'live']);
+      one.runs.value, one.settingsChange.value, connection.value === 'live']);
   const figures = told.value;
   const good = figures && figures.total > 0 ? ((figures.total - figures.no_part - figures.lost_part) / figures.total) * 100 : null;
   const reset = async () => {

@@ -1,13 +1,14 @@
 // History: what happened, and how parts were held, from the journal.
 
-import { html, useEffect, useSignal } from '../lib.js';
+import { html, useEffect, useMemo, useSignal } from '../lib.js';
+import { numbered } from '../core/newest.js';
 import { details, sentence } from './sentence.js';
 import { fixed, moment, plain, t } from '../model/i18n.js';
 import { download } from './export.js';
 import { get, query } from '../net/rest.js';
 import { eventSeq, isLive } from '../model/store.js';
 import { Curve } from './curve.js';
-import { Choice, Covered, Panel, ProblemNote } from '../ui/parts.js';
+import { Choice, Covered, MAX_PART_BYTES, Panel, ProblemNote, within } from '../ui/parts.js';
 
 const PAGE = 50;
 /** News come in bursts: the list is asked for at most this often. */
@@ -71,14 +72,17 @@ export function History({ one }) {
       useSignal('')];
   const asked = { gripper: one.name, kind: kind.value, part_id: part.value.trim(), outcome: outcome.value };
   const address = `${what.value}?${query(asked)}`;
+  const asking = useMemo(numbered, []);
   const load = async (cursor = null) => {
+    const isNewest = asking();
     try {
       const told = await get(`${address}&${query({ limit: PAGE, cursor })}`);
+      if (!isNewest()) return;
       list.value = cursor ? [...list.peek(), ...told[what.peek()]] : told[what.peek()];
       next.value = told.next_cursor;
       problem.value = null;
     } catch (refused) {
-      problem.value = refused;
+      if (isNewest()) problem.value = refused;
     }
   };
   useEffect(() => {
@@ -106,7 +110,7 @@ export function History({ one }) {
           word=${what.value === 'grips' ? 'command' : 'kind'} />
       <${Select} id="outcome" label=${t('history.outcome')} options=${OUTCOMES} value=${outcome} word="outcome" />
       <div class="field"><label for="part-filter">${t('history.part')}</label><input id="part-filter" type="search"
-          maxlength="48" value=${part.value} onInput=${(event) => { part.value = event.currentTarget.value; }} /></div>
+          value=${part.value} onInput=${within(MAX_PART_BYTES, (text) => { part.value = text; })} /></div>
       <span class="small" role="status">${note.value}</span>
     </div>
     <${ProblemNote} problem=${problem} />

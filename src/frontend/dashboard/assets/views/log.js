@@ -6,7 +6,7 @@ import { fromHex, toHex } from './frame.js';
 import { t } from '../model/i18n.js';
 import { clear, follow, frames, hasUpdates, isPaused } from './frames.js';
 import { Editor } from './editor.js';
-import { Panel } from '../ui/parts.js';
+import { Covered, Panel } from '../ui/parts.js';
 
 const clock = (at) => at.slice(11, 23).replace('Z', '');
 
@@ -68,11 +68,11 @@ export function Log({ one }) {
           type="button" class="quiet" onClick=${clear}>${t('log.clear')}</button>`;
   return html`<div class="split">
     <${Panel} title=${`${t('log.title')}: ${one.name}`} id="log-title" actions=${actions}>
-      <div class="frames" ref=${place} tabindex="0" role="region" aria-label=${t('log.title')}>
+      <${Covered} one=${one}><div class="frames" ref=${place} tabindex="0" role="region" aria-label=${t('log.title')}>
         ${frames.value.length === 0 ? html`<p class="muted nothing">${t('log.none')}
           </p>` : frames.value.map((frame) => html`<${Row} key=${frame.seq} frame=${frame} picked=${picked}
               withHex=${withHex.value} />`)}
-      </div>
+      </div></${Covered}>
     </${Panel}>
     <div class="column">
       <${Panel} title=${t('log.frame')} id="frame-title">
