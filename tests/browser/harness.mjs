@@ -54,11 +54,11 @@ async function run(flags, looksFor) {
     await ended;
   };
   started.push(() => kill('SIGTERM'));
-  const said = await until(`${flags.join(' ')} says where it is`, () => {
+  const says = (pattern) => until(`${flags.join(' ')} says ${pattern}`, () => {
     assert.equal(child.exitCode, null, `it has ended: ${log}`);
-    return looksFor.exec(output)?.[1];
+    return pattern.exec(output)?.[1];
   });
-  return { child, kill, said };
+  return { child, kill, says, said: await says(looksFor) };
 }
 
 /** A simulated device in a process of its own, which can be stopped. */
@@ -69,12 +69,12 @@ export async function simulator() {
 
 /** A gateway of its own; with `port` 0 at any that is free. It is there once these grippers are connected, or all. */
 export async function gateway({ port = 0, more = [], connects = null } = {}) {
-  const { child, kill, said: url } = await run(['--listen', `127.0.0.1:${port}`, '--journal', ':memory:', ...more], /(http:\/\/127\.0\.0\.1:\d+)\//);
+  const { child, kill, says, said: url } = await run(['--listen', `127.0.0.1:${port}`, '--journal', ':memory:', ...more], /(http:\/\/127\.0\.0\.1:\d+)\//);
   const ask = async (method, path, body) => {
     const response = await fetch(`${url}/api/v1/${path}`, { method, body: body && JSON.stringify(body) });
     return response.json();
   };
-  const one = { url, child, port: Number(new URL(url).port), kill, ask };
+  const one = { url, child, port: Number(new URL(url).port), kill, says, ask };
   await until('its grippers are connected', async () => {
     const { grippers } = await ask('GET', 'grippers');
     return grippers.length > 0 && grippers.every(({ gripper, link }) => link === 'connected' || connects?.includes(gripper) === false);

@@ -151,22 +151,24 @@ test('a gripper whose link is lost is covered since it was heard last, and comes
   await visitor.close();
 });
 
-test('a fleet is shown where there is one', async () => {
-  const served = await gateway();
-  const visitor = await visit(launched, served);
+test('a fleet of two gateways is shown, and which of them is gone', async () => {
+  const near = await gateway({ more: ['--name', 'cell-1', '--zenoh-listen', 'tcp/127.0.0.1:0', '--gripper', 'left=sim://wsg50'] });
+  const visitor = await visit(launched, near, { path: '/#/left/all' });
   const { page } = visitor;
-  const description = await served.ask('GET', 'openapi.json');
-  const fleet = [
-    { gateway: 'cell-1', gripper: 'left', link: 'connected', state: 'HOLDING', fast_stop: false, lease_holder: 'robot-1', age_ms: 12 },
-    { gateway: 'cell-2', gripper: 'right', link: 'reconnecting', state: null, fast_stop: true, lease_holder: null, age_ms: 61_000 },
-  ];
-  await page.route('**/api/v1/openapi.json', (route) => route.fulfill({ json: { ...description, paths: { ...description.paths, '/api/v1/fleet': {} } } }));
-  await page.route('**/api/v1/fleet', (route) => route.fulfill({ json: { grippers: fleet } }));
-  await page.click('[data-view=all]');
-  const rows = page.locator('tbody tr');
-  await rows.nth(1).waitFor();
-  assert.match(await rows.nth(0).innerText(), /cell-1\s+left\s+connected\s+Holding\s+robot-1\s+12 ms/);
-  assert.match(await rows.nth(1).innerText(), /cell-2\s+right\s+reconnecting\s+FAST STOP\s+–\s+1 min/);
+  await page.waitForSelector('p:has-text("This gateway is alone")');
+  const endpoint = await near.says(/Zenoh: (tcp\/127\.0\.0\.1:\d+)/);
+  const far = await gateway({ more: ['--name', 'cell-2', '--zenoh-listen', 'tcp/127.0.0.1:0', '--zenoh-connect', endpoint, '--gripper', 'right=sim://wsg50'] });
+  await far.ask('POST', 'grippers/right/home');
+  await far.ask('POST', 'grippers/right/lease', { holder: 'robot-1', ttl_ms: 60_000 });
+  const row = (words) => page.waitForFunction((wanted) => [...document.querySelectorAll('tbody tr')].some((one) => new RegExp(wanted).test(one.innerText)), words);
+  await row('cell-1\\s+left\\s+connected');
+  await row('cell-2\\s+right\\s+connected\\s+Idle\\s+robot-1\\s+\\d+ (ms|s)');
+  await far.ask('POST', 'fast-stop');
+  await row('cell-2\\s+right\\s+connected\\s+FAST STOP');
+  await shoot(page, 'fleet');
+  await far.kill('SIGKILL');
+  await row('cell-2\\s+right\\s+gateway gone');
+  await row('cell-1\\s+left\\s+connected');
   assertClean(visitor);
   await visitor.close();
 });

@@ -1,6 +1,7 @@
 // All grippers at a glance, and the fleet where there is one.
 
 import { html, signal, useEffect } from '../lib.js';
+import { numbered } from '../core/newest.js';
 import { fixed, plain, span, t } from '../model/i18n.js';
 import { get } from '../net/rest.js';
 import { grippers, isLive, selected } from '../model/store.js';
@@ -9,21 +10,18 @@ import { go } from '../ui/route.js';
 
 const ASKED_EVERY_MS = 2000;
 
-/** Null while it isn't known, false where there is none. */
+/** All grippers of all gateways; null while they aren't known. */
 const fleet = signal(null);
+const asking = numbered();
 
 async function askFleet() {
-  if (!isLive.peek() || document.hidden || fleet.peek() === false) return;
+  if (!isLive.peek() || document.hidden) return;
+  const isNewest = asking();
   try {
-    // The API's description says whether there is one, without an error in the browser's console.
-    if (fleet.peek() === null && !('/api/v1/fleet' in (await get('openapi.json')).paths)) {
-      fleet.value = false;
-      return;
-    }
-    const told = await get('fleet');
-    fleet.value = Array.isArray(told) ? told : Object.values(told).find(Array.isArray) ?? [];
-  } catch (problem) {
-    if (problem.status === 404) fleet.value = false;
+    const { grippers: told } = await get('fleet');
+    if (isNewest()) fleet.value = told;
+  } catch {
+    // With the next one.
   }
 }
 
@@ -63,7 +61,8 @@ function Fleet() {
   const list = fleet.value;
   const old = whyOld(null);
   if (old) return html`<p role="status">${old.text}</p>`;
-  if (!list) return html`<p class="muted small">${list === false ? t('all.no_fleet') : ''}</p>`;
+  const isAlone = list && new Set(list.map(({ gateway }) => gateway)).size < 2;
+  if (!list || isAlone) return html`<p class="muted small">${isAlone ? t('all.no_fleet') : ''}</p>`;
   return html`<${Panel} title=${t('all.fleet')} id="fleet-title"><div class="table-place" tabindex="0" role="group"
       aria-label=${t('all.fleet')}><table>
     <thead><tr>${['all.gateway', 'all.gripper', 'bar.link', 'bar.state', 'bar.control',

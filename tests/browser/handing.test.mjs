@@ -1,0 +1,111 @@
+// Control and commands across what interrupts them: another view, another's force, a connection that is lost, another tab.
+
+import assert from 'node:assert/strict';
+import { after, test } from 'node:test';
+
+import { assertClean, browser, controlled, endAll, gateway, homed, until, visit } from './harness.mjs';
+
+after(endAll);
+const launched = await browser();
+
+test('control that is handed over is fetched from whatever view', async () => {
+  const served = await gateway();
+  const [anna, ben] = [await visit(launched, served), await visit(launched, served)];
+  await ben.page.fill('#my-name', 'Ben');
+  await ben.page.press('#my-name', 'Tab');
+  await controlled(anna.page);
+  await ben.page.click('#ask-control');
+  await ben.page.waitForSelector('.control-panel:has-text("Asked.")');
+  await ben.page.click('[data-view=history]');
+  await ben.page.waitForSelector('#export');
+  await anna.page.click('#hand-over');
+  await ben.page.waitForSelector('.status.tone-mine');
+  const { events } = await served.ask('GET', 'events?kind=lease&order=oldest');
+  assert.equal(events.at(-1).event, 'handed_over');
+  [anna, ben].forEach(assertClean);
+  await Promise.all([anna.close(), ben.close()]);
+});
+
+test('only who asks first is told that control comes', async () => {
+  const served = await gateway();
+  const [anna, ben, cleo] = [await visit(launched, served), await visit(launched, served), await visit(launched, served)];
+  await ben.page.fill('#my-name', 'Ben');
+  await ben.page.press('#my-name', 'Tab');
+  await controlled(anna.page);
+  await ben.page.click('#ask-control');
+  await ben.page.waitForSelector('.control-panel:has-text("Asked.")');
+  await cleo.page.click('#ask-control');
+  await cleo.page.waitForSelector('.problem:has-text("Ben has asked for control first")');
+  assert.equal(await cleo.page.locator('.control-panel:has-text("Asked.")').count(), 0);
+  await Promise.all([anna, ben, cleo].map((one) => one.close()));
+});
+
+test('who lets go of a jog after another took control by force does not stop the other', async () => {
+  const served = await gateway();
+  const { page } = await visit(launched, served);
+  await homed(page);
+  await page.locator('#jog-close').hover();
+  const state = () => served.ask('GET', 'grippers/left/state');
+  const from = (await state()).width_mm;
+  await page.mouse.down();
+  await until('it is jogged', async () => (await state()).width_mm < from - 1);
+  const { token } = await served.ask('POST', 'grippers/left/lease', { holder: 'robot', ttl_ms: 60_000, force: true });
+  const runs = await until('the robot moves it', async () => {
+    const { id } = await served.ask('POST', 'grippers/left/move?wait_ms=0', { width_mm: 60, speed_mm_s: 20, lease: token });
+    return id;
+  });
+  await page.mouse.up();
+  await page.waitForSelector('.status:has-text("robot")');
+  assert.equal((await served.ask('GET', `grippers/left/commands/${runs}?wait_ms=20000`)).outcome, 'SUCCESS');
+});
+
+test('a command that ended while the gateway was away runs no more', async () => {
+  const first = await gateway();
+  const { page, allowed, close } = await visit(launched, first);
+  await homed(page);
+  await page.fill('#width', '5');
+  await page.fill('#speed', '5');
+  await page.click('#move');
+  await page.waitForSelector('.last[data-outcome=running]');
+  await page.waitForSelector('.jaws .target');
+  allowed.connections = true;
+  await first.kill('SIGKILL');
+  await page.waitForSelector('.cover');
+  const second = await gateway({ port: first.port });
+  await second.ask('POST', 'grippers/left/home');
+  await page.waitForFunction(() => !document.querySelector('.cover'));
+  await page.waitForSelector('.last[data-outcome]:not([data-outcome=running])');
+  assert.equal(await page.locator('.jaws .target').count(), 0);
+  assert.doesNotMatch(await page.locator('.jaws-words').innerText(), /target/);
+  await close();
+});
+
+test('two tabs are two clients, and keep each other’s presets', async () => {
+  const served = await gateway();
+  const one = await visit(launched, served);
+  const name = (page) => page.inputValue('#my-name');
+  await one.page.waitForSelector('#my-name');
+  const first = await name(one.page);
+  const other = await one.context.newPage();
+  await other.goto(served.url);
+  await other.waitForFunction((taken) => document.querySelector('#my-name')?.value === `${taken} (2)`, first);
+  assert.equal(await name(one.page), first, 'who was first keeps the name');
+  await other.fill('#my-name', first);
+  await other.press('#my-name', 'Tab');
+  await other.waitForFunction((taken) => document.querySelector('#my-name').value === `${taken} (2)`, first);
+  await other.reload();
+  await other.waitForSelector('#take-control');
+  assert.equal(await name(other), `${first} (2)`, 'a tab keeps its name');
+
+  const save = async (page, preset) => {
+    await page.fill('#preset-name', preset);
+    await page.click('.preset-new button');
+  };
+  await save(one.page, 'small');
+  await other.waitForSelector('.preset:has-text("small")');
+  await save(other, 'large');
+  await one.page.waitForSelector('.preset:has-text("large")');
+  for (const page of [one.page, other]) assert.equal(await page.locator('.preset').count(), 2);
+  assertClean(one);
+  await one.close();
+});

@@ -1,0 +1,143 @@
+// What the page tells: of now, of what was asked last, and of what can be read in one way only.
+
+import assert from 'node:assert/strict';
+import { after, test } from 'node:test';
+
+import { assertClean, browser, endAll, gateway, homed, until, visit } from './harness.mjs';
+
+after(endAll);
+const launched = await browser();
+
+test('a setting that somebody else changes is told, and overwrites nothing that is being typed', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served, { path: '/#/left/device' });
+  const { page } = visitor;
+  const [force, acceleration] = ['#force-limit-force_n', '#acceleration-acceleration_mm_s2'];
+  const shows = (selector, value) => page.waitForFunction(([field, wanted]) => document.querySelector(field)?.value === wanted, [selector, value]);
+  await shows(force, '40');
+  await page.fill(force, '33');
+  await served.ask('PUT', 'grippers/left/settings/force-limit', { force_n: 44 });
+  await served.ask('PUT', 'grippers/left/settings/acceleration', { acceleration_mm_s2: 1500 });
+  await shows(acceleration, '1500');
+  await page.waitForSelector('.meanwhile:has-text("44 N")');
+  assert.equal(await page.inputValue(force), '33');
+  await page.click('.meanwhile button');
+  await shows(force, '44');
+  assert.equal(await page.locator('.meanwhile').count(), 0);
+  await page.fill(force, '30');
+  await page.locator(`form:has(${force}) button[type=submit]`).click();
+  await page.waitForSelector('.settings-panel:has-text("Set.")');
+  assert.equal((await served.ask('GET', 'grippers/left/settings/force-limit')).force_n, 30);
+  assert.equal(await page.locator('.meanwhile').count(), 0, 'what was set here is no news');
+  // What a grip without a force would hold with is told beside its field, also when a grip has changed it.
+  await page.click('[data-view=operate]');
+  await page.fill('#force', '');
+  await page.waitForSelector('#force-hint:has-text("30 N")');
+  await homed(page);
+  await page.fill('#force', '25');
+  await page.click('#grip:enabled');
+  await page.waitForSelector('.last[data-outcome=PART_HELD]');
+  await page.fill('#force', '');
+  await page.waitForSelector('#force-hint:has-text("25 N")');
+  assertClean(visitor);
+  await visitor.close();
+});
+
+test('an older answer does not overwrite that to a newer filter', async () => {
+  const served = await gateway();
+  await served.ask('POST', 'grippers/left/home');
+  await served.ask('POST', 'grippers/left/move', { width_mm: 50, speed_mm_s: 300 });
+  const { page, close } = await visit(launched, served, { path: '/#/left/history' });
+  await page.waitForSelector('tbody tr:nth-child(2)');
+  let letGo;
+  const held = new Promise((resolve) => { letGo = resolve; });
+  await page.route('**/grips?**kind=move**', async (route) => {
+    const response = await route.fetch();
+    await held;
+    await route.fulfill({ response });
+  });
+  const asked = page.waitForRequest('**/grips?**kind=move**');
+  await page.selectOption('#kind', 'move');
+  const late = await asked;
+  await page.selectOption('#kind', 'home');
+  const only = (word) => page.waitForFunction((wanted) => {
+    const rows = [...document.querySelectorAll('tbody tr')];
+    return rows.length === 1 && rows[0].innerText.includes(wanted);
+  }, word);
+  await only('Home');
+  letGo();
+  await (await late.response()).finished();
+  await page.evaluate(() => new Promise((resolve) => { requestAnimationFrame(() => setTimeout(resolve)); }));
+  await only('Home');
+  await close();
+});
+
+test('charts follow the colours of the room', async () => {
+  const served = await gateway();
+  const { page, close } = await visit(launched, served, { colorScheme: 'light' });
+  await homed(page);
+  /** The lightest of what is drawn, which is the trace where it is dark, and the grid where it is light. */
+  const trace = () => page.evaluate(() => {
+    const canvas = document.querySelector('.chart canvas');
+    if (!canvas || canvas.width === 0) return null;
+    const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+    let [dark, light] = [255, 0];
+    for (let at = 0; at < data.length; at += 4) {
+      if (data[at + 3] < 250) continue;
+      dark = Math.min(dark, data[at]);
+      light = Math.max(light, data[at]);
+    }
+    return { dark, light };
+  });
+  // --trace is #24364a in the light, and #c3d4e6 in the dark.
+  await until('it is drawn dark', async () => ((await trace())?.dark ?? 255) < 0x40);
+  await page.emulateMedia({ colorScheme: 'dark' });
+  await until('it is drawn light', async () => {
+    const { light, dark } = await trace();
+    return light >= 0xa9 && dark >= 0x28;
+  });
+  await close();
+});
+
+test('texts end where the gateway ends them, and a number that is another one elsewhere is not sent', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  await homed(page);
+  await page.fill('#part', 'ä'.repeat(40));
+  assert.equal(await page.inputValue('#part'), 'ä'.repeat(24));
+  await page.fill('#my-name', '€'.repeat(20));
+  await page.press('#my-name', 'Tab');
+  assert.equal(await page.inputValue('#my-name'), '€'.repeat(10));
+  await page.click('#give-back');
+  await page.click('#take-control');
+  await page.waitForSelector(`.control-panel:has-text("${'€'.repeat(10)}")`);
+  await page.fill('#speed', '100');
+  await page.fill('#width', '1,000');
+  assert.match(await page.locator('#width-hint').innerText(), /1,000 can be read as 1 or as 1000/);
+  assert.ok(await page.locator('#move').isDisabled());
+  await page.fill('#width', '20');
+  await page.click('#grip:enabled');
+  await page.waitForSelector('.last[data-outcome=PART_HELD]');
+  const { events } = await served.ask('GET', 'events?gripper=left&kind=command');
+  assert.equal(events.find(({ command, phase }) => command === 'grip' && phase === 'admitted').part_id, 'ä'.repeat(24));
+  assert.deepEqual((await served.ask('GET', 'events?kind=refused')).events, []);
+  assertClean(visitor);
+  await visitor.close();
+});
+
+test('the log is covered while the gateway is silent', async () => {
+  const served = await gateway();
+  const { page, allowed, close } = await visit(launched, served, { path: '/#/left/log' });
+  await page.click('#with-updates');
+  await page.waitForSelector('.frame');
+  served.child.kill('SIGSTOP');
+  try {
+    await page.waitForSelector('.covered:has(.frames) .cover:has-text("does not answer")');
+  } finally {
+    allowed.connections = true;
+    served.child.kill('SIGCONT');
+  }
+  await page.waitForFunction(() => !document.querySelector('.cover'));
+  await close();
+});
