@@ -9,11 +9,9 @@ import { eventSeq, learn, learnSettings, others, rpc } from './store.js';
 const MAX_OTHERS = 32;
 
 function remember(subject, door, at) {
-  const next = new Map(others.peek());
-  next.delete(subject);
-  next.set(subject, { door, at: Date.parse(at) });
-  while (next.size > MAX_OTHERS) next.delete(next.keys().next().value);
-  others.value = next;
+  others.delete(subject);
+  others.set(subject, { door, at: Date.parse(at) });
+  if (others.size > MAX_OTHERS) others.delete(others.keys().next().value);
 }
 
 function takeCommand(event, one) {

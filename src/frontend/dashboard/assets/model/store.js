@@ -37,8 +37,8 @@ export const heardAt = signal(null);
 export const now = signal(Date.now());
 /** The newest event's number, so that what shows the journal looks again. */
 export const eventSeq = signal(0);
-/** Names that were heard of lately, and when. */
-export const others = signal(new Map());
+/** Names that were heard of lately, by which door, and when: looked at by the second, since busy cells would change it all the time. */
+export const others = new Map();
 
 const isHidden = signal(document.hidden);
 const byName = new Map();

@@ -71,11 +71,13 @@ function Drawing({ one }) {
   const from = useComputed(() => (MIDDLE - half.value).toFixed(1));
   const to = useComputed(() => (MIDDLE + half.value).toFixed(1));
   const between = useComputed(() => (2 * half.value).toFixed(1));
-  const isKnown = one.width.value !== null;
+  // What follows the width stands in attributes: the rest of the drawing stays as it is.
+  const isKnown = useComputed(() => one.width.value !== null).value;
+  const label = useComputed(() => (one.width.value === null ? t('jaws.not_referenced') : t('jaws.label', { width: fixed(one.reading.value?.width_mm, 1) })));
   const isHolding = one.gripperState.value === 'HOLDING';
   const isLost = one.gripperState.value === 'PART_LOST';
   return html`<svg class=${`jaws ${isKnown ? '' : 'unknown'}`} viewBox="0 0 680 232" role="img"
-      aria-label=${isKnown ? t('jaws.label', { width: fixed(one.width.value, 1) }) : t('jaws.not_referenced')}>
+      aria-label=${label}>
     <defs><pattern id="hatch" width="6" height="6" patternUnits="userSpaceOnUse" patternTransform="rotate(45)"><rect
         width="2.5" height="6" /></pattern></defs>
     <rect class="body" x="20" y="14" width="640" height="30" rx="6" />

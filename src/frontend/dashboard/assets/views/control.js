@@ -6,7 +6,7 @@ import { changeTerms, handOver, releaseControl, takeControl } from '../model/com
 import { clients, watchClients } from './clients.js';
 import { myName } from '../model/name.js';
 import { onLossHolding, onLossMoving } from '../model/prefs.js';
-import { others } from '../model/store.js';
+import { now, others } from '../model/store.js';
 import { Covered, Panel, Shape } from '../ui/parts.js';
 
 function Held({ one }) {
@@ -69,7 +69,8 @@ function Terms({ one }) {
 
 function Others() {
   useEffect(watchClients, []);
-  const list = [...others.value].reverse().slice(0, 6);
+  // Their ages change by the second, and the list with them.
+  const list = now.value && [...others].reverse().slice(0, 6);
   return html`<h3>${t('control.others')}</h3>
     <p class="small">${t('control.connections', { list: clients.value.map(({ door,
         count }) => `${t(`door.${door}`)} ${count}`).join(', ') || '–' })}</p>
