@@ -9,7 +9,7 @@ import { numbered } from '../core/newest.js';
 const SAMPLES = 12_288;
 
 /** Nobody reads figures that change faster. */
-const READ_EVERY_MS = 180;
+const READ_EVERY_MS = 230;
 
 /** Marks on the charts: more are not told apart. */
 const MAX_MARKS = 64;

@@ -10,10 +10,10 @@ import { Gripper } from './gripper.js';
 /** So often states of each gripper come at most: where one is in view, of all at a glance, and where nobody looks. */
 const HZ = { one: 20, all: 5, hidden: 1 };
 /** And of all grippers together: each message costs a panel's processor. */
-const MAX_HZ_TOGETHER = 64;
+const MAX_HZ_TOGETHER = 40;
 
 /** So often the screen changes: faster is not read, and costs a panel's processor. */
-const SHOWN_EVERY_MS = 110;
+const SHOWN_EVERY_MS = 120;
 
 /** Without anything from the gateway for that long, what is shown may be old: it is said within 2 s. It is asked in time. */
 const STALE_AFTER_MS = 1200;
@@ -133,9 +133,11 @@ async function subscribe() {
     show();
     eventSeq.value = seq;
     look();
+    // By the states as they were told here: what comes after them is told by events.
+    grippers.peek().forEach((one) => catchUp(one).catch(() => {}));
     const told = await rpc.call('grippers');
     told.grippers.forEach((info) => { ensure(info.gripper).info.value = info; });
-    await Promise.all(grippers.peek().flatMap((one) => [catchUp(one), learn(one), learnSettings(one)]));
+    await Promise.all(grippers.peek().flatMap((one) => [learn(one), learnSettings(one)]));
   } catch {
     // The connection has ended, and will be made again.
   }

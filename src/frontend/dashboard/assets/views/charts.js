@@ -11,8 +11,8 @@ const WINDOWS_S = [10, 30, 120, 600];
 /** More points than that are not told apart on a screen. */
 const POINTS = 600;
 
-/** So often a gripper is drawn that moves, and one that stands. */
-const MOVING_MS = 180;
+/** So often a gripper is drawn that moves, with every second frame, and one that stands. */
+const MOVING_MS = 230;
 const STANDING_MS = 500;
 
 const MARK_SHAPES = { begin: '\u25bd', held: '\u25cf', end: '\u25cb' };

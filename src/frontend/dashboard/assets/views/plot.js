@@ -4,6 +4,12 @@ import uPlot from '../vendor/uplot.js';
 import { fixed, language } from '../model/i18n.js';
 import { isDark } from '../model/prefs.js';
 
+// The page is there before its first plot: what those need doesn't hold it up.
+const style = document.createElement('link');
+style.rel = 'stylesheet';
+style.href = new URL('../vendor/uplot.css', import.meta.url).href;
+document.head.append(style);
+
 export const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
 /** What a plot keeps from when it was made: with another it has to be made anew. */
