@@ -91,11 +91,13 @@ for (const [size, shape] of Object.entries(SIZES)) {
 
 for (const [language, colorScheme] of [['en', 'light'], ['en', 'dark'], ['de', 'light'], ['de', 'dark']]) {
   test(`what is wrong is shown so that axe finds nothing, ${language}, ${colorScheme}`, async () => {
+    const words = (await import(`${ASSETS}locales/${language}.js`))[language];
     const device = await simulator();
     const served = await gateway({ more: ['--gripper', `left=${device.url}`] });
     const visitor = await visit(launched, served, { ...SIZES.panel, colorScheme, locale: language === 'de' ? 'de-DE' : 'en-GB' });
     const { page } = visitor;
     const look = async (what) => {
+      await page.evaluate(() => scrollTo(0, 0));
       await shoot(page, `wrong-${what}-${language}-${colorScheme}`);
       assert.deepEqual(await violations(page), [], what);
       assert.deepEqual(await misfits(page), [], what);
@@ -127,7 +129,7 @@ for (const [language, colorScheme] of [['en', 'light'], ['en', 'dark'], ['de', '
     await look('no-link');
     served.child.kill('SIGSTOP');
     visitor.allowed.connections = true;
-    await page.waitForFunction(() => document.querySelectorAll('.cover').length > 3);
+    await page.waitForSelector(`.jaws-panel .cover:has-text("${words['stale.silent']}")`);
     await look('silent');
     for (const { child } of [served, device]) child.kill('SIGCONT');
     await page.waitForFunction(() => !document.querySelector('.cover'));

@@ -126,6 +126,21 @@ test('texts end where the gateway ends them, and a number that is another one el
   await visitor.close();
 });
 
+test('words that miss what they are about are the gateway’s own', async () => {
+  const served = await gateway();
+  const { page, close } = await visit(launched, served);
+  await page.waitForSelector('#take-control');
+  const said = (problem) => page.evaluate(async (one) => {
+    const { ofProblem } = await import(new URL('model/i18n.js', document.querySelector('script[type=module]').src));
+    return ofProblem(one);
+  }, problem);
+  assert.equal(await said({ code: 'lease_held', holder: 'Anna', detail: 'held' }), 'Anna has control.');
+  assert.equal(await said({ code: 'malformed', detail: 'expected a comma at line 1' }), 'expected a comma at line 1');
+  assert.equal(await said({ code: 'out_of_range', field: 'width_mm', value: 0, min: 0, detail: 'beyond' }), 'beyond');
+  assert.equal(await said({ code: 'a_new_one' }), 'a_new_one');
+  await close();
+});
+
 test('the log is covered while the gateway is silent', async () => {
   const served = await gateway();
   const { page, allowed, close } = await visit(launched, served, { path: '/#/left/log' });

@@ -8,7 +8,8 @@ import { clear, follow, frames, hasUpdates, isPaused } from './frames.js';
 import { Editor } from './editor.js';
 import { Covered, Panel } from '../ui/parts.js';
 
-const clock = (at) => at.slice(11, 23).replace('Z', '');
+/** All as long as each other. */
+const clock = (at) => new Date(at).toISOString().slice(11, 23);
 
 function Row({ frame, picked, withHex }) {
   if (frame.direction === 'gap') return html`<p class="frame tone-high">${t('log.missed', { count: frame.missed })}
