@@ -26,6 +26,28 @@ test('control that is handed over is fetched from whatever view', async () => {
   await Promise.all([anna.close(), ben.close()]);
 });
 
+test('control that is handed over at once is fetched, too', async () => {
+  const served = await gateway();
+  const [anna, ben] = [await visit(launched, served), await visit(launched, served)];
+  // Whoever asks is not told yet how the lease stands when it is handed over.
+  await ben.page.routeWebSocket('**/api/v1/ws', (socket) => {
+    const server = socket.connectToServer();
+    const unanswered = new Set();
+    socket.onMessage((message) => {
+      const { id, method } = JSON.parse(message);
+      if (method === 'lease') unanswered.add(id);
+      server.send(message);
+    });
+    server.onMessage((message) => { if (!unanswered.has(JSON.parse(message).id)) socket.send(message); });
+  });
+  await ben.page.reload();
+  await controlled(anna.page);
+  await ben.page.click('#ask-control');
+  await anna.page.click('#hand-over');
+  await ben.page.waitForSelector('.status.tone-mine');
+  await Promise.all([anna.close(), ben.close()]);
+});
+
 test('only who asks first is told that control comes', async () => {
   const served = await gateway();
   const [anna, ben, cleo] = [await visit(launched, served), await visit(launched, served), await visit(launched, served)];

@@ -46,18 +46,25 @@ const terms = () => ({ holder: myName.peek(), on_loss_moving: onLossMoving.peek(
 
 /** Takes control: it lives as long as this page answers. Of somebody else's by `force`, or by asking with `request`. */
 export async function takeControl(one, { force = false, request = false } = {}) {
+  // Before it is asked: the answer may be handed over sooner than it is told that there is to be one.
+  if (request) one.isAsking.value = true;
   const lease = await askFreely(one, 'lease.take', { ...terms(), force, request });
   if (lease) {
     one.lease.value = lease;
     one.held.value = { token: lease.token, epoch: lease.epoch };
-    one.isAsking.value = false;
-  } else if (request && one.problem.peek()?.code === 'lease_held') {
-    // Of several who ask the first is told to the holder: whoever is another one isn't asking.
-    const told = await askFreely(one, 'lease');
-    one.isAsking.value = told?.requested_by === myName.peek();
-    if (told && !one.isAsking.peek()) one.problem.value = { code: 'lease_asked', holder: told.requested_by };
   }
+  if (request && one.problem.peek()?.code === 'lease_held') await lookWhoAsks(one);
+  else one.isAsking.value = false;
   return lease;
+}
+
+/** Of several who ask the first is told to the holder: whoever is another one isn't asking. */
+async function lookWhoAsks(one) {
+  const told = await askFreely(one, 'lease');
+  const me = myName.peek();
+  if (!told || !one.isAsking.peek() || told.requested_by === me || told.holder === me) return;
+  one.isAsking.value = false;
+  one.problem.value = { code: 'lease_asked', holder: told.requested_by, detail: '' };
 }
 
 /** Other terms for what is held already. */
