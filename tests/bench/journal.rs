@@ -3,10 +3,13 @@
 //!
 //! `cargo bench --bench journal`, or with `-- --events 100000`. Fails where a page takes longer than 20 ms.
 
-use std::path::{Path, PathBuf};
+mod directory;
+
+use std::path::Path;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use directory::Directory;
 use jiff::{SignedDuration, Timestamp};
 use prometheus::Registry;
 use tokio::sync::oneshot;
@@ -43,21 +46,11 @@ const REST: Duration = Duration::from_millis(60);
 /// How many events are recorded before it is waited until they are durable; fewer than the journal's queue has room for.
 const BURST: u32 = 4000;
 
-/// A directory that goes with the bench.
-struct Directory(PathBuf);
-
-impl Drop for Directory {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_dir_all(&self.0);
-    }
-}
-
 fn main() -> Result<(), Error> {
     let arguments: Vec<_> = std::env::args().collect();
     let events = arguments.windows(2).find(|pair| pair[0] == "--events").map(|pair| &pair[1]);
     let events: u32 = events.map_or(Ok(1_000_000), |count| count.parse())?;
-    let directory =
-        Directory(Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("journal-bench-{}", std::process::id())));
+    let directory = Directory::new("journal")?;
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     for clients in [1, 64] {
         let (journal, _) = open(&directory.0.join(format!("{clients}.db")))?;

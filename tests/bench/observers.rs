@@ -4,11 +4,14 @@
 //!
 //! `cargo bench --bench observers`. `OBSERVERS` (1000), `STALLED` (100), `HZ` (50), `STOPS` (200, each once idle and once
 //! loaded) and `SECONDS` (10, of each fan-out) change it. Times are noisy; the ratios are what counts. Mosquitto is left
-//! out where it isn't installed. The observers are a process of their own, on the same processors,
-//! which gives way to the gateway (`chrt --idle`, of util-linux).
+//! out where it isn't installed. The observers are a process of their own, which gives way to all others (`chrt --idle`, of
+//! util-linux). Where there are two processors or more, the last one is the observers', the clients' and the device's,
+//! and the gateway has the others, idle and loaded (`taskset`): elsewhere those are machines of their own. With `SHARED=1`
+//! all have all.
 
 #[path = "observers/crowd.rs"]
 mod crowd;
+mod directory;
 mod program;
 #[path = "observers/tap.rs"]
 mod tap;
@@ -19,8 +22,12 @@ use std::process::{ChildStdin, Command, Stdio};
 use std::sync::mpsc::Receiver;
 use std::time::{Duration, Instant};
 
+use directory::Directory;
 use program::{Error, Running, start};
 use serde_json::{Value, json};
+
+/// Stops before any is measured, idle and loaded.
+const WARM_UP: usize = 50;
 
 /// What the kernel counts processor time in, a second.
 const TICKS: f64 = 100.0;
@@ -120,21 +127,46 @@ fn percentile(times: &[Duration], percent: usize) -> Duration {
     times[(times.len() - 1) * percent / 100]
 }
 
+/// Which processors the threads of a process may use.
+fn bind(process: u32, processors: &str) -> Result<(), Error> {
+    let mut command = Command::new("taskset");
+    let bound = command.args(["-a", "-p", "-c", processors, &process.to_string()]).stdout(Stdio::null()).status()?;
+    if bound.success() { Ok(()) } else { Err(format!("taskset: {bound}").into()) }
+}
+
+/// The gateway's processors, and the one of all others, which this process is bound to.
+fn processors() -> Result<Option<String>, Error> {
+    let last = std::thread::available_parallelism()?.get() - 1;
+    if last == 0 || number("SHARED", 0) == 1 {
+        return Ok(None);
+    }
+    bind(std::process::id(), &last.to_string())?;
+    Ok(Some(format!("0-{}", last - 1)))
+}
+
 fn main() -> Result<(), Error> {
     if let (Ok(what), Ok(address)) = (std::env::var("CROWD"), std::env::var("ADDRESS")) {
         return crowd::run(&what, &address);
     }
+    let processors = processors()?;
     let (_device, device) = start(&["sim", "tcp://127.0.0.1:0"], " at tcp://")?;
     let (tapped, stops) = tap::start(device)?;
     let gripper = format!("g=tcp://{tapped}");
-    let (gateway, address) = start(&["--listen", "127.0.0.1:0", "--gripper", &gripper], " at http://")?;
+    // In a file, as everywhere: in memory it would grow by what happens.
+    let directory = Directory::new("observers")?;
+    let journal = directory.0.join("gateway.db").to_string_lossy().into_owned();
+    let arguments = ["--listen", "127.0.0.1:0", "--gripper", &gripper, "--journal", &journal];
+    let (gateway, address) = start(&arguments, " at http://")?;
+    if let Some(processors) = &processors {
+        bind(gateway.0.id(), processors)?;
+    }
     let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build()?;
     let base = format!("http://{address}/api/v1/grippers/g");
     // The gateway closes an idle connection after 10 s.
     let http = reqwest::Client::builder().pool_idle_timeout(Duration::from_secs(1)).build()?;
     let stopper = Stopper { runtime, http, base, stops };
     while stopper.state()?["link"] != "connected" {}
-    stopper.stops(20)?;
+    stopper.stops(WARM_UP)?;
 
     let (observers, stalled, seconds) = (number("OBSERVERS", 1000), number("STALLED", 100), number("SECONDS", 10));
     println!("{observers} observers at {} Hz, {stalled} of which read nothing, and a flood", number("HZ", 50));
@@ -143,6 +175,8 @@ fn main() -> Result<(), Error> {
     let before = gateway.memory()?;
     let mut crowd = Crowd::start("websocket", &address)?;
     let fan_out = fan_out(&mut crowd, &gateway, seconds)?;
+    // Each observer's buffers grow with the first events that it is told.
+    stopper.stops(WARM_UP)?;
     let begun = gateway.memory()?;
     let loaded = stopper.stops(count)?;
     let ended = gateway.memory()?;
@@ -164,7 +198,7 @@ fn main() -> Result<(), Error> {
     );
     println!("gateway:   {fan_out}");
     drop((crowd, gateway));
-    mosquitto(seconds)
+    mosquitto(seconds, processors.as_deref())
 }
 
 /// What is delivered in so many seconds, and what it costs.
@@ -177,7 +211,7 @@ fn fan_out(crowd: &mut Crowd, server: &Running, seconds: usize) -> Result<String
     Ok(format!("{second:.0} deliveries a second, {:.1} s of processor time for a million", time / told * 1e6))
 }
 
-fn mosquitto(seconds: usize) -> Result<(), Error> {
+fn mosquitto(seconds: usize, processors: Option<&str>) -> Result<(), Error> {
     let port = TcpListener::bind("127.0.0.1:0")?.local_addr()?.port();
     let mut command = Command::new("mosquitto");
     let started = command.args(["-p", &port.to_string()]).stdout(Stdio::null()).stderr(Stdio::null()).spawn();
@@ -188,6 +222,9 @@ fn mosquitto(seconds: usize) -> Result<(), Error> {
     let server = Running(child);
     let address = format!("127.0.0.1:{port}");
     while std::net::TcpStream::connect(&address).is_err() {}
+    if let Some(processors) = processors {
+        bind(server.0.id(), processors)?;
+    }
     let mut crowd = Crowd::start("mqtt", &address)?;
     println!("mosquitto: {}", fan_out(&mut crowd, &server, seconds)?);
     Ok(())
