@@ -185,7 +185,10 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
                     }
                     self.device.handle_timeout(now, &self.port.gripper.state());
                 }
-                Ok(()) = states.changed(), if watches => drop(states.borrow_and_update()),
+                Ok(()) = states.changed(), if watches => {
+                    let state = states.borrow_and_update().clone();
+                    self.device.handle_timeout(clock::instant(), &state);
+                }
             }
         }
     }

@@ -101,7 +101,7 @@ pub(super) struct VirtualDevice {
     awaited: usize,
     /// Stops that were not answered yet.
     stops: usize,
-    /// What may move, was ordered, and has not ended.
+    /// Motions that were ordered, and have not ended. A Stop ends them; it ends no script.
     motions: usize,
     /// Whether a Stop came while something of this client moved, which has not ended since.
     motions_are_stopping: bool,
@@ -151,6 +151,7 @@ impl VirtualDevice {
     pub(super) fn handle_timeout(&mut self, now: Instant, state: &State) {
         self.input.handle_timeout(now);
         self.take_requests(now, state);
+        self.take_up(now, state);
         let due = self.subscriptions.take_due(now, |id| value(id, state));
         // What is not known any more is no news.
         if state.link == Link::Connected && self.frames.len() < MAX_FRAMES_BEFORE_UPDATES {
@@ -181,7 +182,7 @@ impl VirtualDevice {
         if ask.id == id::STOP && is_last {
             self.stops = self.stops.saturating_sub(1);
         }
-        if self.moves(ask.id) && is_last {
+        if id::is_motion(ask.id) && is_last {
             self.motions = self.motions.saturating_sub(1);
             self.motions_are_stopping &= self.motions > 0;
         }
@@ -207,9 +208,10 @@ impl VirtualDevice {
         self.input.deadline().into_iter().chain(self.subscriptions.due(|id| value(id, state))).min()
     }
 
-    /// Whether some updates wait for a change: then every new state may have one.
+    /// Whether some updates wait for a change, or a motion for the fingers to stand, which a FAST STOP must not outlast: then
+    /// every new state may matter.
     pub(super) fn watches(&self) -> bool {
-        self.subscriptions.watch()
+        self.subscriptions.watch() || self.holds_a_motion_back()
     }
 
     /// Whether its client has announced the end, also in a request that waits.
@@ -292,11 +294,16 @@ impl VirtualDevice {
 
     /// Until it is known that the fingers stand, a motion behind a Stop would be refused for the one that is being
     /// stopped.
-    fn waits_for_a_stop(&self, request: &Request) -> bool {
-        request.command.is_ok() && self.moves(request.id) && (self.stops > 0 || self.motions_are_stopping)
+    fn holds_a_motion_back(&self) -> bool {
+        let is_stopping = self.stops > 0 || self.motions_are_stopping;
+        is_stopping && self.waiting.front().is_some_and(|next| next.command.is_ok() && self.moves(next.id))
     }
 
     fn take_up(&mut self, now: Instant, state: &State) {
+        // Nothing moves after an acknowledge that was asked for before the FAST STOP.
+        if state.latch.is_some() && self.holds_a_motion_back() {
+            self.abort_waiting_motions();
+        }
         while self.awaited == 0
             && let Some(Request { id, command }) = self.next_request()
         {
@@ -310,10 +317,7 @@ impl VirtualDevice {
     }
 
     fn next_request(&mut self) -> Option<Request> {
-        if self.waiting.front().is_some_and(|request| self.waits_for_a_stop(request)) {
-            return None;
-        }
-        self.waiting.pop_front()
+        if self.holds_a_motion_back() { None } else { self.waiting.pop_front() }
     }
 
     fn execute(&mut self, now: Instant, command: Command, state: &State) {
@@ -414,7 +418,7 @@ impl VirtualDevice {
 
     fn order(&mut self, id: u8, is_awaited: bool, order: Order) {
         self.awaited += usize::from(is_awaited);
-        self.motions += usize::from(self.moves(id));
+        self.motions += usize::from(id::is_motion(id));
         self.orders.push_back(Ordered { ask: Ask { id, is_awaited }, order });
     }
 

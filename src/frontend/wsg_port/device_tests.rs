@@ -185,12 +185,34 @@ fn a_motion_behind_a_stop_waits_until_it_is_known_that_the_fingers_stand() {
 }
 
 #[test]
+fn a_motion_behind_a_stop_does_not_outlast_a_fast_stop() {
+    let mut bench = Bench::new();
+    bench.send(id::STOP, &[]);
+    let stop = bench.order();
+    bench.send(id::HOMING, &[0]);
+    assert!(bench.device.watches(), "each new state is looked at");
+    bench.state = latched(FastStopId::generate(), FastStopCause::Requested);
+    bench.device.handle_timeout(bench.now, &bench.state);
+    // And it was acknowledged before the Stop had its answer.
+    bench.state = state();
+    bench.answer(stop.ask, NOTHING);
+    assert_eq!(bench.device.poll_order(), None);
+    assert!(!bench.device.watches());
+}
+
+#[test]
 fn a_script_holds_up_nothing() {
     let mut bench = Bench::new();
     bench.send(0xB0, &[1]);
     bench.send(id::GET_SYSTEM_STATE, &[0; 3]);
     assert!(matches!(bench.order().order, Order::Exchange(Command::Custom(_))));
     assert_eq!(bench.sent(), [(id::GET_SYSTEM_STATE, Status::E_SUCCESS)]);
+    // Nor what is behind a Stop, which ends no script.
+    bench.send(id::STOP, &[]);
+    let stop = bench.order();
+    bench.send(id::HOMING, &[0]);
+    bench.answer(stop.ask, NOTHING);
+    assert_eq!(bench.order().ask.id, id::HOMING);
 }
 
 #[test]
