@@ -6,6 +6,8 @@ use std::collections::hash_map::Entry;
 use std::sync::{Mutex, PoisonError};
 use std::time::Duration;
 
+use tokio::sync::Semaphore;
+
 use crate::gripper::Now;
 use crate::gripper::model::{Client, Detail, Event, Name, RefusedEvent};
 use crate::gripper::recorder::{Record, Recorder as _};
@@ -22,6 +24,9 @@ const MAX_PROMPT: u64 = 100;
 
 /// How long the answer to each further one waits.
 const HELD_BACK_FOR: Duration = Duration::from_millis(50);
+
+/// And how many wait at a time: they keep connections busy, of which a FAST STOP needs one. More are answered at once.
+const MAX_HELD_BACK: usize = 64;
 
 /// Who was refused what, and why.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
@@ -42,13 +47,14 @@ pub struct Refusals {
     journal: Journal,
     /// With the newest words, and how many came after the first.
     counted: Mutex<HashMap<Refusal, (String, u64)>>,
+    held_back: Semaphore,
 }
 
 impl Refusals {
     /// That are written into this journal.
     #[must_use]
     pub fn new(journal: Journal) -> Self {
-        Self { journal, counted: Mutex::default() }
+        Self { journal, counted: Mutex::default(), held_back: Semaphore::new(MAX_HELD_BACK) }
     }
 
     /// Takes one, and says how long its answer is to be held back, if it is.
@@ -69,6 +75,13 @@ impl Refusals {
                 entry.insert((cause, 0));
                 None
             }
+        }
+    }
+
+    /// Waits before an answer that is to be held back.
+    pub async fn hold_back(&self, time: Duration) {
+        if let Ok(_place) = self.held_back.try_acquire() {
+            tokio::time::sleep(time).await;
         }
     }
 

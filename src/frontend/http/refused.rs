@@ -1,5 +1,5 @@
 //! Refused requests are written down, whoever refused them: the guard, the parser, or the gripper. Who is refused all
-//! too often hears of it later, but for FAST STOPs, which nothing holds back.
+//! too often hears of it later, but for what stops, and what keeps or ends a lease.
 
 use std::sync::Arc;
 
@@ -7,7 +7,6 @@ use axum::extract::{MatchedPath, Request, State};
 use axum::http::Method;
 use axum::middleware::Next;
 use axum::response::Response;
-use tokio::time::sleep;
 
 use super::extract::Asker;
 use super::{API, Context};
@@ -32,12 +31,12 @@ pub async fn record(State(context): State<Arc<Context>>, request: Request, next:
     let client = Asker::of(request.extensions()).0;
     let route = request.extensions().get::<MatchedPath>().map(MatchedPath::as_str);
     let (gripper, command) = (gripper(request.uri().path()), command(route));
-    let is_fast_stop = request.uri().path().ends_with("/fast-stop");
+    let is_prompt = is_prompt(request.method(), &command);
     let response = next.run(request).await;
     if let Some(Refused { code, cause }) = response.extensions().get().cloned() {
         let held_back_for = context.refusals.take(Refusal { gripper, client, command, code }, cause);
-        if let Some(held_back_for) = held_back_for.filter(|_| !is_fast_stop) {
-            sleep(held_back_for).await;
+        if let Some(time) = held_back_for.filter(|_| !is_prompt) {
+            context.refusals.hold_back(time).await;
         }
     }
     response
@@ -47,6 +46,15 @@ pub async fn record(State(context): State<Arc<Context>>, request: Request, next:
 fn gripper(path: &str) -> Option<Name> {
     let below = path.strip_prefix(API).and_then(|path| path.strip_prefix("/grippers/"));
     below.and_then(|below| below.split('/').next()).and_then(|name| name.parse().ok())
+}
+
+/// Whether nothing holds its answer back: what stops, and what keeps or ends a lease.
+fn is_prompt(method: &Method, command: &str) -> bool {
+    match command {
+        "fast-stop" | "stop" | "cancel" => true,
+        "lease" => matches!(*method, Method::PUT | Method::DELETE),
+        _ => false,
+    }
 }
 
 /// The last part of a route's template that is no parameter: paths are the clients', and there is no end of them.
@@ -67,5 +75,9 @@ mod tests {
         assert_eq!(command(Some("/api/v1/grippers/{g}/settings/acceleration")), "acceleration");
         assert_eq!(command(Some("/api/v1/grippers/{g}/custom/{id}")), "custom");
         assert_eq!(command(None), "none");
+        for (method, route) in [(Method::POST, "stop"), (Method::PUT, "lease"), (Method::DELETE, "lease")] {
+            assert!(is_prompt(&method, route), "{method} {route}");
+        }
+        assert!(!is_prompt(&Method::POST, "lease") && !is_prompt(&Method::POST, "move"));
     }
 }
