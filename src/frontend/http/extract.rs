@@ -43,8 +43,7 @@ pub struct Gripper {
     pub client: Client,
     /// The lease's token, where it could be read: a FAST STOP asks for none, and must not fail for it.
     pub lease: Result<Option<LeaseToken>, Problem>,
-    /// The lease is used, for as long as the request is open.
-    using: Option<Arc<Using>>,
+    using: Option<Arc<Use>>,
     presence: Presence,
 }
 
@@ -54,8 +53,30 @@ pub enum Presence {
     /// The request ends with its client: while it is open, it keeps the lease.
     #[default]
     Seen,
-    /// It does not: the request uses the lease when it comes, and the lease's time runs while it is open.
+    /// It does not: the request uses the lease when it comes and when it is answered, and the lease's time runs between.
     Unseen,
+}
+
+/// A request's use of a lease.
+#[derive(Debug)]
+enum Use {
+    /// For as long as it is open.
+    Kept { _using: Using },
+    /// When it came, and when it is answered.
+    AtBothEnds { _answered: Answered },
+}
+
+/// The time of a lease runs from the answer.
+#[derive(Debug)]
+struct Answered {
+    handle: Handle,
+    lease: LeaseToken,
+}
+
+impl Drop for Answered {
+    fn drop(&mut self) {
+        drop(self.handle.use_lease(self.lease.clone()));
+    }
 }
 
 impl Gripper {
@@ -97,9 +118,13 @@ impl FromRequestParts<Arc<Context>> for Gripper {
 }
 
 /// Each request with a lease's token uses that lease, whatever it asks for.
-fn using(handle: &Handle, lease: Option<&LeaseToken>, presence: Presence) -> Option<Arc<Using>> {
-    let using = handle.use_lease(lease?.clone());
-    (presence == Presence::Seen).then(|| Arc::new(using))
+fn using(handle: &Handle, lease: Option<&LeaseToken>, presence: Presence) -> Option<Arc<Use>> {
+    let lease = lease?.clone();
+    let using = handle.use_lease(lease.clone());
+    Some(Arc::new(match presence {
+        Presence::Seen => Use::Kept { _using: using },
+        Presence::Unseen => Use::AtBothEnds { _answered: Answered { handle: handle.clone(), lease } },
+    }))
 }
 
 /// Who asks. Before there are credentials that is the peer's address.

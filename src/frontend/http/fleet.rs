@@ -17,7 +17,7 @@ use utoipa::ToSchema;
 use super::errors::{Code, Problem};
 use super::extract::{Asker, DEFAULT_WAIT_MS, MAX_WAIT_MS};
 use super::fast_stop::{FastStopBody, with_reason};
-use super::methods::{IDEMPOTENCY_KEY, METHODS, Method, Methods, WSG_LEASE, is_fast_stop, is_unhindered};
+use super::methods::{IDEMPOTENCY_KEY, METHODS, Method, Methods, WSG_LEASE, urgency};
 use super::parameters::Parameters;
 use super::refused::Refused;
 use super::responses::AnyProblem;
@@ -150,11 +150,7 @@ pub async fn forward(
     };
     let (wait, aside) = (wait(&request, method)?, aside(&request));
     let gateway = target.gateway.clone();
-    let urgency = match method.name {
-        name if is_fast_stop(name) => Urgency::FastStop,
-        name if is_unhindered(name) => Urgency::Stop,
-        _ => Urgency::None,
-    };
+    let urgency = urgency(method.name);
     let ask = move |params| async move {
         let (method, params) = (method.name, Value::Object(params));
         context.network.ask(Ask { gateway, gripper, method, params, wait, aside, client, urgency }).await

@@ -16,6 +16,7 @@ use super::API;
 use super::errors::{Code, Problem};
 use super::extract::Presence;
 use super::lease::Taken;
+use crate::frontend::network::Urgency;
 use crate::gripper::Ticket;
 use crate::gripper::model::Client;
 
@@ -55,13 +56,16 @@ pub fn is_fast_stop(name: &str) -> bool {
     FAST_STOPS.contains(&name)
 }
 
-/// What only stops, or keeps or ends a lease: it waits for nothing that moves or reads, and is refused for nobody else.
-const UNHINDERED: [&str; 4] = ["stop", "cancel", "lease.renew", "lease.release"];
-
-/// Whether a method is one of those.
+/// Before what a method goes. What only stops, or keeps or ends a lease, waits for nothing that moves or reads, and is
+/// refused for nobody else.
 #[must_use]
-pub fn is_unhindered(name: &str) -> bool {
-    UNHINDERED.contains(&name)
+pub fn urgency(name: &str) -> Urgency {
+    match name {
+        name if is_fast_stop(name) => Urgency::FastStop,
+        "stop" | "cancel" => Urgency::Stop,
+        "lease.renew" | "lease.release" => Urgency::Lease,
+        _ => Urgency::None,
+    }
 }
 
 /// The FAST STOP that a text names which is no request.

@@ -66,9 +66,7 @@ pub(super) use body::{MAX_BODY_BYTES, parse as parse_body};
 pub(super) use errors::{Code, Problem};
 pub(super) use extract::Presence;
 pub(super) use lease::Taken;
-pub(super) use methods::{
-    IDEMPOTENCY_KEY, METHODS, Method, Methods, Refusal, WSG_LEASE, Wait, is_fast_stop, is_unhindered,
-};
+pub(super) use methods::{IDEMPOTENCY_KEY, METHODS, Method, Methods, Refusal, WSG_LEASE, Wait, is_fast_stop, urgency};
 pub use server::{Limits, RESERVED_CONNECTIONS, serve};
 pub(super) use unique::Unique;
 

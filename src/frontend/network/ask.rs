@@ -4,9 +4,11 @@ use std::convert::Infallible;
 use std::future::pending;
 use std::time::Duration;
 
+use futures_util::stream::{FuturesUnordered, StreamExt as _};
 use serde::Deserialize;
 use serde_json::value::RawValue;
 use serde_json::{Value, json};
+use tokio::time::{Instant, sleep_until, timeout};
 use zenoh::Wait as _;
 use zenoh::bytes::{Encoding, ZBytes};
 use zenoh::qos::Priority;
@@ -22,8 +24,18 @@ use crate::gripper::model::{Client, Name};
 /// How long an answer may take on its way, beside what its operation may take.
 const ON_ITS_WAY: Duration = Duration::from_secs(5);
 
-/// How often a lease is used that is kept: two may be lost on their way.
-const USES_A_TTL: u32 = 3;
+/// How often a lease is used that is kept: two may be lost on their way, and the third take its time.
+const USES_A_TTL: u32 = 4;
+
+/// How many uses of a lease may wait for their answers: each may have a thread of its own for as long as Zenoh has no way
+/// for it.
+const MAX_USES_UNDER_WAY: usize = 2;
+
+/// How long the answer to a use may take at least.
+const MIN_ANSWERED_WITHIN: Duration = Duration::from_millis(250);
+
+/// What asks for a lease itself, and keeps none.
+const LEASE_METHODS: &str = "lease.";
 
 /// The field that names a lease, and how it is refused that it is nobody's any more.
 const LEASE: &str = "lease";
@@ -55,8 +67,10 @@ pub struct Ask {
 pub enum Urgency {
     /// Before all else, and needs no place: FAST STOP.
     FastStop,
-    /// Before what moves and reads: what only stops, and what keeps or ends a lease.
+    /// Before what moves and reads: what only stops.
     Stop,
+    /// And what keeps or ends a lease, which waits for nobody's fingers to stand.
+    Lease,
     /// Everything else.
     None,
 }
@@ -65,7 +79,7 @@ impl Urgency {
     fn priority(self) -> Priority {
         match self {
             Self::FastStop => Priority::RealTime,
-            Self::Stop => Priority::InteractiveHigh,
+            Self::Stop | Self::Lease => Priority::InteractiveHigh,
             Self::None => Priority::DataHigh,
         }
     }
@@ -96,12 +110,13 @@ impl Network {
     pub async fn ask(&self, ask: Ask) -> Result<Asked, NoAnswer> {
         match self.others().has_lost(&ask.gateway, &ask.gripper, Now::read().instant) {
             None => return Err(NoAnswer::Unknown),
-            // A FAST STOP is worth the attempt, and what waits for a way there must not move later.
-            Some(true) if ask.urgency != Urgency::FastStop => return Err(NoAnswer::Gone),
+            // What waits for a way there must not move later; what stops is worth the attempt, and so is a lease.
+            Some(true) if ask.urgency == Urgency::None => return Err(NoAnswer::Gone),
             Some(_) => {}
         }
         let places = match ask.urgency {
             Urgency::FastStop => None,
+            Urgency::Lease => Some(&self.leases),
             Urgency::Stop => Some(&self.stops),
             Urgency::None => Some(&self.asks),
         };
@@ -115,7 +130,7 @@ impl Network {
     }
 
     /// Uses a lease as often as it needs, for as long as this is polled: the gateway that owns it does not see whether who
-    /// asks here is still there.
+    /// asks here is still there. Each use goes out in its time, whatever became of the one before.
     async fn keep_lease(&self, renewal: Option<Ask>) -> Infallible {
         #[derive(Deserialize)]
         struct Renewed {
@@ -124,16 +139,26 @@ impl Network {
         let Some(renewal) = renewal else { return pending().await };
         // Until it is known how long it lives.
         let mut every = MIN_TTL / USES_A_TTL;
+        let mut next = Instant::now() + every;
+        let mut under_way = FuturesUnordered::new();
         loop {
-            tokio::time::sleep(every).await;
-            match tokio::time::timeout(every, self.send(renewal.clone())).await {
-                Ok(Ok(Ok(lease))) => {
-                    let ttl = serde_json::from_str(lease.get()).map(|Renewed { ttl_ms }| Duration::from_millis(ttl_ms));
-                    every = ttl.map_or(every, |ttl| ttl.max(MIN_TTL) / USES_A_TTL);
+            tokio::select! {
+                () = sleep_until(next), if under_way.len() < MAX_USES_UNDER_WAY => {
+                    let within = (every * MAX_USES_UNDER_WAY as u32).max(MIN_ANSWERED_WITHIN);
+                    under_way.push(timeout(within, self.send(renewal.clone())));
+                    next = Instant::now() + every;
                 }
-                // It is nobody's any more.
-                Ok(Ok(Err((CONFLICT, _)))) => return pending().await,
-                _ => {}
+                Some(answer) = under_way.next() => match answer {
+                    Ok(Ok(Ok(lease))) => {
+                        let ttl = serde_json::from_str(lease.get()).map(|Renewed { ttl_ms }| Duration::from_millis(ttl_ms));
+                        let known = ttl.map_or(every, |ttl| ttl.max(MIN_TTL) / USES_A_TTL);
+                        next = next - every + known;
+                        every = known;
+                    }
+                    // It is nobody's any more.
+                    Ok(Ok(Err((CONFLICT, _)))) => return pending().await,
+                    _ => {}
+                }
             }
         }
     }
@@ -145,11 +170,11 @@ impl Network {
         let wait_ms = ask.wait.map(|wait| ("wait_ms", wait.as_millis().to_string()));
         let parameters = [subject].into_iter().chain(wait_ms).chain(ask.aside);
         let parameters: Vec<_> = parameters.map(|(key, value)| format!("{key}={}", keys::encoded(&value))).collect();
-        let timeout = ask.wait.unwrap_or_default() + ON_ITS_WAY;
+        let within = ask.wait.unwrap_or_default() + ON_ITS_WAY;
         let (payload, urgency) = (ask.params.to_string(), ask.urgency);
         // It may wait for a place, and nobody else does there.
         let sent = tokio::task::spawn_blocking(move || {
-            let get = session.get(format!("{key}?{}", parameters.join(";"))).payload(payload).timeout(timeout);
+            let get = session.get(format!("{key}?{}", parameters.join(";"))).payload(payload).timeout(within);
             let get = get.encoding(Encoding::APPLICATION_JSON).allowed_destination(Locality::Remote);
             get.target(QueryTarget::All).express(urgency == Urgency::FastStop).priority(urgency.priority()).wait()
         });
@@ -167,8 +192,11 @@ impl Network {
 }
 
 impl Ask {
-    /// What keeps the lease that this names.
+    /// What keeps the lease that this names, where that is asked to be used and not to be changed.
     fn renewal(&self) -> Option<Self> {
+        if self.urgency == Urgency::FastStop || self.method.starts_with(LEASE_METHODS) {
+            return None;
+        }
         let aside = self.aside.iter().find(|(name, _)| *name == LEASE).map(|(_, lease)| lease.as_str());
         let lease = aside.or_else(|| self.params.get(LEASE)?.as_str()).filter(|lease| !lease.is_empty())?;
         Some(Self {
@@ -179,7 +207,7 @@ impl Ask {
             wait: None,
             aside: Vec::new(),
             client: self.client.clone(),
-            urgency: Urgency::Stop,
+            urgency: Urgency::Lease,
         })
     }
 }

@@ -55,6 +55,7 @@ pub struct Network {
     news: Notify,
     asks: Arc<Semaphore>,
     stops: Arc<Semaphore>,
+    leases: Arc<Semaphore>,
     /// Who tells gateways again that have missed the newest FAST STOP of all.
     insisting: Mutex<Option<AbortHandle>>,
 }
@@ -73,9 +74,9 @@ impl Network {
     #[must_use]
     pub fn new(gateway: Name, own: Fleet) -> Self {
         let (session, others, news) = (OnceLock::new(), Mutex::default(), Notify::new());
-        let [asks, stops] = [MAX_ASKS; 2].map(|places| Arc::new(Semaphore::new(places)));
+        let [asks, stops, leases] = [MAX_ASKS; 3].map(|places| Arc::new(Semaphore::new(places)));
         let cause = watch::Sender::new(None);
-        Self { gateway, own, session, cause, others, news, asks, stops, insisting: Mutex::default() }
+        Self { gateway, own, session, cause, others, news, asks, stops, leases, insisting: Mutex::default() }
     }
 
     /// Goes on the network of this session, for as long as what is returned lives.

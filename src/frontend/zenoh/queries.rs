@@ -17,17 +17,15 @@ use zenoh::bytes::Encoding;
 use zenoh::query::Query;
 
 use super::clients::Clients;
-use crate::frontend::http::{
-    self, Code, Context, Methods, Presence, Problem, Refusal, Wait, is_fast_stop, is_unhindered,
-};
+use crate::frontend::http::{self, Code, Context, Methods, Presence, Problem, Refusal, Wait, is_fast_stop, urgency};
 use crate::frontend::metrics::Metrics;
-use crate::frontend::network::Network;
 use crate::frontend::network::keys::{Keys, decoded, last_part};
+use crate::frontend::network::{Network, Urgency};
 use crate::gripper::Fleet;
 use crate::gripper::model::{Client, Door, Name, Text};
 
-/// Queries that may be under way, of those that may take their time, of those that don't, and of those that only stop, or
-/// keep or end a lease. More are refused as `overloaded`, but for FAST STOPs.
+/// Queries that may be under way, of those that may take their time, of those that don't, of those that only stop, and of
+/// those that keep or end a lease. More are refused as `overloaded`, but for FAST STOPs.
 const MAX_QUERIES: usize = 64;
 
 /// And FAST STOPs of one gripper among the queries, each of which ends within 250 ms: one more is under way already.
@@ -51,8 +49,10 @@ pub struct Queries {
     places: Arc<Semaphore>,
     /// Of those that may wait for a command's end.
     waiting_places: Arc<Semaphore>,
-    /// Of those that wait for nobody else.
-    unhindered_places: Arc<Semaphore>,
+    /// Of those that only stop, and may wait until the fingers stand.
+    stop_places: Arc<Semaphore>,
+    /// Of those that keep or end a lease, and wait for nobody.
+    lease_places: Arc<Semaphore>,
     fast_stop_places: BTreeMap<Name, Arc<Semaphore>>,
 }
 
@@ -74,7 +74,7 @@ impl Queries {
     pub fn new(keys: Keys, context: &Arc<Context>, clients: Arc<Clients>, metrics: Metrics) -> Self {
         let (methods, network, runtime) = (http::methods(context), context.network.clone(), Handle::current());
         let semaphore = |places| Arc::new(Semaphore::new(places));
-        let [places, waiting_places, unhindered_places] = [MAX_QUERIES; 3].map(semaphore);
+        let [places, waiting_places, stop_places, lease_places] = [MAX_QUERIES; 4].map(semaphore);
         let names = context.fleet.iter().map(crate::gripper::Handle::name);
         let fast_stop_places = names.map(|name| (name.clone(), semaphore(MAX_FAST_STOPS))).collect();
         Self {
@@ -86,7 +86,8 @@ impl Queries {
             runtime,
             places,
             waiting_places,
-            unhindered_places,
+            stop_places,
+            lease_places,
             fast_stop_places,
         }
     }
@@ -142,7 +143,7 @@ impl Queries {
         if !http::METHODS.iter().any(|row| is_a_grippers(&row)) {
             return Err(Problem::not_found("such command: the API's description has them all"));
         }
-        if self.network.has_twin() && !is_fast_stop && !is_unhindered(&method) {
+        if self.network.has_twin() && urgency(&method) == Urgency::None {
             let detail = "another gateway on the Zenoh network has the name of this one, and would do it, too: give each its own";
             return Err(Problem::new(Code::NameTaken, detail));
         }
@@ -190,15 +191,18 @@ impl Queries {
 
     /// Who waits for a command takes no place of who doesn't, and nobody one of a FAST STOP.
     fn places_for(&self, asked: &Asked) -> &Arc<Semaphore> {
-        if is_fast_stop(&asked.method) {
-            let gripper = asked.params.get("gripper").and_then(Value::as_str).and_then(|name| name.parse().ok());
-            return gripper.and_then(|name: Name| self.fast_stop_places.get(&name)).unwrap_or(&self.places);
+        match urgency(&asked.method) {
+            Urgency::FastStop => {
+                let gripper = asked.params.get("gripper").and_then(Value::as_str).and_then(|name| name.parse().ok());
+                gripper.and_then(|name: Name| self.fast_stop_places.get(&name)).unwrap_or(&self.places)
+            }
+            Urgency::Stop => &self.stop_places,
+            Urgency::Lease => &self.lease_places,
+            Urgency::None => {
+                let is_command = http::METHODS.iter().any(|row| row.name == asked.method && row.is_command);
+                if asked.wait_ms.is_some() || is_command { &self.waiting_places } else { &self.places }
+            }
         }
-        if is_unhindered(&asked.method) {
-            return &self.unhindered_places;
-        }
-        let is_command = http::METHODS.iter().any(|row| row.name == asked.method && row.is_command);
-        if asked.wait_ms.is_some() || is_command { &self.waiting_places } else { &self.places }
     }
 
     async fn call(&self, asked: Asked) -> Result<Box<RawValue>, Refusal> {
@@ -313,13 +317,14 @@ mod tests {
             asked("left", "move", None),
             asked("left", "command", Some("60000")),
             asked("left", "state", None),
-            asked("left", "stop", None),
+            asked("left", "stop", Some("60000")),
+            asked("left", "cancel", None),
             asked("left", "lease.renew", None),
             asked("left", "fast-stop", None),
             asked("right", "fast-stop", Some("60000")),
         ];
         // Those of one lane stand behind each other.
-        let lane_of = [0, 0, 1, 2, 2, 3, 4];
+        let lane_of = [0, 0, 1, 2, 2, 3, 4, 5];
         for (asked, lane) in lanes.iter().zip(lane_of) {
             let places = queries.places_for(asked).clone();
             let all: Vec<_> = std::iter::from_fn(|| places.clone().try_acquire_owned().ok()).collect();
