@@ -3,7 +3,7 @@
 import assert from 'node:assert/strict';
 import { after, test } from 'node:test';
 
-import { assertClean, browser, controlled, endAll, gateway, homed, until, visit } from './harness.mjs';
+import { assertClean, browser, controlled, endAll, gateway, homed, simulator, until, visit } from './harness.mjs';
 
 after(endAll);
 const launched = await browser();
@@ -79,6 +79,90 @@ test('who lets go of a jog after another took control by force does not stop the
   await page.mouse.up();
   await page.waitForSelector('.status:has-text("robot")');
   assert.equal((await served.ask('GET', `grippers/left/commands/${runs}?wait_ms=20000`)).outcome, 'SUCCESS');
+});
+
+test('who lets go of a jog stops it, though its answer was lost', async () => {
+  const device = await simulator();
+  const served = await gateway({ more: ['--gripper', `left=${device.url}`] });
+  const { page, close } = await visit(launched, served);
+  await homed(page);
+  await page.fill('#speed', '5');
+  await page.locator('#jog-close').hover();
+  await device.happens({ fault: { kind: 'corrupt_checksum', id: 0x21, times: 1 } });
+  await page.mouse.down();
+  const state = () => served.ask('GET', 'grippers/left/state');
+  await until('its command is over, and it moves', async () => {
+    const { events } = await served.ask('GET', 'events?kind=command&outcome=UNKNOWN');
+    return events.length > 0;
+  });
+  assert.equal((await state()).moving, true);
+  await page.mouse.up();
+  await until('it stands', async () => (await state()).moving === false);
+  assert.ok((await state()).width_mm > 5, 'it was stopped on its way');
+  await close();
+});
+
+/** Two of whom one has asked the other for control, who jogs; `toAnna` and `toGateway` let messages through, or don't. */
+async function jogging({ toAnna = () => true, toGateway = () => true }) {
+  const served = await gateway();
+  const [anna, ben] = [await visit(launched, served), await visit(launched, served)];
+  await anna.page.routeWebSocket('**/api/v1/ws', (socket) => {
+    const server = socket.connectToServer();
+    socket.onMessage((message) => { if (toGateway(JSON.parse(message))) server.send(message); });
+    server.onMessage((message) => { if (toAnna(JSON.parse(message), () => socket.send(message))) socket.send(message); });
+  });
+  await anna.page.reload();
+  await homed(anna.page);
+  await ben.page.click('#ask-control');
+  await anna.page.fill('#speed', '5');
+  await anna.page.waitForSelector('#hand-over');
+  const state = () => served.ask('GET', 'grippers/left/state');
+  const from = (await state()).width_mm;
+  await anna.page.locator('#jog-close').hover();
+  await anna.page.mouse.down();
+  await until('it is jogged', async () => (await state()).width_mm < from - 1);
+  // By another finger.
+  await anna.page.evaluate(() => document.querySelector('#hand-over').click());
+  await ben.page.waitForSelector('.status.tone-mine');
+  const stopped = () => until('it is stopped on its way', async () => {
+    const { events } = await served.ask('GET', 'events?kind=command&outcome=ABORTED');
+    return events.length > 0 && (await state()).moving === false;
+  });
+  return { state, stopped, page: anna.page, close: () => Promise.all([anna.close(), ben.close()]) };
+}
+
+test('a jog that was handed over is ended by its name, again and again', async () => {
+  let lost = 0;
+  const toGateway = ({ method }) => {
+    if (method !== 'cancel' || lost === 2) return true;
+    lost += 1;
+    return false;
+  };
+  const { stopped, page, close } = await jogging({ toGateway });
+  await page.mouse.up();
+  await stopped();
+  assert.equal(lost, 2);
+  await close();
+});
+
+test('a jog that was handed over is ended as soon as its name is known', async () => {
+  let named = null;
+  let asked = null;
+  const toGateway = ({ method, params, id }) => {
+    if (method === 'move' && params.speed_mm_s === 5) asked = id;
+    return true;
+  };
+  const toAnna = ({ id, method }, pass) => {
+    if (method !== undefined || id !== asked) return true;
+    named = pass;
+    return false;
+  };
+  const { state, stopped, page, close } = await jogging({ toAnna, toGateway });
+  await page.mouse.up();
+  assert.equal((await state()).moving, true);
+  named();
+  await stopped();
+  await close();
 });
 
 test('a command that ended while the gateway was away runs no more', async () => {

@@ -61,10 +61,15 @@ async function run(flags, looksFor) {
   return { child, kill, says, said: await says(looksFor) };
 }
 
-/** A simulated device in a process of its own, which can be stopped. */
+/** A simulated device in a process of its own, which can be stopped, and to which things happen. */
 export async function simulator() {
-  const { child, said: url } = await run(['sim', 'tcp://127.0.0.1:0'], /(tcp:\/\/127\.0\.0\.1:[1-9]\d*)/);
-  return { child, url };
+  const { child, says, said: url } = await run(['sim', 'tcp://127.0.0.1:0', '--control', '127.0.0.1:0'], /(tcp:\/\/127\.0\.0\.1:[1-9]\d*)/);
+  const devices = await says(/faults at (http:\S+)/);
+  const happens = async (change) => {
+    const answer = await fetch(`${devices}/0`, { method: 'POST', body: JSON.stringify(change) });
+    assert.ok(answer.ok, await answer.text());
+  };
+  return { child, url, happens };
 }
 
 /** A gateway of its own; with `port` 0 at any that is free. It is there once these grippers are connected, or all. */

@@ -20,18 +20,17 @@ export class Jog {
   /** `limits` are the widths that may be reached. */
   begin(one, direction, speed, limits) {
     if (this.#press?.isHeld || !one.isMine.peek()) return;
-    const press = { isHeld: true, command: null, epoch: one.held.peek().epoch };
+    const press = { isHeld: true, isUnanswered: false, command: null, epoch: one.held.peek().epoch };
     press.over = new Promise((resolve) => { press.letGo = resolve; });
     this.#press = press;
     // One after the other: the end of a press must not end what the next one renews.
     this.#settled = this.#settled.then(() => this.#hold(one, press, direction, speed, limits)).catch(() => {});
   }
 
-  end(one) {
+  end() {
     if (!this.#press?.isHeld) return;
     this.#press.isHeld = false;
     this.#press.letGo();
-    stop(one, this.#press);
   }
 
   async #hold(one, press, direction, speed, limits) {
@@ -44,27 +43,31 @@ export class Jog {
       if (held) rpc.call('lease.renew', { gripper: one.name, lease: held.token }).catch(() => {});
     }, RENEWED_EVERY_MS);
     try {
-      if (lease && press.isHeld) {
-        const command = await move(one, 'move', { width_mm: direction < 0 ? limits.min : limits.max, speed_mm_s: speed });
-        press.command = command?.id ?? null;
-      }
+      if (lease && press.isHeld) begun(one, press, { width_mm: direction < 0 ? limits.min : limits.max, speed_mm_s: speed });
       await press.over;
-      await this.#stop(one, press);
+      await stopped(one, press);
     } finally {
       clearInterval(renewing);
     }
     // Control lives with the connection again.
     if (isOurs(one, press)) await changeTerms(one);
   }
+}
 
-  /** Once, and again until it has stopped. */
-  async #stop(one, press) {
-    for (let tries = 0; tries < MAX_STOPS && isOurs(one, press); tries += 1) {
-      stop(one, press);
-      await new Promise((resolve) => { setTimeout(resolve, STOPPED_EVERY_MS); });
-      const isOver = one.newest?.moving === false && (press.command === null || one.newest?.command !== press.command);
-      if (isOver || !rpc.isOpen) return;
-    }
+/** Asks for the motion of a press, whose name may be told only after the button was let go. */
+async function begun(one, press, way) {
+  press.isUnanswered = true;
+  const command = await move(one, 'move', way);
+  press.command = command?.id ?? null;
+  press.isUnanswered = false;
+}
+
+/** Stops it, again and again until it has stopped. What is not answered yet may still begin. */
+async function stopped(one, press) {
+  for (let tries = 0; tries < MAX_STOPS; tries += press.isUnanswered ? 0 : 1) {
+    stop(one, press);
+    await new Promise((resolve) => { setTimeout(resolve, STOPPED_EVERY_MS); });
+    if (!press.isUnanswered && isOver(one, press)) return;
   }
 }
 
@@ -73,9 +76,18 @@ function isOurs(one, { epoch }) {
   return one.held.peek()?.epoch === epoch && one.newest?.lease_epoch === epoch;
 }
 
-/** Ends the motion of a press, by its name as soon as that is known: so no other's is ended, whatever happens meanwhile. */
+function isOver(one, press) {
+  const { moving, command } = one.newest;
+  if (!isOurs(one, press) && press.command === null) return true;
+  if (press.command !== null && command === press.command) return false;
+  return moving === false || (command !== null && !isOurs(one, press));
+}
+
+/**
+ * Stops whatever moves while control is ours: fingers go on, too, whose command has ended because its answer was lost.
+ * Under another's control only the motion of this press is ended, by its name.
+ */
 function stop(one, press) {
-  const ended = press.command === null ? (isOurs(one, press) ? rpc.call('stop', { gripper: one.name }) : null)
-    : rpc.call('cancel', { gripper: one.name, command: press.command });
-  ended?.catch(() => {});
+  if (isOurs(one, press)) rpc.call('stop', { gripper: one.name }).catch(() => {});
+  else if (press.command !== null) rpc.call('cancel', { gripper: one.name, command: press.command }).catch(() => {});
 }

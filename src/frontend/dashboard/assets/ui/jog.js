@@ -16,7 +16,9 @@ function HoldButton({ id, label, jog, one, direction, speed, limits, disabled })
     if (event.type === 'pointerdown') event.currentTarget.setPointerCapture(event.pointerId);
     jog.begin(one, direction, speed, limits);
   };
-  const end = () => jog.end(one);
+  const end = () => jog.end();
+  // Nobody hears of a button that is let go while it is disabled.
+  useEffect(() => { if (disabled) end(); }, [disabled]);
   const isKey = ({ key }) => key === ' ' || key === 'Enter';
   return html`<button type="button" id=${id} class="hold" disabled=${disabled}
     onPointerDown=${begin} onPointerUp=${end} onPointerCancel=${end} onLostPointerCapture=${end} onBlur=${end}
@@ -28,7 +30,7 @@ function HoldButton({ id, label, jog, one, direction, speed, limits, disabled })
 export function JogPanel({ one, speed, limits, reason }) {
   const jog = useMemo(() => new Jog(), [one]);
   useEffect(() => {
-    const end = () => jog.end(one);
+    const end = () => jog.end();
     const hidden = () => { if (document.hidden) end(); };
     addEventListener('blur', end);
     addEventListener('pagehide', end);
