@@ -102,6 +102,27 @@ test('STOP does not wait behind what is being read', async () => {
   await visitor.close();
 });
 
+test('what gave way to STOP is read again', async () => {
+  const served = await gateway();
+  const { page, close } = await visit(launched, served);
+  let reads = 0;
+  await page.route('**/api/v1/events?*', (route) => {
+    reads += 1;
+    return reads === 1 ? undefined : route.continue();
+  });
+  await page.exposeFunction('reads', () => reads);
+  const told = await page.evaluate(async () => {
+    const { get, postUrgently } = await import(new URL('net/rest.js', document.querySelector('script[type=module]').src));
+    const read = get('events?limit=1').then(({ events }) => events.length, (problem) => problem);
+    while (await globalThis.reads() === 0) await new Promise(requestAnimationFrame);
+    const { fast_stop_id: id } = await postUrgently('grippers/left/fast-stop', { reason: 'a test' }, 5000);
+    return { id, read: await read };
+  });
+  assert.ok(told.id);
+  assert.deepEqual([told.read, reads], [1, 2]);
+  await close();
+});
+
 test('what became of the newest STOP is said, whenever an older one ends', async () => {
   const served = await gateway();
   const visitor = await visit(launched, served);
