@@ -20,6 +20,10 @@ test('a setting that somebody else changes is told, and overwrites nothing that 
   await served.ask('PUT', 'grippers/left/settings/acceleration', { acceleration_mm_s2: 1500 });
   await shows(acceleration, '1500');
   await page.waitForSelector('.meanwhile:has-text("44 N")');
+  await page.fill(acceleration, '1600');
+  await page.locator(`form:has(${acceleration}) button[type=submit]`).click();
+  await page.waitForSelector('.settings-panel:has-text("Set.")');
+  assert.match(await page.locator('.meanwhile').innerText(), /by http:/, 'who sets another setting has not set this one');
   assert.equal(await page.inputValue(force), '33');
   await page.click('.meanwhile button');
   await shows(force, '44');

@@ -41,7 +41,7 @@ function takeAnswer({ event, holder }, one) {
 }
 
 function takeSetting(event, one) {
-  one.takeSettings(event.setting === 'soft_limits_cleared' ? { minus_mm: null, plus_mm: null } : event);
+  one.takeSettings(event.setting === 'soft_limits_cleared' ? { ...event, minus_mm: null, plus_mm: null } : event);
   one.settingsChange.value = event;
 }
 

@@ -1,6 +1,6 @@
 // One gripper, as the page knows it.
 
-import { computed, signal } from '../lib.js';
+import { batch, computed, signal } from '../lib.js';
 import { Samples } from '../core/ring.js';
 import { has } from '../core/flags.js';
 import { numbered } from '../core/newest.js';
@@ -32,6 +32,8 @@ export class Gripper {
     this.lease = signal(null);
     /** What is set, by the field names of the API; what isn't known is left out. */
     this.settings = signal({});
+    /** Who set them, by the same names; null where that was only read. */
+    this.setBy = signal({});
     /** The event that told of the newest change of a setting. */
     this.settingsChange = signal(null);
     /** Where a running motion goes: `{command, kind, width_mm, force_n}`. */
@@ -85,10 +87,16 @@ export class Gripper {
     else this.samples.gap();
   }
 
-  /** Takes what is set, out of whatever tells it. */
+  /** Takes what is set, out of whatever tells it: an event tells by whom, too. */
   takeSettings(told) {
-    const fields = SETTINGS.filter((field) => field in told).map((field) => [field, told[field]]);
-    this.settings.value = { ...this.settings.peek(), ...Object.fromEntries(fields) };
+    const [known, by] = [this.settings.peek(), this.setBy.peek()];
+    const fields = SETTINGS.filter((field) => field in told);
+    // What is read again was set by whoever set it.
+    const whose = (field) => told.subject ?? (told[field] === known[field] ? by[field] : null) ?? null;
+    batch(() => {
+      this.setBy.value = { ...by, ...Object.fromEntries(fields.map((field) => [field, whose(field)])) };
+      this.settings.value = { ...known, ...Object.fromEntries(fields.map((field) => [field, told[field]])) };
+    });
   }
 
   show() {

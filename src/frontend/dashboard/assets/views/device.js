@@ -60,7 +60,7 @@ function useDraft(one, field, asText = asTyped) {
 function Meanwhile({ one, drafts }) {
   const overtaken = drafts.filter(({ meanwhile }) => meanwhile !== null);
   if (overtaken.length === 0) return null;
-  const by = one.settingsChange.value?.subject ?? '–';
+  const by = [...new Set(overtaken.map(({ key }) => one.setBy.value[key] ?? '–'))].join(', ');
   return html`<p class="meanwhile small" role="status"><${Shape} name="high" /> ${t('settings.meanwhile', { by,
       value: overtaken.map(({ meanwhile, unit = '' }) => `${meanwhile || '–'} ${unit}`.trim()).join(', ') })}
     <button type="button" class="quiet" onClick=${() => overtaken.forEach(({ follow }) => follow())}>${t('settings.follow')}
