@@ -47,6 +47,23 @@ test('a setting that somebody else changes is told, and overwrites nothing that 
   await visitor.close();
 });
 
+test('a force limit that goes down with overdrive is told, though no event tells of it', async () => {
+  const served = await gateway();
+  const { page, close } = await visit(launched, served, { path: '/#/left/device' });
+  const force = '#force-limit-force_n';
+  const shows = (value) => page.waitForFunction(([field, wanted]) => document.querySelector(field)?.value === wanted, [force, value]);
+  await shows('40');
+  await served.ask('PUT', 'grippers/left/settings/overdrive', { enabled: true });
+  await served.ask('PUT', 'grippers/left/settings/force-limit', { force_n: 100 });
+  await shows('100');
+  await page.fill(force, '33');
+  await served.ask('PUT', 'grippers/left/settings/overdrive', { enabled: false });
+  await page.waitForSelector('.meanwhile:has-text("Set to 80 N meanwhile, by –.")');
+  await page.click('.meanwhile button');
+  await shows('80');
+  await close();
+});
+
 test('an older answer does not overwrite that to a newer filter', async () => {
   const served = await gateway();
   await served.ask('POST', 'grippers/left/home');

@@ -42,6 +42,8 @@ function takeAnswer({ event, holder }, one) {
 
 function takeSetting(event, one) {
   one.takeSettings(event.setting === 'soft_limits_cleared' ? { ...event, minus_mm: null, plus_mm: null } : event);
+  // Without overdrive a force limit above the nominal force is reduced, of which no event tells.
+  if (event.setting === 'overdrive') learnSettings(one, ['force-limit']);
   one.settingsChange.value = event;
 }
 
