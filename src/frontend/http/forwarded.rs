@@ -3,7 +3,7 @@
 use utoipa::{IntoParams, OpenApi};
 
 use super::errors::Members;
-use super::extract::{KeyHeaders, WaitQuery};
+use super::extract::KeyHeaders;
 use super::responses::DeviceProblem;
 
 #[derive(IntoParams)]
@@ -21,13 +21,22 @@ struct ForwardedPath {
     operation: String,
 }
 
+#[derive(IntoParams)]
+#[into_params(parameter_in = Query)]
+#[allow(dead_code, reason = "the document's words on what the query may have")]
+struct ForwardedQuery {
+    /// How long to wait, in ms, where the operation has such a parameter: within its own limits. Others don't look at it.
+    #[param(example = "5000")]
+    wait_ms: Option<String>,
+}
+
 macro_rules! forwarded {
     ($($(#[$doc:meta])* $name:ident: $verb:ident $id:literal $(, $body:ident = $of:ty)?;)*) => {
         $(
             $(#[$doc])*
             #[utoipa::path(
                 $verb, path = "/api/v1/fleet/{gateway}/grippers/{gripper}/{operation}", operation_id = $id, tag = "fleet",
-                params(ForwardedPath, WaitQuery, KeyHeaders),
+                params(ForwardedPath, ForwardedQuery, KeyHeaders),
                 $($body = $of,)?
                 responses(
                     (status = 200, description = "The operation's own answer", body = Value),
