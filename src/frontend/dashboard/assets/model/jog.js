@@ -11,6 +11,8 @@ const RENEWED_EVERY_MS = 250;
 const STOPPED_EVERY_MS = 150;
 /** Then the command's end is somebody else's matter: the page shows what moves. */
 const MAX_STOPS = 40;
+/** How a command ends whose fingers stand, or have been given to another. */
+const ENDED_BY_ITSELF = ['SUCCESS', 'ABORTED'];
 
 export class Jog {
   /** The newest press. */
@@ -84,10 +86,19 @@ function isOver(one, press) {
 }
 
 /**
- * Stops whatever moves while control is ours: fingers go on, too, whose command has ended because its answer was lost.
- * Under another's control only the motion of this press is ended, by its name.
+ * Ends the motion of this press by its name, which stops nobody else's. Where that has no name, or has ended although the
+ * fingers may go on, because its answer was lost, whatever moves is stopped while control is ours.
  */
 function stop(one, press) {
+  if (press.command === null) {
+    stopAll(one, press);
+    return;
+  }
+  rpc.call('cancel', { gripper: one.name, command: press.command })
+    .then(({ outcome }) => { if (outcome && !ENDED_BY_ITSELF.includes(outcome)) stopAll(one, press); })
+    .catch(() => {});
+}
+
+function stopAll(one, press) {
   if (isOurs(one, press)) rpc.call('stop', { gripper: one.name }).catch(() => {});
-  else if (press.command !== null) rpc.call('cancel', { gripper: one.name, command: press.command }).catch(() => {});
 }
