@@ -126,6 +126,12 @@ pub const METHODS: &[Method] = methods! {
 };
 
 impl Method {
+    /// The one of a route, by its verb and its template.
+    pub fn of_route(verb: &Verb, route: &str) -> Option<&'static Self> {
+        let path = route.strip_prefix(API)?;
+        METHODS.iter().find(|method| method.verb == verb && method.path == path)
+    }
+
     /// Whether it has a `wait_ms`.
     pub fn waits(&self) -> bool {
         self.is_command || self.name == "command"

@@ -4,13 +4,15 @@
 use std::sync::Arc;
 
 use axum::extract::{MatchedPath, Request, State};
-use axum::http::Method;
+use axum::http::Method as Verb;
 use axum::middleware::Next;
 use axum::response::Response;
 
 use super::extract::Asker;
+use super::methods::{Method, urgency};
 use super::{API, Context};
 use crate::frontend::metrics::NO_ROUTE;
+use crate::frontend::network::Urgency;
 use crate::frontend::refusals::Refusal;
 use crate::gripper::model::Name;
 
@@ -25,17 +27,18 @@ pub struct Refused {
 
 /// The middleware. Who only reads, changes nothing, and leaves no trace.
 pub async fn record(State(context): State<Arc<Context>>, request: Request, next: Next) -> Response {
-    if matches!(*request.method(), Method::GET | Method::HEAD | Method::OPTIONS) {
+    if matches!(*request.method(), Verb::GET | Verb::HEAD | Verb::OPTIONS) {
         return next.run(request).await;
     }
     let client = Asker::of(request.extensions()).0;
-    let route = request.extensions().get::<MatchedPath>().map(MatchedPath::as_str);
-    let (gripper, command) = (gripper(request.uri().path()), command(route));
-    let is_prompt = is_prompt(request.method(), &command);
+    let (method, route) = (request.method().clone(), request.extensions().get::<MatchedPath>().cloned());
+    let gripper = gripper(request.uri().path());
     let response = next.run(request).await;
     if let Some(Refused { code, cause }) = response.extensions().get().cloned() {
-        let held_back_for = context.refusals.take(Refusal { gripper, client, command, code }, cause);
-        if let Some(time) = held_back_for.filter(|_| !is_prompt) {
+        let route = route.as_ref().map(MatchedPath::as_str);
+        let refusal = Refusal { gripper, client, command: command(route), code };
+        let held_back_for = context.refusals.take(refusal, cause);
+        if let Some(time) = held_back_for.filter(|_| !is_prompt(&method, route)) {
             context.refusals.hold_back(time).await;
         }
     }
@@ -49,12 +52,9 @@ fn gripper(path: &str) -> Option<Name> {
 }
 
 /// Whether nothing holds its answer back: what stops, and what keeps or ends a lease.
-fn is_prompt(method: &Method, command: &str) -> bool {
-    match command {
-        "fast-stop" | "stop" | "cancel" => true,
-        "lease" => matches!(*method, Method::PUT | Method::DELETE),
-        _ => false,
-    }
+fn is_prompt(verb: &Verb, route: Option<&str>) -> bool {
+    let method = route.and_then(|route| Method::of_route(verb, route));
+    method.is_some_and(|method| urgency(method.name) != Urgency::None)
 }
 
 /// The last part of a route's template that is no parameter: paths are the clients', and there is no end of them.
@@ -75,9 +75,16 @@ mod tests {
         assert_eq!(command(Some("/api/v1/grippers/{g}/settings/acceleration")), "acceleration");
         assert_eq!(command(Some("/api/v1/grippers/{g}/custom/{id}")), "custom");
         assert_eq!(command(None), "none");
-        for (method, route) in [(Method::POST, "stop"), (Method::PUT, "lease"), (Method::DELETE, "lease")] {
-            assert!(is_prompt(&method, route), "{method} {route}");
+        let is_prompt = |verb, path: &str| is_prompt(&verb, Some(&format!("{API}/{path}")));
+        for (verb, what) in
+            [(Verb::POST, "fast-stop"), (Verb::POST, "stop"), (Verb::PUT, "lease"), (Verb::DELETE, "lease")]
+        {
+            assert!(is_prompt(verb, &format!("grippers/{{gripper}}/{what}")), "{what}");
         }
-        assert!(!is_prompt(&Method::POST, "lease") && !is_prompt(&Method::POST, "move"));
+        assert!(is_prompt(Verb::POST, "grippers/{gripper}/commands/{command}/cancel"));
+        assert!(is_prompt(Verb::POST, "fast-stop") && is_prompt(Verb::POST, "fleet/fast-stop"));
+        for what in ["lease", "move"] {
+            assert!(!is_prompt(Verb::POST, &format!("grippers/{{gripper}}/{what}")), "{what}");
+        }
     }
 }
