@@ -27,7 +27,8 @@ use crate::gripper::{Fleet, Now};
 pub use ask::{Ask, Asked, NoAnswer, Urgency};
 pub use told::FleetGripper;
 
-/// Requests to other gateways that may be under way, of those that only stop, or keep or end a lease, and of all others.
+/// Requests to other gateways that may be under way, of those that only stop, of those that keep or end a lease, and of all
+/// others.
 const MAX_ASKS: usize = 64;
 
 /// How long the confirmations of other gateways' grippers are waited for: as long as for one's own, and as long again for

@@ -126,10 +126,10 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
         if self.device.has_announced() {
             // An actor that is gone has given its device up.
             let _ = self.port.gripper.release_lease(Some(self.token.clone())).await;
+            self.device.forget_waiting();
         } else {
             self.lose().await;
         }
-        self.device.forget_waiting();
         // Its FAST STOPs may still wait for a place.
         let _ = tokio::time::timeout(LAST_WORDS_WITHIN, self.finish_fast_stops()).await;
     }
