@@ -3,7 +3,7 @@
 import assert from 'node:assert/strict';
 import { after, test } from 'node:test';
 
-import { assertClean, browser, controlled, endAll, gateway, homed, simulator, until, visit } from './harness.mjs';
+import { assertClean, browser, controlled, endAll, gateway, homed, named, simulator, until, visit } from './harness.mjs';
 
 after(endAll);
 const launched = await browser();
@@ -11,8 +11,7 @@ const launched = await browser();
 test('control that is handed over is fetched from whatever view', async () => {
   const served = await gateway();
   const [anna, ben] = [await visit(launched, served), await visit(launched, served)];
-  await ben.page.fill('#my-name', 'Ben');
-  await ben.page.press('#my-name', 'Tab');
+  await named(ben.page, 'Ben');
   await controlled(anna.page);
   await ben.page.click('#ask-control');
   await ben.page.waitForSelector('.control-panel:has-text("Asked.")');
@@ -51,8 +50,7 @@ test('control that is handed over at once is fetched, too', async () => {
 test('only who asks first is told that control comes', async () => {
   const served = await gateway();
   const [anna, ben, cleo] = [await visit(launched, served), await visit(launched, served), await visit(launched, served)];
-  await ben.page.fill('#my-name', 'Ben');
-  await ben.page.press('#my-name', 'Tab');
+  await named(ben.page, 'Ben');
   await controlled(anna.page);
   await ben.page.click('#ask-control');
   await ben.page.waitForSelector('.control-panel:has-text("Asked.")');
@@ -196,8 +194,7 @@ test('two tabs are two clients, and keep each other’s presets', async () => {
   await other.goto(served.url);
   await other.waitForFunction((taken) => document.querySelector('#my-name')?.value === `${taken} (2)`, first);
   assert.equal(await name(one.page), first, 'who was first keeps the name');
-  await other.fill('#my-name', first);
-  await other.press('#my-name', 'Tab');
+  await named(other, first);
   await other.waitForFunction((taken) => document.querySelector('#my-name').value === `${taken} (2)`, first);
   await other.reload();
   await other.waitForSelector('#take-control');

@@ -139,6 +139,12 @@ export async function visit(launched, { url }, { path = '/', width = 1280, heigh
   return { page, context, wrong, allowed, close: () => context.close() };
 }
 
+/** Is called so. */
+export async function named(page, name) {
+  await page.fill('#my-name', name);
+  await page.press('#my-name', 'Tab');
+}
+
 /** Has control of the gripper that is shown. */
 export async function controlled(page) {
   await page.click('#take-control');

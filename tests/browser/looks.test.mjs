@@ -5,7 +5,7 @@ import assert from 'node:assert/strict';
 import { readFileSync } from 'node:fs';
 import { after, test } from 'node:test';
 
-import { assertClean, ASSETS, AXE, browser, endAll, gateway, homed, shoot, simulator, visit } from './harness.mjs';
+import { assertClean, ASSETS, AXE, browser, endAll, gateway, homed, named, shoot, simulator, visit } from './harness.mjs';
 
 after(endAll);
 const launched = await browser();
@@ -55,8 +55,7 @@ for (const [size, shape] of Object.entries(SIZES)) {
       const visitor = await visit(launched, served, { ...shape, colorScheme, locale: language === 'de' ? 'de-DE' : 'en-GB' });
       const { page } = visitor;
       if (isNarrow) {
-        await page.fill('#my-name', LONGEST);
-        await page.press('#my-name', 'Tab');
+        await named(page, LONGEST);
       }
       await homed(page);
       await page.fill('#speed', '150');

@@ -3,7 +3,7 @@
 import assert from 'node:assert/strict';
 import { after, test } from 'node:test';
 
-import { assertClean, browser, endAll, gateway, homed, shoot, simulator, until, visit } from './harness.mjs';
+import { assertClean, browser, endAll, gateway, homed, named, shoot, simulator, until, visit } from './harness.mjs';
 
 after(endAll);
 const launched = await browser();
@@ -11,12 +11,8 @@ const launched = await browser();
 test('one browser asks, the other hands over, and the first takes it back by force', async () => {
   const served = await gateway();
   const [anna, ben] = [await visit(launched, served), await visit(launched, served)];
-  const named = async ({ page }, name) => {
-    await page.fill('#my-name', name);
-    await page.press('#my-name', 'Tab');
-  };
-  await named(anna, 'Anna');
-  await named(ben, 'Ben');
+  await named(anna.page, 'Anna');
+  await named(ben.page, 'Ben');
   await anna.page.click('#take-control');
   await ben.page.waitForSelector('.status:has-text("Anna")');
   assert.ok(await ben.page.locator('#home').isDisabled());

@@ -3,7 +3,7 @@
 import assert from 'node:assert/strict';
 import { after, test } from 'node:test';
 
-import { assertClean, browser, endAll, gateway, homed, until, visit } from './harness.mjs';
+import { assertClean, browser, endAll, gateway, homed, named, until, visit } from './harness.mjs';
 
 after(endAll);
 const launched = await browser();
@@ -127,8 +127,7 @@ test('texts end where the gateway ends them, and a number that is another one el
   await homed(page);
   await page.fill('#part', 'ä'.repeat(40));
   assert.equal(await page.inputValue('#part'), 'ä'.repeat(24));
-  await page.fill('#my-name', '€'.repeat(20));
-  await page.press('#my-name', 'Tab');
+  await named(page, '€'.repeat(20));
   assert.equal(await page.inputValue('#my-name'), '€'.repeat(10));
   await page.click('#give-back');
   await page.click('#take-control');
