@@ -125,9 +125,16 @@ const hz = computed(() => {
   return Math.max(HZ.all, Math.min(view.value === 'all' ? HZ.all : HZ.one, share));
 });
 
+/** So often states are told by this connection. */
+const askedHz = signal(null);
+
+const askFor = (max_hz) => rpc.call('subscribe', { topics: ['state', 'events'], max_hz });
+
 async function subscribe() {
   try {
-    const { states, event_seq: seq } = await rpc.call('subscribe', { topics: ['state', 'events'], max_hz: hz.peek() });
+    const begun = rpc.begun();
+    askedHz.value = begun?.params.max_hz ?? hz.peek();
+    const { states, event_seq: seq } = await (begun?.answer ?? askFor(askedHz.peek()));
     states.forEach(takeState);
     keepOnly(states.map((state) => state.gripper));
     show();
@@ -191,8 +198,9 @@ setInterval(() => {
 }, ASKED_EVERY_MS);
 
 effect(() => {
-  const max_hz = hz.value;
-  if (rpc.isOpen) rpc.call('subscribe', { topics: ['state', 'events'], max_hz }).then(({ states }) => states.forEach(takeState), () => {});
+  if (askedHz.value === null || askedHz.value === hz.value || !rpc.isOpen) return;
+  askedHz.value = hz.value;
+  askFor(hz.value).then(({ states }) => states.forEach(takeState), () => {});
 });
 
 document.addEventListener('visibilitychange', () => {

@@ -1,13 +1,21 @@
-// Before anything is painted: the looks, so that no white page flashes at night; and the connection, while the modules
-// are still on their way: one round trip less until there is something to see.
+// Before anything is painted: the looks, so that no white page flashes at night; and what the page asks for first, while
+// its modules are still on their way, so that the first that is painted is what there is to see.
 
-let earlyTheme = null;
-try {
-  earlyTheme = JSON.parse(localStorage.getItem('wsg.theme'));
-} catch {
-  // As outside.
+{
+  let theme = null;
+  try {
+    theme = JSON.parse(localStorage.getItem('wsg.theme'));
+  } catch {
+    // As outside.
+  }
+  const isDark = theme === 'dark' || (theme !== 'light' && matchMedia('(prefers-color-scheme: dark)').matches);
+  document.documentElement.dataset.theme = isDark ? 'dark' : 'light';
+
+  const scheme = location.protocol === 'https:' ? 'wss' : 'ws';
+  const socket = new WebSocket(`${scheme}://${location.host}/api/v1/ws`, 'wsg.v1');
+  const asked = { jsonrpc: '2.0', id: 0, method: 'subscribe', params: { topics: ['state', 'events'], max_hz: 20 } };
+  const heard = [];
+  socket.addEventListener('open', () => socket.send(JSON.stringify(asked)));
+  socket.onmessage = ({ data }) => heard.push(data);
+  globalThis.early = { socket, asked, heard };
 }
-const isEarlyDark = earlyTheme === 'dark' || (earlyTheme !== 'light' && matchMedia('(prefers-color-scheme: dark)').matches);
-document.documentElement.dataset.theme = isEarlyDark ? 'dark' : 'light';
-
-globalThis.earlySocket = new WebSocket(`${location.protocol === 'https:' ? 'wss' : 'ws'}://${location.host}/api/v1/ws`, 'wsg.v1');

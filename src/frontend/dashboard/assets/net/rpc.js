@@ -20,11 +20,11 @@ function address() {
   return `${scheme}://${location.host}/api/v1/ws`;
 }
 
-/** What `early.js` has begun, for the first who asks. */
-function early() {
-  const socket = globalThis.earlySocket;
-  delete globalThis.earlySocket;
-  return socket && socket.readyState <= WebSocket.OPEN ? socket : null;
+/** What `early.js` has begun, for the first who asks: `{socket, asked, heard}`. */
+function takeEarly() {
+  const { early } = globalThis;
+  delete globalThis.early;
+  return early && early.socket.readyState <= WebSocket.OPEN ? early : null;
 }
 
 export class Rpc {
@@ -34,6 +34,7 @@ export class Rpc {
   #tries = 0;
   #timer = null;
   #isWanted = true;
+  #begun = null;
 
   /** `onOpen()`, `onEnd()`, `onTold(method, params)`, and `onHeard()` for anything that comes. */
   constructor(handlers) {
@@ -68,24 +69,38 @@ export class Rpc {
   }
 
   /** The answer; rejects with a problem. */
-  call(method, params = {}, withinMs = ANSWERS_WITHIN_MS) {
+  call(method, params = {}, withinMs = undefined) {
     if (!this.isOpen) return Promise.reject(noConnection());
     const id = this.#nextId;
     this.#nextId += 1;
+    const answer = this.#expect(id, withinMs);
+    this.#socket.send(JSON.stringify({ jsonrpc: '2.0', id, method, params }));
+    return answer;
+  }
+
+  #expect(id, withinMs = ANSWERS_WITHIN_MS) {
     return new Promise((resolve, reject) => {
       const timer = setTimeout(() => {
         this.#calls.delete(id);
         reject(noConnection());
       }, withinMs);
       this.#calls.set(id, { resolve, reject, timer });
-      this.#socket.send(JSON.stringify({ jsonrpc: '2.0', id, method, params }));
     });
+  }
+
+  /** What was asked over this connection before this was there, once: `{params, answer}`, or null. */
+  begun() {
+    const begun = this.#begun;
+    this.#begun = null;
+    return begun;
   }
 
   #connect() {
     clearTimeout(this.#timer);
-    const socket = early() ?? new WebSocket(address(), SUBPROTOCOL);
+    const early = takeEarly();
+    const socket = early?.socket ?? new WebSocket(address(), SUBPROTOCOL);
     this.#socket = socket;
+    this.#begun = early && { params: early.asked.params, answer: this.#expect(early.asked.id) };
     const tooLate = setTimeout(() => socket.readyState === WebSocket.CONNECTING && socket.close(), CONNECTS_WITHIN_MS);
     const opened = () => {
       if (socket !== this.#socket) return;
@@ -93,6 +108,7 @@ export class Rpc {
       this.#tries = 0;
       this.handlers.onHeard?.();
       this.handlers.onOpen?.();
+      if (early) this.#takeAll(early.heard);
     };
     if (socket.readyState === WebSocket.OPEN) queueMicrotask(opened);
     else socket.onopen = opened;
@@ -101,6 +117,14 @@ export class Rpc {
       clearTimeout(tooLate);
       this.#ended(socket);
     };
+  }
+
+  /** Each in its turn, as they would come: who awaits an answer sees it before what came after it. */
+  async #takeAll(heard) {
+    for (const data of heard) {
+      this.#take(JSON.parse(data));
+      await null;
+    }
   }
 
   #take(message) {
