@@ -116,18 +116,41 @@ for (const view of ['operate', 'all']) {
   });
 }
 
-test(`what is useful is on the screen within ${MOST_FIRST_MS} ms`, async () => {
+/** When the browser had put the width on its screen, with the state and STOP, which come with it. */
+const PAINTED = `new Promise((resolve) => {
+  new PerformanceObserver((list) => resolve(list.getEntries()[0].renderTime)).observe({ type: 'element', buffered: true });
+})`;
+
+const WAYS = {
+  /** What a person does. */
+  'in a tab that is there': async (launched, url) => {
+    const page = await launched.open('about:blank');
+    await until('the tab is there', () => page.evaluate('document.readyState === "complete"'));
+    await page.ask('Page.navigate', { url });
+    return page;
+  },
+  /** The browser starts a process for it meanwhile, which takes more of the processors than the page. */
+  'in a tab that is made': (launched, url) => launched.open(url),
+};
+
+test(`what is useful is on the screen within ${MOST_FIRST_MS} ms, of who has never been here`, async () => {
   const served = await gateway();
   const launched = await bareBrowser();
-  const times = [];
   const slow = slowness();
-  for (let count = 0; count < 4 * TRIES; count += 1) {
-    const page = await launched.open(`${served.url}/`);
-    times.push(await until('something useful is shown', () => page.evaluate("performance.getEntriesByName('useful')[0]?.startTime")));
-    await page.close();
+  const medians = {};
+  for (const [way, open] of Object.entries(WAYS)) {
+    const times = [];
+    for (let count = 0; count < 4 * TRIES; count += 1) {
+      const page = await open(launched, `${served.url}/`);
+      await until('the width is there', () => page.evaluate("document.querySelector('.figure-main') !== null"));
+      times.push(await page.evaluate(PAINTED));
+      await page.close();
+    }
+    times.sort((a, b) => a - b);
+    medians[way] = times[times.length / 2];
+    console.log(`useful ${way} after ${times.map(Math.round).join(', ')} ms: half of them within ${Math.round(medians[way])} ms`);
   }
-  times.sort((a, b) => a - b);
   const most = MOST_FIRST_MS * Math.max(slow, slowness());
-  console.log(`useful after ${times.map(Math.round).join(', ')} ms, and within ${Math.round(most)} ms on a machine that is so busy`);
-  assert.ok(times[0] < most, `${times}`);
+  console.log(`on a machine that is so busy within ${Math.round(most)} ms`);
+  assert.ok(medians['in a tab that is there'] < most, JSON.stringify(medians));
 });

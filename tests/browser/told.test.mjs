@@ -93,6 +93,22 @@ test('an older answer does not overwrite that to a newer filter', async () => {
   await close();
 });
 
+test('what is seen first comes with all else missing, says so, and stops', async () => {
+  const served = await gateway();
+  const { page, close } = await visit(launched, served);
+  await page.route('**/views/motion.js', (route) => route.abort());
+  await page.goto(served.url);
+  await page.waitForSelector('.operate > .missing [role=alert]:has-text("could not be fetched")');
+  await page.waitForSelector('.figure-main');
+  await page.click('#stop');
+  await page.waitForSelector('.stopped:has-text("confirmed")');
+  await page.unroute('**/views/motion.js');
+  await page.click('.missing button');
+  await page.waitForSelector('.motion-panel .latch');
+  assert.equal(await page.locator('.missing').count(), 0);
+  await close();
+});
+
 test('charts follow the colours of the room', async () => {
   const served = await gateway();
   const { page, close } = await visit(launched, served, { colorScheme: 'light' });

@@ -27,7 +27,7 @@ struct Assets;
 const PAGE: &str = "index.html";
 
 /// What isn't seen first: the page fetches it by itself, afterwards.
-const LATER: [&str; 3] = ["views/", "vendor/uplot.js", "net/early.js"];
+const LATER: [&str; 5] = ["views/", "core/limits.js", "model/jog.js", "vendor/uplot.js", "net/early.js"];
 
 /// Everything from here, nothing that stands in the page itself, no form that leads anywhere, and nobody's frame.
 const POLICY: HeaderValue = HeaderValue::from_static(

@@ -100,3 +100,35 @@ fn the_modules_are_short_and_import_what_is_served_beside_them() {
         }
     }
 }
+
+/// The modules that one imports at once, by their paths.
+fn imported_by(path: &str) -> Vec<String> {
+    let module = String::from_utf8(Assets::get(path).unwrap().data.into_owned()).unwrap();
+    let folder: Vec<_> = path.split('/').rev().skip(1).collect();
+    let from = module.lines().filter_map(|line| {
+        let is_import = ["import ", "export ", "} from "].iter().any(|word| line.starts_with(word));
+        is_import.then_some(line)?.split_once(" from '")?.1.split_once('\'').map(|(from, _)| from)
+    });
+    from.map(|from| match (from.strip_prefix("./"), from.strip_prefix("../"), &folder[..]) {
+        (Some(beside), _, []) => beside.to_owned(),
+        (Some(beside), _, [folder]) => format!("{folder}/{beside}"),
+        (_, Some(above), [_]) => above.to_owned(),
+        _ => panic!("{path} imports {from}"),
+    })
+    .collect()
+}
+
+#[test]
+fn the_page_names_what_it_begins_with_and_nothing_else() {
+    // The libraries import each other by their own spelling.
+    let is_ours = |path: &str| !path.starts_with("vendor/");
+    let mut needed = BTreeSet::new();
+    let mut to_read = vec!["app.js".to_owned()];
+    while let Some(path) = to_read.pop() {
+        if needed.insert(path.clone()) {
+            to_read.extend(imported_by(&path).into_iter().filter(|path| is_ours(path)));
+        }
+    }
+    let named = Assets::iter().filter(|path| is_first(path) && is_ours(path)).map(Cow::into_owned).collect();
+    assert_eq!(needed, named);
+}

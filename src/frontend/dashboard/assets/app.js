@@ -5,10 +5,8 @@ import { LANGUAGES, language, t } from './model/i18n.js';
 import { MAX_NAME_BYTES, myName, rename } from './model/name.js';
 import { theme } from './model/prefs.js';
 import { gripper, isLive, selected, view, VIEWS } from './model/store.js';
-import { Alarms, Announcer } from './ui/alarms.js';
 import { Bar, Picker } from './ui/bar.js';
 import { Jaws } from './ui/jaws.js';
-import { Motion } from './ui/motion.js';
 import { Choice, within } from './ui/parts.js';
 import { go, start } from './ui/route.js';
 
@@ -19,11 +17,17 @@ function Views() {
   </nav>`;
 }
 
-/** What is looked at second is fetched once what is looked at first is there. */
+/** What is looked at second is fetched once what is looked at first, the state and STOP, is there. */
 const later = signal({});
 
 /** Whether some of it has not come. */
 const isMissing = signal(false);
+
+function Missing() {
+  if (!isMissing.value) return null;
+  return html`<div class="missing"><p role="alert">${t('part.missing')}</p><button type="button"
+      onClick=${() => location.reload()}>${t('reload')}</button></div>`;
+}
 
 async function fetchAll(parts) {
   const fetched = await Promise.allSettled(parts);
@@ -32,18 +36,19 @@ async function fetchAll(parts) {
 }
 
 async function fetchLater() {
-  await fetchAll([import('./views/charts.js'), import('./views/control.js'), import('./views/flags.js')]);
+  await fetchAll([import('./views/motion.js'), import('./views/alarms.js'), import('./views/control.js')]);
+  await fetchAll([import('./views/charts.js'), import('./views/flags.js')]);
   await fetchAll([import('./views/history.js'), import('./views/log.js'), import('./views/device.js'),
       import('./views/overview.js')]);
 }
 
 function Operate({ one }) {
-  const { Charts, Control, Flags } = later.value;
+  const { Alarms, Charts, Control, Flags, Motion } = later.value;
   return html`<div class="operate">
-    <${Jaws} one=${one} /><${Motion} one=${one} />
+    <${Jaws} one=${one} />${Motion ? html`<${Motion} one=${one} />` : html`<${Missing} />`}
     ${Charts && html`<${Charts} one=${one} />`}
-    <div class="column-more"><${Alarms} />${Control && html`<${Control} one=${one} />`}${Flags && html`<${Flags}
-        one=${one} />`}</div>
+    <div class="column-more">${Motion && html`<${Missing} />`}${Alarms && html`<${Alarms} />`}${Control && html`<${Control}
+        one=${one} />`}${Flags && html`<${Flags} one=${one} />`}</div>
   </div>`;
 }
 
@@ -55,18 +60,13 @@ function viewOf(name) {
 function Main() {
   const one = gripper.value;
   useEffect(() => {
-    // For whoever measures: what is there to see is on the screen with the frame after this.
-    if (!one) return;
-    requestAnimationFrame(() => {
-      performance.mark('useful');
-      fetchLater();
-    });
+    // What is there to see first is on the screen with the frame after this.
+    if (one) requestAnimationFrame(fetchLater);
   }, [one !== null]);
   if (!one) return html`<main class="waiting"><p>${isLive.value && selected.value ? t('stale.not_served', {
       gripper: selected.value }) : t('stale.connecting')}</p></main>`;
   const View = viewOf(view.value);
-  if (!View) return html`<main class="waiting">${isMissing.value && html`<p role="alert">${t('part.missing')}</p><button
-      type="button" onClick=${() => location.reload()}>${t('reload')}</button>`}</main>`;
+  if (!View) return html`<main class="waiting"><${Missing} /></main>`;
   return html`<main key=${view.value === 'all' ? 'all' : one.name}><${View} one=${one} /></main>`;
 }
 
@@ -88,13 +88,14 @@ function Footer() {
 }
 
 function App() {
+  const { Announcer } = later.value;
   return html`<a class="skip" href="#main"
       onClick=${(event) => { event.preventDefault(); document.querySelector('main button, main input')?.focus(); }}>${t('nav.skip')}
         </a>
     <${Bar} />
     <div class="navigation"><${Picker} /><${Views} /></div>
     <div id="main"><${Main} /></div>
-    <${Footer} /><${Announcer} />`;
+    <${Footer} />${Announcer && html`<${Announcer} />`}`;
 }
 
 start();

@@ -2,8 +2,7 @@
 
 import { Fragment, html } from '../lib.js';
 import { cut } from '../core/bytes.js';
-import { mistake, number, readings } from '../core/limits.js';
-import { fixed, ofProblem, plain, span, t, time } from '../model/i18n.js';
+import { fixed, ofProblem, span, t, time } from '../model/i18n.js';
 import { connection, heardAt, now } from '../model/store.js';
 
 /** Shapes beside words: nothing is said by colour alone. */
@@ -66,34 +65,6 @@ export function ProblemNote({ problem }) {
   </div>`;
 }
 
-export const limitsText = ({ min, max, whose }, unit) =>
-  whose === null ? t('limit.unknown') : `${plain(min)} – ${plain(max)} ${unit}${whose === 'device' ? '' : ` (${t(`limit.${whose}`)})`}`;
-
-/** What is wrong with what was typed, in words. */
-function mistakeText(typed, wrong, limits) {
-  const both = readings(typed);
-  if (both !== null) return t('limit.ambiguous', { typed: typed.trim(), one: plain(both[0]), other: plain(both[1]) });
-  return t(`limit.${wrong}`, { min: plain(limits.min), max: plain(limits.max) });
-}
-
-/** A number with its unit and its limits. `value` is a signal of what was typed; `whenEmpty` says what holds then. */
-export function NumberField({ id, label, unit, value, limits, isOptional = false, whenEmpty = null }) {
-  const typed = value.value;
-  const isEmpty = isOptional && typed.trim() === '';
-  const wrong = isEmpty ? null : mistake(number(typed), limits);
-  return html`<div class=${`field ${wrong ? 'wrong' : ''}`}>
-    <label for=${id}>${label}</label>
-    <div class="input"><input id=${id} type="text" inputmode="decimal" autocomplete="off" value=${typed}
-      aria-describedby=${`${id}-hint`} aria-invalid=${wrong ? 'true' : 'false'}
-      onInput=${(event) => { value.value = event.currentTarget.value; }} /><span class="unit">${unit}</span></div>
-    <p class="hint" id=${`${id}-hint`}>${wrong ? html`<${Shape} name="high" /> ${mistakeText(typed, wrong, limits)}`
-      : (isEmpty && whenEmpty) || limitsText(limits, unit)}</p>
-  </div>`;
-}
-
-/** The gateway's limit of a part's id. */
-export const MAX_PART_BYTES = 48;
-
 /** Takes what is typed into a field, as far as the gateway takes it. */
 export const within = (maxBytes, take) => ({ currentTarget: field, isComposing }) => {
   const text = cut(field.value, maxBytes);
@@ -110,10 +81,11 @@ export function Choice({ label, name, options, value, onChange }) {
   </div>`;
 }
 
+/** A big number. When it was painted first, the browser tells to whoever measures. */
 export function Figure({ label, value, decimals, unit, note, class: extra = '' }) {
   return html`<div class=${`figure ${extra}`}>
     <span class="figure-label">${label}</span>
-    <span class="figure-value">${fixed(value, decimals)}<span class="unit">${unit}</span></span>
+    <span class="figure-value" elementtiming=${label}>${fixed(value, decimals)}<span class="unit">${unit}</span></span>
     <span class="figure-note">${note ?? ''}</span>
   </div>`;
 }

@@ -1,7 +1,7 @@
 // Control: who moves the gripper, how it changes hands, and what happens if this browser goes.
 
 import { html, useEffect, useSignal } from '../lib.js';
-import { ago, t } from '../ui/ago.js';
+import { ago, t } from './ago.js';
 import { changeTerms, handOver, releaseControl, takeControl } from '../model/commands.js';
 import { clients, watchClients } from './clients.js';
 import { myName } from '../model/name.js';

@@ -5,7 +5,8 @@ import { accelerationLimits, asTyped, forceLimits, mistake, number, widthLimits 
 import { fixed, plain, t } from '../model/i18n.js';
 import { ask, askFreely } from '../model/commands.js';
 import { connection, learnSettings } from '../model/store.js';
-import { Covered, limitsText, NumberField, Panel, ProblemNote, Shape } from '../ui/parts.js';
+import { Covered, Panel, ProblemNote, Shape } from '../ui/parts.js';
+import { limitsText, NumberField } from './fields.js';
 
 function Facts({ facts }) {
   return html`<dl class="facts">${facts.filter(([,

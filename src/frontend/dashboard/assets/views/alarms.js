@@ -4,8 +4,8 @@ import { html } from '../lib.js';
 import { sorted } from '../core/alarms.js';
 import { moment, t } from '../model/i18n.js';
 import { acknowledgeAlarm, alarms, selected } from '../model/store.js';
-import { Panel, Shape } from './parts.js';
-import { go } from './route.js';
+import { Panel, Shape } from '../ui/parts.js';
+import { go } from '../ui/route.js';
 
 const named = (alarm) => (alarm.gripper ? `${alarm.gripper}: ${alarmText(alarm)}` : alarmText(alarm));
 

@@ -5,9 +5,10 @@ import { forceLimits, mistake, number, speedLimits, widthLimits } from '../core/
 import { fixed, plain, t } from '../model/i18n.js';
 import { askFreely, fastStopOne, move, takeControl } from '../model/commands.js';
 import { isLive } from '../model/store.js';
+import { Covered, onPress, Panel, ProblemNote, Shape, within } from '../ui/parts.js';
+import { MAX_PART_BYTES, NumberField } from './fields.js';
 import { JogPanel } from './jog.js';
 import { Latch } from './latch.js';
-import { Covered, MAX_PART_BYTES, NumberField, onPress, Panel, ProblemNote, Shape, within } from './parts.js';
 import { Presets } from './presets.js';
 
 /** What is typed, kept for each gripper while the page lives. */

@@ -4,7 +4,7 @@ import { html, useEffect, useSignal } from '../lib.js';
 import { span, t, time } from '../model/i18n.js';
 import { acknowledge } from '../model/commands.js';
 import { now } from '../model/store.js';
-import { Shape } from './parts.js';
+import { Shape } from '../ui/parts.js';
 
 /** A FAST STOP that comes while a finger is on its way to the button must be seen first. */
 const SEEN_AFTER_MS = 800;

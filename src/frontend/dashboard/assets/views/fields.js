@@ -1,0 +1,34 @@
+// Numbers that are typed, each with its unit and its limits.
+
+import { html } from '../lib.js';
+import { mistake, number, readings } from '../core/limits.js';
+import { plain, t } from '../model/i18n.js';
+import { Shape } from '../ui/parts.js';
+
+export const limitsText = ({ min, max, whose }, unit) =>
+  whose === null ? t('limit.unknown') : `${plain(min)} – ${plain(max)} ${unit}${whose === 'device' ? '' : ` (${t(`limit.${whose}`)})`}`;
+
+/** What is wrong with what was typed, in words. */
+function mistakeText(typed, wrong, limits) {
+  const both = readings(typed);
+  if (both !== null) return t('limit.ambiguous', { typed: typed.trim(), one: plain(both[0]), other: plain(both[1]) });
+  return t(`limit.${wrong}`, { min: plain(limits.min), max: plain(limits.max) });
+}
+
+/** A number with its unit and its limits. `value` is a signal of what was typed; `whenEmpty` says what holds then. */
+export function NumberField({ id, label, unit, value, limits, isOptional = false, whenEmpty = null }) {
+  const typed = value.value;
+  const isEmpty = isOptional && typed.trim() === '';
+  const wrong = isEmpty ? null : mistake(number(typed), limits);
+  return html`<div class=${`field ${wrong ? 'wrong' : ''}`}>
+    <label for=${id}>${label}</label>
+    <div class="input"><input id=${id} type="text" inputmode="decimal" autocomplete="off" value=${typed}
+      aria-describedby=${`${id}-hint`} aria-invalid=${wrong ? 'true' : 'false'}
+      onInput=${(event) => { value.value = event.currentTarget.value; }} /><span class="unit">${unit}</span></div>
+    <p class="hint" id=${`${id}-hint`}>${wrong ? html`<${Shape} name="high" /> ${mistakeText(typed, wrong, limits)}`
+      : (isEmpty && whenEmpty) || limitsText(limits, unit)}</p>
+  </div>`;
+}
+
+/** The gateway's limit of a part's id. */
+export const MAX_PART_BYTES = 48;
