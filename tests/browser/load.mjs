@@ -19,7 +19,7 @@ const MOST_FIRST_MS = 300;
 const MOST_CACHES = 1.3;
 /** What a heap may grow by and still not grow: charts fill their windows, and no two collections are the same. */
 const MOST_GROWTH_BYTES = 1_000_000;
-/** Whatever else runs on the machine only adds to what is measured: the least of so many tries is nearest to the page. */
+/** Whatever else runs on the machine only adds to what is measured, and not each time. */
 const TRIES = 4;
 
 /** What the loop below takes on the machine that the limits were set on, with nothing else on it. */
@@ -116,9 +116,12 @@ for (const view of ['operate', 'all']) {
   });
 }
 
-/** When the browser had put the width on its screen, with the state and STOP, which come with it. */
+/** When the browser had put the width on its screen: the state and STOP come with it. */
 const PAINTED = `new Promise((resolve) => {
-  new PerformanceObserver((list) => resolve(list.getEntries()[0].renderTime)).observe({ type: 'element', buffered: true });
+  new PerformanceObserver((list) => {
+    const width = list.getEntries().find(({ identifier }) => identifier === 'width');
+    if (width) resolve(width.renderTime);
+  }).observe({ type: 'element', buffered: true });
 })`;
 
 const WAYS = {
@@ -135,9 +138,10 @@ const WAYS = {
 
 test(`what is useful is on the screen within ${MOST_FIRST_MS} ms, of who has never been here`, async () => {
   const served = await gateway();
+  await served.ask('POST', 'grippers/left/home');
   const launched = await bareBrowser();
   const slow = slowness();
-  const medians = {};
+  const useful = {};
   for (const [way, open] of Object.entries(WAYS)) {
     const times = [];
     for (let count = 0; count < 4 * TRIES; count += 1) {
@@ -147,10 +151,11 @@ test(`what is useful is on the screen within ${MOST_FIRST_MS} ms, of who has nev
       await page.close();
     }
     times.sort((a, b) => a - b);
-    medians[way] = times[times.length / 2];
-    console.log(`useful ${way} after ${times.map(Math.round).join(', ')} ms: half of them within ${Math.round(medians[way])} ms`);
+    useful[way] = { least: times[0], median: times[times.length / 2] };
+    console.log(`useful ${way} after ${times.map(Math.round).join(', ')} ms: half of them within ${Math.round(useful[way].median)} ms`);
   }
   const most = MOST_FIRST_MS * Math.max(slow, slowness());
   console.log(`on a machine that is so busy within ${Math.round(most)} ms`);
-  assert.ok(medians['in a tab that is there'] < most, JSON.stringify(medians));
+  assert.ok(useful['in a tab that is there'].median < most, JSON.stringify(useful));
+  assert.ok(useful['in a tab that is made'].least < most, JSON.stringify(useful));
 });

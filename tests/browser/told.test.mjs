@@ -96,17 +96,67 @@ test('an older answer does not overwrite that to a newer filter', async () => {
 test('what is seen first comes with all else missing, says so, and stops', async () => {
   const served = await gateway();
   const { page, close } = await visit(launched, served);
-  await page.route('**/views/motion.js', (route) => route.abort());
+  await page.route('**/views/**', (route) => route.abort());
   await page.goto(served.url);
-  await page.waitForSelector('.operate > .missing [role=alert]:has-text("could not be fetched")');
+  await page.waitForSelector('.missing [role=alert]:has-text("could not be fetched")');
   await page.waitForSelector('.figure-main');
+  assert.equal(await page.locator('.motion-panel').count(), 0);
   await page.click('#stop');
   await page.waitForSelector('.stopped:has-text("confirmed")');
-  await page.unroute('**/views/motion.js');
+  await page.unroute('**/views/**');
   await page.click('.missing button');
   await page.waitForSelector('.motion-panel .latch');
   assert.equal(await page.locator('.missing').count(), 0);
   await close();
+});
+
+test('what was told before the page was there is known to it, and was asked for once', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  const [asked, heard] = [[], []];
+  await page.routeWebSocket('**/api/v1/ws', (socket) => {
+    const server = socket.connectToServer();
+    socket.onMessage((message) => { asked.push(JSON.parse(message).method); server.send(message); });
+    server.onMessage((message) => { heard.push(JSON.parse(message)); socket.send(message); });
+  });
+  let letGo;
+  const held = new Promise((resolve) => { letGo = resolve; });
+  await page.route('**/app.js', async (route) => {
+    await held;
+    await route.continue();
+  });
+  await page.goto(served.url, { waitUntil: 'commit' });
+  await until('it is asked for', () => asked.length === 1);
+  await served.ask('POST', 'grippers/left/home');
+  await served.ask('POST', 'grippers/left/move', { width_mm: 50, speed_mm_s: 300 });
+  await until('its end is told', () => heard.some(({ params }) => params?.command === 'move' && params.outcome === 'SUCCESS'));
+  assert.deepEqual(asked, ['subscribe']);
+  letGo();
+  await page.waitForSelector('.last[data-outcome=SUCCESS]:has-text("Move")');
+  await page.waitForSelector('.figure-main:has-text("50.00")');
+  assert.equal(asked.filter((method) => method === 'subscribe').length, 1);
+  assertClean(visitor);
+});
+
+test('a first connection that fails while the page comes is made again', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  const connections = [];
+  await page.routeWebSocket('**/api/v1/ws', async (socket) => {
+    connections.push(socket);
+    if (connections.length > 1) {
+      socket.connectToServer();
+      return;
+    }
+    await page.waitForSelector('.bar');
+    await socket.close({ code: 1011 });
+  });
+  await page.goto(served.url);
+  await page.waitForSelector('.figure-main');
+  assert.equal(connections.length, 2);
+  assertClean(visitor);
 });
 
 test('charts follow the colours of the room', async () => {

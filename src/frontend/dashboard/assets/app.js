@@ -25,29 +25,37 @@ const isMissing = signal(false);
 
 function Missing() {
   if (!isMissing.value) return null;
-  return html`<div class="missing"><p role="alert">${t('part.missing')}</p><button type="button"
+  return html`<div class="newer missing"><p role="alert">${t('part.missing')}</p><button type="button"
       onClick=${() => location.reload()}>${t('reload')}</button></div>`;
 }
 
-async function fetchAll(parts) {
+async function fetchAll(...parts) {
   const fetched = await Promise.allSettled(parts);
   later.value = Object.assign({}, later.peek(), ...fetched.map(({ value }) => value ?? {}));
   if (fetched.some(({ status }) => status === 'rejected')) isMissing.value = true;
 }
 
+const FETCH_VIEW = {
+  history: () => import('./views/history.js'),
+  log: () => import('./views/log.js'),
+  device: () => import('./views/device.js'),
+  all: () => import('./views/overview.js'),
+};
+
 async function fetchLater() {
-  await fetchAll([import('./views/motion.js'), import('./views/alarms.js'), import('./views/control.js')]);
-  await fetchAll([import('./views/charts.js'), import('./views/flags.js')]);
-  await fetchAll([import('./views/history.js'), import('./views/log.js'), import('./views/device.js'),
-      import('./views/overview.js')]);
+  const { [view.peek()]: shown, ...others } = FETCH_VIEW;
+  // Each as soon as it comes: none has to wait for another.
+  await Promise.all([import('./views/motion.js'), import('./views/alarms.js'), shown?.()].map((part) => fetchAll(part)));
+  await fetchAll(import('./views/charts.js'), import('./views/control.js'), import('./views/flags.js'));
+  await fetchAll(...Object.values(others).map((fetchView) => fetchView()));
 }
 
 function Operate({ one }) {
   const { Alarms, Charts, Control, Flags, Motion } = later.value;
   return html`<div class="operate">
-    <${Jaws} one=${one} />${Motion ? html`<${Motion} one=${one} />` : html`<${Missing} />`}
+    <${Jaws} one=${one} />${Motion && html`<${Motion} one=${one} />`}
     ${Charts && html`<${Charts} one=${one} />`}
-    <div class="column-more">${Motion && html`<${Missing} />`}${Alarms && html`<${Alarms} />`}${Control && html`<${Control}
+    <div class="column-more">${Alarms && html`<${Alarms} />`}${Control && html`<${Control}
         one=${one} />`}${Flags && html`<${Flags} one=${one} />`}</div>
   </div>`;
 }
@@ -59,14 +67,17 @@ function viewOf(name) {
 
 function Main() {
   const one = gripper.value;
+  const isKnown = one !== null || isLive.value;
   useEffect(() => {
-    // What is there to see first is on the screen with the frame after this.
-    if (one) requestAnimationFrame(fetchLater);
-  }, [one !== null]);
+    if (!isKnown) return;
+    // What is there to see first is on the screen with the frame after this; a page that isn't seen gets none.
+    if (document.hidden) fetchLater();
+    else requestAnimationFrame(fetchLater);
+  }, [isKnown]);
   if (!one) return html`<main class="waiting"><p>${isLive.value && selected.value ? t('stale.not_served', {
       gripper: selected.value }) : t('stale.connecting')}</p></main>`;
   const View = viewOf(view.value);
-  if (!View) return html`<main class="waiting"><${Missing} /></main>`;
+  if (!View) return html`<main class="waiting" />`;
   return html`<main key=${view.value === 'all' ? 'all' : one.name}><${View} one=${one} /></main>`;
 }
 
@@ -94,7 +105,7 @@ function App() {
         </a>
     <${Bar} />
     <div class="navigation"><${Picker} /><${Views} /></div>
-    <div id="main"><${Main} /></div>
+    <div id="main"><${Missing} /><${Main} /></div>
     <${Footer} />${Announcer && html`<${Announcer} />`}`;
 }
 

@@ -14,14 +14,14 @@ function remember(subject, door, at) {
   if (others.size > MAX_OTHERS) others.delete(others.keys().next().value);
 }
 
-function takeCommand(event, one) {
+function takeCommand(event, one, at) {
   const { command: kind, command_id: id } = event;
   if (event.phase === 'admitted') {
     const from = one.newest?.width_mm ?? null;
     const width = event.relative ? (from === null ? null : from + event.width_mm) : event.width_mm ?? null;
     one.target.value = { command: id, kind, width_mm: width, force_n: event.force_n ?? null };
     one.command.value = { id, kind, phase: 'running', outcome: null, client: event.subject, started_at: event.at };
-    if (kind === 'grip') one.mark(performance.now(), 'begin', event.part_id ?? '');
+    if (kind === 'grip') one.mark(at, 'begin', event.part_id ?? '');
     return;
   }
   if (one.target.peek()?.command === id) {
@@ -30,7 +30,7 @@ function takeCommand(event, one) {
     one.target.value = null;
   }
   one.command.value = { ...event, id, kind, client: event.subject };
-  if (kind === 'grip') one.mark(performance.now(), event.outcome === 'PART_HELD' ? 'held' : 'end', event.outcome);
+  if (kind === 'grip') one.mark(at, event.outcome === 'PART_HELD' ? 'held' : 'end', event.outcome);
 }
 
 /** Whoever has asked for control fetches it when it is handed over; whatever else becomes of it is no answer any more. */
@@ -71,13 +71,13 @@ async function catchUpCommand(one) {
   else if (isOver) one.command.value = { ...shown, phase: 'done', outcome: 'UNKNOWN' };
 }
 
-/** Takes one; `one` is its gripper, where it has one. */
-export function take(event, one) {
+/** Takes one that came at this time; `one` is its gripper, where it has one. */
+export function take(event, one, at) {
   batch(() => {
     eventSeq.value = event.seq;
     if (event.subject) remember(event.subject, event.door, event.at);
     if (!one) return;
-    if (event.kind === 'command') takeCommand(event, one);
+    if (event.kind === 'command') takeCommand(event, one, at);
     if (event.kind === 'settings') takeSetting(event, one);
     if (event.kind === 'lease') learn(one);
     if (event.kind === 'link' && event.link === 'connected') Promise.all([learn(one), learnSettings(one)]);

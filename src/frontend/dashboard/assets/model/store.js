@@ -90,8 +90,8 @@ export function drawWith(draw) {
   return () => drawings.delete(draw);
 }
 
-function takeState(state) {
-  ensure(state.gripper).take(state, performance.now());
+function takeState(state, at = performance.now()) {
+  ensure(state.gripper).take(state, at);
   if (isDirty) return;
   isDirty = true;
   // A page that isn't seen gets no frames.
@@ -109,10 +109,10 @@ export const rpc = new Rpc({
     byName.forEach((one) => { one.held.value = null; });
     look();
   },
-  onHeard: () => { lastHeard = performance.now(); },
-  onTold: (method, params) => {
-    if (method === 'state') takeState(params);
-    if (method === 'event') takeEvent(params, find(params.gripper));
+  onHeard: (at) => { lastHeard = at; },
+  onTold: (method, params, at) => {
+    if (method === 'state') takeState(params, at);
+    if (method === 'event') takeEvent(params, find(params.gripper), at);
     if (method === 'command' && find(params.gripper)) find(params.gripper).command.value = params;
     // Events were missed: how things are now is asked anew.
     if (method === 'gap') subscribe();
@@ -135,8 +135,11 @@ async function subscribe() {
     const begun = rpc.begun();
     askedHz.value = begun?.params.max_hz ?? hz.peek();
     const { states, event_seq: seq } = await (begun?.answer ?? askFor(askedHz.peek()));
-    states.forEach(takeState);
-    keepOnly(states.map((state) => state.gripper));
+    // How often depends on how many there are.
+    batch(() => {
+      states.forEach((state) => takeState(state));
+      keepOnly(states.map((state) => state.gripper));
+    });
     show();
     eventSeq.value = seq;
     look();
@@ -200,7 +203,10 @@ setInterval(() => {
 effect(() => {
   if (askedHz.value === null || askedHz.value === hz.value || !rpc.isOpen) return;
   askedHz.value = hz.value;
-  askFor(hz.value).then(({ states }) => states.forEach(takeState), () => {});
+  askFor(hz.value).then(({ states, event_seq: seq }) => {
+    states.forEach((state) => takeState(state));
+    eventSeq.value = Math.max(eventSeq.peek(), seq);
+  }, () => {});
 });
 
 document.addEventListener('visibilitychange', () => {

@@ -24,7 +24,7 @@ function address() {
 function takeEarly() {
   const { early } = globalThis;
   delete globalThis.early;
-  return early && early.socket.readyState <= WebSocket.OPEN ? early : null;
+  return early?.socket.readyState <= WebSocket.OPEN ? early : null;
 }
 
 export class Rpc {
@@ -36,7 +36,7 @@ export class Rpc {
   #isWanted = true;
   #begun = null;
 
-  /** `onOpen()`, `onEnd()`, `onTold(method, params)`, and `onHeard()` for anything that comes. */
+  /** `onOpen()`, `onEnd()`, `onTold(method, params, at)`, and `onHeard(at)` for anything that comes: when it did. */
   constructor(handlers) {
     this.handlers = handlers;
     this.#connect();
@@ -69,7 +69,7 @@ export class Rpc {
   }
 
   /** The answer; rejects with a problem. */
-  call(method, params = {}, withinMs = undefined) {
+  call(method, params = {}, withinMs) {
     if (!this.isOpen) return Promise.reject(noConnection());
     const id = this.#nextId;
     this.#nextId += 1;
@@ -100,19 +100,19 @@ export class Rpc {
     const early = takeEarly();
     const socket = early?.socket ?? new WebSocket(address(), SUBPROTOCOL);
     this.#socket = socket;
-    this.#begun = early && { params: early.asked.params, answer: this.#expect(early.asked.id) };
     const tooLate = setTimeout(() => socket.readyState === WebSocket.CONNECTING && socket.close(), CONNECTS_WITHIN_MS);
     const opened = () => {
       if (socket !== this.#socket) return;
       clearTimeout(tooLate);
       this.#tries = 0;
-      this.handlers.onHeard?.();
+      this.handlers.onHeard?.(performance.now());
+      this.#begun = early && { params: early.asked.params, answer: this.#expect(early.asked.id) };
       this.handlers.onOpen?.();
       if (early) this.#takeAll(early.heard);
     };
     if (socket.readyState === WebSocket.OPEN) queueMicrotask(opened);
     else socket.onopen = opened;
-    socket.onmessage = ({ data }) => socket === this.#socket && this.#take(JSON.parse(data));
+    socket.onmessage = ({ data }) => socket === this.#socket && this.#take(JSON.parse(data), performance.now());
     socket.onclose = () => {
       clearTimeout(tooLate);
       this.#ended(socket);
@@ -121,16 +121,16 @@ export class Rpc {
 
   /** Each in its turn, as they would come: who awaits an answer sees it before what came after it. */
   async #takeAll(heard) {
-    for (const data of heard) {
-      this.#take(JSON.parse(data));
+    for (const { data, at } of heard) {
+      this.#take(JSON.parse(data), at);
       await null;
     }
   }
 
-  #take(message) {
-    this.handlers.onHeard?.();
+  #take(message, at) {
+    this.handlers.onHeard?.(at);
     if (message.method !== undefined) {
-      this.handlers.onTold?.(message.method, message.params);
+      this.handlers.onTold?.(message.method, message.params, at);
       return;
     }
     const call = this.#calls.get(message.id);

@@ -105,7 +105,8 @@ function Figures({ one }) {
   const widths = hasSoft ? t('figure.soft', { min: plain(soft.minus_mm),
       max: plain(soft.plus_mm) }) : t('figure.stroke', { max: plain(info?.stroke_mm) });
   return html`<div class="figures">
-    <${Figure} label=${t('width')} value=${read?.width_mm} decimals=${2} unit="mm" note=${widths} class="figure-main" />
+    <${Figure} label=${t('width')} value=${read?.width_mm} decimals=${2} unit="mm" note=${widths} timed="width"
+        class="figure-main" />
     <${Figure} label=${t('speed')} value=${read?.speed_mm_s} decimals=${1} unit="mm/s" note=${t('figure.max',
         { max: plain(info?.max_speed_mm_s), unit: 'mm/s' })} />
     <${Figure} label=${t('force')} value=${read?.force_n} decimals=${1} unit="N" note=${t('figure.max',

@@ -65,6 +65,9 @@ export function ProblemNote({ problem }) {
   </div>`;
 }
 
+/** The gateway's limit of a part's id. */
+export const MAX_PART_BYTES = 48;
+
 /** Takes what is typed into a field, as far as the gateway takes it. */
 export const within = (maxBytes, take) => ({ currentTarget: field, isComposing }) => {
   const text = cut(field.value, maxBytes);
@@ -81,11 +84,11 @@ export function Choice({ label, name, options, value, onChange }) {
   </div>`;
 }
 
-/** A big number. When it was painted first, the browser tells to whoever measures. */
-export function Figure({ label, value, decimals, unit, note, class: extra = '' }) {
+/** A big number. When it was painted first, the browser tells by the name `timed` to whoever measures. */
+export function Figure({ label, value, decimals, unit, note, timed, class: extra = '' }) {
   return html`<div class=${`figure ${extra}`}>
     <span class="figure-label">${label}</span>
-    <span class="figure-value" elementtiming=${label}>${fixed(value, decimals)}<span class="unit">${unit}</span></span>
+    <span class="figure-value" elementtiming=${timed}>${fixed(value, decimals)}<span class="unit">${unit}</span></span>
     <span class="figure-note">${note ?? ''}</span>
   </div>`;
 }

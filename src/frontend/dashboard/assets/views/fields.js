@@ -29,6 +29,3 @@ export function NumberField({ id, label, unit, value, limits, isOptional = false
       : (isEmpty && whenEmpty) || limitsText(limits, unit)}</p>
   </div>`;
 }
-
-/** The gateway's limit of a part's id. */
-export const MAX_PART_BYTES = 48;

@@ -8,8 +8,7 @@ import { download } from './export.js';
 import { get, query } from '../net/rest.js';
 import { eventSeq, isLive } from '../model/store.js';
 import { Curve } from './curve.js';
-import { Choice, Covered, Panel, ProblemNote, within } from '../ui/parts.js';
-import { MAX_PART_BYTES } from './fields.js';
+import { Choice, Covered, MAX_PART_BYTES, Panel, ProblemNote, within } from '../ui/parts.js';
 
 const PAGE = 50;
 /** News come in bursts: the list is asked for at most this often. */

@@ -5,8 +5,8 @@ import { forceLimits, mistake, number, speedLimits, widthLimits } from '../core/
 import { fixed, plain, t } from '../model/i18n.js';
 import { askFreely, fastStopOne, move, takeControl } from '../model/commands.js';
 import { isLive } from '../model/store.js';
-import { Covered, onPress, Panel, ProblemNote, Shape, within } from '../ui/parts.js';
-import { MAX_PART_BYTES, NumberField } from './fields.js';
+import { Covered, MAX_PART_BYTES, onPress, Panel, ProblemNote, Shape, within } from '../ui/parts.js';
+import { NumberField } from './fields.js';
 import { JogPanel } from './jog.js';
 import { Latch } from './latch.js';
 import { Presets } from './presets.js';
@@ -37,7 +37,7 @@ function NoControl({ one }) {
     ${!holder && html`<button type="button" class="primary" onClick=${() => takeControl(one)}>${t('control.take')}
       </button>`}
     ${holder && html`<a class="button" href="#control-title"
-        onClick=${(event) => { event.preventDefault(); document.getElementById('control-title').scrollIntoView({ block: 'center' }); }}>${t('control.more')}
+        onClick=${(event) => { event.preventDefault(); document.getElementById('control-title')?.scrollIntoView({ block: 'center' }); }}>${t('control.more')}
           </a>`}
   </div>`;
 }
