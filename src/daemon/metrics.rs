@@ -59,7 +59,8 @@ impl Collector for JournalHealth {
 
 /// Adds whether Zenoh's clients find the gateway.
 pub(super) fn register_zenoh(registry: &Registry, network: &Network) -> Result<()> {
-    let up = IntGauge::new("wsg_zenoh_up", "Whether Zenoh listens wherever it is to.")?;
+    let up =
+        IntGauge::new("wsg_zenoh_up", "Whether Zenoh listens wherever it is to, and is connected where it is to be.")?;
     registry.register(Box::new(ZenohHealth { cause: network.cause(), up }))
 }
 

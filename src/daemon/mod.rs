@@ -284,10 +284,12 @@ fn announce(config: &Config, address: SocketAddr, ports: &Ports) -> std::io::Res
 
 fn zenoh_settings(zenoh: &config::Zenoh, context: &http::Context) -> anyhow::Result<zenoh::Settings> {
     metrics::register_zenoh(&context.registry, &context.network)?;
-    context.network.set_cause(Some("Zenoh is not open yet".to_owned()));
+    let (config, listen, connect) = (zenoh.settings.clone(), zenoh.listen.clone(), zenoh.connect.clone());
+    let reach = zenoh::Reach { config, listen, connect };
+    // A client's Zenoh waits until it is connected.
+    context.network.set_cause(Some(reach.awaited().unwrap_or_else(|| "Zenoh is not open yet".to_owned())));
     Ok(zenoh::Settings {
-        zenoh: zenoh.settings.clone(),
-        listen: zenoh.listen.clone(),
+        reach,
         max_hz: zenoh.max_hz,
         metrics: frontend::metrics::Metrics::register(&context.registry, "zenoh")?,
     })

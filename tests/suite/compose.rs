@@ -8,7 +8,7 @@ use serde::Deserialize;
 use serde_json::Value;
 
 use crate::harness::{Gateway, Process, eventually};
-use crate::zenoh::fleet::Router;
+use crate::zenoh::router::Router;
 
 #[derive(Debug, Deserialize)]
 struct Compose {

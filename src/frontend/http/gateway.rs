@@ -61,7 +61,7 @@ pub struct Readiness {
 
 /// Whether the gateway is ready
 ///
-/// It is when every gripper's link is connected, the journal takes records, and Zenoh listens wherever it is to. A FAST STOP that holds doesn't count.
+/// It is when every gripper's link is connected, the journal takes records, and Zenoh listens wherever it is to and is connected where it is to be. A FAST STOP that holds doesn't count.
 #[utoipa::path(
     get, path = "/readyz", operation_id = "readyz", tag = "gateway",
     responses(

@@ -17,9 +17,9 @@
 
 mod clients;
 mod fast_stop;
-mod listeners;
 mod publications;
 mod queries;
+mod reach;
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -34,6 +34,7 @@ use self::clients::Clients;
 use self::fast_stop::FastStops;
 use self::publications::Publications;
 use self::queries::Queries;
+pub use self::reach::Reach;
 use crate::frontend::http::Context;
 use crate::frontend::metrics::Metrics;
 use crate::frontend::network::Network;
@@ -53,10 +54,8 @@ const FAREWELL_WITHIN: Duration = Duration::from_secs(1);
 /// How the gateway is on a Zenoh network.
 #[derive(Debug, Clone)]
 pub struct Settings {
-    /// Zenoh's own configuration.
-    pub zenoh: zenoh::Config,
-    /// Where it is to listen.
-    pub listen: Vec<String>,
+    /// Where it is to be reached.
+    pub reach: Reach,
     /// How often states and telemetry are published at most, a second and gripper.
     pub max_hz: u32,
     /// What is counted.
@@ -66,11 +65,11 @@ pub struct Settings {
 /// Serves until the gateway closes. Where Zenoh can't be had, the gateway is served without until it can; `opened` is told
 /// where others find it.
 pub async fn serve(settings: Settings, context: Arc<Context>, opened: impl FnMut(&[String])) {
-    let Settings { zenoh: config, listen, max_hz, metrics } = settings;
+    let Settings { reach, max_hz, metrics } = settings;
     let session = tokio::select! {
         biased;
         () = context.closing.cancelled() => return,
-        session = open_at_last(&config, &context.network) => session,
+        session = open_at_last(&reach, &context.network) => session,
     };
     let declared = tokio::select! {
         biased;
@@ -82,9 +81,7 @@ pub async fn serve(settings: Settings, context: Arc<Context>, opened: impl FnMut
             tokio::select! {
                 biased;
                 () = context.closing.cancelled() => {}
-                () = listeners::watch(&session, &config, &listen, &context.network, opened) => {
-                    context.closing.cancelled().await;
-                }
+                () = reach.watch(&session, &context.network, opened) => {}
             }
         }
         Err(error) => {
@@ -98,15 +95,12 @@ pub async fn serve(settings: Settings, context: Arc<Context>, opened: impl FnMut
 }
 
 /// Opens a session, and tries again where that fails.
-async fn open_at_last(config: &zenoh::Config, network: &Network) -> zenoh::Session {
+async fn open_at_last(reach: &Reach, network: &Network) -> zenoh::Session {
     let mut again_after = OPENED_AGAIN_AFTER;
     loop {
-        match open(config.clone()).await {
+        match open(reach.config.clone()).await {
             Ok(session) => return session,
-            Err(error) => {
-                tracing::warn!(%error, "Zenoh can't be opened, and is tried again: the grippers are served without it");
-                network.set_cause(Some(format!("Zenoh can't be opened: {error}")));
-            }
+            Err(error) => reach::say(network, format!("Zenoh can't be opened: {error}")),
         }
         tokio::time::sleep(again_after).await;
         again_after = (again_after * 2).min(OPENED_AGAIN_AT_LEAST_EVERY);

@@ -143,7 +143,7 @@ async fn a_put_stops_one_gateway_or_all_whatever_it_carries() {
 }
 
 /// Whether it is ready, why Zenoh is not, and the figure of that.
-async fn readiness(gateway: &Gateway) -> (Value, String, f64) {
+pub async fn readiness(gateway: &Gateway) -> (Value, String, f64) {
     let ready = gateway.get("/readyz").await.body;
     let up = gateway.figures().await["wsg_zenoh_up"];
     (ready["ready"].clone(), ready["zenoh_cause"].as_str().unwrap_or_default().to_owned(), up)
@@ -185,6 +185,11 @@ async fn a_router_that_is_not_there_delays_nothing_and_no_end() {
     assert_eq!(gateway.get("/api/v1/fleet").await.ok()["grippers"].as_array().unwrap().len(), 1);
     let stopped = gateway.post("/api/v1/fleet/fast-stop", &json!({})).await.ok();
     assert_eq!(stopped["confirmed"], json!(["gateway/g"]));
+    eventually("it is told", async || {
+        let (_, cause, _) = readiness(&gateway).await;
+        cause.contains(&format!("not connected to {endpoint}")).then_some(())
+    })
+    .await;
     let ended = gateway.terminate().await;
     assert!(ended.status.success(), "{}", ended.stderr);
 }

@@ -1,81 +1,21 @@
 //! Three gateways and one router: one fleet, which the router's death does not end.
 
 use std::collections::BTreeSet;
-use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 use tokio::time::timeout;
 
-use crate::harness::process::signal;
-use crate::harness::{DEADLINE, Gateway, Proxy, Simulator, Socket, ZenohClient, eventually, zenoh::config};
+use super::router::Router;
+use crate::harness::{DEADLINE, Gateway, Proxy, Simulator, Socket, ZenohClient, eventually};
 
 const FAST_STOP: u8 = 0x23;
 
 /// Within which a gateway that has vanished is told as gone.
 const GONE_WITHIN: Duration = Duration::from_secs(2);
 
-/// The environment variable that makes the test below a router.
-const ROUTER_AT: &str = "WSG_TEST_ZENOH_ROUTER_AT";
-
-/// Zenoh's router, in a process of its own: what `zenohd` runs, without its plug-ins.
-pub struct Router {
-    child: Child,
-    endpoint: String,
-}
-
-impl Router {
-    /// On a free port.
-    pub fn start() -> Self {
-        let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
-        Self::at(format!("tcp/127.0.0.1:{port}"))
-    }
-
-    /// Where it listens.
-    pub fn endpoint(&self) -> &str {
-        &self.endpoint
-    }
-
-    fn at(endpoint: String) -> Self {
-        let mut command = Command::new(std::env::current_exe().unwrap());
-        command.args(["--exact", "zenoh::fleet::router_process"]).env(ROUTER_AT, &endpoint);
-        let child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
-        Self { child, endpoint }
-    }
-
-    /// Takes its processor time away until it gets the signal `CONT`.
-    fn freeze(&self) {
-        signal(self.child.id(), "STOP");
-    }
-
-    /// It dies, and says nothing.
-    fn kill(mut self) -> String {
-        self.child.kill().unwrap();
-        self.child.wait().unwrap();
-        std::mem::take(&mut self.endpoint)
-    }
-}
-
-impl Drop for Router {
-    fn drop(&mut self) {
-        let _ = self.child.kill();
-        let _ = self.child.wait();
-    }
-}
-
-/// What a [`Router`] runs; without its variable it does nothing.
-#[tokio::test(flavor = "multi_thread")]
-async fn router_process() {
-    let Ok(endpoint) = std::env::var(ROUTER_AT) else { return };
-    let parent = std::os::unix::process::parent_id();
-    let _session = zenoh::open(config("router", &[&endpoint], &[])).await.unwrap();
-    while std::os::unix::process::parent_id() == parent {
-        tokio::time::sleep(Duration::from_millis(200)).await;
-    }
-}
-
 /// A gateway that is connected to the router, with so many simulated grippers, besides these.
-async fn gateway(name: &str, router: &str, simulated: usize, others: &[String]) -> Gateway {
+pub async fn gateway(name: &str, router: &str, simulated: usize, others: &[String]) -> Gateway {
     let simulated = (0..simulated).map(|index| format!("g{index}=sim://wsg50"));
     let grippers: Vec<_> = simulated.chain(others.iter().cloned()).collect();
     let mut arguments = vec!["--name", name, "--zenoh-listen", "tcp/127.0.0.1:0", "--zenoh-connect", router];
@@ -113,7 +53,7 @@ async fn until_gone(gateway: &Gateway, of: &str) -> Duration {
 async fn thirty_grippers_of_three_gateways_are_one_fleet_also_after_the_routers_death() {
     let router = Router::start();
     let names = ["cell-1", "cell-2", "cell-3"];
-    let [one, two, three] = names.map(|name| gateway(name, &router.endpoint, 10, &[]));
+    let [one, two, three] = names.map(|name| gateway(name, router.endpoint(), 10, &[]));
     let (one, two, three) = tokio::join!(one, two, three);
     let gateways = [&one, &two, &three];
     for gateway in gateways {
@@ -126,7 +66,7 @@ async fn thirty_grippers_of_three_gateways_are_one_fleet_also_after_the_routers_
     }
     let mut socket = Socket::open(&one).await;
     assert_eq!(socket.call("fleet", json!({})).await["grippers"].as_array().unwrap().len(), 30);
-    let client = ZenohClient::at(&router.endpoint).await;
+    let client = ZenohClient::at(router.endpoint()).await;
     assert_eq!(
         client.ask("wsg/v1/cell-2/fleet", &Value::Null).await.unwrap()["grippers"].as_array().unwrap().len(),
         30
@@ -173,7 +113,7 @@ impl Pair {
         let proxy = Proxy::to(device.address);
         let far = [format!("g=tcp://{}", proxy.address)];
         let (near, far) =
-            tokio::join!(gateway("near", &router.endpoint, 1, &[]), gateway("far", &router.endpoint, 0, &far));
+            tokio::join!(gateway("near", router.endpoint(), 1, &[]), gateway("far", router.endpoint(), 0, &far));
         until_whole(&near, 2).await;
         until_whole(&far, 2).await;
         Self { router, _device: device, proxy, near, far }
@@ -237,8 +177,8 @@ async fn another_gateways_gripper_answers_as_over_there() {
     }
     let refused = pair.near.post("/api/v1/fleet/near/grippers/g0/move", &json!({})).await;
     refused.problem(400, "malformed");
-    let refusals = pair.near.get("/api/v1/events?kind=refused&gripper=g0").await.ok();
-    assert_eq!(refusals["events"].as_array().unwrap().len(), 1, "once: {refusals}");
+    let refusals = pair.near.events("kind=refused&gripper=g0", 1).await;
+    assert_eq!(refusals.len(), 1, "once: {refusals:?}");
     let again = |lease: &str| {
         let request = pair.near.request("POST", &far("/stop")).header("Idempotency-Key", "a;b=c&d");
         request.header("Wsg-Lease", lease.to_owned())
@@ -364,7 +304,7 @@ async fn what_is_told_as_gone_behind_a_frozen_router_is_asked_for_nothing() {
     for path in ["/home", "/tare"] {
         pair.near.post(&far(path), &json!({})).await.problem(503, "gateway_gone");
     }
-    signal(pair.router.child.id(), "CONT");
+    pair.router.thaw();
     until_whole(&pair.near, 2).await;
     assert_eq!(pair.proxy.frames.motions(), before, "nothing has waited for a way there");
 }
@@ -433,14 +373,14 @@ async fn a_fast_stop_of_the_fleet_is_told_again_to_who_was_away() {
 async fn who_has_the_name_of_another_is_told_so_and_is_stopped_and_kept_all_the_same() {
     let router = Router::start();
     let (one, other, near) = tokio::join!(
-        gateway("twin", &router.endpoint, 1, &[]),
-        gateway("twin", &router.endpoint, 1, &[]),
-        gateway("near", &router.endpoint, 1, &[])
+        gateway("twin", router.endpoint(), 1, &[]),
+        gateway("twin", router.endpoint(), 1, &[]),
+        gateway("near", router.endpoint(), 1, &[])
     );
     one.until_said("give each its own --name").await;
     other.until_said("give each its own --name").await;
     until_whole(&near, 2).await;
-    let client = ZenohClient::at(&router.endpoint).await;
+    let client = ZenohClient::at(router.endpoint()).await;
     let codes = async |command: &str, body: &str| -> Vec<Value> {
         let answers = client.all(&format!("wsg/v1/twin/g0/command/{command}"), body).await;
         assert!(!answers.is_empty(), "{command}");
@@ -486,7 +426,7 @@ async fn who_has_the_name_of_another_is_told_so_and_is_stopped_and_kept_all_the_
 #[tokio::test(flavor = "multi_thread")]
 async fn a_put_to_a_gateways_own_state_is_no_twin() {
     let pair = Pair::start().await;
-    let client = ZenohClient::at(&pair.router.endpoint).await;
+    let client = ZenohClient::at(pair.router.endpoint()).await;
     let state = pair.far.state().await.to_string();
     for key in ["wsg/v1/far/g/state", "wsg/v1/far/h/state"] {
         client.put(key, state.clone()).await;

@@ -1,9 +1,10 @@
 //! The Zenoh door, by clients on a network of their own.
 
 mod commands;
-pub mod fleet;
+mod fleet;
 mod leases;
 mod publications;
+pub mod router;
 mod tls;
 
 use crate::harness::{Gateway, Proxy, Simulator, ZenohClient};

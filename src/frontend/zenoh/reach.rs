@@ -1,4 +1,5 @@
-//! Whether the gateway listens wherever it is to. Zenoh tries each endpoint again until it can be had, and tells nobody.
+//! Whether the gateway listens wherever it is to, and is connected. Zenoh tries each endpoint again until it can be had, and
+//! tells nobody.
 
 use std::net::{IpAddr, TcpListener};
 use std::time::Duration;
@@ -19,34 +20,70 @@ const TAKES_LONG: Duration = Duration::from_millis(300);
 const FILES: [&str; 5] =
     ["root_ca_certificate", "listen_certificate", "listen_private_key", "connect_certificate", "connect_private_key"];
 
-/// Watches until it listens everywhere; tells where it does, and says on the network's behalf where it does not, and why.
-pub async fn watch(
-    session: &zenoh::Session,
-    config: &zenoh::Config,
-    listen: &[String],
-    network: &Network,
-    mut opened: impl FnMut(&[String]),
-) {
-    let (mut told, mut looks_after) = (Vec::new(), LOOKS_AFTER);
-    loop {
-        let mut locators: Vec<_> = session.info().locators().await.iter().map(ToString::to_string).collect();
-        let missing = missing(listen, &locators);
-        locators.retain(|locator| !told.contains(locator));
-        opened(&locators);
-        told.extend(locators);
-        if missing.is_empty() {
-            network.set_cause(None);
-            return;
-        }
-        if looks_after >= TAKES_LONG {
-            let cause = missing.into_iter().map(|endpoint| why_not(config, endpoint)).collect::<Vec<_>>().join("; ");
-            if network.cause().borrow().as_ref() != Some(&cause) {
-                tracing::warn!(cause, "Zenoh does not listen everywhere, and tries again");
-                network.set_cause(Some(cause));
+/// Where the gateway is to be reached, and how.
+#[derive(Debug, Clone)]
+pub struct Reach {
+    /// Zenoh's own configuration.
+    pub config: zenoh::Config,
+    /// Where it is to listen.
+    pub listen: Vec<String>,
+    /// To what it is to connect: to one of them at least.
+    pub connect: Vec<String>,
+}
+
+impl Reach {
+    /// Watches for as long as it is polled; tells where it listens, and says on the network's behalf where it does not, or
+    /// is connected to nothing, and why.
+    pub async fn watch(&self, session: &zenoh::Session, network: &Network, mut opened: impl FnMut(&[String])) {
+        let (mut told, mut looks_after) = (Vec::new(), LOOKS_AFTER);
+        loop {
+            let mut locators: Vec<_> = session.info().locators().await.iter().map(ToString::to_string).collect();
+            let missing = missing(&self.listen, &locators);
+            locators.retain(|locator| !told.contains(locator));
+            opened(&locators);
+            told.extend(locators);
+            let unconnected = self.unconnected(session).await;
+            if missing.is_empty() && unconnected.is_none() {
+                network.set_cause(None);
+            } else if looks_after >= TAKES_LONG {
+                let mut causes = self.why_not_at(missing.into_iter().map(ToOwned::to_owned).collect()).await;
+                causes.extend(unconnected);
+                say(network, causes.join("; "));
             }
+            tokio::time::sleep(looks_after).await;
+            looks_after = (looks_after * 2).min(LOOKS_EVERY);
         }
-        tokio::time::sleep(looks_after).await;
-        looks_after = (looks_after * 2).min(LOOKS_EVERY);
+    }
+    /// Why nothing listens at these endpoints. Who looks may have to wait for a name.
+    async fn why_not_at(&self, endpoints: Vec<String>) -> Vec<String> {
+        let config = self.config.clone();
+        let look = move || endpoints.iter().map(|endpoint| why_not(&config, endpoint)).collect();
+        tokio::task::spawn_blocking(look).await.unwrap_or_default()
+    }
+
+    /// Says that it is connected to nothing, where it is to be. Who connects to it is no router and no peer.
+    async fn unconnected(&self, session: &zenoh::Session) -> Option<String> {
+        let connect = self.awaited()?;
+        let info = session.info();
+        let is_connected = info.routers_zid().await.next().is_some() || info.peers_zid().await.next().is_some();
+        (!is_connected).then_some(connect)
+    }
+
+    /// What is said while it is connected to nothing; none where it is to connect to nothing.
+    #[must_use]
+    pub fn awaited(&self) -> Option<String> {
+        let awaited = self.connect.join(" and ");
+        (!self.connect.is_empty()).then(|| {
+            format!("Zenoh is not connected to {awaited}, and tries again: start what is to be there, or see --zenoh-connect")
+        })
+    }
+}
+
+/// Says why it is not on the network as it should be, once.
+pub fn say(network: &Network, cause: String) {
+    if network.cause().borrow().as_ref() != Some(&cause) {
+        tracing::warn!(cause, "Zenoh is not as it should be, and is tried again: the grippers are served all the same");
+        network.set_cause(Some(cause));
     }
 }
 
