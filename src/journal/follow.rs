@@ -12,6 +12,20 @@ use super::row::{EventKind, Stored};
 use super::shared::Shared;
 use super::source::ReadError;
 
+/// What a follower is told.
+#[derive(Debug, PartialEq)]
+pub enum Followed {
+    /// An event.
+    Event(Arc<Stored>),
+    /// So many events behind this one that are not there any more, of whatever gripper.
+    Removed {
+        /// The last one before them.
+        behind: i64,
+        /// How many they are: 1 or more.
+        missed: i64,
+    },
+}
+
 /// The events behind one, in order.
 #[derive(Debug)]
 pub struct Follow {
@@ -23,7 +37,7 @@ pub struct Follow {
     after: i64,
     /// Up to this one, events come from the file.
     until: i64,
-    read: VecDeque<Arc<Stored>>,
+    read: VecDeque<Followed>,
 }
 
 impl Follow {
@@ -31,19 +45,20 @@ impl Follow {
         // Before it is looked what there is already: what comes between the two is seen twice rather than never.
         let live = shared.subscribe();
         let until = shared.committed();
-        let after = after.unwrap_or(until);
+        // Who has seen more than there is has seen another journal, and nothing of this one.
+        let after = after.map_or(until, |after| if after > until { 0 } else { after });
         Self { live, shared: shared.clone(), pool: pool.clone(), filter, after, until, read: VecDeque::new() }
     }
 
-    /// The next event, once it is durable; none after the journal was closed. Nothing is lost where the caller gives up
+    /// The next event, once it is durable, or what is missing before it; none after the journal was closed. Nothing is lost where the caller gives up
     /// waiting.
     ///
     /// # Errors
     /// [`ReadError`], where older events can't be read. They are tried again by the next call.
-    pub async fn next(&mut self) -> Result<Option<Arc<Stored>>, ReadError> {
+    pub async fn next(&mut self) -> Result<Option<Followed>, ReadError> {
         loop {
-            if let Some(event) = self.read.pop_front() {
-                return Ok(Some(event));
+            if let Some(read) = self.read.pop_front() {
+                return Ok(Some(read));
             }
             if self.after < self.until {
                 self.catch_up().await?;
@@ -54,7 +69,7 @@ impl Follow {
                 Ok(event) if event.seq == self.after + 1 => {
                     self.after = event.seq;
                     if self.filter.matches(&event) {
-                        return Ok(Some(event));
+                        return Ok(Some(Followed::Event(event)));
                     }
                 }
                 Ok(event) => self.until = event.seq,
@@ -65,17 +80,20 @@ impl Follow {
     }
 
     async fn catch_up(&mut self) -> Result<(), ReadError> {
-        let until = self.until;
-        let (filter, cursor) = (self.filter.clone(), Some(Cursor::behind(self.after)));
+        let (after, until) = (self.after, self.until);
+        let (filter, cursor) = (self.filter.clone(), Some(Cursor::behind(after)));
         let query = EventQuery { filter, cursor, order: Order::Oldest, ..EventQuery::default() };
-        let page = self.pool.read(move |reader| reader.events_until(&query, until)).await?;
+        let (first, page) = self.pool.read(move |reader| reader.events_and_first(&query, until)).await?;
         let read = page.bodies.into_iter().map(|body| Stored::of(body).map(Arc::new));
-        self.read =
-            read.collect::<Result<_, _>>().map_err(|error| ReadError(format!("an event is damaged: {error}")))?;
-        self.after = match (page.next_cursor, self.read.back()) {
+        let read = read.collect::<Result<Vec<_>, _>>();
+        let read = read.map_err(|error| ReadError(format!("an event is damaged: {error}")))?;
+        self.after = match (page.next_cursor, read.last()) {
             (Some(_), Some(last)) => last.seq,
             _ => until,
         };
+        let missed = first.map_or(until, |first| first - 1) - after;
+        self.read.extend((missed > 0).then_some(Followed::Removed { behind: after, missed }));
+        self.read.extend(read.into_iter().map(Followed::Event));
         Ok(())
     }
 }

@@ -39,7 +39,7 @@ use store::Store;
 use writer::{Input, Writer};
 
 pub use commands::command_of;
-pub use follow::Follow;
+pub use follow::{Follow, Followed};
 pub use query::{Cursor, EventQuery, Filter, GripQuery, InvalidCursor, InvalidLimit, Limit, Order, Page, Query};
 pub use reader::Reader;
 pub use recovery::Recovered;

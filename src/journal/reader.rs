@@ -68,6 +68,20 @@ impl Reader {
         self.with(|connection| page(connection, query, until))
     }
 
+    /// The same, and the oldest event's sequence number at that time; none where there is none.
+    ///
+    /// # Errors
+    /// [`ReadError`], where the journal can't be read.
+    pub(super) fn events_and_first(&self, query: &EventQuery, until: i64) -> Result<(Option<i64>, Page), ReadError> {
+        self.with(|connection| {
+            // Both see the journal as it is now, whatever is removed meanwhile.
+            let now = connection.unchecked_transaction()?;
+            let sql = format!("SELECT min(seq) FROM {}", Chain::Events.name());
+            let first = now.prepare_cached(&sql)?.query_row([], |row| row.get(0))?;
+            Ok((first, page(&now, query, until)?))
+        })
+    }
+
     /// A page of grip records, each with `part_lost_at`, which is null while the part was not lost.
     ///
     /// # Errors

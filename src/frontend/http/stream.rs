@@ -20,10 +20,10 @@ use super::parameters::Parameters;
 use super::responses::JournalProblem;
 use super::values::integer;
 use crate::frontend::metrics::Metrics;
-use crate::frontend::updates::{Notification, Pace, Subscription, TOPICS, Topic};
+use crate::frontend::updates::{Gap, Notification, Pace, Subscription, TOPICS, Topic};
 use crate::gripper::Now;
 use crate::gripper::model::Name;
-use crate::journal::{Filter, Follow};
+use crate::journal::{Filter, Follow, Followed};
 
 /// How often states and telemetry are told at most, unless a client asks for more or less.
 pub const DEFAULT_HZ: u64 = 10;
@@ -96,8 +96,10 @@ struct Stream {
 /// Live updates
 ///
 /// Server-sent events: `event` with its `seq` as id, `state`, `telemetry`, `frame`, `fleet`. Events come without a gap from
-/// `Last-Event-ID` on, or from now on; of states and telemetry the newest comes, and what a slow client misses is
-/// never queued; frames come one by one, and where a client was too slow for some a `gap` says for how many.
+/// `Last-Event-ID` on, or from now on. A `gap` says how many behind it are too old to be there, of all grippers together.
+/// Where the journal was replaced meanwhile, and has no event of that number yet, they come from its first on. Of states and
+/// telemetry the newest comes, and what a slow client misses is never queued; frames come one by one, and where a client
+/// was too slow for some a `gap` says for how many.
 #[utoipa::path(
     get, path = "/stream", operation_id = "stream", tag = "journal",
     params(StreamQuery, StreamHeaders),
@@ -152,7 +154,7 @@ impl Stream {
     async fn next(&mut self) -> Option<sse::Event> {
         loop {
             if let Some(told) = self.ready.pop_front() {
-                return Some(sse::Event::default().event(told.method()).data(told.body()));
+                return Some(message(&told));
             }
             tokio::select! {
                 biased;
@@ -173,12 +175,21 @@ impl Stream {
     }
 }
 
-/// The next event; none after the journal was closed.
+fn message(told: &Notification) -> sse::Event {
+    sse::Event::default().event(told.method()).data(told.body())
+}
+
+/// The next event, or what is missing before it; none after the journal was closed.
 async fn next_event(events: &mut Option<Follow>) -> Result<Option<sse::Event>, ()> {
     let Some(events) = events else { return std::future::pending().await };
     match events.next().await {
-        Ok(event) => {
-            Ok(event.map(|event| sse::Event::default().event("event").id(event.seq.to_string()).data(&*event.body)))
+        Ok(None) => Ok(None),
+        Ok(Some(Followed::Event(event))) => {
+            Ok(Some(sse::Event::default().event("event").id(event.seq.to_string()).data(&*event.body)))
+        }
+        Ok(Some(Followed::Removed { behind, missed })) => {
+            let gap = Notification::new("gap", &Gap::of_events(behind, missed.unsigned_abs())).ok_or(())?;
+            Ok(Some(message(&gap)))
         }
         Err(error) => {
             tracing::warn!(%error, "a stream's events can't be read");

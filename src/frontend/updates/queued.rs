@@ -20,12 +20,20 @@ pub struct Gap {
     /// Of which gripper; null for events, which are counted before they are told apart.
     #[schema(value_type = Option<String>, required, max_length = 32)]
     gripper: Option<Name>,
-    /// The last one before those that are missing. `GET /events?order=oldest&cursor=` this has them.
+    /// The last one before those that are missing. `GET /events?order=oldest&cursor=` this has them, unless they are too old.
     #[schema(minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     seq: u64,
     /// How many are missing.
     #[schema(minimum = 1, maximum = 9_007_199_254_740_991_i64)]
     missed: u64,
+}
+
+impl Gap {
+    /// Of so many events behind this one.
+    #[must_use]
+    pub fn of_events(seq: i64, missed: u64) -> Self {
+        Self { topic: Topic::Events, gripper: None, seq: seq.unsigned_abs(), missed }
+    }
 }
 
 /// The next thing that a broadcast has; none after its end.
@@ -53,7 +61,7 @@ pub(super) fn events(
                     Ok(event) if event.seq <= last => continue,
                     Ok(event) => event,
                     Err(missed) => {
-                        let gap = Gap { topic: Topic::Events, gripper: None, seq: last.unsigned_abs(), missed };
+                        let gap = Gap::of_events(last, missed);
                         last += missed.cast_signed();
                         return Some((Notification::new("gap", &gap)?, (receiver, last)));
                     }

@@ -17,7 +17,7 @@ use crate::frontend::network::keys::Keys;
 use crate::frontend::updates::{Notification, Pace, Topic};
 use crate::gripper::Handle;
 use crate::gripper::model::{Link, State};
-use crate::journal::{Filter, Stored};
+use crate::journal::{Filter, Followed, Stored};
 
 /// How often a state is told that has not changed: who counts on it sees by its silence that the gateway is gone, and
 /// one that was dropped on its way is made up for.
@@ -133,7 +133,10 @@ pub async fn tell_events(session: zenoh::Session, keys: Keys, context: Arc<Conte
             event = events.next() => event,
         };
         match event {
-            Ok(Some(event)) => publish_event(&session, &keys, event).await,
+            Ok(Some(Followed::Event(event))) => publish_event(&session, &keys, event).await,
+            Ok(Some(Followed::Removed { missed, .. })) => {
+                tracing::warn!(missed, "events were too old before Zenoh had taken them");
+            }
             Ok(None) => return,
             Err(error) => {
                 tracing::warn!(%error, "Zenoh's events can't be read");

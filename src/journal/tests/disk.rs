@@ -56,7 +56,7 @@ async fn what_a_full_disk_and_a_full_memory_lose_is_counted_and_told() {
     let mut follow = journal.follow(Some(0), Filter { kind: Some(EventKind::Gateway), ..Filter::default() });
     let mut told = 0;
     while told < health.borrow().lost {
-        let event: serde_json::Value = serde_json::from_str(&follow.next().await.unwrap().unwrap().body).unwrap();
+        let event: serde_json::Value = serde_json::from_str(&next_event(&mut follow).await.body).unwrap();
         if event["event"] == "records_lost" {
             told += event["count"].as_u64().unwrap();
         }

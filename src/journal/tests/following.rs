@@ -6,7 +6,7 @@ use super::*;
 async fn seqs(follow: &mut Follow, count: usize) -> Vec<i64> {
     let mut seqs = Vec::new();
     while seqs.len() < count {
-        seqs.push(follow.next().await.unwrap().unwrap().seq);
+        seqs.push(next_event(follow).await.seq);
     }
     seqs
 }
@@ -15,9 +15,10 @@ async fn seqs(follow: &mut Follow, count: usize) -> Vec<i64> {
 async fn a_follower_gets_each_event_once_while_others_write() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
-    for number in 0..250 {
+    for number in 0..249 {
         record(&journal, link(number, "left"));
     }
+    assert!(kept(&journal, link(249, "left")).await);
     let writing = {
         let journal = journal.clone();
         tokio::spawn(async move {
@@ -56,4 +57,16 @@ async fn a_follower_that_was_too_slow_reads_what_it_missed() {
     assert_eq!(seqs(&mut all, 1).await, [1502]);
     assert_eq!(all.next().await.unwrap(), None);
     assert_eq!(left.next().await.unwrap(), None);
+}
+
+#[tokio::test]
+async fn who_has_seen_more_than_there_is_is_told_all_of_this_journal() {
+    let (journal, _) = Journal::open(Place::Memory, Retention::default()).unwrap();
+    for number in 0..3 {
+        assert!(kept(&journal, link(number, "left")).await);
+    }
+    assert_eq!(seqs(&mut journal.follow(Some(4711), Filter::default()), 3).await, [1, 2, 3]);
+    let mut from_now = journal.follow(Some(3), Filter::default());
+    assert!(kept(&journal, link(3, "left")).await);
+    assert_eq!(seqs(&mut from_now, 1).await, [4]);
 }

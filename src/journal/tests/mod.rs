@@ -138,6 +138,14 @@ pub(super) fn record(journal: &Journal, event: Event) {
     journal.record(Record::Event(event, None));
 }
 
+/// The next event that a follower is told.
+async fn next_event(follow: &mut Follow) -> Arc<Stored> {
+    match follow.next().await.unwrap() {
+        Some(Followed::Event(event)) => event,
+        other => panic!("{other:?}"),
+    }
+}
+
 /// Records an event, and waits until it is durable; false where it won't be.
 pub(super) async fn kept(journal: &Journal, event: Event) -> bool {
     let (told, durable) = oneshot::channel();
@@ -255,6 +263,6 @@ async fn every_event_that_there_is_can_be_written_and_read() {
     assert_eq!(kinds, ["fast_stop", "acknowledge", "device", "device", "settings", "settings", "refused", "gateway"]);
     let mut follow = journal.follow(Some(0), Filter::default());
     for _ in details {
-        assert_eq!(follow.next().await.unwrap().unwrap().command_id, None);
+        assert_eq!(next_event(&mut follow).await.command_id, None);
     }
 }

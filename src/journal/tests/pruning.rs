@@ -13,7 +13,8 @@ async fn reopened(directory: &Directory, journal: Journal, retention: Retention)
 async fn pruned(journal: &Journal, up_to: impl Fn(&serde_json::Value) -> bool) -> serde_json::Value {
     let mut follow = journal.follow(Some(0), Filter { kind: Some(EventKind::Gateway), ..Filter::default() });
     loop {
-        let event: serde_json::Value = serde_json::from_str(&follow.next().await.unwrap().unwrap().body).unwrap();
+        let Some(Followed::Event(event)) = follow.next().await.unwrap() else { continue };
+        let event: serde_json::Value = serde_json::from_str(&event.body).unwrap();
         if event["event"] == "pruned" && up_to(&event) {
             return event;
         }
@@ -52,6 +53,13 @@ async fn what_is_too_old_goes_and_what_is_left_is_proved() {
     let journal = reopened(&directory, journal, retention).await;
     let event = pruned(&journal, |event| event["up_to_seq"] == 600 && event["grips_up_to_seq"] == 299).await;
     removed(&journal, 600).await;
+    // Who goes on behind one that is gone is told how many he misses.
+    let mut follow = journal.follow(Some(10), Filter { gripper: Some(name("left")), ..Filter::default() });
+    assert_eq!(follow.next().await.unwrap(), Some(Followed::Removed { behind: 10, missed: 590 }));
+    for mut follow in [follow, journal.follow(Some(600), Filter::default())] {
+        let next = follow.next().await.unwrap();
+        assert!(matches!(&next, Some(Followed::Event(event)) if event.seq == 601), "{next:?}");
+    }
     let mut report = verify(&directory.journal()).unwrap();
     while report.grips > 1 {
         assert!(kept(&journal, started(now)).await);
