@@ -86,9 +86,12 @@ struct Actor {
 
 impl Actor {
     async fn run(mut self, mut asked: mpsc::Receiver<Request>, mut stopped: mpsc::Receiver<FastStopRequest>) {
+        let closed = self.leasing.closed();
         loop {
             tokio::select! {
+                biased;
                 Some(stop) = stopped.recv() => self.latch(stop),
+                () = closed.notified() => self.leasing.request_closed(clock::instant()),
                 Some(request) = asked.recv() => self.answer(request),
                 else => break,
             }

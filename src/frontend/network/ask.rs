@@ -123,43 +123,15 @@ impl Network {
         let place = places.map(|places| places.clone().try_acquire_owned()).transpose();
         let _place = place.map_err(|_| NoAnswer::TooMany)?;
         let renewal = ask.renewal();
+        let kept = async {
+            match renewal {
+                Some(renewal) => keep_lease(|| self.send(renewal.clone())).await,
+                None => pending().await,
+            }
+        };
         tokio::select! {
             answer = self.send(ask) => answer,
-            never = self.keep_lease(renewal) => match never {},
-        }
-    }
-
-    /// Uses a lease as often as it needs, for as long as this is polled: the gateway that owns it does not see whether who
-    /// asks here is still there. Each use goes out in its time, whatever became of the one before.
-    async fn keep_lease(&self, renewal: Option<Ask>) -> Infallible {
-        #[derive(Deserialize)]
-        struct Renewed {
-            ttl_ms: u64,
-        }
-        let Some(renewal) = renewal else { return pending().await };
-        // Until it is known how long it lives.
-        let mut every = MIN_TTL / USES_A_TTL;
-        let mut next = Instant::now() + every;
-        let mut under_way = FuturesUnordered::new();
-        loop {
-            tokio::select! {
-                () = sleep_until(next), if under_way.len() < MAX_USES_UNDER_WAY => {
-                    let within = (every * MAX_USES_UNDER_WAY as u32).max(MIN_ANSWERED_WITHIN);
-                    under_way.push(timeout(within, self.send(renewal.clone())));
-                    next = Instant::now() + every;
-                }
-                Some(answer) = under_way.next() => match answer {
-                    Ok(Ok(Ok(lease))) => {
-                        let ttl = serde_json::from_str(lease.get()).map(|Renewed { ttl_ms }| Duration::from_millis(ttl_ms));
-                        let known = ttl.map_or(every, |ttl| ttl.max(MIN_TTL) / USES_A_TTL);
-                        next = next - every + known;
-                        every = known;
-                    }
-                    // It is nobody's any more.
-                    Ok(Ok(Err((CONFLICT, _)))) => return pending().await,
-                    _ => {}
-                }
-            }
+            never = kept => match never {},
         }
     }
 
@@ -188,6 +160,39 @@ impl Network {
             }
         }
         refused.ok_or(NoAnswer::None)
+    }
+}
+
+/// Uses a lease as often as it needs, for as long as this is polled: the gateway that owns it does not see whether who
+/// asks here is still there. Each use goes out in its time, whatever became of the one before.
+async fn keep_lease<Sent: Future<Output = Result<Asked, NoAnswer>>>(send_use: impl Fn() -> Sent) -> Infallible {
+    #[derive(Deserialize)]
+    struct Renewed {
+        ttl_ms: u64,
+    }
+    // Until it is known how long it lives.
+    let mut every = MIN_TTL / USES_A_TTL;
+    let mut next = Instant::now() + every;
+    let mut under_way = FuturesUnordered::new();
+    loop {
+        tokio::select! {
+            () = sleep_until(next), if under_way.len() < MAX_USES_UNDER_WAY => {
+                let within = (every * MAX_USES_UNDER_WAY as u32).max(MIN_ANSWERED_WITHIN);
+                under_way.push(timeout(within, send_use()));
+                next = Instant::now() + every;
+            }
+            Some(answer) = under_way.next() => match answer {
+                Ok(Ok(Ok(lease))) => {
+                    let ttl = serde_json::from_str(lease.get()).map(|Renewed { ttl_ms }| Duration::from_millis(ttl_ms));
+                    let known = ttl.map_or(every, |ttl| ttl.max(MIN_TTL) / USES_A_TTL);
+                    next = next - every + known;
+                    every = known;
+                }
+                // It is nobody's any more.
+                Ok(Ok(Err((CONFLICT, _)))) => return pending().await,
+                _ => {}
+            }
+        }
     }
 }
 
@@ -225,6 +230,81 @@ fn told(reply: &Reply) -> Option<Asked> {
             let problem: Box<RawValue> = json(error.payload())?;
             let Status { status } = serde_json::from_str(problem.get()).ok()?;
             Some(Err((status, problem)))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::RefCell;
+
+    use futures_util::future::{FutureExt as _, LocalBoxFuture};
+
+    use super::*;
+    use crate::frontend::http::Context;
+    use crate::gripper::model::Door;
+
+    type Sent = LocalBoxFuture<'static, Result<Asked, NoAnswer>>;
+
+    fn told(answer: &str) -> Box<RawValue> {
+        RawValue::from_string(answer.to_owned()).unwrap()
+    }
+
+    /// How long after the one before each use goes out, within this time; what becomes of the first is said.
+    async fn gaps(within: Duration, first: Sent) -> Vec<Duration> {
+        let (first, sent_at) = (RefCell::new(Some(first)), RefCell::new(vec![Instant::now()]));
+        let send_use = || {
+            sent_at.borrow_mut().push(Instant::now());
+            first.take().unwrap_or_else(|| pending().boxed_local())
+        };
+        timeout(within, keep_lease(send_use)).await.unwrap_err();
+        let sent_at = sent_at.into_inner();
+        sent_at.windows(2).map(|two| two[1] - two[0]).collect()
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_lease_is_used_in_its_time_whatever_becomes_of_a_use() {
+        let ttl = Duration::from_secs(8);
+        let every = ttl / USES_A_TTL;
+        let answered = || async { Ok(Ok(told(r#"{"ttl_ms": 8000}"#))) }.boxed_local();
+        let used = gaps(Duration::from_mins(1), answered()).await;
+        assert_eq!(used[0], MIN_TTL / USES_A_TTL, "it is not known yet how long it lives");
+        assert!(used.len() > 20 && used[1..].iter().all(|gap| *gap == every), "{used:?}");
+        // Of the shortest none is lost between two of which nothing is heard.
+        for first in [pending().boxed_local(), async { Err(NoAnswer::None) }.boxed_local()] {
+            let used = gaps(Duration::from_secs(10), first).await;
+            assert!(used.len() > 50 && used.iter().all(|gap| *gap <= MIN_ANSWERED_WITHIN), "{used:?}");
+        }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_lease_that_is_nobodys_any_more_is_not_used() {
+        let refused = async { Ok(Err((CONFLICT, told(r#"{"code": "stale_lease"}"#)))) };
+        assert_eq!(gaps(Duration::from_mins(1), refused.boxed_local()).await.len(), 1);
+    }
+
+    #[tokio::test]
+    async fn of_who_is_told_as_gone_only_what_stops_and_what_keeps_a_lease_is_asked() {
+        let network = Context::of([]).network;
+        let name = |text: &str| text.parse::<Name>().unwrap();
+        network.take_token("wsg/v1/cell-1/alive", true);
+        network.take_state("wsg/v1/cell-1/left/state", br#"{"link": "connected", "age_ms": 5, "fast_stop": false}"#);
+        let ask = |method| {
+            let client = Client { subject: "anna".into(), door: Door::Http };
+            let (gateway, gripper, urgency) = (name("cell-1"), name("left"), crate::frontend::http::urgency(method));
+            let ask =
+                Ask { gateway, gripper, method, params: json!({}), wait: None, aside: Vec::new(), client, urgency };
+            network.ask(ask)
+        };
+        // There is no Zenoh to ask over, which is seen by who tries.
+        let tried = Some(NoAnswer::Unknown);
+        assert_eq!(ask("move").await.err(), tried);
+        network.take_token("wsg/v1/cell-1/alive", false);
+        for method in ["fast-stop", "stop", "cancel", "lease.renew", "lease.release"] {
+            assert_eq!(ask(method).await.err(), tried, "{method}");
+        }
+        for method in ["move", "state", "lease.take"] {
+            assert_eq!(ask(method).await.err(), Some(NoAnswer::Gone), "{method}");
         }
     }
 }

@@ -13,6 +13,7 @@ use std::time::Duration;
 
 use axum::body::Body;
 use axum::http::{Request, header};
+use futures_util::future::join_all;
 use http_body_util::BodyExt;
 use serde_json::{Value, json};
 use tokio::sync::mpsc::UnboundedReceiver;
@@ -185,4 +186,11 @@ async fn who_is_refused_without_end_hears_of_it_later_and_a_fast_stop_at_once() 
     assert_eq!(gateway.ask("POST", "/api/v1/grippers/right/fast-stop", "").await.status, 404);
     assert_eq!(gateway.left("POST", "move", json!({"width_mm": 20, "speed_mm_s": 50})).await.status, 200);
     assert_eq!(begun.elapsed(), held_back_for);
+    // And not more of them at a time than leave connections to others.
+    let begun = tokio::time::Instant::now();
+    let refused = join_all((0..70).map(async |_| {
+        assert_eq!(gateway.left("POST", "move", json!({"width_mm": "wide"})).await.status, 400);
+        begun.elapsed()
+    }));
+    assert_eq!(refused.await.iter().filter(|after| after.is_zero()).count(), 70 - 64);
 }
