@@ -77,14 +77,21 @@ test('an older answer does not overwrite that to a newer filter', async () => {
     await held;
     await route.fulfill({ response });
   });
+  // What happens is looked at a little later, when another filter may hold.
+  await served.ask('POST', 'grippers/left/lease', { holder: 'Cleo', ttl_ms: 60_000 });
+  await page.waitForSelector('.bar:has-text("Cleo")');
   const asked = page.waitForRequest('**/grips?**kind=move**');
   await page.selectOption('#kind', 'move');
   const late = await asked;
+  const looks = [];
+  page.on('requestfinished', (request) => { if (request.url().includes('/grips?')) looks.push(request.url()); });
   await page.selectOption('#kind', 'home');
   const only = (word) => page.waitForFunction((wanted) => {
     const rows = [...document.querySelectorAll('tbody tr')];
     return rows.length === 1 && rows[0].innerText.includes(wanted);
   }, word);
+  await only('Home');
+  await until('what has happened is looked at', () => looks.length >= 2);
   await only('Home');
   letGo();
   await (await late.response()).finished();

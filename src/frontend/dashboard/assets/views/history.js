@@ -90,7 +90,7 @@ export function History({ one }) {
     if (!isLive.peek() || list.peek().length > PAGE) return undefined;
     const timer = setTimeout(load, LOOKS_AFTER_MS);
     return () => clearTimeout(timer);
-  }, [eventSeq.value]);
+  }, [eventSeq.value, address]);
   useEffect(() => { load(); }, [address, isLive.value]);
   const choose = (name) => { what.value = name; kind.value = ''; list.value = []; };
   const save = async () => {
