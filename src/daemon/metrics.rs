@@ -57,7 +57,7 @@ impl Collector for JournalHealth {
     }
 }
 
-/// Adds whether Zenoh's clients find the gateway.
+/// Adds whether the gateway is on Zenoh as it is to be.
 pub(super) fn register_zenoh(registry: &Registry, network: &Network) -> Result<()> {
     let up =
         IntGauge::new("wsg_zenoh_up", "Whether Zenoh listens wherever it is to, and is connected where it is to be.")?;

@@ -92,8 +92,10 @@ impl Actor {
                 biased;
                 Some(stop) = stopped.recv() => self.latch(stop),
                 () = closed.notified() => self.leasing.request_closed(clock::instant()),
-                Some(request) = asked.recv() => self.answer(request),
-                else => break,
+                request = asked.recv() => match request {
+                    Some(request) => self.answer(request),
+                    None => break,
+                },
             }
         }
     }

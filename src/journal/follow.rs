@@ -7,7 +7,7 @@ use tokio::sync::broadcast;
 use tokio::sync::broadcast::error::RecvError;
 
 use super::query::{Cursor, EventQuery, Filter, Order};
-use super::reader::Pool;
+use super::reader::{Pool, Reader};
 use super::row::{EventKind, Stored};
 use super::shared::Shared;
 use super::source::ReadError;
@@ -38,6 +38,8 @@ pub struct Follow {
     /// Up to this one, events come from the file.
     until: i64,
     read: VecDeque<Followed>,
+    /// Whether there may be no such event yet as the one that is gone on behind.
+    is_ahead: bool,
 }
 
 impl Follow {
@@ -45,9 +47,9 @@ impl Follow {
         // Before it is looked what there is already: what comes between the two is seen twice rather than never.
         let live = shared.subscribe();
         let until = shared.committed();
-        // Who has seen more than there is has seen another journal, and nothing of this one.
-        let after = after.map_or(until, |after| if after > until { 0 } else { after });
-        Self { live, shared: shared.clone(), pool: pool.clone(), filter, after, until, read: VecDeque::new() }
+        let after = after.unwrap_or(until);
+        let (is_ahead, read) = (after > until, VecDeque::new());
+        Self { live, shared: shared.clone(), pool: pool.clone(), filter, after, until, read, is_ahead }
     }
 
     /// The next event, once it is durable, or what is missing before it; none after the journal was closed. Nothing is lost where the caller gives up
@@ -59,6 +61,13 @@ impl Follow {
         loop {
             if let Some(read) = self.read.pop_front() {
                 return Ok(Some(read));
+            }
+            if self.is_ahead {
+                // Who has seen more than there is has seen another journal, and nothing of this one.
+                if self.after > self.pool.read(Reader::last_seq).await? {
+                    self.after = 0;
+                }
+                self.is_ahead = false;
             }
             if self.after < self.until {
                 self.catch_up().await?;
@@ -91,7 +100,8 @@ impl Follow {
             (Some(_), Some(last)) => last.seq,
             _ => until,
         };
-        let missed = first.map_or(until, |first| first - 1) - after;
+        // What is removed beyond is told by the next look.
+        let missed = first.map_or(until, |first| until.min(first - 1)) - after;
         self.read.extend((missed > 0).then_some(Followed::Removed { behind: after, missed }));
         self.read.extend(read.into_iter().map(Followed::Event));
         Ok(())

@@ -133,7 +133,8 @@ impl Journal {
         self.shared.subscribe()
     }
 
-    /// The events behind one, or those from now on; slow followers miss none.
+    /// The events behind one, or those from now on; slow followers miss none but those that are too old, and are told of
+    /// them.
     #[must_use]
     pub fn follow(&self, after: Option<i64>, filter: Filter<EventKind>) -> Follow {
         Follow::new(&self.shared, &self.pool, after, filter)

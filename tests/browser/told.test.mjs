@@ -143,6 +143,7 @@ test('what was told before the page was there is known to it, and was asked for 
   await page.waitForSelector('.last[data-outcome=SUCCESS]:has-text("Move")');
   await page.waitForSelector('.figure-main:has-text("50.00")');
   assert.equal(asked.filter((method) => method === 'subscribe').length, 1);
+  assert.equal(await page.locator('.alarm').count(), 0, 'nothing was silent');
   assertClean(visitor);
 });
 

@@ -47,12 +47,12 @@ pub struct Readiness {
     /// The gateway's name.
     #[schema(max_length = 32)]
     gateway: String,
-    /// Whether every gripper is connected, the journal takes records, and Zenoh's clients find the gateway.
+    /// Whether every gripper is connected, the journal takes records, and the gateway is on Zenoh as it is to be.
     ready: bool,
     /// Why the journal takes no records; null while it does.
     #[schema(required)]
     journal_cause: Option<String>,
-    /// Why Zenoh's clients don't find the gateway, or not everywhere; null while they do, and where Zenoh is off.
+    /// Why the gateway is not on Zenoh wherever it is to be; null while it is, and where Zenoh is off.
     #[schema(required)]
     zenoh_cause: Option<String>,
     /// The grippers that aren't connected: name, link and cause.

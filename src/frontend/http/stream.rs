@@ -62,7 +62,8 @@ pub struct StreamQuery {
 #[into_params(parameter_in = Header)]
 #[allow(dead_code, reason = "the document's words on what stream takes from the headers")]
 pub struct StreamHeaders {
-    /// The `seq` of the last event that was seen: events begin behind it, without a gap. Without it they begin now.
+    /// The `seq` of the last event that was seen: events begin behind it, and a `gap` says how many are too old to be there.
+    /// Without it they begin now.
     #[param(rename = "Last-Event-ID", nullable = false, pattern = "^([0-9]{1,18})?$")]
     last_event_id: Option<String>,
 }
@@ -75,7 +76,7 @@ pub struct Message {
     /// `event`, `state`, `telemetry`, `frame`, `fleet` or `gap`.
     #[schema(nullable = false)]
     event: Option<String>,
-    /// An event's `seq`.
+    /// An event's `seq`; of a `gap` of events that of the last one that is missing.
     #[schema(nullable = false)]
     id: Option<String>,
     /// The body, as JSON.
@@ -189,7 +190,7 @@ async fn next_event(events: &mut Option<Follow>) -> Result<Option<sse::Event>, (
         }
         Ok(Some(Followed::Removed { behind, missed })) => {
             let gap = Notification::new("gap", &Gap::of_events(behind, missed.unsigned_abs())).ok_or(())?;
-            Ok(Some(message(&gap)))
+            Ok(Some(message(&gap).id((behind + missed).to_string())))
         }
         Err(error) => {
             tracing::warn!(%error, "a stream's events can't be read");

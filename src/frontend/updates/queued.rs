@@ -11,7 +11,7 @@ use utoipa::ToSchema;
 use super::{Notification, Source, Topic, Updates};
 use crate::gripper::model::Name;
 
-/// Told in place of what a client was too slow for.
+/// Told in place of what a client was too slow for, or what is too old to be there.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 #[schema(example = json!({"topic": "events", "gripper": null, "seq": 4711, "missed": 12}))]
 pub struct Gap {

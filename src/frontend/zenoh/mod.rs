@@ -100,7 +100,7 @@ async fn open_at_last(reach: &Reach, network: &Network) -> zenoh::Session {
     loop {
         match open(reach.config.clone()).await {
             Ok(session) => return session,
-            Err(error) => reach::say(network, format!("Zenoh can't be opened: {error}")),
+            Err(error) => reach::say(network, Some(format!("Zenoh can't be opened: {error}"))),
         }
         tokio::time::sleep(again_after).await;
         again_after = (again_after * 2).min(OPENED_AGAIN_AT_LEAST_EVERY);

@@ -35,7 +35,7 @@ impl Reach {
     /// Watches for as long as it is polled; tells where it listens, and says on the network's behalf where it does not, or
     /// is connected to nothing, and why.
     pub async fn watch(&self, session: &zenoh::Session, network: &Network, mut opened: impl FnMut(&[String])) {
-        let (mut told, mut looks_after) = (Vec::new(), LOOKS_AFTER);
+        let (mut told, mut looks_after, mut was_connected) = (Vec::new(), LOOKS_AFTER, false);
         loop {
             let mut locators: Vec<_> = session.info().locators().await.iter().map(ToString::to_string).collect();
             let missing = missing(&self.listen, &locators);
@@ -43,17 +43,20 @@ impl Reach {
             opened(&locators);
             told.extend(locators);
             let unconnected = self.unconnected(session).await;
+            // A connection that is made again at once is not told of.
+            let is_just_lost = std::mem::replace(&mut was_connected, unconnected.is_none()) && unconnected.is_some();
             if missing.is_empty() && unconnected.is_none() {
-                network.set_cause(None);
-            } else if looks_after >= TAKES_LONG {
+                say(network, None);
+            } else if looks_after >= TAKES_LONG && !is_just_lost {
                 let mut causes = self.why_not_at(missing.into_iter().map(ToOwned::to_owned).collect()).await;
                 causes.extend(unconnected);
-                say(network, causes.join("; "));
+                say(network, Some(causes.join("; ")));
             }
             tokio::time::sleep(looks_after).await;
             looks_after = (looks_after * 2).min(LOOKS_EVERY);
         }
     }
+
     /// Why nothing listens at these endpoints. Who looks may have to wait for a name.
     async fn why_not_at(&self, endpoints: Vec<String>) -> Vec<String> {
         let config = self.config.clone();
@@ -61,11 +64,15 @@ impl Reach {
         tokio::task::spawn_blocking(look).await.unwrap_or_default()
     }
 
-    /// Says that it is connected to nothing, where it is to be. Who connects to it is no router and no peer.
+    /// Says that it is connected to nothing of what it is to be connected to.
     async fn unconnected(&self, session: &zenoh::Session) -> Option<String> {
         let connect = self.awaited()?;
         let info = session.info();
-        let is_connected = info.routers_zid().await.next().is_some() || info.peers_zid().await.next().is_some();
+        let others: Vec<_> = info.routers_zid().await.chain(info.peers_zid().await).collect();
+        let links = info.links().await.filter(|link| others.contains(link.zid()));
+        let ends: Vec<_> = links.filter_map(|link| Place::of(&link.dst().to_string())).collect();
+        let mut wanted = self.connect.iter().filter_map(|endpoint| Place::of(endpoint));
+        let is_connected = wanted.any(|wanted| ends.iter().any(|end| wanted.is_reached_by(end)));
         (!is_connected).then_some(connect)
     }
 
@@ -79,11 +86,15 @@ impl Reach {
     }
 }
 
-/// Says why it is not on the network as it should be, once.
-pub fn say(network: &Network, cause: String) {
-    if network.cause().borrow().as_ref() != Some(&cause) {
-        tracing::warn!(cause, "Zenoh is not as it should be, and is tried again: the grippers are served all the same");
-        network.set_cause(Some(cause));
+/// Says why it is not on the network as it should be, or that it is: once.
+pub fn say(network: &Network, cause: Option<String>) {
+    if *network.cause().borrow() != cause {
+        if let Some(cause) = &cause {
+            tracing::warn!(cause, "Zenoh is not as it should be, and is tried again: the grippers are served");
+        } else {
+            tracing::info!("Zenoh is as it should be");
+        }
+        network.set_cause(cause);
     }
 }
 
@@ -116,6 +127,13 @@ impl Place {
         let (host, port) = address.rsplit_once(':')?;
         let host = host.trim_matches(['[', ']']).parse().ok().filter(|host: &IpAddr| !host.is_unspecified());
         Some(Self { protocol, host, port: port.parse().ok()? })
+    }
+
+    /// Whether a link to this end may lead there: where two connect to each other, one of them has only a link that the
+    /// other has made, which ends at a port of its own.
+    fn is_reached_by(&self, end: &Self) -> bool {
+        let is_host = self.host.is_none_or(|host| !host.is_loopback() && end.host == Some(host));
+        self.is_at(end) || (self.protocol == end.protocol && is_host)
     }
 
     /// One by a name, or at all addresses, may be anywhere.
@@ -168,6 +186,18 @@ mod tests {
         assert_eq!(missing(&["tcp/127.0.0.1:0", "tcp/127.0.0.1:7447"], &["tcp/127.0.0.1:7447"]), "tcp/127.0.0.1:0");
         assert_eq!(missing(&["tls/localhost:7447"], &["tls/127.0.0.1:7447"]), "");
         assert_eq!(missing(&["tcp/[::1]:7447"], &[]), "tcp/[::1]:7447");
+    }
+
+    #[test]
+    fn what_is_reached_is_told_apart_from_who_has_come() {
+        let is_reached =
+            |endpoint: &str, end: &str| Place::of(endpoint).unwrap().is_reached_by(&Place::of(end).unwrap());
+        assert!(is_reached("tcp/127.0.0.1:7447", "tcp/127.0.0.1:7447"));
+        assert!(!is_reached("tcp/127.0.0.1:7447", "tcp/127.0.0.1:40312"), "another one of this machine");
+        assert!(is_reached("tcp/10.0.0.7:7447", "tcp/10.0.0.7:40312"), "it has connected to us");
+        assert!(!is_reached("tcp/10.0.0.7:7447", "tcp/10.0.0.8:40312"));
+        assert!(is_reached("tcp/router:7447", "tcp/10.0.0.8:40312"), "a name may be anywhere");
+        assert!(!is_reached("tls/router:7447", "tcp/10.0.0.8:7447"));
     }
 
     #[test]

@@ -13,7 +13,10 @@ async fn reopened(directory: &Directory, journal: Journal, retention: Retention)
 async fn pruned(journal: &Journal, up_to: impl Fn(&serde_json::Value) -> bool) -> serde_json::Value {
     let mut follow = journal.follow(Some(0), Filter { kind: Some(EventKind::Gateway), ..Filter::default() });
     loop {
-        let Some(Followed::Event(event)) = follow.next().await.unwrap() else { continue };
+        let event = match follow.next().await.unwrap().unwrap() {
+            Followed::Event(event) => event,
+            Followed::Removed { .. } => continue,
+        };
         let event: serde_json::Value = serde_json::from_str(&event.body).unwrap();
         if event["event"] == "pruned" && up_to(&event) {
             return event;

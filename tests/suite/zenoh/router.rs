@@ -35,7 +35,7 @@ impl Router {
     pub fn at(endpoint: String) -> Self {
         let mut command = Command::new(std::env::current_exe().unwrap());
         command.args(["--exact", "zenoh::router::router_process"]).env(ROUTER_AT, &endpoint);
-        let child = command.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+        let child = command.stdout(Stdio::null()).spawn().unwrap();
         Self { child, endpoint }
     }
 
@@ -86,6 +86,9 @@ async fn a_router_that_is_away_is_told_for_as_long_as_it_is() {
         .await;
     };
     until_ready().await;
+    // Who connects to it is not what it is to connect to.
+    let other = super::fleet::gateway("other", &gateway.word_after("Zenoh: ").await, 1, &[]).await;
+    eventually("it is ready, too", async || (readiness(&other).await.0 == true).then_some(())).await;
     let endpoint = router.kill();
     let told = eventually("it is told", async || {
         let (ready, cause, up) = readiness(&gateway).await;
@@ -93,6 +96,7 @@ async fn a_router_that_is_away_is_told_for_as_long_as_it_is() {
     });
     let cause = told.await;
     assert!(cause.contains(&format!("not connected to {endpoint}")) && cause.contains("--zenoh-connect"), "{cause}");
+    assert_eq!(readiness(&other).await.1, "");
     let _router = Router::at(endpoint);
     until_ready().await;
 }

@@ -109,7 +109,7 @@ export const rpc = new Rpc({
     byName.forEach((one) => { one.held.value = null; });
     look();
   },
-  onHeard: (at) => { lastHeard = at; },
+  onHeard: (at) => { lastHeard = Math.max(lastHeard, at); },
   onTold: (method, params, at) => {
     if (method === 'state') takeState(params, at);
     if (method === 'event') takeEvent(params, find(params.gripper), at);
@@ -137,7 +137,7 @@ async function subscribe() {
     const { states, event_seq: seq } = await (begun?.answer ?? askFor(askedHz.peek()));
     // How often depends on how many there are.
     batch(() => {
-      states.forEach((state) => takeState(state));
+      states.forEach((state) => takeState(state, begun?.at));
       keepOnly(states.map((state) => state.gripper));
     });
     show();

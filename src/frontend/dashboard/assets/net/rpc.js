@@ -88,7 +88,7 @@ export class Rpc {
     });
   }
 
-  /** What was asked over this connection before this was there, once: `{params, answer}`, or null. */
+  /** What was asked over this connection before this was there, once: `{params, answer, at}`, when that came, or null. */
   begun() {
     const begun = this.#begun;
     this.#begun = null;
@@ -106,7 +106,8 @@ export class Rpc {
       clearTimeout(tooLate);
       this.#tries = 0;
       this.handlers.onHeard?.(performance.now());
-      this.#begun = early && { params: early.asked.params, answer: this.#expect(early.asked.id) };
+      // Nothing comes before its answer.
+      this.#begun = early && { params: early.asked.params, answer: this.#expect(early.asked.id), at: early.heard[0]?.at };
       this.handlers.onOpen?.();
       if (early) this.#takeAll(early.heard);
     };
