@@ -104,18 +104,12 @@ fn the_modules_are_short_and_import_what_is_served_beside_them() {
 /// The modules that one imports at once, by their paths.
 fn imported_by(path: &str) -> Vec<String> {
     let module = String::from_utf8(Assets::get(path).unwrap().data.into_owned()).unwrap();
-    let folder: Vec<_> = path.split('/').rev().skip(1).collect();
+    let address = url::Url::parse(&format!("http://gateway/{path}")).unwrap();
     let from = module.lines().filter_map(|line| {
         let is_import = ["import ", "export ", "} from "].iter().any(|word| line.starts_with(word));
         is_import.then_some(line)?.split_once(" from '")?.1.split_once('\'').map(|(from, _)| from)
     });
-    from.map(|from| match (from.strip_prefix("./"), from.strip_prefix("../"), &folder[..]) {
-        (Some(beside), _, []) => beside.to_owned(),
-        (Some(beside), _, [folder]) => format!("{folder}/{beside}"),
-        (_, Some(above), [_]) => above.to_owned(),
-        _ => panic!("{path} imports {from}"),
-    })
-    .collect()
+    from.map(|from| address.join(from).unwrap().path().trim_start_matches('/').to_owned()).collect()
 }
 
 #[test]
