@@ -1,8 +1,10 @@
 //! The composition root: builds everything, runs it, and ends it in order.
 
+mod descriptors;
 mod listen;
 mod metrics;
 mod ports;
+mod runtimes;
 mod simulation;
 
 use std::future::Future;
@@ -13,7 +15,6 @@ use std::time::Duration;
 
 use prometheus::Registry;
 use rand::RngExt;
-use tokio::net::TcpListener;
 use tokio::runtime::{Builder, Runtime};
 use tokio::signal::unix::{SignalKind, signal};
 use tokio::sync::oneshot;
@@ -25,16 +26,13 @@ use crate::config::{self, Config, Device, Gripper, Mistake};
 use crate::frontend::network::Network;
 use crate::frontend::refusals::Refusals;
 use crate::frontend::updates::Updates;
-use crate::frontend::{self, http, zenoh};
+use crate::frontend::{self, Bounds, http, zenoh};
 use crate::gripper::model::{Detail, Event, GatewayEvent, MemoryKey, Name};
 use crate::gripper::recorder::{Recollection, Record, Recorder as _};
 use crate::gripper::{self, Connector, Fleet, Handle, Now};
 use crate::journal::{self, Journal, Recovered};
-use ports::Ports;
+use descriptors::Shares;
 pub use simulation::{Served, SimulatedDevice, Switch, serve as serve_device};
-
-/// How much the observers' thread gives way to others (`nice`): of 0 to 19 enough that the kernel prefers any of those.
-const NICE: i32 = 10;
 
 /// How long a start waits for the journal: as long as a motion does.
 const START_WRITTEN_WITHIN: Duration = Duration::from_millis(500);
@@ -45,13 +43,10 @@ const START_WRITTEN_WITHIN: Duration = Duration::from_millis(500);
 /// Where it can't start: each says what is wrong, and what to do.
 pub fn run(config: &Config) -> anyhow::Result<()> {
     check(config)?;
-    // The device side has a runtime of its own, so that no number of clients can delay a FAST STOP.
-    let devices = Builder::new_multi_thread().worker_threads(1).thread_name("device").enable_all().build()?;
-    let clients = runtime()?;
-    let sockets = sockets()?;
-    clients.block_on(run_gateway(config, &devices, &sockets))?;
-    sockets.shutdown_background();
-    devices.shutdown_background();
+    let shares = descriptors::share_out(config)?;
+    let runtimes = runtimes::Owned::start()?;
+    runtimes.requests.block_on(run_gateway(config, &runtimes, shares))?;
+    runtimes.end();
     Ok(())
 }
 
@@ -70,16 +65,6 @@ pub fn run_simulated(urls: &[Url], device: &SimulatedDevice, control: Option<Soc
     });
     runtime.shutdown_background();
     served
-}
-
-/// What a thousand observers are told must not delay a request, a FAST STOP least of all: so it has a runtime of its own,
-/// whose thread gives way to all others.
-fn sockets() -> std::io::Result<Runtime> {
-    let give_way = || {
-        // Where a system has no such priorities it goes on without.
-        let _ = rustix::process::setpriority_process(None, NICE);
-    };
-    Builder::new_multi_thread().worker_threads(1).thread_name("sockets").on_thread_start(give_way).enable_all().build()
 }
 
 /// A runtime for everything but devices.
@@ -103,20 +88,23 @@ pub fn check(config: &Config) -> Result<(), Mistake> {
     Ok(())
 }
 
-async fn run_gateway(config: &Config, devices: &Runtime, sockets: &Runtime) -> anyhow::Result<()> {
+async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares) -> anyhow::Result<()> {
     let stop = stop_signal()?;
     // Before any gripper is connected: a port that is taken must not cost a connect and a disconnect.
-    let listener = TcpListener::bind(config.listen)
-        .await
-        .map_err(|error| listen::failed(format_args!("cannot listen on {} (--listen)", config.listen), error))?;
+    let clients = runtimes.of_clients();
+    let listener = {
+        let _inside = clients.accept.enter();
+        http::listen(config.listen)
+            .map_err(|error| listen::failed(format_args!("cannot listen on {} (--listen)", config.listen), error))?
+    };
     let address = listener.local_addr()?;
-    let ports = ports::bind(config)?;
+    let ports = ports::bind(config, shares.wsg_port)?;
     let (journal, recovered) = open_journal(config)?;
     tell_of_last_run(&recovered);
     write_down_start(config, &journal).await;
     let (draining, shutdown) = (CancellationToken::new(), CancellationToken::new());
     let registry = metrics::registry(&config.name, &journal)?;
-    let fleet = spawn_all(config, devices, &journal, &recovered, &registry)?;
+    let fleet = spawn_all(config, &runtimes.devices, &journal, &recovered, &registry)?;
     let refusals = Arc::new(Refusals::new(journal.clone()));
     let network = Arc::new(Network::new(config.name.clone(), fleet.clone()));
     let context = Arc::new(http::Context {
@@ -127,18 +115,20 @@ async fn run_gateway(config: &Config, devices: &Runtime, sockets: &Runtime) -> a
         network: network.clone(),
         updates: Arc::new(Updates::new(&fleet, journal.clone(), network)),
         closing: shutdown.child_token(),
-        sockets: sockets.handle().clone(),
+        runtimes: clients.clone(),
         metrics: frontend::metrics::Metrics::register(&registry, "http")?,
         ws_metrics: frontend::metrics::Metrics::register(&registry, "ws")?,
         registry,
         allowed_hosts: config.hosts.clone(),
     });
     let on_zenoh = config.zenoh.as_ref().map(|zenoh| zenoh_settings(zenoh, &context)).transpose()?;
-    let server = tokio::spawn(http::serve(listener, context.clone(), http::Limits::default(), shutdown.clone()));
+    tracing::info!(limit = shares.limit, http = shares.http, wsg_port = shares.wsg_port, "file descriptors shared out");
+    let limits = http::Limits::within(Bounds::of(shares.http));
+    let server = clients.accept.spawn(http::serve(listener, context.clone(), limits, shutdown.clone()));
     announce(config, address, &ports)?;
     // Of its own: whatever becomes of it, the rest goes on.
     let zenoh = on_zenoh.map(|settings| tokio::spawn(zenoh::serve(settings, context, announce_zenoh)));
-    let ports = ports::serve(devices, config, ports, &fleet, &refusals, &draining, &shutdown);
+    let ports = ports::serve(&runtimes.devices, ports, &fleet, &refusals, &draining, &shutdown);
     tokio::select! {
         () = stop => {}
         () = refusals.count() => {}
@@ -275,8 +265,9 @@ fn stop_signal() -> std::io::Result<impl Future<Output = ()>> {
 }
 
 /// Says on standard output what is served, where, and what to try. Nobody may be reading it.
-fn announce(config: &Config, address: SocketAddr, ports: &Ports) -> std::io::Result<()> {
-    let urls = ports.iter().map(|(name, listener)| Ok((name, listener.url()?))).collect::<std::io::Result<Vec<_>>>()?;
+fn announce(config: &Config, address: SocketAddr, ports: &[ports::Bound]) -> std::io::Result<()> {
+    let urls =
+        ports.iter().map(|port| Ok((&port.gripper, port.listener.url()?))).collect::<std::io::Result<Vec<_>>>()?;
     let mut out = std::io::stdout().lock();
     let _ = write_announcement(config, address, &urls, &mut out).and_then(|()| out.flush());
     Ok(())

@@ -13,10 +13,17 @@ use crate::frontend::wsg_port::{Address, Datagrams, LOST_AFTER, Listener, Port, 
 use crate::gripper::Fleet;
 use crate::gripper::model::Name;
 
-/// Each with the gripper that it is of.
-pub(super) type Ports = Vec<(Name, Listener)>;
+/// A port that is not served yet.
+pub(super) struct Bound {
+    pub(super) gripper: Name,
+    pub(super) listener: Listener,
+    rules: Rules,
+    /// Of its TCP clients.
+    descriptors: usize,
+}
 
-pub(super) fn bind(config: &Config) -> anyhow::Result<Ports> {
+/// Binds all ports. The TCP clients of each may take so many descriptors.
+pub(super) fn bind(config: &Config, descriptors: usize) -> anyhow::Result<Vec<Bound>> {
     let mut ports = Vec::new();
     for gripper in &config.grippers {
         for (address, place) in &gripper.wsg_port.addresses {
@@ -30,7 +37,7 @@ pub(super) fn bind(config: &Config) -> anyhow::Result<Ports> {
                 let name = &gripper.name;
                 listen::failed(format_args!("{place}: the WSG port of {name} cannot listen on {address}"), error)
             })?;
-            ports.push((gripper.name.clone(), listener));
+            ports.push(Bound { gripper: gripper.name.clone(), listener, rules: rules(&gripper.wsg_port), descriptors });
         }
     }
     Ok(ports)
@@ -40,18 +47,16 @@ pub(super) fn bind(config: &Config) -> anyhow::Result<Ports> {
 /// few, and what each does in its turn is bounded.
 pub(super) fn serve(
     devices: &Runtime,
-    config: &Config,
-    ports: Ports,
+    ports: Vec<Bound>,
     fleet: &Fleet,
     refusals: &Arc<Refusals>,
     draining: &CancellationToken,
     closing: &CancellationToken,
 ) -> JoinSet<std::io::Result<()>> {
     let mut served = JoinSet::new();
-    for (name, listener) in ports {
-        let configured = config.grippers.iter().find(|gripper| gripper.name == name);
-        let (Some(handle), Some(gripper)) = (fleet.get(&name), configured) else { continue };
-        let port = Port::new(handle.clone(), rules(&gripper.wsg_port), refusals.clone());
+    for Bound { gripper, listener, rules, descriptors } in ports {
+        let Some(handle) = fleet.get(&gripper) else { continue };
+        let port = Port::new(handle.clone(), rules, descriptors, refusals.clone());
         served.spawn_on(port.serve(listener, draining.clone(), closing.clone()), devices.handle());
     }
     served

@@ -3,13 +3,17 @@
 //! Architecture invariant: a door decides nothing about a gripper. What is refused because of a lease, a latch or a
 //! device's limits is refused by the gripper's actor, so all doors refuse the same.
 
-mod connections;
+mod admission;
 pub mod dashboard;
 pub mod http;
 pub mod metrics;
 pub mod network;
 pub mod refusals;
+mod runtimes;
 pub mod sockets;
 pub mod updates;
 pub mod wsg_port;
 pub mod zenoh;
+
+pub use admission::Bounds;
+pub use runtimes::Runtimes;

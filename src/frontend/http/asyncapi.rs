@@ -1,14 +1,17 @@
 //! The AsyncAPI document: the WebSocket, described by the schemas of the HTTP API, whose operations its methods are.
 
 use std::collections::BTreeSet;
+use std::sync::Arc;
 
+use axum::Extension;
 use axum::http::header::CONTENT_TYPE;
 use axum::response::IntoResponse;
 use serde_json::{Map, Value, json};
 use utoipa::OpenApi as _;
 
 use super::API;
-use super::errors::{Code, Members, Problem};
+use super::docs::Documents;
+use super::errors::Members;
 use super::methods::{METHODS, Method};
 use super::responses::AnyProblem;
 use super::ws::{SUBPROTOCOL, Subscribe, Subscribed};
@@ -116,9 +119,8 @@ pub fn yaml() -> Result<String, serde_saphyr::ser::Error> {
     get, path = "/asyncapi.yaml", operation_id = "asyncapi", tag = "gateway",
     responses((status = 200, description = "The document", body = serde_json::Value, content_type = "application/yaml"), AnyProblem)
 )]
-pub async fn asyncapi() -> Result<impl IntoResponse, Problem> {
-    let yaml = yaml().map_err(|error| Problem::new(Code::Internal, format!("the document has no YAML: {error}")))?;
-    Ok(([(CONTENT_TYPE, "application/yaml")], yaml))
+pub async fn asyncapi(Extension(documents): Extension<Arc<Documents>>) -> impl IntoResponse {
+    ([(CONTENT_TYPE, "application/yaml")], documents.asyncapi())
 }
 
 /// A reference into this document.

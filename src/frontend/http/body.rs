@@ -1,11 +1,13 @@
 //! Request bodies: read within bounds before anything else is done, so that even a refused client gets to see its
 //! answer; then parsed as JSON, whatever the Content-Type says.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use axum::body::{Body as Stream, Bytes};
-use axum::extract::{FromRequest, Request};
+use axum::extract::{FromRequest, MatchedPath, Request};
 use axum::http::header::{CONNECTION, HeaderValue};
+use axum::http::request::Parts;
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 use http_body_util::{BodyExt, LengthLimitError, Limited};
@@ -16,6 +18,9 @@ use tokio::time::timeout;
 use utoipa::ToSchema;
 
 use super::errors::{Code, Problem};
+use super::refused::is_prompt;
+use super::server::is_fast_stop;
+use crate::frontend::admission::{Class, ConnectionPermit};
 
 /// The largest body that is taken. The largest that any request needs is a `raw` one of 8 KiB.
 pub const MAX_BODY_BYTES: usize = 64 * 1024;
@@ -27,24 +32,50 @@ pub const MAX_DISCARDED_BYTES: usize = 2 * 1024 * 1024;
 /// How long a body may take: [`MAX_BODY_BYTES`] at 64 kbit/s, and a little more.
 pub const BODY_TIME: Duration = Duration::from_secs(10);
 
-/// The middleware that reads the body before the handlers see the request.
+/// The middleware that reads the body before the handlers see the request. Only then has the connection a claim on its
+/// slot. A FAST STOP waits for nothing, and has one at once.
 pub async fn read_first(request: Request, next: Next) -> Response {
-    let (parts, stream) = request.into_parts();
-    match read(stream).await {
-        Ok(bytes) => next.run(Request::from_parts(parts, Stream::from(bytes))).await,
-        // Something of the body may still come, and is no request.
-        Err(problem) => ([(CONNECTION, HeaderValue::from_static("close"))], problem).into_response(),
+    let permit: Option<Arc<ConnectionPermit>> = request.extensions().get().cloned();
+    if is_fast_stop(&request) {
+        let _claim = permit.as_ref().and_then(|permit| permit.claim(Class::Urgent));
+        return next.run(request).await;
     }
+    let (parts, stream) = request.into_parts();
+    let bytes = match read(stream, permit.as_ref()).await {
+        Ok(bytes) => bytes,
+        // What is left of the body is no request.
+        Err(problem) => return ([(CONNECTION, HeaderValue::from_static("close"))], problem).into_response(),
+    };
+    let claim = permit.as_ref().map(|permit| permit.claim(Class::Answering));
+    if matches!(claim, Some(None)) && !only_stops(&parts) {
+        return Problem::new(Code::Overloaded, "too many requests are being answered: try again").into_response();
+    }
+    next.run(Request::from_parts(parts, Stream::from(bytes))).await
 }
 
-/// Reads it, within the bounds above.
-pub async fn read(stream: Stream) -> Result<Bytes, Problem> {
+/// Whether a request only stops, or keeps or ends a lease. Such a request is never refused for the sake of others.
+fn only_stops(parts: &Parts) -> bool {
+    let route = parts.extensions.get().map(MatchedPath::as_str);
+    route.is_some_and(|route| is_prompt(&parts.method, route))
+}
+
+/// Reads a body, within the bounds above. Its bytes count as held for its connection until it is complete.
+async fn read(stream: Stream, permit: Option<&Arc<ConnectionPermit>>) -> Result<Bytes, Problem> {
     let too_late = || Problem::new(Code::RequestTimeout, format!("the body did not arrive within {BODY_TIME:?}"));
-    timeout(BODY_TIME, collect(stream)).await.map_err(|_| too_late())?
+    timeout(BODY_TIME, collect(stream, permit)).await.map_err(|_| too_late())?
 }
 
-async fn collect(mut stream: Stream) -> Result<Bytes, Problem> {
-    match Limited::new(&mut stream, MAX_BODY_BYTES).collect().await {
+async fn collect(mut stream: Stream, permit: Option<&Arc<ConnectionPermit>>) -> Result<Bytes, Problem> {
+    let mut held = permit.map(ConnectionPermit::held);
+    let mut read = 0;
+    let counted = (&mut stream).map_frame(|frame| {
+        read += frame.data_ref().map_or(0, Bytes::len);
+        if let Some(held) = &mut held {
+            held.set(read);
+        }
+        frame
+    });
+    match Limited::new(counted, MAX_BODY_BYTES).collect().await {
         Ok(collected) => Ok(collected.to_bytes()),
         Err(error) if error.is::<LengthLimitError>() => {
             drain(stream).await;
@@ -53,6 +84,11 @@ async fn collect(mut stream: Stream) -> Result<Bytes, Problem> {
         }
         Err(error) => Err(Problem::new(Code::Malformed, format!("the body could not be read: {error}"))),
     }
+}
+
+/// The bytes of a body that was read before, or that is read now.
+pub async fn bytes(stream: Stream) -> Result<Bytes, Problem> {
+    read(stream, None).await
 }
 
 /// Reads what is left of a body, within the bounds above, and throws it away.
@@ -78,7 +114,7 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Body<T> {
     type Rejection = Problem;
 
     async fn from_request(request: Request, _: &S) -> Result<Self, Problem> {
-        parse(&read(request.into_body()).await?).map(Self)
+        parse(&bytes(request.into_body()).await?).map(Self)
     }
 }
 

@@ -27,7 +27,7 @@ pub async fn run(gripper: Gripper, keys: Keys, action: Action, wait: Wait) -> Re
     // What keeps the lease meanwhile is the request.
     let mut ticket = gripper.handle.submit(submission).await?.watched();
     watched::note_command(ticket.id());
-    let mut command = ticket.wait(wait.0).await;
+    let mut command = wait.until_ended(&mut ticket).await;
     match command.rejection.take() {
         Some(rejection) => Err(Problem::from(rejection).recorded()),
         None => Ok((command, ticket)),
@@ -84,7 +84,7 @@ pub async fn get(
 ) -> Result<Json<Command>, Problem> {
     let gripper = gripper.with_lease(None)?;
     if let Some(mut ticket) = gripper.handle.find(id).await? {
-        return Ok(Json(ticket.wait(wait.0).await));
+        return Ok(Json(wait.until_ended(&mut ticket).await));
     }
     let written_down = context.journal.command(gripper.handle.name().clone(), id).await?;
     written_down.map(Json).ok_or_else(|| Problem::not_found("command of this id"))
@@ -110,5 +110,5 @@ pub async fn cancel(
 ) -> Result<Response, Problem> {
     let gripper = gripper.with_lease(lease.as_deref())?;
     let mut ticket = known(gripper.handle.cancel(id, gripper.client).await?)?;
-    Ok(told((ticket.wait(wait.0).await, ticket)))
+    Ok(told((wait.until_ended(&mut ticket).await, ticket)))
 }

@@ -1,9 +1,9 @@
 //! The OpenAPI document, and the page that shows it: all of it from this program, for cells without internet.
 
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use axum::Extension;
-use axum::Json;
+use axum::body::Bytes;
 use axum::extract::{Path, Request};
 use axum::http::header::{CACHE_CONTROL, CONTENT_ENCODING, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderValue};
 use axum::response::{Html, IntoResponse, Response};
@@ -11,6 +11,7 @@ use axum::{Router, routing};
 use utoipa::OpenApi as _;
 use utoipa::openapi::{OpenApi, RefOr, Schema};
 
+use super::asyncapi;
 use super::errors::{self, Problem};
 use super::responses;
 use crate::journal::{EventKind, Order};
@@ -69,8 +70,32 @@ pub fn without_null_bodies(document: &mut OpenApi) {
     get, path = "/openapi.json", operation_id = "openapi", tag = "gateway",
     responses((status = 200, description = "This document", body = serde_json::Value), responses::AnyProblem)
 )]
-pub async fn openapi(Extension(document): Extension<Arc<OpenApi>>) -> Json<Arc<OpenApi>> {
-    Json(document)
+pub async fn openapi(Extension(documents): Extension<Arc<Documents>>) -> impl IntoResponse {
+    ([(CONTENT_TYPE, "application/json")], documents.openapi())
+}
+
+/// The API's documents, made once: all who ask for one share its bytes.
+pub struct Documents {
+    openapi: OpenApi,
+    openapi_json: OnceLock<Bytes>,
+    asyncapi_yaml: OnceLock<Bytes>,
+}
+
+impl Documents {
+    /// The documents, of which this is one.
+    pub fn new(openapi: OpenApi) -> Self {
+        Self { openapi, openapi_json: OnceLock::new(), asyncapi_yaml: OnceLock::new() }
+    }
+
+    fn openapi(&self) -> Bytes {
+        let json = || serde_json::to_vec(&self.openapi).unwrap_or_default().into();
+        self.openapi_json.get_or_init(json).clone()
+    }
+
+    /// The AsyncAPI document as YAML.
+    pub fn asyncapi(&self) -> Bytes {
+        self.asyncapi_yaml.get_or_init(|| asyncapi::yaml().unwrap_or_default().into()).clone()
+    }
 }
 
 /// The page. Its addresses are absolute, since there is no redirect that would add a slash to its own.

@@ -13,9 +13,10 @@ use super::Context;
 use super::errors::{Code, Problem};
 use super::parameters::Parameters;
 use super::values::{integer, text};
+use crate::frontend::admission::{Class, ConnectionPermit};
 use crate::gripper::handle::Using;
-use crate::gripper::model::{Client, CommandId, Door, LeaseToken, RequestId, Text};
-use crate::gripper::{Handle, Rejection};
+use crate::gripper::model::{Client, Command, CommandId, Door, LeaseToken, RequestId, Text};
+use crate::gripper::{Handle, Rejection, Ticket};
 use crate::wsg::{self, Finger};
 
 /// How long a request may wait for a command's end. Proxies and clients give up after a minute.
@@ -229,8 +230,29 @@ pub struct NoWaitQuery {
 }
 
 /// How long to wait for a command's end: `wait_ms`, or else `DEFAULT`.
-#[derive(Debug, Clone, Copy)]
-pub struct WaitMs<const DEFAULT: u64>(pub Duration);
+#[derive(Debug, Clone)]
+pub struct WaitMs<const DEFAULT: u64> {
+    limit: Duration,
+    permit: Option<Arc<ConnectionPermit>>,
+}
+
+impl<const DEFAULT: u64> WaitMs<DEFAULT> {
+    /// The command when it has ended, or as it is after the wait. The wait is cut short where more requests wait than the
+    /// gateway allows, or where this client has more than its share of them: the answer is the same as after `wait_ms`.
+    pub async fn until_ended(&self, ticket: &mut Ticket) -> Command {
+        let Some(permit) = self.permit.as_ref().filter(|_| !self.limit.is_zero()) else {
+            return ticket.wait(self.limit).await;
+        };
+        if let Some(claim) = permit.claim(Class::Waiting) {
+            tokio::select! {
+                biased;
+                command = ticket.wait(self.limit) => return command,
+                () = claim.yielded() => {}
+            }
+        }
+        ticket.now()
+    }
+}
 
 impl<const DEFAULT: u64> FromRequestParts<Arc<Context>> for WaitMs<DEFAULT> {
     type Rejection = Problem;
@@ -241,7 +263,7 @@ impl<const DEFAULT: u64> FromRequestParts<Arc<Context>> for WaitMs<DEFAULT> {
             Some(number) => integer("wait_ms", number, 0..=MAX_WAIT_MS)?,
             None => DEFAULT,
         };
-        Ok(Self(Duration::from_millis(wait_ms)))
+        Ok(Self { limit: Duration::from_millis(wait_ms), permit: parts.extensions.get().cloned() })
     }
 }
 

@@ -17,7 +17,7 @@ fn parts(uri: &str, headers: &[(&str, &str)]) -> Parts {
 async fn wait_ms(uri: &str) -> Result<Duration, u16> {
     let mut parts = parts(uri, &[]);
     let wait = WaitMs::<5000>::from_request_parts(&mut parts, &context()).await;
-    wait.map(|wait| wait.0).map_err(|problem| problem.status().as_u16())
+    wait.map(|wait| wait.limit).map_err(|problem| problem.status().as_u16())
 }
 
 #[tokio::test]

@@ -170,7 +170,7 @@ pub async fn forward(
 
 /// A request's fields: those of its path, and those of its body.
 async fn fields(request: Request, mut fields: Map<String, Value>) -> Result<Map<String, Value>, Problem> {
-    let given: Map<String, Value> = body::parse(&body::read(request.into_body()).await?)?;
+    let given: Map<String, Value> = body::parse(&body::bytes(request.into_body()).await?)?;
     // As below a gripper of one's own, where the path alone says which it is.
     if let Some(field) = given.keys().find(|key| fields.contains_key(*key) || *key == "gripper") {
         return Err(Problem::malformed(field, format!("unknown field `{field}`: the path says which")));

@@ -21,11 +21,13 @@ mod gateway;
 mod grippers;
 mod guard;
 mod journal;
+mod large;
 mod lease;
 mod methods;
 mod motions;
+mod pace;
 mod parameters;
-mod prompt;
+mod quick_ack;
 mod raw;
 mod refused;
 mod responses;
@@ -42,7 +44,7 @@ use std::sync::Arc;
 
 use axum::http::Method as Verb;
 use axum::response::{IntoResponse, Response};
-use axum::routing::get;
+use axum::routing::{get, post};
 use axum::{Extension, Router, middleware};
 use prometheus::Registry;
 use tokio_util::sync::CancellationToken;
@@ -56,6 +58,7 @@ use super::dashboard;
 use super::metrics::Metrics;
 use super::network::Network;
 use super::refusals::Refusals;
+use super::runtimes::Runtimes;
 use super::updates::Updates;
 use crate::gripper::Fleet;
 use crate::gripper::model::Name;
@@ -67,7 +70,7 @@ pub(super) use errors::{Code, Problem};
 pub(super) use extract::Presence;
 pub(super) use lease::Taken;
 pub(super) use methods::{IDEMPOTENCY_KEY, METHODS, Method, Methods, Refusal, WSG_LEASE, Wait, is_fast_stop, urgency};
-pub use server::{Limits, RESERVED_CONNECTIONS, serve};
+pub use server::{Limits, listen, serve};
 pub(super) use unique::Unique;
 
 /// Where the API begins.
@@ -90,8 +93,8 @@ pub struct Context {
     pub updates: Arc<Updates>,
     /// Ends the streams when the gateway ends.
     pub closing: CancellationToken,
-    /// Where WebSockets run, so that what they are told delays no request.
-    pub sockets: tokio::runtime::Handle,
+    /// Where clients are served.
+    pub runtimes: Runtimes,
     /// What this door counts.
     pub metrics: Metrics,
     /// What WebSocket counts.
@@ -114,7 +117,7 @@ impl Context {
         let registry = Registry::new();
         let [metrics, ws_metrics] = ["http", "ws"].map(|door| Metrics::register(&registry, door).unwrap());
         let (closing, allowed_hosts) = (CancellationToken::new(), Vec::new());
-        let sockets = tokio::runtime::Handle::current();
+        let runtimes = Runtimes::current();
         Self {
             gateway,
             fleet,
@@ -123,7 +126,7 @@ impl Context {
             network,
             updates,
             closing,
-            sockets,
+            runtimes,
             metrics,
             ws_metrics,
             registry,
@@ -151,7 +154,7 @@ pub(super) fn methods(context: &Arc<Context>) -> Methods {
 
 fn operations() -> Router<Arc<Context>> {
     let (routes, document) = routes().split_for_parts();
-    routes.layer(Extension(Arc::new(document))).layer(CatchPanicLayer::custom(panicked))
+    routes.layer(Extension(Arc::new(docs::Documents::new(document)))).layer(CatchPanicLayer::custom(panicked))
 }
 
 /// The document of what [`router`] serves.
@@ -163,43 +166,37 @@ pub fn openapi() -> OpenApi {
 type Routes = OpenApiRouter<Arc<Context>>;
 
 fn routes() -> Routes {
-    // Other requests are read to their end first; a FAST STOP must not wait for that.
-    let unhurried = OpenApiRouter::with_openapi(docs::base())
+    let (router, mut document) = OpenApiRouter::with_openapi(docs::base())
         .nest(API, api())
         .routes(routes!(gateway::health))
         .routes(routes!(gateway::readiness))
         .routes(routes!(gateway::metrics))
-        .fallback(not_found);
-    let (router, document) = unhurried.split_for_parts();
+        .fallback(not_found)
+        .split_for_parts();
+    document.merge(forwarded::Forwarded::openapi());
+    docs::without_null_bodies(&mut document);
     let router = router
         .merge(docs::page())
         .merge(dashboard::page())
         .method_not_allowed_fallback(method_not_allowed)
         .layer(middleware::from_fn(body::read_first));
-    let (fast_stops, fast_stop_document) =
-        OpenApiRouter::<Arc<Context>>::new().nest(API, unhurried_by_bodies()).split_for_parts();
-    let fast_stops = fast_stops.method_not_allowed_fallback(method_not_allowed);
-    let mut all = OpenApiRouter::from(router.merge(fast_stops));
-    let merged = all.get_openapi_mut();
-    *merged = document;
-    merged.merge(fast_stop_document);
-    merged.merge(forwarded::Forwarded::openapi());
-    docs::without_null_bodies(merged);
+    let mut all = OpenApiRouter::from(router);
+    *all.get_openapi_mut() = document;
     all
 }
 
-fn unhurried_by_bodies() -> Routes {
+fn journal() -> Routes {
     OpenApiRouter::new()
-        .routes(routes!(fast_stop::one))
-        .routes(routes!(fast_stop::all))
-        .routes(routes!(fleet::fast_stop))
-        // A FAST STOP may be among them.
-        .route(fleet::FORWARDED[0], get(fleet::forward))
-        .route(fleet::FORWARDED[1], get(fleet::forward).post(fleet::forward).put(fleet::forward).delete(fleet::forward))
+        .routes(routes!(journal::events))
+        .routes(routes!(journal::grips))
+        .routes(routes!(journal::grip))
+        .routes(routes!(journal::curve))
+        .layer(middleware::from_fn(large::count))
 }
 
 fn api() -> Routes {
     OpenApiRouter::new()
+        .merge(journal())
         .routes(routes!(docs::openapi))
         .routes(routes!(asyncapi::asyncapi))
         .routes(routes!(grippers::list))
@@ -228,13 +225,18 @@ fn api() -> Routes {
         .routes(routes!(raw::raw))
         .routes(routes!(lease::get, lease::take, lease::renew, lease::release))
         .routes(routes!(lease::hand_over))
-        .routes(routes!(journal::events))
-        .routes(routes!(journal::grips))
-        .routes(routes!(journal::grip))
-        .routes(routes!(journal::curve))
         .routes(routes!(stream::stream))
         .routes(routes!(ws::open))
         .routes(routes!(fleet::list))
+        .routes(routes!(fast_stop::one))
+        .routes(routes!(fast_stop::all))
+        .routes(routes!(fleet::fast_stop))
+        // A slash too many stops, too.
+        .route("/grippers/{gripper}/fast-stop/", post(fast_stop::one))
+        .route("/fast-stop/", post(fast_stop::all))
+        .route("/fleet/fast-stop/", post(fleet::fast_stop))
+        .route(fleet::FORWARDED[0], get(fleet::forward))
+        .route(fleet::FORWARDED[1], get(fleet::forward).post(fleet::forward).put(fleet::forward).delete(fleet::forward))
 }
 
 async fn not_found() -> Problem {

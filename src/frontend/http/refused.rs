@@ -38,7 +38,7 @@ pub async fn record(State(context): State<Arc<Context>>, request: Request, next:
         let route = route.as_ref().map(MatchedPath::as_str);
         let refusal = Refusal { gripper, client, command: command(route), code };
         let held_back_for = context.refusals.take(refusal, cause);
-        if let Some(time) = held_back_for.filter(|_| !is_prompt(&method, route)) {
+        if let Some(time) = held_back_for.filter(|_| !route.is_some_and(|route| is_prompt(&method, route))) {
             context.refusals.hold_back(time).await;
         }
     }
@@ -51,10 +51,10 @@ fn gripper(path: &str) -> Option<Name> {
     below.and_then(|below| below.split('/').next()).and_then(|name| name.parse().ok())
 }
 
-/// Whether nothing holds its answer back: what stops, and what keeps or ends a lease.
-fn is_prompt(verb: &Verb, route: Option<&str>) -> bool {
-    let method = route.and_then(|route| Method::of_route(verb, route));
-    method.is_some_and(|method| urgency(method.name) != Urgency::None)
+/// Whether a route stops, or keeps or ends a lease: its answer is never held back, and it is never refused for the sake of
+/// other requests.
+pub fn is_prompt(verb: &Verb, route: &str) -> bool {
+    Method::of_route(verb, route).is_some_and(|method| urgency(method.name) != Urgency::None)
 }
 
 /// The last part of a route's template that is no parameter: paths are the clients', and there is no end of them.
@@ -75,7 +75,7 @@ mod tests {
         assert_eq!(command(Some("/api/v1/grippers/{g}/settings/acceleration")), "acceleration");
         assert_eq!(command(Some("/api/v1/grippers/{g}/custom/{id}")), "custom");
         assert_eq!(command(None), "none");
-        let is_prompt = |verb, path: &str| is_prompt(&verb, Some(&format!("{API}/{path}")));
+        let is_prompt = |verb, path: &str| is_prompt(&verb, &format!("{API}/{path}"));
         for (verb, what) in
             [(Verb::POST, "fast-stop"), (Verb::POST, "stop"), (Verb::PUT, "lease"), (Verb::DELETE, "lease")]
         {

@@ -1,36 +1,48 @@
-//! The accept loop. It bounds what a client can take: connections, and the time that a request's header may need,
-//! which `axum::serve` leaves open.
+//! The accept loop, and the life of a connection: its first bytes, its requests, its end.
+//!
+//! `axum::serve` bounds neither connections nor the time that a request's header may take, so this builds on hyper.
+//! Connections are admitted by [`Admission`]. Each is looked at before anything is decided about it: one that begins with
+//! a FAST STOP is served on the runtime that accepts, where nothing else is done, and all others move on to
+//! [`Runtimes::requests`]. A connection that follows updates moves to [`Runtimes::observers`].
 
 use std::convert::Infallible;
+use std::io;
 use std::net::SocketAddr;
+use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
 
 use axum::Router;
 use axum::body::Body;
 use axum::extract::ConnectInfo;
-use axum::http::Request;
-use hyper::body::Incoming;
+use axum::http::{Method, Request};
+use axum::response::Response;
+use futures_util::future::{BoxFuture, FutureExt as _};
+use hyper::body::{Body as _, Incoming};
 use hyper::server::conn::http1;
-use hyper::service::service_fn;
+use hyper::service::Service;
 use hyper_util::rt::{TokioIo, TokioTimer};
-use tokio::net::{TcpListener, TcpStream};
-use tokio::task::JoinSet;
+use rustix::net::RecvFlags;
+use socket2::SockRef;
+use tokio::net::{TcpListener, TcpSocket, TcpStream};
+use tokio::runtime::Handle;
+use tokio::sync::watch;
 use tokio::time::{sleep, timeout};
 use tokio_util::sync::CancellationToken;
 use tower::ServiceExt;
 
-use super::prompt::Prompt;
+use super::pace::RequestPace;
+use super::quick_ack::QuickAckStream;
 use super::{Context, router};
-use crate::frontend::connections::{Connections, Guest};
+use crate::frontend::admission::{Admission, Bounds, ConnectionPermit, Usage};
+use crate::frontend::metrics::Connected;
 use crate::frontend::sockets;
 
 /// Bounds of the server.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
-    /// Connections at a time. From [`RESERVED_CONNECTIONS`] below it, the one that has been idle the longest makes
-    /// room for a new one.
-    pub connections: usize,
+    /// Connections at a time, by what they do.
+    pub bounds: Bounds,
     /// How long a request's header may take, and how long a connection may be idle: until the next request's header
     /// is there.
     pub header_time: Duration,
@@ -38,122 +50,289 @@ pub struct Limits {
     pub shutdown_time: Duration,
 }
 
-/// Connections that are kept free by closing idle ones, so that a FAST STOP finds a place.
-pub const RESERVED_CONNECTIONS: usize = 16;
-
-/// Headers of a request, in all. The longest that this API means is some hundred bytes; browsers add a few thousand.
+/// Headers of a request, in all. This API needs some hundred bytes; browsers add a few thousand.
 const MAX_HEADER_BYTES: usize = 16 * 1024;
 
-/// What may wait in the kernel for a client that takes no more: some dozens of updates.
+/// Bytes that hyper buffers for a connection in each direction, beside what a body holds by itself.
+const MAX_BUFFER_BYTES: usize = 32 * 1024;
+
+/// Bytes that may wait in the kernel for a client that takes no more: some dozens of updates.
 #[cfg(target_os = "linux")]
 const MAX_UNSENT_BYTES: u32 = 16 * 1024;
 
-/// How long no connection is accepted after that failed: long enough not to spin while the process is out of file
-/// descriptors, short enough not to be noticed.
-const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
+/// Connections that the kernel keeps until they are accepted. Linux caps this at `net.core.somaxconn`, 4096 by default.
+const BACKLOG: u32 = 4096;
+
+/// Pause after a failed accept: long enough not to spin while the process is out of file descriptors, short enough not
+/// to be noticed.
+const ACCEPT_PAUSE: Duration = Duration::from_millis(5);
+
+/// How long an evicted connection may take to deliver an answer, and to have a request answered whose first bytes came
+/// before its eviction.
+const LINGER: Duration = Duration::from_millis(100);
+
+/// As much of a request as is looked at for a FAST STOP. The longest path of one has 111 bytes.
+const FIRST_BYTES: usize = 256;
+
+/// What the path of a FAST STOP ends in.
+const FAST_STOP: &str = "/fast-stop";
+
+impl Limits {
+    /// The usual times, within these bounds.
+    #[must_use]
+    pub fn within(bounds: Bounds) -> Self {
+        // The grippers get 2 s to end their motions, whose answers have to go out.
+        Self { bounds, header_time: Duration::from_secs(10), shutdown_time: Duration::from_secs(3) }
+    }
+}
 
 impl Default for Limits {
     fn default() -> Self {
-        Self {
-            // A thousand observers, and some room: half of the 2048 file descriptors that a service may be limited to.
-            connections: 1024,
-            header_time: Duration::from_secs(10),
-            // The grippers get 2 s to end their motions, whose answers have to go out.
-            shutdown_time: Duration::from_secs(3),
-        }
+        Self::within(Bounds::of(Bounds::MAX_DESCRIPTORS))
     }
+}
+
+/// A listener at this address, on the runtime of the caller.
+///
+/// # Errors
+/// As the operating system says.
+pub fn listen(address: SocketAddr) -> io::Result<TcpListener> {
+    let socket = if address.is_ipv4() { TcpSocket::new_v4() } else { TcpSocket::new_v6() }?;
+    // A gateway that is started again must not wait for the connections of its last run to time out.
+    socket.set_reuseaddr(true)?;
+    socket.bind(address)?;
+    socket.listen(BACKLOG)
 }
 
 /// Serves until `shutdown`, and then what is being answered already.
 pub async fn serve(listener: TcpListener, context: Arc<Context>, limits: Limits, shutdown: CancellationToken) {
-    let metrics = context.metrics.clone();
-    let router = router(&context);
-    let closing = shutdown.child_token();
-    let connections = Arc::new(Connections::new(limits.connections, RESERVED_CONNECTIONS));
-    let mut tasks = JoinSet::new();
-    loop {
-        let accepted = tokio::select! {
-            biased;
-            () = shutdown.cancelled() => break,
-            Some(_) = tasks.join_next() => continue,
-            accepted = listener.accept() => accepted,
-        };
-        match accepted {
-            Ok((stream, peer)) => {
-                if let Some(guest) = connections.admit(&closing) {
-                    let (router, connected) = (router.clone(), metrics.connected());
-                    tasks.spawn(async move {
-                        connection(stream, peer, router, guest, limits).await;
-                        drop(connected);
-                    });
-                } else {
-                    tracing::warn!(%peer, limit = limits.connections, "connection refused: too many are open");
-                }
-            }
-            Err(error) => {
-                tracing::warn!(%error, "no connection could be accepted");
-                sleep(ACCEPT_PAUSE).await;
-            }
-        }
+    let admission = Admission::new(limits.bounds);
+    if let Err(error) = Usage::register(&context.registry, "http", &admission) {
+        tracing::warn!(%error, "connections are not counted");
+    }
+    let server =
+        Arc::new(Server { router: router(&context), admission, closing: shutdown.child_token(), context, limits });
+    tokio::select! {
+        biased;
+        () = shutdown.cancelled() => {}
+        () = server.accept_all(&listener) => {}
     }
     drop(listener);
-    let ended = async {
-        while tasks.join_next().await.is_some() {}
-        // A WebSocket has left its connection's task.
-        connections.all_ended().await;
-    };
-    if timeout(limits.shutdown_time, ended).await.is_err() {
-        tracing::warn!(open = tasks.len(), "connections are closed before their requests were answered");
-        tasks.shutdown().await;
+    // Each connection has a bound of its own on its end: this one is for what hangs all the same.
+    if timeout(limits.shutdown_time + LINGER, server.admission.all_ended()).await.is_err() {
+        tracing::warn!("connections closed before their requests were answered");
     }
 }
 
-async fn connection(stream: TcpStream, peer: SocketAddr, router: Router, guest: Guest, limits: Limits) {
-    // Answers are small, and awaited; and an open request keeps a lease, so that whose machine vanishes must be noticed.
-    if let Err(error) = sockets::prepare(&stream) {
-        return tracing::debug!(%peer, %error, "connection refused: its options could not be set");
-    }
-    set_unsent_limit(&stream);
-    let guest = Arc::new(guest);
-    let busy = guest.clone();
-    let service = service_fn(move |mut request: Request<Incoming>| {
-        request.extensions_mut().insert(ConnectInfo(peer));
-        request.extensions_mut().insert(busy.clone());
-        let answered = router.clone().oneshot(request.map(Body::new));
-        let busy = busy.busy();
-        async move {
-            let answer: Result<_, Infallible> = answered.await;
-            drop(busy);
-            answer
-        }
-    });
-    let served = http1::Builder::new()
-        .timer(TokioTimer::new())
-        .header_read_timeout(limits.header_time)
-        .max_header_size(MAX_HEADER_BYTES)
-        .serve_connection(TokioIo::new(Prompt::new(stream)), service)
-        .with_upgrades();
-    let mut served = std::pin::pin!(served);
-    let ended = tokio::select! {
-        ended = served.as_mut() => ended,
-        () = guest.asked_to_leave() => {
-            if guest.is_unused() {
-                return;
+struct Server {
+    router: Router,
+    context: Arc<Context>,
+    admission: Arc<Admission>,
+    limits: Limits,
+    closing: CancellationToken,
+}
+
+impl Server {
+    async fn accept_all(self: &Arc<Self>, listener: &TcpListener) {
+        loop {
+            self.admission.has_room().await;
+            match listener.accept().await {
+                Ok((stream, peer)) => {
+                    let permit = Arc::new(self.admission.admit(peer.ip(), &self.closing));
+                    let connected = self.context.metrics.connected();
+                    tokio::spawn(self.clone().begin(stream, peer, permit, connected));
+                }
+                Err(error) => {
+                    tracing::warn!(%error, "connection could not be accepted");
+                    self.admission.evict_one();
+                    sleep(ACCEPT_PAUSE).await;
+                }
             }
-            // An idle one ends at once, and one that doesn't read its answer not much later.
-            served.as_mut().graceful_shutdown();
-            timeout(limits.shutdown_time, served).await.unwrap_or(Ok(()))
         }
-    };
-    if let Err(error) = ended {
-        tracing::debug!(%peer, %error, "connection ended");
     }
+
+    /// Looks at a connection's first bytes, and has it served where it belongs.
+    async fn begin(
+        self: Arc<Self>,
+        stream: TcpStream,
+        peer: SocketAddr,
+        permit: Arc<ConnectionPermit>,
+        connected: Connected,
+    ) {
+        // Answers are small, and awaited. An open request keeps a lease, so a machine that vanishes has to be noticed.
+        if let Err(error) = sockets::prepare(&stream) {
+            return tracing::debug!(%peer, %error, "connection refused: its options could not be set");
+        }
+        set_unsent_limit(&stream);
+        let mut first = [0; FIRST_BYTES];
+        let seen = tokio::select! {
+            biased;
+            seen = stream.peek(&mut first) => seen.unwrap_or(0),
+            // What came before the eviction counts.
+            () = permit.evicted() => peek_now(&stream, &mut first),
+            () = sleep(self.limits.header_time) => 0,
+        };
+        if seen == 0 {
+            return;
+        }
+        let is_fast_stop = may_be_fast_stop(first.get(..seen).unwrap_or_default());
+        let runtimes = &self.context.runtimes;
+        let runtime = if is_fast_stop { runtimes.accept.clone() } else { runtimes.requests.clone() };
+        let (moves, home) = watch::channel(runtime.clone());
+        let service = Requests {
+            server: self.clone(),
+            peer,
+            permit: permit.clone(),
+            home: Home(Arc::new(moves)),
+            pace: Arc::default(),
+        };
+        let http = http1::Builder::new()
+            .timer(TokioTimer::new())
+            .header_read_timeout(self.limits.header_time)
+            .max_header_size(MAX_HEADER_BYTES)
+            .max_buf_size(MAX_BUFFER_BYTES)
+            .serve_connection(TokioIo::new(QuickAckStream::new(stream)), service)
+            .with_upgrades();
+        let http = Box::pin(http);
+        let connection = Connection { server: self, peer, permit, is_fast_stop, http, home, _connected: connected };
+        drop(runtime.spawn(connection.run()));
+    }
+}
+
+/// Asks for a connection's move to another runtime. Handlers find it in a request's extensions.
+#[derive(Debug, Clone)]
+pub struct Home(Arc<watch::Sender<Handle>>);
+
+impl Home {
+    /// Moves the connection to a runtime, with what is left to write.
+    pub fn move_to(&self, runtime: &Handle) {
+        self.move_if(runtime, |home| home.id() != runtime.id());
+    }
+
+    /// The same, where it is on another one that is not for it.
+    fn leave(&self, from: &Handle, to: &Handle) {
+        self.move_if(to, |home| home.id() == from.id() && home.id() != to.id());
+    }
+
+    fn move_if(&self, runtime: &Handle, moves: impl FnOnce(&Handle) -> bool) {
+        self.0.send_if_modified(|home| {
+            let moves = moves(home);
+            if moves {
+                *home = runtime.clone();
+            }
+            moves
+        });
+    }
+}
+
+/// A connection that is served by hyper, on one runtime at a time.
+struct Connection {
+    server: Arc<Server>,
+    peer: SocketAddr,
+    permit: Arc<ConnectionPermit>,
+    /// Whether it has begun with a FAST STOP.
+    is_fast_stop: bool,
+    http: Pin<Box<http1::UpgradeableConnection<TokioIo<QuickAckStream>, Requests>>>,
+    home: watch::Receiver<Handle>,
+    _connected: Connected,
+}
+
+impl Connection {
+    /// Serves it until its end, or until it moves on.
+    fn run(mut self) -> BoxFuture<'static, ()> {
+        let run = async move {
+            let ended = tokio::select! {
+                biased;
+                ended = self.http.as_mut() => ended,
+                () = self.permit.evicted() => self.leave().await,
+                Ok(()) = self.home.changed() => {
+                    let home = self.home.borrow_and_update().clone();
+                    drop(home.spawn(self.run()));
+                    return;
+                }
+            };
+            if let Err(error) = ended {
+                tracing::debug!(peer = %self.peer, %error, "connection ended");
+            }
+        };
+        run.boxed()
+    }
+
+    /// Ends it: at once where no request is there, else with its answer.
+    async fn leave(&mut self) -> hyper::Result<()> {
+        let limit = if self.server.closing.is_cancelled() {
+            self.server.limits.shutdown_time
+        } else if self.permit.may_linger() && (self.is_fast_stop || !self.permit.is_unused()) {
+            LINGER
+        } else {
+            return Ok(());
+        };
+        if !self.permit.is_unused() || !self.is_fast_stop {
+            self.http.as_mut().graceful_shutdown();
+        }
+        timeout(limit, self.http.as_mut()).await.unwrap_or(Ok(()))
+    }
+}
+
+/// The requests of one connection.
+#[derive(Clone)]
+struct Requests {
+    server: Arc<Server>,
+    peer: SocketAddr,
+    permit: Arc<ConnectionPermit>,
+    home: Home,
+    pace: Arc<RequestPace>,
+}
+
+impl Service<Request<Incoming>> for Requests {
+    type Response = Response;
+    type Error = Infallible;
+    type Future = BoxFuture<'static, Result<Response, Infallible>>;
+
+    fn call(&self, mut request: Request<Incoming>) -> Self::Future {
+        let is_fast_stop = is_fast_stop(&request);
+        if !is_fast_stop {
+            // Only where it has begun with a FAST STOP is it still where connections are accepted.
+            self.home.leave(&self.server.context.runtimes.accept, &self.server.context.runtimes.requests);
+        }
+        if !request.body().is_end_stream() {
+            self.permit.receiving();
+        }
+        let extensions = request.extensions_mut();
+        extensions.insert(ConnectInfo(self.peer));
+        extensions.insert(self.permit.clone());
+        extensions.insert(self.home.clone());
+        let (router, pace) = (self.server.router.clone(), self.pace.clone());
+        let answer = async move {
+            if !is_fast_stop {
+                pace.next().await;
+            }
+            router.oneshot(request.map(Body::new)).await
+        };
+        answer.boxed()
+    }
+}
+
+/// Whether a request is a FAST STOP, by its path.
+pub fn is_fast_stop<B>(request: &Request<B>) -> bool {
+    request.method() == Method::POST && request.uri().path().trim_end_matches('/').ends_with(FAST_STOP)
+}
+
+/// Whether a request's first bytes may be those of a FAST STOP.
+fn may_be_fast_stop(first: &[u8]) -> bool {
+    let line = first.split(|byte| *byte == b'\n').next().unwrap_or_default();
+    line.windows(FAST_STOP.len()).any(|part| part == FAST_STOP.as_bytes())
+}
+
+/// What has come already, by the kernel's word: a stream that was accepted just now has not heard of it yet.
+fn peek_now(stream: &TcpStream, buffer: &mut [u8]) -> usize {
+    rustix::net::recv(stream, buffer, RecvFlags::PEEK | RecvFlags::DONTWAIT).map_or(0, |(_, bytes)| bytes)
 }
 
 /// What the kernel takes beyond what the client takes is old before it is read: newest-wins ends there.
 fn set_unsent_limit(stream: &TcpStream) {
     #[cfg(target_os = "linux")]
-    if let Err(error) = socket2::SockRef::from(stream).set_tcp_notsent_lowat(MAX_UNSENT_BYTES) {
+    if let Err(error) = SockRef::from(stream).set_tcp_notsent_lowat(MAX_UNSENT_BYTES) {
         tracing::debug!(%error, "TCP_NOTSENT_LOWAT could not be set");
     }
 }

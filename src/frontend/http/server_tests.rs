@@ -7,6 +7,7 @@ use tokio::sync::mpsc::UnboundedReceiver;
 use tokio::task::JoinHandle;
 
 use super::*;
+use crate::frontend::admission::Class;
 use crate::gripper::fake::{self, Fate, Script, Seen};
 
 struct Server {
@@ -117,10 +118,14 @@ async fn a_large_body_that_is_announced_first_is_answered_too() {
     assert!(rest(&mut stream).await.starts_with("HTTP/1.1 413 "));
 }
 
+/// Bounds of one connection a class.
+fn narrow() -> Limits {
+    Limits::within(Bounds::of(1))
+}
+
 #[tokio::test]
-async fn the_longest_idle_connection_makes_room() {
-    let limits = Limits { connections: 2, ..Limits::default() };
-    let server = start(limits, Script::default()).await;
+async fn longest_idle_connection_gives_way() {
+    let server = start(narrow(), Script::default()).await;
     let mut first = server.connect().await;
     first.write_all(HEALTH).await.unwrap();
     answer(&mut first).await;
@@ -131,20 +136,43 @@ async fn the_longest_idle_connection_makes_room() {
 }
 
 #[tokio::test]
-async fn connections_beyond_the_limit_are_closed_while_all_are_being_answered() {
-    let limits = Limits { connections: 1, ..Limits::default() };
-    let server = start(limits, Script { fate: Fate::Runs, ..Script::default() }).await;
+async fn half_sent_body_gives_way() {
+    let server = start(narrow(), Script::default()).await;
     let mut first = server.connect().await;
-    // Its 100 Continue shows that the request is being answered, and waits for its body.
-    let head = "POST /api/v1/grippers/left/home?wait_ms=0 HTTP/1.1\r\nHost: localhost\r\nExpect: 100-continue\r\n\
+    // Its 100 Continue shows that the request is there, and waits for its body.
+    let head = "POST /api/v1/grippers/left/home HTTP/1.1\r\nHost: localhost\r\nExpect: 100-continue\r\n\
                 Content-Length: 2\r\n\r\n";
     first.write_all(head.as_bytes()).await.unwrap();
     let mut go_on = [0; 25];
     first.read_exact(&mut go_on).await.unwrap();
-    let mut second = server.connect().await;
-    assert_eq!(rest(&mut second).await, "");
-    first.write_all(b"{}").await.unwrap();
-    assert!(answer(&mut first).await.starts_with("HTTP/1.1 202 Accepted\r\n"));
+    let health = server.exchange(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").await;
+    assert!(health.starts_with("HTTP/1.1 200 OK\r\n"), "{health}");
+    assert_eq!(rest(&mut first).await, "");
+}
+
+#[tokio::test]
+async fn long_poll_beyond_the_bound_is_answered_at_once() {
+    let limits = Limits::within(Bounds::of(1).with(Class::Incoming, 2).with(Class::Answering, 2));
+    let server = start(limits, Script { fate: Fate::Runs, ..Script::default() }).await;
+    let mut first = server.connect().await;
+    let home = "POST /api/v1/grippers/left/home?wait_ms=60000 HTTP/1.1\r\nHost: localhost\r\nContent-Length: 0\r\n\r\n";
+    first.write_all(home.as_bytes()).await.unwrap();
+    let waiting = async {
+        let mut second = server.connect().await;
+        loop {
+            // Which of the two waits, the kernel decides.
+            second.write_all(home.as_bytes()).await.unwrap();
+            let answer = answer(&mut second).await;
+            if answer.starts_with("HTTP/1.1 202 ") {
+                return answer;
+            }
+        }
+    };
+    let answer = tokio::select! {
+        answer = waiting => answer,
+        answer = answer(&mut first) => answer,
+    };
+    assert!(answer.contains("\r\nlocation: /api/v1/grippers/left/commands/"), "{answer}");
 }
 
 #[tokio::test]

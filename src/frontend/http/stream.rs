@@ -7,7 +7,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use axum::extract::State as Shared;
-use axum::http::{HeaderMap, Uri};
+use axum::http::{Extensions, HeaderMap, Uri};
 use axum::response::Sse;
 use axum::response::sse::{self, KeepAlive};
 use futures_util::stream::unfold;
@@ -15,10 +15,12 @@ use tokio_util::sync::CancellationToken;
 use utoipa::{IntoParams, ToSchema};
 
 use super::Context;
-use super::errors::Problem;
+use super::errors::{Code, Problem};
 use super::parameters::Parameters;
 use super::responses::JournalProblem;
+use super::server::Home;
 use super::values::integer;
+use crate::frontend::admission::{Claim, Class, ConnectionPermit};
 use crate::frontend::metrics::Metrics;
 use crate::frontend::updates::{Gap, Notification, Pace, Subscription, TOPICS, Topic};
 use crate::gripper::Now;
@@ -92,6 +94,7 @@ struct Stream {
     /// What is to be told, at most a message a topic and gripper.
     ready: VecDeque<Notification>,
     closing: CancellationToken,
+    _claim: Option<Claim>,
 }
 
 /// Live updates
@@ -110,8 +113,16 @@ pub async fn stream(
     Shared(context): Shared<Arc<Context>>,
     headers: HeaderMap,
     uri: Uri,
+    extensions: Extensions,
 ) -> Result<Sse<impl futures_util::Stream<Item = Result<sse::Event, Infallible>>>, Problem> {
     let stream = Stream::new(&context, &headers, &uri)?;
+    let permit = extensions.get::<Arc<ConnectionPermit>>();
+    let claim = permit.map(|permit| permit.claim(Class::Streaming).ok_or_else(too_many)).transpose()?;
+    let stream = Stream { _claim: claim, ..stream };
+    // What a thousand observers are sent must not delay a request.
+    if let Some(home) = extensions.get::<Home>() {
+        home.move_to(&context.runtimes.observers);
+    }
     let told = unfold(stream, |mut stream| async { stream.next().await.map(|event| (Ok(event), stream)) });
     Ok(Sse::new(told).keep_alive(KeepAlive::new().interval(KEPT_ALIVE_EVERY)))
 }
@@ -148,7 +159,7 @@ impl Stream {
             ready.extend(has(Topic::Telemetry).then(telemetry).flatten());
         }
         let (metrics, closing) = (context.metrics.clone(), context.closing.clone());
-        Ok(Self { events, updates, pace: Pace::new(max_hz as u32), metrics, ready, closing })
+        Ok(Self { events, updates, pace: Pace::new(max_hz as u32), metrics, ready, closing, _claim: None })
     }
 
     /// The next message; none when the gateway ends.
@@ -174,6 +185,11 @@ impl Stream {
             }
         }
     }
+}
+
+/// Says that no further WebSocket or stream may be opened.
+pub fn too_many() -> Problem {
+    Problem::new(Code::Overloaded, "too many WebSockets and streams are open: close some, or poll the state")
 }
 
 fn message(told: &Notification) -> sse::Event {

@@ -25,7 +25,7 @@ use crate::journal::{Journal, Stored};
 use fleet::FleetNews;
 use notification::Recent;
 
-pub use notification::Notification;
+pub use notification::{Notification, encoded, text_frame};
 pub use pace::Pace;
 pub use queued::Gap;
 

@@ -1,16 +1,19 @@
-//! A serialised update, and those of late.
+//! A serialised update, and the recent ones.
 
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
 
-use axum::extract::ws::Utf8Bytes;
+use bytes::Bytes;
 use serde::Serialize;
+use tokio_tungstenite::tungstenite::protocol::frame::Frame;
+use tokio_tungstenite::tungstenite::protocol::frame::coding::{Data, OpCode};
 
-/// A JSON-RPC notification, whose parameters are the update's body. Its clones share their bytes.
+/// A JSON-RPC notification in a WebSocket frame, whose parameters are the update's body. Its clones share their bytes.
 #[derive(Debug, Clone)]
 pub struct Notification {
     method: &'static str,
-    text: Utf8Bytes,
+    frame: Bytes,
+    /// Where the body is in the frame.
     body: Range<usize>,
 }
 
@@ -23,9 +26,10 @@ impl Notification {
 
     /// Of a body that is JSON.
     pub(super) fn of_json(method: &'static str, json: &str) -> Self {
-        let head = format!(r#"{{"jsonrpc":"2.0","method":"{method}","params":"#);
-        let body = head.len()..head.len() + json.len();
-        Self { method, text: format!("{head}{json}}}").into(), body }
+        let frame = text_frame(format!(r#"{{"jsonrpc":"2.0","method":"{method}","params":{json}}}"#));
+        // Behind the body there is one brace.
+        let end = frame.len().saturating_sub(1);
+        Self { method, frame, body: end.saturating_sub(json.len())..end }
     }
 
     /// What it is: `state`, `telemetry`, `event`, `frame`, `fleet` or `gap`.
@@ -34,17 +38,32 @@ impl Notification {
         self.method
     }
 
-    /// All of it.
+    /// The frame.
     #[must_use]
-    pub fn text(&self) -> Utf8Bytes {
-        self.text.clone()
+    pub fn frame(&self) -> Bytes {
+        self.frame.clone()
     }
 
     /// The body alone.
     #[must_use]
     pub fn body(&self) -> &str {
-        self.text.get(self.body.clone()).unwrap_or_default()
+        self.frame.get(self.body.clone()).and_then(|body| std::str::from_utf8(body).ok()).unwrap_or_default()
     }
+}
+
+/// A text as one WebSocket frame of a server (RFC 6455, 5.2).
+#[must_use]
+pub fn text_frame(text: String) -> Bytes {
+    encoded(Frame::message(text, OpCode::Data(Data::Text), true))
+}
+
+/// A WebSocket frame's bytes.
+#[must_use]
+pub fn encoded(frame: Frame) -> Bytes {
+    let mut bytes = Vec::with_capacity(frame.len());
+    // Writing into memory does not fail.
+    let _ = frame.format(&mut bytes);
+    bytes.into()
 }
 
 /// The newest notifications of one kind, by their sequence number. Whoever asks for one that isn't there makes it, for
@@ -83,7 +102,8 @@ mod tests {
     #[test]
     fn a_notification_is_its_body_with_an_envelope() {
         let notification = Notification::new("state", &serde_json::json!({"seq": 7})).unwrap();
-        assert_eq!(notification.text().as_str(), r#"{"jsonrpc":"2.0","method":"state","params":{"seq":7}}"#);
+        let text = br#"{"jsonrpc":"2.0","method":"state","params":{"seq":7}}"#;
+        assert_eq!(notification.frame(), [&[0x81, text.len() as u8][..], text].concat());
         assert_eq!(notification.body(), r#"{"seq":7}"#);
     }
 

@@ -13,7 +13,7 @@ use tokio_util::sync::CancellationToken;
 use super::Port;
 use super::device::{Answer, Ask, Order, Ordered, VirtualDevice};
 use super::status::{Refusal, status_of_end};
-use crate::frontend::connections::{Busy, Guest};
+use crate::frontend::admission::{Claim, Class, ConnectionPermit};
 use crate::frontend::refusals;
 use crate::gripper::clock::{self, sleep_until};
 use crate::gripper::model::{
@@ -42,7 +42,7 @@ pub(super) struct Served<R, W> {
     under_way: FuturesUnordered<BoxFuture<'static, Step>>,
     /// Keeps the lease for as long as the client is there.
     kept: Option<Kept>,
-    place: Arc<Guest>,
+    permit: Arc<ConnectionPermit>,
     reader: R,
     writer: W,
     outgoing: Vec<u8>,
@@ -58,7 +58,7 @@ pub(super) struct Served<R, W> {
 struct Kept {
     epoch: u64,
     _keep: Keep,
-    _busy: Busy,
+    _pin: Option<Claim>,
 }
 
 /// How far an order has come.
@@ -88,7 +88,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
     pub(super) fn new(
         port: Arc<Port>,
         client: Client,
-        place: Guest,
+        permit: Arc<ConnectionPermit>,
         (reader, writer): (R, W),
         silence: Option<Duration>,
     ) -> Self {
@@ -100,7 +100,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             device,
             under_way: FuturesUnordered::new(),
             kept: None,
-            place: Arc::new(place),
+            permit,
             reader,
             writer,
             outgoing: Vec::new(),
@@ -159,9 +159,9 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             tokio::select! {
                 biased;
                 () = closing.cancelled() => return End::Closing,
-                () = self.place.asked_to_leave(), if !holds_lease => {
+                () = self.permit.evicted(), if !holds_lease => {
                     tracing::warn!(gripper = %self.port.gripper.name(), client = %self.client.subject,
-                        "a client was silent for longer than the others, and makes room for a new one");
+                        "client evicted: it was silent for longest, and a new client needs its slot");
                     return End::Gone;
                 }
                 written = self.writer.write(self.outgoing.get(self.written..).unwrap_or_default()), if is_writing => {
@@ -241,7 +241,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
     fn receive(&mut self, bytes: &[u8]) {
         self.heard = clock::instant();
         self.is_lost = false;
-        drop(self.place.busy());
+        self.permit.heard();
         self.device.receive(self.heard, bytes, &self.port.gripper.state());
     }
 
@@ -364,7 +364,11 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             Step::Accepted(ask, ticket, command) => self.accepted(ask, ticket, &command),
             Step::Kept(granted) => {
                 self.kept = granted.and_then(|granted| {
-                    Some(Kept { epoch: granted.lease.epoch, _keep: granted.keep?, _busy: self.place.busy() })
+                    Some(Kept {
+                        epoch: granted.lease.epoch,
+                        _keep: granted.keep?,
+                        _pin: self.permit.claim(Class::Pinned),
+                    })
                 });
             }
         }

@@ -23,16 +23,22 @@ use std::time::Duration;
 use ipnet::IpNet;
 use tokio_util::sync::CancellationToken;
 
-use super::connections::{Connections, Guest};
+use super::admission::{Admission, Bounds, ConnectionPermit};
 use super::refusals::Refusals;
 use crate::gripper::Handle;
 use crate::gripper::model::{Client, Door};
 
-/// Clients of one port at a time: one of them moves the gripper, so there are seldom more than a few.
-pub const MAX_CLIENTS: usize = 32;
+/// Clients of one port at a time. One of them moves the gripper, so there are seldom more than a few: the rest is for those
+/// that connect and say nothing, each of which has its time to speak.
+const MAX_CLIENTS: usize = 128;
 
-/// Places beyond them, for a new client whose FAST STOP must not wait while those who were there are being sent away.
-const RESERVED_CLIENTS: usize = 8;
+/// Evicted clients that may still be ending, which takes milliseconds: a new client's FAST STOP must not wait for them.
+const LEAVING_CLIENTS: usize = 128;
+
+/// Descriptors of one port's TCP clients, at the most and at the least.
+pub const MAX_DESCRIPTORS: usize = MAX_CLIENTS + LEAVING_CLIENTS;
+/// See [`MAX_DESCRIPTORS`].
+pub const MIN_DESCRIPTORS: usize = 8;
 
 /// A client that has been silent for so long is lost: one that doesn't acknowledge its TCP segments, or that sends no
 /// datagram where nothing else is said.
@@ -81,6 +87,8 @@ pub struct Rules {
 pub struct Port {
     gripper: Handle,
     rules: Arc<Rules>,
+    /// Of its TCP clients.
+    descriptors: usize,
     refusals: Arc<Refusals>,
 }
 
@@ -126,10 +134,11 @@ impl Listener {
 }
 
 impl Port {
-    /// Of this gripper.
+    /// The port of this gripper, whose TCP clients may take so many descriptors.
     #[must_use]
-    pub fn new(gripper: Handle, rules: Rules, refusals: Arc<Refusals>) -> Arc<Self> {
-        Arc::new(Self { gripper, rules: Arc::new(rules), refusals })
+    pub fn new(gripper: Handle, rules: Rules, descriptors: usize, refusals: Arc<Refusals>) -> Arc<Self> {
+        let descriptors = descriptors.clamp(MIN_DESCRIPTORS, MAX_DESCRIPTORS);
+        Arc::new(Self { gripper, rules: Arc::new(rules), descriptors, refusals })
     }
 
     /// Serves clients: new ones until `draining`, and all until `closing`.
@@ -155,20 +164,16 @@ impl Port {
         Ok(())
     }
 
-    /// The places of its clients.
-    fn places() -> Arc<Connections> {
-        Arc::new(Connections::new(MAX_CLIENTS + RESERVED_CLIENTS, RESERVED_CLIENTS))
+    /// Admission of its clients.
+    fn admission(&self) -> Arc<Admission> {
+        Admission::new(Bounds::alike(self.descriptors / 2, self.descriptors / 2))
     }
 
-    /// A place for a client: that of the one that has been silent the longest, where all are taken. Who holds the lease
-    /// is not sent away.
-    fn admit(&self, places: &Arc<Connections>, peer: SocketAddr) -> Option<Guest> {
-        // What ends on closing ends by another way.
-        let place = places.admit(&CancellationToken::new());
-        if place.is_none() {
-            tracing::warn!(gripper = %self.gripper.name(), %peer, limit = MAX_CLIENTS, "too many clients: one is refused");
-        }
-        place
+    /// Admits a client. Where there are as many as may be, the client that was silent for longest gives way, unless it
+    /// holds the lease.
+    fn admit(admission: &Arc<Admission>, peer: SocketAddr) -> Arc<ConnectionPermit> {
+        // Clients learn of the gateway's end in another way.
+        Arc::new(admission.admit(peer.ip(), &CancellationToken::new()))
     }
 
     fn allows(&self, peer: IpAddr) -> bool {

@@ -13,7 +13,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::client::Served;
 use super::{LOST_AFTER, Port};
-use crate::frontend::connections::Connections;
+use crate::frontend::admission::Admission;
 use crate::frontend::sockets;
 
 /// How long no connection is accepted after that failed: long enough not to spin while the process is out of file
@@ -26,22 +26,23 @@ pub(super) async fn serve(
     draining: CancellationToken,
     closing: CancellationToken,
 ) {
-    let (places, mut clients) = (Port::places(), JoinSet::new());
+    let (admission, mut clients) = (port.admission(), JoinSet::new());
     loop {
         let accepted = tokio::select! {
             biased;
             () = draining.cancelled() => break,
             Some(_) = clients.join_next() => continue,
-            accepted = listener.accept() => accepted,
+            accepted = accept(&listener, &admission) => accepted,
         };
         match accepted {
             Ok((stream, peer)) => {
-                if let Some(served) = admit(&port, stream, peer, &places) {
+                if let Some(served) = admit(&port, stream, peer, &admission) {
                     clients.spawn(served.run(closing.clone()));
                 }
             }
             Err(error) => {
-                tracing::warn!(%error, "no connection could be accepted");
+                tracing::warn!(%error, "connection could not be accepted");
+                admission.evict_one();
                 sleep(ACCEPT_PAUSE).await;
             }
         }
@@ -50,9 +51,14 @@ pub(super) async fn serve(
     while clients.join_next().await.is_some() {}
 }
 
+async fn accept(listener: &TcpListener, admission: &Admission) -> io::Result<(TcpStream, SocketAddr)> {
+    admission.has_room().await;
+    listener.accept().await
+}
+
 type Connection = Served<tokio::net::tcp::OwnedReadHalf, tokio::net::tcp::OwnedWriteHalf>;
 
-fn admit(port: &Arc<Port>, stream: TcpStream, peer: SocketAddr, places: &Arc<Connections>) -> Option<Connection> {
+fn admit(port: &Arc<Port>, stream: TcpStream, peer: SocketAddr, admission: &Arc<Admission>) -> Option<Connection> {
     let gripper = port.gripper.name();
     if !port.allows(peer.ip()) {
         tracing::warn!(%gripper, %peer, "connection refused: wsg_port_allow does not name its address");
@@ -63,10 +69,10 @@ fn admit(port: &Arc<Port>, stream: TcpStream, peer: SocketAddr, places: &Arc<Con
         tracing::debug!(%gripper, %peer, %error, "connection refused: its options could not be set");
         return None;
     }
-    let place = port.admit(places, peer)?;
+    let permit = Port::admit(admission, peer);
     tracing::info!(%gripper, %peer, "connected to the WSG port");
     let (reader, writer) = stream.into_split();
-    Some(Served::new(port.clone(), Port::client(peer), place, (reader, writer), None))
+    Some(Served::new(port.clone(), Port::client(peer), permit, (reader, writer), None))
 }
 
 /// Each frame leaves at once and by itself, and a peer that is gone without a word is noticed within [`LOST_AFTER`]:

@@ -29,7 +29,7 @@ pub(super) async fn serve(
     draining: CancellationToken,
     closing: CancellationToken,
 ) {
-    let (socket, places) = (Arc::new(socket), Port::places());
+    let (socket, admission) = (Arc::new(socket), port.admission());
     let (mut known, mut clients) = (HashMap::<SocketAddr, mpsc::Sender<Vec<u8>>>::new(), JoinSet::new());
     let mut datagram = vec![0; MAX_DATAGRAM_BYTES];
     loop {
@@ -55,14 +55,16 @@ pub(super) async fn serve(
                 tracing::debug!(gripper = %port.gripper.name(), %peer, "datagram ignored: wsg_port_allow does not name its address");
                 continue;
             }
+            // Evicted clients end within milliseconds; a datagram that is lost meanwhile is sent again.
+            None if admission.is_crowded() => continue,
             None => {
-                let Some(place) = port.admit(&places, peer) else { continue };
+                let permit = Port::admit(&admission, peer);
                 tracing::info!(gripper = %port.gripper.name(), %peer, "a client of the WSG port, by UDP");
                 let (sender, datagrams) = mpsc::channel(MAX_WAITING_DATAGRAMS);
                 let writer = Writer { socket: socket.clone(), peer: answered_at };
                 let reader = Reader { datagrams, rest: Vec::new() };
                 let client = Port::client(peer);
-                let served = Served::new(port.clone(), client, place, (reader, writer), Some(lost_after));
+                let served = Served::new(port.clone(), client, permit, (reader, writer), Some(lost_after));
                 clients.spawn(served.run(closing.clone()));
                 known.insert(answered_at, sender.clone());
                 sender

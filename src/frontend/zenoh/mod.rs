@@ -136,9 +136,12 @@ async fn declare(
     let mut told = JoinSet::new();
     for handle in context.fleet.iter() {
         let publications = Publications::declare(session, &keys, handle).await?;
-        told.spawn_on(publications.tell(context.clone(), metrics.clone(), max_hz), &context.sockets);
+        told.spawn_on(publications.tell(context.clone(), metrics.clone(), max_hz), &context.runtimes.observers);
     }
-    told.spawn_on(publications::tell_events(session.clone(), keys.clone(), context.clone()), &context.sockets);
+    told.spawn_on(
+        publications::tell_events(session.clone(), keys.clone(), context.clone()),
+        &context.runtimes.observers,
+    );
     Ok(([instance, session.liveliness().declare_token(keys.own("alive")).await?], told))
 }
 

@@ -1,40 +1,46 @@
 //! WebSocket: JSON-RPC 2.0, with the methods of the HTTP API, and updates as notifications.
+//!
+//! A client's `socket` reads and answers requests; its `writer` writes answers and updates on another runtime, from an
+//! `outbox` whose bytes are bounded.
 
 mod bodies;
-mod outgoing;
+mod halves;
+mod outbox;
 mod rpc;
 mod socket;
+mod writer;
 
 use std::sync::Arc;
 
 use axum::Extension;
-use axum::extract::State as Shared;
-use axum::extract::ws::WebSocketUpgrade;
-use axum::extract::ws::rejection::WebSocketUpgradeRejection;
-use axum::http::{Extensions, HeaderValue};
+use axum::body::Body;
+use axum::extract::{Request, State as Shared};
+use axum::http::header::{HeaderMap, HeaderValue, SEC_WEBSOCKET_KEY, SEC_WEBSOCKET_PROTOCOL};
 use axum::response::Response;
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use hyper::upgrade::Upgraded;
+use hyper_util::rt::TokioIo;
+use tokio_tungstenite::tungstenite::handshake::server::create_response_with_body;
 
 use super::Context;
-use super::body::MAX_BODY_BYTES;
-use super::errors::{Code, Problem};
+use super::errors::Problem;
 use super::extract::Asker;
 use super::methods::Methods;
+use super::quick_ack::QuickAckStream;
 use super::responses::SocketProblem;
-use crate::frontend::connections::Guest;
-use crate::gripper::model::Door;
-use socket::Socket;
+use super::stream::too_many;
+use crate::frontend::admission::{Class, ConnectionPermit};
+use crate::gripper::model::{Client, Door};
+use socket::{Connection, Socket};
 
 pub use bodies::{Subscribe, Subscribed};
 
-/// What is spoken.
+/// The subprotocol.
 pub const SUBPROTOCOL: &str = "wsg.v1";
 
-/// What is read at once: requests are small, and there may be a thousand clients.
-const READ_BYTES: usize = 4 * 1024;
-
-/// What is gathered before it is written, and what may wait to be written: the longest answer, and some updates.
-const WRITE_BYTES: usize = 16 * 1024;
-const MAX_UNWRITTEN_BYTES: usize = 256 * 1024;
+/// How many bytes a `Sec-WebSocket-Key` has, decoded (RFC 6455, 4.1).
+const KEY_BYTES: usize = 16;
 
 /// WebSocket
 ///
@@ -47,38 +53,67 @@ const MAX_UNWRITTEN_BYTES: usize = 256 * 1024;
 pub async fn open(
     Shared(context): Shared<Arc<Context>>,
     Extension(methods): Extension<Methods>,
-    extensions: Extensions,
-    upgrade: Result<WebSocketUpgrade, WebSocketUpgradeRejection>,
+    mut request: Request,
 ) -> Result<Response, Problem> {
-    let mut upgrade = upgrade.map_err(|rejection| {
-        let detail = format!("{}: connect by WebSocket, with the subprotocol {SUBPROTOCOL}", rejection.body_text());
+    let mut response = create_response_with_body(&request, Body::empty).map_err(|error| {
+        let detail =
+            format!("not a WebSocket handshake: {error}. Connect by WebSocket, with the subprotocol {SUBPROTOCOL}");
         Problem::malformed("Upgrade", detail)
     })?;
-    if !upgrade.requested_protocols().any(|offered| offered == SUBPROTOCOL) {
-        let detail = format!("offer the subprotocol {SUBPROTOCOL}: this is what is spoken here");
+    check_key(request.headers())?;
+    if !offers_subprotocol(request.headers()) {
+        let detail = format!("the subprotocol {SUBPROTOCOL} is not offered: it is the only one here");
         return Err(Problem::malformed("Sec-WebSocket-Protocol", detail));
     }
-    upgrade.set_selected_protocol(HeaderValue::from_static(SUBPROTOCOL));
-    let guest: Option<Arc<Guest>> = extensions.get().cloned();
-    if guest.as_ref().is_some_and(|guest| !guest.stay()) {
-        return Err(Problem::new(Code::Overloaded, "as many WebSockets are open as are allowed: close some first"));
-    }
-    let client = Asker::through(Door::Ws, "ws", &extensions).0;
-    let upgrade = upgrade
-        .max_message_size(MAX_BODY_BYTES)
-        .max_frame_size(MAX_BODY_BYTES)
-        .read_buffer_size(READ_BYTES)
-        .write_buffer_size(WRITE_BYTES)
-        .max_write_buffer_size(MAX_UNWRITTEN_BYTES);
-    Ok(upgrade.on_upgrade(async move |socket| {
-        let sockets = context.sockets.clone();
-        let served = sockets.spawn(async move {
-            Socket::new(socket, client, methods, &context).run().await;
-            // Its place is free only now.
-            drop(guest);
-        });
-        if let Err(error) = served.await {
-            tracing::error!(%error, "a WebSocket has panicked");
+    response.headers_mut().insert(SEC_WEBSOCKET_PROTOCOL, HeaderValue::from_static(SUBPROTOCOL));
+    let permit: Option<Arc<ConnectionPermit>> = request.extensions().get().cloned();
+    // Until the socket has ended, also where the connection it came by has ended before.
+    let claim = permit.as_ref().map(|permit| permit.claim(Class::Streaming).ok_or_else(too_many)).transpose()?;
+    let client = Asker::through(Door::Ws, "ws", request.extensions()).0;
+    let upgrade = hyper::upgrade::on(&mut request);
+    tokio::spawn(async move {
+        match upgrade.await {
+            Ok(upgraded) => {
+                begin(upgraded, client, methods, permit, &context).await;
+                drop(claim);
+            }
+            Err(error) => tracing::debug!(%error, "WebSocket handshake not completed"),
         }
-    }))
+    });
+    Ok(response)
+}
+
+/// Serves an upgraded connection, on the runtimes that it is for, until its end.
+async fn begin(
+    upgraded: Upgraded,
+    client: Client,
+    methods: Methods,
+    permit: Option<Arc<ConnectionPermit>>,
+    context: &Arc<Context>,
+) {
+    let Ok(parts) = upgraded.downcast::<TokioIo<QuickAckStream>>() else {
+        return tracing::error!("a WebSocket came by a connection that is not TCP");
+    };
+    let stream = match parts.io.into_inner().into_inner() {
+        Ok(stream) => stream,
+        Err(error) => return tracing::debug!(%error, "WebSocket lost in its handshake"),
+    };
+    let connection = Connection { stream, early: parts.read_buf, permit };
+    let served = context.runtimes.sockets.spawn(Socket::serve(connection, client, methods, context.clone()));
+    if let Err(error) = served.await {
+        tracing::error!(%error, "a WebSocket has panicked");
+    }
+}
+
+fn check_key(headers: &HeaderMap) -> Result<(), Problem> {
+    let keys: Vec<_> = headers.get_all(SEC_WEBSOCKET_KEY).iter().collect();
+    let is_valid =
+        matches!(&keys[..], [key] if STANDARD.decode(key.as_bytes()).is_ok_and(|key| key.len() == KEY_BYTES));
+    let detail = || format!("Sec-WebSocket-Key must be {KEY_BYTES} random bytes in Base64 (RFC 6455, 4.1)");
+    is_valid.then_some(()).ok_or_else(|| Problem::malformed("Sec-WebSocket-Key", detail()))
+}
+
+fn offers_subprotocol(headers: &HeaderMap) -> bool {
+    let offered = headers.get_all(SEC_WEBSOCKET_PROTOCOL).iter().filter_map(|value| value.to_str().ok());
+    offered.flat_map(|value| value.split(',')).any(|name| name.trim() == SUBPROTOCOL)
 }

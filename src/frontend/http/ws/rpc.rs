@@ -12,6 +12,9 @@ use crate::frontend::http::unique::Unique;
 /// The requests of one batch at most.
 pub const MAX_BATCH: usize = 32;
 
+/// The longest id of a request, in bytes.
+const MAX_ID_BYTES: usize = 64;
+
 const VERSION: &str = "2.0";
 
 const PARSE_ERROR: i32 = -32700;
@@ -108,6 +111,11 @@ impl From<Refusal> for Error {
     }
 }
 
+/// Whether a text names a FAST STOP, well put or not.
+pub fn has_fast_stop(text: &str) -> bool {
+    fast_stop_in(text).is_some()
+}
+
 /// Takes a message apart. One that can't be, and names a FAST STOP, is one for all grippers.
 pub fn parse(text: &str) -> Incoming {
     let invalid = |code, detail: String| {
@@ -134,8 +142,11 @@ fn call(mut request: Value) -> Result<Call, Answer> {
     let mut take = |key: &str| request.get_mut(key).map(Value::take);
     let (version, id, method, params) = (take("jsonrpc"), take("id"), take("method"), take("params"));
     let params = params.unwrap_or_default();
-    // A number that is told back otherwise than it came is nobody's.
-    let is_id = |id: &Value| id.is_string() || id.is_i64() || id.is_u64() || id.is_null();
+    // A number that can't be repeated exactly identifies nothing, and a long text would be kept until its answer is read.
+    let is_id = |id: &Value| match id {
+        Value::String(text) => text.len() <= MAX_ID_BYTES,
+        id => id.is_i64() || id.is_u64() || id.is_null(),
+    };
     let known_id = id.as_ref().filter(|id| is_id(id)).cloned();
     if let Some(method) = method.as_ref().and_then(Value::as_str).filter(|method| is_fast_stop(method)) {
         return Ok(Call { id: known_id, method: method.to_owned(), params });
@@ -147,7 +158,7 @@ fn call(mut request: Value) -> Result<Call, Answer> {
         return invalid("a request has \"jsonrpc\": \"2.0\"");
     }
     if known_id.is_none() && id.is_some() {
-        return invalid("an id is a text, or a whole number below 2^64");
+        return invalid("id must be a string of at most 64 bytes, or a whole number below 2^64");
     }
     match method {
         Some(Value::String(method)) => Ok(Call { id, method, params }),
@@ -189,6 +200,7 @@ mod tests {
             (json!({"jsonrpc": "2.0", "id": 7, "method": 1}), json!(7)),
             (json!({"jsonrpc": "2.0", "id": {}, "method": "state"}), Value::Null),
             (json!({"jsonrpc": "2.0", "id": 1e29, "method": "state"}), Value::Null),
+            (json!({"jsonrpc": "2.0", "id": "x".repeat(65), "method": "state"}), Value::Null),
             (json!("state"), Value::Null),
             (json!([]), Value::Null),
         ] {

@@ -1,80 +1,102 @@
-//! One client's socket: its requests, its updates, and whether it is still there.
+//! One client's socket: its requests, its leases, and whether it is still there.
 //!
-//! Nothing here waits for the client. Answers wait for it, and are bounded; while some do, updates are left where they
-//! are: states and telemetry are replaced by newer ones there, and events and frames fall behind and are told as a gap.
-//! Requests are read meanwhile, so that a FAST STOP of a client that reads nothing stops all the same.
+//! Nothing here waits for the client. Answers wait for it in the [`Outbox`], whose bytes are bounded. Requests are read
+//! meanwhile, so that a FAST STOP stops although its client reads nothing. What may be urgent runs here; all else runs where
+//! updates are written, and yields to it.
 
 use std::collections::HashMap;
+use std::io;
 use std::sync::Arc;
 use std::time::Duration;
 
-use axum::extract::ws::{CloseFrame, Message, WebSocket, close_code};
 use axum::http::{HeaderMap, StatusCode};
+use bytes::Bytes;
 use futures_util::future::{BoxFuture, FutureExt as _, join_all};
-use futures_util::stream::{FuturesUnordered, SplitStream, StreamExt as _};
+use futures_util::stream::{FuturesUnordered, StreamExt as _};
 use serde_json::value::{RawValue, to_raw_value};
+use tokio::net::TcpStream;
 use tokio::time::{Interval, MissedTickBehavior, timeout};
-use tokio_tungstenite::tungstenite;
+use tokio_tungstenite::WebSocketStream;
+use tokio_tungstenite::tungstenite::error::ProtocolError;
+use tokio_tungstenite::tungstenite::protocol::frame::Frame;
+use tokio_tungstenite::tungstenite::protocol::frame::coding::CloseCode;
+use tokio_tungstenite::tungstenite::protocol::{CloseFrame, Role, WebSocketConfig};
+use tokio_tungstenite::tungstenite::{Error as WsError, Message};
+use tokio_util::task::AbortOnDropHandle;
 
 use super::bodies::{self, Following};
-use super::outgoing::Outgoing;
+use super::halves::{self, Inbound};
+use super::outbox::Outbox;
 use super::rpc::{self, Answer, Call, Incoming};
+use super::writer::Writer;
+use crate::frontend::admission::{Claim, Class, ConnectionPermit, HeldBytes};
 use crate::frontend::http::Context;
+use crate::frontend::http::body::MAX_BODY_BYTES;
 use crate::frontend::http::errors::{Code, Problem};
 use crate::frontend::http::lease::Taken;
-use crate::frontend::http::methods::{Methods, Refusal, Wait, is_fast_stop};
+use crate::frontend::http::methods::{Methods, Refusal, Wait, is_fast_stop, urgency};
 use crate::frontend::metrics::Connected;
-use crate::frontend::updates::{Notification, Pace, Subscription};
+use crate::frontend::network::Urgency;
+use crate::frontend::updates::{Notification, encoded, text_frame};
 use crate::gripper::Ticket;
 use crate::gripper::model::{Client, Command, Name};
 
-/// How often a client is asked for a sign of life.
+/// Period of the pings.
 const PINGED_EVERY: Duration = Duration::from_secs(1);
 
-/// And after how many in a row without one it is lost: pings are counted, and not time, so that nobody is lost because
-/// the gateway itself got no processor time.
+/// Unanswered pings after which a client is lost. Pings are counted rather than time, so that no client is lost because the
+/// gateway itself got no processor time.
 const MAX_UNANSWERED: u32 = 3;
 
-/// Requests of one client that may be under way. More are refused as `overloaded`, but for FAST STOPs.
+/// Requests of one client that may be under way. Further ones are refused as `overloaded`, FAST STOPs apart.
 const MAX_CALLS: usize = 32;
 
-/// With FAST STOPs, each of which ends within 250 ms: more are read then.
-const MAX_CALLS_AND_FAST_STOPS: usize = 64;
+/// The same with FAST STOPs. Each ends within 250 ms, and the socket is read on then: the grippers are being stopped.
+const MAX_CALLS_AND_FAST_STOPS: usize = 36;
 
-/// Answers that may wait for a client to read them. Requests but for FAST STOPs are refused as `overloaded` then; they
-/// are read all the same, since a FAST STOP may be behind them.
-const MAX_UNREAD: usize = 64;
+/// What a request under way costs beside its text.
+const CALL_BYTES: usize = 4 * 1024;
 
-/// And of all answers: who goes on asking without reading is sent away.
-const MAX_WAITING: usize = 1024;
-
-/// Commands of one client whose end is waited for. The end of more is not told, and has to be asked for.
+/// Commands of one client whose end is waited for. The end of a further one is not reported, and has to be asked for.
 const MAX_COMMANDS: usize = 64;
 
-/// Updates that are gathered for one write.
-const MAX_GATHERED: usize = 64;
+/// Bytes that are read at once: requests are small, and there may be a thousand clients.
+const READ_BYTES: usize = 4 * 1024;
 
-/// How long a farewell may take.
+/// How long the closing handshake may take.
 const FAREWELL_WITHIN: Duration = Duration::from_secs(1);
 
 /// The method whose answer has a token.
 const TAKE: &str = "lease.take";
+
+/// A connection that has become a WebSocket.
+pub struct Connection {
+    pub stream: TcpStream,
+    /// What came right behind the handshake.
+    pub early: Bytes,
+    pub permit: Option<Arc<ConnectionPermit>>,
+}
 
 /// A client's socket.
 pub struct Socket {
     client: Client,
     methods: Methods,
     context: Arc<Context>,
-    outgoing: Outgoing,
-    incoming: SplitStream<WebSocket>,
+    permit: Option<Arc<ConnectionPermit>>,
+    outbox: Arc<Outbox>,
+    writer: AbortOnDropHandle<io::Result<()>>,
+    incoming: WebSocketStream<Inbound>,
     calls: FuturesUnordered<BoxFuture<'static, Done>>,
     /// How many requests `calls` are: a batch is one of them.
     under_way: usize,
+    /// Bytes of the requests under way.
+    request_bytes: usize,
+    held: Option<HeldBytes>,
     /// Commands that were answered, and have not ended.
     running: FuturesUnordered<BoxFuture<'static, Command>>,
-    following: Option<(Subscription, Pace)>,
-    /// The newest of each gripper that was taken here. It is lost with the socket, unless it was released.
-    leases: HashMap<Name, Arc<Taken>>,
+    /// The newest lease of each gripper that was taken here. It is lost with the socket, unless it was released. A
+    /// connection with a lease is not evicted.
+    leases: HashMap<Name, (Arc<Taken>, Option<Claim>)>,
     pings: Interval,
     /// Pings since anything came from the client.
     unanswered: u32,
@@ -85,6 +107,7 @@ pub struct Socket {
 #[derive(Default)]
 struct Done {
     requests: usize,
+    bytes: usize,
     answer: Option<String>,
     running: Vec<Ticket>,
     leases: Vec<Arc<Taken>>,
@@ -107,124 +130,170 @@ enum End {
     Closing,
     /// The client has closed it, or is gone.
     Closed,
-    /// The client gives no sign of life.
+    /// The client answers no ping.
     Lost,
-    /// The client sends what is not spoken here.
-    Unspoken(u16, &'static str),
+    /// The connection was evicted.
+    Evicted,
+    /// The client breaks the protocol or its bounds.
+    Violation(CloseCode, &'static str),
 }
 
 impl Socket {
-    pub fn new(socket: WebSocket, client: Client, methods: Methods, context: &Arc<Context>) -> Self {
-        let (sink, incoming) = socket.split();
+    /// Serves a client until its end.
+    pub async fn serve(connection: Connection, client: Client, methods: Methods, context: Arc<Context>) {
+        match Self::new(connection, client, methods, &context).await {
+            Ok(socket) => socket.run().await,
+            Err(error) => tracing::debug!(%error, "WebSocket could not be begun"),
+        }
+    }
+
+    async fn new(
+        Connection { stream, early, permit }: Connection,
+        client: Client,
+        methods: Methods,
+        context: &Arc<Context>,
+    ) -> io::Result<Self> {
+        let held = || permit.as_ref().map(ConnectionPermit::held);
+        let runtimes = &context.runtimes;
+        let (reader, writer) = halves::split(stream, &runtimes.sockets, &runtimes.observers)?;
+        let outbox = Arc::new(Outbox::new(held()));
+        let inbound = Inbound::new(early, reader, outbox.clone(), held());
+        let writer = Writer::new(writer, outbox.clone(), context.ws_metrics.clone());
+        let writer = AbortOnDropHandle::new(runtimes.observers.spawn(writer.run()));
+        let bounds = WebSocketConfig::default()
+            .read_buffer_size(READ_BYTES)
+            .max_message_size(Some(MAX_BODY_BYTES))
+            .max_frame_size(Some(MAX_BODY_BYTES));
+        let incoming = WebSocketStream::from_raw_socket(inbound, Role::Server, Some(bounds)).await;
         let mut pings = tokio::time::interval(PINGED_EVERY);
         pings.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        Self {
+        Ok(Self {
             client,
             methods,
             context: context.clone(),
-            outgoing: Outgoing::new(sink),
+            held: held(),
+            permit,
+            outbox,
+            writer,
             incoming,
             calls: FuturesUnordered::new(),
             under_way: 0,
+            request_bytes: 0,
             running: FuturesUnordered::new(),
-            following: None,
             leases: HashMap::new(),
             pings,
             unanswered: 0,
             _connected: context.ws_metrics.connected(),
-        }
+        })
     }
 
-    /// Serves it until its end.
-    pub async fn run(mut self) {
-        let end = self.serve().await;
-        tracing::debug!(client = %self.client.subject, ?end, "a WebSocket has ended");
+    async fn run(mut self) {
+        let end = self.read().await;
+        tracing::debug!(client = %self.client.subject, ?end, "WebSocket ended");
         // A gateway that ends has given its grippers up already.
-        for lease in self.leases.values().filter(|_| end != End::Closing) {
+        for (lease, _) in self.leases.values().filter(|_| end != End::Closing) {
             lease.lose().await;
         }
         let (code, reason) = match end {
-            End::Closing => (close_code::AWAY, "the gateway ends"),
-            End::Lost => (close_code::POLICY, "pings were not answered"),
-            End::Unspoken(code, reason) => (code, reason),
-            End::Closed => (close_code::NORMAL, ""),
+            End::Closing => (CloseCode::Away, "the gateway is shutting down"),
+            End::Lost => (CloseCode::Policy, "pings were not answered"),
+            End::Evicted => (CloseCode::Again, "too many connections, or too much waits for this one"),
+            End::Violation(code, reason) => (code, reason),
+            End::Closed => (CloseCode::Normal, ""),
         };
         if end != End::Closed {
-            self.outgoing.push(Message::Close(Some(CloseFrame { code, reason: reason.into() })));
+            self.outbox.push(encoded(Frame::close(Some(CloseFrame { code, reason: reason.into() }))));
         }
+        self.outbox.close();
         let farewell = async {
-            // Whoever is gone hears nothing of it.
-            if self.outgoing.write().await.is_ok() {
-                while let Some(Ok(_)) = self.incoming.next().await {}
+            // A client that is gone reads nothing of it.
+            if matches!((&mut self.writer).await, Ok(Ok(()))) {
+                while let Some(Ok(_)) = self.incoming.next().await {
+                    self.incoming.get_mut().taken();
+                }
             }
         };
         let _ = timeout(FAREWELL_WITHIN, farewell).await;
     }
 
-    async fn serve(&mut self) -> End {
+    async fn read(&mut self) -> End {
+        let permit = self.permit.clone();
+        let evicted = async {
+            match permit {
+                Some(permit) => permit.evicted().await,
+                None => std::future::pending().await,
+            }
+        };
+        let mut evicted = std::pin::pin!(evicted);
         loop {
-            let may_tell = self.outgoing.is_idle();
             let may_read = self.under_way < MAX_CALLS_AND_FAST_STOPS;
             tokio::select! {
                 biased;
                 () = self.context.closing.cancelled() => return End::Closing,
-                Some(done) = self.calls.next() => {
-                    self.take_done(done);
-                    if self.outgoing.waiting() > MAX_WAITING {
-                        return End::Unspoken(close_code::POLICY, "answers are not read");
+                () = evicted.as_mut() => return if self.context.closing.is_cancelled() { End::Closing } else { End::Evicted },
+                _ = &mut self.writer => return End::Closed,
+                Some(done) = self.calls.next() => self.take_done(done),
+                Some(command) = self.running.next() => {
+                    if let Some(ended) = Notification::new("command", &command) {
+                        self.outbox.push(ended.frame());
                     }
                 }
-                Some(command) = self.running.next() => self.tell(Notification::new("command", &command)),
                 message = self.incoming.next(), if may_read => match self.take_message(message) {
                     None => {}
                     Some(end) => return end,
                 },
-                written = self.outgoing.write(), if !may_tell => {
-                    if written.is_err() {
-                        return End::Closed;
-                    }
-                }
                 _ = self.pings.tick() => {
                     if self.unanswered >= MAX_UNANSWERED {
                         return End::Lost;
                     }
                     self.unanswered += 1;
-                    self.outgoing.push(Message::Ping(axum::body::Bytes::new()));
+                    self.outbox.push(encoded(Frame::ping(Bytes::new())));
                 }
-                (told, dropped) = updates(&mut self.following), if may_tell => {
-                    self.context.ws_metrics.dropped(dropped);
-                    self.outgoing.push_all(told.into_iter().map(|told| Message::Text(told.text())));
-                }
+            }
+            if self.outbox.has_overflown() {
+                return End::Violation(CloseCode::Policy, "answers are not read");
             }
         }
     }
 
-    fn tell(&mut self, told: Option<Notification>) {
-        self.outgoing.push_all(told.map(|told| Message::Text(told.text())));
-    }
-
     /// Takes what came from the client, unless that ends the socket.
-    fn take_message(&mut self, message: Option<Result<Message, axum::Error>>) -> Option<End> {
+    fn take_message(&mut self, message: Option<Result<Message, WsError>>) -> Option<End> {
         self.unanswered = 0;
+        self.incoming.get_mut().taken();
         match message {
-            Some(Ok(Message::Text(text))) => self.take_requests(rpc::parse(&text)),
-            Some(Ok(Message::Ping(_) | Message::Pong(_))) => {}
-            Some(Ok(Message::Binary(_))) => return Some(End::Unspoken(close_code::UNSUPPORTED, "only text is read")),
-            Some(Err(error)) => return Some(end_of(error)),
+            Some(Ok(Message::Text(text))) => self.take_requests(&text),
+            Some(Ok(Message::Binary(bytes))) => {
+                match std::str::from_utf8(&bytes).ok().filter(|text| rpc::has_fast_stop(text)) {
+                    Some(text) => self.take_requests(text),
+                    None => return Some(End::Violation(CloseCode::Unsupported, "only text is read")),
+                }
+            }
+            Some(Ok(Message::Ping(_) | Message::Pong(_) | Message::Frame(_))) => {}
+            Some(Err(error)) => return Some(end_of(&error)),
             Some(Ok(Message::Close(_))) | None => return Some(End::Closed),
         }
         None
     }
 
-    fn take_requests(&mut self, incoming: Incoming) {
-        let (calls, is_batch) = match incoming {
+    fn take_requests(&mut self, text: &str) {
+        let (calls, is_batch) = match rpc::parse(text) {
             Incoming::One(call) => (vec![call], false),
             Incoming::Batch(calls) => (calls, true),
         };
-        let requests = calls.len();
+        let (requests, bytes) = (calls.len(), text.len());
         self.under_way += requests;
+        self.request_bytes += bytes;
+        self.count();
         let answered: Vec<_> = calls.into_iter().map(|call| self.answered(call)).collect();
-        self.calls.push(join_all(answered).map(move |answered| Done::of(requests, answered, is_batch)).boxed());
+        let done = join_all(answered).map(move |answered| Done { bytes, ..Done::of(requests, answered, is_batch) });
+        self.calls.push(done.boxed());
+    }
+
+    /// Counts what the requests under way hold.
+    fn count(&mut self) {
+        if let Some(held) = &mut self.held {
+            held.set(self.request_bytes + self.under_way * CALL_BYTES);
+        }
     }
 
     /// Begins a request.
@@ -264,7 +333,8 @@ impl Socket {
             return ready(Answered::default());
         }
         let (methods, client, metrics) = (self.methods.clone(), self.client.clone(), self.context.ws_metrics.clone());
-        async move {
+        let is_urgent = urgency(&method) != Urgency::None;
+        let answered = async move {
             let told = methods.call(client, &method, params, Wait::No, HeaderMap::new()).await;
             let status = told.as_ref().map_or_else(|refusal| refusal.status, |_| StatusCode::OK);
             metrics.answered(Some(&method), "CALL", status.as_u16());
@@ -280,14 +350,19 @@ impl Socket {
                     Answered { answer: id.map(|id| Answer::new(id, Err(refusal.into()))), ..Answered::default() }
                 }
             }
+        };
+        if is_urgent {
+            return answered.boxed();
         }
-        .boxed()
+        // A call that has panicked has no answer.
+        let answered = AbortOnDropHandle::new(self.context.runtimes.observers.spawn(answered));
+        answered.map(Result::unwrap_or_default).boxed()
     }
 
     /// Why this client may begin nothing more for now, if so.
     fn overload(&self) -> Option<String> {
-        if self.outgoing.waiting() >= MAX_UNREAD {
-            return Some(format!("{MAX_UNREAD} answers of this socket wait to be read: read them first"));
+        if self.outbox.is_unread() {
+            return Some("too many answers of this socket wait to be read: read them first".to_owned());
         }
         (self.under_way > MAX_CALLS)
             .then(|| format!("{MAX_CALLS} requests of this socket are under way already: await their answers first"))
@@ -295,15 +370,22 @@ impl Socket {
 
     fn take_done(&mut self, done: Done) {
         self.under_way -= done.requests;
-        self.outgoing.push_all(done.answer.map(|answer| Message::Text(answer.into())));
+        self.request_bytes -= done.bytes;
+        self.count();
+        if let Some(answer) = done.answer {
+            self.outbox.push(text_frame(answer));
+        }
         for mut ticket in done.running {
             if self.running.len() < MAX_COMMANDS {
                 self.running.push(async move { ticket.ended().await }.boxed());
             }
         }
-        self.leases.extend(done.leases.into_iter().map(|lease| (lease.gripper().clone(), lease)));
-        if let Some(Following { updates, max_hz }) = done.following {
-            self.following = Some((updates, Pace::new(max_hz as u32)));
+        for lease in done.leases {
+            let pin = self.permit.as_ref().and_then(|permit| permit.claim(Class::Pinned));
+            self.leases.insert(lease.gripper().clone(), (lease, pin));
+        }
+        if let Some(following) = done.following {
+            self.outbox.follow(following);
         }
     }
 }
@@ -334,33 +416,12 @@ fn raw(told: &impl serde::Serialize) -> Result<Box<RawValue>, rpc::Error> {
     })
 }
 
-fn end_of(error: axum::Error) -> End {
-    match error.into_inner().downcast_ref::<tungstenite::Error>() {
-        Some(tungstenite::Error::Capacity(_)) => End::Unspoken(close_code::SIZE, "a message has 64 KiB at most"),
-        Some(tungstenite::Error::Utf8(_)) => End::Unspoken(close_code::INVALID, "text is UTF-8"),
-        Some(tungstenite::Error::Protocol(tungstenite::error::ProtocolError::ResetWithoutClosingHandshake)) => {
-            End::Closed
-        }
-        Some(tungstenite::Error::Protocol(_)) => End::Unspoken(close_code::PROTOCOL, "this is no WebSocket"),
+fn end_of(error: &WsError) -> End {
+    match error {
+        WsError::Capacity(_) => End::Violation(CloseCode::Size, "a message has 64 KiB at most"),
+        WsError::Utf8(_) => End::Violation(CloseCode::Invalid, "a text is not UTF-8"),
+        WsError::Protocol(ProtocolError::ResetWithoutClosingHandshake) => End::Closed,
+        WsError::Protocol(_) => End::Violation(CloseCode::Protocol, "not a WebSocket frame (RFC 6455)"),
         _ => End::Closed,
     }
-}
-
-/// What is to be told next: the newest states and telemetry when their time has come, or events and frames, with what
-/// else of them is there already; and how many were dropped for newer ones. Cancelled without loss.
-async fn updates(following: &mut Option<(Subscription, Pace)>) -> (Vec<Notification>, u64) {
-    let Some((updates, pace)) = following else { return std::future::pending().await };
-    let has_states = updates.has_states();
-    let mut told = tokio::select! {
-        biased;
-        missed = pace.next(), if has_states => return updates.newest(missed),
-        Some(told) = updates.next() => vec![told],
-        else => return std::future::pending().await,
-    };
-    while told.len() < MAX_GATHERED
-        && let Some(Some(next)) = updates.next().now_or_never()
-    {
-        told.push(next);
-    }
-    (told, 0)
 }

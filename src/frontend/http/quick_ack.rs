@@ -1,11 +1,11 @@
-//! A connection whose data are acknowledged at once, and that is watched by the runtime that serves it.
+//! A connection whose data are acknowledged at once, and that follows the runtime that serves it.
 //!
 //! Many clients send a request's header and its body in two packets, and hold the second back until the first one is
-//! acknowledged, which the kernel puts off by 40 ms. Those would be lost for every such request on a kept connection,
-//! a FAST STOP's reason among them.
+//! acknowledged, which the kernel delays by 40 ms. Each such request on a kept connection would lose that time, a FAST
+//! STOP's reason among them.
 //!
-//! A connection that becomes a WebSocket leaves the runtime that has accepted it, whose threads would be woken by
-//! whatever a thousand observers send and take, and which has FAST STOPs to serve.
+//! A connection may move to another runtime: the thread of the old one must not be woken by what a thousand observers send
+//! and take.
 
 use std::io::{self, IoSlice};
 use std::pin::Pin;
@@ -15,22 +15,22 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
 use tokio::runtime::{self, Handle};
 
-/// It.
+/// The stream of one connection.
 #[derive(Debug)]
-pub struct Prompt {
-    /// None after it could not be moved, which ends it.
+pub struct QuickAckStream {
+    /// `None` after a move that failed, which ends the connection.
     stream: Option<TcpStream>,
-    /// The runtime that watches it.
+    /// The runtime that the stream is registered with.
     home: runtime::Id,
 }
 
-impl Prompt {
-    /// Of a connection that was accepted by this runtime.
+impl QuickAckStream {
+    /// A connection that the caller's runtime has accepted.
     pub fn new(stream: TcpStream) -> Self {
         Self { stream: Some(stream), home: Handle::current().id() }
     }
 
-    /// The connection, watched by the runtime that asks for it.
+    /// The stream, registered with the caller's runtime.
     fn stream(&mut self) -> io::Result<Pin<&mut TcpStream>> {
         let here = Handle::current().id();
         if self.home != here {
@@ -42,14 +42,21 @@ impl Prompt {
     }
 }
 
-/// The kernel forgets it again, so it is said after each read. Where it can't be said, the answers are just later.
-#[cfg_attr(not(target_os = "linux"), expect(unused_variables, reason = "no other system can be told"))]
+/// Sets the option that the kernel resets by itself, so after each read. Where it can't be set, answers are later.
+#[cfg_attr(not(target_os = "linux"), expect(unused_variables, reason = "Linux alone has this option"))]
 fn acknowledge(stream: &TcpStream) {
     #[cfg(target_os = "linux")]
     let _ = socket2::SockRef::from(stream).set_tcp_quickack(true);
 }
 
-impl AsyncRead for Prompt {
+impl QuickAckStream {
+    /// The stream itself; an error where a move has failed.
+    pub fn into_inner(self) -> io::Result<TcpStream> {
+        self.stream.ok_or_else(|| io::ErrorKind::NotConnected.into())
+    }
+}
+
+impl AsyncRead for QuickAckStream {
     fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         let mut stream = self.stream()?;
         ready!(stream.as_mut().poll_read(cx, buffer))?;
@@ -58,7 +65,7 @@ impl AsyncRead for Prompt {
     }
 }
 
-impl AsyncWrite for Prompt {
+impl AsyncWrite for QuickAckStream {
     fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
         self.stream()?.poll_write(cx, bytes)
     }

@@ -1,0 +1,117 @@
+//! File descriptors: how many the process may have, and how they are shared out, so that no client can take those that a
+//! device, the journal or a FAST STOP needs.
+
+use rustix::process::{Resource, getrlimit, setrlimit};
+
+use crate::config::{Config, WsgAddress};
+use crate::frontend::Bounds;
+use crate::frontend::wsg_port;
+
+/// The runtimes (15), the listener, standard input and output, the journal with its readers (8), and some to spare.
+const OWN: usize = 30;
+
+/// A gripper's link, and the one that replaces it.
+const OF_A_GRIPPER: usize = 2;
+
+/// Zenoh's runtimes and listener (10), and some sessions.
+const OF_ZENOH: usize = 14;
+
+/// The soft limit is raised to this at most: more are of no use, and some systems have no hard limit.
+const MOST: u64 = 65_536;
+
+/// How the descriptors for clients are shared out.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Shares {
+    /// The limit of the process.
+    pub(super) limit: usize,
+    /// Those of all HTTP connections.
+    pub(super) http: usize,
+    /// Those of each WSG port's TCP connections.
+    pub(super) wsg_port: usize,
+}
+
+/// The limit leaves too little for clients.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "too few file descriptors: the limit is {limit}, and this configuration needs {needed}: raise it with `ulimit -n` or \
+     LimitNOFILE= in the systemd unit"
+)]
+pub(super) struct TooFew {
+    limit: usize,
+    needed: usize,
+}
+
+/// Raises the soft limit of the process as far as it may, and shares the descriptors out.
+pub(super) fn share_out(config: &Config) -> Result<Shares, TooFew> {
+    Shares::of(config, raise_limit())
+}
+
+/// The limit after the attempt to raise it.
+fn raise_limit() -> usize {
+    let before = getrlimit(Resource::Nofile);
+    let wanted = before.maximum.unwrap_or(MOST).min(MOST);
+    let soft = before.current.unwrap_or(MOST);
+    let mut raised = before;
+    raised.current = Some(wanted.max(soft));
+    let limit = match setrlimit(Resource::Nofile, raised) {
+        Ok(()) => wanted.max(soft),
+        Err(error) => {
+            tracing::warn!(%error, soft, wanted, "file descriptor limit could not be raised");
+            soft
+        }
+    };
+    usize::try_from(limit).unwrap_or(usize::MAX)
+}
+
+impl Shares {
+    fn of(config: &Config, limit: usize) -> Result<Self, TooFew> {
+        let addresses = config.grippers.iter().flat_map(|gripper| &gripper.wsg_port.addresses);
+        let ports = addresses.filter(|(address, _)| matches!(address, WsgAddress::Tcp(_))).count();
+        let zenoh = if config.zenoh.is_some() { OF_ZENOH } else { 0 };
+        let own = OWN + OF_A_GRIPPER * config.grippers.len() + zenoh;
+        let needed = own + Bounds::MIN_DESCRIPTORS + ports * wsg_port::MIN_DESCRIPTORS;
+        let spare = limit.checked_sub(needed).ok_or(TooFew { limit, needed })?;
+        // A quarter of what is to spare goes to the WSG ports, whose clients are few.
+        let of_ports = (spare / 4).checked_div(ports).unwrap_or(0);
+        let wsg_port = (wsg_port::MIN_DESCRIPTORS + of_ports).min(wsg_port::MAX_DESCRIPTORS);
+        let http = limit - own - ports * wsg_port;
+        Ok(Self { limit, http: http.min(Bounds::MAX_DESCRIPTORS), wsg_port })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Flags;
+
+    fn config(grippers: &[&str], wsg_ports: &[&str]) -> Config {
+        let owned = |texts: &[&str]| texts.iter().map(ToString::to_string).collect();
+        let flags = Flags { grippers: owned(grippers), wsg_ports: owned(wsg_ports), ..Flags::default() };
+        Config::load(&flags).unwrap()
+    }
+
+    #[test]
+    fn low_limit_leaves_every_interface_a_share() {
+        let defaults = config(&[], &[]);
+        let low = Shares::of(&defaults, 64).unwrap();
+        assert!(low.http >= Bounds::MIN_DESCRIPTORS, "{low:?}");
+        let high = Shares::of(&defaults, 20_000).unwrap();
+        assert_eq!(high.http, Bounds::MAX_DESCRIPTORS);
+    }
+
+    #[test]
+    fn limit_below_what_is_needed_is_named_with_its_remedy() {
+        let error = Shares::of(&config(&[], &[]), 32).unwrap_err().to_string();
+        assert!(error.contains("the limit is 32") && error.contains("ulimit -n"), "{error}");
+    }
+
+    #[test]
+    fn shares_stay_within_the_limit() {
+        let config = config(&["g=sim://wsg50"], &["g=127.0.0.1:0"]);
+        for limit in [80, 128, 600, 1024, 20_000] {
+            let shares = Shares::of(&config, limit).unwrap();
+            assert!(OWN + OF_A_GRIPPER + OF_ZENOH + shares.http + shares.wsg_port <= limit, "{shares:?}");
+            assert!(shares.wsg_port >= wsg_port::MIN_DESCRIPTORS && shares.http >= Bounds::MIN_DESCRIPTORS);
+        }
+    }
+}

@@ -1,0 +1,62 @@
+//! The runtimes: one for the devices, and those that clients are served on, each with threads of its own.
+
+use std::io;
+
+use tokio::runtime::{Builder, Runtime};
+
+use crate::frontend::Runtimes;
+
+/// How much the observers' thread yields to others (`nice`, 0 to 19): enough that the kernel prefers any of those.
+const NICE: i32 = 10;
+
+/// How many tasks a thread runs before it looks for new events, among which may be a FAST STOP. Tokio's default is 61.
+const EVENT_INTERVAL: u32 = 16;
+
+/// All of them. They end with the process.
+pub(super) struct Owned {
+    /// The device side has a runtime of its own, so that no number of clients delays a FAST STOP.
+    pub(super) devices: Runtime,
+    pub(super) requests: Runtime,
+    accept: Runtime,
+    sockets: Runtime,
+    observers: Runtime,
+}
+
+impl Owned {
+    pub(super) fn start() -> io::Result<Self> {
+        Ok(Self {
+            devices: single("device").build()?,
+            requests: Builder::new_multi_thread().event_interval(EVENT_INTERVAL).enable_all().build()?,
+            accept: single("accept").build()?,
+            sockets: single("sockets").event_interval(EVENT_INTERVAL).build()?,
+            // What a thousand observers are sent must not delay a request.
+            observers: single("observers").on_thread_start(yield_to_others).build()?,
+        })
+    }
+
+    pub(super) fn of_clients(&self) -> Runtimes {
+        Runtimes {
+            accept: self.accept.handle().clone(),
+            requests: self.requests.handle().clone(),
+            sockets: self.sockets.handle().clone(),
+            observers: self.observers.handle().clone(),
+        }
+    }
+
+    pub(super) fn end(self) {
+        for runtime in [self.observers, self.sockets, self.accept, self.requests, self.devices] {
+            runtime.shutdown_background();
+        }
+    }
+}
+
+fn single(name: &str) -> Builder {
+    let mut builder = Builder::new_multi_thread();
+    builder.worker_threads(1).thread_name(name).enable_all();
+    builder
+}
+
+fn yield_to_others() {
+    // A system without such priorities goes on without them.
+    let _ = rustix::process::setpriority_process(None, NICE);
+}

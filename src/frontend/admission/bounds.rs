@@ -1,0 +1,147 @@
+//! The classes of connections, and how many connections each may have.
+
+/// What a connection is doing, and so what claim it has on its slot. The later classes go before the earlier ones where a
+/// connection is in several.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Class {
+    /// A fresh connection, or one whose request is still coming.
+    Incoming,
+    /// A connection between two requests, or whose answer is on its way.
+    Idle,
+    /// A complete request is being answered.
+    Answering,
+    /// A FAST STOP is under way. It is done whatever becomes of its connection.
+    Urgent,
+    /// A request waits for the end of a command (`wait_ms`).
+    Waiting,
+    /// A WebSocket, or a stream of server-sent events.
+    Streaming,
+    /// The client holds a lease that ends with its connection.
+    Pinned,
+}
+
+/// How many classes there are.
+pub(super) const CLASSES: usize = 7;
+
+/// What happens when a class is full and one more connection would enter it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum WhenFull {
+    /// The oldest connection of the peer that has the most gives way.
+    Evict,
+    /// The same, but only where that peer has at least two more than the newcomer's; otherwise the newcomer is refused.
+    Share,
+    /// The newcomer is refused.
+    Refuse,
+    /// The class has no bound of its own.
+    Enter,
+}
+
+impl Class {
+    pub(super) fn when_full(self) -> WhenFull {
+        match self {
+            Self::Incoming | Self::Idle | Self::Urgent => WhenFull::Evict,
+            Self::Waiting | Self::Streaming => WhenFull::Share,
+            Self::Answering => WhenFull::Refuse,
+            // A gripper has one holder, so there are never more than grippers.
+            Self::Pinned => WhenFull::Enter,
+        }
+    }
+}
+
+/// How many connections and bytes a listener's clients may take.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Bounds {
+    /// Connections of each class.
+    pub(super) classes: [usize; CLASSES],
+    /// Evicted connections that may still be ending.
+    pub(super) leaving: usize,
+    /// Bytes held for all clients together.
+    pub held_bytes: usize,
+}
+
+/// Bytes held for all clients together: 64 KiB, the largest message, for each of a thousand clients.
+const HELD_BYTES: usize = 64 << 20;
+
+/// Connections on the way in: enough that a flood of 10,000 connects a second leaves each of them 90 ms to speak.
+const INCOMING: usize = 896;
+/// Keep-alive connections: a PLC or a browser has a few.
+const IDLE: usize = 512;
+/// Requests being answered, each within milliseconds unless a device or a disk is slow.
+const ANSWERING: usize = 256;
+/// FAST STOPs under way: each takes 250 ms at most.
+const URGENT: usize = 128;
+/// Long polls: there is one motion a gripper, and few wait for it.
+const WAITING: usize = 256;
+/// WebSockets and event streams: a thousand observers.
+const STREAMING: usize = 1024;
+/// Connections that were evicted and still deliver an answer.
+const LEAVING: usize = 128;
+
+/// Descriptors of a stream: a WebSocket's reader and writer have one each.
+const STREAMING_DESCRIPTORS: usize = 2;
+
+impl Bounds {
+    /// The most descriptors that a listener's connections ever take, those that are still ending among them.
+    pub const MAX_DESCRIPTORS: usize =
+        INCOMING + IDLE + ANSWERING + URGENT + WAITING + STREAMING * STREAMING_DESCRIPTORS + LEAVING;
+
+    /// The fewest descriptors that leave each class a slot or two.
+    pub const MIN_DESCRIPTORS: usize = 16;
+
+    /// Shares out this many descriptors: [`Bounds::MAX_DESCRIPTORS`] or fewer.
+    #[must_use]
+    pub fn of(descriptors: usize) -> Self {
+        let descriptors = descriptors.min(Self::MAX_DESCRIPTORS);
+        let share = |most: usize| (most * descriptors / Self::MAX_DESCRIPTORS).max(1);
+        let mut classes = [usize::MAX; CLASSES];
+        for (class, most) in [
+            (Class::Incoming, INCOMING),
+            (Class::Idle, IDLE),
+            (Class::Answering, ANSWERING),
+            (Class::Urgent, URGENT),
+            (Class::Waiting, WAITING),
+            (Class::Streaming, STREAMING),
+        ] {
+            classes[class as usize] = share(most);
+        }
+        Self { classes, leaving: share(LEAVING), held_bytes: HELD_BYTES }
+    }
+
+    /// Bounds of a listener whose clients are all alike: the one that was silent for longest gives way beyond `clients`,
+    /// and `leaving` more may still be ending.
+    #[must_use]
+    pub fn alike(clients: usize, leaving: usize) -> Self {
+        Self { classes: [clients; CLASSES], leaving, held_bytes: HELD_BYTES }
+    }
+
+    /// The same with another bound of one class.
+    #[cfg(test)]
+    #[must_use]
+    pub fn with(mut self, class: Class, most: usize) -> Self {
+        self.classes[class as usize] = most;
+        self
+    }
+
+    /// The most connections of a class.
+    #[must_use]
+    pub fn of_class(&self, class: Class) -> usize {
+        self.classes[class as usize]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shares_stay_within_the_descriptors() {
+        for descriptors in [Bounds::MIN_DESCRIPTORS, 24, 64, 600, 1024, Bounds::MAX_DESCRIPTORS] {
+            let bounds = Bounds::of(descriptors);
+            let classes = bounds.classes.iter().filter(|most| **most < usize::MAX).sum::<usize>();
+            let bounded = classes + bounds.of_class(Class::Streaming) + bounds.leaving;
+            assert!(bounded <= descriptors, "{bounded} of {descriptors}: {bounds:?}");
+            assert!(bounds.classes.iter().all(|most| *most > 0));
+        }
+        assert_eq!(Bounds::of(usize::MAX).of_class(Class::Streaming), STREAMING);
+    }
+}

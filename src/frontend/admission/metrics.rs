@@ -1,0 +1,77 @@
+//! The figures of a listener's connections, read from its table when they are asked for.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use prometheus::core::{Collector, Desc};
+use prometheus::proto::MetricFamily;
+use prometheus::{IntCounter, IntGauge, IntGaugeVec, Opts, Registry, Result};
+
+use super::{Admission, Class};
+
+/// The classes that have a bound, by their names.
+const BOUNDED: [(Class, &str); 6] = [
+    (Class::Incoming, "incoming"),
+    (Class::Idle, "idle"),
+    (Class::Answering, "answering"),
+    (Class::Urgent, "urgent"),
+    (Class::Waiting, "waiting"),
+    (Class::Streaming, "streaming"),
+];
+
+/// How many connections of each class there are, and may be.
+pub struct Usage {
+    admission: Arc<Admission>,
+    used: IntGaugeVec,
+    limit: IntGaugeVec,
+    held: IntGauge,
+    evicted: IntCounter,
+    /// How many evictions were counted.
+    counted: Mutex<u64>,
+}
+
+impl Usage {
+    /// Adds the figures of an interface's connections to a registry.
+    ///
+    /// # Errors
+    /// Where the registry has figures of this interface already.
+    pub fn register(registry: &Registry, interface: &str, admission: &Arc<Admission>) -> Result<()> {
+        let opts = |name: &str, help: &str| Opts::new(name, help).const_label("door", interface);
+        let used = opts("wsg_connection_slots_used", "Connections of each class.");
+        let limit =
+            opts("wsg_connection_slots", "Most connections of each class. Beyond, one gives way or is refused.");
+        let held = opts("wsg_connections_held_bytes", "Bytes of requests under way and of answers not yet taken.");
+        let evicted = opts("wsg_connections_evicted_total", "Connections closed to make room for others.");
+        registry.register(Box::new(Self {
+            admission: admission.clone(),
+            used: IntGaugeVec::new(used, &["class"])?,
+            limit: IntGaugeVec::new(limit, &["class"])?,
+            held: IntGauge::with_opts(held)?,
+            evicted: IntCounter::with_opts(evicted)?,
+            counted: Mutex::default(),
+        }))
+    }
+}
+
+impl Collector for Usage {
+    fn desc(&self) -> Vec<&Desc> {
+        [self.used.desc(), self.limit.desc(), self.held.desc(), self.evicted.desc()].concat()
+    }
+
+    fn collect(&self) -> Vec<MetricFamily> {
+        let table = self.admission.table();
+        for (class, name) in BOUNDED {
+            let (used, limit) = table.usage(class);
+            self.used.with_label_values(&[name]).set(figure(used));
+            self.limit.with_label_values(&[name]).set(figure(limit));
+        }
+        self.held.set(figure(table.held_bytes()));
+        let mut counted = self.counted.lock().unwrap_or_else(PoisonError::into_inner);
+        self.evicted.inc_by(table.evicted() - *counted);
+        *counted = table.evicted();
+        [self.used.collect(), self.limit.collect(), self.held.collect(), self.evicted.collect()].concat()
+    }
+}
+
+fn figure(count: usize) -> i64 {
+    i64::try_from(count).unwrap_or(i64::MAX)
+}

@@ -1,0 +1,258 @@
+//! The table behind [`super::Admission`]: who is in which class, since when, and who gives way. A pure machine: the time
+//! comes from outside, and what gives way is told by a token.
+
+use std::collections::{BTreeSet, HashMap};
+use std::net::{IpAddr, Ipv6Addr};
+use std::time::Instant;
+
+use tokio_util::sync::CancellationToken;
+
+use super::bounds::{Bounds, CLASSES, Class, WhenFull};
+
+/// A connection's number. It is never used again.
+pub(super) type Id = u64;
+
+/// What counts as one peer: an IPv4 address, or an IPv6 network of 64 bits, which one machine has all of.
+type Peer = IpAddr;
+
+#[derive(Debug)]
+pub(super) struct Table {
+    bounds: Bounds,
+    next: Id,
+    entries: HashMap<Id, Entry>,
+    classes: [Members; CLASSES],
+    /// Evicted connections that have not ended.
+    leaving: usize,
+    held_bytes: usize,
+    /// How many connections have been evicted.
+    evicted: u64,
+}
+
+/// The connections of one class, each peer's oldest first.
+#[derive(Debug, Default)]
+struct Members {
+    count: usize,
+    peers: HashMap<Peer, BTreeSet<(Instant, Id)>>,
+}
+
+#[derive(Debug)]
+struct Entry {
+    peer: Peer,
+    /// [`Class::Incoming`] or [`Class::Idle`], where there is no claim.
+    base: Class,
+    /// How many claims of each class there are.
+    claims: [u32; CLASSES],
+    since: Instant,
+    evicted: CancellationToken,
+    /// Of the claim of [`Class::Waiting`].
+    yielded: Option<CancellationToken>,
+    held_bytes: usize,
+    is_leaving: bool,
+}
+
+impl Entry {
+    fn class(&self) -> Class {
+        use Class::{Answering, Pinned, Streaming, Urgent, Waiting};
+        let claimed = |class: &Class| self.claims[*class as usize] > 0;
+        [Pinned, Streaming, Waiting, Urgent, Answering].into_iter().find(claimed).unwrap_or(self.base)
+    }
+}
+
+impl Table {
+    pub(super) fn new(bounds: Bounds) -> Self {
+        let (entries, classes) = (HashMap::new(), std::array::from_fn(|_| Members::default()));
+        Self { bounds, next: 0, entries, classes, leaving: 0, held_bytes: 0, evicted: 0 }
+    }
+
+    pub(super) fn admit(&mut self, address: IpAddr, now: Instant, evicted: CancellationToken) -> Id {
+        let (id, peer, base) = (self.next, peer(address), Class::Incoming);
+        self.next += 1;
+        self.make_room(base, peer);
+        let (claims, yielded) = ([0; CLASSES], None);
+        let entry = Entry { peer, base, claims, since: now, evicted, yielded, held_bytes: 0, is_leaving: false };
+        self.classes[base as usize].insert(peer, now, id);
+        self.entries.insert(id, entry);
+        id
+    }
+
+    pub(super) fn heard(&mut self, id: Id, now: Instant) {
+        self.change(id, |entry| entry.since = now);
+    }
+
+    pub(super) fn receiving(&mut self, id: Id, now: Instant) {
+        self.change(id, |entry| (entry.base, entry.since) = (Class::Incoming, now));
+    }
+
+    /// Adds a claim; none where the class is full and stays so.
+    pub(super) fn claim(&mut self, id: Id, class: Class, now: Instant, yielded: &CancellationToken) -> Option<()> {
+        // An evicted connection may finish what it has begun, but begins nothing that lasts.
+        let Entry { peer, is_leaving, .. } = self.entries.get(&id)?;
+        let (peer, lasts) = (*peer, matches!(class, Class::Waiting | Class::Streaming));
+        if *is_leaving {
+            return (!lasts).then_some(());
+        }
+        if !self.make_room(class, peer) {
+            return None;
+        }
+        self.change(id, |entry| {
+            entry.claims[class as usize] += 1;
+            entry.since = now;
+            if class == Class::Waiting {
+                entry.yielded = Some(yielded.clone());
+            }
+        });
+        Some(())
+    }
+
+    pub(super) fn release(&mut self, id: Id, class: Class, now: Instant) {
+        self.change(id, |entry| {
+            let claims = &mut entry.claims[class as usize];
+            *claims = claims.saturating_sub(1);
+            entry.since = now;
+            if class != Class::Pinned {
+                entry.base = Class::Idle;
+            }
+        });
+    }
+
+    pub(super) fn remove(&mut self, id: Id) {
+        if let Some(entry) = self.entries.remove(&id) {
+            self.held_bytes -= entry.held_bytes;
+            if entry.is_leaving {
+                self.leaving -= 1;
+            } else {
+                self.classes[entry.class() as usize].remove(entry.peer, entry.since, id);
+            }
+        }
+    }
+
+    /// How many connections a class has, and may have.
+    pub(super) fn usage(&self, class: Class) -> (usize, usize) {
+        (self.classes[class as usize].count, self.bounds.of_class(class))
+    }
+
+    pub(super) fn held_bytes(&self) -> usize {
+        self.held_bytes
+    }
+
+    /// How many connections have been evicted.
+    pub(super) fn evicted(&self) -> u64 {
+        self.evicted
+    }
+
+    /// Whether so many evicted connections are still ending that no new one may come.
+    pub(super) fn is_crowded(&self) -> bool {
+        self.leaving >= self.bounds.leaving
+    }
+
+    pub(super) fn is_half_crowded(&self) -> bool {
+        self.leaving * 2 > self.bounds.leaving
+    }
+
+    pub(super) fn evict_unclaimed(&mut self) {
+        if let Some(id) = [Class::Incoming, Class::Idle].into_iter().find_map(|class| self.greediest(class)) {
+            self.evict(id);
+        }
+    }
+
+    /// Corrects how many bytes are held for a connection. Beyond the bound the one that holds the most is evicted.
+    pub(super) fn hold(&mut self, id: Id, before: usize, after: usize) {
+        let Some(entry) = self.entries.get_mut(&id) else { return };
+        entry.held_bytes = entry.held_bytes + after - before;
+        self.held_bytes = self.held_bytes + after - before;
+        if after > before && self.held_bytes > self.bounds.held_bytes {
+            let staying = self.entries.iter().filter(|(_, entry)| !entry.is_leaving);
+            if let Some((&id, _)) = staying.max_by_key(|(_, entry)| entry.held_bytes) {
+                self.evict(id);
+            }
+        }
+    }
+
+    /// Makes room for one more of this peer's in a class. Returns whether there is some.
+    fn make_room(&mut self, class: Class, newcomer: Peer) -> bool {
+        let members = &self.classes[class as usize];
+        if members.count < self.bounds.of_class(class) {
+            return true;
+        }
+        let Some(id) = self.greediest(class) else { return true };
+        let has = |peer: &Peer| members.peers.get(peer).map_or(0, BTreeSet::len);
+        let gives_way = match class.when_full() {
+            WhenFull::Evict => true,
+            WhenFull::Share => self.entries.get(&id).is_some_and(|entry| has(&entry.peer) > has(&newcomer) + 1),
+            WhenFull::Refuse => false,
+            WhenFull::Enter => return true,
+        };
+        if gives_way {
+            self.give_way(id, class);
+        }
+        gives_way
+    }
+
+    /// The oldest connection of the peer that has the most of this class.
+    fn greediest(&self, class: Class) -> Option<Id> {
+        let peers = self.classes[class as usize].peers.values();
+        let oldest = peers.filter_map(|ids| Some((ids.len(), std::cmp::Reverse(*ids.first()?))));
+        oldest.max().map(|(_, std::cmp::Reverse((_, id)))| id)
+    }
+
+    fn give_way(&mut self, id: Id, class: Class) {
+        if class != Class::Waiting {
+            return self.evict(id);
+        }
+        // A long poll is answered early, and its connection goes on.
+        self.change(id, |entry| {
+            entry.claims[class as usize] = 0;
+            if let Some(yielded) = entry.yielded.take() {
+                yielded.cancel();
+            }
+        });
+    }
+
+    fn evict(&mut self, id: Id) {
+        if let Some(entry) = self.entries.get_mut(&id).filter(|entry| !entry.is_leaving) {
+            self.classes[entry.class() as usize].remove(entry.peer, entry.since, id);
+            entry.is_leaving = true;
+            entry.evicted.cancel();
+            self.leaving += 1;
+            self.evicted += 1;
+        }
+    }
+
+    /// Changes an entry, and puts it where it then belongs. An idle connection beyond the bound evicts another.
+    fn change(&mut self, id: Id, change: impl FnOnce(&mut Entry)) {
+        let Some(entry) = self.entries.get_mut(&id) else { return };
+        let (class, since) = (entry.class(), entry.since);
+        change(entry);
+        if entry.is_leaving {
+            return;
+        }
+        let (peer, after, now) = (entry.peer, entry.class(), entry.since);
+        self.classes[class as usize].remove(peer, since, id);
+        if after != class && after.when_full() == WhenFull::Evict {
+            self.make_room(after, peer);
+        }
+        self.classes[after as usize].insert(peer, now, id);
+    }
+}
+
+impl Members {
+    fn insert(&mut self, peer: Peer, since: Instant, id: Id) {
+        self.count += usize::from(self.peers.entry(peer).or_default().insert((since, id)));
+    }
+
+    fn remove(&mut self, peer: Peer, since: Instant, id: Id) {
+        if let Some(ids) = self.peers.get_mut(&peer) {
+            self.count -= usize::from(ids.remove(&(since, id)));
+            if ids.is_empty() {
+                self.peers.remove(&peer);
+            }
+        }
+    }
+}
+
+fn peer(address: IpAddr) -> Peer {
+    match address.to_canonical() {
+        IpAddr::V6(address) => Ipv6Addr::from_bits(address.to_bits() >> 64 << 64).into(),
+        address @ IpAddr::V4(_) => address,
+    }
+}

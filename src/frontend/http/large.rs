@@ -1,0 +1,41 @@
+//! Large answers: pages of the journal, which are made for one client. Their bytes count as held for its connection until
+//! the client has taken them, so that clients that ask for many and read none are disconnected.
+
+use std::convert::Infallible;
+use std::sync::Arc;
+
+use axum::body::{Body, Bytes, HttpBody as _};
+use axum::extract::Request;
+use axum::http::{HeaderValue, Method, header};
+use axum::middleware::Next;
+use axum::response::Response;
+use futures_util::stream::unfold;
+use http_body_util::BodyExt as _;
+
+use crate::frontend::admission::ConnectionPermit;
+
+/// Answers from this size on are counted. What is smaller fits the buffers that every connection has.
+const COUNTED_FROM: u64 = 16 * 1024;
+
+/// As much of an answer as is handed over at once.
+const PART_BYTES: usize = 16 * 1024;
+
+/// The middleware.
+pub async fn count(request: Request, next: Next) -> Response {
+    let permit: Option<Arc<ConnectionPermit>> = request.extensions().get().cloned();
+    let is_head = *request.method() == Method::HEAD;
+    let response = next.run(request).await;
+    let size = response.body().size_hint().exact().filter(|size| *size >= COUNTED_FROM && !is_head);
+    let (Some(permit), Some(size)) = (permit, size) else { return response };
+    let (mut parts, body) = response.into_parts();
+    parts.headers.insert(header::CONTENT_LENGTH, HeaderValue::from(size));
+    // It is in memory already.
+    let bytes = body.collect().await.map(http_body_util::Collected::to_bytes).unwrap_or_default();
+    let mut held = permit.held();
+    held.set(bytes.len());
+    let stream = unfold((bytes, held), |(mut rest, held)| async move {
+        let part: Bytes = rest.split_to(rest.len().min(PART_BYTES));
+        (!part.is_empty()).then_some((Ok::<_, Infallible>(part), (rest, held)))
+    });
+    Response::from_parts(parts, Body::from_stream(stream))
+}
