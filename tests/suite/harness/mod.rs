@@ -7,7 +7,7 @@ mod frames;
 mod gateway;
 pub mod process;
 mod proxy;
-mod scripted;
+pub mod scripted;
 mod simulator;
 mod socket;
 pub mod wsg;

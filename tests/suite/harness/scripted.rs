@@ -140,7 +140,8 @@ fn answer(table: &Mutex<Table>, id: u8, payload: &[u8], out: &mut Vec<u8>) {
     }
 }
 
-fn frame(id: u8, payload: &[u8], out: &mut Vec<u8>) {
+/// Appends a frame.
+pub fn frame(id: u8, payload: &[u8], out: &mut Vec<u8>) {
     let size = u16::try_from(payload.len()).unwrap().to_le_bytes();
     let frame = [&[0xAA, 0xAA, 0xAA, id], &size[..], payload].concat();
     let checksum = frame.iter().fold(0xFFFF, |crc, &byte| table_entry((crc ^ u16::from(byte)) as u8) ^ (crc >> 8));

@@ -1,0 +1,164 @@
+//! One attack, the probe beside it, and the row of the table that comes of it.
+
+use std::fmt::{self, Display};
+use std::time::{Duration, Instant};
+
+use crate::device::Device;
+use crate::gateway::{Gateway, Usage};
+use crate::poller::{Poller, Polls};
+use crate::probe::{Probe, Stops, Way};
+
+/// The bound of a FAST STOP on a fresh HTTP connection, from its connect to the device.
+pub const REACHES_WITHIN: Duration = Duration::from_millis(50);
+
+/// The FAST STOPs that are asked for beside an attack.
+#[derive(Debug, Clone, Copy)]
+pub struct Wanted {
+    /// On fresh HTTP connections.
+    pub http: usize,
+    /// By each other interface.
+    pub others: usize,
+}
+
+/// As many as make a percentile.
+pub const MANY: Wanted = Wanted { http: 120, others: 10 };
+
+/// As many as show that they get through.
+pub const SOME: Wanted = Wanted { http: 30, others: 5 };
+
+/// The time that memory has to come back.
+const COMES_BACK_WITHIN: Duration = Duration::from_secs(10);
+
+/// The memory that is near enough to that of before: a share for what a warm process keeps, and some megabytes for the
+/// journal in memory.
+const NEAR_MB: usize = 40;
+
+const LOOK_EVERY: Duration = Duration::from_millis(100);
+
+/// What the FAST STOPs and the poller saw during an attack.
+pub struct Row {
+    attack: String,
+    pub stops: Vec<(Way, Stops)>,
+    pub polls: Polls,
+    socket_has_ended: bool,
+    pub before: Usage,
+    pub highest: Usage,
+    pub after: Usage,
+}
+
+/// Runs an attack, with the probe beside it. What `begin` returns is the attack, which ends when it is dropped; `during` is what else a test does
+/// while it lasts.
+pub fn run<A>(
+    attack: &str,
+    wanted: Wanted,
+    (gateway, device): (&Gateway, &Device),
+    begin: impl FnOnce() -> A,
+    during: impl FnOnce(&mut A),
+) -> Row {
+    let mut probe = Probe::of(gateway, device);
+    let poller = Poller::start(gateway.address);
+    // A process that has served each interface once has its buffers.
+    for way in [Way::FreshHttp, Way::OpenWebSocket, Way::OpenPort, Way::Zenoh] {
+        assert_eq!(probe.stops(way, 2).reached(), 2, "{way:?} reaches the device before the attack");
+    }
+    let before = gateway.usage();
+    let measurement = gateway.measure();
+    let mut attackers = begin();
+    let mut stops = vec![(Way::FreshHttp, probe.stops(Way::FreshHttp, wanted.http))];
+    // A put stops all grippers, so it comes last.
+    for way in [Way::OpenWebSocket, Way::OpenPort, Way::FreshPort, Way::Zenoh] {
+        stops.push((way, probe.stops(way, wanted.others)));
+    }
+    during(&mut attackers);
+    let polls = poller.end();
+    drop(attackers);
+    let highest = measurement.end();
+    let socket_has_ended = probe.socket_has_ended();
+    let begun = Instant::now();
+    let mut after = gateway.usage();
+    while after.rss_mb > before.rss_mb + NEAR_MB && begun.elapsed() < COMES_BACK_WITHIN {
+        std::thread::sleep(LOOK_EVERY);
+        after = gateway.usage();
+    }
+    let row = Row { attack: attack.to_owned(), stops, polls, socket_has_ended, before, highest, after };
+    println!("{row}");
+    row
+}
+
+impl Row {
+    /// The FAST STOPs by one interface.
+    pub fn by(&self, way: Way) -> &Stops {
+        let (_, stops) = self.stops.iter().find(|(of, _)| *of == way).unwrap();
+        stops
+    }
+
+    /// Asserts that nobody was kept out: each FAST STOP has reached the device, on fresh HTTP connections soon, and the
+    /// poller has lost nothing.
+    #[track_caller]
+    pub fn keeps_nobody_out(&self) {
+        let misses = self.misses();
+        assert!(misses.is_empty(), "{}: {}", self.attack, misses.join("; "));
+    }
+
+    /// What is not as [`Row::keeps_nobody_out`] demands.
+    pub fn misses(&self) -> Vec<String> {
+        let mut misses = Vec::new();
+        for (way, stops) in &self.stops {
+            if stops.reached() < stops.wanted {
+                let Stops { asked, wanted, .. } = stops;
+                misses.push(format!(
+                    "{way:?}: {} FAST STOPs of {wanted} have reached the device, {asked} were asked",
+                    stops.reached()
+                ));
+            }
+        }
+        let slow = self.by(Way::FreshHttp).percentile(99).filter(|time| *time > REACHES_WITHIN);
+        misses.extend(slow.map(|time| format!("the p99 is {time:?}, above {REACHES_WITHIN:?}")));
+        if self.polls.lost > 0 {
+            let Polls { lost, asked, first_loss, .. } = &self.polls;
+            let first_loss = first_loss.as_deref().unwrap_or_default();
+            misses.push(format!("the poller has lost {lost} of {asked}, at first: {first_loss}"));
+        }
+        if self.socket_has_ended {
+            misses.push("the probe's WebSocket was closed".to_owned());
+        }
+        misses
+    }
+
+    /// Asserts that memory grew to this at most, and came back.
+    #[track_caller]
+    pub fn memory_stays_below(&self, most_mb: usize) {
+        let Self { attack, before, highest, after, .. } = self;
+        assert!(highest.rss_mb <= most_mb, "{attack}: {} MB of memory, above {most_mb} MB", highest.rss_mb);
+        assert!(
+            after.rss_mb <= before.rss_mb + NEAR_MB,
+            "{attack}: memory does not come back: {} MB before, {} MB after",
+            before.rss_mb,
+            after.rss_mb
+        );
+    }
+}
+
+impl Display for Row {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let time = |stops: &Stops, percent| {
+            stops.percentile(percent).map_or("-".to_owned(), |time| format!("{:.1}", time.as_secs_f64() * 1e3))
+        };
+        let http = self.by(Way::FreshHttp);
+        let reached = format!("{} of {}", http.reached(), http.asked);
+        let times = [50, 99, 100].map(|percent| time(http, percent)).join(" | ");
+        writeln!(
+            f,
+            "| attack | reached | p50 ms | p99 ms | max ms | WebSocket | port open | port fresh | Zenoh | poller lost | \
+             poller max ms | RSS MB before / peak / after | descriptors |"
+        )?;
+        write!(f, "| {} | {reached} | {times} |", self.attack)?;
+        for (_, stops) in &self.stops[1..] {
+            write!(f, " {} of {}, max {} |", stops.reached(), stops.asked, time(stops, 100))?;
+        }
+        let Polls { asked, lost, slowest, .. } = &self.polls;
+        let [before, highest, after] = [self.before, self.highest, self.after].map(|usage| usage.rss_mb);
+        write!(f, " {lost} of {asked} | {:.0} | {before} / {highest} / {after} |", slowest.as_secs_f64() * 1e3)?;
+        write!(f, " {} |", self.highest.descriptors)
+    }
+}

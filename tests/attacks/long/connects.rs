@@ -1,0 +1,72 @@
+//! Connections that never send a byte.
+
+use std::sync::Arc;
+
+use tokio::net::TcpStream;
+
+use crate::attack::{self, MANY};
+use crate::attacker::{Attacker, Crowd};
+use crate::device::Device;
+use crate::gateway::{Gateway, Limits};
+
+/// The connections under way at a time, of those that are closed at once.
+const UNDER_WAY: usize = 8;
+
+/// The connections that are held: of more, the oldest is closed.
+const HELD: usize = 4000;
+
+/// Connects and closes at once, as fast as one thread can. Closes with a reset, which leaves no used port behind.
+pub async fn close(crowd: &Arc<Crowd>, count: usize) {
+    for index in 0..UNDER_WAY {
+        let crowd = crowd.clone();
+        tokio::spawn(async move {
+            let _inside = (index == 0).then(|| (0..count).map(|_| crowd.inside()).collect::<Vec<_>>());
+            loop {
+                if let Ok(stream) = TcpStream::connect(crowd.address).await {
+                    crowd.opened();
+                    let _ = stream.set_zero_linger();
+                }
+            }
+        });
+    }
+}
+
+/// Connects and holds, as fast as one thread can.
+pub async fn hold(crowd: &Arc<Crowd>, count: usize) {
+    let crowd = crowd.clone();
+    tokio::spawn(async move {
+        let _inside: Vec<_> = (0..count).map(|_| crowd.inside()).collect();
+        let mut held = std::collections::VecDeque::new();
+        loop {
+            if let Ok(stream) = TcpStream::connect(crowd.address).await {
+                crowd.opened();
+                let _ = stream.set_zero_linger();
+                held.push_back(stream);
+            }
+            if held.len() > HELD {
+                held.pop_front();
+            }
+            tokio::task::yield_now().await;
+        }
+    });
+}
+
+fn attacked_by(attack: &str) {
+    let (g, h) = (Device::start(), Device::start());
+    let gateway = Gateway::start(&g, &h, Limits::Inherited);
+    let begin = || Attacker::start(attack, 1, gateway.address);
+    let row = attack::run(attack, MANY, (&gateway, &g), begin, |attacker| {
+        println!("{attack}: {} connections were opened", attacker.done().opened);
+    });
+    row.keeps_nobody_out();
+}
+
+#[test]
+fn connections_that_close_at_once_keep_nobody_out() {
+    attacked_by("connect_and_close");
+}
+
+#[test]
+fn connections_that_are_held_keep_nobody_out() {
+    attacked_by("connect_and_hold");
+}

@@ -1,0 +1,41 @@
+//! Attacks on a gateway that may have few file descriptors, and no more: it must never want another one.
+
+use std::time::Duration;
+
+use crate::attack::{self, SOME};
+use crate::attacker::Attacker;
+use crate::device::Device;
+use crate::gateway::{Gateway, Limits};
+
+const DESCRIPTORS: u32 = 600;
+
+const RECONNECTS_WITHIN: Duration = Duration::from_secs(3);
+
+fn attacked_by(attack: &str, count: usize) {
+    let (g, h) = (Device::start(), Device::start());
+    let gateway = Gateway::start(&g, &h, Limits::Descriptors { soft: DESCRIPTORS, hard: DESCRIPTORS });
+    let begin = || Attacker::start(attack, count, gateway.address);
+    let mut reconnected_after = None;
+    let row = attack::run(&format!("{attack}, limit 600"), SOME, (&gateway, &g), begin, |_| {
+        reconnected_after = g.reconnect_time(3 * RECONNECTS_WITHIN);
+    });
+    println!("the device was connected again after {reconnected_after:?}");
+    assert!(!gateway.log().contains("os error 24"), "the gateway has wanted more descriptors than it may have");
+    assert!(reconnected_after.is_some_and(|after| after <= RECONNECTS_WITHIN), "{reconnected_after:?}");
+    row.keeps_nobody_out();
+}
+
+#[test]
+fn half_sent_bodies_leave_descriptors() {
+    attacked_by("half_sent_bodies", 1024);
+}
+
+#[test]
+fn long_polls_leave_descriptors() {
+    attacked_by("long_polls", 1100);
+}
+
+#[test]
+fn held_connections_leave_descriptors() {
+    attacked_by("connect_and_hold", 1);
+}

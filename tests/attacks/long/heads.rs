@@ -1,0 +1,30 @@
+//! Requests whose heads never end.
+
+use std::io;
+use std::sync::Arc;
+
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+use tokio::net::TcpStream;
+
+use crate::attack::{self, MANY};
+use crate::attacker::{Attacker, Crowd};
+use crate::device::Device;
+use crate::gateway::{Gateway, Limits};
+
+/// Sends the begin of a head, a third of them that of a FAST STOP, and waits for the end of the connection.
+pub async fn half_head(crowd: Arc<Crowd>, index: usize, mut stream: TcpStream) -> io::Result<()> {
+    let head = ["POST /api/v1/fast-stop HTTP/1.1\r\nHost: loc", "POST /api/v1/grippers/g/fast-st", "G"][index % 3];
+    stream.write_all(head.as_bytes()).await?;
+    let _inside = crowd.inside();
+    let mut buffer = [0; 512];
+    while stream.read(&mut buffer).await? > 0 {}
+    Ok(())
+}
+
+#[test]
+fn half_heads_keep_nobody_out() {
+    let (g, h) = (Device::start(), Device::start());
+    let gateway = Gateway::start(&g, &h, Limits::Inherited);
+    let begin = || Attacker::start("half_heads", 2000, gateway.address);
+    attack::run("2000 half heads", MANY, (&gateway, &g), begin, |_| {}).keeps_nobody_out();
+}

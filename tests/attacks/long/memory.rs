@@ -1,0 +1,102 @@
+//! WebSockets that ask for much, and read nothing.
+
+use std::io;
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+use tokio::net::TcpStream;
+use tokio::time::sleep;
+
+use crate::attack::{self, SOME};
+use crate::attacker::{Attacker, Crowd};
+use crate::device::Device;
+use crate::gateway::{Gateway, Limits};
+use crate::websocket::{KEY, PONG, Socket, TEXT, frame, upgrade};
+
+/// The bound on the gateway's memory.
+const MOST_MB: usize = 300;
+
+/// The bound on its address space, at which it ends: this machine has other things to do.
+const ENDS_AT_MB: u32 = 4096;
+
+/// The payload of the longest message that the gateway takes.
+const LONGEST: usize = 64 * 1024;
+
+/// What is sent at once, and the pause after that: the senders must not starve the probe.
+const PAUSE: Duration = Duration::from_millis(20);
+
+const LIVES_EVERY: Duration = Duration::from_millis(500);
+
+/// Sends what costs the gateway most, again and again, and reads nothing but the answer to the upgrade.
+pub async fn greedy_socket(crowd: Arc<Crowd>, index: usize, mut stream: TcpStream) -> io::Result<()> {
+    stream.set_zero_linger()?;
+    stream.write_all(upgrade(KEY).as_bytes()).await?;
+    let mut buffer = [0; 512];
+    let read = stream.read(&mut buffer).await?;
+    if !buffer[..read].starts_with(b"HTTP/1.1 101") {
+        return Ok(());
+    }
+    let _inside = crowd.inside();
+    if index % 5 == 4 {
+        return all_but_the_last_byte(&mut stream).await;
+    }
+    let message = message(index);
+    loop {
+        stream.write_all(&frame(TEXT, message.as_bytes())).await?;
+        crowd.sent(1);
+        sleep(PAUSE).await;
+    }
+}
+
+/// A long id of a method that is there or is not, a long payload, or a batch of long ids.
+fn message(index: usize) -> String {
+    let id = "i".repeat(60 * 1000);
+    match index % 5 {
+        0 => format!(r#"{{"jsonrpc": "2.0", "id": "{id}", "method": "none"}}"#),
+        1 => format!(r#"{{"jsonrpc": "2.0", "id": "{id}", "method": "state", "params": {{"gripper": "g"}}}}"#),
+        2 => {
+            let params = format!(r#"{{"gripper": "g", "data": "{}"}}"#, "ab".repeat(256));
+            format!(r#"{{"jsonrpc": "2.0", "id": "{}", "method": "loop", "params": {params}}}"#, &id[..59_000])
+        }
+        _ => {
+            let one = format!(r#"{{"jsonrpc": "2.0", "id": "{}", "method": "none"}}"#, &id[..1900]);
+            format!("[{}]", vec![one; 32].join(","))
+        }
+    }
+}
+
+/// A message that goes on: its frame is whole, and is not the last of it.
+async fn all_but_the_last_byte(stream: &mut TcpStream) -> io::Result<()> {
+    let mut begin = frame(TEXT, &vec![b' '; LONGEST - 1]);
+    begin[0] &= 0x7F;
+    stream.write_all(&begin).await?;
+    loop {
+        sleep(LIVES_EVERY).await;
+        stream.write_all(&frame(PONG, &[])).await?;
+    }
+}
+
+fn attacked_by(count: usize) {
+    let (g, h) = (Device::start(), Device::start());
+    let gateway = Gateway::start(&g, &h, Limits::Memory { mb: ENDS_AT_MB });
+    let begin = || Attacker::start("greedy_sockets", count, gateway.address);
+    let mut has_opened = false;
+    let row = attack::run(&format!("{count} greedy WebSockets"), SOME, (&gateway, &g), begin, |attacker| {
+        has_opened = Socket::open(&gateway).is_some();
+        println!("greedy_sockets: {:?}", attacker.done());
+    });
+    row.memory_stays_below(MOST_MB);
+    assert!(has_opened || count > 1000, "another WebSocket opens beside them");
+    row.keeps_nobody_out();
+}
+
+#[test]
+fn greedy_sockets_take_little_memory() {
+    attacked_by(40);
+}
+
+#[test]
+fn as_many_greedy_sockets_as_are_admitted_take_little_memory() {
+    attacked_by(1008);
+}

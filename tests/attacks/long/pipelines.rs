@@ -1,0 +1,49 @@
+//! Requests that do not wait for the answers before them.
+
+use std::io;
+use std::sync::Arc;
+
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+use tokio::net::TcpStream;
+
+use crate::attack::{self, MANY};
+use crate::attacker::{Attacker, Crowd};
+use crate::device::Device;
+use crate::gateway::{Gateway, Limits};
+use crate::http;
+
+const CONNECTIONS: usize = 64;
+const IN_A_ROW: usize = 500;
+
+/// Asks for the state many times at once, again and again, and reads the answers.
+pub async fn pipeline(crowd: Arc<Crowd>, _: usize, stream: TcpStream) -> io::Result<()> {
+    let requests = http::request("GET", "/api/v1/grippers/g/state", "").repeat(IN_A_ROW);
+    let (mut reader, mut writer) = stream.into_split();
+    let _inside = crowd.inside();
+    let read = async {
+        let mut buffer = [0; 16 * 1024];
+        while reader.read(&mut buffer).await? > 0 {}
+        Ok(())
+    };
+    let write = async {
+        loop {
+            writer.write_all(requests.as_bytes()).await?;
+            crowd.sent(IN_A_ROW);
+        }
+    };
+    tokio::select! {
+        ended = read => ended,
+        ended = write => ended,
+    }
+}
+
+#[test]
+fn pipelined_requests_keep_nobody_out() {
+    let (g, h) = (Device::start(), Device::start());
+    let gateway = Gateway::start(&g, &h, Limits::Inherited);
+    let begin = || Attacker::start("pipelines", CONNECTIONS, gateway.address);
+    let row = attack::run("64 x 500 pipelined GETs", MANY, (&gateway, &g), begin, |attacker| {
+        println!("pipelines: {:?}", attacker.done());
+    });
+    row.keeps_nobody_out();
+}

@@ -1,0 +1,113 @@
+//! Stops with an id each, of a client without the lease.
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+use tokio::net::TcpSocket;
+
+use crate::attack::{self, SOME};
+use crate::attacker::{Attacker, Crowd};
+use crate::device::{Device, STOP};
+use crate::gateway::{Gateway, Limits};
+use crate::http;
+
+/// More ids than the gateway remembers.
+const IDS: usize = 70_000;
+
+/// The time that the ids have to be sent.
+const SENT_WITHIN: Duration = Duration::from_secs(120);
+
+const CONNECTIONS: usize = 8;
+const IN_A_ROW: usize = 50;
+
+/// The attackers' address: another client than the holder.
+const ELSEWHERE: &str = "127.0.0.2:0";
+
+const REACHES_WITHIN: Duration = Duration::from_secs(1);
+
+/// Sends Stops as fast as they are answered.
+pub async fn begin(crowd: &Arc<Crowd>, count: usize) {
+    for index in 0..count {
+        let crowd = crowd.clone();
+        tokio::spawn(async move {
+            for round in 0.. {
+                // However it ends, the next connection goes on.
+                let _ = stops(&crowd, &format!("{index}-{round}")).await;
+            }
+        });
+    }
+}
+
+async fn stops(crowd: &Crowd, prefix: &str) -> std::io::Result<()> {
+    let socket = TcpSocket::new_v4()?;
+    socket.bind(ELSEWHERE.parse().map_err(std::io::Error::other)?)?;
+    let mut stream = socket.connect(crowd.address).await?;
+    crowd.opened();
+    let _inside = crowd.inside();
+    let mut buffer = [0; 16 * 1024];
+    for row in 0.. {
+        let stop = |index| {
+            let body = format!(r#"{{"request_id": "{prefix}-{row}-{index}"}}"#);
+            http::request("POST", "/api/v1/grippers/h/stop?wait_ms=0", &body)
+        };
+        let requests: String = (0..IN_A_ROW).map(stop).collect();
+        stream.write_all(requests.as_bytes()).await?;
+        let mut answers = 0;
+        while answers < IN_A_ROW {
+            let read = stream.read(&mut buffer).await?;
+            if read == 0 {
+                return Ok(());
+            }
+            // A status line that two reads share is one too few; the next row makes up for it.
+            answers += buffer[..read].windows(9).filter(|bytes| bytes == b"HTTP/1.1 ").count();
+            if read < 200 {
+                break;
+            }
+        }
+        crowd.sent(IN_A_ROW);
+    }
+    Ok(())
+}
+
+/// The body of an answer, and its status.
+fn post(address: SocketAddr, path: &str, body: &Value) -> (u16, Value) {
+    let path = format!("/api/v1/grippers/h/{path}");
+    let answer = http::post(address, &path, &body.to_string()).expect("it is answered");
+    (answer.status, serde_json::from_str(&answer.body).unwrap())
+}
+
+/// What the holder asks for after the ids of another client have been taken: a motion, and its Stop.
+fn holder_moves_and_stops(gateway: &Gateway, h: &Device) {
+    let (status, lease) = post(gateway.address, "lease", &json!({"holder": "the holder", "ttl_ms": 60_000}));
+    assert_eq!(status, 200, "{lease}");
+    let token = &lease["token"];
+    let (status, moved) = post(
+        gateway.address,
+        "move?wait_ms=0",
+        &json!({"width_mm": 20, "speed_mm_s": 50, "lease": token, "request_id": "the motion"}),
+    );
+    assert_eq!(status, 202, "the holder's motion with an id: {moved}");
+    let begun = Instant::now();
+    let (status, stopped) = post(gateway.address, "stop", &json!({"lease": token, "request_id": "the stop"}));
+    assert_eq!(status, 200, "the holder's Stop with an id: {stopped}");
+    assert!(h.first_since(STOP, begun, REACHES_WITHIN).is_some(), "22h reaches the device");
+}
+
+#[test]
+fn ids_of_one_client_leave_places_for_the_holder() {
+    let (g, h) = (Device::start(), Device::start());
+    let gateway = Gateway::start(&g, &h, Limits::Inherited);
+    let begin = || Attacker::start("stops_with_ids", CONNECTIONS, gateway.address);
+    let row = attack::run("Stops with an id each", SOME, (&gateway, &g), begin, |attacker| {
+        let begun = Instant::now();
+        while attacker.done().sent < IDS && begun.elapsed() < SENT_WITHIN {
+            std::thread::sleep(Duration::from_millis(100));
+        }
+        println!("stops_with_ids: {:?}, {} frames 22h", attacker.done(), h.count(STOP));
+    });
+    holder_moves_and_stops(&gateway, &h);
+    row.keeps_nobody_out();
+}

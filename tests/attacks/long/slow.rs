@@ -1,0 +1,48 @@
+//! Clients that send and read a byte a second.
+
+use std::io;
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+use tokio::net::TcpStream;
+use tokio::time::sleep;
+
+use crate::attack::{self, MANY};
+use crate::attacker::{Attacker, Crowd};
+use crate::device::Device;
+use crate::gateway::{Gateway, Limits};
+use crate::http;
+
+const A_BYTE_EVERY: Duration = Duration::from_secs(1);
+
+/// The kernel's buffer of one that reads slowly.
+const BUFFER: usize = 2048;
+
+/// Sends a body, or reads a long answer, a byte a second.
+pub async fn trickler(crowd: Arc<Crowd>, index: usize, mut stream: TcpStream) -> io::Result<()> {
+    socket2::SockRef::from(&stream).set_recv_buffer_size(BUFFER)?;
+    let _inside = crowd.inside();
+    if index % 2 == 0 {
+        let head = "POST /api/v1/grippers/g/move HTTP/1.1\r\nHost: localhost\r\nContent-Length: 60000\r\n\r\n{";
+        stream.write_all(head.as_bytes()).await?;
+        loop {
+            sleep(A_BYTE_EVERY).await;
+            stream.write_all(b" ").await?;
+        }
+    }
+    stream.write_all(http::request("GET", "/api/v1/openapi.json", "").as_bytes()).await?;
+    let mut byte = [0; 1];
+    while stream.read(&mut byte).await? > 0 {
+        sleep(A_BYTE_EVERY).await;
+    }
+    Ok(())
+}
+
+#[test]
+fn tricklers_keep_nobody_out() {
+    let (g, h) = (Device::start(), Device::start());
+    let gateway = Gateway::start(&g, &h, Limits::Inherited);
+    let begin = || Attacker::start("tricklers", 1100, gateway.address);
+    attack::run("1100 tricklers", MANY, (&gateway, &g), begin, |_| {}).keeps_nobody_out();
+}

@@ -1,0 +1,22 @@
+//! Attacks on the gateway, and whether a FAST STOP gets through beside them: each with a probe of every interface, a
+//! poller that must lose nothing, and a device that is not the simulated one. Each prints a row of figures.
+//!
+//! Not a part of plain `cargo test`, since they take minutes and the whole machine: `cargo test --test attacks
+//! every_run:: -- --test-threads=1 --nocapture`, or without `every_run::` for all of them.
+
+#![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
+
+#[path = "../suite/harness/mod.rs"]
+#[allow(dead_code, unused_imports, reason = "the other doubles are for the other tests")]
+mod harness;
+
+mod attack;
+mod attacker;
+mod device;
+mod every_run;
+mod gateway;
+mod http;
+mod long;
+mod poller;
+mod probe;
+mod websocket;

@@ -1,0 +1,178 @@
+//! FAST STOPs by each interface, one at a time. A FAST STOP has reached the device when the device has seen 23h, with
+//! nothing latched before: the gateway repeats 23h only for a latch that is not confirmed.
+
+use std::io::Write as _;
+use std::net::TcpStream;
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+use tokio::runtime::Runtime;
+
+use crate::device::{Device, FAST_STOP};
+use crate::gateway::Gateway;
+use crate::harness::{ZenohClient, wsg};
+use crate::http;
+use crate::websocket::{Socket, TEXT};
+
+/// The time after which a FAST STOP counts as not reached.
+const REACHES_WITHIN: Duration = Duration::from_secs(1);
+
+/// The least time between two FAST STOPs, so that they meet an attack at all its stages.
+const ASKED_EVERY: Duration = Duration::from_millis(90);
+
+/// So many in a row that do not reach the device end a series: the rest would only take time.
+const GIVES_UP_AFTER: usize = 20;
+
+/// The time that a latch has to be acknowledged.
+const SETTLES_WITHIN: Duration = Duration::from_secs(5);
+
+/// An interface, and whether its connection is open before.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Way {
+    FreshHttp,
+    OpenWebSocket,
+    OpenPort,
+    FreshPort,
+    Zenoh,
+}
+
+/// The FAST STOPs by one interface.
+#[derive(Debug, Default)]
+pub struct Stops {
+    pub wanted: usize,
+    pub asked: usize,
+    /// The times of those that reached the device, sorted.
+    times: Vec<Duration>,
+}
+
+impl Stops {
+    pub fn reached(&self) -> usize {
+        self.times.len()
+    }
+
+    /// The time that so many per cent of those that reached the device did not exceed.
+    pub fn percentile(&self, percent: usize) -> Option<Duration> {
+        let last = self.times.len().checked_sub(1)?;
+        self.times.get((last * percent).div_ceil(100)).copied()
+    }
+}
+
+/// A client of each interface, all of them connected before an attack begins.
+pub struct Probe<'a> {
+    gateway: &'a Gateway,
+    device: &'a Device,
+    runtime: Runtime,
+    zenoh: ZenohClient,
+    socket: Socket,
+    port: TcpStream,
+}
+
+impl<'a> Probe<'a> {
+    pub fn of(gateway: &'a Gateway, device: &'a Device) -> Self {
+        let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(1).enable_all().build().unwrap();
+        let zenoh = runtime.block_on(ZenohClient::at(&gateway.zenoh));
+        let socket = Socket::open(gateway).expect("a WebSocket opens before the attack");
+        let port = http::connect(gateway.port).expect("the WSG port accepts before the attack");
+        Self { gateway, device, runtime, zenoh, socket, port }
+    }
+
+    /// Asks for so many FAST STOPs by one interface.
+    pub fn stops(&mut self, way: Way, wanted: usize) -> Stops {
+        let mut stops = Stops { wanted, ..Stops::default() };
+        let mut missed = 0;
+        while stops.asked < wanted && missed < GIVES_UP_AFTER {
+            self.settle("g");
+            stops.asked += 1;
+            let begun = Instant::now();
+            match self.stop(way) {
+                Some(time) => {
+                    missed = 0;
+                    stops.times.push(time);
+                }
+                None => missed += 1,
+            }
+            std::thread::sleep(ASKED_EVERY.saturating_sub(begun.elapsed()));
+        }
+        for gripper in self.gateway.grippers.iter().filter(|_| way == Way::Zenoh) {
+            // A put stops all of them.
+            self.settle(gripper);
+        }
+        stops.times.sort_unstable();
+        stops
+    }
+
+    /// The time from before the connection, where a fresh one is asked for, until the device saw 23h.
+    fn stop(&mut self, way: Way) -> Option<Duration> {
+        let begun = Instant::now();
+        let asked = self.ask(way);
+        let reached = self.device.first_since(FAST_STOP, begun, REACHES_WITHIN);
+        if let (Way::FreshHttp, Ok(Some(mut connection)), true) = (way, asked, reached.is_some()) {
+            // A client that waits for its answer frees its place only then.
+            http::read_answer(&mut connection);
+        }
+        reached.map(|at| at - begun)
+    }
+
+    /// Asks for a FAST STOP, and returns the connection, if it is a fresh one.
+    fn ask(&mut self, way: Way) -> std::io::Result<Option<TcpStream>> {
+        let port_request = wsg::request(FAST_STOP, &[]);
+        match way {
+            Way::FreshHttp => {
+                let mut connection = self.gateway.connect()?;
+                let path = "/api/v1/grippers/g/fast-stop";
+                connection.write_all(http::request("POST", path, r#"{"reason": "the probe"}"#).as_bytes())?;
+                Ok(Some(connection))
+            }
+            Way::OpenWebSocket => {
+                let params = json!({"gripper": "g", "reason": "the probe"});
+                let request = json!({"jsonrpc": "2.0", "id": 1, "method": "fast-stop", "params": params});
+                self.socket.send(TEXT, &request.to_string()).map(|()| None)
+            }
+            Way::OpenPort => self.port.write_all(&port_request).map(|()| None),
+            Way::FreshPort => {
+                let mut connection = http::connect(self.gateway.port)?;
+                connection.write_all(&port_request)?;
+                Ok(Some(connection))
+            }
+            Way::Zenoh => {
+                self.runtime.block_on(self.zenoh.put("wsg/v1/gateway/fast-stop", "the probe"));
+                Ok(None)
+            }
+        }
+    }
+
+    /// Acknowledges by Zenoh until nothing is latched.
+    fn settle(&self, gripper: &str) {
+        let until = Instant::now() + SETTLES_WITHIN;
+        while Instant::now() < until {
+            let state = self.zenoh_answer(&format!("wsg/v1/gateway/{gripper}/state"), &Value::Null);
+            match state.as_ref().map(|state| &state["fast_stop"]) {
+                Some(Value::Bool(false)) => return,
+                Some(_) => {
+                    let id = json!({"fast_stop_id": state.unwrap_or_default()["fast_stop_id"]});
+                    self.zenoh_answer(&format!("wsg/v1/gateway/{gripper}/command/acknowledge"), &id);
+                }
+                None => std::thread::sleep(ASKED_EVERY),
+            }
+        }
+        eprintln!("a FAST STOP of {gripper} could not be acknowledged within {SETTLES_WITHIN:?}");
+    }
+
+    fn zenoh_answer(&self, selector: &str, payload: &Value) -> Option<Value> {
+        let payload = if payload.is_null() { String::new() } else { payload.to_string() };
+        self.runtime.block_on(self.zenoh.all(selector, payload)).into_iter().find_map(|(_, answer)| answer.ok())
+    }
+
+    /// Lets a connection or a frame cause one FAST STOP, and returns whether it has reached the device.
+    pub fn reaches(&self, ask: impl FnOnce()) -> bool {
+        self.settle("g");
+        let begun = Instant::now();
+        ask();
+        self.device.first_since(FAST_STOP, begun, REACHES_WITHIN).is_some()
+    }
+
+    /// Whether the gateway has closed the probe's WebSocket.
+    pub fn socket_has_ended(&self) -> bool {
+        self.socket.has_ended()
+    }
+}
