@@ -53,7 +53,7 @@ pub fn run<A>(
     wanted: Wanted,
     (gateway, device): (&Gateway, &Device),
     begin: impl FnOnce() -> A,
-    during: impl FnOnce(&mut A),
+    during: impl FnOnce(&mut A, &mut Probe<'_>),
 ) -> Row {
     let mut probe = Probe::of(gateway, device);
     let poller = Poller::start(gateway.address);
@@ -69,7 +69,7 @@ pub fn run<A>(
     for way in [Way::OpenWebSocket, Way::OpenPort, Way::FreshPort, Way::Zenoh] {
         stops.push((way, probe.stops(way, wanted.others)));
     }
-    during(&mut attackers);
+    during(&mut attackers, &mut probe);
     let polls = poller.end();
     drop(attackers);
     let highest = measurement.end();

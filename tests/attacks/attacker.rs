@@ -17,7 +17,7 @@ use tokio::time::{Interval, MissedTickBehavior, interval, sleep, timeout};
 use crate::{every_run, long};
 
 /// The bound on an attack.
-const LASTS_AT_MOST: Duration = Duration::from_secs(240);
+const LASTS_AT_MOST: Duration = Duration::from_secs(400);
 
 /// The time that a crowd has to get in before the probe begins all the same.
 const GETS_IN_WITHIN: Duration = Duration::from_secs(8);
@@ -110,6 +110,8 @@ impl Drop for Attacker {
 #[derive(Debug)]
 pub struct Crowd {
     pub address: SocketAddr,
+    /// How many they are to be.
+    pub count: usize,
     inside: AtomicUsize,
     opened: AtomicUsize,
     sent: AtomicUsize,
@@ -185,7 +187,7 @@ fn role() {
     let mut pace = interval(OPENS_EVERY);
     pace.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let (inside, opened, sent) = <(AtomicUsize, AtomicUsize, AtomicUsize)>::default();
-    let crowd = Arc::new(Crowd { address, inside, opened, sent, pace: Mutex::new(pace) });
+    let crowd = Arc::new(Crowd { address, count, inside, opened, sent, pace: Mutex::new(pace) });
     std::thread::spawn(|| {
         std::thread::sleep(LASTS_AT_MOST);
         std::process::exit(1);

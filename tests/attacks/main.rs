@@ -2,7 +2,8 @@
 //! poller that must lose nothing, and a device that is not the simulated one. Each prints a row of figures.
 //!
 //! Not a part of plain `cargo test`, since they take minutes and the whole machine: `cargo test --test attacks
-//! every_run:: -- --test-threads=1 --nocapture`, or without `every_run::` for all of them.
+//! every_run:: -- --test-threads=1 --nocapture`, or without `every_run::` for all of them. The attackers open up to 4,000
+//! connections, which the hard limit of file descriptors has to allow.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 

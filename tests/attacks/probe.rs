@@ -23,6 +23,12 @@ const ASKED_EVERY: Duration = Duration::from_millis(90);
 /// So many in a row that do not reach the device end a series: the rest would only take time.
 const GIVES_UP_AFTER: usize = 20;
 
+/// The time that a series may take: one whose acknowledges are slow counts as it is then.
+const ENDS_AFTER: Duration = Duration::from_secs(60);
+
+/// The silence of a client between its connection and its first byte, as over a slow line.
+const HESITATES_FOR: Duration = Duration::from_millis(20);
+
 /// The time that a latch has to be acknowledged.
 const SETTLES_WITHIN: Duration = Duration::from_secs(5);
 
@@ -30,6 +36,8 @@ const SETTLES_WITHIN: Duration = Duration::from_secs(5);
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Way {
     FreshHttp,
+    /// On a fresh connection that says nothing for [`HESITATES_FOR`]; the time runs from its first byte.
+    HesitantHttp,
     OpenWebSocket,
     OpenPort,
     FreshPort,
@@ -79,8 +87,8 @@ impl<'a> Probe<'a> {
     /// Asks for so many FAST STOPs by one interface.
     pub fn stops(&mut self, way: Way, wanted: usize) -> Stops {
         let mut stops = Stops { wanted, ..Stops::default() };
-        let mut missed = 0;
-        while stops.asked < wanted && missed < GIVES_UP_AFTER {
+        let (mut missed, series_begun) = (0, Instant::now());
+        while stops.asked < wanted && missed < GIVES_UP_AFTER && series_begun.elapsed() < ENDS_AFTER {
             self.settle("g");
             stops.asked += 1;
             let begun = Instant::now();
@@ -106,19 +114,23 @@ impl<'a> Probe<'a> {
         let begun = Instant::now();
         let asked = self.ask(way);
         let reached = self.device.first_since(FAST_STOP, begun, REACHES_WITHIN);
-        if let (Way::FreshHttp, Ok(Some(mut connection)), true) = (way, asked, reached.is_some()) {
+        let begun = begun + if way == Way::HesitantHttp { HESITATES_FOR } else { Duration::ZERO };
+        if let (Way::FreshHttp | Way::HesitantHttp, Ok(Some(mut connection)), true) = (way, asked, reached.is_some()) {
             // A client that waits for its answer frees its place only then.
             http::read_answer(&mut connection);
         }
-        reached.map(|at| at - begun)
+        reached.map(|at| at.saturating_duration_since(begun))
     }
 
     /// Asks for a FAST STOP, and returns the connection, if it is a fresh one.
     fn ask(&mut self, way: Way) -> std::io::Result<Option<TcpStream>> {
         let port_request = wsg::request(FAST_STOP, &[]);
         match way {
-            Way::FreshHttp => {
+            Way::FreshHttp | Way::HesitantHttp => {
                 let mut connection = self.gateway.connect()?;
+                if way == Way::HesitantHttp {
+                    std::thread::sleep(HESITATES_FOR);
+                }
                 let path = "/api/v1/grippers/g/fast-stop";
                 connection.write_all(http::request("POST", path, r#"{"reason": "the probe"}"#).as_bytes())?;
                 Ok(Some(connection))

@@ -35,7 +35,7 @@ fn attacked_by(count: usize) {
     let (g, h) = (Device::start(), Device::start());
     let gateway = Gateway::start(&g, &h, Limits::Inherited);
     let begin = || Attacker::start("half_sent_bodies", count, gateway.address);
-    attack::run(&format!("{count} half-sent bodies"), MANY, (&gateway, &g), begin, |_| {}).keeps_nobody_out();
+    attack::run(&format!("{count} half-sent bodies"), MANY, (&gateway, &g), begin, |_, _| {}).keeps_nobody_out();
 }
 
 #[test]

@@ -21,7 +21,7 @@ fn the_usual_soft_limit_of_descriptors_keeps_nobody_out() {
     let gateway = Gateway::start(&g, &h, USUAL);
     let begin = || Attacker::start("healthy_sockets", SOCKETS, gateway.address);
     let mut reconnected_after = None;
-    let row = attack::run("988 WebSockets, soft limit 1024", SOME, (&gateway, &g), begin, |_| {
+    let row = attack::run("988 WebSockets, soft limit 1024", SOME, (&gateway, &g), begin, |_, _| {
         reconnected_after = g.reconnect_time(3 * RECONNECTS_WITHIN);
     });
     println!("the device was connected again after {reconnected_after:?}");
@@ -37,7 +37,7 @@ fn a_hard_limit_of_64_descriptors_keeps_nobody_out() {
     let gateway = Gateway::of(&g, Limits::Descriptors { soft: 64, hard: 64 });
     let begin = || Attacker::start("half_sent_bodies", 200, gateway.address);
     let mut reconnected_after = None;
-    let row = attack::run("200 half-sent bodies, hard limit 64", SOME, (&gateway, &g), begin, |_| {
+    let row = attack::run("200 half-sent bodies, hard limit 64", SOME, (&gateway, &g), begin, |_, _| {
         reconnected_after = g.reconnect_time(3 * RECONNECTS_WITHIN);
     });
     println!("the device was connected again after {reconnected_after:?}");

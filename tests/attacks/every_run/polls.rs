@@ -49,5 +49,5 @@ fn long_polls_keep_nobody_out() {
     let (g, h) = (Device::start(), Device::start());
     let gateway = Gateway::start(&g, &h, Limits::Inherited);
     let begin = || Attacker::start("long_polls", POLLS, gateway.address);
-    attack::run("1100 long polls", MANY, (&gateway, &g), begin, |_| {}).keeps_nobody_out();
+    attack::run("1100 long polls", MANY, (&gateway, &g), begin, |_, _| {}).keeps_nobody_out();
 }

@@ -46,5 +46,5 @@ fn healthy_sockets_and_a_few_half_sent_bodies_keep_nobody_out() {
         let sockets = Attacker::start("healthy_sockets", SOCKETS, gateway.address);
         (sockets, Attacker::start("half_sent_bodies", HALF_SENT, gateway.address))
     };
-    attack::run("1008 WebSockets, 20 half-sent bodies", MANY, (&gateway, &g), begin, |_| {}).keeps_nobody_out();
+    attack::run("1008 WebSockets, 20 half-sent bodies", MANY, (&gateway, &g), begin, |_, _| {}).keeps_nobody_out();
 }

@@ -34,7 +34,7 @@ fn sockets_are_as_quick_as_http_on_a_busy_machine() {
     let (g, h) = (Device::start(), Device::start());
     let gateway = Gateway::start(&g, &h, Limits::Inherited);
     let begin = || Attacker::start_selfish("busy_observers", OBSERVERS, gateway.address);
-    let row = attack::run("8 busy loops, 300 observers", WANTED, (&gateway, &g), begin, |_| {});
+    let row = attack::run("8 busy loops, 300 observers", WANTED, (&gateway, &g), begin, |_, _| {});
     let median = |way| row.by(way).percentile(50).expect("one has reached the device");
     let (socket, http) = (median(Way::OpenWebSocket), median(Way::FreshHttp));
     println!("the median by an open WebSocket is {socket:?}, by fresh HTTP connections {http:?}");

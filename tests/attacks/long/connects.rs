@@ -8,9 +8,13 @@ use crate::attack::{self, MANY};
 use crate::attacker::{Attacker, Crowd};
 use crate::device::Device;
 use crate::gateway::{Gateway, Limits};
+use crate::probe::{Stops, Way};
 
 /// The connections under way at a time, of those that are closed at once.
-const UNDER_WAY: usize = 8;
+const UNDER_WAY: usize = 32;
+
+/// The FAST STOPs of clients that say nothing at first.
+const HESITANT: usize = 60;
 
 /// The connections that are held: of more, the oldest is closed.
 const HELD: usize = 4000;
@@ -54,11 +58,18 @@ pub async fn hold(crowd: &Arc<Crowd>, count: usize) {
 fn attacked_by(attack: &str) {
     let (g, h) = (Device::start(), Device::start());
     let gateway = Gateway::start(&g, &h, Limits::Inherited);
-    let begin = || Attacker::start(attack, 1, gateway.address);
-    let row = attack::run(attack, MANY, (&gateway, &g), begin, |attacker| {
+    let begin = || Attacker::start_selfish(attack, 1, gateway.address);
+    let mut hesitant = Stops::default();
+    let row = attack::run(attack, MANY, (&gateway, &g), begin, |attacker, probe| {
+        hesitant = probe.stops(Way::HesitantHttp, HESITANT);
         println!("{attack}: {} connections were opened", attacker.done().opened);
     });
+    let (reached, slowest) = (hesitant.reached(), hesitant.percentile(100));
+    println!(
+        "{attack}: {reached} of {HESITANT} hesitant FAST STOPs have reached the device, the last after {slowest:?}"
+    );
     row.keeps_nobody_out();
+    assert_eq!(reached, HESITANT, "hesitant FAST STOPs have reached the device");
 }
 
 #[test]

@@ -16,7 +16,7 @@ fn attacked_by(attack: &str, count: usize) {
     let gateway = Gateway::start(&g, &h, Limits::Descriptors { soft: DESCRIPTORS, hard: DESCRIPTORS });
     let begin = || Attacker::start(attack, count, gateway.address);
     let mut reconnected_after = None;
-    let row = attack::run(&format!("{attack}, limit 600"), SOME, (&gateway, &g), begin, |_| {
+    let row = attack::run(&format!("{attack}, limit 600"), SOME, (&gateway, &g), begin, |_, _| {
         reconnected_after = g.reconnect_time(3 * RECONNECTS_WITHIN);
     });
     println!("the device was connected again after {reconnected_after:?}");

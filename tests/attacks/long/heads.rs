@@ -26,5 +26,5 @@ fn half_heads_keep_nobody_out() {
     let (g, h) = (Device::start(), Device::start());
     let gateway = Gateway::start(&g, &h, Limits::Inherited);
     let begin = || Attacker::start("half_heads", 2000, gateway.address);
-    attack::run("2000 half heads", MANY, (&gateway, &g), begin, |_| {}).keeps_nobody_out();
+    attack::run("2000 half heads", MANY, (&gateway, &g), begin, |_, _| {}).keeps_nobody_out();
 }

@@ -2,7 +2,7 @@
 
 use std::io;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 use tokio::net::TcpStream;
@@ -23,8 +23,11 @@ const ENDS_AT_MB: u32 = 4096;
 /// The payload of the longest message that the gateway takes.
 const LONGEST: usize = 64 * 1024;
 
-/// What is sent at once, and the pause after that: the senders must not starve the probe.
-const PAUSE: Duration = Duration::from_millis(20);
+/// The least time between two messages of all together: the senders must not starve the probe.
+const SENDS_EVERY: Duration = Duration::from_micros(125);
+
+/// The least time from the start to the end of the attack.
+const LASTS: Duration = Duration::from_secs(30);
 
 const LIVES_EVERY: Duration = Duration::from_millis(500);
 
@@ -41,11 +44,11 @@ pub async fn greedy_socket(crowd: Arc<Crowd>, index: usize, mut stream: TcpStrea
     if index % 5 == 4 {
         return all_but_the_last_byte(&mut stream).await;
     }
-    let message = message(index);
+    let (message, pause) = (message(index), SENDS_EVERY * crowd.count as u32);
     loop {
         stream.write_all(&frame(TEXT, message.as_bytes())).await?;
         crowd.sent(1);
-        sleep(PAUSE).await;
+        sleep(pause).await;
     }
 }
 
@@ -80,9 +83,11 @@ async fn all_but_the_last_byte(stream: &mut TcpStream) -> io::Result<()> {
 fn attacked_by(count: usize) {
     let (g, h) = (Device::start(), Device::start());
     let gateway = Gateway::start(&g, &h, Limits::Memory { mb: ENDS_AT_MB });
+    let begun = Instant::now();
     let begin = || Attacker::start("greedy_sockets", count, gateway.address);
     let mut has_opened = false;
-    let row = attack::run(&format!("{count} greedy WebSockets"), SOME, (&gateway, &g), begin, |attacker| {
+    let row = attack::run(&format!("{count} greedy WebSockets"), SOME, (&gateway, &g), begin, |attacker, _| {
+        std::thread::sleep(LASTS.saturating_sub(begun.elapsed()));
         has_opened = Socket::open(&gateway).is_some();
         println!("greedy_sockets: {:?}", attacker.done());
     });

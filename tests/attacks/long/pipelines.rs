@@ -42,7 +42,7 @@ fn pipelined_requests_keep_nobody_out() {
     let (g, h) = (Device::start(), Device::start());
     let gateway = Gateway::start(&g, &h, Limits::Inherited);
     let begin = || Attacker::start("pipelines", CONNECTIONS, gateway.address);
-    let row = attack::run("64 x 500 pipelined GETs", MANY, (&gateway, &g), begin, |attacker| {
+    let row = attack::run("64 x 500 pipelined GETs", MANY, (&gateway, &g), begin, |attacker, _| {
         println!("pipelines: {:?}", attacker.done());
     });
     row.keeps_nobody_out();

@@ -101,7 +101,7 @@ fn ids_of_one_client_leave_places_for_the_holder() {
     let (g, h) = (Device::start(), Device::start());
     let gateway = Gateway::start(&g, &h, Limits::Inherited);
     let begin = || Attacker::start("stops_with_ids", CONNECTIONS, gateway.address);
-    let row = attack::run("Stops with an id each", SOME, (&gateway, &g), begin, |attacker| {
+    let row = attack::run("Stops with an id each", SOME, (&gateway, &g), begin, |attacker, _| {
         let begun = Instant::now();
         while attacker.done().sent < IDS && begun.elapsed() < SENT_WITHIN {
             std::thread::sleep(Duration::from_millis(100));

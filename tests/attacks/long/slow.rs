@@ -44,5 +44,5 @@ fn tricklers_keep_nobody_out() {
     let (g, h) = (Device::start(), Device::start());
     let gateway = Gateway::start(&g, &h, Limits::Inherited);
     let begin = || Attacker::start("tricklers", 1100, gateway.address);
-    attack::run("1100 tricklers", MANY, (&gateway, &g), begin, |_| {}).keeps_nobody_out();
+    attack::run("1100 tricklers", MANY, (&gateway, &g), begin, |_, _| {}).keeps_nobody_out();
 }

@@ -50,7 +50,7 @@ fn observed_by(attack: &str) -> Row {
         assert_eq!(begun.status, 202, "{}", begun.body);
         Attacker::start(attack, OBSERVERS, gateway.address)
     };
-    attack::run(&format!("900 observers, {attack}"), MANY, (&gateway, &g), begin, |attacker| {
+    attack::run(&format!("900 observers, {attack}"), MANY, (&gateway, &g), begin, |attacker, _| {
         println!("{attack}: {:?}", attacker.done());
     })
 }

@@ -46,7 +46,7 @@ fn unread_answers_take_little_memory() {
     let (g, h) = (Device::start(), Device::start());
     let gateway = Gateway::start(&g, &h, Limits::Inherited);
     let begin = || Attacker::start("unread_answers", CONNECTIONS, gateway.address);
-    let row = attack::run("2000 unread answers", MANY, (&gateway, &g), begin, |_| {});
+    let row = attack::run("2000 unread answers", MANY, (&gateway, &g), begin, |_, _| {});
     row.memory_stays_below(row.before.rss_mb + MOST_MB);
     row.keeps_nobody_out();
 }
