@@ -19,11 +19,15 @@ const A_BYTE_EVERY: Duration = Duration::from_secs(1);
 /// The kernel's buffer of one that reads slowly.
 const BUFFER: usize = 2048;
 
+/// More than the gateway admits at a time, an eighth of which read.
+const TRICKLERS: usize = 1300;
+const READS_EACH: usize = 8;
+
 /// Sends a body, or reads a long answer, a byte a second.
 pub async fn trickler(crowd: Arc<Crowd>, index: usize, mut stream: TcpStream) -> io::Result<()> {
     socket2::SockRef::from(&stream).set_recv_buffer_size(BUFFER)?;
     let _inside = crowd.inside();
-    if index % 2 == 0 {
+    if index % READS_EACH != 0 {
         let head = "POST /api/v1/grippers/g/move HTTP/1.1\r\nHost: localhost\r\nContent-Length: 60000\r\n\r\n{";
         stream.write_all(head.as_bytes()).await?;
         loop {
@@ -43,6 +47,6 @@ pub async fn trickler(crowd: Arc<Crowd>, index: usize, mut stream: TcpStream) ->
 fn tricklers_keep_nobody_out() {
     let (g, h) = (Device::start(), Device::start());
     let gateway = Gateway::start(&g, &h, Limits::Inherited);
-    let begin = || Attacker::start("tricklers", 1100, gateway.address);
-    attack::run("1100 tricklers", MANY, (&gateway, &g), begin, |_, _| {}).keeps_nobody_out();
+    let begin = || Attacker::start("tricklers", TRICKLERS, gateway.address);
+    attack::run("1300 tricklers", MANY, (&gateway, &g), begin, |_, _| {}).keeps_nobody_out();
 }
