@@ -35,7 +35,7 @@ const NEAR_MB: usize = 40;
 
 const LOOK_EVERY: Duration = Duration::from_millis(100);
 
-/// What the FAST STOPs and the poller saw during an attack.
+/// The results of one attack.
 pub struct Row {
     attack: String,
     pub stops: Vec<(Way, Stops)>,
@@ -46,8 +46,8 @@ pub struct Row {
     pub after: Usage,
 }
 
-/// Runs an attack, with the probe beside it. What `begin` returns is the attack, which ends when it is dropped; `during` is what else a test does
-/// while it lasts.
+/// Runs an attack, with the probe beside it. `begin` starts the attack, which ends when it is dropped. `during` is called
+/// while the attack lasts.
 pub fn run<A>(
     attack: &str,
     wanted: Wanted,
@@ -100,7 +100,7 @@ impl Row {
         assert!(misses.is_empty(), "{}: {}", self.attack, misses.join("; "));
     }
 
-    /// What is not as [`Row::keeps_nobody_out`] demands.
+    /// The violations of [`Row::keeps_nobody_out`].
     pub fn misses(&self) -> Vec<String> {
         let mut misses = Vec::new();
         for (way, stops) in &self.stops {

@@ -47,7 +47,7 @@ pub struct Attacker {
     says: BufReader<ChildStdout>,
 }
 
-/// What a crowd has done.
+/// The counters of a crowd.
 #[derive(Debug, Clone, Copy)]
 pub struct Done {
     /// The connections that are open now.
@@ -82,7 +82,7 @@ impl Attacker {
         attacker
     }
 
-    /// What it has done so far.
+    /// Its counters now.
     pub fn done(&mut self) -> Done {
         writeln!(self.asks).unwrap();
         self.line()

@@ -1,4 +1,4 @@
-//! The gateway in a process of its own, under limits that a test chooses, and what it takes of the machine.
+//! The gateway in a process of its own, under limits that a test chooses, and its memory and descriptors.
 
 use std::fs::File;
 use std::net::{SocketAddr, TcpStream};
@@ -172,7 +172,7 @@ impl Drop for Gateway {
     }
 }
 
-/// What a process takes.
+/// The memory and the file descriptors of a process.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Usage {
     pub rss_mb: usize,

@@ -11,7 +11,7 @@ use crate::http;
 
 const POLLS_EVERY: Duration = Duration::from_millis(100);
 
-/// What became of its polls.
+/// The results of the polls.
 #[derive(Debug, Default)]
 pub struct Polls {
     pub asked: usize,

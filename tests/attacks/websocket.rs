@@ -37,7 +37,7 @@ pub fn frame(opcode: u8, payload: &[u8]) -> Vec<u8> {
     [&[0x80 | opcode], &length[..], &[0; 4], payload].concat()
 }
 
-/// An open WebSocket of a well-behaved client. What the gateway tells it is read and thrown away.
+/// An open WebSocket of a well-behaved client. The gateway's messages are read and thrown away.
 #[derive(Debug)]
 pub struct Socket {
     stream: TcpStream,

@@ -1,4 +1,4 @@
-//! A machine with more to do than it has processors for.
+//! A machine with more busy threads than processors.
 
 use std::sync::Arc;
 

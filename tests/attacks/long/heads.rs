@@ -11,7 +11,7 @@ use crate::attacker::{Attacker, Crowd};
 use crate::device::Device;
 use crate::gateway::{Gateway, Limits};
 
-/// Sends the begin of a head, a third of them that of a FAST STOP, and waits for the end of the connection.
+/// Sends the beginning of a head, a third of them that of a FAST STOP, and waits for the end of the connection.
 pub async fn half_head(crowd: Arc<Crowd>, index: usize, mut stream: TcpStream) -> io::Result<()> {
     let head = ["POST /api/v1/fast-stop HTTP/1.1\r\nHost: loc", "POST /api/v1/grippers/g/fast-st", "G"][index % 3];
     stream.write_all(head.as_bytes()).await?;

@@ -79,7 +79,7 @@ fn post(address: SocketAddr, path: &str, body: &Value) -> (u16, Value) {
     (answer.status, serde_json::from_str(&answer.body).unwrap())
 }
 
-/// What the holder asks for after the ids of another client have been taken: a motion, and its Stop.
+/// Asks for a motion of the holder and for its Stop, after another client has used up its ids.
 fn holder_moves_and_stops(gateway: &Gateway, h: &Device) {
     let (status, lease) = post(gateway.address, "lease", &json!({"holder": "the holder", "ttl_ms": 60_000}));
     assert_eq!(status, 200, "{lease}");

@@ -1,4 +1,4 @@
-//! Long answers that nobody reads.
+//! Long answers that are never read.
 
 use std::io;
 use std::sync::Arc;
