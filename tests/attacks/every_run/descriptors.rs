@@ -7,7 +7,7 @@ use crate::attacker::Attacker;
 use crate::device::Device;
 use crate::gateway::{Gateway, Limits};
 
-/// What a service has by default.
+/// The default limits of a service.
 const USUAL: Limits = Limits::Descriptors { soft: 1024, hard: 20_000 };
 
 /// All but a few of the WebSockets that the usual soft limit has room for.
