@@ -24,7 +24,7 @@ const ASKED_EVERY: Duration = Duration::from_millis(90);
 const GIVES_UP_AFTER: usize = 20;
 
 /// The time that a series may take: one whose acknowledges are slow counts as it is then.
-const ENDS_AFTER: Duration = Duration::from_secs(60);
+const ENDS_AFTER: Duration = Duration::from_secs(40);
 
 /// The silence of a client between its connection and its first byte, as over a slow line.
 const HESITATES_FOR: Duration = Duration::from_millis(20);
