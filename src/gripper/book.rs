@@ -1,6 +1,6 @@
 //! The book of commands: every command of the last hour by its id, and which request became which command.
 
-use std::collections::{BTreeMap, HashMap, VecDeque};
+use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -9,34 +9,39 @@ use tokio::sync::watch;
 use super::Now;
 use super::error::{Conflict, Failure};
 use super::handle::Ticket;
-use super::model::{Client, Command, CommandId, Kind, Outcome, Parameters, Phase, RequestId, Submission};
+use super::model::{Client, Command, CommandId, Kind, Outcome, Parameters, Phase, Submission};
 use super::recorder::PastRequest;
+use super::request_ids::{Bounds, Key, REPLAYED_FOR, RequestIds};
 
 /// How long an ended command can be asked for.
 const KEPT_FOR: Duration = Duration::from_hours(1);
 
-/// How many commands are kept at most: at one a second, more than an hour of them.
-const MAX_COMMANDS: usize = 4096;
+/// Motions that are kept at most: at one a second, more than an hour of them. The journal has the rest.
+const MAX_MOTIONS: usize = 4096;
 
-/// How many commands of streams are kept: those of the last second or two, of which there are many more than of others.
+/// Stops that are kept at most. They have places of their own, so that a flood of them leaves the motions alone.
+const MAX_STOPS: usize = 1024;
+
+/// Streamed commands that are kept: those of the last second or two, of which there are many more than of others.
 const MAX_STREAMED: usize = 64;
 
-/// How long a request id stands for its command.
-const REPLAYED_FOR: Duration = Duration::from_mins(10);
+/// Slots for the request ids of motions: 64 MiB in all. One subject has 27 a second for ten minutes, more than the pause
+/// between motions allows. A subject beyond its bound is refused, since a forgotten id would let its request move the
+/// gripper twice.
+const MOTION_IDS: Bounds = Bounds { per_subject: 16_384, whole: 32_768 };
 
-/// How many request ids are remembered at most: a hundred a second. Beyond, new ones are refused, since to forget one
-/// would let its request move the gripper twice.
-const MAX_REQUEST_IDS: usize = 65_536;
+/// Slots for the request ids of Stops and streamed commands: 8 MiB in all. Their oldest ids give way, since a Stop is
+/// never refused for want of a slot, and does no harm when it is repeated; a stream is repeated within a second.
+const FREQUENT_IDS: Bounds = Bounds { per_subject: 512, whole: 4096 };
 
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Book {
-    /// In order of admission, since ids are.
-    commands: BTreeMap<CommandId, Entry>,
-    /// Those of streams, the oldest first.
-    streamed: VecDeque<CommandId>,
-    requests: HashMap<Key, Bound>,
-    /// When each request id was bound, the oldest first.
-    bound: VecDeque<(Instant, Key)>,
+    commands: HashMap<CommandId, Entry>,
+    motions: History,
+    stops: History,
+    streamed: History,
+    motion_ids: RequestIds,
+    frequent_ids: RequestIds,
     /// The commands that have ended, and whose clients have not been told.
     untold: Vec<Arc<Command>>,
 }
@@ -49,67 +54,100 @@ struct Entry {
     key: Option<Key>,
 }
 
-/// A request id counts for its subject alone.
-type Key = (Arc<str>, RequestId);
-
+/// Commands of one sort in the order of their admission, the oldest first.
 #[derive(Debug)]
-struct Bound {
-    /// Outlives the command's place in the book.
-    ticket: Ticket,
-    asked: (Kind, Parameters),
-    since: Instant,
+struct History {
+    ids: VecDeque<CommandId>,
+    limit: usize,
+}
+
+impl History {
+    fn of(limit: usize) -> Self {
+        Self { ids: VecDeque::new(), limit }
+    }
+
+    /// Forgets the commands that are too old or too many, and never one that still runs.
+    fn forget_old(&mut self, now: Instant, commands: &mut HashMap<CommandId, Entry>) {
+        for _ in 0..self.ids.len() {
+            let Some(id) = self.ids.front().copied() else { return };
+            let entry = commands.get(&id);
+            if entry.is_some_and(|entry| entry.record.borrow().phase == Phase::Running) {
+                // One motion runs at a time, and few Stops.
+                self.ids.rotate_left(1);
+            } else if entry.is_none_or(|entry| now >= entry.admitted_at + KEPT_FOR) || self.ids.len() >= self.limit {
+                self.ids.pop_front();
+                commands.remove(&id);
+            } else {
+                return;
+            }
+        }
+    }
+}
+
+impl Default for Book {
+    fn default() -> Self {
+        Self {
+            commands: HashMap::new(),
+            motions: History::of(MAX_MOTIONS),
+            stops: History::of(MAX_STOPS),
+            streamed: History::of(MAX_STREAMED),
+            motion_ids: RequestIds::new(MOTION_IDS),
+            frequent_ids: RequestIds::new(FREQUENT_IDS),
+            untold: Vec::new(),
+        }
+    }
 }
 
 impl Book {
     /// The command that this very request has become before, if it has.
     pub(super) fn replay(&self, now: Instant, submission: &Submission) -> Result<Option<Ticket>, Conflict> {
         let Some(key) = key(submission) else { return Ok(None) };
-        let Some(bound) = self.requests.get(&key).filter(|bound| now < bound.since + REPLAYED_FOR) else {
-            return Ok(None);
-        };
-        if bound.asked != asked(submission) {
-            return Err(Conflict::RequestIdReused);
+        let found = self.motion_ids.find(now, &key).or_else(|| self.frequent_ids.find(now, &key));
+        match found {
+            Some((was_asked, ticket)) if *was_asked == asked(submission) => {
+                Ok(Some(Ticket { replayed: true, ..ticket.clone() }))
+            }
+            Some(_) => Err(Conflict::RequestIdReused),
+            None => Ok(None),
         }
-        Ok(Some(Ticket { replayed: true, ..bound.ticket.clone() }))
     }
 
-    /// Whether a request with an id of its own can be remembered.
+    /// Whether the request id of a motion can be remembered.
     pub(super) fn check_room(&mut self, now: Instant, submission: &Submission) -> Result<(), Failure> {
-        self.forget_old(now);
-        if submission.request_id.is_some() && self.bound.len() >= MAX_REQUEST_IDS {
-            return Err(Failure::Overloaded { limit: MAX_REQUEST_IDS });
-        }
-        Ok(())
+        self.motion_ids.forget_old(now);
+        let has_room = submission.request_id.is_none() || self.motion_ids.has_room(&submission.client.subject);
+        let limit = self.motion_ids.per_subject();
+        if has_room { Ok(()) } else { Err(Failure::RequestIds { limit }) }
     }
 
-    /// Enters an admitted command.
-    pub(super) fn enter(&mut self, now: Instant, command: Command, submission: &Submission) -> Ticket {
-        let key = key(submission);
-        let id = command.id;
+    /// Enters an admitted command. Of those that come many times a second, `is_streamed`, few are kept.
+    pub(super) fn enter(
+        &mut self,
+        now: Instant,
+        command: Command,
+        submission: &Submission,
+        is_streamed: bool,
+    ) -> Ticket {
+        self.forget_old(now);
+        let (key, id, kind) = (key(submission), command.id, command.kind);
         let (record, receiver) = watch::channel(Arc::new(command));
         let ticket = Ticket { record: receiver, replayed: false, _keep: None };
-        if let Some(key) = &key {
-            let bound = Bound { ticket: ticket.clone(), asked: asked(submission), since: now };
-            self.requests.insert(key.clone(), bound);
-            self.bound.push_back((now, key.clone()));
+        if let Some(key) = key.clone() {
+            self.ids_of(kind, is_streamed).bind(now, key, asked(submission), ticket.clone());
         }
+        let history = match kind {
+            _ if is_streamed => &mut self.streamed,
+            Kind::Stop => &mut self.stops,
+            _ => &mut self.motions,
+        };
+        history.ids.push_back(id);
         self.commands.insert(id, Entry { record, client: submission.client.clone(), admitted_at: now, key });
         ticket
     }
 
-    /// Keeps this command for as long as there are not many like it.
-    pub(super) fn keep_few(&mut self, id: CommandId) {
-        self.streamed.push_back(id);
-        if self.streamed.len() > MAX_STREAMED
-            && let Some(oldest) = self.streamed.pop_front()
-        {
-            self.commands.remove(&oldest);
-        }
-    }
-
-    /// Whether it is one of those.
+    /// Whether it is one of many that steer the fingers.
     pub(super) fn is_streamed(&self, id: CommandId) -> bool {
-        self.streamed.contains(&id)
+        self.streamed.ids.contains(&id)
     }
 
     /// Who asked for a command.
@@ -136,11 +174,9 @@ impl Book {
         command.phase = Phase::Done;
         command.duration_ms = Some(now.saturating_duration_since(entry.admitted_at).as_millis() as u64);
         fill_in(&mut command);
-        if command.outcome == Some(Outcome::Refused)
-            && let Some(key) = &entry.key
-        {
-            // A refused request binds nothing.
-            self.requests.remove(key);
+        if let Some(key) = &entry.key {
+            self.motion_ids.ended(key, &command);
+            self.frequent_ids.ended(key, &command);
         }
         let command = Arc::new(command);
         self.untold.push(command.clone());
@@ -157,10 +193,9 @@ impl Book {
             return;
         }
         let (key, asked) = ((command.client.clone(), request_id), (command.kind, parameters));
+        let ids = self.ids_of(command.kind, false);
         let command = Arc::new(Command { recorded: true, ..command });
-        let ticket = Ticket { record: watch::channel(command).1, replayed: false, _keep: None };
-        self.requests.insert(key.clone(), Bound { ticket, asked, since });
-        self.bound.push_back((since, key));
+        ids.bind(since, key, asked, Ticket { record: watch::channel(command).1, replayed: false, _keep: None });
     }
 
     /// The device has accepted a command: its clients are told at once.
@@ -192,21 +227,15 @@ impl Book {
         }
     }
 
+    fn ids_of(&mut self, kind: Kind, is_streamed: bool) -> &mut RequestIds {
+        if is_streamed || kind == Kind::Stop { &mut self.frequent_ids } else { &mut self.motion_ids }
+    }
+
     fn forget_old(&mut self, now: Instant) {
-        while let Some((since, key)) = self.bound.pop_front_if(|(since, _)| now >= *since + REPLAYED_FOR) {
-            // Refused and asked for again, it is bound anew.
-            if self.requests.get(&key).is_some_and(|bound| bound.since == since) {
-                self.requests.remove(&key);
-            }
-        }
-        while let Some(first) = self.commands.first_entry() {
-            let entry = first.get();
-            let old = now >= entry.admitted_at + KEPT_FOR;
-            let ended = entry.record.borrow().phase == Phase::Done;
-            if !ended || !(old || self.commands.len() >= MAX_COMMANDS) {
-                break;
-            }
-            self.commands.pop_first();
+        self.motion_ids.forget_old(now);
+        self.frequent_ids.forget_old(now);
+        for history in [&mut self.motions, &mut self.stops, &mut self.streamed] {
+            history.forget_old(now, &mut self.commands);
         }
     }
 }
@@ -220,63 +249,4 @@ fn key(submission: &Submission) -> Option<Key> {
 }
 
 #[cfg(test)]
-mod tests {
-    use jiff::Timestamp;
-
-    use super::super::model::{Action, Client, Door, IdSource};
-    use super::*;
-
-    fn submission(request_id: Option<&str>) -> Submission {
-        let client = Client { subject: "test".into(), door: Door::Http };
-        let request_id = request_id.and_then(RequestId::new);
-        Submission { client, action: Action::Stop, request_id, lease: None }
-    }
-
-    /// Ids in order of admission.
-    #[derive(Default)]
-    struct Ids(i64);
-
-    fn command(ids: &mut Ids, submission: &Submission) -> Command {
-        ids.0 += 1;
-        let id = IdSource::new(1).command_id(Timestamp::from_millisecond(ids.0).unwrap());
-        Command::admitted(id, "g".parse().unwrap(), submission, Timestamp::UNIX_EPOCH)
-    }
-
-    fn enter(book: &mut Book, now: Instant, ids: &mut Ids, request_id: Option<&str>) -> CommandId {
-        let submission = submission(request_id);
-        book.check_room(now, &submission).unwrap();
-        let ticket = book.enter(now, command(ids, &submission), &submission);
-        let id = ticket.now().id;
-        book.recorded(id);
-        book.end(now, id, |command| command.outcome = Some(Outcome::Success));
-        book.tell();
-        id
-    }
-
-    #[test]
-    fn a_request_id_outlives_its_commands_place_in_the_book() {
-        let (mut book, mut ids, start) = (Book::default(), Ids::default(), Instant::now());
-        let first = enter(&mut book, start, &mut ids, Some("r1"));
-        for _ in 0..=MAX_COMMANDS {
-            enter(&mut book, start, &mut ids, None);
-        }
-        assert!(book.find(first).is_none() && book.commands.len() <= MAX_COMMANDS);
-        let replayed = book.replay(start + REPLAYED_FOR / 2, &submission(Some("r1"))).unwrap().unwrap().now();
-        assert_eq!((replayed.id, replayed.replayed), (first, true));
-        assert!(book.replay(start + REPLAYED_FOR, &submission(Some("r1"))).unwrap().is_none());
-    }
-
-    #[test]
-    fn request_ids_are_bounded_and_none_is_forgotten_early() {
-        let (mut book, mut ids, start) = (Book::default(), Ids::default(), Instant::now());
-        for number in 0..MAX_REQUEST_IDS {
-            enter(&mut book, start, &mut ids, Some(&number.to_string()));
-        }
-        let one_more = submission(Some("one more"));
-        assert_eq!(book.check_room(start, &one_more), Err(Failure::Overloaded { limit: MAX_REQUEST_IDS }));
-        assert!(book.check_room(start, &submission(None)).is_ok());
-        assert!(book.replay(start, &submission(Some("0"))).unwrap().is_some());
-        assert!(book.check_room(start + REPLAYED_FOR, &one_more).is_ok());
-        assert!(book.requests.is_empty() && book.bound.is_empty());
-    }
-}
+mod tests;

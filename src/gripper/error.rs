@@ -199,6 +199,15 @@ pub enum Failure {
         /// The bound.
         limit: usize,
     },
+    /// The client's request ids take all the slots that it may have.
+    #[error(
+        "this client has used {limit} request ids for this gripper within 10 minutes, which is the bound: wait, or \
+             send fewer requests with an id"
+    )]
+    RequestIds {
+        /// The bound.
+        limit: usize,
+    },
     /// The journal takes no records, and nothing moves that is not written down.
     #[error(
         "the journal takes no records ({cause}), and nothing moves that is not written down: mend it, or set \

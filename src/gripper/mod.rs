@@ -22,6 +22,7 @@ pub mod metrics;
 pub mod model;
 mod observed;
 pub mod recorder;
+mod request_ids;
 mod setup;
 
 pub use clock::Now;

@@ -1,8 +1,10 @@
 //! Commands: waited for, asked for later, repeated, stopped, cancelled; and what the device makes of them.
 
+use std::time::Instant;
+
 use serde_json::{Value, json};
 
-use crate::harness::{Gateway, Proxy, Scripted, Simulator, Table};
+use crate::harness::{Gateway, Proxy, Scripted, Simulator, Table, eventually};
 
 const PENDING: [u8; 2] = [0x1A, 0];
 
@@ -165,4 +167,28 @@ async fn a_motion_that_the_device_never_answers_is_unknown_and_is_not_sent_again
     let gateway = Gateway::connected_to(device.address).await;
     gateway.post("move?wait_ms=20000", &quick()).await.outcome("UNKNOWN");
     assert_eq!(device.frames.motions(), 1);
+}
+
+#[tokio::test]
+async fn flood_of_stops_leaves_the_holder_its_motion_and_its_stop() {
+    // Each Stop takes a second, since none is answered: they pile up.
+    let device = Scripted::start(Table::from([(0x21, vec![PENDING.to_vec()]), (0x22, Vec::new())])).await;
+    let gateway = Gateway::connected_to(device.address).await;
+    let lease = gateway.post("lease", &json!({"holder": "robot", "ttl_ms": 20_000})).await.text("token");
+    let flood = async |name: &str| {
+        let bodies: Vec<_> = (0..200).map(|number| json!({"request_id": format!("{name} {number}")})).collect();
+        let stops = bodies.iter().map(|body| gateway.post("stop?wait_ms=0", body));
+        futures_util::future::join_all(stops).await
+    };
+    assert!(flood("first").await.iter().all(|stop| stop.status < 300), "no Stop is refused");
+    let body = json!({"width_mm": 10, "speed_mm_s": 5, "request_id": "move"});
+    let motion = gateway.request("POST", "move?wait_ms=0").header("Wsg-Lease", &lease).json(&body);
+    let motion = gateway.send(motion).await;
+    assert_eq!(motion.status, 202, "{motion:?}");
+    let began = Instant::now();
+    assert!(flood("second").await.iter().all(|stop| stop.status < 300), "no Stop is refused");
+    let stop = gateway.request("POST", "stop?wait_ms=0").header("Wsg-Lease", &lease);
+    let stop = gateway.send(stop.json(&json!({"request_id": "stop"}))).await;
+    assert!(stop.status < 300, "{stop:?}");
+    eventually("22h", async || device.frames.first_since(0x22, began)).await;
 }

@@ -44,7 +44,9 @@ fn status_of(rejection: &Rejection) -> Status {
             Failure::Draining => Status::E_ACCESS_DENIED,
             Failure::DeviceTimeout { .. } => Status::E_TIMEOUT,
             Failure::DeviceProtocol { .. } => Status::E_INCONSISTENT_DATA,
-            Failure::Overloaded { .. } | Failure::LineTime { .. } => Status::E_INSUFFICIENT_RESOURCES,
+            Failure::Overloaded { .. } | Failure::RequestIds { .. } | Failure::LineTime { .. } => {
+                Status::E_INSUFFICIENT_RESOURCES
+            }
             Failure::JournalDown { .. } => Status::E_WRITE_ERROR,
         },
     }

@@ -27,9 +27,11 @@ impl Actor {
         if let Some(ticket) = self.book.replay(now.instant, submission)? {
             return Ok(Ticket { _keep: keep, ..ticket });
         }
-        self.book.check_room(now.instant, submission)?;
         match &submission.action {
             Action::Motion(motion) => {
+                if !self.is_streamed(motion) {
+                    self.book.check_room(now.instant, submission)?;
+                }
                 self.check_motion(now, motion, submission)?;
                 self.claim(now, &submission.client, submission.lease.as_ref())?;
                 // One that has ended is told as it is, rather than by the values of after it.
@@ -54,7 +56,10 @@ impl Actor {
                 }
                 let is_moving = self.is_moving(now.instant);
                 // An unresponsive device may still hear it, so all that it needs is a link.
-                self.submit(now, Command::Stop, Purpose::Stop(Some(id))).map_err(|not_taken| not_taken.0)?;
+                if let Err(not_taken) = self.submit(now, Command::Stop, Purpose::Stop(Some(id))) {
+                    let ticket = self.join_stop(now, not_taken.0)?;
+                    return Ok(Ticket { _keep: keep, ..ticket });
+                }
                 self.withdraw_waiting_motion(now);
                 if !is_moving {
                     self.note_stop(now, &submission.client, id);
@@ -119,11 +124,7 @@ impl Actor {
             self.record_admitted(now, id, submission);
         }
         let record = Record::admitted(id, self.config.name.clone(), submission, now.wall);
-        let ticket = self.book.enter(now.instant, record, submission);
-        if is_streamed {
-            self.book.keep_few(id);
-        }
-        ticket
+        self.book.enter(now.instant, record, submission, is_streamed)
     }
 
     /// Takes up a request that moves nothing.

@@ -10,8 +10,8 @@ use super::super::model::{
     Client, Detail, FastStopCause, Lease, LeaseEvent, LeaseStep, LeaseToken, LossCause, LossEffect, OnLossHolding,
     OnLossMoving, Reason, TakeLease,
 };
-use super::{Actor, Purpose};
-use crate::wsg::{Command, SystemState};
+use super::Actor;
+use crate::wsg::SystemState;
 
 impl Actor {
     /// Whether a request with this token, or without one, may change anything.
@@ -181,8 +181,7 @@ impl Actor {
         }
         self.withdraw_waiting_motion(now);
         if self.is_moving(now.instant) {
-            // A lane that is full of Stops stops it as well.
-            let _ = self.submit(now, Command::Stop, Purpose::Stop(None));
+            self.send_stop(now);
         }
         self.streaming.stopped();
     }

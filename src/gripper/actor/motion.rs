@@ -329,8 +329,7 @@ impl Actor {
         }
         self.withdraw_waiting_motion(now);
         if self.running.is_some() {
-            // A lane that is full of Stops stops it as well.
-            let _ = self.submit(now, Command::Stop, Purpose::Stop(None));
+            self.send_stop(now);
         }
     }
 

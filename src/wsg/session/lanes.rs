@@ -75,6 +75,13 @@ impl Lanes {
         lanes.into_iter().flatten().map(|waiting| waiting.deadline).min()
     }
 
+    pub(super) fn has_waiting(&self, id: u8) -> bool {
+        [&self.fast_stop, &self.stop, &self.rest]
+            .into_iter()
+            .flatten()
+            .any(|waiting| waiting.request.command.id() == id)
+    }
+
     pub(super) fn is_empty(&self) -> bool {
         self.fast_stop.is_empty() && self.stop.is_empty() && self.rest.is_empty()
     }

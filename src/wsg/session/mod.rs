@@ -201,6 +201,12 @@ impl Session {
         self.lanes.withdraw(token)
     }
 
+    /// Whether a request of this id waits to be written.
+    #[must_use]
+    pub fn has_waiting(&self, id: u8) -> bool {
+        self.lanes.has_waiting(id)
+    }
+
     /// Takes bytes off the link.
     pub fn receive(&mut self, now: Instant, bytes: &[u8]) {
         self.decoder.push(bytes);

@@ -4,6 +4,7 @@
 
 use std::time::Duration;
 
+use wsg_gateway::gripper::handle::Request;
 use wsg_gateway::gripper::model::Action;
 use wsg_gateway::gripper::{Failure, Rejection};
 use wsg_gateway::sim::Change;
@@ -30,14 +31,35 @@ fn bounded() {
     // Stops have a lane of their own.
     let stop = |world: &mut _, n: usize| submit(world, Action::Stop, Some(&format!("stop {n}")));
     let stops: Vec<_> = (0..=MAX_WAITING).map(|n| stop(&mut world, n)).collect();
+    let newest = stops.last().unwrap().as_ref().unwrap().id();
     assert!(stops.iter().all(Result::is_ok));
-    assert_eq!(stop(&mut world, stops.len()).unwrap_err(), overloaded(MAX_WAITING));
+    // None is refused: further ones join the newest that waits.
+    let joined = stop(&mut world, stops.len()).unwrap();
+    assert_eq!((joined.id(), joined.now().replayed), (newest, true));
     // And nothing is in the way of a FAST STOP, however many come.
     for _ in 0..1000 {
         fast_stop(&mut world);
     }
     world.advance(Duration::from_millis(20));
     assert_eq!(received(&world, from).last(), Some(&id::FAST_STOP));
+}
+
+#[test]
+fn stop_is_sent_however_many_wait() {
+    let mut world = homed();
+    let running = start(&mut world, move_to(5.0, 5.0));
+    world.advance(Duration::from_millis(200));
+    world.device.apply(world.now, Change::Silent { on: true });
+    let from = mark(&world);
+    for _ in 0..10 * MAX_WAITING {
+        // The gateway's own Stop, which a cancel sends, leaves the lane to the clients'.
+        drop(request(&mut world, |answer| Request::Cancel { id: running.id(), client: client(), answer }));
+    }
+    for n in 0..10 * MAX_WAITING {
+        assert!(submit(&mut world, Action::Stop, Some(&format!("stop {n}"))).is_ok(), "Stop {n}");
+    }
+    world.advance(Duration::from_secs(5));
+    assert!(received(&world, from).contains(&id::STOP));
 }
 
 #[test]

@@ -1,0 +1,176 @@
+use jiff::Timestamp;
+
+use super::super::model::{Action, Door, IdSource, Motion, RequestId};
+use super::*;
+use crate::wsg::HomingDirection;
+
+fn home() -> Action {
+    Action::Motion(Motion::Home(HomingDirection::Default))
+}
+
+fn submission(subject: &str, action: Action, request_id: Option<&str>) -> Submission {
+    let client = Client { subject: subject.into(), door: Door::Http };
+    let request_id = request_id.and_then(RequestId::new);
+    Submission { client, action, request_id, lease: None }
+}
+
+/// A book, and the clocks of its commands' ids: a wall clock that goes backwards, since no order may come from it.
+struct Desk {
+    book: Book,
+    now: Instant,
+    ids: i64,
+}
+
+impl Desk {
+    fn new() -> Self {
+        Self { book: Book::default(), now: Instant::now(), ids: 1_000_000_000 }
+    }
+
+    fn admit(&mut self, submission: &Submission) -> CommandId {
+        self.ids -= 1;
+        let id = IdSource::new(1).command_id(Timestamp::from_millisecond(self.ids).unwrap());
+        let command = Command::admitted(id, "g".parse().unwrap(), submission, Timestamp::UNIX_EPOCH);
+        self.book.enter(self.now, command, submission, false);
+        self.book.recorded(id);
+        id
+    }
+
+    fn end(&mut self, id: CommandId, outcome: Outcome) {
+        self.book.end(self.now, id, |command| command.outcome = Some(outcome));
+        self.book.tell();
+    }
+
+    fn run(&mut self, subject: &str, action: Action, request_id: Option<&str>) -> CommandId {
+        let id = self.admit(&submission(subject, action, request_id));
+        self.end(id, Outcome::Success);
+        id
+    }
+
+    /// The command that a repeated request is answered with.
+    fn replayed(&self, subject: &str, action: Action, request_id: &str) -> Option<CommandId> {
+        let replay = self.book.replay(self.now, &submission(subject, action, Some(request_id))).unwrap();
+        replay.map(|ticket| ticket.id())
+    }
+
+    fn has_room(&mut self, subject: &str) -> bool {
+        self.book.check_room(self.now, &submission(subject, home(), Some("one more"))).is_ok()
+    }
+}
+
+#[test]
+fn a_request_id_outlives_its_commands_place_in_the_book() {
+    let mut desk = Desk::new();
+    let first = desk.run("test", home(), Some("r1"));
+    for _ in 0..=MAX_MOTIONS {
+        desk.run("test", home(), None);
+    }
+    assert!(desk.book.find(first).is_none() && desk.book.commands.len() <= MAX_MOTIONS);
+    desk.now += REPLAYED_FOR / 2;
+    assert_eq!(desk.replayed("test", home(), "r1"), Some(first));
+    desk.now += REPLAYED_FOR / 2;
+    assert_eq!(desk.replayed("test", home(), "r1"), None);
+}
+
+#[test]
+fn request_ids_are_bounded_and_none_is_forgotten_early() {
+    let mut desk = Desk::new();
+    let limit = MOTION_IDS.per_subject;
+    let ids: Vec<_> = (0..limit).map(|number| desk.run("test", home(), Some(&number.to_string()))).collect();
+    let one_more = submission("test", home(), Some("one more"));
+    assert_eq!(desk.book.check_room(desk.now, &one_more), Err(Failure::RequestIds { limit }));
+    assert!(desk.book.check_room(desk.now, &submission("test", home(), None)).is_ok());
+    assert_eq!(desk.replayed("test", home(), "0"), Some(ids[0]));
+    assert!(desk.has_room("another"), "the bound is the subject's own");
+    desk.now += REPLAYED_FOR;
+    assert!(desk.has_room("test"));
+    assert_eq!(desk.replayed("test", home(), "0"), None);
+}
+
+#[test]
+fn invented_subjects_leave_anothers_request_ids_alone() {
+    let mut desk = Desk::new();
+    let own = desk.run("holder", home(), Some("r1"));
+    for number in 0..2 * MOTION_IDS.whole {
+        let subject = format!("invented {}", number % 8);
+        desk.run(&subject, home(), Some(&number.to_string()));
+        assert!(number % 1000 != 0 || desk.has_room("holder"));
+    }
+    assert_eq!(desk.replayed("holder", home(), "r1"), Some(own));
+    let next = desk.run("holder", home(), Some("r2"));
+    assert_eq!(desk.replayed("holder", home(), "r1"), Some(own));
+    assert_eq!(desk.replayed("holder", home(), "r2"), Some(next));
+}
+
+#[test]
+fn stops_with_ids_take_no_slots_of_motions() {
+    let mut desk = Desk::new();
+    let motion = desk.run("holder", home(), Some("r1"));
+    let stop = desk.run("holder", Action::Stop, Some("s1"));
+    for number in 0..100_000 {
+        desk.run("flood", Action::Stop, Some(&number.to_string()));
+    }
+    assert!(desk.has_room("flood") && desk.has_room("holder"));
+    assert_eq!(desk.replayed("holder", home(), "r1"), Some(motion));
+    assert_eq!(desk.replayed("holder", Action::Stop, "s1"), Some(stop));
+    assert!(desk.replayed("flood", Action::Stop, "99999").is_some());
+    assert_eq!(desk.replayed("flood", Action::Stop, "0"), None, "the oldest gives way");
+}
+
+#[test]
+fn stops_push_no_motion_out_of_the_history() {
+    let mut desk = Desk::new();
+    let ended = desk.run("holder", home(), None);
+    let running = desk.admit(&submission("holder", home(), None));
+    for _ in 0..2 * MAX_MOTIONS {
+        desk.run("flood", Action::Stop, None);
+    }
+    assert!(desk.book.find(ended).is_some() && desk.book.find(running).is_some());
+    assert!(desk.book.commands.len() <= MAX_STOPS + 2, "{} commands", desk.book.commands.len());
+}
+
+#[test]
+fn a_running_motion_stays_while_others_are_forgotten() {
+    let mut desk = Desk::new();
+    let running = desk.admit(&submission("holder", home(), None));
+    for _ in 0..2 * MAX_MOTIONS {
+        desk.run("other", home(), None);
+    }
+    assert!(desk.book.commands.len() <= MAX_MOTIONS, "{} commands", desk.book.commands.len());
+    assert_eq!(desk.book.find(running).unwrap().now().phase, Phase::Running);
+    desk.end(running, Outcome::Success);
+    desk.now += KEPT_FOR;
+    let newest = desk.run("other", home(), None);
+    assert_eq!(desk.book.commands.len(), 1);
+    assert!(desk.book.find(newest).is_some());
+}
+
+#[test]
+fn a_refused_request_binds_nothing() {
+    let mut desk = Desk::new();
+    let refused = desk.admit(&submission("test", home(), Some("r1")));
+    desk.end(refused, Outcome::Refused);
+    assert_eq!(desk.replayed("test", home(), "r1"), None);
+}
+
+#[test]
+fn scripts_answers_count_by_their_bytes() {
+    let mut desk = Desk::new();
+    let answer: Arc<str> = "00".repeat(4096).into();
+    for number in 0..MOTION_IDS.per_subject {
+        let id = desk.admit(&submission("test", home(), Some(&number.to_string())));
+        desk.book.end(desk.now, id, |command| command.payload = Some(answer.clone()));
+        desk.book.tell();
+        if !desk.has_room("test") {
+            assert!((MOTION_IDS.per_subject / 6..MOTION_IDS.per_subject / 4).contains(&number), "after {number}");
+            return;
+        }
+    }
+    panic!("answers of 8 KiB are not counted");
+}
+
+#[test]
+fn a_slot_is_as_large_as_what_it_holds() {
+    let tables = 6 * size_of::<Key>() + size_of::<(Kind, Parameters)>();
+    // Beside the command: the words of its strings, and a channel to watch it.
+    assert!(tables + size_of::<Command>() + 512 < 2048);
+}
