@@ -105,7 +105,9 @@ impl Actor {
         let _ = self.seen.send(seen);
     }
 
-    fn latch(&self, stop: FastStopRequest) {
+    fn latch(&self, mut stop: FastStopRequest) {
+        let epoch = self.states.borrow().latch.as_ref().map_or(0, |latch| latch.epoch) + 1;
+        let _ = stop.epoch.take().map(|caller| caller.send(epoch));
         let latch = LatchFields {
             fast_stop_id: stop.id,
             fast_stop_by: stop.client.subject,
@@ -113,6 +115,7 @@ impl Actor {
             fast_stop_reason: stop.reason.clone(),
             fast_stop_at: Timestamp::UNIX_EPOCH,
             fast_stop_confirmed: self.script.confirms,
+            epoch,
         };
         self.states.send_modify(|state| {
             *state = Arc::new(State { latch: Some(latch), seq: state.seq + 1, ..State::clone(state) });

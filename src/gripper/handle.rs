@@ -55,7 +55,7 @@ pub type Answer<T> = oneshot::Sender<Result<T, Rejection>>;
 pub type Steps = (Option<oneshot::Sender<()>>, Answer<wsg::Data>);
 
 /// A FAST STOP on its way to the actor, on a lane of its own.
-#[derive(Debug, Clone)]
+#[derive(Debug)]
 pub struct FastStopRequest {
     /// What an acknowledge will have to name.
     pub id: FastStopId,
@@ -67,6 +67,9 @@ pub struct FastStopRequest {
     pub reason: Reason,
     /// Since when it is on its way.
     pub at: Instant,
+    /// Takes the latch's epoch, by which the caller tells the confirmation of this FAST STOP, or of a later one, from
+    /// that of an earlier one.
+    pub epoch: Option<oneshot::Sender<u64>>,
 }
 
 /// What became of a FAST STOP so far.
@@ -350,12 +353,14 @@ impl Handle {
     pub async fn fast_stop(&self, id: FastStopId, client: Client, reason: Reason) -> FastStop {
         let at = clock::instant();
         let mut states = self.states();
-        let confirmed_by = |state: &Arc<State>| {
-            state.latch.as_ref().is_some_and(|latch| latch.fast_stop_id >= id && latch.fast_stop_confirmed)
-        };
         let stop = async {
-            let cause = FastStopCause::Requested;
-            self.fast_stops.send(FastStopRequest { id, client, cause, reason, at }).await.ok()?;
+            let (epoch, latched) = oneshot::channel();
+            let (cause, epoch) = (FastStopCause::Requested, Some(epoch));
+            self.fast_stops.send(FastStopRequest { id, client, cause, reason, at, epoch }).await.ok()?;
+            let epoch = latched.await.ok()?;
+            let confirmed_by = |state: &Arc<State>| {
+                state.latch.as_ref().is_some_and(|latch| latch.epoch >= epoch && latch.fast_stop_confirmed)
+            };
             states.wait_for(confirmed_by).await.ok().map(drop)
         };
         let confirmed = tokio::time::timeout(FAST_STOP_WAIT, stop).await.is_ok_and(|confirmed| confirmed.is_some());

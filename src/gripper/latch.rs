@@ -29,6 +29,9 @@ const BY_DEVICE: &str = "device";
 #[derive(Debug, Default)]
 pub(super) struct Latching {
     latch: Option<Latch>,
+    /// Counts the FAST STOPs, also across restarts. Their order comes from here: an id's time is a wall clock's, which
+    /// may jump.
+    epoch: u64,
     /// The 23h in flight.
     sent: Option<Token>,
     /// Whether the device has answered a 23h that was sent for this latch.
@@ -101,6 +104,11 @@ impl Latching {
         self.latch.as_ref()
     }
 
+    /// Number of the newest FAST STOP.
+    pub(super) fn epoch(&self) -> u64 {
+        self.epoch
+    }
+
     pub(super) fn id(&self) -> Option<FastStopId> {
         self.latch.as_ref().map(|latch| latch.id)
     }
@@ -110,9 +118,11 @@ impl Latching {
         self.latch.as_ref().is_some_and(|latch| !latch.confirmed)
     }
 
-    /// After a restart of the gateway: this one held, and holds. The device may have forgotten it.
-    pub(super) fn recollect(&mut self, now: Instant, latch: Latch) {
-        self.latch = Some(Latch { confirmed: false, ..latch });
+    /// After a restart of the gateway: the FAST STOP of this epoch was the newest, and holds if its latch is given. The
+    /// device may have forgotten it.
+    pub(super) fn recollect(&mut self, now: Instant, epoch: u64, latch: Option<Latch>) {
+        self.epoch = epoch;
+        self.latch = latch.map(|latch| Latch { confirmed: false, ..latch });
         self.flags_count_from = Some(now);
     }
 
@@ -128,6 +138,7 @@ impl Latching {
                 Progress::Watching { .. } => None,
             }
         });
+        self.epoch += 1;
         self.latch = Some(Latch {
             id: request.id,
             by: request.client.subject,
@@ -168,6 +179,7 @@ impl Latching {
         let flags_count = self.flags_count_from.is_some_and(|from| from <= now.instant);
         match (&mut self.latch, stopped) {
             (None, true) => {
+                self.epoch += 1;
                 self.latch = Some(Latch {
                     id: origin.ids.fast_stop_id(now.wall),
                     by: BY_DEVICE.into(),

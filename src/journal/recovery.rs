@@ -1,6 +1,6 @@
 //! What outlives a restart, and what is written down of a run that has not ended in order.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 
 use jiff::{SignedDuration, Timestamp};
 use rusqlite::{Connection, OptionalExtension};
@@ -16,6 +16,10 @@ use crate::gripper::recorder::PastRequest;
 
 /// How long a request id stands for its command.
 const REPLAYED_FOR: SignedDuration = SignedDuration::from_mins(10);
+
+/// Requests that are taken in at most, the newest: at 100 a second, more than ten minutes of them. A clock that was set
+/// back makes the requests of a longer time look recent.
+const MAX_REQUESTS: usize = 65_536;
 
 /// What outlives a restart.
 #[derive(Debug, Default)]
@@ -107,38 +111,57 @@ fn requests(connection: &Connection, since: Timestamp) -> rusqlite::Result<Vec<P
     let filter = Filter { kind: Some(EventKind::Command), ..Filter::default() };
     let limit = Limit::default();
     let mut query = EventQuery { filter, from: Some(since), order: Order::Oldest, limit, ..EventQuery::default() };
-    let mut requests: BTreeMap<CommandId, PastRequest> = BTreeMap::new();
+    let mut requests = Requests::default();
     loop {
         let page = page(connection, &query, i64::MAX)?;
         for body in page.bodies.iter().filter_map(|body| parsed(body)) {
-            take_request(&mut requests, body);
+            requests.take(body);
         }
         match page.next_cursor.and_then(|cursor| cursor.parse::<Cursor>().ok()) {
             Some(cursor) => query.cursor = Some(cursor),
             None => break,
         }
     }
-    let mut requests: Vec<_> = requests.into_values().collect();
-    requests.sort_by_key(|request| request.command.started_at);
-    Ok(requests)
+    Ok(requests.in_order.into_values().collect())
 }
 
-fn take_request(requests: &mut BTreeMap<CommandId, PastRequest>, body: CommandBody) {
-    let id = body.command_id;
-    match &body.event {
-        CommandEvent::Admitted(admitted) => {
-            let (parameters, request_id) = (admitted.parameters.clone(), admitted.request_id.clone());
-            if let Some(request_id) = request_id {
-                requests.insert(id, PastRequest { request_id, parameters, command: body.command() });
+/// Requests in the order of their records. Their ids and times are a wall clock's, which may have jumped.
+#[derive(Default)]
+struct Requests {
+    in_order: BTreeMap<u64, PastRequest>,
+    numbers: HashMap<CommandId, u64>,
+    next_number: u64,
+}
+
+impl Requests {
+    fn take(&mut self, body: CommandBody) {
+        let id = body.command_id;
+        match &body.event {
+            CommandEvent::Admitted(admitted) => {
+                let (parameters, request_id) = (admitted.parameters.clone(), admitted.request_id.clone());
+                if let Some(request_id) = request_id {
+                    let request = PastRequest { request_id, parameters, command: body.command() };
+                    self.in_order.insert(self.next_number, request);
+                    self.numbers.insert(id, self.next_number);
+                    self.next_number += 1;
+                }
+            }
+            CommandEvent::Done(done) if done.outcome == Outcome::Refused => {
+                if let Some(number) = self.numbers.remove(&id) {
+                    self.in_order.remove(&number);
+                }
+            }
+            CommandEvent::Done(_) => {
+                let number = self.numbers.get(&id);
+                if let Some(request) = number.and_then(|number| self.in_order.get_mut(number)) {
+                    request.command = body.command();
+                }
             }
         }
-        CommandEvent::Done(done) if done.outcome == Outcome::Refused => {
-            requests.remove(&id);
-        }
-        CommandEvent::Done(_) => {
-            if let Some(request) = requests.get_mut(&id) {
-                request.command = body.command();
-            }
+        if self.in_order.len() > MAX_REQUESTS
+            && let Some((_, oldest)) = self.in_order.pop_first()
+        {
+            self.numbers.remove(&oldest.command.id);
         }
     }
 }

@@ -1,10 +1,21 @@
 //! FAST STOP: it overtakes, it holds, and only an acknowledge that names it ends it.
 
+use std::net::SocketAddr;
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use jiff::{SignedDuration, Timestamp};
+use prometheus::Registry;
 use serde_json::{Value, json};
+use wsg_gateway::gripper::actor::{Config, OnJournalFailure};
+use wsg_gateway::gripper::model::{
+    Client, CustomIds, Door, FastStopId, IdSource, LeaseRules, Link, Name, Reason, State,
+};
+use wsg_gateway::gripper::recorder::Recollection;
+use wsg_gateway::gripper::{self, Handle, Metrics, Unrecorded};
+use wsg_gateway::transport::Address;
 
-use crate::harness::{Gateway, Proxy, Scripted, Simulator, Table};
+use crate::harness::{Gateway, Proxy, Scripted, Simulator, Table, success};
 
 const REFERENCED: u32 = 1;
 const FAST_STOP: u32 = 1 << 12;
@@ -131,4 +142,51 @@ async fn a_fast_stop_that_the_device_does_not_answer_is_repeated() {
     device.flags(REFERENCED | FAST_STOP);
     device.answer(0x23, vec![crate::harness::success(&[])]);
     gateway.until("it is confirmed", |state| state["fast_stop_confirmed"] == true).await;
+}
+
+/// A gripper at this device, with what an earlier run of the gateway remembers.
+fn spawned(device: SocketAddr, recollection: Recollection) -> Handle {
+    let address: Address = format!("tcp://{device}").parse().unwrap();
+    let name: Name = "g".parse().unwrap();
+    let config = Config {
+        name: name.clone(),
+        url: address.to_string(),
+        traits: address.traits(),
+        custom_ids: CustomIds::default(),
+        drain: Duration::from_secs(2),
+        on_journal_failure: OnJournalFailure::Refuse,
+        lease: LeaseRules::default(),
+        seed: 1,
+        metrics: Metrics::register(&Registry::new(), &name).unwrap(),
+    };
+    gripper::spawn(config, Arc::new(address), Arc::new(Unrecorded), recollection)
+}
+
+#[tokio::test]
+async fn a_clock_set_back_confirms_no_fast_stop() {
+    const UPDATES: [u8; 5] = [0x40, 0x41, 0x43, 0x44, 0x45];
+    let device = Scripted::start(Table::from([(0x40, vec![success(&(REFERENCED | FAST_STOP).to_le_bytes())])])).await;
+    // A latch of an earlier version, without an epoch, from a clock that was a day ahead.
+    let ahead = Timestamp::now() + SignedDuration::from_hours(24);
+    let id = IdSource::new(1).fast_stop_id(ahead);
+    let latch = json!({"id": id, "by": "test", "cause": "requested", "reason": "", "at": ahead, "confirmed": true});
+    let handle = spawned(device.address, Recollection { latch: Some(latch.to_string()), ..Recollection::default() });
+    let confirmed = |state: &Arc<State>| state.latch.as_ref().is_some_and(|latch| latch.fast_stop_confirmed);
+    let restored = handle.states().wait_for(confirmed).await.unwrap().latch.clone().unwrap();
+    assert_eq!(restored.fast_stop_id, id);
+    let stop = async || {
+        let client = Client { subject: "test".into(), door: Door::Http };
+        handle.fast_stop(FastStopId::generate(), client, Reason::truncated("")).await
+    };
+    for id in UPDATES.into_iter().chain([0x06, 0x23]) {
+        device.answer(id, Vec::new());
+    }
+    handle.states().wait_for(|state| state.link == Link::Unresponsive).await.unwrap();
+    let unheard = stop().await;
+    assert!(!unheard.confirmed, "the device is frozen");
+    assert_eq!(handle.state().latch.as_ref().unwrap().fast_stop_id, unheard.id);
+    device.flags(REFERENCED | FAST_STOP);
+    let heard = stop().await;
+    assert!(heard.confirmed, "its flags show it");
+    assert!(handle.state().latch.as_ref().unwrap().epoch > restored.epoch);
 }

@@ -33,6 +33,7 @@ fn latched(id: FastStopId, cause: FastStopCause) -> State {
         fast_stop_reason: Reason::truncated(""),
         fast_stop_at: jiff::Timestamp::UNIX_EPOCH,
         fast_stop_confirmed: true,
+        epoch: 1,
     };
     State { latch: Some(latch), ..state() }
 }

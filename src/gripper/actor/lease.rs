@@ -156,6 +156,7 @@ impl Actor {
                     cause: FastStopCause::ClientLost,
                     reason: Reason::truncated(&format!("{name} was lost")),
                     at: now.instant,
+                    epoch: None,
                 };
                 self.latch(now, request);
             }

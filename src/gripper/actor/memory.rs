@@ -12,7 +12,7 @@ use super::super::recorder::{Recollection, Record};
 use super::Actor;
 use super::settings::Remembered;
 
-/// So many leases may have been taken, and not been written down, when the gateway was killed.
+/// So many leases may have been taken, or FAST STOPs latched, and not been written down, when the gateway was killed.
 const EPOCHS_SKIPPED: u64 = 1000;
 
 /// The newest lease, as it is remembered.
@@ -29,10 +29,34 @@ struct RememberedHolder {
     door: Door,
 }
 
+/// The FAST STOP that holds, or the epoch of the last one, as it is remembered.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(untagged)]
+enum RememberedLatch {
+    Holds(HeldLatch),
+    Cleared(ClearedLatch),
+}
+
+#[derive(Debug, Serialize, Deserialize)]
+struct HeldLatch {
+    /// Earlier versions wrote none.
+    #[serde(default)]
+    epoch: u64,
+    #[serde(flatten)]
+    latch: Latch,
+}
+
+/// A latch that can't be read is none of these: it has further fields.
+#[derive(Debug, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct ClearedLatch {
+    epoch: u64,
+}
+
 /// What the journal was told last.
 #[derive(Debug, Default)]
 pub(super) struct Told {
-    latch: Option<FastStopId>,
+    latch: (u64, Option<FastStopId>),
     lease: (u64, Option<Holder>),
     holding: Option<CommandId>,
 }
@@ -44,9 +68,15 @@ impl Actor {
             self.wanted = settings.wanted();
             self.known_serial = settings.serial_number;
         }
-        if let Some(latch) = self.remembered::<Latch>(recollection.latch.as_deref()) {
-            self.told.latch = Some(latch.id);
-            self.latching.recollect(now.instant, latch);
+        let skipped = if recollection.unclean { EPOCHS_SKIPPED } else { 0 };
+        let latch = match self.remembered(recollection.latch.as_deref()) {
+            Some(RememberedLatch::Holds(HeldLatch { epoch, latch })) => Some((epoch, Some(latch))),
+            Some(RememberedLatch::Cleared(ClearedLatch { epoch })) => Some((epoch, None)),
+            None => None,
+        };
+        if let Some((epoch, latch)) = latch {
+            self.told.latch = (epoch, latch.as_ref().map(|latch| latch.id));
+            self.latching.recollect(now.instant, epoch.saturating_add(skipped), latch);
         }
         self.told.holding = self.remembered(recollection.holding.as_deref());
         self.recording.holding = self.told.holding;
@@ -54,7 +84,7 @@ impl Actor {
         if let Some(RememberedLease { epoch, holder }) = self.remembered(recollection.lease.as_deref()) {
             let client = |holder: &RememberedHolder| Client { subject: holder.subject.clone(), door: holder.door };
             let holder = holder.map(|holder| Holder { client: client(&holder), name: holder.name });
-            self.leasing.recollect(epoch + if recollection.unclean { EPOCHS_SKIPPED } else { 0 }, holder);
+            self.leasing.recollect(epoch.saturating_add(skipped), holder);
         }
         self.unannounced = recollection.unclean && self.config.traits.connection_oriented;
         for request in recollection.requests {
@@ -84,10 +114,14 @@ impl Actor {
             let holding = self.recording.holding;
             self.remember(MemoryKey::Holding, holding.as_ref());
         }
-        if self.told.latch != self.latching.id() {
-            self.told.latch = self.latching.id();
-            let latch = self.latching.latch().cloned();
-            self.remember(MemoryKey::Latch, latch.as_ref());
+        let epoch = self.latching.epoch();
+        if self.told.latch != (epoch, self.latching.id()) {
+            self.told.latch = (epoch, self.latching.id());
+            let latch = match self.latching.latch().cloned() {
+                Some(latch) => RememberedLatch::Holds(HeldLatch { epoch, latch }),
+                None => RememberedLatch::Cleared(ClearedLatch { epoch }),
+            };
+            self.remember(MemoryKey::Latch, Some(&latch));
         }
         // A gripper that was reserved, or held by somebody who is gone with the gateway, is reserved again.
         let holder = self.leasing.holder().or(self.leasing.reserved());

@@ -284,12 +284,17 @@ impl Actor {
     }
 
     /// Latches a FAST STOP of the gateway's clients, or on behalf of one that was lost.
-    fn latch(&mut self, now: Now, request: FastStopRequest) {
-        let FastStopRequest { id, client, cause, reason, at } = request.clone();
-        self.metering.fast_stop_requested(at);
+    fn latch(&mut self, now: Now, mut request: FastStopRequest) {
+        let (id, client, cause, reason) = (request.id, request.client.clone(), request.cause, request.reason.clone());
+        self.metering.fast_stop_requested(request.at);
+        let caller = request.epoch.take();
         if let Some(token) = self.latching.request(now, request) {
             // An acknowledge of an earlier one must not come after this.
             self.withdraw(token);
+        }
+        if let Some(caller) = caller {
+            // The caller may be gone.
+            let _ = caller.send(self.latching.epoch());
         }
         self.send_fast_stop_if_due(now);
         self.record_fast_stop(now, FastStopStep::Latched, Some(&client));

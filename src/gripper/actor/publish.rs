@@ -53,7 +53,7 @@ impl Actor {
             force_n: observed.force_n,
             temperature_c: observed.temperature.map(crate::wsg::Temperature::celsius),
             fast_stop: (observed.flags.is_some() || latch.is_some()).then_some(latch.is_some()),
-            latch: latch.map(LatchFields::from),
+            latch: latch.map(|latch| LatchFields::of(latch, self.latching.epoch())),
             lease_holder: self.leasing.holder().map(|holder| holder.name.clone()),
             lease_epoch: self.leasing.epoch(),
             journal_cause: self.recording.failure().map(ToOwned::to_owned),

@@ -11,11 +11,11 @@ use uuid::Uuid;
 macro_rules! identifiers {
     ($($(#[$doc:meta])* $name:ident)*) => {$(
         $(#[$doc])*
-        #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+        #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
         pub struct $name(Uuid);
 
         impl $name {
-            /// A new one, later than all before it.
+            /// A new one. Its time is the wall clock's, which may jump: no order comes from it.
             #[must_use]
             pub fn generate() -> Self {
                 Self(Uuid::now_v7())
@@ -40,8 +40,9 @@ macro_rules! identifiers {
 
 identifiers! {
     /// A command's id, a UUID of version 7.
+    #[derive(PartialOrd, Ord)]
     CommandId
-    /// A FAST STOP's id, a UUID of version 7.
+    /// A FAST STOP's id, a UUID of version 7. Which of two is later is told by their epochs.
     FastStopId
 }
 

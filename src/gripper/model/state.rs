@@ -241,11 +241,18 @@ pub struct LatchFields {
     /// Whether the device's flags showed it since.
     #[schema(required = false)]
     pub fast_stop_confirmed: bool,
+    /// Counts the FAST STOPs: a later one has a higher number, whatever the clock says.
+    #[serde(skip)]
+    #[schema(ignore)]
+    pub epoch: u64,
 }
 
-impl From<&Latch> for LatchFields {
-    fn from(latch: &Latch) -> Self {
+impl LatchFields {
+    /// As clients are told of it.
+    #[must_use]
+    pub fn of(latch: &Latch, epoch: u64) -> Self {
         Self {
+            epoch,
             fast_stop_id: latch.id,
             fast_stop_by: latch.by.clone(),
             fast_stop_cause: latch.cause,

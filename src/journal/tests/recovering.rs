@@ -90,6 +90,20 @@ async fn memories_outlive_a_restart_until_they_are_forgotten() {
 }
 
 #[tokio::test]
+async fn requests_keep_the_order_of_their_records_when_a_clock_is_set_back() {
+    let directory = Directory::new();
+    let (journal, _) = directory.open();
+    let now = Timestamp::now().as_millisecond();
+    for (number, ahead) in [(3, 86_400_000), (2, 86_300_000), (1, -1000)] {
+        record(&journal, admitted(now + ahead, "left", number, None));
+    }
+    drop(journal);
+    let (_, recovered) = directory.open();
+    let told: Vec<_> = recovered.requests.iter().map(|request| request.command.id).collect();
+    assert_eq!(told, [id(3), id(2), id(1)]);
+}
+
+#[tokio::test]
 async fn requests_of_the_last_ten_minutes_stand_for_their_commands() {
     let directory = Directory::new();
     let (journal, _) = directory.open();

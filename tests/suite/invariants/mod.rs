@@ -5,6 +5,7 @@ mod bounds;
 mod drivers;
 mod leases;
 mod repeats;
+mod restarts;
 pub mod steps;
 
 use std::time::Duration;

@@ -107,6 +107,7 @@ pub fn fast_stop(world: &mut World) -> FastStopId {
             cause: FastStopCause::Requested,
             reason: Reason::truncated("light curtain"),
             at: now.instant,
+            epoch: None,
         },
     );
     world.settle();

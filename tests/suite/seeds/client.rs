@@ -194,6 +194,7 @@ impl Clients {
                 cause: FastStopCause::Requested,
                 reason: Reason::truncated("test"),
                 at: now.instant,
+                epoch: None,
             },
         );
     }
