@@ -321,8 +321,7 @@ struct Content {
 #[serde(deny_unknown_fields)]
 struct GripperContent {
     url: Spanned<String>,
-    #[serde(default)]
-    read_ids: BTreeSet<u8>,
+    read_ids: Option<Spanned<BTreeSet<u8>>>,
     stream_ids: Option<Spanned<BTreeSet<u8>>>,
     on_loss_moving: Option<Spanned<Vec<OnLossMoving>>>,
     on_loss_holding: Option<Spanned<Vec<OnLossHolding>>>,

@@ -1,5 +1,6 @@
 //! The TOML file.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -68,13 +69,25 @@ impl File {
 
 impl File {
     fn custom_ids(&self, gripper: &GripperContent) -> Result<CustomIds, Mistake> {
-        let read = gripper.read_ids.clone();
-        let Some(stream) = &gripper.stream_ids else { return Ok(CustomIds { read, ..CustomIds::default() }) };
-        if let Some(both) = stream.get_ref().intersection(&read).next() {
+        let read = self.script_ids("read_ids", gripper.read_ids.as_ref())?;
+        let stream = self.script_ids("stream_ids", gripper.stream_ids.as_ref())?;
+        if let (Some(both), Some(place)) = (stream.intersection(&read).next(), &gripper.stream_ids) {
             let detail = format!("{both} is among read_ids and stream_ids: it moves the fingers, or it doesn't");
-            return Err(Mistake::at(&self.place(stream.span().start), detail));
+            return Err(Mistake::at(&self.place(place.span().start), detail));
         }
-        Ok(CustomIds { read, stream: stream.get_ref().clone() })
+        Ok(CustomIds { read, stream })
+    }
+
+    /// Ids of scripts on the gripper. What the manual's ids do is known, and can't be declared.
+    fn script_ids(&self, field: &str, ids: Option<&Spanned<BTreeSet<u8>>>) -> Result<BTreeSet<u8>, Mistake> {
+        let Some(ids) = ids else { return Ok(BTreeSet::new()) };
+        if let Some((id, name)) = ids.get_ref().iter().find_map(|&id| Some((id, CustomIds::name_in_manual(id)?))) {
+            let detail = format!(
+                "{field} has {id} ({id:02X}h), which the manual knows as {name}: list only ids of scripts on the gripper"
+            );
+            return Err(Mistake::at(&self.place(ids.span().start), detail));
+        }
+        Ok(ids.get_ref().clone())
     }
 
     fn lease_rules(&self, gripper: &GripperContent) -> Result<LeaseRules, Mistake> {

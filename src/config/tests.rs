@@ -51,6 +51,12 @@ fn a_mistake_in_a_file_is_named_with_its_line_and_remedy() {
         mistake("[grippers.g]\nurl = \"sim://wsg50\"\nread_ids = [176]\nstream_ids = [177, 176]")
             .starts_with("gateway.toml:4: 176 is among read_ids and stream_ids")
     );
+    for field in ["read_ids", "stream_ids"] {
+        let known = mistake(&format!("[grippers.g]\nurl = \"sim://wsg50\"\n{field} = [176, 33]"));
+        let expected =
+            format!("gateway.toml:3: {field} has 33 (21h), which the manual knows as PrePosition: list only");
+        assert!(known.starts_with(&expected), "{known}");
+    }
     assert!(mistake("[grippers.g]\n").contains("missing field `url`"));
     assert!(mistake("\ndrain_ms = 60001").starts_with("gateway.toml:2: drain_ms is 60001, and may be 60000 at most"));
 }

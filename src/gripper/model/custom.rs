@@ -2,6 +2,8 @@
 
 use std::collections::BTreeSet;
 
+use crate::wsg::id;
+
 /// The ids that are no ordinary motions. All others that the manuals don't know count as motions: one at a time, each a
 /// command with its records.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
@@ -11,4 +13,12 @@ pub struct CustomIds {
     /// They move, many times a second: held to lease and latch as other motions are, but without the pause before them,
     /// without waiting for values of after them, and counted in the journal rather than written down one by one.
     pub stream: BTreeSet<u8>,
+}
+
+impl CustomIds {
+    /// Name of an id that the manual knows. What such an id does is known, so it can't be declared custom.
+    #[must_use]
+    pub fn name_in_manual(id: u8) -> Option<&'static str> {
+        id::name(id)
+    }
 }
