@@ -21,6 +21,7 @@ pub mod lease;
 pub(crate) mod names;
 mod record;
 mod state;
+mod text;
 
 pub use client::{Client, Door};
 pub use custom::CustomIds;
@@ -36,6 +37,7 @@ pub use lease::{
 };
 pub use record::{GripRecord, Memory, MemoryKey, Sample};
 pub use state::{FastStopCause, Latch, LatchFields, Link, State, Telemetry};
+pub use text::{InvalidShownName, PartId, Reason, RequestId, ShownName, Text};
 
 /// A gripper's or a gateway's name: `[a-z0-9][a-z0-9_-]{0,31}`.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
@@ -82,53 +84,6 @@ impl fmt::Display for Name {
         f.write_str(&self.0)
     }
 }
-
-/// Printable text from a client, of at most `MAX` bytes.
-#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
-#[serde(try_from = "String")]
-pub struct Text<const MAX: usize>(String);
-
-impl<const MAX: usize> TryFrom<String> for Text<MAX> {
-    type Error = String;
-
-    fn try_from(text: String) -> Result<Self, String> {
-        Self::new(&text).ok_or_else(|| format!("{text:?} is longer than {MAX} bytes, or has a control character"))
-    }
-}
-
-impl<const MAX: usize> Text<MAX> {
-    /// The text, or `None` where it is longer than `MAX` bytes or has a control character.
-    #[must_use]
-    pub fn new(text: &str) -> Option<Self> {
-        (text.len() <= MAX && !text.chars().any(char::is_control)).then(|| Self(text.to_owned()))
-    }
-
-    /// As much of `text` as fits, without its control characters: for what must be taken whatever it says.
-    #[must_use]
-    pub fn truncated(text: &str) -> Self {
-        let mut kept = String::new();
-        for character in text.chars().filter(|character| !character.is_control()) {
-            if kept.len() + character.len_utf8() > MAX {
-                break;
-            }
-            kept.push(character);
-        }
-        Self(kept)
-    }
-
-    /// The text.
-    #[must_use]
-    pub fn as_str(&self) -> &str {
-        &self.0
-    }
-}
-
-/// Why somebody stopped a gripper.
-pub type Reason = Text<64>;
-/// A part's name, as the MES knows it.
-pub type PartId = Text<48>;
-/// What makes a request the same as an earlier one (`Idempotency-Key`).
-pub type RequestId = Text<64>;
 
 /// A command that moves the fingers.
 #[derive(Debug, Clone, PartialEq)]

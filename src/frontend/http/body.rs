@@ -123,7 +123,7 @@ impl<T: DeserializeOwned, S: Send + Sync> FromRequest<S> for Body<T> {
 #[serde(deny_unknown_fields)]
 #[schema(example = json!({}))]
 pub struct Leased {
-    /// The lease's token, while somebody holds one; empty is none.
+    /// The lease's token of at most 64 bytes, while somebody holds one; empty is none.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     pub lease: Option<String>,
 }

@@ -107,7 +107,7 @@ pub async fn data(gripper: Gripper, FingerOf(finger): FingerOf) -> Result<Json<F
 pub struct Power {
     /// On or off.
     enabled: bool,
-    /// The lease's token, while somebody holds one; empty is none.
+    /// The lease's token of at most 64 bytes, while somebody holds one; empty is none.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     lease: Option<String>,
 }

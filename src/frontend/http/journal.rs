@@ -37,7 +37,7 @@ pub struct RecordsQuery {
     /// Only of this gripper.
     #[param(max_length = 32, pattern = "^[a-z0-9][a-z0-9_-]{0,31}$", example = "left")]
     gripper: Option<String>,
-    /// Only of this part.
+    /// Only of this part, whose name has at most 48 bytes.
     #[param(max_length = 48, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$", example = "4711")]
     part_id: Option<String>,
     /// Only commands that ended like this.

@@ -12,7 +12,7 @@ use super::body::{Body, Leased};
 use super::errors::Problem;
 use super::extract::{Gripper, GripperPath, LeaseHeader};
 use super::responses::{CommandProblem, LeaseProblem};
-use super::values::{integer, text};
+use super::values::{integer, name, text};
 use crate::gripper::model::lease::{MAX_TTL, MIN_TTL};
 use crate::gripper::model::{Lease, LeaseToken, Name, OnLossHolding, OnLossMoving, TakeLease};
 use crate::gripper::{Granted, Handle, Keep};
@@ -68,7 +68,8 @@ impl Taken {
 #[serde(deny_unknown_fields)]
 #[schema(example = json!({"holder": "robot-1", "ttl_ms": 3000}))]
 pub struct Take {
-    /// The name to be known by; the peer's address where there is none. At most 32 bytes.
+    /// The name to be known by; the peer's address where there is none. At most 32 bytes in UTF-8: printable ASCII, or
+    /// letters, marks and digits of one script, composed (NFC). Invisible and look-alike characters are refused.
     #[schema(max_length = 32, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     holder: Option<String>,
     /// How long the lease lives without use, in ms: 3000 if it isn't said.
@@ -87,7 +88,8 @@ pub struct Take {
     #[serde(default)]
     #[schema(default = false)]
     request: bool,
-    /// The token of the lease that is held already, whose terms are to change; empty is none.
+    /// The token of the lease that is held already, whose terms are to change: at most 64 bytes;
+    /// empty is none.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     lease: Option<String>,
 }
@@ -107,7 +109,7 @@ pub async fn take(gripper: Gripper, Body(body): Body<Take>) -> Result<impl IntoR
     let ttl = |ttl_ms| integer("ttl_ms", ttl_ms, MIN_TTL.as_millis() as u64..=MAX_TTL.as_millis() as u64);
     let holder = body.holder.as_deref().filter(|holder| !holder.is_empty());
     let take = TakeLease {
-        holder: holder.map(|holder| text("holder", holder)).transpose()?,
+        holder: holder.map(|given| name("holder", given)).transpose()?,
         ttl: body.ttl_ms.map(ttl).transpose()?.map(Duration::from_millis),
         on_loss_moving: body.on_loss_moving,
         on_loss_holding: body.on_loss_holding,
@@ -154,10 +156,11 @@ pub async fn release(gripper: Gripper, Body(body): Body<Leased>) -> Answer {
 #[serde(deny_unknown_fields)]
 #[schema(example = json!({"to": "robot-2"}))]
 pub struct HandOver {
-    /// Who has asked for it: `requested_by`. At most 32 bytes, or the address that it asked from.
+    /// Who has asked for it: `requested_by`. A name or an address, of at most 64 bytes
+    /// in UTF-8.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     to: String,
-    /// The lease's token; empty is none.
+    /// The lease's token of at most 64 bytes; empty is none.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     lease: Option<String>,
 }

@@ -72,6 +72,7 @@ pub(super) use lease::Taken;
 pub(super) use methods::{IDEMPOTENCY_KEY, METHODS, Method, Methods, Refusal, WSG_LEASE, Wait, is_fast_stop, urgency};
 pub use server::{Limits, listen, serve};
 pub(super) use unique::Unique;
+pub use values::name as shown_name;
 
 /// Where the API begins.
 const API: &str = "/api/v1";

@@ -32,7 +32,7 @@ pub struct Raw {
     /// is none.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     request_id: Option<String>,
-    /// The lease's token, while somebody holds one; empty is none.
+    /// The lease's token of at most 64 bytes, while somebody holds one; empty is none.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     lease: Option<String>,
 }

@@ -44,7 +44,7 @@ pub struct AccelerationSetting {
     /// In mm/s².
     #[schema(minimum = 0, maximum = 1_000_000)]
     acceleration_mm_s2: f64,
-    /// The lease's token, while somebody holds one; empty is none.
+    /// The lease's token of at most 64 bytes, while somebody holds one; empty is none.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     lease: Option<String>,
 }
@@ -98,7 +98,7 @@ pub struct ForceLimitSetting {
     /// In N, the sum over the fingers.
     #[schema(minimum = 0, maximum = 10000)]
     force_n: f64,
-    /// The lease's token, while somebody holds one; empty is none.
+    /// The lease's token of at most 64 bytes, while somebody holds one; empty is none.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     lease: Option<String>,
 }
@@ -157,7 +157,7 @@ pub struct SoftLimitsSetting {
     /// The largest allowed width.
     #[schema(minimum = 0, maximum = 1000)]
     plus_mm: f64,
-    /// The lease's token, while somebody holds one; empty is none.
+    /// The lease's token of at most 64 bytes, while somebody holds one; empty is none.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     lease: Option<String>,
 }
@@ -232,7 +232,7 @@ pub struct OverdriveAnswer {
 pub struct OverdriveSetting {
     /// Whether the force limit may go up to the overdrive force.
     enabled: bool,
-    /// The lease's token, while somebody holds one; empty is none.
+    /// The lease's token of at most 64 bytes, while somebody holds one; empty is none.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     lease: Option<String>,
 }
@@ -293,7 +293,7 @@ pub struct TagSetting {
     /// At most 64 printable ASCII characters.
     #[schema(max_length = 64, pattern = "^[ -~]*$")]
     tag: String,
-    /// The lease's token, while somebody holds one; empty is none.
+    /// The lease's token of at most 64 bytes, while somebody holds one; empty is none.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     lease: Option<String>,
 }

@@ -7,7 +7,7 @@ use std::ops::RangeInclusive;
 
 use super::errors::Problem;
 use crate::gripper::limits::{FASTEST_MM_S, HARDEST_MM_S2, STRONGEST_N, WIDEST_MM};
-use crate::gripper::model::Text;
+use crate::gripper::model::{ShownName, Text};
 use crate::wsg::{Acceleration, Force, NotFinite, Speed, Width};
 
 /// An opening width, or a change of it, in mm.
@@ -61,6 +61,17 @@ pub fn text<const MAX: usize>(field: &str, given: &str) -> Result<Text<MAX>, Pro
         return Err(Problem::too_long(field, given.len(), MAX));
     }
     Text::new(given).ok_or_else(|| Problem::malformed(field, format!("{field} must have no control characters")))
+}
+
+/// A name that people tell clients apart by, within its field's bounds.
+///
+/// # Errors
+/// The [`Problem`] that names the field, what is wrong and the remedy.
+pub fn name<const MAX: usize>(field: &str, given: &str) -> Result<ShownName<MAX>, Problem> {
+    if given.len() > MAX {
+        return Err(Problem::too_long(field, given.len(), MAX));
+    }
+    ShownName::new(given).map_err(|error| Problem::malformed(field, format!("{field} {error}")))
 }
 
 /// Bytes in hexadecimal digits.

@@ -8,7 +8,7 @@ use zenoh::sample::Sample;
 
 use crate::frontend::network::keys::{FAST_STOP_OF_ALL, Keys};
 use crate::gripper::Fleet;
-use crate::gripper::model::{Client, Door, Reason, Text};
+use crate::gripper::model::{Client, Door, Reason, ShownName};
 
 /// FAST STOPs that may be under way. Each ends within 250 ms; of those that come meanwhile the newest begins when one
 /// has ended, since one that is under way stops the grippers already.
@@ -92,7 +92,7 @@ fn asked(payload: &[u8]) -> (Client, Reason) {
         Ok(Value::String(reason)) => (String::new(), reason),
         _ => (String::new(), text.into_owned()),
     };
-    let subject = super::subject(Text::new(&client).filter(|name| !name.as_str().is_empty()));
+    let subject = super::subject(ShownName::new(&client).ok().filter(|name| !name.as_str().is_empty()));
     (Client { subject, door: Door::Zenoh }, Reason::truncated(&reason))
 }
 

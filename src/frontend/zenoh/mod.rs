@@ -39,7 +39,7 @@ use crate::frontend::http::Context;
 use crate::frontend::metrics::Metrics;
 use crate::frontend::network::Network;
 use crate::frontend::network::keys::Keys;
-use crate::gripper::model::Text;
+use crate::gripper::model::ShownName;
 
 /// The most bytes of the name that a client gives itself.
 const MAX_CLIENT_BYTES: usize = 64;
@@ -146,7 +146,7 @@ async fn declare(
 }
 
 /// A client's identity before there are credentials: the name that it gives.
-fn subject(client: Option<Text<MAX_CLIENT_BYTES>>) -> Arc<str> {
+fn subject(client: Option<ShownName<MAX_CLIENT_BYTES>>) -> Arc<str> {
     match client {
         Some(name) => format!("zenoh:{}", name.as_str()).into(),
         None => "zenoh:unknown".into(),

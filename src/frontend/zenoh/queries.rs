@@ -22,7 +22,7 @@ use crate::frontend::metrics::Metrics;
 use crate::frontend::network::keys::{Keys, decoded, last_part};
 use crate::frontend::network::{Network, Urgency};
 use crate::gripper::Fleet;
-use crate::gripper::model::{Client, Door, Name, Text};
+use crate::gripper::model::{Client, Door, Name};
 
 /// Queries that may be under way, of those that may take their time, of those that don't, of those that only stop, and of
 /// those that keep or end a lease. More are refused as `overloaded`, but for FAST STOPs.
@@ -149,7 +149,7 @@ impl Queries {
         }
         let payload = query.payload().map(zenoh::bytes::ZBytes::to_bytes).unwrap_or_default();
         let given = |key| query.parameters().get(key).filter(|given| !given.is_empty()).map(decoded);
-        let client = given(CLIENT).map(|name| Text::new(&name).ok_or_else(|| too_long(&name))).transpose();
+        let client = given(CLIENT).map(|name| http::shown_name(CLIENT, &name)).transpose();
         let (mut params, client) = if is_fast_stop {
             (http::parse_body(&payload).unwrap_or_default(), client.unwrap_or_default())
         } else {
@@ -282,10 +282,6 @@ fn holder(params: &Map<String, Value>) -> Option<String> {
         holder: String,
     }
     Take::deserialize(params).ok().map(|Take { holder }| holder)
-}
-
-fn too_long(name: &str) -> Problem {
-    Problem::too_long(CLIENT, name.len(), super::MAX_CLIENT_BYTES)
 }
 
 #[cfg(test)]

@@ -8,7 +8,7 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::{Client, Text};
+use super::{Client, ShownName};
 
 /// How long a lease lives without use if its taker doesn't say.
 pub const DEFAULT_TTL: Duration = Duration::from_secs(3);
@@ -20,7 +20,7 @@ pub const MIN_TTL: Duration = Duration::from_millis(100);
 pub const MAX_TTL: Duration = Duration::from_mins(1);
 
 /// The name that a lease's holder gives itself.
-pub type HolderName = Text<32>;
+pub type HolderName = ShownName<32>;
 
 /// What proves that a request is the holder's: 128 random bits as hex, or whatever a client says in its place.
 #[derive(Clone, PartialEq, Eq, Serialize)]

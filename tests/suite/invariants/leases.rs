@@ -21,7 +21,7 @@ const TTL: Duration = Duration::from_millis(500);
 fn wish(holder: &str) -> TakeLease {
     TakeLease {
         client: Client { subject: format!("http:{holder}").into(), door: Door::Http },
-        holder: HolderName::new(holder),
+        holder: HolderName::new(holder).ok(),
         ttl: Some(TTL),
         on_loss_moving: None,
         on_loss_holding: None,

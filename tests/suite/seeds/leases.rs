@@ -104,7 +104,7 @@ impl Leases {
         let holding = [None, Some(OnLossHolding::Keep), Some(OnLossHolding::FastStop)];
         TakeLease {
             client: Client { subject: holder.into(), door: Door::Http },
-            holder: HolderName::new(holder),
+            holder: HolderName::new(holder).ok(),
             ttl: Some(Duration::from_millis(world.rng.random_range(100..3000))),
             on_loss_moving: moving[world.rng.random_range(0..moving.len())],
             on_loss_holding: holding[world.rng.random_range(0..holding.len())],

@@ -90,6 +90,10 @@ async fn what_is_refused_is_the_problem_that_http_has() {
     assert_eq!(refused.remove(0).1.unwrap_err()["code"], "malformed");
     let waits = rig.client.command("home?wait_ms=60001", &json!({})).await.unwrap_err();
     assert_eq!((&waits["code"], &waits["field"]), (&json!("out_of_range"), &json!("wait_ms")));
+    let unseen = rig.client.command("lease.take", &json!({"holder": "ro\u{200B}bot"})).await.unwrap_err();
+    assert_eq!((&unseen["code"], &unseen["field"]), (&json!("malformed"), &json!("holder")), "{unseen}");
+    let unseen = rig.client.command("home?client=ro%E2%80%8Bbot", &json!({})).await.unwrap_err();
+    assert_eq!((&unseen["code"], &unseen["field"]), (&json!("malformed"), &json!("client")), "{unseen}");
     assert_eq!(rig.client.command("leap", &json!({})).await.unwrap_err()["code"], "not_found");
     assert_eq!(rig.client.command("home", &json!({"gripper": "h"})).await.unwrap_err()["field"], "gripper");
     assert!(rig.proxy.frames.since(before).iter().all(|frame| !MOTIONS.contains(&frame.id)), "nothing moves");

@@ -80,3 +80,20 @@ async fn a_fast_stop_is_refused_for_no_token() {
         assert!(matches!(gateway.seen.recv().await, Some(Seen::FastStop(_))));
     }
 }
+
+#[tokio::test]
+async fn a_holder_that_cannot_be_told_apart_is_refused() {
+    let gateway = with_fate(Fate::Runs);
+    for (holder, remedy) in
+        [("\u{202E}tobor", "U+202E"), ("ro\u{200B}bot", "U+200B"), ("r\u{43E}bot", "use one"), ("Mu\u{308}ller", "NFC")]
+    {
+        let answer = gateway.left("POST", "lease", json!({"holder": holder})).await;
+        assert_eq!(answer.status, 400, "{holder:?}");
+        assert_eq!((&answer.body["code"], &answer.body["field"]), (&json!("malformed"), &json!("holder")));
+        assert!(answer.body["detail"].as_str().unwrap().contains(remedy), "{}", answer.body);
+    }
+    let long = gateway.left("POST", "lease", json!({"holder": "ü".repeat(17)})).await;
+    assert_eq!((long.status, &long.body["max"]), (422, &json!(32)), "in bytes: {}", long.body);
+    let taken = gateway.left("POST", "lease", json!({"holder": "Müller #1"})).await;
+    assert_eq!(taken.body["holder"], "Müller #1");
+}
