@@ -89,6 +89,7 @@ impl Actor {
     pub fn drained(&mut self, now: Now) {
         self.finish_measuring();
         self.record_repeats();
+        self.record_flicker(now);
         self.write_streamed(now);
         for answer in self.drain.take().into_iter().flat_map(|drain| drain.answers) {
             let _ = answer.send(());

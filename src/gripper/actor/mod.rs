@@ -17,6 +17,7 @@
 mod admission;
 mod drain;
 mod events;
+mod flicker;
 mod lease;
 mod link;
 mod memory;

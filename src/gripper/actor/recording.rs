@@ -16,6 +16,7 @@ use super::super::model::{
 };
 use super::super::recorder::{Health, Record};
 use super::Actor;
+use super::flicker::Flicker;
 use super::repeats::Repeats;
 use crate::wsg::{GripperState, SystemState};
 
@@ -47,6 +48,7 @@ pub(super) struct Recording {
     /// How the link was recorded last.
     link: Option<(Link, bool)>,
     pub repeats: Repeats,
+    pub flicker: Flicker,
 }
 
 /// A motion that is being measured.
@@ -63,7 +65,7 @@ impl Recording {
     pub(super) fn next_timeout(&self) -> Option<Instant> {
         let record = self.unrecorded.front().map(|(until, _)| *until);
         let curve = self.measured.as_ref().and_then(|measured| Some(measured.ended.as_ref()?.0));
-        record.into_iter().chain(curve).chain(self.repeats.next_timeout()).min()
+        record.into_iter().chain(curve).chain(self.repeats.next_timeout()).chain(self.flicker.next_timeout()).min()
     }
 
     /// Takes a record that nobody waits for.
@@ -142,7 +144,7 @@ impl Actor {
 
     pub(super) fn record_device(&mut self, now: Now, event: DeviceEvent) {
         let event = self.event(now, Detail::Device(event));
-        self.record(event);
+        self.record_change_of_device(now, event);
     }
 
     /// The first of a command's two records.
@@ -211,7 +213,7 @@ impl Actor {
         }
         let detail = Detail::Link(LinkEvent { link: link.0, link_cause: self.link_cause.clone() });
         let event = self.event(now, detail);
-        self.record(event);
+        self.record_change_of_device(now, event);
     }
 
     pub(super) fn record_flags(&mut self, now: Now, before: Option<SystemState>, flags: SystemState) {
@@ -248,10 +250,11 @@ impl Actor {
         self.config.metrics.parts_lost.inc();
         let width_mm = self.observed.width_mm.filter(|_| self.observed.has(SystemState::REFERENCED));
         let event = self.event(now, Detail::Device(DeviceEvent::PartLost { width_mm }));
-        self.record(match grip {
+        let event = match grip {
             Some(grip) => event.of(grip),
             None => event,
-        });
+        };
+        self.record_change_of_device(now, event);
     }
 
     /// A motion is to be measured from now on.

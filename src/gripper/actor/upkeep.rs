@@ -36,6 +36,7 @@ impl Actor {
         self.start_waiting_motion(now);
         self.finish_measuring_if_due(now);
         self.record_repeats_if_due(now);
+        self.record_flicker_if_due(now);
         self.write_streamed_if_due(now);
         self.expire_awaiting_flags(now);
         if self.drain.is_some() {

@@ -7,10 +7,14 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::{
-    Action, Client, Command, CommandId, Door, FastStopCause, FastStopId, Kind, Link, Motion, Name, Outcome, PartId,
+    Action, Client, Command, CommandId, Door, FastStopCause, FastStopId, Kind, Motion, Name, Outcome, PartId,
     RequestId, lease::LeaseEvent,
 };
 use crate::wsg::{Force, HomingDirection};
+
+mod device;
+
+pub use device::{DeviceEvent, LinkEvent};
 
 /// Something that happened. The journal gives it a sequence number; `kind` and its fields stand beside the common ones.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
@@ -329,58 +333,6 @@ pub struct AcknowledgeEvent {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
     pub cause: Option<String>,
-}
-
-/// A link's change.
-#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
-pub struct LinkEvent {
-    /// How it is now.
-    pub link: Link,
-    /// Why it isn't connected.
-    #[schema(required)]
-    pub link_cause: Option<String>,
-}
-
-/// What became of the device.
-#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
-#[serde(tag = "event", rename_all = "snake_case")]
-pub enum DeviceEvent {
-    /// It has restarted: its reference is gone.
-    Restarted,
-    /// Another device answers.
-    Replaced {
-        /// The one before.
-        #[schema(format = Int64)]
-        known_serial_number: u32,
-        /// The one that answers.
-        #[schema(format = Int64)]
-        serial_number: u32,
-    },
-    /// Fault flags have come.
-    Fault {
-        /// Their names.
-        flags: Vec<&'static str>,
-    },
-    /// Fault flags are gone.
-    FaultCleared {
-        /// Their names.
-        flags: Vec<&'static str>,
-    },
-    /// The fingers move, and nobody here asked for it.
-    ForeignMotion,
-    /// A script was asked to move them, by an id of `stream_ids`: the first time, or so often in one second.
-    Streamed {
-        /// Its id.
-        raw_id: u8,
-        /// How many requests were admitted.
-        count: u64,
-    },
-    /// A part that was held is gone; the event belongs to its grip.
-    PartLost {
-        /// The opening width in mm where it was seen.
-        #[schema(required)]
-        width_mm: Option<f32>,
-    },
 }
 
 /// What was set.

@@ -3,8 +3,9 @@
 use std::time::Duration;
 
 use wsg_gateway::gripper::Conflict;
-use wsg_gateway::gripper::model::{Action, Detail, FastStopStep, Outcome, Phase};
-use wsg_gateway::wsg::id;
+use wsg_gateway::gripper::model::{Action, Detail, DeviceEvent, FastStopStep, Link, Outcome, Phase};
+use wsg_gateway::sim::Change;
+use wsg_gateway::wsg::{SystemState, id};
 
 use super::steps::*;
 use crate::seeds::world::World;
@@ -86,4 +87,61 @@ fn a_stop_that_has_something_to_stop_is_none_that_is_repeated() {
     let stopped = submit(&mut world, Action::Stop, None).unwrap();
     assert_ne!(stopped.id(), first.id());
     assert_eq!(finish(&mut world, &running).outcome, Some(Outcome::Aborted));
+}
+
+#[test]
+fn flickering_faults_are_written_down_by_the_second() {
+    let mut world = homed();
+    let events = world.journal.events.len();
+    let flags = world.device.snapshot().flags;
+    let mut told = 0;
+    for _ in 0..250 {
+        for flags in [flags | SystemState::FINGER_FAULT, flags] {
+            let mut update = vec![0, 0];
+            update.extend(flags.bits().to_le_bytes());
+            let mut frame = Vec::new();
+            wsg_gateway::wsg::frame::encode(id::GET_SYSTEM_STATE, &update, &mut frame);
+            let now = world.clock();
+            world.actor.receive(now, &frame);
+            world.settle();
+            told += 1;
+        }
+        world.advance(Duration::from_millis(20));
+    }
+    world.advance(Duration::from_secs(2));
+    let events = &world.journal.events[events..];
+    assert!(events.len() < 40, "{} in 5 s", events.len());
+    let count = |detail: &Detail| match detail {
+        Detail::Device(DeviceEvent::Fault { .. } | DeviceEvent::FaultCleared { .. }) => 1,
+        Detail::Device(DeviceEvent::Flickering { count, .. }) => *count,
+        other => panic!("{other:?}"),
+    };
+    assert_eq!(events.iter().map(count).sum::<u64>(), told, "none is lost");
+    assert_eq!(events.last(), Some(&Detail::Device(DeviceEvent::FaultCleared { flags: vec!["FINGER_FAULT"] })));
+    // After a quiet second the next is written down at once.
+    world.device.apply(world.now, Change::PowerFault { on: true });
+    world.advance(Duration::from_millis(50));
+    let is_fault = |detail: &&Detail| matches!(detail, Detail::Device(DeviceEvent::Fault { .. }));
+    assert!(world.journal.events.iter().rev().take(3).any(|detail| is_fault(&detail)));
+}
+
+#[test]
+fn flickering_link_is_written_down_by_the_second() {
+    let mut world = homed();
+    let events = world.journal.events.len();
+    for _ in 0..100 {
+        world.device.apply(world.now, Change::CutConnection);
+        world.advance(Duration::from_millis(150));
+    }
+    world.advance(Duration::from_secs(3));
+    assert_eq!(state(&world).link, Link::Connected);
+    let events = &world.journal.events[events..];
+    assert!(events.len() < 80, "{} in 15 s", events.len());
+    let newest = events.iter().rev().find_map(|detail| match detail {
+        Detail::Link(link) => Some(link.link),
+        _ => None,
+    });
+    assert_eq!(newest, Some(Link::Connected), "the last word is how it is");
+    let latched = |detail: &&Detail| matches!(detail, Detail::FastStop(told) if told.event == FastStopStep::Latched);
+    assert_eq!(events.iter().filter(latched).count(), 1, "the connection's end is a FAST STOP");
 }

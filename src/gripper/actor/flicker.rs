@@ -1,0 +1,122 @@
+//! Changes of the device or its link that come and go quickly: the first few of a sort are written down at once, further
+//! ones are counted by the second, so that a device that flickers fills no disk. FAST STOPs and what belongs to a command
+//! are never counted.
+
+use std::collections::BTreeSet;
+use std::time::{Duration, Instant};
+
+use super::super::Now;
+use super::super::model::{Detail, DeviceEvent, Event};
+use super::Actor;
+
+/// How often what was counted is written down.
+const COUNTED_FOR: Duration = Duration::from_secs(1);
+
+/// Changes of a sort that are written down at once: a restart or a reconnect has fewer.
+const MAX_PROMPT: u64 = 4;
+
+/// Sorts that are told apart. Further sets of flags are one sort, by the newest of them.
+const MAX_SORTS: usize = 16;
+
+/// What changed within the running second.
+#[derive(Debug, Default)]
+pub(super) struct Flicker {
+    /// The sort that changed last is the last one.
+    sorts: Vec<Sort>,
+    until: Option<Instant>,
+}
+
+#[derive(Debug)]
+struct Sort {
+    name: String,
+    written: u64,
+    /// Of those that were not written down, the newest, and how many came before it.
+    newest: Option<Event>,
+    left_out: u64,
+}
+
+impl Flicker {
+    /// Takes a change: to be written down now, or counted.
+    fn take(&mut self, now: Instant, name: String, event: Event) -> Option<Event> {
+        self.until.get_or_insert(now + COUNTED_FOR);
+        let found = self.sorts.iter().position(|sort| sort.name == name);
+        let name = if found.is_none() && self.sorts.len() >= MAX_SORTS { "others".to_owned() } else { name };
+        let found = found.or_else(|| self.sorts.iter().position(|sort| sort.name == name));
+        let mut sort = match found {
+            Some(index) => self.sorts.remove(index),
+            None => Sort { name, written: 0, newest: None, left_out: 0 },
+        };
+        let prompt = if sort.written < MAX_PROMPT {
+            sort.written += 1;
+            Some(event)
+        } else {
+            sort.left_out += u64::from(sort.newest.replace(event).is_some());
+            None
+        };
+        self.sorts.push(sort);
+        prompt
+    }
+
+    /// What was counted, to be written down: what was left out, and the newest of each sort. A sort that was quiet for a
+    /// second begins anew.
+    fn end(&mut self, now: Instant) -> (Option<DeviceEvent>, Vec<Event>) {
+        let left_out = || self.sorts.iter().filter(|sort| sort.left_out > 0);
+        let names: BTreeSet<_> = left_out().map(|sort| sort.name.as_str()).collect();
+        let cause = names.into_iter().collect::<Vec<_>>().join(", ");
+        let count = left_out().map(|sort| sort.left_out).sum();
+        self.sorts.retain(|sort| sort.newest.is_some());
+        for sort in &mut self.sorts {
+            sort.left_out = 0;
+        }
+        let newest = self.sorts.iter_mut().filter_map(|sort| sort.newest.take()).collect();
+        self.until = (!self.sorts.is_empty()).then_some(now + COUNTED_FOR);
+        ((count > 0).then_some(DeviceEvent::Flickering { cause, count }), newest)
+    }
+
+    pub(super) fn next_timeout(&self) -> Option<Instant> {
+        self.until
+    }
+}
+
+impl Actor {
+    /// Writes a change of the device or its link down, now or with those that are counted.
+    pub(super) fn record_change_of_device(&mut self, now: Now, event: Event) {
+        let sort = sort_of(&event).filter(|_| event.command_id.is_none());
+        let event = match sort {
+            Some(sort) => self.recording.flicker.take(now.instant, sort, event),
+            None => Some(event),
+        };
+        if let Some(event) = event {
+            self.record(event);
+        }
+    }
+
+    /// Writes down what was counted.
+    pub(super) fn record_flicker(&mut self, now: Now) {
+        let (left_out, newest) = self.recording.flicker.end(now.instant);
+        let left_out = left_out.map(|event| self.event(now, Detail::Device(event)));
+        for event in left_out.into_iter().chain(newest) {
+            self.record(event);
+        }
+    }
+
+    pub(super) fn record_flicker_if_due(&mut self, now: Now) {
+        if self.recording.flicker.next_timeout().is_some_and(|until| until <= now.instant) {
+            self.record_flicker(now);
+        }
+    }
+}
+
+/// What changes together with its opposite, or repeats.
+fn sort_of(event: &Event) -> Option<String> {
+    Some(match &event.detail {
+        Detail::Link(link) => format!("link {}", link.link),
+        Detail::Device(DeviceEvent::Fault { flags }) => format!("fault {}", flags.join(" ")),
+        Detail::Device(DeviceEvent::FaultCleared { flags }) => format!("fault_cleared {}", flags.join(" ")),
+        Detail::Device(DeviceEvent::ForeignMotion) => "foreign_motion".to_owned(),
+        Detail::Device(DeviceEvent::Restarted) => "restarted".to_owned(),
+        Detail::Device(DeviceEvent::Replaced { .. }) => "replaced".to_owned(),
+        Detail::Device(DeviceEvent::PartLost { .. }) => "part_lost".to_owned(),
+        _ => return None,
+    })
+}
