@@ -32,6 +32,8 @@ pub struct Admission {
     table: Mutex<Table>,
     /// Notified when an evicted connection has ended.
     ended: Notify,
+    /// Notified when a claim was dropped.
+    released: Notify,
     tracker: TaskTracker,
 }
 
@@ -39,7 +41,8 @@ impl Admission {
     /// Admission within these bounds.
     #[must_use]
     pub fn new(bounds: Bounds) -> Arc<Self> {
-        Arc::new(Self { table: Mutex::new(Table::new(bounds)), ended: Notify::new(), tracker: TaskTracker::new() })
+        let (table, tracker) = (Mutex::new(Table::new(bounds)), TaskTracker::new());
+        Arc::new(Self { table, ended: Notify::new(), released: Notify::new(), tracker })
     }
 
     /// Admits a connection as [`Class::Incoming`]. It is asked to end on `closing`, too.
@@ -128,6 +131,20 @@ impl ConnectionPermit {
         Some(Claim { permit: self.clone(), class, yielded })
     }
 
+    /// The same, once the class has room.
+    pub async fn turn(self: &Arc<Self>, class: Class) -> Claim {
+        loop {
+            let released = self.admission.released.notified();
+            tokio::pin!(released);
+            // Registered before the look, so that a slot that is freed in between is noticed.
+            released.as_mut().enable();
+            if let Some(claim) = self.claim(class) {
+                return claim;
+            }
+            released.await;
+        }
+    }
+
     /// Counts bytes that the gateway holds for this connection: none yet.
     pub fn held(self: &Arc<Self>) -> HeldBytes {
         HeldBytes { permit: self.clone(), bytes: 0 }
@@ -160,6 +177,7 @@ impl Claim {
 impl Drop for Claim {
     fn drop(&mut self) {
         self.permit.admission.table().release(self.permit.id, self.class, Instant::now());
+        self.permit.admission.released.notify_one();
     }
 }
 

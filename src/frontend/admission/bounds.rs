@@ -64,8 +64,8 @@ const HELD_BYTES: usize = 64 << 20;
 
 /// Connections on the way in: enough that a flood of 10,000 connects a second leaves each of them 90 ms to speak.
 const INCOMING: usize = 896;
-/// Keep-alive connections: a PLC or a browser has a few.
-const IDLE: usize = 512;
+/// Keep-alive connections: a PLC or a browser has a few. A thousand long polls that are answered early find room, too.
+const IDLE: usize = 1024;
 /// Requests being answered, each within milliseconds unless a device or a disk is slow.
 const ANSWERING: usize = 256;
 /// FAST STOPs under way: each takes 250 ms at most.
@@ -85,8 +85,8 @@ impl Bounds {
     pub const MAX_DESCRIPTORS: usize =
         INCOMING + IDLE + ANSWERING + URGENT + WAITING + STREAMING * STREAMING_DESCRIPTORS + LEAVING;
 
-    /// The fewest descriptors that leave each class a slot or two.
-    pub const MIN_DESCRIPTORS: usize = 16;
+    /// The fewest descriptors, which leave each class one slot.
+    pub const MIN_DESCRIPTORS: usize = 8;
 
     /// Shares out this many descriptors: [`Bounds::MAX_DESCRIPTORS`] or fewer.
     #[must_use]
@@ -104,7 +104,12 @@ impl Bounds {
         ] {
             classes[class as usize] = share(most);
         }
-        Self { classes, leaving: share(LEAVING), held_bytes: HELD_BYTES }
+        let leaving = share(LEAVING);
+        // What the rounding leaves goes to the connections of those who come again and again.
+        let bounded: usize = classes.iter().filter(|most| **most < usize::MAX).sum();
+        let taken = bounded + classes[Class::Streaming as usize] * (STREAMING_DESCRIPTORS - 1) + leaving;
+        classes[Class::Idle as usize] += descriptors.saturating_sub(taken);
+        Self { classes, leaving, held_bytes: HELD_BYTES }
     }
 
     /// Bounds of a listener whose clients are all alike: the one that was silent for longest gives way beyond `clients`,

@@ -32,6 +32,9 @@ pub const MAX_DISCARDED_BYTES: usize = 2 * 1024 * 1024;
 /// How long a body may take: [`MAX_BODY_BYTES`] at 64 kbit/s, and a little more.
 pub const BODY_TIME: Duration = Duration::from_secs(10);
 
+/// How long a complete request waits for its turn: a request is answered within milliseconds, unless a device is slow.
+const TURN_TIME: Duration = Duration::from_secs(2);
+
 /// The middleware that reads the body before the handlers see the request. Only then has the connection a claim on its
 /// slot. A FAST STOP waits for nothing, and has one at once.
 pub async fn read_first(request: Request, next: Next) -> Response {
@@ -46,10 +49,17 @@ pub async fn read_first(request: Request, next: Next) -> Response {
         // What is left of the body is no request.
         Err(problem) => return ([(CONNECTION, HeaderValue::from_static("close"))], problem).into_response(),
     };
-    let claim = permit.as_ref().map(|permit| permit.claim(Class::Answering));
-    if matches!(claim, Some(None)) && !only_stops(&parts) {
-        return Problem::new(Code::Overloaded, "too many requests are being answered: try again").into_response();
-    }
+    let _claim = match &permit {
+        Some(permit) if only_stops(&parts) => permit.claim(Class::Answering),
+        Some(permit) => match timeout(TURN_TIME, permit.turn(Class::Answering)).await {
+            Ok(claim) => Some(claim),
+            Err(_) => {
+                let detail = "too many requests are being answered: try again later";
+                return Problem::new(Code::Overloaded, detail).into_response();
+            }
+        },
+        None => None,
+    };
     next.run(Request::from_parts(parts, Stream::from(bytes))).await
 }
 

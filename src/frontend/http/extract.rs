@@ -11,6 +11,7 @@ use utoipa::IntoParams;
 
 use super::Context;
 use super::errors::{Code, Problem};
+use super::pace::RequestPace;
 use super::parameters::Parameters;
 use super::values::{integer, text};
 use crate::frontend::admission::{Class, ConnectionPermit};
@@ -24,6 +25,9 @@ pub const MAX_WAIT_MS: u64 = 60_000;
 
 /// How long a request waits for its command if it doesn't say: longer than most motions.
 pub const DEFAULT_WAIT_MS: u64 = 5_000;
+
+/// How much later the next request of a connection is served whose wait was cut short.
+const CUT_SHORT_DELAY: Duration = Duration::from_secs(1);
 
 /// The most bytes of a lease token that are looked at; the gateway's own are shorter.
 pub const MAX_LEASE_BYTES: usize = 64;
@@ -234,6 +238,7 @@ pub struct NoWaitQuery {
 pub struct WaitMs<const DEFAULT: u64> {
     limit: Duration,
     permit: Option<Arc<ConnectionPermit>>,
+    pace: Option<Arc<RequestPace>>,
 }
 
 impl<const DEFAULT: u64> WaitMs<DEFAULT> {
@@ -250,6 +255,10 @@ impl<const DEFAULT: u64> WaitMs<DEFAULT> {
                 () = claim.yielded() => {}
             }
         }
+        // A client that repeats its request at once would take the time that others need.
+        if let Some(pace) = &self.pace {
+            pace.delay(CUT_SHORT_DELAY);
+        }
         ticket.now()
     }
 }
@@ -263,7 +272,8 @@ impl<const DEFAULT: u64> FromRequestParts<Arc<Context>> for WaitMs<DEFAULT> {
             Some(number) => integer("wait_ms", number, 0..=MAX_WAIT_MS)?,
             None => DEFAULT,
         };
-        Ok(Self { limit: Duration::from_millis(wait_ms), permit: parts.extensions.get().cloned() })
+        let (permit, pace) = (parts.extensions.get().cloned(), parts.extensions.get().cloned());
+        Ok(Self { limit: Duration::from_millis(wait_ms), permit, pace })
     }
 }
 

@@ -25,6 +25,12 @@ impl RequestPace {
         }
     }
 
+    /// Delays the next request of this connection, which asks for more than there is.
+    pub fn delay(&self, time: Duration) {
+        let mut arrival = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        *arrival = Some(Instant::now() + INTERVAL * BURST + time);
+    }
+
     fn due(&self, now: Instant) -> Option<Instant> {
         let mut arrival = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let next = arrival.map_or(now, |at| at.max(now)) + INTERVAL;
@@ -48,6 +54,11 @@ mod tests {
             pace.next().await;
         }
         assert_eq!(start.elapsed(), INTERVAL * 500);
+        tokio::time::advance(Duration::from_secs(1)).await;
+        pace.delay(Duration::from_secs(3));
+        let delayed = Instant::now();
+        pace.next().await;
+        assert_eq!(delayed.elapsed(), Duration::from_secs(3));
         tokio::time::advance(Duration::from_secs(1)).await;
         let later = Instant::now();
         pace.next().await;

@@ -302,6 +302,7 @@ impl Service<Request<Incoming>> for Requests {
         extensions.insert(ConnectInfo(self.peer));
         extensions.insert(self.permit.clone());
         extensions.insert(self.home.clone());
+        extensions.insert(self.pace.clone());
         let (router, pace) = (self.server.router.clone(), self.pace.clone());
         let answer = async move {
             if !is_fast_stop {

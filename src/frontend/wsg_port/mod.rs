@@ -38,7 +38,7 @@ const LEAVING_CLIENTS: usize = 128;
 /// Descriptors of one port's TCP clients, at the most and at the least.
 pub const MAX_DESCRIPTORS: usize = MAX_CLIENTS + LEAVING_CLIENTS;
 /// See [`MAX_DESCRIPTORS`].
-pub const MIN_DESCRIPTORS: usize = 8;
+pub const MIN_DESCRIPTORS: usize = 4;
 
 /// A client that has been silent for so long is lost: one that doesn't acknowledge its TCP segments, or that sends no
 /// datagram where nothing else is said.

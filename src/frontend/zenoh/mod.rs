@@ -127,7 +127,7 @@ async fn declare(
 ) -> zenoh::Result<([LivelinessToken; 2], JoinSet<()>)> {
     let keys = Keys::of(&context.gateway);
     // First: it stops what may be moving already.
-    FastStops::new(context.fleet.clone(), Handle::current()).declare(session, &keys).await?;
+    FastStops::new(context.fleet.clone(), context.runtimes.accept.clone()).declare(session, &keys).await?;
     let clients = Arc::new(Clients::new(Handle::current(), metrics.clone()));
     clients.declare(session, &keys).await?;
     let instance = context.network.join(session).await?;

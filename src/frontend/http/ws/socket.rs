@@ -130,6 +130,8 @@ enum End {
     Closing,
     /// The client has closed it, or is gone.
     Closed,
+    /// The client takes nothing any more: its connection has ended.
+    Unwritable,
     /// The client answers no ping.
     Lost,
     /// The connection was evicted.
@@ -200,6 +202,7 @@ impl Socket {
             End::Evicted => (CloseCode::Again, "too many connections, or too much waits for this one"),
             End::Violation(code, reason) => (code, reason),
             End::Closed => (CloseCode::Normal, ""),
+            End::Unwritable => return,
         };
         if end != End::Closed {
             self.outbox.push(encoded(Frame::close(Some(CloseFrame { code, reason: reason.into() }))));
@@ -231,7 +234,7 @@ impl Socket {
                 biased;
                 () = self.context.closing.cancelled() => return End::Closing,
                 () = evicted.as_mut() => return if self.context.closing.is_cancelled() { End::Closing } else { End::Evicted },
-                _ = &mut self.writer => return End::Closed,
+                _ = &mut self.writer => return End::Unwritable,
                 Some(done) = self.calls.next() => self.take_done(done),
                 Some(command) = self.running.next() => {
                     if let Some(ended) = Notification::new("command", &command) {
