@@ -9,6 +9,7 @@ mod commands;
 pub mod csv;
 mod curve;
 mod follow;
+mod presence;
 mod prune;
 mod query;
 mod reader;

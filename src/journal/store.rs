@@ -10,8 +10,9 @@ use std::time::Duration;
 use rusqlite::{Connection, OptionalExtension, Transaction, TransactionBehavior, params};
 
 use super::chain::{Chain, Tip, memory_hash};
+use super::presence::Presence;
 use super::row::{EventKind, Row, word};
-use super::schema::{self, APPLICATION_ID, Content, SPAN_BITS, VERSION};
+use super::schema::{self, APPLICATION_ID, Content, SPAN_BITS, VERSION, content};
 use super::source::{BUSY_TIMEOUT, Place, Source, no_file};
 use crate::gripper::model::{MemoryKey, Name};
 
@@ -75,6 +76,8 @@ impl Content {
 pub(super) struct Store {
     pub(super) source: Source,
     pub(super) connection: Connection,
+    /// The open files; none of a journal in memory.
+    presence: Option<Presence>,
     /// Held as long as the journal is open.
     _lock: Option<File>,
 }
@@ -91,7 +94,7 @@ impl Store {
         let source = Source::new(place);
         let unusable = |error: rusqlite::Error| OpenError::Unusable(source.words(&error));
         let mut connection = source.writing().map_err(unusable)?;
-        match schema::content(&connection).map_err(unusable)? {
+        match content(&connection).map_err(unusable)? {
             Content::Journal => {}
             Content::Nothing => {
                 // Takes effect only before there are tables.
@@ -102,7 +105,37 @@ impl Store {
             other => return Err(OpenError::NoJournal(other.words(Path::new(&source.place.to_string())))),
         }
         write_ahead(&connection).map_err(unusable)?;
-        Ok(Self { source, connection, _lock: lock })
+        // Makes SQLite create the write-ahead log and its index now.
+        content(&connection).map_err(unusable)?;
+        let presence = Presence::new(&source.place, &connection);
+        let presence =
+            presence.map_err(|error| OpenError::Unusable(format!("the journal {}: {error}", source.place)))?;
+        Ok(Self { source, connection, presence, _lock: lock })
+    }
+
+    /// Whether records written now would be in the files at the journal's path.
+    ///
+    /// # Errors
+    /// The file that is lost, and the remedy.
+    pub(super) fn check_files(&mut self) -> Result<(), String> {
+        self.presence.as_mut().map_or(Ok(()), Presence::check)
+    }
+
+    /// The same after a write, which may have changed the file's size.
+    ///
+    /// # Errors
+    /// As [`Store::check_files`].
+    pub(super) fn check_written(&mut self) -> Result<(), String> {
+        self.presence.as_mut().map_or(Ok(()), Presence::wrote)
+    }
+
+    /// Brings what only a lost write-ahead log has into the database, which may still be in its place.
+    pub(super) fn rescue(&mut self) {
+        if self.presence.as_ref().is_some_and(|presence| !presence.is_truncated())
+            && let Err(error) = self.checkpoint()
+        {
+            tracing::warn!(%error, "the newest records could not be brought into the journal's file");
+        }
     }
 
     /// The end of a chain.
@@ -137,10 +170,14 @@ impl Store {
     }
 
     /// Brings the write-ahead log into the file, and empties it, unless somebody reads from it for long.
-    pub(super) fn checkpoint(&self) -> rusqlite::Result<()> {
+    pub(super) fn checkpoint(&mut self) -> rusqlite::Result<()> {
+        // A truncation is noted before the sizes change by this process.
+        let _ = self.check_files();
         self.connection.busy_timeout(EMPTY_LOG_WITHIN)?;
         let emptied = self.connection.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |_| Ok(()));
         self.connection.busy_timeout(BUSY_TIMEOUT)?;
+        // What is wrong with the files is found again, and said, at the next commit.
+        let _ = self.check_written();
         emptied
     }
 

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use tokio::sync::{broadcast, oneshot};
 
 use super::chain::{Chain, Tip};
+use super::presence::CHECK_EVERY;
 use super::prune::Pruning;
 use super::row::{Row, Stored, now};
 use super::shared::Shared;
@@ -88,6 +89,8 @@ pub(super) struct Writer {
     batch: Batch,
     /// While the disk fails, when it is tried again.
     retry_at: Option<Instant>,
+    /// Time of the next look at the journal's files.
+    check_at: Instant,
     /// While the write-ahead log is too large, when it is emptied.
     empty_log_at: Option<Instant>,
     /// How many lost records have been told of.
@@ -110,6 +113,7 @@ impl Writer {
             ends: Some(ends),
             batch,
             retry_at: None,
+            check_at: Instant::now() + CHECK_EVERY,
             empty_log_at: None,
             lost_told: 0,
             pruning,
@@ -128,7 +132,7 @@ impl Writer {
     /// What was not written, and why.
     pub(super) fn run(mut self, inputs: &Receiver<Input>) -> Result<(), String> {
         loop {
-            let due = self.empty_log_at.into_iter().fold(self.pruning.due(), Instant::min);
+            let due = self.empty_log_at.into_iter().chain([self.check_at]).fold(self.pruning.due(), Instant::min);
             let wake = self.retry_at.unwrap_or(due);
             let mut input = match inputs.recv_timeout(wake.saturating_duration_since(Instant::now())) {
                 Ok(input) => Some(input),
@@ -202,26 +206,42 @@ impl Writer {
 
     /// Makes the batch durable, and tells of it; where that fails, keeps it.
     fn commit(&mut self, now: Instant) {
+        self.check_at = now + CHECK_EVERY;
+        if let Err(failure) = self.store.check_files() {
+            if self.retry_at.is_none() {
+                self.store.rescue();
+            }
+            return self.fail(failure, now);
+        }
         // A failing disk is told of once it works again: what is lost until then is one number.
         if self.retry_at.is_none() {
             self.tell_of_lost();
         }
         self.batch.memories.extend(self.shared.take_memories());
         if self.batch.is_empty() {
-            self.retry_at = None;
+            if self.retry_at.take().is_some() {
+                tracing::info!("the journal can be written again");
+                self.shared.set_failure(None);
+            }
             return;
         }
         let rows = match self.write() {
             Ok(rows) => rows,
-            Err(error) => return self.fail(&error, now),
+            Err(error) => return self.fail(self.store.source.words(&error), now),
         };
+        let kept = self.store.check_written();
         self.pruning.wrote(&rows, now);
         let batch = std::mem::take(&mut self.batch);
-        if self.retry_at.take().is_some() {
-            tracing::info!(records = rows.len(), "the journal is written again");
-        }
+        let records = rows.len();
         for event in rows.into_iter().filter_map(|row| row.event) {
             self.tell(event);
+        }
+        if let Err(failure) = kept {
+            // The open files have the records, so they are not written again. No waiter is told that they are durable.
+            return self.fail(failure, now);
+        }
+        if self.retry_at.take().is_some() {
+            tracing::info!(records, "the journal is written again");
         }
         for waiter in batch.waiters {
             // Whoever waited may have given up.
@@ -234,8 +254,7 @@ impl Writer {
     }
 
     /// The batch was not written, and is tried again.
-    fn fail(&mut self, error: &rusqlite::Error, now: Instant) {
-        let failure = self.store.source.words(error);
+    fn fail(&mut self, failure: String, now: Instant) {
         if self.retry_at.is_none() {
             tracing::error!(failure, "the journal can't be written");
         }
@@ -278,7 +297,7 @@ impl Writer {
 
     /// Before a disk that failed is tried again: it may be full of what has had its time.
     fn make_room(&mut self, now: Instant) {
-        if self.retry_at.is_none() {
+        if self.retry_at.is_none() || self.store.check_files().is_err() {
             return;
         }
         let emptied = self.store.checkpoint();
@@ -303,6 +322,10 @@ impl Writer {
 
     /// Removes what retention says, and returns the event that attests it.
     fn remove(&mut self, now: Instant) -> rusqlite::Result<Option<Arc<Stored>>> {
+        if self.store.check_files().is_err() {
+            // The next commit says it.
+            return Ok(None);
+        }
         let mut ends = self.take_ends()?;
         let end = ends[Chain::Events as usize];
         let row = self.shared.while_watched(|| self.pruning.step(&mut self.store, end, now))?;
@@ -310,6 +333,8 @@ impl Writer {
             ends[Chain::Events as usize] = row.tip;
         }
         self.ends = Some(ends);
+        // What is wrong with the files is found again, and said, at the next commit.
+        let _ = self.store.check_written();
         Ok(row.and_then(|row| row.event))
     }
 

@@ -3,12 +3,13 @@
 use std::path::{Path, PathBuf};
 
 use jiff::Timestamp;
+use serde_json::json;
 use tokio::sync::oneshot;
 use wsg_gateway::gripper::model::{Detail, Event, GatewayEvent, Link, LinkEvent, Name};
 use wsg_gateway::gripper::recorder::{Record, Recorder as _};
 use wsg_gateway::journal::{Journal, Place, Retention};
 
-use crate::harness::{Process, eventually, run};
+use crate::harness::{Gateway, Process, Simulator, eventually, run};
 
 /// A journal's file, which goes with the test.
 struct File(PathBuf);
@@ -54,6 +55,56 @@ async fn filled(file: &File) -> Journal {
     keep(&journal, 1001, Some("left"), link(Link::Connected, None)).await;
     keep(&journal, 1002, Some("right"), link(Link::Reconnecting, Some("reset, by \"peer\""))).await;
     journal
+}
+
+/// A gateway with a simulated device and this journal, homed.
+async fn gateway(device: &Simulator, file: &File, on_failure: &str) -> Gateway {
+    let config = file.0.join("gateway.toml");
+    std::fs::write(&config, format!("on_journal_failure = \"{on_failure}\"\n")).unwrap();
+    let gripper = format!("g=tcp://{}", device.address);
+    let arguments = ["--gripper", &gripper, "--journal", &file.path(), "--config", config.to_str().unwrap()];
+    let gateway = Gateway::start(&arguments).await;
+    gateway.until_link("connected").await;
+    gateway.post("home", &json!({})).await.outcome("SUCCESS");
+    gateway
+}
+
+#[tokio::test]
+async fn removed_or_replaced_journal_refuses_motions_and_is_said() {
+    for is_replaced in [false, true] {
+        let (file, device) = (File::new(&format!("lost-{is_replaced}")), Simulator::start(&[]).await);
+        let gateway = gateway(&device, &file, "refuse").await;
+        std::fs::remove_file(file.path()).unwrap();
+        if is_replaced {
+            std::fs::write(file.path(), "another file").unwrap();
+        }
+        let a_move = json!({"width_mm": 50, "speed_mm_s": 200});
+        gateway.post("move", &a_move).await.problem(503, "journal_down");
+        let state = gateway.until("the state says it", |state| state["journal_cause"].is_string()).await;
+        assert!(state["journal_cause"].as_str().unwrap().contains("restart the gateway"), "{state}");
+        let refused = gateway.post("move", &a_move).await.problem(503, "journal_down");
+        assert!(refused["detail"].as_str().unwrap().contains("journal.db was re"), "{refused}");
+        let not_ready = gateway.get("/readyz").await;
+        assert_eq!((not_ready.status, not_ready.field("journal_cause")), (503, &state["journal_cause"]));
+        assert!(gateway.figures().await["wsg_journal_up"] < 1.0);
+        let stopped = gateway.post("fast-stop", &json!({})).await.ok();
+        assert_eq!(stopped["fast_stop_confirmed"], true);
+        let ended = gateway.terminate().await;
+        assert!(ended.stderr.contains("the journal can't be written"), "{ended:?}");
+        if is_replaced {
+            assert_eq!(std::fs::read(file.path()).unwrap(), b"another file");
+        }
+    }
+}
+
+#[tokio::test]
+async fn motions_go_on_without_a_removed_journal_where_the_configuration_says_so() {
+    let (file, device) = (File::new("lost-continue"), Simulator::start(&[]).await);
+    let gateway = gateway(&device, &file, "continue").await;
+    std::fs::remove_file(file.path()).unwrap();
+    gateway.until("it is noticed", |state| state["journal_cause"].is_string()).await;
+    gateway.post("move", &json!({"width_mm": 50, "speed_mm_s": 200})).await.outcome("SUCCESS");
+    assert_eq!(gateway.get("/readyz").await.status, 503);
 }
 
 /// What a subcommand says of the journal.

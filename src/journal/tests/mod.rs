@@ -2,6 +2,7 @@
 
 mod disk;
 mod following;
+mod losing;
 mod pages;
 mod pruning;
 mod recovering;
