@@ -28,6 +28,7 @@ pub(super) fn registry(gateway: &Name, journal: &Journal) -> Result<Registry> {
         health: journal.health(),
         told: Mutex::default(),
         up: IntGauge::new("wsg_journal_up", "Whether the journal takes records.")?,
+        damaged: IntGauge::new("wsg_journal_damaged", "Whether earlier records in the journal were found damaged.")?,
         lost: IntCounter::new("wsg_journal_records_lost_total", "Records that found no place in the journal.")?,
     }))?;
     Ok(registry)
@@ -39,21 +40,23 @@ struct JournalHealth {
     /// How many lost records were counted.
     told: Mutex<u64>,
     up: IntGauge,
+    damaged: IntGauge,
     lost: IntCounter,
 }
 
 impl Collector for JournalHealth {
     fn desc(&self) -> Vec<&Desc> {
-        [self.up.desc(), self.lost.desc()].concat()
+        [self.up.desc(), self.damaged.desc(), self.lost.desc()].concat()
     }
 
     fn collect(&self) -> Vec<MetricFamily> {
-        let Health { failure, lost } = self.health.borrow().clone();
+        let Health { failure, lost, damage } = self.health.borrow().clone();
         let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
         self.lost.inc_by(lost.saturating_sub(*told));
         *told = lost.max(*told);
         self.up.set(failure.is_none().into());
-        [self.up.collect(), self.lost.collect()].concat()
+        self.damaged.set(damage.is_some().into());
+        [self.up.collect(), self.damaged.collect(), self.lost.collect()].concat()
     }
 }
 

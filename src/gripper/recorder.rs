@@ -60,6 +60,8 @@ pub struct Health {
     pub failure: Option<String>,
     /// How many found no place since the start.
     pub lost: u64,
+    /// Damage of earlier records, found since the start. It does not keep new records from becoming durable.
+    pub damage: Option<String>,
 }
 
 /// A recorder for who needs none: what is recorded counts as durable at once, and is gone.

@@ -5,6 +5,7 @@
 //! get the JSON as it was written. [`verify`] says whether a file is as it was written.
 
 mod chain;
+mod check;
 mod commands;
 pub mod csv;
 mod curve;
@@ -34,6 +35,7 @@ use tokio::sync::{broadcast, watch};
 
 use crate::gripper::model::{Command, CommandEvent, CommandId, Detail, Event, Memory, Name, Sample};
 use crate::gripper::recorder::{Health, Record, Recorder};
+use check::Check;
 use reader::Pool;
 use shared::Shared;
 use store::Store;
@@ -80,6 +82,7 @@ pub struct Journal {
 #[derive(Debug)]
 struct Writing {
     inputs: SyncSender<Input>,
+    check: Mutex<Option<Check>>,
     thread: Mutex<Option<JoinHandle<Result<(), String>>>>,
 }
 
@@ -103,12 +106,13 @@ impl Journal {
         let (recovered, events) = recovery::recover(&store.connection).map_err(unusable)?;
         let writer = Writer::new(store, Retention { max_bytes, ..retention }, events).map_err(unusable)?;
         let shared = writer.shared();
+        let check = Check::start(&source, shared.clone())?;
         let (inputs, queue) = sync_channel(QUEUE + ENDS);
         let (watched, place) = (shared.clone(), source.place.clone());
         // It ends with the thread that it watches.
         spawn("journal-watch", move || watched.watch(&place))?;
         let thread = spawn("journal", move || writer.run(&queue))?;
-        let writing = Arc::new(Writing { inputs, thread: Mutex::new(Some(thread)) });
+        let writing = Arc::new(Writing { inputs, check: Mutex::new(check), thread: Mutex::new(Some(thread)) });
         Ok((Self { writing, shared, pool: Pool::new(&source) }, recovered))
     }
 
@@ -232,6 +236,9 @@ fn places(record: &Record, places: usize) -> usize {
 impl Writing {
     fn end(&self, orderly: bool) -> Result<(), String> {
         let Some(thread) = self.thread.lock().unwrap_or_else(PoisonError::into_inner).take() else { return Ok(()) };
+        if let Some(check) = self.check.lock().unwrap_or_else(PoisonError::into_inner).take() {
+            check.end();
+        }
         // A thread that has gone has said why.
         let _ = self.inputs.send(Input::End { orderly });
         thread.join().unwrap_or_else(|_| Err("the journal's thread has panicked".to_owned()))

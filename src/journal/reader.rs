@@ -3,7 +3,7 @@
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 
-use rusqlite::{Connection, OptionalExtension, params};
+use rusqlite::{Connection, InterruptHandle, OptionalExtension, params};
 use tokio::sync::Semaphore;
 
 use super::chain::Chain;
@@ -46,6 +46,10 @@ impl Reader {
     pub(super) fn connect(source: &Source) -> Result<Self, ReadError> {
         let connection = source.reading().map_err(|error| ReadError(source.words(&error)))?;
         Ok(Self { source: source.clone(), connection })
+    }
+
+    pub(super) fn interrupt_handle(&self) -> InterruptHandle {
+        self.connection.get_interrupt_handle()
     }
 
     pub(super) fn with<T>(&self, read: impl FnOnce(&Connection) -> rusqlite::Result<T>) -> Result<T, ReadError> {

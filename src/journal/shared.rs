@@ -83,6 +83,11 @@ impl Shared {
         });
     }
 
+    /// Says that records of earlier are damaged, which does not keep new ones from being written.
+    pub(super) fn set_damage(&self, damage: String) {
+        self.health.send_modify(|health| health.damage = Some(damage));
+    }
+
     /// One more record waits, where fewer than so many do.
     pub(super) fn waits(&self, places: usize) -> bool {
         let one_more = |waiting| (waiting < places).then_some(waiting + 1);

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::path::Path;
+use std::time::{Duration, Instant};
 
 use rusqlite::{Connection, OptionalExtension};
 
@@ -11,6 +12,7 @@ use super::reader::Reader;
 use super::schema::TABLES;
 use super::source::ReadError;
 use super::store::anchor;
+use walk::Walk;
 
 #[cfg(test)]
 mod tests;
@@ -65,6 +67,57 @@ pub fn verify(path: &Path) -> Result<Report, ReadError> {
     })
 }
 
+/// Reads the newest records alone: the quick check at the start, of a few milliseconds whatever the file's size.
+pub(super) fn verify_newest(connection: &Connection, records: i64) -> Report {
+    let mut verifier = Verifier::default();
+    verifier.tables(connection);
+    for chain in Chain::ALL {
+        verifier.check(chain.name(), |this| {
+            let mut walk = Walk::newest(connection, chain, records)?;
+            while walk.part(this, connection)? {}
+            Ok(())
+        });
+    }
+    verifier.check("memory", |this| this.memory(connection));
+    verifier.report
+}
+
+/// Reads a whole journal in parts, while it is written. `pause` is called after each part with the time that it took;
+/// where it says no, the check ends without a report.
+///
+/// The last statement, the check of the file's pages and indexes, is one: interrupting it ends it early.
+pub(super) fn verify_in_parts(reader: &Reader, mut pause: impl FnMut(Duration) -> bool) -> Option<Report> {
+    let mut verifier = Verifier::default();
+    let read = reader.with(|connection| {
+        verifier.tables(connection);
+        let mut walks = [Walk::all(connection, Chain::Events)?, Walk::all(connection, Chain::Grips)?];
+        for walk in &mut walks {
+            loop {
+                let began = Instant::now();
+                let snapshot = connection.unchecked_transaction()?;
+                let more = walk.part(&mut verifier, &snapshot)?;
+                drop(snapshot);
+                if !pause(began.elapsed()) {
+                    return Ok(());
+                }
+                if !more {
+                    break;
+                }
+            }
+        }
+        // What came meanwhile, and what the file keeps beside the chains, are of one moment.
+        let snapshot = connection.unchecked_transaction()?;
+        verifier.finish(&snapshot, walks);
+        drop(snapshot);
+        verifier.integrity(connection);
+        Ok(())
+    });
+    if let Err(error) = read {
+        verifier.find("file", error);
+    }
+    pause(Duration::ZERO).then_some(verifier.report)
+}
+
 #[derive(Debug, Default)]
 struct Verifier {
     report: Report,
@@ -103,8 +156,24 @@ impl Verifier {
     }
 
     fn records(&mut self, connection: &Connection) {
-        for chain in Chain::ALL {
-            self.check(chain.name(), |this| walk::walk(this, connection, chain));
+        let walks = Chain::ALL.map(|chain| Walk::all(connection, chain).map_err(|error| (chain, error)));
+        let mut begun = Vec::new();
+        for walk in walks {
+            match walk {
+                Ok(walk) => begun.push(walk),
+                Err((chain, error)) => self.find(chain.name(), format!("can't be read: {error}")),
+            }
+        }
+        self.finish(connection, begun);
+    }
+
+    /// Goes to the ends of the chains, and compares what the file keeps beside them.
+    fn finish(&mut self, connection: &Connection, walks: impl IntoIterator<Item = Walk>) {
+        for mut walk in walks {
+            self.check(walk.chain().name(), |this| {
+                while walk.part(this, connection)? {}
+                Ok(())
+            });
         }
         self.check("anchors", |this| this.anchors(connection));
         self.check("running", |this| this.running(connection));

@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use tokio::sync::{broadcast, oneshot};
 
 use super::chain::{Chain, Tip};
+use super::check::check_newest;
 use super::presence::CHECK_EVERY;
 use super::prune::Pruning;
 use super::row::{Row, Stored, now};
@@ -105,6 +106,7 @@ impl Writer {
         let pruning = Pruning::new(retention, Instant::now());
         let (shared, told) = Shared::new(ends[Chain::Events as usize].seq);
         let (shared, mut batch) = (Arc::new(shared), Batch::default());
+        check_newest(&store.source.place, &store.connection, &shared);
         batch.records.extend(last_run.into_iter().map(Placed::Event));
         let mut writer = Self {
             store,

@@ -52,6 +52,7 @@ async fn the_figures_tell_what_was_done() {
         ("wsg_clients_connected{door=\"http\"}".to_owned(), 1.0),
         ("wsg_updates_dropped_total{door=\"http\"}".to_owned(), 0.0),
         ("wsg_journal_up".to_owned(), 1.0),
+        ("wsg_journal_damaged".to_owned(), 0.0),
         ("wsg_journal_records_lost_total".to_owned(), 0.0),
     ] {
         assert_eq!(of(&figures, &series), expected, "{series}");
@@ -103,7 +104,7 @@ async fn a_gateway_is_ready_while_its_device_is_there_and_counts_how_often_it_ca
     let ready = eventually("it is ready", async || Some(gateway.get("/readyz").await).filter(|it| it.status == 200));
     assert_eq!(
         ready.await.body,
-        json!({"gateway": "gateway", "ready": true, "journal_cause": null, "zenoh_cause": null, "not_ready": []})
+        json!({"gateway": "gateway", "ready": true, "journal_cause": null, "journal_damage": null, "zenoh_cause": null, "not_ready": []})
     );
     let figures = gateway.figures().await;
     assert_eq!((of(&figures, &g("wsg_link_up", "")), of(&figures, &g("wsg_reconnects_total", ""))), (1.0, 0.0));

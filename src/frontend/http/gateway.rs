@@ -41,17 +41,20 @@ pub async fn health(Shared(context): Shared<Arc<Context>>) -> Json<Health> {
 /// Whether the gateway can do what it is for.
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(example = json!({
-    "gateway": "wsg", "ready": false, "journal_cause": null, "zenoh_cause": null, "not_ready": ["left: reconnecting: connection refused"]
+    "gateway": "wsg", "ready": false, "journal_cause": null, "journal_damage": null, "zenoh_cause": null, "not_ready": ["left: reconnecting: connection refused"]
 }))]
 pub struct Readiness {
     /// The gateway's name.
     #[schema(max_length = 32)]
     gateway: String,
-    /// Whether every gripper is connected, the journal takes records, and the gateway is on Zenoh as it is to be.
+    /// Whether every gripper is connected, the journal takes records and is undamaged, and the gateway is on Zenoh as it is to be.
     ready: bool,
     /// Why the journal takes no records; null while it does.
     #[schema(required)]
     journal_cause: Option<String>,
+    /// Damage of earlier records in the journal, and the remedy; null where none was found. New records are still written, and motions go on.
+    #[schema(required)]
+    journal_damage: Option<String>,
     /// Why the gateway is not on Zenoh wherever it is to be; null while it is, and where Zenoh is off.
     #[schema(required)]
     zenoh_cause: Option<String>,
@@ -61,7 +64,7 @@ pub struct Readiness {
 
 /// Whether the gateway is ready
 ///
-/// It is when every gripper's link is connected, the journal takes records, and Zenoh listens wherever it is to and is connected where it is to be. A FAST STOP that holds doesn't count.
+/// It is when every gripper's link is connected, the journal takes records and is undamaged, and Zenoh listens wherever it is to and is connected where it is to be. A FAST STOP that holds doesn't count.
 #[utoipa::path(
     get, path = "/readyz", operation_id = "readyz", tag = "gateway",
     responses(
@@ -71,12 +74,14 @@ pub struct Readiness {
     )
 )]
 pub async fn readiness(Shared(context): Shared<Arc<Context>>) -> (StatusCode, Json<Readiness>) {
-    let journal_cause = context.journal.health().borrow().failure.clone();
+    let journal = context.journal.health().borrow().clone();
+    let (journal_cause, journal_damage) = (journal.failure, journal.damage);
     let not_ready: Vec<_> = context.fleet.iter().filter_map(why_not_ready).collect();
     let zenoh_cause = context.network.cause().borrow().clone();
-    let ready = journal_cause.is_none() && zenoh_cause.is_none() && not_ready.is_empty();
+    let ready = journal_cause.is_none() && journal_damage.is_none() && zenoh_cause.is_none() && not_ready.is_empty();
     let status = if ready { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
-    (status, Json(Readiness { gateway: context.gateway.to_string(), ready, journal_cause, zenoh_cause, not_ready }))
+    let gateway = context.gateway.to_string();
+    (status, Json(Readiness { gateway, ready, journal_cause, journal_damage, zenoh_cause, not_ready }))
 }
 
 fn why_not_ready(handle: &Handle) -> Option<String> {

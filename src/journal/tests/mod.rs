@@ -1,5 +1,6 @@
 //! The journal as a gateway uses it; what several tests need.
 
+mod damage;
 mod disk;
 mod following;
 mod losing;

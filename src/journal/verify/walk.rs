@@ -1,17 +1,18 @@
-//! A walk along a chain, from what is left of its beginning to its end.
-
-use std::collections::BTreeMap;
+//! A walk along a chain, from what is left of its beginning to its end, in parts of a bounded size.
 
 use rusqlite::types::ValueRef;
-use rusqlite::{Connection, Row};
+use rusqlite::{Connection, OptionalExtension as _, Row, params};
 use serde_json::Value;
 
-use super::super::chain::{Chain, Hash, hash};
+use super::super::chain::{Chain, Hash, Tip, hash};
 use super::super::curve;
 use super::super::row::milliseconds;
 use super::super::schema::SPAN_BITS;
 use super::super::store::anchor;
 use super::Verifier;
+
+/// Records of one part: some milliseconds of reading, during which the write-ahead log cannot start anew.
+pub(super) const PART: i64 = 1024;
 
 /// A record as it is stored.
 struct Raw<'a> {
@@ -22,42 +23,93 @@ struct Raw<'a> {
     hash: Hash,
 }
 
-struct Walk<'a> {
-    verifier: &'a mut Verifier,
+/// A position in a chain.
+#[derive(Debug)]
+pub(super) struct Walk {
     chain: Chain,
     /// The record before.
     seq: i64,
     /// What its hash may be: two where it is not known which of its body and its hash is damaged; none where it is not
     /// there.
     hashes: Vec<Hash>,
-    /// Times by span.
-    spans: BTreeMap<i64, (i64, i64)>,
+    /// The sequence number behind which the next part begins.
+    after: i64,
+    /// The span that was read last, and its times.
+    span: Option<(i64, Option<(i64, i64)>)>,
+    /// Whether a record can't be read, so that nothing behind it can be either.
+    broken: bool,
 }
 
-/// Reads all records of a chain.
-pub(super) fn walk(verifier: &mut Verifier, connection: &Connection, chain: Chain) -> rusqlite::Result<()> {
-    let anchor = anchor(connection, chain)?;
-    let spans = spans(connection, chain)?;
-    let mut walk = Walk { verifier, chain, seq: anchor.seq, hashes: vec![anchor.hash], spans };
-    let sql = format!("SELECT seq, at, body, curve, hash FROM {} NOT INDEXED ORDER BY seq", chain.name());
-    let mut statement = connection.prepare(&sql)?;
-    let mut rows = statement.query([])?;
-    loop {
-        match rows.next() {
-            Ok(Some(row)) => walk.row(row)?,
-            Ok(None) => return Ok(()),
-            Err(error) => {
-                walk.find(walk.seq + 1, format!("can't be read, nor what follows: {error}"));
-                return Ok(());
+impl Walk {
+    /// A walk along all records of a chain.
+    pub(super) fn all(connection: &Connection, chain: Chain) -> rusqlite::Result<Self> {
+        // Records before the anchor should be gone: they are findings.
+        Ok(Self { after: i64::MIN, ..Self::behind(chain, anchor(connection, chain)?) })
+    }
+
+    /// A walk along the newest records of a chain.
+    pub(super) fn newest(connection: &Connection, chain: Chain, records: i64) -> rusqlite::Result<Self> {
+        let sql = format!("SELECT seq, hash FROM {} ORDER BY seq DESC LIMIT 1 OFFSET ?", chain.name());
+        let tip = connection.query_row(&sql, [records], |row| Ok(Tip { seq: row.get(0)?, hash: row.get(1)? }));
+        match tip.optional()? {
+            Some(tip) => Ok(Self::behind(chain, tip)),
+            None => Self::all(connection, chain),
+        }
+    }
+
+    fn behind(chain: Chain, tip: Tip) -> Self {
+        Self { chain, seq: tip.seq, hashes: vec![tip.hash], after: tip.seq, span: None, broken: false }
+    }
+
+    pub(super) fn chain(&self) -> Chain {
+        self.chain
+    }
+
+    /// Reads the next part, as the chain is at this moment; whether there may be more.
+    pub(super) fn part(&mut self, verifier: &mut Verifier, connection: &Connection) -> rusqlite::Result<bool> {
+        if self.broken {
+            return Ok(false);
+        }
+        self.skip_removed(verifier, anchor(connection, self.chain)?);
+        self.span = None;
+        let sql = format!(
+            "SELECT seq, at, body, curve, hash FROM {} NOT INDEXED WHERE seq > ? ORDER BY seq LIMIT ?",
+            self.chain.name()
+        );
+        let mut statement = connection.prepare_cached(&sql)?;
+        let mut rows = statement.query([self.after, PART])?;
+        let mut count = 0;
+        loop {
+            match rows.next() {
+                Ok(Some(row)) => self.row(verifier, connection, row)?,
+                Ok(None) => return Ok(count == PART),
+                Err(error) => {
+                    self.broken = true;
+                    self.find(verifier, self.seq + 1, format!("can't be read, nor what follows: {error}"));
+                    return Ok(false);
+                }
             }
+            count += 1;
+        }
+    }
+
+    /// Goes on behind what was removed since the last part.
+    fn skip_removed(&mut self, verifier: &mut Verifier, anchor: Tip) {
+        if self.after != i64::MIN && anchor.seq > self.seq {
+            if self.chain == Chain::Events {
+                // Only commands that had ended were removed.
+                verifier.running.retain(|_, seq| *seq > anchor.seq);
+            }
+            *self = Self::behind(self.chain, anchor);
         }
     }
 }
 
-fn spans(connection: &Connection, chain: Chain) -> rusqlite::Result<BTreeMap<i64, (i64, i64)>> {
-    let mut statement = connection.prepare("SELECT span, oldest, newest FROM spans WHERE chain = ?")?;
-    let spans = statement.query_map([chain.name()], |row| Ok((row.get(0)?, (row.get(1)?, row.get(2)?))))?;
-    spans.collect()
+/// The least and the greatest time of a span's records.
+fn times(connection: &Connection, chain: Chain, span: i64) -> rusqlite::Result<Option<(i64, i64)>> {
+    let sql = "SELECT oldest, newest FROM spans WHERE chain = ? AND span = ?";
+    let times = |row: &Row<'_>| Ok((row.get(0)?, row.get(1)?));
+    connection.prepare_cached(sql)?.query_row(params![chain.name(), span], times).optional()
 }
 
 fn raw<'a>(chain: Chain, row: &'a Row<'_>) -> rusqlite::Result<Option<Raw<'a>>> {
@@ -72,62 +124,66 @@ fn raw<'a>(chain: Chain, row: &'a Row<'_>) -> rusqlite::Result<Option<Raw<'a>>> 
     Ok(hash.try_into().ok().map(|hash| Raw { seq, at, body, curve, hash }))
 }
 
-impl Walk<'_> {
-    fn find(&mut self, seq: i64, detail: impl std::fmt::Display) {
-        self.verifier.find(format!("{} {seq}", self.chain.name()), detail);
+impl Walk {
+    fn find(&self, verifier: &mut Verifier, seq: i64, detail: impl std::fmt::Display) {
+        verifier.find(format!("{} {seq}", self.chain.name()), detail);
     }
 
-    fn row(&mut self, row: &Row<'_>) -> rusqlite::Result<()> {
+    fn row(&mut self, verifier: &mut Verifier, connection: &Connection, row: &Row<'_>) -> rusqlite::Result<()> {
         let count = match self.chain {
-            Chain::Events => &mut self.verifier.report.events,
-            Chain::Grips => &mut self.verifier.report.grips,
+            Chain::Events => &mut verifier.report.events,
+            Chain::Grips => &mut verifier.report.grips,
         };
         *count += 1;
         let seq: i64 = row.get(0)?;
         if seq != self.seq + 1 {
-            self.find(self.seq + 1, format!("missing, up to {}", seq - 1));
+            self.find(verifier, self.seq + 1, format!("missing, up to {}", seq - 1));
             self.hashes.clear();
         }
-        self.seq = seq;
-        if let Some(raw) = raw(self.chain, row)? {
-            self.record(&raw);
-        } else {
-            self.find(seq, "its columns are not of their types");
+        (self.seq, self.after) = (seq, seq);
+        let Some(raw) = raw(self.chain, row)? else {
+            self.find(verifier, seq, "its columns are not of their types");
             self.hashes.clear();
+            return Ok(());
+        };
+        let span = seq >> SPAN_BITS;
+        if self.span.is_none_or(|(known, _)| known != span) {
+            self.span = Some((span, times(connection, self.chain, span)?));
         }
+        self.record(verifier, &raw);
         Ok(())
     }
 
-    fn record(&mut self, raw: &Raw<'_>) {
+    fn record(&mut self, verifier: &mut Verifier, raw: &Raw<'_>) {
         let computed: Vec<_> = self.hashes.iter().map(|previous| hash(previous, raw.body, raw.curve)).collect();
         self.hashes = vec![raw.hash];
         if !computed.is_empty() && !computed.contains(&raw.hash) {
-            self.find(raw.seq, "it is not as it was written (its hash is another)");
+            self.find(verifier, raw.seq, "it is not as it was written (its hash is another)");
             self.hashes.extend(computed);
         }
         if self.chain == Chain::Grips && curve::decode(raw.curve).is_err() {
-            self.find(raw.seq, curve::NoCurve);
+            self.find(verifier, raw.seq, curve::NoCurve);
         }
-        let span = self.spans.get(&(raw.seq >> SPAN_BITS));
-        if !span.is_some_and(|(oldest, newest)| (*oldest..=*newest).contains(&raw.at)) {
-            self.find(raw.seq, "it is not found by its time");
+        let times = self.span.and_then(|(_, times)| times);
+        if !times.is_some_and(|(oldest, newest)| (oldest..=newest).contains(&raw.at)) {
+            self.find(verifier, raw.seq, "it is not found by its time");
         }
         match serde_json::from_slice(raw.body) {
-            Ok(body) => self.body(raw, &body),
-            Err(error) => self.find(raw.seq, format!("its body is no JSON: {error}")),
+            Ok(body) => self.body(verifier, raw, &body),
+            Err(error) => self.find(verifier, raw.seq, format!("its body is no JSON: {error}")),
         }
     }
 
-    fn body(&mut self, raw: &Raw<'_>, body: &Value) {
+    fn body(&self, verifier: &mut Verifier, raw: &Raw<'_>, body: &Value) {
         if body["seq"].as_i64() != Some(raw.seq) {
-            self.find(raw.seq, format!("its body says that it is {}", body["seq"]));
+            self.find(verifier, raw.seq, format!("its body says that it is {}", body["seq"]));
         }
         let time = &body[self.chain.time_field()];
         if time.as_str().and_then(|at| at.parse().ok()).map(milliseconds) != Some(raw.at) {
-            self.find(raw.seq, format!("its body says that it was at {time}, and not at {} ms", raw.at));
+            self.find(verifier, raw.seq, format!("its body says that it was at {time}, and not at {} ms", raw.at));
         }
         if self.chain == Chain::Events {
-            self.verifier.event(raw.seq, body);
+            verifier.event(raw.seq, body);
         }
     }
 }

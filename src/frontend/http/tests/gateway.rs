@@ -14,7 +14,7 @@ async fn a_gateway_is_ready_when_its_grippers_and_its_journal_are_and_says_which
     assert_eq!(
         answer.body,
         json!({
-            "gateway": "wsg", "ready": false, "journal_cause": null, "zenoh_cause": null,
+            "gateway": "wsg", "ready": false, "journal_cause": null, "journal_damage": null, "zenoh_cause": null,
             "not_ready": ["left: connecting: not reached yet"]
         })
     );

@@ -1,0 +1,111 @@
+//! Checks for damage: the newest records before the first write, then the whole journal in the background.
+
+use std::fmt;
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use rusqlite::{Connection, InterruptHandle};
+
+use super::reader::Reader;
+use super::shared::Shared;
+use super::source::{Place, Source};
+use super::spawn;
+use super::store::OpenError;
+use super::verify::{Report, verify_in_parts, verify_newest};
+
+/// Records of each chain that are checked at the start: about 5 ms, whatever the file's size. The whole takes 10 s per
+/// GB from memory, and minutes from an SD card.
+const NEWEST: i64 = 1024;
+
+/// The check rests so many times as long as it read. So it takes a fifth of a disk that it could keep busy.
+const REST: u32 = 4;
+
+/// Scheduling priority of the checking thread: the lowest, which is also the lowest for the disk.
+const NICE: i32 = 19;
+
+/// Time between two attempts to end a check.
+const INTERRUPT_EVERY: Duration = Duration::from_millis(10);
+
+/// The check of the whole journal, on a thread of its own.
+pub(super) struct Check {
+    pub(super) thread: JoinHandle<()>,
+    interrupt: InterruptHandle,
+    stop: Arc<Stop>,
+}
+
+impl fmt::Debug for Check {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Check").field("thread", &self.thread).finish_non_exhaustive()
+    }
+}
+
+/// Ends the check between two of its parts.
+#[derive(Debug, Default)]
+struct Stop {
+    stopped: Mutex<bool>,
+    changed: Condvar,
+}
+
+impl Stop {
+    fn stop(&self) {
+        *self.stopped.lock().unwrap_or_else(PoisonError::into_inner) = true;
+        self.changed.notify_all();
+    }
+
+    /// Waits; false where the check has to end.
+    fn rest(&self, time: Duration) -> bool {
+        let stopped = self.stopped.lock().unwrap_or_else(PoisonError::into_inner);
+        let rested = self.changed.wait_timeout_while(stopped, time, |stopped| !*stopped);
+        !*rested.unwrap_or_else(PoisonError::into_inner).0
+    }
+}
+
+impl Check {
+    /// Starts the check of a file; a journal in memory needs none.
+    pub(super) fn start(source: &Source, shared: Arc<Shared>) -> Result<Option<Self>, OpenError> {
+        if source.place == Place::Memory {
+            return Ok(None);
+        }
+        let reader = Reader::connect(source).map_err(|error| OpenError::Unusable(error.to_string()))?;
+        let (interrupt, stop) = (reader.interrupt_handle(), Arc::new(Stop::default()));
+        let (place, until) = (source.place.clone(), stop.clone());
+        let thread = spawn("journal-check", move || {
+            // Without it the check is as important as any other thread.
+            let _ = rustix::process::setpriority_process(None, NICE);
+            if let Some(report) = verify_in_parts(&reader, |took| until.rest(took * REST)) {
+                say(&place, &report, &shared);
+            }
+        })?;
+        Ok(Some(Self { thread, interrupt, stop }))
+    }
+
+    /// Ends the check, wherever it is.
+    pub(super) fn end(self) {
+        self.stop.stop();
+        while !self.thread.is_finished() {
+            // An interrupt just before a statement begins has no effect.
+            self.interrupt.interrupt();
+            std::thread::sleep(INTERRUPT_EVERY);
+        }
+        // A check that panicked has found nothing.
+        let _ = self.thread.join();
+    }
+}
+
+/// Checks the newest records, before anything is written behind them.
+pub(super) fn check_newest(place: &Place, connection: &Connection, shared: &Shared) {
+    say(place, &verify_newest(connection, NEWEST), shared);
+}
+
+fn say(place: &Place, report: &Report, shared: &Shared) {
+    let Some(first) = report.findings.first() else { return };
+    let count = report.findings.len() as u64 + report.more;
+    let damage = format!(
+        "the journal {place} is damaged ({count} findings, the first is {first}): new records are still written; \
+         `wsg-gateway journal verify --journal {place}` lists the findings; export what is needed, stop the gateway, \
+         and put an intact copy in the file's place or move the file away"
+    );
+    tracing::error!(damage, "the journal is damaged");
+    shared.set_damage(damage);
+}

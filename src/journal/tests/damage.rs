@@ -1,0 +1,130 @@
+//! A journal whose pages were damaged before the start.
+
+use std::fs;
+use std::os::unix::fs::FileExt as _;
+
+use super::*;
+
+/// Records of a journal whose first are older than the check at the start looks.
+const MANY: u32 = 3000;
+
+/// Closes a journal of many records, and damages the body of the record that has this time.
+async fn damaged(directory: &Directory, time: i64) {
+    let (journal, _) = directory.open();
+    for number in 0..MANY {
+        record(&journal, link(number.into(), "left"));
+    }
+    journal.close().await.unwrap();
+    drop(journal);
+    let file = fs::read(directory.journal()).unwrap();
+    let text = at(time).to_string();
+    let places = file.windows(text.len()).enumerate().filter(|(_, bytes)| *bytes == text.as_bytes());
+    let written = fs::File::options().write(true).open(directory.journal()).unwrap();
+    let mut count = 0;
+    for (place, _) in places {
+        written.write_all_at(b"2", place as u64).unwrap();
+        count += 1;
+    }
+    assert!(count > 0, "{text} is in the file");
+}
+
+#[tokio::test]
+async fn damage_of_the_newest_records_is_said_at_the_start() {
+    let directory = Directory::new();
+    damaged(&directory, i64::from(MANY) - 10).await;
+    let (journal, _) = directory.open();
+    let health = journal.health().borrow().clone();
+    let said = health.damage.expect("it is said before anything is written");
+    assert!(said.contains(&format!("events {}: ", MANY - 9)) && said.contains("journal verify --journal"), "{said}");
+    assert!(kept(&journal, started(1)).await, "records are still written");
+}
+
+#[tokio::test]
+async fn damage_of_old_records_is_found_in_the_background() {
+    let directory = Directory::new();
+    damaged(&directory, 17).await;
+    let (journal, _) = directory.open();
+    let mut health = journal.health();
+    let found = health.wait_for(|health| health.damage.is_some());
+    let found = tokio::time::timeout(Duration::from_secs(20), found).await.expect("it is found").unwrap();
+    let said = found.damage.clone().unwrap();
+    assert!(said.contains("events 18: "), "{said}");
+    assert_eq!(found.failure, None);
+}
+
+#[tokio::test]
+async fn damage_of_an_index_is_found_in_the_background() {
+    let directory = Directory::new();
+    let (journal, _) = directory.open();
+    for number in 0..MANY {
+        record(&journal, link(number.into(), "left"));
+    }
+    journal.close().await.unwrap();
+    drop(journal);
+    let disk = rusqlite::Connection::open(directory.journal()).unwrap();
+    let root: i64 = disk
+        .query_row("SELECT rootpage FROM sqlite_schema WHERE name = 'events_gripper_kind'", [], |row| row.get(0))
+        .unwrap();
+    drop(disk);
+    let file = fs::File::options().write(true).open(directory.journal()).unwrap();
+    file.write_all_at(&[0xAA; 512], root as u64 * 4096 - 512).unwrap();
+    let (journal, _) = directory.open();
+    let mut health = journal.health();
+    let found = health.wait_for(|health| health.damage.is_some());
+    tokio::time::timeout(Duration::from_secs(20), found).await.expect("it is found").unwrap();
+}
+
+#[tokio::test]
+async fn check_of_a_journal_that_is_written_and_pruned_finds_nothing() {
+    let directory = Directory::new();
+    let (journal, _) = directory.open();
+    for number in 0..20_000 {
+        record(&journal, admitted(number.into(), "left", number, None));
+        record(&journal, done(number.into(), "left", number, None, Outcome::Success));
+        if number % 1000 == 0 {
+            assert!(kept(&journal, started(1)).await);
+        }
+    }
+    journal.close().await.unwrap();
+    drop(journal);
+    let retention = Retention { max_bytes: Some(4 << 20), ..Retention::default() };
+    let (journal, _) = Journal::open(directory.place(), retention).unwrap();
+    for number in 20_000.. {
+        record(&journal, admitted(number.into(), "left", number, None));
+        record(&journal, done(number.into(), "left", number, None, Outcome::Success));
+        assert!(kept(&journal, started(1)).await);
+        if journal.is_checked() {
+            break;
+        }
+    }
+    assert_eq!(journal.health().borrow().damage, None);
+}
+
+#[tokio::test]
+async fn close_ends_a_check() {
+    let directory = Directory::new();
+    let (journal, _) = directory.open();
+    for number in 0..6000 {
+        record(&journal, link(number, "left"));
+    }
+    journal.close().await.unwrap();
+    drop(journal);
+    let (journal, _) = directory.open();
+    assert!(!journal.is_checked());
+    let began = std::time::Instant::now();
+    journal.close().await.unwrap();
+    assert!(began.elapsed() < Duration::from_secs(1), "{:?}", began.elapsed());
+}
+
+impl Journal {
+    /// Whether the check in the background has ended.
+    fn is_checked(&self) -> bool {
+        self.writing.check.lock().unwrap().as_ref().is_none_or(Check::is_over)
+    }
+}
+
+impl Check {
+    fn is_over(&self) -> bool {
+        self.thread.is_finished()
+    }
+}
