@@ -217,6 +217,17 @@ pub enum Failure {
         /// Why.
         cause: String,
     },
+    /// It would wear out the device's flash memory.
+    #[error(
+        "{command} wears the device's flash memory, and is sent once in {every_ms} ms at most: try again later, and \
+         only when the value has changed"
+    )]
+    FlashWear {
+        /// What was asked for.
+        command: &'static str,
+        /// The shortest time between two writes.
+        every_ms: u64,
+    },
     /// It would keep the line busy for too long while the fingers move.
     #[error("{command} would take {line_ms} ms of line time, and no more than {max_ms} ms are allowed while moving")]
     LineTime {

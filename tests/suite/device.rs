@@ -1,8 +1,14 @@
 //! What the manual has beside motions: settings, statistics, fingers, tare, Loop, raw requests.
 
+use std::time::Duration;
+
 use serde_json::{Value, json};
 
-use crate::harness::{Gateway, Proxy, Scripted, Simulator, Table, success};
+use crate::harness::wsg::Driver;
+use crate::harness::{Gateway, Proxy, Scripted, Simulator, Table, eventually, success};
+
+/// E_INSUFFICIENT_RESOURCES.
+const INSUFFICIENT_RESOURCES: u16 = 10;
 
 #[track_caller]
 fn assert_has(body: &Value, fields: &Value) {
@@ -31,6 +37,49 @@ async fn every_setting_is_read_back_as_the_device_made_it() {
     assert_has(&gateway.delete("settings/soft-limits").await.ok(), &none);
     assert_has(&gateway.get("settings/soft-limits").await.ok(), &none);
     assert_eq!(gateway.get("").await.field("device_tag"), "cell 7");
+}
+
+/// Sets the tag, as soon as the last write is long enough ago.
+async fn set_tag(gateway: &Gateway, tag: &str) {
+    let set = async || (gateway.put("settings/device-tag", &json!({"tag": tag})).await.status == 200).then_some(());
+    eventually("the tag is set", set).await;
+}
+
+#[tokio::test]
+async fn device_tag_is_written_once_a_second_by_all_interfaces_together() {
+    let device = Simulator::start(&[]).await;
+    let proxy = Proxy::to(device.address);
+    let (gateway, port) = Gateway::with_port(proxy.address, &[]).await;
+    gateway.until_link("connected").await;
+    set_tag(&gateway, "cell 7").await;
+    let problem = gateway.put("settings/device-tag", &json!({"tag": "cell 8"})).await.problem(429, "overloaded");
+    assert!(problem["detail"].as_str().unwrap().contains("wears the device's flash memory"), "{problem}");
+    let raw = json!({"id": 0x51, "payload": hex::encode("cell 9")});
+    gateway.post("raw", &raw).await.problem(429, "overloaded");
+    let mut driver = Driver::connect(port).await;
+    assert_eq!(driver.status(0x51, b"cell 10").await, INSUFFICIENT_RESOURCES);
+    assert_eq!(proxy.frames.count(0x51), 1);
+    set_tag(&gateway, "cell 8").await;
+    assert_eq!(proxy.frames.count(0x51), 2);
+    let frames = proxy.frames.all().into_iter().filter(|frame| frame.id == 0x51);
+    let times: Vec<_> = frames.map(|frame| frame.at).collect();
+    assert!(times[1] - times[0] >= Duration::from_millis(950), "{times:?}");
+}
+
+#[tokio::test]
+async fn device_tag_that_the_device_has_is_not_written_again() {
+    let device = Simulator::start(&[]).await;
+    let proxy = Proxy::to(device.address);
+    let (gateway, port) = Gateway::with_port(proxy.address, &[]).await;
+    gateway.until_link("connected").await;
+    set_tag(&gateway, "cell 7").await;
+    for _ in 0..20 {
+        let set = gateway.put("settings/device-tag", &json!({"tag": "cell 7"})).await.ok();
+        assert_eq!(set["tag"], "cell 7");
+    }
+    let mut driver = Driver::connect(port).await;
+    assert_eq!(driver.status(0x51, b"cell 7").await, 0);
+    assert_eq!(proxy.frames.count(0x51), 1);
 }
 
 #[tokio::test]

@@ -365,7 +365,7 @@ impl From<Failure> for Problem {
             Failure::DeviceTimeout { .. } => Code::DeviceTimeout,
             Failure::DeviceProtocol { .. } => Code::DeviceProtocol,
             Failure::JournalDown { .. } => Code::JournalDown,
-            Failure::Overloaded { .. } | Failure::RequestIds { .. } => Code::Overloaded,
+            Failure::Overloaded { .. } | Failure::RequestIds { .. } | Failure::FlashWear { .. } => Code::Overloaded,
             Failure::LineTime { .. } => Code::AlreadyRunning,
         };
         Self::new(code, failure.to_string())

@@ -26,7 +26,12 @@ const PROBLEMS: &[(&str, &str, &str)] = &[
         "`out_of_range`: a value is beyond its limits, which `min` and `max` say; `device_refused`: the device \
          refused, and `device_status` says how",
     ),
-    ("429", "Overloaded", "`overloaded`: too many requests wait for this gripper, or too many WebSockets are open"),
+    (
+        "429",
+        "Overloaded",
+        "`overloaded`: too many requests wait for this gripper, too many WebSockets are open, or the device tag was \
+         written less than a second ago",
+    ),
     ("500", "Internal", "`internal`: a mistake of the gateway's own"),
     ("502", "DeviceProtocol", "`device_protocol`: the device's answer can't be one"),
     (

@@ -319,6 +319,8 @@ pub async fn get_tag(gripper: Gripper) -> Answer<TagAnswer> {
 }
 
 /// Set the device tag
+///
+/// Each write wears the device's flash memory: there is one a second at most, whoever asks, and more are refused with 429. A tag that the device is known to have is not written again.
 #[utoipa::path(
     put, path = "/grippers/{gripper}/settings/device-tag", operation_id = "set_device_tag", tag = "settings",
     params(GripperPath, LeaseHeader),

@@ -44,7 +44,11 @@ fn status_of(rejection: &Rejection) -> Status {
             Failure::Draining => Status::E_ACCESS_DENIED,
             Failure::DeviceTimeout { .. } => Status::E_TIMEOUT,
             Failure::DeviceProtocol { .. } => Status::E_INCONSISTENT_DATA,
-            Failure::Overloaded { .. } | Failure::RequestIds { .. } | Failure::LineTime { .. } => {
+            // E_ACCESS_DENIED would say that another client or a FAST STOP has to go first.
+            Failure::Overloaded { .. }
+            | Failure::RequestIds { .. }
+            | Failure::FlashWear { .. }
+            | Failure::LineTime { .. } => {
                 Status::E_INSUFFICIENT_RESOURCES
             }
             Failure::JournalDown { .. } => Status::E_WRITE_ERROR,

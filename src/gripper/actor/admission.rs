@@ -148,6 +148,13 @@ impl Actor {
             let _ = answer.send(Ok(data));
             return;
         }
+        if let Command::SetDeviceTag(tag) = &command {
+            match self.check_tag(now, tag) {
+                Ok(false) => {}
+                Ok(true) => return drop(answer.send(Ok(Data::DeviceTag(tag.clone())))),
+                Err(failure) => return drop(answer.send(Err(failure.into()))),
+            }
+        }
         tracing::debug!(gripper = %self.config.name, command = super::name_of(&command), client = %client.subject, "exchange");
         if is_slow_getter(&command) {
             return self.read(now, command, answer);
@@ -213,6 +220,9 @@ impl Actor {
             _ => {
                 if setter.is_some() {
                     self.note_setting(&data);
+                    if matches!(data, Data::DeviceTag(_)) {
+                        self.tag_writes.read_back(now.instant);
+                    }
                     self.record_set(now, &client, &data);
                 } else {
                     self.record_change(now, &client, &command);

@@ -65,6 +65,7 @@ impl Actor {
         let rejection = Rejection::Failure(self.link_down_failure());
         self.latching.link_lost(&rejection);
         self.reads.reject_all(&rejection);
+        self.tag_writes.forget();
         for (_, answer) in std::mem::take(&mut self.awaiting_flags) {
             let _ = answer.send(Err(rejection.clone()));
         }

@@ -29,6 +29,7 @@ mod recording;
 mod repeats;
 mod settings;
 mod streaming;
+mod tag;
 mod upkeep;
 mod wire_log;
 
@@ -61,6 +62,7 @@ use reads::Reads;
 pub use recording::OnJournalFailure;
 use recording::Recording;
 use streaming::Streaming;
+use tag::TagWrites;
 use wire_log::WireLog;
 
 /// How long the device may take to answer, before a Loop asks whether the answer was lost.
@@ -186,6 +188,7 @@ pub struct Actor {
     temperature_at: Option<Instant>,
     /// Overdrive requests that wait for the flags to show what became of them.
     awaiting_flags: Vec<(Instant, Answer<Data>)>,
+    tag_writes: TagWrites,
     drain: Option<Drain>,
     recording: Recording,
     told: Told,
@@ -248,6 +251,7 @@ impl Actor {
             may_move_until: None,
             temperature_at: None,
             awaiting_flags: Vec::new(),
+            tag_writes: TagWrites::default(),
             drain: None,
             recording: Recording::default(),
             told: Told::default(),

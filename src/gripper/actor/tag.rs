@@ -1,0 +1,53 @@
+//! The device tag: each write of it wears the device's flash.
+
+use std::time::{Duration, Instant};
+
+use super::super::Now;
+use super::super::error::Failure;
+use super::Actor;
+use crate::wsg::{Command, DeviceTag};
+
+/// Time between two writes, whoever asks: a write each second is already far more than a tag changes.
+const WRITE_EVERY: Duration = Duration::from_secs(1);
+
+/// Time for which a tag that was read back counts as the device's. Another program on the device may change it meanwhile.
+const KNOWN_FOR: Duration = Duration::from_mins(1);
+
+/// Writes of the device tag.
+#[derive(Debug, Default)]
+pub(super) struct TagWrites {
+    written_at: Option<Instant>,
+    /// When the tag was read back from the device on this link.
+    known_at: Option<Instant>,
+}
+
+impl TagWrites {
+    /// The tag was read back.
+    pub(super) fn read_back(&mut self, now: Instant) {
+        self.known_at = Some(now);
+    }
+
+    /// The tag may be another: the link is lost.
+    pub(super) fn forget(&mut self) {
+        self.known_at = None;
+    }
+}
+
+impl Actor {
+    /// Whether the device has this tag already, so that there is nothing to write.
+    ///
+    /// # Errors
+    /// [`Failure::FlashWear`] where the last write was just now.
+    pub(super) fn check_tag(&mut self, now: Now, tag: &DeviceTag) -> Result<bool, Failure> {
+        let is_fresh = self.tag_writes.known_at.is_some_and(|at| now.instant < at + KNOWN_FOR);
+        if is_fresh && self.info.borrow().device_tag.as_deref() == Some(tag.as_str()) {
+            return Ok(true);
+        }
+        if self.tag_writes.written_at.is_some_and(|at| now.instant < at + WRITE_EVERY) {
+            let command = super::name_of(&Command::SetDeviceTag(tag.clone()));
+            return Err(Failure::FlashWear { command, every_ms: WRITE_EVERY.as_millis() as u64 });
+        }
+        self.tag_writes = TagWrites { written_at: Some(now.instant), known_at: None };
+        Ok(false)
+    }
+}
