@@ -85,6 +85,9 @@ pub const GRIP_COLUMNS: &[&str] = &[
     "other",
 ];
 
+/// Characters with which a spreadsheet's formula begins, and those that a spreadsheet skips before one.
+const FORMULA_STARTS: [char; 11] = ['=', '+', '-', '@', '\t', '\r', '\n', '＝', '＋', '－', '＠'];
+
 /// A curve's columns.
 const CURVE_COLUMNS: [&str; 4] = ["t_ms", "width_mm", "speed_mm_s", "force_n"];
 
@@ -118,12 +121,20 @@ fn row(columns: &[&str], body: &str) -> Vec<String> {
         _ => serde_json::Map::new(),
     };
     let Some((_other, columns)) = columns.split_last() else { return Vec::new() };
-    let mut row: Vec<_> = columns.iter().map(|column| fields.remove(*column).map_or_else(String::new, plain)).collect();
+    let mut row: Vec<_> = columns.iter().map(|column| fields.remove(*column).map_or_else(String::new, cell)).collect();
     row.push(if fields.is_empty() { String::new() } else { Value::Object(fields).to_string() });
     row
 }
 
-/// Texts as they are, nothing for null, and lists separated by blanks.
+/// Returns a cell: nothing for null, and the values of a list separated by blanks. A text is harmless; numbers stay
+/// numbers, also negative ones.
+fn cell(value: Value) -> String {
+    match value {
+        Value::String(_) | Value::Array(_) => harmless(plain(value)),
+        other => plain(other),
+    }
+}
+
 fn plain(value: Value) -> String {
     match value {
         Value::Null => String::new(),
@@ -131,6 +142,12 @@ fn plain(value: Value) -> String {
         Value::Array(values) => values.into_iter().map(plain).collect::<Vec<_>>().join(" "),
         other => other.to_string(),
     }
+}
+
+/// Prefixes a text that a spreadsheet would run as a formula with a single quote, as OWASP advises against CSV injection:
+/// clients choose part ids, reasons, tags and names.
+fn harmless(text: String) -> String {
+    if text.starts_with(FORMULA_STARTS) { format!("'{text}") } else { text }
 }
 
 fn text(rows: &[Vec<String>]) -> String {
@@ -175,6 +192,20 @@ mod tests {
         let body = Row::grip(super::super::chain::Tip::default(), &grip(1, "left", 1, None)).unwrap().body;
         let csv = lines(GRIP_COLUMNS, [&*body]);
         assert!(csv.starts_with("1,") && csv.ends_with(",20,,\n"), "{csv}");
+    }
+
+    #[test]
+    fn text_cell_is_never_a_formula() {
+        for text in ["=1+1", "+1", "-1", "@SUM(A1)", "\t=1", "\r=1", "\n=1", "＝1"] {
+            for value in [Value::from(text), Value::from(vec![text])] {
+                let body = serde_json::json!({"seq": -1, "part_id": value, "force_n": -2.5}).to_string();
+                let csv = lines(&["part_id", "seq", "force_n", "other"], [&*body]);
+                let mut reader = ::csv::ReaderBuilder::new().has_headers(false).from_reader(csv.as_bytes());
+                let row = reader.records().next().unwrap().unwrap();
+                assert_eq!((&row[0], &row[1], &row[2]), (&*format!("'{text}"), "-1", "-2.5"));
+            }
+        }
+        assert_eq!(lines(&["part_id", "other"], [r#"{"part_id":"P=1-@"}"#]), "P=1-@,\n");
     }
 
     #[test]

@@ -206,7 +206,8 @@ fn table(columns: &[&str], page: &Page) -> Response {
 
 /// Events
 ///
-/// What happened, page by page. With `Accept: text/csv` as a table, whose next page the header `Next-Cursor` names.
+/// What happened, page by page. With `Accept: text/csv` as a table, whose next page the header `Next-Cursor` names. A text
+/// in it that a spreadsheet would run as a formula (it begins with `=`, `+`, `-`, `@`, a tab or a line break) is prefixed with a single quote.
 #[utoipa::path(
     get, path = "/events", operation_id = "list_events", tag = "journal",
     params(RecordsQuery, EventsQuery),
@@ -224,7 +225,8 @@ pub async fn events(Shared(context): Shared<Arc<Context>>, headers: HeaderMap, u
 /// Grip records
 ///
 /// Every homing, move, grip and release, with what was measured. With `Accept: text/csv` as a table, whose next page
-/// the header `Next-Cursor` names.
+/// the header `Next-Cursor` names. A text in it that a spreadsheet would run as a formula (it begins with `=`, `+`, `-`, `@`,
+/// a tab or a line break) is prefixed with a single quote.
 #[utoipa::path(
     get, path = "/grips", operation_id = "list_grips", tag = "journal",
     params(RecordsQuery, GripsQuery),
