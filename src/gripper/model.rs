@@ -19,6 +19,7 @@ mod frame;
 mod ids;
 pub mod lease;
 pub(crate) mod names;
+mod parameters;
 mod record;
 mod state;
 mod text;
@@ -26,8 +27,8 @@ mod text;
 pub use client::{Client, Door};
 pub use custom::CustomIds;
 pub use event::{
-    AcknowledgeEvent, Admitted, CommandEvent, Detail, DeviceEvent, Direction, Done, Event, FastStopEvent, FastStopStep,
-    GatewayEvent, LinkEvent, OnBlock, Parameters, RefusedEvent, SettingChange, SettingsEvent,
+    AcknowledgeEvent, Admitted, CommandEvent, Detail, DeviceEvent, Done, Event, FastStopEvent, FastStopStep,
+    GatewayEvent, LinkEvent, RefusedEvent, SettingChange, SettingsEvent,
 };
 pub use frame::{Frame, FrameDirection};
 pub use ids::{CommandId, FastStopId, IdSource};
@@ -35,6 +36,7 @@ pub use lease::{
     HolderName, Lease, LeaseEvent, LeaseRules, LeaseStep, LeaseToken, LossCause, LossEffect, OnLossHolding,
     OnLossMoving, TakeLease,
 };
+pub use parameters::{Direction, OnBlock, Parameters};
 pub use record::{GripRecord, Memory, MemoryKey, Sample};
 pub use state::{FastStopCause, Latch, LatchFields, Link, State, Telemetry};
 pub use text::{InvalidShownName, PartId, Reason, RequestId, ShownName, Text};

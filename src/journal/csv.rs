@@ -61,6 +61,7 @@ pub const EVENT_COLUMNS: &[&str] = &[
     "hash",
     "grips_up_to_seq",
     "grips_hash",
+    "aggregated",
     "other",
 ];
 

@@ -13,6 +13,7 @@ mod follow;
 mod presence;
 mod prune;
 mod query;
+mod rates;
 mod reader;
 mod recovery;
 mod row;
@@ -29,7 +30,7 @@ mod writer;
 use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use tokio::sync::{broadcast, watch};
 
@@ -194,10 +195,17 @@ fn spawn<T: Send + 'static>(name: &str, run: impl FnOnce() -> T + Send + 'static
 impl Recorder for Journal {
     fn record(&self, record: Record) {
         let record = match record {
-            // Its end would come too late, if a try to write takes long.
-            Record::Event(event, Some(_)) if self.shared.failing() => Record::Event(event, None),
+            Record::Event(event, waiter) => {
+                let Some(event) = self.shared.rates.take(Instant::now(), event) else {
+                    // A Stop beyond its client's rate counts with the next one: nothing waits for that.
+                    let _ = waiter.map(|waiter| waiter.send(()));
+                    return;
+                };
+                // Its end would come too late, if a try to write takes long.
+                Record::Event(event, waiter.filter(|_| !self.shared.failing()))
+            }
             Record::Memory(memory) => return self.remember(memory),
-            record => record,
+            record @ Record::Grip(_) => record,
         };
         let has_place = self.shared.waits(places(&record, QUEUE));
         if has_place && self.writing.inputs.try_send(Input::Record(Box::new(record))).is_ok() {

@@ -6,6 +6,7 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::{broadcast, watch};
 
+use super::rates::Rates;
 use super::row::Stored;
 use super::source::Place;
 use super::store::Memories;
@@ -32,6 +33,7 @@ enum Work {
 #[derive(Debug)]
 pub(super) struct Shared {
     pub(super) health: watch::Sender<Health>,
+    pub(super) rates: Rates,
     /// Of the thread that writes: its end ends what listens.
     events: broadcast::WeakSender<Arc<Stored>>,
     committed: AtomicI64,
@@ -51,7 +53,8 @@ impl Shared {
         let (health, committed) = (watch::Sender::default(), AtomicI64::new(committed));
         let (work, work_changed) = (Mutex::new(Work::Idle), Condvar::new());
         let (waiting, memories) = (AtomicUsize::new(0), Mutex::default());
-        (Self { health, events: events.downgrade(), committed, waiting, memories, work, work_changed }, events)
+        let rates = Rates::default();
+        (Self { health, rates, events: events.downgrade(), committed, waiting, memories, work, work_changed }, events)
     }
 
     pub(super) fn subscribe(&self) -> broadcast::Receiver<Arc<Stored>> {

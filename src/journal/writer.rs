@@ -218,6 +218,7 @@ impl Writer {
         // A failing disk is told of once it works again: what is lost until then is one number.
         if self.retry_at.is_none() {
             self.tell_of_lost();
+            self.take_aggregates(now, false);
         }
         self.batch.memories.extend(self.shared.take_memories());
         if self.batch.is_empty() {
@@ -270,6 +271,10 @@ impl Writer {
         self.shared.set_committed(event.seq);
         // Nobody may be listening.
         let _ = self.told.send(event);
+    }
+
+    fn take_aggregates(&mut self, now: Instant, all: bool) {
+        self.batch.records.extend(self.shared.rates.due(now, all).into_iter().map(Placed::Event));
     }
 
     fn tell_of_lost(&mut self) {
@@ -343,6 +348,7 @@ impl Writer {
     fn end(mut self, orderly: bool) -> Result<(), String> {
         let until = Instant::now() + CLOSE_WITHIN;
         if orderly {
+            self.take_aggregates(Instant::now(), true);
             self.own(GatewayEvent::Ended);
         }
         loop {

@@ -1,5 +1,6 @@
 //! What is written down of a gripper and of the gateway: one event for each thing that happened.
 
+use std::num::NonZero;
 use std::sync::Arc;
 
 use jiff::Timestamp;
@@ -7,10 +8,9 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::{
-    Action, Client, Command, CommandId, Door, FastStopCause, FastStopId, Kind, Motion, Name, Outcome, PartId,
+    Client, Command, CommandId, Door, FastStopCause, FastStopId, Kind, Name, Outcome, Parameters, PartId,
     RequestId, lease::LeaseEvent,
 };
-use crate::wsg::{Force, HomingDirection};
 
 mod device;
 
@@ -34,6 +34,10 @@ pub struct Event {
     /// The command that it belongs to.
     #[schema(value_type = Option<uuid::Uuid>, required)]
     pub command_id: Option<CommandId>,
+    /// How many earlier events of its kind it stands for. A client that repeats itself beyond its rate is written down by its newest event, once a second at most. Left out where there are none.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<u64>, nullable = false, minimum = 1, maximum = 9_007_199_254_740_991_i64)]
+    pub aggregated: Option<NonZero<u64>>,
     /// What happened.
     #[serde(flatten)]
     pub detail: Detail,
@@ -43,7 +47,7 @@ impl Event {
     /// Something that nobody asked for.
     #[must_use]
     pub fn new(at: Timestamp, gripper: Option<Name>, detail: Detail) -> Self {
-        Self { at, gripper, subject: None, door: None, command_id: None, detail }
+        Self { at, gripper, subject: None, door: None, command_id: None, aggregated: None, detail }
     }
 
     /// Something that a client asked for.
@@ -91,121 +95,6 @@ pub enum CommandEvent {
     Admitted(Admitted),
     /// It has ended.
     Done(Box<Done>),
-}
-
-/// What was asked for, by the names of the request.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Default, ToSchema)]
-pub struct Parameters {
-    /// Homing's direction.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    #[schema(nullable = false)]
-    pub direction: Option<Direction>,
-    /// The target width in mm.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    #[schema(nullable = false)]
-    pub width_mm: Option<f32>,
-    /// The speed in mm/s.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    #[schema(nullable = false)]
-    pub speed_mm_s: Option<f32>,
-    /// Whether the width is an offset.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    #[schema(nullable = false)]
-    pub relative: Option<bool>,
-    /// Whether a blocked axis clamps.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    #[schema(nullable = false)]
-    pub on_block: Option<OnBlock>,
-    /// The force limit to set first, in N.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    #[schema(nullable = false)]
-    pub force_n: Option<f32>,
-    /// The part's name.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    #[schema(value_type = Option<String>, nullable = false, max_length = 48)]
-    pub part_id: Option<PartId>,
-    /// A custom command's id.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    #[schema(nullable = false)]
-    pub raw_id: Option<u8>,
-    /// Its bytes, as hex.
-    #[serde(skip_serializing_if = "Option::is_none", default)]
-    #[schema(nullable = false, max_length = 8192)]
-    pub payload: Option<String>,
-}
-
-/// To which end stop.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "lowercase")]
-pub enum Direction {
-    /// As the device is configured.
-    #[default]
-    Default,
-    /// The outer end stop.
-    Outer,
-    /// The inner end stop.
-    Inner,
-}
-
-impl From<Direction> for HomingDirection {
-    fn from(direction: Direction) -> Self {
-        match direction {
-            Direction::Default => Self::Default,
-            Direction::Outer => Self::Outer,
-            Direction::Inner => Self::Inner,
-        }
-    }
-}
-
-impl From<HomingDirection> for Direction {
-    fn from(direction: HomingDirection) -> Self {
-        match direction {
-            HomingDirection::Default => Self::Default,
-            HomingDirection::Outer => Self::Outer,
-            HomingDirection::Inner => Self::Inner,
-        }
-    }
-}
-
-/// What happens when the fingers meet an obstacle.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
-#[serde(rename_all = "lowercase")]
-pub enum OnBlock {
-    /// The motor is switched off.
-    #[default]
-    Stop,
-    /// The fingers go on pushing, and snap to the target when they are freed.
-    Clamp,
-}
-
-impl From<&Action> for Parameters {
-    fn from(action: &Action) -> Self {
-        let Action::Motion(motion) = action else { return Self::default() };
-        match motion {
-            Motion::Home(direction) => Self { direction: Some((*direction).into()), ..Self::default() },
-            Motion::Move { flags, width, speed } => Self {
-                width_mm: Some(width.mm()),
-                speed_mm_s: Some(speed.mm_s()),
-                relative: Some(flags.relative),
-                on_block: Some(if flags.stop_on_block { OnBlock::Stop } else { OnBlock::Clamp }),
-                ..Self::default()
-            },
-            Motion::Grip { width, speed, force, part_id } => Self {
-                width_mm: Some(width.mm()),
-                speed_mm_s: Some(speed.mm_s()),
-                force_n: force.map(Force::n),
-                part_id: part_id.clone(),
-                ..Self::default()
-            },
-            Motion::Release { width, speed } => {
-                Self { width_mm: Some(width.mm()), speed_mm_s: Some(speed.mm_s()), ..Self::default() }
-            }
-            Motion::Custom(custom) => {
-                let payload = Some(hex::encode(custom.payload()));
-                Self { raw_id: Some(custom.id()), payload, ..Self::default() }
-            }
-        }
-    }
 }
 
 /// A command that was admitted.

@@ -1,0 +1,311 @@
+//! Rates of what is written down. Nobody can flush the audit trail by repeating what costs nothing.
+//!
+//! Each client's address has an account of bytes. While it has some, every event is a record of its own. Beyond, the
+//! newest event of a kind stands for all of its kind: it is written when the account allows, a second later at the
+//! earliest, and says for how many it stands. Nothing is refused here, and no count is lost.
+//!
+//! A motion's two records are exempt, because nothing moves that is not written down: the device bounds their rate.
+//! So is what no client causes: the gateway's own events, and those of link and device.
+
+use std::collections::hash_map::Entry;
+use std::collections::{HashMap, HashSet};
+use std::mem::{Discriminant, discriminant};
+use std::net::{IpAddr, Ipv6Addr};
+use std::num::NonZero;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use crate::gripper::model::{
+    CommandEvent, CommandId, Detail, DeviceEvent, Door, Event, FastStopEvent, FastStopStep, Kind, LeaseStep, Name,
+    RefusedEvent, SettingChange,
+};
+
+/// Bytes that an account has at first, and at most: some 1,700 records. A PLC that changes a setting in each 10 ms
+/// cycle is recorded one by one for 17 s.
+const BURST: u64 = 1 << 20;
+
+/// Bytes that an account gets each second: about one record. One address that floods four grippers through all
+/// interfaces draws on eight accounts: two of its own, two of Zenoh's, and each gripper's.
+/// 8 × (1 MiB + 768 B/s × 604,800 s) = 3.7 GB a week, so the default 4,096 MB keep more than a week of it.
+const REFILL_PER_S: u64 = 768;
+
+/// Bytes of the file that a record takes beside its JSON: hash, indexes and page overhead.
+const OVERHEAD: u64 = 300;
+
+/// Time that events are merged for, so that an aggregate is written once a second at most.
+const MERGED_FOR: Duration = Duration::from_secs(1);
+
+/// Accounts that are told apart: more than the clients of a cell. Further clients share one.
+const MAX_ACCOUNTS: usize = 64;
+
+/// Aggregates that are told apart. Further ones of an account share one.
+const MAX_MERGED: usize = 256;
+
+/// Stops whose first record is written, and whose second is still to come: more than a gripper's lane holds, for each
+/// of 32 grippers.
+const MAX_OPEN_STOPS: usize = 1024;
+
+/// What a client's records are charged to.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+struct Account {
+    payer: Payer,
+    /// FAST STOPs and acknowledges have an account of their own, which nothing else draws on.
+    is_fast_stop: bool,
+}
+
+/// What the gateway knows of a client, and a client can't invent.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+enum Payer {
+    /// A peer's address; of IPv6 its network, because a host has 2^64 addresses there.
+    Address(IpAddr),
+    /// All clients of an interface that tells only the names that they give themselves.
+    Interface(Door),
+    /// What the device shows of all clients' FAST STOPs.
+    Gripper(Name),
+    /// More than are told apart.
+    Others,
+}
+
+impl Account {
+    fn of(event: &Event) -> Option<Self> {
+        let is_fast_stop = matches!(event.detail, Detail::FastStop(_) | Detail::Acknowledge(_));
+        let payer = match (&event.subject, event.door, &event.gripper) {
+            (Some(subject), Some(door), _) => Payer::of(subject, door),
+            (_, _, Some(gripper)) if is_fast_stop => Payer::Gripper(gripper.clone()),
+            _ => return None,
+        };
+        Some(Self { payer, is_fast_stop })
+    }
+}
+
+impl Payer {
+    fn of(subject: &str, door: Door) -> Self {
+        let address = subject.split_once(':').and_then(|(_, address)| address.parse().ok());
+        match address.filter(|_| door != Door::Zenoh) {
+            Some(IpAddr::V6(address)) => {
+                let network = address.to_bits() >> 64 << 64;
+                Self::Address(Ipv6Addr::from_bits(network).into())
+            }
+            Some(address) => Self::Address(address),
+            None => Self::Interface(door),
+        }
+    }
+}
+
+/// Kinds of events of which the newest stands for all.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+enum Mergeable {
+    Stop,
+    FastStop(Discriminant<FastStopStep>),
+    Acknowledge,
+    Lease(Discriminant<LeaseStep>),
+    Setting(Discriminant<SettingChange>),
+    Device(Discriminant<DeviceEvent>),
+    Refused(String),
+    /// More than are told apart.
+    Others,
+}
+
+impl Mergeable {
+    fn of(detail: &Detail) -> Option<Self> {
+        Some(match detail {
+            Detail::Command(CommandEvent::Admitted(admitted)) if admitted.command == Kind::Stop => Self::Stop,
+            Detail::Command(CommandEvent::Done(done)) if done.command == Kind::Stop => Self::Stop,
+            Detail::Command(_) | Detail::Link(_) | Detail::Gateway(_) => return None,
+            Detail::FastStop(event) => Self::FastStop(discriminant(&event.event)),
+            Detail::Acknowledge(_) => Self::Acknowledge,
+            Detail::Lease(event) => Self::Lease(discriminant(&event.event)),
+            Detail::Settings(event) => Self::Setting(discriminant(&event.setting)),
+            Detail::Device(event) => Self::Device(discriminant(event)),
+            Detail::Refused(event) => Self::Refused(event.code.clone()),
+        })
+    }
+}
+
+/// Bytes that may still be written; below 0 by one record at most.
+#[derive(Debug)]
+struct Balance {
+    bytes: f64,
+    at: Instant,
+}
+
+impl Balance {
+    fn refill(&mut self, now: Instant) {
+        let earned = now.saturating_duration_since(self.at).as_secs_f64() * REFILL_PER_S as f64;
+        self.bytes = (self.bytes + earned).min(BURST as f64);
+        self.at = self.at.max(now);
+    }
+
+    fn is_full(&self) -> bool {
+        self.bytes >= BURST as f64
+    }
+}
+
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+struct Slot {
+    account: Account,
+    gripper: Option<Name>,
+    kind: Mergeable,
+}
+
+/// The accounts, and what waits until they allow more.
+#[derive(Debug, Default)]
+pub(super) struct Rates(Mutex<State>);
+
+#[derive(Debug, Default)]
+struct State {
+    balances: HashMap<Account, Balance>,
+    /// The newest event of each, and since when events are merged.
+    merged: HashMap<Slot, (Instant, Event)>,
+    open_stops: HashSet<CommandId>,
+    /// When unused accounts were closed last.
+    closed_at: Option<Instant>,
+}
+
+impl Rates {
+    /// Takes an event: to be written now, or merged.
+    pub(super) fn take(&self, now: Instant, event: Event) -> Option<Event> {
+        let Some((account, kind)) = Account::of(&event).zip(Mergeable::of(&event.detail)) else { return Some(event) };
+        let mut state = self.state();
+        let account = state.known(now, account);
+        if let Detail::Command(command) = &event.detail {
+            let is_admitted = matches!(command, CommandEvent::Admitted(_));
+            return state.take_stop(now, account, is_admitted, event);
+        }
+        let slot = Slot { account, gripper: event.gripper.clone(), kind };
+        if state.has(&slot.account) && !state.merged.contains_key(&slot) {
+            state.charge(&slot.account, &event);
+            return Some(event);
+        }
+        state.merge(now, slot, event);
+        None
+    }
+
+    /// Returns the aggregates that are to be written now, the oldest first: all of them where the journal is closed.
+    pub(super) fn due(&self, now: Instant, all: bool) -> Vec<Event> {
+        let mut state = self.state();
+        let is_due = |since: Instant| all || now >= since + MERGED_FOR;
+        let mut due: Vec<_> = state
+            .merged
+            .iter()
+            .filter(|(_, (since, _))| is_due(*since))
+            .map(|(slot, (since, _))| (*since, slot.clone()))
+            .collect();
+        due.sort_by_key(|(since, _)| *since);
+        let mut events = Vec::new();
+        for (_, slot) in due {
+            state.refill(now, &slot.account);
+            if (all || state.has(&slot.account))
+                && let Some((_, event)) = state.merged.remove(&slot)
+            {
+                state.charge(&slot.account, &event);
+                events.push(event);
+            }
+        }
+        events.sort_by_key(|event| event.at);
+        events
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl State {
+    /// Opens an account, or finds the shared one where there are too many.
+    fn known(&mut self, now: Instant, account: Account) -> Account {
+        let is_new = !self.balances.contains_key(&account);
+        if is_new && self.balances.len() >= MAX_ACCOUNTS {
+            self.close_unused(now);
+        }
+        let is_one_too_many = is_new && self.balances.len() >= MAX_ACCOUNTS;
+        let account = if is_one_too_many { Account { payer: Payer::Others, ..account } } else { account };
+        self.refill(now, &account);
+        account
+    }
+
+    /// Closes the accounts that are as if they were new.
+    fn close_unused(&mut self, now: Instant) {
+        if self.closed_at.is_some_and(|at| now < at + MERGED_FOR) {
+            return;
+        }
+        self.closed_at = Some(now);
+        self.balances.values_mut().for_each(|balance| balance.refill(now));
+        let waiting: HashSet<_> = self.merged.keys().map(|slot| &slot.account).collect();
+        self.balances.retain(|account, balance| !balance.is_full() || waiting.contains(account));
+    }
+
+    fn refill(&mut self, now: Instant, account: &Account) {
+        match self.balances.get_mut(account) {
+            Some(balance) => balance.refill(now),
+            None => drop(self.balances.insert(account.clone(), Balance { bytes: BURST as f64, at: now })),
+        }
+    }
+
+    fn has(&self, account: &Account) -> bool {
+        self.balances.get(account).is_some_and(|balance| balance.bytes > 0.0)
+    }
+
+    fn charge(&mut self, account: &Account, event: &Event) {
+        let bytes = serde_json::to_vec(event).map_or(0, |json| json.len() as u64) + OVERHEAD;
+        if let Some(balance) = self.balances.get_mut(account) {
+            balance.bytes -= bytes as f64;
+        }
+    }
+
+    /// A Stop is never refused. It has both of its records, or counts with the newest: a first record without the
+    /// second would be told as `UNKNOWN` after a restart.
+    fn take_stop(&mut self, now: Instant, account: Account, is_admitted: bool, event: Event) -> Option<Event> {
+        let Some(id) = event.command_id else { return Some(event) };
+        if is_admitted {
+            if !self.has(&account) || self.open_stops.len() >= MAX_OPEN_STOPS {
+                return None;
+            }
+            self.open_stops.insert(id);
+        } else if !self.open_stops.remove(&id) {
+            let slot = Slot { account, gripper: event.gripper.clone(), kind: Mergeable::Stop };
+            self.merge(now, slot, event);
+            return None;
+        }
+        self.charge(&account, &event);
+        Some(event)
+    }
+
+    fn merge(&mut self, now: Instant, mut slot: Slot, mut event: Event) {
+        if self.merged.len() >= MAX_MERGED && !self.merged.contains_key(&slot) {
+            slot = Slot { gripper: None, kind: Mergeable::Others, ..slot };
+        }
+        match self.merged.entry(slot) {
+            Entry::Occupied(mut entry) => {
+                let (_, newest) = entry.get_mut();
+                absorb(&mut event, newest);
+                *newest = event;
+            }
+            Entry::Vacant(entry) => drop(entry.insert((now, event))),
+        }
+    }
+}
+
+/// Lets the newest event stand for an older one too.
+fn absorb(newest: &mut Event, older: &mut Event) {
+    let mut more = 0;
+    match (count(&mut newest.detail), count(&mut older.detail).copied()) {
+        (Some(count), Some(older)) => *count += older,
+        (_, older) => more = older.unwrap_or(1),
+    }
+    let aggregated = |event: &Event| event.aggregated.map_or(0, NonZero::get);
+    newest.aggregated = NonZero::new(more + aggregated(newest) + aggregated(older));
+}
+
+/// Requests that an event says it tells of; none where its kind has no count of its own.
+fn count(detail: &mut Detail) -> Option<&mut u64> {
+    match detail {
+        Detail::FastStop(FastStopEvent { count, .. })
+        | Detail::Refused(RefusedEvent { count, .. })
+        | Detail::Device(DeviceEvent::Streamed { count, .. }) => Some(count),
+        _ => None,
+    }
+}
+
+#[cfg(test)]
+mod tests;
