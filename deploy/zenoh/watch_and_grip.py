@@ -39,7 +39,7 @@ class Gripper:
     def __init__(self, session, gateway, name, client):
         self.session, self.client = session, client
         self.key = f"wsg/v1/{gateway}/{name}"
-        # Before the lease is taken: the gateway binds the lease to it.
+        # Before the lease is taken: behind a router, the gateway binds the lease to this token.
         self.token = session.liveliness().declare_token(f"wsg/v1/{gateway}/client/{client}")
         self.lease = None
 
@@ -57,15 +57,16 @@ class Gripper:
             raise Refused(problem)
         raise Refused({"code": "no_gateway", "detail": f"nobody answers at {self.key}"})
 
-    def command(self, name, **fields):
+    def command(self, name, *parameters, **fields):
         """A command, by its fields of the HTTP API, with the lease if there is one; waits for its end."""
         if self.lease:
             fields.setdefault("lease", self.lease)
-        return self.query(f"command/{name}?client={self.client};wait_ms=60000", fields)
+        parameters = ";".join([f"client={self.client}", "wait_ms=60000", *parameters])
+        return self.query(f"command/{name}?{parameters}", fields)
 
     def take_lease(self):
-        """From now on nobody else moves it."""
-        self.lease = self.command("lease.take", holder=self.client)["token"]
+        """From now on nobody else moves it. The lease ends with this session."""
+        self.lease = self.command("lease.take", f"zid={self.session.zid()}", holder=self.client)["token"]
 
     def release_lease(self):
         """The orderly end."""

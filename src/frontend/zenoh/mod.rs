@@ -7,7 +7,7 @@
 //! | `/{gripper}/command/{name}` | queries, by the names that WebSocket has: `grip`, `lease.take` |
 //! | `/{gripper}/alive` | a liveliness token while the gripper's link is up; `/alive` while the gateway is |
 //! | `/instance/{id}` | a liveliness token of the gateway that is this one's alone: two of them are two gateways of one name |
-//! | `/client/{name}` | a liveliness token of a client, which a lease is bound to |
+//! | `/client/{name}` | a liveliness token of a client, which a lease is bound to where its session can't be seen |
 //! | `/fast-stop` | a put stops all grippers of the gateway; one to `wsg/v1/fast-stop` those of all gateways |
 //! | `/fleet` | a query: all grippers of all gateways |
 //!
@@ -128,8 +128,8 @@ async fn declare(
     let keys = Keys::of(&context.gateway);
     // First: it stops what may be moving already.
     FastStops::new(context.fleet.clone(), context.runtimes.accept.clone()).declare(session, &keys).await?;
-    let clients = Arc::new(Clients::new(Handle::current(), metrics.clone()));
-    clients.declare(session, &keys).await?;
+    let clients = Arc::new(Clients::new(keys.clone(), Handle::current(), metrics.clone()));
+    clients.declare(session).await?;
     let instance = context.network.join(session).await?;
     let queries = Queries::new(keys.clone(), context, clients, metrics.clone());
     Arc::new(queries).declare(session, &context.fleet).await?;

@@ -15,8 +15,9 @@ use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 use zenoh::Wait as _;
 use zenoh::bytes::Encoding;
 use zenoh::query::Query;
+use zenoh::session::ZenohId;
 
-use super::clients::Clients;
+use super::clients::{Bond, Clients};
 use crate::frontend::http::{self, Code, Context, Methods, Presence, Problem, Refusal, Wait, is_fast_stop, urgency};
 use crate::frontend::metrics::Metrics;
 use crate::frontend::network::keys::{Keys, decoded, last_part};
@@ -26,7 +27,7 @@ use crate::gripper::model::{Client, Door, Name};
 
 /// Queries that may be under way, of those that may take their time, of those that don't, of those that only stop, and of
 /// those that keep or end a lease. More are refused as `overloaded`, but for FAST STOPs.
-const MAX_QUERIES: usize = 64;
+pub(super) const MAX_QUERIES: usize = 64;
 
 /// And FAST STOPs of one gripper among the queries, each of which ends within 250 ms: one more is under way already.
 const MAX_FAST_STOPS: usize = 64;
@@ -34,8 +35,19 @@ const MAX_FAST_STOPS: usize = 64;
 /// The parameters of a query's selector.
 const WAIT_MS: &str = "wait_ms";
 const CLIENT: &str = "client";
+/// The Zenoh id of the client's session, to which `lease.take` binds the lease.
+const ZID: &str = "zid";
 /// Those that are headers over HTTP.
 const ASIDE: [(HeaderName, &str); 2] = [(http::WSG_LEASE, "lease"), (http::IDEMPOTENCY_KEY, "request_id")];
+
+/// The field that names the gripper, as the key does.
+const GRIPPER: &str = "gripper";
+
+/// The method that takes a lease.
+const LEASE_TAKE: &str = "lease.take";
+
+/// The field of its answer that says what the lease is bound to.
+const BOUND_TO: &str = "bound_to";
 
 /// Who answers.
 #[derive(Debug)]
@@ -66,6 +78,8 @@ struct Asked {
     params: Map<String, Value>,
     wait_ms: Option<String>,
     headers: HeaderMap,
+    /// The session that asks for a lease, as it says itself.
+    zid: Option<ZenohId>,
     client: Client,
 }
 
@@ -97,7 +111,7 @@ impl Queries {
         for gripper in fleet.iter().map(crate::gripper::Handle::name) {
             for what in ["state", "info"] {
                 let (queries, key) = (self.clone(), self.keys.gripper(gripper, what));
-                let params = Map::from_iter([("gripper".to_owned(), gripper.as_str().into())]);
+                let params = Map::from_iter([(GRIPPER.to_owned(), gripper.as_str().into())]);
                 let answered = key.clone();
                 let answer = move |query: Query| queries.read(query, answered.clone(), what, params.clone());
                 session.declare_queryable(key).callback(answer).background().await?;
@@ -118,6 +132,7 @@ impl Queries {
             params,
             wait_ms: None,
             headers: HeaderMap::new(),
+            zid: None,
             client: Client { subject: super::subject(None), door: Door::Zenoh },
         };
         self.answer(query, Ok(asked));
@@ -159,11 +174,13 @@ impl Queries {
         if !is_fast_stop && other.is_some_and(|other| other != gripper.as_str()) {
             return Err(Problem::malformed("gripper", "gripper is another one than that of the key"));
         }
+        let zid = given(ZID).filter(|_| method == LEASE_TAKE).map(|zid| session_id(&zid)).transpose()?;
         Ok(Asked {
             key,
             method,
             params,
             wait_ms: given(WAIT_MS),
+            zid,
             headers: if is_fast_stop { HeaderMap::new() } else { headers(given)? },
             client: Client { subject: super::subject(client), door: Door::Zenoh },
         })
@@ -171,8 +188,8 @@ impl Queries {
 
     /// Answers in its turn; refuses where too many are under way.
     fn answer(self: &Arc<Self>, query: Query, asked: Result<Asked, Problem>) {
-        let places = asked.as_ref().map_or(&self.places, |asked| self.places_for(asked));
-        let Ok(place) = places.clone().try_acquire_owned() else {
+        let places = asked.as_ref().map_or_else(|_| self.places.clone(), |asked| self.places_for(asked));
+        let Ok(place) = places.try_acquire_owned() else {
             tracing::warn!(key = %query.key_expr(), "too many Zenoh queries are under way");
             let detail = format!("{MAX_QUERIES} Zenoh queries are under way already: await their answers first");
             let refusal = Refusal::from(Problem::new(Code::Overloaded, detail));
@@ -189,42 +206,45 @@ impl Queries {
         });
     }
 
-    /// Who waits for a command takes no place of who doesn't, and nobody one of a FAST STOP.
-    fn places_for(&self, asked: &Asked) -> &Arc<Semaphore> {
-        match urgency(&asked.method) {
+    /// A query that waits takes no place of one that doesn't, and none takes a place of a FAST STOP. The holder of a lease
+    /// that was taken through Zenoh has places of its own.
+    fn places_for(&self, asked: &Asked) -> Arc<Semaphore> {
+        let gripper = asked.params.get(GRIPPER).and_then(Value::as_str).unwrap_or_default();
+        let lease = lease(&asked.params, &asked.headers);
+        let holders = lease.and_then(|lease| self.clients.places_of(gripper, lease)).unwrap_or_default();
+        let is_command = http::METHODS.iter().any(|row| row.name == asked.method && row.is_command);
+        let (holders, all) = match urgency(&asked.method) {
             Urgency::FastStop => {
-                let gripper = asked.params.get("gripper").and_then(Value::as_str).and_then(|name| name.parse().ok());
-                gripper.and_then(|name: Name| self.fast_stop_places.get(&name)).unwrap_or(&self.places)
+                let name = gripper.parse().ok();
+                (None, name.and_then(|name: Name| self.fast_stop_places.get(&name)).unwrap_or(&self.places))
             }
-            Urgency::Stop => &self.stop_places,
-            Urgency::Lease => &self.lease_places,
-            Urgency::None => {
-                let is_command = http::METHODS.iter().any(|row| row.name == asked.method && row.is_command);
-                if asked.wait_ms.is_some() || is_command { &self.waiting_places } else { &self.places }
-            }
-        }
+            Urgency::Stop => (holders.stops, &self.stop_places),
+            Urgency::Lease => (holders.others, &self.lease_places),
+            Urgency::None if asked.wait_ms.is_some() || is_command => (holders.waiting, &self.waiting_places),
+            Urgency::None => (holders.others, &self.places),
+        };
+        holders.unwrap_or_else(|| all.clone())
     }
 
     async fn call(&self, asked: Asked) -> Result<Box<RawValue>, Refusal> {
-        let Asked { method, params, wait_ms, headers, client, .. } = asked;
-        let holder = holder(&params).filter(|_| method == "lease.take");
-        let was_alive = holder.as_deref().is_some_and(|holder| self.clients.is_alive(holder));
+        let Asked { method, params, wait_ms, headers, zid, client, .. } = asked;
+        let bond = if method == LEASE_TAKE { self.clients.bond(holder(&params), zid).await } else { None };
         let (wait, params) = (Wait::Ms(wait_ms.as_deref(), self.presence(&params, &headers)), Value::Object(params));
         let told = self.methods.call(client, &method, params, wait, headers).await;
         let status = told.as_ref().map_or_else(|refusal| refusal.status.as_u16(), |_| 200);
         self.metrics.answered(Some(&method), "QUERY", status);
         let answer = told?;
-        if let (Some(taken), Some(holder)) = (answer.lease, holder) {
-            self.clients.bind(&holder, taken, was_alive);
-        }
-        Ok(answer.body)
+        let Some(taken) = answer.lease else { return Ok(answer.body) };
+        let body = with_bond(&answer.body, bond.as_ref());
+        self.clients.bind(bond, taken);
+        Ok(body.unwrap_or(answer.body))
     }
 
-    /// Zenoh does not tell who is gone that has asked: only a client's liveliness token does.
+    /// Zenoh reports the end of a client's session or token alone, and not that the client of an open query is gone.
     fn presence(&self, params: &Map<String, Value>, headers: &HeaderMap) -> Presence {
-        let text = |name: &str| params.get(name).and_then(Value::as_str);
-        let token = text("lease").or_else(|| headers.get(http::WSG_LEASE)?.to_str().ok());
-        let is_seen = text("gripper").zip(token).is_some_and(|(gripper, token)| self.clients.has_bound(gripper, token));
+        let gripper = params.get(GRIPPER).and_then(Value::as_str);
+        let is_seen =
+            gripper.zip(lease(params, headers)).is_some_and(|(gripper, lease)| self.clients.has_bound(gripper, lease));
         if is_seen { Presence::Seen } else { Presence::Unseen }
     }
 
@@ -275,6 +295,25 @@ fn headers(given: impl Fn(&'static str) -> Option<String>) -> Result<HeaderMap, 
     Ok(headers)
 }
 
+/// The lease that a query names.
+fn lease<'a>(params: &'a Map<String, Value>, headers: &'a HeaderMap) -> Option<&'a str> {
+    let field = params.get("lease").and_then(Value::as_str);
+    field.or_else(|| headers.get(http::WSG_LEASE)?.to_str().ok())
+}
+
+/// The answer to `lease.take`, with what the lease is bound to.
+fn with_bond(lease: &RawValue, bond: Option<&Bond>) -> Option<Box<RawValue>> {
+    let mut lease: Map<String, Value> = serde_json::from_str(lease.get()).ok()?;
+    lease.insert(BOUND_TO.to_owned(), bond.map(Bond::name).into());
+    serde_json::value::to_raw_value(&lease).ok()
+}
+
+fn session_id(zid: &str) -> Result<ZenohId, Problem> {
+    zid.parse().map_err(|_| {
+        Problem::malformed(ZID, "zid must be a Zenoh id: that of the client's own session, in hexadecimal digits")
+    })
+}
+
 /// By which name a lease is asked for.
 fn holder(params: &Map<String, Value>) -> Option<String> {
     #[derive(Deserialize)]
@@ -298,6 +337,7 @@ mod tests {
             params: Map::from_iter([("gripper".to_owned(), gripper.into())]),
             wait_ms: wait_ms.map(ToOwned::to_owned),
             headers: HeaderMap::new(),
+            zid: None,
             client: Client { subject: super::super::subject(None), door: Door::Zenoh },
         }
     }
@@ -307,8 +347,9 @@ mod tests {
         let grippers = ["left", "right"].map(|name| fake::gripper(name, Script::default()).0);
         let context = Arc::new(Context::of(grippers));
         let metrics = Metrics::register(&Registry::new(), "zenoh").unwrap();
-        let clients = Arc::new(Clients::new(Handle::current(), metrics.clone()));
-        let queries = Queries::new(Keys::of(&context.gateway), &context, clients, metrics);
+        let keys = Keys::of(&context.gateway);
+        let clients = Arc::new(Clients::new(keys.clone(), Handle::current(), metrics.clone()));
+        let queries = Queries::new(keys, &context, clients, metrics);
         let lanes = [
             asked("left", "move", None),
             asked("left", "command", Some("60000")),
@@ -322,11 +363,11 @@ mod tests {
         // Those of one lane stand behind each other.
         let lane_of = [0, 0, 1, 2, 2, 3, 4, 5];
         for (asked, lane) in lanes.iter().zip(lane_of) {
-            let places = queries.places_for(asked).clone();
+            let places = queries.places_for(asked);
             let all: Vec<_> = std::iter::from_fn(|| places.clone().try_acquire_owned().ok()).collect();
             assert!(!all.is_empty() && all.len() <= MAX_QUERIES.max(MAX_FAST_STOPS), "{}", asked.method);
             for (other, other_lane) in lanes.iter().zip(lane_of) {
-                let has_place = queries.places_for(other).clone().try_acquire_owned().is_ok();
+                let has_place = queries.places_for(other).try_acquire_owned().is_ok();
                 assert_eq!(has_place, lane != other_lane, "{} while {} has all", other.method, asked.method);
             }
         }

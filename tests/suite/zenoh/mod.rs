@@ -3,6 +3,7 @@
 mod commands;
 mod fleet;
 mod leases;
+mod names;
 mod publications;
 pub mod router;
 mod tls;

@@ -1,0 +1,122 @@
+//! Sessions that use names of others: a holder's, a gateway's, a gripper's.
+
+use std::time::{Duration, Instant};
+
+use serde_json::{Value, json};
+
+use super::Rig;
+use crate::harness::{ZenohClient, eventually};
+
+const FAST_STOP: u8 = 0x23;
+const TOKEN: &str = "wsg/v1/gateway/client/robot-1";
+
+/// Client tokens that a gateway keeps.
+const MAX_TOKENS: usize = 1024;
+
+/// Queries of one kind that a gateway works on at a time.
+const MAX_QUERIES: usize = 64;
+
+async fn homed() -> Rig {
+    let rig = Rig::start(&[]).await;
+    rig.gateway.post("home", &json!({"direction": "outer"})).await.outcome("SUCCESS");
+    rig
+}
+
+fn take(client: &ZenohClient) -> String {
+    format!("lease.take?client=robot-1;zid={}", client.session.zid())
+}
+
+fn slowly(lease: &Value) -> Value {
+    json!({"width_mm": 5, "speed_mm_s": 5, "lease": lease["token"]})
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_foreign_token_does_not_outlive_the_holder() {
+    let rig = homed().await;
+    let (robot, stranger) = (ZenohClient::of(&rig.gateway).await, ZenohClient::of(&rig.gateway).await);
+    let _token = robot.live(&rig.client, TOKEN).await;
+    let _foreign = stranger.live(&rig.client, TOKEN).await;
+    let _same_id = stranger.live(&rig.client, &format!("{TOKEN}/{}", robot.session.zid())).await;
+    let lease = robot.command(&take(&robot), &json!({"holder": "robot-1"})).await.unwrap();
+    let held = rig.client.command("lease", &json!({})).await.unwrap();
+    assert_eq!(held["expires_in_ms"], held["ttl_ms"], "it is kept");
+    robot.command("move?wait_ms=0", &slowly(&lease)).await.unwrap();
+    rig.gateway.until_moving().await;
+    let gone = Instant::now();
+    robot.close().await;
+    eventually("23h", async || rig.proxy.frames.first_since(FAST_STOP, gone)).await;
+    let lost = rig.gateway.events("kind=lease&limit=1", 1).await;
+    assert_eq!((&lost[0]["event"], &lost[0]["cause"]), (&json!("lost"), &json!("disconnected")));
+    assert_eq!(lease["bound_to"], "session");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_foreign_tokens_end_does_not_end_a_lease() {
+    let rig = homed().await;
+    let (robot, stranger) = (ZenohClient::of(&rig.gateway).await, ZenohClient::of(&rig.gateway).await);
+    let foreign = stranger.live(&rig.client, TOKEN).await;
+    robot.command(&take(&robot), &json!({"holder": "robot-1"})).await.unwrap();
+    let seen = rig.client.tokens(TOKEN).await;
+    foreign.undeclare().await.unwrap();
+    seen.until(TOKEN, Value::is_null).await;
+    stranger.close().await;
+    let held = rig.client.command("lease", &json!({})).await.unwrap();
+    assert_eq!((&held["holder"], &held["expires_in_ms"]), (&json!("robot-1"), &held["ttl_ms"]));
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn foreign_tokens_leave_room_for_a_holders() {
+    let rig = homed().await;
+    let stranger = ZenohClient::of(&rig.gateway).await;
+    let mut foreign = Vec::new();
+    for index in 0..MAX_TOKENS {
+        let token = stranger.session.liveliness().declare_token(format!("wsg/v1/gateway/client/x{index}"));
+        foreign.push(token.await.unwrap());
+    }
+    eventually("all are kept", async || {
+        let connected = rig.gateway.figures().await.get("wsg_clients_connected{door=\"zenoh\"}").copied();
+        (connected == Some(MAX_TOKENS as f64)).then_some(())
+    })
+    .await;
+    let robot = ZenohClient::of(&rig.gateway).await;
+    let _token = robot.live(&rig.client, TOKEN).await;
+    let lease = robot.command("lease.take", &json!({"holder": "robot-1"})).await.unwrap();
+    let held = rig.client.command("lease", &json!({})).await.unwrap();
+    assert_eq!(held["expires_in_ms"], held["ttl_ms"], "it is kept");
+    assert_eq!(lease["bound_to"], "token");
+    robot.command("lease.release", &json!({"lease": lease["token"]})).await.unwrap();
+    let unbound = robot.command("lease.take", &json!({"holder": "robot-2"})).await.unwrap();
+    assert_eq!((&unbound["bound_to"], unbound.get("bound_to").is_some()), (&Value::Null, true), "and it says so");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_session_id_that_is_none_is_refused() {
+    let rig = Rig::start(&[]).await;
+    for zid in ["robot-1", "0", "123456789012345678901234567890123"] {
+        let refused = rig.client.command(&format!("lease.take?zid={zid}"), &json!({})).await.unwrap_err();
+        assert_eq!((&refused["code"], &refused["field"]), (&json!("malformed"), &json!("zid")), "{zid}");
+    }
+    let unknown = rig.client.command("lease.take?zid=1234", &json!({"holder": "robot-1"})).await.unwrap();
+    assert_eq!(unknown["bound_to"], Value::Null, "a session that is not connected here");
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn strangers_leave_the_holder_its_places() {
+    let rig = homed().await;
+    let (robot, stranger) = (ZenohClient::of(&rig.gateway).await, ZenohClient::of(&rig.gateway).await);
+    let lease = robot.command(&take(&robot), &json!({"holder": "robot-1"})).await.unwrap();
+    let moving = robot.command("move?wait_ms=0", &slowly(&lease)).await.unwrap();
+    let key = "wsg/v1/gateway/g/command/command?wait_ms=60000";
+    let (refused, mut refusals) = tokio::sync::mpsc::unbounded_channel();
+    for _ in 0..=MAX_QUERIES {
+        let refused = refused.clone();
+        let waiting = stranger.session.get(key).payload(json!({"command": moving["id"]}).to_string());
+        let waiting = waiting.callback(move |reply| refused.send(reply.result().is_err()).unwrap_or_default());
+        waiting.timeout(Duration::from_mins(1)).await.unwrap();
+    }
+    assert_eq!(refusals.recv().await, Some(true), "all places for strangers are taken");
+    let body = json!({"command": moving["id"]});
+    let waited = format!("command?wait_ms=100;lease={}", lease["token"].as_str().unwrap());
+    assert_eq!(robot.command(&waited, &body).await.unwrap()["phase"], "running");
+    rig.client.command("command?wait_ms=100", &body).await.unwrap_err();
+}
