@@ -55,7 +55,8 @@ pub struct Readiness {
     /// Damage of earlier records in the journal, and the remedy; null where none was found. New records are still written, and motions go on.
     #[schema(required)]
     journal_damage: Option<String>,
-    /// Why the gateway is not on Zenoh wherever it is to be; null while it is, and where Zenoh is off.
+    /// Why the gateway is not on Zenoh wherever it is to be, or refuses motions there; null while all is well, and where
+    /// Zenoh is off.
     #[schema(required)]
     zenoh_cause: Option<String>,
     /// The grippers that aren't connected: name, link and cause.
@@ -77,7 +78,7 @@ pub async fn readiness(Shared(context): Shared<Arc<Context>>) -> (StatusCode, Js
     let journal = context.journal.health().borrow().clone();
     let (journal_cause, journal_damage) = (journal.failure, journal.damage);
     let not_ready: Vec<_> = context.fleet.iter().filter_map(why_not_ready).collect();
-    let zenoh_cause = context.network.cause().borrow().clone();
+    let zenoh_cause = context.network.cause().borrow().clone().or_else(|| context.network.why_no_motions());
     let ready = journal_cause.is_none() && journal_damage.is_none() && zenoh_cause.is_none() && not_ready.is_empty();
     let status = if ready { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
     let gateway = context.gateway.to_string();

@@ -8,15 +8,16 @@ use futures_util::stream::{FuturesUnordered, StreamExt as _};
 use serde::Deserialize;
 use serde_json::value::RawValue;
 use serde_json::{Value, json};
-use tokio::time::{Instant, sleep_until, timeout};
+use tokio::time::{Instant, sleep, sleep_until, timeout};
 use zenoh::Wait as _;
 use zenoh::bytes::{Encoding, ZBytes};
 use zenoh::qos::Priority;
-use zenoh::query::{QueryTarget, Reply};
+use zenoh::query::{ConsolidationMode, QueryTarget, Reply};
 use zenoh::sample::Locality;
 
 use super::Network;
 use super::keys::{self, Keys};
+use super::twins::has_token;
 use crate::gripper::Now;
 use crate::gripper::model::lease::MIN_TTL;
 use crate::gripper::model::{Client, Name};
@@ -33,6 +34,13 @@ const MAX_USES_UNDER_WAY: usize = 2;
 
 /// How long the answer to a use may take at least.
 const MIN_ANSWERED_WITHIN: Duration = Duration::from_millis(250);
+
+/// How often, and in which steps, the token of a session that answers is looked for.
+const PROOFS: u32 = 10;
+const PROVES_EVERY: Duration = Duration::from_millis(100);
+
+/// Replies of sessions that may be looked at at a time: one gateway is asked, and sends one.
+const MAX_PROOFS: usize = 16;
 
 /// What asks for a lease itself, and keeps none.
 const LEASE_METHODS: &str = "lease.";
@@ -135,6 +143,20 @@ impl Network {
         }
     }
 
+    /// A reply that comes from a session of this gateway. After an outage it may come before the session's token.
+    async fn of_owner(&self, gateway: &Name, reply: Reply) -> Option<Reply> {
+        let (session, replier) = (self.session.get()?, reply.replier_id()?.zid().to_string());
+        for _ in 0..PROOFS {
+            // Not in one condition, whose lock would be held meanwhile.
+            let is_known = self.others().is_instance(gateway, &replier);
+            if is_known || has_token(session, &Keys::of(gateway), &replier).await {
+                return Some(reply);
+            }
+            sleep(PROVES_EVERY).await;
+        }
+        None
+    }
+
     async fn send(&self, ask: Ask) -> Result<Asked, NoAnswer> {
         let session = self.session.get().cloned().ok_or(NoAnswer::Unknown)?;
         let key = Keys::of(&ask.gateway).gripper(&ask.gripper, &format!("command/{}", ask.method));
@@ -148,13 +170,23 @@ impl Network {
         let sent = tokio::task::spawn_blocking(move || {
             let get = session.get(format!("{key}?{}", parameters.join(";"))).payload(payload).timeout(within);
             let get = get.encoding(Encoding::APPLICATION_JSON).allowed_destination(Locality::Remote);
-            get.target(QueryTarget::All).express(urgency == Urgency::FastStop).priority(urgency.priority()).wait()
+            // Of replies with the same key each comes: a stranger's takes the place of none.
+            let get = get.target(QueryTarget::All).consolidation(ConsolidationMode::None);
+            get.express(urgency == Urgency::FastStop).priority(urgency.priority()).wait()
         });
         let replies = sent.await.ok().and_then(Result::ok).ok_or(NoAnswer::None)?;
-        let mut refused = None;
-        // Where several answer, it counts who has done it.
-        while let Ok(reply) = replies.recv_async().await {
-            match told(&reply) {
+        let (mut proofs, mut refused) = (FuturesUnordered::new(), None);
+        loop {
+            let reply = tokio::select! {
+                Some(reply) = proofs.next() => reply,
+                Ok(reply) = replies.recv_async(), if proofs.len() < MAX_PROOFS => {
+                    proofs.push(self.of_owner(&ask.gateway, reply));
+                    continue;
+                }
+                else => break,
+            };
+            // Where several gateways of that name answer, it counts which of them has done it.
+            match reply.as_ref().and_then(told) {
                 Some(Ok(answer)) => return Ok(Ok(answer)),
                 told => refused = told.or(refused),
             }

@@ -7,6 +7,7 @@ mod ask;
 pub mod keys;
 mod others;
 mod told;
+mod twins;
 
 use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
@@ -17,10 +18,12 @@ use tokio::task::AbortHandle;
 use zenoh::Wait as _;
 use zenoh::liveliness::LivelinessToken;
 use zenoh::qos::{CongestionControl, Priority};
+use zenoh::query::{ConsolidationMode, QueryTarget, Reply};
 use zenoh::sample::{Locality, Sample, SampleKind};
 
 use self::keys::{FAST_STOP_OF_ALL, Keys, ROOT, last_part};
 use self::others::{Others, Stop};
+use self::twins::Twins;
 use crate::gripper::model::{Client, FastStopId, Name, Reason, State};
 use crate::gripper::{Fleet, Now};
 
@@ -34,6 +37,9 @@ const MAX_ASKS: usize = 64;
 /// How long the confirmations of other gateways' grippers are waited for: as long as for one's own, and as long again for
 /// the network.
 const FAST_STOP_WAIT: Duration = crate::gripper::handle::FAST_STOP_WAIT.saturating_mul(2);
+
+/// How often the other gateways are asked at most whether they have confirmed, by all FAST STOPs together.
+const ASKS_EVERY: Duration = Duration::from_millis(25);
 
 /// How often, and for how long, a gateway is told again of a FAST STOP that it has missed: it was frozen, or its router was
 /// away. Later than that somebody may work there again, and has not heard of it.
@@ -52,8 +58,11 @@ pub struct Network {
     /// Why it is not on it as it should be.
     cause: watch::Sender<Option<String>>,
     others: Mutex<Others>,
-    /// Told when a state of another gateway has come.
+    twins: Arc<Twins>,
+    /// Told when another gateway has answered.
     news: Notify,
+    /// When the other gateways were asked for their states last.
+    asked_at: Mutex<Option<Instant>>,
     asks: Arc<Semaphore>,
     stops: Arc<Semaphore>,
     leases: Arc<Semaphore>,
@@ -76,8 +85,9 @@ impl Network {
     pub fn new(gateway: Name, own: Fleet) -> Self {
         let (session, others, news) = (OnceLock::new(), Mutex::default(), Notify::new());
         let [asks, stops, leases] = [MAX_ASKS; 3].map(|places| Arc::new(Semaphore::new(places)));
-        let cause = watch::Sender::new(None);
-        Self { gateway, own, session, cause, others, news, asks, stops, leases, insisting: Mutex::default() }
+        let (cause, twins) = (watch::Sender::new(None), Arc::default());
+        let (asked_at, insisting) = (Mutex::default(), Mutex::default());
+        Self { gateway, own, session, cause, others, twins, news, asked_at, asks, stops, leases, insisting }
     }
 
     /// Goes on the network of this session, for as long as what is returned lives.
@@ -102,11 +112,18 @@ impl Network {
         };
         let instances = session.liveliness().declare_subscriber(format!("{ROOT}/*/instance/*")).history(true);
         instances.callback(is_one).background().await?;
-        let instance = Keys::of(&self.gateway).own(&format!("instance/{}", session.zid()));
+        let keys = Keys::of(&self.gateway);
+        Twins::answer(session, &keys).await?;
+        let instance = keys.own(&format!("instance/{}", session.zid()));
         let token = session.liveliness().declare_token(instance).await?;
         // Who is on one already stays there.
         let _ = self.session.set(session.clone());
         Ok(token)
+    }
+
+    /// Looks for other gateways of this one's name, for as long as it is polled.
+    pub fn watch_twins(&self, session: &zenoh::Session) -> impl Future<Output = ()> + use<> {
+        self.twins.clone().watch(session.clone(), Keys::of(&self.gateway))
     }
 
     /// Says why it is not on the network as it should be; none where it is.
@@ -138,7 +155,15 @@ impl Network {
     /// Whether another gateway has the name of this one: what is asked of either goes to both.
     #[must_use]
     pub fn has_twin(&self) -> bool {
-        self.others().count(&self.gateway) > 0
+        self.twins.any()
+    }
+
+    /// Why motions that are asked by Zenoh are refused; none where they are not.
+    #[must_use]
+    pub fn why_no_motions(&self) -> Option<String> {
+        const WHY: &str = "another gateway on the Zenoh network has the same name, so motions by Zenoh are refused: give each \
+                           its own --name";
+        self.has_twin().then(|| WHY.to_owned())
     }
 
     /// Stops the grippers of all gateways. Its own don't wait for the others, nor for Zenoh. A gateway that was not reached
@@ -148,13 +173,9 @@ impl Network {
         let told = serde_json::json!({"reason": reason.as_str(), "client": &*client.subject}).to_string();
         let ((id, own), ()) = tokio::join!(self.own.fast_stop(client, reason), self.stop_others(begun, &told));
         // Of several gateways of one name it isn't known which of them has confirmed.
-        let is_one = |gateway: &Name| {
-            let others = self.others().count(gateway);
-            if self.is_own(gateway) { others == 0 } else { others < 2 }
-        };
-        let own_is_one = is_one(&self.gateway);
+        let is_one = !self.has_twin();
         let own = own.into_iter();
-        let own = own.map(|(gripper, confirmed)| (format!("{}/{gripper}", self.gateway), confirmed && own_is_one));
+        let own = own.map(|(gripper, confirmed)| (format!("{}/{gripper}", self.gateway), confirmed && is_one));
         let others = self.others().stops_since(begun);
         let is_open = |stop: &Stop| matches!(stop, Stop::Unknown { .. } | Stop::Gone);
         let open: BTreeSet<_> = others.iter().filter(|(_, stop)| is_open(stop)).map(|(name, _)| name.clone()).collect();
@@ -165,13 +186,12 @@ impl Network {
                 before.abort();
             }
         }
-        let confirmed =
-            |((gateway, gripper), stop)| (format!("{gateway}/{gripper}"), stop == Stop::Confirmed && is_one(&gateway));
+        let confirmed = |((gateway, gripper), stop)| (format!("{gateway}/{gripper}"), stop == Stop::Confirmed);
         FleetStop { id, stops: own.chain(others.into_iter().map(confirmed)).collect() }
     }
 
-    /// Tells the others, and waits until all of them that live have confirmed.
-    async fn stop_others(&self, begun: Instant, told: &str) {
+    /// Tells the others, and asks until all of them that live have confirmed.
+    async fn stop_others(self: &Arc<Self>, begun: Instant, told: &str) {
         self.put_fast_stop(FAST_STOP_OF_ALL.to_owned(), told.to_owned());
         let confirmed = async {
             loop {
@@ -179,7 +199,9 @@ impl Network {
                 if self.others().stops_since(begun).values().all(|stop| matches!(stop, Stop::Confirmed | Stop::Gone)) {
                     return;
                 }
-                news.await;
+                self.ask_states();
+                // Without an answer it is asked again.
+                let _ = tokio::time::timeout(ASKS_EVERY, news).await;
             }
         };
         // Who has not confirmed by then is told as that.
@@ -192,9 +214,10 @@ impl Network {
             let mut ticks = tokio::time::interval(INSISTS_EVERY);
             while !open.is_empty() {
                 ticks.tick().await;
+                self.ask_states();
                 let stops = self.others().stops_since(begun);
                 open.retain(|name| !matches!(stops.get(name), Some(Stop::Confirmed | Stop::Latched)));
-                let is_missed = |name: &&(Name, Name)| stops.get(name) == Some(&Stop::Unknown { is_news: true });
+                let is_missed = |name: &&(Name, Name)| stops.get(name) == Some(&Stop::Unknown { is_missed: true });
                 let gateways: BTreeSet<_> = open.iter().filter(is_missed).map(|(gateway, _)| gateway).collect();
                 for gateway in gateways {
                     tracing::warn!(%gateway, "a gateway has missed a FAST STOP, and is told again");
@@ -204,6 +227,41 @@ impl Network {
         };
         if tokio::time::timeout(INSISTS_FOR, insisted).await.is_err() {
             tracing::error!(?open, "a FAST STOP of all gateways has not reached these grippers'");
+        }
+    }
+
+    /// Asks all other gateways for their grippers' states, unless they were just asked. A published state may be anyone's; an
+    /// answer is bound to the session that it comes from.
+    fn ask_states(self: &Arc<Self>) {
+        let Some(session) = self.session.get().cloned() else { return };
+        let now = Now::read().instant;
+        {
+            let mut asked_at = self.asked_at.lock().unwrap_or_else(PoisonError::into_inner);
+            if asked_at.is_some_and(|asked_at| now.saturating_duration_since(asked_at) < ASKS_EVERY) {
+                return;
+            }
+            *asked_at = Some(now);
+        }
+        let network = self.clone();
+        tokio::task::spawn_blocking(move || {
+            let get = session.get(format!("{ROOT}/*/*/state")).target(QueryTarget::All).timeout(FAST_STOP_WAIT);
+            let get = get.consolidation(ConsolidationMode::None).allowed_destination(Locality::Remote);
+            let get = get.express(true).priority(Priority::RealTime);
+            if let Err(error) = get.callback(move |reply| network.take_answer(&reply, now)).wait() {
+                tracing::error!(%error, "the other gateways are not asked whether a FAST STOP is confirmed");
+            }
+        });
+    }
+
+    fn take_answer(&self, reply: &Reply, asked_at: Instant) {
+        let Ok(state) = reply.result() else { return };
+        let (Some(name), Some(replier)) = (keys::of_gripper(state.key_expr().as_str()), reply.replier_id()) else {
+            return;
+        };
+        let is_bounded = state.payload().len() <= MAX_STATE_BYTES;
+        if let Some(told) = is_bounded.then(|| told::Told::of(&state.payload().to_bytes())).flatten() {
+            self.others().take_answer(&name, &told, &replier.zid().to_string(), asked_at);
+            self.news.notify_waiters();
         }
     }
 
@@ -235,7 +293,6 @@ impl Network {
             && let Some(told) = told::Told::of(state)
         {
             self.others().take_state(gateway, gripper, told);
-            self.news.notify_waiters();
         }
     }
 
@@ -248,8 +305,9 @@ impl Network {
 
     fn take_instance(&self, key: &str, is_alive: bool) {
         let Some(gateway) = keys::of_gateway(key) else { return };
-        if gateway == self.gateway && is_alive {
-            tracing::error!(%gateway, "another gateway on this Zenoh network has the same name: give each its own --name");
+        if gateway == self.gateway {
+            self.twins.look();
+            return;
         }
         self.others().take_instance(gateway, last_part(key), is_alive);
     }

@@ -10,8 +10,15 @@ use crate::gripper::model::Name;
 /// Grippers of other gateways that are known at a time: a hundred cells, and more. Those that are gone make room.
 const MAX_GRIPPERS: usize = 4096;
 
+/// Grippers that are known of one gateway. Whoever publishes under one gateway's name leaves room for the others.
+const MAX_GRIPPERS_OF_ONE: usize = 256;
+
 /// Gateways that are known to live at a time.
 const MAX_GATEWAYS: usize = 1024;
+
+/// Sessions that are known as the gateway of one name. From two on it is ambiguous which of them answers; the others leave
+/// room for the true one.
+const MAX_INSTANCES_OF_ONE: usize = 16;
 
 /// The most bytes of what tells gateways apart that have one name.
 const MAX_INSTANCE_BYTES: usize = 32;
@@ -28,19 +35,32 @@ const KEPT_FOR: Duration = Duration::from_hours(1);
 struct Known {
     told: Told,
     at: Instant,
+    answer: Option<OwnersAnswer>,
+}
+
+/// What was answered to this gateway's newest query for a gripper's state. Anybody can publish a state; an answer names the
+/// session that it comes from.
+#[derive(Debug, Clone, Copy)]
+struct OwnersAnswer {
+    /// When the query went out.
+    asked_at: Instant,
+    is_latched: bool,
+    is_stopped: bool,
+    /// Whether it comes from the one session that is known as this gateway.
+    is_owners: bool,
 }
 
 /// What is known of a FAST STOP of one gripper.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Stop {
-    /// The gripper's flags have shown it.
+    /// Its gateway has answered that the gripper's flags have shown it.
     Confirmed,
-    /// Its gateway repeats it until they do.
+    /// Its gateway has answered that it repeats it until they do.
     Latched,
-    /// Its gateway has not told of it; or has told, since it was asked for, that there is none.
+    /// Its gateway has not answered since; or has answered that there is none.
     Unknown {
-        /// That.
-        is_news: bool,
+        /// Whether it has answered that there is none.
+        is_missed: bool,
     },
     /// Its gateway is gone.
     Gone,
@@ -51,7 +71,7 @@ pub(super) enum Stop {
 pub(super) struct Others {
     grippers: BTreeMap<(Name, Name), Known>,
     alive: BTreeSet<Name>,
-    /// Which of them there are by each name, this one left out.
+    /// The sessions that declare themselves to be a gateway, by its name; those of this one's name left out.
     instances: BTreeSet<(Name, String)>,
 }
 
@@ -63,7 +83,37 @@ impl Others {
             tracing::warn!(gateway = %name.0, gripper = %name.1, MAX_GRIPPERS, "too many grippers on the network");
             return;
         }
-        self.grippers.insert(name, Known { told, at });
+        if let Some(known) = self.grippers.get_mut(&name) {
+            (known.told, known.at) = (told, at);
+        } else if self.count_of(&name) < MAX_GRIPPERS_OF_ONE {
+            self.grippers.insert(name, Known { told, at, answer: None });
+        }
+    }
+
+    /// How many grippers are known of the gateway that this name begins with: they stand side by side.
+    fn count_of(&self, name: &(Name, Name)) -> usize {
+        let is_same = |known: &(&(Name, Name), &Known)| known.0.0 == name.0;
+        let before = self.grippers.range(..name).rev().take_while(is_same).count();
+        before + self.grippers.range(name..).take_while(is_same).count()
+    }
+
+    /// Takes the state of a known gripper with which this session has answered a query that went out at `asked_at`.
+    pub(super) fn take_answer(&mut self, name: &(Name, Name), told: &Told, session: &str, asked_at: Instant) {
+        let is_owners = self.instances_of(&name.0).eq([session]);
+        let Some(known) = self.grippers.get_mut(name) else { return };
+        let mut answer =
+            OwnersAnswer { asked_at, is_latched: told.is_latched(), is_stopped: told.is_stopped(), is_owners };
+        match known.answer {
+            Some(newer) if newer.asked_at > asked_at => return,
+            // Of several that answer one query, all have to be stopped.
+            Some(other) if other.asked_at == asked_at => {
+                answer.is_latched &= other.is_latched;
+                answer.is_stopped &= other.is_stopped;
+                answer.is_owners &= other.is_owners;
+            }
+            _ => {}
+        }
+        known.answer = Some(answer);
     }
 
     pub(super) fn take_token(&mut self, gateway: Name, is_alive: bool) {
@@ -74,19 +124,24 @@ impl Others {
         }
     }
 
-    /// One of the gateways of this name, which says so by a token that is its own.
+    /// A session that declares itself to be the gateway of this name.
     pub(super) fn take_instance(&mut self, gateway: Name, instance: &str, is_alive: bool) {
-        let instance = (gateway, instance.to_owned());
-        if !is_alive {
-            self.instances.remove(&instance);
-        } else if self.instances.len() < MAX_GATEWAYS && instance.1.len() <= MAX_INSTANCE_BYTES {
-            self.instances.insert(instance);
+        let has_room = self.instances.len() < MAX_GATEWAYS && instance.len() <= MAX_INSTANCE_BYTES;
+        if is_alive && has_room && self.instances_of(&gateway).count() < MAX_INSTANCES_OF_ONE {
+            self.instances.insert((gateway, instance.to_owned()));
+        } else if !is_alive {
+            self.instances.remove(&(gateway, instance.to_owned()));
         }
     }
 
-    /// How many other gateways have this name.
-    pub(super) fn count(&self, gateway: &Name) -> usize {
-        self.instances.iter().filter(|(name, _)| name == gateway).count()
+    /// Whether a session is known as the gateway of this name.
+    pub(super) fn is_instance(&self, gateway: &Name, session: &str) -> bool {
+        self.instances_of(gateway).any(|instance| instance == session)
+    }
+
+    /// The sessions that are known as the gateway of this name: one of an honest network.
+    fn instances_of(&self, gateway: &Name) -> impl Iterator<Item = &str> {
+        self.instances.iter().filter(move |(name, _)| name == gateway).map(|(_, instance)| instance.as_str())
     }
 
     /// Whether the gateway is gone that has this gripper, or would have it; none where it isn't known.
@@ -114,12 +169,12 @@ impl Others {
         let now = Now::read().instant;
         let known = self.grippers.iter().filter(|(_, known)| now.saturating_duration_since(known.at) < KEPT_FOR);
         let stop = |(name, known): (&(Name, Name), &Known)| {
-            let is_news = known.at >= begun;
-            let stop = match (is_news, self.is_gone(&name.0, known, now)) {
-                (true, _) if known.told.is_stopped() => Stop::Confirmed,
-                (true, _) if known.told.is_latched() => Stop::Latched,
-                (_, true) => Stop::Gone,
-                (is_news, false) => Stop::Unknown { is_news },
+            let stop = match known.answer.filter(|answer| answer.asked_at >= begun) {
+                Some(answer) if answer.is_owners && answer.is_stopped => Stop::Confirmed,
+                Some(answer) if answer.is_owners && answer.is_latched => Stop::Latched,
+                Some(answer) if !answer.is_latched => Stop::Unknown { is_missed: true },
+                _ if self.is_gone(&name.0, known, now) => Stop::Gone,
+                _ => Stop::Unknown { is_missed: false },
             };
             (name.clone(), stop)
         };
@@ -178,35 +233,64 @@ mod tests {
     }
 
     #[test]
-    fn a_stop_counts_that_was_told_of_since_it_was_asked_for() {
-        let mut others = Others::default();
+    fn only_the_owners_answer_since_the_stop_confirms_it() {
+        let (mut others, left) = (Others::default(), (name("cell-1"), name("left")));
         others.take_token(name("cell-1"), true);
-        others.take_state(name("cell-1"), name("left"), told(true));
-        let begun = Instant::now() + Duration::from_nanos(1);
-        let stops = |others: &Others| others.stops_since(begun).into_values().collect::<Vec<_>>();
-        assert_eq!(stops(&others), [Stop::Unknown { is_news: false }]);
-        while Now::read().instant < begun {}
-        others.take_state(name("cell-1"), name("left"), told(false));
-        assert_eq!(stops(&others), [Stop::Unknown { is_news: true }]);
-        others.take_state(name("cell-1"), name("left"), told(true));
-        assert_eq!(stops(&others), [Stop::Confirmed]);
-        others.take_state(name("cell-1"), name("left"), told(false));
+        others.take_instance(name("cell-1"), "1", true);
+        others.take_state(left.0.clone(), left.1.clone(), told(true));
+        let begun = Instant::now();
+        let later = |ms| begun + Duration::from_millis(ms);
+        let stop = |others: &Others| others.stops_since(begun)[&left];
+        assert_eq!(stop(&others), Stop::Unknown { is_missed: false }, "anybody can publish a state");
+        others.take_answer(&left, &told(true), "1", begun.checked_sub(Duration::from_millis(1)).unwrap());
+        assert_eq!(stop(&others), Stop::Unknown { is_missed: false }, "it was asked before");
+        others.take_answer(&left, &told(true), "2", later(1));
+        assert_eq!(stop(&others), Stop::Unknown { is_missed: false }, "another session answers");
+        others.take_answer(&left, &told(false), "1", later(2));
+        assert_eq!(stop(&others), Stop::Unknown { is_missed: true });
+        others.take_answer(&left, &told(true), "1", later(3));
+        assert_eq!(stop(&others), Stop::Confirmed);
+        others.take_answer(&left, &told(false), "1", later(2));
+        assert_eq!(stop(&others), Stop::Confirmed, "an answer to an older question");
+        others.take_answer(&left, &told(true), "2", later(3));
+        assert_eq!(stop(&others), Stop::Unknown { is_missed: false }, "two answer the same question");
+        others.take_instance(name("cell-1"), "2", true);
+        others.take_answer(&left, &told(true), "1", later(4));
+        assert_eq!(stop(&others), Stop::Unknown { is_missed: false }, "two sessions are known as the gateway");
+        others.take_instance(name("cell-1"), "2", false);
+        others.take_answer(&left, &told(true), "1", later(5));
         others.take_token(name("cell-1"), false);
-        assert_eq!(stops(&others), [Stop::Gone], "it may move on");
+        assert_eq!(stop(&others), Stop::Confirmed);
+    }
+
+    #[test]
+    fn one_gateway_leaves_room_for_the_others() {
+        let mut others = Others::default();
+        for index in 0..=MAX_GRIPPERS_OF_ONE {
+            others.take_state(name("cell-1"), name(&format!("g{index}")), told(false));
+        }
+        assert_eq!(others.grippers.len(), MAX_GRIPPERS_OF_ONE);
+        for index in 0..=MAX_INSTANCES_OF_ONE {
+            others.take_instance(name("cell-1"), &index.to_string(), true);
+        }
+        assert_eq!(others.instances.len(), MAX_INSTANCES_OF_ONE);
     }
 
     #[test]
     fn who_is_gone_makes_room_and_who_lives_does_not() {
         let mut others = Others::default();
-        others.take_token(name("cell-1"), true);
-        for index in 0..MAX_GRIPPERS {
-            others.take_state(name("cell-1"), name(&format!("g{index}")), told(false));
+        let cells = MAX_GRIPPERS / MAX_GRIPPERS_OF_ONE;
+        for cell in 0..cells {
+            others.take_token(name(&format!("full-{cell}")), true);
+            for index in 0..MAX_GRIPPERS_OF_ONE {
+                others.take_state(name(&format!("full-{cell}")), name(&format!("g{index}")), told(false));
+            }
         }
         others.take_token(name("cell-2"), true);
         others.take_state(name("cell-2"), name("left"), told(false));
         assert_eq!(others.grippers.len(), MAX_GRIPPERS);
         assert!(!others.grippers.contains_key(&(name("cell-2"), name("left"))));
-        others.take_token(name("cell-1"), false);
+        others.take_token(name("full-0"), false);
         others.take_state(name("cell-2"), name("left"), told(false));
         assert_eq!(others.grippers.len(), MAX_GRIPPERS);
         assert!(others.grippers.contains_key(&(name("cell-2"), name("left"))));

@@ -134,6 +134,7 @@ async fn declare(
     let queries = Queries::new(keys.clone(), context, clients, metrics.clone());
     Arc::new(queries).declare(session, &context.fleet).await?;
     let mut told = JoinSet::new();
+    told.spawn(context.network.watch_twins(session));
     for handle in context.fleet.iter() {
         let publications = Publications::declare(session, &keys, handle).await?;
         told.spawn_on(publications.tell(context.clone(), metrics.clone(), max_hz), &context.runtimes.observers);

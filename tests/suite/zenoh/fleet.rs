@@ -31,7 +31,7 @@ fn is_whole(grippers: &[Value], count: usize) -> bool {
     grippers.len() == count && grippers.iter().all(|gripper| gripper["gone"] == false && gripper["link"] == "connected")
 }
 
-async fn until_whole(gateway: &Gateway, count: usize) -> Vec<Value> {
+pub async fn until_whole(gateway: &Gateway, count: usize) -> Vec<Value> {
     eventually(&format!("{count} grippers"), async || {
         let grippers = fleet(gateway).await;
         is_whole(&grippers, count).then_some(grippers)
@@ -98,16 +98,16 @@ fn gateway_name(gateway: &Gateway) -> String {
 }
 
 /// Two gateways, the second one with a gripper `g` whose wire is seen.
-struct Pair {
-    router: Router,
+pub struct Pair {
+    pub router: Router,
     _device: Simulator,
     proxy: Proxy,
-    near: Gateway,
-    far: Gateway,
+    pub near: Gateway,
+    pub far: Gateway,
 }
 
 impl Pair {
-    async fn start() -> Self {
+    pub async fn start() -> Self {
         let router = Router::start();
         let device = Simulator::with_part().await;
         let proxy = Proxy::to(device.address);

@@ -3,8 +3,11 @@
 use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
+use zenoh::Wait as _;
+use zenoh::query::Query;
 
 use super::Rig;
+use super::fleet::{Pair, until_whole};
 use crate::harness::{ZenohClient, eventually};
 
 const FAST_STOP: u8 = 0x23;
@@ -119,4 +122,92 @@ async fn strangers_leave_the_holder_its_places() {
     let waited = format!("command?wait_ms=100;lease={}", lease["token"].as_str().unwrap());
     assert_eq!(robot.command(&waited, &body).await.unwrap()["phase"], "running");
     rig.client.command("command?wait_ms=100", &body).await.unwrap_err();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_foreign_instance_token_blocks_no_motion() {
+    let rig = homed().await;
+    let stranger = ZenohClient::of(&rig.gateway).await;
+    let key = "wsg/v1/gateway/instance/1234";
+    let answer = move |query: Query| query.reply(key, "").wait().unwrap();
+    stranger.session.declare_queryable(key).callback(answer).background().await.unwrap();
+    let _token = stranger.live(&rig.client, key).await;
+    rig.gateway.until_said("a session that is no gateway").await;
+    let moved = rig.client.command("move", &json!({"width_mm": 50, "speed_mm_s": 400})).await.unwrap();
+    assert_eq!(moved["outcome"], "SUCCESS");
+    rig.client.command("lease.take", &json!({"holder": "robot-1"})).await.unwrap();
+    assert_eq!(rig.gateway.get("/readyz").await.ok()["zenoh_cause"], Value::Null);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_spoofed_state_confirms_no_fast_stop() {
+    let pair = Pair::start().await;
+    let stranger = ZenohClient::at(pair.router.endpoint()).await;
+    let key = "wsg/v1/far/g/state";
+    let stopped = json!({"link": "connected", "age_ms": 1, "fast_stop": true, "fast_stop_confirmed": true}).to_string();
+    let answered = stopped.clone();
+    let answer = move |query: Query| query.reply(key, answered.clone()).wait().unwrap();
+    stranger.session.declare_queryable(key).complete(true).callback(answer).background().await.unwrap();
+    eventually("the stranger answers", async || (answering(&stranger, key).await >= 2).then_some(())).await;
+    pair.far.freeze();
+    let spoof = async {
+        loop {
+            stranger.put(key, stopped.clone()).await;
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    };
+    let stop = pair.near.request("POST", "/api/v1/fleet/fast-stop").json(&json!({}));
+    let stopped = tokio::select! {
+        answer = pair.near.send(stop) => answer.ok(),
+        () = spoof => unreachable!("it spoofs until the answer has come"),
+    };
+    assert_eq!((&stopped["confirmed"], &stopped["unconfirmed"]), (&json!(["near/g0"]), &json!(["far/g"])), "{stopped}");
+    pair.far.thaw();
+    let state = pair.far.until("it is stopped", |state| state["fast_stop_confirmed"] == true).await;
+    assert_eq!(state["fast_stop"], true);
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_stranger_answers_for_no_gateway() {
+    let pair = Pair::start().await;
+    let stranger = ZenohClient::at(pair.router.endpoint()).await;
+    let key = "wsg/v1/far/g/command/fast-stop";
+    let answer = move |query: Query| query.reply(key, r#"{"fast_stop_confirmed": true}"#).wait().unwrap();
+    stranger.session.declare_queryable(key).complete(true).callback(answer).background().await.unwrap();
+    eventually("the stranger answers", async || (answering(&stranger, key).await >= 2).then_some(())).await;
+    pair.far.freeze();
+    let stopped = pair.near.post("/api/v1/fleet/far/grippers/g/fast-stop", &json!({})).await;
+    stopped.problem(504, "gateway_timeout");
+    pair.far.thaw();
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn the_owner_confirms_a_fast_stop_beside_spoofed_states() {
+    let pair = Pair::start().await;
+    let stranger = ZenohClient::at(pair.router.endpoint()).await;
+    let running = json!({"link": "connected", "age_ms": 1, "fast_stop": false}).to_string();
+    let spoof = async {
+        loop {
+            stranger.put("wsg/v1/far/g/state", running.clone()).await;
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+    };
+    until_whole(&pair.near, 2).await;
+    let stop = pair.near.request("POST", "/api/v1/fleet/fast-stop").json(&json!({}));
+    let stopped = tokio::select! {
+        answer = pair.near.send(stop) => answer.ok(),
+        () = spoof => unreachable!("it spoofs until the answer has come"),
+    };
+    assert_eq!(stopped["fast_stop_confirmed"], true, "{stopped}");
+}
+
+/// The sessions that answer at this key.
+async fn answering(client: &ZenohClient, key: &str) -> usize {
+    let get = client.session.get(key).target(zenoh::query::QueryTarget::All);
+    let replies = get.consolidation(zenoh::query::ConsolidationMode::None).await.unwrap();
+    let mut count = 0;
+    while replies.recv_async().await.is_ok() {
+        count += 1;
+    }
+    count
 }

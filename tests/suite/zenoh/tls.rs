@@ -16,8 +16,8 @@ struct Certificates {
 }
 
 impl Certificates {
-    fn new() -> Self {
-        let directory = std::env::temp_dir().join(format!("wsg-gateway-{}-certificates", std::process::id()));
+    fn new(test: &str) -> Self {
+        let directory = std::env::temp_dir().join(format!("wsg-gateway-{}-certificates-{test}", std::process::id()));
         std::fs::create_dir_all(&directory).unwrap();
         let (mut params, key) = (named("cell CA"), KeyPair::generate().unwrap());
         params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
@@ -80,12 +80,11 @@ async fn moves_nothing(client: &ZenohClient, command: &str, payload: &Value) -> 
     client.all(&key, payload.to_string()).await.iter().all(|(_, answer)| answer.is_err())
 }
 
-#[tokio::test(flavor = "multi_thread")]
-async fn an_observer_reads_and_stops_and_moves_nothing() {
-    let certificates = Certificates::new();
+/// A gateway by the shipped file, its gripper's wire, and where it is reached by these certificates.
+async fn served(certificates: &Certificates) -> (Gateway, Proxy, Simulator, String) {
     certificates.issue("gateway");
     let own = certificates.path("zenoh.json5");
-    std::fs::write(&own, shipped(&certificates)).unwrap();
+    std::fs::write(&own, shipped(certificates)).unwrap();
     let toml = certificates.path("gateway.toml");
     std::fs::write(&toml, format!("[zenoh]\nconfig = {:?}\n", own.display().to_string())).unwrap();
     let device = Simulator::start(&[]).await;
@@ -96,7 +95,13 @@ async fn an_observer_reads_and_stops_and_moves_nothing() {
     let endpoint = gateway.word_after("Zenoh: ").await;
     let port = endpoint.rsplit(':').next().unwrap();
     let endpoint = format!("tls/localhost:{port}");
+    (gateway, proxy, device, endpoint)
+}
 
+#[tokio::test(flavor = "multi_thread")]
+async fn an_observer_reads_and_stops_and_moves_nothing() {
+    let certificates = Certificates::new("observer");
+    let (gateway, proxy, _device, endpoint) = served(&certificates).await;
     let observer = certificates.client("observer", &endpoint).await;
     let told = observer.subscribe("wsg/v1/gateway/g/*").await;
     told.until("wsg/v1/gateway/g/state", |state| state["link"] == "connected").await;
@@ -125,4 +130,36 @@ async fn an_observer_reads_and_stops_and_moves_nothing() {
     assert!(moves_nothing(&stranger, "home", &json!({})).await);
     assert!(stranger.all("wsg/v1/gateway/g/state", "").await.is_empty(), "who is not named reads nothing");
     eventually("it is told", async || (!told.of("wsg/v1/gateway/g/event").is_empty()).then_some(())).await;
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn a_robot_commands_and_uses_no_name_but_its_own() {
+    let certificates = Certificates::new("robot");
+    let (gateway, _proxy, _device, endpoint) = served(&certificates).await;
+    let robot = certificates.client("robot-1", &endpoint).await;
+    let other = certificates.client("cell-8", &endpoint).await;
+    let (tokens, told) = (other.tokens("wsg/v1/**").await, other.subscribe("wsg/v1/gateway/**").await);
+
+    let mut declared = Vec::new();
+    for key in ["client/robot-2", "instance/1234", "alive", "client/robot-1"] {
+        let token = robot.session.liveliness().declare_token(format!("wsg/v1/gateway/{key}"));
+        declared.push(token.await.unwrap());
+    }
+    // What was declared before is there by then, if it is let in.
+    tokens.until("wsg/v1/gateway/client/robot-1", |body| *body == "").await;
+    let own: Vec<_> = tokens.all().into_iter().map(|(key, _)| key).collect();
+    for foreign in ["client/robot-2", "instance/1234"] {
+        assert!(!own.contains(&format!("wsg/v1/gateway/{foreign}")), "{own:?}");
+    }
+    robot.put("wsg/v1/gateway/h/state", "spoofed").await;
+    let spoof = |query: zenoh::query::Query| drop(query);
+    robot.session.declare_queryable("wsg/v1/gateway/h/command/*").callback(spoof).background().await.unwrap();
+    let lease = robot.command("lease.take", &json!({"holder": "robot-1"})).await.unwrap();
+    assert_eq!(lease["bound_to"], "token");
+    let home = robot.command("home", &json!({"lease": lease["token"]})).await.unwrap();
+    assert_eq!(home["outcome"], "SUCCESS");
+    assert!(other.all("wsg/v1/gateway/h/command/home", "").await.is_empty(), "a robot answers nothing");
+    told.until("wsg/v1/gateway/g/event", |event| event["phase"] == "done").await;
+    assert_eq!(told.of("wsg/v1/gateway/h/state"), [] as [Value; 0], "a robot publishes nothing");
+    drop(gateway);
 }
