@@ -155,7 +155,8 @@ fn main() -> Result<(), Error> {
     // In a file, as everywhere: in memory it would grow by what happens.
     let directory = Directory::new("observers")?;
     let journal = directory.0.join("gateway.db").to_string_lossy().into_owned();
-    let arguments = ["--listen", "127.0.0.1:0", "--gripper", &gripper, "--journal", &journal];
+    let zenoh = "tcp/127.0.0.1:0";
+    let arguments = ["--listen", "127.0.0.1:0", "--zenoh-listen", zenoh, "--gripper", &gripper, "--journal", &journal];
     let (gateway, address) = start(&arguments, " at http://")?;
     if let Some(processors) = &processors {
         bind(gateway.0.id(), processors)?;

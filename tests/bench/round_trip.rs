@@ -21,7 +21,8 @@ fn main() -> Result<(), Error> {
     let (_straight, straight) = start(&["sim", "tcp://127.0.0.1:0"], " at tcp://")?;
     let (_behind, behind) = start(&["sim", "tcp://127.0.0.1:0"], " at tcp://")?;
     let gripper = format!("g=tcp://{behind}");
-    let (_gateway, gateway) = start(&["--listen", "127.0.0.1:0", "--gripper", &gripper], " at http://")?;
+    let (_gateway, gateway) =
+        start(&["--listen", "127.0.0.1:0", "--zenoh-listen", "tcp/127.0.0.1:0", "--gripper", &gripper], " at http://")?;
 
     let mut device = TcpStream::connect(straight)?;
     device.set_nodelay(true)?;

@@ -75,7 +75,9 @@ fn main() -> Result<(), Error> {
     let (_relayed, relayed) = start(&["sim", "tcp://127.0.0.1:0"], " at tcp://")?;
     let (_served, served) = start(&["sim", "tcp://127.0.0.1:0"], " at tcp://")?;
     let gripper = format!("g=tcp://{served}");
-    let arguments = ["--listen", "127.0.0.1:0", "--gripper", &gripper, "--wsg-port", "g=127.0.0.1:0"];
+    let zenoh = "tcp/127.0.0.1:0";
+    let arguments =
+        ["--listen", "127.0.0.1:0", "--zenoh-listen", zenoh, "--gripper", &gripper, "--wsg-port", "g=127.0.0.1:0"];
     let (_gateway, said) = start(&arguments, "WSG port of g: tcp://")?;
     let free = TcpListener::bind("127.0.0.1:0")?.local_addr()?.port();
     let listen = format!("TCP-LISTEN:{free},bind=127.0.0.1,nodelay,reuseaddr");

@@ -74,7 +74,8 @@ export async function simulator() {
 
 /** A gateway of its own; with `port` 0 at any that is free. It is there once these grippers are connected, or all. */
 export async function gateway({ port = 0, more = [], connects = null } = {}) {
-  const { child, kill, says, said: url } = await run(['--listen', `127.0.0.1:${port}`, '--journal', ':memory:', ...more], /(http:\/\/127\.0\.0\.1:\d+)\//);
+  const own = ['--listen', `127.0.0.1:${port}`, '--zenoh-listen', 'tcp/127.0.0.1:0', '--journal', ':memory:'];
+  const { child, kill, says, said: url } = await run([...own, ...more], /(http:\/\/127\.0\.0\.1:\d+)\//);
   const ask = async (method, path, body) => {
     const response = await fetch(`${url}/api/v1/${path}`, { method, body: body && JSON.stringify(body) });
     return response.json();

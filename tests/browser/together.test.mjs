@@ -148,12 +148,12 @@ test('a gripper whose link is lost is covered since it was heard last, and comes
 });
 
 test('a fleet of two gateways is shown, and which of them is gone', async () => {
-  const near = await gateway({ more: ['--name', 'cell-1', '--zenoh-listen', 'tcp/127.0.0.1:0', '--gripper', 'left=sim://wsg50'] });
+  const near = await gateway({ more: ['--name', 'cell-1', '--gripper', 'left=sim://wsg50'] });
   const visitor = await visit(launched, near, { path: '/#/left/all' });
   const { page } = visitor;
   await page.waitForSelector('p:has-text("This gateway is alone")');
   const endpoint = await near.says(/Zenoh: (tcp\/127\.0\.0\.1:\d+)/);
-  const far = await gateway({ more: ['--name', 'cell-2', '--zenoh-listen', 'tcp/127.0.0.1:0', '--zenoh-connect', endpoint, '--gripper', 'right=sim://wsg50'] });
+  const far = await gateway({ more: ['--name', 'cell-2', '--zenoh-connect', endpoint, '--gripper', 'right=sim://wsg50'] });
   await far.ask('POST', 'grippers/right/home');
   await far.ask('POST', 'grippers/right/lease', { holder: 'robot-1', ttl_ms: 60_000 });
   const row = (words) => page.waitForFunction((wanted) => [...document.querySelectorAll('tbody tr')].some((one) => new RegExp(wanted).test(one.innerText)), words);
