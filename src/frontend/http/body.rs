@@ -51,13 +51,13 @@ pub async fn read_first(request: Request, next: Next) -> Response {
     };
     let _claim = match &permit {
         Some(permit) if only_stops(&parts) => permit.claim(Class::Answering),
-        Some(permit) => match timeout(TURN_TIME, permit.turn(Class::Answering)).await {
-            Ok(claim) => Some(claim),
-            Err(_) => {
+        Some(permit) => {
+            let Ok(claim) = timeout(TURN_TIME, permit.turn(Class::Answering)).await else {
                 let detail = "too many requests are being answered: try again later";
                 return Problem::new(Code::Overloaded, detail).into_response();
-            }
-        },
+            };
+            Some(claim)
+        }
         None => None,
     };
     next.run(Request::from_parts(parts, Stream::from(bytes))).await

@@ -48,9 +48,7 @@ fn status_of(rejection: &Rejection) -> Status {
             Failure::Overloaded { .. }
             | Failure::RequestIds { .. }
             | Failure::FlashWear { .. }
-            | Failure::LineTime { .. } => {
-                Status::E_INSUFFICIENT_RESOURCES
-            }
+            | Failure::LineTime { .. } => Status::E_INSUFFICIENT_RESOURCES,
             Failure::JournalDown { .. } => Status::E_WRITE_ERROR,
         },
     }

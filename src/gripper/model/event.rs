@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::{
-    Client, Command, CommandId, Door, FastStopCause, FastStopId, Kind, Name, Outcome, Parameters, PartId,
-    RequestId, lease::LeaseEvent,
+    Client, Command, CommandId, Door, FastStopCause, FastStopId, Kind, Name, Outcome, Parameters, PartId, RequestId,
+    lease::LeaseEvent,
 };
 
 mod device;
