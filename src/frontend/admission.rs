@@ -15,7 +15,7 @@ mod table;
 use std::net::IpAddr;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use tokio::sync::Notify;
 use tokio_util::sync::CancellationToken;
@@ -25,6 +25,10 @@ use tokio_util::task::task_tracker::TaskTrackerToken;
 pub use bounds::{Bounds, Class};
 pub use metrics::Usage;
 use table::{Id, Table};
+
+/// How long an evicted connection may take to deliver an answer, and to have a FAST STOP answered whose first bytes came
+/// before its eviction.
+const LINGER: Duration = Duration::from_millis(100);
 
 /// The connections of one listener.
 #[derive(Debug)]
@@ -107,9 +111,9 @@ impl ConnectionPermit {
         !self.has_served.load(Ordering::Relaxed)
     }
 
-    /// Whether an evicted connection may take its time to deliver an answer.
-    pub fn may_linger(&self) -> bool {
-        !self.admission.table().is_half_crowded()
+    /// How long an evicted connection may take to deliver an answer: no time where many are ending.
+    pub fn linger(&self) -> Duration {
+        if self.admission.table().is_half_crowded() { Duration::ZERO } else { LINGER }
     }
 
     /// Marks that the client was heard, which makes this connection the newest of its class.

@@ -74,9 +74,9 @@ pub fn run<A>(
     drop(attackers);
     let highest = measurement.end();
     let socket_has_ended = probe.socket_has_ended();
-    let begun = Instant::now();
+    let start = Instant::now();
     let mut after = gateway.usage();
-    while after.rss_mb > before.rss_mb + NEAR_MB && begun.elapsed() < COMES_BACK_WITHIN {
+    while after.rss_mb > before.rss_mb + NEAR_MB && start.elapsed() < COMES_BACK_WITHIN {
         std::thread::sleep(LOOK_EVERY);
         after = gateway.usage();
     }

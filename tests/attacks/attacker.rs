@@ -147,7 +147,7 @@ impl Crowd {
     }
 
     /// Opens so many connections, and each of them again when its member is done with it.
-    pub async fn each<F, M>(self: &Arc<Self>, count: usize, member: M)
+    pub fn each<F, M>(self: &Arc<Self>, count: usize, member: M)
     where
         F: Future<Output = std::io::Result<()>> + Send,
         M: Fn(Arc<Self>, usize, TcpStream) -> F + Clone + Send + Sync + 'static,
@@ -193,8 +193,8 @@ fn role() {
         std::process::exit(1);
     });
     runtime.block_on(async {
-        every_run::attack(name, &crowd, count).await;
-        long::attack(name, &crowd, count).await;
+        every_run::attack(name, &crowd, count);
+        long::attack(name, &crowd, count);
         let begun = Instant::now();
         while crowd.inside.load(Ordering::Relaxed) < count && begun.elapsed() < GETS_IN_WITHIN {
             sleep(LOOK_EVERY).await;

@@ -23,6 +23,7 @@ pub(super) struct Table {
     classes: [Members; CLASSES],
     /// Evicted connections that have not ended.
     leaving: usize,
+    /// Bytes held for all others.
     held_bytes: usize,
     /// How many connections have been evicted.
     evicted: u64,
@@ -117,10 +118,10 @@ impl Table {
 
     pub(super) fn remove(&mut self, id: Id) {
         if let Some(entry) = self.entries.remove(&id) {
-            self.held_bytes -= entry.held_bytes;
             if entry.is_leaving {
                 self.leaving -= 1;
             } else {
+                self.held_bytes -= entry.held_bytes;
                 self.classes[entry.class() as usize].remove(entry.peer, entry.since, id);
             }
         }
@@ -157,7 +158,7 @@ impl Table {
 
     /// Corrects how many bytes are held for a connection. Beyond the bound the one that holds the most is evicted.
     pub(super) fn hold(&mut self, id: Id, before: usize, after: usize) {
-        let Some(entry) = self.entries.get_mut(&id) else { return };
+        let Some(entry) = self.entries.get_mut(&id).filter(|entry| !entry.is_leaving) else { return };
         entry.held_bytes = entry.held_bytes + after - before;
         self.held_bytes = self.held_bytes + after - before;
         if after > before && self.held_bytes > self.bounds.held_bytes {
@@ -212,6 +213,8 @@ impl Table {
         if let Some(entry) = self.entries.get_mut(&id).filter(|entry| !entry.is_leaving) {
             self.classes[entry.class() as usize].remove(entry.peer, entry.since, id);
             entry.is_leaving = true;
+            // They are free within milliseconds. Counted on, they would evict connections that hold little.
+            self.held_bytes -= entry.held_bytes;
             entry.evicted.cancel();
             self.leaving += 1;
             self.evicted += 1;

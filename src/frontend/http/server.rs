@@ -67,9 +67,8 @@ const BACKLOG: u32 = 4096;
 /// to be noticed.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(5);
 
-/// How long an evicted connection may take to deliver an answer, and to have a request answered whose first bytes came
-/// before its eviction.
-const LINGER: Duration = Duration::from_millis(100);
+/// How much longer than its connections the server waits for their end.
+const SHUTDOWN_SLACK: Duration = Duration::from_millis(100);
 
 /// As much of a request as is looked at for a FAST STOP. The longest path of one has 111 bytes.
 const FIRST_BYTES: usize = 256;
@@ -119,7 +118,7 @@ pub async fn serve(listener: TcpListener, context: Arc<Context>, limits: Limits,
     }
     drop(listener);
     // Each connection has a bound of its own on its end: this one is for what hangs all the same.
-    if timeout(limits.shutdown_time + LINGER, server.admission.all_ended()).await.is_err() {
+    if timeout(limits.shutdown_time + SHUTDOWN_SLACK, server.admission.all_ended()).await.is_err() {
         tracing::warn!("connections closed before their requests were answered");
     }
 }
@@ -262,8 +261,8 @@ impl Connection {
     async fn leave(&mut self) -> hyper::Result<()> {
         let limit = if self.server.closing.is_cancelled() {
             self.server.limits.shutdown_time
-        } else if self.permit.may_linger() && (self.is_fast_stop || !self.permit.is_unused()) {
-            LINGER
+        } else if self.is_fast_stop || !self.permit.is_unused() {
+            self.permit.linger()
         } else {
             return Ok(());
         };

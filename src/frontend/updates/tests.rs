@@ -18,9 +18,9 @@ fn updates() -> (Arc<Updates>, Journal) {
 
 fn record(journal: &Journal, gripper: Option<&str>) {
     let refused = RefusedEvent { command: "grip".into(), code: "malformed".into(), cause: "a test".into(), count: 1 };
-    let client = Client { subject: "test".into(), door: Door::Ws };
     let gripper = gripper.map(|name| name.parse().unwrap());
-    let event = Event::new(Now::read().wall, gripper, Detail::Refused(refused)).by(&client);
+    // A client's repetitions would be merged.
+    let event = Event::new(Now::read().wall, gripper, Detail::Refused(refused));
     journal.record(Record::Event(event, None));
 }
 

@@ -12,11 +12,11 @@ use crate::attacker::Crowd;
 pub use sockets::{healthy_socket, subscribed};
 
 /// Begins an attack of this name, if it is one of these.
-pub async fn attack(name: &str, crowd: &Arc<Crowd>, count: usize) {
+pub fn attack(name: &str, crowd: &Arc<Crowd>, count: usize) {
     match name {
-        "half_sent_bodies" => crowd.each(count, bodies::half_sent_body).await,
-        "long_polls" => polls::begin(crowd, count).await,
-        "healthy_sockets" => crowd.each(count, healthy_socket).await,
+        "half_sent_bodies" => crowd.each(count, bodies::half_sent_body),
+        "long_polls" => polls::begin(crowd, count),
+        "healthy_sockets" => crowd.each(count, healthy_socket),
         _ => {}
     }
 }

@@ -21,7 +21,7 @@ const AGAIN_AFTER: Duration = Duration::from_millis(100);
 const MOVE: &str = r#"{"width_mm": 20, "speed_mm_s": 50, "request_id": "the only one"}"#;
 
 /// Begins one motion, and waits for it by the same request and by its id.
-pub async fn begin(crowd: &Arc<Crowd>, count: usize) {
+pub fn begin(crowd: &Arc<Crowd>, count: usize) {
     let begun = http::post(crowd.address, "/api/v1/grippers/h/move?wait_ms=0", MOVE).expect("it is answered");
     let body: serde_json::Value = serde_json::from_str(&begun.body).unwrap();
     let id = body["id"].as_str().unwrap_or_else(|| panic!("no command: {body}")).to_owned();
@@ -41,7 +41,7 @@ pub async fn begin(crowd: &Arc<Crowd>, count: usize) {
             Ok(())
         }
     };
-    crowd.each(count, wait).await;
+    crowd.each(count, wait);
 }
 
 #[test]

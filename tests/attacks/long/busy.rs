@@ -18,8 +18,8 @@ const OBSERVERS: usize = 300;
 const WANTED: Wanted = Wanted { http: 60, others: 60 };
 
 /// Observers, and then threads that never rest.
-pub async fn begin(crowd: &Arc<Crowd>, count: usize) {
-    crowd.each(count, healthy_socket).await;
+pub fn begin(crowd: &Arc<Crowd>, count: usize) {
+    crowd.each(count, healthy_socket);
     for _ in 0..LOOPS {
         std::thread::spawn(|| {
             loop {

@@ -20,7 +20,7 @@ const HESITANT: usize = 60;
 const HELD: usize = 4000;
 
 /// Connects and closes at once, as fast as one thread can. Closes with a reset, which leaves no used port behind.
-pub async fn close(crowd: &Arc<Crowd>, count: usize) {
+pub fn close(crowd: &Arc<Crowd>, count: usize) {
     for index in 0..UNDER_WAY {
         let crowd = crowd.clone();
         tokio::spawn(async move {
@@ -36,7 +36,7 @@ pub async fn close(crowd: &Arc<Crowd>, count: usize) {
 }
 
 /// Connects and holds, as fast as one thread can.
-pub async fn hold(crowd: &Arc<Crowd>, count: usize) {
+pub fn hold(crowd: &Arc<Crowd>, count: usize) {
     let crowd = crowd.clone();
     tokio::spawn(async move {
         let _inside: Vec<_> = (0..count).map(|_| crowd.inside()).collect();

@@ -83,11 +83,11 @@ async fn all_but_the_last_byte(stream: &mut TcpStream) -> io::Result<()> {
 fn attacked_by(count: usize) {
     let (g, h) = (Device::start(), Device::start());
     let gateway = Gateway::start(&g, &h, Limits::Memory { mb: ENDS_AT_MB });
-    let begun = Instant::now();
+    let start = Instant::now();
     let begin = || Attacker::start("greedy_sockets", count, gateway.address);
     let mut has_opened = false;
     let row = attack::run(&format!("{count} greedy WebSockets"), SOME, (&gateway, &g), begin, |attacker, _| {
-        std::thread::sleep(LASTS.saturating_sub(begun.elapsed()));
+        std::thread::sleep(LASTS.saturating_sub(start.elapsed()));
         has_opened = Socket::open(&gateway).is_some();
         println!("greedy_sockets: {:?}", attacker.done());
     });

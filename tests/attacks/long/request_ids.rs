@@ -18,7 +18,7 @@ use crate::http;
 const IDS: usize = 70_000;
 
 /// The time that the ids have to be sent.
-const SENT_WITHIN: Duration = Duration::from_secs(120);
+const SENT_WITHIN: Duration = Duration::from_mins(2);
 
 const CONNECTIONS: usize = 8;
 const IN_A_ROW: usize = 50;
@@ -29,13 +29,13 @@ const ELSEWHERE: &str = "127.0.0.2:0";
 const REACHES_WITHIN: Duration = Duration::from_secs(1);
 
 /// Sends Stops as fast as they are answered.
-pub async fn begin(crowd: &Arc<Crowd>, count: usize) {
+pub fn begin(crowd: &Arc<Crowd>, count: usize) {
     for index in 0..count {
         let crowd = crowd.clone();
         tokio::spawn(async move {
             for round in 0.. {
                 // However it ends, the next connection goes on.
-                let _ = stops(&crowd, &format!("{index}-{round}")).await;
+                let _ = Box::pin(stops(&crowd, &format!("{index}-{round}"))).await;
             }
         });
     }
@@ -90,10 +90,10 @@ fn holder_moves_and_stops(gateway: &Gateway, h: &Device) {
         &json!({"width_mm": 20, "speed_mm_s": 50, "lease": token, "request_id": "the motion"}),
     );
     assert_eq!(status, 202, "the holder's motion with an id: {moved}");
-    let begun = Instant::now();
+    let start = Instant::now();
     let (status, stopped) = post(gateway.address, "stop", &json!({"lease": token, "request_id": "the stop"}));
     assert_eq!(status, 200, "the holder's Stop with an id: {stopped}");
-    assert!(h.first_since(STOP, begun, REACHES_WITHIN).is_some(), "22h reaches the device");
+    assert!(h.first_since(STOP, start, REACHES_WITHIN).is_some(), "22h reaches the device");
 }
 
 #[test]
@@ -102,8 +102,8 @@ fn ids_of_one_client_leave_places_for_the_holder() {
     let gateway = Gateway::start(&g, &h, Limits::Inherited);
     let begin = || Attacker::start("stops_with_ids", CONNECTIONS, gateway.address);
     let row = attack::run("Stops with an id each", SOME, (&gateway, &g), begin, |attacker, _| {
-        let begun = Instant::now();
-        while attacker.done().sent < IDS && begun.elapsed() < SENT_WITHIN {
+        let start = Instant::now();
+        while attacker.done().sent < IDS && start.elapsed() < SENT_WITHIN {
             std::thread::sleep(Duration::from_millis(100));
         }
         println!("stops_with_ids: {:?}, {} frames 22h", attacker.done(), h.count(STOP));

@@ -27,7 +27,7 @@ const READS_EACH: usize = 8;
 pub async fn trickler(crowd: Arc<Crowd>, index: usize, mut stream: TcpStream) -> io::Result<()> {
     socket2::SockRef::from(&stream).set_recv_buffer_size(BUFFER)?;
     let _inside = crowd.inside();
-    if index % READS_EACH != 0 {
+    if !index.is_multiple_of(READS_EACH) {
         let head = "POST /api/v1/grippers/g/move HTTP/1.1\r\nHost: localhost\r\nContent-Length: 60000\r\n\r\n{";
         stream.write_all(head.as_bytes()).await?;
         loop {

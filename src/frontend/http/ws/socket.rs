@@ -216,7 +216,11 @@ impl Socket {
                 }
             }
         };
-        let _ = timeout(FAREWELL_WITHIN, farewell).await;
+        let within = match (&self.permit, end) {
+            (Some(permit), End::Evicted) => permit.linger(),
+            _ => FAREWELL_WITHIN,
+        };
+        let _ = timeout(within, farewell).await;
     }
 
     async fn read(&mut self) -> End {
