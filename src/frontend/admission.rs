@@ -132,6 +132,10 @@ impl ConnectionPermit {
         self.has_served.store(true, Ordering::Relaxed);
         let yielded = CancellationToken::new();
         self.admission.table().claim(self.id, class, Instant::now(), &yielded)?;
+        if matches!(class, Class::Waiting | Class::Streaming) {
+            // It counts in its former class no more.
+            self.admission.released.notify_one();
+        }
         Some(Claim { permit: self.clone(), class, yielded })
     }
 

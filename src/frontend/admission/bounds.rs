@@ -30,7 +30,7 @@ pub(super) enum WhenFull {
     Evict,
     /// The same, but only where that peer has at least two more than the newcomer's; otherwise the newcomer is refused.
     Share,
-    /// The newcomer is refused.
+    /// The newcomer is refused, and so is one whose peer has three quarters of the class.
     Refuse,
     /// The class has no bound of its own.
     Enter,

@@ -87,12 +87,13 @@ impl Table {
     /// Adds a claim; none where the class is full and stays so.
     pub(super) fn claim(&mut self, id: Id, class: Class, now: Instant, yielded: &CancellationToken) -> Option<()> {
         // An evicted connection may finish what it has begun, but begins nothing that lasts.
-        let Entry { peer, is_leaving, .. } = self.entries.get(&id)?;
+        let Entry { peer, is_leaving, claims, .. } = self.entries.get(&id)?;
         let (peer, lasts) = (*peer, matches!(class, Class::Waiting | Class::Streaming));
         if *is_leaving {
             return (!lasts).then_some(());
         }
-        if !self.make_room(class, peer) {
+        // A request that is handed on within the gateway has its place.
+        if claims[class as usize] == 0 && !self.make_room(class, peer) {
             return None;
         }
         self.change(id, |entry| {
@@ -162,7 +163,8 @@ impl Table {
         entry.held_bytes = entry.held_bytes + after - before;
         self.held_bytes = self.held_bytes + after - before;
         if after > before && self.held_bytes > self.bounds.held_bytes {
-            let staying = self.entries.iter().filter(|(_, entry)| !entry.is_leaving);
+            let is_spared = |entry: &Entry| entry.is_leaving || entry.class() == Class::Pinned;
+            let staying = self.entries.iter().filter(|(_, entry)| !is_spared(entry));
             if let Some((&id, _)) = staying.max_by_key(|(_, entry)| entry.held_bytes) {
                 self.evict(id);
             }
@@ -171,12 +173,15 @@ impl Table {
 
     /// Makes room for one more of this peer's in a class. Returns whether there is some.
     fn make_room(&mut self, class: Class, newcomer: Peer) -> bool {
-        let members = &self.classes[class as usize];
-        if members.count < self.bounds.of_class(class) {
+        let (members, most) = (&self.classes[class as usize], self.bounds.of_class(class));
+        let has = |peer: &Peer| members.peers.get(peer).map_or(0, BTreeSet::len);
+        if class.when_full() == WhenFull::Refuse && has(&newcomer) >= (most - most / 4).max(1) {
+            return false;
+        }
+        if members.count < most {
             return true;
         }
         let Some(id) = self.greediest(class) else { return true };
-        let has = |peer: &Peer| members.peers.get(peer).map_or(0, BTreeSet::len);
         let gives_way = match class.when_full() {
             WhenFull::Evict => true,
             WhenFull::Share => self.entries.get(&id).is_some_and(|entry| has(&entry.peer) > has(&newcomer) + 1),

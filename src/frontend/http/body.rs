@@ -18,9 +18,11 @@ use tokio::time::timeout;
 use utoipa::ToSchema;
 
 use super::errors::{Code, Problem};
+use super::fleet::forwards_urgent;
+use super::pace::RequestPace;
 use super::refused::is_prompt;
 use super::server::is_fast_stop;
-use crate::frontend::admission::{Class, ConnectionPermit};
+use crate::frontend::admission::{Class, ConnectionPermit, HeldBytes};
 
 /// The largest body that is taken. The largest that any request needs is a `raw` one of 8 KiB.
 pub const MAX_BODY_BYTES: usize = 64 * 1024;
@@ -44,13 +46,17 @@ pub async fn read_first(request: Request, next: Next) -> Response {
         return next.run(request).await;
     }
     let (parts, stream) = request.into_parts();
-    let bytes = match read(stream, permit.as_ref()).await {
-        Ok(bytes) => bytes,
-        // What is left of the body is no request.
+    let is_urgent = is_urgent(&parts);
+    if let Some(pace) = parts.extensions.get::<Arc<RequestPace>>() {
+        pace.next(is_urgent).await;
+    }
+    let (bytes, _held) = match read(stream, permit.as_ref()).await {
+        Ok(read) => read,
+        // The rest of the body must not be parsed as a request.
         Err(problem) => return ([(CONNECTION, HeaderValue::from_static("close"))], problem).into_response(),
     };
     let _claim = match &permit {
-        Some(permit) if only_stops(&parts) => permit.claim(Class::Answering),
+        Some(permit) if is_urgent => permit.claim(Class::Answering).or_else(|| permit.claim(Class::Urgent)),
         Some(permit) => {
             let Ok(claim) = timeout(TURN_TIME, permit.turn(Class::Answering)).await else {
                 let detail = "too many requests are being answered: try again later";
@@ -63,19 +69,23 @@ pub async fn read_first(request: Request, next: Next) -> Response {
     next.run(Request::from_parts(parts, Stream::from(bytes))).await
 }
 
-/// Whether a request only stops, or keeps or ends a lease. Such a request is never refused for the sake of others.
-fn only_stops(parts: &Parts) -> bool {
+/// Whether a request only stops, or keeps or ends a lease, on a gripper of any gateway. Such a request is never refused
+/// for the sake of others.
+fn is_urgent(parts: &Parts) -> bool {
     let route = parts.extensions.get().map(MatchedPath::as_str);
-    route.is_some_and(|route| is_prompt(&parts.method, route))
+    route.is_some_and(|route| is_prompt(&parts.method, route)) || forwards_urgent(&parts.method, parts.uri.path())
 }
 
-/// Reads a body, within the bounds above. Its bytes count as held for its connection until it is complete.
-async fn read(stream: Stream, permit: Option<&Arc<ConnectionPermit>>) -> Result<Bytes, Problem> {
+/// A body, and the count of its bytes as held for its connection.
+type Held = (Bytes, Option<HeldBytes>);
+
+/// Reads a body, within the bounds above.
+async fn read(stream: Stream, permit: Option<&Arc<ConnectionPermit>>) -> Result<Held, Problem> {
     let too_late = || Problem::new(Code::RequestTimeout, format!("the body did not arrive within {BODY_TIME:?}"));
     timeout(BODY_TIME, collect(stream, permit)).await.map_err(|_| too_late())?
 }
 
-async fn collect(mut stream: Stream, permit: Option<&Arc<ConnectionPermit>>) -> Result<Bytes, Problem> {
+async fn collect(mut stream: Stream, permit: Option<&Arc<ConnectionPermit>>) -> Result<Held, Problem> {
     let mut held = permit.map(ConnectionPermit::held);
     let mut read = 0;
     let counted = (&mut stream).map_frame(|frame| {
@@ -86,7 +96,7 @@ async fn collect(mut stream: Stream, permit: Option<&Arc<ConnectionPermit>>) -> 
         frame
     });
     match Limited::new(counted, MAX_BODY_BYTES).collect().await {
-        Ok(collected) => Ok(collected.to_bytes()),
+        Ok(collected) => Ok((collected.to_bytes(), held)),
         Err(error) if error.is::<LengthLimitError>() => {
             drain(stream).await;
             let detail = format!("the body is larger than {MAX_BODY_BYTES} bytes");
@@ -98,7 +108,7 @@ async fn collect(mut stream: Stream, permit: Option<&Arc<ConnectionPermit>>) -> 
 
 /// The bytes of a body that was read before, or that is read now.
 pub async fn bytes(stream: Stream) -> Result<Bytes, Problem> {
-    read(stream, None).await
+    read(stream, None).await.map(|(bytes, _)| bytes)
 }
 
 /// Reads what is left of a body, within the bounds above, and throws it away.

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use axum::body::Body as Stream;
 use axum::extract::{RawPathParams, Request, State as Shared};
-use axum::http::{HeaderName, StatusCode, Uri, header};
+use axum::http::{HeaderName, Method as Verb, StatusCode, Uri, header};
 use axum::response::{IntoResponse, Response};
 use axum::{Extension, Json};
 use serde::Serialize;
@@ -23,6 +23,7 @@ use super::refused::Refused;
 use super::responses::AnyProblem;
 use super::values::integer;
 use super::{API, Context, body, watched};
+use crate::frontend::admission::{Class, ConnectionPermit};
 use crate::frontend::network::{Ask, FleetGripper, FleetStop, NoAnswer, Urgency};
 use crate::gripper::model::{FastStopId, Name, Reason};
 
@@ -122,7 +123,12 @@ impl Target {
                 .parse()
                 .map_err(|_| Problem::not_found("gateway of this name"))?,
             gripper: find("gripper").ok_or_else(unknown)?,
-            operation: find("operation").map(|operation| format!("/{operation}")).unwrap_or_default(),
+            // A FAST STOP with a trailing slash is accepted everywhere.
+            operation: find("operation")
+                .map(|operation| {
+                    format!("/{}", operation.strip_suffix("fast-stop/").map_or(&*operation, |_| "fast-stop"))
+                })
+                .unwrap_or_default(),
         })
     }
 }
@@ -148,7 +154,17 @@ pub async fn forward(
     let Some((method, params)) = operation(&request, &target.operation)? else {
         return Ok(not_allowed(&request, &target.operation));
     };
-    let (wait, aside) = (wait(&request, method)?, aside(&request));
+    let (mut wait, aside) = (wait(&request, method)?, aside(&request));
+    let permit: Option<Arc<ConnectionPermit>> = request.extensions().get().cloned();
+    let long_wait = wait.filter(|wait| !wait.is_zero());
+    let _claim = match (permit, long_wait) {
+        (Some(permit), Some(_)) => {
+            let claim = permit.claim(Class::Waiting);
+            wait = if claim.is_some() { long_wait } else { Some(Duration::ZERO) };
+            claim
+        }
+        _ => None,
+    };
     let gateway = target.gateway.clone();
     let urgency = urgency(method.name);
     let ask = move |params| async move {
@@ -195,7 +211,23 @@ fn to(path: String, request: Request) -> Result<Request, Problem> {
     if let Some(headers) = forwarded.as_mut().ok().map(Request::headers_mut) {
         *headers = parts.headers;
     }
+    let permit = parts.extensions.remove::<Arc<ConnectionPermit>>();
+    if let Some((permit, forwarded)) = permit.zip(forwarded.as_mut().ok()) {
+        // The bounds of its connection hold there, too.
+        forwarded.extensions_mut().insert(permit);
+    }
     forwarded.map_err(|error| Problem::new(Code::Internal, format!("no request: {error}")))
+}
+
+/// Whether a request is for an operation on a gripper of any gateway that only stops, or keeps or ends a lease.
+pub fn forwards_urgent(verb: &Verb, path: &str) -> bool {
+    let below = path.strip_prefix(API).and_then(|path| path.strip_prefix("/fleet/"));
+    let operation = below.and_then(|below| below.splitn(4, '/').nth(3));
+    let method = operation.and_then(|operation| {
+        let operation = format!("/{operation}");
+        METHODS.iter().find(|method| method.verb == verb && parameters_of(method, &operation).is_some())
+    });
+    method.is_some_and(|method| urgency(method.name) != Urgency::None)
 }
 
 /// An operation, and the parameters in its path.

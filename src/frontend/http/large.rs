@@ -5,13 +5,15 @@ use std::convert::Infallible;
 use std::sync::Arc;
 
 use axum::body::{Body, Bytes, HttpBody as _};
-use axum::extract::Request;
+use axum::extract::{Request, State};
 use axum::http::{HeaderValue, Method, header};
 use axum::middleware::Next;
-use axum::response::Response;
+use axum::response::{IntoResponse as _, Response};
 use futures_util::stream::unfold;
 use http_body_util::BodyExt as _;
+use tokio::sync::Semaphore;
 
+use super::errors::{Code, Problem};
 use crate::frontend::admission::ConnectionPermit;
 
 /// Answers from this size on are counted. What is smaller fits the buffers that every connection has.
@@ -20,8 +22,15 @@ const COUNTED_FROM: u64 = 16 * 1024;
 /// As much of an answer as is handed over at once.
 const PART_BYTES: usize = 16 * 1024;
 
-/// The middleware.
-pub async fn count(request: Request, next: Next) -> Response {
+/// Reads of the journal that may be under way: each may take long, and takes a slot of those that answer requests.
+pub const MAX_READS: usize = 64;
+
+/// The middleware, with the places for reads.
+pub async fn count(State(places): State<Arc<Semaphore>>, request: Request, next: Next) -> Response {
+    let Ok(_place) = places.try_acquire() else {
+        let detail = format!("{MAX_READS} requests read the journal already: try again when some have been answered");
+        return Problem::new(Code::Overloaded, detail).into_response();
+    };
     let permit: Option<Arc<ConnectionPermit>> = request.extensions().get().cloned();
     let is_head = *request.method() == Method::HEAD;
     let response = next.run(request).await;

@@ -47,6 +47,7 @@ use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use axum::{Extension, Router, middleware};
 use prometheus::Registry;
+use tokio::sync::Semaphore;
 use tokio_util::sync::CancellationToken;
 use tower_http::catch_panic::CatchPanicLayer;
 use utoipa::OpenApi as _;
@@ -192,7 +193,7 @@ fn journal() -> Routes {
         .routes(routes!(journal::grips))
         .routes(routes!(journal::grip))
         .routes(routes!(journal::curve))
-        .layer(middleware::from_fn(large::count))
+        .layer(middleware::from_fn_with_state(Arc::new(Semaphore::new(large::MAX_READS)), large::count))
 }
 
 fn api() -> Routes {

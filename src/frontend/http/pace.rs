@@ -1,6 +1,6 @@
 //! The pace of one connection's requests.
 
-use std::sync::{Mutex, PoisonError};
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use tokio::time::{Instant, sleep_until};
@@ -14,28 +14,42 @@ const BURST: u32 = 128;
 /// Delays the requests of a client that sends them faster than the pace, so that it takes its turn with the others. This
 /// is the generic cell rate algorithm, which needs one instant.
 #[derive(Debug, Default)]
-pub struct RequestPace(Mutex<Option<Instant>>);
+pub struct RequestPace(Mutex<State>);
+
+#[derive(Debug, Default)]
+struct State {
+    /// When the requests that have come would have ended at the pace.
+    arrival: Option<Instant>,
+    /// Before this time only urgent requests are served.
+    delayed_until: Option<Instant>,
+}
 
 impl RequestPace {
-    /// Waits until the next request may be served. Others are served meanwhile in any case.
-    pub async fn next(&self) {
-        match self.due(Instant::now()) {
+    /// Waits until the next request may be served. Always yields, so that other connections get a turn.
+    pub async fn next(&self, is_urgent: bool) {
+        match self.due(Instant::now(), is_urgent) {
             Some(at) => sleep_until(at).await,
             None => tokio::task::yield_now().await,
         }
     }
 
-    /// Delays the next request of this connection, which asks for more than there is.
+    /// Delays the next request of this connection, unless it is urgent.
     pub fn delay(&self, time: Duration) {
-        let mut arrival = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        *arrival = Some(Instant::now() + INTERVAL * BURST + time);
+        self.state().delayed_until = Some(Instant::now() + time);
     }
 
-    fn due(&self, now: Instant) -> Option<Instant> {
-        let mut arrival = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let next = arrival.map_or(now, |at| at.max(now)) + INTERVAL;
-        *arrival = Some(next);
-        next.checked_sub(INTERVAL * BURST).filter(|at| *at > now)
+    /// When the request that has come now may be served; `None` where it may be served at once.
+    pub fn due(&self, now: Instant, is_urgent: bool) -> Option<Instant> {
+        let mut state = self.state();
+        let next = state.arrival.map_or(now, |at| at.max(now)) + INTERVAL;
+        state.arrival = Some(next);
+        let at_pace = next.checked_sub(INTERVAL * BURST);
+        let delayed_until = state.delayed_until.filter(|_| !is_urgent);
+        at_pace.max(delayed_until).filter(|at| *at > now)
+    }
+
+    fn state(&self) -> MutexGuard<'_, State> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -47,21 +61,23 @@ mod tests {
     async fn burst_passes_and_flood_is_paced() {
         let (pace, start) = (RequestPace::default(), Instant::now());
         for _ in 0..BURST {
-            pace.next().await;
+            pace.next(false).await;
         }
         assert_eq!(start.elapsed(), Duration::ZERO);
         for _ in 0..500 {
-            pace.next().await;
+            pace.next(false).await;
         }
         assert_eq!(start.elapsed(), INTERVAL * 500);
         tokio::time::advance(Duration::from_secs(1)).await;
         pace.delay(Duration::from_secs(3));
         let delayed = Instant::now();
-        pace.next().await;
+        pace.next(true).await;
+        assert_eq!(delayed.elapsed(), Duration::ZERO, "an urgent request is never delayed");
+        pace.next(false).await;
         assert_eq!(delayed.elapsed(), Duration::from_secs(3));
         tokio::time::advance(Duration::from_secs(1)).await;
         let later = Instant::now();
-        pace.next().await;
+        pace.next(false).await;
         assert_eq!(later.elapsed(), Duration::ZERO);
     }
 }

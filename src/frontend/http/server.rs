@@ -158,11 +158,6 @@ impl Server {
         permit: Arc<ConnectionPermit>,
         connected: Connected,
     ) {
-        // Answers are small, and awaited. An open request keeps a lease, so a machine that vanishes has to be noticed.
-        if let Err(error) = sockets::prepare(&stream) {
-            return tracing::debug!(%peer, %error, "connection refused: its options could not be set");
-        }
-        set_unsent_limit(&stream);
         let mut first = [0; FIRST_BYTES];
         let seen = tokio::select! {
             biased;
@@ -174,6 +169,12 @@ impl Server {
         if seen == 0 {
             return;
         }
+        // Answers are small, and awaited. An open request keeps a lease, so a machine that vanishes has to be noticed.
+        // A connection that says nothing costs no such call.
+        if let Err(error) = sockets::prepare(&stream) {
+            return tracing::debug!(%peer, %error, "connection refused: its options could not be set");
+        }
+        set_unsent_limit(&stream);
         let is_fast_stop = may_be_fast_stop(first.get(..seen).unwrap_or_default());
         let runtimes = &self.context.runtimes;
         let runtime = if is_fast_stop { runtimes.accept.clone() } else { runtimes.requests.clone() };
@@ -302,14 +303,7 @@ impl Service<Request<Incoming>> for Requests {
         extensions.insert(self.permit.clone());
         extensions.insert(self.home.clone());
         extensions.insert(self.pace.clone());
-        let (router, pace) = (self.server.router.clone(), self.pace.clone());
-        let answer = async move {
-            if !is_fast_stop {
-                pace.next().await;
-            }
-            router.oneshot(request.map(Body::new)).await
-        };
-        answer.boxed()
+        self.server.router.clone().oneshot(request.map(Body::new)).boxed()
     }
 }
 

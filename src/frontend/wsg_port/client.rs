@@ -28,6 +28,9 @@ const READ_BYTES: usize = 1024;
 /// So many things are done for one client before it is another one's turn: none of them can hold up a gripper.
 const TURN: u32 = 16;
 
+/// How long an evicted client may take to say its first words.
+const FIRST_WORDS_WITHIN: Duration = Duration::from_millis(10);
+
 /// How long a client may take to read what it is still told when the gateway ends, and how long its last FAST STOPs may
 /// take to be passed on when it is gone.
 const LAST_WORDS_WITHIN: Duration = Duration::from_millis(500);
@@ -50,6 +53,8 @@ pub(super) struct Served<R, W> {
     /// How long it may be silent, where that is its end.
     silence: Option<Duration>,
     heard: Instant,
+    /// Whether nothing has come from the client.
+    is_fresh: bool,
     /// It was silent for too long. What it still waits for is told all the same: many wait for ever.
     is_lost: bool,
 }
@@ -107,6 +112,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             written: 0,
             silence,
             heard: clock::instant(),
+            is_fresh: true,
             is_lost: false,
         }
     }
@@ -117,6 +123,13 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             // Its gripper was given up in order. What became of the last motion has still to be told.
             let _ = tokio::time::timeout(LAST_WORDS_WITHIN, self.finish()).await;
             return;
+        }
+        if self.is_fresh {
+            // The runtime has not heard yet of what an evicted client sent right after it connected: perhaps a FAST STOP.
+            let mut incoming = vec![0; READ_BYTES];
+            if let Ok(Ok(bytes)) = tokio::time::timeout(FIRST_WORDS_WITHIN, self.reader.read(&mut incoming)).await {
+                self.receive(incoming.get(..bytes).unwrap_or_default());
+            }
         }
         // What it has sent before it left counts: many announce and leave.
         while let Some(Ok(bytes)) = self.read_now().filter(|read| !matches!(read, Ok(0))) {
@@ -240,6 +253,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
 
     fn receive(&mut self, bytes: &[u8]) {
         self.heard = clock::instant();
+        self.is_fresh = false;
         self.is_lost = false;
         self.permit.heard();
         self.device.receive(self.heard, bytes, &self.port.gripper.state());

@@ -144,10 +144,17 @@ impl Clients {
         if !is_full || !self.is_declared(&holder).await {
             return None;
         }
-        let mut known = self.known();
-        known.make_room();
-        known.tokens.insert(holder, self.metrics.connected());
-        token
+        {
+            let mut known = self.known();
+            known.make_room();
+            known.tokens.insert(holder.clone(), self.metrics.connected());
+        }
+        // The token's end may have come in between, when it was not known here.
+        if self.is_declared(&holder).await {
+            return token;
+        }
+        self.known().tokens.remove(&holder);
+        None
     }
 
     /// Whether this token is that of a lease whose end comes with its holder's: its open queries keep it until then.

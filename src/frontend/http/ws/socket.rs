@@ -15,7 +15,7 @@ use futures_util::future::{BoxFuture, FutureExt as _, join_all};
 use futures_util::stream::{FuturesUnordered, StreamExt as _};
 use serde_json::value::{RawValue, to_raw_value};
 use tokio::net::TcpStream;
-use tokio::time::{Interval, MissedTickBehavior, timeout};
+use tokio::time::{Instant, Interval, MissedTickBehavior, sleep_until, timeout};
 use tokio_tungstenite::WebSocketStream;
 use tokio_tungstenite::tungstenite::error::ProtocolError;
 use tokio_tungstenite::tungstenite::protocol::frame::Frame;
@@ -35,6 +35,7 @@ use crate::frontend::http::body::MAX_BODY_BYTES;
 use crate::frontend::http::errors::{Code, Problem};
 use crate::frontend::http::lease::Taken;
 use crate::frontend::http::methods::{Methods, Refusal, Wait, is_fast_stop, urgency};
+use crate::frontend::http::pace::RequestPace;
 use crate::frontend::metrics::Connected;
 use crate::frontend::network::Urgency;
 use crate::frontend::updates::{Notification, encoded, text_frame};
@@ -100,6 +101,9 @@ pub struct Socket {
     pings: Interval,
     /// Pings since anything came from the client.
     unanswered: u32,
+    pace: RequestPace,
+    /// Until then the socket is not read, where it sends faster than the pace.
+    paused_until: Option<Instant>,
     _connected: Connected,
 }
 
@@ -185,6 +189,8 @@ impl Socket {
             leases: HashMap::new(),
             pings,
             unanswered: 0,
+            pace: RequestPace::default(),
+            paused_until: None,
             _connected: context.ws_metrics.connected(),
         })
     }
@@ -199,7 +205,7 @@ impl Socket {
         let (code, reason) = match end {
             End::Closing => (CloseCode::Away, "the gateway is shutting down"),
             End::Lost => (CloseCode::Policy, "pings were not answered"),
-            End::Evicted => (CloseCode::Again, "too many connections, or too much waits for this one"),
+            End::Evicted => (CloseCode::Again, "evicted: too many connections, or too many unread bytes"),
             End::Violation(code, reason) => (code, reason),
             End::Closed => (CloseCode::Normal, ""),
             End::Unwritable => return,
@@ -233,7 +239,8 @@ impl Socket {
         };
         let mut evicted = std::pin::pin!(evicted);
         loop {
-            let may_read = self.under_way < MAX_CALLS_AND_FAST_STOPS;
+            let may_read = self.under_way < MAX_CALLS_AND_FAST_STOPS && self.paused_until.is_none();
+            let paused_until = self.paused_until.unwrap_or_else(Instant::now);
             tokio::select! {
                 biased;
                 () = self.context.closing.cancelled() => return End::Closing,
@@ -249,6 +256,7 @@ impl Socket {
                     None => {}
                     Some(end) => return end,
                 },
+                () = sleep_until(paused_until), if self.paused_until.is_some() => self.paused_until = None,
                 _ = self.pings.tick() => {
                     if self.unanswered >= MAX_UNANSWERED {
                         return End::Lost;
@@ -258,7 +266,7 @@ impl Socket {
                 }
             }
             if self.outbox.has_overflown() {
-                return End::Violation(CloseCode::Policy, "answers are not read");
+                return End::Violation(CloseCode::Policy, "too many unread answers");
             }
         }
     }
@@ -266,13 +274,19 @@ impl Socket {
     /// Takes what came from the client, unless that ends the socket.
     fn take_message(&mut self, message: Option<Result<Message, WsError>>) -> Option<End> {
         self.unanswered = 0;
+        self.paused_until = self.pace.due(Instant::now(), false);
         self.incoming.get_mut().taken();
         match message {
             Some(Ok(Message::Text(text))) => self.take_requests(&text),
             Some(Ok(Message::Binary(bytes))) => {
                 match std::str::from_utf8(&bytes).ok().filter(|text| rpc::has_fast_stop(text)) {
                     Some(text) => self.take_requests(text),
-                    None => return Some(End::Violation(CloseCode::Unsupported, "only text is read")),
+                    None => {
+                        return Some(End::Violation(
+                            CloseCode::Unsupported,
+                            "binary frames are not supported, except a FAST STOP",
+                        ));
+                    }
                 }
             }
             Some(Ok(Message::Ping(_) | Message::Pong(_) | Message::Frame(_))) => {}
