@@ -126,6 +126,12 @@ impl ConnectionPermit {
         self.admission.table().receiving(self.id, Instant::now());
     }
 
+    /// Marks that the client asks for more than there is: until its next request is answered, the connection gives way as
+    /// one that says nothing.
+    pub fn demote(&self) {
+        self.admission.table().demote(self.id);
+    }
+
     /// Puts the connection into a class until the claim is dropped; afterwards it is idle. `None` where the class is full
     /// and nobody in it has to give way.
     pub fn claim(self: &Arc<Self>, class: Class) -> Option<Claim> {

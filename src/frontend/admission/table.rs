@@ -41,6 +41,9 @@ struct Entry {
     peer: Peer,
     /// [`Class::Incoming`] or [`Class::Idle`], where there is no claim.
     base: Class,
+    /// Whether the connection asks for more than there is: without a claim it is [`Class::Incoming`], also where it is
+    /// idle.
+    is_demoted: bool,
     /// How many claims of each class there are.
     claims: [u32; CLASSES],
     since: Instant,
@@ -55,7 +58,8 @@ impl Entry {
     fn class(&self) -> Class {
         use Class::{Answering, Pinned, Streaming, Urgent, Waiting};
         let claimed = |class: &Class| self.claims[*class as usize] > 0;
-        [Pinned, Streaming, Waiting, Urgent, Answering].into_iter().find(claimed).unwrap_or(self.base)
+        let unclaimed = if self.is_demoted { Class::Incoming } else { self.base };
+        [Pinned, Streaming, Waiting, Urgent, Answering].into_iter().find(claimed).unwrap_or(unclaimed)
     }
 }
 
@@ -69,8 +73,17 @@ impl Table {
         let (id, peer, base) = (self.next, peer(address), Class::Incoming);
         self.next += 1;
         self.make_room(base, peer);
-        let (claims, yielded) = ([0; CLASSES], None);
-        let entry = Entry { peer, base, claims, since: now, evicted, yielded, held_bytes: 0, is_leaving: false };
+        let entry = Entry {
+            peer,
+            base,
+            is_demoted: false,
+            claims: [0; CLASSES],
+            since: now,
+            evicted,
+            yielded: None,
+            held_bytes: 0,
+            is_leaving: false,
+        };
         self.classes[base as usize].insert(peer, now, id);
         self.entries.insert(id, entry);
         id
@@ -78,6 +91,11 @@ impl Table {
 
     pub(super) fn heard(&mut self, id: Id, now: Instant) {
         self.change(id, |entry| entry.since = now);
+    }
+
+    /// Takes the connection's claim on a slot between requests, until its next request is answered.
+    pub(super) fn demote(&mut self, id: Id) {
+        self.change(id, |entry| entry.is_demoted = true);
     }
 
     pub(super) fn receiving(&mut self, id: Id, now: Instant) {
@@ -99,6 +117,9 @@ impl Table {
         self.change(id, |entry| {
             entry.claims[class as usize] += 1;
             entry.since = now;
+            if class == Class::Answering {
+                entry.is_demoted = false;
+            }
             if class == Class::Waiting {
                 entry.yielded = Some(yielded.clone());
             }

@@ -97,6 +97,19 @@ fn long_poll_that_gives_way_keeps_its_connection() {
 }
 
 #[test]
+fn demoted_connection_gives_way_before_idle_ones() {
+    let admission = Admission::new(Bounds::of(1).with(Class::Incoming, 1).with(Class::Answering, 2));
+    let poller = admit(&admission, HERE);
+    drop(poller.claim(Class::Answering).unwrap());
+    let greedy = admit(&admission, HERE);
+    let answering = greedy.claim(Class::Answering).unwrap();
+    greedy.demote();
+    drop(answering);
+    let _newcomer = admit(&admission, HERE);
+    assert!(is_evicted(&greedy) && !is_evicted(&poller));
+}
+
+#[test]
 fn largest_holder_of_bytes_is_evicted_first() {
     let bounds = Bounds { held_bytes: 1000, ..Bounds::of(Bounds::MAX_DESCRIPTORS) };
     let admission = Admission::new(bounds);

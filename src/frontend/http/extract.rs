@@ -255,6 +255,7 @@ impl<const DEFAULT: u64> WaitMs<DEFAULT> {
                 () = claim.yielded() => {}
             }
         }
+        permit.demote();
         // A client that repeats its request at once would take the time that others need.
         if let Some(pace) = &self.pace {
             pace.delay(CUT_SHORT_DELAY);

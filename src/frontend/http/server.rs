@@ -60,8 +60,9 @@ const MAX_BUFFER_BYTES: usize = 32 * 1024;
 #[cfg(target_os = "linux")]
 const MAX_UNSENT_BYTES: u32 = 16 * 1024;
 
-/// Connections that the kernel keeps until they are accepted. Linux caps this at `net.core.somaxconn`, 4096 by default.
-const BACKLOG: u32 = 4096;
+/// Connections that the kernel keeps until they are accepted. In a flood of connects this is the queue that a FAST STOP
+/// waits in: more slots make it longer.
+const BACKLOG: u32 = 1024;
 
 /// Pause after a failed accept: long enough not to spin while the process is out of file descriptors, short enough not
 /// to be noticed.
