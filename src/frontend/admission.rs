@@ -17,7 +17,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use tokio::sync::Notify;
+use tokio::sync::{Notify, OwnedSemaphorePermit, Semaphore};
 use tokio_util::sync::CancellationToken;
 use tokio_util::task::TaskTracker;
 use tokio_util::task::task_tracker::TaskTrackerToken;
@@ -39,6 +39,8 @@ pub struct Admission {
     /// Notified when a claim was dropped.
     released: Notify,
     tracker: TaskTracker,
+    /// Connections that may be looked at while too many are leaving.
+    reserve: Arc<Semaphore>,
 }
 
 impl Admission {
@@ -46,7 +48,8 @@ impl Admission {
     #[must_use]
     pub fn new(bounds: Bounds) -> Arc<Self> {
         let (table, tracker) = (Mutex::new(Table::new(bounds)), TaskTracker::new());
-        Arc::new(Self { table, ended: Notify::new(), released: Notify::new(), tracker })
+        let reserve = Arc::new(Semaphore::new(bounds.reserved));
+        Arc::new(Self { table, ended: Notify::new(), released: Notify::new(), tracker, reserve })
     }
 
     /// Admits a connection as [`Class::Incoming`]. It is asked to end on `closing`, too.
@@ -71,6 +74,11 @@ impl Admission {
     /// Whether so many evicted connections are still ending that no further one may be admitted.
     pub fn is_crowded(&self) -> bool {
         self.table().is_crowded()
+    }
+
+    /// A place to look at a connection while too many are leaving, if there is one.
+    pub fn reserved(&self) -> Option<OwnedSemaphorePermit> {
+        self.reserve.clone().try_acquire_owned().ok()
     }
 
     /// Closes the oldest connection that has no claim, where the process is out of descriptors.
@@ -116,7 +124,7 @@ impl ConnectionPermit {
         if self.admission.table().is_half_crowded() { Duration::ZERO } else { LINGER }
     }
 
-    /// Marks that the client was heard, which makes this connection the newest of its class.
+    /// Marks that the client was heard, which makes this connection the newest idle one.
     pub fn heard(&self) {
         self.admission.table().heard(self.id, Instant::now());
     }

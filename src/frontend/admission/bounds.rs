@@ -55,6 +55,8 @@ pub struct Bounds {
     pub(super) classes: [usize; CLASSES],
     /// Evicted connections that may still be ending.
     pub(super) leaving: usize,
+    /// Connections that are looked at while too many are leaving.
+    pub(super) reserved: usize,
     /// Bytes held for all clients together.
     pub held_bytes: usize,
 }
@@ -76,6 +78,8 @@ const WAITING: usize = 256;
 const STREAMING: usize = 1024;
 /// Connections that were evicted and still deliver an answer.
 const LEAVING: usize = 128;
+/// Connections that are looked at while too many are leaving. Only those that begin with a FAST STOP are admitted then.
+const RESERVED: usize = 64;
 
 /// Descriptors of a stream: a WebSocket's reader and writer have one each.
 const STREAMING_DESCRIPTORS: usize = 2;
@@ -83,10 +87,10 @@ const STREAMING_DESCRIPTORS: usize = 2;
 impl Bounds {
     /// The most descriptors that a listener's connections ever take, those that are still ending among them.
     pub const MAX_DESCRIPTORS: usize =
-        INCOMING + IDLE + ANSWERING + URGENT + WAITING + STREAMING * STREAMING_DESCRIPTORS + LEAVING;
+        INCOMING + IDLE + ANSWERING + URGENT + WAITING + STREAMING * STREAMING_DESCRIPTORS + LEAVING + RESERVED;
 
     /// The fewest descriptors, which leave each class one slot.
-    pub const MIN_DESCRIPTORS: usize = 8;
+    pub const MIN_DESCRIPTORS: usize = 9;
 
     /// Shares out this many descriptors: [`Bounds::MAX_DESCRIPTORS`] or fewer.
     #[must_use]
@@ -104,19 +108,22 @@ impl Bounds {
         ] {
             classes[class as usize] = share(most);
         }
-        let leaving = share(LEAVING);
+        let (leaving, reserved) = (share(LEAVING), share(RESERVED));
         // What the rounding leaves goes to the connections of those who come again and again.
         let bounded: usize = classes.iter().filter(|most| **most < usize::MAX).sum();
-        let taken = bounded + classes[Class::Streaming as usize] * (STREAMING_DESCRIPTORS - 1) + leaving;
+        let taken = bounded + classes[Class::Streaming as usize] * (STREAMING_DESCRIPTORS - 1) + leaving + reserved;
         classes[Class::Idle as usize] += descriptors.saturating_sub(taken);
-        Self { classes, leaving, held_bytes: HELD_BYTES }
+        Self { classes, leaving, reserved, held_bytes: HELD_BYTES }
     }
 
-    /// Bounds of a listener whose clients are all alike: the one that was silent for longest gives way beyond `clients`,
-    /// and `leaving` more may still be ending.
+    /// Bounds of a listener whose clients are all alike. Half of the descriptors are for clients that were heard, a quarter
+    /// for those that have said nothing yet, and a quarter for evicted ones.
     #[must_use]
-    pub fn alike(clients: usize, leaving: usize) -> Self {
-        Self { classes: [clients; CLASSES], leaving, held_bytes: HELD_BYTES }
+    pub fn alike(descriptors: usize) -> Self {
+        let mut classes = [usize::MAX; CLASSES];
+        classes[Class::Incoming as usize] = (descriptors / 4).max(1);
+        classes[Class::Idle as usize] = (descriptors / 2).max(1);
+        Self { classes, leaving: (descriptors / 4).max(1), reserved: 0, held_bytes: HELD_BYTES }
     }
 
     /// The same with another bound of one class.
@@ -143,7 +150,7 @@ mod tests {
         for descriptors in [Bounds::MIN_DESCRIPTORS, 24, 64, 600, 1024, Bounds::MAX_DESCRIPTORS] {
             let bounds = Bounds::of(descriptors);
             let classes = bounds.classes.iter().filter(|most| **most < usize::MAX).sum::<usize>();
-            let bounded = classes + bounds.of_class(Class::Streaming) + bounds.leaving;
+            let bounded = classes + bounds.of_class(Class::Streaming) + bounds.leaving + bounds.reserved;
             assert!(bounded <= descriptors, "{bounded} of {descriptors}: {bounds:?}");
             assert!(bounds.classes.iter().all(|most| *most > 0));
         }

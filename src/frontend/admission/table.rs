@@ -90,7 +90,7 @@ impl Table {
     }
 
     pub(super) fn heard(&mut self, id: Id, now: Instant) {
-        self.change(id, |entry| entry.since = now);
+        self.change(id, |entry| (entry.base, entry.since) = (Class::Idle, now));
     }
 
     /// Takes the connection's claim on a slot between requests, until its next request is answered.
@@ -168,6 +168,7 @@ impl Table {
         self.leaving >= self.bounds.leaving
     }
 
+    /// Whether there are so many that none of them may take its time.
     pub(super) fn is_half_crowded(&self) -> bool {
         self.leaving * 2 > self.bounds.leaving
     }

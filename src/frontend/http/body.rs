@@ -41,13 +41,17 @@ const TURN_TIME: Duration = Duration::from_secs(2);
 /// slot. A FAST STOP waits for nothing, and has one at once.
 pub async fn read_first(request: Request, next: Next) -> Response {
     let permit: Option<Arc<ConnectionPermit>> = request.extensions().get().cloned();
+    let pace: Option<Arc<RequestPace>> = request.extensions().get().cloned();
     if is_fast_stop(&request) {
+        if let Some(pace) = pace {
+            pace.next_fast_stop().await;
+        }
         let _claim = permit.as_ref().and_then(|permit| permit.claim(Class::Urgent));
         return next.run(request).await;
     }
     let (parts, stream) = request.into_parts();
     let is_urgent = is_urgent(&parts);
-    if let Some(pace) = parts.extensions.get::<Arc<RequestPace>>() {
+    if let Some(pace) = pace {
         pace.next(is_urgent).await;
     }
     let (bytes, _held) = match read(stream, permit.as_ref()).await {

@@ -16,8 +16,15 @@ const BURST: u32 = 128;
 #[derive(Debug, Default)]
 pub struct RequestPace(Mutex<State>);
 
+/// Time of one FAST STOP of a connection, and how many may come at once. Each stops all that it names, so more are of no
+/// use.
+const FAST_STOP_INTERVAL: Duration = Duration::from_millis(10);
+const FAST_STOP_BURST: u32 = 16;
+
 #[derive(Debug, Default)]
 struct State {
+    /// The same for FAST STOPs.
+    fast_stop_arrival: Option<Instant>,
     /// When the requests that have come would have ended at the pace.
     arrival: Option<Instant>,
     /// Before this time only urgent requests are served.
@@ -33,6 +40,14 @@ impl RequestPace {
         }
     }
 
+    /// The same for a FAST STOP.
+    pub async fn next_fast_stop(&self) {
+        let due = advance(&mut self.state().fast_stop_arrival, Instant::now(), FAST_STOP_INTERVAL, FAST_STOP_BURST);
+        if let Some(at) = due {
+            sleep_until(at).await;
+        }
+    }
+
     /// Delays the next request of this connection, unless it is urgent.
     pub fn delay(&self, time: Duration) {
         self.state().delayed_until = Some(Instant::now() + time);
@@ -41,16 +56,20 @@ impl RequestPace {
     /// When the request that has come now may be served; `None` where it may be served at once.
     pub fn due(&self, now: Instant, is_urgent: bool) -> Option<Instant> {
         let mut state = self.state();
-        let next = state.arrival.map_or(now, |at| at.max(now)) + INTERVAL;
-        state.arrival = Some(next);
-        let at_pace = next.checked_sub(INTERVAL * BURST);
-        let delayed_until = state.delayed_until.filter(|_| !is_urgent);
-        at_pace.max(delayed_until).filter(|at| *at > now)
+        let at_pace = advance(&mut state.arrival, now, INTERVAL, BURST);
+        at_pace.max(state.delayed_until.filter(|at| !is_urgent && *at > now))
     }
 
     fn state(&self) -> MutexGuard<'_, State> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+/// Counts one more request, and returns when it may be served, if not at once.
+fn advance(arrival: &mut Option<Instant>, now: Instant, interval: Duration, burst: u32) -> Option<Instant> {
+    let next = arrival.map_or(now, |at| at.max(now)) + interval;
+    *arrival = Some(next);
+    next.checked_sub(interval * burst).filter(|at| *at > now)
 }
 
 #[cfg(test)]

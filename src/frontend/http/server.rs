@@ -10,6 +10,7 @@ use std::io;
 use std::net::SocketAddr;
 use std::pin::Pin;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use axum::Router;
@@ -26,8 +27,8 @@ use rustix::net::RecvFlags;
 use socket2::SockRef;
 use tokio::net::{TcpListener, TcpSocket, TcpStream};
 use tokio::runtime::Handle;
-use tokio::sync::watch;
-use tokio::time::{sleep, timeout};
+use tokio::sync::{OwnedSemaphorePermit, watch};
+use tokio::time::{Instant, sleep, timeout};
 use tokio_util::sync::CancellationToken;
 use tower::ServiceExt;
 
@@ -73,6 +74,15 @@ const SHUTDOWN_SLACK: Duration = Duration::from_millis(100);
 
 /// As much of a request as is looked at for a FAST STOP. The longest path of one has 111 bytes.
 const FIRST_BYTES: usize = 256;
+
+/// How long accepting waits for evicted connections to end.
+const ROOM_WITHIN: Duration = Duration::from_millis(10);
+
+/// How long accepting does not wait again after that was in vain.
+const STALLED_FOR: Duration = Duration::from_millis(200);
+
+/// How long the rest of a first line may take, where its beginning is there.
+const FIRST_LINE_WITHIN: Duration = Duration::from_millis(20);
 
 /// What the path of a FAST STOP ends in.
 const FAST_STOP: &str = "/fast-stop";
@@ -134,9 +144,20 @@ struct Server {
 
 impl Server {
     async fn accept_all(self: &Arc<Self>, listener: &TcpListener) {
+        let mut stalled_at: Option<Instant> = None;
         loop {
-            self.admission.has_room().await;
+            // Evicted connections mostly end at once.
+            if stalled_at.is_none_or(|at| at.elapsed() > STALLED_FOR) {
+                let has_room = timeout(ROOM_WITHIN, self.admission.has_room()).await.is_ok();
+                stalled_at = (!has_room).then(Instant::now);
+            }
             match listener.accept().await {
+                Ok((stream, peer)) if self.admission.is_crowded() => {
+                    // They end where others are served, which may be busy. A FAST STOP waits for none of them.
+                    if let Some(place) = self.admission.reserved() {
+                        tokio::spawn(self.clone().admit_fast_stop(stream, peer, place));
+                    }
+                }
                 Ok((stream, peer)) => {
                     let permit = Arc::new(self.admission.admit(peer.ip(), &self.closing));
                     let connected = self.context.metrics.connected();
@@ -151,6 +172,18 @@ impl Server {
         }
     }
 
+    /// Admits a connection only where it begins with a FAST STOP.
+    async fn admit_fast_stop(self: Arc<Self>, stream: TcpStream, peer: SocketAddr, place: OwnedSemaphorePermit) {
+        let mut first = [0; FIRST_BYTES];
+        let seen = timeout(FIRST_LINE_WITHIN, stream.peek(&mut first)).await.map_or(0, Result::unwrap_or_default);
+        if may_be_fast_stop(first.get(..seen).unwrap_or_default()) {
+            let permit = Arc::new(self.admission.admit(peer.ip(), &self.closing));
+            let connected = self.context.metrics.connected();
+            self.begin(stream, peer, permit, connected).await;
+        }
+        drop(place);
+    }
+
     /// Looks at a connection's first bytes, and has it served where it belongs.
     async fn begin(
         self: Arc<Self>,
@@ -160,15 +193,20 @@ impl Server {
         connected: Connected,
     ) {
         let mut first = [0; FIRST_BYTES];
-        let seen = tokio::select! {
+        let mut seen = tokio::select! {
             biased;
             seen = stream.peek(&mut first) => seen.unwrap_or(0),
-            // What came before the eviction counts.
+            // Bytes that arrived before the eviction still count.
             () = permit.evicted() => peek_now(&stream, &mut first),
             () = sleep(self.limits.header_time) => 0,
         };
         if seen == 0 {
             return;
+        }
+        if !first.contains(&b'\n') && seen < FIRST_BYTES {
+            // The first line may come in two packets.
+            sleep(FIRST_LINE_WITHIN).await;
+            seen = peek_now(&stream, &mut first);
         }
         // Answers are small, and awaited. An open request keeps a lease, so a machine that vanishes has to be noticed.
         // A connection that says nothing costs no such call.
@@ -186,6 +224,7 @@ impl Server {
             permit: permit.clone(),
             home: Home(Arc::new(moves)),
             pace: Arc::default(),
+            has_served: Arc::default(),
         };
         let http = http1::Builder::new()
             .timer(TokioTimer::new())
@@ -283,6 +322,8 @@ struct Requests {
     permit: Arc<ConnectionPermit>,
     home: Home,
     pace: Arc<RequestPace>,
+    /// Whether a request has come.
+    has_served: Arc<AtomicBool>,
 }
 
 impl Service<Request<Incoming>> for Requests {
@@ -291,9 +332,8 @@ impl Service<Request<Incoming>> for Requests {
     type Future = BoxFuture<'static, Result<Response, Infallible>>;
 
     fn call(&self, mut request: Request<Incoming>) -> Self::Future {
-        let is_fast_stop = is_fast_stop(&request);
-        if !is_fast_stop {
-            // Only where it has begun with a FAST STOP is it still where connections are accepted.
+        // A connection that goes on after its first FAST STOP is like all others.
+        if self.has_served.swap(true, Ordering::Relaxed) || !is_fast_stop(&request) {
             self.home.leave(&self.server.context.runtimes.accept, &self.server.context.runtimes.requests);
         }
         if !request.body().is_end_stream() {

@@ -173,6 +173,9 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
                 biased;
                 () = closing.cancelled() => return End::Closing,
                 () = self.permit.evicted(), if !holds_lease => {
+                    if self.is_fresh {
+                        return End::Gone;
+                    }
                     tracing::warn!(gripper = %self.port.gripper.name(), client = %self.client.subject,
                         "client evicted: it was silent for longest, and a new client needs its slot");
                     return End::Gone;

@@ -28,15 +28,15 @@ use super::refusals::Refusals;
 use crate::gripper::Handle;
 use crate::gripper::model::{Client, Door};
 
-/// Clients of one port at a time. One of them moves the gripper, so there are seldom more than a few: the rest is for those
-/// that connect and say nothing, each of which has its time to speak.
+/// Clients of one port at a time. One of them moves the gripper, so there are seldom more than a few.
 const MAX_CLIENTS: usize = 128;
 
-/// Evicted clients that may still be ending, which takes milliseconds: a new client's FAST STOP must not wait for them.
-const LEAVING_CLIENTS: usize = 128;
+/// Clients that have said nothing yet, and as many evicted ones that are still ending, which takes milliseconds: a new
+/// client's FAST STOP must not wait for them.
+const OTHER_CLIENTS: usize = 128;
 
 /// Descriptors of one port's TCP clients, at the most and at the least.
-pub const MAX_DESCRIPTORS: usize = MAX_CLIENTS + LEAVING_CLIENTS;
+pub const MAX_DESCRIPTORS: usize = MAX_CLIENTS + OTHER_CLIENTS;
 /// See [`MAX_DESCRIPTORS`].
 pub const MIN_DESCRIPTORS: usize = 4;
 
@@ -166,7 +166,7 @@ impl Port {
 
     /// Admission of its clients.
     fn admission(&self) -> Arc<Admission> {
-        Admission::new(Bounds::alike(self.descriptors / 2, self.descriptors / 2))
+        Admission::new(Bounds::alike(self.descriptors))
     }
 
     /// Admits a client. Where there are as many as may be, the client that was silent for longest gives way, unless it

@@ -38,15 +38,20 @@ pub struct Inbound {
     outbox: Arc<Outbox>,
     /// Bytes of the message that is not complete yet.
     incomplete: usize,
+    /// Reads since others had a turn.
+    reads: u8,
     held: Option<HeldBytes>,
 }
+
+/// Reads until it is another client's turn. One that sends nothing but small frames would hold up the FAST STOPs of others.
+const READS_A_TURN: u8 = 2;
 
 /// How exact the count of held bytes is: messages below this are not worth counting.
 const COUNTED_FROM: usize = 8 * 1024;
 
 impl Inbound {
     pub fn new(early: Bytes, half: TcpStream, outbox: Arc<Outbox>, held: Option<HeldBytes>) -> Self {
-        Self { early: io::Cursor::new(early), half, outbox, incomplete: 0, held }
+        Self { early: io::Cursor::new(early), half, outbox, incomplete: 0, reads: 0, held }
     }
 
     /// Marks that a message has been taken, with all that it held.
@@ -69,6 +74,12 @@ impl AsyncRead for Inbound {
         context: &mut Context<'_>,
         buffer: &mut ReadBuf<'_>,
     ) -> Poll<io::Result<()>> {
+        self.reads += 1;
+        if self.reads > READS_A_TURN {
+            self.reads = 0;
+            context.waker().wake_by_ref();
+            return Poll::Pending;
+        }
         let before = buffer.remaining();
         ready!(Pin::new(&mut self.early).poll_read(context, buffer))?;
         if buffer.remaining() == before {
