@@ -27,7 +27,8 @@ impl Owned {
         Ok(Self {
             devices: single("device").build()?,
             requests: Builder::new_multi_thread().event_interval(EVENT_INTERVAL).enable_all().build()?,
-            accept: single("accept").build()?,
+            // One thread accepts while the other looks at what has come.
+            accept: single("accept").worker_threads(2).build()?,
             sockets: single("sockets").event_interval(EVENT_INTERVAL).build()?,
             // What a thousand observers are sent must not delay a request.
             observers: single("observers").on_thread_start(yield_to_others).build()?,

@@ -100,18 +100,26 @@ impl Row {
         assert!(misses.is_empty(), "{}: {}", self.attack, misses.join("; "));
     }
 
+    /// Asserts that all FAST STOPs have reached the device.
+    #[track_caller]
+    pub fn reaches_the_device(&self) {
+        let lost = self.lost();
+        assert!(lost.is_empty(), "{}: {}", self.attack, lost.join("; "));
+    }
+
+    /// The ways by which FAST STOPs were lost.
+    fn lost(&self) -> Vec<String> {
+        let lost = self.stops.iter().filter(|(_, stops)| stops.reached() < stops.wanted);
+        let words = |(way, stops): &(Way, Stops)| {
+            let Stops { asked, wanted, .. } = stops;
+            format!("{way:?}: {} FAST STOPs of {wanted} have reached the device, {asked} were asked", stops.reached())
+        };
+        lost.map(words).collect()
+    }
+
     /// The violations of [`Row::keeps_nobody_out`].
     pub fn misses(&self) -> Vec<String> {
-        let mut misses = Vec::new();
-        for (way, stops) in &self.stops {
-            if stops.reached() < stops.wanted {
-                let Stops { asked, wanted, .. } = stops;
-                misses.push(format!(
-                    "{way:?}: {} FAST STOPs of {wanted} have reached the device, {asked} were asked",
-                    stops.reached()
-                ));
-            }
-        }
+        let mut misses = self.lost();
         let slow = self.by(Way::FreshHttp).percentile(99).filter(|time| *time > REACHES_WITHIN);
         misses.extend(slow.map(|time| format!("the p99 is {time:?}, above {REACHES_WITHIN:?}")));
         if self.polls.lost > 0 {

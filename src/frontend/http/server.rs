@@ -63,7 +63,7 @@ const MAX_UNSENT_BYTES: u32 = 16 * 1024;
 
 /// Connections that the kernel keeps until they are accepted. In a flood of connects this is the queue that a FAST STOP
 /// waits in: more slots make it longer.
-const BACKLOG: u32 = 1024;
+const BACKLOG: u32 = 2048;
 
 /// Pause after a failed accept: long enough not to spin while the process is out of file descriptors, short enough not
 /// to be noticed.
@@ -147,7 +147,7 @@ impl Server {
         let mut stalled_at: Option<Instant> = None;
         loop {
             // Evicted connections mostly end at once.
-            if stalled_at.is_none_or(|at| at.elapsed() > STALLED_FOR) {
+            if self.admission.is_crowded() && stalled_at.is_none_or(|at| at.elapsed() > STALLED_FOR) {
                 let has_room = timeout(ROOM_WITHIN, self.admission.has_room()).await.is_ok();
                 stalled_at = (!has_room).then(Instant::now);
             }

@@ -22,7 +22,8 @@ fn attacked_by(attack: &str, count: usize) {
     println!("the device was connected again after {reconnected_after:?}");
     assert!(!gateway.log().contains("os error 24"), "the gateway has wanted more descriptors than it may have");
     assert!(reconnected_after.is_some_and(|after| after <= RECONNECTS_WITHIN), "{reconnected_after:?}");
-    row.keeps_nobody_out();
+    // So few descriptors leave no poller its connection beside a thousand others.
+    row.reaches_the_device();
 }
 
 #[test]
