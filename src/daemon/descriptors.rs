@@ -7,8 +7,8 @@ use crate::config::{Config, Device, WsgAddress};
 use crate::frontend::Bounds;
 use crate::frontend::wsg_port;
 
-/// Five runtimes (20), the listener, standard input and output, the journal with its readers (10), and some to spare.
-const OWN: usize = 36;
+/// Five runtimes (20), the listener, standard input and output, the journal with its readers (8), and some to spare.
+const OWN: usize = 34;
 
 /// The link of a gripper, and the one that replaces it. A simulated gripper has none.
 const OF_A_LINK: usize = 2;
@@ -24,13 +24,13 @@ const MOST: u64 = 65_536;
 pub(super) struct Shares {
     /// The limit of the process.
     pub(super) limit: usize,
-    /// Those of all HTTP connections.
+    /// Descriptors of all HTTP connections.
     pub(super) http: usize,
-    /// Those of each WSG port's TCP connections.
+    /// Descriptors of each WSG port's TCP connections.
     pub(super) wsg_port: usize,
 }
 
-/// The limit leaves too little for clients.
+/// The descriptor limit is below what the configuration needs.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
     "too few file descriptors: the limit is {limit}, and this configuration needs {needed}: raise it with `ulimit -n` or \

@@ -18,7 +18,7 @@ pub(super) struct Bound {
     pub(super) gripper: Name,
     pub(super) listener: Listener,
     rules: Rules,
-    /// Of its TCP clients.
+    /// Descriptors of its TCP clients.
     descriptors: usize,
 }
 

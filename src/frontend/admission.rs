@@ -2,8 +2,8 @@
 //!
 //! A connection is in one [`Class`] at a time, and each class has a bound of its own, so that no kind of traffic can use
 //! up the slots of another. A connection that has not sent a complete request has no claim: where its class is full, the
-//! oldest one gives way to the newest, so that a FAST STOP finds a slot whatever else is open. What gives way is always
-//! the peer that has the most in that class, which bounds what one address can keep from others.
+//! oldest one gives way to the newest, so that a FAST STOP finds a slot whatever else is open. The peer with the
+//! most connections in that class loses one, so that one address cannot shut out the others.
 //!
 //! The bytes that connections make the gateway hold are bounded in all, too: beyond [`Bounds::held_bytes`] the connection
 //! that holds the most is closed first.

@@ -1,7 +1,6 @@
 //! The classes of connections, and how many connections each may have.
 
-/// What a connection is doing, and so what claim it has on its slot. The later classes go before the earlier ones where a
-/// connection is in several.
+/// Activity of a connection, which decides its claim to a slot. Later classes take precedence.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Class {
     /// A fresh connection, or one whose request is still coming.
@@ -109,7 +108,7 @@ impl Bounds {
             classes[class as usize] = share(most);
         }
         let (leaving, reserved) = (share(LEAVING), share(RESERVED));
-        // What the rounding leaves goes to the connections of those who come again and again.
+        // The remainder goes to keep-alive connections.
         let bounded: usize = classes.iter().filter(|most| **most < usize::MAX).sum();
         let taken = bounded + classes[Class::Streaming as usize] * (STREAMING_DESCRIPTORS - 1) + leaving + reserved;
         classes[Class::Idle as usize] += descriptors.saturating_sub(taken);

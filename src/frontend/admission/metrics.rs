@@ -38,7 +38,7 @@ impl Usage {
         let opts = |name: &str, help: &str| Opts::new(name, help).const_label("door", interface);
         let used = opts("wsg_connection_slots_used", "Connections of each class.");
         let limit =
-            opts("wsg_connection_slots", "Most connections of each class. Beyond, one gives way or is refused.");
+            opts("wsg_connection_slots", "Limit of connections in each class; beyond it, one is evicted or refused.");
         let held = opts("wsg_connections_held_bytes", "Bytes of requests under way and of answers not yet taken.");
         let evicted = opts("wsg_connections_evicted_total", "Connections closed to make room for others.");
         registry.register(Box::new(Self {

@@ -1,5 +1,5 @@
 //! The table behind [`super::Admission`]: who is in which class, since when, and who gives way. A pure machine: the time
-//! comes from outside, and what gives way is told by a token.
+//! comes from outside, and a cancellation token tells the evicted connection.
 
 use std::collections::{BTreeSet, HashMap};
 use std::net::{IpAddr, Ipv6Addr};
@@ -12,7 +12,7 @@ use super::bounds::{Bounds, CLASSES, Class, WhenFull};
 /// A connection's number. It is never used again.
 pub(super) type Id = u64;
 
-/// What counts as one peer: an IPv4 address, or an IPv6 network of 64 bits, which one machine has all of.
+/// One peer: an IPv4 address, or an IPv6 network of 64 bits, which one machine has all of.
 type Peer = IpAddr;
 
 #[derive(Debug)]
@@ -48,7 +48,7 @@ struct Entry {
     claims: [u32; CLASSES],
     since: Instant,
     evicted: CancellationToken,
-    /// Of the claim of [`Class::Waiting`].
+    /// Token of the claim of [`Class::Waiting`].
     yielded: Option<CancellationToken>,
     held_bytes: usize,
     is_leaving: bool,
@@ -179,7 +179,7 @@ impl Table {
         }
     }
 
-    /// Corrects how many bytes are held for a connection. Beyond the bound the one that holds the most is evicted.
+    /// Updates a connection's byte count. Beyond the bound, evicts the connection with the most bytes.
     pub(super) fn hold(&mut self, id: Id, before: usize, after: usize) {
         let Some(entry) = self.entries.get_mut(&id).filter(|entry| !entry.is_leaving) else { return };
         entry.held_bytes = entry.held_bytes + after - before;

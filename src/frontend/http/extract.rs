@@ -26,7 +26,7 @@ pub const MAX_WAIT_MS: u64 = 60_000;
 /// How long a request waits for its command if it doesn't say: longer than most motions.
 pub const DEFAULT_WAIT_MS: u64 = 5_000;
 
-/// How much later the next request of a connection is served whose wait was cut short.
+/// Delay of a connection's next request after its wait was cut short.
 const CUT_SHORT_DELAY: Duration = Duration::from_secs(1);
 
 /// The most bytes of a lease token that are looked at; the gateway's own are shorter.

@@ -95,7 +95,7 @@ pub struct Context {
     pub updates: Arc<Updates>,
     /// Ends the streams when the gateway ends.
     pub closing: CancellationToken,
-    /// Where clients are served.
+    /// Runtimes that serve clients.
     pub runtimes: Runtimes,
     /// What this door counts.
     pub metrics: Metrics,
@@ -233,7 +233,7 @@ fn api() -> Routes {
         .routes(routes!(fast_stop::one))
         .routes(routes!(fast_stop::all))
         .routes(routes!(fleet::fast_stop))
-        // A slash too many stops, too.
+        // A FAST STOP with a trailing slash is accepted.
         .route("/grippers/{gripper}/fast-stop/", post(fast_stop::one))
         .route("/fast-stop/", post(fast_stop::all))
         .route("/fleet/fast-stop/", post(fleet::fast_stop))

@@ -72,7 +72,7 @@ const ACCEPT_PAUSE: Duration = Duration::from_millis(5);
 /// How much longer than its connections the server waits for their end.
 const SHUTDOWN_SLACK: Duration = Duration::from_millis(100);
 
-/// As much of a request as is looked at for a FAST STOP. The longest path of one has 111 bytes.
+/// Bytes of a request that are searched for a FAST STOP. The longest path of one has 111 bytes.
 const FIRST_BYTES: usize = 256;
 
 /// How long accepting waits for evicted connections to end.
@@ -128,7 +128,7 @@ pub async fn serve(listener: TcpListener, context: Arc<Context>, limits: Limits,
         () = server.accept_all(&listener) => {}
     }
     drop(listener);
-    // Each connection has a bound of its own on its end: this one is for what hangs all the same.
+    // Each connection has a bound of its own on its end: this timeout covers a connection that hangs anyway.
     if timeout(limits.shutdown_time + SHUTDOWN_SLACK, server.admission.all_ended()).await.is_err() {
         tracing::warn!("connections closed before their requests were answered");
     }
@@ -249,7 +249,7 @@ impl Home {
         self.move_if(runtime, |home| home.id() != runtime.id());
     }
 
-    /// The same, where it is on another one that is not for it.
+    /// Moves the connection from `from` to `to`, if it is on `from`.
     fn leave(&self, from: &Handle, to: &Handle) {
         self.move_if(to, |home| home.id() == from.id() && home.id() != to.id());
     }
@@ -359,12 +359,12 @@ fn may_be_fast_stop(first: &[u8]) -> bool {
     line.windows(FAST_STOP.len()).any(|part| part == FAST_STOP.as_bytes())
 }
 
-/// What has come already, by the kernel's word: a stream that was accepted just now has not heard of it yet.
+/// Peeks without waiting for tokio's readiness, which a fresh stream does not have yet.
 fn peek_now(stream: &TcpStream, buffer: &mut [u8]) -> usize {
     rustix::net::recv(stream, buffer, RecvFlags::PEEK | RecvFlags::DONTWAIT).map_or(0, |(_, bytes)| bytes)
 }
 
-/// What the kernel takes beyond what the client takes is old before it is read: newest-wins ends there.
+/// Bytes queued in the kernel are stale before the client reads them, which would defeat newest-wins.
 fn set_unsent_limit(stream: &TcpStream) {
     #[cfg(target_os = "linux")]
     if let Err(error) = SockRef::from(stream).set_tcp_notsent_lowat(MAX_UNSENT_BYTES) {

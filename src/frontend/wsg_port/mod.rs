@@ -87,7 +87,7 @@ pub struct Rules {
 pub struct Port {
     gripper: Handle,
     rules: Arc<Rules>,
-    /// Of its TCP clients.
+    /// Descriptors of its TCP clients.
     descriptors: usize,
     refusals: Arc<Refusals>,
 }

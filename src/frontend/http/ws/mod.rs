@@ -92,7 +92,7 @@ async fn begin(
     context: &Arc<Context>,
 ) {
     let Ok(parts) = upgraded.downcast::<TokioIo<QuickAckStream>>() else {
-        return tracing::error!("a WebSocket came by a connection that is not TCP");
+        return tracing::error!("WebSocket upgrade failed: the connection is not TCP");
     };
     let stream = match parts.io.into_inner().into_inner() {
         Ok(stream) => stream,
@@ -101,7 +101,7 @@ async fn begin(
     let connection = Connection { stream, early: parts.read_buf, permit };
     let served = context.runtimes.sockets.spawn(Socket::serve(connection, client, methods, context.clone()));
     if let Err(error) = served.await {
-        tracing::error!(%error, "a WebSocket has panicked");
+        tracing::error!(%error, "WebSocket task panicked");
     }
 }
 

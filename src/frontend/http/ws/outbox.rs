@@ -1,4 +1,4 @@
-//! What waits to be written to one client, bounded in bytes.
+//! Queue of frames for one client, bounded in bytes.
 
 use std::collections::VecDeque;
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -85,7 +85,7 @@ impl Outbox {
         queue.items.len() >= MAX_UNREAD || queue.bytes >= MAX_UNREAD_BYTES
     }
 
-    /// Whether more waits than may.
+    /// Whether the queue exceeds [`MAX_WAITING_BYTES`].
     pub fn has_overflown(&self) -> bool {
         self.queue().bytes > MAX_WAITING_BYTES
     }

@@ -1,8 +1,8 @@
 //! One client's socket: its requests, its leases, and whether it is still there.
 //!
 //! Nothing here waits for the client. Answers wait for it in the [`Outbox`], whose bytes are bounded. Requests are read
-//! meanwhile, so that a FAST STOP stops although its client reads nothing. What may be urgent runs here; all else runs where
-//! updates are written, and yields to it.
+//! meanwhile, so that a FAST STOP stops although its client reads nothing. Urgent calls run here; all others run on the
+//! observers' runtime.
 
 use std::collections::HashMap;
 use std::io;
