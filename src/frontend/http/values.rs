@@ -66,7 +66,7 @@ pub fn text<const MAX: usize>(field: &str, given: &str) -> Result<Text<MAX>, Pro
 /// A name that people tell clients apart by, within its field's bounds.
 ///
 /// # Errors
-/// The [`Problem`] that names the field, what is wrong and the remedy.
+/// A problem that names the field, what is wrong and the remedy.
 pub fn name<const MAX: usize>(field: &str, given: &str) -> Result<ShownName<MAX>, Problem> {
     if given.len() > MAX {
         return Err(Problem::too_long(field, given.len(), MAX));
