@@ -72,7 +72,7 @@ impl Shares {
         let own = OWN + OF_A_LINK * links + zenoh;
         let needed = own + Bounds::MIN_DESCRIPTORS + ports * wsg_port::MIN_DESCRIPTORS;
         let spare = limit.checked_sub(needed).ok_or(TooFew { limit, needed })?;
-        // A quarter of what is to spare goes to the WSG ports, whose clients are few.
+        // The WSG ports have few clients, so they get a quarter of the spare descriptors.
         let of_ports = (spare / 4).checked_div(ports).unwrap_or(0);
         let wsg_port = (wsg_port::MIN_DESCRIPTORS + of_ports).min(wsg_port::MAX_DESCRIPTORS);
         let http = limit - own - ports * wsg_port;

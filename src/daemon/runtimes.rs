@@ -30,7 +30,7 @@ impl Owned {
             // One thread accepts while the other looks at what has come.
             accept: single("accept").worker_threads(2).build()?,
             sockets: single("sockets").event_interval(EVENT_INTERVAL).build()?,
-            // What a thousand observers are sent must not delay a request.
+            // Updates for a thousand observers must not delay a request.
             observers: single("observers").on_thread_start(yield_to_others).build()?,
         })
     }

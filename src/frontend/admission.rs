@@ -147,7 +147,7 @@ impl ConnectionPermit {
         let yielded = CancellationToken::new();
         self.admission.table().claim(self.id, class, Instant::now(), &yielded)?;
         if matches!(class, Class::Waiting | Class::Streaming) {
-            // It counts in its former class no more.
+            // The connection has left its former class.
             self.admission.released.notify_one();
         }
         Some(Claim { permit: self.clone(), class, yielded })

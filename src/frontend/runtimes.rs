@@ -2,7 +2,7 @@
 
 use tokio::runtime::Handle;
 
-/// Where each kind of work runs. The devices have a runtime of their own, which this does not name.
+/// The runtime of each kind of work for clients. The devices have a runtime of their own, which is not among them.
 #[derive(Debug, Clone)]
 pub struct Runtimes {
     /// Accepts HTTP connections, looks at their first bytes, and serves those that begin with a FAST STOP.

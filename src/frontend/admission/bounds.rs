@@ -22,7 +22,7 @@ pub enum Class {
 /// How many classes there are.
 pub(super) const CLASSES: usize = 7;
 
-/// What happens when a class is full and one more connection would enter it.
+/// Response to one more connection in a class that is full.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum WhenFull {
     /// The oldest connection of the peer that has the most gives way.

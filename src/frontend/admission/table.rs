@@ -39,7 +39,7 @@ struct Members {
 #[derive(Debug)]
 struct Entry {
     peer: Peer,
-    /// [`Class::Incoming`] or [`Class::Idle`], where there is no claim.
+    /// [`Class::Incoming`] or [`Class::Idle`]: the class without a claim.
     base: Class,
     /// Whether the connection asks for more than there is: without a claim it is [`Class::Incoming`], also where it is
     /// idle.

@@ -16,10 +16,10 @@ use tokio::sync::Semaphore;
 use super::errors::{Code, Problem};
 use crate::frontend::admission::ConnectionPermit;
 
-/// Answers from this size on are counted. What is smaller fits the buffers that every connection has.
+/// Answers from this size on are counted. Smaller ones fit the buffers that every connection has.
 const COUNTED_FROM: u64 = 16 * 1024;
 
-/// As much of an answer as is handed over at once.
+/// Bytes of an answer that are handed over at once.
 const PART_BYTES: usize = 16 * 1024;
 
 /// Reads of the journal that may be under way: each may take long, and takes a slot of those that answer requests.
@@ -38,7 +38,7 @@ pub async fn count(State(places): State<Arc<Semaphore>>, request: Request, next:
     let (Some(permit), Some(size)) = (permit, size) else { return response };
     let (mut parts, body) = response.into_parts();
     parts.headers.insert(header::CONTENT_LENGTH, HeaderValue::from(size));
-    // It is in memory already.
+    // The body is in memory already.
     let bytes = body.collect().await.map(http_body_util::Collected::to_bytes).unwrap_or_default();
     let mut held = permit.held();
     held.set(bytes.len());

@@ -4,8 +4,8 @@
 //! acknowledged, which the kernel delays by 40 ms. Each such request on a kept connection would lose that time, a FAST
 //! STOP's reason among them.
 //!
-//! A connection may move to another runtime: the thread of the old one must not be woken by what a thousand observers send
-//! and take.
+//! A connection may move to another runtime: the thread of the old one must not be woken by the traffic of a
+//! thousand observers.
 
 use std::io::{self, IoSlice};
 use std::pin::Pin;
@@ -42,7 +42,7 @@ impl QuickAckStream {
     }
 }
 
-/// Sets the option that the kernel resets by itself, so after each read. Where it can't be set, answers are later.
+/// Sets the option that the kernel resets by itself, so after each read. Without it answers are later.
 #[cfg_attr(not(target_os = "linux"), expect(unused_variables, reason = "Linux alone has this option"))]
 fn acknowledge(stream: &TcpStream) {
     #[cfg(target_os = "linux")]

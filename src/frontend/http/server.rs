@@ -42,7 +42,7 @@ use crate::frontend::sockets;
 /// Bounds of the server.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
-    /// Connections at a time, by what they do.
+    /// Connections at a time, by class.
     pub bounds: Bounds,
     /// How long a request's header may take, and how long a connection may be idle: until the next request's header
     /// is there.
@@ -84,7 +84,7 @@ const STALLED_FOR: Duration = Duration::from_millis(200);
 /// How long the rest of a first line may take, where its beginning is there.
 const FIRST_LINE_WITHIN: Duration = Duration::from_millis(20);
 
-/// What the path of a FAST STOP ends in.
+/// The end of a FAST STOP's path.
 const FAST_STOP: &str = "/fast-stop";
 
 impl Limits {
@@ -244,7 +244,7 @@ impl Server {
 pub struct Home(Arc<watch::Sender<Handle>>);
 
 impl Home {
-    /// Moves the connection to a runtime, with what is left to write.
+    /// Moves the connection to a runtime, unwritten bytes included.
     pub fn move_to(&self, runtime: &Handle) {
         self.move_if(runtime, |home| home.id() != runtime.id());
     }

@@ -29,7 +29,7 @@ fn registered(stream: std::net::TcpStream, runtime: &Handle) -> io::Result<TcpSt
     TcpStream::from_std(stream)
 }
 
-/// What the WebSocket protocol reads from and writes to: the reading half, and the outbox for its own frames (pongs).
+/// The stream below the WebSocket protocol: reads come from the reading half, and its own frames (pongs) go to the outbox.
 #[derive(Debug)]
 pub struct Inbound {
     /// Bytes that came in the handshake's last packet.

@@ -16,7 +16,7 @@ pub const MAX_WAITING_BYTES: usize = 256 * 1024;
 const MAX_UNREAD: usize = 64;
 const MAX_UNREAD_BYTES: usize = MAX_WAITING_BYTES / 2;
 
-/// What an entry of the queue costs beside its bytes.
+/// Overhead of an entry in the queue.
 const ENTRY_BYTES: usize = 64;
 
 /// The queue of one client: its reader fills it, and its writer empties it.
@@ -29,7 +29,7 @@ pub struct Outbox {
 #[derive(Debug)]
 struct Queue {
     items: VecDeque<Item>,
-    /// Bytes of what waits, and of what is being written.
+    /// Bytes of the waiting frames, and of those being written.
     bytes: usize,
     held: Option<HeldBytes>,
     is_closed: bool,
