@@ -14,8 +14,8 @@ use clap::{CommandFactory, Parser, Subcommand};
 use url::Url;
 
 use crate::config::{Config, Flags};
-use crate::telemetry::{self, LogFormat};
-use crate::{daemon, frontend};
+use crate::logging::{self, LogFormat};
+use crate::{daemon, interfaces};
 
 /// Lets many clients share Weiss/SCHUNK WSG grippers. Without a subcommand it serves; without anything, two simulated
 /// grippers.
@@ -95,7 +95,7 @@ struct NotYet {
 /// What went wrong, and what to do about it.
 pub fn run() -> anyhow::Result<()> {
     let cli = Cli::parse();
-    let _logs = telemetry::init(cli.log_format);
+    let _logs = logging::init(cli.log_format);
     match cli.command {
         None => daemon::run(&Config::load(&cli.flags)?),
         Some(Command::Sim { urls, model, part_mm, firmware, control }) => {
@@ -108,10 +108,10 @@ pub fn run() -> anyhow::Result<()> {
         }
         Some(Command::Check { flags }) => check(&flags),
         Some(Command::Openapi) => {
-            let document = serde_json::to_string_pretty(&frontend::http::openapi())?;
+            let document = serde_json::to_string_pretty(&interfaces::http::openapi())?;
             quietly(writeln!(std::io::stdout(), "{document}"))
         }
-        Some(Command::Asyncapi) => quietly(write!(std::io::stdout(), "{}", frontend::http::asyncapi()?)),
+        Some(Command::Asyncapi) => quietly(write!(std::io::stdout(), "{}", interfaces::http::asyncapi()?)),
         Some(Command::Decode { encode: Some(text), .. }) => {
             let frame = decode::encode(&text)?;
             quietly(writeln!(std::io::stdout(), "{frame}"))

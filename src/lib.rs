@@ -7,17 +7,19 @@
 //! | [`wsg`] | the protocol, sans-IO: frames, commands, replies, and the [session](wsg::session) on a link |
 //! | [`transport`] | byte pipes to devices; knows nothing of the protocol |
 //! | [`gripper`] | one actor per gripper, the only owner of its state; everyone else has a [handle](gripper::Handle) |
-//! | [`frontend`] | the doors: [HTTP](frontend::http), [Zenoh](frontend::zenoh), the [WSG port](frontend::wsg_port); what they [tell](frontend::updates), and the [other gateways](frontend::network) |
-//! | [`frontend::dashboard`] | the page at `/`, which uses the public WebSocket and REST alone |
+//! | [`interfaces`] | [HTTP](interfaces::http), [Zenoh](interfaces::zenoh) and the [WSG port](interfaces::wsg_port) |
+//! | [`events`] | live updates, serialised once for all clients |
+//! | [`fleet`] | the other gateways on the Zenoh network |
+//! | [`interfaces::dashboard`] | the page at `/`, which uses the public WebSocket and REST alone |
 //! | [`journal`] | events and grip records that outlive the gateway, in SQLite |
 //! | [`sim`] | a device, modelled from the manual: a pure machine, with faults |
 //! | [`config`] | file, environment and flags to validated types; nothing else reads them |
 //! | [`daemon`] | the composition root: builds, connects, drains in order |
-//! | [`cli`], [`telemetry`] | the command line, and logs |
+//! | [`cli`], [`logging`] | the command line, and logs |
 //!
 //! Data's way in: a door parses once and admits nothing; it hands a [`gripper::model`] value to the gripper's handle; the
 //! [actor](gripper::actor) decides, and hands a request to the session; the session makes bytes. The way out: bytes,
-//! session event, the actor's state, one watch of the newest state; [updates](frontend::updates) are serialised once, and
+//! session event, the actor's state, one watch of the newest state; [updates](events::Updates) are serialised once, and
 //! their bytes shared by all clients. The device side runs on a runtime of its own, and so do WebSockets, so that no
 //! number of clients delays a FAST STOP by much.
 //!
@@ -33,10 +35,12 @@
 pub mod cli;
 pub mod config;
 pub mod daemon;
-pub mod frontend;
+pub mod events;
+pub mod fleet;
 pub mod gripper;
+pub mod interfaces;
 pub mod journal;
+pub mod logging;
 pub mod sim;
-pub mod telemetry;
 pub mod transport;
 pub mod wsg;

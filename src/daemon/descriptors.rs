@@ -4,8 +4,8 @@
 use rustix::process::{Resource, getrlimit, setrlimit};
 
 use crate::config::{Config, Device, WsgAddress};
-use crate::frontend::Bounds;
-use crate::frontend::wsg_port;
+use crate::interfaces::Bounds;
+use crate::interfaces::wsg_port;
 
 /// Five runtimes (20), the listener, standard input and output, the journal with its readers (8), and some to spare.
 const OWN: usize = 34;

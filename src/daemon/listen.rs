@@ -3,7 +3,7 @@
 use std::fmt::Display;
 use std::io;
 
-use crate::frontend::sockets::remedy;
+use crate::interfaces::sockets::remedy;
 
 /// Says what could not be listened on, and the remedy.
 pub(super) fn failed(what: impl Display, error: io::Error) -> anyhow::Error {

@@ -8,7 +8,7 @@ use prometheus::proto::MetricFamily;
 use prometheus::{IntCounter, IntGauge, Opts, Registry, Result};
 use tokio::sync::watch;
 
-use crate::frontend::network::Network;
+use crate::fleet::Network;
 use crate::gripper::Recorder as _;
 use crate::gripper::model::Name;
 use crate::gripper::recorder::Health;

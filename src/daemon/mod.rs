@@ -23,13 +23,13 @@ use tokio_util::sync::CancellationToken;
 use url::Url;
 
 use crate::config::{self, Config, Device, Gripper, Mistake};
-use crate::frontend::network::Network;
-use crate::frontend::refusals::Refusals;
-use crate::frontend::updates::Updates;
-use crate::frontend::{self, Bounds, http, zenoh};
+use crate::events::Updates;
+use crate::fleet::Network;
 use crate::gripper::model::{Detail, Event, GatewayEvent, MemoryKey, Name};
 use crate::gripper::recorder::{Recollection, Record, Recorder as _};
-use crate::gripper::{self, Connector, Fleet, Handle, Now};
+use crate::gripper::{self, Connector, Grippers, Handle, Now};
+use crate::interfaces::refusals::Refusals;
+use crate::interfaces::{self, Bounds, http, zenoh};
 use crate::journal::{self, Journal, Recovered};
 use descriptors::Shares;
 pub use simulation::{Served, SimulatedDevice, Switch, serve as serve_device};
@@ -116,8 +116,8 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
         updates: Arc::new(Updates::new(&fleet, journal.clone(), network)),
         closing: shutdown.child_token(),
         runtimes: clients.clone(),
-        metrics: frontend::metrics::Metrics::register(&registry, "http")?,
-        ws_metrics: frontend::metrics::Metrics::register(&registry, "ws")?,
+        metrics: interfaces::metrics::Metrics::register(&registry, "http")?,
+        ws_metrics: interfaces::metrics::Metrics::register(&registry, "ws")?,
         registry,
         allowed_hosts: config.hosts.clone(),
     });
@@ -190,11 +190,11 @@ fn spawn_all(
     journal: &Journal,
     recovered: &Recovered,
     registry: &Registry,
-) -> anyhow::Result<Fleet> {
+) -> anyhow::Result<Grippers> {
     let _inside = devices.enter();
     let spawn = |gripper| spawn(config, gripper, journal, recollection(recovered, gripper), registry);
     let handles: anyhow::Result<Vec<Handle>> = config.grippers.iter().map(spawn).collect();
-    Ok(Fleet::new(handles?))
+    Ok(Grippers::new(handles?))
 }
 
 /// What the journal knows of a gripper from earlier runs.
@@ -282,7 +282,7 @@ fn zenoh_settings(zenoh: &config::Zenoh, context: &http::Context) -> anyhow::Res
     Ok(zenoh::Settings {
         reach,
         max_hz: zenoh.max_hz,
-        metrics: frontend::metrics::Metrics::register(&context.registry, "zenoh")?,
+        metrics: interfaces::metrics::Metrics::register(&context.registry, "zenoh")?,
     })
 }
 

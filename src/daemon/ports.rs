@@ -8,10 +8,10 @@ use tokio_util::sync::CancellationToken;
 
 use super::listen;
 use crate::config::{Acknowledge, Config, WsgAddress, WsgPort};
-use crate::frontend::refusals::Refusals;
-use crate::frontend::wsg_port::{Address, Datagrams, LOST_AFTER, Listener, Port, Rules};
-use crate::gripper::Fleet;
+use crate::gripper::Grippers;
 use crate::gripper::model::Name;
+use crate::interfaces::refusals::Refusals;
+use crate::interfaces::wsg_port::{Address, Datagrams, LOST_AFTER, Listener, Port, Rules};
 
 /// A port that is not served yet.
 pub(super) struct Bound {
@@ -48,7 +48,7 @@ pub(super) fn bind(config: &Config, descriptors: usize) -> anyhow::Result<Vec<Bo
 pub(super) fn serve(
     devices: &Runtime,
     ports: Vec<Bound>,
-    fleet: &Fleet,
+    fleet: &Grippers,
     refusals: &Arc<Refusals>,
     draining: &CancellationToken,
     closing: &CancellationToken,

@@ -4,7 +4,7 @@ use std::io;
 
 use tokio::runtime::{Builder, Runtime};
 
-use crate::frontend::Runtimes;
+use crate::interfaces::Runtimes;
 
 /// How much the observers' thread yields to others (`nice`, 0 to 19): enough that the kernel prefers any of those.
 const NICE: i32 = 10;

@@ -12,7 +12,7 @@ mod driver;
 pub mod error;
 #[cfg(test)]
 pub(crate) mod fake;
-pub mod fleet;
+pub mod grippers;
 pub mod handle;
 pub mod info;
 mod latch;
@@ -29,7 +29,7 @@ pub use clock::Now;
 pub use connector::Connector;
 pub use driver::spawn;
 pub use error::{Conflict, DeviceRefusal, Failure, Invalid, Rejection};
-pub use fleet::Fleet;
+pub use grippers::Grippers;
 pub use handle::{FastStop, Granted, Handle, Ticket};
 pub use info::Info;
 pub use lease::Keep;

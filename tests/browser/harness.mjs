@@ -15,7 +15,7 @@ const { chromium } = installed('playwright-core');
 
 export const AXE = installed.resolve('axe-core/axe.min.js');
 export const SHOTS = join(ROOT, 'target/browser/screenshots');
-export const ASSETS = join(ROOT, 'src/frontend/dashboard/assets/');
+export const ASSETS = join(ROOT, 'src/interfaces/dashboard/assets/');
 
 /** How long anything may take that has no time of its own: a busy machine is slow, and still right. */
 export const DEADLINE_MS = 30_000;

@@ -350,7 +350,7 @@ async fn every_method_answers_as_it_is_described() {
     state["params"]["seq"] = "newest".into();
     assert!(!socket.is_described("state.notification", &state));
     let served = gateway.get("/api/v1/asyncapi.yaml").await;
-    assert_eq!(served.body.as_str(), Some(wsg_gateway::frontend::http::asyncapi().unwrap().as_str()));
+    assert_eq!(served.body.as_str(), Some(wsg_gateway::interfaces::http::asyncapi().unwrap().as_str()));
 }
 
 /// A socket that holds the lease of a homed gripper, and has begun a slow motion.

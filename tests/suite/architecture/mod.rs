@@ -16,14 +16,18 @@ const MAX_LINES: usize = 500;
 const ARROWS: &[(&str, &[&str])] = &[
     ("wsg", &[]),
     ("transport", &[]),
-    ("auth", &[]),
-    ("telemetry", &[]),
+    ("logging", &[]),
     ("sim", &["wsg"]),
     ("gripper", &["transport", "wsg"]),
-    ("frontend", &["gripper", "journal", "auth", "wsg"]),
-    ("config", &["transport", "gripper::model", "auth"]),
+    ("fleet", &["gripper"]),
+    ("events", &["gripper", "journal", "fleet"]),
+    ("interfaces", &["gripper", "journal", "fleet", "events", "wsg"]),
+    ("config", &["transport", "gripper::model"]),
     ("journal", &["gripper::model", "gripper::recorder"]),
-    ("daemon", &["wsg", "transport", "gripper", "frontend", "journal", "sim", "config", "auth", "telemetry"]),
+    (
+        "daemon",
+        &["wsg", "transport", "gripper", "interfaces", "fleet", "events", "journal", "sim", "config", "logging"],
+    ),
 ];
 
 /// What is below the protocol's values: the bytes, and what is in flight.
@@ -39,7 +43,7 @@ const FRAMES: &[&str] = &[
 const SESSION: &[&str] = &["wsg::session"];
 
 /// Who may use the frames, and who the session.
-const FRAME_USERS: &[&str] = &["wsg/", "sim/", "gripper/driver.rs", "gripper/actor/", "frontend/wsg_port", "cli"];
+const FRAME_USERS: &[&str] = &["wsg/", "sim/", "gripper/driver.rs", "gripper/actor/", "interfaces/wsg_port", "cli"];
 const SESSION_USERS: &[&str] = &["wsg/", "gripper/driver.rs", "gripper/actor/", "gripper/latch.rs", "gripper/setup.rs"];
 
 /// What the machines may not have, since bytes and `now` come from outside.
@@ -78,7 +82,8 @@ fn against_house_rules(source: &Source) -> Vec<String> {
         let rules = [
             (line.contains(".unwrap()"), "unwrap() belongs in tests"),
             (line.contains("unsafe ") || line.contains("unsafe{"), "no unsafe"),
-            (item.starts_with("static "), "no statics: state has an owner"),
+            // An allocator is declared by a static, and holds no state of ours.
+            (item.starts_with("static ") && !item.starts_with("static ALLOCATOR:"), "no statics: state has an owner"),
             (has_unnamed_limit(line), "a queue has a limit, and a name for it"),
         ];
         found.extend(rules.iter().filter(|(broken, _)| *broken).map(|(_, rule)| (line, *rule)));
@@ -162,7 +167,7 @@ fn every_room_has_its_arrows() {
     for (room, names) in rooms {
         assert!(ARROWS.iter().any(|(known, _)| *known == room) || matches!(room.as_str(), "" | "cli"), "{room}");
         // A reader of sources that finds no imports would hold any rule.
-        assert!(names > 0 || matches!(room.as_str(), "telemetry"), "no import of {room} was read");
+        assert!(names > 0 || matches!(room.as_str(), "logging"), "no import of {room} was read");
     }
 }
 
@@ -183,10 +188,10 @@ fn a_line_against_a_rule_is_found() {
         ("sim/link.rs", "use crate::wsg::{Status, session::{self, Session}};"),
         ("sim/link.rs", "use crate::{\n    wsg,\n    transport::Pipe,\n};"),
         ("gripper/handle.rs", "use crate::wsg::session::Token;"),
-        ("gripper/model.rs", "use crate::frontend::http;"),
+        ("gripper/model.rs", "use crate::interfaces::http;"),
         ("gripper/info.rs", "use crate::wsg::{\n    Decoder,\n    Status as DeviceStatus,\n};"),
-        ("frontend/http/raw.rs", "use crate::wsg::frame::encode;"),
-        ("frontend/http/raw.rs", "use super::super::super::daemon;"),
+        ("interfaces/http/raw.rs", "use crate::wsg::frame::encode;"),
+        ("interfaces/http/raw.rs", "use super::super::super::daemon;"),
         ("config.rs", "use crate::gripper::Handle;"),
         ("daemon/simulation.rs", "use crate::wsg::frame;"),
         ("daemon/mod.rs", "use crate::cli;"),
@@ -211,7 +216,7 @@ fn a_line_against_a_rule_is_found() {
 fn what_keeps_the_rules_and_what_only_tests_compile_is_left_alone() {
     let kept = "use crate::wsg::{self, Data, Status};\nuse super::errors::Problem;\n// crate::daemon::run\n";
     let tests = "#[cfg(test)]\nmod tests {\n    use crate::daemon;\n    fn f() { x.unwrap() }\n}\n";
-    let source = Source::new("frontend/http/raw.rs", &format!("{kept}{tests}const A: &'static str = \"\";\n"));
+    let source = Source::new("interfaces/http/raw.rs", &format!("{kept}{tests}const A: &'static str = \"\";\n"));
     assert_eq!(against_arrows(&source), Vec::<String>::new());
     assert_eq!(against_house_rules(&source), Vec::<String>::new());
     let elsewhere = "#[cfg(test)]\n#[path = \"errors_tests.rs\"]\nmod tests;\n#[cfg(test)]\npub(crate) mod fake;\n";

@@ -37,7 +37,7 @@ struct Description(HashMap<String, Validator>);
 
 impl Description {
     fn read() -> Self {
-        let document = wsg_gateway::frontend::http::asyncapi_document();
+        let document = wsg_gateway::interfaces::http::asyncapi_document();
         let components = &document["components"];
         let validator = |name: &String| {
             let payload = json!({"$ref": format!("#/components/messages/{name}/payload")});

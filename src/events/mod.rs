@@ -1,0 +1,200 @@
+//! What happens, told to many at once: server-sent events and WebSocket tell the same.
+//!
+//! An update is serialised once, by whoever comes to tell it first, and its bytes are shared by all who tell it. Of
+//! states and telemetry each subscriber gets the newest when it has room for it, and nothing is queued. Events and
+//! frames come one by one; a subscriber that is too far behind misses some, and is told how many by a `gap`.
+
+mod fleet;
+mod notification;
+mod pace;
+mod queued;
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use futures_util::StreamExt as _;
+use futures_util::stream::{BoxStream, SelectAll};
+use serde::{Deserialize, Serialize};
+use tokio::sync::watch;
+use utoipa::ToSchema;
+
+use crate::fleet::Network;
+use crate::gripper::model::{Frame, Name, State};
+use crate::gripper::{Grippers, Handle, Now};
+use crate::journal::{Journal, Stored};
+use fleet::FleetNews;
+use notification::Recent;
+
+pub use notification::{Notification, encoded, text_frame};
+pub use pace::Pace;
+pub use queued::Gap;
+
+/// What can be followed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum Topic {
+    /// The newest states.
+    State,
+    /// Their measured values alone.
+    Telemetry,
+    /// What happens, as the journal has it.
+    Events,
+    /// Every frame to and from a device.
+    Frames,
+    /// The grippers of all gateways.
+    Fleet,
+}
+
+/// The topics, as a mistake names them.
+pub const TOPICS: &str = "state, telemetry, events, frames, fleet";
+
+/// So many serialised events are kept for those who tell them later than the first.
+const RECENT_EVENTS: usize = 64;
+
+/// And frames, of each gripper.
+const RECENT_FRAMES: usize = 64;
+
+/// All that can be followed.
+#[derive(Debug)]
+pub struct Updates {
+    journal: Journal,
+    events: Recent,
+    grippers: Vec<Arc<Source>>,
+    fleet: FleetNews,
+}
+
+/// One gripper's.
+#[derive(Debug)]
+struct Source {
+    handle: Handle,
+    state: Recent,
+    telemetry: Recent,
+    frames: Recent,
+}
+
+impl Updates {
+    /// Of these grippers, of this journal, and of all gateways' grippers.
+    #[must_use]
+    pub fn new(fleet: &Grippers, journal: Journal, network: Arc<Network>) -> Self {
+        let source = |handle: &Handle| {
+            let (state, telemetry, frames) = (Recent::new(1), Recent::new(1), Recent::new(RECENT_FRAMES));
+            Arc::new(Source { handle: handle.clone(), state, telemetry, frames })
+        };
+        let (events, grippers) = (Recent::new(RECENT_EVENTS), fleet.iter().map(source).collect());
+        Self { journal, events, grippers, fleet: FleetNews::new(network) }
+    }
+
+    /// Follows these topics of these grippers, from now on. Events that concern no gripper come only where `grippers` is
+    /// none, which is all; of the fleet all come in any case.
+    #[must_use]
+    pub fn subscribe(
+        self: &Arc<Self>,
+        grippers: Option<&BTreeSet<Name>>,
+        topics: impl IntoIterator<Item = Topic>,
+    ) -> Subscription {
+        let is_wanted = |source: &&Arc<Source>| grippers.is_none_or(|names| names.contains(source.handle.name()));
+        let sources: Vec<_> = self.grippers.iter().filter(is_wanted).collect();
+        let topics: BTreeSet<_> = topics.into_iter().collect();
+        let mut queued: SelectAll<BoxStream<'static, Notification>> = SelectAll::new();
+        if topics.contains(&Topic::Events) {
+            queued.push(queued::events(self.clone(), grippers.cloned()).boxed());
+        }
+        if topics.contains(&Topic::Frames) {
+            queued.extend(sources.iter().map(|source| queued::frames((*source).clone()).boxed()));
+        }
+        let watched =
+            |source: &&Arc<Source>| Watched { source: (*source).clone(), states: source.handle.states(), seq: 0 };
+        let watched = sources.iter().map(watched).collect();
+        Subscription { updates: self.clone(), watched, fleet_seq: 0, topics, queued }
+    }
+
+    fn event(&self, event: &Stored) -> Option<Notification> {
+        self.events.get(event.seq.unsigned_abs(), || Some(Notification::of_json("event", &event.body)))
+    }
+}
+
+impl Source {
+    fn state(&self, state: &State) -> Option<Notification> {
+        self.state.get(state.seq, || Notification::new("state", state))
+    }
+
+    fn telemetry(&self, state: &State) -> Option<Notification> {
+        self.telemetry.get(state.seq, || Notification::new("telemetry", &state.telemetry(Now::read().wall)))
+    }
+
+    fn frame(&self, frame: &Frame) -> Option<Notification> {
+        self.frames.get(frame.seq, || Notification::new("frame", frame))
+    }
+}
+
+/// A gripper whose state is followed.
+#[derive(Debug)]
+struct Watched {
+    source: Arc<Source>,
+    states: watch::Receiver<Arc<State>>,
+    /// Which of them was told last.
+    seq: u64,
+}
+
+/// What one client follows.
+pub struct Subscription {
+    updates: Arc<Updates>,
+    watched: Vec<Watched>,
+    /// Up to which change of the fleet it was told.
+    fleet_seq: u64,
+    topics: BTreeSet<Topic>,
+    queued: SelectAll<BoxStream<'static, Notification>>,
+}
+
+impl Subscription {
+    /// Whether it has any of what is told by [`Subscription::newest`].
+    #[must_use]
+    pub fn has_states(&self) -> bool {
+        let has_own = self.topics.contains(&Topic::State) || self.topics.contains(&Topic::Telemetry);
+        self.topics.contains(&Topic::Fleet) || (has_own && !self.watched.is_empty())
+    }
+
+    /// The states as they are now, which count as told.
+    pub fn snapshot(&mut self) -> Vec<Arc<State>> {
+        let look = |watched: &mut Watched| {
+            watched.states.mark_unchanged();
+            let state = watched.source.handle.state();
+            watched.seq = state.seq;
+            state
+        };
+        self.watched.iter_mut().map(look).collect()
+    }
+
+    /// The states, telemetry and grippers of the fleet that have changed since they were told, and how many states and
+    /// telemetry were dropped for them: of those that there were, each tick that the client missed would have told one.
+    pub fn newest(&mut self, missed_ticks: u64) -> (Vec<Notification>, u64) {
+        let (mut told, mut dropped) = (Vec::new(), 0);
+        for Watched { source, states, seq } in &mut self.watched {
+            if !states.has_changed().unwrap_or_default() {
+                continue;
+            }
+            let state = states.borrow_and_update().clone();
+            let has = |topic| self.topics.contains(&topic);
+            let new = [
+                has(Topic::State).then(|| source.state(&state)).flatten(),
+                has(Topic::Telemetry).then(|| source.telemetry(&state)).flatten(),
+            ];
+            let missed = state.seq.saturating_sub(*seq + 1).min(missed_ticks);
+            dropped += missed * new.iter().flatten().count() as u64;
+            told.extend(new.into_iter().flatten());
+            *seq = state.seq;
+        }
+        if self.topics.contains(&Topic::Fleet) {
+            told.extend(self.updates.fleet.since(&mut self.fleet_seq));
+        }
+        (told, dropped)
+    }
+
+    /// The next event or frame, or how many were missed; none where no topic has any more. Cancelled without loss.
+    pub async fn next(&mut self) -> Option<Notification> {
+        self.queued.next().await
+    }
+}
+
+#[cfg(test)]
+mod tests;

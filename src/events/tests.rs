@@ -1,0 +1,112 @@
+//! What subscribers are told, and what not.
+
+use futures_util::FutureExt as _;
+use serde_json::Value;
+
+use super::*;
+use crate::gripper::fake::{self, Script};
+use crate::gripper::model::{Client, Detail, Door, Event, FastStopId, Reason, RefusedEvent};
+use crate::gripper::recorder::{Record, Recorder as _};
+use crate::journal::{Place, Retention};
+
+fn updates() -> (Arc<Updates>, Journal) {
+    let (journal, _) = Journal::open(Place::Memory, Retention::default()).unwrap();
+    let fleet =
+        Grippers::new([fake::gripper("left", Script::default()).0, fake::gripper("right", Script::default()).0]);
+    let network = Arc::new(Network::new("wsg".parse().unwrap(), fleet.clone()));
+    (Arc::new(Updates::new(&fleet, journal.clone(), network)), journal)
+}
+
+fn record(journal: &Journal, gripper: Option<&str>) {
+    let refused = RefusedEvent { command: "grip".into(), code: "malformed".into(), cause: "a test".into(), count: 1 };
+    let gripper = gripper.map(|name| name.parse().unwrap());
+    // A client's repetitions would be merged.
+    let event = Event::new(Now::read().wall, gripper, Detail::Refused(refused));
+    journal.record(Record::Event(event, None));
+}
+
+/// Waits until so many events are durable.
+async fn until(journal: &Journal, seq: i64) {
+    while journal.last_seq() < seq {
+        tokio::task::yield_now().await;
+    }
+}
+
+fn body(notification: &Notification) -> Value {
+    serde_json::from_str(notification.body()).unwrap()
+}
+
+#[tokio::test]
+async fn a_subscriber_that_is_too_slow_for_events_is_told_how_many_it_missed() {
+    let (updates, journal) = updates();
+    let mut subscription = updates.subscribe(None, [Topic::Events]);
+    let (count, first) = (3000, journal.last_seq());
+    for recorded in 1..=count {
+        record(&journal, None);
+        // As fast as it can be taken.
+        until(&journal, first + recorded).await;
+    }
+    let gap = subscription.next().await.unwrap();
+    let (seq, missed) = (body(&gap)["seq"].as_i64().unwrap(), body(&gap)["missed"].as_i64().unwrap());
+    assert_eq!((gap.method(), seq, body(&gap)["topic"].as_str()), ("gap", first, Some("events")));
+    assert!(missed > 0);
+    for expected in first + missed + 1..=first + count {
+        assert_eq!(body(&subscription.next().await.unwrap())["seq"], expected);
+    }
+    assert!(subscription.next().now_or_never().is_none());
+}
+
+#[tokio::test]
+async fn each_event_is_serialised_once_for_all() {
+    let (updates, journal) = updates();
+    let mut both = [updates.subscribe(None, [Topic::Events]), updates.subscribe(None, [Topic::Events])];
+    record(&journal, None);
+    let [first, second] = &mut both;
+    let (first, second) = (first.next().await.unwrap(), second.next().await.unwrap());
+    assert_eq!(first.frame().as_ptr(), second.frame().as_ptr());
+    assert_eq!(body(&first)["kind"], "refused");
+}
+
+#[tokio::test]
+async fn who_follows_one_gripper_is_told_of_no_other() {
+    let (updates, journal) = updates();
+    let only = BTreeSet::from(["left".parse().unwrap()]);
+    let mut subscription = updates.subscribe(Some(&only), [Topic::Events, Topic::State]);
+    let names: Vec<_> = subscription.snapshot().iter().map(|state| state.gripper.to_string()).collect();
+    assert_eq!(names, ["left"]);
+    for gripper in [Some("right"), None, Some("left")] {
+        record(&journal, gripper);
+    }
+    assert_eq!(body(&subscription.next().await.unwrap())["gripper"], "left");
+    assert!(subscription.newest(0).0.is_empty(), "nothing has changed since the snapshot");
+}
+
+#[tokio::test]
+async fn the_fleet_is_told_whole_and_then_what_has_changed() {
+    let (updates, _) = updates();
+    let (mut one, mut other) = (updates.subscribe(None, [Topic::Fleet]), updates.subscribe(None, [Topic::State]));
+    assert!(one.has_states());
+    let told = |subscription: &mut Subscription| {
+        let (told, _) = subscription.newest(0);
+        let body = |told: Notification| -> Value { serde_json::from_str(told.body()).unwrap() };
+        told.into_iter().filter(|told| told.method() == "fleet").map(body).collect::<Vec<_>>()
+    };
+    let names: Vec<_> = told(&mut one).iter().map(|body| format!("{}/{}", body["gateway"], body["gripper"])).collect();
+    assert_eq!(names, [r#""wsg"/"left""#, r#""wsg"/"right""#]);
+    assert_eq!((told(&mut one).len(), told(&mut other).len()), (0, 0));
+    let right = updates.grippers[1].handle.clone();
+    let client = Client { subject: "test".into(), door: Door::Http };
+    right.fast_stop(FastStopId::generate(), client, Reason::truncated("")).await;
+    let changed = async {
+        loop {
+            let changed = told(&mut one);
+            if !changed.is_empty() {
+                return changed;
+            }
+            tokio::task::yield_now().await;
+        }
+    };
+    let changed = tokio::time::timeout(std::time::Duration::from_secs(20), changed).await.expect("it is told");
+    assert_eq!((changed.len(), &changed[0]["gripper"]), (1, &"right".into()));
+    assert_eq!(told(&mut updates.subscribe(None, [Topic::Fleet])).len(), 2, "who comes later has all");
+}

@@ -1,0 +1,318 @@
+//! The gateways of one Zenoh network, as this one sees them: their grippers' newest states, and a way to ask them.
+//!
+//! Architecture invariant: nothing here decides about another gateway's gripper. What is asked of it goes to the gateway
+//! that owns it, and what that answers comes back as it is.
+
+mod ask;
+pub mod keys;
+mod others;
+mod told;
+mod twins;
+
+use std::collections::BTreeSet;
+use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
+use std::time::{Duration, Instant};
+
+use tokio::sync::{Notify, Semaphore, watch};
+use tokio::task::AbortHandle;
+use zenoh::Wait as _;
+use zenoh::liveliness::LivelinessToken;
+use zenoh::qos::{CongestionControl, Priority};
+use zenoh::query::{ConsolidationMode, QueryTarget, Reply};
+use zenoh::sample::{Locality, Sample, SampleKind};
+
+use self::keys::{FAST_STOP_OF_ALL, Keys, ROOT, last_part};
+use self::others::{Others, Stop};
+use self::twins::Twins;
+use crate::gripper::model::{Client, FastStopId, Name, Reason, State};
+use crate::gripper::{Grippers, Now};
+
+pub use ask::{Ask, Asked, NoAnswer, Urgency};
+pub use told::FleetGripper;
+
+/// Requests to other gateways that may be under way, of those that only stop, of those that keep or end a lease, and of all
+/// others.
+const MAX_ASKS: usize = 64;
+
+/// How long the confirmations of other gateways' grippers are waited for: as long as for one's own, and as long again for
+/// the network.
+const FAST_STOP_WAIT: Duration = crate::gripper::handle::FAST_STOP_WAIT.saturating_mul(2);
+
+/// How often the other gateways are asked at most whether they have confirmed, by all FAST STOPs together.
+const ASKS_EVERY: Duration = Duration::from_millis(25);
+
+/// How often, and for how long, a gateway is told again of a FAST STOP that it has missed: it was frozen, or its router was
+/// away. Later than that somebody may work there again, and has not heard of it.
+const INSISTS_EVERY: Duration = Duration::from_millis(250);
+const INSISTS_FOR: Duration = Duration::from_mins(1);
+
+/// The largest state of another gateway that is looked at, in bytes.
+const MAX_STATE_BYTES: usize = 16 * 1024;
+
+/// The network, from one gateway's place.
+#[derive(Debug)]
+pub struct Network {
+    gateway: Name,
+    own: Grippers,
+    session: OnceLock<zenoh::Session>,
+    /// Why it is not on it as it should be.
+    cause: watch::Sender<Option<String>>,
+    others: Mutex<Others>,
+    twins: Arc<Twins>,
+    /// Told when another gateway has answered.
+    news: Notify,
+    /// When the other gateways were asked for their states last.
+    asked_at: Mutex<Option<Instant>>,
+    asks: Arc<Semaphore>,
+    stops: Arc<Semaphore>,
+    leases: Arc<Semaphore>,
+    /// Who tells gateways again that have missed the newest FAST STOP of all.
+    insisting: Mutex<Option<AbortHandle>>,
+}
+
+/// A FAST STOP of all gateways.
+#[derive(Debug)]
+pub struct FleetStop {
+    /// What an acknowledge of this gateway's own grippers has to name.
+    pub id: FastStopId,
+    /// By gateway and gripper, whether it has confirmed.
+    pub stops: Vec<(String, bool)>,
+}
+
+impl Network {
+    /// Of the gateway of this name with these grippers, which is on no network yet.
+    #[must_use]
+    pub fn new(gateway: Name, own: Grippers) -> Self {
+        let (session, others, news) = (OnceLock::new(), Mutex::default(), Notify::new());
+        let [asks, stops, leases] = [MAX_ASKS; 3].map(|places| Arc::new(Semaphore::new(places)));
+        let (cause, twins) = (watch::Sender::new(None), Arc::default());
+        let (asked_at, insisting) = (Mutex::default(), Mutex::default());
+        Self { gateway, own, session, cause, others, twins, news, asked_at, asks, stops, leases, insisting }
+    }
+
+    /// Goes on the network of this session, for as long as what is returned lives.
+    ///
+    /// # Errors
+    /// As Zenoh says.
+    pub async fn join(self: &Arc<Self>, session: &zenoh::Session) -> zenoh::Result<LivelinessToken> {
+        let network = self.clone();
+        let told = move |state: Sample| network.take_state(state.key_expr().as_str(), &state.payload().to_bytes());
+        let states = session.declare_subscriber(format!("{ROOT}/*/*/state")).allowed_origin(Locality::Remote);
+        states.callback(told).background().await?;
+        let network = self.clone();
+        let lives = move |token: Sample| network.take_token(token.key_expr().as_str(), token.kind() == SampleKind::Put);
+        let gateways = session.liveliness().declare_subscriber(format!("{ROOT}/*/alive")).history(true);
+        gateways.callback(lives).background().await?;
+        let (network, own) = (self.clone(), session.zid().to_string());
+        let is_one = move |token: Sample| {
+            let (key, is_alive) = (token.key_expr().as_str(), token.kind() == SampleKind::Put);
+            if last_part(key) != own {
+                network.take_instance(key, is_alive);
+            }
+        };
+        let instances = session.liveliness().declare_subscriber(format!("{ROOT}/*/instance/*")).history(true);
+        instances.callback(is_one).background().await?;
+        let keys = Keys::of(&self.gateway);
+        Twins::answer(session, &keys).await?;
+        let instance = keys.own(&format!("instance/{}", session.zid()));
+        let token = session.liveliness().declare_token(instance).await?;
+        // Who is on one already stays there.
+        let _ = self.session.set(session.clone());
+        Ok(token)
+    }
+
+    /// Looks for other gateways of this one's name, for as long as it is polled.
+    pub fn watch_twins(&self, session: &zenoh::Session) -> impl Future<Output = ()> + use<> {
+        self.twins.clone().watch(session.clone(), Keys::of(&self.gateway))
+    }
+
+    /// Says why it is not on the network as it should be; none where it is.
+    pub fn set_cause(&self, cause: Option<String>) {
+        self.cause.send_replace(cause);
+    }
+
+    /// Why it is not on the network as it should be; none where it is, or is to be on none.
+    #[must_use]
+    pub fn cause(&self) -> watch::Receiver<Option<String>> {
+        self.cause.subscribe()
+    }
+
+    /// All grippers of all gateways, by gateway and name.
+    #[must_use]
+    pub fn grippers(&self) -> Vec<FleetGripper> {
+        let own = self.own.iter().filter_map(|handle| self.of_own(&handle.state()));
+        let mut all: Vec<_> = own.chain(self.others().grippers(Now::read().instant)).collect();
+        all.sort_by_cached_key(FleetGripper::name);
+        all
+    }
+
+    /// Whether a gateway is this one.
+    #[must_use]
+    pub fn is_own(&self, gateway: &Name) -> bool {
+        self.gateway == *gateway
+    }
+
+    /// Whether another gateway has the name of this one: what is asked of either goes to both.
+    #[must_use]
+    pub fn has_twin(&self) -> bool {
+        self.twins.any()
+    }
+
+    /// Why motions that are asked by Zenoh are refused; none where they are not.
+    #[must_use]
+    pub fn why_no_motions(&self) -> Option<String> {
+        const WHY: &str = "another gateway on the Zenoh network has the same name, so motions by Zenoh are refused: give each \
+                           its own --name";
+        self.has_twin().then(|| WHY.to_owned())
+    }
+
+    /// Stops the grippers of all gateways. Its own don't wait for the others, nor for Zenoh. A gateway that was not reached
+    /// is told again, for a minute.
+    pub async fn fast_stop(self: &Arc<Self>, client: &Client, reason: &Reason) -> FleetStop {
+        let begun = Now::read().instant;
+        let told = serde_json::json!({"reason": reason.as_str(), "client": &*client.subject}).to_string();
+        let ((id, own), ()) = tokio::join!(self.own.fast_stop(client, reason), self.stop_others(begun, &told));
+        // Of several gateways of one name it isn't known which of them has confirmed.
+        let is_one = !self.has_twin();
+        let own = own.into_iter();
+        let own = own.map(|(gripper, confirmed)| (format!("{}/{gripper}", self.gateway), confirmed && is_one));
+        let others = self.others().stops_since(begun);
+        let is_open = |stop: &Stop| matches!(stop, Stop::Unknown { .. } | Stop::Gone);
+        let open: BTreeSet<_> = others.iter().filter(|(_, stop)| is_open(stop)).map(|(name, _)| name.clone()).collect();
+        if !open.is_empty() {
+            let insisting = tokio::spawn(self.clone().insist(begun, told, open));
+            // The newest is for all that are open.
+            if let Some(before) = self.insisting().replace(insisting.abort_handle()) {
+                before.abort();
+            }
+        }
+        let confirmed = |((gateway, gripper), stop)| (format!("{gateway}/{gripper}"), stop == Stop::Confirmed);
+        FleetStop { id, stops: own.chain(others.into_iter().map(confirmed)).collect() }
+    }
+
+    /// Tells the others, and asks until all of them that live have confirmed.
+    async fn stop_others(self: &Arc<Self>, begun: Instant, told: &str) {
+        self.put_fast_stop(FAST_STOP_OF_ALL.to_owned(), told.to_owned());
+        let confirmed = async {
+            loop {
+                let news = self.news.notified();
+                if self.others().stops_since(begun).values().all(|stop| matches!(stop, Stop::Confirmed | Stop::Gone)) {
+                    return;
+                }
+                self.ask_states();
+                // Without an answer it is asked again.
+                let _ = tokio::time::timeout(ASKS_EVERY, news).await;
+            }
+        };
+        // Who has not confirmed by then is told as that.
+        let _ = tokio::time::timeout(FAST_STOP_WAIT, confirmed).await;
+    }
+
+    /// Tells gateways of a FAST STOP again that come back and know of none, until all these grippers' do.
+    async fn insist(self: Arc<Self>, begun: Instant, told: String, mut open: BTreeSet<(Name, Name)>) {
+        let insisted = async {
+            let mut ticks = tokio::time::interval(INSISTS_EVERY);
+            while !open.is_empty() {
+                ticks.tick().await;
+                self.ask_states();
+                let stops = self.others().stops_since(begun);
+                open.retain(|name| !matches!(stops.get(name), Some(Stop::Confirmed | Stop::Latched)));
+                let is_missed = |name: &&(Name, Name)| stops.get(name) == Some(&Stop::Unknown { is_missed: true });
+                let gateways: BTreeSet<_> = open.iter().filter(is_missed).map(|(gateway, _)| gateway).collect();
+                for gateway in gateways {
+                    tracing::warn!(%gateway, "a gateway has missed a FAST STOP, and is told again");
+                    self.put_fast_stop(Keys::of(gateway).own("fast-stop"), told.clone());
+                }
+            }
+        };
+        if tokio::time::timeout(INSISTS_FOR, insisted).await.is_err() {
+            tracing::error!(?open, "a FAST STOP of all gateways has not reached these grippers'");
+        }
+    }
+
+    /// Asks all other gateways for their grippers' states, unless they were just asked. A published state may be anyone's; an
+    /// answer is bound to the session that it comes from.
+    fn ask_states(self: &Arc<Self>) {
+        let Some(session) = self.session.get().cloned() else { return };
+        let now = Now::read().instant;
+        {
+            let mut asked_at = self.asked_at.lock().unwrap_or_else(PoisonError::into_inner);
+            if asked_at.is_some_and(|asked_at| now.saturating_duration_since(asked_at) < ASKS_EVERY) {
+                return;
+            }
+            *asked_at = Some(now);
+        }
+        let network = self.clone();
+        tokio::task::spawn_blocking(move || {
+            let get = session.get(format!("{ROOT}/*/*/state")).target(QueryTarget::All).timeout(FAST_STOP_WAIT);
+            let get = get.consolidation(ConsolidationMode::None).allowed_destination(Locality::Remote);
+            let get = get.express(true).priority(Priority::RealTime);
+            if let Err(error) = get.callback(move |reply| network.take_answer(&reply, now)).wait() {
+                tracing::error!(%error, "the other gateways are not asked whether a FAST STOP is confirmed");
+            }
+        });
+    }
+
+    fn take_answer(&self, reply: &Reply, asked_at: Instant) {
+        let Ok(state) = reply.result() else { return };
+        let (Some(name), Some(replier)) = (keys::of_gripper(state.key_expr().as_str()), reply.replier_id()) else {
+            return;
+        };
+        let is_bounded = state.payload().len() <= MAX_STATE_BYTES;
+        if let Some(told) = is_bounded.then(|| told::Told::of(&state.payload().to_bytes())).flatten() {
+            self.others().take_answer(&name, &told, &replier.zid().to_string(), asked_at);
+            self.news.notify_waiters();
+        }
+    }
+
+    /// Puts one, from where it may wait for a place.
+    fn put_fast_stop(&self, key: String, told: String) {
+        let Some(session) = self.session.get().cloned() else { return };
+        tokio::task::spawn_blocking(move || {
+            let put = session.put(key, told).allowed_destination(Locality::Remote).express(true);
+            let put = put.priority(Priority::RealTime).congestion_control(CongestionControl::Block);
+            if let Err(error) = put.wait() {
+                tracing::error!(%error, "the other gateways are not told of a FAST STOP");
+            }
+        });
+    }
+
+    fn insisting(&self) -> MutexGuard<'_, Option<AbortHandle>> {
+        self.insisting.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn of_own(&self, state: &State) -> Option<FleetGripper> {
+        let told = told::Told::of(&serde_json::to_vec(state).ok()?)?;
+        Some(told.of_gripper(&self.gateway, &state.gripper, Duration::ZERO, false))
+    }
+
+    fn take_state(&self, key: &str, state: &[u8]) {
+        let Some((gateway, gripper)) = keys::of_gripper(key) else { return };
+        if gateway != self.gateway
+            && state.len() <= MAX_STATE_BYTES
+            && let Some(told) = told::Told::of(state)
+        {
+            self.others().take_state(gateway, gripper, told);
+        }
+    }
+
+    fn take_token(&self, key: &str, is_alive: bool) {
+        if let Some(gateway) = keys::of_gateway(key).filter(|gateway| *gateway != self.gateway) {
+            tracing::info!(%gateway, is_alive, "another gateway");
+            self.others().take_token(gateway, is_alive);
+        }
+    }
+
+    fn take_instance(&self, key: &str, is_alive: bool) {
+        let Some(gateway) = keys::of_gateway(key) else { return };
+        if gateway == self.gateway {
+            self.twins.look();
+            return;
+        }
+        self.others().take_instance(gateway, last_part(key), is_alive);
+    }
+
+    fn others(&self) -> MutexGuard<'_, Others> {
+        self.others.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}

@@ -1,0 +1,293 @@
+//! The AsyncAPI document: the WebSocket, described by the schemas of the HTTP API, whose operations its methods are.
+
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+use axum::Extension;
+use axum::http::header::CONTENT_TYPE;
+use axum::response::IntoResponse;
+use serde_json::{Map, Value, json};
+use utoipa::OpenApi as _;
+
+use super::API;
+use super::docs::Documents;
+use super::errors::Members;
+use super::methods::{METHODS, Method};
+use super::responses::AnyProblem;
+use super::ws::{SUBPROTOCOL, Subscribe, Subscribed};
+use crate::events::Gap;
+use crate::gripper::model::{Command, Frame, State, Telemetry};
+
+/// What is told without having been asked for each time.
+const NOTIFICATIONS: &[(&str, &str, &str)] = &[
+    (
+        "state",
+        "State",
+        "A gripper's newest state, of topic `state`: what a client is too slow for is replaced by newer",
+    ),
+    ("telemetry", "Telemetry", "Its measured values alone, of topic `telemetry`: likewise"),
+    ("event", "StoredEvent", "What has happened, of topic `events`, once it is durable: one by one, in order"),
+    ("frame", "Frame", "A frame on the wire, of topic `frames`: one by one, in order"),
+    (
+        "fleet",
+        "FleetGripper",
+        "A gripper of any gateway, of topic `fleet`: all of them first, and then what has changed",
+    ),
+    ("gap", "Gap", "Events or frames that are missing here, since the client was too slow"),
+    ("command", "Command", "The end of a command that this socket began, and whose answer was that it runs"),
+];
+
+/// What no HTTP operation has.
+#[derive(utoipa::OpenApi)]
+#[openapi(components(schemas(Command, Frame, Gap, Members, State, Subscribe, Subscribed, Telemetry)))]
+struct OwnSchemas;
+
+/// The document.
+#[must_use]
+pub fn document() -> Value {
+    let openapi = serde_json::to_value(super::openapi()).unwrap_or_default();
+    let own = serde_json::to_value(OwnSchemas::openapi()).unwrap_or_default();
+    let (mut messages, mut operations) = (Map::new(), Map::new());
+    let mut add_method = |name: &str, summary: &str, params: Value, result: Value| {
+        let answer = format!("{name}.answer");
+        let reply =
+            json!({"channel": reference("channels", "ws"), "messages": [of_channel(&answer), of_channel("error")]});
+        operations.insert(name.to_owned(), operation("receive", name, summary, Some(reply)));
+        messages.insert(name.to_owned(), json!({"name": name, "payload": request(name, &params)}));
+        messages.insert(answer.clone(), json!({"name": answer, "payload": answered("result", result)}));
+    };
+    let follow = "Follow states, telemetry, events, frames or the fleet. It replaces what was followed before";
+    add_method(
+        "subscribe",
+        follow,
+        reference("components/schemas", "Subscribe"),
+        reference("components/schemas", "Subscribed"),
+    );
+    let names: BTreeSet<_> = METHODS.iter().map(|method| method.name).collect();
+    for name in names {
+        let rows: Vec<_> = METHODS.iter().filter(|method| method.name == name).collect();
+        let summary = rows.first().map(|row| operation_of(&openapi, row)["summary"].clone()).unwrap_or_default();
+        add_method(name, summary.as_str().unwrap_or_default(), params(&openapi, &rows), result(&openapi, &rows));
+    }
+    for (name, schema, summary) in NOTIFICATIONS {
+        let params = reference("components/schemas", schema);
+        // `command` is a method, too.
+        let message = format!("{name}.notification");
+        messages.insert(message.clone(), json!({"name": message, "payload": notification(name, &params)}));
+        operations.insert(message.clone(), operation("send", &message, summary, None));
+    }
+    messages.insert("error".to_owned(), json!({"name": "error", "payload": answered("error", error())}));
+    let schemas = reachable(&json!(messages), &[&openapi, &own]);
+    let of_channel: Map<_, _> =
+        messages.keys().map(|name| (name.clone(), reference("components/messages", name))).collect();
+    let mut document = json!({
+        "asyncapi": "3.0.0",
+        "info": {
+            "title": "WSG Gateway",
+            "version": openapi["info"]["version"],
+            "license": {"name": "MIT"},
+            "description": format!(
+                "JSON-RPC 2.0 over WebSocket, with the subprotocol {SUBPROTOCOL}. The methods are the operations of the \
+                 HTTP API, with the same fields, and their errors' `data` are its problems. A command is answered when \
+                 it was admitted; the notification `command` tells its end. Batches have 32 requests at most, messages \
+                 64 KiB. Pings come every second; who has not answered any for 3 seconds is closed. FAST STOP is not a \
+                 safety function in the sense of ISO 13850."
+            ),
+        },
+        "defaultContentType": "application/json",
+        "servers": {"gateway": {"host": "127.0.0.1:8080", "protocol": "ws"}},
+        "channels": {"ws": {"address": format!("{API}/ws"), "messages": of_channel}},
+        "operations": operations,
+        "components": {"messages": messages, "schemas": schemas},
+    });
+    with_examples(&mut document);
+    document
+}
+
+/// The document, as it is served.
+///
+/// # Errors
+/// Where it has no YAML.
+pub fn yaml() -> Result<String, serde_saphyr::ser::Error> {
+    serde_saphyr::to_string(&document())
+}
+
+/// The AsyncAPI document
+///
+/// Of the WebSocket.
+#[utoipa::path(
+    get, path = "/asyncapi.yaml", operation_id = "asyncapi", tag = "gateway",
+    responses((status = 200, description = "The document", body = serde_json::Value, content_type = "application/yaml"), AnyProblem)
+)]
+pub async fn asyncapi(Extension(documents): Extension<Arc<Documents>>) -> impl IntoResponse {
+    ([(CONTENT_TYPE, "application/yaml")], documents.asyncapi())
+}
+
+/// A reference into this document.
+fn reference(place: &str, name: &str) -> Value {
+    json!({"$ref": format!("#/{place}/{name}")})
+}
+
+fn of_channel(message: &str) -> Value {
+    reference("channels/ws/messages", message)
+}
+
+fn operation(action: &str, message: &str, summary: &str, reply: Option<Value>) -> Value {
+    let mut operation = json!({"action": action, "channel": reference("channels", "ws"), "summary": summary,
+        "messages": [of_channel(message)]});
+    if let Some(reply) = reply {
+        operation["reply"] = reply;
+    }
+    operation
+}
+
+fn notification(method: &str, params: &Value) -> Value {
+    let properties = json!({"jsonrpc": {"const": "2.0"}, "method": {"const": method}, "params": params});
+    json!({"type": "object", "required": ["jsonrpc", "method", "params"], "properties": properties})
+}
+
+/// A request. Without an `id` it is not answered.
+fn request(method: &str, params: &Value) -> Value {
+    let needs_params = params["required"].as_array().is_some_and(|required| !required.is_empty());
+    let mut request = notification(method, params);
+    request["properties"]["id"] = json!({"type": ["string", "number", "null"]});
+    request["required"] =
+        if needs_params { json!(["jsonrpc", "method", "params"]) } else { json!(["jsonrpc", "method"]) };
+    request
+}
+
+fn answered(member: &str, value: Value) -> Value {
+    let mut properties = json!({"jsonrpc": {"const": "2.0"}, "id": {"type": ["string", "number", "null"]}});
+    properties[member] = value;
+    json!({"type": "object", "required": ["jsonrpc", "id", member], "properties": properties})
+}
+
+fn error() -> Value {
+    json!({
+        "type": "object", "required": ["code", "message", "data"],
+        "properties": {
+            "code": {
+                "enum": [-32700, -32600, -32601, -32602, -32603, -32000],
+                "description": "As JSON-RPC has them; -32000 where the API refuses, and `data.code` says why",
+            },
+            "message": {"type": "string", "description": "What is wrong, for people"},
+            "data": reference("components/schemas", "Problem"),
+        },
+    })
+}
+
+fn operation_of<'a>(openapi: &'a Value, method: &Method) -> &'a Value {
+    &openapi["paths"][format!("{API}{}", method.path)][method.verb.as_str().to_lowercase()]
+}
+
+/// The body's fields, and what the path names.
+fn params(openapi: &Value, rows: &[&Method]) -> Value {
+    let mut params = json!({"type": "object", "properties": {}, "additionalProperties": false});
+    let mut required = BTreeSet::new();
+    for method in rows {
+        let operation = operation_of(openapi, method);
+        let body = &operation["requestBody"]["content"]["application/json"]["schema"]["$ref"];
+        if let Some(Value::Object(body)) =
+            body.as_str().and_then(|place| openapi.pointer(place.trim_start_matches('#')))
+        {
+            required.extend(body.get("required").and_then(Value::as_array).into_iter().flatten().cloned().map(word));
+            for (key, value) in body.iter().filter(|(key, _)| *key == "properties") {
+                params[key] = value.clone();
+            }
+        }
+    }
+    for method in rows {
+        let parameters = operation_of(openapi, method)["parameters"].as_array().into_iter().flatten();
+        for parameter in parameters.filter(|parameter| parameter["in"] == "path") {
+            let name = word(parameter["name"].clone());
+            params["properties"][&name] = parameter["schema"].clone();
+            // What one operation of the name goes without, may be left out.
+            if rows.iter().all(|row| row.path_parameters().any(|key| key == name)) {
+                required.insert(name);
+            }
+        }
+    }
+    if !required.is_empty() {
+        params["required"] = json!(required);
+    }
+    params
+}
+
+fn word(value: Value) -> String {
+    if let Value::String(word) = value { word } else { String::new() }
+}
+
+/// Whatever an operation answers that does it.
+fn result(openapi: &Value, rows: &[&Method]) -> Value {
+    let mut all = Vec::new();
+    for method in rows {
+        for status in ["200", "202"] {
+            let schema = &operation_of(openapi, method)["responses"][status]["content"]["application/json"]["schema"];
+            if schema.is_object() && !all.contains(schema) {
+                all.push(schema.clone());
+            }
+        }
+    }
+    match all.as_slice() {
+        [one] => one.clone(),
+        all => json!({"anyOf": all}),
+    }
+}
+
+/// The schemas that are referred to, and those that they refer to.
+fn reachable(from: &Value, documents: &[&Value]) -> Map<String, Value> {
+    let mut found = Map::new();
+    let mut wanted = references(from);
+    while let Some(name) = wanted.pop() {
+        let schemas = documents.iter().map(|document| &document["components"]["schemas"][&name]);
+        if let Some(schema) = schemas.into_iter().find(|schema| schema.is_object())
+            && !found.contains_key(&name)
+        {
+            wanted.extend(references(schema));
+            found.insert(name, schema.clone());
+        }
+    }
+    found
+}
+
+fn references(value: &Value) -> Vec<String> {
+    match value {
+        Value::Object(members) => members
+            .iter()
+            .flat_map(|(key, value)| match value {
+                Value::String(place) if key == "$ref" => {
+                    place.strip_prefix("#/components/schemas/").map(ToOwned::to_owned).into_iter().collect()
+                }
+                value => references(value),
+            })
+            .collect(),
+        Value::Array(items) => items.iter().flat_map(references).collect(),
+        _ => Vec::new(),
+    }
+}
+
+/// JSON Schema has `examples`, where OpenAPI has `example`, too.
+fn with_examples(value: &mut Value) {
+    match value {
+        Value::Object(members) => {
+            if let Some(example) = members.remove("example") {
+                members.insert("examples".to_owned(), json!([example]));
+            }
+            members.values_mut().for_each(with_examples);
+        }
+        Value::Array(items) => items.iter_mut().for_each(with_examples),
+        _ => {}
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn the_checked_in_document_is_what_is_served() {
+        let path = concat!(env!("CARGO_MANIFEST_DIR"), "/openapi/asyncapi.yaml");
+        assert!(
+            std::fs::read_to_string(path).unwrap_or_default() == super::yaml().unwrap(),
+            "openapi/asyncapi.yaml is stale: cargo run -- asyncapi > openapi/asyncapi.yaml"
+        );
+    }
+}

@@ -1,0 +1,377 @@
+//! The accept loop, and the life of a connection: its first bytes, its requests, its end.
+//!
+//! `axum::serve` bounds neither connections nor the time that a request's header may take, so this builds on hyper.
+//! Connections are admitted by [`Admission`]. Each is looked at before anything is decided about it: one that begins with
+//! a FAST STOP is served on the runtime that accepts, where nothing else is done, and all others move on to
+//! [`Runtimes::requests`]. A connection that follows updates moves to [`Runtimes::observers`].
+
+use std::convert::Infallible;
+use std::io;
+use std::net::SocketAddr;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use axum::Router;
+use axum::body::Body;
+use axum::extract::ConnectInfo;
+use axum::http::{Method, Request};
+use axum::response::Response;
+use futures_util::future::{BoxFuture, FutureExt as _};
+use hyper::body::{Body as _, Incoming};
+use hyper::server::conn::http1;
+use hyper::service::Service;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use rustix::net::RecvFlags;
+use socket2::SockRef;
+use tokio::net::{TcpListener, TcpSocket, TcpStream};
+use tokio::runtime::Handle;
+use tokio::sync::{OwnedSemaphorePermit, watch};
+use tokio::time::{Instant, sleep, timeout};
+use tokio_util::sync::CancellationToken;
+use tower::ServiceExt;
+
+use super::pace::RequestPace;
+use super::quick_ack::QuickAckStream;
+use super::{Context, router};
+use crate::interfaces::admission::{Admission, Bounds, ConnectionPermit, Usage};
+use crate::interfaces::metrics::Connected;
+use crate::interfaces::sockets;
+
+/// Bounds of the server.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Limits {
+    /// Connections at a time, by class.
+    pub bounds: Bounds,
+    /// How long a request's header may take, and how long a connection may be idle: until the next request's header
+    /// is there.
+    pub header_time: Duration,
+    /// How long requests may go on after a shutdown was asked for.
+    pub shutdown_time: Duration,
+}
+
+/// Headers of a request, in all. This API needs some hundred bytes; browsers add a few thousand.
+const MAX_HEADER_BYTES: usize = 16 * 1024;
+
+/// Bytes that hyper buffers for a connection in each direction, beside what a body holds by itself.
+const MAX_BUFFER_BYTES: usize = 32 * 1024;
+
+/// Bytes that may wait in the kernel for a client that takes no more: some dozens of updates.
+#[cfg(target_os = "linux")]
+const MAX_UNSENT_BYTES: u32 = 16 * 1024;
+
+/// Connections that the kernel keeps until they are accepted. In a flood of connects this is the queue that a FAST STOP
+/// waits in: more slots make it longer.
+const BACKLOG: u32 = 2048;
+
+/// Pause after a failed accept: long enough not to spin while the process is out of file descriptors, short enough not
+/// to be noticed.
+const ACCEPT_PAUSE: Duration = Duration::from_millis(5);
+
+/// How much longer than its connections the server waits for their end.
+const SHUTDOWN_SLACK: Duration = Duration::from_millis(100);
+
+/// Bytes of a request that are searched for a FAST STOP. The longest path of one has 111 bytes.
+const FIRST_BYTES: usize = 256;
+
+/// How long accepting waits for evicted connections to end.
+const ROOM_WITHIN: Duration = Duration::from_millis(10);
+
+/// How long accepting does not wait again after that was in vain.
+const STALLED_FOR: Duration = Duration::from_millis(200);
+
+/// How long the rest of a first line may take, where its beginning is there.
+const FIRST_LINE_WITHIN: Duration = Duration::from_millis(20);
+
+/// The end of a FAST STOP's path.
+const FAST_STOP: &str = "/fast-stop";
+
+impl Limits {
+    /// The usual times, within these bounds.
+    #[must_use]
+    pub fn within(bounds: Bounds) -> Self {
+        // The grippers get 2 s to end their motions, whose answers have to go out.
+        Self { bounds, header_time: Duration::from_secs(10), shutdown_time: Duration::from_secs(3) }
+    }
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self::within(Bounds::of(Bounds::MAX_DESCRIPTORS))
+    }
+}
+
+/// A listener at this address, on the runtime of the caller.
+///
+/// # Errors
+/// As the operating system says.
+pub fn listen(address: SocketAddr) -> io::Result<TcpListener> {
+    let socket = if address.is_ipv4() { TcpSocket::new_v4() } else { TcpSocket::new_v6() }?;
+    // A gateway that is started again must not wait for the connections of its last run to time out.
+    socket.set_reuseaddr(true)?;
+    socket.bind(address)?;
+    socket.listen(BACKLOG)
+}
+
+/// Serves until `shutdown`, and then what is being answered already.
+pub async fn serve(listener: TcpListener, context: Arc<Context>, limits: Limits, shutdown: CancellationToken) {
+    let admission = Admission::new(limits.bounds);
+    if let Err(error) = Usage::register(&context.registry, "http", &admission) {
+        tracing::warn!(%error, "connections are not counted");
+    }
+    let server =
+        Arc::new(Server { router: router(&context), admission, closing: shutdown.child_token(), context, limits });
+    tokio::select! {
+        biased;
+        () = shutdown.cancelled() => {}
+        () = server.accept_all(&listener) => {}
+    }
+    drop(listener);
+    // Each connection has a bound of its own on its end: this timeout covers a connection that hangs anyway.
+    if timeout(limits.shutdown_time + SHUTDOWN_SLACK, server.admission.all_ended()).await.is_err() {
+        tracing::warn!("connections closed before their requests were answered");
+    }
+}
+
+struct Server {
+    router: Router,
+    context: Arc<Context>,
+    admission: Arc<Admission>,
+    limits: Limits,
+    closing: CancellationToken,
+}
+
+impl Server {
+    async fn accept_all(self: &Arc<Self>, listener: &TcpListener) {
+        let mut stalled_at: Option<Instant> = None;
+        loop {
+            // Evicted connections mostly end at once.
+            if self.admission.is_crowded() && stalled_at.is_none_or(|at| at.elapsed() > STALLED_FOR) {
+                let has_room = timeout(ROOM_WITHIN, self.admission.has_room()).await.is_ok();
+                stalled_at = (!has_room).then(Instant::now);
+            }
+            match listener.accept().await {
+                Ok((stream, peer)) if self.admission.is_crowded() => {
+                    // They end where others are served, which may be busy. A FAST STOP waits for none of them.
+                    if let Some(place) = self.admission.reserved() {
+                        tokio::spawn(self.clone().admit_fast_stop(stream, peer, place));
+                    }
+                }
+                Ok((stream, peer)) => {
+                    let permit = Arc::new(self.admission.admit(peer.ip(), &self.closing));
+                    let connected = self.context.metrics.connected();
+                    tokio::spawn(self.clone().begin(stream, peer, permit, connected));
+                }
+                Err(error) => {
+                    tracing::warn!(%error, "connection could not be accepted");
+                    self.admission.evict_one();
+                    sleep(ACCEPT_PAUSE).await;
+                }
+            }
+        }
+    }
+
+    /// Admits a connection only where it begins with a FAST STOP.
+    async fn admit_fast_stop(self: Arc<Self>, stream: TcpStream, peer: SocketAddr, place: OwnedSemaphorePermit) {
+        let mut first = [0; FIRST_BYTES];
+        let seen = timeout(FIRST_LINE_WITHIN, stream.peek(&mut first)).await.map_or(0, Result::unwrap_or_default);
+        if may_be_fast_stop(first.get(..seen).unwrap_or_default()) {
+            let permit = Arc::new(self.admission.admit(peer.ip(), &self.closing));
+            let connected = self.context.metrics.connected();
+            self.begin(stream, peer, permit, connected).await;
+        }
+        drop(place);
+    }
+
+    /// Looks at a connection's first bytes, and has it served where it belongs.
+    async fn begin(
+        self: Arc<Self>,
+        stream: TcpStream,
+        peer: SocketAddr,
+        permit: Arc<ConnectionPermit>,
+        connected: Connected,
+    ) {
+        let mut first = [0; FIRST_BYTES];
+        let mut seen = tokio::select! {
+            biased;
+            seen = stream.peek(&mut first) => seen.unwrap_or(0),
+            // Bytes that arrived before the eviction still count.
+            () = permit.evicted() => peek_now(&stream, &mut first),
+            () = sleep(self.limits.header_time) => 0,
+        };
+        if seen == 0 {
+            return;
+        }
+        if !first.contains(&b'\n') && seen < FIRST_BYTES {
+            // The first line may come in two packets.
+            sleep(FIRST_LINE_WITHIN).await;
+            seen = peek_now(&stream, &mut first);
+        }
+        // Answers are small, and awaited. An open request keeps a lease, so a machine that vanishes has to be noticed.
+        // A connection that says nothing costs no such call.
+        if let Err(error) = sockets::prepare(&stream) {
+            return tracing::debug!(%peer, %error, "connection refused: its options could not be set");
+        }
+        set_unsent_limit(&stream);
+        let is_fast_stop = may_be_fast_stop(first.get(..seen).unwrap_or_default());
+        let runtimes = &self.context.runtimes;
+        let runtime = if is_fast_stop { runtimes.accept.clone() } else { runtimes.requests.clone() };
+        let (moves, home) = watch::channel(runtime.clone());
+        let service = Requests {
+            server: self.clone(),
+            peer,
+            permit: permit.clone(),
+            home: Home(Arc::new(moves)),
+            pace: Arc::default(),
+            has_served: Arc::default(),
+        };
+        let http = http1::Builder::new()
+            .timer(TokioTimer::new())
+            .header_read_timeout(self.limits.header_time)
+            .max_header_size(MAX_HEADER_BYTES)
+            .max_buf_size(MAX_BUFFER_BYTES)
+            .serve_connection(TokioIo::new(QuickAckStream::new(stream)), service)
+            .with_upgrades();
+        let http = Box::pin(http);
+        let connection = Connection { server: self, peer, permit, is_fast_stop, http, home, _connected: connected };
+        drop(runtime.spawn(connection.run()));
+    }
+}
+
+/// Asks for a connection's move to another runtime. Handlers find it in a request's extensions.
+#[derive(Debug, Clone)]
+pub struct Home(Arc<watch::Sender<Handle>>);
+
+impl Home {
+    /// Moves the connection to a runtime, unwritten bytes included.
+    pub fn move_to(&self, runtime: &Handle) {
+        self.move_if(runtime, |home| home.id() != runtime.id());
+    }
+
+    /// Moves the connection from `from` to `to`, if it is on `from`.
+    fn leave(&self, from: &Handle, to: &Handle) {
+        self.move_if(to, |home| home.id() == from.id() && home.id() != to.id());
+    }
+
+    fn move_if(&self, runtime: &Handle, moves: impl FnOnce(&Handle) -> bool) {
+        self.0.send_if_modified(|home| {
+            let moves = moves(home);
+            if moves {
+                *home = runtime.clone();
+            }
+            moves
+        });
+    }
+}
+
+/// A connection that is served by hyper, on one runtime at a time.
+struct Connection {
+    server: Arc<Server>,
+    peer: SocketAddr,
+    permit: Arc<ConnectionPermit>,
+    /// Whether it has begun with a FAST STOP.
+    is_fast_stop: bool,
+    http: Pin<Box<http1::UpgradeableConnection<TokioIo<QuickAckStream>, Requests>>>,
+    home: watch::Receiver<Handle>,
+    _connected: Connected,
+}
+
+impl Connection {
+    /// Serves it until its end, or until it moves on.
+    fn run(mut self) -> BoxFuture<'static, ()> {
+        let run = async move {
+            let ended = tokio::select! {
+                biased;
+                ended = self.http.as_mut() => ended,
+                () = self.permit.evicted() => self.leave().await,
+                Ok(()) = self.home.changed() => {
+                    let home = self.home.borrow_and_update().clone();
+                    drop(home.spawn(self.run()));
+                    return;
+                }
+            };
+            if let Err(error) = ended {
+                tracing::debug!(peer = %self.peer, %error, "connection ended");
+            }
+        };
+        run.boxed()
+    }
+
+    /// Ends it: at once where no request is there, else with its answer.
+    async fn leave(&mut self) -> hyper::Result<()> {
+        let limit = if self.server.closing.is_cancelled() {
+            self.server.limits.shutdown_time
+        } else if self.is_fast_stop || !self.permit.is_unused() {
+            self.permit.linger()
+        } else {
+            return Ok(());
+        };
+        if !self.permit.is_unused() || !self.is_fast_stop {
+            self.http.as_mut().graceful_shutdown();
+        }
+        timeout(limit, self.http.as_mut()).await.unwrap_or(Ok(()))
+    }
+}
+
+/// The requests of one connection.
+#[derive(Clone)]
+struct Requests {
+    server: Arc<Server>,
+    peer: SocketAddr,
+    permit: Arc<ConnectionPermit>,
+    home: Home,
+    pace: Arc<RequestPace>,
+    /// Whether a request has come.
+    has_served: Arc<AtomicBool>,
+}
+
+impl Service<Request<Incoming>> for Requests {
+    type Response = Response;
+    type Error = Infallible;
+    type Future = BoxFuture<'static, Result<Response, Infallible>>;
+
+    fn call(&self, mut request: Request<Incoming>) -> Self::Future {
+        // A connection that goes on after its first FAST STOP is like all others.
+        if self.has_served.swap(true, Ordering::Relaxed) || !is_fast_stop(&request) {
+            self.home.leave(&self.server.context.runtimes.accept, &self.server.context.runtimes.requests);
+        }
+        if !request.body().is_end_stream() {
+            self.permit.receiving();
+        }
+        let extensions = request.extensions_mut();
+        extensions.insert(ConnectInfo(self.peer));
+        extensions.insert(self.permit.clone());
+        extensions.insert(self.home.clone());
+        extensions.insert(self.pace.clone());
+        self.server.router.clone().oneshot(request.map(Body::new)).boxed()
+    }
+}
+
+/// Whether a request is a FAST STOP, by its path.
+pub fn is_fast_stop<B>(request: &Request<B>) -> bool {
+    request.method() == Method::POST && request.uri().path().trim_end_matches('/').ends_with(FAST_STOP)
+}
+
+/// Whether a request's first bytes may be those of a FAST STOP.
+fn may_be_fast_stop(first: &[u8]) -> bool {
+    let line = first.split(|byte| *byte == b'\n').next().unwrap_or_default();
+    line.windows(FAST_STOP.len()).any(|part| part == FAST_STOP.as_bytes())
+}
+
+/// Peeks without waiting for tokio's readiness, which a fresh stream does not have yet.
+fn peek_now(stream: &TcpStream, buffer: &mut [u8]) -> usize {
+    rustix::net::recv(stream, buffer, RecvFlags::PEEK | RecvFlags::DONTWAIT).map_or(0, |(_, bytes)| bytes)
+}
+
+/// Bytes queued in the kernel are stale before the client reads them, which would defeat newest-wins.
+fn set_unsent_limit(stream: &TcpStream) {
+    #[cfg(target_os = "linux")]
+    if let Err(error) = SockRef::from(stream).set_tcp_notsent_lowat(MAX_UNSENT_BYTES) {
+        tracing::debug!(%error, "TCP_NOTSENT_LOWAT could not be set");
+    }
+}
+
+#[cfg(test)]
+#[path = "server_tests.rs"]
+mod tests;

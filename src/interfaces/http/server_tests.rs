@@ -1,0 +1,229 @@
+//! The server on a socket, spoken to in bytes.
+
+use std::time::Instant;
+
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::sync::mpsc::UnboundedReceiver;
+use tokio::task::JoinHandle;
+
+use super::*;
+use crate::gripper::fake::{self, Fate, Script, Seen};
+use crate::interfaces::admission::Class;
+
+struct Server {
+    address: SocketAddr,
+    shutdown: CancellationToken,
+    task: JoinHandle<()>,
+    seen: UnboundedReceiver<Seen>,
+}
+
+async fn start(limits: Limits, script: Script) -> Server {
+    let (handle, seen) = fake::gripper("left", script);
+    let context = Context::of([handle]);
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = listener.local_addr().unwrap();
+    let shutdown = CancellationToken::new();
+    let task = tokio::spawn(serve(listener, Arc::new(context), limits, shutdown.clone()));
+    Server { address, shutdown, task, seen }
+}
+
+impl Server {
+    async fn connect(&self) -> TcpStream {
+        TcpStream::connect(self.address).await.unwrap()
+    }
+
+    /// What comes back until the server closes, for a request that asks it to.
+    async fn exchange(&self, request: &[u8]) -> String {
+        let mut stream = self.connect().await;
+        stream.write_all(request).await.unwrap();
+        rest(&mut stream).await
+    }
+}
+
+async fn rest(stream: &mut TcpStream) -> String {
+    let mut bytes = Vec::new();
+    stream.read_to_end(&mut bytes).await.unwrap();
+    String::from_utf8(bytes).unwrap()
+}
+
+/// One answer of a connection that stays open.
+async fn answer(stream: &mut TcpStream) -> String {
+    let mut answer = String::new();
+    let mut buffer = [0; 4096];
+    loop {
+        let bytes = stream.read(&mut buffer).await.unwrap();
+        assert!(bytes > 0, "closed after {answer:?}");
+        answer.push_str(std::str::from_utf8(&buffer[..bytes]).unwrap());
+        if let Some((head, body)) = answer.split_once("\r\n\r\n") {
+            let length = head.lines().find_map(|line| line.strip_prefix("content-length: ")).unwrap();
+            if body.len() == length.parse::<usize>().unwrap() {
+                return answer;
+            }
+        }
+    }
+}
+
+const HEALTH: &[u8] = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n";
+
+#[tokio::test]
+async fn a_connection_is_kept_for_the_next_request() {
+    let server = start(Limits::default(), Script::default()).await;
+    let mut stream = server.connect().await;
+    for _ in 0..3 {
+        stream.write_all(HEALTH).await.unwrap();
+        assert!(answer(&mut stream).await.starts_with("HTTP/1.1 200 OK\r\n"));
+    }
+}
+
+#[tokio::test]
+async fn http_1_0_without_a_host_is_served() {
+    let server = start(Limits::default(), Script::default()).await;
+    let answer = server.exchange(b"GET /healthz HTTP/1.0\r\n\r\n").await;
+    assert!(answer.starts_with("HTTP/1.0 200 OK\r\n") && answer.ends_with(r#""status":"ok"}"#), "{answer}");
+    assert!(answer.contains("content-length: ") && !answer.contains("transfer-encoding"));
+}
+
+#[tokio::test]
+async fn half_a_header_is_dropped_after_its_time() {
+    let limits = Limits { header_time: Duration::from_millis(50), ..Limits::default() };
+    let server = start(limits, Script::default()).await;
+    let start = Instant::now();
+    assert_eq!(server.exchange(b"GET /healthz HTTP/1.1\r\nHost: loc").await, "");
+    assert!(start.elapsed() >= limits.header_time);
+}
+
+#[tokio::test]
+async fn a_body_that_is_too_large_is_read_and_answered() {
+    let server = start(Limits::default(), Script::default()).await;
+    let body = vec![b' '; 1024 * 1024];
+    for path in ["/api/v1/grippers/left/home", "/nowhere"] {
+        let head = format!("POST {path} HTTP/1.1\r\nHost: localhost\r\nContent-Length: {}\r\n\r\n", body.len());
+        let answer = server.exchange(&[head.as_bytes(), &body].concat()).await;
+        assert!(answer.starts_with("HTTP/1.1 413 Payload Too Large\r\n"), "{answer}");
+        assert!(answer.contains(r#""code":"too_large""#) && answer.contains(r#""max":65536"#), "{answer}");
+    }
+}
+
+#[tokio::test]
+async fn a_large_body_that_is_announced_first_is_answered_too() {
+    let server = start(Limits::default(), Script::default()).await;
+    let mut stream = server.connect().await;
+    let head = "POST /api/v1/grippers/left/home HTTP/1.1\r\nHost: localhost\r\nExpect: 100-continue\r\n\
+                Content-Length: 100000\r\n\r\n";
+    stream.write_all(head.as_bytes()).await.unwrap();
+    let mut go_on = [0; 25];
+    stream.read_exact(&mut go_on).await.unwrap();
+    assert_eq!(&go_on, b"HTTP/1.1 100 Continue\r\n\r\n");
+    stream.write_all(&vec![b' '; 100_000]).await.unwrap();
+    assert!(rest(&mut stream).await.starts_with("HTTP/1.1 413 "));
+}
+
+/// Bounds of one connection a class.
+fn narrow() -> Limits {
+    Limits::within(Bounds::of(1))
+}
+
+#[tokio::test]
+async fn longest_idle_connection_gives_way() {
+    let server = start(narrow(), Script::default()).await;
+    let mut first = server.connect().await;
+    first.write_all(HEALTH).await.unwrap();
+    answer(&mut first).await;
+    let mut second = server.connect().await;
+    second.write_all(HEALTH).await.unwrap();
+    answer(&mut second).await;
+    assert_eq!(rest(&mut first).await, "");
+}
+
+#[tokio::test]
+async fn half_sent_body_gives_way() {
+    let server = start(narrow(), Script::default()).await;
+    let mut first = server.connect().await;
+    // Its 100 Continue shows that the request is there, and waits for its body.
+    let head = "POST /api/v1/grippers/left/home HTTP/1.1\r\nHost: localhost\r\nExpect: 100-continue\r\n\
+                Content-Length: 2\r\n\r\n";
+    first.write_all(head.as_bytes()).await.unwrap();
+    let mut go_on = [0; 25];
+    first.read_exact(&mut go_on).await.unwrap();
+    let health = server.exchange(b"GET /healthz HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n").await;
+    assert!(health.starts_with("HTTP/1.1 200 OK\r\n"), "{health}");
+    assert_eq!(rest(&mut first).await, "");
+}
+
+#[tokio::test]
+async fn long_poll_beyond_the_bound_is_answered_at_once() {
+    let limits = Limits::within(Bounds::of(1).with(Class::Incoming, 2).with(Class::Answering, 2));
+    let server = start(limits, Script { fate: Fate::Runs, ..Script::default() }).await;
+    let mut first = server.connect().await;
+    let home = "POST /api/v1/grippers/left/home?wait_ms=60000 HTTP/1.1\r\nHost: localhost\r\nContent-Length: 0\r\n\r\n";
+    first.write_all(home.as_bytes()).await.unwrap();
+    let waiting = async {
+        let mut second = server.connect().await;
+        loop {
+            // Which of the two waits, the kernel decides.
+            second.write_all(home.as_bytes()).await.unwrap();
+            let answer = answer(&mut second).await;
+            if answer.starts_with("HTTP/1.1 202 ") {
+                return answer;
+            }
+        }
+    };
+    let answer = tokio::select! {
+        answer = waiting => answer,
+        answer = answer(&mut first) => answer,
+    };
+    assert!(answer.contains("\r\nlocation: /api/v1/grippers/left/commands/"), "{answer}");
+}
+
+#[tokio::test]
+async fn a_shutdown_ends_idle_connections_and_awaits_answers() {
+    let server = start(Limits::default(), Script::default()).await;
+    let mut idle = server.connect().await;
+    idle.write_all(HEALTH).await.unwrap();
+    answer(&mut idle).await;
+    let mut busy = server.connect().await;
+    let head = "POST /api/v1/grippers/left/home HTTP/1.1\r\nHost: localhost\r\nExpect: 100-continue\r\n\
+                Content-Length: 2\r\n\r\n";
+    busy.write_all(head.as_bytes()).await.unwrap();
+    let mut go_on = [0; 25];
+    busy.read_exact(&mut go_on).await.unwrap();
+    server.shutdown.cancel();
+    assert_eq!(rest(&mut idle).await, "");
+    busy.write_all(b"{}").await.unwrap();
+    assert!(rest(&mut busy).await.starts_with("HTTP/1.1 200 OK\r\n"));
+    server.task.await.unwrap();
+}
+
+#[tokio::test]
+async fn a_shutdown_does_not_wait_for_ever() {
+    let limits = Limits { shutdown_time: Duration::from_millis(50), ..Limits::default() };
+    let server = start(limits, Script { fate: Fate::Runs, ..Script::default() }).await;
+    let mut busy = server.connect().await;
+    let head = "POST /api/v1/grippers/left/home?wait_ms=60000 HTTP/1.1\r\nHost: localhost\r\n\
+                Expect: 100-continue\r\nContent-Length: 2\r\n\r\n";
+    busy.write_all(head.as_bytes()).await.unwrap();
+    let mut go_on = [0; 25];
+    busy.read_exact(&mut go_on).await.unwrap();
+    server.shutdown.cancel();
+    server.task.await.unwrap();
+}
+
+#[tokio::test]
+async fn a_fast_stop_whose_client_is_gone_stops_all_the_same() {
+    let mut server = start(Limits::default(), Script::default()).await;
+    let mut client = server.connect().await;
+    let head = b"POST /api/v1/fast-stop HTTP/1.1\r\nHost: localhost\r\nContent-Length: 20\r\n\r\n{\"rea";
+    client.write_all(head).await.unwrap();
+    drop(client);
+    assert!(matches!(server.seen.recv().await, Some(Seen::FastStop(reason)) if reason.as_str().is_empty()));
+}
+
+#[tokio::test]
+async fn a_fast_stop_with_a_huge_body_is_answered() {
+    let server = start(Limits::default(), Script::default()).await;
+    let body = vec![b' '; 1024 * 1024];
+    let head =
+        "POST /api/v1/fast-stop HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Length: 1048576\r\n\r\n";
+    let answer = server.exchange(&[head.as_bytes(), &body].concat()).await;
+    assert!(answer.starts_with("HTTP/1.1 200 OK\r\n") && answer.contains(r#""confirmed":["left"]"#), "{answer}");
+}

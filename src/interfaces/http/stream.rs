@@ -1,0 +1,262 @@
+//! Live updates as server-sent events: what happens, from a given event on without a gap, the newest states, and the
+//! frames on the wire.
+
+use std::collections::{BTreeSet, VecDeque};
+use std::convert::Infallible;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::extract::State as Shared;
+use axum::http::{Extensions, HeaderMap, Uri};
+use axum::response::Sse;
+use axum::response::sse::{self, KeepAlive};
+use futures_util::stream::unfold;
+use tokio_util::sync::CancellationToken;
+use utoipa::{IntoParams, ToSchema};
+
+use super::Context;
+use super::errors::{Code, Problem};
+use super::parameters::Parameters;
+use super::responses::JournalProblem;
+use super::server::Home;
+use super::values::integer;
+use crate::events::{Gap, Notification, Pace, Subscription, TOPICS, Topic};
+use crate::gripper::Now;
+use crate::gripper::model::Name;
+use crate::interfaces::admission::{Claim, Class, ConnectionPermit};
+use crate::interfaces::metrics::Metrics;
+use crate::journal::{Filter, Follow, Followed};
+
+/// How often states and telemetry are told at most, unless a client asks for more or less.
+pub const DEFAULT_HZ: u64 = 10;
+
+/// And at most: as often as devices tell.
+pub const MAX_HZ: u64 = 100;
+
+/// How often a stream on which nothing happens says that it is still there, so that proxies keep it.
+const KEPT_ALIVE_EVERY: Duration = Duration::from_secs(15);
+
+/// How long a stream rests whose journal can't be read.
+const RESTS_FOR: Duration = Duration::from_secs(1);
+
+#[derive(IntoParams)]
+#[into_params(parameter_in = Query)]
+#[allow(dead_code, reason = "the document's words on what stream takes from the address")]
+pub struct StreamQuery {
+    /// `events` (default), `state`, `telemetry`, `frames`, `fleet`, or several of them with commas between.
+    #[param(
+        pattern = "^(events|state|telemetry|frames|fleet)(,(events|state|telemetry|frames|fleet))*$",
+        example = "events,state"
+    )]
+    topics: Option<String>,
+    /// Only of this gripper.
+    #[param(max_length = 32, pattern = "^[a-z0-9][a-z0-9_-]{0,31}$", example = "left")]
+    gripper: Option<String>,
+    /// How many states and telemetry a second at most, of each gripper. 10 by default.
+    #[param(minimum = 1, maximum = 100, default = 10)]
+    max_hz: Option<u64>,
+    /// The same as `Last-Event-ID`, for clients that can't set a header: events begin behind this one.
+    #[param(minimum = 0, maximum = 999_999_999_999_999_999_i64)]
+    after: Option<i64>,
+}
+
+#[derive(IntoParams)]
+#[into_params(parameter_in = Header)]
+#[allow(dead_code, reason = "the document's words on what stream takes from the headers")]
+pub struct StreamHeaders {
+    /// The `seq` of the last event that was seen: events begin behind it, and a `gap` says how many are too old to be there.
+    /// Without it they begin now.
+    #[param(rename = "Last-Event-ID", nullable = false, pattern = "^([0-9]{1,18})?$")]
+    last_event_id: Option<String>,
+}
+
+/// One server-sent event.
+#[derive(ToSchema)]
+#[schema(as = StreamMessage)]
+#[allow(dead_code, reason = "the document's words on what stream sends")]
+pub struct Message {
+    /// `event`, `state`, `telemetry`, `frame`, `fleet` or `gap`.
+    #[schema(nullable = false)]
+    event: Option<String>,
+    /// An event's `seq`; of a `gap` of events that of the last one that is missing.
+    #[schema(nullable = false)]
+    id: Option<String>,
+    /// The body, as JSON.
+    data: String,
+}
+
+/// One client's stream.
+struct Stream {
+    events: Option<Follow>,
+    updates: Subscription,
+    pace: Pace,
+    metrics: Metrics,
+    /// What is to be told, at most a message a topic and gripper.
+    ready: VecDeque<Notification>,
+    closing: CancellationToken,
+    _claim: Option<Claim>,
+}
+
+/// Live updates
+///
+/// Server-sent events: `event` with its `seq` as id, `state`, `telemetry`, `frame`, `fleet`. Events come without a gap from
+/// `Last-Event-ID` on, or from now on. A `gap` says how many behind it are too old to be there, of all grippers together.
+/// Where the journal was replaced meanwhile, and has no event of that number yet, they come from its first on. Of states and
+/// telemetry the newest comes, and what a slow client misses is never queued; frames come one by one, and where a client
+/// was too slow for some a `gap` says for how many.
+#[utoipa::path(
+    get, path = "/stream", operation_id = "stream", tag = "journal",
+    params(StreamQuery, StreamHeaders),
+    responses((status = 200, description = "The stream", body = Message, content_type = "text/event-stream"), JournalProblem)
+)]
+pub async fn stream(
+    Shared(context): Shared<Arc<Context>>,
+    headers: HeaderMap,
+    uri: Uri,
+    extensions: Extensions,
+) -> Result<Sse<impl futures_util::Stream<Item = Result<sse::Event, Infallible>>>, Problem> {
+    let stream = Stream::new(&context, &headers, &uri)?;
+    let permit = extensions.get::<Arc<ConnectionPermit>>();
+    let claim = permit.map(|permit| permit.claim(Class::Streaming).ok_or_else(too_many)).transpose()?;
+    let stream = Stream { _claim: claim, ..stream };
+    // What a thousand observers are sent must not delay a request.
+    if let Some(home) = extensions.get::<Home>() {
+        home.move_to(&context.runtimes.observers);
+    }
+    let told = unfold(stream, |mut stream| async { stream.next().await.map(|event| (Ok(event), stream)) });
+    Ok(Sse::new(told).keep_alive(KeepAlive::new().interval(KEPT_ALIVE_EVERY)))
+}
+
+impl Stream {
+    fn new(context: &Context, headers: &HeaderMap, uri: &Uri) -> Result<Self, Problem> {
+        let given = Parameters::of(uri)?.only(&["topics", "gripper", "max_hz", "after"])?;
+        let mut topics = given
+            .parsed("topics", &format!("{TOPICS}, with commas between"), topics)?
+            .unwrap_or_else(|| BTreeSet::from([Topic::Events]));
+        let name: Option<Name> = given.parsed("gripper", "a gripper's name", |text| text.parse().ok())?;
+        if let Some(name) = &name {
+            context.fleet.get(name).ok_or_else(|| Problem::not_found("gripper of this name"))?;
+        }
+        let max_hz = match given.parsed("max_hz", "a whole number", |text| text.parse::<f64>().ok())? {
+            Some(number) => integer("max_hz", number, 1..=MAX_HZ)?,
+            None => DEFAULT_HZ,
+        };
+        let after = given.parsed("after", "the seq of an event: 0 or more", seq)?;
+        let after = match headers.get("Last-Event-ID").filter(|id| !id.is_empty()) {
+            Some(id) => Some(id.to_str().ok().and_then(seq).ok_or_else(bad_last_event_id)?),
+            None => after,
+        };
+        let only = name.iter().cloned().collect();
+        let filter = Filter { gripper: name.clone(), ..Filter::default() };
+        // The journal itself tells of events without a gap.
+        let events = topics.remove(&Topic::Events).then(|| context.journal.follow(after, filter));
+        let mut updates = context.updates.subscribe(name.as_ref().map(|_| &only), topics.iter().copied());
+        let mut ready = VecDeque::new();
+        for state in updates.snapshot() {
+            let has = |topic| topics.contains(&topic);
+            ready.extend(has(Topic::State).then(|| Notification::new("state", &*state)).flatten());
+            let telemetry = || Notification::new("telemetry", &state.telemetry(Now::read().wall));
+            ready.extend(has(Topic::Telemetry).then(telemetry).flatten());
+        }
+        let (metrics, closing) = (context.metrics.clone(), context.closing.clone());
+        Ok(Self { events, updates, pace: Pace::new(max_hz as u32), metrics, ready, closing, _claim: None })
+    }
+
+    /// The next message; none when the gateway ends.
+    async fn next(&mut self) -> Option<sse::Event> {
+        loop {
+            if let Some(told) = self.ready.pop_front() {
+                return Some(message(&told));
+            }
+            tokio::select! {
+                biased;
+                () = self.closing.cancelled() => return None,
+                event = next_event(&mut self.events) => match event {
+                    Ok(Some(event)) => return Some(event),
+                    Ok(None) => return None,
+                    Err(()) => tokio::time::sleep(RESTS_FOR).await,
+                },
+                Some(frame) = self.updates.next() => self.ready.push_back(frame),
+                missed = self.pace.next(), if self.updates.has_states() => {
+                    let (told, dropped) = self.updates.newest(missed);
+                    self.ready.extend(told);
+                    self.metrics.dropped(dropped);
+                }
+            }
+        }
+    }
+}
+
+/// Says that no further WebSocket or stream may be opened.
+pub fn too_many() -> Problem {
+    Problem::new(Code::Overloaded, "too many WebSockets and streams are open: close some, or poll the state")
+}
+
+fn message(told: &Notification) -> sse::Event {
+    sse::Event::default().event(told.method()).data(told.body())
+}
+
+/// The next event, or what is missing before it; none after the journal was closed.
+async fn next_event(events: &mut Option<Follow>) -> Result<Option<sse::Event>, ()> {
+    let Some(events) = events else { return std::future::pending().await };
+    match events.next().await {
+        Ok(None) => Ok(None),
+        Ok(Some(Followed::Event(event))) => {
+            Ok(Some(sse::Event::default().event("event").id(event.seq.to_string()).data(&*event.body)))
+        }
+        Ok(Some(Followed::Removed { behind, missed })) => {
+            let gap = Notification::new("gap", &Gap::of_events(behind, missed.unsigned_abs())).ok_or(())?;
+            Ok(Some(message(&gap).id((behind + missed).to_string())))
+        }
+        Err(error) => {
+            tracing::warn!(%error, "a stream's events can't be read");
+            Err(())
+        }
+    }
+}
+
+/// Each once, however often it is named.
+fn topics(text: &str) -> Option<BTreeSet<Topic>> {
+    text.split(',').map(|topic| serde_json::from_value(topic.into()).ok()).collect()
+}
+
+fn seq(text: &str) -> Option<i64> {
+    // Of more digits there is none.
+    let digits = text.len() <= 18 && text.bytes().all(|byte| byte.is_ascii_digit());
+    text.parse().ok().filter(|_| digits)
+}
+
+fn bad_last_event_id() -> Problem {
+    Problem::malformed("Last-Event-ID", "Last-Event-ID must be the seq of an event: 0 or more")
+}
+
+#[cfg(test)]
+mod tests {
+    use prometheus::TextEncoder;
+
+    use super::*;
+    use crate::gripper::fake::{self, Script};
+    use crate::gripper::model::{Client, Door, FastStopId, Reason};
+
+    #[tokio::test(start_paused = true)]
+    async fn states_that_a_slow_client_misses_are_counted_and_those_beyond_its_rate_are_not() {
+        let (handle, _seen) = fake::gripper("left", Script::default());
+        let context = Context::of([handle.clone()]);
+        let uri = Uri::from_static("/stream?topics=state,telemetry&max_hz=10");
+        let mut stream = Stream::new(&context, &HeaderMap::new(), &uri).unwrap();
+        // Between the changes no time passes; each is told as a state and as telemetry.
+        for (changes, later_ms, expected) in [(0, 0, 0), (3, 0, 0), (3, 350, 4), (1, 350, 4), (10, 100, 4)] {
+            for _ in 0..changes {
+                let client = Client { subject: "test".into(), door: Door::Http };
+                handle.fast_stop(FastStopId::generate(), client, Reason::truncated("")).await;
+            }
+            tokio::time::advance(Duration::from_millis(later_ms)).await;
+            for _ in 0..2 {
+                assert!(stream.next().await.is_some());
+            }
+            let text = TextEncoder::new().encode_to_string(&context.registry.gather()).unwrap();
+            let line = format!("wsg_updates_dropped_total{{door=\"http\"}} {expected}");
+            assert!(text.lines().any(|other| other == line), "no {line} after {changes} changes in\n{text}");
+        }
+    }
+}

@@ -1,0 +1,134 @@
+//! Queue of frames for one client, bounded in bytes.
+
+use std::collections::VecDeque;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+use bytes::Bytes;
+use tokio::sync::Notify;
+
+use super::bodies::Following;
+use crate::interfaces::admission::HeldBytes;
+
+/// Bytes that may wait for a client to read them. A client that goes on asking beyond is disconnected.
+pub const MAX_WAITING_BYTES: usize = 256 * 1024;
+
+/// Answers, and bytes of them, that may wait before further requests are refused as `overloaded`, FAST STOPs apart.
+const MAX_UNREAD: usize = 64;
+const MAX_UNREAD_BYTES: usize = MAX_WAITING_BYTES / 2;
+
+/// Overhead of an entry in the queue.
+const ENTRY_BYTES: usize = 64;
+
+/// The queue of one client: its reader fills it, and its writer empties it.
+#[derive(Debug)]
+pub struct Outbox {
+    queue: Mutex<Queue>,
+    news: Notify,
+}
+
+#[derive(Debug)]
+struct Queue {
+    items: VecDeque<Item>,
+    /// Bytes of the waiting frames, and of those being written.
+    bytes: usize,
+    held: Option<HeldBytes>,
+    is_closed: bool,
+}
+
+/// One thing for the writer.
+pub enum Item {
+    /// Whole WebSocket frames.
+    Frames(Bytes),
+    /// From here on these updates are followed.
+    Follow(Following),
+}
+
+impl std::fmt::Debug for Item {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Frames(bytes) => f.debug_tuple("Frames").field(&bytes.len()).finish(),
+            Self::Follow(_) => f.write_str("Follow"),
+        }
+    }
+}
+
+impl Outbox {
+    pub fn new(held: Option<HeldBytes>) -> Self {
+        let queue = Queue { items: VecDeque::new(), bytes: 0, held, is_closed: false };
+        Self { queue: Mutex::new(queue), news: Notify::new() }
+    }
+
+    /// Queues frames.
+    pub fn push(&self, frames: Bytes) {
+        let mut queue = self.queue();
+        queue.count(frames.len() + ENTRY_BYTES, 0);
+        queue.items.push_back(Item::Frames(frames));
+        drop(queue);
+        self.news.notify_one();
+    }
+
+    /// Queues what is followed from here on.
+    pub fn follow(&self, following: Following) {
+        self.queue().items.push_back(Item::Follow(following));
+        self.news.notify_one();
+    }
+
+    /// Ends the writer once all is written.
+    pub fn close(&self) {
+        self.queue().is_closed = true;
+        self.news.notify_one();
+    }
+
+    /// Whether the client reads so little that it may ask for nothing more.
+    pub fn is_unread(&self) -> bool {
+        let queue = self.queue();
+        queue.items.len() >= MAX_UNREAD || queue.bytes >= MAX_UNREAD_BYTES
+    }
+
+    /// Whether the queue exceeds [`MAX_WAITING_BYTES`].
+    pub fn has_overflown(&self) -> bool {
+        self.queue().bytes > MAX_WAITING_BYTES
+    }
+
+    /// The next item; none once the outbox is closed and empty.
+    pub async fn next(&self) -> Option<Item> {
+        loop {
+            let news = self.news.notified();
+            {
+                let mut queue = self.queue();
+                match queue.items.pop_front() {
+                    None if queue.is_closed => return None,
+                    None => {}
+                    item => return item,
+                }
+            }
+            news.await;
+        }
+    }
+
+    /// The next frames, where some wait already.
+    pub fn next_frames(&self) -> Option<Bytes> {
+        match self.queue().items.pop_front_if(|item| matches!(item, Item::Frames(_))) {
+            Some(Item::Frames(frames)) => Some(frames),
+            _ => None,
+        }
+    }
+
+    /// Marks frames as written.
+    pub fn written(&self, frames: &Bytes) {
+        self.queue().count(0, frames.len() + ENTRY_BYTES);
+    }
+
+    fn queue(&self) -> MutexGuard<'_, Queue> {
+        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Queue {
+    fn count(&mut self, more: usize, less: usize) {
+        self.bytes = self.bytes + more - less;
+        if let Some(held) = &mut self.held {
+            held.set(self.bytes);
+        }
+    }
+}

@@ -1,0 +1,449 @@
+//! The I/O around one client's virtual device, and what it asks of the gripper on that client's behalf.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use futures_util::FutureExt as _;
+use futures_util::future::BoxFuture;
+use futures_util::stream::{FuturesUnordered, StreamExt as _};
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
+use tokio::sync::oneshot;
+use tokio_util::sync::CancellationToken;
+
+use super::Port;
+use super::device::{Answer, Ask, Order, Ordered, VirtualDevice};
+use super::status::{Refusal, status_of_end};
+use crate::gripper::clock::{self, sleep_until};
+use crate::gripper::model::{
+    Action, Client, Command, FastStopId, LeaseToken, Motion, Outcome, Phase, Reason, State, Submission, TakeLease,
+};
+use crate::gripper::{Granted, Handle, Keep, Rejection, Ticket};
+use crate::interfaces::admission::{Claim, Class, ConnectionPermit};
+use crate::interfaces::refusals;
+use crate::wsg::{self, Data, Reply, Status, id};
+
+/// What is read at once: the answers to as many requests have a place before any of them is written.
+const READ_BYTES: usize = 1024;
+
+/// So many things are done for one client before it is another one's turn: none of them can hold up a gripper.
+const TURN: u32 = 16;
+
+/// How long an evicted client may take to say its first words.
+const FIRST_WORDS_WITHIN: Duration = Duration::from_millis(10);
+
+/// How long a client may take to read what it is still told when the gateway ends, and how long its last FAST STOPs may
+/// take to be passed on when it is gone.
+const LAST_WORDS_WITHIN: Duration = Duration::from_millis(500);
+
+/// One client, until it ends.
+pub(super) struct Served<R, W> {
+    port: Arc<Port>,
+    client: Client,
+    /// What its motions bring as their lease.
+    token: LeaseToken,
+    device: VirtualDevice,
+    under_way: FuturesUnordered<BoxFuture<'static, Step>>,
+    /// Keeps the lease for as long as the client is there.
+    kept: Option<Kept>,
+    permit: Arc<ConnectionPermit>,
+    reader: R,
+    writer: W,
+    outgoing: Vec<u8>,
+    written: usize,
+    /// How long it may be silent, where that is its end.
+    silence: Option<Duration>,
+    heard: Instant,
+    /// Whether nothing has come from the client.
+    is_fresh: bool,
+    /// It was silent for too long. What it still waits for is told all the same: many wait for ever.
+    is_lost: bool,
+}
+
+/// The lease for as long as its client is there, who is not sent away meanwhile.
+struct Kept {
+    epoch: u64,
+    _keep: Keep,
+    _pin: Option<Claim>,
+}
+
+/// How far an order has come.
+enum Step {
+    Answered(Ask, Answer),
+    /// The device has accepted what moves nothing, and takes its time for it.
+    Begun(Ask, BoxFuture<'static, Step>),
+    /// A command was admitted.
+    Admitted(Ask, Ticket),
+    /// It was accepted, or has ended before.
+    Accepted(Ask, Ticket, Box<Command>),
+    /// Whether a refusal is to be written down.
+    Rejected(Ask, Rejection, bool),
+    Kept(Option<Granted>),
+}
+
+/// Why a client is not served any longer.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum End {
+    /// It is gone.
+    Gone,
+    /// The gateway ends.
+    Closing,
+}
+
+impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
+    pub(super) fn new(
+        port: Arc<Port>,
+        client: Client,
+        permit: Arc<ConnectionPermit>,
+        (reader, writer): (R, W),
+        silence: Option<Duration>,
+    ) -> Self {
+        let device = VirtualDevice::new(port.rules.clone(), port.gripper.custom_ids(), port.gripper.update_period_ms());
+        Self {
+            port,
+            client,
+            token: LeaseToken::generate(),
+            device,
+            under_way: FuturesUnordered::new(),
+            kept: None,
+            permit,
+            reader,
+            writer,
+            outgoing: Vec::new(),
+            written: 0,
+            silence,
+            heard: clock::instant(),
+            is_fresh: true,
+            is_lost: false,
+        }
+    }
+
+    /// Serves it until it is gone, or `closing`.
+    pub(super) async fn run(mut self, closing: CancellationToken) {
+        if self.serve(&closing).await == End::Closing {
+            // Its gripper was given up in order. What became of the last motion has still to be told.
+            let _ = tokio::time::timeout(LAST_WORDS_WITHIN, self.finish()).await;
+            return;
+        }
+        if self.is_fresh {
+            // The runtime has not heard yet of what an evicted client sent right after it connected: perhaps a FAST STOP.
+            let mut incoming = vec![0; READ_BYTES];
+            if let Ok(Ok(bytes)) = tokio::time::timeout(FIRST_WORDS_WITHIN, self.reader.read(&mut incoming)).await {
+                self.receive(incoming.get(..bytes).unwrap_or_default());
+            }
+        }
+        // What it has sent before it left counts: many announce and leave.
+        while let Some(Ok(bytes)) = self.read_now().filter(|read| !matches!(read, Ok(0))) {
+            tracing::trace!(bytes, "read after the end");
+        }
+        self.start_orders();
+        if self.device.has_announced() {
+            // An actor that is gone has given its device up.
+            let _ = self.port.gripper.release_lease(Some(self.token.clone())).await;
+            self.device.forget_waiting();
+        } else {
+            self.lose().await;
+        }
+        // Its FAST STOPs may still wait for a place.
+        let _ = tokio::time::timeout(LAST_WORDS_WITHIN, self.finish_fast_stops()).await;
+    }
+
+    async fn serve(&mut self, closing: &CancellationToken) -> End {
+        let mut incoming = vec![0; READ_BYTES];
+        let mut states = self.port.gripper.states();
+        let mut steps = 0;
+        loop {
+            steps = (steps + 1) % TURN;
+            if steps == 0 {
+                tokio::task::yield_now().await;
+            }
+            self.start_orders();
+            if self.device.has_overflown() || self.has_left() || (self.is_lost && self.is_owed_nothing()) {
+                return End::Gone;
+            }
+            if self.written == self.outgoing.len() {
+                self.written = 0;
+                self.outgoing = self.device.poll_frame().unwrap_or_default();
+            }
+            let (state, is_writing) = (self.port.gripper.state(), !self.outgoing.is_empty());
+            self.forget_lost_lease(&state);
+            let (holds_lease, watches) = (self.kept.is_some(), self.kept.is_some() || self.device.watches());
+            let silent_at = self.silence.filter(|_| !self.is_lost).map(|silence| self.heard + silence);
+            let deadline = self.device.poll_timeout(&state).into_iter().chain(silent_at).min();
+            tokio::select! {
+                biased;
+                () = closing.cancelled() => return End::Closing,
+                () = self.permit.evicted(), if !holds_lease => {
+                    if self.is_fresh {
+                        return End::Gone;
+                    }
+                    tracing::warn!(gripper = %self.port.gripper.name(), client = %self.client.subject,
+                        "client evicted: it was silent for longest, and a new client needs its slot");
+                    return End::Gone;
+                }
+                written = self.writer.write(self.outgoing.get(self.written..).unwrap_or_default()), if is_writing => {
+                    match written {
+                        Ok(bytes) if bytes > 0 => self.written += bytes,
+                        _ => return End::Gone,
+                    }
+                }
+                Some(step) = self.under_way.next() => self.take(step),
+                read = self.reader.read(&mut incoming) => match read {
+                    Ok(bytes) if bytes > 0 => self.receive(incoming.get(..bytes).unwrap_or_default()),
+                    _ => return End::Gone,
+                },
+                () = sleep_until(deadline) => {
+                    let now = clock::instant();
+                    if silent_at.is_some_and(|at| at <= now) {
+                        if self.device.has_announced() {
+                            return End::Gone;
+                        }
+                        self.lose().await;
+                    }
+                    self.device.handle_timeout(now, &self.port.gripper.state());
+                }
+                Ok(()) = states.changed(), if watches => {
+                    let state = states.borrow_and_update().clone();
+                    self.device.handle_timeout(clock::instant(), &state);
+                }
+            }
+        }
+    }
+
+    /// Waits for all answers, and writes them.
+    async fn finish(&mut self) {
+        while let Some(step) = self.under_way.next().await {
+            self.take(step);
+            self.start_orders();
+        }
+        let unfinished = self.outgoing.get(self.written..).unwrap_or_default().to_vec();
+        let rest = std::iter::from_fn(|| self.device.poll_frame());
+        for frame in std::iter::once(unfinished).chain(rest) {
+            if self.writer.write_all(&frame).await.is_err() {
+                return;
+            }
+        }
+    }
+
+    async fn finish_fast_stops(&mut self) {
+        while self.device.is_stopping()
+            && let Some(step) = self.under_way.next().await
+        {
+            self.take(step);
+            self.start_orders();
+        }
+    }
+
+    /// It is lost, and its lease with it. What it has asked for and was not begun will not be.
+    async fn lose(&mut self) {
+        self.is_lost = true;
+        self.device.forget_waiting();
+        // Its token is its connection's own, however often it was taken.
+        self.port.gripper.lose_lease(self.token.clone(), None).await;
+    }
+
+    /// Where nothing else ends it, a client that has announced its end is gone once it was told so.
+    fn has_left(&self) -> bool {
+        self.silence.is_some() && self.device.has_announced() && self.is_told()
+    }
+
+    fn is_told(&self) -> bool {
+        self.device.is_idle() && self.written == self.outgoing.len()
+    }
+
+    fn is_owed_nothing(&self) -> bool {
+        self.under_way.is_empty() && self.is_told()
+    }
+
+    fn receive(&mut self, bytes: &[u8]) {
+        self.heard = clock::instant();
+        self.is_fresh = false;
+        self.is_lost = false;
+        self.permit.heard();
+        self.device.receive(self.heard, bytes, &self.port.gripper.state());
+    }
+
+    /// Reads what is there already.
+    fn read_now(&mut self) -> Option<std::io::Result<usize>> {
+        let mut incoming = vec![0; READ_BYTES];
+        let read = self.reader.read(&mut incoming).now_or_never()?;
+        if let Ok(bytes) = read {
+            self.receive(incoming.get(..bytes).unwrap_or_default());
+        }
+        Some(read)
+    }
+
+    /// Each order is begun before the next one, so that the gripper gets them in this order.
+    fn start_orders(&mut self) {
+        while let Some(refused) = self.device.poll_refused() {
+            self.record(refused.id, refused.status, refused.cause.to_owned());
+        }
+        while let Some(ordered) = self.device.poll_order() {
+            let step = self.step_of(ordered);
+            self.begin(step);
+        }
+    }
+
+    fn begin(&mut self, mut step: BoxFuture<'static, Step>) {
+        match (&mut step).now_or_never() {
+            Some(step) => self.take(step),
+            None => self.under_way.push(step),
+        }
+    }
+
+    fn step_of(&self, Ordered { ask, order }: Ordered) -> BoxFuture<'static, Step> {
+        let (gripper, client, token) = (self.port.gripper.clone(), self.client.clone(), self.token.clone());
+        let order = match order {
+            Order::Exchange(wsg::Command::Custom(custom)) if !gripper.only_reads(custom.id()) => {
+                Order::Command(Action::Motion(Motion::Custom(custom)))
+            }
+            order => order,
+        };
+        match order {
+            Order::Command(action) => {
+                // A Stop needs no lease.
+                let lease = matches!(action, Action::Motion(_)).then_some(token);
+                let submission = Submission { client, action, request_id: None, lease };
+                async move {
+                    match gripper.submit(submission).await {
+                        Ok(ticket) => Step::Admitted(ask, ticket),
+                        Err(rejection) => Step::Rejected(ask, rejection, true),
+                    }
+                }
+                .boxed()
+            }
+            Order::FastStop => async move {
+                let stopped = gripper.fast_stop(FastStopId::generate(), client, Reason::truncated("23h")).await;
+                Step::Answered(ask, Answer::FastStopped(stopped))
+            }
+            .boxed(),
+            Order::Acknowledge(id) => async move {
+                match gripper.acknowledge(id, client).await {
+                    Ok(()) => Step::Answered(ask, Answer::Reply(Reply::Success(Data::None))),
+                    Err(rejection) => Step::Rejected(ask, rejection, true),
+                }
+            }
+            .boxed(),
+            Order::Exchange(command) => {
+                let (accepted, is_accepted) = oneshot::channel();
+                let mut exchanged = async move {
+                    // Who only reads changes nothing, and leaves no trace.
+                    let changes = !command.is_read();
+                    match gripper.exchange_in_steps(command, client, Some(token), accepted).await {
+                        Ok(data) => Step::Answered(ask, Answer::Reply(Reply::Success(data.of_reply(ask.id)))),
+                        Err(rejection) => Step::Rejected(ask, rejection, changes),
+                    }
+                }
+                .boxed();
+                let begun = async move {
+                    tokio::select! {
+                        biased;
+                        Ok(()) = is_accepted => Step::Begun(ask, exchanged),
+                        step = &mut exchanged => step,
+                    }
+                };
+                begun.boxed()
+            }
+            Order::Release => async move {
+                let _ = gripper.release_lease(Some(token)).await;
+                Step::Answered(ask, Answer::Reply(Reply::Success(Data::None)))
+            }
+            .boxed(),
+        }
+    }
+
+    fn take(&mut self, step: Step) {
+        match step {
+            Step::Answered(ask, answer) => self.answer(ask, answer),
+            Step::Begun(ask, rest) => {
+                // Where the next request waits for the last reply, that is all that its client expects.
+                if !ask.is_awaited {
+                    self.answer(ask, Answer::Accepted);
+                }
+                self.begin(rest);
+            }
+            Step::Rejected(ask, rejection, is_recorded) => {
+                let refusal = Refusal::from(&rejection);
+                if is_recorded {
+                    self.record(ask.id, refusal.status, rejection.to_string());
+                }
+                self.answer(ask, Answer::Refused(refusal));
+            }
+            Step::Admitted(ask, mut ticket) => {
+                if ask.id != id::STOP {
+                    self.keep();
+                }
+                let accepted = async move {
+                    let command = Box::new(ticket.accepted().await);
+                    Step::Accepted(ask, ticket, command)
+                };
+                self.begin(accepted.boxed());
+            }
+            Step::Accepted(ask, ticket, command) => self.accepted(ask, ticket, &command),
+            Step::Kept(granted) => {
+                self.kept = granted.and_then(|granted| {
+                    Some(Kept {
+                        epoch: granted.lease.epoch,
+                        _keep: granted.keep?,
+                        _pin: self.permit.claim(Class::Pinned),
+                    })
+                });
+            }
+        }
+    }
+
+    /// A command was accepted, or has ended without.
+    fn accepted(&mut self, ask: Ask, mut ticket: Ticket, command: &Command) {
+        // What was admitted and stopped before it was sent looks like what was stopped right after.
+        let was_stopped = id::is_motion(ask.id) && command.outcome == Some(Outcome::Aborted);
+        let is_two_step = command.accepted || was_stopped;
+        let mut end = ask;
+        if is_two_step {
+            self.answer(ask, Answer::Accepted);
+            end = Ask { is_awaited: false, ..ask };
+        }
+        if command.phase == Phase::Done {
+            return self.answer(end, ended(command));
+        }
+        let ended = async move { Step::Answered(end, ended(&ticket.ended().await)) };
+        self.begin(ended.boxed());
+    }
+
+    fn answer(&mut self, ask: Ask, answer: Answer) {
+        self.device.answer(clock::instant(), ask, answer, &self.port.gripper.state());
+    }
+
+    /// Keeps the lease that a motion has taken, if it is this client's.
+    fn keep(&mut self) {
+        let take = TakeLease { token: Some(self.token.clone()), ..TakeLease::by(self.client.clone()) };
+        let gripper: Handle = self.port.gripper.clone();
+        // It may have been forced away just now.
+        let kept = async move { Step::Kept(gripper.take_lease(take).await.ok()) };
+        self.begin(kept.boxed());
+    }
+
+    /// Whose lease was forced away, or given back, is a client like others.
+    fn forget_lost_lease(&mut self, state: &State) {
+        let is_held = |kept: &Kept| state.lease_holder.is_some() && state.lease_epoch == kept.epoch;
+        self.kept.take_if(|kept| !is_held(kept));
+    }
+
+    fn record(&self, id: u8, status: Status, cause: String) {
+        let command = wsg::id::name(id).map_or_else(|| format!("{id:02X}h"), ToOwned::to_owned);
+        let (gripper, client, code) = (Some(self.port.gripper.name().clone()), self.client.clone(), status.to_string());
+        self.port.refusals.take(refusals::Refusal { gripper, client, command, code }, cause);
+    }
+}
+
+/// How a command's last reply looks.
+fn ended(command: &Command) -> Answer {
+    if let Some(rejection) = &command.rejection {
+        return Answer::Refused(rejection.into());
+    }
+    match status_of_end(command) {
+        Status::E_SUCCESS => {
+            let answer = command.payload.as_deref().and_then(|payload| hex::decode(payload).ok());
+            Answer::Reply(Reply::Success(answer.map_or(Data::None, Data::Custom)))
+        }
+        status => Answer::Reply(Reply::Status(status)),
+    }
+}

@@ -1,0 +1,140 @@
+//! FAST STOP by a put: whatever it carries, it stops. It passes no queue that anything else passes.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use serde_json::Value;
+use tokio::runtime::Handle;
+use zenoh::sample::Sample;
+
+use crate::fleet::keys::{FAST_STOP_OF_ALL, Keys};
+use crate::gripper::Grippers;
+use crate::gripper::model::{Client, Door, Reason, ShownName};
+
+/// FAST STOPs that may be under way. Each ends within 250 ms; of those that come meanwhile the newest begins when one
+/// has ended, since one that is under way stops the grippers already.
+const MAX_UNDER_WAY: usize = 64;
+
+/// The most bytes of a payload that are looked at for a reason.
+const MAX_REASON_BYTES: usize = 1024;
+
+/// The FAST STOPs of one gateway.
+#[derive(Debug, Clone)]
+pub struct FastStops {
+    fleet: Grippers,
+    clients: Handle,
+    under_way: Arc<Mutex<UnderWay>>,
+}
+
+#[derive(Debug, Default)]
+struct UnderWay {
+    count: usize,
+    next: Option<(Client, Reason)>,
+}
+
+impl FastStops {
+    /// Of these grippers, on the runtime of the doors.
+    pub fn new(fleet: Grippers, clients: Handle) -> Self {
+        Self { fleet, clients, under_way: Arc::default() }
+    }
+
+    /// Takes puts for this gateway, and for all of them.
+    pub async fn declare(self, session: &zenoh::Session, keys: &Keys) -> zenoh::Result<()> {
+        for key in [keys.own("fast-stop"), FAST_STOP_OF_ALL.to_owned()] {
+            let stops = self.clone();
+            let stop = move |sample: Sample| {
+                let (client, reason) = asked(&sample.payload().to_bytes());
+                stops.begin(client, reason);
+            };
+            session.declare_subscriber(key).callback(stop).background().await?;
+        }
+        Ok(())
+    }
+
+    /// Stops all grippers. Waits for nothing.
+    fn begin(&self, client: Client, reason: Reason) {
+        {
+            let mut under_way = self.under_way.lock().unwrap_or_else(PoisonError::into_inner);
+            if under_way.count >= MAX_UNDER_WAY {
+                under_way.next = Some((client, reason));
+                return;
+            }
+            under_way.count += 1;
+        }
+        let stops = self.clone();
+        self.clients.spawn(async move {
+            let mut next = Some((client, reason));
+            while let Some((client, reason)) = next {
+                let (id, _) = stops.fleet.fast_stop(&client, &reason).await;
+                tracing::info!(fast_stop = %id, reason = reason.as_str(), "FAST STOP by Zenoh");
+                next = stops.ended();
+            }
+        });
+    }
+
+    /// What is to be done next by whoever has ended one; none where it is not to go on.
+    fn ended(&self) -> Option<(Client, Reason)> {
+        let mut under_way = self.under_way.lock().unwrap_or_else(PoisonError::into_inner);
+        let next = under_way.next.take();
+        under_way.count -= usize::from(next.is_none());
+        next
+    }
+}
+
+/// Who puts, by the name that it gives, and why: the fields `client` and `reason` of an object, or a text, which is why.
+fn asked(payload: &[u8]) -> (Client, Reason) {
+    let payload = payload.get(..MAX_REASON_BYTES).unwrap_or(payload);
+    let text = String::from_utf8_lossy(payload);
+    let (client, reason) = match serde_json::from_str(&text) {
+        Ok(Value::Object(body)) => {
+            let field = |name: &str| body.get(name).and_then(Value::as_str).unwrap_or_default().to_owned();
+            (field("client"), field("reason"))
+        }
+        Ok(Value::String(reason)) => (String::new(), reason),
+        _ => (String::new(), text.into_owned()),
+    };
+    let subject = super::subject(ShownName::new(&client).ok().filter(|name| !name.as_str().is_empty()));
+    (Client { subject, door: Door::Zenoh }, Reason::truncated(&reason))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::gripper::fake::{self, Script, Seen};
+
+    #[test]
+    fn a_reason_is_an_objects_or_a_text_and_anything_else_is_one_too() {
+        for (payload, expected) in [
+            (&br#"{"reason": "light curtain"}"#[..], "light curtain"),
+            (br#""light curtain""#, "light curtain"),
+            (b"light curtain", "light curtain"),
+            (b"", ""),
+            (b"{\"reason\": 7}", ""),
+            (b"\xFF\x00", "\u{FFFD}"),
+            (&[b'x'; 5000], &"x".repeat(64)),
+        ] {
+            let (client, reason) = asked(payload);
+            assert_eq!((reason.as_str(), &*client.subject), (expected, "zenoh:unknown"));
+        }
+        let (client, reason) = asked(br#"{"reason": "light curtain", "client": "http:127.0.0.1"}"#);
+        assert_eq!((reason.as_str(), &*client.subject), ("light curtain", "zenoh:http:127.0.0.1"));
+    }
+
+    #[tokio::test]
+    async fn of_more_than_can_be_under_way_the_newest_stops_too() {
+        let (handle, mut seen) = fake::gripper("left", Script::default());
+        let stops = FastStops::new(Grippers::new([handle]), Handle::current());
+        for index in 0..=2 * MAX_UNDER_WAY {
+            stops.begin(asked(b"").0, Reason::truncated(&index.to_string()));
+        }
+        let newest = (2 * MAX_UNDER_WAY).to_string();
+        let mut count = 0;
+        while let Some(told) = seen.recv().await {
+            let Seen::FastStop(reason) = told else { continue };
+            count += 1;
+            if reason.as_str() == newest {
+                break;
+            }
+        }
+        assert_eq!(count, MAX_UNDER_WAY + 1);
+    }
+}

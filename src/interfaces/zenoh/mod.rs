@@ -1,0 +1,155 @@
+//! Zenoh: states, telemetry and events as publications, commands as queries, FAST STOP as a put, and the fleet.
+//!
+//! | key, below `wsg/v1/{gateway}` | what it is |
+//! | --- | --- |
+//! | `/{gripper}/state`, `/telemetry`, `/event` | publications of what HTTP and WebSocket tell; `/event` without a gripper, too |
+//! | `/{gripper}/state`, `/info` | queries |
+//! | `/{gripper}/command/{name}` | queries, by the names that WebSocket has: `grip`, `lease.take` |
+//! | `/{gripper}/alive` | a liveliness token while the gripper's link is up; `/alive` while the gateway is |
+//! | `/instance/{id}` | a liveliness token of the gateway that is this one's alone: two of them are two gateways of one name |
+//! | `/client/{name}` | a liveliness token of a client, which a lease is bound to where its session can't be seen |
+//! | `/fast-stop` | a put stops all grippers of the gateway; one to `wsg/v1/fast-stop` those of all gateways |
+//! | `/fleet` | a query: all grippers of all gateways |
+//!
+//! Zenoh may wait for a client that takes nothing, for as long as its configuration says. So nothing here runs where
+//! somebody else waits: commands are worked off where those of HTTP are, but replies and publications are sent from
+//! elsewhere. A FAST STOP passes none of that.
+
+mod clients;
+mod fast_stop;
+mod publications;
+mod queries;
+mod reach;
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use tokio::runtime::Handle;
+use tokio::sync::oneshot;
+use tokio::task::JoinSet;
+use zenoh::Wait as _;
+use zenoh::liveliness::LivelinessToken;
+
+use self::clients::Clients;
+use self::fast_stop::FastStops;
+use self::publications::Publications;
+use self::queries::Queries;
+pub use self::reach::Reach;
+use crate::fleet::Network;
+use crate::fleet::keys::Keys;
+use crate::gripper::model::ShownName;
+use crate::interfaces::http::Context;
+use crate::interfaces::metrics::Metrics;
+
+/// The most bytes of the name that a client gives itself.
+const MAX_CLIENT_BYTES: usize = 64;
+
+/// After how long Zenoh is opened again that could not be, at first and at most.
+const OPENED_AGAIN_AFTER: Duration = Duration::from_millis(250);
+const OPENED_AGAIN_AT_LEAST_EVERY: Duration = Duration::from_secs(30);
+
+/// How long a farewell may take.
+const FAREWELL_WITHIN: Duration = Duration::from_secs(1);
+
+/// How the gateway is on a Zenoh network.
+#[derive(Debug, Clone)]
+pub struct Settings {
+    /// Where it is to be reached.
+    pub reach: Reach,
+    /// How often states and telemetry are published at most, a second and gripper.
+    pub max_hz: u32,
+    /// What is counted.
+    pub metrics: Metrics,
+}
+
+/// Serves until the gateway closes. Where Zenoh can't be had, the gateway is served without until it can; `opened` is told
+/// where others find it.
+pub async fn serve(settings: Settings, context: Arc<Context>, opened: impl FnMut(&[String])) {
+    let Settings { reach, max_hz, metrics } = settings;
+    let session = tokio::select! {
+        biased;
+        () = context.closing.cancelled() => return,
+        session = open_at_last(&reach, &context.network) => session,
+    };
+    let declared = tokio::select! {
+        biased;
+        () = context.closing.cancelled() => return,
+        declared = declare(&session, &context, max_hz, metrics) => declared,
+    };
+    match declared {
+        Ok((_alive, _told)) => {
+            tokio::select! {
+                biased;
+                () = context.closing.cancelled() => {}
+                () = reach.watch(&session, &context.network, opened) => {}
+            }
+        }
+        Err(error) => {
+            tracing::error!(%error, "Zenoh declares nothing: the grippers are served without it");
+            context.network.set_cause(Some(format!("Zenoh declares nothing: {error}")));
+        }
+    }
+    if tokio::time::timeout(FAREWELL_WITHIN, session.close()).await.is_err() {
+        tracing::warn!("Zenoh did not end within {FAREWELL_WITHIN:?}");
+    }
+}
+
+/// Opens a session, and tries again where that fails.
+async fn open_at_last(reach: &Reach, network: &Network) -> zenoh::Session {
+    let mut again_after = OPENED_AGAIN_AFTER;
+    loop {
+        match open(reach.config.clone()).await {
+            Ok(session) => return session,
+            Err(error) => reach::say(network, Some(format!("Zenoh can't be opened: {error}"))),
+        }
+        tokio::time::sleep(again_after).await;
+        again_after = (again_after * 2).min(OPENED_AGAIN_AT_LEAST_EVERY);
+    }
+}
+
+/// Opens a session. It may wait for a router for ever, and not as futures do: so it has a thread of its own, which nobody
+/// waits for when the gateway ends.
+async fn open(config: zenoh::Config) -> zenoh::Result<zenoh::Session> {
+    let (send, opened) = oneshot::channel();
+    std::thread::Builder::new().name("zenoh-open".to_owned()).spawn(move || {
+        // Whoever asked may have ended meanwhile.
+        let _ = send.send(zenoh::open(config).wait());
+    })?;
+    opened.await?
+}
+
+/// Everything that the gateway is to others; it ends with what is returned.
+async fn declare(
+    session: &zenoh::Session,
+    context: &Arc<Context>,
+    max_hz: u32,
+    metrics: Metrics,
+) -> zenoh::Result<([LivelinessToken; 2], JoinSet<()>)> {
+    let keys = Keys::of(&context.gateway);
+    // First: it stops what may be moving already.
+    FastStops::new(context.fleet.clone(), context.runtimes.accept.clone()).declare(session, &keys).await?;
+    let clients = Arc::new(Clients::new(keys.clone(), Handle::current(), metrics.clone()));
+    clients.declare(session).await?;
+    let instance = context.network.join(session).await?;
+    let queries = Queries::new(keys.clone(), context, clients, metrics.clone());
+    Arc::new(queries).declare(session, &context.fleet).await?;
+    let mut told = JoinSet::new();
+    told.spawn(context.network.watch_twins(session));
+    for handle in context.fleet.iter() {
+        let publications = Publications::declare(session, &keys, handle).await?;
+        told.spawn_on(publications.tell(context.clone(), metrics.clone(), max_hz), &context.runtimes.observers);
+    }
+    told.spawn_on(
+        publications::tell_events(session.clone(), keys.clone(), context.clone()),
+        &context.runtimes.observers,
+    );
+    Ok(([instance, session.liveliness().declare_token(keys.own("alive")).await?], told))
+}
+
+/// A client's identity before there are credentials: the name that it gives.
+fn subject(client: Option<ShownName<MAX_CLIENT_BYTES>>) -> Arc<str> {
+    match client {
+        Some(name) => format!("zenoh:{}", name.as_str()).into(),
+        None => "zenoh:unknown".into(),
+    }
+}
