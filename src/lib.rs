@@ -8,6 +8,7 @@
 //! | [`transport`] | byte pipes to devices; knows nothing of the protocol |
 //! | [`gripper`] | one actor per gripper, the only owner of its state; everyone else has a [handle](gripper::Handle) |
 //! | [`interfaces`] | [HTTP](interfaces::http), [Zenoh](interfaces::zenoh) and the [WSG port](interfaces::wsg_port) |
+//! | [`operations`] | everything that a client may ask for, once |
 //! | [`events`] | live updates, serialised once for all clients |
 //! | [`fleet`] | the other gateways on the Zenoh network |
 //! | [`interfaces::dashboard`] | the page at `/`, which uses the public WebSocket and REST alone |
@@ -41,6 +42,7 @@ pub mod gripper;
 pub mod interfaces;
 pub mod journal;
 pub mod logging;
+pub mod operations;
 pub mod sim;
 pub mod transport;
 pub mod wsg;

@@ -28,9 +28,10 @@ use crate::fleet::Network;
 use crate::gripper::model::{Detail, Event, GatewayEvent, MemoryKey, Name};
 use crate::gripper::recorder::{Recollection, Record, Recorder as _};
 use crate::gripper::{self, Connector, Grippers, Handle, Now};
-use crate::interfaces::refusals::Refusals;
 use crate::interfaces::{self, Bounds, http, zenoh};
 use crate::journal::{self, Journal, Recovered};
+use crate::operations::Gateway;
+use crate::operations::audit::Audit;
 use descriptors::Shares;
 pub use simulation::{Served, SimulatedDevice, Switch, serve as serve_device};
 
@@ -104,16 +105,19 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     write_down_start(config, &journal).await;
     let (draining, shutdown) = (CancellationToken::new(), CancellationToken::new());
     let registry = metrics::registry(&config.name, &journal)?;
-    let fleet = spawn_all(config, &runtimes.devices, &journal, &recovered, &registry)?;
-    let refusals = Arc::new(Refusals::new(journal.clone()));
-    let network = Arc::new(Network::new(config.name.clone(), fleet.clone()));
-    let context = Arc::new(http::Context {
-        gateway: config.name.clone(),
-        fleet: fleet.clone(),
+    let grippers = spawn_all(config, &runtimes.devices, &journal, &recovered, &registry)?;
+    let audit = Arc::new(Audit::new(journal.clone()));
+    let network = Arc::new(Network::new(config.name.clone(), grippers.clone()));
+    let gateway = Arc::new(Gateway {
+        name: config.name.clone(),
+        grippers: grippers.clone(),
         journal: journal.clone(),
-        refusals: refusals.clone(),
+        audit: audit.clone(),
         network: network.clone(),
-        updates: Arc::new(Updates::new(&fleet, journal.clone(), network)),
+        updates: Arc::new(Updates::new(&grippers, journal.clone(), network)),
+    });
+    let context = Arc::new(http::Context {
+        gateway,
         closing: shutdown.child_token(),
         runtimes: clients.clone(),
         metrics: interfaces::metrics::Metrics::register(&registry, "http")?,
@@ -127,22 +131,22 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     let server = clients.accept.spawn(http::serve(listener, context.clone(), limits, shutdown.clone()));
     announce(config, address, &ports)?;
     // Of its own: whatever becomes of it, the rest goes on.
-    let zenoh = on_zenoh.map(|settings| tokio::spawn(zenoh::serve(settings, context, announce_zenoh)));
-    let ports = ports::serve(&runtimes.devices, ports, &fleet, &refusals, &draining, &shutdown);
+    let zenoh = on_zenoh.map(|(settings, context)| tokio::spawn(zenoh::serve(settings, context, announce_zenoh)));
+    let ports = ports::serve(&runtimes.devices, ports, &grippers, &audit, &draining, &shutdown);
     tokio::select! {
         () = stop => {}
-        () = refusals.count() => {}
+        () = audit.count() => {}
     }
     tracing::info!("ending: the grippers first");
     draining.cancel();
-    fleet.drain().await;
+    grippers.drain().await;
     shutdown.cancel();
     server.await?;
     if let Some(zenoh) = zenoh {
         zenoh.await?;
     }
     ports.join_all().await.into_iter().collect::<Result<(), _>>()?;
-    refusals.write_down();
+    audit.write_down();
     Ok(journal.close().await?)
 }
 
@@ -273,17 +277,18 @@ fn announce(config: &Config, address: SocketAddr, ports: &[ports::Bound]) -> std
     Ok(())
 }
 
-fn zenoh_settings(zenoh: &config::Zenoh, context: &http::Context) -> anyhow::Result<zenoh::Settings> {
-    metrics::register_zenoh(&context.registry, &context.network)?;
+fn zenoh_settings(
+    zenoh: &config::Zenoh,
+    context: &http::Context,
+) -> anyhow::Result<(zenoh::Settings, interfaces::Context)> {
+    let network = &context.gateway.network;
+    metrics::register_zenoh(&context.registry, network)?;
     let (config, listen, connect) = (zenoh.settings.clone(), zenoh.listen.clone(), zenoh.connect.clone());
     let reach = zenoh::Reach { config, listen, connect };
     // A client's Zenoh waits until it is connected.
-    context.network.set_cause(Some(reach.awaited().unwrap_or_else(|| "Zenoh is not open yet".to_owned())));
-    Ok(zenoh::Settings {
-        reach,
-        max_hz: zenoh.max_hz,
-        metrics: interfaces::metrics::Metrics::register(&context.registry, "zenoh")?,
-    })
+    network.set_cause(Some(reach.awaited().unwrap_or_else(|| "Zenoh is not open yet".to_owned())));
+    let figures = interfaces::metrics::Metrics::register(&context.registry, "zenoh")?;
+    Ok((zenoh::Settings { reach, max_hz: zenoh.max_hz }, context.of_interface(figures)))
 }
 
 /// Says where Zenoh is, which may be later than all else.

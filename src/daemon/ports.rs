@@ -10,8 +10,8 @@ use super::listen;
 use crate::config::{Acknowledge, Config, WsgAddress, WsgPort};
 use crate::gripper::Grippers;
 use crate::gripper::model::Name;
-use crate::interfaces::refusals::Refusals;
 use crate::interfaces::wsg_port::{Address, Datagrams, LOST_AFTER, Listener, Port, Rules};
+use crate::operations::audit::Audit;
 
 /// A port that is not served yet.
 pub(super) struct Bound {
@@ -49,14 +49,14 @@ pub(super) fn serve(
     devices: &Runtime,
     ports: Vec<Bound>,
     fleet: &Grippers,
-    refusals: &Arc<Refusals>,
+    audit: &Arc<Audit>,
     draining: &CancellationToken,
     closing: &CancellationToken,
 ) -> JoinSet<std::io::Result<()>> {
     let mut served = JoinSet::new();
     for Bound { gripper, listener, rules, descriptors } in ports {
         let Some(handle) = fleet.get(&gripper) else { continue };
-        let port = Port::new(handle.clone(), rules, descriptors, refusals.clone());
+        let port = Port::new(handle.clone(), rules, descriptors, audit.clone());
         served.spawn_on(port.serve(listener, draining.clone(), closing.clone()), devices.handle());
     }
     served

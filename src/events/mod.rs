@@ -48,6 +48,12 @@ pub enum Topic {
 /// The topics, as a mistake names them.
 pub const TOPICS: &str = "state, telemetry, events, frames, fleet";
 
+/// Rate of states and telemetry in Hz, unless a client asks for more or less.
+pub const DEFAULT_HZ: u64 = 10;
+
+/// Highest rate in Hz: that of the devices.
+pub const MAX_HZ: u64 = 100;
+
 /// So many serialised events are kept for those who tell them later than the first.
 const RECENT_EVENTS: usize = 64;
 

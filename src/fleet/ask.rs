@@ -20,7 +20,7 @@ use super::keys::{self, Keys};
 use super::twins::has_token;
 use crate::gripper::Now;
 use crate::gripper::model::lease::MIN_TTL;
-use crate::gripper::model::{Client, Name};
+use crate::gripper::model::{Client, Name, Urgency};
 
 /// How long an answer may take on its way, beside what its operation may take.
 const ON_ITS_WAY: Duration = Duration::from_secs(5);
@@ -70,26 +70,12 @@ pub struct Ask {
     pub urgency: Urgency,
 }
 
-/// Before what a request goes, and whose places it takes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Urgency {
-    /// Before all else, and needs no place: FAST STOP.
-    FastStop,
-    /// Before what moves and reads: what only stops.
-    Stop,
-    /// And what keeps or ends a lease, which waits for nobody's fingers to stand.
-    Lease,
-    /// Everything else.
-    None,
-}
-
-impl Urgency {
-    fn priority(self) -> Priority {
-        match self {
-            Self::FastStop => Priority::RealTime,
-            Self::Stop | Self::Lease => Priority::InteractiveHigh,
-            Self::None => Priority::DataHigh,
-        }
+/// The priority of a request on the network.
+fn priority(urgency: Urgency) -> Priority {
+    match urgency {
+        Urgency::FastStop => Priority::RealTime,
+        Urgency::Stop | Urgency::Lease => Priority::InteractiveHigh,
+        Urgency::None => Priority::DataHigh,
     }
 }
 
@@ -172,7 +158,7 @@ impl Network {
             let get = get.encoding(Encoding::APPLICATION_JSON).allowed_destination(Locality::Remote);
             // Of replies with the same key each comes: a stranger's takes the place of none.
             let get = get.target(QueryTarget::All).consolidation(ConsolidationMode::None);
-            get.express(urgency == Urgency::FastStop).priority(urgency.priority()).wait()
+            get.express(urgency == Urgency::FastStop).priority(priority(urgency)).wait()
         });
         let replies = sent.await.ok().and_then(Result::ok).ok_or(NoAnswer::None)?;
         let (mut proofs, mut refused) = (FuturesUnordered::new(), None);
@@ -274,7 +260,6 @@ mod tests {
 
     use super::*;
     use crate::gripper::model::Door;
-    use crate::interfaces::http::Context;
 
     type Sent = LocalBoxFuture<'static, Result<Asked, NoAnswer>>;
 
@@ -317,13 +302,19 @@ mod tests {
 
     #[tokio::test]
     async fn of_who_is_told_as_gone_only_what_stops_and_what_keeps_a_lease_is_asked() {
-        let network = Context::of([]).network;
         let name = |text: &str| text.parse::<Name>().unwrap();
+        let network = Network::new(name("cell-0"), crate::gripper::Grippers::default());
         network.take_token("wsg/v1/cell-1/alive", true);
         network.take_state("wsg/v1/cell-1/left/state", br#"{"link": "connected", "age_ms": 5, "fast_stop": false}"#);
-        let ask = |method| {
+        let urgency = |method| match method {
+            "fast-stop" => Urgency::FastStop,
+            "stop" | "cancel" => Urgency::Stop,
+            "lease.renew" | "lease.release" => Urgency::Lease,
+            _ => Urgency::None,
+        };
+        let ask = |method: &'static str| {
             let client = Client { subject: "anna".into(), door: Door::Http };
-            let (gateway, gripper, urgency) = (name("cell-1"), name("left"), crate::interfaces::http::urgency(method));
+            let (gateway, gripper, urgency) = (name("cell-1"), name("left"), urgency(method));
             let ask =
                 Ask { gateway, gripper, method, params: json!({}), wait: None, aside: Vec::new(), client, urgency };
             network.ask(ask)

@@ -27,7 +27,7 @@ use self::twins::Twins;
 use crate::gripper::model::{Client, FastStopId, Name, Reason, State};
 use crate::gripper::{Grippers, Now};
 
-pub use ask::{Ask, Asked, NoAnswer, Urgency};
+pub use ask::{Ask, Asked, NoAnswer};
 pub use told::FleetGripper;
 
 /// Requests to other gateways that may be under way, of those that only stop, of those that keep or end a lease, and of all

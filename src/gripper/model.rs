@@ -23,6 +23,7 @@ mod parameters;
 mod record;
 mod state;
 mod text;
+mod urgency;
 
 pub use client::{Client, Door};
 pub use custom::CustomIds;
@@ -40,6 +41,7 @@ pub use parameters::{Direction, OnBlock, Parameters};
 pub use record::{GripRecord, Memory, MemoryKey, Sample};
 pub use state::{FastStopCause, Latch, LatchFields, Link, State, Telemetry};
 pub use text::{InvalidShownName, PartId, Reason, RequestId, ShownName, Text};
+pub use urgency::Urgency;
 
 /// A gripper's or a gateway's name: `[a-z0-9][a-z0-9_-]{0,31}`.
 #[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]

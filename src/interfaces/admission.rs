@@ -81,6 +81,11 @@ impl Admission {
         self.reserve.clone().try_acquire_owned().ok()
     }
 
+    /// The next such place; none once the gateway ends.
+    pub async fn next_reserved(&self) -> Option<OwnedSemaphorePermit> {
+        self.reserve.clone().acquire_owned().await.ok()
+    }
+
     /// Closes the oldest connection that has no claim, where the process is out of descriptors.
     pub fn evict_one(&self) {
         self.table().evict_unclaimed();

@@ -4,14 +4,18 @@
 //! device's limits is refused by the gripper's actor, so all doors refuse the same.
 
 mod admission;
+mod context;
 pub mod dashboard;
 pub mod http;
 pub mod metrics;
-pub mod refusals;
+mod pace;
+mod quick_ack;
 mod runtimes;
 pub mod sockets;
+pub mod websocket;
 pub mod wsg_port;
 pub mod zenoh;
 
 pub use admission::Bounds;
+pub use context::Context;
 pub use runtimes::Runtimes;

@@ -17,7 +17,7 @@ use headers::{ETag, HeaderMapExt, IfNoneMatch};
 use rust_embed::{Embed, EmbeddedFile};
 use sha2::{Digest, Sha256};
 
-use super::http::Problem;
+use crate::operations::Problem;
 
 #[derive(Embed)]
 #[folder = "src/interfaces/dashboard/assets"]

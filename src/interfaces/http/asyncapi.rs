@@ -1,22 +1,16 @@
 //! The AsyncAPI document: the WebSocket, described by the schemas of the HTTP API, whose operations its methods are.
 
 use std::collections::BTreeSet;
-use std::sync::Arc;
 
-use axum::Extension;
-use axum::http::header::CONTENT_TYPE;
-use axum::response::IntoResponse;
 use serde_json::{Map, Value, json};
 use utoipa::OpenApi as _;
+use utoipa::openapi::OpenApi;
 
-use super::API;
-use super::docs::Documents;
-use super::errors::Members;
-use super::methods::{METHODS, Method};
-use super::responses::AnyProblem;
-use super::ws::{SUBPROTOCOL, Subscribe, Subscribed};
+use super::context::API;
 use crate::events::Gap;
 use crate::gripper::model::{Command, Frame, State, Telemetry};
+use crate::interfaces::websocket::{SUBPROTOCOL, Subscribe, Subscribed};
+use crate::operations::{Members, OPERATIONS as METHODS, Operation as Method};
 
 /// What is told without having been asked for each time.
 const NOTIFICATIONS: &[(&str, &str, &str)] = &[
@@ -44,8 +38,8 @@ struct OwnSchemas;
 
 /// The document.
 #[must_use]
-pub fn document() -> Value {
-    let openapi = serde_json::to_value(super::openapi()).unwrap_or_default();
+pub fn document(openapi: &OpenApi) -> Value {
+    let openapi = serde_json::to_value(openapi).unwrap_or_default();
     let own = serde_json::to_value(OwnSchemas::openapi()).unwrap_or_default();
     let (mut messages, mut operations) = (Map::new(), Map::new());
     let mut add_method = |name: &str, summary: &str, params: Value, result: Value| {
@@ -108,19 +102,8 @@ pub fn document() -> Value {
 ///
 /// # Errors
 /// Where it has no YAML.
-pub fn yaml() -> Result<String, serde_saphyr::ser::Error> {
-    serde_saphyr::to_string(&document())
-}
-
-/// The AsyncAPI document
-///
-/// Of the WebSocket.
-#[utoipa::path(
-    get, path = "/asyncapi.yaml", operation_id = "asyncapi", tag = "gateway",
-    responses((status = 200, description = "The document", body = serde_json::Value, content_type = "application/yaml"), AnyProblem)
-)]
-pub async fn asyncapi(Extension(documents): Extension<Arc<Documents>>) -> impl IntoResponse {
-    ([(CONTENT_TYPE, "application/yaml")], documents.asyncapi())
+pub fn yaml(openapi: &OpenApi) -> Result<String, serde_saphyr::ser::Error> {
+    serde_saphyr::to_string(&document(openapi))
 }
 
 /// A reference into this document.
@@ -286,7 +269,8 @@ mod tests {
     fn the_checked_in_document_is_what_is_served() {
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/openapi/asyncapi.yaml");
         assert!(
-            std::fs::read_to_string(path).unwrap_or_default() == super::yaml().unwrap(),
+            std::fs::read_to_string(path).unwrap_or_default()
+                == super::yaml(&crate::interfaces::http::openapi()).unwrap(),
             "openapi/asyncapi.yaml is stale: cargo run -- asyncapi > openapi/asyncapi.yaml"
         );
     }

@@ -11,10 +11,10 @@ use axum::{Router, routing};
 use utoipa::OpenApi as _;
 use utoipa::openapi::{OpenApi, RefOr, Schema};
 
-use super::asyncapi;
-use super::errors::{self, Problem};
-use super::responses;
+use super::asyncapi as websocket;
+use super::paths::responses;
 use crate::journal::{EventKind, Order};
+use crate::operations::{Members, Problem};
 
 /// What the document says before its operations.
 #[derive(utoipa::OpenApi)]
@@ -40,7 +40,7 @@ use crate::journal::{EventKind, Order};
         (name = "journal", description = "What happened, and how parts were held"),
         (name = "gateway", description = "The gateway itself"),
     ),
-    components(schemas(errors::Members, EventKind, Order)),
+    components(schemas(Members, EventKind, Order)),
 )]
 struct Document;
 
@@ -74,6 +74,17 @@ pub async fn openapi(Extension(documents): Extension<Arc<Documents>>) -> impl In
     ([(CONTENT_TYPE, "application/json")], documents.openapi())
 }
 
+/// The AsyncAPI document
+///
+/// Of the WebSocket.
+#[utoipa::path(
+    get, path = "/asyncapi.yaml", operation_id = "asyncapi", tag = "gateway",
+    responses((status = 200, description = "The document", body = serde_json::Value, content_type = "application/yaml"), responses::AnyProblem)
+)]
+pub async fn asyncapi(Extension(documents): Extension<Arc<Documents>>) -> impl IntoResponse {
+    ([(CONTENT_TYPE, "application/yaml")], documents.asyncapi())
+}
+
 /// The API's documents, made once: all who ask for one share its bytes.
 pub struct Documents {
     openapi: OpenApi,
@@ -93,8 +104,8 @@ impl Documents {
     }
 
     /// The AsyncAPI document as YAML.
-    pub fn asyncapi(&self) -> Bytes {
-        self.asyncapi_yaml.get_or_init(|| asyncapi::yaml().unwrap_or_default().into()).clone()
+    fn asyncapi(&self) -> Bytes {
+        self.asyncapi_yaml.get_or_init(|| websocket::yaml(&self.openapi).unwrap_or_default().into()).clone()
     }
 }
 
@@ -164,7 +175,7 @@ mod tests {
     #[test]
     fn the_checked_in_document_is_what_is_served() {
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/openapi/openapi.json");
-        let served = serde_json::to_string_pretty(&super::super::openapi()).unwrap() + "\n";
+        let served = serde_json::to_string_pretty(&crate::interfaces::http::openapi()).unwrap() + "\n";
         assert!(
             fs::read_to_string(path).unwrap_or_default() == served,
             "openapi/openapi.json is stale: cargo run -- openapi > openapi/openapi.json"

@@ -10,11 +10,11 @@ use prometheus::{TEXT_FORMAT, TextEncoder};
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::Context;
-use super::errors::{Code, Problem};
-use super::responses::AnyProblem;
+use super::context::Context;
+use super::paths::responses::AnyProblem;
 use crate::gripper::model::Link;
 use crate::gripper::{Handle, Recorder as _};
+use crate::operations::{Code, Problem};
 
 /// A gateway that answers.
 #[derive(Debug, Serialize, ToSchema)]
@@ -35,7 +35,7 @@ pub struct Health {
     responses((status = 200, description = "It does", body = Health), AnyProblem)
 )]
 pub async fn health(Shared(context): Shared<Arc<Context>>) -> Json<Health> {
-    Json(Health { gateway: context.gateway.to_string(), status: "ok" })
+    Json(Health { gateway: context.gateway.name.to_string(), status: "ok" })
 }
 
 /// Whether the gateway can do what it is for.
@@ -75,13 +75,14 @@ pub struct Readiness {
     )
 )]
 pub async fn readiness(Shared(context): Shared<Arc<Context>>) -> (StatusCode, Json<Readiness>) {
-    let journal = context.journal.health().borrow().clone();
+    let own = &context.gateway;
+    let journal = own.journal.health().borrow().clone();
     let (journal_cause, journal_damage) = (journal.failure, journal.damage);
-    let not_ready: Vec<_> = context.fleet.iter().filter_map(why_not_ready).collect();
-    let zenoh_cause = context.network.cause().borrow().clone().or_else(|| context.network.why_no_motions());
+    let not_ready: Vec<_> = own.grippers.iter().filter_map(why_not_ready).collect();
+    let zenoh_cause = own.network.cause().borrow().clone().or_else(|| own.network.why_no_motions());
     let ready = journal_cause.is_none() && journal_damage.is_none() && zenoh_cause.is_none() && not_ready.is_empty();
     let status = if ready { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
-    let gateway = context.gateway.to_string();
+    let gateway = own.name.to_string();
     (status, Json(Readiness { gateway, ready, journal_cause, journal_damage, zenoh_cause, not_ready }))
 }
 

@@ -13,8 +13,9 @@ use axum::http::{HeaderMap, Version};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
-use super::errors::{Code, Problem};
-use super::{Context, body};
+use super::body;
+use super::context::Context;
+use crate::operations::{Code, Problem};
 
 /// The middleware that refuses foreign hosts and origins, whatever the method: any Content-Type is read as JSON, so a
 /// plain form of another page could move a gripper.

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use axum::Json;
-use axum::extract::State as Shared;
+use axum::extract::{Path, State as Shared};
 use axum::http::{HeaderMap, Uri, header};
 use axum::response::{IntoResponse, Response};
 use headers_accept::Accept;
@@ -12,15 +12,15 @@ use serde::Serialize;
 use serde_json::value::RawValue;
 use utoipa::{IntoParams, ToSchema};
 
-use super::Context;
-use super::errors::{Code, Problem};
-use super::extract::{CommandOf, CommandPath};
-use super::parameters::Parameters;
-use super::responses::JournalProblem;
-use super::values::{integer, text};
-use crate::gripper::model::{Event, GripRecord, Sample};
+use super::context::Context;
+use super::paths::CommandPath;
+use super::paths::responses::JournalProblem;
+use super::query::Query as Parameters;
+use crate::gripper::model::{CommandId, Event, GripRecord, Sample};
 use crate::journal::csv;
-use crate::journal::{Cursor, EventKind, Filter, Limit, Page, Query, ReadError};
+use crate::journal::{Cursor, EventKind, Filter, Limit, Page, Query};
+use crate::operations::values::{integer, text};
+use crate::operations::{Code, Problem};
 
 /// The kinds of events, as a mistake names them.
 const EVENT_KINDS: &str = "command, fast_stop, acknowledge, lease, link, device, settings, refused, gateway";
@@ -130,7 +130,7 @@ pub struct Grips<'a> {
 pub struct Curve {
     /// The command's id.
     #[schema(value_type = uuid::Uuid)]
-    id: crate::gripper::model::CommandId,
+    id: CommandId,
     /// Since the first sample, in ms.
     t_ms: Vec<u32>,
     /// The opening width in mm.
@@ -139,12 +139,6 @@ pub struct Curve {
     speed_mm_s: Vec<f32>,
     /// The gripping force in N.
     force_n: Vec<f32>,
-}
-
-impl From<ReadError> for Problem {
-    fn from(error: ReadError) -> Self {
-        Self::new(Code::JournalDown, error.to_string())
-    }
 }
 
 /// In which forms pages are told; JSON where a client has no preference.
@@ -214,7 +208,7 @@ fn table(columns: &[&str], page: &Page) -> Response {
     responses((status = 200, description = "A page of events", content((Events = "application/json"), (String = "text/csv"))), JournalProblem)
 )]
 pub async fn events(Shared(context): Shared<Arc<Context>>, headers: HeaderMap, uri: Uri) -> Result<Response, Problem> {
-    let page = context.journal.events(query(&uri, EVENT_KINDS, &["command_id"])?).await?;
+    let page = context.gateway.journal.events(query(&uri, EVENT_KINDS, &["command_id"])?).await?;
     if wants_csv(&headers) {
         return Ok(table(csv::EVENT_COLUMNS, &page));
     }
@@ -233,12 +227,16 @@ pub async fn events(Shared(context): Shared<Arc<Context>>, headers: HeaderMap, u
     responses((status = 200, description = "A page of grip records", content((Grips = "application/json"), (String = "text/csv"))), JournalProblem)
 )]
 pub async fn grips(Shared(context): Shared<Arc<Context>>, headers: HeaderMap, uri: Uri) -> Result<Response, Problem> {
-    let page = context.journal.grips(query(&uri, GRIP_KINDS, &[])?).await?;
+    let page = context.gateway.journal.grips(query(&uri, GRIP_KINDS, &[])?).await?;
     if wants_csv(&headers) {
         return Ok(table(csv::GRIP_COLUMNS, &page));
     }
     let next_cursor = page.next_cursor.as_deref();
     Ok(Json(Grips { grips: raw(&page)?, next_cursor }).into_response())
+}
+
+fn command_id(text: &str) -> Result<CommandId, Problem> {
+    text.parse().map_err(|_| Problem::not_found("command of this id: ids are UUIDs"))
 }
 
 fn no_such_grip() -> Problem {
@@ -251,8 +249,8 @@ fn no_such_grip() -> Problem {
     params(CommandPath),
     responses((status = 200, description = "The grip record", body = GripBody), JournalProblem)
 )]
-pub async fn grip(Shared(context): Shared<Arc<Context>>, CommandOf(id): CommandOf) -> Result<Response, Problem> {
-    let body = context.journal.grip(id).await?.ok_or_else(no_such_grip)?;
+pub async fn grip(Shared(context): Shared<Arc<Context>>, Path(id): Path<String>) -> Result<Response, Problem> {
+    let body = context.gateway.journal.grip(command_id(&id)?).await?.ok_or_else(no_such_grip)?;
     Ok(([(header::CONTENT_TYPE, "application/json")], body.to_string()).into_response())
 }
 
@@ -267,10 +265,11 @@ pub async fn grip(Shared(context): Shared<Arc<Context>>, CommandOf(id): CommandO
 )]
 pub async fn curve(
     Shared(context): Shared<Arc<Context>>,
-    CommandOf(id): CommandOf,
+    Path(id): Path<String>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    let samples = context.journal.curve(id).await?.ok_or_else(no_such_grip)?;
+    let id = command_id(&id)?;
+    let samples = context.gateway.journal.curve(id).await?.ok_or_else(no_such_grip)?;
     if wants_csv(&headers) {
         return Ok(([(header::CONTENT_TYPE, CSV)], csv::curve(&samples)).into_response());
     }

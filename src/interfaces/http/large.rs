@@ -13,8 +13,8 @@ use futures_util::stream::unfold;
 use http_body_util::BodyExt as _;
 use tokio::sync::Semaphore;
 
-use super::errors::{Code, Problem};
 use crate::interfaces::admission::ConnectionPermit;
+use crate::operations::{Code, Problem};
 
 /// Answers from this size on are counted. Smaller ones fit the buffers that every connection has.
 const COUNTED_FROM: u64 = 16 * 1024;

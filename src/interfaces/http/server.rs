@@ -16,7 +16,7 @@ use std::time::Duration;
 use axum::Router;
 use axum::body::Body;
 use axum::extract::ConnectInfo;
-use axum::http::{Method, Request};
+use axum::http::Request;
 use axum::response::Response;
 use futures_util::future::{BoxFuture, FutureExt as _};
 use hyper::body::{Body as _, Incoming};
@@ -32,11 +32,14 @@ use tokio::time::{Instant, sleep, timeout};
 use tokio_util::sync::CancellationToken;
 use tower::ServiceExt;
 
-use super::pace::RequestPace;
-use super::quick_ack::QuickAckStream;
-use super::{Context, router};
+use super::context::Context;
+use super::fast_stop::{is_fast_stop, may_be_fast_stop};
+use super::home::Home;
+use super::router::router;
 use crate::interfaces::admission::{Admission, Bounds, ConnectionPermit, Usage};
 use crate::interfaces::metrics::Connected;
+use crate::interfaces::pace::RequestPace;
+use crate::interfaces::quick_ack::QuickAckStream;
 use crate::interfaces::sockets;
 
 /// Bounds of the server.
@@ -81,11 +84,12 @@ const ROOM_WITHIN: Duration = Duration::from_millis(10);
 /// How long accepting does not wait again after that was in vain.
 const STALLED_FOR: Duration = Duration::from_millis(200);
 
+/// How long a FAST STOP waits in a crowd for a place to look at it. Each place is free again after twice
+/// [`FIRST_LINE_WITHIN`].
+const RESERVED_WITHIN: Duration = Duration::from_millis(50);
+
 /// How long the rest of a first line may take, where its beginning is there.
 const FIRST_LINE_WITHIN: Duration = Duration::from_millis(20);
-
-/// The end of a FAST STOP's path.
-const FAST_STOP: &str = "/fast-stop";
 
 impl Limits {
     /// The usual times, within these bounds.
@@ -154,7 +158,7 @@ impl Server {
             match listener.accept().await {
                 Ok((stream, peer)) if self.admission.is_crowded() => {
                     // They end where others are served, which may be busy. A FAST STOP waits for none of them.
-                    if let Some(place) = self.admission.reserved() {
+                    if let Some(place) = self.reserved_for(&stream).await {
                         tokio::spawn(self.clone().admit_fast_stop(stream, peer, place));
                     }
                 }
@@ -170,6 +174,19 @@ impl Server {
                 }
             }
         }
+    }
+
+    /// A place to look at a connection in a crowd. Only a FAST STOP is waited for, whose first bytes are there.
+    async fn reserved_for(&self, stream: &TcpStream) -> Option<OwnedSemaphorePermit> {
+        if let Some(place) = self.admission.reserved() {
+            return Some(place);
+        }
+        let mut first = [0; FIRST_BYTES];
+        let seen = peek_now(stream, &mut first);
+        if !may_be_fast_stop(first.get(..seen)?) {
+            return None;
+        }
+        timeout(RESERVED_WITHIN, self.admission.next_reserved()).await.ok().flatten()
     }
 
     /// Admits a connection only where it begins with a FAST STOP.
@@ -222,7 +239,7 @@ impl Server {
             server: self.clone(),
             peer,
             permit: permit.clone(),
-            home: Home(Arc::new(moves)),
+            home: Home::new(moves),
             pace: Arc::default(),
             has_served: Arc::default(),
         };
@@ -236,32 +253,6 @@ impl Server {
         let http = Box::pin(http);
         let connection = Connection { server: self, peer, permit, is_fast_stop, http, home, _connected: connected };
         drop(runtime.spawn(connection.run()));
-    }
-}
-
-/// Asks for a connection's move to another runtime. Handlers find it in a request's extensions.
-#[derive(Debug, Clone)]
-pub struct Home(Arc<watch::Sender<Handle>>);
-
-impl Home {
-    /// Moves the connection to a runtime, unwritten bytes included.
-    pub fn move_to(&self, runtime: &Handle) {
-        self.move_if(runtime, |home| home.id() != runtime.id());
-    }
-
-    /// Moves the connection from `from` to `to`, if it is on `from`.
-    fn leave(&self, from: &Handle, to: &Handle) {
-        self.move_if(to, |home| home.id() == from.id() && home.id() != to.id());
-    }
-
-    fn move_if(&self, runtime: &Handle, moves: impl FnOnce(&Handle) -> bool) {
-        self.0.send_if_modified(|home| {
-            let moves = moves(home);
-            if moves {
-                *home = runtime.clone();
-            }
-            moves
-        });
     }
 }
 
@@ -346,17 +337,6 @@ impl Service<Request<Incoming>> for Requests {
         extensions.insert(self.pace.clone());
         self.server.router.clone().oneshot(request.map(Body::new)).boxed()
     }
-}
-
-/// Whether a request is a FAST STOP, by its path.
-pub fn is_fast_stop<B>(request: &Request<B>) -> bool {
-    request.method() == Method::POST && request.uri().path().trim_end_matches('/').ends_with(FAST_STOP)
-}
-
-/// Whether a request's first bytes may be those of a FAST STOP.
-fn may_be_fast_stop(first: &[u8]) -> bool {
-    let line = first.split(|byte| *byte == b'\n').next().unwrap_or_default();
-    line.windows(FAST_STOP.len()).any(|part| part == FAST_STOP.as_bytes())
 }
 
 /// Peeks without waiting for tokio's readiness, which a fresh stream does not have yet.

@@ -14,24 +14,18 @@ use futures_util::stream::unfold;
 use tokio_util::sync::CancellationToken;
 use utoipa::{IntoParams, ToSchema};
 
-use super::Context;
-use super::errors::{Code, Problem};
-use super::parameters::Parameters;
-use super::responses::JournalProblem;
-use super::server::Home;
-use super::values::integer;
-use crate::events::{Gap, Notification, Pace, Subscription, TOPICS, Topic};
+use super::context::Context;
+use super::home::Home;
+use super::paths::responses::JournalProblem;
+use super::query::Query;
+use crate::events::{DEFAULT_HZ, Gap, MAX_HZ, Notification, Pace, Subscription, TOPICS, Topic};
 use crate::gripper::Now;
 use crate::gripper::model::Name;
 use crate::interfaces::admission::{Claim, Class, ConnectionPermit};
 use crate::interfaces::metrics::Metrics;
 use crate::journal::{Filter, Follow, Followed};
-
-/// How often states and telemetry are told at most, unless a client asks for more or less.
-pub const DEFAULT_HZ: u64 = 10;
-
-/// And at most: as often as devices tell.
-pub const MAX_HZ: u64 = 100;
+use crate::operations::values::integer;
+use crate::operations::{Code, Problem};
 
 /// How often a stream on which nothing happens says that it is still there, so that proxies keep it.
 const KEPT_ALIVE_EVERY: Duration = Duration::from_secs(15);
@@ -129,13 +123,13 @@ pub async fn stream(
 
 impl Stream {
     fn new(context: &Context, headers: &HeaderMap, uri: &Uri) -> Result<Self, Problem> {
-        let given = Parameters::of(uri)?.only(&["topics", "gripper", "max_hz", "after"])?;
+        let given = Query::of(uri)?.only(&["topics", "gripper", "max_hz", "after"])?;
         let mut topics = given
             .parsed("topics", &format!("{TOPICS}, with commas between"), topics)?
             .unwrap_or_else(|| BTreeSet::from([Topic::Events]));
         let name: Option<Name> = given.parsed("gripper", "a gripper's name", |text| text.parse().ok())?;
         if let Some(name) = &name {
-            context.fleet.get(name).ok_or_else(|| Problem::not_found("gripper of this name"))?;
+            context.gateway.grippers.get(name).ok_or_else(|| Problem::not_found("gripper of this name"))?;
         }
         let max_hz = match given.parsed("max_hz", "a whole number", |text| text.parse::<f64>().ok())? {
             Some(number) => integer("max_hz", number, 1..=MAX_HZ)?,
@@ -149,8 +143,8 @@ impl Stream {
         let only = name.iter().cloned().collect();
         let filter = Filter { gripper: name.clone(), ..Filter::default() };
         // The journal itself tells of events without a gap.
-        let events = topics.remove(&Topic::Events).then(|| context.journal.follow(after, filter));
-        let mut updates = context.updates.subscribe(name.as_ref().map(|_| &only), topics.iter().copied());
+        let events = topics.remove(&Topic::Events).then(|| context.gateway.journal.follow(after, filter));
+        let mut updates = context.gateway.updates.subscribe(name.as_ref().map(|_| &only), topics.iter().copied());
         let mut ready = VecDeque::new();
         for state in updates.snapshot() {
             let has = |topic| topics.contains(&topic);

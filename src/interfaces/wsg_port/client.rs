@@ -19,7 +19,7 @@ use crate::gripper::model::{
 };
 use crate::gripper::{Granted, Handle, Keep, Rejection, Ticket};
 use crate::interfaces::admission::{Claim, Class, ConnectionPermit};
-use crate::interfaces::refusals;
+use crate::operations::audit::RefusedRequest;
 use crate::wsg::{self, Data, Reply, Status, id};
 
 /// What is read at once: the answers to as many requests have a place before any of them is written.
@@ -430,7 +430,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
     fn record(&self, id: u8, status: Status, cause: String) {
         let command = wsg::id::name(id).map_or_else(|| format!("{id:02X}h"), ToOwned::to_owned);
         let (gripper, client, code) = (Some(self.port.gripper.name().clone()), self.client.clone(), status.to_string());
-        self.port.refusals.take(refusals::Refusal { gripper, client, command, code }, cause);
+        self.port.audit.take(RefusedRequest { gripper, client, command, code }, cause);
     }
 }
 

@@ -24,9 +24,9 @@ use ipnet::IpNet;
 use tokio_util::sync::CancellationToken;
 
 use super::admission::{Admission, Bounds, ConnectionPermit};
-use super::refusals::Refusals;
 use crate::gripper::Handle;
 use crate::gripper::model::{Client, Door};
+use crate::operations::audit::Audit;
 
 /// Clients of one port at a time. One of them moves the gripper, so there are seldom more than a few.
 const MAX_CLIENTS: usize = 128;
@@ -89,7 +89,7 @@ pub struct Port {
     rules: Arc<Rules>,
     /// Descriptors of its TCP clients.
     descriptors: usize,
-    refusals: Arc<Refusals>,
+    audit: Arc<Audit>,
 }
 
 /// A port that clients can reach, and that is not served yet: by whichever runtime will do so.
@@ -136,9 +136,9 @@ impl Listener {
 impl Port {
     /// The port of this gripper, whose TCP clients may take so many descriptors.
     #[must_use]
-    pub fn new(gripper: Handle, rules: Rules, descriptors: usize, refusals: Arc<Refusals>) -> Arc<Self> {
+    pub fn new(gripper: Handle, rules: Rules, descriptors: usize, audit: Arc<Audit>) -> Arc<Self> {
         let descriptors = descriptors.clamp(MIN_DESCRIPTORS, MAX_DESCRIPTORS);
-        Arc::new(Self { gripper, rules: Arc::new(rules), descriptors, refusals })
+        Arc::new(Self { gripper, rules: Arc::new(rules), descriptors, audit })
     }
 
     /// Serves clients: new ones until `draining`, and all until `closing`.

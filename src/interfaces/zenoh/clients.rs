@@ -20,8 +20,8 @@ use zenoh::session::{TransportEvent, ZenohId};
 use super::queries::MAX_QUERIES;
 use crate::fleet::keys::{Keys, last_part};
 use crate::gripper::model::Name;
-use crate::interfaces::http::Taken;
 use crate::interfaces::metrics::{Connected, Metrics};
+use crate::operations::lease::ConnectionLease;
 
 /// Client tokens that are kept. Any session on the network may declare any number of tokens, so this list may be full of
 /// foreign ones: the token of a client that takes a lease is looked up in Zenoh then.
@@ -55,7 +55,7 @@ struct Known {
 #[derive(Debug)]
 struct Bound {
     bond: Option<Bond>,
-    taken: Arc<Taken>,
+    taken: Arc<ConnectionLease>,
     places: Places,
 }
 
@@ -171,7 +171,7 @@ impl Clients {
 
     /// Keeps track of a lease that was just taken. Without a bond it runs out without use; one whose bond has ended
     /// since the client asked is lost.
-    pub fn bind(&self, bond: Option<Bond>, taken: Arc<Taken>) {
+    pub fn bind(&self, bond: Option<Bond>, taken: Arc<ConnectionLease>) {
         let mut known = self.known();
         if bond.as_ref().is_some_and(|bond| !known.has(bond)) {
             drop(known);
@@ -227,7 +227,7 @@ impl Clients {
         }
     }
 
-    fn lose(&self, taken: Arc<Taken>) {
+    fn lose(&self, taken: Arc<ConnectionLease>) {
         self.runtime.spawn(async move { taken.lose().await });
     }
 

@@ -38,8 +38,7 @@ pub use self::reach::Reach;
 use crate::fleet::Network;
 use crate::fleet::keys::Keys;
 use crate::gripper::model::ShownName;
-use crate::interfaces::http::Context;
-use crate::interfaces::metrics::Metrics;
+use crate::interfaces::Context;
 
 /// The most bytes of the name that a client gives itself.
 const MAX_CLIENT_BYTES: usize = 64;
@@ -58,35 +57,33 @@ pub struct Settings {
     pub reach: Reach,
     /// How often states and telemetry are published at most, a second and gripper.
     pub max_hz: u32,
-    /// What is counted.
-    pub metrics: Metrics,
 }
 
 /// Serves until the gateway closes. Where Zenoh can't be had, the gateway is served without until it can; `opened` is told
 /// where others find it.
-pub async fn serve(settings: Settings, context: Arc<Context>, opened: impl FnMut(&[String])) {
-    let Settings { reach, max_hz, metrics } = settings;
+pub async fn serve(settings: Settings, context: Context, opened: impl FnMut(&[String])) {
+    let Settings { reach, max_hz } = settings;
     let session = tokio::select! {
         biased;
         () = context.closing.cancelled() => return,
-        session = open_at_last(&reach, &context.network) => session,
+        session = open_at_last(&reach, &context.gateway.network) => session,
     };
     let declared = tokio::select! {
         biased;
         () = context.closing.cancelled() => return,
-        declared = declare(&session, &context, max_hz, metrics) => declared,
+        declared = declare(&session, &context, max_hz) => declared,
     };
     match declared {
         Ok((_alive, _told)) => {
             tokio::select! {
                 biased;
                 () = context.closing.cancelled() => {}
-                () = reach.watch(&session, &context.network, opened) => {}
+                () = reach.watch(&session, &context.gateway.network, opened) => {}
             }
         }
         Err(error) => {
             tracing::error!(%error, "Zenoh declares nothing: the grippers are served without it");
-            context.network.set_cause(Some(format!("Zenoh declares nothing: {error}")));
+            context.gateway.network.set_cause(Some(format!("Zenoh declares nothing: {error}")));
         }
     }
     if tokio::time::timeout(FAREWELL_WITHIN, session.close()).await.is_err() {
@@ -121,28 +118,25 @@ async fn open(config: zenoh::Config) -> zenoh::Result<zenoh::Session> {
 /// Everything that the gateway is to others; it ends with what is returned.
 async fn declare(
     session: &zenoh::Session,
-    context: &Arc<Context>,
+    context: &Context,
     max_hz: u32,
-    metrics: Metrics,
 ) -> zenoh::Result<([LivelinessToken; 2], JoinSet<()>)> {
-    let keys = Keys::of(&context.gateway);
+    let Context { gateway, runtimes, metrics, .. } = context;
+    let keys = Keys::of(&gateway.name);
     // First: it stops what may be moving already.
-    FastStops::new(context.fleet.clone(), context.runtimes.accept.clone()).declare(session, &keys).await?;
+    FastStops::new(gateway.grippers.clone(), runtimes.accept.clone()).declare(session, &keys).await?;
     let clients = Arc::new(Clients::new(keys.clone(), Handle::current(), metrics.clone()));
     clients.declare(session).await?;
-    let instance = context.network.join(session).await?;
-    let queries = Queries::new(keys.clone(), context, clients, metrics.clone());
-    Arc::new(queries).declare(session, &context.fleet).await?;
+    let instance = gateway.network.join(session).await?;
+    let queries = Queries::new(keys.clone(), gateway, clients, metrics.clone());
+    Arc::new(queries).declare(session, &gateway.grippers).await?;
     let mut told = JoinSet::new();
-    told.spawn(context.network.watch_twins(session));
-    for handle in context.fleet.iter() {
+    told.spawn(gateway.network.watch_twins(session));
+    for handle in gateway.grippers.iter() {
         let publications = Publications::declare(session, &keys, handle).await?;
-        told.spawn_on(publications.tell(context.clone(), metrics.clone(), max_hz), &context.runtimes.observers);
+        told.spawn_on(publications.tell(context.clone(), max_hz), &runtimes.observers);
     }
-    told.spawn_on(
-        publications::tell_events(session.clone(), keys.clone(), context.clone()),
-        &context.runtimes.observers,
-    );
+    told.spawn_on(publications::tell_events(session.clone(), keys.clone(), context.clone()), &runtimes.observers);
     Ok(([instance, session.liveliness().declare_token(keys.own("alive")).await?], told))
 }
 

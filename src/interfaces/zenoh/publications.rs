@@ -15,8 +15,7 @@ use crate::events::{Notification, Pace, Topic};
 use crate::fleet::keys::Keys;
 use crate::gripper::Handle;
 use crate::gripper::model::{Link, State};
-use crate::interfaces::http::Context;
-use crate::interfaces::metrics::Metrics;
+use crate::interfaces::Context;
 use crate::journal::{Filter, Followed, Stored};
 
 /// How often a state is told that has not changed: who counts on it sees by its silence that the gateway is gone, and
@@ -60,9 +59,9 @@ impl Publications {
     }
 
     /// Tells states and telemetry, so often a second at most, until the gateway closes.
-    pub async fn tell(mut self, context: Arc<Context>, metrics: Metrics, max_hz: u32) {
+    pub async fn tell(mut self, context: Context, max_hz: u32) {
         let only = BTreeSet::from([self.handle.name().clone()]);
-        let mut updates = context.updates.subscribe(Some(&only), [Topic::Telemetry]);
+        let mut updates = context.gateway.updates.subscribe(Some(&only), [Topic::Telemetry]);
         let mut pace = Pace::new(max_hz);
         let mut unchanged = interval(TOLD_EVERY);
         unchanged.set_missed_tick_behavior(MissedTickBehavior::Delay);
@@ -72,7 +71,7 @@ impl Publications {
                 () = context.closing.cancelled() => return,
                 missed = pace.next() => {
                     let (told, dropped) = updates.newest(missed);
-                    metrics.dropped(dropped);
+                    context.metrics.dropped(dropped);
                     for told in told {
                         publish(&self.telemetry, &told);
                     }
@@ -124,8 +123,8 @@ fn publish(publisher: &Publisher<'_>, told: &Notification) {
 }
 
 /// Publishes all events from now on, in order, once they are durable, until the gateway closes.
-pub async fn tell_events(session: zenoh::Session, keys: Keys, context: Arc<Context>) {
-    let mut events = context.journal.follow(None, Filter::default());
+pub async fn tell_events(session: zenoh::Session, keys: Keys, context: Context) {
+    let mut events = context.gateway.journal.follow(None, Filter::default());
     loop {
         let event = tokio::select! {
             biased;

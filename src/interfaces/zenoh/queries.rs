@@ -6,7 +6,6 @@
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use axum::http::{HeaderMap, HeaderName, HeaderValue};
 use serde::Deserialize;
 use serde_json::value::RawValue;
 use serde_json::{Map, Value};
@@ -19,11 +18,15 @@ use zenoh::session::ZenohId;
 
 use super::clients::{Bond, Clients};
 use crate::fleet::keys::{Keys, decoded, last_part};
-use crate::fleet::{Network, Urgency};
 use crate::gripper::Grippers;
-use crate::gripper::model::{Client, Door, Name};
-use crate::interfaces::http::{self, Code, Context, Methods, Presence, Problem, Refusal, Wait, is_fast_stop, urgency};
+use crate::gripper::model::{Client, Door, Name, Text, Urgency};
 use crate::interfaces::metrics::Metrics;
+use crate::operations::json::{self, MAX_BODY_BYTES, StrictJson};
+use crate::operations::values::{name, text};
+use crate::operations::{
+    self, Caller, Code, Effect, Gateway, MAX_LEASE_BYTES, Presence, Problem, Reply, Wait, is_fast_stop, lease, named,
+    urgency,
+};
 
 /// Queries that may be under way, of those that may take their time, of those that don't, of those that only stop, and of
 /// those that keep or end a lease. More are refused as `overloaded`, but for FAST STOPs.
@@ -38,13 +41,11 @@ const CLIENT: &str = "client";
 /// The Zenoh id of the client's session, to which `lease.take` binds the lease.
 const ZID: &str = "zid";
 /// Those that are headers over HTTP.
-const ASIDE: [(HeaderName, &str); 2] = [(http::WSG_LEASE, "lease"), (http::IDEMPOTENCY_KEY, "request_id")];
+const LEASE: &str = "lease";
+const REQUEST_ID: &str = "request_id";
 
 /// The field that names the gripper, as the key does.
 const GRIPPER: &str = "gripper";
-
-/// The method that takes a lease.
-const LEASE_TAKE: &str = "lease.take";
 
 /// The field of its answer that says what the lease is bound to.
 const BOUND_TO: &str = "bound_to";
@@ -53,8 +54,7 @@ const BOUND_TO: &str = "bound_to";
 #[derive(Debug)]
 pub struct Queries {
     keys: Keys,
-    methods: Methods,
-    network: Arc<Network>,
+    gateway: Arc<Gateway>,
     clients: Arc<Clients>,
     metrics: Metrics,
     runtime: Handle,
@@ -77,7 +77,9 @@ struct Asked {
     method: String,
     params: Map<String, Value>,
     wait_ms: Option<String>,
-    headers: HeaderMap,
+    /// The lease token and the request id of the selector.
+    lease: Option<String>,
+    request_id: Option<String>,
     /// The session that asks for a lease, as it says itself.
     zid: Option<ZenohId>,
     client: Client,
@@ -85,16 +87,15 @@ struct Asked {
 
 impl Queries {
     /// On the runtime that this is called on.
-    pub fn new(keys: Keys, context: &Arc<Context>, clients: Arc<Clients>, metrics: Metrics) -> Self {
-        let (methods, network, runtime) = (http::methods(context), context.network.clone(), Handle::current());
+    pub fn new(keys: Keys, gateway: &Arc<Gateway>, clients: Arc<Clients>, metrics: Metrics) -> Self {
+        let runtime = Handle::current();
         let semaphore = |places| Arc::new(Semaphore::new(places));
         let [places, waiting_places, stop_places, lease_places] = [MAX_QUERIES; 4].map(semaphore);
-        let names = context.fleet.iter().map(crate::gripper::Handle::name);
+        let names = gateway.grippers.iter().map(crate::gripper::Handle::name);
         let fast_stop_places = names.map(|name| (name.clone(), semaphore(MAX_FAST_STOPS))).collect();
         Self {
             keys,
-            methods,
-            network,
+            gateway: gateway.clone(),
             clients,
             metrics,
             runtime,
@@ -131,7 +132,8 @@ impl Queries {
             method: what.to_owned(),
             params,
             wait_ms: None,
-            headers: HeaderMap::new(),
+            lease: None,
+            request_id: None,
             zid: None,
             client: Client { subject: super::subject(None), door: Door::Zenoh },
         };
@@ -153,20 +155,18 @@ impl Queries {
                 "a command is asked of one gripper, by its name: only FAST STOPs may have wildcards in their key";
             return Err(Problem::malformed("key", detail));
         }
-        let is_a_grippers =
-            |row: &&http::Method| row.name == method && row.path_parameters().any(|key| key == "gripper");
-        if !http::METHODS.iter().any(|row| is_a_grippers(&row)) {
+        if !named(&method).any(operations::Operation::is_of_gripper) {
             return Err(Problem::not_found("such command: the API's description has them all"));
         }
-        if self.network.has_twin() && urgency(&method) == Urgency::None {
+        if self.gateway.network.has_twin() && urgency(&method) == Urgency::None {
             let detail = "another gateway on the Zenoh network has the name of this one, and would do it, too: give each its own";
             return Err(Problem::new(Code::NameTaken, detail));
         }
         let payload = query.payload().map(zenoh::bytes::ZBytes::to_bytes).unwrap_or_default();
         let given = |key| query.parameters().get(key).filter(|given| !given.is_empty()).map(decoded);
-        let client = given(CLIENT).map(|name| http::shown_name(CLIENT, &name)).transpose();
+        let client = given(CLIENT).map(|given| name(CLIENT, &given)).transpose();
         let (mut params, client) = if is_fast_stop {
-            (http::parse_body(&payload).unwrap_or_default(), client.unwrap_or_default())
+            (json::parse(&payload).unwrap_or_default(), client.unwrap_or_default())
         } else {
             (body(&payload)?, client?)
         };
@@ -174,14 +174,15 @@ impl Queries {
         if !is_fast_stop && other.is_some_and(|other| other != gripper.as_str()) {
             return Err(Problem::malformed("gripper", "gripper is another one than that of the key"));
         }
-        let zid = given(ZID).filter(|_| method == LEASE_TAKE).map(|zid| session_id(&zid)).transpose()?;
+        let zid = given(ZID).filter(|_| method == lease::TAKE.name).map(|zid| session_id(&zid)).transpose()?;
         Ok(Asked {
             key,
             method,
             params,
             wait_ms: given(WAIT_MS),
             zid,
-            headers: if is_fast_stop { HeaderMap::new() } else { headers(given)? },
+            lease: given(LEASE),
+            request_id: given(REQUEST_ID),
             client: Client { subject: super::subject(client), door: Door::Zenoh },
         })
     }
@@ -192,15 +193,14 @@ impl Queries {
         let Ok(place) = places.try_acquire_owned() else {
             tracing::warn!(key = %query.key_expr(), "too many Zenoh queries are under way");
             let detail = format!("{MAX_QUERIES} Zenoh queries are under way already: await their answers first");
-            let refusal = Refusal::from(Problem::new(Code::Overloaded, detail));
-            self.reply(query, None, Err(refusal), None);
+            self.reply(query, None, Err(Problem::new(Code::Overloaded, detail)), None);
             return;
         };
         let queries = self.clone();
         self.runtime.spawn(async move {
             let (key, told) = match asked {
                 Ok(asked) => (Some(asked.key.clone()), queries.call(asked).await),
-                Err(problem) => (None, Err(problem.into())),
+                Err(problem) => (None, Err(problem)),
             };
             queries.reply(query, key, told, Some(place));
         });
@@ -210,9 +210,8 @@ impl Queries {
     /// that was taken through Zenoh has places of its own.
     fn places_for(&self, asked: &Asked) -> Arc<Semaphore> {
         let gripper = asked.params.get(GRIPPER).and_then(Value::as_str).unwrap_or_default();
-        let lease = lease(&asked.params, &asked.headers);
-        let holders = lease.and_then(|lease| self.clients.places_of(gripper, lease)).unwrap_or_default();
-        let is_command = http::METHODS.iter().any(|row| row.name == asked.method && row.is_command);
+        let holders = asked.lease().and_then(|lease| self.clients.places_of(gripper, lease)).unwrap_or_default();
+        let is_command = named(&asked.method).any(|operation| operation.starts_command);
         let (holders, all) = match urgency(&asked.method) {
             Urgency::FastStop => {
                 let name = gripper.parse().ok();
@@ -226,25 +225,36 @@ impl Queries {
         holders.unwrap_or_else(|| all.clone())
     }
 
-    async fn call(&self, asked: Asked) -> Result<Box<RawValue>, Refusal> {
-        let Asked { method, params, wait_ms, headers, zid, client, .. } = asked;
-        let bond = if method == LEASE_TAKE { self.clients.bond(holder(&params), zid).await } else { None };
-        let (wait, params) = (Wait::Ms(wait_ms.as_deref(), self.presence(&params, &headers)), Value::Object(params));
-        let told = self.methods.call(client, &method, params, wait, headers).await;
-        let status = told.as_ref().map_or_else(|refusal| refusal.status.as_u16(), |_| 200);
+    async fn call(&self, asked: Asked) -> Result<Box<RawValue>, Problem> {
+        let caller = self.caller(&asked);
+        let Asked { method, params, zid, .. } = asked;
+        let bond = if method == lease::TAKE.name { self.clients.bond(holder(&params), zid).await } else { None };
+        let result = operations::call(&self.gateway, caller, &method, Value::Object(params)).await;
+        let status = result.as_ref().map_or_else(|problem| problem.status().as_u16(), |_| 200);
         self.metrics.answered(Some(&method), "QUERY", status);
-        let answer = told?;
-        let Some(taken) = answer.lease else { return Ok(answer.body) };
-        let body = with_bond(&answer.body, bond.as_ref());
-        self.clients.bind(bond, taken);
-        Ok(body.unwrap_or(answer.body))
+        let Reply { body, effect } = result?;
+        let Effect::Leased(lease) = effect else { return Ok(body) };
+        let with_bond = with_bond(&body, bond.as_ref());
+        self.clients.bind(bond, lease);
+        Ok(with_bond.unwrap_or(body))
+    }
+
+    fn caller(&self, asked: &Asked) -> Caller {
+        let lease = asked.lease.as_deref().map(|given| text::<MAX_LEASE_BYTES>(LEASE, given)).transpose();
+        let request_id = asked.request_id.as_deref().map(|given| text(REQUEST_ID, given)).transpose();
+        Caller {
+            client: asked.client.clone(),
+            lease: lease.map(|lease: Option<Text<MAX_LEASE_BYTES>>| lease.map(|lease| lease.as_str().into())),
+            request_id,
+            presence: self.presence(asked),
+            wait: Wait::Ms { given: asked.wait_ms.clone(), limiter: None },
+        }
     }
 
     /// Zenoh reports the end of a client's session or token alone, and not that the client of an open query is gone.
-    fn presence(&self, params: &Map<String, Value>, headers: &HeaderMap) -> Presence {
-        let gripper = params.get(GRIPPER).and_then(Value::as_str);
-        let is_seen =
-            gripper.zip(lease(params, headers)).is_some_and(|(gripper, lease)| self.clients.has_bound(gripper, lease));
+    fn presence(&self, asked: &Asked) -> Presence {
+        let gripper = asked.params.get(GRIPPER).and_then(Value::as_str);
+        let is_seen = gripper.zip(asked.lease()).is_some_and(|(gripper, lease)| self.clients.has_bound(gripper, lease));
         if is_seen { Presence::Seen } else { Presence::Unseen }
     }
 
@@ -253,7 +263,7 @@ impl Queries {
         &self,
         query: Query,
         key: Option<String>,
-        told: Result<Box<RawValue>, Refusal>,
+        told: Result<Box<RawValue>, Problem>,
         place: Option<OwnedSemaphorePermit>,
     ) {
         self.runtime.spawn_blocking(move || {
@@ -261,7 +271,7 @@ impl Queries {
             let sent = match (key, told) {
                 (Some(key), Ok(body)) => query.reply(key, body.get()).encoding(json).wait(),
                 (None, Ok(body)) => query.reply(query.key_expr(), body.get()).encoding(json).wait(),
-                (_, Err(refusal)) => query.reply_err(refusal.problem.get()).encoding(json).wait(),
+                (_, Err(problem)) => query.reply_err(problem_json(&problem)).encoding(json).wait(),
             };
             if let Err(error) = sent {
                 tracing::debug!(%error, "a Zenoh reply is not sent: who asked is gone");
@@ -273,32 +283,28 @@ impl Queries {
 
 /// A query's payload, within the bounds of a request's body.
 fn body(payload: &[u8]) -> Result<Map<String, Value>, Problem> {
-    if payload.len() > http::MAX_BODY_BYTES {
-        let (bytes, max) = (payload.len(), http::MAX_BODY_BYTES);
+    if payload.len() > MAX_BODY_BYTES {
+        let (bytes, max) = (payload.len(), MAX_BODY_BYTES);
         let detail = format!("the payload has {bytes} bytes, and may have {max} at most");
         return Err(Problem::new(Code::TooLarge, detail).value(Some(bytes.into())).limits(None, Some(max.into())));
     }
-    match http::parse_body(payload)? {
-        http::Unique(Value::Object(params)) => Ok(params),
+    match json::parse(payload)? {
+        StrictJson(Value::Object(params)) => Ok(params),
         // Nothing else is a body.
-        http::Unique(_) => Ok(Map::new()),
+        StrictJson(_) => Ok(Map::new()),
     }
 }
 
-fn headers(given: impl Fn(&'static str) -> Option<String>) -> Result<HeaderMap, Problem> {
-    let mut headers = HeaderMap::new();
-    for (header, name) in ASIDE {
-        let Some(given) = given(name) else { continue };
-        let no_header = |_| Problem::malformed(name, format!("{name} must have no control characters"));
-        headers.insert(header, HeaderValue::from_str(&given).map_err(no_header)?);
-    }
-    Ok(headers)
+fn problem_json(problem: &Problem) -> String {
+    serde_json::to_string(problem).unwrap_or_default()
 }
 
-/// The lease that a query names.
-fn lease<'a>(params: &'a Map<String, Value>, headers: &'a HeaderMap) -> Option<&'a str> {
-    let field = params.get("lease").and_then(Value::as_str);
-    field.or_else(|| headers.get(http::WSG_LEASE)?.to_str().ok())
+impl Asked {
+    /// The lease that the query names.
+    fn lease(&self) -> Option<&str> {
+        let field = self.params.get(LEASE).and_then(Value::as_str);
+        field.or(self.lease.as_deref())
+    }
 }
 
 /// The answer to `lease.take`, with what the lease is bound to.
@@ -336,7 +342,8 @@ mod tests {
             method: method.to_owned(),
             params: Map::from_iter([("gripper".to_owned(), gripper.into())]),
             wait_ms: wait_ms.map(ToOwned::to_owned),
-            headers: HeaderMap::new(),
+            lease: None,
+            request_id: None,
             zid: None,
             client: Client { subject: super::super::subject(None), door: Door::Zenoh },
         }
@@ -345,11 +352,11 @@ mod tests {
     #[tokio::test]
     async fn nobody_takes_the_place_of_who_waits_less_nor_one_of_a_fast_stop() {
         let grippers = ["left", "right"].map(|name| fake::gripper(name, Script::default()).0);
-        let context = Arc::new(Context::of(grippers));
+        let gateway = Gateway::of(grippers);
         let metrics = Metrics::register(&Registry::new(), "zenoh").unwrap();
-        let keys = Keys::of(&context.gateway);
+        let keys = Keys::of(&gateway.name);
         let clients = Arc::new(Clients::new(keys.clone(), Handle::current(), metrics.clone()));
-        let queries = Queries::new(keys, &context, clients, metrics);
+        let queries = Queries::new(keys, &gateway, clients, metrics);
         let lanes = [
             asked("left", "move", None),
             asked("left", "command", Some("60000")),

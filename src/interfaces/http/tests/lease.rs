@@ -46,30 +46,6 @@ async fn each_use_renews_the_lease_whatever_is_asked_for() {
     }
 }
 
-#[tokio::test(start_paused = true)]
-async fn the_time_of_a_lease_runs_from_the_answer_and_before_it_where_nobody_sees_who_asks() {
-    let gateway = with_fate(Fate::Runs);
-    let token = gateway.left("POST", "lease", json!({"ttl_ms": 60_000})).await.body["token"].clone();
-    let token = token.as_str().unwrap();
-    let command = json!({"width_mm": 50, "speed_mm_s": 50, "lease": token});
-    let command = gateway.left("POST", "move?wait_ms=0", command).await.body["id"].clone();
-    let path = format!("/api/v1/grippers/left/commands/{}?wait_ms=10000", command.as_str().unwrap());
-    let left = async || gateway.left("GET", "lease", Value::Null).await.body["expires_in_ms"].as_u64().unwrap();
-    for (presence, left_while_open_ms) in [(Presence::Seen, 60_000), (Presence::Unseen, 55_000)] {
-        let request = Request::get(&path).header(header::HOST, "localhost").header("Wsg-Lease", token);
-        let request = gateway.send(request.extension(presence).body(Body::empty()).unwrap());
-        let look = async {
-            tokio::time::sleep(Duration::from_secs(5)).await;
-            left().await
-        };
-        let (answer, left_while_open) = tokio::join!(request, look);
-        assert_eq!(answer.status, 200, "{:?}", answer.body);
-        assert!(left_while_open.abs_diff(left_while_open_ms) < 500, "{presence:?}: {left_while_open}");
-        let left_then = left().await;
-        assert!(left_then > 59_500, "{presence:?}: {left_then}");
-    }
-}
-
 #[tokio::test]
 async fn a_fast_stop_is_refused_for_no_token() {
     let mut gateway = Gateway::new(Script::default());

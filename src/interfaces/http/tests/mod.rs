@@ -7,10 +7,13 @@ mod lease;
 mod motions;
 mod raw;
 mod settings;
+mod table;
 
 use std::collections::BTreeSet;
+use std::sync::Arc;
 use std::time::Duration;
 
+use axum::Router;
 use axum::body::Body;
 use axum::http::{Request, header};
 use futures_util::future::join_all;
@@ -19,10 +22,12 @@ use serde_json::{Value, json};
 use tokio::sync::mpsc::UnboundedReceiver;
 use tower::ServiceExt;
 
-use super::*;
+use super::context::Context;
+use super::router::router;
 use crate::gripper::Rejection;
 use crate::gripper::fake::{self, Fate, Script, Seen};
 use crate::gripper::model::{Action, CommandId};
+use crate::journal::Journal;
 use crate::wsg::{self, Data};
 
 struct Gateway {
@@ -44,7 +49,7 @@ impl Gateway {
     fn with_journal(script: Script) -> (Self, Journal) {
         let (handle, seen) = fake::gripper("left", script);
         let context = Context::of([handle]);
-        let journal = context.journal.clone();
+        let journal = context.gateway.journal.clone();
         (Self { router: router(&Arc::new(context)), seen }, journal)
     }
 

@@ -1,0 +1,44 @@
+//! What is counted and logged of each request.
+
+use std::sync::Arc;
+use std::time::Instant;
+
+use axum::extract::{MatchedPath, Request, State};
+use axum::http::Method;
+use axum::middleware::Next;
+use axum::response::Response;
+use tracing::field::Empty;
+use tracing::{Instrument, debug, info, info_span};
+
+use super::client::client;
+use super::context::Context;
+use super::problem::RefusedMark;
+
+/// The middleware that counts and logs. What may have changed something is INFO, and what only reads DEBUG.
+pub async fn watch(State(context): State<Arc<Context>>, request: Request, next: Next) -> Response {
+    let method = request.method().clone();
+    let route = request.extensions().get::<MatchedPath>().cloned();
+    let client = client(request.extensions()).subject;
+    let path = request.uri().path();
+    let span = info_span!("request", %method, path, %client, command = Empty, fast_stop = Empty);
+    let since = Instant::now();
+    let response = next.run(request).instrument(span.clone()).await;
+    let (status, duration_ms) = (response.status().as_u16(), since.elapsed().as_millis() as u64);
+    let code = response.extensions().get().map(|RefusedMark { code, .. }| code.as_str());
+    span.in_scope(|| match method {
+        Method::GET | Method::HEAD => debug!(status, code, duration_ms, "answered"),
+        _ => info!(status, code, duration_ms, "answered"),
+    });
+    context.metrics.answered(route.as_ref().map(MatchedPath::as_str), bounded(&method), status);
+    response
+}
+
+/// A client may call its method anything.
+fn bounded(method: &Method) -> &str {
+    match *method {
+        Method::GET | Method::HEAD | Method::POST | Method::PUT | Method::DELETE | Method::OPTIONS | Method::PATCH => {
+            method.as_str()
+        }
+        _ => "other",
+    }
+}

@@ -1,0 +1,70 @@
+//! The audit of requests that are refused before an operation runs: by the guard, for their body, for their path.
+
+use std::sync::Arc;
+
+use axum::extract::{MatchedPath, Request, State};
+use axum::http::Method as Verb;
+use axum::middleware::Next;
+use axum::response::Response;
+
+use super::client::client;
+use super::context::{API, Context};
+use super::problem::RefusedMark;
+use crate::gripper::model::{Name, Urgency};
+use crate::interfaces::metrics::NO_ROUTE;
+use crate::operations::audit::RefusedRequest;
+use crate::operations::{find, subject};
+
+/// The middleware. Requests that only read leave no trace.
+pub async fn record(State(context): State<Arc<Context>>, request: Request, next: Next) -> Response {
+    if matches!(*request.method(), Verb::GET | Verb::HEAD | Verb::OPTIONS) {
+        return next.run(request).await;
+    }
+    let client = client(request.extensions());
+    let (method, route) = (request.method().clone(), request.extensions().get::<MatchedPath>().cloned());
+    let gripper = gripper(request.uri().path());
+    let response = next.run(request).await;
+    if let Some(RefusedMark { code, cause, is_recorded: false }) = response.extensions().get().cloned() {
+        let route = route.as_ref().map(MatchedPath::as_str);
+        let command = route.map_or(NO_ROUTE, subject).to_owned();
+        let urgency = route.map_or(Urgency::None, |route| urgency(&method, route));
+        context.gateway.audit.record(RefusedRequest { gripper, client, command, code }, &cause, urgency).await;
+    }
+    response
+}
+
+/// The gripper that a path names.
+fn gripper(path: &str) -> Option<Name> {
+    let below = path.strip_prefix(API).and_then(|path| path.strip_prefix("/grippers/"));
+    below.and_then(|below| below.split('/').next()).and_then(|name| name.parse().ok())
+}
+
+/// The urgency of a request for a route.
+pub fn urgency(verb: &Verb, route: &str) -> Urgency {
+    let operation = route.strip_prefix(API).and_then(|path| find(verb, path));
+    operation.map_or(Urgency::None, |operation| operation.urgency)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn path_names_its_gripper() {
+        assert_eq!(gripper("/api/v1/grippers/left/settings/acceleration").unwrap().as_str(), "left");
+        assert_eq!(gripper("/api/v1/fast-stop"), None);
+    }
+
+    #[test]
+    fn urgent_routes_are_known() {
+        let of = |verb, path: &str| urgency(&verb, &format!("{API}/{path}"));
+        assert_eq!(of(Verb::POST, "grippers/{gripper}/fast-stop"), Urgency::FastStop);
+        assert_eq!(of(Verb::POST, "grippers/{gripper}/stop"), Urgency::Stop);
+        assert_eq!(of(Verb::POST, "grippers/{gripper}/commands/{command}/cancel"), Urgency::Stop);
+        assert_eq!(of(Verb::PUT, "grippers/{gripper}/lease"), Urgency::Lease);
+        assert_eq!(of(Verb::DELETE, "grippers/{gripper}/lease"), Urgency::Lease);
+        for what in ["lease", "move"] {
+            assert_eq!(of(Verb::POST, &format!("grippers/{{gripper}}/{what}")), Urgency::None, "{what}");
+        }
+    }
+}

@@ -1,0 +1,224 @@
+//! Requests for a gripper of any gateway. What is asked about another gateway's gripper goes to the gateway that owns it,
+//! which decides; its answers and problems come back as they are.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::Duration;
+
+use axum::body::{Body as Stream, Bytes};
+use axum::extract::{RawPathParams, Request, State as Shared};
+use axum::http::request::Parts;
+use axum::http::{HeaderName, Method as Verb, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+use serde_json::value::RawValue;
+use serde_json::{Map, Value};
+
+use super::body;
+use super::client::client;
+use super::context::{API, Context};
+use super::fast_stop::{self, with_reason};
+use super::operation::serve_below;
+use super::problem::PROBLEM_JSON;
+use super::query::Query;
+use crate::fleet::{Ask, NoAnswer};
+use crate::gripper::model::{Name, Reason, Urgency};
+use crate::interfaces::admission::{Class, ConnectionPermit};
+use crate::operations::json::{parse, text_member};
+use crate::operations::{Code, DEFAULT_WAIT_MS, OPERATIONS, Operation, Problem, wait_ms};
+
+/// Paths of the grippers of any gateway.
+pub const PATHS: [&str; 2] =
+    ["/fleet/{gateway}/grippers/{gripper}", "/fleet/{gateway}/grippers/{gripper}/{*operation}"];
+
+/// Headers that travel beside the parameters, with their names there.
+const HEADER_PARAMS: [(HeaderName, &str); 2] =
+    [(HeaderName::from_static("wsg-lease"), "lease"), (HeaderName::from_static("idempotency-key"), "request_id")];
+
+/// What a path below a gripper of the fleet names.
+struct Target {
+    gateway: Name,
+    gripper: String,
+    /// What follows the gripper, with the slash before it.
+    operation: String,
+}
+
+impl Target {
+    fn of(parameters: &RawPathParams) -> Result<Self, Problem> {
+        let find = |name| parameters.iter().find(|(key, _)| *key == name).map(|(_, value)| value.to_owned());
+        let unknown = || Problem::not_found("such path");
+        Ok(Self {
+            gateway: find("gateway")
+                .ok_or_else(unknown)?
+                .parse()
+                .map_err(|_| Problem::not_found("gateway of this name"))?,
+            gripper: find("gripper").ok_or_else(unknown)?,
+            // A FAST STOP with a trailing slash is accepted everywhere.
+            operation: find("operation")
+                .map(|operation| {
+                    format!("/{}", operation.strip_suffix("fast-stop/").map_or(&*operation, |_| "fast-stop"))
+                })
+                .unwrap_or_default(),
+        })
+    }
+}
+
+/// Serves any operation on a gripper of any gateway.
+pub async fn forward(
+    Shared(context): Shared<Arc<Context>>,
+    parameters: RawPathParams,
+    request: Request,
+) -> Result<Response, Problem> {
+    let target = Target::of(&parameters)?;
+    let (parts, stream) = request.into_parts();
+    let Some((operation, mut path)) = operation(&parts, &target.operation)? else {
+        return Ok(not_allowed(&parts, &target.operation));
+    };
+    if context.gateway.network.is_own(&target.gateway) {
+        path.insert("gripper", target.gripper);
+        return if operation.urgency == Urgency::FastStop {
+            fast_stop::serve_below(&context, operation, path, &parts, stream).await
+        } else {
+            serve_below(&context, operation, path, &parts, stream).await
+        };
+    }
+    let gripper = target.gripper.parse().map_err(|_| Problem::not_found("gripper of this name"))?;
+    let (mut wait, aside) = (wait(&parts, operation)?, aside(&parts));
+    let permit: Option<Arc<ConnectionPermit>> = parts.extensions.get().cloned();
+    let long_wait = wait.filter(|wait| !wait.is_zero());
+    let _claim = match (permit, long_wait) {
+        (Some(permit), Some(_)) => {
+            let claim = permit.claim(Class::Waiting);
+            wait = if claim.is_some() { long_wait } else { Some(Duration::ZERO) };
+            claim
+        }
+        _ => None,
+    };
+    let (gateway, client, urgency) = (target.gateway.clone(), client(&parts.extensions), operation.urgency);
+    let ask = move |params| async move {
+        let (method, params) = (operation.name, Value::Object(params));
+        context.gateway.network.ask(Ask { gateway, gripper, method, params, wait, aside, client, urgency }).await
+    };
+    let asked = if urgency == Urgency::FastStop {
+        let reason = |text: &[u8]| Reason::truncated(&text_member(text, "reason").unwrap_or_default());
+        let stop = move |text: Bytes| ask(Map::from_iter([("reason".to_owned(), reason(&text).as_str().into())]));
+        with_reason(stream, stop).await?
+    } else {
+        ask(fields(stream, path).await?).await
+    };
+    match asked {
+        Ok(Ok(answer)) => Ok(answered(&target.gateway, &answer)),
+        Ok(Err((status, problem))) => Ok(refused(status, &problem)),
+        Err(why) => Err(no_answer(&target.gateway, why)),
+    }
+}
+
+/// Returns the parameters of a path and of a body.
+async fn fields(stream: Stream, path: BTreeMap<&'static str, String>) -> Result<Map<String, Value>, Problem> {
+    let mut fields: Map<String, Value> = parse(&body::bytes(stream).await?)?;
+    // As below a gripper of one's own, where the path alone says which it is.
+    if let Some(field) = fields.keys().find(|key| path.contains_key(key.as_str()) || *key == "gripper") {
+        return Err(Problem::malformed(field, format!("unknown field `{field}`: the path says which")));
+    }
+    fields.extend(path.into_iter().map(|(key, value)| (key.to_owned(), value.into())));
+    Ok(fields)
+}
+
+fn aside(parts: &Parts) -> Vec<(&'static str, String)> {
+    let given = |(header, name): (HeaderName, &'static str)| {
+        Some((name, String::from_utf8_lossy(parts.headers.get(header)?.as_bytes()).into_owned()))
+    };
+    HEADER_PARAMS.into_iter().filter_map(given).collect()
+}
+
+/// The urgency of a request for an operation on a gripper of any gateway.
+pub fn forwarded_urgency(verb: &Verb, path: &str) -> Urgency {
+    let below = path.strip_prefix(API).and_then(|path| path.strip_prefix("/fleet/"));
+    let operation = below.and_then(|below| below.splitn(4, '/').nth(3)).map(|operation| format!("/{operation}"));
+    let of_path = |path: String| {
+        OPERATIONS.iter().find(|operation| operation.verb == verb && parameters_of(operation, &path).is_some())
+    };
+    operation.and_then(of_path).map_or(Urgency::None, |operation| operation.urgency)
+}
+
+/// An operation, and the parameters in its path.
+type Found = (&'static Operation, BTreeMap<&'static str, String>);
+
+/// Finds the operation of a path below a gripper; none where the path exists and does not take the method.
+fn operation(parts: &Parts, path: &str) -> Result<Option<Found>, Problem> {
+    let mut of_path =
+        OPERATIONS.iter().filter_map(|operation| Some((operation, parameters_of(operation, path)?))).peekable();
+    of_path.peek().ok_or_else(|| Problem::not_found("such path"))?;
+    let verb = if parts.method == Verb::HEAD { &Verb::GET } else { &parts.method };
+    Ok(of_path.find(|(operation, _)| operation.verb == verb))
+}
+
+fn not_allowed(parts: &Parts, path: &str) -> Response {
+    let of_path = OPERATIONS.iter().filter(|operation| parameters_of(operation, path).is_some());
+    let allowed: Vec<_> = of_path.map(|operation| operation.verb.as_str()).collect();
+    let detail = format!("{} is not among the methods of this path, which Allow lists", parts.method);
+    ([(header::ALLOW, allowed.join(","))], Problem::new(Code::MethodNotAllowed, detail)).into_response()
+}
+
+fn parameters_of(operation: &Operation, path: &str) -> Option<BTreeMap<&'static str, String>> {
+    let template = operation.path.strip_prefix("/grippers/{gripper}")?;
+    if template.split('/').count() != path.split('/').count() {
+        return None;
+    }
+    let mut parameters = BTreeMap::new();
+    for (part, given) in template.split('/').zip(path.split('/')) {
+        match part.strip_prefix('{').and_then(|part| part.strip_suffix('}')) {
+            Some(key) => drop(parameters.insert(key, given.to_owned())),
+            None if part == given => {}
+            None => return None,
+        }
+    }
+    Some(parameters)
+}
+
+/// How long the operation may take; none where it takes no time of its own.
+fn wait(parts: &Parts, operation: &Operation) -> Result<Option<Duration>, Problem> {
+    if !operation.waits() {
+        return Ok(None);
+    }
+    let given = Query::of(&parts.uri)?.one("wait_ms")?.map(wait_ms).transpose()?;
+    Ok(given.or(operation.starts_command.then_some(DEFAULT_WAIT_MS)).map(Duration::from_millis))
+}
+
+/// As over there: 202 and where to ask where a command runs.
+fn answered(gateway: &Name, answer: &RawValue) -> Response {
+    let command: Value = serde_json::from_str(answer.get()).unwrap_or_default();
+    let json = [(header::CONTENT_TYPE, "application/json".to_owned())];
+    let text = |key: &str| command[key].as_str().unwrap_or_default();
+    if text("phase") != "running" {
+        return (json, answer.get().to_owned()).into_response();
+    }
+    let location = format!("{API}/fleet/{gateway}/grippers/{}/commands/{}", text("gripper"), text("id"));
+    (StatusCode::ACCEPTED, [(header::LOCATION, location)], json, answer.get().to_owned()).into_response()
+}
+
+fn refused(status: u16, problem: &RawValue) -> Response {
+    let status =
+        StatusCode::from_u16(status).ok().filter(|status| status.is_client_error() || status.is_server_error());
+    let headers = [(header::CONTENT_TYPE, PROBLEM_JSON)];
+    (status.unwrap_or(StatusCode::BAD_GATEWAY), headers, problem.get().to_owned()).into_response()
+}
+
+fn no_answer(gateway: &Name, why: NoAnswer) -> Problem {
+    match why {
+        NoAnswer::Unknown => Problem::not_found(format!("gateway {gateway} on the Zenoh network: /fleet has them all")),
+        NoAnswer::Gone => {
+            Problem::new(Code::GatewayGone, format!("{gateway} is gone from the Zenoh network: nothing was sent"))
+        }
+        NoAnswer::TooMany => Problem::new(
+            Code::Overloaded,
+            "too many requests to other gateways are under way: await their answers first",
+        ),
+        NoAnswer::None => {
+            let detail = format!(
+                "{gateway} has not answered: whether it has done it is unknown. Look at the gripper's state; the same \
+                 request_id asks again, and moves nothing twice"
+            );
+            Problem::new(Code::GatewayTimeout, detail)
+        }
+    }
+}

@@ -1,0 +1,37 @@
+//! The runtime that serves a connection.
+
+use std::sync::Arc;
+
+use tokio::runtime::Handle;
+use tokio::sync::watch;
+
+/// Asks for a connection's move to another runtime. Handlers find it in a request's extensions.
+#[derive(Debug, Clone)]
+pub struct Home(Arc<watch::Sender<Handle>>);
+
+impl Home {
+    /// Returns what moves a connection that watches this channel.
+    pub fn new(moves: watch::Sender<Handle>) -> Self {
+        Self(Arc::new(moves))
+    }
+
+    /// Moves the connection to a runtime, unwritten bytes included.
+    pub fn move_to(&self, runtime: &Handle) {
+        self.move_if(runtime, |home| home.id() != runtime.id());
+    }
+
+    /// Moves the connection from `from` to `to`, if it is on `from`.
+    pub fn leave(&self, from: &Handle, to: &Handle) {
+        self.move_if(to, |home| home.id() == from.id() && home.id() != to.id());
+    }
+
+    fn move_if(&self, runtime: &Handle, moves: impl FnOnce(&Handle) -> bool) {
+        self.0.send_if_modified(|home| {
+            let moves = moves(home);
+            if moves {
+                *home = runtime.clone();
+            }
+            moves
+        });
+    }
+}

@@ -1,0 +1,145 @@
+//! Translation between HTTP and operations: path, query, headers and body to parameters, and the reply to a response.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use axum::RequestPartsExt as _;
+use axum::body::{Body, Bytes};
+use axum::extract::{RawPathParams, Request};
+use axum::http::request::Parts;
+use axum::http::{HeaderMap, Method, StatusCode, header};
+use axum::response::{IntoResponse, Response};
+
+use super::body;
+use super::client::client;
+use super::context::{API, Context};
+use super::query::Query;
+use super::wait::ConnectionWaits;
+use crate::gripper::model::{LeaseToken, Text};
+use crate::operations::values::text;
+use crate::operations::{
+    Caller, Effect, Fields, MAX_LEASE_BYTES, Operation, Params, Presence, Problem, Reply, Wait, run,
+};
+
+/// Serves a request for an operation.
+pub async fn serve(
+    context: &Arc<Context>,
+    operation: &'static Operation,
+    request: Request,
+) -> Result<Response, Problem> {
+    let (mut parts, stream) = request.into_parts();
+    let path = path(&mut parts, operation).await?;
+    serve_below(context, operation, path, &parts, stream).await
+}
+
+/// Serves a request for an operation whose path was taken apart.
+pub async fn serve_below(
+    context: &Arc<Context>,
+    operation: &'static Operation,
+    path: BTreeMap<&'static str, String>,
+    parts: &Parts,
+    stream: Body,
+) -> Result<Response, Problem> {
+    let caller = caller(parts, operation)?;
+    // The body of a GET says nothing (RFC 9110, 9.3.1).
+    let text = if *operation.verb == Method::GET { Bytes::new() } else { body::bytes(stream).await? };
+    let reply = run(&context.gateway, operation, caller, Params { path, fields: Fields::Text(text) }).await?;
+    Ok(response(reply))
+}
+
+/// Returns the parameters that the path names. A path that is not even text names nothing.
+pub async fn path(parts: &mut Parts, operation: &Operation) -> Result<BTreeMap<&'static str, String>, Problem> {
+    let unknown = || Problem::not_found("such path");
+    let given: RawPathParams = parts.extract().await.map_err(|_| unknown())?;
+    let part = |key| {
+        let found = given.iter().find(|(name, _)| *name == key).map(|(_, value)| (key, value.to_owned()));
+        found.ok_or_else(unknown)
+    };
+    operation.path_parameters().map(part).collect()
+}
+
+/// Returns the caller of a request.
+pub fn caller(parts: &Parts, operation: &Operation) -> Result<Caller, Problem> {
+    let wait = if operation.waits() {
+        let given = Query::of(&parts.uri)?.one("wait_ms")?.map(ToOwned::to_owned);
+        Wait::Ms { given, limiter: ConnectionWaits::of(&parts.extensions) }
+    } else {
+        Wait::No
+    };
+    Ok(Caller {
+        client: client(&parts.extensions),
+        lease: key::<MAX_LEASE_BYTES>(&parts.headers, "Wsg-Lease")
+            .map(|lease| lease.map(|lease| LeaseToken::from(lease.as_str()))),
+        request_id: key(&parts.headers, "Idempotency-Key"),
+        presence: Presence::Seen,
+        wait,
+    })
+}
+
+fn key<const MAX: usize>(headers: &HeaderMap, name: &'static str) -> Result<Option<Text<MAX>>, Problem> {
+    let mut values = headers.get_all(name).iter();
+    let (first, None) = (values.next(), values.next()) else {
+        return Err(Problem::malformed(name, format!("{name} is given more than once")));
+    };
+    let Some(value) = first.filter(|value| !value.is_empty()) else { return Ok(None) };
+    let given = std::str::from_utf8(value.as_bytes())
+        .map_err(|_| Problem::malformed(name, format!("{name} is not valid UTF-8")))?;
+    text(name, given).map(Some)
+}
+
+/// Returns 200 with the result, or 202 and where to ask for a command that still runs.
+pub fn response(Reply { body, effect }: Reply) -> Response {
+    let json = [(header::CONTENT_TYPE, "application/json")];
+    let body = String::from(Box::<str>::from(body));
+    match effect {
+        Effect::Running { gripper, ticket } => {
+            let location = format!("{API}/grippers/{gripper}/commands/{}", ticket.id());
+            (StatusCode::ACCEPTED, [(header::LOCATION, location)], json, body).into_response()
+        }
+        Effect::None | Effect::Leased(_) => (json, body).into_response(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use axum::http::Request;
+
+    use super::*;
+    use crate::operations::motion;
+
+    fn parts(uri: &str, headers: &[(&str, &str)]) -> Parts {
+        let mut request = Request::get(uri);
+        for (name, value) in headers {
+            request = request.header(*name, *value);
+        }
+        request.body(()).unwrap().into_parts().0
+    }
+
+    fn caller_of(headers: &[(&str, &str)]) -> Caller {
+        caller(&parts("/home", headers), &motion::HOME).unwrap()
+    }
+
+    #[test]
+    fn keys_come_from_headers() {
+        let caller = caller_of(&[("Idempotency-Key", "job 7"), ("Wsg-Lease", "token")]);
+        assert_eq!(caller.lease.unwrap().unwrap().as_str(), "token");
+        assert_eq!(caller.request_id.unwrap().unwrap().as_str(), "job 7");
+        let caller = caller_of(&[("Idempotency-Key", ""), ("Wsg-Lease", "")]);
+        assert_eq!((caller.lease.unwrap(), caller.request_id.unwrap()), (None, None));
+    }
+
+    #[test]
+    fn invalid_key_is_refused() {
+        let refused = |headers: &[(&str, &str)]| caller_of(headers).request_id.unwrap_err().status().as_u16();
+        assert_eq!(refused(&[("Idempotency-Key", &"x".repeat(65))]), 422);
+        assert_eq!(refused(&[("Idempotency-Key", "a\tb")]), 400);
+        assert_eq!(refused(&[("Idempotency-Key", "a"), ("Idempotency-Key", "b")]), 400);
+    }
+
+    #[test]
+    fn wait_is_given_once() {
+        assert!(caller(&parts("/home?wait_ms=1&wait_ms=2", &[]), &motion::HOME).is_err());
+        let caller = caller(&parts("/home?wait_ms=96.0&other=1", &[]), &motion::HOME).unwrap();
+        assert!(matches!(caller.wait, Wait::Ms { given: Some(given), .. } if given == "96.0"));
+    }
+}

@@ -1,0 +1,37 @@
+//! The fingers' interface (firmware 4 and up).
+
+use super::parameters::{FingerPath, GripperPath, LeaseHeader};
+use super::paths;
+use super::responses::DeviceProblem;
+use crate::operations::fingers::{self, FingerAnswer, FingerDataAnswer, Power, PowerAnswer};
+
+paths! {
+    /// A finger
+    ///
+    /// Its type and its flags (firmware 4 and up).
+    #[utoipa::path(
+        get, path = "/grippers/{gripper}/fingers/{finger}", operation_id = "get_finger", tag = "device",
+        params(GripperPath, FingerPath),
+        responses((status = 200, description = "The finger", body = FingerAnswer), DeviceProblem)
+    )]
+    one => fingers::INFO;
+    /// A finger's data
+    ///
+    /// One frame of what the finger measures (firmware 4 and up).
+    #[utoipa::path(
+        get, path = "/grippers/{gripper}/fingers/{finger}/data", operation_id = "get_finger_data", tag = "device",
+        params(GripperPath, FingerPath),
+        responses((status = 200, description = "The data", body = FingerDataAnswer), DeviceProblem)
+    )]
+    data => fingers::DATA;
+    /// Switch a finger's power
+    ///
+    /// Generic fingers only (firmware 4 and up). On takes about half a second.
+    #[utoipa::path(
+        put, path = "/grippers/{gripper}/fingers/{finger}/power", operation_id = "set_finger_power", tag = "device",
+        params(GripperPath, FingerPath, LeaseHeader),
+        request_body = Power,
+        responses((status = 200, description = "It is switched", body = PowerAnswer), DeviceProblem)
+    )]
+    power => fingers::POWER;
+}

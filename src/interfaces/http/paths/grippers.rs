@@ -1,0 +1,35 @@
+//! What the gateway knows of its grippers.
+
+use super::parameters::{GripperPath, LeaseHeader};
+use super::paths;
+use super::responses::{AnyProblem, GripperProblem};
+use crate::gripper::Info;
+use crate::gripper::model::State;
+use crate::operations::grippers::{self, GripperList};
+
+paths! {
+    /// All grippers
+    #[utoipa::path(
+        get, path = "/grippers", operation_id = "list_grippers", tag = "grippers",
+        responses((status = 200, description = "All grippers of this gateway", body = GripperList), AnyProblem)
+    )]
+    list => grippers::LIST;
+    /// A gripper
+    ///
+    /// Its device, limits, capabilities and link.
+    #[utoipa::path(
+        get, path = "/grippers/{gripper}", operation_id = "get_gripper", tag = "grippers",
+        params(GripperPath, LeaseHeader),
+        responses((status = 200, description = "The gripper", body = Info), GripperProblem)
+    )]
+    info => grippers::INFO;
+    /// A gripper's state
+    ///
+    /// The newest; `age_ms` says how old it is.
+    #[utoipa::path(
+        get, path = "/grippers/{gripper}/state", operation_id = "get_state", tag = "grippers",
+        params(GripperPath, LeaseHeader),
+        responses((status = 200, description = "The newest state", body = State), GripperProblem)
+    )]
+    state => grippers::STATE;
+}

@@ -1,0 +1,83 @@
+//! Parameters of operations, for the OpenAPI document.
+
+use utoipa::{IntoParams, IntoResponses};
+
+use crate::gripper::model::Command;
+
+#[derive(IntoParams)]
+#[into_params(parameter_in = Path)]
+#[allow(dead_code, reason = "only described here")]
+pub struct GripperPath {
+    /// The gripper's name.
+    #[param(min_length = 1, max_length = 32, pattern = "^[a-z0-9][a-z0-9_-]{0,31}$", example = "left")]
+    gripper: String,
+}
+
+#[derive(IntoParams)]
+#[into_params(parameter_in = Path)]
+#[allow(dead_code, reason = "only described here")]
+pub struct CommandPath {
+    /// The command's id, as its answer had it.
+    #[param(example = "019aa5c8-5a70-7c31-9f3f-4a3b7c1d2e4f")]
+    command: uuid::Uuid,
+}
+
+#[derive(IntoParams)]
+#[into_params(parameter_in = Path)]
+#[allow(dead_code, reason = "only described here")]
+pub struct FingerPath {
+    /// The finger: 1 or 2.
+    #[param(minimum = 1, maximum = 2, example = 1)]
+    finger: u8,
+}
+
+#[derive(IntoParams)]
+#[into_params(parameter_in = Query)]
+#[allow(dead_code, reason = "only described here")]
+pub struct WaitQuery {
+    /// How long to wait for the command's end, in ms; 0 doesn't wait. 5000 by default.
+    #[param(minimum = 0, maximum = 60000, default = 5000, example = 5000)]
+    wait_ms: Option<u64>,
+}
+
+#[derive(IntoParams)]
+#[into_params(parameter_in = Query)]
+#[allow(dead_code, reason = "only described here")]
+pub struct NoWaitQuery {
+    /// How long to wait for the command's end, in ms. 0 by default: it is told as it is.
+    #[param(minimum = 0, maximum = 60000, default = 0, example = 5000)]
+    wait_ms: Option<u64>,
+}
+
+#[derive(IntoParams)]
+#[into_params(parameter_in = Header)]
+#[allow(dead_code, reason = "only described here")]
+pub struct LeaseHeader {
+    /// The lease's token, while somebody holds one. While the request is open, the lease doesn't run out.
+    #[param(rename = "Wsg-Lease", nullable = false, max_length = 64, pattern = "^([!-~]([ -~]*[!-~])?)?$")]
+    wsg_lease: Option<String>,
+}
+
+#[derive(IntoParams)]
+#[into_params(parameter_in = Header)]
+#[allow(dead_code, reason = "only described here")]
+pub struct KeyHeaders {
+    /// The same as `request_id` in the body, for clients that have it as a header.
+    #[param(rename = "Idempotency-Key", nullable = false, max_length = 64, pattern = "^([!-~]([ -~]*[!-~])?)?$")]
+    idempotency_key: Option<String>,
+    /// The same as `lease` in the body.
+    #[param(rename = "Wsg-Lease", nullable = false, max_length = 64, pattern = "^([!-~]([ -~]*[!-~])?)?$")]
+    wsg_lease: Option<String>,
+}
+
+/// The reply to an operation that starts a command.
+#[derive(IntoResponses)]
+#[allow(dead_code, reason = "only described here")]
+pub enum CommandReply {
+    /// The command, ended: `outcome` says how
+    #[response(status = 200)]
+    Ended(Command),
+    /// The command, still running after `wait_ms`
+    #[response(status = 202, headers(("Location" = String, description = "Where to ask for it")))]
+    Running(Command),
+}

@@ -1,0 +1,141 @@
+//! The router: paths, and what each request passes, from the outside in.
+//!
+//! `access_log` counts and logs, `guard` refuses foreign hosts and origins, and `body` reads within bounds, except for FAST
+//! STOP, which waits for nothing. `audit` records what is refused before an operation runs.
+
+use std::any::Any;
+use std::sync::Arc;
+
+use axum::http::Method as Verb;
+use axum::response::{IntoResponse, Response};
+use axum::routing::{get, post};
+use axum::{Extension, Router, middleware};
+use tokio::sync::Semaphore;
+use tower_http::catch_panic::CatchPanicLayer;
+use utoipa::OpenApi as _;
+use utoipa::openapi::OpenApi;
+use utoipa_axum::router::OpenApiRouter;
+use utoipa_axum::routes;
+
+use super::context::{API, Context};
+use super::{access_log, audit, body, docs, forward, gateway, guard, journal, large, paths, stream, upgrade};
+use crate::interfaces::dashboard;
+use crate::operations::{Code, Problem};
+
+/// The whole of the HTTP interface.
+pub fn router(context: &Arc<Context>) -> Router {
+    served()
+        .layer(middleware::from_fn_with_state(context.clone(), guard::refuse_foreigners))
+        .layer(middleware::from_fn_with_state(context.clone(), audit::record))
+        .layer(middleware::map_response(guard::harden))
+        .layer(middleware::from_fn_with_state(context.clone(), access_log::watch))
+        .with_state(context.clone())
+}
+
+fn served() -> Router<Arc<Context>> {
+    let (routes, document) = routes().split_for_parts();
+    routes.layer(Extension(Arc::new(docs::Documents::new(document)))).layer(CatchPanicLayer::custom(panicked))
+}
+
+/// The document of what [`router`] serves.
+#[must_use]
+pub fn openapi() -> OpenApi {
+    routes().into_openapi()
+}
+
+type Routes = OpenApiRouter<Arc<Context>>;
+
+fn routes() -> Routes {
+    let (router, mut document) = OpenApiRouter::with_openapi(docs::base())
+        .nest(API, api())
+        .routes(routes!(gateway::health))
+        .routes(routes!(gateway::readiness))
+        .routes(routes!(gateway::metrics))
+        .fallback(not_found)
+        .split_for_parts();
+    document.merge(paths::forwarded::Forwarded::openapi());
+    docs::without_null_bodies(&mut document);
+    let router = router
+        .merge(docs::page())
+        .merge(dashboard::page())
+        .method_not_allowed_fallback(method_not_allowed)
+        .layer(middleware::from_fn(body::read_first));
+    let mut all = OpenApiRouter::from(router);
+    *all.get_openapi_mut() = document;
+    all
+}
+
+fn journal() -> Routes {
+    OpenApiRouter::new()
+        .routes(routes!(journal::events))
+        .routes(routes!(journal::grips))
+        .routes(routes!(journal::grip))
+        .routes(routes!(journal::curve))
+        .layer(middleware::from_fn_with_state(Arc::new(Semaphore::new(large::MAX_READS)), large::count))
+}
+
+fn api() -> Routes {
+    OpenApiRouter::new()
+        .merge(journal())
+        .routes(routes!(docs::openapi))
+        .routes(routes!(docs::asyncapi))
+        .routes(routes!(paths::grippers::list))
+        .routes(routes!(paths::grippers::info))
+        .routes(routes!(paths::grippers::state))
+        .routes(routes!(paths::motion::home))
+        .routes(routes!(paths::motion::move_fingers))
+        .routes(routes!(paths::motion::grip))
+        .routes(routes!(paths::motion::release))
+        .routes(routes!(paths::motion::stop))
+        .routes(routes!(paths::fast_stop::acknowledge))
+        .routes(routes!(paths::commands::get))
+        .routes(routes!(paths::commands::cancel))
+        .routes(routes!(paths::settings::get_acceleration, paths::settings::set_acceleration))
+        .routes(routes!(paths::settings::get_force_limit, paths::settings::set_force_limit))
+        .routes(routes!(
+            paths::settings::get_soft_limits,
+            paths::settings::set_soft_limits,
+            paths::settings::clear_soft_limits
+        ))
+        .routes(routes!(paths::settings::get_overdrive, paths::settings::set_overdrive))
+        .routes(routes!(paths::settings::get_tag, paths::settings::set_tag))
+        .routes(routes!(paths::device::statistics))
+        .routes(routes!(paths::device::reset_statistics))
+        .routes(routes!(paths::fingers::one))
+        .routes(routes!(paths::fingers::data))
+        .routes(routes!(paths::fingers::power))
+        .routes(routes!(paths::device::tare))
+        .routes(routes!(paths::device::loop_back))
+        .routes(routes!(paths::raw::raw))
+        .routes(routes!(paths::lease::get, paths::lease::take, paths::lease::renew, paths::lease::release))
+        .routes(routes!(paths::lease::hand_over))
+        .routes(routes!(stream::stream))
+        .routes(routes!(upgrade::open))
+        .routes(routes!(paths::fleet::list))
+        .routes(routes!(paths::fast_stop::one))
+        .routes(routes!(paths::fast_stop::all))
+        .routes(routes!(paths::fleet::fast_stop))
+        // A FAST STOP with a trailing slash is accepted.
+        .route("/grippers/{gripper}/fast-stop/", post(paths::fast_stop::one))
+        .route("/fast-stop/", post(paths::fast_stop::all))
+        .route("/fleet/fast-stop/", post(paths::fleet::fast_stop))
+        .route(forward::PATHS[0], get(forward::forward))
+        .route(
+            forward::PATHS[1],
+            get(forward::forward).post(forward::forward).put(forward::forward).delete(forward::forward),
+        )
+}
+
+async fn not_found() -> Problem {
+    Problem::not_found("such path")
+}
+
+async fn method_not_allowed(method: Verb) -> Problem {
+    Problem::new(Code::MethodNotAllowed, format!("{method} is not among the methods of this path, which Allow lists"))
+}
+
+/// A panic is a mistake of ours, and ends one request, not the gateway.
+fn panicked(_: Box<dyn Any + Send>) -> Response {
+    tracing::error!("a request handler panicked");
+    Problem::internal().into_response()
+}

@@ -1,0 +1,24 @@
+//! The paths against the table of operations.
+
+use crate::interfaces::http::{API, openapi};
+use crate::operations::OPERATIONS;
+
+#[test]
+fn every_operation_has_a_path_and_every_path_of_a_gripper_is_an_operation() {
+    let document = serde_json::to_value(openapi()).unwrap();
+    let paths = document["paths"].as_object().unwrap();
+    for operation in OPERATIONS {
+        let documented = &paths[&format!("{API}{}", operation.path)][operation.verb.as_str().to_lowercase()];
+        assert!(documented.is_object(), "{} has no path", operation.name);
+    }
+    for (path, item) in paths.iter().filter(|(path, _)| path.starts_with("/api/v1/grippers/")) {
+        for verb in item.as_object().unwrap().keys() {
+            let is_it =
+                |path_of: &str, verb_of: &str| format!("{API}{path_of}") == *path && verb_of.eq_ignore_ascii_case(verb);
+            assert!(
+                OPERATIONS.iter().any(|operation| is_it(operation.path, operation.verb.as_str())),
+                "{verb} {path} is not an operation"
+            );
+        }
+    }
+}

@@ -1,0 +1,93 @@
+//! The handshake of a WebSocket (RFC 6455), which begins as an HTTP request.
+
+use std::sync::Arc;
+
+use axum::body::Body;
+use axum::extract::{Request, State as Shared};
+use axum::http::header::{HeaderMap, HeaderValue, SEC_WEBSOCKET_KEY, SEC_WEBSOCKET_PROTOCOL};
+use axum::response::Response;
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
+use hyper::upgrade::Upgraded;
+use hyper_util::rt::TokioIo;
+use tokio_tungstenite::tungstenite::handshake::server::create_response_with_body;
+
+use super::client::websocket_client;
+use super::context::Context;
+use super::paths::responses::SocketProblem;
+use super::stream::too_many;
+use crate::gripper::model::Client;
+use crate::interfaces::admission::{Class, ConnectionPermit};
+use crate::interfaces::quick_ack::QuickAckStream;
+use crate::interfaces::websocket::{self, Connection, SUBPROTOCOL};
+use crate::operations::Problem;
+
+/// How many bytes a `Sec-WebSocket-Key` has, decoded (RFC 6455, 4.1).
+const KEY_BYTES: usize = 16;
+
+/// WebSocket
+///
+/// JSON-RPC 2.0 by the subprotocol `wsg.v1`: the operations of this API as methods, and updates as notifications.
+/// `/api/v1/asyncapi.yaml` describes it.
+#[utoipa::path(
+    get, path = "/ws", operation_id = "websocket", tag = "journal",
+    responses((status = 101, description = "From here on it is a WebSocket"), SocketProblem)
+)]
+pub async fn open(Shared(context): Shared<Arc<Context>>, mut request: Request) -> Result<Response, Problem> {
+    let mut response = create_response_with_body(&request, Body::empty).map_err(|error| {
+        let detail =
+            format!("not a WebSocket handshake: {error}. Connect by WebSocket, with the subprotocol {SUBPROTOCOL}");
+        Problem::malformed("Upgrade", detail)
+    })?;
+    check_key(request.headers())?;
+    if !offers_subprotocol(request.headers()) {
+        let detail = format!("the subprotocol {SUBPROTOCOL} is not offered: it is the only one here");
+        return Err(Problem::malformed("Sec-WebSocket-Protocol", detail));
+    }
+    response.headers_mut().insert(SEC_WEBSOCKET_PROTOCOL, HeaderValue::from_static(SUBPROTOCOL));
+    let permit: Option<Arc<ConnectionPermit>> = request.extensions().get().cloned();
+    // Until the socket has ended, also where the connection it came by has ended before.
+    let claim = permit.as_ref().map(|permit| permit.claim(Class::Streaming).ok_or_else(too_many)).transpose()?;
+    let client = websocket_client(request.extensions());
+    let upgrade = hyper::upgrade::on(&mut request);
+    tokio::spawn(async move {
+        match upgrade.await {
+            Ok(upgraded) => {
+                begin(upgraded, client, permit, &context).await;
+                drop(claim);
+            }
+            Err(error) => tracing::debug!(%error, "WebSocket handshake not completed"),
+        }
+    });
+    Ok(response)
+}
+
+/// Serves an upgraded connection, on the runtimes that it is for, until its end.
+async fn begin(upgraded: Upgraded, client: Client, permit: Option<Arc<ConnectionPermit>>, context: &Arc<Context>) {
+    let Ok(parts) = upgraded.downcast::<TokioIo<QuickAckStream>>() else {
+        return tracing::error!("WebSocket upgrade failed: the connection is not TCP");
+    };
+    let stream = match parts.io.into_inner().into_inner() {
+        Ok(stream) => stream,
+        Err(error) => return tracing::debug!(%error, "WebSocket lost in its handshake"),
+    };
+    let connection = Connection { stream, early: parts.read_buf, permit };
+    let serving = context.of_interface(context.ws_metrics.clone());
+    let ended = context.runtimes.sockets.spawn(websocket::serve(connection, client, serving));
+    if let Err(error) = ended.await {
+        tracing::error!(%error, "WebSocket task panicked");
+    }
+}
+
+fn check_key(headers: &HeaderMap) -> Result<(), Problem> {
+    let keys: Vec<_> = headers.get_all(SEC_WEBSOCKET_KEY).iter().collect();
+    let is_valid =
+        matches!(&keys[..], [key] if STANDARD.decode(key.as_bytes()).is_ok_and(|key| key.len() == KEY_BYTES));
+    let detail = || format!("Sec-WebSocket-Key must be {KEY_BYTES} random bytes in Base64 (RFC 6455, 4.1)");
+    is_valid.then_some(()).ok_or_else(|| Problem::malformed("Sec-WebSocket-Key", detail()))
+}
+
+fn offers_subprotocol(headers: &HeaderMap) -> bool {
+    let offered = headers.get_all(SEC_WEBSOCKET_PROTOCOL).iter().filter_map(|value| value.to_str().ok());
+    offered.flat_map(|value| value.split(',')).any(|name| name.trim() == SUBPROTOCOL)
+}

@@ -1,0 +1,241 @@
+//! JSON-RPC 2.0: requests taken apart, answers put together.
+
+use http::StatusCode;
+use serde::Serialize;
+use serde_json::Value;
+use serde_json::value::RawValue;
+
+use crate::operations::json::StrictJson;
+use crate::operations::{Code, OPERATIONS, Problem, is_fast_stop};
+
+/// The requests of one batch at most.
+pub const MAX_BATCH: usize = 32;
+
+/// The longest id of a request, in bytes.
+const MAX_ID_BYTES: usize = 64;
+
+const VERSION: &str = "2.0";
+
+const PARSE_ERROR: i32 = -32700;
+const INVALID_REQUEST: i32 = -32600;
+const METHOD_NOT_FOUND: i32 = -32601;
+const INVALID_PARAMS: i32 = -32602;
+const INTERNAL_ERROR: i32 = -32603;
+/// Of all that the API refuses for another reason: the problem's `code` says which.
+const REFUSED: i32 = -32000;
+
+/// One request.
+#[derive(Debug, PartialEq)]
+pub struct Call {
+    /// Under which it is answered; none where it is a notification, which is not answered.
+    pub id: Option<Value>,
+    /// What to do.
+    pub method: String,
+    /// With what.
+    pub params: Value,
+}
+
+/// What one message has.
+#[derive(Debug)]
+pub enum Incoming {
+    /// A request, or what is wrong with it.
+    One(Result<Call, Answer>),
+    /// Several.
+    Batch(Vec<Result<Call, Answer>>),
+}
+
+/// What went wrong with a request.
+#[derive(Debug, Serialize)]
+pub struct RpcError {
+    code: i32,
+    message: String,
+    data: Problem,
+}
+
+/// An answer.
+#[derive(Debug, Serialize)]
+pub struct Answer {
+    jsonrpc: &'static str,
+    id: Value,
+    #[serde(flatten)]
+    outcome: Outcome,
+}
+
+#[derive(Debug, Serialize)]
+#[serde(rename_all = "lowercase")]
+enum Outcome {
+    Result(Box<RawValue>),
+    Error(RpcError),
+}
+
+impl Answer {
+    /// To the request of this id.
+    pub fn new(id: Value, outcome: Result<Box<RawValue>, RpcError>) -> Self {
+        let outcome = match outcome {
+            Ok(result) => Outcome::Result(result),
+            Err(error) => Outcome::Error(error),
+        };
+        Self { jsonrpc: VERSION, id, outcome }
+    }
+
+    fn invalid(id: Value, code: i32, problem: Problem) -> Self {
+        Self::new(id, Err(RpcError::with_code(code, problem)))
+    }
+}
+
+impl RpcError {
+    /// Returns the error of an unknown method.
+    pub fn no_method(problem: Problem) -> Self {
+        Self::with_code(METHOD_NOT_FOUND, problem)
+    }
+
+    fn with_code(code: i32, problem: Problem) -> Self {
+        Self { code, message: problem.detail().to_owned(), data: problem }
+    }
+}
+
+impl From<Problem> for RpcError {
+    fn from(problem: Problem) -> Self {
+        let code = match problem.status() {
+            StatusCode::BAD_REQUEST => INVALID_PARAMS,
+            StatusCode::INTERNAL_SERVER_ERROR => INTERNAL_ERROR,
+            _ => REFUSED,
+        };
+        Self::with_code(code, problem)
+    }
+}
+
+/// Returns the FAST STOP that a text names which is not a request.
+fn fast_stop_in(text: &str) -> Option<&'static str> {
+    let names = OPERATIONS.iter().map(|operation| operation.name).filter(|name| is_fast_stop(name));
+    names.into_iter().find(|name| text.contains(&format!("\"{name}\"")))
+}
+
+/// Whether a text names a FAST STOP, well put or not.
+pub fn has_fast_stop(text: &str) -> bool {
+    fast_stop_in(text).is_some()
+}
+
+/// Takes a message apart. One that can't be, and names a FAST STOP, is one for all grippers.
+pub fn parse(text: &str) -> Incoming {
+    let invalid = |code, detail: String| {
+        Incoming::One(match fast_stop_in(text) {
+            Some(name) => Ok(Call { id: Some(Value::Null), method: name.to_owned(), params: Value::Null }),
+            None => Err(Answer::invalid(Value::Null, code, malformed(detail))),
+        })
+    };
+    match serde_json::from_str(text).map(|StrictJson(message)| message) {
+        Err(error) if error.is_data() => invalid(INVALID_REQUEST, format!("the message is no request: {error}")),
+        Err(error) => invalid(PARSE_ERROR, format!("the message is no JSON: {error}")),
+        Ok(Value::Array(batch)) if batch.is_empty() => invalid(INVALID_REQUEST, "the batch is empty".to_owned()),
+        Ok(Value::Array(batch)) if batch.len() > MAX_BATCH => {
+            let detail = format!("the batch has {} requests, and may have {MAX_BATCH} at most", batch.len());
+            invalid(INVALID_REQUEST, detail)
+        }
+        Ok(Value::Array(batch)) => Incoming::Batch(batch.into_iter().map(call).collect()),
+        Ok(one) => Incoming::One(call(one)),
+    }
+}
+
+/// A request. One for a FAST STOP is one however it is put.
+fn call(mut request: Value) -> Result<Call, Answer> {
+    let mut take = |key: &str| request.get_mut(key).map(Value::take);
+    let (version, id, method, params) = (take("jsonrpc"), take("id"), take("method"), take("params"));
+    let params = params.unwrap_or_default();
+    // A number that can't be repeated exactly identifies nothing, and a long text would be kept until its answer is read.
+    let is_id = |id: &Value| match id {
+        Value::String(text) => text.len() <= MAX_ID_BYTES,
+        id => id.is_i64() || id.is_u64() || id.is_null(),
+    };
+    let known_id = id.as_ref().filter(|id| is_id(id)).cloned();
+    if let Some(method) = method.as_ref().and_then(Value::as_str).filter(|method| is_fast_stop(method)) {
+        return Ok(Call { id: known_id, method: method.to_owned(), params });
+    }
+    let invalid = |detail: &str| {
+        Err(Answer::invalid(known_id.clone().unwrap_or_default(), INVALID_REQUEST, malformed(detail.to_owned())))
+    };
+    if version.as_ref().and_then(Value::as_str) != Some(VERSION) {
+        return invalid("a request has \"jsonrpc\": \"2.0\"");
+    }
+    if known_id.is_none() && id.is_some() {
+        return invalid("id must be a string of at most 64 bytes, or a whole number below 2^64");
+    }
+    match method {
+        Some(Value::String(method)) => Ok(Call { id, method, params }),
+        _ => invalid("a request has a \"method\", which is a text"),
+    }
+}
+
+fn malformed(detail: String) -> Problem {
+    Problem::new(Code::Malformed, detail)
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    fn one(request: &Value) -> Result<Call, Value> {
+        match parse(&request.to_string()) {
+            Incoming::One(one) => one.map_err(|answer| serde_json::to_value(answer).unwrap()),
+            Incoming::Batch(_) => panic!("a batch"),
+        }
+    }
+
+    #[test]
+    fn a_request_has_an_id_and_a_notification_has_none() {
+        let request = one(&json!({"jsonrpc": "2.0", "id": "a", "method": "state", "params": {"gripper": "left"}}));
+        let expected = Call { id: Some("a".into()), method: "state".to_owned(), params: json!({"gripper": "left"}) };
+        assert_eq!(request, Ok(expected));
+        assert_eq!(one(&json!({"jsonrpc": "2.0", "method": "state"})).unwrap().id, None);
+    }
+
+    #[test]
+    fn what_is_no_request_is_told_so_under_its_id_where_it_has_one() {
+        for (request, id) in [
+            (json!({"id": 7, "method": "state"}), json!(7)),
+            (json!({"jsonrpc": "1.0", "id": 7, "method": "state"}), json!(7)),
+            (json!({"jsonrpc": "2.0", "id": 7}), json!(7)),
+            (json!({"jsonrpc": "2.0", "id": 7, "method": 1}), json!(7)),
+            (json!({"jsonrpc": "2.0", "id": {}, "method": "state"}), Value::Null),
+            (json!({"jsonrpc": "2.0", "id": 1e29, "method": "state"}), Value::Null),
+            (json!({"jsonrpc": "2.0", "id": "x".repeat(65), "method": "state"}), Value::Null),
+            (json!("state"), Value::Null),
+            (json!([]), Value::Null),
+        ] {
+            let answer = one(&request).unwrap_err();
+            assert_eq!((&answer["error"]["code"], &answer["id"]), (&json!(-32600), &id), "{request}");
+            assert_eq!(answer["error"]["data"]["code"], "malformed");
+        }
+        let Incoming::One(Err(answer)) = parse("{\"jsonrpc\"") else { panic!() };
+        assert_eq!(serde_json::to_value(answer).unwrap()["error"]["code"], -32700);
+        assert!(matches!(parse(&json!(vec![1; MAX_BATCH + 1]).to_string()), Incoming::One(Err(_))));
+        let Incoming::One(Err(answer)) = parse(r#"{"jsonrpc": "2.0", "id": 1, "id": 2, "method": "state"}"#) else {
+            panic!()
+        };
+        let error = serde_json::to_value(answer).unwrap()["error"].take();
+        assert!(error["code"] == -32600 && error["message"].as_str().unwrap().contains("`id`"), "{error}");
+    }
+
+    #[test]
+    fn a_fast_stop_is_one_however_it_is_put() {
+        for request in [json!({"method": "fast-stop"}), json!({"jsonrpc": 2, "id": [], "method": "fast-stop"})] {
+            assert_eq!(one(&request).unwrap().method, "fast-stop");
+        }
+        assert_eq!(one(&json!({"method": "fleet.fast-stop"})).unwrap().method, "fleet.fast-stop");
+        let request = r#"{"jsonrpc": "2.0", "id": 1, "method": "fast-stop", "params": {"gripper": "left"}}"#;
+        let batch = format!("[{}]", [request; MAX_BATCH + 1].join(","));
+        let nested = format!("{}{request}", "[".repeat(200));
+        for text in [
+            &batch,
+            &nested,
+            &format!("{request}}}"),
+            &format!("\u{feff}{request}"),
+            &request.replace('1', "1, \"id\": 2"),
+        ] {
+            let Incoming::One(Ok(call)) = parse(text) else { panic!("{text}") };
+            assert_eq!(call, Call { id: Some(Value::Null), method: "fast-stop".to_owned(), params: Value::Null });
+        }
+    }
+}

@@ -1,0 +1,449 @@
+//! One client's socket: its requests, its leases, and whether it is still there.
+//!
+//! Nothing here waits for the client. Answers wait for it in the [`Outbox`], whose bytes are bounded. Requests are read
+//! meanwhile, so that a FAST STOP stops although its client reads nothing. Urgent calls run here; all others run on the
+//! observers' runtime.
+
+use std::collections::HashMap;
+use std::io;
+use std::sync::Arc;
+use std::time::Duration;
+
+use bytes::Bytes;
+use futures_util::future::{BoxFuture, FutureExt as _, join_all};
+use futures_util::stream::{FuturesUnordered, StreamExt as _};
+use serde_json::Value;
+use serde_json::value::{RawValue, to_raw_value};
+use tokio::net::TcpStream;
+use tokio::time::{Instant, Interval, MissedTickBehavior, sleep_until, timeout};
+use tokio_tungstenite::WebSocketStream;
+use tokio_tungstenite::tungstenite::error::ProtocolError;
+use tokio_tungstenite::tungstenite::protocol::frame::Frame;
+use tokio_tungstenite::tungstenite::protocol::frame::coding::CloseCode;
+use tokio_tungstenite::tungstenite::protocol::{CloseFrame, Role, WebSocketConfig};
+use tokio_tungstenite::tungstenite::{Error as WsError, Message};
+use tokio_util::task::AbortOnDropHandle;
+
+use super::bodies::{self, Following};
+use super::halves::{self, Inbound};
+use super::outbox::Outbox;
+use super::rpc::{self, Answer, Call, Incoming, RpcError};
+use super::writer::Writer;
+use crate::events::{Notification, encoded, text_frame};
+use crate::gripper::Ticket;
+use crate::gripper::model::{Client, Command, Name, Urgency};
+use crate::interfaces::Context;
+use crate::interfaces::admission::{Claim, Class, ConnectionPermit, HeldBytes};
+use crate::interfaces::metrics::Connected;
+use crate::interfaces::pace::RequestPace;
+use crate::operations::json::MAX_BODY_BYTES;
+use crate::operations::lease::ConnectionLease;
+use crate::operations::{Caller, Code, Effect, Problem, Reply, is_fast_stop, lease, named, urgency};
+
+/// Period of the pings.
+const PINGED_EVERY: Duration = Duration::from_secs(1);
+
+/// Unanswered pings after which a client is lost. Pings are counted rather than time, so that no client is lost because the
+/// gateway itself got no processor time.
+const MAX_UNANSWERED: u32 = 3;
+
+/// Requests of one client that may be under way. Further ones are refused as `overloaded`, FAST STOPs apart.
+const MAX_CALLS: usize = 32;
+
+/// The same with FAST STOPs. Each ends within 250 ms, and the socket is read on then: the grippers are being stopped.
+const MAX_CALLS_AND_FAST_STOPS: usize = 36;
+
+/// What a request under way costs beside its text.
+const CALL_BYTES: usize = 4 * 1024;
+
+/// Commands of one client whose end is waited for. The end of a further one is not reported, and has to be asked for.
+const MAX_COMMANDS: usize = 64;
+
+/// Bytes that are read at once: requests are small, and there may be a thousand clients.
+const READ_BYTES: usize = 4 * 1024;
+
+/// How long the closing handshake may take.
+const FAREWELL_WITHIN: Duration = Duration::from_secs(1);
+
+/// A connection that has become a WebSocket.
+pub struct Connection {
+    /// The TCP connection.
+    pub stream: TcpStream,
+    /// Bytes that came right behind the handshake.
+    pub early: Bytes,
+    /// The slot of the connection.
+    pub permit: Option<Arc<ConnectionPermit>>,
+}
+
+/// A client's socket.
+pub struct Socket {
+    client: Client,
+    context: Context,
+    permit: Option<Arc<ConnectionPermit>>,
+    outbox: Arc<Outbox>,
+    writer: AbortOnDropHandle<io::Result<()>>,
+    incoming: WebSocketStream<Inbound>,
+    calls: FuturesUnordered<BoxFuture<'static, Done>>,
+    /// How many requests `calls` are: a batch is one of them.
+    under_way: usize,
+    /// Bytes of the requests under way.
+    request_bytes: usize,
+    held: Option<HeldBytes>,
+    /// Commands that were answered, and have not ended.
+    running: FuturesUnordered<BoxFuture<'static, Command>>,
+    /// The newest lease of each gripper that was taken here. It is lost with the socket, unless it was released. A
+    /// connection with a lease is not evicted.
+    leases: HashMap<Name, (Arc<ConnectionLease>, Option<Claim>)>,
+    pings: Interval,
+    /// Pings since anything came from the client.
+    unanswered: u32,
+    pace: RequestPace,
+    /// Until then the socket is not read, where it sends faster than the pace.
+    paused_until: Option<Instant>,
+    _connected: Connected,
+}
+
+/// A message that was worked off.
+#[derive(Default)]
+struct Done {
+    requests: usize,
+    bytes: usize,
+    answer: Option<String>,
+    running: Vec<Ticket>,
+    leases: Vec<Arc<ConnectionLease>>,
+    following: Option<Following>,
+}
+
+/// One request of it.
+#[derive(Default)]
+struct Answered {
+    answer: Option<Answer>,
+    running: Option<Ticket>,
+    lease: Option<Arc<ConnectionLease>>,
+    following: Option<Following>,
+}
+
+impl Answered {
+    fn new(id: Option<Value>, result: Result<Reply, Problem>) -> Self {
+        let has_id = id.is_some();
+        let (result, effect) = match result {
+            Ok(Reply { body, effect }) => (Ok(body), effect),
+            Err(problem) => (Err(problem.into()), Effect::None),
+        };
+        let (running, lease) = match effect {
+            // A client that does not hear of a command's beginning hears nothing of its end.
+            Effect::Running { ticket, .. } => (Some(ticket).filter(|_| has_id), None),
+            Effect::Leased(lease) => (None, Some(lease)),
+            Effect::None => (None, None),
+        };
+        Self { answer: id.map(|id| Answer::new(id, result)), running, lease, following: None }
+    }
+}
+
+/// Why a socket ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum End {
+    /// The gateway ends.
+    Closing,
+    /// The client has closed it, or is gone.
+    Closed,
+    /// The client takes nothing any more: its connection has ended.
+    Unwritable,
+    /// The client answers no ping.
+    Lost,
+    /// The connection was evicted.
+    Evicted,
+    /// The client breaks the protocol or its bounds.
+    Violation(CloseCode, &'static str),
+}
+
+/// Serves a client until its end.
+pub async fn serve(connection: Connection, client: Client, context: Context) {
+    match Socket::new(connection, client, context).await {
+        Ok(socket) => socket.run().await,
+        Err(error) => tracing::debug!(%error, "WebSocket could not be begun"),
+    }
+}
+
+impl Socket {
+    async fn new(
+        Connection { stream, early, permit }: Connection,
+        client: Client,
+        context: Context,
+    ) -> io::Result<Self> {
+        let held = || permit.as_ref().map(ConnectionPermit::held);
+        let runtimes = &context.runtimes;
+        let (reader, writer) = halves::split(stream, &runtimes.sockets, &runtimes.observers)?;
+        let outbox = Arc::new(Outbox::new(held()));
+        let inbound = Inbound::new(early, reader, outbox.clone(), held());
+        let writer = Writer::new(writer, outbox.clone(), context.metrics.clone());
+        let writer = AbortOnDropHandle::new(runtimes.observers.spawn(writer.run()));
+        let bounds = WebSocketConfig::default()
+            .read_buffer_size(READ_BYTES)
+            .max_message_size(Some(MAX_BODY_BYTES))
+            .max_frame_size(Some(MAX_BODY_BYTES));
+        let incoming = WebSocketStream::from_raw_socket(inbound, Role::Server, Some(bounds)).await;
+        let mut pings = tokio::time::interval(PINGED_EVERY);
+        pings.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        Ok(Self {
+            client,
+            held: held(),
+            permit,
+            outbox,
+            writer,
+            incoming,
+            calls: FuturesUnordered::new(),
+            under_way: 0,
+            request_bytes: 0,
+            running: FuturesUnordered::new(),
+            leases: HashMap::new(),
+            pings,
+            unanswered: 0,
+            pace: RequestPace::default(),
+            paused_until: None,
+            _connected: context.metrics.connected(),
+            context,
+        })
+    }
+
+    async fn run(mut self) {
+        let end = self.read().await;
+        tracing::debug!(client = %self.client.subject, ?end, "WebSocket ended");
+        // A gateway that ends has given its grippers up already.
+        for (lease, _) in self.leases.values().filter(|_| end != End::Closing) {
+            lease.lose().await;
+        }
+        let (code, reason) = match end {
+            End::Closing => (CloseCode::Away, "the gateway is shutting down"),
+            End::Lost => (CloseCode::Policy, "pings were not answered"),
+            End::Evicted => (CloseCode::Again, "evicted: too many connections, or too many unread bytes"),
+            End::Violation(code, reason) => (code, reason),
+            End::Closed => (CloseCode::Normal, ""),
+            End::Unwritable => return,
+        };
+        if end != End::Closed {
+            self.outbox.push(encoded(Frame::close(Some(CloseFrame { code, reason: reason.into() }))));
+        }
+        self.outbox.close();
+        let farewell = async {
+            // A client that is gone reads nothing of it.
+            if matches!((&mut self.writer).await, Ok(Ok(()))) {
+                while let Some(Ok(_)) = self.incoming.next().await {
+                    self.incoming.get_mut().taken();
+                }
+            }
+        };
+        let within = match (&self.permit, end) {
+            (Some(permit), End::Evicted) => permit.linger(),
+            _ => FAREWELL_WITHIN,
+        };
+        let _ = timeout(within, farewell).await;
+    }
+
+    async fn read(&mut self) -> End {
+        let permit = self.permit.clone();
+        let evicted = async {
+            match permit {
+                Some(permit) => permit.evicted().await,
+                None => std::future::pending().await,
+            }
+        };
+        let mut evicted = std::pin::pin!(evicted);
+        loop {
+            let may_read = self.under_way < MAX_CALLS_AND_FAST_STOPS && self.paused_until.is_none();
+            let paused_until = self.paused_until.unwrap_or_else(Instant::now);
+            tokio::select! {
+                biased;
+                () = self.context.closing.cancelled() => return End::Closing,
+                () = evicted.as_mut() => return if self.context.closing.is_cancelled() { End::Closing } else { End::Evicted },
+                _ = &mut self.writer => return End::Unwritable,
+                Some(done) = self.calls.next() => self.take_done(done),
+                Some(command) = self.running.next() => {
+                    if let Some(ended) = Notification::new("command", &command) {
+                        self.outbox.push(ended.frame());
+                    }
+                }
+                message = self.incoming.next(), if may_read => match self.take_message(message) {
+                    None => {}
+                    Some(end) => return end,
+                },
+                () = sleep_until(paused_until), if self.paused_until.is_some() => self.paused_until = None,
+                _ = self.pings.tick() => {
+                    if self.unanswered >= MAX_UNANSWERED {
+                        return End::Lost;
+                    }
+                    self.unanswered += 1;
+                    self.outbox.push(encoded(Frame::ping(Bytes::new())));
+                }
+            }
+            if self.outbox.has_overflown() {
+                return End::Violation(CloseCode::Policy, "too many unread answers");
+            }
+        }
+    }
+
+    /// Takes what came from the client, unless that ends the socket.
+    fn take_message(&mut self, message: Option<Result<Message, WsError>>) -> Option<End> {
+        self.unanswered = 0;
+        self.paused_until = self.pace.due(Instant::now(), false);
+        self.incoming.get_mut().taken();
+        match message {
+            Some(Ok(Message::Text(text))) => self.take_requests(&text),
+            Some(Ok(Message::Binary(bytes))) => {
+                match std::str::from_utf8(&bytes).ok().filter(|text| rpc::has_fast_stop(text)) {
+                    Some(text) => self.take_requests(text),
+                    None => {
+                        return Some(End::Violation(
+                            CloseCode::Unsupported,
+                            "binary frames are not supported, except a FAST STOP",
+                        ));
+                    }
+                }
+            }
+            Some(Ok(Message::Ping(_) | Message::Pong(_) | Message::Frame(_))) => {}
+            Some(Err(error)) => return Some(end_of(&error)),
+            Some(Ok(Message::Close(_))) | None => return Some(End::Closed),
+        }
+        None
+    }
+
+    fn take_requests(&mut self, text: &str) {
+        let (calls, is_batch) = match rpc::parse(text) {
+            Incoming::One(call) => (vec![call], false),
+            Incoming::Batch(calls) => (calls, true),
+        };
+        let (requests, bytes) = (calls.len(), text.len());
+        self.under_way += requests;
+        self.request_bytes += bytes;
+        self.count();
+        let answered: Vec<_> = calls.into_iter().map(|call| self.answered(call)).collect();
+        let done = join_all(answered).map(move |answered| Done { bytes, ..Done::of(requests, answered, is_batch) });
+        self.calls.push(done.boxed());
+    }
+
+    /// Counts what the requests under way hold.
+    fn count(&mut self) {
+        if let Some(held) = &mut self.held {
+            held.set(self.request_bytes + self.under_way * CALL_BYTES);
+        }
+    }
+
+    /// Begins a request.
+    fn answered(&self, call: Result<Call, Answer>) -> BoxFuture<'static, Answered> {
+        let ready = |answered| std::future::ready(answered).boxed();
+        let Call { id, method, params } = match call {
+            Ok(call) => call,
+            Err(answer) => return ready(Answered { answer: Some(answer), ..Answered::default() }),
+        };
+        let refused = |problem: Problem| Err(RpcError::from(problem));
+        if let Some(detail) = self.overload().filter(|_| !is_fast_stop(&method)) {
+            let refused = refused(Problem::new(Code::Overloaded, detail));
+            return ready(Answered { answer: id.map(|id| Answer::new(id, refused)), ..Answered::default() });
+        }
+        if method == "subscribe" {
+            return ready(
+                match bodies::subscribe(&self.context.gateway, &params).map(|(told, following)| (raw(&told), following))
+                {
+                    Ok((told, following)) => Answered {
+                        answer: id.map(|id| Answer::new(id, told)),
+                        following: Some(following),
+                        lease: None,
+                        running: None,
+                    },
+                    Err(problem) => {
+                        Answered { answer: id.map(|id| Answer::new(id, refused(problem))), ..Answered::default() }
+                    }
+                },
+            );
+        }
+        if named(&method).next().is_none() {
+            let names = "there is no such method: the API's description has them all";
+            let error = RpcError::no_method(Problem::new(Code::NotFound, names));
+            return ready(Answered { answer: id.map(|id| Answer::new(id, Err(error))), ..Answered::default() });
+        }
+        if method == lease::TAKE.name && id.is_none() {
+            // Nobody would hear its token.
+            return ready(Answered::default());
+        }
+        let (gateway, client, metrics) =
+            (self.context.gateway.clone(), self.client.clone(), self.context.metrics.clone());
+        let is_urgent = urgency(&method) != Urgency::None;
+        let answered = async move {
+            let result = crate::operations::call(&gateway, Caller::new(client), &method, params).await;
+            let status = result.as_ref().map_or_else(|problem| problem.status().as_u16(), |_| 200);
+            metrics.answered(Some(&method), "CALL", status);
+            Answered::new(id, result)
+        };
+        if is_urgent {
+            return answered.boxed();
+        }
+        // A call that has panicked has no answer.
+        let answered = AbortOnDropHandle::new(self.context.runtimes.observers.spawn(answered));
+        answered.map(Result::unwrap_or_default).boxed()
+    }
+
+    /// Why this client may begin nothing more for now, if so.
+    fn overload(&self) -> Option<String> {
+        if self.outbox.is_unread() {
+            return Some("too many answers of this socket wait to be read: read them first".to_owned());
+        }
+        (self.under_way > MAX_CALLS)
+            .then(|| format!("{MAX_CALLS} requests of this socket are under way already: await their answers first"))
+    }
+
+    fn take_done(&mut self, done: Done) {
+        self.under_way -= done.requests;
+        self.request_bytes -= done.bytes;
+        self.count();
+        if let Some(answer) = done.answer {
+            self.outbox.push(text_frame(answer));
+        }
+        for mut ticket in done.running {
+            if self.running.len() < MAX_COMMANDS {
+                self.running.push(async move { ticket.ended().await }.boxed());
+            }
+        }
+        for lease in done.leases {
+            let pin = self.permit.as_ref().and_then(|permit| permit.claim(Class::Pinned));
+            self.leases.insert(lease.gripper().clone(), (lease, pin));
+        }
+        if let Some(following) = done.following {
+            self.outbox.follow(following);
+        }
+    }
+}
+
+impl Done {
+    fn of(requests: usize, all: Vec<Answered>, is_batch: bool) -> Self {
+        let mut done = Self { requests, ..Self::default() };
+        let mut answers = Vec::new();
+        for answered in all {
+            answers.extend(answered.answer);
+            done.running.extend(answered.running);
+            done.leases.extend(answered.lease);
+            done.following = answered.following.or(done.following);
+        }
+        let json = match answers.as_slice() {
+            [] => return done,
+            [answer] if !is_batch => serde_json::to_string(answer),
+            answers => serde_json::to_string(answers),
+        };
+        done.answer = json.inspect_err(|error| tracing::error!(%error, "an answer has no JSON")).ok();
+        done
+    }
+}
+
+fn raw(told: &impl serde::Serialize) -> Result<Box<RawValue>, RpcError> {
+    let problem = |error| Problem::new(Code::Internal, format!("the answer has no JSON: {error}"));
+    to_raw_value(told).map_err(|error| problem(error).into())
+}
+
+fn end_of(error: &WsError) -> End {
+    match error {
+        WsError::Capacity(_) => End::Violation(CloseCode::Size, "a message has 64 KiB at most"),
+        WsError::Utf8(_) => End::Violation(CloseCode::Invalid, "a text is not UTF-8"),
+        WsError::Protocol(ProtocolError::ResetWithoutClosingHandshake) => End::Closed,
+        WsError::Protocol(_) => End::Violation(CloseCode::Protocol, "not a WebSocket frame (RFC 6455)"),
+        _ => End::Closed,
+    }
+}

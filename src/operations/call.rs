@@ -1,0 +1,255 @@
+//! A request for an operation: its caller, its parameters, and the gripper that they name.
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+use bytes::Bytes;
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+use serde_json::{Map, Value};
+use utoipa::ToSchema;
+
+use super::Gateway;
+use super::caller::{Caller, CommandWait, Keys, Presence};
+use super::json;
+use super::problem::Problem;
+use crate::gripper::handle::Using;
+use crate::gripper::model::{Client, CommandId, LeaseToken, Name};
+use crate::gripper::{Handle, Rejection};
+use crate::wsg::{self, Finger};
+
+/// The parameters of a request.
+#[derive(Debug, Default)]
+pub struct Params {
+    /// Parameters that the operation's path names.
+    pub path: BTreeMap<&'static str, String>,
+    /// All others.
+    pub fields: Fields,
+}
+
+/// Parameters as an interface has them.
+#[derive(Debug)]
+pub enum Fields {
+    /// The text of a JSON object; an empty text stands for an empty object.
+    Text(Bytes),
+    /// A JSON object in which no key stands twice.
+    Object(Map<String, Value>),
+}
+
+impl Default for Fields {
+    fn default() -> Self {
+        Self::Text(Bytes::new())
+    }
+}
+
+/// A request for an operation.
+#[derive(Debug)]
+pub struct Call {
+    /// The gateway that is asked.
+    pub gateway: Arc<Gateway>,
+    /// The client that asks.
+    pub caller: Caller,
+    /// What it asks for.
+    pub params: Params,
+}
+
+/// Parameters of an operation that takes none but a lease token.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(example = json!({}))]
+pub struct Leased {
+    /// The lease's token of at most 64 bytes, while somebody holds one; empty is none.
+    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
+    pub lease: Option<String>,
+}
+
+/// Parameters of an operation that takes none.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct NoFields {}
+
+impl Params {
+    /// Returns the name of the gripper that the parameters name.
+    pub fn gripper(&self) -> Option<Name> {
+        self.path.get("gripper")?.parse().ok()
+    }
+
+    fn part(&self, key: &str) -> Result<&str, Problem> {
+        self.path.get(key).map(String::as_str).ok_or_else(|| Problem::not_found("such path"))
+    }
+}
+
+impl Call {
+    /// Returns the gripper, and uses the lease whose token stands beside the parameters.
+    pub fn gripper(&self) -> Result<Gripper, Problem> {
+        let unknown = || Problem::not_found("gripper of this name");
+        let name = self.params.part("gripper")?.parse().map_err(|_| unknown())?;
+        let handle = self.gateway.grippers.get(&name).ok_or_else(unknown)?.clone();
+        let Caller { client, lease, presence, .. } = self.caller.clone();
+        let used = lease.as_ref().ok().and_then(Option::as_ref).map(|lease| LeaseUse::begin(&handle, lease, presence));
+        Ok(Gripper { handle, client, lease, used, presence })
+    }
+
+    /// Parses the parameters that the path does not name.
+    pub fn fields<P: DeserializeOwned>(&self) -> Result<P, Problem> {
+        match &self.params.fields {
+            Fields::Text(text) => json::parse(text),
+            Fields::Object(object) => json::of_object(object),
+        }
+    }
+
+    /// Returns a text among the parameters; none where they can't be parsed.
+    pub fn lenient_text(&self, key: &str) -> Option<String> {
+        match &self.params.fields {
+            Fields::Text(text) => json::text_member(text, key),
+            Fields::Object(object) => object.get(key)?.as_str().map(ToOwned::to_owned),
+        }
+    }
+
+    /// Returns the gripper and the parameters of a request that needs no lease.
+    pub fn open<P: DeserializeOwned>(&self) -> Result<(Gripper, P), Problem> {
+        Ok((self.gripper()?, self.fields()?))
+    }
+
+    /// Returns the gripper of a request with no parameters but a lease token.
+    pub fn leased(&self) -> Result<Gripper, Problem> {
+        let (gripper, Leased { lease }) = self.open()?;
+        gripper.with_lease(lease.as_deref())
+    }
+
+    /// Returns the keys beside the parameters.
+    pub fn keys(&self) -> Result<Keys, Problem> {
+        Keys::of(&self.caller)
+    }
+
+    /// Returns how long the caller waits for a command.
+    pub fn wait(&self, default_ms: u64) -> Result<CommandWait, Problem> {
+        self.caller.wait.parse(default_ms)
+    }
+
+    /// Returns the command that the path names.
+    pub fn command_id(&self) -> Result<CommandId, Problem> {
+        self.params.part("command")?.parse().map_err(|_| Problem::not_found("command of this id: ids are UUIDs"))
+    }
+
+    /// Returns the finger that the path names.
+    pub fn finger(&self) -> Result<Finger, Problem> {
+        match self.params.part("finger")? {
+            "1" => Ok(Finger::One),
+            "2" => Ok(Finger::Two),
+            _ => Err(Problem::not_found("such finger: they are 1 and 2")),
+        }
+    }
+}
+
+/// A gripper with the client and the lease of a request.
+#[derive(Debug)]
+pub struct Gripper {
+    /// The gripper.
+    pub handle: Handle,
+    /// The client.
+    pub client: Client,
+    lease: Result<Option<LeaseToken>, Problem>,
+    used: Option<LeaseUse>,
+    presence: Presence,
+}
+
+/// A request's use of a lease.
+#[derive(Debug)]
+enum LeaseUse {
+    /// While the request is open.
+    WhileOpen { _open: Using },
+    /// When the request came, and when it is answered.
+    AtBothEnds { _renewal: RenewalAtEnd },
+}
+
+/// Renews a lease when it is dropped.
+#[derive(Debug)]
+struct RenewalAtEnd {
+    handle: Handle,
+    lease: LeaseToken,
+}
+
+impl Drop for RenewalAtEnd {
+    fn drop(&mut self) {
+        drop(self.handle.use_lease(self.lease.clone()));
+    }
+}
+
+impl LeaseUse {
+    fn begin(handle: &Handle, lease: &LeaseToken, presence: Presence) -> Self {
+        let open = handle.use_lease(lease.clone());
+        match presence {
+            Presence::Seen => Self::WhileOpen { _open: open },
+            Presence::Unseen => {
+                Self::AtBothEnds { _renewal: RenewalAtEnd { handle: handle.clone(), lease: lease.clone() } }
+            }
+        }
+    }
+}
+
+impl Gripper {
+    /// Returns the gripper's name.
+    pub fn name(&self) -> String {
+        self.handle.name().to_string()
+    }
+
+    /// Adds the lease token among the parameters, and uses that lease.
+    pub fn with_lease(self, field: Option<&str>) -> Result<Self, Problem> {
+        let Keys { lease, .. } = Keys { lease: self.lease?, request_id: None }.or_fields(None, field)?;
+        let begin = || lease.as_ref().map(|lease| LeaseUse::begin(&self.handle, lease, self.presence));
+        let used = self.used.or_else(begin);
+        Ok(Self { lease: Ok(lease), used, ..self })
+    }
+
+    /// Returns the lease token, if there is a valid one.
+    pub fn token(&self) -> Option<LeaseToken> {
+        self.lease.as_ref().ok().cloned().flatten()
+    }
+
+    /// Sends the device one request that moves nothing.
+    pub async fn exchange(&self, command: wsg::Command) -> Result<wsg::Data, Rejection> {
+        self.handle.exchange(command, self.client.clone(), self.token()).await
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use serde_json::json;
+
+    use super::*;
+    use crate::gripper::fake::{self, Fate, Script};
+    use crate::gripper::model::{Client, Door};
+    use crate::operations::{Wait, call};
+
+    #[tokio::test(start_paused = true)]
+    async fn lease_time_runs_from_the_answer_and_earlier_where_the_client_is_unseen() {
+        let gateway = Gateway::of([fake::gripper("left", Script { fate: Fate::Runs, ..Script::default() }).0]);
+        let caller = Caller::new(Client { subject: "test".into(), door: Door::Zenoh });
+        let ask = async |caller: &Caller, name: &str, fields: Value| -> Value {
+            let mut params = json!({"gripper": "left"});
+            params.as_object_mut().unwrap().extend(fields.as_object().unwrap().clone());
+            let reply = call(&gateway, caller.clone(), name, params).await.unwrap();
+            serde_json::from_str(reply.body.get()).unwrap()
+        };
+        let token = ask(&caller, "lease.take", json!({"ttl_ms": 60_000})).await["token"].clone();
+        let motion = json!({"width_mm": 50, "speed_mm_s": 50, "lease": token});
+        let command = ask(&caller, "move", motion).await["id"].clone();
+        let left = async || ask(&caller, "lease", json!({})).await["expires_in_ms"].as_u64().unwrap();
+        for (presence, left_while_open_ms) in [(Presence::Seen, 60_000), (Presence::Unseen, 55_000)] {
+            let lease = Ok(token.as_str().map(LeaseToken::from));
+            let wait = Wait::Ms { given: Some("10000".to_owned()), limiter: None };
+            let waiting = Caller { lease, presence, wait, ..caller.clone() };
+            let look = async {
+                tokio::time::sleep(Duration::from_secs(5)).await;
+                left().await
+            };
+            let (_, left_while_open) = tokio::join!(ask(&waiting, "command", json!({"command": command})), look);
+            assert!(left_while_open.abs_diff(left_while_open_ms) < 500, "{presence:?}: {left_while_open}");
+            let left_then = left().await;
+            assert!(left_then > 59_500, "{presence:?}: {left_then}");
+        }
+    }
+}

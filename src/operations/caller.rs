@@ -1,0 +1,183 @@
+//! The client behind a request, and what the request says beside its parameters.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use futures_util::future::BoxFuture;
+
+use super::problem::Problem;
+use super::values::{integer, text};
+use crate::gripper::Ticket;
+use crate::gripper::model::{Client, Command, LeaseToken, RequestId};
+
+/// Longest wait for a command's end. Proxies and clients give up after a minute.
+pub const MAX_WAIT_MS: u64 = 60_000;
+
+/// Wait for a command's end where the request names none: longer than most motions.
+pub const DEFAULT_WAIT_MS: u64 = 5_000;
+
+/// Longest lease token that is looked at, in bytes. The gateway's own are shorter.
+pub const MAX_LEASE_BYTES: usize = 64;
+
+/// A client with one request.
+#[derive(Debug, Clone)]
+pub struct Caller {
+    /// The identity of the client, and the interface that it uses.
+    pub client: Client,
+    /// Lease token beside the parameters. A FAST STOP needs none, and must not fail for an invalid one.
+    pub lease: Result<Option<LeaseToken>, Problem>,
+    /// Request id beside the parameters.
+    pub request_id: Result<Option<RequestId>, Problem>,
+    /// Whether the end of the client shows while the request is open.
+    pub presence: Presence,
+    /// How long the caller waits for the end of a command.
+    pub wait: Wait,
+}
+
+/// Whether the interface notices that a client is gone while its request is open.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
+pub enum Presence {
+    /// The request ends with its client: while it is open, it keeps the lease.
+    #[default]
+    Seen,
+    /// The request does not end with its client: it renews the lease when it comes and when it is answered.
+    Unseen,
+}
+
+/// How long a caller waits for the end of a command.
+#[derive(Debug, Clone)]
+pub enum Wait {
+    /// Not at all: the reply comes when the command was admitted.
+    No,
+    /// As long as the request says, in ms, or the operation's default.
+    Ms {
+        /// The request's `wait_ms`.
+        given: Option<String>,
+        /// Cuts waits short where too many requests wait.
+        limiter: Option<Arc<dyn WaitLimiter>>,
+    },
+}
+
+/// A bound on waits that an interface sets.
+pub trait WaitLimiter: std::fmt::Debug + Send + Sync {
+    /// Returns the command when it has ended, or as it is after `limit` or when the wait is cut short.
+    fn until_ended<'a>(&'a self, ticket: &'a mut Ticket, limit: Duration) -> BoxFuture<'a, Command>;
+}
+
+/// A validated wait.
+#[derive(Debug)]
+pub struct CommandWait {
+    limit: Duration,
+    limiter: Option<Arc<dyn WaitLimiter>>,
+}
+
+impl Caller {
+    /// Returns a caller without a lease or request id that waits for nothing.
+    #[must_use]
+    pub fn new(client: Client) -> Self {
+        Self { client, lease: Ok(None), request_id: Ok(None), presence: Presence::Seen, wait: Wait::No }
+    }
+}
+
+impl Wait {
+    /// Parses the wait of a request for a command; `None` in `given` stands for `default_ms`.
+    ///
+    /// # Errors
+    /// A problem where `wait_ms` is not a whole number from 0 to 60000.
+    pub fn parse(&self, default_ms: u64) -> Result<CommandWait, Problem> {
+        let Self::Ms { given, limiter } = self else {
+            return Ok(CommandWait { limit: Duration::ZERO, limiter: None });
+        };
+        let wait_ms = given.as_deref().map(wait_ms).transpose()?.unwrap_or(default_ms);
+        Ok(CommandWait { limit: Duration::from_millis(wait_ms), limiter: limiter.clone() })
+    }
+}
+
+/// Parses `wait_ms`.
+///
+/// # Errors
+/// A problem where the text is not a whole number from 0 to 60000.
+pub fn wait_ms(given: &str) -> Result<u64, Problem> {
+    let wrong = || Problem::malformed("wait_ms", "wait_ms must be a number of ms").value(Some(given.into()));
+    integer("wait_ms", given.parse().map_err(|_| wrong())?, 0..=MAX_WAIT_MS)
+}
+
+impl CommandWait {
+    /// Returns the command when it has ended, or as it is after the wait.
+    pub async fn until_ended(&self, ticket: &mut Ticket) -> Command {
+        match &self.limiter {
+            Some(limiter) if !self.limit.is_zero() => limiter.until_ended(ticket, self.limit).await,
+            _ => ticket.wait(self.limit).await,
+        }
+    }
+}
+
+/// Makes a request repeatable (request id), and entitles to it (lease).
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct Keys {
+    pub request_id: Option<RequestId>,
+    pub lease: Option<LeaseToken>,
+}
+
+impl Keys {
+    /// Returns the keys beside the parameters.
+    pub fn of(caller: &Caller) -> Result<Self, Problem> {
+        Ok(Self { lease: caller.lease.clone()?, request_id: caller.request_id.clone()? })
+    }
+
+    /// Adds the keys among the parameters. An empty text counts as none: clients with fixed fields send that.
+    pub fn or_fields(self, request_id: Option<&str>, lease: Option<&str>) -> Result<Self, Problem> {
+        let given = |text: &&str| !text.is_empty();
+        let request_id = request_id.filter(given).map(|given| text("request_id", given)).transpose()?;
+        let lease = lease.filter(given).map(|given| text::<MAX_LEASE_BYTES>("lease", given)).transpose()?;
+        Ok(Self {
+            request_id: one_of("request_id", self.request_id, request_id)?,
+            lease: one_of("lease", self.lease, lease.map(|lease| lease.as_str().into()))?,
+        })
+    }
+}
+
+/// Returns a value that may stand in a header and in the body.
+fn one_of<T: PartialEq>(field: &str, header: Option<T>, body: Option<T>) -> Result<Option<T>, Problem> {
+    match (header, body) {
+        (Some(header), Some(body)) if header != body => {
+            Err(Problem::malformed(field, format!("{field} is given in a header and in the body, and differs")))
+        }
+        (header, body) => Ok(header.or(body)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn limit(given: Option<&str>) -> Result<Duration, u16> {
+        let wait = Wait::Ms { given: given.map(ToOwned::to_owned), limiter: None };
+        wait.parse(DEFAULT_WAIT_MS).map(|wait| wait.limit).map_err(|problem| problem.status().as_u16())
+    }
+
+    #[test]
+    fn wait_is_from_0_to_60000_ms() {
+        assert_eq!(limit(None), Ok(Duration::from_secs(5)));
+        assert_eq!(limit(Some("0")), Ok(Duration::ZERO));
+        assert_eq!(limit(Some("96.0")), Ok(Duration::from_millis(96)));
+        assert_eq!(limit(Some("60000")), Ok(Duration::from_mins(1)));
+        for beyond in ["60001", "-1", "1e30"] {
+            assert_eq!(limit(Some(beyond)), Err(422), "{beyond}");
+        }
+        for wrong in ["abc", "", "0.5", "NaN", "inf"] {
+            assert_eq!(limit(Some(wrong)), Err(400), "{wrong}");
+        }
+        assert_eq!(Wait::No.parse(DEFAULT_WAIT_MS).unwrap().limit, Duration::ZERO);
+    }
+
+    #[test]
+    fn keys_come_from_headers_or_fields() {
+        let keys = Keys::default().or_fields(Some("job 7"), Some("token")).unwrap();
+        assert_eq!(keys.clone().or_fields(Some("job 7"), None).unwrap(), keys);
+        assert_eq!(keys.clone().or_fields(Some(""), Some("")).unwrap(), keys);
+        assert_eq!(keys.or_fields(Some("job 8"), None).unwrap_err().status().as_u16(), 400);
+        assert_eq!(Keys::default().or_fields(Some(""), Some("")).unwrap(), Keys::default());
+        assert_eq!(Keys::default().or_fields(Some("a\nb"), None).unwrap_err().status().as_u16(), 400);
+    }
+}

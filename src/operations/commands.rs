@@ -1,0 +1,70 @@
+//! Commands: handed to the gripper, waited for, looked up, cancelled.
+
+use tracing::Span;
+use tracing::field::display;
+
+use super::call::{Call, Gripper, Leased, NoFields};
+use super::caller::{CommandWait, DEFAULT_WAIT_MS, Keys};
+use super::problem::Problem;
+use super::reply::{Effect, Json, Reply};
+use super::table::{Operation, reply};
+use crate::gripper::Ticket;
+use crate::gripper::model::{Action, Command, LeaseToken, Phase, Submission, Urgency};
+
+pub const GET: Operation =
+    Operation::read("command", "/grippers/{gripper}/commands/{command}", |call| reply(get(call)));
+pub const CANCEL: Operation =
+    Operation::command("cancel", "/grippers/{gripper}/commands/{command}/cancel", |call| reply(cancel(call)))
+        .urgent(Urgency::Stop);
+
+/// Submits a command, and waits for its end. What the device refused meanwhile is a problem, since its client still
+/// listens.
+pub(super) async fn submit(
+    gripper: Gripper,
+    keys: Keys,
+    action: Action,
+    wait: &CommandWait,
+) -> Result<(Command, Ticket), Problem> {
+    let Keys { request_id, lease } = keys;
+    let gripper = gripper.with_lease(lease.as_ref().map(LeaseToken::as_str))?;
+    let submission = Submission { client: gripper.client.clone(), action, request_id, lease };
+    // The request keeps the lease meanwhile, not the ticket.
+    let mut ticket = gripper.handle.submit(submission).await?.watched();
+    Span::current().record("command", display(ticket.id()));
+    let mut command = wait.until_ended(&mut ticket).await;
+    match command.rejection.take() {
+        Some(rejection) => Err(Problem::from(rejection).recorded()),
+        None => Ok((command, ticket)),
+    }
+}
+
+/// Returns the reply of a command that may still run.
+pub(super) fn reply_with(command: &Command, ticket: Ticket) -> Result<Reply, Problem> {
+    let effect = match command.phase {
+        Phase::Done => Effect::None,
+        Phase::Running => Effect::Running { gripper: command.gripper.clone(), ticket },
+    };
+    Reply::new(command, effect)
+}
+
+async fn get(call: Call) -> Result<Json<Command>, Problem> {
+    let (gripper, id, wait) = (call.gripper()?, call.command_id()?, call.wait(0)?);
+    let NoFields {} = call.fields()?;
+    let gripper = gripper.with_lease(None)?;
+    if let Some(mut ticket) = gripper.handle.find(id).await? {
+        return Ok(Json(wait.until_ended(&mut ticket).await));
+    }
+    let stored = call.gateway.journal.command(gripper.handle.name().clone(), id).await?;
+    stored.map(Json).ok_or_else(|| Problem::not_found("command of this id"))
+}
+
+async fn cancel(call: Call) -> Result<Reply, Problem> {
+    let (gripper, id, wait) = (call.gripper()?, call.command_id()?, call.wait(DEFAULT_WAIT_MS)?);
+    let Leased { lease } = call.fields()?;
+    let gripper = gripper.with_lease(lease.as_deref())?;
+    let ticket = gripper.handle.cancel(id, gripper.client).await?;
+    let mut ticket =
+        ticket.ok_or_else(|| Problem::not_found("command of this id here: commands are kept for an hour"))?;
+    let command = wait.until_ended(&mut ticket).await;
+    reply_with(&command, ticket)
+}

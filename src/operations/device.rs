@@ -1,0 +1,126 @@
+//! What the manual has beside motions, settings and fingers: statistics, tare, Loop.
+
+use http::Method as Verb;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use super::call::{Call, Gripper, NoFields};
+use super::problem::Problem;
+use super::reply::Json;
+use super::table::{Operation, reply};
+use super::values::bytes;
+use crate::gripper::{Failure, Rejection};
+use crate::wsg::id::MAX_LOOP_BYTES;
+use crate::wsg::{self, Data, LoopData};
+
+pub const STATISTICS: Operation =
+    Operation::read("statistics", "/grippers/{gripper}/statistics", |call| reply(statistics(call)));
+pub const RESET_STATISTICS: Operation =
+    Operation::change("statistics.reset", &Verb::POST, "/grippers/{gripper}/statistics/reset", |call| {
+        reply(reset_statistics(call))
+    });
+pub const TARE: Operation =
+    Operation::change("tare", &Verb::POST, "/grippers/{gripper}/tare", |call| reply(tare(call)));
+pub const LOOP: Operation =
+    Operation::change("loop", &Verb::POST, "/grippers/{gripper}/loop", |call| reply(loop_back(call)));
+
+/// A function that takes one variant's value.
+macro_rules! only {
+    ($variant:path) => {
+        |data| if let $variant(value) = data { Some(value) } else { None }
+    };
+}
+pub(super) use only;
+
+/// Asks the device, and takes from its data what belongs to the question.
+pub(super) async fn ask<T>(
+    gripper: &Gripper,
+    command: wsg::Command,
+    take: impl FnOnce(Data) -> Option<T>,
+) -> Result<T, Rejection> {
+    let name = wsg::id::name(command.id()).unwrap_or("a custom command");
+    let other = || Failure::DeviceProtocol { command: name, detail: "it belongs to another command".to_owned() };
+    take(gripper.exchange(command).await?).ok_or_else(|| other().into())
+}
+
+/// Grips, counted by the device.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({"gripper": "left", "total": 1520, "no_part": 12, "lost_part": 1}))]
+pub struct StatisticsAnswer {
+    /// The gripper's name.
+    #[schema(max_length = 32)]
+    gripper: String,
+    /// Executed grips.
+    #[schema(minimum = 0, maximum = 4_294_967_295_u64)]
+    total: u32,
+    /// Grips that found no part.
+    #[schema(minimum = 0, maximum = 65535)]
+    no_part: u16,
+    /// Grips whose part was lost before the gripper was opened again.
+    #[schema(minimum = 0, maximum = 65535)]
+    lost_part: u16,
+}
+
+async fn count(gripper: Gripper, reset: bool) -> Result<Json<StatisticsAnswer>, Problem> {
+    let counts = ask(&gripper, wsg::Command::GetStatistics { reset }, only!(Data::Statistics)).await?;
+    let wsg::Statistics { total, no_part, lost_part } = counts;
+    Ok(Json(StatisticsAnswer { gripper: gripper.name(), total, no_part, lost_part }))
+}
+
+async fn statistics(call: Call) -> Result<Json<StatisticsAnswer>, Problem> {
+    let (gripper, NoFields {}) = call.open()?;
+    count(gripper, false).await
+}
+
+async fn reset_statistics(call: Call) -> Result<Json<StatisticsAnswer>, Problem> {
+    count(call.leased()?, true).await
+}
+
+/// A force sensor, tared.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({"gripper": "left", "tared": true}))]
+pub struct Tared {
+    /// The gripper's name.
+    #[schema(max_length = 32)]
+    gripper: String,
+    /// That it was done.
+    tared: bool,
+}
+
+async fn tare(call: Call) -> Result<Json<Tared>, Problem> {
+    let gripper = call.leased()?;
+    gripper.exchange(wsg::Command::TareForceSensor).await?;
+    Ok(Json(Tared { gripper: gripper.name(), tared: true }))
+}
+
+/// Bytes for the device to send back.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(example = json!({"data": "0123456789abcdef"}))]
+pub struct Loop {
+    /// At most 256 bytes, as hex.
+    #[serde(default)]
+    #[schema(default = "", max_length = 512, pattern = "^([0-9a-fA-F]{2})*$")]
+    data: String,
+}
+
+/// The bytes that the device sent back.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({"gripper": "left", "data": "0123456789abcdef"}))]
+pub struct LoopAnswer {
+    /// The gripper's name.
+    #[schema(max_length = 32)]
+    gripper: String,
+    /// The bytes, as hex.
+    #[schema(max_length = 512)]
+    data: String,
+}
+
+async fn loop_back(call: Call) -> Result<Json<LoopAnswer>, Problem> {
+    let (gripper, body): (_, Loop) = call.open()?;
+    let given = bytes("data", &body.data, MAX_LOOP_BYTES)?;
+    let sent = given.len();
+    let data = LoopData::new(given).ok_or_else(|| Problem::too_long("data", sent, MAX_LOOP_BYTES))?;
+    let answer = ask(&gripper, wsg::Command::Loop(data), only!(Data::Loop)).await?;
+    Ok(Json(LoopAnswer { gripper: gripper.name(), data: hex::encode(answer) }))
+}

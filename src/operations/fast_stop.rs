@@ -1,0 +1,159 @@
+//! FAST STOP and its acknowledge.
+//!
+//! A client that asks for a FAST STOP gets it, whatever its parameters: they only give a reason.
+
+use http::Method as Verb;
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+use tracing::Span;
+use tracing::field::display;
+use utoipa::openapi::schema::{ObjectBuilder, SchemaType};
+use utoipa::openapi::{RefOr, Schema};
+use utoipa::{PartialSchema, ToSchema};
+
+use super::call::Call;
+use super::problem::Problem;
+use super::reply::Json;
+use super::table::{Operation, Role, reply};
+use crate::gripper::FastStop;
+use crate::gripper::model::{FastStopId, Reason, Urgency};
+
+pub const ONE: Operation =
+    Operation::change("fast-stop", &Verb::POST, "/grippers/{gripper}/fast-stop", |call| reply(one(call)))
+        .needs(Role::Stop)
+        .urgent(Urgency::FastStop);
+pub const ALL: Operation = Operation::change("fast-stop", &Verb::POST, "/fast-stop", |call| reply(all(call)))
+    .needs(Role::Stop)
+    .urgent(Urgency::FastStop);
+pub const ACKNOWLEDGE: Operation =
+    Operation::change("acknowledge", &Verb::POST, "/grippers/{gripper}/acknowledge", |call| reply(acknowledge(call)));
+
+/// Why. Anything is taken, and stops: nothing, and what is no JSON, is no reason.
+pub struct FastStopBody;
+
+impl PartialSchema for FastStopBody {
+    fn schema() -> RefOr<Schema> {
+        let reason = ObjectBuilder::new().schema_type(SchemaType::AnyValue).description(Some(
+            "Why, for the records. Of a text the first 64 bytes are kept; of anything else nothing.",
+        ));
+        ObjectBuilder::new()
+            .schema_type(SchemaType::AnyValue)
+            .description(Some("Anything is taken, and stops: what is no object, or no JSON, has no reason."))
+            .property("reason", reason)
+            .examples([json!({"reason": "light curtain"})])
+            .into()
+    }
+}
+
+impl ToSchema for FastStopBody {}
+
+/// A gripper's FAST STOP.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({
+    "gripper": "left", "fast_stop_id": "019aa5c8-5a70-7c31-9f3f-4a3b7c1d2e4f", "fast_stop_confirmed": true
+}))]
+pub struct FastStopAnswer {
+    /// The gripper's name.
+    #[schema(max_length = 32)]
+    gripper: String,
+    /// What an acknowledge has to name.
+    #[schema(value_type = uuid::Uuid)]
+    fast_stop_id: FastStopId,
+    /// Whether the device's flags have shown it. Where they haven't within 250 ms, it is being repeated.
+    fast_stop_confirmed: bool,
+}
+
+/// All grippers' FAST STOP.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({
+    "fast_stop_id": "019aa5c8-5a70-7c31-9f3f-4a3b7c1d2e4f", "fast_stop_confirmed": false,
+    "confirmed": ["left"], "unconfirmed": ["right"]
+}))]
+pub struct AllFastStopAnswer {
+    /// What the acknowledges have to name: one id for all.
+    #[schema(value_type = uuid::Uuid)]
+    fast_stop_id: FastStopId,
+    /// Whether the flags of all of them have shown it.
+    fast_stop_confirmed: bool,
+    /// The grippers whose flags have shown it.
+    confirmed: Vec<String>,
+    /// The grippers whose flags haven't yet: to them it is being repeated.
+    unconfirmed: Vec<String>,
+}
+
+/// Returns the reason of a FAST STOP; none where the parameters can't be parsed.
+pub(super) fn reason(call: &Call) -> Reason {
+    Reason::truncated(&call.lenient_text("reason").unwrap_or_default())
+}
+
+/// Notes the id of a FAST STOP in the log of its request.
+pub(super) fn log(id: FastStopId) {
+    Span::current().record("fast_stop", display(id));
+}
+
+/// Divides grippers into those that have confirmed and those that have not.
+pub(super) fn by_confirmation(stops: Vec<(impl ToString, bool)>) -> (Vec<String>, Vec<String>) {
+    let (confirmed, unconfirmed): (Vec<_>, Vec<_>) = stops.into_iter().partition(|(_, confirmed)| *confirmed);
+    let names = |stops: Vec<(_, bool)>| stops.into_iter().map(|(name, _)| ToString::to_string(&name)).collect();
+    (names(confirmed), names(unconfirmed))
+}
+
+async fn one(call: Call) -> Result<Json<FastStopAnswer>, Problem> {
+    let gripper = call.gripper()?;
+    let client = gripper.client.clone();
+    let FastStop { id, confirmed } = gripper.handle.fast_stop(FastStopId::generate(), client, reason(&call)).await;
+    log(id);
+    Ok(Json(FastStopAnswer { gripper: gripper.name(), fast_stop_id: id, fast_stop_confirmed: confirmed }))
+}
+
+async fn all(call: Call) -> Result<Json<AllFastStopAnswer>, Problem> {
+    let (id, stops) = call.gateway.grippers.fast_stop(&call.caller.client, &reason(&call)).await;
+    log(id);
+    let (confirmed, unconfirmed) = by_confirmation(stops);
+    Ok(Json(AllFastStopAnswer {
+        fast_stop_id: id,
+        fast_stop_confirmed: unconfirmed.is_empty(),
+        confirmed,
+        unconfirmed,
+    }))
+}
+
+/// What is acknowledged.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(example = json!({"fast_stop_id": "019aa5c8-5a70-7c31-9f3f-4a3b7c1d2e4f"}))]
+pub struct Acknowledge {
+    /// The FAST STOP's id, as the state tells it.
+    #[schema(value_type = uuid::Uuid)]
+    fast_stop_id: String,
+    /// The lease's token, which is used by this as by any request; empty is none.
+    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
+    lease: Option<String>,
+}
+
+/// An acknowledged FAST STOP.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({
+    "gripper": "left", "fast_stop_id": "019aa5c8-5a70-7c31-9f3f-4a3b7c1d2e4f", "fast_stop": false
+}))]
+pub struct Acknowledged {
+    /// The gripper's name.
+    #[schema(max_length = 32)]
+    gripper: String,
+    /// What was acknowledged.
+    #[schema(value_type = uuid::Uuid)]
+    fast_stop_id: FastStopId,
+    /// Whether a FAST STOP holds: no longer.
+    fast_stop: bool,
+}
+
+async fn acknowledge(call: Call) -> Result<Json<Acknowledged>, Problem> {
+    let (gripper, body): (_, Acknowledge) = call.open()?;
+    let id: FastStopId = body.fast_stop_id.parse().map_err(|error| {
+        Problem::malformed("fast_stop_id", format!("fast_stop_id is no UUID: {error}"))
+            .value(Some(body.fast_stop_id.clone().into()))
+    })?;
+    let gripper = gripper.with_lease(body.lease.as_deref())?;
+    gripper.handle.acknowledge(id, gripper.client.clone()).await?;
+    Ok(Json(Acknowledged { gripper: gripper.name(), fast_stop_id: id, fast_stop: false }))
+}

@@ -1,0 +1,132 @@
+//! The fingers' interface (firmware 4 and up).
+
+use http::Method as Verb;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use super::call::{Call, NoFields};
+use super::device::ask;
+use super::problem::Problem;
+use super::reply::Json;
+use super::table::{Operation, reply};
+use crate::wsg::{self, Data, Finger};
+
+pub const INFO: Operation =
+    Operation::read("fingers", "/grippers/{gripper}/fingers/{finger}", |call| reply(info(call)));
+pub const DATA: Operation =
+    Operation::read("fingers.data", "/grippers/{gripper}/fingers/{finger}/data", |call| reply(data(call)));
+pub const POWER: Operation =
+    Operation::change("fingers.power", &Verb::PUT, "/grippers/{gripper}/fingers/{finger}/power", |call| {
+        reply(power(call))
+    });
+
+/// A finger.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({
+    "gripper": "left", "finger": 1, "type": "WSG-FMF", "type_code": 1, "data_bytes": 4,
+    "flags": ["POWER_ON", "CONFIG_AVAIL", "COMM_OPEN"], "flags_raw": 7
+}))]
+pub struct FingerAnswer {
+    /// The gripper's name.
+    #[schema(max_length = 32)]
+    gripper: String,
+    /// 1 or 2.
+    #[schema(minimum = 1, maximum = 2)]
+    finger: u8,
+    /// The finger's type: `generic` (or none), `WSG-FMF` (force measurement), `WSG-DSA` (tactile), `type` and a number.
+    #[serde(rename = "type")]
+    finger_type: String,
+    /// The same, by its number.
+    #[schema(minimum = 0, maximum = 255)]
+    type_code: u8,
+    /// The bytes of one data frame; 0 where the finger has none.
+    #[schema(minimum = 0, maximum = 65535)]
+    data_bytes: u16,
+    /// The flags that are set.
+    flags: Vec<&'static str>,
+    /// All 16 of them as a number.
+    #[schema(minimum = 0, maximum = 65535)]
+    flags_raw: u16,
+}
+
+async fn info(call: Call) -> Result<Json<FingerAnswer>, Problem> {
+    let (gripper, finger) = (call.gripper()?, call.finger()?);
+    let NoFields {} = call.fields()?;
+    let take = |data| if let Data::FingerInfo(_, info) = data { Some(info) } else { None };
+    let info = ask(&gripper, wsg::Command::GetFingerInfo(finger), take).await?;
+    let take = |data| if let Data::FingerFlags(_, flags) = data { Some(flags) } else { None };
+    let flags = ask(&gripper, wsg::Command::GetFingerFlags(finger), take).await?;
+    Ok(Json(FingerAnswer {
+        gripper: gripper.name(),
+        finger: number(finger),
+        finger_type: info.finger_type.to_string(),
+        type_code: info.finger_type.code(),
+        data_bytes: info.data_bytes,
+        flags: flags.names().collect(),
+        flags_raw: flags.bits(),
+    }))
+}
+
+const fn number(finger: Finger) -> u8 {
+    match finger {
+        Finger::One => 1,
+        Finger::Two => 2,
+    }
+}
+
+/// A finger's data.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({"gripper": "left", "finger": 1, "data": "0000a041"}))]
+pub struct FingerDataAnswer {
+    /// The gripper's name.
+    #[schema(max_length = 32)]
+    gripper: String,
+    /// 1 or 2.
+    #[schema(minimum = 1, maximum = 2)]
+    finger: u8,
+    /// One data frame, as hex: what it means depends on the finger.
+    #[schema(max_length = 8192)]
+    data: String,
+}
+
+async fn data(call: Call) -> Result<Json<FingerDataAnswer>, Problem> {
+    let (gripper, finger) = (call.gripper()?, call.finger()?);
+    let NoFields {} = call.fields()?;
+    let take = |data| if let Data::FingerData(_, bytes) = data { Some(bytes) } else { None };
+    let data = ask(&gripper, wsg::Command::GetFingerData(finger), take).await?;
+    Ok(Json(FingerDataAnswer { gripper: gripper.name(), finger: number(finger), data: hex::encode(data) }))
+}
+
+/// A finger's power.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(example = json!({"enabled": true}))]
+pub struct Power {
+    /// On or off.
+    enabled: bool,
+    /// The lease's token of at most 64 bytes, while somebody holds one; empty is none.
+    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
+    lease: Option<String>,
+}
+
+/// A finger's power, switched.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({"gripper": "left", "finger": 1, "enabled": true}))]
+pub struct PowerAnswer {
+    /// The gripper's name.
+    #[schema(max_length = 32)]
+    gripper: String,
+    /// 1 or 2.
+    #[schema(minimum = 1, maximum = 2)]
+    finger: u8,
+    /// On or off.
+    enabled: bool,
+}
+
+async fn power(call: Call) -> Result<Json<PowerAnswer>, Problem> {
+    let (gripper, finger) = (call.gripper()?, call.finger()?);
+    let Power { enabled, lease } = call.fields()?;
+    let gripper = gripper.with_lease(lease.as_deref())?;
+    gripper.exchange(wsg::Command::FingerPower { finger, on: enabled }).await?;
+    Ok(Json(PowerAnswer { gripper: gripper.name(), finger: number(finger), enabled }))
+}

@@ -1,0 +1,62 @@
+//! The grippers of all gateways on the Zenoh network, and their FAST STOP.
+
+use http::Method as Verb;
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use super::call::{Call, NoFields};
+use super::fast_stop::{by_confirmation, log, reason};
+use super::problem::Problem;
+use super::reply::Json;
+use super::table::{Operation, Role, ready, reply};
+use crate::fleet::{FleetGripper, FleetStop};
+use crate::gripper::model::{FastStopId, Urgency};
+
+pub const LIST: Operation = Operation::read("fleet", "/fleet", |call| ready(list(&call)));
+pub const FAST_STOP: Operation =
+    Operation::change("fleet.fast-stop", &Verb::POST, "/fleet/fast-stop", |call| reply(fast_stop(call)))
+        .needs(Role::Stop)
+        .urgent(Urgency::FastStop);
+
+/// The grippers of all gateways.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct FleetList {
+    /// By gateway and name.
+    grippers: Vec<FleetGripper>,
+}
+
+/// All gateways' FAST STOP.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({
+    "fast_stop_id": "019aa5c8-5a70-7c31-9f3f-4a3b7c1d2e4f", "fast_stop_confirmed": false,
+    "confirmed": ["cell-7/left"], "unconfirmed": ["cell-8/left"]
+}))]
+pub struct FleetFastStopAnswer {
+    /// What the acknowledges of this gateway's own grippers have to name; the fleet has those of the others.
+    #[schema(value_type = uuid::Uuid)]
+    fast_stop_id: FastStopId,
+    /// Whether all of them have confirmed.
+    fast_stop_confirmed: bool,
+    /// The grippers whose flags have shown it, as gateway/gripper.
+    confirmed: Vec<String>,
+    /// The grippers of which that isn't known yet. Their gateways repeat it until it is; one that is gone, and comes back
+    /// within a minute without knowing of it, is told again.
+    unconfirmed: Vec<String>,
+}
+
+fn list(call: &Call) -> Result<Json<FleetList>, Problem> {
+    let NoFields {} = call.fields()?;
+    Ok(Json(FleetList { grippers: call.gateway.network.grippers() }))
+}
+
+async fn fast_stop(call: Call) -> Result<Json<FleetFastStopAnswer>, Problem> {
+    let FleetStop { id, stops } = call.gateway.network.fast_stop(&call.caller.client, &reason(&call)).await;
+    log(id);
+    let (confirmed, unconfirmed) = by_confirmation(stops);
+    Ok(Json(FleetFastStopAnswer {
+        fast_stop_id: id,
+        fast_stop_confirmed: unconfirmed.is_empty(),
+        confirmed,
+        unconfirmed,
+    }))
+}

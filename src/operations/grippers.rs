@@ -1,0 +1,41 @@
+//! What the gateway knows of its grippers: no request here costs a device anything.
+
+use std::sync::Arc;
+
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use super::call::{Call, NoFields};
+use super::problem::Problem;
+use super::reply::Json;
+use super::table::{Operation, ready};
+use crate::gripper::model::State;
+use crate::gripper::{Handle, Info};
+
+pub const LIST: Operation = Operation::read("grippers", "/grippers", |call| ready(list(&call)));
+pub const INFO: Operation = Operation::read("info", "/grippers/{gripper}", |call| ready(info(&call)));
+pub const STATE: Operation = Operation::read("state", "/grippers/{gripper}/state", |call| ready(state(&call)));
+
+/// All grippers.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = Grippers)]
+pub struct GripperList {
+    /// By name.
+    #[schema(value_type = Vec<Info>)]
+    grippers: Vec<Arc<Info>>,
+}
+
+fn list(call: &Call) -> Result<Json<GripperList>, Problem> {
+    let NoFields {} = call.fields()?;
+    Ok(Json(GripperList { grippers: call.gateway.grippers.iter().map(Handle::info).collect() }))
+}
+
+fn info(call: &Call) -> Result<Json<Arc<Info>>, Problem> {
+    let (gripper, NoFields {}) = call.open()?;
+    Ok(Json(gripper.with_lease(None)?.handle.info()))
+}
+
+fn state(call: &Call) -> Result<Json<Arc<State>>, Problem> {
+    let (gripper, NoFields {}) = call.open()?;
+    Ok(Json(gripper.with_lease(None)?.handle.state()))
+}

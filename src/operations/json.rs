@@ -1,0 +1,239 @@
+//! JSON from clients: objects, parsed into parameters, and values in which no key stands twice.
+
+use std::fmt;
+
+use serde::de::{Deserialize, DeserializeOwned, Deserializer, Error, MapAccess, SeqAccess, Visitor};
+use serde_json::{Map, Value};
+
+use super::problem::{Code, Problem};
+
+/// The largest body, message or payload that is taken. The largest that any request needs is a `raw` one of 8 KiB.
+pub const MAX_BODY_BYTES: usize = 64 * 1024;
+
+/// Parses the JSON object in `bytes`. No bytes stand for an empty object.
+///
+/// # Errors
+/// A problem that names the field, where one is wrong.
+pub fn parse<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
+    let bytes = match bytes.trim_ascii_start() {
+        [] => b"{}",
+        // A struct could be read from an array too, by position: nobody means that.
+        object @ [b'{', ..] => object,
+        _ => return Err(Problem::new(Code::Malformed, "the body must be a JSON object")),
+    };
+    let mut json = serde_json::Deserializer::from_slice(bytes);
+    let value = |field: &str| serde_json::from_slice::<Value>(bytes).ok()?.get(field).cloned();
+    let parsed = serde_path_to_error::deserialize(&mut json).map_err(|error| problem(&error, value))?;
+    json.end().map_err(|error| Problem::new(Code::Malformed, format!("the body goes on after its end: {error}")))?;
+    Ok(parsed)
+}
+
+/// Returns a text among the members of an object; none where `bytes` are not JSON.
+#[must_use]
+pub fn text_member(bytes: &[u8], key: &str) -> Option<String> {
+    serde_json::from_slice::<Value>(bytes).ok()?.get(key)?.as_str().map(ToOwned::to_owned)
+}
+
+/// Parses the fields of an object.
+///
+/// # Errors
+/// A problem that names the field.
+pub fn of_object<T: DeserializeOwned>(object: &Map<String, Value>) -> Result<T, Problem> {
+    serde_path_to_error::deserialize(object).map_err(|error| problem(&error, |field| object.get(field).cloned()))
+}
+
+fn problem(
+    error: &serde_path_to_error::Error<serde_json::Error>,
+    value: impl FnOnce(&str) -> Option<Value>,
+) -> Problem {
+    let detail = detail(error.inner());
+    match field(&error.path().to_string(), &detail) {
+        Some(field) => {
+            let value = value(&field);
+            Problem::malformed(&field, format!("{field}: {detail}")).value(value)
+        }
+        None => Problem::new(Code::Malformed, format!("the body is no JSON that is understood: {detail}")),
+    }
+}
+
+/// Describes an error. Where the JSON itself is correct, the field says where the error is, and not a line.
+fn detail(error: &serde_json::Error) -> String {
+    let mut text = error.to_string();
+    let position = format!(" at line {} column {}", error.line(), error.column());
+    if error.is_data() && text.ends_with(&position) {
+        text.truncate(text.len() - position.len());
+    }
+    text
+}
+
+/// The field that an error is about. The parser's path has none where the name itself is the mistake, whose words do, and a `?` where the JSON breaks off.
+fn field(path: &str, detail: &str) -> Option<String> {
+    let named = ["missing field `", "unknown field `", "duplicate field `"]
+        .iter()
+        .find_map(|start| detail.strip_prefix(start)?.split_once('`'))
+        .map(|(field, _)| field);
+    named
+        .or((!matches!(path, "." | "?") && !path.ends_with(".?")).then_some(path))
+        .map(|field| field.chars().take(MAX_FIELD_CHARS).collect())
+}
+
+/// How much of an unknown field's name is repeated to its sender.
+const MAX_FIELD_CHARS: usize = 32;
+
+/// A JSON value in which no key stands twice. Of two, serde_json's own value keeps the last, and other parsers the first:
+/// what was checked would not be what is done.
+#[derive(Debug)]
+pub struct StrictJson(pub Value);
+
+impl<'de> Deserialize<'de> for StrictJson {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(Values).map(Self)
+    }
+}
+
+struct Values;
+
+impl<'de> Visitor<'de> for Values {
+    type Value = Value;
+
+    fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+        formatter.write_str("JSON")
+    }
+
+    fn visit_unit<E>(self) -> Result<Value, E> {
+        Ok(Value::Null)
+    }
+
+    fn visit_bool<E>(self, value: bool) -> Result<Value, E> {
+        Ok(value.into())
+    }
+
+    fn visit_u64<E>(self, value: u64) -> Result<Value, E> {
+        Ok(value.into())
+    }
+
+    fn visit_i64<E>(self, value: i64) -> Result<Value, E> {
+        Ok(value.into())
+    }
+
+    fn visit_f64<E>(self, value: f64) -> Result<Value, E> {
+        Ok(value.into())
+    }
+
+    fn visit_str<E>(self, value: &str) -> Result<Value, E> {
+        Ok(value.into())
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut elements: A) -> Result<Value, A::Error> {
+        let mut array = Vec::new();
+        while let Some(StrictJson(element)) = elements.next_element()? {
+            array.push(element);
+        }
+        Ok(array.into())
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut entries: A) -> Result<Value, A::Error> {
+        let mut object = Map::new();
+        while let Some((key, StrictJson(value))) = entries.next_entry::<String, _>()? {
+            if object.contains_key(&key) {
+                return Err(A::Error::custom(format_args!("duplicate field `{key}`")));
+            }
+            object.insert(key, value);
+        }
+        Ok(object.into())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use serde::Deserialize;
+    use serde_json::{from_str, json};
+
+    use super::*;
+
+    #[derive(Debug, PartialEq, Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Move {
+        width_mm: f64,
+        #[serde(default)]
+        relative: bool,
+    }
+
+    fn problem(body: &[u8]) -> Value {
+        let problem = parse::<Move>(body).unwrap_err();
+        serde_json::to_value(problem.members()).unwrap()
+    }
+
+    #[test]
+    fn an_object_is_read() {
+        assert_eq!(parse::<Move>(br#" {"width_mm": 96.0} "#).unwrap(), Move { width_mm: 96.0, relative: false });
+        assert_eq!(
+            parse::<Move>(br#"{"width_mm":96,"relative":true}"#).unwrap(),
+            Move { width_mm: 96.0, relative: true }
+        );
+    }
+
+    #[test]
+    fn nothing_is_an_empty_object() {
+        #[derive(Deserialize)]
+        struct Nothing {}
+        for nothing in [&b""[..], b" \r\n", b"{}"] {
+            let Nothing {} = parse(nothing).unwrap();
+        }
+        assert_eq!(problem(b"")["field"], "width_mm");
+    }
+
+    #[test]
+    fn the_field_that_is_wrong_is_named() {
+        let wrong_type = problem(br#"{"width_mm": "20"}"#);
+        assert_eq!((&wrong_type["code"], &wrong_type["field"]), (&"malformed".into(), &"width_mm".into()));
+        assert_eq!(wrong_type["value"], "20");
+        assert_eq!(problem(br#"{"width_mm": 20, "relative": 1}"#)["field"], "relative");
+        assert_eq!(problem(br#"{"relative": true}"#)["field"], "width_mm");
+        assert_eq!(problem(br#"{"widht_mm": 20}"#)["field"], "widht_mm");
+        assert_eq!(problem(br#"{"width_mm": 20, "width_mm": 30}"#)["field"], "width_mm");
+    }
+
+    #[test]
+    fn json_that_breaks_off_names_no_field() {
+        for body in [&br#"{"width_mm": 20"#[..], b"{", b"{\"width_mm\": 20,, \"relative\": true}"] {
+            assert_eq!(problem(body)["field"], Value::Null, "{}", String::from_utf8_lossy(body));
+        }
+    }
+
+    #[test]
+    fn what_is_no_object_is_malformed() {
+        let bodies: [&[u8]; 10] = [
+            b"[20, true]",
+            b"20",
+            b"null",
+            b"\"x\"",
+            b"{\"width_mm\": NaN}",
+            b"{\"width_mm\": 1e999}",
+            b"{\"width_mm\": 20} {}",
+            b"{\"width_mm\": 20",
+            b"{\"width_mm\": \"\xFF\"}",
+            b"width_mm=20",
+        ];
+        for body in bodies {
+            assert_eq!(problem(body)["code"], "malformed", "{}", String::from_utf8_lossy(body));
+        }
+    }
+
+    #[test]
+    fn a_long_value_is_not_repeated() {
+        let body = format!("{{\"width_mm\": \"{}\"}}", "x".repeat(1000));
+        let problem = problem(body.as_bytes());
+        assert_eq!((problem["field"].as_str(), problem.get("value")), (Some("width_mm"), None));
+    }
+
+    #[test]
+    fn it_is_the_same_json_unless_a_key_stands_twice() {
+        let text = r#"{"a": [1, -2, 0.5, "b", null, true, {"a": {}}], "b": 18446744073709551615}"#;
+        assert_eq!(from_str::<StrictJson>(text).unwrap().0, from_str::<Value>(text).unwrap());
+        assert_eq!(from_str::<StrictJson>("7").unwrap().0, json!(7));
+        for text in [r#"{"a": 1, "a": 1}"#, r#"[{"b": {"a": 1, "a": 2}}]"#] {
+            assert!(from_str::<StrictJson>(text).unwrap_err().to_string().starts_with("duplicate field `a`"), "{text}");
+        }
+    }
+}

@@ -1,0 +1,153 @@
+//! The lease: who may move the gripper.
+
+use std::sync::Arc;
+use std::time::Duration;
+
+use http::Method as Verb;
+use serde::Deserialize;
+use utoipa::ToSchema;
+
+use super::call::{Call, NoFields};
+use super::problem::Problem;
+use super::reply::{Effect, Json, Reply};
+use super::table::{Operation, reply};
+use super::values::{integer, name, text};
+use crate::gripper::model::lease::{MAX_TTL, MIN_TTL};
+use crate::gripper::model::{Lease, LeaseToken, Name, OnLossHolding, OnLossMoving, TakeLease, Urgency};
+use crate::gripper::{Granted, Handle, Keep};
+
+const PATH: &str = "/grippers/{gripper}/lease";
+
+pub const GET: Operation = Operation::read("lease", PATH, |call| reply(get(call)));
+pub const TAKE: Operation = Operation::change("lease.take", &Verb::POST, PATH, |call| reply(take(call)));
+pub const RENEW: Operation =
+    Operation::change("lease.renew", &Verb::PUT, PATH, |call| reply(renew(call))).urgent(Urgency::Lease);
+pub const RELEASE: Operation =
+    Operation::change("lease.release", &Verb::DELETE, PATH, |call| reply(release(call))).urgent(Urgency::Lease);
+pub const HAND_OVER: Operation =
+    Operation::change("lease.hand-over", &Verb::POST, "/grippers/{gripper}/lease/hand-over", |call| {
+        reply(hand_over(call))
+    });
+
+type Answer = Result<Json<Lease>, Problem>;
+
+async fn get(call: Call) -> Answer {
+    let (gripper, NoFields {}) = call.open()?;
+    Ok(Json(gripper.with_lease(None)?.handle.lease().await?))
+}
+
+/// An acquired lease, as an interface keeps it that sees its client's end. HTTP, which does not, drops it.
+#[derive(Debug)]
+pub struct ConnectionLease {
+    handle: Handle,
+    token: LeaseToken,
+    takes: u64,
+    /// Where its taker has not said how long it lives without use: as long as the connection.
+    _keep: Option<Keep>,
+}
+
+impl ConnectionLease {
+    /// The same, which runs out without use.
+    pub fn without_keep(&self) -> Self {
+        Self { handle: self.handle.clone(), token: self.token.clone(), takes: self.takes, _keep: None }
+    }
+
+    /// Whether it is the lease of this token.
+    pub fn is(&self, token: &str) -> bool {
+        self.token.as_str() == token
+    }
+
+    /// Of which gripper.
+    pub fn gripper(&self) -> &Name {
+        self.handle.name()
+    }
+
+    /// Its client has gone. One that was released, is another's by now, or was taken again elsewhere, stays as it is.
+    pub async fn lose(&self) {
+        self.handle.lose_lease(self.token.clone(), Some(self.takes)).await;
+    }
+}
+
+/// A wish to hold the lease.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(example = json!({"holder": "robot-1", "ttl_ms": 3000}))]
+pub struct Take {
+    /// The name to be known by; the peer's address where there is none. At most 32 bytes in UTF-8: printable ASCII, or
+    /// letters, marks and digits of one script, composed (NFC). Invisible and look-alike characters are refused.
+    #[schema(max_length = 32, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
+    holder: Option<String>,
+    /// How long the lease lives without use, in ms: 3000 if it isn't said.
+    #[schema(value_type = Option<u64>, minimum = 100, maximum = 60000)]
+    ttl_ms: Option<f64>,
+    /// What becomes of fingers that move when the holder is lost: `fast_stop` if it isn't said and the configuration
+    /// has no other.
+    on_loss_moving: Option<OnLossMoving>,
+    /// What becomes of a part that is held then: `keep` if it isn't said and the configuration has no other.
+    on_loss_holding: Option<OnLossHolding>,
+    /// Take it from whoever holds it, as a supervisor does: a running motion is stopped.
+    #[serde(default)]
+    #[schema(default = false)]
+    force: bool,
+    /// Where somebody else holds it, tell that holder who asks. Ask again to get it once it was handed over.
+    #[serde(default)]
+    #[schema(default = false)]
+    request: bool,
+    /// The token of the lease that is held already, whose terms are to change: at most 64 bytes;
+    /// empty is none.
+    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
+    lease: Option<String>,
+}
+
+async fn take(call: Call) -> Result<Reply, Problem> {
+    let (gripper, body): (_, Take) = call.open()?;
+    let gripper = gripper.with_lease(body.lease.as_deref())?;
+    let ttl = |ttl_ms| integer("ttl_ms", ttl_ms, MIN_TTL.as_millis() as u64..=MAX_TTL.as_millis() as u64);
+    let holder = body.holder.as_deref().filter(|holder| !holder.is_empty());
+    let take = TakeLease {
+        holder: holder.map(|given| name("holder", given)).transpose()?,
+        ttl: body.ttl_ms.map(ttl).transpose()?.map(Duration::from_millis),
+        on_loss_moving: body.on_loss_moving,
+        on_loss_holding: body.on_loss_holding,
+        force: body.force,
+        request: body.request,
+        token: gripper.token(),
+        client: gripper.client,
+    };
+    let (handle, has_ttl) = (gripper.handle, take.ttl.is_some());
+    let Granted { lease, times_taken, keep } = handle.take_lease(take).await?;
+    let keep = keep.filter(|_| !has_ttl);
+    let leased = lease.token.clone().map(|token| ConnectionLease { handle, token, takes: times_taken, _keep: keep });
+    Reply::new(&lease, leased.map_or(Effect::None, |lease| Effect::Leased(Arc::new(lease))))
+}
+
+async fn renew(call: Call) -> Answer {
+    let gripper = call.leased()?;
+    Ok(Json(gripper.handle.renew_lease(gripper.token()).await?))
+}
+
+async fn release(call: Call) -> Answer {
+    let gripper = call.leased()?;
+    Ok(Json(gripper.handle.release_lease(gripper.token()).await?))
+}
+
+/// To whom the lease goes.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(example = json!({"to": "robot-2"}))]
+pub struct HandOver {
+    /// Who has asked for it: `requested_by`. A name or an address, of at most 64 bytes
+    /// in UTF-8.
+    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
+    to: String,
+    /// The lease's token of at most 64 bytes; empty is none.
+    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
+    lease: Option<String>,
+}
+
+async fn hand_over(call: Call) -> Answer {
+    let (gripper, body): (_, HandOver) = call.open()?;
+    let gripper = gripper.with_lease(body.lease.as_deref())?;
+    let to = text::<64>("to", &body.to)?;
+    Ok(Json(gripper.handle.hand_over(gripper.token(), to.as_str().to_owned()).await?))
+}

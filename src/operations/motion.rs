@@ -1,0 +1,180 @@
+//! Home, move, grip, release, stop.
+
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+use utoipa::ToSchema;
+
+use super::call::Call;
+use super::caller::{DEFAULT_WAIT_MS, Keys};
+use super::commands;
+use super::problem::Problem;
+use super::reply::Reply;
+use super::table::{Operation, Role, reply};
+use super::values::{force, speed, text, width};
+use crate::gripper::model::{Action, Direction, Motion, OnBlock, Urgency};
+use crate::wsg::MoveFlags;
+
+pub const HOME: Operation = Operation::command("home", "/grippers/{gripper}/home", |call| reply(submit::<Home>(call)));
+pub const MOVE: Operation = Operation::command("move", "/grippers/{gripper}/move", |call| reply(submit::<Move>(call)));
+pub const GRIP: Operation = Operation::command("grip", "/grippers/{gripper}/grip", |call| reply(submit::<Grip>(call)));
+pub const RELEASE: Operation =
+    Operation::command("release", "/grippers/{gripper}/release", |call| reply(submit::<Release>(call)));
+pub const STOP: Operation = Operation::command("stop", "/grippers/{gripper}/stop", |call| reply(submit::<Stop>(call)))
+    .needs(Role::Stop)
+    .urgent(Urgency::Stop);
+
+/// Parameters of a motion or of a stop.
+trait ActionFields {
+    /// Parses the parameters.
+    fn action(self) -> Result<Action, Problem>;
+}
+
+/// Parameters that every motion has.
+trait KeyFields {
+    /// Returns the request id and the lease token.
+    fn keys(&self) -> (Option<&str>, Option<&str>);
+}
+
+/// Declares a command's body: its own fields, and those that all of them have.
+macro_rules! command_body {
+    ($(#[$meta:meta])* $name:ident { $($fields:tt)* }) => {
+        #[derive(Debug, Deserialize, ToSchema)]
+        #[serde(deny_unknown_fields)]
+        $(#[$meta])*
+        pub struct $name {
+            $($fields)*
+            /// Makes the request safe to repeat: the same id gives the same command for 10 minutes. At most 64 bytes;
+            /// empty is none.
+            #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
+            request_id: Option<String>,
+            /// The lease's token of at most 64 bytes, while somebody holds one; empty is none.
+            #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
+            lease: Option<String>,
+        }
+
+        impl KeyFields for $name {
+            fn keys(&self) -> (Option<&str>, Option<&str>) {
+                (self.request_id.as_deref(), self.lease.as_deref())
+            }
+        }
+    };
+}
+
+command_body! {
+    /// A homing.
+    #[schema(example = json!({"direction": "default"}))]
+    Home {
+        /// To which end stop.
+        #[serde(default)]
+        #[schema(default = "default")]
+        direction: Direction,
+    }
+}
+
+command_body! {
+    /// A positioning of the fingers.
+    #[schema(example = json!({"width_mm": 40.0, "speed_mm_s": 100.0}))]
+    Move {
+        /// The opening width to move to, or the change of it, in mm.
+        #[schema(minimum = -1000, maximum = 1000)]
+        width_mm: f64,
+        /// The speed of the fingers relative to each other, in mm/s.
+        #[schema(minimum = 0, maximum = 10000)]
+        speed_mm_s: f64,
+        /// Whether the width is a change of the current one.
+        #[serde(default)]
+        #[schema(default = false)]
+        relative: bool,
+        /// What happens when the fingers meet an obstacle.
+        #[serde(default)]
+        #[schema(default = "stop")]
+        on_block: OnBlock,
+    }
+}
+
+command_body! {
+    /// A grip.
+    #[schema(example = json!({"width_mm": 20.0, "speed_mm_s": 50.0, "force_n": 40.0, "part_id": "A-1047"}))]
+    Grip {
+        /// The part's nominal width in mm.
+        #[schema(minimum = 0, maximum = 1000)]
+        width_mm: f64,
+        /// The speed of the fingers relative to each other, in mm/s.
+        #[schema(minimum = 0, maximum = 10000)]
+        speed_mm_s: f64,
+        /// The force limit to set first, in N; it stays set. Where there is none, the limit that is set counts.
+        #[schema(minimum = 0, maximum = 10000)]
+        force_n: Option<f64>,
+        /// The part's name, for the records. At most 48 bytes.
+        #[schema(max_length = 48, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
+        part_id: Option<String>,
+    }
+}
+
+command_body! {
+    /// A release.
+    #[schema(example = json!({"width_mm": 60.0, "speed_mm_s": 100.0}))]
+    Release {
+        /// The opening width to open to, in mm.
+        #[schema(minimum = 0, maximum = 1000)]
+        width_mm: f64,
+        /// The speed of the fingers relative to each other, in mm/s.
+        #[schema(minimum = 0, maximum = 10000)]
+        speed_mm_s: f64,
+    }
+}
+
+command_body! {
+    /// A stop.
+    #[schema(example = json!({}))]
+    Stop {}
+}
+
+impl ActionFields for Home {
+    fn action(self) -> Result<Action, Problem> {
+        Ok(Action::Motion(Motion::Home(self.direction.into())))
+    }
+}
+
+impl ActionFields for Move {
+    fn action(self) -> Result<Action, Problem> {
+        Ok(Action::Motion(Motion::Move {
+            flags: MoveFlags { relative: self.relative, stop_on_block: self.on_block == OnBlock::Stop },
+            width: width("width_mm", self.width_mm)?,
+            speed: speed("speed_mm_s", self.speed_mm_s)?,
+        }))
+    }
+}
+
+impl ActionFields for Grip {
+    fn action(self) -> Result<Action, Problem> {
+        Ok(Action::Motion(Motion::Grip {
+            width: width("width_mm", self.width_mm)?,
+            speed: speed("speed_mm_s", self.speed_mm_s)?,
+            force: self.force_n.map(|n| force("force_n", n)).transpose()?,
+            part_id: self.part_id.as_deref().map(|given| text("part_id", given)).transpose()?,
+        }))
+    }
+}
+
+impl ActionFields for Release {
+    fn action(self) -> Result<Action, Problem> {
+        let (width, speed) = (width("width_mm", self.width_mm)?, speed("speed_mm_s", self.speed_mm_s)?);
+        Ok(Action::Motion(Motion::Release { width, speed }))
+    }
+}
+
+impl ActionFields for Stop {
+    fn action(self) -> Result<Action, Problem> {
+        Ok(Action::Stop)
+    }
+}
+
+async fn submit<P: ActionFields + KeyFields + DeserializeOwned>(call: Call) -> Result<Reply, Problem> {
+    let (gripper, wait, keys) = (call.gripper()?, call.wait(DEFAULT_WAIT_MS)?, call.keys()?);
+    let fields: P = call.fields()?;
+    let (request_id, lease) = fields.keys();
+    let keys: Keys = keys.or_fields(request_id, lease)?;
+    let (command, ticket) = commands::submit(gripper, keys, fields.action()?, &wait).await?;
+    commands::reply_with(&command, ticket)
+}

@@ -1,0 +1,71 @@
+use super::*;
+use crate::gripper::model::Link;
+
+fn told(rejection: impl Into<Rejection>) -> (u16, Value) {
+    let problem = Problem::from(rejection.into());
+    (problem.status().as_u16(), serde_json::to_value(problem.members()).unwrap())
+}
+
+#[test]
+fn a_value_out_of_range_is_told_with_its_limits() {
+    let (field, limit) = ("width_mm", "the device's stroke");
+    let (status, problem) = told(Invalid::OutOfRange { field, value: 96.3, min: 0.0, max: 68.1, limit });
+    assert_eq!(status, 422);
+    let expected = serde_json::json!({
+        "type": "about:blank", "title": "Unprocessable Entity", "status": 422, "code": "out_of_range",
+        "detail": "width_mm is 96.3, and must be from 0 to 68.1 (the device's stroke)",
+        "field": "width_mm", "value": 96.3, "min": 0.0, "max": 68.1
+    });
+    assert_eq!(problem, expected);
+}
+
+#[test]
+fn a_conflict_names_what_is_in_the_way() {
+    let id = FastStopId::generate();
+    let (status, problem) = told(Conflict::FastStop { id });
+    assert_eq!(
+        (status, &problem["code"], &problem["fast_stop_id"]),
+        (409, &"fast_stop".into(), &id.to_string().into())
+    );
+    let id = CommandId::generate();
+    let (status, problem) = told(Conflict::AlreadyRunning { id });
+    assert_eq!(
+        (status, &problem["code"], &problem["command"]),
+        (409, &"already_running".into(), &id.to_string().into())
+    );
+}
+
+#[test]
+fn device_refusal_is_not_our_error() {
+    let refused = |status, fast_stop| {
+        let (http, problem) = told(DeviceRefusal { command: "Grip", status, fast_stop });
+        let code = problem["code"].as_str().unwrap().to_owned();
+        (http, code, problem["device_status"].as_str().unwrap().to_owned(), problem["device_status_code"].clone())
+    };
+    let expect = |http, code: &str, name: &str, number: u16| (http, code.to_owned(), name.to_owned(), number.into());
+    let latch = Some(FastStopId::generate());
+    assert_eq!(refused(Status::E_ACCESS_DENIED, latch), expect(409, "fast_stop", "E_ACCESS_DENIED", 16));
+    assert_eq!(refused(Status::E_ACCESS_DENIED, None), expect(422, "device_refused", "E_ACCESS_DENIED", 16));
+    assert_eq!(refused(Status::E_NOT_INITIALIZED, None), expect(409, "not_referenced", "E_NOT_INITIALIZED", 3));
+    assert_eq!(refused(Status::E_ALREADY_RUNNING, None), expect(409, "already_running", "E_ALREADY_RUNNING", 4));
+    assert_eq!(refused(Status::E_RANGE_ERROR, None), expect(422, "out_of_range", "E_RANGE_ERROR", 28));
+    assert_eq!(refused(Status::E_CMD_FAILED, None), expect(422, "device_refused", "E_CMD_FAILED", 18));
+    assert_eq!(refused(Status::from_code(4711), None), expect(422, "device_refused", "E_4711", 4711));
+}
+
+#[test]
+fn a_failure_is_the_gateways() {
+    let code = |failure: Failure| {
+        let (status, problem) = told(failure);
+        (status, problem["code"].as_str().unwrap().to_owned())
+    };
+    let cause = "no route to host".to_owned();
+    assert_eq!(code(Failure::LinkDown { link: Link::Reconnecting, cause }), (503, "link_down".to_owned()));
+    assert_eq!(code(Failure::Draining), (503, "link_down".to_owned()));
+    assert_eq!(code(Failure::DeviceTimeout { command: "Loop", waited_ms: 500 }), (504, "device_timeout".to_owned()));
+    let detail = String::new();
+    assert_eq!(code(Failure::DeviceProtocol { command: "Loop", detail }), (502, "device_protocol".to_owned()));
+    assert_eq!(code(Failure::Overloaded { limit: 64 }), (429, "overloaded".to_owned()));
+    let line_time = Failure::LineTime { command: "Loop", line_ms: 250, max_ms: 100 };
+    assert_eq!(code(line_time), (409, "already_running".to_owned()));
+}

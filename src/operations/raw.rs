@@ -1,0 +1,181 @@
+//! A request of the protocol, by its id and bytes. What the manuals know takes the typed path, with all its checks.
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use super::call::Call;
+use super::caller::DEFAULT_WAIT_MS;
+use super::commands;
+use super::problem::Problem;
+use super::reply::{Effect, Reply};
+use super::table::{Operation, Role, reply};
+use super::values::{bytes, integer};
+use crate::gripper::model::{Action, Command, CommandId, FastStopId, Motion, Outcome, Phase, Reason};
+use crate::gripper::{FastStop, Handle};
+use crate::wsg::id::MAX_OPAQUE_BYTES;
+use crate::wsg::{self, Status, Updates};
+
+pub const RAW: Operation =
+    Operation::command("raw", "/grippers/{gripper}/raw", |call| reply(raw(call))).needs(Role::Supervisor);
+
+/// A request of the protocol.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(example = json!({"id": 83}))]
+pub struct Raw {
+    /// The command's id.
+    #[schema(value_type = u8, minimum = 0, maximum = 255)]
+    id: f64,
+    /// Its parameters as hex: at most 4096 bytes.
+    #[serde(default)]
+    #[schema(default = "", max_length = 8192, pattern = "^([0-9a-fA-F]{2})*$")]
+    payload: String,
+    /// Makes a motion safe to repeat: the same id gives the same command for 10 minutes. At most 64 bytes; empty
+    /// is none.
+    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
+    request_id: Option<String>,
+    /// The lease's token of at most 64 bytes, while somebody holds one; empty is none.
+    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
+    lease: Option<String>,
+}
+
+/// The device's answer to it.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({
+    "gripper": "left", "id": 49, "name": "GetAcceleration", "status": "E_SUCCESS", "status_code": 0,
+    "payload": "00001643", "command_id": null, "outcome": null
+}))]
+pub struct RawAnswer {
+    /// The gripper's name.
+    #[schema(max_length = 32)]
+    gripper: String,
+    /// The command's id.
+    #[schema(minimum = 0, maximum = 255)]
+    id: u8,
+    /// The manual's name for it; null for a custom command.
+    #[schema(required)]
+    name: Option<&'static str>,
+    /// The device's last status, by its symbol; null where it gave none.
+    #[schema(required)]
+    status: Option<String>,
+    /// The same, by its number.
+    #[schema(required, minimum = 0, maximum = 65535)]
+    status_code: Option<u16>,
+    /// What came with the status, as hex.
+    #[schema(max_length = 8192)]
+    payload: String,
+    /// The command that it became; null unless it moves the fingers, may move them, or stops them.
+    #[schema(value_type = Option<uuid::Uuid>, required)]
+    command_id: Option<CommandId>,
+    /// How that ended.
+    #[schema(required)]
+    outcome: Option<Outcome>,
+    /// What an acknowledge has to name; only of a FAST STOP.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<uuid::Uuid>, nullable = false)]
+    fast_stop_id: Option<FastStopId>,
+}
+
+impl RawAnswer {
+    fn new(gripper: String, id: u8, status: Option<Status>) -> Self {
+        Self {
+            gripper,
+            id,
+            name: wsg::id::name(id),
+            status: status.map(|status| status.to_string()),
+            status_code: status.map(Status::code),
+            payload: String::new(),
+            command_id: None,
+            outcome: None,
+            fast_stop_id: None,
+        }
+    }
+}
+
+/// What becomes of a request.
+enum RawPath {
+    Command(Action),
+    FastStop,
+    Exchange(wsg::Command),
+}
+
+async fn raw(call: Call) -> Result<Reply, Problem> {
+    let (gripper, wait, keys) = (call.gripper()?, call.wait(DEFAULT_WAIT_MS)?, call.keys()?);
+    let body: Raw = call.fields()?;
+    // At most 255, so nothing is lost.
+    let id = integer("id", body.id, 0..=u64::from(u8::MAX))? as u8;
+    let keys = keys.or_fields(body.request_id.as_deref(), body.lease.as_deref())?;
+    let payload = bytes("payload", &body.payload, MAX_OPAQUE_BYTES)?;
+    let command = wsg::Command::parse(id, &payload).map_err(|error| match error {
+        wsg::InvalidRequest::Custom(..) => Problem::malformed("id", error.to_string()),
+        _ => Problem::malformed("payload", error.to_string()),
+    })?;
+    let name = gripper.name();
+    match path(command, &gripper.handle)? {
+        RawPath::Command(action) => {
+            let (command, ticket) = commands::submit(gripper, keys, action, &wait).await?;
+            match command.phase {
+                Phase::Done => of_command(id, command),
+                Phase::Running => commands::reply_with(&command, ticket),
+            }
+        }
+        RawPath::FastStop => {
+            let FastStop { id: fast_stop_id, confirmed } =
+                gripper.handle.fast_stop(FastStopId::generate(), gripper.client, Reason::truncated("raw")).await;
+            let status = confirmed.then_some(Status::E_SUCCESS);
+            let answer = RawAnswer { fast_stop_id: Some(fast_stop_id), ..RawAnswer::new(name, id, status) };
+            Reply::new(&answer, Effect::None)
+        }
+        RawPath::Exchange(command) => {
+            let gripper = gripper.with_lease(body.lease.as_deref())?;
+            let mut payload = Vec::new();
+            gripper.exchange(command).await?.of_reply(id).write(&mut payload);
+            let payload = hex::encode(payload);
+            let answer = RawAnswer { payload, ..RawAnswer::new(name, id, Some(Status::E_SUCCESS)) };
+            Reply::new(&answer, Effect::None)
+        }
+    }
+}
+
+fn of_command(id: u8, command: Command) -> Result<Reply, Problem> {
+    let answer = RawAnswer {
+        status: command.status,
+        status_code: command.status_code,
+        command_id: Some(command.id),
+        outcome: command.outcome,
+        payload: command.payload.as_deref().unwrap_or_default().to_owned(),
+        ..RawAnswer::new(command.gripper.to_string(), id, None)
+    };
+    Reply::new(&answer, Effect::None)
+}
+
+fn path(command: wsg::Command, gripper: &Handle) -> Result<RawPath, Problem> {
+    use wsg::Command as C;
+    if let Some(action) = Action::of(&command) {
+        return Ok(RawPath::Command(action));
+    }
+    // What moves or stops would be refused on the path of exchanges.
+    Ok(match command {
+        C::Custom(custom) if !gripper.only_reads(custom.id()) => {
+            RawPath::Command(Action::Motion(Motion::Custom(custom)))
+        }
+        C::FastStop => RawPath::FastStop,
+        C::DisconnectAnnouncement => {
+            let detail = "07h would end the gateway's own session: leave the gripper out of its configuration instead";
+            return Err(Problem::malformed("id", detail));
+        }
+        C::AcknowledgeFastStop => {
+            let detail = "24h can't say which FAST STOP it means: POST to acknowledge with its fast_stop_id instead";
+            return Err(Problem::malformed("id", detail));
+        }
+        C::GetSystemState(Updates::On { .. })
+        | C::GetGripperState(Updates::On { .. })
+        | C::GetWidth(Updates::On { .. })
+        | C::GetSpeed(Updates::On { .. })
+        | C::GetForce(Updates::On { .. }) => {
+            let detail = "automatic updates are the gateway's own: GET state instead, or send 000000";
+            return Err(Problem::malformed("payload", detail));
+        }
+        command => RawPath::Exchange(command),
+    })
+}

@@ -1,0 +1,66 @@
+//! The result of an operation.
+
+use std::sync::Arc;
+
+use serde::Serialize;
+use serde_json::value::{RawValue, to_raw_value};
+
+use super::lease::ConnectionLease;
+use super::problem::{Code, Problem};
+use crate::gripper::Ticket;
+use crate::gripper::model::Name;
+
+/// The successful result of an operation.
+#[derive(Debug)]
+pub struct Reply {
+    /// The result as JSON.
+    pub body: Box<RawValue>,
+    /// What goes on after the reply.
+    pub effect: Effect,
+}
+
+/// What goes on after a reply.
+#[derive(Debug)]
+pub enum Effect {
+    /// Nothing.
+    None,
+    /// A command that has not ended.
+    Running {
+        /// The gripper that it runs on.
+        gripper: Name,
+        /// The command.
+        ticket: Ticket,
+    },
+    /// A lease that was acquired.
+    Leased(Arc<ConnectionLease>),
+}
+
+/// A result without an effect.
+#[derive(Debug)]
+pub struct Json<T>(pub T);
+
+/// What the function of an operation may return.
+pub(super) trait IntoReply {
+    fn into_reply(self) -> Result<Reply, Problem>;
+}
+
+impl IntoReply for Reply {
+    fn into_reply(self) -> Result<Reply, Problem> {
+        Ok(self)
+    }
+}
+
+impl<T: Serialize> IntoReply for Json<T> {
+    fn into_reply(self) -> Result<Reply, Problem> {
+        Reply::new(&self.0, Effect::None)
+    }
+}
+
+impl Reply {
+    /// Serialises a result.
+    pub(super) fn new(result: &impl Serialize, effect: Effect) -> Result<Self, Problem> {
+        let body = to_raw_value(result)
+            .map_err(|error| Problem::new(Code::Internal, format!("the result could not be serialised: {error}")))?;
+        Ok(Self { body, effect })
+    }
+}

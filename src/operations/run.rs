@@ -1,0 +1,161 @@
+//! Running an operation for a caller.
+
+use std::panic::AssertUnwindSafe;
+use std::sync::Arc;
+
+use futures_util::FutureExt as _;
+use serde_json::{Map, Value};
+use tracing::Instrument as _;
+
+use super::audit::RefusedRequest;
+use super::call::{Call, Fields, Params};
+use super::caller::Caller;
+use super::problem::Problem;
+use super::reply::Reply;
+use super::table::{Operation, is_fast_stop, named, shortened};
+use super::{Gateway, fast_stop};
+use crate::gripper::model::Urgency;
+
+/// Runs an operation for a caller, and records a refusal.
+///
+/// A FAST STOP runs to its end although its caller is gone. The answer to a client that is refused all the time is
+/// delayed, unless the operation is urgent.
+///
+/// # Errors
+/// The problem that the caller is told.
+pub async fn run(
+    gateway: &Arc<Gateway>,
+    operation: &'static Operation,
+    caller: Caller,
+    params: Params,
+) -> Result<Reply, Problem> {
+    let (client, gripper) = (caller.client.clone(), params.gripper());
+    let running = operation.start(Call { gateway: gateway.clone(), caller, params });
+    let running = AssertUnwindSafe(running).catch_unwind();
+    let ended = if operation.urgency == Urgency::FastStop {
+        tokio::spawn(running.in_current_span()).await.unwrap_or_else(|error| Err(Box::new(error)))
+    } else {
+        running.await
+    };
+    let mut result = ended.unwrap_or_else(|_| {
+        tracing::error!(operation = operation.name, "operation panicked");
+        Err(Problem::internal())
+    });
+    if let Err(problem) = &mut result
+        && operation.changes_something()
+        && !problem.is_recorded()
+    {
+        let request =
+            RefusedRequest { gripper, client, command: operation.subject().to_owned(), code: problem.code_word() };
+        problem.mark_recorded();
+        gateway.audit.record(request, problem.detail(), operation.urgency).await;
+    }
+    result
+}
+
+/// Runs the operation of this name. A FAST STOP whose parameters are wrong stops all grippers: the one that is meant is
+/// among them.
+///
+/// # Errors
+/// The problem that the caller is told.
+pub async fn call(gateway: &Arc<Gateway>, caller: Caller, name: &str, params: Value) -> Result<Reply, Problem> {
+    if !is_fast_stop(name) {
+        let (operation, params) = resolve(name, params)?;
+        return run(gateway, operation, caller, params).await;
+    }
+    let reason = params.get("reason").cloned().unwrap_or_default();
+    let result = match resolve(name, params) {
+        Ok((operation, params)) => run(gateway, operation, caller.clone(), params).await,
+        Err(problem) => Err(problem),
+    };
+    let Err(_) = result else { return result };
+    let operation = named(name).find(|operation| operation.path_parameters().next().is_none());
+    let fields = Fields::Object(Map::from_iter([("reason".to_owned(), reason)]));
+    run(gateway, operation.unwrap_or(&fast_stop::ALL), caller, Params { fields, ..Params::default() }).await
+}
+
+/// Finds the operation of a name, and divides its parameters. Of several operations, the first counts whose path's
+/// parameters are all given.
+fn resolve(name: &str, params: Value) -> Result<(&'static Operation, Params), Problem> {
+    let first = named(name).next().ok_or_else(|| Problem::not_found(format!("method {:?}", shortened(name))))?;
+    let mut object = match params {
+        Value::Object(object) => object,
+        Value::Null => Map::new(),
+        _ if is_fast_stop(name) => Map::new(),
+        _ => return Err(Problem::malformed("params", "params must be an object, not an array or a single value")),
+    };
+    let has_all = |operation: &&Operation| operation.path_parameters().all(|key| object.contains_key(key));
+    let operation = named(name).find(has_all).unwrap_or(first);
+    let part = |key| Ok((key, path_part(key, object.remove(key))?));
+    let path = operation.path_parameters().map(part).collect::<Result<_, Problem>>()?;
+    Ok((operation, Params { path, fields: Fields::Object(object) }))
+}
+
+/// Returns a parameter that the path names. A value that can't be part of a path names nothing.
+fn path_part(key: &str, value: Option<Value>) -> Result<String, Problem> {
+    let part = match value {
+        Some(Value::String(text)) => text,
+        Some(Value::Number(number)) => number.to_string(),
+        Some(_) => return Err(Problem::malformed(key, format!("{key} must be a text or a number"))),
+        None => return Err(Problem::malformed(key, format!("missing field `{key}`"))),
+    };
+    let is_name = |byte: u8| byte.is_ascii_alphanumeric() || matches!(byte, b'-' | b'_');
+    if part.is_empty() || !part.bytes().all(is_name) {
+        return Err(Problem::not_found(format!("such {key}")));
+    }
+    Ok(part)
+}
+
+#[cfg(test)]
+mod tests {
+    use serde_json::json;
+
+    use super::*;
+
+    fn resolved(name: &str, params: Value) -> (&'static str, Params) {
+        let (operation, params) = resolve(name, params).unwrap();
+        (operation.path, params)
+    }
+
+    fn refused(name: &str, params: Value) -> Value {
+        serde_json::to_value(resolve(name, params).unwrap_err().members()).unwrap()
+    }
+
+    #[test]
+    fn parameters_are_divided_between_path_and_fields() {
+        let (path, params) = resolved("fingers.data", json!({"gripper": "left", "finger": 2, "lease": "t"}));
+        assert_eq!(path, "/grippers/{gripper}/fingers/{finger}/data");
+        assert_eq!(params.path["gripper"], "left");
+        assert_eq!(params.path["finger"], "2");
+        assert!(matches!(params.fields, Fields::Object(fields) if fields.len() == 1));
+    }
+
+    #[test]
+    fn fast_stop_is_of_one_gripper_or_of_all() {
+        assert_eq!(resolved("fast-stop", json!({"gripper": "left"})).0, "/grippers/{gripper}/fast-stop");
+        for params in [json!({}), Value::Null, json!([1, 2]), json!("now"), json!({"reason": 7})] {
+            assert_eq!(resolved("fast-stop", params).0, "/fast-stop");
+        }
+    }
+
+    #[test]
+    fn missing_and_impossible_path_parameters_are_named() {
+        assert_eq!(refused("grip", json!({"width_mm": 20}))["field"], "gripper");
+        assert_eq!(refused("grip", json!(["left", 20]))["field"], "params");
+        for name in ["", "../left", "left/grip", "left?x=1", "l\u{f6}ft"] {
+            assert_eq!(refused("state", json!({"gripper": name}))["code"], "not_found", "{name}");
+        }
+        assert_eq!(refused("leap", json!({}))["code"], "not_found");
+    }
+
+    #[tokio::test]
+    async fn unknown_field_is_named() {
+        use crate::gripper::fake::{self, Script};
+        use crate::gripper::model::{Client, Door};
+        let gateway = Gateway::of([fake::gripper("left", Script::default()).0]);
+        let caller = Caller::new(Client { subject: "test".into(), door: Door::Ws });
+        let params = json!({"gripper": "left", "width_mm": 20});
+        let problem = call(&gateway, caller, "state", params).await.unwrap_err();
+        assert_eq!(serde_json::to_value(problem.members()).unwrap()["field"], "width_mm");
+    }
+}

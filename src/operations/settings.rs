@@ -1,0 +1,301 @@
+//! The device's settings. Each is read and written in one shape, and a write answers with what the device made of it:
+//! it clamps what it can't do.
+
+use http::Method as Verb;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use super::call::{Call, Gripper, NoFields};
+use super::device::{ask, only};
+use super::problem::{Code, Problem};
+use super::reply::Json;
+use super::table::{Operation, ready, reply};
+use super::values::{acceleration, force, width};
+use crate::gripper::{Failure, Rejection};
+use crate::wsg::{self, Data, DeviceTag, InvalidDeviceTag, SoftLimits, Status, SystemState};
+
+const ACCELERATION: &str = "/grippers/{gripper}/settings/acceleration";
+const FORCE_LIMIT: &str = "/grippers/{gripper}/settings/force-limit";
+const SOFT_LIMITS: &str = "/grippers/{gripper}/settings/soft-limits";
+const OVERDRIVE: &str = "/grippers/{gripper}/settings/overdrive";
+const DEVICE_TAG: &str = "/grippers/{gripper}/settings/device-tag";
+
+pub const GET_ACCELERATION: Operation =
+    Operation::read("settings.acceleration", ACCELERATION, |call| reply(get_acceleration(call)));
+pub const SET_ACCELERATION: Operation =
+    Operation::change("settings.acceleration.set", &Verb::PUT, ACCELERATION, |call| reply(set_acceleration(call)));
+pub const GET_FORCE_LIMIT: Operation =
+    Operation::read("settings.force-limit", FORCE_LIMIT, |call| reply(get_force_limit(call)));
+pub const SET_FORCE_LIMIT: Operation =
+    Operation::change("settings.force-limit.set", &Verb::PUT, FORCE_LIMIT, |call| reply(set_force_limit(call)));
+pub const GET_SOFT_LIMITS: Operation =
+    Operation::read("settings.soft-limits", SOFT_LIMITS, |call| reply(get_soft_limits(call)));
+pub const SET_SOFT_LIMITS: Operation =
+    Operation::change("settings.soft-limits.set", &Verb::PUT, SOFT_LIMITS, |call| reply(set_soft_limits(call)));
+pub const CLEAR_SOFT_LIMITS: Operation =
+    Operation::change("settings.soft-limits.clear", &Verb::DELETE, SOFT_LIMITS, |call| reply(clear_soft_limits(call)));
+pub const GET_OVERDRIVE: Operation =
+    Operation::read("settings.overdrive", OVERDRIVE, |call| ready(get_overdrive(&call)));
+pub const SET_OVERDRIVE: Operation =
+    Operation::change("settings.overdrive.set", &Verb::PUT, OVERDRIVE, |call| reply(set_overdrive(call)));
+pub const GET_TAG: Operation = Operation::read("settings.device-tag", DEVICE_TAG, |call| reply(get_tag(call)));
+pub const SET_TAG: Operation =
+    Operation::change("settings.device-tag.set", &Verb::PUT, DEVICE_TAG, |call| reply(set_tag(call)));
+
+type Answer<T> = Result<Json<T>, Problem>;
+
+/// What `optional` is where the device has none set.
+fn none_if_not_available<T>(optional: Result<Option<T>, Rejection>) -> Result<Option<T>, Rejection> {
+    match optional {
+        Err(Rejection::Device(refusal)) if refusal.status == Status::E_NOT_AVAILABLE => Ok(None),
+        told => told,
+    }
+}
+
+/// The acceleration.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({"gripper": "left", "acceleration_mm_s2": 2000.0}))]
+pub struct AccelerationAnswer {
+    /// The gripper's name.
+    #[schema(max_length = 32)]
+    gripper: String,
+    /// In mm/s².
+    #[schema(minimum = 0, maximum = 1_000_000)]
+    acceleration_mm_s2: f32,
+}
+
+/// An acceleration to set.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(example = json!({"acceleration_mm_s2": 2000.0}))]
+pub struct AccelerationSetting {
+    /// In mm/s².
+    #[schema(minimum = 0, maximum = 1_000_000)]
+    acceleration_mm_s2: f64,
+    /// The lease's token of at most 64 bytes, while somebody holds one; empty is none.
+    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
+    lease: Option<String>,
+}
+
+async fn tell_acceleration(gripper: Gripper, command: wsg::Command) -> Answer<AccelerationAnswer> {
+    let told = ask(&gripper, command, only!(Data::Acceleration)).await?;
+    Ok(Json(AccelerationAnswer { gripper: gripper.name(), acceleration_mm_s2: told.mm_s2() }))
+}
+
+async fn get_acceleration(call: Call) -> Answer<AccelerationAnswer> {
+    let (gripper, NoFields {}) = call.open()?;
+    tell_acceleration(gripper, wsg::Command::GetAcceleration).await
+}
+
+async fn set_acceleration(call: Call) -> Answer<AccelerationAnswer> {
+    let (gripper, body): (_, AccelerationSetting) = call.open()?;
+    let gripper = gripper.with_lease(body.lease.as_deref())?;
+    let acceleration = acceleration("acceleration_mm_s2", body.acceleration_mm_s2)?;
+    tell_acceleration(gripper, wsg::Command::SetAcceleration(acceleration)).await
+}
+
+/// The force limit.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({"gripper": "left", "force_n": 40.0}))]
+pub struct ForceLimitAnswer {
+    /// The gripper's name.
+    #[schema(max_length = 32)]
+    gripper: String,
+    /// In N, the sum over the fingers.
+    #[schema(minimum = 0, maximum = 10000)]
+    force_n: f32,
+}
+
+/// A force limit to set.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(example = json!({"force_n": 40.0}))]
+pub struct ForceLimitSetting {
+    /// In N, the sum over the fingers.
+    #[schema(minimum = 0, maximum = 10000)]
+    force_n: f64,
+    /// The lease's token of at most 64 bytes, while somebody holds one; empty is none.
+    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
+    lease: Option<String>,
+}
+
+async fn tell_force_limit(gripper: Gripper, command: wsg::Command) -> Answer<ForceLimitAnswer> {
+    let told = ask(&gripper, command, only!(Data::ForceLimit)).await?;
+    Ok(Json(ForceLimitAnswer { gripper: gripper.name(), force_n: told.n() }))
+}
+
+async fn get_force_limit(call: Call) -> Answer<ForceLimitAnswer> {
+    let (gripper, NoFields {}) = call.open()?;
+    tell_force_limit(gripper, wsg::Command::GetForceLimit).await
+}
+
+async fn set_force_limit(call: Call) -> Answer<ForceLimitAnswer> {
+    let (gripper, body): (_, ForceLimitSetting) = call.open()?;
+    let gripper = gripper.with_lease(body.lease.as_deref())?;
+    tell_force_limit(gripper, wsg::Command::SetForceLimit(force("force_n", body.force_n)?)).await
+}
+
+/// The soft limits.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({"gripper": "left", "minus_mm": 10.0, "plus_mm": 60.0}))]
+pub struct SoftLimitsAnswer {
+    /// The gripper's name.
+    #[schema(max_length = 32)]
+    gripper: String,
+    /// The smallest allowed width; null where none is set.
+    #[schema(required, minimum = -1000, maximum = 1000)]
+    minus_mm: Option<f32>,
+    /// The largest allowed width; null where none is set.
+    #[schema(required, minimum = -1000, maximum = 1000)]
+    plus_mm: Option<f32>,
+}
+
+/// Soft limits to set.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(example = json!({"minus_mm": 10.0, "plus_mm": 60.0}))]
+pub struct SoftLimitsSetting {
+    /// The smallest allowed width.
+    #[schema(minimum = 0, maximum = 1000)]
+    minus_mm: f64,
+    /// The largest allowed width.
+    #[schema(minimum = 0, maximum = 1000)]
+    plus_mm: f64,
+    /// The lease's token of at most 64 bytes, while somebody holds one; empty is none.
+    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
+    lease: Option<String>,
+}
+
+async fn tell_soft_limits(gripper: Gripper, command: wsg::Command) -> Answer<SoftLimitsAnswer> {
+    let take = |data| match data {
+        Data::SoftLimits(told) => Some(Some(told)),
+        Data::None => Some(None),
+        _ => None,
+    };
+    let told = none_if_not_available(ask(&gripper, command, take).await)?;
+    Ok(Json(SoftLimitsAnswer {
+        gripper: gripper.name(),
+        minus_mm: told.map(|limits| limits.minus().mm()),
+        plus_mm: told.map(|limits| limits.plus().mm()),
+    }))
+}
+
+async fn get_soft_limits(call: Call) -> Answer<SoftLimitsAnswer> {
+    let (gripper, NoFields {}) = call.open()?;
+    tell_soft_limits(gripper, wsg::Command::GetSoftLimits).await
+}
+
+async fn set_soft_limits(call: Call) -> Answer<SoftLimitsAnswer> {
+    let (gripper, body): (_, SoftLimitsSetting) = call.open()?;
+    let gripper = gripper.with_lease(body.lease.as_deref())?;
+    let (minus, plus) = (width("minus_mm", body.minus_mm)?, width("plus_mm", body.plus_mm)?);
+    let limits = SoftLimits::new(minus, plus)
+        .ok_or_else(|| Problem::out_of_range("minus_mm", body.minus_mm, 0.0, body.plus_mm))?;
+    tell_soft_limits(gripper, wsg::Command::SetSoftLimits(limits)).await
+}
+
+async fn clear_soft_limits(call: Call) -> Answer<SoftLimitsAnswer> {
+    // HTTP's DELETE has no parameters, and ignores a body.
+    let gripper = call.gripper()?.with_lease(call.lenient_text("lease").as_deref())?;
+    tell_soft_limits(gripper, wsg::Command::ClearSoftLimits).await
+}
+
+/// Overdrive Mode.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({"gripper": "left", "enabled": false}))]
+pub struct OverdriveAnswer {
+    /// The gripper's name.
+    #[schema(max_length = 32)]
+    gripper: String,
+    /// Whether the force limit may go up to the overdrive force.
+    enabled: bool,
+}
+
+/// Overdrive Mode, to switch.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(example = json!({"enabled": false}))]
+pub struct OverdriveSetting {
+    /// Whether the force limit may go up to the overdrive force.
+    enabled: bool,
+    /// The lease's token of at most 64 bytes, while somebody holds one; empty is none.
+    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
+    lease: Option<String>,
+}
+
+fn overdrive_of(gripper: &Gripper, state: SystemState) -> Json<OverdriveAnswer> {
+    Json(OverdriveAnswer { gripper: gripper.name(), enabled: state.contains(SystemState::OVERDRIVE_MODE) })
+}
+
+fn get_overdrive(call: &Call) -> Answer<OverdriveAnswer> {
+    let (gripper, NoFields {}) = call.open()?;
+    let state = gripper.handle.state();
+    let never_heard = || Failure::LinkDown {
+        link: state.link,
+        cause: state.link_cause.clone().unwrap_or_else(|| "the device has not told its flags yet".to_owned()),
+    };
+    let flags = state.flags_raw.ok_or_else(never_heard)?;
+    Ok(overdrive_of(&gripper, SystemState::from_bits_retain(flags)))
+}
+
+async fn set_overdrive(call: Call) -> Answer<OverdriveAnswer> {
+    let (gripper, body): (_, OverdriveSetting) = call.open()?;
+    let gripper = gripper.with_lease(body.lease.as_deref())?;
+    let state = ask(&gripper, wsg::Command::OverdriveMode { on: body.enabled }, only!(Data::SystemState)).await?;
+    Ok(overdrive_of(&gripper, state))
+}
+
+/// The device tag.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({"gripper": "left", "tag": "cell 7"}))]
+pub struct TagAnswer {
+    /// The gripper's name.
+    #[schema(max_length = 32)]
+    gripper: String,
+    /// The tag; null where none is set.
+    #[schema(required, max_length = 64)]
+    tag: Option<String>,
+}
+
+/// A device tag to set.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(example = json!({"tag": "cell 7"}))]
+pub struct TagSetting {
+    /// At most 64 printable ASCII characters.
+    #[schema(max_length = 64, pattern = "^[ -~]*$")]
+    tag: String,
+    /// The lease's token of at most 64 bytes, while somebody holds one; empty is none.
+    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
+    lease: Option<String>,
+}
+
+async fn tell_tag(gripper: Gripper, command: wsg::Command) -> Answer<TagAnswer> {
+    let take = |data| match data {
+        Data::DeviceTag(tag) => Some(Some(tag)),
+        Data::None => Some(None),
+        _ => None,
+    };
+    let tag = none_if_not_available(ask(&gripper, command, take).await)?;
+    Ok(Json(TagAnswer { gripper: gripper.name(), tag: tag.map(|tag| tag.as_str().to_owned()) }))
+}
+
+async fn get_tag(call: Call) -> Answer<TagAnswer> {
+    let (gripper, NoFields {}) = call.open()?;
+    tell_tag(gripper, wsg::Command::GetDeviceTag).await
+}
+
+async fn set_tag(call: Call) -> Answer<TagAnswer> {
+    let (gripper, TagSetting { tag, lease }) = call.open()?;
+    let gripper = gripper.with_lease(lease.as_deref())?;
+    let refused = |error: InvalidDeviceTag| match error {
+        InvalidDeviceTag::TooLong => Problem::too_long("tag", tag.len(), DeviceTag::MAX_BYTES),
+        InvalidDeviceTag::IllegalCharacter => {
+            Problem::new(Code::Malformed, error.to_string()).field("tag").value(Some(tag.clone().into()))
+        }
+    };
+    // The device strips trailing NULs; a client that sends them gets to know that they aren't kept.
+    let tag =
+        if tag.ends_with('\0') { Err(InvalidDeviceTag::IllegalCharacter) } else { DeviceTag::new(tag.as_bytes()) };
+    tell_tag(gripper, wsg::Command::SetDeviceTag(tag.map_err(refused)?)).await
+}

@@ -1,0 +1,123 @@
+//! Numbers and texts from clients: within bounds, and as the wire's quantities.
+//!
+//! What a number may be, the gripper knows: here it only has to be a number that the wire can carry. The bounds of the
+//! document are what no gripper goes beyond.
+
+use std::ops::RangeInclusive;
+
+use super::problem::Problem;
+use crate::gripper::limits::{FASTEST_MM_S, HARDEST_MM_S2, STRONGEST_N, WIDEST_MM};
+use crate::gripper::model::{ShownName, Text};
+use crate::wsg::{Acceleration, Force, NotFinite, Speed, Width};
+
+/// An opening width, or a change of it, in mm.
+pub fn width(field: &str, mm: f64) -> Result<Width, Problem> {
+    Width::new(single(field, mm, WIDEST_MM)?).map_err(|error| not_finite(field, error))
+}
+
+/// A speed, in mm/s.
+pub fn speed(field: &str, mm_s: f64) -> Result<Speed, Problem> {
+    Speed::new(single(field, mm_s, FASTEST_MM_S)?).map_err(|error| not_finite(field, error))
+}
+
+/// An acceleration, in mm/s².
+pub fn acceleration(field: &str, mm_s2: f64) -> Result<Acceleration, Problem> {
+    Acceleration::new(single(field, mm_s2, HARDEST_MM_S2)?).map_err(|error| not_finite(field, error))
+}
+
+/// A force, in N.
+pub fn force(field: &str, n: f64) -> Result<Force, Problem> {
+    Force::new(single(field, n, STRONGEST_N)?).map_err(|error| not_finite(field, error))
+}
+
+fn not_finite(field: &str, error: NotFinite) -> Problem {
+    Problem::malformed(field, format!("{field}: {error}"))
+}
+
+/// A JSON number that must be whole, which 96.0 is.
+pub fn integer(field: &str, number: f64, range: RangeInclusive<u64>) -> Result<u64, Problem> {
+    if !number.is_finite() || number.fract() != 0.0 {
+        let value = serde_json::Number::from_f64(number).map(serde_json::Value::Number);
+        return Err(Problem::malformed(field, format!("{field} must be a whole number")).value(value));
+    }
+    let (min, max) = (*range.start() as f64, *range.end() as f64);
+    if (min..=max).contains(&number) {
+        // Inside the range, so nothing is lost.
+        Ok(number as u64)
+    } else {
+        Err(Problem::out_of_range(field, number, min, max))
+    }
+}
+
+/// A JSON number as a single. One that is too large for that is beyond all limits.
+fn single(field: &str, number: f64, max: f32) -> Result<f32, Problem> {
+    let single = number as f32;
+    if single.is_finite() { Ok(single) } else { Err(Problem::out_of_range(field, number, 0.0, f64::from(max))) }
+}
+
+/// Text from a client, within its field's bounds.
+pub fn text<const MAX: usize>(field: &str, given: &str) -> Result<Text<MAX>, Problem> {
+    if given.len() > MAX {
+        return Err(Problem::too_long(field, given.len(), MAX));
+    }
+    Text::new(given).ok_or_else(|| Problem::malformed(field, format!("{field} must have no control characters")))
+}
+
+/// A name that people tell clients apart by, within its field's bounds.
+///
+/// # Errors
+/// A problem that names the field, what is wrong and the remedy.
+pub fn name<const MAX: usize>(field: &str, given: &str) -> Result<ShownName<MAX>, Problem> {
+    if given.len() > MAX {
+        return Err(Problem::too_long(field, given.len(), MAX));
+    }
+    ShownName::new(given).map_err(|error| Problem::malformed(field, format!("{field} {error}")))
+}
+
+/// Bytes in hexadecimal digits.
+pub fn bytes(field: &str, given: &str, max: usize) -> Result<Vec<u8>, Problem> {
+    let bytes = hex::decode(given).map_err(|error| Problem::malformed(field, format!("{field} is no hex: {error}")))?;
+    if bytes.len() <= max { Ok(bytes) } else { Err(Problem::too_long(field, bytes.len(), max)) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_number_that_the_wire_cannot_carry_is_out_of_range() {
+        assert!(width("width_mm", 96.0).is_ok());
+        for beyond in [1e39, f64::INFINITY, f64::NAN] {
+            assert_eq!(width("width_mm", beyond).unwrap_err().status().as_u16(), 422, "{beyond}");
+        }
+    }
+
+    #[test]
+    fn bytes_are_hex() {
+        assert_eq!(bytes("data", "00ffA0", 3).unwrap(), [0x00, 0xFF, 0xA0]);
+        assert_eq!(bytes("data", "00ff", 1).unwrap_err().status().as_u16(), 422);
+        for wrong in ["0", "0g", "0x00", "00 01"] {
+            assert_eq!(bytes("data", wrong, 16).unwrap_err().status().as_u16(), 400, "{wrong}");
+        }
+    }
+
+    #[test]
+    fn the_document_states_the_bounds_that_hold() {
+        let document = serde_json::to_value(crate::interfaces::http::openapi()).unwrap();
+        let stated = |schema: &str, field: &str| {
+            let field = &document["components"]["schemas"][schema]["properties"][field];
+            (field["minimum"].as_f64().unwrap() as f32, field["maximum"].as_f64().unwrap() as f32)
+        };
+        assert_eq!(stated("Move", "width_mm"), (-WIDEST_MM, WIDEST_MM));
+        assert_eq!(stated("Move", "speed_mm_s"), (0.0, FASTEST_MM_S));
+        for schema in ["Grip", "Release"] {
+            assert_eq!(stated(schema, "width_mm"), (0.0, WIDEST_MM));
+            assert_eq!(stated(schema, "speed_mm_s"), (0.0, FASTEST_MM_S));
+        }
+        assert_eq!(stated("Grip", "force_n"), (0.0, STRONGEST_N));
+        assert_eq!(stated("ForceLimitSetting", "force_n"), (0.0, STRONGEST_N));
+        assert_eq!(stated("AccelerationSetting", "acceleration_mm_s2"), (0.0, HARDEST_MM_S2));
+        assert_eq!(stated("SoftLimitsSetting", "minus_mm"), (0.0, WIDEST_MM));
+        assert_eq!(stated("SoftLimitsSetting", "plus_mm"), (0.0, WIDEST_MM));
+    }
+}
