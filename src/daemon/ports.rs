@@ -10,7 +10,7 @@ use super::listen;
 use crate::config::{Acknowledge, Config, WsgAddress, WsgPort};
 use crate::gripper::Grippers;
 use crate::gripper::model::Name;
-use crate::interfaces::wsg_port::{Address, Datagrams, LOST_AFTER, Listener, Port, Rules};
+use crate::interfaces::wsg_port::{self, Address, Datagrams, LOST_AFTER, Listener, Port, Rules};
 use crate::operations::audit::Audit;
 
 /// A port that is not served yet.
@@ -57,7 +57,7 @@ pub(super) fn serve(
     for Bound { gripper, listener, rules, descriptors } in ports {
         let Some(handle) = fleet.get(&gripper) else { continue };
         let port = Port::new(handle.clone(), rules, descriptors, audit.clone());
-        served.spawn_on(port.serve(listener, draining.clone(), closing.clone()), devices.handle());
+        served.spawn_on(wsg_port::serve(port, listener, draining.clone(), closing.clone()), devices.handle());
     }
     served
 }

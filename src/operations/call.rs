@@ -9,8 +9,8 @@ use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 use utoipa::ToSchema;
 
-use super::Gateway;
 use super::caller::{Caller, CommandWait, Keys, Presence};
+use super::gateway::Gateway;
 use super::json;
 use super::problem::Problem;
 use crate::gripper::handle::Using;

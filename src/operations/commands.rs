@@ -5,14 +5,14 @@ use tracing::field::display;
 
 use super::call::{Call, Gripper, Leased, NoFields};
 use super::caller::{CommandWait, DEFAULT_WAIT_MS, Keys};
+use super::operation::{Operation, reply};
 use super::problem::Problem;
 use super::reply::{Effect, Json, Reply};
-use super::table::{Operation, reply};
 use crate::gripper::Ticket;
 use crate::gripper::model::{Action, Command, LeaseToken, Phase, Submission, Urgency};
 
 pub const GET: Operation =
-    Operation::read("command", "/grippers/{gripper}/commands/{command}", |call| reply(get(call)));
+    Operation::read("command", "/grippers/{gripper}/commands/{command}", |call| reply(get(call))).waiting();
 pub const CANCEL: Operation =
     Operation::command("cancel", "/grippers/{gripper}/commands/{command}/cancel", |call| reply(cancel(call)))
         .urgent(Urgency::Stop);

@@ -5,9 +5,9 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::call::{Call, Gripper, NoFields};
+use super::operation::{Operation, reply};
 use super::problem::Problem;
 use super::reply::Json;
-use super::table::{Operation, reply};
 use super::values::bytes;
 use crate::gripper::{Failure, Rejection};
 use crate::wsg::id::MAX_LOOP_BYTES;

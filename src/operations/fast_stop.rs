@@ -12,9 +12,9 @@ use utoipa::openapi::{RefOr, Schema};
 use utoipa::{PartialSchema, ToSchema};
 
 use super::call::Call;
+use super::operation::{Operation, Role, reply};
 use super::problem::Problem;
 use super::reply::Json;
-use super::table::{Operation, Role, reply};
 use crate::gripper::FastStop;
 use crate::gripper::model::{FastStopId, Reason, Urgency};
 

@@ -6,9 +6,9 @@ use utoipa::ToSchema;
 
 use super::call::{Call, NoFields};
 use super::device::ask;
+use super::operation::{Operation, reply};
 use super::problem::Problem;
 use super::reply::Json;
-use super::table::{Operation, reply};
 use crate::wsg::{self, Data, Finger};
 
 pub const INFO: Operation =

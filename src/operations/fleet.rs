@@ -6,9 +6,9 @@ use utoipa::ToSchema;
 
 use super::call::{Call, NoFields};
 use super::fast_stop::{by_confirmation, log, reason};
+use super::operation::{Operation, Role, ready, reply};
 use super::problem::Problem;
 use super::reply::Json;
-use super::table::{Operation, Role, ready, reply};
 use crate::fleet::{FleetGripper, FleetStop};
 use crate::gripper::model::{FastStopId, Urgency};
 

@@ -6,9 +6,9 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::call::{Call, NoFields};
+use super::operation::{Operation, ready};
 use super::problem::Problem;
 use super::reply::Json;
-use super::table::{Operation, ready};
 use crate::gripper::model::State;
 use crate::gripper::{Handle, Info};
 

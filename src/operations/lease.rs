@@ -8,13 +8,14 @@ use serde::Deserialize;
 use utoipa::ToSchema;
 
 use super::call::{Call, NoFields};
+use super::connection_lease::ConnectionLease;
+use super::operation::{Operation, reply};
 use super::problem::Problem;
 use super::reply::{Effect, Json, Reply};
-use super::table::{Operation, reply};
 use super::values::{integer, name, text};
+use crate::gripper::Granted;
 use crate::gripper::model::lease::{MAX_TTL, MIN_TTL};
-use crate::gripper::model::{Lease, LeaseToken, Name, OnLossHolding, OnLossMoving, TakeLease, Urgency};
-use crate::gripper::{Granted, Handle, Keep};
+use crate::gripper::model::{Lease, OnLossHolding, OnLossMoving, TakeLease, Urgency};
 
 const PATH: &str = "/grippers/{gripper}/lease";
 
@@ -34,38 +35,6 @@ type Answer = Result<Json<Lease>, Problem>;
 async fn get(call: Call) -> Answer {
     let (gripper, NoFields {}) = call.open()?;
     Ok(Json(gripper.with_lease(None)?.handle.lease().await?))
-}
-
-/// An acquired lease, as an interface keeps it that sees its client's end. HTTP, which does not, drops it.
-#[derive(Debug)]
-pub struct ConnectionLease {
-    handle: Handle,
-    token: LeaseToken,
-    takes: u64,
-    /// Where its taker has not said how long it lives without use: as long as the connection.
-    _keep: Option<Keep>,
-}
-
-impl ConnectionLease {
-    /// The same, which runs out without use.
-    pub fn without_keep(&self) -> Self {
-        Self { handle: self.handle.clone(), token: self.token.clone(), takes: self.takes, _keep: None }
-    }
-
-    /// Whether it is the lease of this token.
-    pub fn is(&self, token: &str) -> bool {
-        self.token.as_str() == token
-    }
-
-    /// Of which gripper.
-    pub fn gripper(&self) -> &Name {
-        self.handle.name()
-    }
-
-    /// Its client has gone. One that was released, is another's by now, or was taken again elsewhere, stays as it is.
-    pub async fn lose(&self) {
-        self.handle.lose_lease(self.token.clone(), Some(self.takes)).await;
-    }
 }
 
 /// A wish to hold the lease.
@@ -117,7 +86,7 @@ async fn take(call: Call) -> Result<Reply, Problem> {
     let (handle, has_ttl) = (gripper.handle, take.ttl.is_some());
     let Granted { lease, times_taken, keep } = handle.take_lease(take).await?;
     let keep = keep.filter(|_| !has_ttl);
-    let leased = lease.token.clone().map(|token| ConnectionLease { handle, token, takes: times_taken, _keep: keep });
+    let leased = lease.token.clone().map(|token| ConnectionLease::new(handle, token, times_taken, keep));
     Reply::new(&lease, leased.map_or(Effect::None, |lease| Effect::Leased(Arc::new(lease))))
 }
 

@@ -11,14 +11,17 @@ pub mod audit;
 mod call;
 mod caller;
 pub(crate) mod commands;
+mod connection_lease;
 pub(crate) mod device;
 pub(crate) mod fast_stop;
 pub(crate) mod fingers;
 pub(crate) mod fleet;
+mod gateway;
 pub(crate) mod grippers;
 pub(crate) mod json;
 pub(crate) mod lease;
 pub(crate) mod motion;
+mod operation;
 mod problem;
 pub(crate) mod raw;
 mod reply;
@@ -27,49 +30,14 @@ pub(crate) mod settings;
 mod table;
 pub(crate) mod values;
 
-use std::sync::Arc;
-
-use crate::events::Updates;
-use crate::fleet::Network;
-use crate::gripper::Grippers;
-use crate::gripper::model::Name;
-use crate::journal::Journal;
-use audit::Audit;
-
 pub(crate) use call::{Fields, Leased, Params};
 pub(crate) use caller::{Caller, DEFAULT_WAIT_MS, MAX_LEASE_BYTES, Presence, Wait, WaitLimiter, wait_ms};
+pub(crate) use connection_lease::ConnectionLease;
+pub use gateway::Gateway;
+pub(crate) use operation::subject;
+pub use operation::{Operation, Role};
 pub(crate) use problem::{Code, Members, Problem};
 pub(crate) use reply::{Effect, Reply};
 pub(crate) use run::{call, run};
-pub use table::{OPERATIONS, Operation, Role};
-pub(crate) use table::{find, is_fast_stop, named, subject, urgency};
-
-/// What operations work on.
-#[derive(Debug, Clone)]
-pub struct Gateway {
-    /// The gateway's name.
-    pub name: Name,
-    /// The gateway's own grippers.
-    pub grippers: Grippers,
-    /// Stored events and grip records.
-    pub journal: Journal,
-    /// Record of refused requests.
-    pub audit: Arc<Audit>,
-    /// The other gateways.
-    pub network: Arc<Network>,
-    /// Live updates.
-    pub updates: Arc<Updates>,
-}
-
-#[cfg(test)]
-impl Gateway {
-    /// Returns a gateway with these grippers and a journal in memory.
-    pub(crate) fn of(grippers: impl IntoIterator<Item = crate::gripper::Handle>) -> Arc<Self> {
-        let (journal, _) = Journal::open(crate::journal::Place::Memory, crate::journal::Retention::default()).unwrap();
-        let (name, grippers): (Name, _) = ("wsg".parse().unwrap(), Grippers::new(grippers));
-        let audit = Arc::new(Audit::new(journal.clone()));
-        let network = Arc::new(Network::new(name.clone(), grippers.clone()));
-        let updates = Arc::new(Updates::new(&grippers, journal.clone(), network.clone()));
-        Arc::new(Self { name, grippers, journal, audit, network, updates })
-    }
-}
+pub use table::OPERATIONS;
+pub(crate) use table::{find, is_fast_stop, named, urgency};

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use serde::Serialize;
 use serde_json::value::{RawValue, to_raw_value};
 
-use super::lease::ConnectionLease;
+use super::connection_lease::ConnectionLease;
 use super::problem::{Code, Problem};
 use crate::gripper::Ticket;
 use crate::gripper::model::Name;

@@ -10,10 +10,12 @@ use tracing::Instrument as _;
 use super::audit::RefusedRequest;
 use super::call::{Call, Fields, Params};
 use super::caller::Caller;
+use super::fast_stop;
+use super::gateway::Gateway;
+use super::operation::Operation;
 use super::problem::Problem;
 use super::reply::Reply;
-use super::table::{Operation, is_fast_stop, named, shortened};
-use super::{Gateway, fast_stop};
+use super::table::{is_fast_stop, named, shortened};
 use crate::gripper::model::Urgency;
 
 /// Runs an operation for a caller, and records a refusal.

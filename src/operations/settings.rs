@@ -7,9 +7,9 @@ use utoipa::ToSchema;
 
 use super::call::{Call, Gripper, NoFields};
 use super::device::{ask, only};
+use super::operation::{Operation, ready, reply};
 use super::problem::{Code, Problem};
 use super::reply::Json;
-use super::table::{Operation, ready, reply};
 use super::values::{acceleration, force, width};
 use crate::gripper::{Failure, Rejection};
 use crate::wsg::{self, Data, DeviceTag, InvalidDeviceTag, SoftLimits, Status, SystemState};

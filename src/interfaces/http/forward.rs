@@ -177,7 +177,7 @@ fn parameters_of(operation: &Operation, path: &str) -> Option<BTreeMap<&'static 
 
 /// How long the operation may take; none where it takes no time of its own.
 fn wait(parts: &Parts, operation: &Operation) -> Result<Option<Duration>, Problem> {
-    if !operation.waits() {
+    if !operation.waits {
         return Ok(None);
     }
     let given = Query::of(&parts.uri)?.one("wait_ms")?.map(wait_ms).transpose()?;

@@ -25,6 +25,7 @@ mod query;
 mod router;
 mod server;
 mod stream;
+mod turn;
 mod upgrade;
 mod wait;
 

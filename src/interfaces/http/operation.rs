@@ -60,7 +60,7 @@ pub async fn path(parts: &mut Parts, operation: &Operation) -> Result<BTreeMap<&
 
 /// Returns the caller of a request.
 pub fn caller(parts: &Parts, operation: &Operation) -> Result<Caller, Problem> {
-    let wait = if operation.waits() {
+    let wait = if operation.waits {
         let given = Query::of(&parts.uri)?.one("wait_ms")?.map(ToOwned::to_owned);
         Wait::Ms { given, limiter: ConnectionWaits::of(&parts.extensions) }
     } else {

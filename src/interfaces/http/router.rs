@@ -1,6 +1,6 @@
 //! The router: paths, and what each request passes, from the outside in.
 //!
-//! `access_log` counts and logs, `guard` refuses foreign hosts and origins, and `body` reads within bounds, except for FAST
+//! `access_log` counts and logs, `guard` refuses foreign hosts and origins, and `turn` reads bodies within bounds, except for FAST
 //! STOP, which waits for nothing. `audit` records what is refused before an operation runs.
 
 use std::any::Any;
@@ -18,7 +18,7 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use super::context::{API, Context};
-use super::{access_log, audit, body, docs, forward, gateway, guard, journal, large, paths, stream, upgrade};
+use super::{access_log, audit, docs, forward, gateway, guard, journal, large, paths, stream, turn, upgrade};
 use crate::interfaces::dashboard;
 use crate::operations::{Code, Problem};
 
@@ -59,7 +59,7 @@ fn routes() -> Routes {
         .merge(docs::page())
         .merge(dashboard::page())
         .method_not_allowed_fallback(method_not_allowed)
-        .layer(middleware::from_fn(body::read_first));
+        .layer(middleware::from_fn(turn::read_first));
     let mut all = OpenApiRouter::from(router);
     *all.get_openapi_mut() = document;
     all

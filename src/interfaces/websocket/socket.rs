@@ -37,8 +37,7 @@ use crate::interfaces::admission::{Claim, Class, ConnectionPermit, HeldBytes};
 use crate::interfaces::metrics::Connected;
 use crate::interfaces::pace::RequestPace;
 use crate::operations::json::MAX_BODY_BYTES;
-use crate::operations::lease::ConnectionLease;
-use crate::operations::{Caller, Code, Effect, Problem, Reply, is_fast_stop, lease, named, urgency};
+use crate::operations::{Caller, Code, ConnectionLease, Effect, Problem, Reply, is_fast_stop, lease, named, urgency};
 
 /// Period of the pings.
 const PINGED_EVERY: Duration = Duration::from_secs(1);

@@ -10,8 +10,8 @@ use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio::sync::oneshot;
 use tokio_util::sync::CancellationToken;
 
-use super::Port;
 use super::device::{Answer, Ask, Order, Ordered, VirtualDevice};
+use super::port::Port;
 use super::status::{Refusal, status_of_end};
 use crate::gripper::clock::{self, sleep_until};
 use crate::gripper::model::{

@@ -15,8 +15,8 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Instant;
 
-use super::Rules;
 use super::input::{Input, Request};
+use super::port::Rules;
 use super::status::Refusal;
 use crate::gripper::FastStop;
 use crate::gripper::model::{Action, CustomIds, FastStopCause, FastStopId, LatchFields, Link, State};

@@ -12,7 +12,7 @@ use tokio::time::sleep;
 use tokio_util::sync::CancellationToken;
 
 use super::client::Served;
-use super::{LOST_AFTER, Port};
+use super::port::{LOST_AFTER, Port};
 use crate::interfaces::admission::Admission;
 use crate::interfaces::sockets;
 

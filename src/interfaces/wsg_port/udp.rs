@@ -6,6 +6,7 @@ use std::net::SocketAddr;
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll, ready};
+use std::time::Duration;
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::UdpSocket;
@@ -14,7 +15,16 @@ use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
 use super::client::Served;
-use super::{Datagrams, Port};
+use super::port::Port;
+
+/// How clients that send datagrams are served.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Datagrams {
+    /// Answers go to this port, as those of devices do, and otherwise to the sender's.
+    pub reply_port: Option<u16>,
+    /// How long a client may be silent.
+    pub lost_after: Duration,
+}
 
 /// The longest datagram there can be.
 const MAX_DATAGRAM_BYTES: usize = 65_535;

@@ -17,11 +17,14 @@ use tokio::sync::Semaphore;
 use zenoh::sample::{Sample, SampleKind};
 use zenoh::session::{TransportEvent, ZenohId};
 
-use super::queries::MAX_QUERIES;
 use crate::fleet::keys::{Keys, last_part};
 use crate::gripper::model::Name;
 use crate::interfaces::metrics::{Connected, Metrics};
-use crate::operations::lease::ConnectionLease;
+use crate::operations::ConnectionLease;
+
+/// Queries that may be under way, of those that may take their time, of those that don't, of those that only stop, and of
+/// those that keep or end a lease. More are refused as `overloaded`, but for FAST STOPs.
+pub(super) const MAX_QUERIES: usize = 64;
 
 /// Client tokens that are kept. Any session on the network may declare any number of tokens, so this list may be full of
 /// foreign ones: the token of a client that takes a lease is looked up in Zenoh then.

@@ -6,9 +6,10 @@ use serde_json::Value;
 use tokio::runtime::Handle;
 use zenoh::sample::Sample;
 
+use super::client::client;
 use crate::fleet::keys::{FAST_STOP_OF_ALL, Keys};
 use crate::gripper::Grippers;
-use crate::gripper::model::{Client, Door, Reason, ShownName};
+use crate::gripper::model::{Client, Reason, ShownName};
 
 /// FAST STOPs that may be under way. Each ends within 250 ms; of those that come meanwhile the newest begins when one
 /// has ended, since one that is under way stops the grippers already.
@@ -84,7 +85,7 @@ impl FastStops {
 fn asked(payload: &[u8]) -> (Client, Reason) {
     let payload = payload.get(..MAX_REASON_BYTES).unwrap_or(payload);
     let text = String::from_utf8_lossy(payload);
-    let (client, reason) = match serde_json::from_str(&text) {
+    let (name, reason) = match serde_json::from_str(&text) {
         Ok(Value::Object(body)) => {
             let field = |name: &str| body.get(name).and_then(Value::as_str).unwrap_or_default().to_owned();
             (field("client"), field("reason"))
@@ -92,8 +93,8 @@ fn asked(payload: &[u8]) -> (Client, Reason) {
         Ok(Value::String(reason)) => (String::new(), reason),
         _ => (String::new(), text.into_owned()),
     };
-    let subject = super::subject(ShownName::new(&client).ok().filter(|name| !name.as_str().is_empty()));
-    (Client { subject, door: Door::Zenoh }, Reason::truncated(&reason))
+    let name = ShownName::new(&name).ok().filter(|name| !name.as_str().is_empty());
+    (client(name.as_ref()), Reason::truncated(&reason))
 }
 
 #[cfg(test)]

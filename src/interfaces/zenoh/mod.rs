@@ -15,6 +15,7 @@
 //! somebody else waits: commands are worked off where those of HTTP are, but replies and publications are sent from
 //! elsewhere. A FAST STOP passes none of that.
 
+mod client;
 mod clients;
 mod fast_stop;
 mod publications;
@@ -37,11 +38,7 @@ use self::queries::Queries;
 pub use self::reach::Reach;
 use crate::fleet::Network;
 use crate::fleet::keys::Keys;
-use crate::gripper::model::ShownName;
 use crate::interfaces::Context;
-
-/// The most bytes of the name that a client gives itself.
-const MAX_CLIENT_BYTES: usize = 64;
 
 /// After how long Zenoh is opened again that could not be, at first and at most.
 const OPENED_AGAIN_AFTER: Duration = Duration::from_millis(250);
@@ -138,12 +135,4 @@ async fn declare(
     }
     told.spawn_on(publications::tell_events(session.clone(), keys.clone(), context.clone()), &runtimes.observers);
     Ok(([instance, session.liveliness().declare_token(keys.own("alive")).await?], told))
-}
-
-/// A client's identity before there are credentials: the name that it gives.
-fn subject(client: Option<ShownName<MAX_CLIENT_BYTES>>) -> Arc<str> {
-    match client {
-        Some(name) => format!("zenoh:{}", name.as_str()).into(),
-        None => "zenoh:unknown".into(),
-    }
 }

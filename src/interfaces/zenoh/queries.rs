@@ -16,10 +16,11 @@ use zenoh::bytes::Encoding;
 use zenoh::query::Query;
 use zenoh::session::ZenohId;
 
-use super::clients::{Bond, Clients};
+use super::client::client;
+use super::clients::{Bond, Clients, MAX_QUERIES};
 use crate::fleet::keys::{Keys, decoded, last_part};
 use crate::gripper::Grippers;
-use crate::gripper::model::{Client, Door, Name, Text, Urgency};
+use crate::gripper::model::{Client, Name, Text, Urgency};
 use crate::interfaces::metrics::Metrics;
 use crate::operations::json::{self, MAX_BODY_BYTES, StrictJson};
 use crate::operations::values::{name, text};
@@ -27,10 +28,6 @@ use crate::operations::{
     self, Caller, Code, Effect, Gateway, MAX_LEASE_BYTES, Presence, Problem, Reply, Wait, is_fast_stop, lease, named,
     urgency,
 };
-
-/// Queries that may be under way, of those that may take their time, of those that don't, of those that only stop, and of
-/// those that keep or end a lease. More are refused as `overloaded`, but for FAST STOPs.
-pub(super) const MAX_QUERIES: usize = 64;
 
 /// And FAST STOPs of one gripper among the queries, each of which ends within 250 ms: one more is under way already.
 const MAX_FAST_STOPS: usize = 64;
@@ -135,7 +132,7 @@ impl Queries {
             lease: None,
             request_id: None,
             zid: None,
-            client: Client { subject: super::subject(None), door: Door::Zenoh },
+            client: client(None),
         };
         self.answer(query, Ok(asked));
     }
@@ -164,11 +161,11 @@ impl Queries {
         }
         let payload = query.payload().map(zenoh::bytes::ZBytes::to_bytes).unwrap_or_default();
         let given = |key| query.parameters().get(key).filter(|given| !given.is_empty()).map(decoded);
-        let client = given(CLIENT).map(|given| name(CLIENT, &given)).transpose();
-        let (mut params, client) = if is_fast_stop {
-            (json::parse(&payload).unwrap_or_default(), client.unwrap_or_default())
+        let client_name = given(CLIENT).map(|given| name(CLIENT, &given)).transpose();
+        let (mut params, client_name) = if is_fast_stop {
+            (json::parse(&payload).unwrap_or_default(), client_name.unwrap_or_default())
         } else {
-            (body(&payload)?, client?)
+            (body(&payload)?, client_name?)
         };
         let other = params.insert("gripper".to_owned(), gripper.as_str().into());
         if !is_fast_stop && other.is_some_and(|other| other != gripper.as_str()) {
@@ -183,7 +180,7 @@ impl Queries {
             zid,
             lease: given(LEASE),
             request_id: given(REQUEST_ID),
-            client: Client { subject: super::subject(client), door: Door::Zenoh },
+            client: client(client_name.as_ref()),
         })
     }
 
@@ -345,7 +342,7 @@ mod tests {
             lease: None,
             request_id: None,
             zid: None,
-            client: Client { subject: super::super::subject(None), door: Door::Zenoh },
+            client: super::client(None),
         }
     }
 

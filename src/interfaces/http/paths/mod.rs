@@ -33,12 +33,12 @@ macro_rules! handlers {
 
 /// Declares the handlers of operations whose bodies have been read.
 macro_rules! paths {
-    ($($tokens:tt)*) => { super::handlers! { crate::interfaces::http::operation::serve: $($tokens)* } };
+    ($($tokens:tt)*) => { crate::interfaces::http::paths::handlers! { crate::interfaces::http::operation::serve: $($tokens)* } };
 }
 
 /// Declares the handlers of FAST STOPs, which wait for no body.
 macro_rules! fast_stop_paths {
-    ($($tokens:tt)*) => { super::handlers! { crate::interfaces::http::fast_stop::serve: $($tokens)* } };
+    ($($tokens:tt)*) => { crate::interfaces::http::paths::handlers! { crate::interfaces::http::fast_stop::serve: $($tokens)* } };
 }
 
 use {fast_stop_paths, handlers, paths};

@@ -1,0 +1,41 @@
+//! A lease that ends with its client's connection.
+
+use crate::gripper::model::{LeaseToken, Name};
+use crate::gripper::{Handle, Keep};
+
+/// An acquired lease, as an interface keeps it that sees its client's end. HTTP, which does not, drops it.
+#[derive(Debug)]
+pub struct ConnectionLease {
+    handle: Handle,
+    token: LeaseToken,
+    takes: u64,
+    /// Where its taker has not said how long it lives without use: as long as the connection.
+    _keep: Option<Keep>,
+}
+
+impl ConnectionLease {
+    /// Returns the lease of this token, as taken this many times.
+    pub fn new(handle: Handle, token: LeaseToken, takes: u64, keep: Option<Keep>) -> Self {
+        Self { handle, token, takes, _keep: keep }
+    }
+
+    /// The same, which runs out without use.
+    pub fn without_keep(&self) -> Self {
+        Self { handle: self.handle.clone(), token: self.token.clone(), takes: self.takes, _keep: None }
+    }
+
+    /// Whether it is the lease of this token.
+    pub fn is(&self, token: &str) -> bool {
+        self.token.as_str() == token
+    }
+
+    /// Of which gripper.
+    pub fn gripper(&self) -> &Name {
+        self.handle.name()
+    }
+
+    /// Its client has gone. One that was released, is another's by now, or was taken again elsewhere, stays as it is.
+    pub async fn lose(&self) {
+        self.handle.lose_lease(self.token.clone(), Some(self.takes)).await;
+    }
+}

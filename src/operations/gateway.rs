@@ -1,0 +1,40 @@
+//! The gateway, as operations see it.
+
+use std::sync::Arc;
+
+use super::audit::Audit;
+use crate::events::Updates;
+use crate::fleet::Network;
+use crate::gripper::Grippers;
+use crate::gripper::model::Name;
+use crate::journal::Journal;
+
+/// What operations work on.
+#[derive(Debug, Clone)]
+pub struct Gateway {
+    /// The gateway's name.
+    pub name: Name,
+    /// The gateway's own grippers.
+    pub grippers: Grippers,
+    /// Stored events and grip records.
+    pub journal: Journal,
+    /// Record of refused requests.
+    pub audit: Arc<Audit>,
+    /// The other gateways.
+    pub network: Arc<Network>,
+    /// Live updates.
+    pub updates: Arc<Updates>,
+}
+
+#[cfg(test)]
+impl Gateway {
+    /// Returns a gateway with these grippers and a journal in memory.
+    pub(crate) fn of(grippers: impl IntoIterator<Item = crate::gripper::Handle>) -> Arc<Self> {
+        let (journal, _) = Journal::open(crate::journal::Place::Memory, crate::journal::Retention::default()).unwrap();
+        let (name, grippers): (Name, _) = ("wsg".parse().unwrap(), Grippers::new(grippers));
+        let audit = Arc::new(Audit::new(journal.clone()));
+        let network = Arc::new(Network::new(name.clone(), grippers.clone()));
+        let updates = Arc::new(Updates::new(&grippers, journal.clone(), network.clone()));
+        Arc::new(Self { name, grippers, journal, audit, network, updates })
+    }
+}
