@@ -1,238 +1,225 @@
-//! The arrows between the rooms, and what no file may have: read from the sources, so that a line against them fails
-//! here and not in a review.
+//! The rooms of `src`, what each may use of the others, and what no file may have.
 
-mod source;
+mod code;
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
 
-use source::Source;
+use petgraph::algo::astar;
+use petgraph::graphmap::DiGraphMap;
+use walkdir::WalkDir;
+
+use code::Code;
+
+/// Every room, and the other rooms that it uses. A room is a folder, or a file without `.rs`, below `src`; a file belongs
+/// to the room with the longest name.
+const ROOMS: &str = "
+    lib:
+    main: cli
+    cli: config daemon interfaces interfaces/http gripper/model journal logging wsg wsg/frame
+    daemon: config interfaces interfaces/http interfaces/wsg_port interfaces/zenoh events fleet operations
+        gripper gripper/actor gripper/model gripper/recorder journal sim transport
+    config: gripper/model transport
+    logging:
+    operations: events fleet gripper gripper/model gripper/recorder journal wsg
+    interfaces: operations
+    interfaces/dashboard: operations
+    interfaces/http: interfaces interfaces/dashboard interfaces/websocket events fleet operations
+        gripper gripper/model gripper/recorder journal
+    interfaces/websocket: interfaces events gripper gripper/model operations
+    interfaces/wsg_port: interfaces gripper gripper/model operations wsg wsg/crc wsg/frame
+    interfaces/zenoh: interfaces events fleet gripper gripper/model journal operations
+    events: fleet gripper gripper/model journal
+    fleet: gripper gripper/model
+    journal: gripper/model gripper/recorder
+    gripper: gripper/actor gripper/model gripper/recorder transport wsg
+    gripper/actor: gripper gripper/latch gripper/model gripper/recorder gripper/setup transport
+        wsg wsg/frame wsg/session
+    gripper/latch: gripper gripper/model wsg wsg/session
+    gripper/model: gripper wsg
+    gripper/recorder: gripper/model
+    gripper/setup: gripper wsg wsg/session
+    sim: wsg wsg/frame
+    transport:
+    wsg: wsg/frame
+    wsg/crc:
+    wsg/frame: wsg/crc
+    wsg/session: wsg wsg/frame
+";
+
+/// Rooms whose files do not import each other in a circle, within a room or across these rooms.
+const WITHOUT_CIRCLES: &str = "
+    lib main cli logging operations fleet
+    interfaces interfaces/dashboard interfaces/http interfaces/websocket interfaces/wsg_port interfaces/zenoh
+    gripper gripper/latch gripper/recorder gripper/setup transport wsg wsg/crc wsg/frame
+";
+
+/// Rooms that get bytes and `now` from outside, and what they must not use.
+const MACHINES: &[&str] = &["wsg", "sim"];
+const WORLD: &[&str] = &["Instant::now", "SystemTime", "tokio", "rand::", "std::net", "std::fs", "std::env"];
 
 /// The longest file that a reader is asked to read.
 const MAX_LINES: usize = 500;
 
-/// What each room may name of the others. `cli`, `lib.rs` and `main.rs` may name everything.
-const ARROWS: &[(&str, &[&str])] = &[
-    ("wsg", &[]),
-    ("transport", &[]),
-    ("logging", &[]),
-    ("sim", &["wsg"]),
-    ("gripper", &["transport", "wsg"]),
-    ("journal", &["gripper::model", "gripper::recorder"]),
-    ("fleet", &["gripper"]),
-    ("events", &["gripper", "journal", "fleet"]),
-    ("operations", &["gripper", "journal", "fleet", "events", "wsg"]),
-    ("interfaces", &["operations", "events", "fleet", "gripper", "journal", "wsg"]),
-    ("config", &["transport", "gripper::model"]),
-    (
-        "daemon",
-        &[
-            "wsg",
-            "transport",
-            "gripper",
-            "operations",
-            "interfaces",
-            "fleet",
-            "events",
-            "journal",
-            "sim",
-            "config",
-            "logging",
-        ],
-    ),
-];
-
-/// What is below the protocol's values: the bytes, and what is in flight.
-const FRAMES: &[&str] = &[
-    "wsg::frame",
-    "wsg::crc",
-    "wsg::Frame",
-    "wsg::Decoder",
-    "wsg::Decoded",
-    "wsg::DecoderCounters",
-    "wsg::ChecksumEvaluation",
-];
-const SESSION: &[&str] = &["wsg::session"];
-
-/// Who may use the frames, and who the session.
-const FRAME_USERS: &[&str] = &["wsg/", "sim/", "gripper/driver.rs", "gripper/actor/", "interfaces/wsg_port", "cli"];
-const SESSION_USERS: &[&str] = &["wsg/", "gripper/driver.rs", "gripper/actor/", "gripper/latch.rs", "gripper/setup.rs"];
-
-/// What the machines may not have, since bytes and `now` come from outside.
-const MACHINES: &[&str] = &["wsg", "sim"];
-const OF_THE_WORLD: &[&str] = &["Instant::now", "SystemTime", "tokio", "rand::", "std::net", "std::fs", "std::env"];
-
-fn begins(name: &str, prefix: &str) -> bool {
-    name.strip_prefix(prefix).is_some_and(|rest| rest.is_empty() || rest.starts_with("::"))
+/// Returns each room of a table with itself, and with every room that it uses.
+fn arrows(table: &str) -> BTreeSet<(&str, &str)> {
+    let (mut arrows, mut room) = (BTreeSet::new(), "");
+    for word in table.split_whitespace() {
+        room = word.strip_suffix(':').unwrap_or(room);
+        arrows.insert((room, word.trim_end_matches(':')));
+    }
+    arrows
 }
 
-fn against_arrows(source: &Source) -> Vec<String> {
-    let room = source.room();
-    let allowed = ARROWS.iter().find(|(name, _)| *name == room).map(|(_, allowed)| *allowed);
-    let mut found = Vec::new();
-    for name in source.names() {
-        let stays = begins(&name, &room) || !name.contains(|character: char| character.is_lowercase());
-        if !stays && allowed.is_some_and(|allowed| !allowed.iter().any(|allowed| begins(&name, allowed))) {
-            found.push(format!("src/{}: {room} must not import {name}", source.path));
+fn is_in(file: &str, place: &str) -> bool {
+    file.strip_prefix(place).is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
+}
+
+fn room<'a>(arrows: &BTreeSet<(&'a str, &'a str)>, file: &str) -> &'a str {
+    let rooms = arrows.iter().map(|(room, _)| *room).filter(|room| is_in(file, room));
+    rooms.max_by_key(|room| room.len()).unwrap_or("no room")
+}
+
+fn against_rooms(code: &Code, table: &str) -> Vec<String> {
+    let arrows = arrows(table);
+    let (mut found, mut unused) = (Vec::new(), arrows.clone());
+    for (file, definer, name) in code.names() {
+        let arrow @ (from, to) = (room(&arrows, file), room(&arrows, definer));
+        unused.remove(&arrow);
+        if !arrows.contains(&arrow) {
+            found.push(format!("src/{file}.rs: room {from} must not use {to}: {name}"));
         }
-        for (what, users) in [(FRAMES, FRAME_USERS), (SESSION, SESSION_USERS)] {
-            let uses = what.iter().any(|what| begins(&name, what));
-            if uses && !users.iter().any(|user| source.path.starts_with(user)) {
-                found.push(format!("src/{}: {name} is for {users:?} alone", source.path));
-            }
+    }
+    found.extend(unused.iter().map(|(room, used)| format!("remove it from ROOMS, src has none: {room} → {used}")));
+    found
+}
+
+/// Returns the shortest circle of imports among the files of some rooms.
+fn circle(code: &Code, table: &str, of: &str) -> Option<String> {
+    let arrows = arrows(table);
+    let unknown: Vec<_> = of.split_whitespace().filter(|name| !arrows.contains(&(*name, *name))).collect();
+    assert!(unknown.is_empty(), "no rooms: {unknown:?}");
+    let is_of = |file| of.split_whitespace().any(|name| name == room(&arrows, file));
+    let names = code.names().filter(|(file, definer, _)| file != definer && is_of(file) && is_of(definer));
+    let imports: DiGraphMap<_, _> = names.collect();
+    let back = |(from, to, _)| Some(astar(&imports, to, |file| file == from, |_| 1, |_| 0)?.1);
+    let files = imports.all_edges().filter_map(back).min_by_key(Vec::len)?;
+    let steps = files.iter().zip(files.iter().cycle().skip(1));
+    Some(steps.map(|(from, to)| format!("{from} → {to} ({})", imports[(*from, *to)])).collect::<Vec<_>>().join(", "))
+}
+
+fn against_house_rules(code: &Code) -> Vec<String> {
+    let mut found = code.breaches.clone();
+    for (file, _, name) in code.names() {
+        let has = |part: &&str| format!("::{name}::").contains(&format!("::{part}"));
+        if has(&"unbounded") {
+            found.push(format!("src/{file}.rs: {name}: a queue has a limit"));
+        }
+        if MACHINES.iter().any(|machine| is_in(file, machine)) && WORLD.iter().any(has) {
+            found.push(format!("src/{file}.rs: {name}: a machine has no clock, no runtime, no chance and no files"));
         }
     }
     found
 }
 
-fn against_house_rules(source: &Source) -> Vec<String> {
-    let mut found = Vec::new();
-    for line in source.code.lines() {
-        let item = line.trim_start();
-        let item =
-            item.strip_prefix("pub").map_or(item, |rest| rest.trim_start_matches(|c: char| c != ' ').trim_start());
-        let rules = [
-            (line.contains(".unwrap()"), "unwrap() belongs in tests"),
-            (line.contains("unsafe ") || line.contains("unsafe{"), "no unsafe"),
-            // An allocator is declared by a static, and holds no state of ours.
-            (item.starts_with("static ") && !item.starts_with("static ALLOCATOR:"), "no statics: state has an owner"),
-            (has_unnamed_limit(line), "a queue has a limit, and a name for it"),
-        ];
-        found.extend(rules.iter().filter(|(broken, _)| *broken).map(|(_, rule)| (line, *rule)));
-        if MACHINES.contains(&source.room().as_str()) && OF_THE_WORLD.iter().any(|what| line.contains(what)) {
-            found.push((line, "a machine has no clock, no runtime, no chance and no files"));
-        }
-    }
-    found.into_iter().map(|(line, rule)| format!("src/{}: {rule}: {}", source.path, line.trim())).collect()
-}
-
-/// Whether a queue is made here without a limit, or with one that has no name. One or none needs none.
-fn has_unnamed_limit(line: &str) -> bool {
-    let is_named = |limit: &str| {
-        let limit = limit.split(')').next().unwrap_or_default();
-        limit.split(" + ").all(|word| {
-            let word = word.rsplit("::").next().unwrap_or_default();
-            word == "1" || !word.is_empty() && word.chars().all(|c| c.is_ascii_uppercase() || c == '_')
-        })
-    };
-    let made = ["mpsc::channel(", "broadcast::channel(", "broadcast::Sender::new(", "sync_channel("];
-    let limits = made.iter().filter_map(|made| line.split_once(made));
-    line.contains("unbounded") || limits.map(|(_, limit)| limit).any(|limit| !is_named(limit))
-}
-
-fn files(below: &Path) -> Vec<(String, String)> {
-    let mut found = Vec::new();
-    let mut directories = vec![below.to_owned()];
-    while let Some(directory) = directories.pop() {
-        for entry in fs::read_dir(directory).unwrap() {
-            let path = entry.unwrap().path();
-            if path.is_dir() {
-                directories.push(path);
-            } else if path.extension().is_some_and(|extension| extension == "rs") {
-                let name = path.strip_prefix(below).unwrap().to_str().unwrap().to_owned();
-                found.push((name, fs::read_to_string(path).unwrap()));
-            }
-        }
-    }
-    found
-}
-
-fn below_root(directory: &str) -> Vec<(String, String)> {
-    files(&Path::new(env!("CARGO_MANIFEST_DIR")).join(directory))
-}
-
-/// The sources that are compiled outside of tests.
-fn sources() -> Vec<Source> {
-    let all: Vec<_> = below_root("src").iter().map(|(path, text)| Source::new(path, text)).collect();
-    let test_files: Vec<_> = all.iter().flat_map(|source| source.test_files.clone()).collect();
-    let is_test = |source: &Source| {
-        test_files.iter().any(|test| {
-            source
-                .path
-                .strip_prefix(test.trim_end_matches(".rs"))
-                .is_some_and(|rest| rest == ".rs" || rest.starts_with('/'))
-        })
-    };
-    all.into_iter().filter(|source| !is_test(source)).collect()
-}
-
-fn violations(rules: fn(&Source) -> Vec<String>) -> Vec<String> {
-    sources().iter().flat_map(rules).collect()
+fn texts(directory: &str) -> BTreeMap<String, String> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join(directory);
+    let files = WalkDir::new(&root).into_iter().map(|entry| entry.unwrap().into_path());
+    let files = files.filter(|file| file.extension().is_some_and(|extension| extension == "rs"));
+    let name = |file: &Path| file.strip_prefix(&root).unwrap().with_extension("").to_str().unwrap().to_owned();
+    files.map(|file| (name(&file), fs::read_to_string(file).unwrap())).collect()
 }
 
 #[test]
-fn imports_follow_the_arrows() {
-    assert_eq!(violations(against_arrows), Vec::<String>::new());
+fn code_keeps_its_rules() {
+    let code = Code::new(texts("src"));
+    let found = [against_rooms(&code, ROOMS), against_house_rules(&code)].concat();
+    assert!(found.is_empty(), "{found:#?}");
+    assert_eq!(circle(&code, ROOMS, WITHOUT_CIRCLES), None);
+    // rustc and clippy hold two more.
+    let lints = include_str!("../../../Cargo.toml");
+    assert!(lints.contains("unsafe_code = \"forbid\"") && lints.contains("unwrap_used = \"warn\""));
 }
 
 #[test]
-fn the_house_rules_hold() {
-    assert_eq!(violations(against_house_rules), Vec::<String>::new());
-}
-
-#[test]
-fn every_room_has_its_arrows() {
-    let mut rooms: BTreeMap<_, usize> = BTreeMap::new();
-    for source in sources() {
-        *rooms.entry(source.room()).or_default() += source.names().len();
-    }
-    for (room, names) in rooms {
-        assert!(ARROWS.iter().any(|(known, _)| *known == room) || matches!(room.as_str(), "" | "cli"), "{room}");
-        // A reader of sources that finds no imports would hold any rule.
-        assert!(names > 0 || matches!(room.as_str(), "logging"), "no import of {room} was read");
-    }
-}
-
-#[test]
-fn no_file_is_longer_than_its_reader() {
-    for (path, text) in ["src", "tests"].into_iter().flat_map(below_root) {
+fn no_file_is_too_long() {
+    for (file, text) in ["src", "tests"].into_iter().flat_map(texts) {
         let lines = text.lines().count();
-        assert!(lines <= MAX_LINES, "{path} has {lines} lines, and {MAX_LINES} are the limit: split it");
+        assert!(lines <= MAX_LINES, "{file}.rs has {lines} lines, and {MAX_LINES} are the limit: split it");
+    }
+}
+
+/// Returns a crate of two rooms, with these texts of a file in each.
+fn planted(model: &str, wsg: &str) -> Code {
+    let lib = ("lib", "mod gripper; mod wsg;");
+    let files = [
+        lib,
+        ("main", ""),
+        ("gripper/mod", "mod model; pub use model::Model;"),
+        ("gripper/model", model),
+        ("wsg", wsg),
+    ];
+    Code::new(files.map(|(file, text)| (file.to_owned(), text.to_owned())).into())
+}
+
+#[test]
+fn forbidden_import_is_found() {
+    for wsg in [
+        "use crate::gripper::Model;",
+        "use super::{gripper::{self as g}};",
+        "mod inner { use super::super::gripper::model::*; }",
+        "fn f(_: Vec<super::gripper::Model>) {}",
+        "fn f() { crate::gripper::f(1); }",
+        "fn f() { info!(a = b, (crate::gripper::f::<u8>())); }",
+        "#[derive(crate::gripper::Derive)] struct A;",
+    ] {
+        let found = against_rooms(&planted("", wsg), "lib: main: gripper: wsg:");
+        assert!(found.len() == 1 && found[0].contains("wsg must not use gripper"), "{wsg}: {found:?}");
     }
 }
 
 #[test]
-fn a_line_against_a_rule_is_found() {
-    for (path, text) in [
-        ("wsg/frame.rs", "use crate::gripper::model::Name;"),
-        ("wsg/session/mod.rs", "use super::super::sim::Device;"),
-        ("transport/tcp.rs", "fn f() { crate::wsg::id::name(1); }"),
-        ("sim/link.rs", "use crate::wsg::{Status, session::{self, Session}};"),
-        ("sim/link.rs", "use crate::{\n    wsg,\n    transport::Pipe,\n};"),
-        ("gripper/handle.rs", "use crate::wsg::session::Token;"),
-        ("gripper/model.rs", "use crate::interfaces::http;"),
-        ("gripper/info.rs", "use crate::wsg::{\n    Decoder,\n    Status as DeviceStatus,\n};"),
-        ("interfaces/http/raw.rs", "use crate::wsg::frame::encode;"),
-        ("interfaces/http/raw.rs", "use super::super::super::daemon;"),
-        ("config.rs", "use crate::gripper::Handle;"),
-        ("daemon/simulation.rs", "use crate::wsg::frame;"),
-        ("daemon/mod.rs", "use crate::cli;"),
-    ] {
-        assert_ne!(against_arrows(&Source::new(path, text)), Vec::<String>::new(), "{path}: {text}");
-    }
-    for (path, text) in [
-        ("wsg/session/mod.rs", "let now = Instant::now();"),
-        ("sim/mod.rs", "use tokio::time::sleep;"),
-        ("gripper/handle.rs", "let name = text.parse().unwrap();"),
-        ("cli.rs", "pub(crate) static COUNT: AtomicU64 = AtomicU64::new(0);"),
-        ("cli.rs", "let pid = unsafe { getpid() };"),
-        ("gripper/driver.rs", "let (a, b) = mpsc::unbounded_channel();"),
-        ("gripper/driver.rs", "let (a, b) = mpsc::channel(64);"),
-        ("journal/mod.rs", "let (a, b) = sync_channel(QUEUE + 2);"),
-    ] {
-        assert_ne!(against_house_rules(&Source::new(path, text)), Vec::<String>::new(), "{path}: {text}");
+fn wrong_table_of_rooms_is_found() {
+    let code = planted("", "");
+    for table in ["lib: main: gripper: wsg: auth:", "lib: main: gripper: wsg wsg:", "lib: main: gripper:"] {
+        assert_eq!(against_rooms(&code, table).len(), 1, "{table}");
     }
 }
 
 #[test]
-fn what_keeps_the_rules_and_what_only_tests_compile_is_left_alone() {
-    let kept = "use crate::wsg::{self, Data, Status};\nuse super::errors::Problem;\n// crate::daemon::run\n";
-    let tests = "#[cfg(test)]\nmod tests {\n    use crate::daemon;\n    fn f() { x.unwrap() }\n}\n";
-    let source = Source::new("interfaces/http/raw.rs", &format!("{kept}{tests}const A: &'static str = \"\";\n"));
-    assert_eq!(against_arrows(&source), Vec::<String>::new());
-    assert_eq!(against_house_rules(&source), Vec::<String>::new());
-    let elsewhere = "#[cfg(test)]\n#[path = \"errors_tests.rs\"]\nmod tests;\n#[cfg(test)]\npub(crate) mod fake;\n";
-    let source = Source::new("gripper/mod.rs", elsewhere);
-    assert_eq!(source.test_files, ["gripper/errors_tests.rs", "gripper/fake"]);
+fn circle_is_found() {
+    let found =
+        |wsg| circle(&planted("fn g() { super::super::wsg::f() }", wsg), "lib: main: gripper: wsg:", "gripper wsg");
+    let chain = "wsg → gripper/model (crate::gripper::Model), gripper/model → wsg (super::super::wsg::f)";
+    assert_eq!(found("use crate::gripper::Model;").unwrap(), chain);
+    assert_eq!(found("use crate::gripper::f;"), None);
+}
+
+#[test]
+fn breach_of_a_house_rule_is_found() {
+    for wsg in [
+        "fn f() { let now = Instant::now(); }",
+        "use std::{fs, mem};",
+        "fn f() { tokio::select! {} }",
+        "static COUNT: u8 = 0;",
+        "fn f() { mpsc::unbounded_channel(); }",
+        "fn f() { mpsc::channel::<u8>(64); }",
+        "fn f() { sync_channel(QUEUE + 2); }",
+    ] {
+        assert_eq!(against_house_rules(&planted("", wsg)).len(), 1, "{wsg}");
+    }
+}
+
+#[test]
+fn test_code_is_left_alone() {
+    let tests = "fn f() { crate::gripper::f(tokio::spawn()); mpsc::channel(64) }";
+    let code = planted(
+        "fn f() { sync_channel(super::QUEUE + ENDS + 1); }",
+        &format!("#[cfg(test)] mod tests; impl A {{ #[cfg(test)] {tests} }}"),
+    );
+    assert_eq!(
+        [against_rooms(&code, "lib: main: gripper: wsg:"), against_house_rules(&code)].concat(),
+        Vec::<String>::new()
+    );
 }

@@ -1,0 +1,213 @@
+//! What the files of `src` name of each other, apart from what only tests compile. Files are written without `.rs`.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::mem;
+
+use proc_macro2::{TokenStream, TokenTree};
+use quote::ToTokens;
+use syn::visit::{self, Visit};
+use syn::{Arm, Attribute, Block, ExprCall, ImplItem, Item, ItemMod, ItemStatic, ItemUse, Stmt, UseTree, Variant};
+
+use super::is_in;
+
+/// E.g. `["wsg", "frame", "encode"]`.
+type Path = Vec<String>;
+
+/// Constructors of queues, which take the limit first.
+const QUEUES: &[&str] = &["mpsc::channel", "broadcast::channel", "broadcast::Sender::new", "sync_channel"];
+
+#[derive(Debug, Default)]
+pub struct Code {
+    texts: BTreeMap<String, String>,
+    /// File of each module.
+    files: BTreeMap<Path, String>,
+    /// Full path of each name that `use` brings into a module.
+    aliases: BTreeMap<Path, Path>,
+    /// File, full path, and path as written.
+    names: BTreeSet<(String, Path, String)>,
+    /// Statics, and queues whose limit has no name.
+    pub breaches: Vec<String>,
+    // The reader's position.
+    file: String,
+    module: Path,
+    is_in_block: bool,
+    is_ignored: bool,
+}
+
+impl Code {
+    /// Reads the library and the binary from the texts of their files.
+    pub fn new(texts: BTreeMap<String, String>) -> Self {
+        let mut code = Self { texts, ..Self::default() };
+        code.read("lib");
+        code.module.push("main".to_owned());
+        code.read("main");
+        code
+    }
+
+    fn read(&mut self, file: &str) {
+        let file = if self.texts.contains_key(file) { file.to_owned() } else { format!("{file}/mod") };
+        let parsed = syn::parse_file(&self.texts[&file]).unwrap();
+        self.files.insert(self.module.clone(), file.clone());
+        let outer = mem::replace(&mut self.file, file);
+        // A file that names nothing belongs to a room too.
+        self.name(&["Self".to_owned()]);
+        self.visit_file(&parsed);
+        self.file = outer;
+    }
+
+    /// Returns each path that a file names: the file, the file that defines the item, and the path as written.
+    pub fn names(&self) -> impl Iterator<Item = (&str, &str, &str)> {
+        // One word alone is a variable, even where a module of that name is near.
+        let items =
+            self.names.iter().filter(|(_, path, written)| written.contains("::") || !self.files.contains_key(path));
+        items.map(|(file, path, written)| (&**file, self.definer(path), &**written))
+    }
+
+    /// Follows re-exports. What the crate does not define counts as the naming file's own.
+    fn definer(&self, path: &[String]) -> &str {
+        let depth = (0..=path.len()).rev().find(|depth| self.files.contains_key(&path[..*depth])).unwrap();
+        let item = &path[..path.len().min(depth + 1)];
+        match self.aliases.get(item) {
+            Some(alias) if !alias.starts_with(item) => self.definer(&[alias, &path[item.len()..]].concat()),
+            _ => &self.files[&path[..depth]],
+        }
+    }
+
+    /// Takes note of a path, and returns it from the crate's root.
+    fn name(&mut self, path: &[String]) -> Path {
+        let mut full = self.module.clone();
+        for part in path {
+            match part.as_str() {
+                "crate" | "wsg_gateway" => full.clear(),
+                "super" => drop(full.pop()),
+                "self" => {}
+                part => full.push(part.to_owned()),
+            }
+        }
+        // A visibility names a module above and no item: `pub(super)`.
+        if !self.is_ignored && !self.module.starts_with(&full) {
+            self.names.insert((self.file.clone(), full.clone(), path.join("::")));
+        }
+        full
+    }
+
+    fn import(&mut self, mut path: Path, tree: &UseTree) {
+        let (name, alias) = match tree {
+            UseTree::Path(part) => {
+                path.push(part.ident.to_string());
+                return self.import(path, &part.tree);
+            }
+            UseTree::Group(group) => return group.items.iter().for_each(|tree| self.import(path.clone(), tree)),
+            UseTree::Glob(_) => ("*".to_owned(), "*".to_owned()),
+            UseTree::Name(item) => (item.ident.to_string(), item.ident.to_string()),
+            UseTree::Rename(item) => (item.ident.to_string(), item.rename.to_string()),
+        };
+        let alias = if alias == "self" { path[path.len() - 1].clone() } else { alias };
+        path.extend(Some(name).filter(|name| name != "self"));
+        let full = self.name(&path);
+        if !self.is_in_block {
+            self.aliases.insert([&*self.module, &[alias]].concat(), full);
+        }
+    }
+
+    fn breach(&mut self, what: &str) {
+        if !self.is_ignored {
+            self.breaches.push(format!("src/{}.rs: {what}", self.file));
+        }
+    }
+}
+
+/// Implements visits of what may be for tests alone.
+macro_rules! scoped {
+    ($($visit:ident: $node:ty),*) => {$(
+        fn $visit(&mut self, node: &$node) {
+            let outer = self.is_ignored;
+            visit::$visit(self, node);
+            self.is_ignored = outer;
+        }
+    )*};
+}
+
+impl Visit<'_> for Code {
+    scoped!(visit_arm: Arm, visit_impl_item: ImplItem, visit_item: Item, visit_stmt: Stmt, visit_variant: Variant);
+
+    // A node's attributes are visited before its other parts.
+    fn visit_attribute(&mut self, attribute: &Attribute) {
+        visit::visit_attribute(self, attribute);
+        self.is_ignored |= written(attribute) == "#[cfg(test)]";
+    }
+
+    fn visit_block(&mut self, block: &Block) {
+        let outer = mem::replace(&mut self.is_in_block, true);
+        visit::visit_block(self, block);
+        self.is_in_block = outer;
+    }
+
+    fn visit_item_mod(&mut self, item: &ItemMod) {
+        self.module.push(item.ident.to_string());
+        self.files.insert(self.module.clone(), self.file.clone());
+        visit::visit_item_mod(self, item);
+        if item.content.is_none() && !self.is_ignored {
+            self.read(&self.module.join("/"));
+        }
+        self.module.pop();
+    }
+
+    fn visit_item_use(&mut self, item: &ItemUse) {
+        visit::visit_item_use(self, item);
+        let (tree, root) = (written(&item.tree), written(&item.leading_colon));
+        // A module that passes on what a module below it defines does not use that itself.
+        let first = tree.trim_start_matches("self::").split("::").next().unwrap_or_default().to_owned();
+        let below = [&*self.module, &[first]].concat().join("/");
+        self.is_ignored |= !written(&item.vis).is_empty() && self.texts.keys().any(|file| is_in(file, &below));
+        self.import(if root.is_empty() { vec![] } else { vec![root] }, &item.tree);
+    }
+
+    fn visit_path(&mut self, path: &syn::Path) {
+        let parts = path.segments.iter().map(|part| part.ident.to_string());
+        let parts = path.leading_colon.iter().map(written).chain(parts).collect::<Path>();
+        self.name(&parts);
+        visit::visit_path(self, path);
+    }
+
+    // A macro's tokens follow no grammar.
+    fn visit_token_stream(&mut self, tokens: &TokenStream) {
+        let (mut path, mut colons) = (Path::new(), 0);
+        for token in tokens.clone() {
+            match token {
+                TokenTree::Punct(punct) if punct.as_char() == ':' => colons += 1,
+                TokenTree::Ident(part) => {
+                    if mem::take(&mut colons) != 2 {
+                        self.name(&mem::take(&mut path));
+                    }
+                    path.push(part.to_string());
+                }
+                TokenTree::Group(group) => self.visit_token_stream(&group.stream()),
+                _ => colons = 0,
+            }
+        }
+        self.name(&path);
+    }
+
+    fn visit_item_static(&mut self, item: &ItemStatic) {
+        visit::visit_item_static(self, item);
+        if !item.attrs.iter().any(|attribute| attribute.path().is_ident("global_allocator")) {
+            self.breach(&format!("static {}: state has an owner", item.ident));
+        }
+    }
+
+    fn visit_expr_call(&mut self, call: &ExprCall) {
+        visit::visit_expr_call(self, call);
+        let (function, limit) = (written(&call.func), call.args.first());
+        let is_constant = |name: &str| name.starts_with(char::is_uppercase) && name == name.to_uppercase();
+        let is_named = |term: &str| term == "1" || term.rsplit("::").next().is_some_and(is_constant);
+        let is_queue = |queue: &&str| function.split("::<").next().is_some_and(|function| function.ends_with(queue));
+        if QUEUES.iter().any(is_queue) && !written(&limit).split('+').all(is_named) {
+            self.breach(&format!("{function}: a queue has a limit, and the limit a name"));
+        }
+    }
+}
+
+fn written(node: &impl ToTokens) -> String {
+    node.to_token_stream().to_string().replace(' ', "")
+}
