@@ -83,7 +83,7 @@ struct Driver {
     awaited: FuturesUnordered<Awaited>,
     requests: mpsc::Receiver<Request>,
     fast_stops: mpsc::Receiver<FastStopRequest>,
-    /// Told when a request of the lease's holder ends.
+    /// Notified when a request of the lease's holder ends.
     lease_requests: Arc<Notify>,
     /// Whether all handles are gone.
     is_abandoned: bool,

@@ -10,7 +10,7 @@ use super::clock;
 use super::error::Rejection;
 use super::handle::{FastStopRequest, Granted, Handle, Request, Ticket};
 use super::info::Info;
-use super::lease::{Leasing, Terms};
+use super::lease::{LeaseState, Terms};
 use super::model::{
     Command, CommandId, CustomIds, FastStopCause, FastStopId, LatchFields, LeaseRules, LeaseToken, Name, Outcome,
     Phase, Reason, State, Submission, TakeLease,
@@ -66,7 +66,7 @@ pub fn gripper(name: &str, script: Script) -> (Handle, mpsc::UnboundedReceiver<S
     let info = Info::unknown(name.clone(), "sim://wsg50".to_owned(), "sim", false);
     let (seen, looked_at) = mpsc::unbounded_channel();
     let actor =
-        Actor { name: name.clone(), script, seen, states, commands: HashMap::new(), leasing: Leasing::default() };
+        Actor { name: name.clone(), script, seen, states, commands: HashMap::new(), lease: LeaseState::default() };
     tokio::spawn(actor.run(asked, stopped));
     let custom_ids = Arc::new(CustomIds { read: [READ_ID].into(), ..CustomIds::default() });
     let info = watch::channel(Arc::new(info)).1;
@@ -81,17 +81,17 @@ struct Actor {
     seen: mpsc::UnboundedSender<Seen>,
     states: watch::Sender<Arc<State>>,
     commands: HashMap<CommandId, watch::Sender<Arc<Command>>>,
-    leasing: Leasing,
+    lease: LeaseState,
 }
 
 impl Actor {
     async fn run(mut self, mut asked: mpsc::Receiver<Request>, mut stopped: mpsc::Receiver<FastStopRequest>) {
-        let closed = self.leasing.closed();
+        let closed = self.lease.closed();
         loop {
             tokio::select! {
                 biased;
                 Some(stop) = stopped.recv() => self.latch(stop),
-                () = closed.notified() => self.leasing.request_closed(clock::instant()),
+                () = closed.notified() => self.lease.request_closed(clock::instant()),
                 request = asked.recv() => match request {
                     Some(request) => self.answer(request),
                     None => break,
@@ -147,29 +147,29 @@ impl Actor {
                 self.see(Seen::Acknowledge(id));
             }
             Request::Lease { answer } => {
-                let _ = answer.send(self.leasing.lease(clock::instant(), None));
+                let _ = answer.send(self.lease.view(clock::instant(), None));
             }
             Request::TakeLease { take, token, answer } => {
                 let _ = answer.send(self.take(&take, token));
             }
             Request::UseLease { token, answer } => {
-                let _ = answer.send(self.leasing.keep(clock::instant(), Some(&token)));
+                let _ = answer.send(self.lease.keep(clock::instant(), Some(&token)));
             }
             Request::RenewLease { token, answer } => {
-                let renewed = self.leasing.renew(clock::instant(), token.as_ref());
+                let renewed = self.lease.renew(clock::instant(), token.as_ref());
                 let _ = answer
-                    .send(renewed.map(|()| self.leasing.lease(clock::instant(), token.as_ref())).map_err(Into::into));
+                    .send(renewed.map(|()| self.lease.view(clock::instant(), token.as_ref())).map_err(Into::into));
             }
             Request::HandOver { token, to, new, answer } => {
-                let given = self.leasing.hand_over(clock::instant(), token.as_ref(), &to, new);
-                let _ = answer.send(given.map(|_| self.leasing.lease(clock::instant(), None)));
+                let given = self.lease.hand_over(clock::instant(), token.as_ref(), &to, new);
+                let _ = answer.send(given.map(|_| self.lease.view(clock::instant(), None)));
             }
             Request::ReleaseLease { token, answer } => {
-                self.leasing.end(token.as_ref());
-                let _ = answer.send(self.leasing.lease(clock::instant(), None));
+                self.lease.end(token.as_ref());
+                let _ = answer.send(self.lease.view(clock::instant(), None));
             }
             Request::LoseLease { token, times_taken } => {
-                self.leasing.lose(&token, times_taken);
+                self.lease.lose(&token, times_taken);
             }
             Request::Drain { answer } => {
                 let _ = answer.send(());
@@ -179,9 +179,9 @@ impl Actor {
 
     fn take(&mut self, take: &TakeLease, token: LeaseToken) -> Result<Granted, Rejection> {
         let terms = Terms::of(take, &LeaseRules::default())?;
-        self.leasing.take(clock::instant(), take, terms, token)?;
-        let times_taken = self.leasing.times_taken();
-        Ok(Granted { lease: self.leasing.lease(clock::instant(), self.leasing.token()), times_taken, keep: None })
+        self.lease.take(clock::instant(), take, terms, token)?;
+        let times_taken = self.lease.times_taken();
+        Ok(Granted { lease: self.lease.view(clock::instant(), self.lease.token()), times_taken, keep: None })
     }
 
     fn submit(&mut self, submission: &Submission, id: CommandId) -> Result<Ticket, Rejection> {

@@ -27,7 +27,7 @@ const BY_DEVICE: &str = "device";
 
 /// The FAST STOP of one gripper, and what is being done about it.
 #[derive(Debug, Default)]
-pub(super) struct Latching {
+pub(super) struct LatchState {
     latch: Option<Latch>,
     /// Counts the FAST STOPs, also across restarts. Their order comes from here: an id's time is a wall clock's, which
     /// may jump.
@@ -99,8 +99,8 @@ pub(super) enum Change {
     Cleared,
 }
 
-impl Latching {
-    pub(super) fn latch(&self) -> Option<&Latch> {
+impl LatchState {
+    pub(super) fn current(&self) -> Option<&Latch> {
         self.latch.as_ref()
     }
 
@@ -324,22 +324,22 @@ mod tests {
         let later = Now { instant: answered.instant + CLEARS_WITHIN, ..answered };
         for (flags, cleared) in [(SystemState::empty(), true), (SystemState::FAST_STOP, false)] {
             let mut ids = IdSource::new(1);
-            let mut latching = Latching::default();
-            let mut take_flags = |latching: &mut Latching, now, flags| {
-                latching.take_flags(now, flags, &mut Origin { ids: &mut ids, unannounced: false })
+            let mut latch = LatchState::default();
+            let mut take_flags = |latch: &mut LatchState, now, flags| {
+                latch.take_flags(now, flags, &mut Origin { ids: &mut ids, unannounced: false })
             };
-            assert_eq!(take_flags(&mut latching, answered, SystemState::FAST_STOP), Some(Change::Seen));
-            let id = latching.id().unwrap();
+            assert_eq!(take_flags(&mut latch, answered, SystemState::FAST_STOP), Some(Change::Seen));
+            let id = latch.id().unwrap();
             let client = Client { subject: "test".into(), door: Door::Http };
             let token = acknowledge_frame(answered.instant);
-            latching.acknowledge_sent(id, client, token, oneshot::channel().0);
-            latching.acknowledge_ended(answered.instant, token, Ok(()));
+            latch.acknowledge_sent(id, client, token, oneshot::channel().0);
+            latch.acknowledge_ended(answered.instant, token, Ok(()));
             // The gateway had no processor time: the flags that it knows are those of before.
-            latching.handle_timeout(later.instant, Some(SystemState::FAST_STOP));
-            assert!(latching.take_acknowledged().is_empty());
-            assert_eq!(take_flags(&mut latching, later, flags), cleared.then_some(Change::Cleared));
-            latching.handle_timeout(later.instant, Some(flags));
-            let told = latching.take_acknowledged().pop().unwrap().result;
+            latch.handle_timeout(later.instant, Some(SystemState::FAST_STOP));
+            assert!(latch.take_acknowledged().is_empty());
+            assert_eq!(take_flags(&mut latch, later, flags), cleared.then_some(Change::Cleared));
+            latch.handle_timeout(later.instant, Some(flags));
+            let told = latch.take_acknowledged().pop().unwrap().result;
             assert_eq!(told.is_ok(), cleared, "{told:?}");
         }
     }

@@ -135,13 +135,13 @@ struct Asking {
 
 /// The lease of one gripper.
 #[derive(Debug, Default)]
-pub(super) struct Leasing {
+pub(super) struct LeaseState {
     epoch: u64,
     held: Option<Held>,
     asking: Option<Asking>,
     /// Whose part is held, after they were lost.
     reserved: Option<Holder>,
-    /// Told when a request of the holder ends.
+    /// Notified when a request of the holder ends.
     closed: Arc<Notify>,
 }
 
@@ -158,7 +158,7 @@ pub(super) enum Taken {
     Again,
 }
 
-impl Leasing {
+impl LeaseState {
     /// After a restart: the lease of this epoch was the newest, and its holder, if there was one, is lost.
     pub(super) fn recollect(&mut self, epoch: u64, holder: Option<Holder>) {
         self.epoch = epoch;
@@ -177,7 +177,7 @@ impl Leasing {
         self.reserved.as_ref()
     }
 
-    /// Told when a request of a holder ends: [`Leasing::request_closed`] is to be called then.
+    /// Notifier of ended requests of a holder, after which [`LeaseState::request_closed`] has to be called.
     pub(super) fn closed(&self) -> Arc<Notify> {
         self.closed.clone()
     }
@@ -363,7 +363,7 @@ impl Leasing {
     }
 
     /// As clients are told, with the token for its taker.
-    pub(super) fn lease(&self, now: Instant, token: Option<&LeaseToken>) -> Lease {
+    pub(super) fn view(&self, now: Instant, token: Option<&LeaseToken>) -> Lease {
         let held = self.held.as_ref();
         let ms = |time: Duration| time.as_millis() as u64;
         Lease {

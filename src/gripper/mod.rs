@@ -4,7 +4,6 @@
 //! [`actor`] decides and is a pure machine; the `driver` does its I/O over what a [`Connector`] connects.
 
 pub mod actor;
-mod book;
 pub mod clock;
 mod connector;
 mod curve;
@@ -22,6 +21,7 @@ pub mod metrics;
 pub mod model;
 mod observed;
 pub mod recorder;
+mod registry;
 mod request_ids;
 mod setup;
 

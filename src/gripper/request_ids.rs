@@ -54,7 +54,7 @@ struct Subject {
 /// The request behind an id, and the command that it became.
 #[derive(Debug)]
 struct Bound {
-    /// Outlives the command's place in the book.
+    /// Outlives the command's place in the registry.
     ticket: Ticket,
     asked: (Kind, Parameters),
     since: Instant,

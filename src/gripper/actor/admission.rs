@@ -23,20 +23,20 @@ impl Actor {
     pub(super) fn admit(&mut self, now: Now, id: CommandId, submission: &Submission) -> Result<Ticket, Rejection> {
         let clamped = submission.client.door.speaks_wsg().then(|| self.clamped(submission));
         let submission = clamped.as_ref().unwrap_or(submission);
-        let keep = self.leasing.keep(now.instant, submission.lease.as_ref()).map(Arc::new);
-        if let Some(ticket) = self.book.replay(now.instant, submission)? {
+        let keep = self.lease.keep(now.instant, submission.lease.as_ref()).map(Arc::new);
+        if let Some(ticket) = self.commands.replay(now.instant, submission)? {
             return Ok(Ticket { _keep: keep, ..ticket });
         }
         match &submission.action {
             Action::Motion(motion) => {
                 if !self.is_streamed(motion) {
-                    self.book.check_room(now.instant, submission)?;
+                    self.commands.check_room(now.instant, submission)?;
                 }
                 self.check_motion(now, motion, submission)?;
                 self.claim(now, &submission.client, submission.lease.as_ref())?;
                 // One that has ended is told as it is, rather than by the values of after it.
                 self.end_running(now, false);
-                let keep = self.leasing.keep(now.instant, submission.lease.as_ref()).map(Arc::new);
+                let keep = self.lease.keep(now.instant, submission.lease.as_ref()).map(Arc::new);
                 let ticket = self.enter(now, id, submission);
                 if !matches!(motion, Motion::Custom(_)) {
                     self.start_measuring(id, motion);
@@ -45,7 +45,7 @@ impl Actor {
                 if self.is_streamed(motion) {
                     // Nothing waits for a record of it.
                     self.let_run();
-                    self.book.recorded(id);
+                    self.commands.recorded(id);
                 }
                 Ok(Ticket { _keep: keep, ..ticket })
             }
@@ -86,7 +86,7 @@ impl Actor {
 
     /// Whether anything may move now.
     fn check_moving(&self) -> Result<(), Conflict> {
-        if let Some(id) = self.latching.id() {
+        if let Some(id) = self.latch.id() {
             return Err(Conflict::FastStop { id });
         }
         if !self.lost.is_empty() {
@@ -124,7 +124,7 @@ impl Actor {
             self.record_admitted(now, id, submission);
         }
         let record = Record::admitted(id, self.config.name.clone(), submission, now.wall);
-        self.book.enter(now.instant, record, submission, is_streamed)
+        self.commands.enter(now.instant, record, submission, is_streamed)
     }
 
     /// Takes up a request that moves nothing.
@@ -142,7 +142,7 @@ impl Actor {
             return;
         }
         // A lease that is nobody's has nothing to renew.
-        let _ = self.leasing.renew(now.instant, lease);
+        let _ = self.lease.renew(now.instant, lease);
         if let Some(data) = self.observed.newest(command.id()) {
             // Asking would switch the automatic updates off.
             let _ = answer.send(Ok(data));
@@ -279,8 +279,7 @@ impl Actor {
 
     /// Takes up an acknowledge.
     pub(super) fn acknowledge(&mut self, now: Now, id: FastStopId, client: Client, answer: Answer<()>) {
-        let allowed =
-            self.latching.check_acknowledge(id).map_err(Rejection::from).and_then(|()| Ok(self.check_link()?));
+        let allowed = self.latch.check_acknowledge(id).map_err(Rejection::from).and_then(|()| Ok(self.check_link()?));
         let sent = allowed.and_then(|()| {
             let submitted = self.submit(now, Command::AcknowledgeFastStop, Purpose::Acknowledge);
             submitted.map_err(|not_taken| not_taken.0)
@@ -288,7 +287,7 @@ impl Actor {
         match sent {
             Ok(token) => {
                 tracing::info!(gripper = %self.config.name, %id, by = %client.subject, "FAST STOP acknowledged");
-                self.latching.acknowledge_sent(id, client, token, answer);
+                self.latch.acknowledge_sent(id, client, token, answer);
             }
             Err(rejection) => {
                 let _ = answer.send(Err(rejection));

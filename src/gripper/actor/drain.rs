@@ -99,7 +99,7 @@ impl Actor {
     pub(super) fn continue_drain(&mut self, now: Now) {
         // What the gateway asks of a device that it is getting to know is nobody's loss.
         let asked = self.is_set_up() && self.session.as_ref().is_some_and(|session| !session.is_idle());
-        let idle = self.running.is_none() && !self.latching.is_unconfirmed() && !asked;
+        let idle = self.running.is_none() && !self.latch.is_unconfirmed() && !asked;
         let Some(drain) = &mut self.drain else { return };
         let late = drain.until <= now.instant;
         match drain.stage {

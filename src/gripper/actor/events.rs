@@ -54,9 +54,9 @@ impl Actor {
             self.set_up_again(now);
         }
         let mut origin = Origin { ids: &mut self.ids, unannounced: self.unannounced };
-        match self.latching.take_flags(now, flags, &mut origin) {
+        match self.latch.take_flags(now, flags, &mut origin) {
             Some(Change::Seen) => {
-                let cause = self.latching.latch().map_or(FastStopCause::Unknown, |latch| latch.cause);
+                let cause = self.latch.current().map_or(FastStopCause::Unknown, |latch| latch.cause);
                 tracing::warn!(gripper = %self.config.name, cause = cause.name(), "the device is in FAST STOP");
                 self.record_fast_stop(now, FastStopStep::Latched, None);
                 self.abort_for_latch(now);
@@ -125,14 +125,14 @@ impl Actor {
             }
             Purpose::FastStop => {
                 let answered = matches!(end, End::Reply(_));
-                self.latching.ended(token, answered);
+                self.latch.ended(token, answered);
             }
             Purpose::Acknowledge => {
                 let result = match end {
                     End::Reply(Reply::Success(_)) => Ok(()),
                     end => Err(self.rejection_of("AcknowledgeFastStop", end)),
                 };
-                self.latching.acknowledge_ended(now.instant, token, result);
+                self.latch.acknowledge_ended(now.instant, token, result);
             }
             Purpose::Force(id, force) => self.force_ended(now, id, force, end),
             Purpose::Motion(id) => self.motion_ended(now, id, end),

@@ -17,17 +17,17 @@ impl Actor {
     /// Whether a request with this token, or without one, may change anything.
     pub(super) fn check_claim(&self, now: Now, client: &Client, token: Option<&LeaseToken>) -> Result<(), Conflict> {
         if !client.door.speaks_wsg() {
-            return self.leasing.check(now.instant, token);
+            return self.lease.check(now.instant, token);
         }
         // Its token is its connection's own: where it is not that of the lease, there is nothing stale about it.
-        let is_holder = token.is_some() && self.leasing.token() == token;
-        if is_holder || self.leasing.is_free_for(client) { Ok(()) } else { self.leasing.check(now.instant, None) }
+        let is_holder = token.is_some() && self.lease.token() == token;
+        if is_holder || self.lease.is_free_for(client) { Ok(()) } else { self.lease.check(now.instant, None) }
     }
 
     /// What moves takes the lease where it is free, for a client of such a door.
     pub(super) fn claim(&mut self, now: Now, client: &Client, token: Option<&LeaseToken>) -> Result<(), Rejection> {
         match token {
-            Some(token) if client.door.speaks_wsg() && self.leasing.is_free_for(client) => {
+            Some(token) if client.door.speaks_wsg() && self.lease.is_free_for(client) => {
                 self.try_take_lease(now, &TakeLease::by(client.clone()), token.clone())
             }
             _ => Ok(()),
@@ -36,20 +36,20 @@ impl Actor {
 
     /// A request of a lease's holder has ended, as [`Actor::lease_requests`] told.
     pub fn lease_request_closed(&mut self, now: Now) {
-        self.leasing.request_closed(now.instant);
+        self.lease.request_closed(now.instant);
         self.settle(now);
     }
 
     pub(super) fn lease_now(&self, now: Now) -> Lease {
-        self.leasing.lease(now.instant, None)
+        self.lease.view(now.instant, None)
     }
 
     pub(super) fn take_lease(&mut self, now: Now, wish: &TakeLease, token: LeaseToken, answer: Answer<Granted>) {
         let granted = self.try_take_lease(now, wish, token).map(|()| {
-            let token = self.leasing.token().cloned();
-            let keep = self.leasing.keep(now.instant, token.as_ref());
-            let times_taken = self.leasing.times_taken();
-            Granted { lease: self.leasing.lease(now.instant, token.as_ref()), times_taken, keep }
+            let token = self.lease.token().cloned();
+            let keep = self.lease.keep(now.instant, token.as_ref());
+            let times_taken = self.lease.times_taken();
+            Granted { lease: self.lease.view(now.instant, token.as_ref()), times_taken, keep }
         });
         // Whoever asked may be gone: then nobody uses it, and it runs out.
         let _ = answer.send(granted);
@@ -60,13 +60,13 @@ impl Actor {
             return Err(Failure::Draining.into());
         }
         let terms = Terms::of(wish, &self.config.lease)?;
-        let asked_before = self.leasing.asking(now.instant).cloned();
-        let result = self.leasing.take(now.instant, wish, terms, token);
-        let asking = self.leasing.asking(now.instant).cloned();
+        let asked_before = self.lease.asking(now.instant).cloned();
+        let result = self.lease.take(now.instant, wish, terms, token);
+        let asking = self.lease.asking(now.instant).cloned();
         if let Some(asking) = asking.filter(|asking| asked_before.as_ref() != Some(asking)) {
             self.record_lease(now, LeaseStep::Requested, &asking, None);
         }
-        let Some(holder) = self.leasing.holder().cloned() else { return result.map(drop).map_err(Into::into) };
+        let Some(holder) = self.lease.holder().cloned() else { return result.map(drop).map_err(Into::into) };
         let way = result?;
         match way {
             Taken::Free => self.record_lease(now, LeaseStep::Taken, &holder, None),
@@ -82,8 +82,8 @@ impl Actor {
     }
 
     pub(super) fn renew_lease(&mut self, now: Now, token: Option<&LeaseToken>) -> Result<Lease, Rejection> {
-        self.leasing.renew(now.instant, token)?;
-        Ok(self.leasing.lease(now.instant, token))
+        self.lease.renew(now.instant, token)?;
+        Ok(self.lease.view(now.instant, token))
     }
 
     pub(super) fn hand_over(
@@ -93,7 +93,7 @@ impl Actor {
         to: &str,
         new: LeaseToken,
     ) -> Result<Lease, Rejection> {
-        let holder = self.leasing.hand_over(now.instant, token, to, new)?;
+        let holder = self.lease.hand_over(now.instant, token, to, new)?;
         self.record_lease(now, LeaseStep::HandedOver, &holder, None);
         // A motion that runs goes on; one that has not begun would begin under somebody else's lease.
         self.withdraw_waiting_motion(now);
@@ -102,7 +102,7 @@ impl Actor {
 
     /// A release is the announcement: a running motion stops, and nothing is latched.
     pub(super) fn release_lease(&mut self, now: Now, token: Option<&LeaseToken>) -> Lease {
-        if let Some(held) = self.leasing.end(token) {
+        if let Some(held) = self.lease.end(token) {
             self.record_lease(now, LeaseStep::Released, &held.holder, None);
             self.stop_motion(now);
         }
@@ -111,19 +111,19 @@ impl Actor {
 
     /// The connection that the lease was bound to has ended without a release.
     pub(super) fn lose_lease(&mut self, now: Now, token: &LeaseToken, times_taken: Option<u64>) {
-        if let Some(held) = self.leasing.lose(token, times_taken) {
+        if let Some(held) = self.lease.lose(token, times_taken) {
             self.holder_lost(now, &held, LossCause::Disconnected);
         }
     }
 
     /// Ends a lease that has run out, and a reservation that protects nothing any more.
     pub(super) fn keep_up_lease(&mut self, now: Now) {
-        if let Some(held) = self.leasing.expire(now.instant) {
+        if let Some(held) = self.lease.expire(now.instant) {
             self.holder_lost(now, &held, LossCause::Expired);
         }
         let holds_nothing = self.observed.gripper_state.is_some() && !self.observed.holds_part;
         if holds_nothing && self.running.is_none() && self.is_set_up() {
-            self.leasing.unreserve();
+            self.lease.unreserve();
         }
     }
 
@@ -162,7 +162,7 @@ impl Actor {
             }
             LossEffect::Stop => self.stop_motion(now),
             // It may end with a part that is held.
-            LossEffect::Finish | LossEffect::Keep => self.leasing.reserve(held.holder.clone()),
+            LossEffect::Finish | LossEffect::Keep => self.lease.reserve(held.holder.clone()),
             LossEffect::None => {}
         }
         self.streaming.stopped();
@@ -189,7 +189,7 @@ impl Actor {
 
     fn record_lease(&mut self, now: Now, event: LeaseStep, holder: &Holder, lost: Option<(LossEffect, LossCause)>) {
         let (effect, cause) = lost.unzip();
-        let lease = LeaseEvent { event, holder: holder.name.clone(), epoch: self.leasing.epoch(), effect, cause };
+        let lease = LeaseEvent { event, holder: holder.name.clone(), epoch: self.lease.epoch(), effect, cause };
         let event = self.event(now, Detail::Lease(lease)).by(&holder.client);
         self.record(event);
     }

@@ -63,7 +63,7 @@ impl Actor {
         self.link_cause = Some(cause.to_owned());
         self.close = None;
         let rejection = Rejection::Failure(self.link_down_failure());
-        self.latching.link_lost(&rejection);
+        self.latch.link_lost(&rejection);
         self.reads.reject_all(&rejection);
         self.tag_writes.forget();
         for (_, answer) in std::mem::take(&mut self.awaiting_flags) {
@@ -223,11 +223,11 @@ impl Actor {
 
     /// Sends 23h if it is due: right after the request, and again until it is confirmed.
     pub(super) fn send_fast_stop_if_due(&mut self, now: Now) {
-        if self.session.is_none() || !self.latching.is_due(now.instant) {
+        if self.session.is_none() || !self.latch.is_due(now.instant) {
             return;
         }
         let sent = self.submit_within(now, Command::FastStop, Purpose::FastStop, latch::REPEAT_EVERY, REPLY_WITHIN);
-        self.latching.sent(now.instant, sent.ok());
+        self.latch.sent(now.instant, sent.ok());
     }
 
     /// Whether commands can be sent, and if not, why.

@@ -55,7 +55,7 @@ struct ClearedLatch {
 
 /// What the journal was told last.
 #[derive(Debug, Default)]
-pub(super) struct Told {
+pub(super) struct LastReported {
     latch: (u64, Option<FastStopId>),
     lease: (u64, Option<Holder>),
     holding: Option<CommandId>,
@@ -75,20 +75,20 @@ impl Actor {
             None => None,
         };
         if let Some((epoch, latch)) = latch {
-            self.told.latch = (epoch, latch.as_ref().map(|latch| latch.id));
-            self.latching.recollect(now.instant, epoch.saturating_add(skipped), latch);
+            self.reported.latch = (epoch, latch.as_ref().map(|latch| latch.id));
+            self.latch.recollect(now.instant, epoch.saturating_add(skipped), latch);
         }
-        self.told.holding = self.remembered(recollection.holding.as_deref());
-        self.recording.holding = self.told.holding;
-        self.observed.holds_part = self.told.holding.is_some();
+        self.reported.holding = self.remembered(recollection.holding.as_deref());
+        self.recording.holding = self.reported.holding;
+        self.observed.holds_part = self.reported.holding.is_some();
         if let Some(RememberedLease { epoch, holder }) = self.remembered(recollection.lease.as_deref()) {
             let client = |holder: &RememberedHolder| Client { subject: holder.subject.clone(), door: holder.door };
             let holder = holder.map(|holder| Holder { client: client(&holder), name: holder.name });
-            self.leasing.recollect(epoch.saturating_add(skipped), holder);
+            self.lease.recollect(epoch.saturating_add(skipped), holder);
         }
         self.unannounced = recollection.unclean && self.config.traits.connection_oriented;
         for request in recollection.requests {
-            self.book.bind_again(now, request);
+            self.commands.bind_again(now, request);
         }
         self.settle(now);
     }
@@ -109,30 +109,30 @@ impl Actor {
 
     /// Hands on what has changed of the latch, the lease and the part that is held.
     pub(super) fn remember_changes(&mut self) {
-        if self.told.holding != self.recording.holding {
-            self.told.holding = self.recording.holding;
+        if self.reported.holding != self.recording.holding {
+            self.reported.holding = self.recording.holding;
             let holding = self.recording.holding;
             self.remember(MemoryKey::Holding, holding.as_ref());
         }
-        let epoch = self.latching.epoch();
-        if self.told.latch != (epoch, self.latching.id()) {
-            self.told.latch = (epoch, self.latching.id());
-            let latch = match self.latching.latch().cloned() {
+        let epoch = self.latch.epoch();
+        if self.reported.latch != (epoch, self.latch.id()) {
+            self.reported.latch = (epoch, self.latch.id());
+            let latch = match self.latch.current().cloned() {
                 Some(latch) => RememberedLatch::Holds(HeldLatch { epoch, latch }),
                 None => RememberedLatch::Cleared(ClearedLatch { epoch }),
             };
             self.remember(MemoryKey::Latch, Some(&latch));
         }
         // A gripper that was reserved, or held by somebody who is gone with the gateway, is reserved again.
-        let holder = self.leasing.holder().or(self.leasing.reserved());
-        if (self.told.lease.0, self.told.lease.1.as_ref()) != (self.leasing.epoch(), holder) {
-            self.told.lease = (self.leasing.epoch(), holder.cloned());
+        let holder = self.lease.holder().or(self.lease.reserved());
+        if (self.reported.lease.0, self.reported.lease.1.as_ref()) != (self.lease.epoch(), holder) {
+            self.reported.lease = (self.lease.epoch(), holder.cloned());
             let holder = holder.map(|Holder { name, client }| RememberedHolder {
                 name: name.clone(),
                 subject: client.subject.clone(),
                 door: client.door,
             });
-            let lease = RememberedLease { epoch: self.leasing.epoch(), holder };
+            let lease = RememberedLease { epoch: self.lease.epoch(), holder };
             self.remember(MemoryKey::Lease, Some(&lease));
         }
     }

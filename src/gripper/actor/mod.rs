@@ -40,22 +40,22 @@ use std::time::{Duration, Instant};
 use tokio::sync::{Notify, broadcast, oneshot, watch};
 
 use super::Now;
-use super::book::Book;
 use super::error::{Failure, Rejection};
 use super::handle::{Answer, FastStopRequest, Request};
 use super::info::Info;
-use super::latch::Latching;
-use super::lease::Leasing;
+use super::latch::LatchState;
+use super::lease::LeaseState;
 use super::limits::Limits;
 use super::metrics::Metrics;
 use super::model::{Client, CommandId, CustomIds, FastStopStep, Frame, IdSource, LeaseRules, Name, State};
 use super::observed::Observed;
+use super::registry::CommandRegistry;
 use super::setup::{Setting, Setup, Wanted};
 use crate::transport::Traits;
 use crate::wsg::session::{self, NotTaken, Session, Token};
 use crate::wsg::{self, Command, Data, Force, SystemInfo, id};
 use drain::Drain;
-use memory::Told;
+use memory::LastReported;
 use metering::Metering;
 use motion::Running;
 use reads::Reads;
@@ -177,10 +177,10 @@ pub struct Actor {
     lost: BTreeSet<Setting>,
     overdrive_wanted: bool,
     observed: Observed,
-    latching: Latching,
-    leasing: Leasing,
+    latch: LatchState,
+    lease: LeaseState,
     reads: Reads,
-    book: Book,
+    commands: CommandRegistry,
     running: Option<Running>,
     last_motion_end: Option<Instant>,
     /// Until when the fingers may move on behalf of a motion that has ended.
@@ -191,7 +191,7 @@ pub struct Actor {
     tag_writes: TagWrites,
     drain: Option<Drain>,
     recording: Recording,
-    told: Told,
+    reported: LastReported,
     metering: Metering,
     streaming: Streaming,
     wire_log: WireLog,
@@ -242,10 +242,10 @@ impl Actor {
             wanted: Wanted::default(),
             lost: BTreeSet::new(),
             overdrive_wanted: false,
-            latching: Latching::default(),
-            leasing: Leasing::default(),
+            latch: LatchState::default(),
+            lease: LeaseState::default(),
             reads: Reads::default(),
-            book: Book::default(),
+            commands: CommandRegistry::default(),
             running: None,
             last_motion_end: None,
             may_move_until: None,
@@ -254,7 +254,7 @@ impl Actor {
             tag_writes: TagWrites::default(),
             drain: None,
             recording: Recording::default(),
-            told: Told::default(),
+            reported: LastReported::default(),
             metering: Metering::default(),
             streaming: Streaming::default(),
             wire_log,
@@ -293,13 +293,13 @@ impl Actor {
         let (id, client, cause, reason) = (request.id, request.client.clone(), request.cause, request.reason.clone());
         self.metering.fast_stop_requested(request.at);
         let caller = request.epoch.take();
-        if let Some(token) = self.latching.request(now, request) {
+        if let Some(token) = self.latch.request(now, request) {
             // An acknowledge of an earlier one must not come after this.
             self.withdraw(token);
         }
         if let Some(caller) = caller {
             // The caller may be gone.
-            let _ = caller.send(self.latching.epoch());
+            let _ = caller.send(self.latch.epoch());
         }
         self.send_fast_stop_if_due(now);
         self.record_fast_stop(now, FastStopStep::Latched, Some(&client));
@@ -315,10 +315,10 @@ impl Actor {
                 let _ = answer.send(self.admit(now, id, &submission));
             }
             Request::Find { id, answer } => {
-                let _ = answer.send(self.book.find(id));
+                let _ = answer.send(self.commands.find(id));
             }
             Request::Cancel { id, client, answer } => {
-                let ticket = self.book.find(id);
+                let ticket = self.commands.find(id);
                 if ticket.is_some() {
                     tracing::info!(gripper = %self.config.name, command = %id, by = %client.subject, "cancelled");
                     self.cancel(now, id, &client);
@@ -335,7 +335,7 @@ impl Actor {
             Request::TakeLease { take, token, answer } => self.take_lease(now, &take, token, answer),
             Request::UseLease { token, answer } => {
                 // Where its user is gone already, it was used once.
-                let _ = answer.send(self.leasing.keep(now.instant, Some(&token)));
+                let _ = answer.send(self.lease.keep(now.instant, Some(&token)));
             }
             Request::RenewLease { token, answer } => {
                 let _ = answer.send(self.renew_lease(now, token.as_ref()));
@@ -377,7 +377,7 @@ impl Actor {
     /// Tells when a request of the lease's holder ends: [`Actor::lease_request_closed`] is to be called then.
     #[must_use]
     pub fn lease_requests(&self) -> Arc<Notify> {
-        self.leasing.closed()
+        self.lease.closed()
     }
 
     /// Why the link has to be closed, if it has. The driver closes it, and says so by [`Actor::link_down`].
@@ -395,7 +395,7 @@ impl Actor {
         self.meter_session();
         self.publish(now);
         self.remember_changes();
-        self.book.tell();
+        self.commands.tell();
         self.tell_acknowledges(now);
         self.answer_awaiting_flags();
     }

@@ -151,7 +151,7 @@ impl Actor {
     /// The one place that submits a motion.
     pub(super) fn start_motion(&mut self, now: Now, id: CommandId) {
         let Some(running) = self.running.as_ref().filter(|running| running.id == id) else { return };
-        if let Some(fast_stop) = self.latching.id() {
+        if let Some(fast_stop) = self.latch.id() {
             return self.reject_running(now, Conflict::FastStop { id: fast_stop }.into());
         }
         let request = running.motion.request();
@@ -198,7 +198,7 @@ impl Actor {
         let success = matches!(end, End::Reply(Reply::Success(_)));
         if success {
             self.note_setting(&Data::ForceLimit(force));
-            if let Some(client) = self.book.client(id) {
+            if let Some(client) = self.commands.client(id) {
                 self.record_set(now, &client, &Data::ForceLimit(force));
             }
         }
@@ -219,7 +219,7 @@ impl Actor {
             // What was held is let go, or gripped anew.
             self.recording.holding = None;
             self.observed.holds_part = false;
-            self.book.accepted(id);
+            self.commands.accepted(id);
         }
     }
 
@@ -295,7 +295,7 @@ impl Actor {
 
     /// A FAST STOP holds: what waits is over, what runs will be.
     pub(super) fn abort_for_latch(&mut self, now: Now) {
-        let fast_stop = self.latching.id();
+        let fast_stop = self.latch.id();
         if let Some(running) = &mut self.running {
             running.fast_stop = fast_stop;
             self.withdraw_waiting_motion(now);
@@ -368,7 +368,7 @@ impl Actor {
     }
 
     fn refusal(&self, command: &'static str, status: Status) -> Rejection {
-        DeviceRefusal { command, status, fast_stop: self.latching.id() }.into()
+        DeviceRefusal { command, status, fast_stop: self.latch.id() }.into()
     }
 
     pub(super) fn reject_running(&mut self, now: Now, rejection: Rejection) {
@@ -397,7 +397,7 @@ impl Actor {
         self.reads.forget();
         let (width_mm, force_n) = (self.observed.width_mm, self.observed.force_n);
         let referenced = self.observed.has(SystemState::REFERENCED);
-        let ended = self.book.end(now.instant, id, |record| {
+        let ended = self.commands.end(now.instant, id, |record| {
             fill_in(record);
             let known = !matches!(record.outcome, Some(Outcome::Unknown | Outcome::Refused));
             record.width_mm = width_mm.filter(|_| known && referenced);
@@ -409,7 +409,7 @@ impl Actor {
         });
         if let Some((client, record)) = ended {
             self.meter_ended(&record);
-            if self.book.is_streamed(id) {
+            if self.commands.is_streamed(id) {
                 return;
             }
             self.record_done(now, &client, &record);

@@ -35,7 +35,7 @@ impl Actor {
         let observed = &self.observed;
         let flag = |flag| observed.flags.map(|flags| flags.contains(flag));
         let referenced = flag(SystemState::REFERENCED);
-        let latch = self.latching.latch();
+        let latch = self.latch.current();
         State {
             gripper: self.config.name.clone(),
             link: self.link_now(),
@@ -53,9 +53,9 @@ impl Actor {
             force_n: observed.force_n,
             temperature_c: observed.temperature.map(crate::wsg::Temperature::celsius),
             fast_stop: (observed.flags.is_some() || latch.is_some()).then_some(latch.is_some()),
-            latch: latch.map(|latch| LatchFields::of(latch, self.latching.epoch())),
-            lease_holder: self.leasing.holder().map(|holder| holder.name.clone()),
-            lease_epoch: self.leasing.epoch(),
+            latch: latch.map(|latch| LatchFields::of(latch, self.latch.epoch())),
+            lease_holder: self.lease.holder().map(|holder| holder.name.clone()),
+            lease_epoch: self.lease.epoch(),
             journal_cause: self.recording.failure().map(ToOwned::to_owned),
             command: self.running.as_ref().map(|running| running.id),
         }

@@ -107,7 +107,7 @@ impl Actor {
                 self.reject_running(now, failure.into());
             }
         }
-        self.book.recorded(id);
+        self.commands.recorded(id);
     }
 
     /// What could not be recorded in time goes on, or does not.
@@ -171,7 +171,7 @@ impl Actor {
     }
 
     pub(super) fn record_fast_stop(&mut self, now: Now, step: FastStopStep, by: Option<&Client>) {
-        let Some(latch) = self.latching.latch() else { return };
+        let Some(latch) = self.latch.current() else { return };
         let detail = Detail::FastStop(FastStopEvent {
             event: step,
             fast_stop_id: latch.id,
@@ -190,7 +190,7 @@ impl Actor {
 
     /// Tells clients how their acknowledges ended, and writes it down.
     pub(super) fn tell_acknowledges(&mut self, now: Now) {
-        for acknowledged in self.latching.take_acknowledged() {
+        for acknowledged in self.latch.take_acknowledged() {
             self.record_repeats();
             let cause = acknowledged.result.as_ref().err().map(ToString::to_string);
             let detail = Detail::Acknowledge(AcknowledgeEvent {

@@ -108,7 +108,7 @@ impl Actor {
         if submission.request_id.is_some() || self.check_link().is_err() || self.is_moving(now.instant) {
             return None;
         }
-        let ticket = self.book.find(self.recording.repeats.stop(now.instant, &submission.client)?)?;
+        let ticket = self.commands.find(self.recording.repeats.stop(now.instant, &submission.client)?)?;
         let may_succeed = matches!(ticket.now().outcome, None | Some(Outcome::Success));
         may_succeed.then_some(Ticket { replayed: true, ..ticket })
     }
@@ -120,7 +120,7 @@ impl Actor {
             _ => None,
         });
         let is_full = matches!(not_taken, Rejection::Failure(Failure::Overloaded { .. }));
-        let ticket = newest.filter(|_| is_full).and_then(|id| self.book.find(id)).ok_or(not_taken)?;
+        let ticket = newest.filter(|_| is_full).and_then(|id| self.commands.find(id)).ok_or(not_taken)?;
         self.withdraw_waiting_motion(now);
         Ok(Ticket { replayed: true, ..ticket })
     }

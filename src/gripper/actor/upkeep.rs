@@ -22,14 +22,14 @@ impl Actor {
     /// is on its way, and nobody is lost because nobody was there to hear.
     pub fn overslept(&mut self, now: Now) {
         tracing::debug!(gripper = %self.config.name, "the gateway had no processor time");
-        self.leasing.excuse(now.instant + DOORS_TAKE);
+        self.lease.excuse(now.instant + DOORS_TAKE);
     }
 
     /// Does all that is due.
     pub(super) fn keep_up(&mut self, now: Now) {
         self.supervise(now);
         self.send_fast_stop_if_due(now);
-        self.latching.handle_timeout(now.instant, self.observed.flags);
+        self.latch.handle_timeout(now.instant, self.observed.flags);
         self.end_settled_motion(now);
         self.keep_up_lease(now);
         self.give_up_recording(now);
@@ -59,8 +59,8 @@ impl Actor {
         let deadlines = [
             session.and_then(crate::wsg::session::Session::poll_timeout),
             silence,
-            self.latching.next_timeout().filter(|_| session.is_some()),
-            self.leasing.next_timeout(),
+            self.latch.next_timeout().filter(|_| session.is_some()),
+            self.lease.next_timeout(),
             self.motion_due(),
             self.settles_at(),
             self.recording.next_timeout(),

@@ -14,30 +14,30 @@ fn submission(subject: &str, action: Action, request_id: Option<&str>) -> Submis
     Submission { client, action, request_id, lease: None }
 }
 
-/// A book, and the clocks of its commands' ids: a wall clock that goes backwards, since no order may come from it.
+/// A registry, and the clocks of its commands' ids: a wall clock that goes backwards, since no order may come from it.
 struct Desk {
-    book: Book,
+    commands: CommandRegistry,
     now: Instant,
     ids: i64,
 }
 
 impl Desk {
     fn new() -> Self {
-        Self { book: Book::default(), now: Instant::now(), ids: 1_000_000_000 }
+        Self { commands: CommandRegistry::default(), now: Instant::now(), ids: 1_000_000_000 }
     }
 
     fn admit(&mut self, submission: &Submission) -> CommandId {
         self.ids -= 1;
         let id = IdSource::new(1).command_id(Timestamp::from_millisecond(self.ids).unwrap());
         let command = Command::admitted(id, "g".parse().unwrap(), submission, Timestamp::UNIX_EPOCH);
-        self.book.enter(self.now, command, submission, false);
-        self.book.recorded(id);
+        self.commands.enter(self.now, command, submission, false);
+        self.commands.recorded(id);
         id
     }
 
     fn end(&mut self, id: CommandId, outcome: Outcome) {
-        self.book.end(self.now, id, |command| command.outcome = Some(outcome));
-        self.book.tell();
+        self.commands.end(self.now, id, |command| command.outcome = Some(outcome));
+        self.commands.tell();
     }
 
     fn run(&mut self, subject: &str, action: Action, request_id: Option<&str>) -> CommandId {
@@ -48,12 +48,12 @@ impl Desk {
 
     /// The command that a repeated request is answered with.
     fn replayed(&self, subject: &str, action: Action, request_id: &str) -> Option<CommandId> {
-        let replay = self.book.replay(self.now, &submission(subject, action, Some(request_id))).unwrap();
+        let replay = self.commands.replay(self.now, &submission(subject, action, Some(request_id))).unwrap();
         replay.map(|ticket| ticket.id())
     }
 
     fn has_room(&mut self, subject: &str) -> bool {
-        self.book.check_room(self.now, &submission(subject, home(), Some("one more"))).is_ok()
+        self.commands.check_room(self.now, &submission(subject, home(), Some("one more"))).is_ok()
     }
 }
 
@@ -64,7 +64,7 @@ fn a_request_id_outlives_its_commands_place_in_the_book() {
     for _ in 0..=MAX_MOTIONS {
         desk.run("test", home(), None);
     }
-    assert!(desk.book.find(first).is_none() && desk.book.commands.len() <= MAX_MOTIONS);
+    assert!(desk.commands.find(first).is_none() && desk.commands.commands.len() <= MAX_MOTIONS);
     desk.now += REPLAYED_FOR / 2;
     assert_eq!(desk.replayed("test", home(), "r1"), Some(first));
     desk.now += REPLAYED_FOR / 2;
@@ -77,8 +77,8 @@ fn request_ids_are_bounded_and_none_is_forgotten_early() {
     let limit = MOTION_IDS.per_subject;
     let ids: Vec<_> = (0..limit).map(|number| desk.run("test", home(), Some(&number.to_string()))).collect();
     let one_more = submission("test", home(), Some("one more"));
-    assert_eq!(desk.book.check_room(desk.now, &one_more), Err(Failure::RequestIds { limit }));
-    assert!(desk.book.check_room(desk.now, &submission("test", home(), None)).is_ok());
+    assert_eq!(desk.commands.check_room(desk.now, &one_more), Err(Failure::RequestIds { limit }));
+    assert!(desk.commands.check_room(desk.now, &submission("test", home(), None)).is_ok());
     assert_eq!(desk.replayed("test", home(), "0"), Some(ids[0]));
     assert!(desk.has_room("another"), "the bound is the subject's own");
     desk.now += REPLAYED_FOR;
@@ -124,8 +124,8 @@ fn stops_push_no_motion_out_of_the_history() {
     for _ in 0..2 * MAX_MOTIONS {
         desk.run("flood", Action::Stop, None);
     }
-    assert!(desk.book.find(ended).is_some() && desk.book.find(running).is_some());
-    assert!(desk.book.commands.len() <= MAX_STOPS + 2, "{} commands", desk.book.commands.len());
+    assert!(desk.commands.find(ended).is_some() && desk.commands.find(running).is_some());
+    assert!(desk.commands.commands.len() <= MAX_STOPS + 2, "{} commands", desk.commands.commands.len());
 }
 
 #[test]
@@ -135,13 +135,13 @@ fn a_running_motion_stays_while_others_are_forgotten() {
     for _ in 0..2 * MAX_MOTIONS {
         desk.run("other", home(), None);
     }
-    assert!(desk.book.commands.len() <= MAX_MOTIONS, "{} commands", desk.book.commands.len());
-    assert_eq!(desk.book.find(running).unwrap().now().phase, Phase::Running);
+    assert!(desk.commands.commands.len() <= MAX_MOTIONS, "{} commands", desk.commands.commands.len());
+    assert_eq!(desk.commands.find(running).unwrap().now().phase, Phase::Running);
     desk.end(running, Outcome::Success);
     desk.now += KEPT_FOR;
     let newest = desk.run("other", home(), None);
-    assert_eq!(desk.book.commands.len(), 1);
-    assert!(desk.book.find(newest).is_some());
+    assert_eq!(desk.commands.commands.len(), 1);
+    assert!(desk.commands.find(newest).is_some());
 }
 
 #[test]
@@ -158,8 +158,8 @@ fn scripts_answers_count_by_their_bytes() {
     let answer: Arc<str> = "00".repeat(4096).into();
     for number in 0..MOTION_IDS.per_subject {
         let id = desk.admit(&submission("test", home(), Some(&number.to_string())));
-        desk.book.end(desk.now, id, |command| command.payload = Some(answer.clone()));
-        desk.book.tell();
+        desk.commands.end(desk.now, id, |command| command.payload = Some(answer.clone()));
+        desk.commands.tell();
         if !desk.has_room("test") {
             assert!((MOTION_IDS.per_subject / 6..MOTION_IDS.per_subject / 4).contains(&number), "after {number}");
             return;

@@ -1,4 +1,4 @@
-//! The book of commands: every command of the last hour by its id, and which request became which command.
+//! The registry of commands: every command of the last hour by its id, and which request became which command.
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
@@ -35,7 +35,7 @@ const MOTION_IDS: Bounds = Bounds { per_subject: 16_384, whole: 32_768 };
 const FREQUENT_IDS: Bounds = Bounds { per_subject: 512, whole: 4096 };
 
 #[derive(Debug)]
-pub(super) struct Book {
+pub(super) struct CommandRegistry {
     commands: HashMap<CommandId, Entry>,
     motions: History,
     stops: History,
@@ -84,7 +84,7 @@ impl History {
     }
 }
 
-impl Default for Book {
+impl Default for CommandRegistry {
     fn default() -> Self {
         Self {
             commands: HashMap::new(),
@@ -98,7 +98,7 @@ impl Default for Book {
     }
 }
 
-impl Book {
+impl CommandRegistry {
     /// The command that this very request has become before, if it has.
     pub(super) fn replay(&self, now: Instant, submission: &Submission) -> Result<Option<Ticket>, Conflict> {
         let Some(key) = key(submission) else { return Ok(None) };
@@ -159,7 +159,7 @@ impl Book {
         self.commands.get(&id).map(|entry| Ticket { record: entry.record.subscribe(), replayed: false, _keep: None })
     }
 
-    /// Ends a command, which [`Book::tell`] tells its clients. A second end of the same command does nothing.
+    /// Ends a command, which [`CommandRegistry::tell`] tells its clients. A second end of the same command does nothing.
     pub(super) fn end(
         &mut self,
         now: Instant,
