@@ -257,13 +257,13 @@ impl LatchState {
         self.finish_acknowledge(Err(rejection.clone()));
     }
 
-    pub(super) fn next_timeout(&self) -> Option<Instant> {
-        let repeat = (self.is_unconfirmed() && self.sent.is_none()).then_some(self.repeat_at).flatten();
-        repeat.into_iter().chain(self.clears_at()).min()
+    /// When a 23h is to be sent again.
+    pub(super) fn repeats_at(&self) -> Option<Instant> {
+        self.repeat_at.filter(|_| self.is_unconfirmed() && self.sent.is_none())
     }
 
-    /// Until when the flags that show a FAST STOP may go on doing so.
-    fn clears_at(&self) -> Option<Instant> {
+    /// Time until which the flags may go on showing an acknowledged FAST STOP.
+    pub(super) fn clears_at(&self) -> Option<Instant> {
         match self.acknowledging.as_ref()?.progress {
             Progress::Watching { until, shown: Shown::FastStop } => Some(until),
             _ => None,

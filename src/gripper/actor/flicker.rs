@@ -99,12 +99,6 @@ impl Actor {
             self.record(event);
         }
     }
-
-    pub(super) fn record_flicker_if_due(&mut self, now: Now) {
-        if self.recording.flicker.next_timeout().is_some_and(|until| until <= now.instant) {
-            self.record_flicker(now);
-        }
-    }
 }
 
 /// What changes together with its opposite, or repeats.

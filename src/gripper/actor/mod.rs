@@ -30,7 +30,7 @@ mod repeats;
 mod settings;
 mod streaming;
 mod tag;
-mod upkeep;
+mod timers;
 mod wire_log;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -274,14 +274,6 @@ impl Actor {
         self.settle(now);
     }
 
-    /// To be called when [`Actor::poll_timeout`] has come.
-    pub fn handle_timeout(&mut self, now: Now) {
-        if let Some(session) = &mut self.session {
-            session.handle_timeout(now.instant);
-        }
-        self.settle(now);
-    }
-
     /// A FAST STOP: needs no lease, waits for nothing.
     pub fn fast_stop(&mut self, now: Now, request: FastStopRequest) {
         self.latch(now, request);
@@ -390,7 +382,7 @@ impl Actor {
     /// answers after the state was published, so that who reads it next reads none of before.
     fn settle(&mut self, now: Now) {
         self.take_events(now);
-        self.keep_up(now);
+        self.run_due_timers(now);
         self.take_events(now);
         self.meter_session();
         self.publish(now);

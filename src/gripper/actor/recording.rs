@@ -62,10 +62,14 @@ struct Measured {
 }
 
 impl Recording {
-    pub(super) fn next_timeout(&self) -> Option<Instant> {
-        let record = self.unrecorded.front().map(|(until, _)| *until);
-        let curve = self.measured.as_ref().and_then(|measured| Some(measured.ended.as_ref()?.0));
-        record.into_iter().chain(curve).chain(self.repeats.next_timeout()).chain(self.flicker.next_timeout()).min()
+    /// Time until which the oldest command waits for its record.
+    pub(super) fn given_up_at(&self) -> Option<Instant> {
+        self.unrecorded.front().map(|(until, _)| *until)
+    }
+
+    /// End of the tail of the curve that is being measured.
+    pub(super) fn curve_ends_at(&self) -> Option<Instant> {
+        Some(self.measured.as_ref()?.ended.as_ref()?.0)
     }
 
     /// Takes a record that nobody waits for.
@@ -291,14 +295,6 @@ impl Actor {
         }
         let tail = if command.kind == Kind::Grip { TAIL } else { Duration::ZERO };
         measured.ended = Some((now.instant + tail, command.clone()));
-    }
-
-    /// Records the curve whose tail is over.
-    pub(super) fn finish_measuring_if_due(&mut self, now: Now) {
-        let ended = self.recording.measured.as_ref().and_then(|measured| measured.ended.as_ref());
-        if ended.is_some_and(|(until, _)| *until <= now.instant) {
-            self.finish_measuring();
-        }
     }
 
     /// Records the curve as it is.

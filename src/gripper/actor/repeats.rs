@@ -97,12 +97,6 @@ impl Actor {
         }
     }
 
-    pub(super) fn record_repeats_if_due(&mut self, now: Now) {
-        if self.recording.repeats.next_timeout().is_some_and(|until| until <= now.instant) {
-            self.record_repeats();
-        }
-    }
-
     /// The Stop that this one repeats: of the same client, within a second, while there is nothing to stop.
     pub(super) fn repeated_stop(&mut self, now: Now, submission: &Submission) -> Option<Ticket> {
         if submission.request_id.is_some() || self.check_link().is_err() || self.is_moving(now.instant) {

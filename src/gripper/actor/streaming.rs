@@ -66,12 +66,6 @@ impl Actor {
         self.streaming.written_at.get_or_insert(now.instant + COUNTED_FOR);
     }
 
-    pub(super) fn write_streamed_if_due(&mut self, now: Now) {
-        if self.streaming.written_at.is_some_and(|at| at <= now.instant) {
-            self.write_streamed(now);
-        }
-    }
-
     /// Writes down what was counted. What goes on is counted on, so that it costs one record a second.
     pub(super) fn write_streamed(&mut self, now: Now) {
         let counted = std::mem::take(&mut self.streaming.counted);

@@ -1,0 +1,182 @@
+//! The timers: all work that becomes due by itself, in one table.
+
+use std::time::{Duration, Instant};
+
+use super::super::Now;
+use super::super::error::Failure;
+use super::super::info::has_temperature;
+use super::super::observed;
+use super::link::{CLOSED_AFTER, UNRESPONSIVE_AFTER};
+use super::{Actor, LinkState, Purpose};
+use crate::wsg::Command;
+use crate::wsg::session::Session;
+
+/// Period of reading the temperature, which has no automatic updates (`fw4-en 3.4.7`) and changes slowly.
+const TEMPERATURE_EVERY: Duration = Duration::from_secs(5);
+
+/// Time that the clients' requests may take through their interfaces after the gateway had no processor time.
+const FRONTEND_GRACE: Duration = Duration::from_millis(200);
+
+/// A deadline of the actor.
+#[derive(Debug, Clone, Copy)]
+enum Timer {
+    Silence,
+    FastStop,
+    Acknowledge,
+    Settling,
+    Lease,
+    Journal,
+    Motion,
+    Curve,
+    Repeats,
+    Flicker,
+    Streaming,
+    Overdrive,
+    Drain,
+    Updates,
+    Temperature,
+}
+
+type Deadline = fn(&Actor) -> Option<Instant>;
+type Run = fn(&mut Actor, Now);
+
+/// When the work of a timer is done.
+enum Work {
+    /// Once its deadline has come.
+    Due(Run),
+    /// After each input too: it may be due for another reason than time, which it looks at itself.
+    Always(Run),
+}
+
+impl Timer {
+    /// All timers, in the order in which their work is done.
+    const ALL: [Self; 15] = [
+        Self::Silence,
+        Self::FastStop,
+        Self::Acknowledge,
+        Self::Settling,
+        Self::Lease,
+        Self::Journal,
+        Self::Motion,
+        Self::Curve,
+        Self::Repeats,
+        Self::Flicker,
+        Self::Streaming,
+        Self::Overdrive,
+        Self::Drain,
+        Self::Updates,
+        Self::Temperature,
+    ];
+
+    /// Deadline and work of the timer.
+    fn entry(self) -> (Deadline, Work) {
+        match self {
+            Self::Silence => (Actor::silence_at, Work::Always(Actor::supervise)),
+            Self::FastStop => (Actor::fast_stop_at, Work::Always(Actor::send_fast_stop_if_due)),
+            Self::Acknowledge => (
+                |actor| actor.latch.clears_at(),
+                Work::Due(|actor, now| actor.latch.handle_timeout(now.instant, actor.observed.flags)),
+            ),
+            Self::Settling => (Actor::settles_at, Work::Always(Actor::end_settled_motion)),
+            Self::Lease => (|actor| actor.lease.next_timeout(), Work::Always(Actor::keep_up_lease)),
+            Self::Journal => (|actor| actor.recording.given_up_at(), Work::Due(Actor::give_up_recording)),
+            Self::Motion => (Actor::motion_due, Work::Always(Actor::start_waiting_motion)),
+            Self::Curve => (|actor| actor.recording.curve_ends_at(), Work::Due(|actor, _| actor.finish_measuring())),
+            Self::Repeats => {
+                (|actor| actor.recording.repeats.next_timeout(), Work::Due(|actor, _| actor.record_repeats()))
+            }
+            Self::Flicker => (|actor| actor.recording.flicker.next_timeout(), Work::Due(Actor::record_flicker)),
+            Self::Streaming => (|actor| actor.streaming.next_timeout(), Work::Due(Actor::write_streamed)),
+            Self::Overdrive => (Actor::flags_awaited_until, Work::Due(Actor::expire_awaiting_flags)),
+            Self::Drain => {
+                (|actor| actor.drain.as_ref().and_then(super::Drain::next_timeout), Work::Always(Actor::continue_drain))
+            }
+            Self::Updates => {
+                (|actor| actor.observed.next_silent().filter(|_| actor.is_in_use()), Work::Due(Actor::renew_updates))
+            }
+            Self::Temperature => (Actor::temperature_due, Work::Due(Actor::ask_temperature)),
+        }
+    }
+}
+
+impl Actor {
+    /// To be called when [`Actor::poll_timeout`] has come.
+    pub fn handle_timeout(&mut self, now: Now) {
+        if let Some(session) = &mut self.session {
+            session.handle_timeout(now.instant);
+        }
+        self.settle(now);
+    }
+
+    /// When [`Actor::handle_timeout`] has to be called next.
+    #[must_use]
+    pub fn poll_timeout(&self) -> Option<Instant> {
+        let timers = Timer::ALL.into_iter().filter_map(|timer| timer.entry().0(self));
+        timers.chain(self.session.as_ref().and_then(Session::poll_timeout)).min()
+    }
+
+    /// Does all that is due.
+    pub(super) fn run_due_timers(&mut self, now: Now) {
+        for timer in Timer::ALL {
+            match timer.entry() {
+                (_, Work::Always(run)) => run(self, now),
+                (deadline, Work::Due(run)) if deadline(self).is_some_and(|at| at <= now.instant) => run(self, now),
+                (_, Work::Due(_)) => {}
+            }
+        }
+    }
+
+    /// To be called before the next input when a deadline was come to much too late: what clients have sent meanwhile
+    /// is on its way, and no holder is lost because the gateway could not hear it.
+    pub fn overslept(&mut self, now: Now) {
+        tracing::debug!(gripper = %self.config.name, "the gateway had no processor time");
+        self.lease.excuse(now.instant + FRONTEND_GRACE);
+    }
+
+    /// Whether the link is up and the gripper is not being given up.
+    fn is_in_use(&self) -> bool {
+        matches!(self.link, LinkState::Up) && self.drain.is_none()
+    }
+
+    fn silence_at(&self) -> Option<Instant> {
+        let session = self.session.as_ref().filter(|_| self.is_in_use())?;
+        let after = if self.link_cause.is_some() { CLOSED_AFTER } else { UNRESPONSIVE_AFTER };
+        Some(session.last_heard() + after)
+    }
+
+    fn fast_stop_at(&self) -> Option<Instant> {
+        self.latch.repeats_at().filter(|_| self.session.is_some())
+    }
+
+    fn flags_awaited_until(&self) -> Option<Instant> {
+        self.awaiting_flags.iter().map(|(until, _)| *until).min()
+    }
+
+    fn temperature_due(&self) -> Option<Instant> {
+        let reads_temperature = self.system.as_ref().is_some_and(has_temperature);
+        self.temperature_at.filter(|_| reads_temperature && self.is_in_use())
+    }
+
+    fn renew_updates(&mut self, now: Now) {
+        let period_ms = observed::period_ms(self.config.traits.bytes_per_second);
+        while let Some(id) = self.observed.silent(now.instant) {
+            self.observed.asked(now.instant, id);
+            if let Some(command) = observed::switch_on(id, period_ms) {
+                // A full lane is as good as no answer: it is asked again later.
+                let _ = self.submit(now, command, Purpose::Upkeep);
+            }
+        }
+    }
+
+    fn ask_temperature(&mut self, now: Now) {
+        self.temperature_at = Some(now.instant + TEMPERATURE_EVERY);
+        let _ = self.submit(now, Command::GetTemperature, Purpose::Upkeep);
+    }
+
+    fn expire_awaiting_flags(&mut self, now: Now) {
+        for (_, answer) in self.awaiting_flags.extract_if(.., |(until, _)| *until <= now.instant) {
+            let detail = "the flags do not show that Overdrive Mode was switched".to_owned();
+            let _ = answer.send(Err(Failure::DeviceProtocol { command: "OverdriveMode", detail }.into()));
+        }
+    }
+}
