@@ -2,6 +2,7 @@
 
 use std::time::{Duration, Instant};
 
+use super::model::CommandId;
 use crate::wsg::{Command, Data, GripperState, SystemState, Temperature, Updates, id};
 
 /// The getters that have automatic updates.
@@ -20,6 +21,58 @@ const RENEW_AFTER: Duration = Duration::from_secs(1);
 /// So many periods without an update are no accident.
 const MISSED_PERIODS: u32 = 3;
 
+/// A part between the fingers, as far as is known.
+#[derive(Debug, Default)]
+pub(super) struct HeldPart {
+    /// Whether one is held: nothing has said since that it is gone.
+    is_held: bool,
+    grip: Option<CommandId>,
+    is_changed: bool,
+}
+
+impl HeldPart {
+    /// The part of this grip was held when the gateway ended.
+    pub(super) fn restored(grip: Option<CommandId>) -> Self {
+        Self { is_held: grip.is_some(), grip, is_changed: false }
+    }
+
+    pub(super) fn is_held(&self) -> bool {
+        self.is_held
+    }
+
+    /// The grip that holds the part; `None` for a part that another program gripped.
+    pub(super) fn grip(&self) -> Option<CommandId> {
+        self.grip
+    }
+
+    pub(super) fn gripped(&mut self, grip: CommandId) {
+        self.set_grip(Some(grip));
+    }
+
+    /// A new motion lets the part go, or grips it anew.
+    pub(super) fn released(&mut self) {
+        self.is_held = false;
+        self.set_grip(None);
+    }
+
+    /// Forgets the grip of a part that is gone.
+    pub(super) fn take_grip(&mut self) -> Option<CommandId> {
+        let grip = self.grip;
+        self.set_grip(None);
+        grip
+    }
+
+    /// Whether the grip has changed since the last call.
+    pub(super) fn take_change(&mut self) -> bool {
+        std::mem::take(&mut self.is_changed)
+    }
+
+    fn set_grip(&mut self, grip: Option<CommandId>) {
+        self.is_changed |= self.grip != grip;
+        self.grip = grip;
+    }
+}
+
 /// The newest values.
 #[derive(Debug)]
 pub(super) struct Observed {
@@ -30,8 +83,7 @@ pub(super) struct Observed {
     pub force_n: Option<f32>,
     pub temperature: Option<Temperature>,
     pub updated_at: Option<Instant>,
-    /// Whether a part is held, as far as is known: nothing has said since that it is gone.
-    pub holds_part: bool,
+    pub part: HeldPart,
     /// When each of [`UPDATED`] was last heard.
     heard: [Option<Instant>; UPDATED.len()],
     /// When each of them was last heard, or asked for.
@@ -53,7 +105,7 @@ impl Observed {
             force_n: None,
             temperature: None,
             updated_at: None,
-            holds_part: false,
+            part: HeldPart::default(),
             heard: [None; UPDATED.len()],
             fresh: [None; UPDATED.len()],
             renew_after: RENEW_AFTER.max(MISSED_PERIODS * period),
@@ -78,7 +130,7 @@ impl Observed {
                 id::GET_SYSTEM_STATE
             }
             Data::GripperState(state) => {
-                self.holds_part = self.holds_part_in(state);
+                self.part.is_held = self.holds_part_in(state);
                 self.gripper_state = Some(state);
                 id::GET_GRIPPER_STATE
             }
@@ -111,9 +163,9 @@ impl Observed {
             GripperState::NoPart | GripperState::PartLost => false,
             GripperState::Idle => {
                 let tells_nothing = matches!(self.gripper_state, None | Some(GripperState::Idle | GripperState::Error));
-                self.holds_part && (tells_nothing || self.has(SystemState::FAST_STOP))
+                self.part.is_held && (tells_nothing || self.has(SystemState::FAST_STOP))
             }
-            _ => self.holds_part,
+            _ => self.part.is_held,
         }
     }
 
@@ -247,7 +299,7 @@ mod tests {
             for data in &seen {
                 observed.take(Instant::now(), data);
             }
-            assert_eq!(observed.holds_part, held, "{seen:?}");
+            assert_eq!(observed.part.is_held(), held, "{seen:?}");
         }
     }
 

@@ -7,7 +7,8 @@ use serde::{Deserialize, Serialize};
 
 use super::super::Now;
 use super::super::lease::Holder;
-use super::super::model::{Client, CommandId, Door, FastStopId, Latch, Memory, MemoryKey};
+use super::super::model::{Client, Door, FastStopId, Latch, Memory, MemoryKey};
+use super::super::observed::HeldPart;
 use super::super::recorder::{Recollection, Record};
 use super::Actor;
 use super::settings::Remembered;
@@ -58,7 +59,6 @@ struct ClearedLatch {
 pub(super) struct LastReported {
     latch: (u64, Option<FastStopId>),
     lease: (u64, Option<Holder>),
-    holding: Option<CommandId>,
 }
 
 impl Actor {
@@ -78,9 +78,7 @@ impl Actor {
             self.reported.latch = (epoch, latch.as_ref().map(|latch| latch.id));
             self.latch.recollect(now.instant, epoch.saturating_add(skipped), latch);
         }
-        self.reported.holding = self.remembered(recollection.holding.as_deref());
-        self.recording.holding = self.reported.holding;
-        self.observed.holds_part = self.reported.holding.is_some();
+        self.observed.part = HeldPart::restored(self.remembered(recollection.holding.as_deref()));
         if let Some(RememberedLease { epoch, holder }) = self.remembered(recollection.lease.as_deref()) {
             let client = |holder: &RememberedHolder| Client { subject: holder.subject.clone(), door: holder.door };
             let holder = holder.map(|holder| Holder { client: client(&holder), name: holder.name });
@@ -109,10 +107,9 @@ impl Actor {
 
     /// Hands on what has changed of the latch, the lease and the part that is held.
     pub(super) fn remember_changes(&mut self) {
-        if self.reported.holding != self.recording.holding {
-            self.reported.holding = self.recording.holding;
-            let holding = self.recording.holding;
-            self.remember(MemoryKey::Holding, holding.as_ref());
+        if self.observed.part.take_change() {
+            let grip = self.observed.part.grip();
+            self.remember(MemoryKey::Holding, grip.as_ref());
         }
         let epoch = self.latch.epoch();
         if self.reported.latch != (epoch, self.latch.id()) {

@@ -216,9 +216,7 @@ impl Actor {
     pub(super) fn motion_accepted(&mut self, id: CommandId) {
         if let Some(running) = self.running.as_mut().filter(|running| running.id == id) {
             running.accepted = true;
-            // What was held is let go, or gripped anew.
-            self.recording.holding = None;
-            self.observed.holds_part = false;
+            self.observed.part.released();
             self.commands.accepted(id);
         }
     }

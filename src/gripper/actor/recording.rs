@@ -43,8 +43,6 @@ pub(super) struct Recording {
     health: Health,
     /// The motion that is being measured.
     measured: Option<Measured>,
-    /// The grip that holds a part.
-    pub holding: Option<CommandId>,
     /// How the link was recorded last.
     link: Option<(Link, bool)>,
     pub repeats: Repeats,
@@ -237,8 +235,10 @@ impl Actor {
             state if state == before => {}
             Some(GripperState::PartLost) => self.record_lost_part(now, before.is_none()),
             // A part that was let go, or a device that has restarted.
-            Some(GripperState::Idle | GripperState::NoPart) if self.running.is_none() && !self.observed.holds_part => {
-                self.recording.holding = None;
+            Some(GripperState::Idle | GripperState::NoPart)
+                if self.running.is_none() && !self.observed.part.is_held() =>
+            {
+                self.observed.part.take_grip();
             }
             _ => {}
         }
@@ -246,7 +246,7 @@ impl Actor {
 
     /// A part was lost: now, or while nobody looked. What was lost before the last run knew of it is no news.
     fn record_lost_part(&mut self, now: Now, is_first_look: bool) {
-        let grip = self.recording.holding.take();
+        let grip = self.observed.part.take_grip();
         if is_first_look && grip.is_none() {
             return;
         }
@@ -291,7 +291,7 @@ impl Actor {
             return;
         }
         if command.outcome == Some(Outcome::PartHeld) {
-            self.recording.holding = Some(command.id);
+            self.observed.part.gripped(command.id);
         }
         let tail = if command.kind == Kind::Grip { TAIL } else { Duration::ZERO };
         measured.ended = Some((now.instant + tail, command.clone()));
