@@ -88,12 +88,20 @@ pub(super) struct Held {
     expires_at: Instant,
     /// Held by each open request of the holder, too.
     open: Arc<()>,
-    /// Whether one was open when that was looked at last.
-    was_open: bool,
-    /// Whether it was handed over, and its holder has not come for the token yet.
-    is_waiting: bool,
-    /// Whether its holder was given time because the gateway had none, and was not heard since.
-    is_excused: bool,
+    usage: Usage,
+    /// Whether a stall of the gateway has extended the lease since its holder was last heard.
+    is_extended: bool,
+}
+
+/// Use of a lease by its holder's requests.
+#[derive(Debug, PartialEq, Eq)]
+enum Usage {
+    /// The lease was handed over, and its new holder has not come for the token yet.
+    HandedOver,
+    /// No request was open at the last look.
+    Idle,
+    /// A request was open at the last look.
+    Open,
 }
 
 impl Held {
@@ -103,7 +111,7 @@ impl Held {
 
     fn used(&mut self, now: Instant) {
         self.expires_at = now + self.terms.ttl;
-        self.is_excused = false;
+        self.is_extended = false;
     }
 
     fn expires_in(&self, now: Instant) -> Duration {
@@ -213,14 +221,14 @@ impl LeaseState {
         let closed = self.closed.clone();
         let held = self.held.as_mut().filter(|held| Some(&held.token) == token)?;
         held.used(now);
-        held.was_open = true;
+        held.usage = Usage::Open;
         Some(Keep { open: Some(held.open.clone()), closed })
     }
 
     /// A request of a holder has ended: from now on the time runs, if it was the last one.
     pub(super) fn request_closed(&mut self, now: Instant) {
-        if let Some(held) = self.held.as_mut().filter(|held| held.was_open && !held.is_open()) {
-            held.was_open = false;
+        if let Some(held) = self.held.as_mut().filter(|held| held.usage == Usage::Open && !held.is_open()) {
+            held.usage = Usage::Idle;
             held.used(now);
         }
     }
@@ -241,8 +249,8 @@ impl LeaseState {
                 held.used(now);
                 return Ok(Taken::Again);
             }
-            Some(held) if held.is_waiting && held.holder.is(&holder) => {
-                held.is_waiting = false;
+            Some(held) if held.usage == Usage::HandedOver && held.holder.is(&holder) => {
+                held.usage = Usage::Idle;
                 held.terms = terms;
                 held.used(now);
                 return Ok(Taken::HandedOver);
@@ -259,19 +267,16 @@ impl LeaseState {
             None if wish.force => Taken::Free,
             None => return self.check(now, None).map(|()| Taken::Free),
         };
-        self.give(now, holder, terms, token);
+        self.give(now, holder, terms, token, Usage::Idle);
         Ok(way)
     }
 
-    fn give(&mut self, now: Instant, holder: Holder, terms: Terms, token: LeaseToken) {
+    fn give(&mut self, now: Instant, holder: Holder, terms: Terms, token: LeaseToken, usage: Usage) {
         self.epoch += 1;
         self.reserved = None;
         self.asking = None;
         let (open, expires_at) = (Arc::new(()), now + terms.ttl);
-        let (was_open, is_waiting, is_excused) = (false, false, false);
-        let times_taken = 1;
-        self.held =
-            Some(Held { holder, terms, token, times_taken, expires_at, open, was_open, is_waiting, is_excused });
+        self.held = Some(Held { holder, terms, token, times_taken: 1, expires_at, open, usage, is_extended: false });
     }
 
     /// Who asks first is told to the holder, until it is not heard from for a while.
@@ -309,10 +314,7 @@ impl LeaseState {
             return Err(Invalid::Malformed { field: "to", detail }.into());
         };
         let (holder, terms) = (holder.clone(), *terms);
-        self.give(now, holder.clone(), terms, new);
-        if let Some(held) = &mut self.held {
-            held.is_waiting = true;
-        }
+        self.give(now, holder.clone(), terms, new, Usage::HandedOver);
         Ok(holder)
     }
 
@@ -334,10 +336,10 @@ impl LeaseState {
         is_newest.then(|| self.end(Some(token))).flatten()
     }
 
-    /// Its holder has until then to be heard, since nobody was there to hear it: once, until it is.
-    pub(super) fn excuse(&mut self, until: Instant) {
-        if let Some(held) = self.held.as_mut().filter(|held| !held.is_excused && held.expires_at < until) {
-            (held.expires_at, held.is_excused) = (until, true);
+    /// Extends the lease once after a stall, because keep-alives could not be processed.
+    pub(super) fn extend(&mut self, until: Instant) {
+        if let Some(held) = self.held.as_mut().filter(|held| !held.is_extended && held.expires_at < until) {
+            (held.expires_at, held.is_extended) = (until, true);
         }
     }
 

@@ -130,7 +130,7 @@ impl Actor {
     /// is on its way, and no holder is lost because the gateway could not hear it.
     pub fn overslept(&mut self, now: Now) {
         tracing::debug!(gripper = %self.config.name, "the gateway had no processor time");
-        self.lease.excuse(now.instant + FRONTEND_GRACE);
+        self.lease.extend(now.instant + FRONTEND_GRACE);
     }
 
     /// Whether the link is up and the gripper is not being given up.
