@@ -36,7 +36,7 @@ impl Actor {
     }
 
     fn take_update(&mut self, now: Now, data: &Data) {
-        self.config.metrics.updates.inc();
+        self.metering.metrics.updates.inc();
         let (before, state_before) = (self.observed.flags, self.observed.gripper_state);
         let missed = matches!(data, Data::SystemState(_)) && self.observed.were_missed(now.instant);
         self.observed.take(now.instant, data);

@@ -44,7 +44,7 @@ impl Actor {
     /// The link is gone, or could not be made.
     pub fn link_down(&mut self, now: Now, cause: &str) {
         let unwritten = self.running.as_ref().and_then(super::Running::token).is_some_and(|token| self.withdraw(token));
-        self.meter_session();
+        self.metering.session(self.session.as_mut());
         let mut session = self.session.take();
         if session.is_some() && self.close == Some(Close::Drained) {
             tracing::info!(gripper = %self.config.name, "link closed");
@@ -192,7 +192,7 @@ impl Actor {
             // A motion that a restart has ended gets no result.
             session.expect_results(now.instant);
         }
-        self.meter_set_up();
+        self.metering.set_up(self.was_connected);
         self.was_connected = true;
         self.link_cause = None;
         self.unannounced = false;

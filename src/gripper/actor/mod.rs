@@ -228,7 +228,6 @@ impl Actor {
         let actor = Self {
             ids: IdSource::new(config.seed),
             observed: Observed::new(config.traits.bytes_per_second),
-            config,
             session: None,
             link: LinkState::Down,
             was_connected: false,
@@ -255,12 +254,13 @@ impl Actor {
             drain: None,
             recording: Recording::default(),
             reported: LastReported::default(),
-            metering: Metering::default(),
+            metering: Metering::new(config.metrics.clone()),
             streaming: Streaming::default(),
             wire_log,
             sequence: 0,
             state,
             info,
+            config,
         };
         (actor, Watches { state: state_watch, info: info_watch, frames })
     }
@@ -360,7 +360,7 @@ impl Actor {
         self.wire_log.sent(now, &out[start..]);
         match (id, &mut self.drain) {
             (id::DISCONNECT_ANNOUNCEMENT, Some(drain)) => drain.announced(),
-            (id::FAST_STOP, _) => self.meter_fast_stop_sent(now),
+            (id::FAST_STOP, _) => self.metering.fast_stop_sent(now.instant),
             _ => {}
         }
         true
@@ -384,7 +384,7 @@ impl Actor {
         self.take_events(now);
         self.run_due_timers(now);
         self.take_events(now);
-        self.meter_session();
+        self.metering.session(self.session.as_mut());
         self.publish(now);
         self.remember_changes();
         self.commands.tell();

@@ -406,7 +406,7 @@ impl Actor {
             }
         });
         if let Some((client, record)) = ended {
-            self.meter_ended(&record);
+            self.metering.ended(&record);
             if self.commands.is_streamed(id) {
                 return;
             }

@@ -181,7 +181,7 @@ impl Actor {
             reason: latch.reason.as_str().to_owned(),
             count: 1,
         });
-        self.meter_fast_stop(now, step, latch.cause);
+        self.metering.fast_stop(now.instant, step, latch.cause);
         let event = self.event(now, detail);
         let event = match by {
             Some(client) => event.by(client),
@@ -251,7 +251,7 @@ impl Actor {
             return;
         }
         tracing::warn!(gripper = %self.config.name, "the part is lost");
-        self.config.metrics.parts_lost.inc();
+        self.metering.metrics.parts_lost.inc();
         let width_mm = self.observed.width_mm.filter(|_| self.observed.has(SystemState::REFERENCED));
         let event = self.event(now, Detail::Device(DeviceEvent::PartLost { width_mm }));
         let event = match grip {
