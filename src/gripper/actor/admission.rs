@@ -39,7 +39,7 @@ impl Actor {
                 let keep = self.lease.keep(now.instant, submission.lease.as_ref()).map(Arc::new);
                 let ticket = self.enter(now, id, submission);
                 if !matches!(motion, Motion::Custom(_)) {
-                    self.start_measuring(id, motion);
+                    self.recording.start_measuring(id, motion);
                 }
                 self.running = Some(Running::new(id, motion.clone(), self.is_streamed(motion)));
                 if self.is_streamed(motion) {
@@ -77,7 +77,7 @@ impl Actor {
         self.check_claim(now, &submission.client, submission.lease.as_ref())?;
         self.check_link()?;
         self.check_moving()?;
-        self.check_journal()?;
+        self.recording.check()?;
         if !referenced && !matches!(motion, Motion::Home(_) | Motion::Custom(_)) {
             return Err(Conflict::NotReferenced.into());
         }
@@ -118,10 +118,10 @@ impl Actor {
         let kind = submission.action.kind();
         let is_streamed = matches!(&submission.action, Action::Motion(motion) if self.is_streamed(motion));
         if is_streamed {
-            self.count_streamed(now, submission);
+            self.streaming.count(now, submission, &mut self.recording);
         } else {
             tracing::info!(gripper = %self.config.name, command = %id, %kind, client = %submission.client.subject, "admitted");
-            self.record_admitted(now, id, submission);
+            self.recording.admitted(now, id, submission);
         }
         let record = Record::admitted(id, self.config.name.clone(), submission, now.wall);
         self.commands.enter(now.instant, record, submission, is_streamed)
@@ -213,7 +213,7 @@ impl Actor {
             Command::SetDeviceTag(_) => Command::GetDeviceTag,
             Command::OverdriveMode { on } => {
                 self.overdrive_wanted = *on;
-                self.record_setting(now, &client, SettingChange::Overdrive { enabled: *on });
+                self.recording.setting(now, &client, SettingChange::Overdrive { enabled: *on });
                 self.awaiting_flags.push((now.instant + FLAGS_WITHIN, answer));
                 return;
             }
@@ -223,9 +223,9 @@ impl Actor {
                     if matches!(data, Data::DeviceTag(_)) {
                         self.tag_writes.read_back(now.instant);
                     }
-                    self.record_set(now, &client, &data);
+                    self.recording.set(now, &client, &data);
                 } else {
-                    self.record_change(now, &client, &command);
+                    self.recording.change(now, &client, &command);
                 }
                 let _ = answer.send(Ok(data));
                 return;

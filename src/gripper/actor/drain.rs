@@ -87,10 +87,8 @@ impl Actor {
 
     /// Tells everyone who waits for it that the gripper was given up.
     pub fn drained(&mut self, now: Now) {
-        self.finish_measuring();
-        self.record_repeats();
-        self.record_flicker(now);
-        self.write_streamed(now);
+        self.recording.finish(now);
+        self.streaming.write(now, &mut self.recording);
         for answer in self.drain.take().into_iter().flat_map(|drain| drain.answers) {
             let _ = answer.send(());
         }

@@ -44,10 +44,10 @@ impl Actor {
             Data::SystemState(flags) => flags,
             Data::GripperState(_) => return self.record_gripper_state(now, state_before),
             // The last of the values of a period.
-            Data::Force(_) => return self.measure(now),
+            Data::Force(_) => return self.recording.measure(now, &self.observed),
             _ => return,
         };
-        self.record_flags(now, before, flags);
+        self.recording.flags(now, before, flags);
         self.notice_restart(now, before, flags);
         self.notice_foreign_motion(now, before, flags);
         if missed {
@@ -86,7 +86,7 @@ impl Actor {
             return;
         }
         tracing::warn!(gripper = %self.config.name, "the device has lost its reference: it has restarted");
-        self.record_device(now, DeviceEvent::Restarted);
+        self.recording.device(now, DeviceEvent::Restarted);
         if matches!(self.link, LinkState::Up) {
             self.close = Some(Close::Restarted);
         }
@@ -102,7 +102,7 @@ impl Actor {
         let holds = matches!(self.observed.gripper_state, Some(GripperState::Holding | GripperState::PartLost));
         if begins && !ours && !holds {
             tracing::warn!(gripper = %self.config.name, "the fingers move, and nobody here asked for it");
-            self.record_device(now, DeviceEvent::ForeignMotion);
+            self.recording.device(now, DeviceEvent::ForeignMotion);
         }
     }
 
@@ -170,7 +170,7 @@ impl Actor {
                 if matches!(exchange.setter, Some(Command::ClearSoftLimits)) =>
             {
                 self.note_no_soft_limits();
-                self.record_setting(now, &exchange.client, SettingChange::SoftLimitsCleared);
+                self.recording.setting(now, &exchange.client, SettingChange::SoftLimitsCleared);
                 let _ = exchange.answer.send(Ok(Data::None));
             }
             end => {
@@ -179,7 +179,7 @@ impl Actor {
                 let result = match exchange.setter.as_ref().and_then(as_read_back) {
                     Some(data) => {
                         self.note_setting(&data);
-                        self.record_set(now, &exchange.client, &data);
+                        self.recording.set(now, &exchange.client, &data);
                         Ok(data)
                     }
                     None => Err(self.rejection_of(command, end)),

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use super::super::Now;
 use super::super::model::{Detail, DeviceEvent, Event};
-use super::Actor;
+use super::recording::Recording;
 
 /// How often what was counted is written down.
 const COUNTED_FOR: Duration = Duration::from_secs(1);
@@ -78,12 +78,12 @@ impl Flicker {
     }
 }
 
-impl Actor {
-    /// Writes a change of the device or its link down, now or with those that are counted.
-    pub(super) fn record_change_of_device(&mut self, now: Now, event: Event) {
+impl Recording {
+    /// Records a change of the device or its link, now or with those that are counted.
+    pub(super) fn change_of_device(&mut self, now: Now, event: Event) {
         let sort = sort_of(&event).filter(|_| event.command_id.is_none());
         let event = match sort {
-            Some(sort) => self.recording.flicker.take(now.instant, sort, event),
+            Some(sort) => self.flicker.take(now.instant, sort, event),
             None => Some(event),
         };
         if let Some(event) = event {
@@ -91,9 +91,9 @@ impl Actor {
         }
     }
 
-    /// Writes down what was counted.
+    /// Records the changes that were counted.
     pub(super) fn record_flicker(&mut self, now: Now) {
-        let (left_out, newest) = self.recording.flicker.end(now.instant);
+        let (left_out, newest) = self.flicker.end(now.instant);
         let left_out = left_out.map(|event| self.event(now, Detail::Device(event)));
         for event in left_out.into_iter().chain(newest) {
             self.record(event);

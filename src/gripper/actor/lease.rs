@@ -7,7 +7,7 @@ use super::super::error::{Conflict, Failure, Rejection};
 use super::super::handle::{Answer, FastStopRequest, Granted};
 use super::super::lease::{Held, Holder, Taken, Terms};
 use super::super::model::{
-    Client, Detail, FastStopCause, Lease, LeaseEvent, LeaseStep, LeaseToken, LossCause, LossEffect, OnLossHolding,
+    Client, FastStopCause, Lease, LeaseEvent, LeaseStep, LeaseToken, LossCause, LossEffect, OnLossHolding,
     OnLossMoving, Reason, TakeLease,
 };
 use super::Actor;
@@ -190,7 +190,6 @@ impl Actor {
     fn record_lease(&mut self, now: Now, event: LeaseStep, holder: &Holder, lost: Option<(LossEffect, LossCause)>) {
         let (effect, cause) = lost.unzip();
         let lease = LeaseEvent { event, holder: holder.name.clone(), epoch: self.lease.epoch(), effect, cause };
-        let event = self.event(now, Detail::Lease(lease)).by(&holder.client);
-        self.record(event);
+        self.recording.lease(now, lease, &holder.client);
     }
 }

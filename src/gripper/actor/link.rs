@@ -149,7 +149,7 @@ impl Actor {
         if setup.replaced {
             let serial = setup.system.map(|system| system.serial_number);
             if let (Some(known_serial_number), Some(serial_number)) = (self.known_serial, serial) {
-                self.record_device(now, DeviceEvent::Replaced { known_serial_number, serial_number });
+                self.recording.device(now, DeviceEvent::Replaced { known_serial_number, serial_number });
             }
             tracing::warn!(gripper = %name, serial, "another device answers: its settings are left as they are");
         }
@@ -164,7 +164,7 @@ impl Actor {
             tracing::warn!(gripper = %name, "Overdrive Mode is off since the device restarted, and stays off");
             self.overdrive_wanted = false;
         }
-        self.record_restored(now, &setup.restored);
+        self.recording.restored(now, &setup.restored, self.wanted);
         self.wanted = setup.wanted();
         if let (Some(wanted), Some(limits), false) = (self.wanted.force_limit, setup.limits, overdrive) {
             // Without overdrive the device has clamped it, and would be found changed at each reconnect.

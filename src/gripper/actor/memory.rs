@@ -6,11 +6,13 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::super::Now;
-use super::super::lease::Holder;
+use super::super::latch::LatchState;
+use super::super::lease::{Holder, LeaseState};
 use super::super::model::{Client, Door, FastStopId, Latch, Memory, MemoryKey};
 use super::super::observed::HeldPart;
 use super::super::recorder::{Recollection, Record};
 use super::Actor;
+use super::recording::Recording;
 use super::settings::Remembered;
 
 /// So many leases may have been taken, or FAST STOPs latched, and not been written down, when the gateway was killed.
@@ -75,7 +77,7 @@ impl Actor {
             None => None,
         };
         if let Some((epoch, latch)) = latch {
-            self.reported.latch = (epoch, latch.as_ref().map(|latch| latch.id));
+            self.recording.reported.latch = (epoch, latch.as_ref().map(|latch| latch.id));
             self.latch.recollect(now.instant, epoch.saturating_add(skipped), latch);
         }
         self.observed.part = HeldPart::restored(self.remembered(recollection.holding.as_deref()));
@@ -98,39 +100,40 @@ impl Actor {
             })
             .ok()
     }
+}
 
-    pub(super) fn remember<T: Serialize>(&mut self, key: MemoryKey, value: Option<&T>) {
+impl Recording {
+    pub(super) fn persist<T: Serialize>(&mut self, key: MemoryKey, value: Option<&T>) {
         // Such structures are always JSON.
         let value = value.and_then(|value| serde_json::to_string(value).ok());
-        self.recording.push(Record::Memory(Memory { gripper: self.config.name.clone(), key, value }));
+        let gripper = self.gripper().clone();
+        self.push(Record::Memory(Memory { gripper, key, value }));
     }
 
-    /// Hands on what has changed of the latch, the lease and the part that is held.
-    pub(super) fn remember_changes(&mut self) {
-        if self.observed.part.take_change() {
-            let grip = self.observed.part.grip();
-            self.remember(MemoryKey::Holding, grip.as_ref());
+    /// Persists the changes of the latch, the lease and the part that is held.
+    pub(super) fn persist_changes(&mut self, latch: &LatchState, lease: &LeaseState, part: &mut HeldPart) {
+        if part.take_change() {
+            self.persist(MemoryKey::Holding, part.grip().as_ref());
         }
-        let epoch = self.latch.epoch();
-        if self.reported.latch != (epoch, self.latch.id()) {
-            self.reported.latch = (epoch, self.latch.id());
-            let latch = match self.latch.current().cloned() {
+        let epoch = latch.epoch();
+        if self.reported.latch != (epoch, latch.id()) {
+            self.reported.latch = (epoch, latch.id());
+            let latch = match latch.current().cloned() {
                 Some(latch) => RememberedLatch::Holds(HeldLatch { epoch, latch }),
                 None => RememberedLatch::Cleared(ClearedLatch { epoch }),
             };
-            self.remember(MemoryKey::Latch, Some(&latch));
+            self.persist(MemoryKey::Latch, Some(&latch));
         }
-        // A gripper that was reserved, or held by somebody who is gone with the gateway, is reserved again.
-        let holder = self.lease.holder().or(self.lease.reserved());
-        if (self.reported.lease.0, self.reported.lease.1.as_ref()) != (self.lease.epoch(), holder) {
-            self.reported.lease = (self.lease.epoch(), holder.cloned());
+        // A gripper that was reserved, or held by a client that is gone with the gateway, is reserved again.
+        let holder = lease.holder().or(lease.reserved());
+        if (self.reported.lease.0, self.reported.lease.1.as_ref()) != (lease.epoch(), holder) {
+            self.reported.lease = (lease.epoch(), holder.cloned());
             let holder = holder.map(|Holder { name, client }| RememberedHolder {
                 name: name.clone(),
                 subject: client.subject.clone(),
                 door: client.door,
             });
-            let lease = RememberedLease { epoch: self.lease.epoch(), holder };
-            self.remember(MemoryKey::Lease, Some(&lease));
+            self.persist(MemoryKey::Lease, Some(&RememberedLease { epoch: lease.epoch(), holder }));
         }
     }
 }

@@ -18,8 +18,10 @@ mod admission;
 mod drain;
 mod events;
 mod flicker;
+mod journal;
 mod lease;
 mod link;
+mod measuring;
 mod memory;
 mod metering;
 mod motion;
@@ -55,7 +57,6 @@ use crate::transport::Traits;
 use crate::wsg::session::{self, NotTaken, Session, Token};
 use crate::wsg::{self, Command, Data, Force, SystemInfo, id};
 use drain::Drain;
-use memory::LastReported;
 use metering::Metering;
 use motion::Running;
 use reads::Reads;
@@ -191,7 +192,6 @@ pub struct Actor {
     tag_writes: TagWrites,
     drain: Option<Drain>,
     recording: Recording,
-    reported: LastReported,
     metering: Metering,
     streaming: Streaming,
     wire_log: WireLog,
@@ -252,8 +252,7 @@ impl Actor {
             awaiting_flags: Vec::new(),
             tag_writes: TagWrites::default(),
             drain: None,
-            recording: Recording::default(),
-            reported: LastReported::default(),
+            recording: Recording::new(config.name.clone(), config.on_journal_failure),
             metering: Metering::new(config.metrics.clone()),
             streaming: Streaming::default(),
             wire_log,
@@ -386,7 +385,7 @@ impl Actor {
         self.take_events(now);
         self.metering.session(self.session.as_mut());
         self.publish(now);
-        self.remember_changes();
+        self.recording.persist_changes(&self.latch, &self.lease, &mut self.observed.part);
         self.commands.tell();
         self.tell_acknowledges(now);
         self.answer_awaiting_flags();

@@ -199,7 +199,7 @@ impl Actor {
         if success {
             self.note_setting(&Data::ForceLimit(force));
             if let Some(client) = self.commands.client(id) {
-                self.record_set(now, &client, &Data::ForceLimit(force));
+                self.recording.set(now, &client, &Data::ForceLimit(force));
             }
         }
         if self.running.as_ref().is_none_or(|running| running.id != id) {
@@ -410,7 +410,10 @@ impl Actor {
             if self.commands.is_streamed(id) {
                 return;
             }
-            self.record_done(now, &client, &record);
+            self.recording.done(now, &client, &record);
+            if record.outcome == Some(Outcome::PartHeld) {
+                self.observed.part.gripped(id);
+            }
             tracing::info!(gripper = %self.config.name, command = %id, kind = %record.kind,
                 outcome = record.outcome.map(Outcome::name), status = record.status, duration_ms = record.duration_ms,
                 "ended");

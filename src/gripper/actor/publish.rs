@@ -20,7 +20,7 @@ impl Actor {
             info.link != state.link || info.link_cause != state.link_cause
         };
         if info_is_stale {
-            self.record_link(now);
+            self.recording.link(now, state.link, state.link_cause.clone());
             let (link, cause) = (state.link, state.link_cause.clone());
             self.info.send_modify(|info| {
                 let info = Arc::make_mut(info);

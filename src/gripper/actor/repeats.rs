@@ -7,6 +7,7 @@ use super::super::Now;
 use super::super::error::{Failure, Rejection};
 use super::super::handle::Ticket;
 use super::super::model::{Client, CommandId, Detail, Event, FastStopEvent, Outcome, Submission};
+use super::recording::Recording;
 use super::{Actor, Purpose};
 use crate::wsg::{Command, id};
 
@@ -73,22 +74,21 @@ impl Repeats {
     }
 }
 
-impl Actor {
-    /// Writes an event of a FAST STOP down, now or with those that are counted.
+impl Recording {
+    /// Records an event of a FAST STOP, now or with those that are counted.
     pub(super) fn record_or_count(&mut self, now: Now, event: Event, by: Option<&Client>) {
-        let repeats = &mut self.recording.repeats;
         let event = match by {
-            Some(client) => repeats.fast_stop(now.instant, client, event),
-            None => repeats.behind_fast_stops(event),
+            Some(client) => self.repeats.fast_stop(now.instant, client, event),
+            None => self.repeats.behind_fast_stops(event),
         };
         if let Some(event) = event {
             self.record(event);
         }
     }
 
-    /// Writes down what was counted: the newest, and how many it stands for.
+    /// Records the FAST STOPs that were counted: the newest, and how many it stands for.
     pub(super) fn record_repeats(&mut self) {
-        let Some(FastStops { more, newest, confirmed, .. }) = self.recording.repeats.fast_stops.take() else { return };
+        let Some(FastStops { more, newest, confirmed, .. }) = self.repeats.fast_stops.take() else { return };
         if let Some(Event { detail: Detail::FastStop(fast_stop), .. }) = &newest {
             let detail = Detail::FastStop(FastStopEvent { count: more, ..fast_stop.clone() });
             for event in newest.map(|newest| Event { detail, ..newest }).into_iter().chain(confirmed) {
@@ -96,7 +96,9 @@ impl Actor {
             }
         }
     }
+}
 
+impl Actor {
     /// The Stop that this one repeats: of the same client, within a second, while there is nothing to stop.
     pub(super) fn repeated_stop(&mut self, now: Now, submission: &Submission) -> Option<Ticket> {
         if submission.request_id.is_some() || self.check_link().is_err() || self.is_moving(now.instant) {

@@ -6,6 +6,7 @@ use super::super::Now;
 use super::super::model::{Client, Detail, MemoryKey, SettingChange, SettingsEvent};
 use super::super::setup::{Setting, Wanted, WantedSoftLimits};
 use super::Actor;
+use super::recording::Recording;
 use crate::wsg::{Acceleration, Command, Data, Finger, Force, SoftLimits, Width};
 
 /// What clients set, as it is remembered.
@@ -55,23 +56,25 @@ impl Remembered {
 impl Actor {
     pub(super) fn remember_settings(&mut self) {
         let remembered = Remembered::new(self.known_serial, &self.wanted);
-        self.remember(MemoryKey::Settings, Some(&remembered));
+        self.recording.persist(MemoryKey::Settings, Some(&remembered));
     }
+}
 
-    pub(super) fn record_setting(&mut self, now: Now, client: &Client, setting: SettingChange) {
+impl Recording {
+    pub(super) fn setting(&mut self, now: Now, client: &Client, setting: SettingChange) {
         let event = self.event(now, Detail::Settings(SettingsEvent { restored: false, setting })).by(client);
         self.record(event);
     }
 
-    /// A setter's value was read back.
-    pub(super) fn record_set(&mut self, now: Now, client: &Client, data: &Data) {
+    /// Records a setter's value that was read back.
+    pub(super) fn set(&mut self, now: Now, client: &Client, data: &Data) {
         if let Some(setting) = change_of(data) {
-            self.record_setting(now, client, setting);
+            self.setting(now, client, setting);
         }
     }
 
-    /// The device has done something that leaves its trace, and can't be read back.
-    pub(super) fn record_change(&mut self, now: Now, client: &Client, command: &Command) {
+    /// Records what a command has changed on the device and nothing can read back.
+    pub(super) fn change(&mut self, now: Now, client: &Client, command: &Command) {
         let setting = match command {
             Command::TareForceSensor => SettingChange::Tare,
             Command::GetStatistics { reset: true } => SettingChange::StatisticsReset,
@@ -81,13 +84,13 @@ impl Actor {
             }
             _ => return,
         };
-        self.record_setting(now, client, setting);
+        self.setting(now, client, setting);
     }
 
-    /// The device had forgotten these, and has got them again.
-    pub(super) fn record_restored(&mut self, now: Now, restored: &[Setting]) {
+    /// Records settings that the device had forgotten, and has got again.
+    pub(super) fn restored(&mut self, now: Now, restored: &[Setting], wanted: Wanted) {
+        let Wanted { acceleration, force_limit, soft_limits } = wanted;
         for setting in restored {
-            let Wanted { acceleration, force_limit, soft_limits } = self.wanted;
             let data = match (setting, soft_limits) {
                 (Setting::Acceleration, _) => acceleration.map(Data::Acceleration),
                 (Setting::ForceLimit, _) => force_limit.map(Data::ForceLimit),

@@ -6,8 +6,9 @@ use std::collections::hash_map::Entry;
 use std::time::{Duration, Instant};
 
 use super::super::Now;
-use super::super::model::{Action, Client, Detail, DeviceEvent, Motion, Submission};
+use super::super::model::{Action, Client, Motion, Submission};
 use super::Actor;
+use super::recording::Recording;
 use crate::wsg::GripperState;
 
 /// How often what was counted is written down.
@@ -36,6 +37,31 @@ impl Streaming {
     pub(super) fn stopped(&mut self) {
         self.at = None;
     }
+
+    /// Counts an admitted command: the first of a second is recorded at once.
+    pub(super) fn count(&mut self, now: Now, submission: &Submission, recording: &mut Recording) {
+        let Action::Motion(Motion::Custom(custom)) = &submission.action else { return };
+        let (id, client) = (custom.id(), &submission.client);
+        self.at = Some(now.instant);
+        match self.counted.entry((id, client.clone())) {
+            Entry::Occupied(mut entry) => *entry.get_mut() += 1,
+            Entry::Vacant(entry) => {
+                entry.insert(0);
+                recording.streamed(now, id, client, 1);
+            }
+        }
+        self.written_at.get_or_insert(now.instant + COUNTED_FOR);
+    }
+
+    /// Records the commands that were counted. A stream that goes on is counted on, at the cost of one record a second.
+    pub(super) fn write(&mut self, now: Now, recording: &mut Recording) {
+        let counted = std::mem::take(&mut self.counted);
+        for ((id, client), count) in counted.into_iter().filter(|(_, count)| *count > 0) {
+            recording.streamed(now, id, &client, count);
+            self.counted.insert((id, client), 0);
+        }
+        self.written_at = (!self.counted.is_empty()).then_some(now.instant + COUNTED_FOR);
+    }
 }
 
 impl Actor {
@@ -49,35 +75,5 @@ impl Actor {
     pub(super) fn is_streaming(&self, at: Instant) -> bool {
         let holds = self.observed.gripper_state == Some(GripperState::Holding);
         !holds && self.streaming.at.is_some_and(|streamed| at < streamed + LASTS)
-    }
-
-    /// Counts one that was admitted: the first of a second is written down at once.
-    pub(super) fn count_streamed(&mut self, now: Now, submission: &Submission) {
-        let Action::Motion(Motion::Custom(custom)) = &submission.action else { return };
-        let (id, client) = (custom.id(), &submission.client);
-        self.streaming.at = Some(now.instant);
-        match self.streaming.counted.entry((id, client.clone())) {
-            Entry::Occupied(mut entry) => *entry.get_mut() += 1,
-            Entry::Vacant(entry) => {
-                entry.insert(0);
-                self.record_streamed(now, id, client, 1);
-            }
-        }
-        self.streaming.written_at.get_or_insert(now.instant + COUNTED_FOR);
-    }
-
-    /// Writes down what was counted. What goes on is counted on, so that it costs one record a second.
-    pub(super) fn write_streamed(&mut self, now: Now) {
-        let counted = std::mem::take(&mut self.streaming.counted);
-        for ((id, client), count) in counted.into_iter().filter(|(_, count)| *count > 0) {
-            self.record_streamed(now, id, &client, count);
-            self.streaming.counted.insert((id, client), 0);
-        }
-        self.streaming.written_at = (!self.streaming.counted.is_empty()).then_some(now.instant + COUNTED_FOR);
-    }
-
-    fn record_streamed(&mut self, now: Now, raw_id: u8, client: &Client, count: u64) {
-        let event = self.event(now, Detail::Device(DeviceEvent::Streamed { raw_id, count })).by(client);
-        self.record(event);
     }
 }

@@ -79,14 +79,22 @@ impl Timer {
             ),
             Self::Settling => (Actor::settles_at, Work::Always(Actor::end_settled_motion)),
             Self::Lease => (|actor| actor.lease.next_timeout(), Work::Always(Actor::keep_up_lease)),
-            Self::Journal => (|actor| actor.recording.given_up_at(), Work::Due(Actor::give_up_recording)),
+            Self::Journal => (|actor| Some(actor.recording.oldest_wait()?.0), Work::Due(Actor::give_up_recording)),
             Self::Motion => (Actor::motion_due, Work::Always(Actor::start_waiting_motion)),
-            Self::Curve => (|actor| actor.recording.curve_ends_at(), Work::Due(|actor, _| actor.finish_measuring())),
-            Self::Repeats => {
-                (|actor| actor.recording.repeats.next_timeout(), Work::Due(|actor, _| actor.record_repeats()))
+            Self::Curve => {
+                (|actor| actor.recording.curve_ends_at(), Work::Due(|actor, _| actor.recording.finish_measuring()))
             }
-            Self::Flicker => (|actor| actor.recording.flicker.next_timeout(), Work::Due(Actor::record_flicker)),
-            Self::Streaming => (|actor| actor.streaming.next_timeout(), Work::Due(Actor::write_streamed)),
+            Self::Repeats => {
+                (|actor| actor.recording.repeats.next_timeout(), Work::Due(|actor, _| actor.recording.record_repeats()))
+            }
+            Self::Flicker => (
+                |actor| actor.recording.flicker.next_timeout(),
+                Work::Due(|actor, now| actor.recording.record_flicker(now)),
+            ),
+            Self::Streaming => (
+                |actor| actor.streaming.next_timeout(),
+                Work::Due(|actor, now| actor.streaming.write(now, &mut actor.recording)),
+            ),
             Self::Overdrive => (Actor::flags_awaited_until, Work::Due(Actor::expire_awaiting_flags)),
             Self::Drain => {
                 (|actor| actor.drain.as_ref().and_then(super::Drain::next_timeout), Work::Always(Actor::continue_drain))

@@ -1,0 +1,99 @@
+//! What the journal's answers and the device's news mean for commands and parts.
+
+use super::super::Now;
+use super::super::model::{AcknowledgeEvent, Client, CommandId, Detail, DeviceEvent, FastStopStep};
+use super::super::recorder::{Health, Record};
+use super::Actor;
+use crate::wsg::{GripperState, SystemState};
+
+impl Actor {
+    /// The next record, and the command that waits for it: [`Actor::recorded`] takes the result.
+    pub fn poll_record(&mut self) -> Option<(Record, Option<CommandId>)> {
+        self.recording.poll()
+    }
+
+    /// A command's record is durable, or will not be soon.
+    pub fn recorded(&mut self, now: Now, id: CommandId, durable: bool) {
+        self.take_recorded(now, id, durable.then_some(()).ok_or("it did not take the record"));
+        self.settle(now);
+    }
+
+    /// Takes the journal's health.
+    pub fn journal_health(&mut self, now: Now, health: Health) {
+        self.recording.health = health;
+        self.settle(now);
+    }
+
+    fn take_recorded(&mut self, now: Now, id: CommandId, durable: Result<(), &str>) {
+        let result = self.recording.end_wait(id, durable);
+        if self.running.as_ref().is_some_and(|running| running.id == id && !running.recorded) {
+            match result {
+                Ok(()) => self.let_run(),
+                Err(failure) => self.reject_running(now, failure.into()),
+            }
+        }
+        self.commands.recorded(id);
+    }
+
+    /// Ends the wait of commands whose records did not become durable in time.
+    pub(super) fn give_up_recording(&mut self, now: Now) {
+        while let Some((_, id)) = self.recording.oldest_wait().filter(|(until, _)| *until <= now.instant) {
+            tracing::warn!(gripper = %self.config.name, command = %id, "its record is not durable in time");
+            self.take_recorded(now, id, Err("it has not taken the record in time"));
+        }
+    }
+
+    pub(super) fn record_fast_stop(&mut self, now: Now, step: FastStopStep, by: Option<&Client>) {
+        let Some(latch) = self.latch.current() else { return };
+        self.metering.fast_stop(now.instant, step, latch.cause);
+        self.recording.fast_stop(now, step, latch, by);
+    }
+
+    /// Tells clients how their acknowledges ended, and records it.
+    pub(super) fn tell_acknowledges(&mut self, now: Now) {
+        for acknowledged in self.latch.take_acknowledged() {
+            self.recording.record_repeats();
+            let cause = acknowledged.result.as_ref().err().map(ToString::to_string);
+            let detail = Detail::Acknowledge(AcknowledgeEvent {
+                fast_stop_id: acknowledged.id,
+                cleared: cause.is_none(),
+                cause,
+            });
+            let event = self.recording.event(now, detail).by(&acknowledged.client);
+            self.recording.record(event);
+            // The caller may be gone.
+            let _ = acknowledged.answer.send(acknowledged.result);
+        }
+    }
+
+    pub(super) fn record_gripper_state(&mut self, now: Now, before: Option<GripperState>) {
+        match self.observed.gripper_state {
+            state if state == before => {}
+            Some(GripperState::PartLost) => self.record_lost_part(now, before.is_none()),
+            // A part that was let go, or a device that has restarted.
+            Some(GripperState::Idle | GripperState::NoPart)
+                if self.running.is_none() && !self.observed.part.is_held() =>
+            {
+                self.observed.part.take_grip();
+            }
+            _ => {}
+        }
+    }
+
+    /// Records that a part was lost. A part that was lost before the last run knew of it is no news.
+    fn record_lost_part(&mut self, now: Now, is_first_look: bool) {
+        let grip = self.observed.part.take_grip();
+        if is_first_look && grip.is_none() {
+            return;
+        }
+        tracing::warn!(gripper = %self.config.name, "the part is lost");
+        self.metering.metrics.parts_lost.inc();
+        let width_mm = self.observed.width_mm.filter(|_| self.observed.has(SystemState::REFERENCED));
+        let event = self.recording.event(now, Detail::Device(DeviceEvent::PartLost { width_mm }));
+        let event = match grip {
+            Some(grip) => event.of(grip),
+            None => event,
+        };
+        self.recording.change_of_device(now, event);
+    }
+}

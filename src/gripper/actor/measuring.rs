@@ -1,0 +1,88 @@
+//! The curve of the motion that is being measured.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use super::super::Now;
+use super::super::curve::{Curve, TAIL};
+use super::super::model::{Command as Ended, CommandId, GripRecord, Kind, Motion, Outcome, PartId};
+use super::super::observed::Observed;
+use super::super::recorder::Record;
+use super::recording::Recording;
+
+/// A motion that is being measured.
+#[derive(Debug)]
+pub(super) struct Measured {
+    id: CommandId,
+    part_id: Option<PartId>,
+    curve: Curve,
+    /// The command after its end, and the end of its curve.
+    ended: Option<(Instant, Arc<Ended>)>,
+}
+
+impl Recording {
+    /// Measures a motion from now on.
+    pub(super) fn start_measuring(&mut self, id: CommandId, motion: &Motion) {
+        self.finish_measuring();
+        let part_id = match motion {
+            Motion::Grip { part_id, .. } => part_id.clone(),
+            _ => None,
+        };
+        self.measured = Some(Measured { id, part_id, curve: Curve::default(), ended: None });
+    }
+
+    /// Takes a sample, of values that are all known.
+    pub(super) fn measure(&mut self, now: Now, observed: &Observed) {
+        if let (Some(measured), Some(width), Some(speed), Some(force)) =
+            (&mut self.measured, observed.width_mm, observed.speed_mm_s, observed.force_n)
+        {
+            measured.curve.take(now.instant, width, speed, force);
+        }
+    }
+
+    /// The part that the measured command grips.
+    pub(super) fn measured_part(&self, id: CommandId) -> Option<PartId> {
+        self.measured.as_ref().filter(|measured| measured.id == id)?.part_id.clone()
+    }
+
+    /// End of the tail of the curve that is being measured.
+    pub(super) fn curve_ends_at(&self) -> Option<Instant> {
+        Some(self.measured.as_ref()?.ended.as_ref()?.0)
+    }
+
+    /// The measured command has ended: its curve goes on for its tail.
+    pub(super) fn end_measuring(&mut self, now: Now, command: &Arc<Ended>) {
+        // Nothing moves for a command that was refused.
+        self.measured.take_if(|measured| measured.id == command.id && command.outcome == Some(Outcome::Refused));
+        if let Some(measured) = self.measured.as_mut().filter(|measured| measured.id == command.id) {
+            let tail = if command.kind == Kind::Grip { TAIL } else { Duration::ZERO };
+            measured.ended = Some((now.instant + tail, command.clone()));
+        }
+    }
+
+    /// Records the curve as it is.
+    pub(super) fn finish_measuring(&mut self) {
+        let Some(Measured { part_id, curve, ended: Some((_, command)), .. }) = self.measured.take() else { return };
+        let contact = curve.contact().filter(|_| command.kind == Kind::Grip);
+        let peak_force_n = curve.peak_force_n();
+        let curve = curve.into_samples();
+        let record = GripRecord {
+            id: command.id,
+            gripper: command.gripper.clone(),
+            kind: command.kind,
+            part_id,
+            outcome: command.outcome.unwrap_or(Outcome::Unknown),
+            subject: command.client.clone(),
+            started_at: command.started_at,
+            duration_ms: command.duration_ms,
+            width_mm: command.width_mm,
+            force_n: command.force_n,
+            peak_force_n,
+            contact_width_mm: contact.map(|contact| contact.width_mm),
+            time_to_contact_ms: contact.map(|contact| contact.after_ms),
+            samples: curve.len(),
+            curve,
+        };
+        self.push(Record::Grip(Box::new(record)));
+    }
+}
