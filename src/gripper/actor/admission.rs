@@ -10,9 +10,10 @@ use super::super::model::{
     Action, Client, Command as Record, CommandId, FastStopId, LeaseToken, Motion, SettingChange, Submission,
 };
 use super::super::setup::{Setting, WantedSoftLimits};
+use super::Actor;
 use super::motion::Running;
+use super::purpose::{Exchange, Purpose};
 use super::reads::is_slow_getter;
-use super::{Actor, Exchange, Purpose};
 use crate::wsg::{Command, Data, SystemState, id};
 
 /// How long the flags may take to show that Overdrive Mode was switched.
@@ -51,12 +52,12 @@ impl Actor {
             }
             Action::Stop => {
                 if let Some(ticket) = self.repeated_stop(now, submission) {
-                    self.stop_again(now);
+                    self.link.stop_again(now);
                     return Ok(Ticket { _keep: keep, ..ticket });
                 }
                 let is_moving = self.is_moving(now.instant);
                 // An unresponsive device may still hear it, so all that it needs is a link.
-                if let Err(not_taken) = self.submit(now, Command::Stop, Purpose::Stop(Some(id))) {
+                if let Err(not_taken) = self.link.submit(now, Command::Stop, Purpose::Stop(Some(id))) {
                     let ticket = self.join_stop(now, not_taken.0)?;
                     return Ok(Ticket { _keep: keep, ..ticket });
                 }
@@ -237,7 +238,7 @@ impl Actor {
     }
 
     fn submit_exchange(&mut self, now: Now, command: Command, purpose: Purpose) {
-        if let Err(not_taken) = self.submit(now, command, purpose)
+        if let Err(not_taken) = self.link.submit(now, command, purpose)
             && let (rejection, Purpose::Exchange(exchange)) = *not_taken
         {
             let _ = exchange.answer.send(Err(rejection));
@@ -281,7 +282,7 @@ impl Actor {
     pub(super) fn acknowledge(&mut self, now: Now, id: FastStopId, client: Client, answer: Answer<()>) {
         let allowed = self.latch.check_acknowledge(id).map_err(Rejection::from).and_then(|()| Ok(self.check_link()?));
         let sent = allowed.and_then(|()| {
-            let submitted = self.submit(now, Command::AcknowledgeFastStop, Purpose::Acknowledge);
+            let submitted = self.link.submit(now, Command::AcknowledgeFastStop, Purpose::Acknowledge);
             submitted.map_err(|not_taken| not_taken.0)
         });
         match sent {

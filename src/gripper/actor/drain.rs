@@ -3,7 +3,9 @@
 use std::time::{Duration, Instant};
 
 use super::super::Now;
-use super::{Actor, Answered, Close, LinkState, Purpose};
+use super::link::Close;
+use super::purpose::Purpose;
+use super::{Actor, Answered};
 use crate::wsg::{Command, SystemState};
 
 /// How long the device may take to stop, and then again to acknowledge the announcement.
@@ -96,7 +98,7 @@ impl Actor {
 
     pub(super) fn continue_drain(&mut self, now: Now) {
         // What the gateway asks of a device that it is getting to know is nobody's loss.
-        let asked = self.is_set_up() && self.session.as_ref().is_some_and(|session| !session.is_idle());
+        let asked = self.link.is_up() && self.link.session.as_ref().is_some_and(|session| !session.is_idle());
         let idle = self.running.is_none() && !self.latch.is_unconfirmed() && !asked;
         let Some(drain) = &mut self.drain else { return };
         let late = drain.until <= now.instant;
@@ -107,7 +109,7 @@ impl Actor {
                 drain.until = now.instant + ANSWERED_WITHIN;
                 if self.running.is_some() {
                     self.withdraw_waiting_motion(now);
-                    let _ = self.submit(now, Command::Stop, Purpose::Stop(None));
+                    let _ = self.link.submit(now, Command::Stop, Purpose::Stop(None));
                 }
             }
             Stage::Stopping if idle || late => self.leave(now),
@@ -115,14 +117,14 @@ impl Actor {
             _ => {}
         }
         if self.drain.as_ref().is_some_and(|drain| drain.stage == Stage::Over) {
-            self.close = Some(Close::Drained);
+            self.link.close = Some(Close::Drained);
         }
     }
 
     /// Says good-bye: 07h where the device knows it, Stop elsewhere if it moves.
     fn leave(&mut self, now: Now) {
-        let connected = !matches!(self.link, LinkState::Down);
-        let farewell = if self.config.traits.connection_oriented {
+        let connected = !self.link.is_down();
+        let farewell = if self.link.properties.connection_oriented {
             Some((Command::DisconnectAnnouncement, Purpose::Announce))
         } else if self.observed.has(SystemState::MOVING) {
             Some((Command::Stop, Purpose::Announce))
@@ -130,7 +132,7 @@ impl Actor {
             None
         };
         let sent = farewell.filter(|_| connected).is_some_and(|(command, purpose)| {
-            self.submit_within(now, command, purpose, ANSWERED_WITHIN, ANSWERED_WITHIN).is_ok()
+            self.link.submit_within(now, command, purpose, ANSWERED_WITHIN, ANSWERED_WITHIN).is_ok()
         });
         if let Some(drain) = &mut self.drain {
             drain.stage = if sent { Stage::Announcing } else { Stage::Over };

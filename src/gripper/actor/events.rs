@@ -3,17 +3,19 @@
 use super::super::Now;
 use super::super::latch::{Change, Origin};
 use super::super::model::{DeviceEvent, FastStopCause, FastStopStep, SettingChange};
-use super::{Actor, Close, Exchange, LinkState, Purpose};
+use super::Actor;
+use super::link::Close;
+use super::purpose::{Exchange, Purpose};
 use crate::wsg::session::{End, Event, Token};
 use crate::wsg::{Command, Data, GripperState, Reply, Status, SystemState};
 
 impl Actor {
     /// Takes all that the session has to tell.
     pub(super) fn take_events(&mut self, now: Now) {
-        while let Some(event) = self.session.as_mut().and_then(crate::wsg::session::Session::poll_event) {
+        while let Some(event) = self.link.poll_event() {
             match event {
                 Event::Update(data) => self.take_update(now, &data),
-                Event::Accepted(token) => match self.purposes.get_mut(&token) {
+                Event::Accepted(token) => match self.link.purposes.get_mut(&token) {
                     Some(Purpose::Motion(id)) => {
                         let id = *id;
                         self.motion_accepted(id);
@@ -27,7 +29,7 @@ impl Actor {
                     _ => {}
                 },
                 Event::Ended(token, end) => {
-                    if let Some(purpose) = self.purposes.remove(&token) {
+                    if let Some(purpose) = self.link.purposes.remove(&token) {
                         self.take_end(now, token, purpose, end);
                     }
                 }
@@ -53,24 +55,19 @@ impl Actor {
         if missed {
             self.set_up_again(now);
         }
-        let mut origin = Origin { ids: &mut self.ids, unannounced: self.unannounced };
+        let mut origin = Origin { ids: &mut self.ids, unannounced: self.link.unannounced };
         match self.latch.take_flags(now, flags, &mut origin) {
             Some(Change::Seen) => {
                 let cause = self.latch.current().map_or(FastStopCause::Unknown, |latch| latch.cause);
                 tracing::warn!(gripper = %self.config.name, cause = cause.name(), "the device is in FAST STOP");
                 self.record_fast_stop(now, FastStopStep::Latched, None);
                 self.abort_for_latch(now);
-                if let Some(session) = &mut self.session {
-                    // The device has stopped by itself: its results come now, or never.
-                    session.expect_aborts(now.instant);
-                }
+                self.link.expect_aborts(now);
             }
             Some(Change::Confirmed) => {
                 tracing::info!(gripper = %self.config.name, "FAST STOP confirmed");
                 self.record_fast_stop(now, FastStopStep::Confirmed, None);
-                if let Some(session) = &mut self.session {
-                    session.expect_aborts(now.instant);
-                }
+                self.link.expect_aborts(now);
             }
             Some(Change::Cleared) => tracing::info!(gripper = %self.config.name, "FAST STOP cleared"),
             None => {}
@@ -87,8 +84,8 @@ impl Actor {
         }
         tracing::warn!(gripper = %self.config.name, "the device has lost its reference: it has restarted");
         self.recording.device(now, DeviceEvent::Restarted);
-        if matches!(self.link, LinkState::Up) {
-            self.close = Some(Close::Restarted);
+        if self.link.is_up() {
+            self.link.close = Some(Close::Restarted);
         }
     }
 
@@ -117,7 +114,11 @@ impl Actor {
 
     fn take_end(&mut self, now: Now, token: Token, purpose: Purpose, end: End) {
         match purpose {
-            Purpose::Setup => self.take_setup_end(now, token, end),
+            Purpose::Setup => {
+                if self.link.setup_ended(token, end) {
+                    self.continue_setup(now);
+                }
+            }
             Purpose::Upkeep => {
                 if let End::Reply(Reply::Success(Data::Temperature(temperature))) = end {
                     self.observed.temperature = Some(temperature);
@@ -149,17 +150,6 @@ impl Actor {
                 }
             }
         }
-    }
-
-    fn take_setup_end(&mut self, now: Now, token: Token, end: End) {
-        let LinkState::SettingUp(setup) = &mut self.link else { return };
-        if !setup.is_current(token) {
-            return;
-        }
-        if let End::Reply(reply) = end {
-            setup.take(reply);
-        }
-        self.continue_setup(now);
     }
 
     fn take_exchange_end(&mut self, now: Now, exchange: Exchange, end: End) {

@@ -122,7 +122,7 @@ impl Actor {
             self.holder_lost(now, &held, LossCause::Expired);
         }
         let holds_nothing = self.observed.gripper_state.is_some() && !self.observed.part.is_held();
-        if holds_nothing && self.running.is_none() && self.is_set_up() {
+        if holds_nothing && self.running.is_none() && self.link.is_up() {
             self.lease.unreserve();
         }
     }
@@ -182,7 +182,7 @@ impl Actor {
         }
         self.withdraw_waiting_motion(now);
         if self.is_moving(now.instant) {
-            self.send_stop(now);
+            self.link.send_stop(now);
         }
         self.streaming.stopped();
     }

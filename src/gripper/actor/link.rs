@@ -1,243 +1,309 @@
-//! The link's life: up, set up, silent, down.
+//! The link to the device: its session, its state, and the requests in flight on it.
 
-use std::time::Duration;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use tokio::sync::broadcast;
 
 use super::super::Now;
-use super::super::error::{Failure, Rejection};
-use super::super::latch;
-use super::super::model::{DeviceEvent, Link, Outcome};
-use super::super::observed;
+use super::super::error::Failure;
+use super::super::model::{CommandId, Frame, Link, Name};
 use super::super::setup::{Setup, Step};
-use super::{Actor, Close, LinkState, Purpose, REPLY_WITHIN};
-use crate::wsg::session::{self, Session};
-use crate::wsg::{Command, SystemState};
+use super::purpose::{NotSubmitted, Purpose};
+use super::wire_log::WireLog;
+use super::{REPLY_WITHIN, RESULT_WITHIN, name_of};
+use crate::transport::Traits;
+use crate::wsg::session::{self, End, Event, NotTaken, Session, Token};
+use crate::wsg::{self, Command, id};
 
 /// A link without a sign of life for so long is unresponsive: motions are refused.
-pub(super) const UNRESPONSIVE_AFTER: Duration = Duration::from_millis(1500);
+const UNRESPONSIVE_AFTER: Duration = Duration::from_millis(1500);
 
-/// And after so much more it is closed.
-pub(super) const CLOSED_AFTER: Duration = Duration::from_millis(6500);
+/// A link that has been silent for so long is closed.
+const CLOSED_AFTER: Duration = Duration::from_millis(6500);
 
-impl Actor {
-    /// A link has come up.
-    pub fn link_up(&mut self, now: Now) {
-        // Where there are no connections, every attempt comes so far.
-        tracing::debug!(gripper = %self.config.name, url = self.config.url, "opened, setting up");
-        let traits = self.config.traits;
-        let config = session::Config {
-            bytes_per_second: traits.bytes_per_second,
-            frame_gap: traits.frame_gap,
-            may_duplicate: traits.may_duplicate,
-            nonce_seed: self.ids.nonce(),
-        };
-        self.session = Some(Session::new(config, now.instant));
-        self.metering.link_up();
-        self.close = None;
-        self.wire_log.link_up();
-        self.link = LinkState::SettingUp(Box::new(self.new_setup()));
-        // A FAST STOP that the device may not have heard of goes before everything else.
-        self.send_fast_stop_if_due(now);
-        self.continue_setup(now);
-        self.settle(now);
+/// Why the actor wants its link closed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum Close {
+    /// Nothing was heard for too long.
+    #[error("nothing was heard from the device for {0} ms")]
+    Silent(u64),
+    /// The device doesn't answer what a gripper must answer.
+    #[error("the device does not answer {0}")]
+    SetupFailed(&'static str),
+    /// The device has restarted, and has to be set up again: what was under way on it is lost.
+    #[error("the device has restarted: it has lost its reference")]
+    Restarted,
+    /// The gripper was given up in order; a disconnect was announced where the device knows that.
+    #[error("given up in order")]
+    Drained,
+}
+
+#[derive(Debug)]
+enum LinkState {
+    Down,
+    SettingUp(Box<Setup>),
+    Up,
+}
+
+/// The link to one device.
+#[derive(Debug)]
+pub(super) struct DeviceLink {
+    gripper: Name,
+    pub properties: Traits,
+    state: LinkState,
+    /// Exists while the link is not down.
+    pub session: Option<Session>,
+    pub purposes: BTreeMap<Token, Purpose>,
+    pub close: Option<Close>,
+    /// Why the link isn't up, or is unresponsive.
+    pub cause: Option<String>,
+    /// Whether the link was ever up.
+    pub was_up: bool,
+    /// Whether the last connection-oriented link ended without an announcement.
+    pub unannounced: bool,
+    wire_log: WireLog,
+}
+
+impl DeviceLink {
+    pub(super) fn new(gripper: Name, properties: Traits) -> Self {
+        Self {
+            wire_log: WireLog::new(gripper.clone()),
+            gripper,
+            properties,
+            state: LinkState::Down,
+            session: None,
+            purposes: BTreeMap::new(),
+            close: None,
+            cause: None,
+            was_up: false,
+            unannounced: false,
+        }
     }
 
-    /// The link is gone, or could not be made.
-    pub fn link_down(&mut self, now: Now, cause: &str) {
-        let unwritten = self.running.as_ref().and_then(super::Running::token).is_some_and(|token| self.withdraw(token));
-        self.metering.session(self.session.as_mut());
-        let mut session = self.session.take();
-        if session.is_some() && self.close == Some(Close::Drained) {
-            tracing::info!(gripper = %self.config.name, "link closed");
-            self.unannounced = false;
-        } else {
-            if matches!(self.link, LinkState::Up) {
-                tracing::warn!(gripper = %self.config.name, cause, "link lost");
-            } else if self.link_cause.as_deref() != Some(cause) {
-                tracing::warn!(gripper = %self.config.name, cause, "no link");
-            }
-            if session.is_some() {
-                self.unannounced = self.config.traits.connection_oriented;
-            }
-        }
-        self.link = LinkState::Down;
-        self.link_cause = Some(cause.to_owned());
-        self.close = None;
-        let rejection = Rejection::Failure(self.link_down_failure());
-        self.latch.link_lost(&rejection);
-        self.reads.reject_all(&rejection);
-        self.tag_writes.forget();
-        for (_, answer) in std::mem::take(&mut self.awaiting_flags) {
-            let _ = answer.send(Err(rejection.clone()));
-        }
-        for (token, purpose) in std::mem::take(&mut self.purposes) {
-            match purpose {
-                Purpose::Exchange(exchange) => {
-                    let _ = exchange.answer.send(Err(rejection.clone()));
-                }
-                Purpose::Stop(Some(id)) if session.as_mut().is_some_and(|session| session.withdraw(token)) => {
-                    self.reject(now, id, rejection.clone());
-                }
-                // It may have happened.
-                Purpose::Stop(Some(id)) => self.end(now, id, |record| record.outcome = Some(Outcome::Unknown)),
-                _ => {}
-            }
-        }
-        self.end_running(now, unwritten);
-        self.settle(now);
+    /// Every frame from now on.
+    pub(super) fn frames(&self) -> broadcast::Sender<Arc<Frame>> {
+        self.wire_log.listeners()
     }
 
-    /// Whether the link is up, and the device has said what it is.
-    #[must_use]
-    pub fn is_set_up(&self) -> bool {
-        matches!(self.link, LinkState::Up)
+    pub(super) fn is_up(&self) -> bool {
+        matches!(self.state, LinkState::Up)
     }
 
-    /// How the link is, as clients are told.
-    pub(super) fn link_now(&self) -> Link {
-        match (&self.link, self.was_connected) {
-            (LinkState::Up, _) if self.link_cause.is_some() => Link::Unresponsive,
+    pub(super) fn is_down(&self) -> bool {
+        matches!(self.state, LinkState::Down)
+    }
+
+    /// Connection state as clients see it.
+    pub(super) fn status(&self) -> Link {
+        match (&self.state, self.was_up) {
+            (LinkState::Up, _) if self.cause.is_some() => Link::Unresponsive,
             (LinkState::Up, _) => Link::Connected,
             (_, true) => Link::Reconnecting,
             (_, false) => Link::Connecting,
         }
     }
 
-    /// The device was silent, or its automatic updates had stopped. Where no connection ends with a restart, it may have
-    /// been one: what is under way goes on, and nothing new moves before the settings are known to be as clients left
-    /// them.
-    pub(super) fn set_up_again(&mut self, now: Now) {
-        if self.config.traits.connection_oriented || !matches!(self.link, LinkState::Up) || self.close.is_some() {
-            return;
+    pub(super) fn failure(&self) -> Failure {
+        let cause = self.cause.clone().unwrap_or_else(|| "it is being set up".to_owned());
+        Failure::LinkDown { link: self.status(), cause }
+    }
+
+    /// A link has come up: its session and its set-up begin.
+    pub(super) fn open(&mut self, now: Instant, nonce_seed: u64, setup: Setup) {
+        let Traits { bytes_per_second, frame_gap, may_duplicate, .. } = self.properties;
+        let config = session::Config { bytes_per_second, frame_gap, may_duplicate, nonce_seed };
+        self.session = Some(Session::new(config, now));
+        self.close = None;
+        self.wire_log.link_up();
+        self.set_up(setup);
+    }
+
+    /// The link is gone. Returns the requests in flight, and whether each was never written.
+    pub(super) fn down(&mut self, cause: &str) -> Vec<(Purpose, bool)> {
+        let mut session = self.session.take();
+        if session.is_some() && self.close == Some(Close::Drained) {
+            tracing::info!(gripper = %self.gripper, "link closed");
+            self.unannounced = false;
+        } else {
+            if self.is_up() {
+                tracing::warn!(gripper = %self.gripper, cause, "link lost");
+            } else if self.cause.as_deref() != Some(cause) {
+                tracing::warn!(gripper = %self.gripper, cause, "no link");
+            }
+            if session.is_some() {
+                self.unannounced = self.properties.connection_oriented;
+            }
         }
-        let cause = "its updates had stopped: it may have restarted, and is being set up again";
-        tracing::warn!(gripper = %self.config.name, "{cause}");
-        self.link_cause = Some(cause.to_owned());
-        self.link = LinkState::SettingUp(Box::new(self.new_setup()));
-        self.continue_setup(now);
+        self.state = LinkState::Down;
+        self.cause = Some(cause.to_owned());
+        self.close = None;
+        let mut is_unwritten = |token| session.as_mut().is_some_and(|session| session.withdraw(token));
+        let purposes = std::mem::take(&mut self.purposes).into_iter();
+        purposes.map(|(token, purpose)| (purpose, is_unwritten(token))).collect()
     }
 
-    fn new_setup(&self) -> Setup {
-        Setup::new(self.config.traits.bytes_per_second, self.known_serial, self.wanted)
+    pub(super) fn set_up(&mut self, setup: Setup) {
+        self.state = LinkState::SettingUp(Box::new(setup));
     }
 
-    /// Sends the set-up's next request, or ends it.
-    pub(super) fn continue_setup(&mut self, now: Now) {
+    /// Sends the set-up's next request. Returns the set-up when it is done.
+    pub(super) fn continue_setup(&mut self, now: Now) -> Option<Box<Setup>> {
         loop {
-            let LinkState::SettingUp(setup) = &mut self.link else { return };
+            let LinkState::SettingUp(setup) = &mut self.state else { return None };
             match setup.next() {
                 Step::Send(command) => {
                     let token = self.submit(now, command, Purpose::Setup).ok();
-                    if let LinkState::SettingUp(setup) = &mut self.link {
+                    if let LinkState::SettingUp(setup) = &mut self.state {
                         setup.sent(token);
                     }
                     if token.is_some() {
-                        return;
+                        return None;
                     }
                 }
-                Step::Done => return self.finish_setup(now),
+                Step::Done => {
+                    let LinkState::SettingUp(setup) = std::mem::replace(&mut self.state, LinkState::Up) else {
+                        return None;
+                    };
+                    return Some(setup);
+                }
                 Step::Failed(command) => {
                     self.close = Some(Close::SetupFailed(command));
-                    return;
+                    return None;
                 }
             }
         }
     }
 
-    fn finish_setup(&mut self, now: Now) {
-        let LinkState::SettingUp(setup) = std::mem::replace(&mut self.link, LinkState::Up) else { return };
-        let name = self.config.name.clone();
-        if setup.replaced {
-            let serial = setup.system.map(|system| system.serial_number);
-            if let (Some(known_serial_number), Some(serial_number)) = (self.known_serial, serial) {
-                self.recording.device(now, DeviceEvent::Replaced { known_serial_number, serial_number });
-            }
-            tracing::warn!(gripper = %name, serial, "another device answers: its settings are left as they are");
+    /// Takes the end of a set-up's request. Returns whether the set-up waits for nothing more.
+    pub(super) fn setup_ended(&mut self, token: Token, end: End) -> bool {
+        let LinkState::SettingUp(setup) = &mut self.state else { return false };
+        let is_current = setup.is_current(token);
+        if let (true, End::Reply(reply)) = (is_current, end) {
+            setup.take(reply);
         }
-        if !setup.restored.is_empty() {
-            tracing::warn!(gripper = %name, settings = ?setup.restored, "the device had lost settings: set again");
-        }
-        if !setup.lost.is_empty() {
-            tracing::warn!(gripper = %name, settings = ?setup.lost, "settings could not be restored: nothing moves");
-        }
-        let overdrive = self.observed.has(SystemState::OVERDRIVE_MODE);
-        if self.overdrive_wanted && !overdrive {
-            tracing::warn!(gripper = %name, "Overdrive Mode is off since the device restarted, and stays off");
-            self.overdrive_wanted = false;
-        }
-        self.recording.restored(now, &setup.restored, self.wanted);
-        self.wanted = setup.wanted();
-        if let (Some(wanted), Some(limits), false) = (self.wanted.force_limit, setup.limits, overdrive) {
-            // Without overdrive the device has clamped it, and would be found changed at each reconnect.
-            self.wanted.force_limit = Some(if wanted > limits.nominal_force { limits.nominal_force } else { wanted });
-        }
-        self.lost = setup.lost;
-        for update in observed::switch_on_all(None) {
-            // Those that don't come are switched on again.
-            self.observed.asked(now.instant, update.id());
-        }
-        self.system = setup.system;
-        let serial = setup.system.map(|system| system.serial_number);
-        if self.known_serial != serial {
-            self.known_serial = serial;
-            self.remember_settings();
-        }
-        self.limits.system = setup.limits;
-        self.limits.soft = setup.soft_limits;
-        if let (Some(system), Some(limits)) = (setup.system, setup.limits) {
-            self.info.send_modify(|info| {
-                std::sync::Arc::make_mut(info).learn(&system, &limits, setup.tag.as_ref());
-            });
-        }
-        if let (false, Some(session)) = (self.observed.has(SystemState::MOVING), &mut self.session) {
-            // A motion that a restart has ended gets no result.
-            session.expect_results(now.instant);
-        }
-        self.metering.set_up(self.was_connected);
-        self.was_connected = true;
-        self.link_cause = None;
-        self.unannounced = false;
-        self.temperature_at = Some(now.instant);
-        tracing::info!(gripper = %name, "ready");
+        is_current
     }
 
-    /// Notices silence, and its end.
-    pub(super) fn supervise(&mut self, now: Now) {
-        let Some(session) = &self.session else { return };
-        let silent_for = now.instant.saturating_duration_since(session.last_heard());
-        if !matches!(self.link, LinkState::Up) {
-            return;
-        }
+    /// The set-up is done.
+    pub(super) fn ready(&mut self) {
+        self.was_up = true;
+        self.cause = None;
+        self.unannounced = false;
+    }
+
+    /// When silence has consequences.
+    pub(super) fn silence_at(&self) -> Option<Instant> {
+        let session = self.session.as_ref().filter(|_| self.is_up())?;
+        let after = if self.cause.is_some() { CLOSED_AFTER } else { UNRESPONSIVE_AFTER };
+        Some(session.last_heard() + after)
+    }
+
+    /// Notices silence, and its end. Returns whether the device is responsive again.
+    pub(super) fn supervise(&mut self, now: Instant) -> bool {
+        let Some(session) = self.session.as_ref().filter(|_| self.is_up()) else { return false };
+        let silent_for = now.saturating_duration_since(session.last_heard());
         if silent_for >= CLOSED_AFTER {
             self.close = Some(Close::Silent(silent_for.as_millis() as u64));
-        } else if silent_for >= UNRESPONSIVE_AFTER {
-            if self.link_cause.is_none() {
-                let cause = format!("nothing heard from the device for {} ms", UNRESPONSIVE_AFTER.as_millis());
-                tracing::warn!(gripper = %self.config.name, cause, "unresponsive");
-                self.link_cause = Some(cause);
+        } else if silent_for < UNRESPONSIVE_AFTER {
+            return self.cause.take().is_some();
+        } else if self.cause.is_none() {
+            let cause = format!("nothing heard from the device for {} ms", UNRESPONSIVE_AFTER.as_millis());
+            tracing::warn!(gripper = %self.gripper, cause, "unresponsive");
+            self.cause = Some(cause);
+        }
+        false
+    }
+
+    pub(super) fn receive(&mut self, now: Now, bytes: &[u8]) {
+        self.wire_log.received(now, bytes);
+        if let Some(session) = &mut self.session {
+            session.receive(now.instant, bytes);
+        }
+    }
+
+    pub(super) fn poll_event(&mut self) -> Option<Event> {
+        self.session.as_mut()?.poll_event()
+    }
+
+    /// Appends the next frame to `out`. Returns its id, if there is one.
+    pub(super) fn poll_transmit(&mut self, now: Now, out: &mut Vec<u8>) -> Option<u8> {
+        let start = out.len();
+        if !self.session.as_mut()?.poll_transmit(now.instant, out) {
+            return None;
+        }
+        let id = out[start + wsg::frame::PREAMBLE.len()];
+        tracing::trace!(gripper = %self.gripper, id = id::name(id), frame = %hex::encode(&out[start..]), "sent");
+        self.wire_log.sent(now, &out[start..]);
+        Some(id)
+    }
+
+    /// Submits a request to the session, if there is one.
+    pub(super) fn submit(&mut self, now: Now, command: Command, purpose: Purpose) -> Result<Token, NotSubmitted> {
+        self.submit_within(now, command, purpose, REPLY_WITHIN, RESULT_WITHIN)
+    }
+
+    pub(super) fn submit_within(
+        &mut self,
+        now: Now,
+        command: Command,
+        purpose: Purpose,
+        reply_within: Duration,
+        result_within: Duration,
+    ) -> Result<Token, NotSubmitted> {
+        let Some(session) = &mut self.session else { return Err(Box::new((self.failure().into(), purpose))) };
+        let name = name_of(&command);
+        let failure = match session.submit(now.instant, session::Request { command, reply_within, result_within }) {
+            Ok(token) => {
+                self.purposes.insert(token, purpose);
+                return Ok(token);
             }
-        } else if self.link_cause.take().is_some() {
-            tracing::info!(gripper = %self.config.name, "responsive again");
-            self.set_up_again(now);
+            Err(NotTaken::Full) => Failure::Overloaded { limit: session::MAX_WAITING },
+            Err(NotTaken::LineTime { line_ms }) => {
+                let max_ms = session::MAX_LINE_TIME_WHILE_MOVING.as_millis() as u64;
+                Failure::LineTime { command: name, line_ms, max_ms }
+            }
+        };
+        Err(Box::new((failure.into(), purpose)))
+    }
+
+    /// Takes a request back that was not written yet. Returns whether nothing of it will be written.
+    pub(super) fn withdraw(&mut self, token: Token) -> bool {
+        let withdrawn = self.session.as_mut().is_some_and(|session| session.withdraw(token));
+        if withdrawn {
+            self.purposes.remove(&token);
+        }
+        withdrawn
+    }
+
+    /// Sends a Stop on the gateway's own account, unless a Stop waits to be written anyway. So the lane has room for the
+    /// clients' Stops.
+    pub(super) fn send_stop(&mut self, now: Now) {
+        if self.session.as_ref().is_some_and(|session| !session.has_waiting(id::STOP)) {
+            let _ = self.submit(now, Command::Stop, Purpose::Stop(None));
         }
     }
 
-    /// Sends 23h if it is due: right after the request, and again until it is confirmed.
-    pub(super) fn send_fast_stop_if_due(&mut self, now: Now) {
-        if self.session.is_none() || !self.latch.is_due(now.instant) {
-            return;
+    /// Sends a Stop that has nothing to stop, as far as is known, unless one is on its way: the lane is for others.
+    pub(super) fn stop_again(&mut self, now: Now) {
+        if !self.purposes.values().any(|purpose| matches!(purpose, Purpose::Stop(_))) {
+            let _ = self.submit(now, Command::Stop, Purpose::Stop(None));
         }
-        let sent = self.submit_within(now, Command::FastStop, Purpose::FastStop, latch::REPEAT_EVERY, REPLY_WITHIN);
-        self.latch.sent(now.instant, sent.ok());
     }
 
-    /// Whether commands can be sent, and if not, why.
-    pub(super) fn check_link(&self) -> Result<(), Failure> {
-        if self.drain.is_some() {
-            return Err(Failure::Draining);
-        }
-        match self.link_now() {
-            Link::Connected => Ok(()),
-            _ => Err(self.link_down_failure()),
+    /// The newest Stop of a client that has not ended.
+    pub(super) fn newest_stop(&self) -> Option<CommandId> {
+        self.purposes.values().rev().find_map(|purpose| match purpose {
+            Purpose::Stop(id) => *id,
+            _ => None,
+        })
+    }
+
+    /// The device stops by itself: the results of its motions come now, or never.
+    pub(super) fn expect_aborts(&mut self, now: Now) {
+        if let Some(session) = &mut self.session {
+            session.expect_aborts(now.instant);
         }
     }
 }

@@ -86,7 +86,7 @@ impl Actor {
             let holder = holder.map(|holder| Holder { client: client(&holder), name: holder.name });
             self.lease.recollect(epoch.saturating_add(skipped), holder);
         }
-        self.unannounced = recollection.unclean && self.config.traits.connection_oriented;
+        self.link.unannounced = recollection.unclean && self.link.properties.connection_oriented;
         for request in recollection.requests {
             self.commands.bind_again(now, request);
         }

@@ -15,6 +15,7 @@
 //! for a client that named the latch's id.
 
 mod admission;
+mod connection;
 mod drain;
 mod events;
 mod flicker;
@@ -26,6 +27,7 @@ mod memory;
 mod metering;
 mod motion;
 mod publish;
+mod purpose;
 mod reads;
 mod recording;
 mod repeats;
@@ -35,28 +37,28 @@ mod tag;
 mod timers;
 mod wire_log;
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tokio::sync::{Notify, broadcast, oneshot, watch};
 
 use super::Now;
-use super::error::{Failure, Rejection};
 use super::handle::{Answer, FastStopRequest, Request};
 use super::info::Info;
 use super::latch::LatchState;
 use super::lease::LeaseState;
 use super::limits::Limits;
 use super::metrics::Metrics;
-use super::model::{Client, CommandId, CustomIds, FastStopStep, Frame, IdSource, LeaseRules, Name, State};
+use super::model::{CustomIds, FastStopStep, Frame, IdSource, LeaseRules, Name, State};
 use super::observed::Observed;
 use super::registry::CommandRegistry;
-use super::setup::{Setting, Setup, Wanted};
+use super::setup::{Setting, Wanted};
 use crate::transport::Traits;
-use crate::wsg::session::{self, NotTaken, Session, Token};
-use crate::wsg::{self, Command, Data, Force, SystemInfo, id};
+use crate::wsg::{Command, Data, SystemInfo, id};
 use drain::Drain;
+pub use link::Close;
+use link::DeviceLink;
 use metering::Metering;
 use motion::Running;
 use reads::Reads;
@@ -64,7 +66,6 @@ pub use recording::OnJournalFailure;
 use recording::Recording;
 use streaming::Streaming;
 use tag::TagWrites;
-use wire_log::WireLog;
 
 /// How long the device may take to answer, before a Loop asks whether the answer was lost.
 const REPLY_WITHIN: Duration = Duration::from_secs(1);
@@ -96,79 +97,12 @@ pub struct Config {
     pub metrics: Metrics,
 }
 
-/// Why the actor wants its link closed.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-pub enum Close {
-    /// Nothing was heard for too long.
-    #[error("nothing was heard from the device for {0} ms")]
-    Silent(u64),
-    /// It doesn't answer what a gripper must answer.
-    #[error("the device does not answer {0}")]
-    SetupFailed(&'static str),
-    /// It has restarted, and has to be set up again: what was under way on it is lost.
-    #[error("the device has restarted: it has lost its reference")]
-    Restarted,
-    /// It was given up in order; a disconnect was announced where the device knows that.
-    #[error("given up in order")]
-    Drained,
-}
-
-/// What a request in flight is for.
-#[derive(Debug)]
-enum Purpose {
-    Setup,
-    Upkeep,
-    FastStop,
-    Acknowledge,
-    /// Set Force Limit, before a grip.
-    Force(CommandId, Force),
-    Motion(CommandId),
-    /// For a client's stop command, or on the gateway's own account.
-    Stop(Option<CommandId>),
-    Exchange(Exchange),
-    /// A getter that several may wait for.
-    Read(u8),
-    Announce,
-}
-
-/// A client's request that moves nothing, under way.
-#[derive(Debug)]
-struct Exchange {
-    command: Command,
-    answer: Answer<Data>,
-    /// Who is told when the device has accepted it.
-    accepted: Option<Answered>,
-    /// The setter whose value is being read back.
-    setter: Option<Command>,
-    client: Client,
-}
-
-/// Why a request was not taken by the session, and what it was for.
-type NotSubmitted = Box<(Rejection, Purpose)>;
-
-/// Where the link is.
-#[derive(Debug)]
-enum LinkState {
-    Down,
-    SettingUp(Box<Setup>),
-    Up,
-}
-
 /// One gripper.
 #[derive(Debug)]
 pub struct Actor {
     config: Config,
     ids: IdSource,
-    session: Option<Session>,
-    link: LinkState,
-    /// Whether the link was ever up.
-    was_connected: bool,
-    /// Why the link isn't up.
-    link_cause: Option<String>,
-    /// Whether the last connection-oriented link ended without an announcement.
-    unannounced: bool,
-    close: Option<Close>,
-    purposes: BTreeMap<Token, Purpose>,
+    link: DeviceLink,
     system: Option<SystemInfo>,
     /// The serial number of the device that [`Wanted`] was set on.
     known_serial: Option<u32>,
@@ -194,7 +128,6 @@ pub struct Actor {
     recording: Recording,
     metering: Metering,
     streaming: Streaming,
-    wire_log: WireLog,
     sequence: u64,
     state: watch::Sender<Arc<State>>,
     info: watch::Sender<Arc<Info>>,
@@ -223,18 +156,12 @@ impl Actor {
         );
         let (info, info_watch) = watch::channel(Arc::new(info));
         let (state, state_watch) = watch::channel(Arc::new(State::unknown(config.name.clone())));
-        let wire_log = WireLog::new(config.name.clone());
-        let frames = wire_log.listeners();
+        let link = DeviceLink::new(config.name.clone(), config.traits);
+        let frames = link.frames();
         let actor = Self {
             ids: IdSource::new(config.seed),
             observed: Observed::new(config.traits.bytes_per_second),
-            session: None,
-            link: LinkState::Down,
-            was_connected: false,
-            link_cause: None,
-            unannounced: false,
-            close: None,
-            purposes: BTreeMap::new(),
+            link,
             system: None,
             known_serial: None,
             limits: Limits::default(),
@@ -255,7 +182,6 @@ impl Actor {
             recording: Recording::new(config.name.clone(), config.on_journal_failure),
             metering: Metering::new(config.metrics.clone()),
             streaming: Streaming::default(),
-            wire_log,
             sequence: 0,
             state,
             info,
@@ -266,10 +192,7 @@ impl Actor {
 
     /// Takes bytes off the link.
     pub fn receive(&mut self, now: Now, bytes: &[u8]) {
-        self.wire_log.received(now, bytes);
-        if let Some(session) = &mut self.session {
-            session.receive(now.instant, bytes);
-        }
+        self.link.receive(now, bytes);
         self.settle(now);
     }
 
@@ -286,7 +209,7 @@ impl Actor {
         let caller = request.epoch.take();
         if let Some(token) = self.latch.request(now, request) {
             // An acknowledge of an earlier one must not come after this.
-            self.withdraw(token);
+            self.link.withdraw(token);
         }
         if let Some(caller) = caller {
             // The caller may be gone.
@@ -349,14 +272,7 @@ impl Actor {
             // Nothing follows a disconnect announcement.
             return false;
         }
-        let Some(session) = &mut self.session else { return false };
-        let start = out.len();
-        if !session.poll_transmit(now.instant, out) {
-            return false;
-        }
-        let id = out[start + wsg::frame::PREAMBLE.len()];
-        tracing::trace!(gripper = %self.config.name, id = id::name(id), frame = %hex::encode(&out[start..]), "sent");
-        self.wire_log.sent(now, &out[start..]);
+        let Some(id) = self.link.poll_transmit(now, out) else { return false };
         match (id, &mut self.drain) {
             (id::DISCONNECT_ANNOUNCEMENT, Some(drain)) => drain.announced(),
             (id::FAST_STOP, _) => self.metering.fast_stop_sent(now.instant),
@@ -374,7 +290,7 @@ impl Actor {
     /// Why the link has to be closed, if it has. The driver closes it, and says so by [`Actor::link_down`].
     #[must_use]
     pub fn wants_close(&self) -> Option<Close> {
-        self.close
+        self.link.close
     }
 
     /// Everything that follows from an input: what the session has to tell, then what is due. Clients get their
@@ -383,54 +299,12 @@ impl Actor {
         self.take_events(now);
         self.run_due_timers(now);
         self.take_events(now);
-        self.metering.session(self.session.as_mut());
+        self.metering.session(self.link.session.as_mut());
         self.publish(now);
         self.recording.persist_changes(&self.latch, &self.lease, &mut self.observed.part);
         self.commands.tell();
         self.tell_acknowledges(now);
         self.answer_awaiting_flags();
-    }
-
-    /// Submits a request to the session, if there is one.
-    fn submit(&mut self, now: Now, command: Command, purpose: Purpose) -> Result<Token, NotSubmitted> {
-        self.submit_within(now, command, purpose, REPLY_WITHIN, RESULT_WITHIN)
-    }
-
-    fn submit_within(
-        &mut self,
-        now: Now,
-        command: Command,
-        purpose: Purpose,
-        reply_within: Duration,
-        result_within: Duration,
-    ) -> Result<Token, NotSubmitted> {
-        let Some(session) = &mut self.session else { return Err(Box::new((self.link_down_failure().into(), purpose))) };
-        let name = name_of(&command);
-        match session.submit(now.instant, session::Request { command, reply_within, result_within }) {
-            Ok(token) => {
-                self.purposes.insert(token, purpose);
-                Ok(token)
-            }
-            Err(NotTaken::Full) => Err(Box::new((Failure::Overloaded { limit: session::MAX_WAITING }.into(), purpose))),
-            Err(NotTaken::LineTime { line_ms }) => {
-                let max_ms = session::MAX_LINE_TIME_WHILE_MOVING.as_millis() as u64;
-                Err(Box::new((Failure::LineTime { command: name, line_ms, max_ms }.into(), purpose)))
-            }
-        }
-    }
-
-    /// Takes back what was not written yet: `true` if it was, and then nothing of it will be.
-    fn withdraw(&mut self, token: Token) -> bool {
-        let withdrawn = self.session.as_mut().is_some_and(|session| session.withdraw(token));
-        if withdrawn {
-            self.purposes.remove(&token);
-        }
-        withdrawn
-    }
-
-    fn link_down_failure(&self) -> Failure {
-        let cause = self.link_cause.clone().unwrap_or_else(|| "it is being set up".to_owned());
-        Failure::LinkDown { link: self.link_now(), cause }
     }
 }
 

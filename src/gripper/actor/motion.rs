@@ -6,7 +6,8 @@ use std::time::{Duration, Instant};
 use super::super::Now;
 use super::super::error::{Conflict, DeviceRefusal, Failure, Rejection};
 use super::super::model::{Client, Command as Record, CommandId, FastStopId, Kind, Motion, Outcome};
-use super::{Actor, Purpose, REPLY_WITHIN, RESULT_WITHIN};
+use super::purpose::{NotSubmitted, Purpose};
+use super::{Actor, REPLY_WITHIN, RESULT_WITHIN};
 use crate::wsg::session::{End, Token};
 use crate::wsg::{Command, Data, Force, Reply, Status, SystemState};
 
@@ -126,7 +127,7 @@ impl Actor {
 
     /// When the waiting motion may start, once the link is set up.
     pub(super) fn motion_due(&self) -> Option<Instant> {
-        let running = self.running.as_ref().filter(|running| running.recorded && self.is_set_up())?;
+        let running = self.running.as_ref().filter(|running| running.recorded && self.link.is_up())?;
         let paused_until = self.last_motion_end.filter(|_| !running.is_streamed).map(|end| end + PAUSE);
         matches!(running.stage, Stage::Waiting).then_some(paused_until).flatten()
     }
@@ -135,13 +136,13 @@ impl Actor {
     pub(super) fn start_waiting_motion(&mut self, now: Now) {
         let Some(running) = &self.running else { return };
         let is_due = self.motion_due().is_none_or(|due| due <= now.instant);
-        if !matches!(running.stage, Stage::Waiting) || !is_due || !running.recorded || !self.is_set_up() {
+        if !matches!(running.stage, Stage::Waiting) || !is_due || !running.recorded || !self.link.is_up() {
             return;
         }
         let id = running.id;
         match running.motion {
             Motion::Grip { force: Some(force), .. } => {
-                let sent = self.submit(now, Command::SetForceLimit(force), Purpose::Force(id, force));
+                let sent = self.link.submit(now, Command::SetForceLimit(force), Purpose::Force(id, force));
                 self.set_stage(now, sent.map(Stage::Force));
             }
             _ => self.start_motion(now, id),
@@ -156,11 +157,11 @@ impl Actor {
         }
         let request = running.motion.request();
         let within = self.result_within(&running.motion);
-        let sent = self.submit_within(now, request, Purpose::Motion(id), REPLY_WITHIN, within);
+        let sent = self.link.submit_within(now, request, Purpose::Motion(id), REPLY_WITHIN, within);
         self.set_stage(now, sent.map(Stage::Sent));
     }
 
-    fn set_stage(&mut self, now: Now, stage: Result<Stage, super::NotSubmitted>) {
+    fn set_stage(&mut self, now: Now, stage: Result<Stage, NotSubmitted>) {
         match (stage, &mut self.running) {
             (Ok(stage), Some(running)) => running.stage = stage,
             (Err(not_taken), _) => self.reject_running(now, not_taken.0),
@@ -276,7 +277,7 @@ impl Actor {
             Stage::Settling(Settling { outcome, status, .. }) => (outcome, status),
             // It may have happened.
             Stage::Sent(_) if !unwritten => (Outcome::Unknown, None),
-            _ => return self.reject(now, running.id, self.link_down_failure().into()),
+            _ => return self.reject(now, running.id, self.link.failure().into()),
         };
         self.end(now, running.id, |record| {
             record.outcome = Some(outcome);
@@ -306,7 +307,7 @@ impl Actor {
         let token = running.token();
         let (id, fast_stop, waiting) = (running.id, running.fast_stop, running.is_waiting());
         let cancelled_by = running.cancelled_by.clone();
-        let withdrawn = token.is_some_and(|token| self.withdraw(token));
+        let withdrawn = token.is_some_and(|token| self.link.withdraw(token));
         if waiting || withdrawn {
             self.running = None;
             self.end(now, id, |record| {
@@ -327,7 +328,7 @@ impl Actor {
         }
         self.withdraw_waiting_motion(now);
         if self.running.is_some() {
-            self.send_stop(now);
+            self.link.send_stop(now);
         }
     }
 

@@ -38,8 +38,8 @@ impl Actor {
         let latch = self.latch.current();
         State {
             gripper: self.config.name.clone(),
-            link: self.link_now(),
-            link_cause: self.link_cause.clone(),
+            link: self.link.status(),
+            link_cause: self.link.cause.clone(),
             updated_at: observed.updated_at,
             seq: self.sequence,
             state: observed.gripper_state.map(crate::wsg::GripperState::name),

@@ -9,7 +9,8 @@ use std::time::{Duration, Instant};
 use super::super::Now;
 use super::super::error::{Failure, Rejection};
 use super::super::handle::Answer;
-use super::{Actor, Purpose};
+use super::Actor;
+use super::purpose::Purpose;
 use crate::wsg::session::End;
 use crate::wsg::{Command, Data, Reply};
 
@@ -75,7 +76,7 @@ impl Actor {
         }
         waiting.push(answer);
         if waiting.len() == 1
-            && let Err(not_taken) = self.submit(now, command, Purpose::Read(id))
+            && let Err(not_taken) = self.link.submit(now, command, Purpose::Read(id))
         {
             self.reads.take(now.instant, id, Err(not_taken.0));
         }

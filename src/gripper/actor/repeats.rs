@@ -7,9 +7,8 @@ use super::super::Now;
 use super::super::error::{Failure, Rejection};
 use super::super::handle::Ticket;
 use super::super::model::{Client, CommandId, Detail, Event, FastStopEvent, Outcome, Submission};
+use super::Actor;
 use super::recording::Recording;
-use super::{Actor, Purpose};
-use crate::wsg::{Command, id};
 
 /// How long what is repeated is counted.
 const COUNTED_FOR: Duration = Duration::from_secs(1);
@@ -111,29 +110,11 @@ impl Actor {
 
     /// The newest Stop that waits to be written, for a Stop that found the lane full: it stops the fingers as well.
     pub(super) fn join_stop(&mut self, now: Now, not_taken: Rejection) -> Result<Ticket, Rejection> {
-        let newest = self.purposes.values().rev().find_map(|purpose| match purpose {
-            Purpose::Stop(id) => *id,
-            _ => None,
-        });
         let is_full = matches!(not_taken, Rejection::Failure(Failure::Overloaded { .. }));
-        let ticket = newest.filter(|_| is_full).and_then(|id| self.commands.find(id)).ok_or(not_taken)?;
+        let ticket =
+            self.link.newest_stop().filter(|_| is_full).and_then(|id| self.commands.find(id)).ok_or(not_taken)?;
         self.withdraw_waiting_motion(now);
         Ok(Ticket { replayed: true, ..ticket })
-    }
-
-    /// Sends a Stop on the gateway's own account, unless a Stop waits to be written anyway. So the lane has room for the
-    /// clients' Stops.
-    pub(super) fn send_stop(&mut self, now: Now) {
-        if self.session.as_ref().is_some_and(|session| !session.has_waiting(id::STOP)) {
-            let _ = self.submit(now, Command::Stop, Purpose::Stop(None));
-        }
-    }
-
-    /// Sends a Stop that has nothing to stop, as far as is known, unless one is on its way: the lane is for others.
-    pub(super) fn stop_again(&mut self, now: Now) {
-        if !self.purposes.values().any(|purpose| matches!(purpose, Purpose::Stop(_))) {
-            let _ = self.submit(now, Command::Stop, Purpose::Stop(None));
-        }
     }
 
     /// A Stop was admitted, which had nothing to stop.

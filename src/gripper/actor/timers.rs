@@ -6,8 +6,8 @@ use super::super::Now;
 use super::super::error::Failure;
 use super::super::info::has_temperature;
 use super::super::observed;
-use super::link::{CLOSED_AFTER, UNRESPONSIVE_AFTER};
-use super::{Actor, LinkState, Purpose};
+use super::Actor;
+use super::purpose::Purpose;
 use crate::wsg::Command;
 use crate::wsg::session::Session;
 
@@ -71,7 +71,9 @@ impl Timer {
     /// Deadline and work of the timer.
     fn entry(self) -> (Deadline, Work) {
         match self {
-            Self::Silence => (Actor::silence_at, Work::Always(Actor::supervise)),
+            Self::Silence => {
+                (|actor| actor.link.silence_at().filter(|_| actor.drain.is_none()), Work::Always(Actor::supervise))
+            }
             Self::FastStop => (Actor::fast_stop_at, Work::Always(Actor::send_fast_stop_if_due)),
             Self::Acknowledge => (
                 |actor| actor.latch.clears_at(),
@@ -110,7 +112,7 @@ impl Timer {
 impl Actor {
     /// To be called when [`Actor::poll_timeout`] has come.
     pub fn handle_timeout(&mut self, now: Now) {
-        if let Some(session) = &mut self.session {
+        if let Some(session) = &mut self.link.session {
             session.handle_timeout(now.instant);
         }
         self.settle(now);
@@ -120,7 +122,7 @@ impl Actor {
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Instant> {
         let timers = Timer::ALL.into_iter().filter_map(|timer| timer.entry().0(self));
-        timers.chain(self.session.as_ref().and_then(Session::poll_timeout)).min()
+        timers.chain(self.link.session.as_ref().and_then(Session::poll_timeout)).min()
     }
 
     /// Does all that is due.
@@ -143,17 +145,11 @@ impl Actor {
 
     /// Whether the link is up and the gripper is not being given up.
     fn is_in_use(&self) -> bool {
-        matches!(self.link, LinkState::Up) && self.drain.is_none()
-    }
-
-    fn silence_at(&self) -> Option<Instant> {
-        let session = self.session.as_ref().filter(|_| self.is_in_use())?;
-        let after = if self.link_cause.is_some() { CLOSED_AFTER } else { UNRESPONSIVE_AFTER };
-        Some(session.last_heard() + after)
+        self.link.is_up() && self.drain.is_none()
     }
 
     fn fast_stop_at(&self) -> Option<Instant> {
-        self.latch.repeats_at().filter(|_| self.session.is_some())
+        self.latch.repeats_at().filter(|_| self.link.session.is_some())
     }
 
     fn flags_awaited_until(&self) -> Option<Instant> {
@@ -166,19 +162,19 @@ impl Actor {
     }
 
     fn renew_updates(&mut self, now: Now) {
-        let period_ms = observed::period_ms(self.config.traits.bytes_per_second);
+        let period_ms = observed::period_ms(self.link.properties.bytes_per_second);
         while let Some(id) = self.observed.silent(now.instant) {
             self.observed.asked(now.instant, id);
             if let Some(command) = observed::switch_on(id, period_ms) {
                 // A full lane is as good as no answer: it is asked again later.
-                let _ = self.submit(now, command, Purpose::Upkeep);
+                let _ = self.link.submit(now, command, Purpose::Upkeep);
             }
         }
     }
 
     fn ask_temperature(&mut self, now: Now) {
         self.temperature_at = Some(now.instant + TEMPERATURE_EVERY);
-        let _ = self.submit(now, Command::GetTemperature, Purpose::Upkeep);
+        let _ = self.link.submit(now, Command::GetTemperature, Purpose::Upkeep);
     }
 
     fn expire_awaiting_flags(&mut self, now: Now) {
