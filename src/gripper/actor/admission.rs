@@ -1,7 +1,6 @@
 //! Taking clients' requests up: what may be done now, and what may not.
 
 use std::sync::Arc;
-use std::time::Duration;
 
 use super::super::Now;
 use super::super::error::{Conflict, Failure, Invalid, Rejection};
@@ -9,15 +8,11 @@ use super::super::handle::{Answer, Steps, Ticket};
 use super::super::model::{
     Action, Client, Command as Record, CommandId, FastStopId, LeaseToken, Motion, SettingChange, Submission,
 };
-use super::super::setup::{Setting, WantedSoftLimits};
 use super::Actor;
 use super::motion::Running;
 use super::purpose::{Exchange, Purpose};
 use super::reads::is_slow_getter;
 use crate::wsg::{Command, Data, SystemState, id};
-
-/// How long the flags may take to show that Overdrive Mode was switched.
-const FLAGS_WITHIN: Duration = Duration::from_millis(500);
 
 impl Actor {
     /// Admits a command, or says why not.
@@ -74,7 +69,7 @@ impl Actor {
     fn check_motion(&self, now: Now, motion: &Motion, submission: &Submission) -> Result<(), Rejection> {
         let referenced = self.observed.has(SystemState::REFERENCED);
         let width = self.observed.width_mm.filter(|_| referenced);
-        self.limits_now().check_motion(motion, width)?;
+        self.settings.limits(&self.observed).check_motion(motion, width)?;
         self.check_claim(now, &submission.client, submission.lease.as_ref())?;
         self.check_link()?;
         self.check_moving()?;
@@ -90,10 +85,7 @@ impl Actor {
         if let Some(id) = self.latch.id() {
             return Err(Conflict::FastStop { id });
         }
-        if !self.lost.is_empty() {
-            let lost: Vec<_> = self.lost.iter().map(ToString::to_string).collect();
-            return Err(Conflict::SettingsLost { settings: lost.join(", ") });
-        }
+        self.settings.check()?;
         match &self.running {
             Some(running) if !running.has_ended() => Err(Conflict::AlreadyRunning { id: running.id }),
             _ => Ok(()),
@@ -103,16 +95,12 @@ impl Actor {
     /// As the device takes it: what is beyond its limits is clamped.
     fn clamped(&self, submission: &Submission) -> Submission {
         let action = match &submission.action {
-            Action::Motion(motion) => {
-                Action::Motion(self.limits_now().clamp_motion(motion.clone(), self.observed.width_mm))
-            }
+            Action::Motion(motion) => Action::Motion(
+                self.settings.limits(&self.observed).clamp_motion(motion.clone(), self.observed.width_mm),
+            ),
             Action::Stop => Action::Stop,
         };
         Submission { action, ..submission.clone() }
-    }
-
-    fn limits_now(&self) -> super::Limits {
-        super::Limits { overdrive: self.observed.has(SystemState::OVERDRIVE_MODE), ..self.limits }
     }
 
     fn enter(&mut self, now: Now, id: CommandId, submission: &Submission) -> Ticket {
@@ -137,7 +125,11 @@ impl Actor {
         lease: Option<&LeaseToken>,
         (accepted, answer): Steps,
     ) {
-        let command = if client.door.speaks_wsg() { self.limits_now().clamp_setting(command) } else { command };
+        let command = if client.door.speaks_wsg() {
+            self.settings.limits(&self.observed).clamp_setting(command)
+        } else {
+            command
+        };
         if let Err(rejection) = self.check_exchange(now, &command, &client, lease) {
             let _ = answer.send(Err(rejection));
             return;
@@ -150,9 +142,10 @@ impl Actor {
             return;
         }
         if let Command::SetDeviceTag(tag) = &command {
-            match self.check_tag(now, tag) {
-                Ok(false) => {}
-                Ok(true) => return drop(answer.send(Ok(Data::DeviceTag(tag.clone())))),
+            let known = self.info.borrow().device_tag.clone();
+            match self.settings.tag_writes.begin(now.instant, tag, known.as_deref()) {
+                Ok(true) => {}
+                Ok(false) => return drop(answer.send(Ok(Data::DeviceTag(tag.clone())))),
                 Err(failure) => return drop(answer.send(Err(failure.into()))),
             }
         }
@@ -176,7 +169,7 @@ impl Actor {
             let detail = format!("{} cannot be sent this way: {remedy}", super::name_of(command));
             Rejection::from(Invalid::Malformed { field: "id", detail })
         };
-        self.limits_now().check_setting(command)?;
+        self.settings.limits(&self.observed).check_setting(command)?;
         if !self.only_reads(command) {
             self.check_claim(now, client, lease)?;
         }
@@ -213,16 +206,15 @@ impl Actor {
             Command::SetSoftLimits(_) | Command::ClearSoftLimits => Command::GetSoftLimits,
             Command::SetDeviceTag(_) => Command::GetDeviceTag,
             Command::OverdriveMode { on } => {
-                self.overdrive_wanted = *on;
                 self.recording.setting(now, &client, SettingChange::Overdrive { enabled: *on });
-                self.awaiting_flags.push((now.instant + FLAGS_WITHIN, answer));
+                self.settings.overdrive.requested(now.instant, *on, answer);
                 return;
             }
             _ => {
                 if setter.is_some() {
                     self.note_setting(&data);
                     if matches!(data, Data::DeviceTag(_)) {
-                        self.tag_writes.read_back(now.instant);
+                        self.settings.tag_writes.read_back(now.instant);
                     }
                     self.recording.set(now, &client, &data);
                 } else {
@@ -245,36 +237,16 @@ impl Actor {
         }
     }
 
-    /// What clients set is restored after a restart of the device: as it read it back.
+    /// Notes a value that the device read back.
     pub(super) fn note_setting(&mut self, data: &Data) {
         match data {
-            Data::Acceleration(acceleration) => {
-                self.wanted.acceleration = Some(*acceleration);
-                self.lost.remove(&Setting::Acceleration);
-            }
-            Data::ForceLimit(force) => {
-                self.wanted.force_limit = Some(*force);
-                self.lost.remove(&Setting::ForceLimit);
-            }
-            Data::SoftLimits(limits) => {
-                self.lost.remove(&Setting::SoftLimits);
-                self.wanted.soft_limits = WantedSoftLimits::Set(*limits);
-                self.limits.soft = Some(*limits);
-            }
+            Data::Acceleration(_) | Data::ForceLimit(_) | Data::SoftLimits(_) => self.settings.note(data),
             Data::DeviceTag(tag) => {
                 let tag = tag.as_str().to_owned();
-                self.info.send_modify(|info| std::sync::Arc::make_mut(info).device_tag = Some(tag));
+                self.info.send_modify(|info| Arc::make_mut(info).device_tag = Some(tag));
             }
             _ => return,
         }
-        self.remember_settings();
-    }
-
-    /// Soft limits were read back, and there are none.
-    pub(super) fn note_no_soft_limits(&mut self) {
-        self.wanted.soft_limits = WantedSoftLimits::Cleared;
-        self.lost.remove(&Setting::SoftLimits);
-        self.limits.soft = None;
         self.remember_settings();
     }
 

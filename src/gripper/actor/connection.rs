@@ -34,10 +34,8 @@ impl Actor {
         let rejection = Rejection::Failure(self.link.failure());
         self.latch.link_lost(&rejection);
         self.reads.reject_all(&rejection);
-        self.tag_writes.forget();
-        for (_, answer) in std::mem::take(&mut self.awaiting_flags) {
-            let _ = answer.send(Err(rejection.clone()));
-        }
+        self.settings.tag_writes.forget();
+        self.settings.overdrive.reject_all(&rejection);
         for purpose in in_flight {
             match purpose {
                 (Purpose::Exchange(exchange), _) => {
@@ -77,7 +75,7 @@ impl Actor {
     }
 
     fn new_setup(&self) -> Setup {
-        Setup::new(self.link.properties.bytes_per_second, self.known_serial, self.wanted)
+        Setup::new(self.link.properties.bytes_per_second, self.settings.known_serial, self.settings.wanted)
     }
 
     /// Sends the set-up's next request, or ends it.
@@ -87,11 +85,11 @@ impl Actor {
         }
     }
 
-    fn finish_setup(&mut self, now: Now, setup: Setup) {
+    fn finish_setup(&mut self, now: Now, mut setup: Setup) {
         let name = self.config.name.clone();
         if setup.replaced {
             let serial = setup.system.map(|system| system.serial_number);
-            if let (Some(known_serial_number), Some(serial_number)) = (self.known_serial, serial) {
+            if let (Some(known_serial_number), Some(serial_number)) = (self.settings.known_serial, serial) {
                 self.recording.device(now, DeviceEvent::Replaced { known_serial_number, serial_number });
             }
             tracing::warn!(gripper = %name, serial, "another device answers: its settings are left as they are");
@@ -103,29 +101,17 @@ impl Actor {
             tracing::warn!(gripper = %name, settings = ?setup.lost, "settings could not be restored: nothing moves");
         }
         let overdrive = self.observed.has(SystemState::OVERDRIVE_MODE);
-        if self.overdrive_wanted && !overdrive {
+        if !overdrive && self.settings.overdrive.give_up() {
             tracing::warn!(gripper = %name, "Overdrive Mode is off since the device restarted, and stays off");
-            self.overdrive_wanted = false;
         }
-        self.recording.restored(now, &setup.restored, self.wanted);
-        self.wanted = setup.wanted();
-        if let (Some(wanted), Some(limits), false) = (self.wanted.force_limit, setup.limits, overdrive) {
-            // Without overdrive the device has clamped it, and would be found changed at each reconnect.
-            self.wanted.force_limit = Some(if wanted > limits.nominal_force { limits.nominal_force } else { wanted });
+        self.recording.restored(now, &setup.restored, self.settings.wanted);
+        if self.settings.learn(&mut setup, overdrive) {
+            self.remember_settings();
         }
-        self.lost = setup.lost;
         for update in observed::switch_on_all(None) {
             // Those that don't come are switched on again.
             self.observed.asked(now.instant, update.id());
         }
-        self.system = setup.system;
-        let serial = setup.system.map(|system| system.serial_number);
-        if self.known_serial != serial {
-            self.known_serial = serial;
-            self.remember_settings();
-        }
-        self.limits.system = setup.limits;
-        self.limits.soft = setup.soft_limits;
         if let (Some(system), Some(limits)) = (setup.system, setup.limits) {
             self.info.send_modify(|info| {
                 std::sync::Arc::make_mut(info).learn(&system, &limits, setup.tag.as_ref());

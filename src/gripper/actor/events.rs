@@ -103,15 +103,6 @@ impl Actor {
         }
     }
 
-    pub(super) fn answer_awaiting_flags(&mut self) {
-        let Some(flags) = self.observed.flags else { return };
-        if flags.contains(SystemState::OVERDRIVE_MODE) == self.overdrive_wanted {
-            for (_, answer) in std::mem::take(&mut self.awaiting_flags) {
-                let _ = answer.send(Ok(Data::SystemState(flags)));
-            }
-        }
-    }
-
     fn take_end(&mut self, now: Now, token: Token, purpose: Purpose, end: End) {
         match purpose {
             Purpose::Setup => {
@@ -159,7 +150,8 @@ impl Actor {
             End::Reply(Reply::Status(Status::E_NOT_AVAILABLE))
                 if matches!(exchange.setter, Some(Command::ClearSoftLimits)) =>
             {
-                self.note_no_soft_limits();
+                self.settings.note_no_soft_limits();
+                self.remember_settings();
                 self.recording.setting(now, &exchange.client, SettingChange::SoftLimitsCleared);
                 let _ = exchange.answer.send(Ok(Data::None));
             }

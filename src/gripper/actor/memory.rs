@@ -11,12 +11,57 @@ use super::super::lease::{Holder, LeaseState};
 use super::super::model::{Client, Door, FastStopId, Latch, Memory, MemoryKey};
 use super::super::observed::HeldPart;
 use super::super::recorder::{Recollection, Record};
+use super::super::setup::{Wanted, WantedSoftLimits};
 use super::Actor;
 use super::recording::Recording;
-use super::settings::Remembered;
+use crate::wsg::{Acceleration, Force, SoftLimits, Width};
 
 /// So many leases may have been taken, or FAST STOPs latched, and not been written down, when the gateway was killed.
 const EPOCHS_SKIPPED: u64 = 1000;
+
+/// What clients set, as it is remembered.
+#[derive(Debug, Serialize, Deserialize)]
+struct RememberedSettings {
+    /// The device that it was set on.
+    serial_number: Option<u32>,
+    acceleration_mm_s2: Option<f32>,
+    force_n: Option<f32>,
+    soft_limits_cleared: bool,
+    minus_mm: Option<f32>,
+    plus_mm: Option<f32>,
+}
+
+impl RememberedSettings {
+    fn new(serial_number: Option<u32>, wanted: &Wanted) -> Self {
+        let limits = match wanted.soft_limits {
+            WantedSoftLimits::Set(limits) => Some(limits),
+            _ => None,
+        };
+        Self {
+            serial_number,
+            acceleration_mm_s2: wanted.acceleration.map(Acceleration::mm_s2),
+            force_n: wanted.force_limit.map(Force::n),
+            soft_limits_cleared: wanted.soft_limits == WantedSoftLimits::Cleared,
+            minus_mm: limits.map(|limits| limits.minus().mm()),
+            plus_mm: limits.map(|limits| limits.plus().mm()),
+        }
+    }
+
+    fn wanted(&self) -> Wanted {
+        let width = |mm: Option<f32>| mm.and_then(|mm| Width::new(mm).ok());
+        let limits = width(self.minus_mm).zip(width(self.plus_mm));
+        let soft_limits = match limits.and_then(|(minus, plus)| SoftLimits::new(minus, plus)) {
+            Some(limits) => WantedSoftLimits::Set(limits),
+            None if self.soft_limits_cleared => WantedSoftLimits::Cleared,
+            None => WantedSoftLimits::AsTheyAre,
+        };
+        Wanted {
+            acceleration: self.acceleration_mm_s2.and_then(|mm_s2| Acceleration::new(mm_s2).ok()),
+            force_limit: self.force_n.and_then(|n| Force::new(n).ok()),
+            soft_limits,
+        }
+    }
+}
 
 /// The newest lease, as it is remembered.
 #[derive(Debug, Serialize, Deserialize)]
@@ -66,9 +111,9 @@ pub(super) struct LastReported {
 impl Actor {
     /// Takes in what was remembered of an earlier run, before the first link.
     pub fn recollect(&mut self, now: Now, recollection: Recollection) {
-        if let Some(settings) = self.remembered::<Remembered>(recollection.settings.as_deref()) {
-            self.wanted = settings.wanted();
-            self.known_serial = settings.serial_number;
+        if let Some(settings) = self.remembered::<RememberedSettings>(recollection.settings.as_deref()) {
+            self.settings.wanted = settings.wanted();
+            self.settings.known_serial = settings.serial_number;
         }
         let skipped = if recollection.unclean { EPOCHS_SKIPPED } else { 0 };
         let latch = match self.remembered(recollection.latch.as_deref()) {
@@ -91,6 +136,11 @@ impl Actor {
             self.commands.bind_again(now, request);
         }
         self.settle(now);
+    }
+
+    pub(super) fn remember_settings(&mut self) {
+        let remembered = RememberedSettings::new(self.settings.known_serial, &self.settings.wanted);
+        self.recording.persist(MemoryKey::Settings, Some(&remembered));
     }
 
     fn remembered<T: DeserializeOwned>(&self, value: Option<&str>) -> Option<T> {

@@ -26,6 +26,7 @@ mod measuring;
 mod memory;
 mod metering;
 mod motion;
+mod overdrive;
 mod publish;
 mod purpose;
 mod reads;
@@ -37,25 +38,22 @@ mod tag;
 mod timers;
 mod wire_log;
 
-use std::collections::BTreeSet;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use tokio::sync::{Notify, broadcast, oneshot, watch};
 
 use super::Now;
-use super::handle::{Answer, FastStopRequest, Request};
+use super::handle::{FastStopRequest, Request};
 use super::info::Info;
 use super::latch::LatchState;
 use super::lease::LeaseState;
-use super::limits::Limits;
 use super::metrics::Metrics;
 use super::model::{CustomIds, FastStopStep, Frame, IdSource, LeaseRules, Name, State};
 use super::observed::Observed;
 use super::registry::CommandRegistry;
-use super::setup::{Setting, Wanted};
 use crate::transport::Traits;
-use crate::wsg::{Command, Data, SystemInfo, id};
+use crate::wsg::{Command, id};
 use drain::Drain;
 pub use link::Close;
 use link::DeviceLink;
@@ -64,8 +62,8 @@ use motion::Running;
 use reads::Reads;
 pub use recording::OnJournalFailure;
 use recording::Recording;
+use settings::Settings;
 use streaming::Streaming;
-use tag::TagWrites;
 
 /// How long the device may take to answer, before a Loop asks whether the answer was lost.
 const REPLY_WITHIN: Duration = Duration::from_secs(1);
@@ -103,14 +101,7 @@ pub struct Actor {
     config: Config,
     ids: IdSource,
     link: DeviceLink,
-    system: Option<SystemInfo>,
-    /// The serial number of the device that [`Wanted`] was set on.
-    known_serial: Option<u32>,
-    limits: Limits,
-    wanted: Wanted,
-    /// Settings of clients that could not be restored: nothing moves until they are set again.
-    lost: BTreeSet<Setting>,
-    overdrive_wanted: bool,
+    settings: Settings,
     observed: Observed,
     latch: LatchState,
     lease: LeaseState,
@@ -121,9 +112,6 @@ pub struct Actor {
     /// Until when the fingers may move on behalf of a motion that has ended.
     may_move_until: Option<Instant>,
     temperature_at: Option<Instant>,
-    /// Overdrive requests that wait for the flags to show what became of them.
-    awaiting_flags: Vec<(Instant, Answer<Data>)>,
-    tag_writes: TagWrites,
     drain: Option<Drain>,
     recording: Recording,
     metering: Metering,
@@ -162,12 +150,7 @@ impl Actor {
             ids: IdSource::new(config.seed),
             observed: Observed::new(config.traits.bytes_per_second),
             link,
-            system: None,
-            known_serial: None,
-            limits: Limits::default(),
-            wanted: Wanted::default(),
-            lost: BTreeSet::new(),
-            overdrive_wanted: false,
+            settings: Settings::default(),
             latch: LatchState::default(),
             lease: LeaseState::default(),
             reads: Reads::default(),
@@ -176,8 +159,6 @@ impl Actor {
             last_motion_end: None,
             may_move_until: None,
             temperature_at: None,
-            awaiting_flags: Vec::new(),
-            tag_writes: TagWrites::default(),
             drain: None,
             recording: Recording::new(config.name.clone(), config.on_journal_failure),
             metering: Metering::new(config.metrics.clone()),
@@ -304,7 +285,7 @@ impl Actor {
         self.recording.persist_changes(&self.latch, &self.lease, &mut self.observed.part);
         self.commands.tell();
         self.tell_acknowledges(now);
-        self.answer_awaiting_flags();
+        self.settings.overdrive.answer(self.observed.flags);
     }
 }
 

@@ -175,7 +175,7 @@ impl Actor {
             Motion::Custom(_) => return RESULT_WITHIN,
             Motion::Move { speed, .. } | Motion::Grip { speed, .. } | Motion::Release { speed, .. } => speed.mm_s(),
         };
-        let stroke = self.limits.system.map_or(LONGEST_STROKE_MM, |system| system.stroke.mm());
+        let stroke = self.settings.stroke_mm().unwrap_or(LONGEST_STROKE_MM);
         let way = Duration::try_from_secs_f32(stroke / speed.max(1.0)).unwrap_or(LONGEST_WAY);
         way.min(LONGEST_WAY) + MOTION_MARGIN
     }

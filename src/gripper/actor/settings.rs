@@ -1,62 +1,95 @@
-//! What clients set: written down, and remembered across restarts of the gateway and of the device.
+//! Settings of the device: what clients want of it, and what it allows.
 
-use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
 
 use super::super::Now;
-use super::super::model::{Client, Detail, MemoryKey, SettingChange, SettingsEvent};
-use super::super::setup::{Setting, Wanted, WantedSoftLimits};
-use super::Actor;
+use super::super::error::Conflict;
+use super::super::info::has_temperature;
+use super::super::limits::Limits;
+use super::super::model::{Client, Detail, SettingChange, SettingsEvent};
+use super::super::observed::Observed;
+use super::super::setup::{Setting, Setup, Wanted, WantedSoftLimits};
+use super::overdrive::Overdrive;
 use super::recording::Recording;
-use crate::wsg::{Acceleration, Command, Data, Finger, Force, SoftLimits, Width};
+use super::tag::TagWrites;
+use crate::wsg::{Command, Data, Finger, SystemInfo, SystemState};
 
-/// What clients set, as it is remembered.
-#[derive(Debug, Serialize, Deserialize)]
-pub(super) struct Remembered {
-    /// The device that it was set on.
-    pub serial_number: Option<u32>,
-    acceleration_mm_s2: Option<f32>,
-    force_n: Option<f32>,
-    soft_limits_cleared: bool,
-    minus_mm: Option<f32>,
-    plus_mm: Option<f32>,
+/// Settings of the device.
+#[derive(Debug, Default)]
+pub(super) struct Settings {
+    /// Serial number of the device that `wanted` was set on.
+    pub known_serial: Option<u32>,
+    pub wanted: Wanted,
+    /// Settings of clients that could not be restored: nothing moves until they are set again.
+    lost: BTreeSet<Setting>,
+    system: Option<SystemInfo>,
+    limits: Limits,
+    pub overdrive: Overdrive,
+    pub tag_writes: TagWrites,
 }
 
-impl Remembered {
-    fn new(serial_number: Option<u32>, wanted: &Wanted) -> Self {
-        let limits = match wanted.soft_limits {
-            WantedSoftLimits::Set(limits) => Some(limits),
-            _ => None,
-        };
-        Self {
-            serial_number,
-            acceleration_mm_s2: wanted.acceleration.map(Acceleration::mm_s2),
-            force_n: wanted.force_limit.map(Force::n),
-            soft_limits_cleared: wanted.soft_limits == WantedSoftLimits::Cleared,
-            minus_mm: limits.map(|limits| limits.minus().mm()),
-            plus_mm: limits.map(|limits| limits.plus().mm()),
+impl Settings {
+    /// Whether the device has all that clients have set.
+    pub(super) fn check(&self) -> Result<(), Conflict> {
+        if self.lost.is_empty() {
+            return Ok(());
+        }
+        let lost: Vec<_> = self.lost.iter().map(ToString::to_string).collect();
+        Err(Conflict::SettingsLost { settings: lost.join(", ") })
+    }
+
+    pub(super) fn limits(&self, observed: &Observed) -> Limits {
+        Limits { overdrive: observed.has(SystemState::OVERDRIVE_MODE), ..self.limits }
+    }
+
+    pub(super) fn stroke_mm(&self) -> Option<f32> {
+        self.limits.system.map(|system| system.stroke.mm())
+    }
+
+    pub(super) fn has_temperature(&self) -> bool {
+        self.system.as_ref().is_some_and(has_temperature)
+    }
+
+    /// Notes a value that the device read back: it is restored after a restart of the device.
+    pub(super) fn note(&mut self, data: &Data) {
+        match data {
+            Data::Acceleration(acceleration) => {
+                self.wanted.acceleration = Some(*acceleration);
+                self.lost.remove(&Setting::Acceleration);
+            }
+            Data::ForceLimit(force) => {
+                self.wanted.force_limit = Some(*force);
+                self.lost.remove(&Setting::ForceLimit);
+            }
+            Data::SoftLimits(limits) => {
+                self.wanted.soft_limits = WantedSoftLimits::Set(*limits);
+                self.lost.remove(&Setting::SoftLimits);
+                self.limits.soft = Some(*limits);
+            }
+            _ => {}
         }
     }
 
-    pub(super) fn wanted(&self) -> Wanted {
-        let width = |mm: Option<f32>| mm.and_then(|mm| Width::new(mm).ok());
-        let limits = width(self.minus_mm).zip(width(self.plus_mm));
-        let soft_limits = match limits.and_then(|(minus, plus)| SoftLimits::new(minus, plus)) {
-            Some(limits) => WantedSoftLimits::Set(limits),
-            None if self.soft_limits_cleared => WantedSoftLimits::Cleared,
-            None => WantedSoftLimits::AsTheyAre,
-        };
-        Wanted {
-            acceleration: self.acceleration_mm_s2.and_then(|mm_s2| Acceleration::new(mm_s2).ok()),
-            force_limit: self.force_n.and_then(|n| Force::new(n).ok()),
-            soft_limits,
-        }
+    /// Notes that soft limits were read back, and that there are none.
+    pub(super) fn note_no_soft_limits(&mut self) {
+        self.wanted.soft_limits = WantedSoftLimits::Cleared;
+        self.lost.remove(&Setting::SoftLimits);
+        self.limits.soft = None;
     }
-}
 
-impl Actor {
-    pub(super) fn remember_settings(&mut self) {
-        let remembered = Remembered::new(self.known_serial, &self.wanted);
-        self.recording.persist(MemoryKey::Settings, Some(&remembered));
+    /// Takes what a set-up has learned. Returns whether the device has another serial number than the one before.
+    pub(super) fn learn(&mut self, setup: &mut Setup, has_overdrive: bool) -> bool {
+        self.wanted = setup.wanted();
+        if let (Some(wanted), Some(limits), false) = (self.wanted.force_limit, setup.limits, has_overdrive) {
+            // Without overdrive the device has clamped it, and would be found changed at each reconnect.
+            self.wanted.force_limit = Some(if wanted > limits.nominal_force { limits.nominal_force } else { wanted });
+        }
+        self.lost = std::mem::take(&mut setup.lost);
+        self.system = setup.system;
+        self.limits.system = setup.limits;
+        self.limits.soft = setup.soft_limits;
+        let serial = setup.system.map(|system| system.serial_number);
+        std::mem::replace(&mut self.known_serial, serial) != serial
     }
 }
 

@@ -2,9 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use super::super::Now;
 use super::super::error::Failure;
-use super::Actor;
 use crate::wsg::{Command, DeviceTag};
 
 /// Time between two writes, whoever asks: a write each second is already far more than a tag changes.
@@ -31,23 +29,20 @@ impl TagWrites {
     pub(super) fn forget(&mut self) {
         self.known_at = None;
     }
-}
 
-impl Actor {
-    /// Whether the device has this tag already, so that there is nothing to write.
+    /// Begins a write, unless the device has this tag already. Returns whether to write.
     ///
     /// # Errors
     /// [`Failure::FlashWear`] where the last write was just now.
-    pub(super) fn check_tag(&mut self, now: Now, tag: &DeviceTag) -> Result<bool, Failure> {
-        let is_fresh = self.tag_writes.known_at.is_some_and(|at| now.instant < at + KNOWN_FOR);
-        if is_fresh && self.info.borrow().device_tag.as_deref() == Some(tag.as_str()) {
-            return Ok(true);
+    pub(super) fn begin(&mut self, now: Instant, tag: &DeviceTag, known: Option<&str>) -> Result<bool, Failure> {
+        if known == Some(tag.as_str()) && self.known_at.is_some_and(|at| now < at + KNOWN_FOR) {
+            return Ok(false);
         }
-        if self.tag_writes.written_at.is_some_and(|at| now.instant < at + WRITE_EVERY) {
+        if self.written_at.is_some_and(|at| now < at + WRITE_EVERY) {
             let command = super::name_of(&Command::SetDeviceTag(tag.clone()));
             return Err(Failure::FlashWear { command, every_ms: WRITE_EVERY.as_millis() as u64 });
         }
-        self.tag_writes = TagWrites { written_at: Some(now.instant), known_at: None };
-        Ok(false)
+        *self = Self { written_at: Some(now), known_at: None };
+        Ok(true)
     }
 }

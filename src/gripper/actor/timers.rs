@@ -3,8 +3,6 @@
 use std::time::{Duration, Instant};
 
 use super::super::Now;
-use super::super::error::Failure;
-use super::super::info::has_temperature;
 use super::super::observed;
 use super::Actor;
 use super::purpose::Purpose;
@@ -97,7 +95,10 @@ impl Timer {
                 |actor| actor.streaming.next_timeout(),
                 Work::Due(|actor, now| actor.streaming.write(now, &mut actor.recording)),
             ),
-            Self::Overdrive => (Actor::flags_awaited_until, Work::Due(Actor::expire_awaiting_flags)),
+            Self::Overdrive => (
+                |actor| actor.settings.overdrive.next_timeout(),
+                Work::Due(|actor, now| actor.settings.overdrive.expire(now.instant)),
+            ),
             Self::Drain => {
                 (|actor| actor.drain.as_ref().and_then(super::Drain::next_timeout), Work::Always(Actor::continue_drain))
             }
@@ -152,13 +153,8 @@ impl Actor {
         self.latch.repeats_at().filter(|_| self.link.session.is_some())
     }
 
-    fn flags_awaited_until(&self) -> Option<Instant> {
-        self.awaiting_flags.iter().map(|(until, _)| *until).min()
-    }
-
     fn temperature_due(&self) -> Option<Instant> {
-        let reads_temperature = self.system.as_ref().is_some_and(has_temperature);
-        self.temperature_at.filter(|_| reads_temperature && self.is_in_use())
+        self.temperature_at.filter(|_| self.settings.has_temperature() && self.is_in_use())
     }
 
     fn renew_updates(&mut self, now: Now) {
@@ -175,12 +171,5 @@ impl Actor {
     fn ask_temperature(&mut self, now: Now) {
         self.temperature_at = Some(now.instant + TEMPERATURE_EVERY);
         let _ = self.link.submit(now, Command::GetTemperature, Purpose::Upkeep);
-    }
-
-    fn expire_awaiting_flags(&mut self, now: Now) {
-        for (_, answer) in self.awaiting_flags.extract_if(.., |(until, _)| *until <= now.instant) {
-            let detail = "the flags do not show that Overdrive Mode was switched".to_owned();
-            let _ = answer.send(Err(Failure::DeviceProtocol { command: "OverdriveMode", detail }.into()));
-        }
     }
 }

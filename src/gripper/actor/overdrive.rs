@@ -1,0 +1,56 @@
+//! Overdrive Mode. The device's flags, and not its reply, show whether it was switched.
+
+use std::time::{Duration, Instant};
+
+use super::super::error::{Failure, Rejection};
+use super::super::handle::Answer;
+use crate::wsg::{Data, SystemState};
+
+/// Time that the flags may take to show that Overdrive Mode was switched.
+const FLAGS_WITHIN: Duration = Duration::from_millis(500);
+
+#[derive(Debug, Default)]
+pub(super) struct Overdrive {
+    is_wanted: bool,
+    /// Requests that wait for the flags, and until when.
+    waiting: Vec<(Instant, Answer<Data>)>,
+}
+
+impl Overdrive {
+    /// The device has accepted a request to switch.
+    pub(super) fn requested(&mut self, now: Instant, on: bool, answer: Answer<Data>) {
+        self.is_wanted = on;
+        self.waiting.push((now + FLAGS_WITHIN, answer));
+    }
+
+    /// Overdrive Mode stays off after a restart of the device. Returns whether a client had switched it on.
+    pub(super) fn give_up(&mut self) -> bool {
+        std::mem::take(&mut self.is_wanted)
+    }
+
+    /// Answers the requests that the flags show as done. An answer that nobody takes is lost.
+    pub(super) fn answer(&mut self, flags: Option<SystemState>) {
+        if let Some(flags) = flags.filter(|flags| flags.contains(SystemState::OVERDRIVE_MODE) == self.is_wanted) {
+            for (_, answer) in self.waiting.drain(..) {
+                let _ = answer.send(Ok(Data::SystemState(flags)));
+            }
+        }
+    }
+
+    pub(super) fn reject_all(&mut self, rejection: &Rejection) {
+        for (_, answer) in self.waiting.drain(..) {
+            let _ = answer.send(Err(rejection.clone()));
+        }
+    }
+
+    pub(super) fn expire(&mut self, now: Instant) {
+        for (_, answer) in self.waiting.extract_if(.., |(until, _)| *until <= now) {
+            let detail = "the flags do not show that Overdrive Mode was switched".to_owned();
+            let _ = answer.send(Err(Failure::DeviceProtocol { command: "OverdriveMode", detail }.into()));
+        }
+    }
+
+    pub(super) fn next_timeout(&self) -> Option<Instant> {
+        self.waiting.iter().map(|(until, _)| *until).min()
+    }
+}
