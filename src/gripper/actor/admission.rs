@@ -9,9 +9,9 @@ use super::super::model::{
     Action, Client, Command as Record, CommandId, FastStopId, LeaseToken, Motion, SettingChange, Submission,
 };
 use super::Actor;
-use super::motion::Running;
 use super::purpose::{Exchange, Purpose};
 use super::reads::is_slow_getter;
+use super::running::Running;
 use crate::wsg::{Command, Data, SystemState, id};
 
 impl Actor {
@@ -37,10 +37,10 @@ impl Actor {
                 if !matches!(motion, Motion::Custom(_)) {
                     self.recording.start_measuring(id, motion);
                 }
-                self.running = Some(Running::new(id, motion.clone(), self.is_streamed(motion)));
+                self.motion.begin(Running::new(id, motion.clone(), self.is_streamed(motion)));
                 if self.is_streamed(motion) {
                     // Nothing waits for a record of it.
-                    self.let_run();
+                    self.motion.let_run();
                     self.commands.recorded(id);
                 }
                 Ok(Ticket { _keep: keep, ..ticket })
@@ -86,10 +86,7 @@ impl Actor {
             return Err(Conflict::FastStop { id });
         }
         self.settings.check()?;
-        match &self.running {
-            Some(running) if !running.has_ended() => Err(Conflict::AlreadyRunning { id: running.id }),
-            _ => Ok(()),
-        }
+        self.motion.check()
     }
 
     /// As the device takes it: what is beyond its limits is clamped.

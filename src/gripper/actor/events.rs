@@ -78,7 +78,7 @@ impl Actor {
     /// Where there are no connections that would end with it, this is all that there is to notice it by.
     fn notice_restart(&mut self, now: Now, before: Option<SystemState>, flags: SystemState) {
         let was_referenced = before.is_some_and(|before| before.contains(SystemState::REFERENCED));
-        let homes = flags.contains(SystemState::MOVING) || self.running.as_ref().is_some_and(super::Running::homes);
+        let homes = flags.contains(SystemState::MOVING) || self.motion.is_homing();
         if !was_referenced || flags.contains(SystemState::REFERENCED) || homes {
             return;
         }
@@ -93,8 +93,7 @@ impl Actor {
     fn notice_foreign_motion(&mut self, now: Now, before: Option<SystemState>, flags: SystemState) {
         let moves = |flags: SystemState| flags.contains(SystemState::MOVING);
         let begins = moves(flags) && before.is_some_and(|before| !moves(before));
-        let ours = self.may_move_until.is_some_and(|until| now.instant < until)
-            || self.running.as_ref().is_some_and(super::Running::is_sent);
+        let ours = self.motion.may_move(now.instant);
         // A part that is lost lets the fingers close on.
         let holds = matches!(self.observed.gripper_state, Some(GripperState::Holding | GripperState::PartLost));
         if begins && !ours && !holds {

@@ -26,9 +26,9 @@ impl Actor {
 
     fn take_recorded(&mut self, now: Now, id: CommandId, durable: Result<(), &str>) {
         let result = self.recording.end_wait(id, durable);
-        if self.running.as_ref().is_some_and(|running| running.id == id && !running.recorded) {
+        if self.motion.waits_for_record(id) {
             match result {
-                Ok(()) => self.let_run(),
+                Ok(()) => self.motion.let_run(),
                 Err(failure) => self.reject_running(now, failure.into()),
             }
         }
@@ -72,7 +72,7 @@ impl Actor {
             Some(GripperState::PartLost) => self.record_lost_part(now, before.is_none()),
             // A part that was let go, or a device that has restarted.
             Some(GripperState::Idle | GripperState::NoPart)
-                if self.running.is_none() && !self.observed.part.is_held() =>
+                if self.motion.is_idle() && !self.observed.part.is_held() =>
             {
                 self.observed.part.take_grip();
             }

@@ -122,7 +122,7 @@ impl Actor {
             self.holder_lost(now, &held, LossCause::Expired);
         }
         let holds_nothing = self.observed.gripper_state.is_some() && !self.observed.part.is_held();
-        if holds_nothing && self.running.is_none() && self.link.is_up() {
+        if holds_nothing && self.motion.is_idle() && self.link.is_up() {
             self.lease.unreserve();
         }
     }
@@ -170,9 +170,7 @@ impl Actor {
 
     /// Whether the fingers move, or are about to, as far as is known, or were steered at that time.
     pub(super) fn is_moving(&self, at: Instant) -> bool {
-        self.running.as_ref().is_some_and(|running| !running.has_ended())
-            || self.observed.has(SystemState::MOVING)
-            || self.is_streaming(at)
+        self.motion.is_under_way() || self.observed.has(SystemState::MOVING) || self.is_streaming(at)
     }
 
     /// Stops whatever moves on the gateway's own account; what waits is withdrawn.

@@ -32,6 +32,7 @@ mod purpose;
 mod reads;
 mod recording;
 mod repeats;
+mod running;
 mod settings;
 mod streaming;
 mod tag;
@@ -58,10 +59,10 @@ use drain::Drain;
 pub use link::Close;
 use link::DeviceLink;
 use metering::Metering;
-use motion::Running;
 use reads::Reads;
 pub use recording::OnJournalFailure;
 use recording::Recording;
+use running::MotionState;
 use settings::Settings;
 use streaming::Streaming;
 
@@ -107,10 +108,7 @@ pub struct Actor {
     lease: LeaseState,
     reads: Reads,
     commands: CommandRegistry,
-    running: Option<Running>,
-    last_motion_end: Option<Instant>,
-    /// Until when the fingers may move on behalf of a motion that has ended.
-    may_move_until: Option<Instant>,
+    motion: MotionState,
     temperature_at: Option<Instant>,
     drain: Option<Drain>,
     recording: Recording,
@@ -155,9 +153,7 @@ impl Actor {
             lease: LeaseState::default(),
             reads: Reads::default(),
             commands: CommandRegistry::default(),
-            running: None,
-            last_motion_end: None,
-            may_move_until: None,
+            motion: MotionState::default(),
             temperature_at: None,
             drain: None,
             recording: Recording::new(config.name.clone(), config.on_journal_failure),

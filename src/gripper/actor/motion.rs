@@ -1,149 +1,26 @@
 //! The one command that moves the fingers: waiting, sent, ended.
 
-use std::sync::Arc;
-use std::time::{Duration, Instant};
-
 use super::super::Now;
 use super::super::error::{Conflict, DeviceRefusal, Failure, Rejection};
-use super::super::model::{Client, Command as Record, CommandId, FastStopId, Kind, Motion, Outcome};
+use super::super::model::{Client, Command as Record, CommandId, Kind, Motion, Outcome};
 use super::purpose::{NotSubmitted, Purpose};
-use super::{Actor, REPLY_WITHIN, RESULT_WITHIN};
-use crate::wsg::session::{End, Token};
+use super::running::{Running, Settling, Stage, outcome_of, result_within};
+use super::{Actor, REPLY_WITHIN};
+use crate::wsg::session::End;
 use crate::wsg::{Command, Data, Force, Reply, Status, SystemState};
 
-/// The pause between the end of a motion and the next: devices in the field fall over otherwise.
-const PAUSE: Duration = Duration::from_millis(50);
-
-/// How long homing may take: the slowest homing speed over the longest stroke.
-const HOMING_WITHIN: Duration = Duration::from_mins(1);
-
-/// How much longer than its way at its speed a motion may take: acceleration, clamping, and a device that gives up by
-/// itself with E_TIMEOUT.
-const MOTION_MARGIN: Duration = Duration::from_secs(10);
-
-/// How long a command's end waits for values that were measured after it, so that what its client is told, and reads
-/// next, is of after the motion. Updates every 10 ms bring them sooner.
-const SETTLES_WITHIN: Duration = Duration::from_millis(50);
-
-/// How long after a motion's end the flags may still show that it moves.
-const ENDS_WITHIN: Duration = Duration::from_millis(300);
-
-/// The longest that a way may take, whatever a device says of its stroke.
-const LONGEST_WAY: Duration = Duration::from_mins(5);
-
-/// The stroke that is reckoned with where the device has not told its own.
-const LONGEST_STROKE_MM: f32 = 250.0;
-
-/// The command that moves the fingers, or is about to.
-#[derive(Debug)]
-pub(super) struct Running {
-    pub id: CommandId,
-    motion: Motion,
-    stage: Stage,
-    accepted: bool,
-    /// Whether it is one of many that steer the fingers: it waits for nothing, and neither does its client.
-    is_streamed: bool,
-    /// Whether its `admitted` record is durable, or need not be.
-    pub recorded: bool,
-    /// The FAST STOP that came while it ran.
-    fast_stop: Option<FastStopId>,
-    /// Who has cancelled it.
-    cancelled_by: Option<Arc<str>>,
-    /// What a script answered.
-    payload: Option<Vec<u8>>,
-}
-
-#[derive(Debug)]
-enum Stage {
-    /// For the pause after the last one.
-    Waiting,
-    /// For the answer to Set Force Limit.
-    Force(Token),
-    /// The session has the motion: its frame may be written.
-    Sent(Token),
-    /// It has ended, and the values of after it are awaited.
-    Settling(Settling),
-}
-
-/// What has become of a motion that has ended.
-#[derive(Debug, Clone, Copy)]
-struct Settling {
-    outcome: Outcome,
-    status: Option<Status>,
-    since: Instant,
-}
-
-impl Running {
-    pub(super) fn new(id: CommandId, motion: Motion, is_streamed: bool) -> Self {
-        Self {
-            id,
-            motion,
-            stage: Stage::Waiting,
-            accepted: false,
-            is_streamed,
-            recorded: false,
-            fast_stop: None,
-            cancelled_by: None,
-            payload: None,
-        }
-    }
-
-    /// Whether it takes the fingers' reference away, for as long as it runs.
-    pub(super) fn homes(&self) -> bool {
-        matches!(self.motion, Motion::Home(_)) && !self.is_waiting()
-    }
-
-    /// Whether it was given to the device, which may have begun.
-    pub(super) fn is_sent(&self) -> bool {
-        !self.is_waiting()
-    }
-
-    /// Whether the device has said how it ended.
-    pub(super) fn has_ended(&self) -> bool {
-        matches!(self.stage, Stage::Settling(_))
-    }
-
-    /// Whether it has not been given to the device.
-    fn is_waiting(&self) -> bool {
-        matches!(self.stage, Stage::Waiting | Stage::Force(_))
-    }
-
-    /// What the session has of it.
-    pub(super) fn token(&self) -> Option<Token> {
-        match self.stage {
-            Stage::Waiting | Stage::Settling(_) => None,
-            Stage::Force(token) | Stage::Sent(token) => Some(token),
-        }
-    }
-}
-
 impl Actor {
-    /// Nothing but its pause keeps the motion from starting.
-    pub(super) fn let_run(&mut self) {
-        if let Some(running) = &mut self.running {
-            running.recorded = true;
-        }
-    }
-
-    /// When the waiting motion may start, once the link is set up.
-    pub(super) fn motion_due(&self) -> Option<Instant> {
-        let running = self.running.as_ref().filter(|running| running.recorded && self.link.is_up())?;
-        let paused_until = self.last_motion_end.filter(|_| !running.is_streamed).map(|end| end + PAUSE);
-        matches!(running.stage, Stage::Waiting).then_some(paused_until).flatten()
-    }
-
     /// Starts the motion that waits, when its pause is over.
     pub(super) fn start_waiting_motion(&mut self, now: Now) {
-        let Some(running) = &self.running else { return };
-        let is_due = self.motion_due().is_none_or(|due| due <= now.instant);
-        if !matches!(running.stage, Stage::Waiting) || !is_due || !running.recorded || !self.link.is_up() {
+        if !self.link.is_up() {
             return;
         }
+        let Some(running) = self.motion.due(now.instant) else { return };
         let id = running.id;
         match running.motion {
             Motion::Grip { force: Some(force), .. } => {
                 let sent = self.link.submit(now, Command::SetForceLimit(force), Purpose::Force(id, force));
-                self.set_stage(now, sent.map(Stage::Force));
+                self.set_stage(now, id, sent.map(Stage::Force));
             }
             _ => self.start_motion(now, id),
         }
@@ -151,45 +28,21 @@ impl Actor {
 
     /// The one place that submits a motion.
     pub(super) fn start_motion(&mut self, now: Now, id: CommandId) {
-        let Some(running) = self.running.as_ref().filter(|running| running.id == id) else { return };
+        let Some(running) = self.motion.running().filter(|running| running.id == id) else { return };
         if let Some(fast_stop) = self.latch.id() {
             return self.reject_running(now, Conflict::FastStop { id: fast_stop }.into());
         }
         let request = running.motion.request();
-        let within = self.result_within(&running.motion);
+        let within = result_within(&running.motion, self.settings.stroke_mm());
         let sent = self.link.submit_within(now, request, Purpose::Motion(id), REPLY_WITHIN, within);
-        self.set_stage(now, sent.map(Stage::Sent));
+        self.set_stage(now, id, sent.map(Stage::Sent));
     }
 
-    fn set_stage(&mut self, now: Now, stage: Result<Stage, NotSubmitted>) {
-        match (stage, &mut self.running) {
+    fn set_stage(&mut self, now: Now, id: CommandId, stage: Result<Stage, NotSubmitted>) {
+        match (stage, self.motion.get_mut(id)) {
             (Ok(stage), Some(running)) => running.stage = stage,
             (Err(not_taken), _) => self.reject_running(now, not_taken.0),
             (Ok(_), None) => {}
-        }
-    }
-
-    fn result_within(&self, motion: &Motion) -> Duration {
-        let speed = match motion {
-            Motion::Home(_) => return HOMING_WITHIN,
-            Motion::Custom(_) => return RESULT_WITHIN,
-            Motion::Move { speed, .. } | Motion::Grip { speed, .. } | Motion::Release { speed, .. } => speed.mm_s(),
-        };
-        let stroke = self.settings.stroke_mm().unwrap_or(LONGEST_STROKE_MM);
-        let way = Duration::try_from_secs_f32(stroke / speed.max(1.0)).unwrap_or(LONGEST_WAY);
-        way.min(LONGEST_WAY) + MOTION_MARGIN
-    }
-
-    /// How long the fingers may still move on behalf of a motion that has ended.
-    fn moves_on_for(&self, ended: &Running) -> Duration {
-        let is_told = matches!(ended.stage, Stage::Settling(Settling { status: Some(_), .. }));
-        match &ended.motion {
-            // They push against an obstacle, and snap to the target when it goes.
-            Motion::Move { flags, .. } if !flags.stop_on_block => LONGEST_WAY,
-            // A script may do anything.
-            Motion::Custom(_) => RESULT_WITHIN,
-            _ if is_told => ENDS_WITHIN,
-            motion => self.result_within(motion),
         }
     }
 
@@ -203,7 +56,7 @@ impl Actor {
                 self.recording.set(now, &client, &Data::ForceLimit(force));
             }
         }
-        if self.running.as_ref().is_none_or(|running| running.id != id) {
+        if self.motion.id() != Some(id) {
             return;
         }
         if success {
@@ -215,7 +68,7 @@ impl Actor {
     }
 
     pub(super) fn motion_accepted(&mut self, id: CommandId) {
-        if let Some(running) = self.running.as_mut().filter(|running| running.id == id) {
+        if let Some(running) = self.motion.get_mut(id) {
             running.accepted = true;
             self.observed.part.released();
             self.commands.accepted(id);
@@ -224,8 +77,10 @@ impl Actor {
 
     /// The motion has ended, as far as the session knows.
     pub(super) fn motion_ended(&mut self, now: Now, id: CommandId, end: End) {
-        let Some(running) = self.running.as_mut().filter(|running| running.id == id) else { return };
-        self.last_motion_end = Some(now.instant);
+        if self.motion.id() == Some(id) {
+            self.motion.ended(now.instant);
+        }
+        let Some(running) = self.motion.get_mut(id) else { return };
         let command = super::name_of(&running.motion.request());
         let (outcome, status) = match end {
             // A script needs no E_CMD_PENDING before.
@@ -250,29 +105,16 @@ impl Actor {
         running.stage = Stage::Settling(Settling { outcome, status, since: now.instant });
     }
 
-    /// When a settling motion is told as it is.
-    pub(super) fn settles_at(&self) -> Option<Instant> {
-        match self.running.as_ref()?.stage {
-            Stage::Settling(settling) => Some(settling.since + SETTLES_WITHIN),
-            _ => None,
-        }
-    }
-
     /// Ends a motion that has settled.
     pub(super) fn end_settled_motion(&mut self, now: Now) {
-        let Some(Running { stage: Stage::Settling(settling), is_streamed, .. }) = &self.running else { return };
-        if *is_streamed
-            || self.observed.is_newer_than(settling.since)
-            || self.settles_at().is_some_and(|at| at <= now.instant)
-        {
+        if self.motion.has_settled(now.instant, |since| self.observed.is_newer_than(since)) {
             self.end_running(now, false);
         }
     }
 
     /// Ends the motion as it stands: settled, or cut off by the end of its link.
     pub(super) fn end_running(&mut self, now: Now, unwritten: bool) {
-        let Some(running) = self.running.take() else { return };
-        self.may_move_until = Some(now.instant + self.moves_on_for(&running));
+        let Some(running) = self.motion.finish(now.instant, self.settings.stroke_mm()) else { return };
         let (outcome, status) = match running.stage {
             Stage::Settling(Settling { outcome, status, .. }) => (outcome, status),
             // It may have happened.
@@ -294,22 +136,16 @@ impl Actor {
 
     /// A FAST STOP holds: what waits is over, what runs will be.
     pub(super) fn abort_for_latch(&mut self, now: Now) {
-        let fast_stop = self.latch.id();
-        if let Some(running) = &mut self.running {
-            running.fast_stop = fast_stop;
-            self.withdraw_waiting_motion(now);
-        }
+        self.motion.fast_stopped(self.latch.id());
+        self.withdraw_waiting_motion(now);
     }
 
     /// Ends the motion whose frame has not been written yet, if there is one.
     pub(super) fn withdraw_waiting_motion(&mut self, now: Now) {
-        let Some(running) = &self.running else { return };
-        let token = running.token();
-        let (id, fast_stop, waiting) = (running.id, running.fast_stop, running.is_waiting());
-        let cancelled_by = running.cancelled_by.clone();
-        let withdrawn = token.is_some_and(|token| self.link.withdraw(token));
-        if waiting || withdrawn {
-            self.running = None;
+        let Some(running) = self.motion.running() else { return };
+        let withdrawn = running.token().is_some_and(|token| self.link.withdraw(token));
+        if running.is_waiting() || withdrawn {
+            let Some(Running { id, fast_stop, cancelled_by, .. }) = self.motion.take() else { return };
             self.end(now, id, |record| {
                 record.outcome = Some(Outcome::Aborted);
                 record.fast_stop_id = fast_stop;
@@ -320,14 +156,11 @@ impl Actor {
 
     /// Stops a command on its client's behalf.
     pub(super) fn cancel(&mut self, now: Now, id: CommandId, by: &Client) {
-        match &mut self.running {
-            Some(running) if running.id == id && !running.has_ended() => {
-                running.cancelled_by.get_or_insert_with(|| by.subject.clone());
-            }
-            _ => return,
+        if !self.motion.cancel(id, by) {
+            return;
         }
         self.withdraw_waiting_motion(now);
-        if self.running.is_some() {
+        if !self.motion.is_idle() {
             self.link.send_stop(now);
         }
     }
@@ -371,7 +204,7 @@ impl Actor {
     }
 
     pub(super) fn reject_running(&mut self, now: Now, rejection: Rejection) {
-        if let Some(running) = self.running.take() {
+        if let Some(running) = self.motion.take() {
             self.reject(now, running.id, rejection);
         }
     }
@@ -419,33 +252,5 @@ impl Actor {
                 outcome = record.outcome.map(Outcome::name), status = record.status, duration_ms = record.duration_ms,
                 "ended");
         }
-    }
-}
-
-/// What the result of an accepted motion means (`fw4-en 3.2`).
-fn outcome_of(kind: Kind, status: Status) -> Outcome {
-    match (kind, status) {
-        (Kind::Grip, Status::E_SUCCESS) => Outcome::PartHeld,
-        (Kind::Grip, Status::E_CMD_FAILED) => Outcome::NoPart,
-        (_, Status::E_SUCCESS) => Outcome::Success,
-        (_, Status::E_CMD_ABORTED) => Outcome::Aborted,
-        (_, Status::E_AXIS_BLOCKED) => Outcome::Blocked,
-        (_, Status::E_RANGE_ERROR) => Outcome::Range,
-        (_, Status::E_TIMEOUT) => Outcome::Timeout,
-        _ => Outcome::Failed,
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_grip_without_a_part_is_an_answer_and_not_a_failure() {
-        assert_eq!(outcome_of(Kind::Grip, Status::E_SUCCESS), Outcome::PartHeld);
-        assert_eq!(outcome_of(Kind::Grip, Status::E_CMD_FAILED), Outcome::NoPart);
-        assert_eq!(outcome_of(Kind::Release, Status::E_CMD_FAILED), Outcome::Failed);
-        assert_eq!(outcome_of(Kind::Move, Status::E_AXIS_BLOCKED), Outcome::Blocked);
-        assert_eq!(outcome_of(Kind::Move, Status::from_code(4711)), Outcome::Failed);
     }
 }

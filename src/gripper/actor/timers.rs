@@ -77,10 +77,13 @@ impl Timer {
                 |actor| actor.latch.clears_at(),
                 Work::Due(|actor, now| actor.latch.handle_timeout(now.instant, actor.observed.flags)),
             ),
-            Self::Settling => (Actor::settles_at, Work::Always(Actor::end_settled_motion)),
+            Self::Settling => (|actor| actor.motion.settles_at(), Work::Always(Actor::end_settled_motion)),
             Self::Lease => (|actor| actor.lease.next_timeout(), Work::Always(Actor::keep_up_lease)),
             Self::Journal => (|actor| Some(actor.recording.oldest_wait()?.0), Work::Due(Actor::give_up_recording)),
-            Self::Motion => (Actor::motion_due, Work::Always(Actor::start_waiting_motion)),
+            Self::Motion => (
+                |actor| actor.motion.starts_at().filter(|_| actor.link.is_up()),
+                Work::Always(Actor::start_waiting_motion),
+            ),
             Self::Curve => {
                 (|actor| actor.recording.curve_ends_at(), Work::Due(|actor, _| actor.recording.finish_measuring()))
             }

@@ -1,0 +1,294 @@
+//! The command that moves the fingers, and how long they may move on its behalf.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use super::super::error::Conflict;
+use super::super::model::{Client, CommandId, FastStopId, Kind, Motion, Outcome};
+use super::RESULT_WITHIN;
+use crate::wsg::Status;
+use crate::wsg::session::Token;
+
+/// The pause between the end of a motion and the next: devices in the field fall over otherwise.
+const PAUSE: Duration = Duration::from_millis(50);
+
+/// How long homing may take: the slowest homing speed over the longest stroke.
+const HOMING_WITHIN: Duration = Duration::from_mins(1);
+
+/// How much longer than its way at its speed a motion may take: acceleration, clamping, and a device that gives up by
+/// itself with E_TIMEOUT.
+const MOTION_MARGIN: Duration = Duration::from_secs(10);
+
+/// How long a command's end waits for values that were measured after it, so that what its client is told, and reads
+/// next, is of after the motion. Updates every 10 ms bring them sooner.
+const SETTLES_WITHIN: Duration = Duration::from_millis(50);
+
+/// How long after a motion's end the flags may still show that it moves.
+const ENDS_WITHIN: Duration = Duration::from_millis(300);
+
+/// The longest that a way may take, whatever a device says of its stroke.
+const LONGEST_WAY: Duration = Duration::from_mins(5);
+
+/// The stroke that is reckoned with where the device has not told its own.
+const LONGEST_STROKE_MM: f32 = 250.0;
+
+/// The command that moves the fingers, or is about to.
+#[derive(Debug)]
+pub(super) struct Running {
+    pub id: CommandId,
+    pub motion: Motion,
+    pub stage: Stage,
+    pub accepted: bool,
+    /// Whether it is one of many that steer the fingers: it waits for nothing, and neither does its client.
+    pub is_streamed: bool,
+    /// Whether its `admitted` record is durable, or need not be.
+    pub recorded: bool,
+    /// The FAST STOP that came while it ran.
+    pub fast_stop: Option<FastStopId>,
+    /// Subject of the client that has cancelled it.
+    pub cancelled_by: Option<Arc<str>>,
+    /// Answer of a script.
+    pub payload: Option<Vec<u8>>,
+}
+
+#[derive(Debug)]
+pub(super) enum Stage {
+    /// For the pause after the last one.
+    Waiting,
+    /// For the answer to Set Force Limit.
+    Force(Token),
+    /// The session has the motion: its frame may be written.
+    Sent(Token),
+    /// It has ended, and the values of after it are awaited.
+    Settling(Settling),
+}
+
+/// Result of a motion that has ended.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Settling {
+    pub outcome: Outcome,
+    pub status: Option<Status>,
+    pub since: Instant,
+}
+
+impl Running {
+    pub(super) fn new(id: CommandId, motion: Motion, is_streamed: bool) -> Self {
+        Self {
+            id,
+            motion,
+            stage: Stage::Waiting,
+            accepted: false,
+            is_streamed,
+            recorded: false,
+            fast_stop: None,
+            cancelled_by: None,
+            payload: None,
+        }
+    }
+
+    /// Whether the device has said how it ended.
+    fn has_ended(&self) -> bool {
+        matches!(self.stage, Stage::Settling(_))
+    }
+
+    /// Whether it has not been given to the device.
+    pub(super) fn is_waiting(&self) -> bool {
+        matches!(self.stage, Stage::Waiting | Stage::Force(_))
+    }
+
+    /// The session's token of it.
+    pub(super) fn token(&self) -> Option<Token> {
+        match self.stage {
+            Stage::Waiting | Stage::Settling(_) => None,
+            Stage::Force(token) | Stage::Sent(token) => Some(token),
+        }
+    }
+
+    /// Time that the fingers may still move on its behalf after its end.
+    fn moves_on_for(&self, stroke_mm: Option<f32>) -> Duration {
+        let is_told = matches!(self.stage, Stage::Settling(Settling { status: Some(_), .. }));
+        match &self.motion {
+            // They push against an obstacle, and snap to the target when it goes.
+            Motion::Move { flags, .. } if !flags.stop_on_block => LONGEST_WAY,
+            // A script may do anything.
+            Motion::Custom(_) => RESULT_WITHIN,
+            _ if is_told => ENDS_WITHIN,
+            motion => result_within(motion, stroke_mm),
+        }
+    }
+}
+
+/// Time that a motion's result may take.
+pub(super) fn result_within(motion: &Motion, stroke_mm: Option<f32>) -> Duration {
+    let speed = match motion {
+        Motion::Home(_) => return HOMING_WITHIN,
+        Motion::Custom(_) => return RESULT_WITHIN,
+        Motion::Move { speed, .. } | Motion::Grip { speed, .. } | Motion::Release { speed, .. } => speed.mm_s(),
+    };
+    let stroke = stroke_mm.unwrap_or(LONGEST_STROKE_MM);
+    let way = Duration::try_from_secs_f32(stroke / speed.max(1.0)).unwrap_or(LONGEST_WAY);
+    way.min(LONGEST_WAY) + MOTION_MARGIN
+}
+
+/// The motion at hand, and the end of the last one.
+#[derive(Debug, Default)]
+pub(super) struct MotionState {
+    running: Option<Running>,
+    last_end: Option<Instant>,
+    /// Until when the fingers may move on behalf of a motion that has ended.
+    may_move_until: Option<Instant>,
+}
+
+impl MotionState {
+    pub(super) fn running(&self) -> Option<&Running> {
+        self.running.as_ref()
+    }
+
+    /// The command of this id, while it runs.
+    pub(super) fn get_mut(&mut self, id: CommandId) -> Option<&mut Running> {
+        self.running.as_mut().filter(|running| running.id == id)
+    }
+
+    pub(super) fn id(&self) -> Option<CommandId> {
+        self.running.as_ref().map(|running| running.id)
+    }
+
+    pub(super) fn is_idle(&self) -> bool {
+        self.running.is_none()
+    }
+
+    /// Whether a motion runs whose end the device has not told.
+    pub(super) fn is_under_way(&self) -> bool {
+        self.running.as_ref().is_some_and(|running| !running.has_ended())
+    }
+
+    /// Whether the next motion may be admitted.
+    pub(super) fn check(&self) -> Result<(), Conflict> {
+        match &self.running {
+            Some(running) if !running.has_ended() => Err(Conflict::AlreadyRunning { id: running.id }),
+            _ => Ok(()),
+        }
+    }
+
+    pub(super) fn begin(&mut self, running: Running) {
+        self.running = Some(running);
+    }
+
+    /// Nothing but its pause keeps the motion from starting.
+    pub(super) fn let_run(&mut self) {
+        if let Some(running) = &mut self.running {
+            running.recorded = true;
+        }
+    }
+
+    /// Whether this command waits for its record.
+    pub(super) fn waits_for_record(&self, id: CommandId) -> bool {
+        self.running.as_ref().is_some_and(|running| running.id == id && !running.recorded)
+    }
+
+    /// The motion that waits for nothing but its pause, and the end of that pause.
+    fn pausing(&self) -> Option<(&Running, Option<Instant>)> {
+        let waits = |running: &&Running| running.recorded && matches!(running.stage, Stage::Waiting);
+        let running = self.running.as_ref().filter(waits)?;
+        let paused_until = self.last_end.filter(|_| !running.is_streamed).map(|end| end + PAUSE);
+        Some((running, paused_until))
+    }
+
+    /// When the waiting motion may start.
+    pub(super) fn starts_at(&self) -> Option<Instant> {
+        self.pausing()?.1
+    }
+
+    /// The waiting motion whose pause is over.
+    pub(super) fn due(&self, now: Instant) -> Option<&Running> {
+        let (running, paused_until) = self.pausing()?;
+        paused_until.is_none_or(|until| until <= now).then_some(running)
+    }
+
+    /// The device has told the end of a motion, or will not.
+    pub(super) fn ended(&mut self, now: Instant) {
+        self.last_end = Some(now);
+    }
+
+    /// When a settling motion is told as it is.
+    pub(super) fn settles_at(&self) -> Option<Instant> {
+        match self.running.as_ref()?.stage {
+            Stage::Settling(settling) => Some(settling.since + SETTLES_WITHIN),
+            _ => None,
+        }
+    }
+
+    /// Whether the motion has settled, by values that are newer than its end or by the time.
+    pub(super) fn has_settled(&self, now: Instant, is_newer_than: impl FnOnce(Instant) -> bool) -> bool {
+        match &self.running {
+            Some(Running { stage: Stage::Settling(settling), is_streamed, .. }) => {
+                *is_streamed || is_newer_than(settling.since) || settling.since + SETTLES_WITHIN <= now
+            }
+            _ => false,
+        }
+    }
+
+    /// Takes the motion that ends now: the fingers may move on for a while.
+    pub(super) fn finish(&mut self, now: Instant, stroke_mm: Option<f32>) -> Option<Running> {
+        let running = self.running.take()?;
+        self.may_move_until = Some(now + running.moves_on_for(stroke_mm));
+        Some(running)
+    }
+
+    /// Takes the motion that never began.
+    pub(super) fn take(&mut self) -> Option<Running> {
+        self.running.take()
+    }
+
+    /// A FAST STOP holds.
+    pub(super) fn fast_stopped(&mut self, id: Option<FastStopId>) {
+        if let Some(running) = &mut self.running {
+            running.fast_stop = id;
+        }
+    }
+
+    /// Notes who cancels a command. Returns whether it is under way.
+    pub(super) fn cancel(&mut self, id: CommandId, by: &Client) -> bool {
+        let running = self.get_mut(id).filter(|running| !running.has_ended());
+        running.map(|running| running.cancelled_by.get_or_insert_with(|| by.subject.clone())).is_some()
+    }
+
+    /// Whether a motion takes the fingers' reference away, for as long as it runs.
+    pub(super) fn is_homing(&self) -> bool {
+        self.running.as_ref().is_some_and(|running| matches!(running.motion, Motion::Home(_)) && !running.is_waiting())
+    }
+
+    /// Whether a motion of the gateway's clients may move the fingers now.
+    pub(super) fn may_move(&self, now: Instant) -> bool {
+        self.may_move_until.is_some_and(|until| now < until)
+            || self.running.as_ref().is_some_and(|running| !running.is_waiting())
+    }
+}
+
+/// What the result of an accepted motion means (`fw4-en 3.2`).
+pub(super) fn outcome_of(kind: Kind, status: Status) -> Outcome {
+    match (kind, status) {
+        (Kind::Grip, Status::E_SUCCESS) => Outcome::PartHeld,
+        (Kind::Grip, Status::E_CMD_FAILED) => Outcome::NoPart,
+        (_, Status::E_SUCCESS) => Outcome::Success,
+        (_, Status::E_CMD_ABORTED) => Outcome::Aborted,
+        (_, Status::E_AXIS_BLOCKED) => Outcome::Blocked,
+        (_, Status::E_RANGE_ERROR) => Outcome::Range,
+        (_, Status::E_TIMEOUT) => Outcome::Timeout,
+        _ => Outcome::Failed,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_grip_without_a_part_is_an_answer_and_not_a_failure() {
+        assert_eq!(outcome_of(Kind::Grip, Status::E_SUCCESS), Outcome::PartHeld);
+        assert_eq!(outcome_of(Kind::Grip, Status::E_CMD_FAILED), Outcome::NoPart);
+        assert_eq!(outcome_of(Kind::Release, Status::E_CMD_FAILED), Outcome::Failed);
+        assert_eq!(outcome_of(Kind::Move, Status::E_AXIS_BLOCKED), Outcome::Blocked);
+        assert_eq!(outcome_of(Kind::Move, Status::from_code(4711)), Outcome::Failed);
+    }
+}
