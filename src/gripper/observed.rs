@@ -82,6 +82,8 @@ pub(super) struct Observed {
     pub speed_mm_s: Option<f32>,
     pub force_n: Option<f32>,
     pub temperature: Option<Temperature>,
+    /// When the temperature is to be read again.
+    pub temperature_at: Option<Instant>,
     pub updated_at: Option<Instant>,
     pub part: HeldPart,
     /// When each of [`UPDATED`] was last heard.
@@ -104,6 +106,7 @@ impl Observed {
             speed_mm_s: None,
             force_n: None,
             temperature: None,
+            temperature_at: None,
             updated_at: None,
             part: HeldPart::default(),
             heard: [None; UPDATED.len()],

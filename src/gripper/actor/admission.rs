@@ -139,8 +139,7 @@ impl Actor {
             return;
         }
         if let Command::SetDeviceTag(tag) = &command {
-            let known = self.info.borrow().device_tag.clone();
-            match self.settings.tag_writes.begin(now.instant, tag, known.as_deref()) {
+            match self.settings.tag_writes.begin(now.instant, tag, self.publication.has_tag(tag)) {
                 Ok(true) => {}
                 Ok(false) => return drop(answer.send(Ok(Data::DeviceTag(tag.clone())))),
                 Err(failure) => return drop(answer.send(Err(failure.into()))),
@@ -239,8 +238,7 @@ impl Actor {
         match data {
             Data::Acceleration(_) | Data::ForceLimit(_) | Data::SoftLimits(_) => self.settings.note(data),
             Data::DeviceTag(tag) => {
-                let tag = tag.as_str().to_owned();
-                self.info.send_modify(|info| Arc::make_mut(info).device_tag = Some(tag));
+                self.publication.change_info(|info| info.device_tag = Some(tag.as_str().to_owned()));
             }
             _ => return,
         }

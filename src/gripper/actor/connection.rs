@@ -114,9 +114,7 @@ impl Actor {
             self.observed.asked(now.instant, update.id());
         }
         if let (Some(system), Some(limits)) = (setup.system, setup.limits) {
-            self.info.send_modify(|info| {
-                std::sync::Arc::make_mut(info).learn(&system, &limits, setup.tag.as_ref());
-            });
+            self.publication.change_info(|info| info.learn(&system, &limits, setup.tag.as_ref()));
         }
         if let (false, Some(session)) = (self.observed.has(SystemState::MOVING), &mut self.link.session) {
             // A motion that a restart has ended gets no result.
@@ -124,7 +122,7 @@ impl Actor {
         }
         self.metering.set_up(self.link.was_up);
         self.link.ready();
-        self.temperature_at = Some(now.instant);
+        self.observed.temperature_at = Some(now.instant);
         tracing::info!(gripper = %name, "ready");
     }
 

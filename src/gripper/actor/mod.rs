@@ -40,7 +40,7 @@ mod timers;
 mod wire_log;
 
 use std::sync::Arc;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 use tokio::sync::{Notify, broadcast, oneshot, watch};
 
@@ -59,6 +59,7 @@ use drain::Drain;
 pub use link::Close;
 use link::DeviceLink;
 use metering::Metering;
+use publish::Publication;
 use reads::Reads;
 pub use recording::OnJournalFailure;
 use recording::Recording;
@@ -109,14 +110,11 @@ pub struct Actor {
     reads: Reads,
     commands: CommandRegistry,
     motion: MotionState,
-    temperature_at: Option<Instant>,
     drain: Option<Drain>,
     recording: Recording,
     metering: Metering,
     streaming: Streaming,
-    sequence: u64,
-    state: watch::Sender<Arc<State>>,
-    info: watch::Sender<Arc<Info>>,
+    publication: Publication,
 }
 
 /// Where an actor's state and device can be watched.
@@ -134,14 +132,8 @@ impl Actor {
     /// A gripper without a link yet.
     #[must_use]
     pub fn new(config: Config) -> (Self, Watches) {
-        let info = Info::unknown(
-            config.name.clone(),
-            config.url.clone(),
-            config.traits.name,
-            config.traits.connection_oriented,
-        );
-        let (info, info_watch) = watch::channel(Arc::new(info));
-        let (state, state_watch) = watch::channel(Arc::new(State::unknown(config.name.clone())));
+        let publication = Publication::new(&config);
+        let (state, info) = publication.watch();
         let link = DeviceLink::new(config.name.clone(), config.traits);
         let frames = link.frames();
         let actor = Self {
@@ -154,17 +146,14 @@ impl Actor {
             reads: Reads::default(),
             commands: CommandRegistry::default(),
             motion: MotionState::default(),
-            temperature_at: None,
             drain: None,
             recording: Recording::new(config.name.clone(), config.on_journal_failure),
             metering: Metering::new(config.metrics.clone()),
             streaming: Streaming::default(),
-            sequence: 0,
-            state,
-            info,
+            publication,
             config,
         };
-        (actor, Watches { state: state_watch, info: info_watch, frames })
+        (actor, Watches { state, info, frames })
     }
 
     /// Takes bytes off the link.

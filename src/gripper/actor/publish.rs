@@ -1,34 +1,66 @@
-//! The newest state, as clients are told.
+//! The newest state, as clients see it.
 
 use std::sync::Arc;
 
+use tokio::sync::watch;
+
 use super::super::Now;
+use super::super::info::Info;
 use super::super::model::{LatchFields, State};
-use super::Actor;
-use crate::wsg::SystemState;
+use super::{Actor, Config};
+use crate::wsg::{DeviceTag, GripperState, SystemState, Temperature};
+
+/// What is published for clients.
+#[derive(Debug)]
+pub(super) struct Publication {
+    sequence: u64,
+    state: watch::Sender<Arc<State>>,
+    info: watch::Sender<Arc<Info>>,
+}
+
+impl Publication {
+    pub(super) fn new(config: &Config) -> Self {
+        let info = Info::unknown(
+            config.name.clone(),
+            config.url.clone(),
+            config.traits.name,
+            config.traits.connection_oriented,
+        );
+        let state = State::unknown(config.name.clone());
+        Self { sequence: 0, state: watch::Sender::new(Arc::new(state)), info: watch::Sender::new(Arc::new(info)) }
+    }
+
+    pub(super) fn watch(&self) -> (watch::Receiver<Arc<State>>, watch::Receiver<Arc<Info>>) {
+        (self.state.subscribe(), self.info.subscribe())
+    }
+
+    pub(super) fn change_info(&self, change: impl FnOnce(&mut Info)) {
+        self.info.send_modify(|info| change(Arc::make_mut(info)));
+    }
+
+    /// Whether the device is known to have this tag.
+    pub(super) fn has_tag(&self, tag: &DeviceTag) -> bool {
+        self.info.borrow().device_tag.as_deref() == Some(tag.as_str())
+    }
+}
 
 impl Actor {
     /// Publishes the state if it has changed.
     pub(super) fn publish(&mut self, now: Now) {
         let state = self.state_now();
-        if *self.state.borrow().as_ref() == state {
+        if *self.publication.state.borrow().as_ref() == state {
             return;
         }
-        self.sequence += 1;
-        let info_is_stale = {
-            let info = self.info.borrow();
-            info.link != state.link || info.link_cause != state.link_cause
-        };
-        if info_is_stale {
+        self.publication.sequence += 1;
+        let is_stale = |info: &Info| info.link != state.link || info.link_cause != state.link_cause;
+        if is_stale(&self.publication.info.borrow()) {
             self.recording.link(now, state.link, state.link_cause.clone());
-            let (link, cause) = (state.link, state.link_cause.clone());
-            self.info.send_modify(|info| {
-                let info = Arc::make_mut(info);
-                info.link = link;
-                info.link_cause = cause;
+            self.publication.change_info(|info| {
+                info.link = state.link;
+                info.link_cause.clone_from(&state.link_cause);
             });
         }
-        self.state.send_replace(Arc::new(State { seq: self.sequence, ..state }));
+        self.publication.state.send_replace(Arc::new(State { seq: self.publication.sequence, ..state }));
     }
 
     fn state_now(&self) -> State {
@@ -41,9 +73,9 @@ impl Actor {
             link: self.link.status(),
             link_cause: self.link.cause.clone(),
             updated_at: observed.updated_at,
-            seq: self.sequence,
-            state: observed.gripper_state.map(crate::wsg::GripperState::name),
-            state_code: observed.gripper_state.map(crate::wsg::GripperState::code),
+            seq: self.publication.sequence,
+            state: observed.gripper_state.map(GripperState::name),
+            state_code: observed.gripper_state.map(GripperState::code),
             flags: observed.flags.map(|flags| flags.names().collect()).unwrap_or_default(),
             flags_raw: observed.flags.map(|flags| flags.bits()),
             referenced,
@@ -51,7 +83,7 @@ impl Actor {
             width_mm: observed.width_mm.filter(|_| referenced == Some(true)),
             speed_mm_s: observed.speed_mm_s,
             force_n: observed.force_n,
-            temperature_c: observed.temperature.map(crate::wsg::Temperature::celsius),
+            temperature_c: observed.temperature.map(Temperature::celsius),
             fast_stop: (observed.flags.is_some() || latch.is_some()).then_some(latch.is_some()),
             latch: latch.map(|latch| LatchFields::of(latch, self.latch.epoch())),
             lease_holder: self.lease.holder().map(|holder| holder.name.clone()),

@@ -34,8 +34,8 @@ impl TagWrites {
     ///
     /// # Errors
     /// [`Failure::FlashWear`] where the last write was just now.
-    pub(super) fn begin(&mut self, now: Instant, tag: &DeviceTag, known: Option<&str>) -> Result<bool, Failure> {
-        if known == Some(tag.as_str()) && self.known_at.is_some_and(|at| now < at + KNOWN_FOR) {
+    pub(super) fn begin(&mut self, now: Instant, tag: &DeviceTag, is_known: bool) -> Result<bool, Failure> {
+        if is_known && self.known_at.is_some_and(|at| now < at + KNOWN_FOR) {
             return Ok(false);
         }
         if self.written_at.is_some_and(|at| now < at + WRITE_EVERY) {

@@ -157,7 +157,7 @@ impl Actor {
     }
 
     fn temperature_due(&self) -> Option<Instant> {
-        self.temperature_at.filter(|_| self.settings.has_temperature() && self.is_in_use())
+        self.observed.temperature_at.filter(|_| self.settings.has_temperature() && self.is_in_use())
     }
 
     fn renew_updates(&mut self, now: Now) {
@@ -172,7 +172,7 @@ impl Actor {
     }
 
     fn ask_temperature(&mut self, now: Now) {
-        self.temperature_at = Some(now.instant + TEMPERATURE_EVERY);
+        self.observed.temperature_at = Some(now.instant + TEMPERATURE_EVERY);
         let _ = self.link.submit(now, Command::GetTemperature, Purpose::Upkeep);
     }
 }
