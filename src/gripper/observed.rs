@@ -25,52 +25,9 @@ const MISSED_PERIODS: u32 = 3;
 #[derive(Debug, Default)]
 pub(super) struct HeldPart {
     /// Whether one is held: nothing has said since that it is gone.
-    is_held: bool,
-    grip: Option<CommandId>,
-    is_changed: bool,
-}
-
-impl HeldPart {
-    /// The part of this grip was held when the gateway ended.
-    pub(super) fn restored(grip: Option<CommandId>) -> Self {
-        Self { is_held: grip.is_some(), grip, is_changed: false }
-    }
-
-    pub(super) fn is_held(&self) -> bool {
-        self.is_held
-    }
-
-    /// The grip that holds the part; `None` for a part that another program gripped.
-    pub(super) fn grip(&self) -> Option<CommandId> {
-        self.grip
-    }
-
-    pub(super) fn gripped(&mut self, grip: CommandId) {
-        self.set_grip(Some(grip));
-    }
-
-    /// A new motion lets the part go, or grips it anew.
-    pub(super) fn released(&mut self) {
-        self.is_held = false;
-        self.set_grip(None);
-    }
-
-    /// Forgets the grip of a part that is gone.
-    pub(super) fn take_grip(&mut self) -> Option<CommandId> {
-        let grip = self.grip;
-        self.set_grip(None);
-        grip
-    }
-
-    /// Whether the grip has changed since the last call.
-    pub(super) fn take_change(&mut self) -> bool {
-        std::mem::take(&mut self.is_changed)
-    }
-
-    fn set_grip(&mut self, grip: Option<CommandId>) {
-        self.is_changed |= self.grip != grip;
-        self.grip = grip;
-    }
+    pub is_held: bool,
+    /// The grip that holds it; `None` for a part that another program gripped.
+    pub grip: Option<CommandId>,
 }
 
 /// The newest values.
@@ -302,7 +259,7 @@ mod tests {
             for data in &seen {
                 observed.take(Instant::now(), data);
             }
-            assert_eq!(observed.part.is_held(), held, "{seen:?}");
+            assert_eq!(observed.part.is_held, held, "{seen:?}");
         }
     }
 

@@ -9,7 +9,7 @@ use super::super::model::{
     Action, Client, Command as Record, CommandId, FastStopId, LeaseToken, Motion, SettingChange, Submission,
 };
 use super::Actor;
-use super::purpose::{Exchange, Purpose};
+use super::link::{Exchange, Purpose};
 use super::reads::is_slow_getter;
 use super::running::Running;
 use crate::wsg::{Command, Data, SystemState, id};
@@ -37,7 +37,7 @@ impl Actor {
                 if !matches!(motion, Motion::Custom(_)) {
                     self.recording.start_measuring(id, motion);
                 }
-                self.motion.begin(Running::new(id, motion.clone(), self.is_streamed(motion)));
+                self.motion.running = Some(Running::new(id, motion.clone(), self.is_streamed(motion)));
                 if self.is_streamed(motion) {
                     // Nothing waits for a record of it.
                     self.motion.let_run();

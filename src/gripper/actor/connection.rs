@@ -6,7 +6,7 @@ use super::super::latch;
 use super::super::model::{DeviceEvent, Link, Outcome};
 use super::super::observed;
 use super::super::setup::Setup;
-use super::purpose::Purpose;
+use super::link::Purpose;
 use super::running::Running;
 use super::{Actor, REPLY_WITHIN};
 use crate::wsg::{Command, SystemState};
@@ -28,7 +28,7 @@ impl Actor {
 
     /// The link is gone, or could not be made.
     pub fn link_down(&mut self, now: Now, cause: &str) {
-        let token = self.motion.running().and_then(Running::token);
+        let token = self.motion.running.as_ref().and_then(Running::token);
         let unwritten = token.is_some_and(|token| self.link.withdraw(token));
         self.metering.session(self.link.session.as_mut());
         let in_flight = self.link.down(cause);

@@ -3,8 +3,7 @@
 use std::time::{Duration, Instant};
 
 use super::super::Now;
-use super::link::Close;
-use super::purpose::Purpose;
+use super::link::{Close, Purpose};
 use super::{Actor, Answered};
 use crate::wsg::{Command, SystemState};
 
@@ -99,7 +98,7 @@ impl Actor {
     pub(super) fn continue_drain(&mut self, now: Now) {
         // What the gateway asks of a device that it is getting to know is nobody's loss.
         let asked = self.link.is_up() && self.link.session.as_ref().is_some_and(|session| !session.is_idle());
-        let idle = self.motion.is_idle() && !self.latch.is_unconfirmed() && !asked;
+        let idle = self.motion.running.is_none() && !self.latch.is_unconfirmed() && !asked;
         let Some(drain) = &mut self.drain else { return };
         let late = drain.until <= now.instant;
         match drain.stage {
@@ -107,7 +106,7 @@ impl Actor {
             Stage::Finishing if late => {
                 drain.stage = Stage::Stopping;
                 drain.until = now.instant + ANSWERED_WITHIN;
-                if !self.motion.is_idle() {
+                if self.motion.running.is_some() {
                     self.withdraw_waiting_motion(now);
                     let _ = self.link.submit(now, Command::Stop, Purpose::Stop(None));
                 }

@@ -4,8 +4,7 @@ use super::super::Now;
 use super::super::latch::{Change, Origin};
 use super::super::model::{DeviceEvent, FastStopCause, FastStopStep, SettingChange};
 use super::Actor;
-use super::link::Close;
-use super::purpose::{Exchange, Purpose};
+use super::link::{Close, Exchange, Purpose};
 use crate::wsg::session::{End, Event, Token};
 use crate::wsg::{Command, Data, GripperState, Reply, Status, SystemState};
 

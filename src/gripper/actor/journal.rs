@@ -72,9 +72,9 @@ impl Actor {
             Some(GripperState::PartLost) => self.record_lost_part(now, before.is_none()),
             // A part that was let go, or a device that has restarted.
             Some(GripperState::Idle | GripperState::NoPart)
-                if self.motion.is_idle() && !self.observed.part.is_held() =>
+                if self.motion.running.is_none() && !self.observed.part.is_held =>
             {
-                self.observed.part.take_grip();
+                self.observed.part.grip = None;
             }
             _ => {}
         }
@@ -82,7 +82,7 @@ impl Actor {
 
     /// Records that a part was lost. A part that was lost before the last run knew of it is no news.
     fn record_lost_part(&mut self, now: Now, is_first_look: bool) {
-        let grip = self.observed.part.take_grip();
+        let grip = self.observed.part.grip.take();
         if is_first_look && grip.is_none() {
             return;
         }

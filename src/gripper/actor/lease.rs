@@ -121,8 +121,8 @@ impl Actor {
         if let Some(held) = self.lease.expire(now.instant) {
             self.holder_lost(now, &held, LossCause::Expired);
         }
-        let holds_nothing = self.observed.gripper_state.is_some() && !self.observed.part.is_held();
-        if holds_nothing && self.motion.is_idle() && self.link.is_up() {
+        let holds_nothing = self.observed.gripper_state.is_some() && !self.observed.part.is_held;
+        if holds_nothing && self.motion.running.is_none() && self.link.is_up() {
             self.lease.unreserve();
         }
     }
@@ -133,7 +133,7 @@ impl Actor {
             LossCause::Expired => now.instant.checked_sub(held.terms.ttl).unwrap_or(now.instant),
             LossCause::Disconnected => now.instant,
         };
-        let effect = match (self.is_moving(last_heard), self.observed.part.is_held()) {
+        let effect = match (self.is_moving(last_heard), self.observed.part.is_held) {
             (true, _) => match on_loss_moving {
                 OnLossMoving::FastStop => LossEffect::FastStop,
                 OnLossMoving::Stop => LossEffect::Stop,

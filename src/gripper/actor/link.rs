@@ -4,18 +4,18 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use tokio::sync::broadcast;
+use tokio::sync::{broadcast, oneshot};
 
 use super::super::Now;
-use super::super::error::Failure;
-use super::super::model::{CommandId, Frame, Link, Name};
+use super::super::error::{Failure, Rejection};
+use super::super::handle::Answer;
+use super::super::model::{Client, CommandId, Frame, Link, Name};
 use super::super::setup::{Setup, Step};
-use super::purpose::{NotSubmitted, Purpose};
 use super::wire_log::WireLog;
 use super::{REPLY_WITHIN, RESULT_WITHIN, name_of};
 use crate::transport::Traits;
 use crate::wsg::session::{self, End, Event, NotTaken, Session, Token};
-use crate::wsg::{self, Command, id};
+use crate::wsg::{self, Command, Data, Force, id};
 
 /// A link without a sign of life for so long is unresponsive: motions are refused.
 const UNRESPONSIVE_AFTER: Duration = Duration::from_millis(1500);
@@ -39,6 +39,39 @@ pub enum Close {
     #[error("given up in order")]
     Drained,
 }
+
+/// Purpose of a request in flight.
+#[derive(Debug)]
+pub(super) enum Purpose {
+    Setup,
+    Upkeep,
+    FastStop,
+    Acknowledge,
+    /// Set Force Limit, before a grip.
+    Force(CommandId, Force),
+    Motion(CommandId),
+    /// For a client's stop command, or on the gateway's own account.
+    Stop(Option<CommandId>),
+    Exchange(Exchange),
+    /// A getter that several clients may wait for.
+    Read(u8),
+    Announce,
+}
+
+/// A client's request that moves nothing, under way.
+#[derive(Debug)]
+pub(super) struct Exchange {
+    pub command: Command,
+    pub answer: Answer<Data>,
+    /// Told when the device has accepted the request.
+    pub accepted: Option<oneshot::Sender<()>>,
+    /// The setter whose value is being read back.
+    pub setter: Option<Command>,
+    pub client: Client,
+}
+
+/// Why the session did not take a request, and the request's purpose.
+pub(super) type NotSubmitted = Box<(Rejection, Purpose)>;
 
 #[derive(Debug)]
 enum LinkState {

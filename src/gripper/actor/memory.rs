@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use super::super::Now;
 use super::super::latch::LatchState;
 use super::super::lease::{Holder, LeaseState};
-use super::super::model::{Client, Door, FastStopId, Latch, Memory, MemoryKey};
+use super::super::model::{Client, CommandId, Door, FastStopId, Latch, Memory, MemoryKey};
 use super::super::observed::HeldPart;
 use super::super::recorder::{Recollection, Record};
 use super::super::setup::{Wanted, WantedSoftLimits};
@@ -106,6 +106,7 @@ struct ClearedLatch {
 pub(super) struct LastReported {
     latch: (u64, Option<FastStopId>),
     lease: (u64, Option<Holder>),
+    grip: Option<CommandId>,
 }
 
 impl Actor {
@@ -125,7 +126,9 @@ impl Actor {
             self.recording.reported.latch = (epoch, latch.as_ref().map(|latch| latch.id));
             self.latch.recollect(now.instant, epoch.saturating_add(skipped), latch);
         }
-        self.observed.part = HeldPart::restored(self.remembered(recollection.holding.as_deref()));
+        let grip = self.remembered(recollection.holding.as_deref());
+        self.recording.reported.grip = grip;
+        self.observed.part = HeldPart { is_held: grip.is_some(), grip };
         if let Some(RememberedLease { epoch, holder }) = self.remembered(recollection.lease.as_deref()) {
             let client = |holder: &RememberedHolder| Client { subject: holder.subject.clone(), door: holder.door };
             let holder = holder.map(|holder| Holder { client: client(&holder), name: holder.name });
@@ -161,9 +164,10 @@ impl Recording {
     }
 
     /// Persists the changes of the latch, the lease and the part that is held.
-    pub(super) fn persist_changes(&mut self, latch: &LatchState, lease: &LeaseState, part: &mut HeldPart) {
-        if part.take_change() {
-            self.persist(MemoryKey::Holding, part.grip().as_ref());
+    pub(super) fn persist_changes(&mut self, latch: &LatchState, lease: &LeaseState, grip: Option<CommandId>) {
+        if self.reported.grip != grip {
+            self.reported.grip = grip;
+            self.persist(MemoryKey::Holding, grip.as_ref());
         }
         let epoch = latch.epoch();
         if self.reported.latch != (epoch, latch.id()) {

@@ -28,7 +28,6 @@ mod metering;
 mod motion;
 mod overdrive;
 mod publish;
-mod purpose;
 mod reads;
 mod recording;
 mod repeats;
@@ -267,7 +266,7 @@ impl Actor {
         self.take_events(now);
         self.metering.session(self.link.session.as_mut());
         self.publish(now);
-        self.recording.persist_changes(&self.latch, &self.lease, &mut self.observed.part);
+        self.recording.persist_changes(&self.latch, &self.lease, self.observed.part.grip);
         self.commands.tell();
         self.tell_acknowledges(now);
         self.settings.overdrive.answer(self.observed.flags);

@@ -3,7 +3,8 @@
 use super::super::Now;
 use super::super::error::{Conflict, DeviceRefusal, Failure, Rejection};
 use super::super::model::{Client, Command as Record, CommandId, Kind, Motion, Outcome};
-use super::purpose::{NotSubmitted, Purpose};
+use super::super::observed::HeldPart;
+use super::link::{NotSubmitted, Purpose};
 use super::running::{Running, Settling, Stage, outcome_of, result_within};
 use super::{Actor, REPLY_WITHIN};
 use crate::wsg::session::End;
@@ -28,7 +29,7 @@ impl Actor {
 
     /// The one place that submits a motion.
     pub(super) fn start_motion(&mut self, now: Now, id: CommandId) {
-        let Some(running) = self.motion.running().filter(|running| running.id == id) else { return };
+        let Some(running) = self.motion.running.as_ref().filter(|running| running.id == id) else { return };
         if let Some(fast_stop) = self.latch.id() {
             return self.reject_running(now, Conflict::FastStop { id: fast_stop }.into());
         }
@@ -70,7 +71,8 @@ impl Actor {
     pub(super) fn motion_accepted(&mut self, id: CommandId) {
         if let Some(running) = self.motion.get_mut(id) {
             running.accepted = true;
-            self.observed.part.released();
+            // The motion lets go of what was held, or grips it anew.
+            self.observed.part = HeldPart::default();
             self.commands.accepted(id);
         }
     }
@@ -142,10 +144,10 @@ impl Actor {
 
     /// Ends the motion whose frame has not been written yet, if there is one.
     pub(super) fn withdraw_waiting_motion(&mut self, now: Now) {
-        let Some(running) = self.motion.running() else { return };
+        let Some(running) = self.motion.running.as_ref() else { return };
         let withdrawn = running.token().is_some_and(|token| self.link.withdraw(token));
         if running.is_waiting() || withdrawn {
-            let Some(Running { id, fast_stop, cancelled_by, .. }) = self.motion.take() else { return };
+            let Some(Running { id, fast_stop, cancelled_by, .. }) = self.motion.running.take() else { return };
             self.end(now, id, |record| {
                 record.outcome = Some(Outcome::Aborted);
                 record.fast_stop_id = fast_stop;
@@ -160,7 +162,7 @@ impl Actor {
             return;
         }
         self.withdraw_waiting_motion(now);
-        if !self.motion.is_idle() {
+        if self.motion.running.is_some() {
             self.link.send_stop(now);
         }
     }
@@ -204,7 +206,7 @@ impl Actor {
     }
 
     pub(super) fn reject_running(&mut self, now: Now, rejection: Rejection) {
-        if let Some(running) = self.motion.take() {
+        if let Some(running) = self.motion.running.take() {
             self.reject(now, running.id, rejection);
         }
     }
@@ -246,7 +248,7 @@ impl Actor {
             }
             self.recording.done(now, &client, &record);
             if record.outcome == Some(Outcome::PartHeld) {
-                self.observed.part.gripped(id);
+                self.observed.part.grip = Some(id);
             }
             tracing::info!(gripper = %self.config.name, command = %id, kind = %record.kind,
                 outcome = record.outcome.map(Outcome::name), status = record.status, duration_ms = record.duration_ms,

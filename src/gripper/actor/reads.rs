@@ -10,7 +10,7 @@ use super::super::Now;
 use super::super::error::{Failure, Rejection};
 use super::super::handle::Answer;
 use super::Actor;
-use super::purpose::Purpose;
+use super::link::Purpose;
 use crate::wsg::session::End;
 use crate::wsg::{Command, Data, Reply};
 

@@ -133,17 +133,13 @@ pub(super) fn result_within(motion: &Motion, stroke_mm: Option<f32>) -> Duration
 /// The motion at hand, and the end of the last one.
 #[derive(Debug, Default)]
 pub(super) struct MotionState {
-    running: Option<Running>,
+    pub running: Option<Running>,
     last_end: Option<Instant>,
     /// Until when the fingers may move on behalf of a motion that has ended.
     may_move_until: Option<Instant>,
 }
 
 impl MotionState {
-    pub(super) fn running(&self) -> Option<&Running> {
-        self.running.as_ref()
-    }
-
     /// The command of this id, while it runs.
     pub(super) fn get_mut(&mut self, id: CommandId) -> Option<&mut Running> {
         self.running.as_mut().filter(|running| running.id == id)
@@ -151,10 +147,6 @@ impl MotionState {
 
     pub(super) fn id(&self) -> Option<CommandId> {
         self.running.as_ref().map(|running| running.id)
-    }
-
-    pub(super) fn is_idle(&self) -> bool {
-        self.running.is_none()
     }
 
     /// Whether a motion runs whose end the device has not told.
@@ -168,10 +160,6 @@ impl MotionState {
             Some(running) if !running.has_ended() => Err(Conflict::AlreadyRunning { id: running.id }),
             _ => Ok(()),
         }
-    }
-
-    pub(super) fn begin(&mut self, running: Running) {
-        self.running = Some(running);
     }
 
     /// Nothing but its pause keeps the motion from starting.
@@ -233,11 +221,6 @@ impl MotionState {
         let running = self.running.take()?;
         self.may_move_until = Some(now + running.moves_on_for(stroke_mm));
         Some(running)
-    }
-
-    /// Takes the motion that never began.
-    pub(super) fn take(&mut self) -> Option<Running> {
-        self.running.take()
     }
 
     /// A FAST STOP holds.

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use super::super::Now;
 use super::super::observed;
 use super::Actor;
-use super::purpose::Purpose;
+use super::link::Purpose;
 use crate::wsg::Command;
 use crate::wsg::session::Session;
 
@@ -15,103 +15,41 @@ const TEMPERATURE_EVERY: Duration = Duration::from_secs(5);
 /// Time that the clients' requests may take through their interfaces after the gateway had no processor time.
 const FRONTEND_GRACE: Duration = Duration::from_millis(200);
 
-/// A deadline of the actor.
-#[derive(Debug, Clone, Copy)]
-enum Timer {
-    Silence,
-    FastStop,
-    Acknowledge,
-    Settling,
-    Lease,
-    Journal,
-    Motion,
-    Curve,
-    Repeats,
-    Flicker,
-    Streaming,
-    Overdrive,
-    Drain,
-    Updates,
-    Temperature,
+/// A deadline of the actor, and its work.
+struct Timer {
+    deadline: fn(&Actor) -> Option<Instant>,
+    run: fn(&mut Actor, Now),
+    /// Whether the work may also be due for another reason than time: it is run after each input, and looks itself.
+    always: bool,
 }
 
-type Deadline = fn(&Actor) -> Option<Instant>;
-type Run = fn(&mut Actor, Now);
-
-/// When the work of a timer is done.
-enum Work {
-    /// Once its deadline has come.
-    Due(Run),
-    /// After each input too: it may be due for another reason than time, which it looks at itself.
-    Always(Run),
+/// Work that is due once its deadline has come.
+const fn due(deadline: fn(&Actor) -> Option<Instant>, run: fn(&mut Actor, Now)) -> Timer {
+    Timer { deadline, run, always: false }
 }
 
-impl Timer {
-    /// All timers, in the order in which their work is done.
-    const ALL: [Self; 15] = [
-        Self::Silence,
-        Self::FastStop,
-        Self::Acknowledge,
-        Self::Settling,
-        Self::Lease,
-        Self::Journal,
-        Self::Motion,
-        Self::Curve,
-        Self::Repeats,
-        Self::Flicker,
-        Self::Streaming,
-        Self::Overdrive,
-        Self::Drain,
-        Self::Updates,
-        Self::Temperature,
-    ];
-
-    /// Deadline and work of the timer.
-    fn entry(self) -> (Deadline, Work) {
-        match self {
-            Self::Silence => {
-                (|actor| actor.link.silence_at().filter(|_| actor.drain.is_none()), Work::Always(Actor::supervise))
-            }
-            Self::FastStop => (Actor::fast_stop_at, Work::Always(Actor::send_fast_stop_if_due)),
-            Self::Acknowledge => (
-                |actor| actor.latch.clears_at(),
-                Work::Due(|actor, now| actor.latch.handle_timeout(now.instant, actor.observed.flags)),
-            ),
-            Self::Settling => (|actor| actor.motion.settles_at(), Work::Always(Actor::end_settled_motion)),
-            Self::Lease => (|actor| actor.lease.next_timeout(), Work::Always(Actor::keep_up_lease)),
-            Self::Journal => (|actor| Some(actor.recording.oldest_wait()?.0), Work::Due(Actor::give_up_recording)),
-            Self::Motion => (
-                |actor| actor.motion.starts_at().filter(|_| actor.link.is_up()),
-                Work::Always(Actor::start_waiting_motion),
-            ),
-            Self::Curve => {
-                (|actor| actor.recording.curve_ends_at(), Work::Due(|actor, _| actor.recording.finish_measuring()))
-            }
-            Self::Repeats => {
-                (|actor| actor.recording.repeats.next_timeout(), Work::Due(|actor, _| actor.recording.record_repeats()))
-            }
-            Self::Flicker => (
-                |actor| actor.recording.flicker.next_timeout(),
-                Work::Due(|actor, now| actor.recording.record_flicker(now)),
-            ),
-            Self::Streaming => (
-                |actor| actor.streaming.next_timeout(),
-                Work::Due(|actor, now| actor.streaming.write(now, &mut actor.recording)),
-            ),
-            Self::Overdrive => (
-                |actor| actor.settings.overdrive.next_timeout(),
-                Work::Due(|actor, now| actor.settings.overdrive.expire(now.instant)),
-            ),
-            Self::Drain => {
-                (|actor| actor.drain.as_ref().and_then(super::Drain::next_timeout), Work::Always(Actor::continue_drain))
-            }
-            Self::Updates => {
-                (|actor| actor.observed.next_silent().filter(|_| actor.is_in_use()), Work::Due(Actor::renew_updates))
-            }
-            Self::Temperature => (Actor::temperature_due, Work::Due(Actor::ask_temperature)),
-        }
-    }
+const fn always(deadline: fn(&Actor) -> Option<Instant>, run: fn(&mut Actor, Now)) -> Timer {
+    Timer { deadline, run, always: true }
 }
+
+/// All timers, in the order in which their work is done.
+const TIMERS: [Timer; 15] = [
+    always(Actor::silence_at, Actor::supervise),
+    always(Actor::fast_stop_at, Actor::send_fast_stop_if_due),
+    due(|actor| actor.latch.clears_at(), |actor, now| actor.latch.handle_timeout(now.instant, actor.observed.flags)),
+    always(|actor| actor.motion.settles_at(), Actor::end_settled_motion),
+    always(|actor| actor.lease.next_timeout(), Actor::keep_up_lease),
+    due(|actor| Some(actor.recording.oldest_wait()?.0), Actor::give_up_recording),
+    always(Actor::motion_starts_at, Actor::start_waiting_motion),
+    due(|actor| actor.recording.curve_ends_at(), |actor, _| actor.recording.finish_measuring()),
+    due(|actor| actor.recording.repeats.next_timeout(), |actor, _| actor.recording.record_repeats()),
+    due(|actor| actor.recording.flicker.next_timeout(), |actor, now| actor.recording.record_flicker(now)),
+    due(|actor| actor.streaming.next_timeout(), |actor, now| actor.streaming.write(now, &mut actor.recording)),
+    due(|actor| actor.settings.overdrive.next_timeout(), |actor, now| actor.settings.overdrive.expire(now.instant)),
+    always(|actor| actor.drain.as_ref()?.next_timeout(), Actor::continue_drain),
+    due(Actor::updates_missed_at, Actor::renew_updates),
+    due(Actor::temperature_due, Actor::ask_temperature),
+];
 
 impl Actor {
     /// To be called when [`Actor::poll_timeout`] has come.
@@ -125,17 +63,15 @@ impl Actor {
     /// When [`Actor::handle_timeout`] has to be called next.
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Instant> {
-        let timers = Timer::ALL.into_iter().filter_map(|timer| timer.entry().0(self));
-        timers.chain(self.link.session.as_ref().and_then(Session::poll_timeout)).min()
+        let session = self.link.session.as_ref().and_then(Session::poll_timeout);
+        TIMERS.iter().filter_map(|timer| (timer.deadline)(self)).chain(session).min()
     }
 
     /// Does all that is due.
     pub(super) fn run_due_timers(&mut self, now: Now) {
-        for timer in Timer::ALL {
-            match timer.entry() {
-                (_, Work::Always(run)) => run(self, now),
-                (deadline, Work::Due(run)) if deadline(self).is_some_and(|at| at <= now.instant) => run(self, now),
-                (_, Work::Due(_)) => {}
+        for Timer { deadline, run, always } in TIMERS {
+            if always || deadline(self).is_some_and(|at| at <= now.instant) {
+                run(self, now);
             }
         }
     }
@@ -154,6 +90,18 @@ impl Actor {
 
     fn fast_stop_at(&self) -> Option<Instant> {
         self.latch.repeats_at().filter(|_| self.link.session.is_some())
+    }
+
+    fn silence_at(&self) -> Option<Instant> {
+        self.link.silence_at().filter(|_| self.drain.is_none())
+    }
+
+    fn motion_starts_at(&self) -> Option<Instant> {
+        self.motion.starts_at().filter(|_| self.link.is_up())
+    }
+
+    fn updates_missed_at(&self) -> Option<Instant> {
+        self.observed.next_silent().filter(|_| self.is_in_use())
     }
 
     fn temperature_due(&self) -> Option<Instant> {
