@@ -1,4 +1,4 @@
-//! The handle: what every door holds of a gripper. Cheap to clone; the actor behind it owns the state.
+//! The handle that every interface has of a gripper. It is cheap to clone; the actor behind it owns the state.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -28,7 +28,7 @@ pub const MAX_WAITING_FAST_STOPS: usize = 64;
 /// How long a client waits for a FAST STOP's confirmation before it is told that there is none yet.
 pub const FAST_STOP_WAIT: Duration = Duration::from_millis(250);
 
-/// What the actor is asked, with the channel for its answer. [`Handle`] has a method for each.
+/// A request to the actor, with the channel for its answer. [`Handle`] has a method for each.
 #[derive(Debug)]
 #[allow(missing_docs, reason = "said at the handle's methods")]
 pub enum Request {
@@ -47,35 +47,35 @@ pub enum Request {
     Drain { answer: oneshot::Sender<()> },
 }
 
-/// Where an answer or a rejection goes.
+/// Channel for an answer or a rejection.
 pub type Answer<T> = oneshot::Sender<Result<T, Rejection>>;
 
-/// Where it is told that the device has accepted a request and takes its time for it, for who wants to know; and where
-/// its last reply's data go.
+/// Channel for the news that the device has accepted a request and takes its time for it, if a caller wants them, and
+/// channel for the data of the last reply.
 pub type Steps = (Option<oneshot::Sender<()>>, Answer<wsg::Data>);
 
 /// A FAST STOP on its way to the actor, on a lane of its own.
 #[derive(Debug)]
 pub struct FastStopRequest {
-    /// What an acknowledge will have to name.
+    /// Id that an acknowledge will have to name.
     pub id: FastStopId,
-    /// Who asks.
+    /// The caller.
     pub client: Client,
-    /// Why, in the gateway's words.
+    /// Cause in the gateway's words.
     pub cause: FastStopCause,
-    /// Why, in the client's.
+    /// Reason in the client's words.
     pub reason: Reason,
-    /// Since when it is on its way.
+    /// Time at which the request was received.
     pub at: Instant,
     /// Takes the latch's epoch, by which the caller tells the confirmation of this FAST STOP, or of a later one, from
     /// that of an earlier one.
     pub epoch: Option<oneshot::Sender<u64>>,
 }
 
-/// What became of a FAST STOP so far.
+/// Result of a FAST STOP so far.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FastStop {
-    /// What an acknowledge has to name.
+    /// Id that an acknowledge has to name.
     pub id: FastStopId,
     /// Whether the device's flags have shown it.
     pub confirmed: bool,
@@ -86,19 +86,19 @@ pub struct FastStop {
 pub struct Granted {
     /// The lease, with its token.
     pub lease: Lease,
-    /// How often it was taken by now: who takes it again, on another connection, has it from then on.
+    /// Number of times that the lease was taken. It belongs to the connection that took it last.
     pub times_taken: u64,
-    /// Keeps it from running out: for a door whose client's connection is as good as a use.
+    /// Keeps the lease from running out, for an interface whose connection counts as use of it.
     pub keep: Option<Keep>,
 }
 
-/// A lease in use: it doesn't run out for as long as this lives.
+/// A lease in use, which doesn't run out before this is dropped.
 #[derive(Debug)]
 pub struct Using {
     _keep: oneshot::Receiver<Option<Keep>>,
 }
 
-/// A command that was admitted, and can be waited for: its client's lease doesn't run out meanwhile.
+/// An admitted command to wait for. Its client's lease doesn't run out meanwhile.
 #[derive(Debug, Clone)]
 pub struct Ticket {
     pub(super) record: watch::Receiver<Arc<Command>>,
@@ -114,7 +114,7 @@ impl Ticket {
         Command { replayed: self.replayed, ..record }
     }
 
-    /// The same, for who only watches: its client's lease does not wait for it.
+    /// A ticket for observers, which does not keep the client's lease.
     #[must_use]
     pub fn watched(&self) -> Self {
         Self { _keep: None, ..self.clone() }
@@ -126,13 +126,13 @@ impl Ticket {
         self.record.borrow().id
     }
 
-    /// Waits until it is written down, which the actor bounds.
+    /// Waits until the command is recorded, for as long as the actor allows.
     async fn recorded(&mut self) {
         // An actor that is gone records nothing any more.
         let _ = self.record.wait_for(|command| command.recorded).await;
     }
 
-    /// Whether it has changed since this was asked last.
+    /// Whether the command has changed since the last call.
     pub fn has_changed(&mut self) -> bool {
         let changed = self.record.has_changed().unwrap_or_default();
         self.record.mark_unchanged();
@@ -199,19 +199,19 @@ impl Handle {
         self.state.clone()
     }
 
-    /// The frames from now on, in both directions. Who is too slow misses some, and is told how many.
+    /// The frames from now on, in both directions. A receiver that is too slow misses some, and learns how many.
     #[must_use]
     pub fn frames(&self) -> broadcast::Receiver<Arc<Frame>> {
         self.frames.subscribe()
     }
 
-    /// How often the device tells its state.
+    /// Period of the device's updates.
     #[must_use]
     pub fn update_period_ms(&self) -> u16 {
         self.update_period_ms
     }
 
-    /// What is known of the device. Costs the device nothing.
+    /// Information about the device. Costs the device nothing.
     #[must_use]
     pub fn info(&self) -> Arc<Info> {
         self.info.borrow().clone()
@@ -223,59 +223,44 @@ impl Handle {
         self.custom_ids.read.contains(&id)
     }
 
-    /// What the ids of its scripts mean.
+    /// Meaning of the ids of custom commands.
     #[must_use]
     pub fn custom_ids(&self) -> Arc<CustomIds> {
         self.custom_ids.clone()
     }
 
     /// Submits a command: admitted with an id and written down, or rejected before anything was sent.
-    ///
-    /// # Errors
-    /// [`Rejection`]
     pub async fn submit(&self, submission: Submission) -> Result<Ticket, Rejection> {
         let id = CommandId::generate();
         let is_stop = matches!(submission.action, Action::Stop);
         let request = |answer| Request::Submit { submission, id, answer };
-        let mut ticket = if is_stop { self.insist(request).await } else { self.ask(request).await }??;
+        let mut ticket = if is_stop { self.request_reserved(request).await } else { self.try_request(request).await }??;
         ticket.recorded().await;
         Ok(ticket)
     }
 
     /// A command of the last hour, by its id.
-    ///
-    /// # Errors
-    /// [`Failure`], where the actor can't be asked.
     pub async fn find(&self, id: CommandId) -> Result<Option<Ticket>, Failure> {
-        self.ask(|answer| Request::Find { id, answer }).await
+        self.try_request(|answer| Request::Find { id, answer }).await
     }
 
     /// Stops a command if it still runs.
-    ///
-    /// # Errors
-    /// [`Failure`], where the actor can't be asked.
     pub async fn cancel(&self, id: CommandId, client: Client) -> Result<Option<Ticket>, Failure> {
-        self.insist(|answer| Request::Cancel { id, client, answer }).await
+        self.request_reserved(|answer| Request::Cancel { id, client, answer }).await
     }
 
     /// One request to the device that moves nothing, and its reply's data. After a setter the value is read back, and
     /// the data are the getter's: what the device made of it.
-    ///
-    /// # Errors
-    /// [`Rejection`]
     pub async fn exchange(
         &self,
         command: wsg::Command,
         client: Client,
         lease: Option<LeaseToken>,
     ) -> Result<wsg::Data, Rejection> {
-        self.ask(|answer| Request::Exchange { command, client, lease, answer: (None, answer) }).await?
+        self.try_request(|answer| Request::Exchange { command, client, lease, answer: (None, answer) }).await?
     }
 
-    /// The same, and `accepted` is told when the device has answered `E_CMD_PENDING`, after which its last reply follows.
-    ///
-    /// # Errors
-    /// [`Rejection`]
+    /// Works like [`Handle::exchange`], and tells `accepted` when the device has answered `E_CMD_PENDING`.
     pub async fn exchange_in_steps(
         &self,
         command: wsg::Command,
@@ -283,27 +268,22 @@ impl Handle {
         lease: Option<LeaseToken>,
         accepted: oneshot::Sender<()>,
     ) -> Result<wsg::Data, Rejection> {
-        self.ask(|answer| Request::Exchange { command, client, lease, answer: (Some(accepted), answer) }).await?
+        self.try_request(|answer| Request::Exchange { command, client, lease, answer: (Some(accepted), answer) })
+            .await?
     }
 
-    /// The lease as it is.
-    ///
-    /// # Errors
-    /// [`Failure`], where the actor can't be asked.
+    /// The current lease.
     pub async fn lease(&self) -> Result<Lease, Failure> {
-        self.ask(|answer| Request::Lease { answer }).await
+        self.try_request(|answer| Request::Lease { answer }).await
     }
 
     /// Takes the lease, or changes the terms of the one that is held already.
-    ///
-    /// # Errors
-    /// [`Rejection`]
     pub async fn take_lease(&self, take: TakeLease) -> Result<Granted, Rejection> {
         let token = LeaseToken::generate();
-        self.insist(|answer| Request::TakeLease { take, token, answer }).await?
+        self.request_reserved(|answer| Request::TakeLease { take, token, answer }).await?
     }
 
-    /// Uses the lease of this token, where it is somebody's. Nobody waits for that, a FAST STOP least of all.
+    /// Counts as use of the lease of this token, if there is one. The caller does not wait.
     #[must_use]
     pub fn use_lease(&self, token: LeaseToken) -> Using {
         let (answer, keep) = oneshot::channel();
@@ -311,39 +291,30 @@ impl Handle {
             self.requests.try_send(Request::UseLease { token, answer })
         {
             let requests = self.requests.clone();
-            // As one that insists. An actor that is gone has no lease.
+            // It waits for a place. An actor that is gone has no lease.
             tokio::spawn(async move { requests.send(request).await });
         }
         Using { _keep: keep }
     }
 
     /// Renews the lease of this token.
-    ///
-    /// # Errors
-    /// [`Rejection`], where it is nobody's.
     pub async fn renew_lease(&self, token: Option<LeaseToken>) -> Result<Lease, Rejection> {
-        self.insist(|answer| Request::RenewLease { token, answer }).await?
+        self.request_reserved(|answer| Request::RenewLease { token, answer }).await?
     }
 
-    /// Gives the lease of this token to who has asked for it.
-    ///
-    /// # Errors
-    /// [`Rejection`]
+    /// Gives the lease of this token to the client that has asked for it.
     pub async fn hand_over(&self, token: Option<LeaseToken>, to: String) -> Result<Lease, Rejection> {
         let new = LeaseToken::generate();
-        self.insist(|answer| Request::HandOver { token, to, new, answer }).await?
+        self.request_reserved(|answer| Request::HandOver { token, to, new, answer }).await?
     }
 
-    /// Gives the lease of this token back: a running motion is stopped. Where the token is nobody's, nothing happens.
-    ///
-    /// # Errors
-    /// [`Failure`], where the actor can't be asked.
+    /// Gives the lease of this token back, and stops a running motion. A token without a lease does nothing.
     pub async fn release_lease(&self, token: Option<LeaseToken>) -> Result<Lease, Failure> {
-        self.insist(|answer| Request::ReleaseLease { token, answer }).await
+        self.request_reserved(|answer| Request::ReleaseLease { token, answer }).await
     }
 
-    /// The client that holds the lease of this token was lost; where it says how often it had taken it, unless it has taken
-    /// it again since.
+    /// Reports that the holder of this token was lost. With `times_taken` the report holds only while the lease was not
+    /// taken again since.
     pub async fn lose_lease(&self, token: LeaseToken, times_taken: Option<u64>) {
         // An actor that is gone has given its device up.
         let _ = self.requests.send(Request::LoseLease { token, times_taken }).await;
@@ -368,24 +339,21 @@ impl Handle {
     }
 
     /// Acknowledges the FAST STOP of this id, and returns when the device's flags show that it is gone.
-    ///
-    /// # Errors
-    /// [`Rejection`]
     pub async fn acknowledge(&self, id: FastStopId, client: Client) -> Result<(), Rejection> {
-        self.insist(|answer| Request::Acknowledge { id, client, answer }).await?
+        self.request_reserved(|answer| Request::Acknowledge { id, client, answer }).await?
     }
 
     /// Gives the gripper up in order: no new commands, a running one may finish, the device is told, the link closed.
     pub async fn drain(&self) {
         // An actor that is gone already has nothing left to give up.
-        if self.insist(|answer| Request::Drain { answer }).await.is_ok() {
+        if self.request_reserved(|answer| Request::Drain { answer }).await.is_ok() {
             // Behind the answer come its last records.
             self.requests.closed().await;
         }
     }
 
-    /// Asks what may be refused where too much waits already.
-    async fn ask<T>(&self, request: impl FnOnce(oneshot::Sender<T>) -> Request) -> Result<T, Failure> {
+    /// Sends a request that is refused where too many wait already.
+    async fn try_request<T>(&self, request: impl FnOnce(oneshot::Sender<T>) -> Request) -> Result<T, Failure> {
         let (answer, answered) = oneshot::channel();
         self.requests.try_send(request(answer)).map_err(|error| match error {
             mpsc::error::TrySendError::Full(_) => Failure::Overloaded { limit: MAX_WAITING_REQUESTS },
@@ -394,8 +362,8 @@ impl Handle {
         answered.await.map_err(|_| Failure::Draining)
     }
 
-    /// Asks what has to get through: it waits for a place, before what others [`Handle::ask`] from now on.
-    async fn insist<T>(&self, request: impl FnOnce(oneshot::Sender<T>) -> Request) -> Result<T, Failure> {
+    /// Sends a request that has to get through: it waits for a place, before later calls of [`Handle::try_request`].
+    async fn request_reserved<T>(&self, request: impl FnOnce(oneshot::Sender<T>) -> Request) -> Result<T, Failure> {
         let (answer, answered) = oneshot::channel();
         self.requests.send(request(answer)).await.map_err(|_| Failure::Draining)?;
         answered.await.map_err(|_| Failure::Draining)
