@@ -155,7 +155,7 @@ pub(super) struct LeaseState {
 
 /// What became of a wish to hold the lease.
 #[derive(Debug)]
-pub(super) enum Taken {
+pub(super) enum AcquireOutcome {
     /// It was free.
     Free,
     /// From its holder, by force.
@@ -240,32 +240,32 @@ impl LeaseState {
         wish: &TakeLease,
         terms: Terms,
         token: LeaseToken,
-    ) -> Result<Taken, Conflict> {
+    ) -> Result<AcquireOutcome, Conflict> {
         let holder = Holder::of(wish);
         let way = match &mut self.held {
             Some(held) if Some(&held.token) == wish.token.as_ref() => {
                 held.terms = terms;
                 held.times_taken += 1;
                 held.used(now);
-                return Ok(Taken::Again);
+                return Ok(AcquireOutcome::Again);
             }
             Some(held) if held.usage == Usage::HandedOver && held.holder.is(&holder) => {
                 held.usage = Usage::Idle;
                 held.terms = terms;
                 held.used(now);
-                return Ok(Taken::HandedOver);
+                return Ok(AcquireOutcome::HandedOver);
             }
             _ if wish.token.is_some() => return Err(self.stale()),
-            Some(_) if wish.force => Taken::Forced,
+            Some(_) if wish.force => AcquireOutcome::Forced,
             Some(_) => {
                 if wish.request {
                     self.ask(now, holder, terms);
                 }
-                return self.check(now, None).map(|()| Taken::Free);
+                return self.check(now, None).map(|()| AcquireOutcome::Free);
             }
-            None if self.reserved.as_ref().is_none_or(|reserved| reserved.is(&holder)) => Taken::Free,
-            None if wish.force => Taken::Free,
-            None => return self.check(now, None).map(|()| Taken::Free),
+            None if self.reserved.as_ref().is_none_or(|reserved| reserved.is(&holder)) => AcquireOutcome::Free,
+            None if wish.force => AcquireOutcome::Free,
+            None => return self.check(now, None).map(|()| AcquireOutcome::Free),
         };
         self.give(now, holder, terms, token, Usage::Idle);
         Ok(way)

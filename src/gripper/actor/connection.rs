@@ -23,7 +23,7 @@ impl Actor {
         // A FAST STOP that the device may not have heard of goes before everything else.
         self.send_fast_stop_if_due(now);
         self.continue_setup(now);
-        self.settle(now);
+        self.after_input(now);
     }
 
     /// The link is gone, or could not be made.
@@ -51,7 +51,7 @@ impl Actor {
             }
         }
         self.end_running(now, unwritten);
-        self.settle(now);
+        self.after_input(now);
     }
 
     /// Whether the link is up, and the device has said what it is.

@@ -2,9 +2,11 @@
 
 use std::time::{Duration, Instant};
 
+use tokio::sync::oneshot;
+
 use super::super::Now;
+use super::Actor;
 use super::link::{Close, Purpose};
-use super::{Actor, Answered};
 use crate::wsg::{Command, SystemState};
 
 /// How long the device may take to stop, and then again to acknowledge the announcement.
@@ -17,8 +19,8 @@ pub(super) struct Drain {
     until: Instant,
     /// Whether 07h was handed out.
     has_announced: bool,
-    /// Who waits for it.
-    answers: Vec<Answered>,
+    /// Callers that wait for the end.
+    answers: Vec<oneshot::Sender<()>>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -58,7 +60,7 @@ impl Drain {
 
 impl Actor {
     /// Begins to give the gripper up.
-    pub(super) fn start_drain(&mut self, now: Now, answer: Answered) {
+    pub(super) fn start_drain(&mut self, now: Now, answer: oneshot::Sender<()>) {
         let until = now.instant + self.config.drain;
         let drain = self.drain.get_or_insert_with(|| {
             tracing::info!(gripper = %self.config.name, "giving up in order");
@@ -67,14 +69,14 @@ impl Actor {
         drain.answers.push(answer);
     }
 
-    /// Nobody has a handle any more, so nobody waits for it either.
+    /// Gives the gripper up after its last handle is gone, so that no caller waits.
     pub fn abandon(&mut self, now: Now) {
-        let (answer, _) = tokio::sync::oneshot::channel();
+        let (answer, _) = oneshot::channel();
         self.start_drain(now, answer);
-        self.settle(now);
+        self.after_input(now);
     }
 
-    /// Whether the link is not to be made again.
+    /// Whether the gripper is being given up, so that its link is not made again.
     #[must_use]
     pub fn is_draining(&self) -> bool {
         self.drain.is_some()
@@ -86,7 +88,7 @@ impl Actor {
         self.drain.as_ref().is_some_and(|drain| drain.has_announced)
     }
 
-    /// Tells everyone who waits for it that the gripper was given up.
+    /// Answers the callers that wait: the gripper was given up.
     pub fn drained(&mut self, now: Now) {
         self.recording.finish(now);
         self.streaming.write(now, &mut self.recording);
@@ -96,7 +98,7 @@ impl Actor {
     }
 
     pub(super) fn continue_drain(&mut self, now: Now) {
-        // What the gateway asks of a device that it is getting to know is nobody's loss.
+        // No client loses by a request of the set-up.
         let asked = self.link.is_up() && self.link.session.as_ref().is_some_and(|session| !session.is_idle());
         let idle = self.motion.running.is_none() && !self.latch.is_unconfirmed() && !asked;
         let Some(drain) = &mut self.drain else { return };
@@ -120,7 +122,7 @@ impl Actor {
         }
     }
 
-    /// Says good-bye: 07h where the device knows it, Stop elsewhere if it moves.
+    /// Sends the farewell: 07h where the device knows it, or else Stop if the fingers move.
     fn leave(&mut self, now: Now) {
         let connected = !self.link.is_down();
         let farewell = if self.link.properties.connection_oriented {

@@ -15,13 +15,13 @@ impl Actor {
     /// A command's record is durable, or will not be soon.
     pub fn recorded(&mut self, now: Now, id: CommandId, durable: bool) {
         self.take_recorded(now, id, durable.then_some(()).ok_or("it did not take the record"));
-        self.settle(now);
+        self.after_input(now);
     }
 
     /// Takes the journal's health.
     pub fn journal_health(&mut self, now: Now, health: Health) {
         self.recording.health = health;
-        self.settle(now);
+        self.after_input(now);
     }
 
     fn take_recorded(&mut self, now: Now, id: CommandId, durable: Result<(), &str>) {

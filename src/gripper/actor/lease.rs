@@ -5,7 +5,7 @@ use std::time::Instant;
 use super::super::Now;
 use super::super::error::{Conflict, Failure, Rejection};
 use super::super::handle::{Answer, FastStopRequest, Granted};
-use super::super::lease::{Held, Holder, Taken, Terms};
+use super::super::lease::{AcquireOutcome, Held, Holder, Terms};
 use super::super::model::{
     Client, FastStopCause, Lease, LeaseEvent, LeaseStep, LeaseToken, LossCause, LossEffect, OnLossHolding,
     OnLossMoving, Reason, TakeLease,
@@ -37,7 +37,7 @@ impl Actor {
     /// A request of a lease's holder has ended, as [`Actor::lease_requests`] told.
     pub fn lease_request_closed(&mut self, now: Now) {
         self.lease.request_closed(now.instant);
-        self.settle(now);
+        self.after_input(now);
     }
 
     pub(super) fn lease_now(&self, now: Now) -> Lease {
@@ -69,12 +69,12 @@ impl Actor {
         let Some(holder) = self.lease.holder().cloned() else { return result.map(drop).map_err(Into::into) };
         let way = result?;
         match way {
-            Taken::Free => self.record_lease(now, LeaseStep::Taken, &holder, None),
-            Taken::Forced => self.record_lease(now, LeaseStep::Forced, &holder, None),
+            AcquireOutcome::Free => self.record_lease(now, LeaseStep::Taken, &holder, None),
+            AcquireOutcome::Forced => self.record_lease(now, LeaseStep::Forced, &holder, None),
             // That it is its now was written down when it was handed over.
-            Taken::HandedOver | Taken::Again => {}
+            AcquireOutcome::HandedOver | AcquireOutcome::Again => {}
         }
-        if wish.force && !matches!(way, Taken::Again) {
+        if wish.force && !matches!(way, AcquireOutcome::Again) {
             // Whoever it is that moves the fingers: nobody, somebody who was lost, or who has handed over.
             self.stop_motion(now);
         }
@@ -117,7 +117,7 @@ impl Actor {
     }
 
     /// Ends a lease that has run out, and a reservation that protects nothing any more.
-    pub(super) fn keep_up_lease(&mut self, now: Now) {
+    pub(super) fn expire_lease(&mut self, now: Now) {
         if let Some(held) = self.lease.expire(now.instant) {
             self.holder_lost(now, &held, LossCause::Expired);
         }

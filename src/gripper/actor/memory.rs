@@ -138,7 +138,7 @@ impl Actor {
         for request in recollection.requests {
             self.commands.bind_again(now, request);
         }
-        self.settle(now);
+        self.after_input(now);
     }
 
     pub(super) fn remember_settings(&mut self) {

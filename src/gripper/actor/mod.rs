@@ -1,4 +1,4 @@
-//! The actor: one gripper's only owner, as a pure machine. Its `driver` does the I/O.
+//! The actor: the only owner of one gripper, as a pure machine. Its `driver` does the I/O.
 //!
 //! # How it is driven
 //!
@@ -7,6 +7,11 @@
 //! - Outputs, to be looked at after each input: [`Actor::poll_transmit`] whenever the link can take a frame,
 //!   [`Actor::wants_close`], and [`Actor::poll_timeout`], which says when to call [`Actor::handle_timeout`].
 //!   Clients get their answers through the channels that came with their requests, and the newest state by a watch.
+//!
+//! # Parts
+//!
+//! Each part is a struct with methods of its own, which take what they need and return what the actor has to do. A
+//! decision that concerns several parts is a method of [`Actor`].
 //!
 //! # Architecture invariants
 //!
@@ -41,7 +46,7 @@ mod wire_log;
 use std::sync::Arc;
 use std::time::Duration;
 
-use tokio::sync::{Notify, broadcast, oneshot, watch};
+use tokio::sync::{Notify, broadcast, watch};
 
 use super::Now;
 use super::handle::{FastStopRequest, Request};
@@ -66,33 +71,33 @@ use running::MotionState;
 use settings::Settings;
 use streaming::Streaming;
 
-/// How long the device may take to answer, before a Loop asks whether the answer was lost.
+/// Time for the device to answer, before a Loop asks whether the answer was lost.
 const REPLY_WITHIN: Duration = Duration::from_secs(1);
 
-/// How long the result of what is not a motion may take: a finger powers up in about 500 ms (`fw4-en 3.6.3`), and a
-/// custom command may do anything.
+/// Time for the result of a request that is no motion: a finger powers up in about 500 ms (`fw4-en 3.6.3`), and a custom
+/// command may do anything.
 const RESULT_WITHIN: Duration = Duration::from_secs(30);
 
-/// What the actor has to know beforehand.
+/// Configuration of an actor.
 #[derive(Debug, Clone)]
 pub struct Config {
     /// The gripper's name.
     pub name: Name,
-    /// Where the device is.
+    /// URL of the device.
     pub url: String,
-    /// What its transport means for the protocol.
+    /// Properties of the transport that matter to the protocol.
     pub traits: Traits,
-    /// What the ids of its scripts mean.
+    /// Meaning of the ids of custom commands.
     pub custom_ids: CustomIds,
-    /// How long a running command may take to finish when the gripper is given up.
+    /// Time for a running command to finish when the gripper is given up.
     pub drain: Duration,
     /// What becomes of motions while the journal takes no records.
     pub on_journal_failure: OnJournalFailure,
-    /// What may be asked for of a lease.
+    /// Terms that clients may ask for.
     pub lease: LeaseRules,
-    /// Of ids and nonces: random, but in tests.
+    /// Seed for ids and nonces; fixed in tests.
     pub seed: u64,
-    /// Where it is counted.
+    /// Counters and histograms of this gripper.
     pub metrics: Metrics,
 }
 
@@ -116,12 +121,12 @@ pub struct Actor {
     publication: Publication,
 }
 
-/// Where an actor's state and device can be watched.
+/// Receivers of an actor's publications.
 #[derive(Debug)]
 pub struct Watches {
     /// The newest state.
     pub state: watch::Receiver<Arc<State>>,
-    /// What is known of the device.
+    /// Information about the device.
     pub info: watch::Receiver<Arc<Info>>,
     /// Every frame from now on, once somebody subscribes.
     pub frames: broadcast::Sender<Arc<Frame>>,
@@ -158,16 +163,16 @@ impl Actor {
     /// Takes bytes off the link.
     pub fn receive(&mut self, now: Now, bytes: &[u8]) {
         self.link.receive(now, bytes);
-        self.settle(now);
+        self.after_input(now);
     }
 
     /// A FAST STOP: needs no lease, waits for nothing.
     pub fn fast_stop(&mut self, now: Now, request: FastStopRequest) {
         self.latch(now, request);
-        self.settle(now);
+        self.after_input(now);
     }
 
-    /// Latches a FAST STOP of the gateway's clients, or on behalf of one that was lost.
+    /// Latches a FAST STOP of a client, or on behalf of a holder that was lost.
     fn latch(&mut self, now: Now, mut request: FastStopRequest) {
         let (id, client, cause, reason) = (request.id, request.client.clone(), request.cause, request.reason.clone());
         self.metering.fast_stop_requested(request.at);
@@ -186,11 +191,11 @@ impl Actor {
         tracing::warn!(gripper = %self.config.name, %id, by = %client.subject, cause = cause.name(), reason = reason.as_str(), "FAST STOP");
     }
 
-    /// Any other request of a client.
+    /// Takes any other request of a client.
     pub fn request(&mut self, now: Now, request: Request) {
         match request {
             Request::Submit { submission, id, answer } => {
-                // Whoever asked may be gone; a command that was admitted goes on all the same.
+                // The caller may be gone; an admitted command goes on all the same.
                 let _ = answer.send(self.admit(now, id, &submission));
             }
             Request::Find { id, answer } => {
@@ -213,7 +218,7 @@ impl Actor {
             }
             Request::TakeLease { take, token, answer } => self.take_lease(now, &take, token, answer),
             Request::UseLease { token, answer } => {
-                // Where its user is gone already, it was used once.
+                // A caller that is gone already has used it once.
                 let _ = answer.send(self.lease.keep(now.instant, Some(&token)));
             }
             Request::RenewLease { token, answer } => {
@@ -228,7 +233,7 @@ impl Actor {
             Request::LoseLease { token, times_taken } => self.lose_lease(now, &token, times_taken),
             Request::Drain { answer } => self.start_drain(now, answer),
         }
-        self.settle(now);
+        self.after_input(now);
     }
 
     /// Appends the next frame to `out`, if there is one. What is handed out counts as written.
@@ -246,21 +251,21 @@ impl Actor {
         true
     }
 
-    /// Tells when a request of the lease's holder ends: [`Actor::lease_request_closed`] is to be called then.
+    /// Notifier of ended requests of the lease's holder, after which [`Actor::lease_request_closed`] has to be called.
     #[must_use]
     pub fn lease_requests(&self) -> Arc<Notify> {
         self.lease.closed()
     }
 
-    /// Why the link has to be closed, if it has. The driver closes it, and says so by [`Actor::link_down`].
+    /// Reason to close the link, if there is one. The driver closes it and calls [`Actor::link_down`].
     #[must_use]
     pub fn wants_close(&self) -> Option<Close> {
         self.link.close
     }
 
-    /// Everything that follows from an input: what the session has to tell, then what is due. Clients get their
-    /// answers after the state was published, so that who reads it next reads none of before.
-    fn settle(&mut self, now: Now) {
+    /// Does everything that follows from an input: takes the session's events, then runs what is due. Clients get their
+    /// answers after the state was published, so that their next read shows no older one.
+    fn after_input(&mut self, now: Now) {
         self.take_events(now);
         self.run_due_timers(now);
         self.take_events(now);
@@ -277,5 +282,3 @@ impl Actor {
 fn name_of(command: &Command) -> &'static str {
     id::name(command.id()).unwrap_or("the custom command")
 }
-
-type Answered = oneshot::Sender<()>;

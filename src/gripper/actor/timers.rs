@@ -38,7 +38,7 @@ const TIMERS: [Timer; 15] = [
     always(Actor::fast_stop_at, Actor::send_fast_stop_if_due),
     due(|actor| actor.latch.clears_at(), |actor, now| actor.latch.handle_timeout(now.instant, actor.observed.flags)),
     always(|actor| actor.motion.settles_at(), Actor::end_settled_motion),
-    always(|actor| actor.lease.next_timeout(), Actor::keep_up_lease),
+    always(|actor| actor.lease.next_timeout(), Actor::expire_lease),
     due(|actor| Some(actor.recording.oldest_wait()?.0), Actor::give_up_recording),
     always(Actor::motion_starts_at, Actor::start_waiting_motion),
     due(|actor| actor.recording.curve_ends_at(), |actor, _| actor.recording.finish_measuring()),
@@ -57,7 +57,7 @@ impl Actor {
         if let Some(session) = &mut self.link.session {
             session.handle_timeout(now.instant);
         }
-        self.settle(now);
+        self.after_input(now);
     }
 
     /// When [`Actor::handle_timeout`] has to be called next.
