@@ -4,6 +4,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
+use serde::{Deserialize, Serialize};
 use tokio::sync::Notify;
 
 use super::error::{Conflict, Invalid, Rejection};
@@ -13,10 +14,11 @@ use super::model::{Client, Lease, LeaseRules, LeaseToken, OnLossHolding, OnLossM
 /// How long somebody who asked for the lease is remembered without asking again.
 const REQUEST_LASTS: Duration = Duration::from_mins(1);
 
-/// Who holds a lease, or held it, or asks for it.
-#[derive(Debug, Clone, PartialEq, Eq)]
+/// A client that holds a lease, or held it, or asks for it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Holder {
     pub name: Arc<str>,
+    #[serde(flatten)]
     pub client: Client,
 }
 
@@ -61,11 +63,7 @@ impl Terms {
     }
 }
 
-fn chosen<T: Copy + PartialEq + serde::Serialize>(
-    field: &'static str,
-    given: Option<T>,
-    allowed: &[T],
-) -> Result<T, Invalid> {
+fn chosen<T: Copy + PartialEq + Serialize>(field: &'static str, given: Option<T>, allowed: &[T]) -> Result<T, Invalid> {
     let words = || {
         let words: Vec<_> = allowed.iter().map(|word| serde_json::json!(word).to_string()).collect();
         words.join(" or ")

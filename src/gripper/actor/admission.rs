@@ -242,7 +242,7 @@ impl Actor {
             }
             _ => return,
         }
-        self.remember_settings();
+        self.persist_settings();
     }
 
     /// Takes up an acknowledge.

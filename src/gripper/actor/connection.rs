@@ -107,7 +107,7 @@ impl Actor {
         }
         self.recording.restored(now, &setup.restored, self.settings.wanted);
         if self.settings.learn(&mut setup, overdrive) {
-            self.remember_settings();
+            self.persist_settings();
         }
         for update in observed::switch_on_all(None) {
             // Those that don't come are switched on again.

@@ -149,7 +149,7 @@ impl Actor {
                 if matches!(exchange.setter, Some(Command::ClearSoftLimits)) =>
             {
                 self.settings.note_no_soft_limits();
-                self.remember_settings();
+                self.persist_settings();
                 self.recording.setting(now, &exchange.client, SettingChange::SoftLimitsCleared);
                 let _ = exchange.answer.send(Ok(Data::None));
             }

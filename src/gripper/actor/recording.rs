@@ -16,7 +16,7 @@ use super::super::model::{
 use super::super::recorder::{Health, Record};
 use super::flicker::Flicker;
 use super::measuring::Measured;
-use super::memory::LastReported;
+use super::persistence::LastReported;
 use super::repeats::Repeats;
 use crate::wsg::SystemState;
 
@@ -36,7 +36,7 @@ pub enum OnJournalFailure {
 /// The gripper's side of the journal.
 #[derive(Debug)]
 pub(super) struct Recording {
-    gripper: Name,
+    pub gripper: Name,
     on_failure: OnJournalFailure,
     /// Records for the driver, which takes them after each input, with the commands that wait for them.
     outbox: VecDeque<(Record, Option<CommandId>)>,
@@ -66,10 +66,6 @@ impl Recording {
             repeats: Repeats::default(),
             flicker: Flicker::default(),
         }
-    }
-
-    pub(super) fn gripper(&self) -> &Name {
-        &self.gripper
     }
 
     pub(super) fn poll(&mut self) -> Option<(Record, Option<CommandId>)> {

@@ -28,8 +28,8 @@ impl Door {
     }
 }
 
-/// Who asks: the identity behind a client, and the door that it came through.
-#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+/// The identity behind a client, and the interface that it uses.
+#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Client {
     /// Before there are credentials, the door and the peer's address.
     pub subject: Arc<str>,

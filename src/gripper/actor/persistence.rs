@@ -1,6 +1,4 @@
-//! What has to outlive a restart of the gateway: handed to the journal when it changes, and taken in at the start.
-
-use std::sync::Arc;
+//! State that outlives a restart of the gateway: persisted when it changes, and restored at the start.
 
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -8,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::super::Now;
 use super::super::latch::LatchState;
 use super::super::lease::{Holder, LeaseState};
-use super::super::model::{Client, CommandId, Door, FastStopId, Latch, Memory, MemoryKey};
+use super::super::model::{CommandId, FastStopId, Latch, Memory, MemoryKey};
 use super::super::observed::HeldPart;
 use super::super::recorder::{Recollection, Record};
 use super::super::setup::{Wanted, WantedSoftLimits};
@@ -16,13 +14,13 @@ use super::Actor;
 use super::recording::Recording;
 use crate::wsg::{Acceleration, Force, SoftLimits, Width};
 
-/// So many leases may have been taken, or FAST STOPs latched, and not been written down, when the gateway was killed.
+/// Leases or FAST STOPs that a gateway which was killed may have counted and not persisted.
 const EPOCHS_SKIPPED: u64 = 1000;
 
-/// What clients set, as it is remembered.
+/// Settings of clients.
 #[derive(Debug, Serialize, Deserialize)]
-struct RememberedSettings {
-    /// The device that it was set on.
+struct PersistedSettings {
+    /// Serial number of the device that they were set on.
     serial_number: Option<u32>,
     acceleration_mm_s2: Option<f32>,
     force_n: Option<f32>,
@@ -31,7 +29,7 @@ struct RememberedSettings {
     plus_mm: Option<f32>,
 }
 
-impl RememberedSettings {
+impl PersistedSettings {
     fn new(serial_number: Option<u32>, wanted: &Wanted) -> Self {
         let limits = match wanted.soft_limits {
             WantedSoftLimits::Set(limits) => Some(limits),
@@ -63,24 +61,17 @@ impl RememberedSettings {
     }
 }
 
-/// The newest lease, as it is remembered.
-#[derive(Debug, Serialize, Deserialize)]
-struct RememberedLease {
+/// The newest lease.
+#[derive(Debug, Default, Serialize, Deserialize)]
+struct PersistedLease {
     epoch: u64,
-    holder: Option<RememberedHolder>,
+    holder: Option<Holder>,
 }
 
-#[derive(Debug, Serialize, Deserialize)]
-struct RememberedHolder {
-    name: Arc<str>,
-    subject: Arc<str>,
-    door: Door,
-}
-
-/// The FAST STOP that holds, or the epoch of the last one, as it is remembered.
+/// The FAST STOP that holds, or the epoch of the last one.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(untagged)]
-enum RememberedLatch {
+enum PersistedLatch {
     Holds(HeldLatch),
     Cleared(ClearedLatch),
 }
@@ -94,44 +85,42 @@ struct HeldLatch {
     latch: Latch,
 }
 
-/// A latch that can't be read is none of these: it has further fields.
+/// Epoch of a latch that is gone. It denies further fields, so that a latch that can't be read is not taken for one.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct ClearedLatch {
     epoch: u64,
 }
 
-/// What the journal was told last.
+/// State that was persisted last.
 #[derive(Debug, Default)]
 pub(super) struct LastReported {
     latch: (u64, Option<FastStopId>),
-    lease: (u64, Option<Holder>),
+    lease: PersistedLease,
     grip: Option<CommandId>,
 }
 
 impl Actor {
-    /// Takes in what was remembered of an earlier run, before the first link.
+    /// Restores the state of an earlier run, before the first link.
     pub fn recollect(&mut self, now: Now, recollection: Recollection) {
-        if let Some(settings) = self.remembered::<RememberedSettings>(recollection.settings.as_deref()) {
+        if let Some(settings) = self.parse::<PersistedSettings>(recollection.settings.as_deref()) {
             self.settings.wanted = settings.wanted();
             self.settings.known_serial = settings.serial_number;
         }
         let skipped = if recollection.unclean { EPOCHS_SKIPPED } else { 0 };
-        let latch = match self.remembered(recollection.latch.as_deref()) {
-            Some(RememberedLatch::Holds(HeldLatch { epoch, latch })) => Some((epoch, Some(latch))),
-            Some(RememberedLatch::Cleared(ClearedLatch { epoch })) => Some((epoch, None)),
+        let latch = match self.parse(recollection.latch.as_deref()) {
+            Some(PersistedLatch::Holds(HeldLatch { epoch, latch })) => Some((epoch, Some(latch))),
+            Some(PersistedLatch::Cleared(ClearedLatch { epoch })) => Some((epoch, None)),
             None => None,
         };
         if let Some((epoch, latch)) = latch {
             self.recording.reported.latch = (epoch, latch.as_ref().map(|latch| latch.id));
             self.latch.recollect(now.instant, epoch.saturating_add(skipped), latch);
         }
-        let grip = self.remembered(recollection.holding.as_deref());
+        let grip = self.parse(recollection.holding.as_deref());
         self.recording.reported.grip = grip;
         self.observed.part = HeldPart { is_held: grip.is_some(), grip };
-        if let Some(RememberedLease { epoch, holder }) = self.remembered(recollection.lease.as_deref()) {
-            let client = |holder: &RememberedHolder| Client { subject: holder.subject.clone(), door: holder.door };
-            let holder = holder.map(|holder| Holder { client: client(&holder), name: holder.name });
+        if let Some(PersistedLease { epoch, holder }) = self.parse(recollection.lease.as_deref()) {
             self.lease.recollect(epoch.saturating_add(skipped), holder);
         }
         self.link.unannounced = recollection.unclean && self.link.properties.connection_oriented;
@@ -141,17 +130,14 @@ impl Actor {
         self.after_input(now);
     }
 
-    pub(super) fn remember_settings(&mut self) {
-        let remembered = RememberedSettings::new(self.settings.known_serial, &self.settings.wanted);
-        self.recording.persist(MemoryKey::Settings, Some(&remembered));
+    pub(super) fn persist_settings(&mut self) {
+        let settings = PersistedSettings::new(self.settings.known_serial, &self.settings.wanted);
+        self.recording.persist(MemoryKey::Settings, Some(&settings));
     }
 
-    fn remembered<T: DeserializeOwned>(&self, value: Option<&str>) -> Option<T> {
-        serde_json::from_str(value?)
-            .inspect_err(|error| {
-                tracing::warn!(gripper = %self.config.name, %error, value, "what was remembered is not understood");
-            })
-            .ok()
+    fn parse<T: DeserializeOwned>(&self, value: Option<&str>) -> Option<T> {
+        let warn = |error: &_| tracing::warn!(gripper = %self.config.name, %error, value, "persisted value ignored");
+        serde_json::from_str(value?).inspect_err(warn).ok()
     }
 }
 
@@ -159,8 +145,7 @@ impl Recording {
     pub(super) fn persist<T: Serialize>(&mut self, key: MemoryKey, value: Option<&T>) {
         // Such structures are always JSON.
         let value = value.and_then(|value| serde_json::to_string(value).ok());
-        let gripper = self.gripper().clone();
-        self.push(Record::Memory(Memory { gripper, key, value }));
+        self.push(Record::Memory(Memory { gripper: self.gripper.clone(), key, value }));
     }
 
     /// Persists the changes of the latch, the lease and the part that is held.
@@ -173,21 +158,17 @@ impl Recording {
         if self.reported.latch != (epoch, latch.id()) {
             self.reported.latch = (epoch, latch.id());
             let latch = match latch.current().cloned() {
-                Some(latch) => RememberedLatch::Holds(HeldLatch { epoch, latch }),
-                None => RememberedLatch::Cleared(ClearedLatch { epoch }),
+                Some(latch) => PersistedLatch::Holds(HeldLatch { epoch, latch }),
+                None => PersistedLatch::Cleared(ClearedLatch { epoch }),
             };
             self.persist(MemoryKey::Latch, Some(&latch));
         }
         // A gripper that was reserved, or held by a client that is gone with the gateway, is reserved again.
         let holder = lease.holder().or(lease.reserved());
-        if (self.reported.lease.0, self.reported.lease.1.as_ref()) != (lease.epoch(), holder) {
-            self.reported.lease = (lease.epoch(), holder.cloned());
-            let holder = holder.map(|Holder { name, client }| RememberedHolder {
-                name: name.clone(),
-                subject: client.subject.clone(),
-                door: client.door,
-            });
-            self.persist(MemoryKey::Lease, Some(&RememberedLease { epoch: lease.epoch(), holder }));
+        if (self.reported.lease.epoch, self.reported.lease.holder.as_ref()) != (lease.epoch(), holder) {
+            let lease = PersistedLease { epoch: lease.epoch(), holder: holder.cloned() };
+            self.persist(MemoryKey::Lease, Some(&lease));
+            self.reported.lease = lease;
         }
     }
 }
