@@ -202,8 +202,10 @@ impl Of<'_> {
 
 #[cfg(test)]
 mod tests {
+    use strum::VariantArray as _;
+
     use super::super::fake::{self, Script};
-    use super::super::model::names::all::{CAUSES, KINDS, OUTCOMES};
+    use super::super::model::{FastStopCause, Kind, Outcome};
     use super::*;
 
     #[tokio::test]
@@ -211,15 +213,15 @@ mod tests {
         let registry = Registry::new();
         let (handle, _seen) = fake::gripper("left", Script::default());
         let metrics = Metrics::register(&registry, handle.name()).unwrap();
-        for kind in KINDS {
-            for outcome in OUTCOMES {
+        for kind in Kind::VARIANTS {
+            for outcome in Outcome::VARIANTS {
                 metrics.commands.with_label_values(&[kind.name(), outcome.name()]).inc();
             }
         }
-        for kind in KINDS.iter().filter(|kind| kind.name() != "stop") {
+        for kind in Kind::VARIANTS.iter().filter(|kind| kind.name() != "stop") {
             metrics.motions.with_label_values(&[kind.name()]).observe(1.0);
         }
-        for cause in CAUSES {
+        for cause in FastStopCause::VARIANTS {
             metrics.fast_stops.with_label_values(&[cause.name()]).inc();
         }
         Newest::register(&registry, &handle).unwrap();

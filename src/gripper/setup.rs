@@ -13,13 +13,16 @@ use crate::wsg::{
 const ATTEMPTS: u8 = 3;
 
 /// A setting that clients make, and a restarted device has forgotten.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, strum::Display)]
 pub enum Setting {
     /// 30h
+    #[strum(serialize = "acceleration")]
     Acceleration,
     /// 32h
+    #[strum(serialize = "force limit")]
     ForceLimit,
     /// 34h, 36h
+    #[strum(serialize = "soft limits")]
     SoftLimits,
 }
 
@@ -32,16 +35,6 @@ impl Setting {
             id::SET_SOFT_LIMITS | id::GET_SOFT_LIMITS | id::CLEAR_SOFT_LIMITS => Some(Self::SoftLimits),
             _ => None,
         }
-    }
-}
-
-impl std::fmt::Display for Setting {
-    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        f.write_str(match self {
-            Self::Acceleration => "acceleration",
-            Self::ForceLimit => "force limit",
-            Self::SoftLimits => "soft limits",
-        })
     }
 }
 

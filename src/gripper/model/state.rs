@@ -1,6 +1,5 @@
 //! What clients are told of a gripper itself: its link, its FAST STOP, its newest state.
 
-use std::fmt;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -11,8 +10,9 @@ use utoipa::ToSchema;
 use super::{CommandId, FastStopId, Name, Reason};
 
 /// How the link to the device is.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, ToSchema)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, ToSchema, strum::Display)]
 #[serde(rename_all = "lowercase")]
+#[strum(serialize_all = "lowercase")]
 pub enum Link {
     /// Never yet connected.
     Connecting,
@@ -24,20 +24,12 @@ pub enum Link {
     Reconnecting,
 }
 
-impl fmt::Display for Link {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(match self {
-            Self::Connecting => "connecting",
-            Self::Connected => "connected",
-            Self::Unresponsive => "unresponsive",
-            Self::Reconnecting => "reconnecting",
-        })
-    }
-}
-
 /// Why a gripper is in FAST STOP.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema, strum::IntoStaticStr, strum::VariantArray,
+)]
 #[serde(rename_all = "snake_case")]
+#[strum(serialize_all = "snake_case")]
 pub enum FastStopCause {
     /// A client of the gateway asked for it.
     Requested,
