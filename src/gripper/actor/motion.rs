@@ -79,10 +79,8 @@ impl Actor {
 
     /// The motion has ended, as far as the session knows.
     pub(super) fn motion_ended(&mut self, now: Now, id: CommandId, end: End) {
-        if self.motion.id() == Some(id) {
-            self.motion.ended(now.instant);
-        }
-        let Some(running) = self.motion.get_mut(id) else { return };
+        let Some(running) = self.motion.running.as_mut().filter(|running| running.id == id) else { return };
+        self.motion.last_end = Some(now.instant);
         let command = super::name_of(&running.motion.request());
         let (outcome, status) = match end {
             // A script needs no E_CMD_PENDING before.
@@ -138,8 +136,10 @@ impl Actor {
 
     /// A FAST STOP holds: what waits is over, what runs will be.
     pub(super) fn abort_for_latch(&mut self, now: Now) {
-        self.motion.fast_stopped(self.latch.id());
-        self.withdraw_waiting_motion(now);
+        if let Some(running) = &mut self.motion.running {
+            running.fast_stop = self.latch.id();
+            self.withdraw_waiting_motion(now);
+        }
     }
 
     /// Ends the motion whose frame has not been written yet, if there is one.

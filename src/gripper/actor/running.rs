@@ -134,7 +134,7 @@ pub(super) fn result_within(motion: &Motion, stroke_mm: Option<f32>) -> Duration
 #[derive(Debug, Default)]
 pub(super) struct MotionState {
     pub running: Option<Running>,
-    last_end: Option<Instant>,
+    pub last_end: Option<Instant>,
     /// Until when the fingers may move on behalf of a motion that has ended.
     may_move_until: Option<Instant>,
 }
@@ -174,28 +174,19 @@ impl MotionState {
         self.running.as_ref().is_some_and(|running| running.id == id && !running.recorded)
     }
 
-    /// The motion that waits for nothing but its pause, and the end of that pause.
-    fn pausing(&self) -> Option<(&Running, Option<Instant>)> {
-        let waits = |running: &&Running| running.recorded && matches!(running.stage, Stage::Waiting);
-        let running = self.running.as_ref().filter(waits)?;
-        let paused_until = self.last_end.filter(|_| !running.is_streamed).map(|end| end + PAUSE);
-        Some((running, paused_until))
+    /// The motion that waits for nothing but its pause.
+    fn pausing(&self) -> Option<&Running> {
+        self.running.as_ref().filter(|running| running.recorded && matches!(running.stage, Stage::Waiting))
     }
 
-    /// When the waiting motion may start.
+    /// End of the waiting motion's pause, if there is one.
     pub(super) fn starts_at(&self) -> Option<Instant> {
-        self.pausing()?.1
+        self.pausing().filter(|running| !running.is_streamed).and(self.last_end).map(|end| end + PAUSE)
     }
 
     /// The waiting motion whose pause is over.
     pub(super) fn due(&self, now: Instant) -> Option<&Running> {
-        let (running, paused_until) = self.pausing()?;
-        paused_until.is_none_or(|until| until <= now).then_some(running)
-    }
-
-    /// The device has told the end of a motion, or will not.
-    pub(super) fn ended(&mut self, now: Instant) {
-        self.last_end = Some(now);
+        self.pausing().filter(|_| self.starts_at().is_none_or(|at| at <= now))
     }
 
     /// When a settling motion is told as it is.
@@ -221,13 +212,6 @@ impl MotionState {
         let running = self.running.take()?;
         self.may_move_until = Some(now + running.moves_on_for(stroke_mm));
         Some(running)
-    }
-
-    /// A FAST STOP holds.
-    pub(super) fn fast_stopped(&mut self, id: Option<FastStopId>) {
-        if let Some(running) = &mut self.running {
-            running.fast_stop = id;
-        }
     }
 
     /// Notes who cancels a command. Returns whether it is under way.
