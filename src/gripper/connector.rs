@@ -1,4 +1,4 @@
-//! What a gripper needs of its link: somebody who connects. The transports do, and so can a simulated device.
+//! The interface to whatever connects a gripper: a transport, or a simulated device.
 
 use std::future::Future;
 use std::io;
@@ -8,10 +8,10 @@ use crate::transport::{Address, Pipe, Traits};
 
 /// Makes links to one device.
 pub trait Connector: Send + Sync + 'static {
-    /// Where the device is, as a URL.
+    /// URL of the device.
     fn url(&self) -> String;
 
-    /// What its transport means for the protocol.
+    /// Properties of the transport that matter to the protocol.
     fn traits(&self) -> Traits;
 
     /// Connects. Cancelled by dropping the future.

@@ -30,18 +30,17 @@ const FIRST_BACK_OFF: Duration = Duration::from_millis(100);
 /// The longest pause between two attempts.
 const LONGEST_BACK_OFF: Duration = Duration::from_secs(2);
 
-/// How long a farewell to a device that is being given up on may take to be written.
+/// Time for writing a farewell to a device that is being given up on.
 const FAREWELL_WITHIN: Duration = Duration::from_millis(100);
 
-/// So often deadlines and requests may be passed over for what the device sends: one that sends without end must not
-/// silence them.
+/// Reads that may pass deadlines and requests over. A device that sends without end must not silence them.
 const READS_IN_A_ROW: u32 = 8;
 
-/// What is read at once: all that a device sends in four seconds with its updates every 10 ms. Who was held up for less
-/// judges it by all that it has said meanwhile.
+/// What is read at once: all that a device sends in four seconds with its updates every 10 ms. A driver stalled
+/// for less than this still processes every queued update before it acts on timeouts.
 const READ_BYTES: usize = 32 * 1024;
 
-/// Who comes so late to a deadline had no processor time, and has not looked at what was sent to it meanwhile.
+/// Delay of a deadline that shows a stall: the driver had no processor time, and has not read what was sent meanwhile.
 const OVERSLEPT: Duration = Duration::from_millis(50);
 
 /// Starts a gripper on the current runtime. It ends when it was drained, or when all its handles are gone.
@@ -105,12 +104,12 @@ struct LinkIo {
     pipe: Pipe,
     outgoing: Outgoing,
     incoming: Vec<u8>,
-    /// Why nothing can be read any more: told once what came before it was taken in.
+    /// Error after which nothing can be read, reported after the bytes before it were taken in.
     failed: Option<io::Error>,
     reads_in_a_row: u32,
 }
 
-/// What a wait has brought.
+/// Result of a wait.
 enum Input {
     FastStop(Option<FastStopRequest>),
     Deadline,
@@ -140,7 +139,7 @@ impl Driver {
             back_off = (back_off * 2).min(LONGEST_BACK_OFF);
         }
         self.actor.drained(Now::read());
-        // Who drains waits for the driver's end, and so for these.
+        // A drain waits for the driver's end, and so for these records.
         self.pass_records_on();
     }
 

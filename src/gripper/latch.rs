@@ -12,20 +12,20 @@ use super::model::{Client, FastStopCause, FastStopId, IdSource, Latch, Reason};
 use crate::wsg::SystemState;
 use crate::wsg::session::Token;
 
-/// How often a FAST STOP is repeated until it is confirmed.
+/// Period at which a FAST STOP is repeated until it is confirmed.
 pub(super) const REPEAT_EVERY: Duration = Duration::from_millis(100);
 
-/// How long the flags may go on showing FAST STOP after the device has acknowledged (`fw4-en 3.2.5` names no status
+/// Time that the flags may go on showing FAST STOP after the device has acknowledged (`fw4-en 3.2.5` names no status
 /// for a cause that persists: the flag is what counts).
 const CLEARS_WITHIN: Duration = Duration::from_millis(500);
 
-/// How long an acknowledge can be on its way: longer than it is waited for.
+/// Time that an acknowledge can be on its way: longer than the wait for it.
 const ACKNOWLEDGE_LASTS: Duration = Duration::from_secs(2);
 
-/// Who caused a FAST STOP that nobody here asked for.
+/// Subject of a FAST STOP that no client asked for.
 const BY_DEVICE: &str = "device";
 
-/// The FAST STOP of one gripper, and what is being done about it.
+/// The FAST STOP of one gripper, its frames and its acknowledge.
 #[derive(Debug, Default)]
 pub(super) struct LatchState {
     latch: Option<Latch>,
@@ -36,12 +36,12 @@ pub(super) struct LatchState {
     sent: Option<Token>,
     /// Whether the device has answered a 23h that was sent for this latch.
     answered: bool,
-    /// From when on the flags alone confirm it: an acknowledge that was on its way when it was requested could take
-    /// back what the flags show until then.
+    /// Time from which the flags alone confirm it. Until then an acknowledge that was on its way could take back what
+    /// they show.
     flags_count_from: Option<Instant>,
     repeat_at: Option<Instant>,
     acknowledging: Option<Acknowledging>,
-    /// The acknowledges that have ended, and whose clients have not been told.
+    /// Acknowledges that have ended, and whose clients have not been told.
     untold: Vec<Acknowledged>,
 }
 
@@ -72,7 +72,7 @@ enum Progress {
     },
 }
 
-/// What the flags have shown since the device has said success.
+/// State of the flags since the device has said success.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Shown {
     /// They have not come.
@@ -80,7 +80,7 @@ enum Shown {
     FastStop,
 }
 
-/// What a FAST STOP that nobody asked for needs to become a latch.
+/// Ids and cause for the latch of a FAST STOP that no client asked for.
 #[derive(Debug)]
 pub(super) struct Origin<'a> {
     pub ids: &'a mut IdSource,
@@ -88,10 +88,10 @@ pub(super) struct Origin<'a> {
     pub unannounced: bool,
 }
 
-/// What a flags update means.
+/// Change of the latch by an update of the flags.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Change {
-    /// A FAST STOP that nobody here asked for.
+    /// A FAST STOP that no client asked for.
     Seen,
     /// The latch is confirmed now.
     Confirmed,
@@ -113,7 +113,7 @@ impl LatchState {
         self.latch.as_ref().map(|latch| latch.id)
     }
 
-    /// Whether the device may not have heard of it yet.
+    /// Whether a FAST STOP holds that the device has not confirmed.
     pub(super) fn is_unconfirmed(&self) -> bool {
         self.latch.as_ref().is_some_and(|latch| !latch.confirmed)
     }
@@ -257,7 +257,7 @@ impl LatchState {
         self.finish_acknowledge(Err(rejection.clone()));
     }
 
-    /// When a 23h is to be sent again.
+    /// Time of the next 23h.
     pub(super) fn repeats_at(&self) -> Option<Instant> {
         self.repeat_at.filter(|_| self.is_unconfirmed() && self.sent.is_none())
     }
@@ -286,7 +286,7 @@ impl LatchState {
     }
 }
 
-/// What the flags say of a FAST STOP's cause.
+/// Cause of a FAST STOP, as the flags show it.
 fn cause_of(flags: SystemState, unannounced: bool) -> FastStopCause {
     let causes = [
         (SystemState::TEMP_FAULT, FastStopCause::TemperatureFault),

@@ -1,5 +1,5 @@
-//! The lease of one gripper: who may move it, until when, and who is next. Pure: what follows from its changes for the
-//! fingers is the actor's.
+//! The lease of one gripper: its holder, its time and the client that asks for it. Consequences of its changes for the
+//! fingers are the actor's.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -11,7 +11,7 @@ use super::error::{Conflict, Invalid, Rejection};
 use super::model::lease::{DEFAULT_TTL, MIN_TTL};
 use super::model::{Client, Lease, LeaseRules, LeaseToken, OnLossHolding, OnLossMoving, TakeLease};
 
-/// How long somebody who asked for the lease is remembered without asking again.
+/// Time for which a request for the lease counts without being repeated.
 const REQUEST_LASTS: Duration = Duration::from_mins(1);
 
 /// A client that holds a lease, or held it, or asks for it.
@@ -28,13 +28,13 @@ impl Holder {
         Self { name, client: wish.client.clone() }
     }
 
-    /// Whether it calls itself the same and comes from the same place.
+    /// Whether both have the same name and subject.
     fn is(&self, other: &Self) -> bool {
         self.name == other.name && self.client.subject == other.client.subject
     }
 }
 
-/// What a lease's taker asked for.
+/// Terms of a lease.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Terms {
     pub ttl: Duration,
@@ -43,7 +43,7 @@ pub(super) struct Terms {
 }
 
 impl Terms {
-    /// What was asked for, or where nothing was what the rules say.
+    /// The terms that the client asked for, with the rules' defaults.
     pub(super) fn of(wish: &TakeLease, rules: &LeaseRules) -> Result<Self, Invalid> {
         let ttl = wish.ttl.unwrap_or(DEFAULT_TTL.min(rules.max_ttl));
         if ttl < MIN_TTL || ttl > rules.max_ttl {
@@ -81,10 +81,10 @@ pub(super) struct Held {
     pub holder: Holder,
     pub terms: Terms,
     token: LeaseToken,
-    /// How often it was taken again: it is lost with the newest connection that took it, and not with one before.
+    /// Number of times that the lease was taken. It is lost with the newest connection that took it.
     times_taken: u64,
     expires_at: Instant,
-    /// Held by each open request of the holder, too.
+    /// Shared with each open request of the holder.
     open: Arc<()>,
     usage: Usage,
     /// Whether a stall of the gateway has extended the lease since its holder was last heard.
@@ -117,7 +117,7 @@ impl Held {
     }
 }
 
-/// Keeps a lease from running out for as long as it lives: for a request that is open, or a connection that answers.
+/// Keeps a lease from running out until it is dropped: for an open request, or a connection that answers.
 #[derive(Debug)]
 pub struct Keep {
     open: Option<Arc<()>>,
@@ -126,7 +126,7 @@ pub struct Keep {
 
 impl Drop for Keep {
     fn drop(&mut self) {
-        // First, so that whoever is told sees it.
+        // First, so that the receiver of the notice sees it.
         self.open = None;
         self.closed.notify_one();
     }
@@ -145,27 +145,27 @@ pub(super) struct LeaseState {
     epoch: u64,
     held: Option<Held>,
     asking: Option<Asking>,
-    /// Whose part is held, after they were lost.
+    /// Holder that was lost while a part was held.
     reserved: Option<Holder>,
     /// Notified when a request of the holder ends.
     closed: Arc<Notify>,
 }
 
-/// What became of a wish to hold the lease.
+/// Result of a request for the lease.
 #[derive(Debug)]
 pub(super) enum AcquireOutcome {
-    /// It was free.
+    /// The lease was free.
     Free,
-    /// From its holder, by force.
+    /// The lease was taken from its holder by force.
     Forced,
-    /// It was handed over to who asks.
+    /// The lease was handed over to this client before.
     HandedOver,
-    /// Who asks holds it already.
+    /// The client holds the lease already.
     Again,
 }
 
 impl LeaseState {
-    /// After a restart: the lease of this epoch was the newest, and its holder, if there was one, is lost.
+    /// Restores the epoch of the newest lease before a restart. Its holder, if there was one, is lost.
     pub(super) fn recollect(&mut self, epoch: u64, holder: Option<Holder>) {
         self.epoch = epoch;
         self.reserved = holder;
@@ -204,7 +204,7 @@ impl LeaseState {
         }
     }
 
-    /// Whether this client may take it without asking anybody.
+    /// Whether this client may take the lease without asking.
     pub(super) fn is_free_for(&self, client: &Client) -> bool {
         let holder = Holder { name: client.subject.clone(), client: client.clone() };
         self.held.is_none() && self.reserved.as_ref().is_none_or(|reserved| reserved.is(&holder))
@@ -214,7 +214,7 @@ impl LeaseState {
         Conflict::StaleLease { epoch: self.epoch, holder: self.holder().map(|holder| holder.name.clone()) }
     }
 
-    /// Renews the lease of this token, and keeps it until the request ends. None where it is nobody's.
+    /// Renews the lease of this token, and keeps it until the request ends. `None` for a token without a lease.
     pub(super) fn keep(&mut self, now: Instant, token: Option<&LeaseToken>) -> Option<Keep> {
         let closed = self.closed.clone();
         let held = self.held.as_mut().filter(|held| Some(&held.token) == token)?;
@@ -223,7 +223,7 @@ impl LeaseState {
         Some(Keep { open: Some(held.open.clone()), closed })
     }
 
-    /// A request of a holder has ended: from now on the time runs, if it was the last one.
+    /// A request of the holder has ended. After the last one the time runs.
     pub(super) fn request_closed(&mut self, now: Instant) {
         if let Some(held) = self.held.as_mut().filter(|held| held.usage == Usage::Open && !held.is_open()) {
             held.usage = Usage::Idle;
@@ -231,7 +231,7 @@ impl LeaseState {
         }
     }
 
-    /// Takes the lease for whoever asks, with a token of its own if it is a new one.
+    /// Takes the lease for a client. A new lease gets the token.
     pub(super) fn take(
         &mut self,
         now: Instant,
@@ -277,7 +277,7 @@ impl LeaseState {
         self.held = Some(Held { holder, terms, token, times_taken: 1, expires_at, open, usage, is_extended: false });
     }
 
-    /// Who asks first is told to the holder, until it is not heard from for a while.
+    /// Notes the first client that asks, which the holder is told, until that client is not heard from for a while.
     fn ask(&mut self, now: Instant, holder: Holder, terms: Terms) {
         match &self.asking {
             Some(asking) if !asking.holder.is(&holder) && now < asking.at + REQUEST_LASTS => {}
@@ -296,7 +296,7 @@ impl LeaseState {
         }
     }
 
-    /// Gives the lease of this token to who asked for it, who has to come for a token of its own.
+    /// Gives the lease of this token to the client that asked for it, which has to come for a token of its own.
     pub(super) fn hand_over(
         &mut self,
         now: Instant,
@@ -323,12 +323,12 @@ impl LeaseState {
         ended
     }
 
-    /// How often the lease that is held was taken.
+    /// Number of times that the current lease was taken.
     pub(super) fn times_taken(&self) -> u64 {
         self.held.as_ref().map_or(0, |held| held.times_taken)
     }
 
-    /// Ends the lease of this token; where it says how often it was taken, unless it was taken again since.
+    /// Ends the lease of this token. With `times_taken`, only while it was not taken again since.
     pub(super) fn lose(&mut self, token: &LeaseToken, times_taken: Option<u64>) -> Option<Held> {
         let is_newest = times_taken.is_none_or(|times_taken| times_taken == self.times_taken());
         is_newest.then(|| self.end(Some(token))).flatten()
@@ -348,12 +348,12 @@ impl LeaseState {
         ended
     }
 
-    /// The gripper stays reserved for the holder that was lost.
+    /// Reserves the gripper for a holder that was lost.
     pub(super) fn reserve(&mut self, holder: Holder) {
         self.reserved = Some(holder);
     }
 
-    /// Nothing is held any more that could be dropped.
+    /// Ends the reservation, after no part is held any more.
     pub(super) fn unreserve(&mut self) -> Option<Holder> {
         self.reserved.take()
     }
@@ -362,7 +362,7 @@ impl LeaseState {
         self.held.as_ref().filter(|held| !held.is_open()).map(|held| held.expires_at)
     }
 
-    /// As clients are told, with the token for its taker.
+    /// The lease as clients see it, with the token for its holder.
     pub(super) fn view(&self, now: Instant, token: Option<&LeaseToken>) -> Lease {
         let held = self.held.as_ref();
         let ms = |time: Duration| time.as_millis() as u64;
@@ -385,7 +385,7 @@ impl LeaseState {
         self.held.as_ref().map(|held| &held.token)
     }
 
-    /// Who asks for it to be handed over.
+    /// The client that asks for a hand-over.
     pub(super) fn asking(&self, now: Instant) -> Option<&Holder> {
         self.asking_now(now).map(|asking| &asking.holder)
     }

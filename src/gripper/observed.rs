@@ -1,4 +1,4 @@
-//! What the device has said of itself, newest wins: the shared state that every reader is served from.
+//! The newest values of the device, from which every reader is served.
 
 use std::time::{Duration, Instant};
 
@@ -18,7 +18,7 @@ const MIN_PERIOD_MS: u16 = 10;
 /// device that refuses updates answers each time with the value, and so is polled at this period.
 const RENEW_AFTER: Duration = Duration::from_secs(1);
 
-/// So many periods without an update are no accident.
+/// Periods without an update that are no accident.
 const MISSED_PERIODS: u32 = 3;
 
 /// A part between the fingers, as far as is known.
@@ -39,13 +39,13 @@ pub(super) struct Observed {
     pub speed_mm_s: Option<f32>,
     pub force_n: Option<f32>,
     pub temperature: Option<Temperature>,
-    /// When the temperature is to be read again.
+    /// Time of the next read of the temperature.
     pub temperature_at: Option<Instant>,
     pub updated_at: Option<Instant>,
     pub part: HeldPart,
-    /// When each of [`UPDATED`] was last heard.
+    /// Time at which each of [`UPDATED`] was last heard.
     heard: [Option<Instant>; UPDATED.len()],
-    /// When each of them was last heard, or asked for.
+    /// Time at which each of them was last heard, or asked for.
     fresh: [Option<Instant>; UPDATED.len()],
     renew_after: Duration,
     /// Whether the flags came oftener than they were asked for.
@@ -53,7 +53,7 @@ pub(super) struct Observed {
 }
 
 impl Observed {
-    /// Of nothing yet, on a line that carries so much.
+    /// Values that are all unknown, on a line of this speed.
     pub(super) fn new(bytes_per_second: Option<u32>) -> Self {
         let period = Duration::from_millis(period_ms(bytes_per_second).into());
         Self {
@@ -158,7 +158,7 @@ impl Observed {
         self.deadlines().find(|&(_, deadline)| deadline <= now).map(|(id, _)| id)
     }
 
-    /// When the next getter will have been silent for too long.
+    /// Time at which the next getter will have been silent for too long.
     pub(super) fn next_silent(&self) -> Option<Instant> {
         self.deadlines().map(|(_, deadline)| deadline).min()
     }

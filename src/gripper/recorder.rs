@@ -1,4 +1,4 @@
-//! What a gripper needs of whoever keeps its records. The journal does; tests can.
+//! The interface to the keeper of a gripper's records: the journal, or a test.
 
 use tokio::sync::{oneshot, watch};
 
@@ -9,11 +9,11 @@ pub trait Recorder: Send + Sync + 'static {
     /// Takes a record, in order.
     fn record(&self, record: Record);
 
-    /// How the journal is.
+    /// Health of the journal.
     fn health(&self) -> watch::Receiver<Health>;
 }
 
-/// What is to be kept.
+/// A record to keep.
 #[derive(Debug)]
 pub enum Record {
     /// Something happened. Who waits until that is durable is told; by the channel's end where it will not be, or not
@@ -21,11 +21,11 @@ pub enum Record {
     Event(Event, Option<oneshot::Sender<()>>),
     /// A motion's measurements.
     Grip(Box<GripRecord>),
-    /// What has to outlive a restart.
+    /// State that outlives a restart.
     Memory(Memory),
 }
 
-/// What is known of a gripper from an earlier run.
+/// State of a gripper from an earlier run.
 #[derive(Debug, Clone, Default)]
 pub struct Recollection {
     /// The value of [`MemoryKey::Settings`](super::model::MemoryKey::Settings).
@@ -45,9 +45,9 @@ pub struct Recollection {
 /// A request of an earlier run with an id of its own, and the command that it became.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PastRequest {
-    /// What makes a repetition the same request, for the same gripper and client.
+    /// Id that makes a repetition the same request, for the same gripper and client.
     pub request_id: RequestId,
-    /// What was asked for, beside the command's kind.
+    /// Parameters of the request, beside the command's kind.
     pub parameters: Parameters,
     /// The command, which has ended.
     pub command: Command,
@@ -56,22 +56,22 @@ pub struct PastRequest {
 /// Whether records become durable.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Health {
-    /// Why they don't; none while they do.
+    /// Cause of records that don't become durable; none while they do.
     pub failure: Option<String>,
-    /// How many found no place since the start.
+    /// Records that found no place since the start.
     pub lost: u64,
     /// Damage of earlier records, found since the start. It does not keep new records from becoming durable.
     pub damage: Option<String>,
 }
 
-/// A recorder for who needs none: what is recorded counts as durable at once, and is gone.
+/// A recorder that keeps nothing: each record counts as durable at once.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Unrecorded;
 
 impl Recorder for Unrecorded {
     fn record(&self, record: Record) {
         if let Record::Event(_, Some(durable)) = record {
-            // Who waited may be gone.
+            // The receiver may be gone.
             let _ = durable.send(());
         }
     }

@@ -13,7 +13,7 @@ use super::model::{Client, Command, CommandId, Kind, Outcome, Parameters, Phase,
 use super::recorder::PastRequest;
 use super::request_ids::{Bounds, Key, REPLAYED_FOR, RequestIds};
 
-/// How long an ended command can be asked for.
+/// Time for which an ended command can be asked for.
 const KEPT_FOR: Duration = Duration::from_hours(1);
 
 /// Motions that are kept at most: at one a second, more than an hour of them. The journal has the rest.
@@ -150,7 +150,7 @@ impl CommandRegistry {
         self.streamed.ids.contains(&id)
     }
 
-    /// Who asked for a command.
+    /// The client of a command.
     pub(super) fn client(&self, id: CommandId) -> Option<Client> {
         self.commands.get(&id).map(|entry| entry.client.clone())
     }

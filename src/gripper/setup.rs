@@ -9,7 +9,7 @@ use crate::wsg::{
     Acceleration, Command, Data, DeviceTag, Force, Reply, SoftLimits, Status, SystemInfo, SystemLimits, Updates, id,
 };
 
-/// How often a request is tried before the link is given up, or the request, where the link can do without.
+/// Attempts at a request before the link is given up, or the request, where the link can do without.
 const ATTEMPTS: u8 = 3;
 
 /// A setting that clients make, and a restarted device has forgotten.
@@ -38,8 +38,8 @@ impl Setting {
     }
 }
 
-/// What clients last set on a device, to be restored when it has forgotten it. Overdrive is not among them: after a
-/// restart somebody has to want it again.
+/// Settings of clients, to be restored when the device has forgotten them. Overdrive is not among them: after a restart a
+/// client has to switch it on again.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Wanted {
     pub acceleration: Option<Acceleration>,
@@ -57,7 +57,7 @@ pub(super) enum WantedSoftLimits {
     Set(SoftLimits),
 }
 
-/// What was learned so far.
+/// A set-up under way, and what it has learned.
 #[derive(Debug)]
 pub(super) struct Setup {
     todo: VecDeque<Command>,
@@ -78,7 +78,7 @@ pub(super) struct Setup {
     pub replaced: bool,
 }
 
-/// What comes next.
+/// The next step of a set-up.
 #[derive(Debug, PartialEq)]
 pub(super) enum Step {
     Send(Command),
@@ -156,7 +156,7 @@ impl Setup {
         match (command.id(), reply) {
             (id::GET_SOFT_LIMITS, Reply::Success(Data::SoftLimits(found))) => self.compare_soft_limits(Some(found)),
             (id::GET_SOFT_LIMITS, Reply::Status(Status::E_NOT_AVAILABLE)) => self.compare_soft_limits(None),
-            // It has to say what it is, and how.
+            // The device has to tell its identity and its flags.
             (_, Reply::Status(_)) if is_vital(&command) => self.current = Some((command, attempts)),
             (_, Reply::Status(_)) if self.concerns_wanted(&command) => self.lost.extend(Setting::of(command.id())),
             (_, Reply::Status(_)) => {}

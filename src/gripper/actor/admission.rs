@@ -1,4 +1,4 @@
-//! Taking clients' requests up: what may be done now, and what may not.
+//! Admission of clients' requests: checks, commands, exchanges and acknowledges.
 
 use std::sync::Arc;
 
@@ -30,7 +30,7 @@ impl Actor {
                 }
                 self.check_motion(now, motion, submission)?;
                 self.claim(now, &submission.client, submission.lease.as_ref())?;
-                // One that has ended is told as it is, rather than by the values of after it.
+                // A motion that has ended is told as it is, rather than by values measured during the next one.
                 self.end_running(now, false);
                 let keep = self.lease.keep(now.instant, submission.lease.as_ref()).map(Arc::new);
                 let ticket = self.enter(now, id, submission);
@@ -39,7 +39,7 @@ impl Actor {
                 }
                 self.motion.running = Some(Running::new(id, motion.clone(), self.is_streamed(motion)));
                 if self.is_streamed(motion) {
-                    // Nothing waits for a record of it.
+                    // A streamed command waits for no record.
                     self.motion.let_run();
                     self.commands.recorded(id);
                 }
@@ -65,7 +65,7 @@ impl Actor {
         }
     }
 
-    /// What can't be is said first, then what can't be now.
+    /// Checks a motion: first for what can never be, then for what can't be now.
     fn check_motion(&self, now: Now, motion: &Motion, submission: &Submission) -> Result<(), Rejection> {
         let referenced = self.observed.has(SystemState::REFERENCED);
         let width = self.observed.width_mm.filter(|_| referenced);
@@ -89,7 +89,7 @@ impl Actor {
         self.motion.check()
     }
 
-    /// As the device takes it: what is beyond its limits is clamped.
+    /// The submission with its values clamped to the device's limits, as the device would clamp them.
     fn clamped(&self, submission: &Submission) -> Submission {
         let action = match &submission.action {
             Action::Motion(motion) => Action::Motion(
@@ -131,7 +131,7 @@ impl Actor {
             let _ = answer.send(Err(rejection));
             return;
         }
-        // A lease that is nobody's has nothing to renew.
+        // A token without a lease renews nothing.
         let _ = self.lease.renew(now.instant, lease);
         if let Some(data) = self.observed.newest(command.id()) {
             // Asking would switch the automatic updates off.
@@ -185,7 +185,7 @@ impl Actor {
         }
     }
 
-    /// Whether it leaves the gripper as it is, so that anybody may ask for it.
+    /// Whether the command leaves the gripper as it is, so that any client may send it.
     fn only_reads(&self, command: &Command) -> bool {
         match command {
             Command::Custom(custom) => self.config.custom_ids.read.contains(&custom.id()),
@@ -193,7 +193,7 @@ impl Actor {
         }
     }
 
-    /// Notes what a setter has set, and reads back what the device made of it.
+    /// Reads a setter's value back, and notes a value that was read back.
     pub(super) fn exchange_succeeded(&mut self, now: Now, exchange: Exchange, data: Data) {
         let Exchange { command, answer, setter, client, .. } = exchange;
         let getter = match &command {
@@ -245,7 +245,7 @@ impl Actor {
         self.persist_settings();
     }
 
-    /// Takes up an acknowledge.
+    /// Sends an acknowledge, if the latch and the link allow it.
     pub(super) fn acknowledge(&mut self, now: Now, id: FastStopId, client: Client, answer: Answer<()>) {
         let allowed = self.latch.check_acknowledge(id).map_err(Rejection::from).and_then(|()| Ok(self.check_link()?));
         let sent = allowed.and_then(|()| {

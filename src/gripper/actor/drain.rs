@@ -9,7 +9,7 @@ use super::Actor;
 use super::link::{Close, Purpose};
 use crate::wsg::{Command, SystemState};
 
-/// How long the device may take to stop, and then again to acknowledge the announcement.
+/// Time for the device to stop, and then again to acknowledge the announcement.
 const ANSWERED_WITHIN: Duration = Duration::from_millis(500);
 
 /// Giving a gripper up.
@@ -27,7 +27,7 @@ pub(super) struct Drain {
 enum Stage {
     /// A running command may finish.
     Finishing,
-    /// It did not, and is being stopped.
+    /// The command did not finish, and is being stopped.
     Stopping,
     /// 07h waits to be written.
     Announcing,

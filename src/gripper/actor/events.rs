@@ -1,4 +1,4 @@
-//! What the session tells: updates, acceptances, ends.
+//! Events of the session: updates, acceptances and ends of requests.
 
 use super::super::Now;
 use super::super::latch::{Change, Origin};
@@ -9,7 +9,7 @@ use crate::wsg::session::{End, Event, Token};
 use crate::wsg::{Command, Data, GripperState, Reply, Status, SystemState};
 
 impl Actor {
-    /// Takes all that the session has to tell.
+    /// Takes all events of the session.
     pub(super) fn take_events(&mut self, now: Now) {
         while let Some(event) = self.link.poll_event() {
             match event {
@@ -21,7 +21,7 @@ impl Actor {
                     }
                     Some(Purpose::Exchange(exchange)) => {
                         if let Some(accepted) = exchange.accepted.take() {
-                            // Whoever asked may be gone.
+                            // The caller may be gone.
                             let _ = accepted.send(());
                         }
                     }
@@ -73,8 +73,8 @@ impl Actor {
         }
     }
 
-    /// A device that loses its reference has restarted, unless its fingers are being homed, by us or by somebody else.
-    /// Where there are no connections that would end with it, this is all that there is to notice it by.
+    /// A device that loses its reference has restarted, unless its fingers are being homed, by this gateway or by another
+    /// program. Without connections that end with the restart, nothing else shows it.
     fn notice_restart(&mut self, now: Now, before: Option<SystemState>, flags: SystemState) {
         let was_referenced = before.is_some_and(|before| before.contains(SystemState::REFERENCED));
         let homes = flags.contains(SystemState::MOVING) || self.motion.is_homing();
@@ -88,7 +88,7 @@ impl Actor {
         }
     }
 
-    /// Fingers that begin to move, and nobody here asked for it: another client of the device, a script on it, or a hand.
+    /// Records that the fingers begin to move without a command: by another program, a script on the device, or a hand.
     fn notice_foreign_motion(&mut self, now: Now, before: Option<SystemState>, flags: SystemState) {
         let moves = |flags: SystemState| flags.contains(SystemState::MOVING);
         let begins = moves(flags) && before.is_some_and(|before| !moves(before));
@@ -155,7 +155,7 @@ impl Actor {
             }
             end => {
                 let command = super::name_of(&exchange.command);
-                // What was set and can't be read back is told as it was sent.
+                // A setting that can't be read back is answered as it was sent.
                 let result = match exchange.setter.as_ref().and_then(as_read_back) {
                     Some(data) => {
                         self.note_setting(&data);
@@ -170,7 +170,7 @@ impl Actor {
     }
 }
 
-/// What reading a setter's value back brings, if the device took it as it is.
+/// The data that reading a setter's value back brings, if the device took it as it is.
 fn as_read_back(setter: &Command) -> Option<Data> {
     Some(match setter {
         Command::SetAcceleration(acceleration) => Data::Acceleration(*acceleration),

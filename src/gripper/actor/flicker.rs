@@ -9,7 +9,7 @@ use super::super::Now;
 use super::super::model::{Detail, DeviceEvent, Event};
 use super::recording::Recording;
 
-/// How often what was counted is written down.
+/// Time for which changes are counted before they are recorded.
 const COUNTED_FOR: Duration = Duration::from_secs(1);
 
 /// Changes of a sort that are written down at once: a restart or a reconnect has fewer.
@@ -18,7 +18,7 @@ const MAX_PROMPT: u64 = 4;
 /// Sorts that are told apart. Further sets of flags are one sort, by the newest of them.
 const MAX_SORTS: usize = 16;
 
-/// What changed within the running second.
+/// Changes within the current second.
 #[derive(Debug, Default)]
 pub(super) struct Flicker {
     /// The sort that changed last is the last one.
@@ -30,7 +30,7 @@ pub(super) struct Flicker {
 struct Sort {
     name: String,
     written: u64,
-    /// Of those that were not written down, the newest, and how many came before it.
+    /// The newest change that was not recorded. `left_out` counts those before it.
     newest: Option<Event>,
     left_out: u64,
 }
@@ -101,7 +101,7 @@ impl Recording {
     }
 }
 
-/// What changes together with its opposite, or repeats.
+/// Name of a sort of events that repeat, or that come with their opposites.
 fn sort_of(event: &Event) -> Option<String> {
     Some(match &event.detail {
         Detail::Link(link) => format!("link {}", link.link),

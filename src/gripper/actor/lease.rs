@@ -1,4 +1,4 @@
-//! What follows from the lease's changes: for the fingers, for the journal, and for who asked.
+//! Consequences of the lease's changes: for the fingers, the journal and the callers.
 
 use std::time::Instant;
 
@@ -19,12 +19,12 @@ impl Actor {
         if !client.door.speaks_wsg() {
             return self.lease.check(now.instant, token);
         }
-        // Its token is its connection's own: where it is not that of the lease, there is nothing stale about it.
+        // A client of the WSG port has its connection's own token, which is never stale.
         let is_holder = token.is_some() && self.lease.token() == token;
         if is_holder || self.lease.is_free_for(client) { Ok(()) } else { self.lease.check(now.instant, None) }
     }
 
-    /// What moves takes the lease where it is free, for a client of such a door.
+    /// Takes a free lease for a client of the WSG port that moves the fingers.
     pub(super) fn claim(&mut self, now: Now, client: &Client, token: Option<&LeaseToken>) -> Result<(), Rejection> {
         match token {
             Some(token) if client.door.speaks_wsg() && self.lease.is_free_for(client) => {
@@ -51,7 +51,7 @@ impl Actor {
             let times_taken = self.lease.times_taken();
             Granted { lease: self.lease.view(now.instant, token.as_ref()), times_taken, keep }
         });
-        // Whoever asked may be gone: then nobody uses it, and it runs out.
+        // The caller may be gone: then the lease runs out.
         let _ = answer.send(granted);
     }
 
@@ -71,11 +71,11 @@ impl Actor {
         match way {
             AcquireOutcome::Free => self.record_lease(now, LeaseStep::Taken, &holder, None),
             AcquireOutcome::Forced => self.record_lease(now, LeaseStep::Forced, &holder, None),
-            // That it is its now was written down when it was handed over.
+            // The new holder was recorded when the lease was handed over.
             AcquireOutcome::HandedOver | AcquireOutcome::Again => {}
         }
         if wish.force && !matches!(way, AcquireOutcome::Again) {
-            // Whoever it is that moves the fingers: nobody, somebody who was lost, or who has handed over.
+            // It does not matter who moves the fingers: a holder that was lost, or one that has handed over.
             self.stop_motion(now);
         }
         Ok(())

@@ -23,7 +23,7 @@ const UNRESPONSIVE_AFTER: Duration = Duration::from_millis(1500);
 /// A link that has been silent for so long is closed.
 const CLOSED_AFTER: Duration = Duration::from_millis(6500);
 
-/// Why the actor wants its link closed.
+/// Reason to close the link.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum Close {
     /// Nothing was heard for too long.
@@ -70,7 +70,7 @@ pub(super) struct Exchange {
     pub client: Client,
 }
 
-/// Why the session did not take a request, and the request's purpose.
+/// Rejection of a request that the session did not take, and the request's purpose.
 pub(super) type NotSubmitted = Box<(Rejection, Purpose)>;
 
 #[derive(Debug)]
@@ -90,7 +90,7 @@ pub(super) struct DeviceLink {
     pub session: Option<Session>,
     pub purposes: BTreeMap<Token, Purpose>,
     pub close: Option<Close>,
-    /// Why the link isn't up, or is unresponsive.
+    /// Cause of a link that isn't up, or is unresponsive.
     pub cause: Option<String>,
     /// Whether the link was ever up.
     pub was_up: bool,
@@ -226,7 +226,7 @@ impl DeviceLink {
         self.unannounced = false;
     }
 
-    /// When silence has consequences.
+    /// Time from which silence has consequences.
     pub(super) fn silence_at(&self) -> Option<Instant> {
         let session = self.session.as_ref().filter(|_| self.is_up())?;
         let after = if self.cause.is_some() { CLOSED_AFTER } else { UNRESPONSIVE_AFTER };

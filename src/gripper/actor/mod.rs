@@ -91,7 +91,7 @@ pub struct Config {
     pub custom_ids: CustomIds,
     /// Time for a running command to finish when the gripper is given up.
     pub drain: Duration,
-    /// What becomes of motions while the journal takes no records.
+    /// Treatment of motions while the journal takes no records.
     pub on_journal_failure: OnJournalFailure,
     /// Terms that clients may ask for.
     pub lease: LeaseRules,

@@ -1,4 +1,4 @@
-//! The one command that moves the fingers: waiting, sent, ended.
+//! Submitting, stopping and ending the command that moves the fingers.
 
 use super::super::Now;
 use super::super::error::{Conflict, DeviceRefusal, Failure, Rejection};
@@ -187,7 +187,7 @@ impl Actor {
         }
     }
 
-    /// What a client is told of an end that is no success.
+    /// Rejection for an end that is no success.
     pub(super) fn rejection_of(&self, command: &'static str, end: End) -> Rejection {
         match end {
             End::Reply(reply) => self.refusal(command, reply.status()),

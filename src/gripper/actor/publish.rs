@@ -10,7 +10,7 @@ use super::super::model::{LatchFields, State};
 use super::{Actor, Config};
 use crate::wsg::{DeviceTag, GripperState, SystemState, Temperature};
 
-/// What is published for clients.
+/// State and device information, as clients can watch them.
 #[derive(Debug)]
 pub(super) struct Publication {
     sequence: u64,

@@ -1,7 +1,7 @@
 //! Getters without automatic updates: read every few seconds at most, however many clients ask.
 //!
-//! A value that was read is served until it is too old, or until something was done that could have changed it. Who
-//! asks while a read is under way gets its answer.
+//! A value that was read is served until it is too old, or until a request could have changed it. Callers that come while
+//! a read is under way get its answer.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -14,13 +14,13 @@ use super::link::Purpose;
 use crate::wsg::session::End;
 use crate::wsg::{Command, Data, Reply};
 
-/// How old a value may be.
+/// Greatest age of a value that is served.
 const FRESH_FOR: Duration = Duration::from_secs(2);
 
-/// Who may wait for one read: as many as there can be connections.
+/// Clients that may wait for one read: as many as there can be connections.
 const MAX_READERS: usize = 1024;
 
-/// What was read, and what is being read, by id.
+/// Values that were read, and reads under way, by id.
 #[derive(Debug, Default)]
 pub(super) struct Reads {
     known: BTreeMap<u8, (Instant, Result<Data, Rejection>)>,
@@ -30,7 +30,7 @@ pub(super) struct Reads {
 }
 
 impl Reads {
-    /// Something was done that could have changed any of them.
+    /// Forgets the values after a request that could have changed any of them.
     pub(super) fn forget(&mut self) {
         self.known.clear();
         self.outdated = !self.waiting.is_empty();
@@ -44,7 +44,7 @@ impl Reads {
     fn take(&mut self, now: Instant, id: u8, result: Result<Data, Rejection>) {
         let waiting = self.waiting.remove(&id).unwrap_or_default();
         for answer in waiting {
-            // Whoever asked may be gone.
+            // The caller may be gone.
             let _ = answer.send(result.clone());
         }
         if !self.outdated && !matches!(result, Err(Rejection::Failure(_))) {

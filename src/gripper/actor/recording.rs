@@ -20,10 +20,10 @@ use super::persistence::LastReported;
 use super::repeats::Repeats;
 use crate::wsg::SystemState;
 
-/// How long a command waits for its record. One that waits longer is refused, or goes on, and is never sent later.
+/// Time that a command waits for its record. A command that waits longer is refused, or goes on, and is never sent later.
 const RECORDED_WITHIN: Duration = Duration::from_millis(500);
 
-/// What becomes of motions while the journal takes no records.
+/// Treatment of motions while the journal takes no records.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum OnJournalFailure {
     /// They are refused.
@@ -77,7 +77,7 @@ impl Recording {
         self.outbox.push_back((record, None));
     }
 
-    /// Why records don't become durable.
+    /// Cause of records that don't become durable.
     pub(super) fn failure(&self) -> Option<&str> {
         self.health.failure.as_deref()
     }

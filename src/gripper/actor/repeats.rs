@@ -1,5 +1,5 @@
-//! What clients repeat while nothing comes of it: written down once, and counted by the second, so that a client that
-//! floods its gripper fills no disk.
+//! Requests that clients repeat without effect: recorded once, and counted by the second, so that a client that floods its
+//! gripper fills no disk.
 
 use std::time::{Duration, Instant};
 
@@ -10,17 +10,17 @@ use super::super::model::{Client, CommandId, Detail, Event, FastStopEvent, Outco
 use super::Actor;
 use super::recording::Recording;
 
-/// How long what is repeated is counted.
+/// Time for which repeated requests are counted.
 const COUNTED_FOR: Duration = Duration::from_secs(1);
 
-/// Clients that are told apart meanwhile. What more of them do is counted together, or is not known to be repeated.
+/// Clients that are told apart within that time. Requests of further clients are counted together, or count as new.
 const MAX_CLIENTS: usize = 16;
 
-/// What was written down within the last second.
+/// Requests that were recorded within the last second.
 #[derive(Debug, Default)]
 pub(super) struct Repeats {
     fast_stops: Option<FastStops>,
-    /// The Stops that had nothing to stop, and until when another one of their clients is the same.
+    /// The Stops that had nothing to stop, and until when a further Stop of the same client counts as a repetition.
     stops: Vec<(Instant, Client, CommandId)>,
 }
 
@@ -28,9 +28,9 @@ pub(super) struct Repeats {
 #[derive(Debug)]
 struct FastStops {
     until: Instant,
-    /// Whose first one is written down.
+    /// Clients whose first FAST STOP was recorded.
     clients: Vec<Client>,
-    /// How many came since, the newest of them, and what the device's flags have shown behind it.
+    /// Number of FAST STOPs since, the newest of them, and its confirmation by the device's flags.
     more: u64,
     newest: Option<Event>,
     confirmed: Option<Event>,
@@ -117,7 +117,7 @@ impl Actor {
         Ok(Ticket { replayed: true, ..ticket })
     }
 
-    /// A Stop was admitted, which had nothing to stop.
+    /// Notes an admitted Stop that had nothing to stop.
     pub(super) fn note_stop(&mut self, now: Now, client: &Client, id: CommandId) {
         let stops = &mut self.recording.repeats.stops;
         if stops.len() < MAX_CLIENTS {

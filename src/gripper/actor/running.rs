@@ -12,24 +12,24 @@ use crate::wsg::session::Token;
 /// The pause between the end of a motion and the next: devices in the field fall over otherwise.
 const PAUSE: Duration = Duration::from_millis(50);
 
-/// How long homing may take: the slowest homing speed over the longest stroke.
+/// Time for homing: the slowest homing speed over the longest stroke.
 const HOMING_WITHIN: Duration = Duration::from_mins(1);
 
-/// How much longer than its way at its speed a motion may take: acceleration, clamping, and a device that gives up by
+/// Time that a motion may take beyond its way at its speed: for acceleration, clamping, and a device that gives up by
 /// itself with E_TIMEOUT.
 const MOTION_MARGIN: Duration = Duration::from_secs(10);
 
-/// How long a command's end waits for values that were measured after it, so that what its client is told, and reads
-/// next, is of after the motion. Updates every 10 ms bring them sooner.
+/// Time that a command's end waits for values that were measured after it, so that the client is told, and reads next,
+/// values of after the motion. Updates every 10 ms bring them sooner.
 const SETTLES_WITHIN: Duration = Duration::from_millis(50);
 
-/// How long after a motion's end the flags may still show that it moves.
+/// Time after a motion's end in which the flags may still show movement.
 const ENDS_WITHIN: Duration = Duration::from_millis(300);
 
-/// The longest that a way may take, whatever a device says of its stroke.
+/// The longest time for a way, whatever stroke a device reports.
 const LONGEST_WAY: Duration = Duration::from_mins(5);
 
-/// The stroke that is reckoned with where the device has not told its own.
+/// The stroke of a device that has not told its own.
 const LONGEST_STROKE_MM: f32 = 250.0;
 
 /// The command that moves the fingers, or is about to.
@@ -39,7 +39,7 @@ pub(super) struct Running {
     pub motion: Motion,
     pub stage: Stage,
     pub accepted: bool,
-    /// Whether it is one of many that steer the fingers: it waits for nothing, and neither does its client.
+    /// Whether it is one of many commands that steer the fingers: such a command waits for nothing, nor does its client.
     pub is_streamed: bool,
     /// Whether its `admitted` record is durable, or need not be.
     pub recorded: bool,
@@ -59,7 +59,7 @@ pub(super) enum Stage {
     Force(Token),
     /// The session has the motion: its frame may be written.
     Sent(Token),
-    /// It has ended, and the values of after it are awaited.
+    /// The motion has ended, and values of after its end are awaited.
     Settling(Settling),
 }
 
@@ -135,7 +135,7 @@ pub(super) fn result_within(motion: &Motion, stroke_mm: Option<f32>) -> Duration
 pub(super) struct MotionState {
     pub running: Option<Running>,
     pub last_end: Option<Instant>,
-    /// Until when the fingers may move on behalf of a motion that has ended.
+    /// End of the time in which the fingers may move on behalf of a motion that has ended.
     may_move_until: Option<Instant>,
 }
 
@@ -189,7 +189,7 @@ impl MotionState {
         self.pausing().filter(|_| self.starts_at().is_none_or(|at| at <= now))
     }
 
-    /// When a settling motion is told as it is.
+    /// Time at which a settling motion is told as it is.
     pub(super) fn settles_at(&self) -> Option<Instant> {
         match self.running.as_ref()?.stage {
             Stage::Settling(settling) => Some(settling.since + SETTLES_WITHIN),
@@ -214,7 +214,7 @@ impl MotionState {
         Some(running)
     }
 
-    /// Notes who cancels a command. Returns whether it is under way.
+    /// Notes the client that cancels a command. Returns whether the command is under way.
     pub(super) fn cancel(&mut self, id: CommandId, by: &Client) -> bool {
         let running = self.get_mut(id).filter(|running| !running.has_ended());
         running.map(|running| running.cancelled_by.get_or_insert_with(|| by.subject.clone())).is_some()
@@ -232,7 +232,7 @@ impl MotionState {
     }
 }
 
-/// What the result of an accepted motion means (`fw4-en 3.2`).
+/// The outcome that a status of an accepted motion means (`fw4-en 3.2`).
 pub(super) fn outcome_of(kind: Kind, status: Status) -> Outcome {
     match (kind, status) {
         (Kind::Grip, Status::E_SUCCESS) => Outcome::PartHeld,

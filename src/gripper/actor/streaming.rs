@@ -1,5 +1,5 @@
 //! Motions that come many times a second, from a client that steers a script on the device. Each is a command, held to
-//! lease and latch; what they have of their own is here.
+//! lease and latch. Their counting is here.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -11,20 +11,20 @@ use super::Actor;
 use super::recording::Recording;
 use crate::wsg::GripperState;
 
-/// How often what was counted is written down.
+/// Time for which commands are counted before they are recorded.
 const COUNTED_FOR: Duration = Duration::from_secs(1);
 
-/// How long a stream goes on without a request: those in use have 30 and more a second.
+/// Time that a stream goes on without a request: streams in use have 30 requests a second and more.
 const LASTS: Duration = Duration::from_secs(1);
 
-/// What was streamed.
+/// Streamed commands.
 #[derive(Debug, Default)]
 pub(super) struct Streaming {
-    /// When it was last.
+    /// Time of the newest.
     at: Option<Instant>,
-    /// How often since that was written down last, by id and client: no more of them than the device answers in a second.
+    /// Commands since the last record, by id and client: no more of them than the device answers in a second.
     counted: HashMap<(u8, Client), u64>,
-    /// When that is to be written down.
+    /// Time of the next record.
     written_at: Option<Instant>,
 }
 
@@ -33,7 +33,7 @@ impl Streaming {
         self.written_at
     }
 
-    /// It was ended in order.
+    /// The stream was ended in order.
     pub(super) fn stopped(&mut self) {
         self.at = None;
     }
@@ -65,7 +65,7 @@ impl Streaming {
 }
 
 impl Actor {
-    /// Whether it is one of many that steer the fingers.
+    /// Whether a motion is one of many commands that steer the fingers.
     pub(super) fn is_streamed(&self, motion: &Motion) -> bool {
         matches!(motion, Motion::Custom(custom) if self.config.custom_ids.stream.contains(&custom.id()))
     }

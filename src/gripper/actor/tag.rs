@@ -15,7 +15,7 @@ const KNOWN_FOR: Duration = Duration::from_mins(1);
 #[derive(Debug, Default)]
 pub(super) struct TagWrites {
     written_at: Option<Instant>,
-    /// When the tag was read back from the device on this link.
+    /// Time at which the tag was read back on this link.
     known_at: Option<Instant>,
 }
 

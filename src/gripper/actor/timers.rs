@@ -52,7 +52,7 @@ const TIMERS: [Timer; 15] = [
 ];
 
 impl Actor {
-    /// To be called when [`Actor::poll_timeout`] has come.
+    /// Does what is due. Has to be called when [`Actor::poll_timeout`] has come.
     pub fn handle_timeout(&mut self, now: Now) {
         if let Some(session) = &mut self.link.session {
             session.handle_timeout(now.instant);
@@ -60,14 +60,14 @@ impl Actor {
         self.after_input(now);
     }
 
-    /// When [`Actor::handle_timeout`] has to be called next.
+    /// Time of the next call of [`Actor::handle_timeout`].
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Instant> {
         let session = self.link.session.as_ref().and_then(Session::poll_timeout);
         TIMERS.iter().filter_map(|timer| (timer.deadline)(self)).chain(session).min()
     }
 
-    /// Does all that is due.
+    /// Runs the timers that are due.
     pub(super) fn run_due_timers(&mut self, now: Now) {
         for Timer { deadline, run, always } in TIMERS {
             if always || deadline(self).is_some_and(|at| at <= now.instant) {
@@ -76,8 +76,8 @@ impl Actor {
         }
     }
 
-    /// To be called before the next input when a deadline was come to much too late: what clients have sent meanwhile
-    /// is on its way, and no holder is lost because the gateway could not hear it.
+    /// Has to be called before the next input when a deadline was missed by far. The clients' requests of that time are
+    /// on their way, and no holder is lost because the gateway could not hear it.
     pub fn overslept(&mut self, now: Now) {
         tracing::debug!(gripper = %self.config.name, "the gateway had no processor time");
         self.lease.extend(now.instant + FRONTEND_GRACE);

@@ -9,16 +9,16 @@ use super::super::model::{Frame, FrameDirection, Name};
 use crate::wsg::text::{Direction, describe};
 use crate::wsg::{self, ChecksumEvaluation, Decoded, Decoder, id};
 
-/// How many frames a listener may be behind: about two seconds of what a device on TCP sends.
+/// Frames that a listener may be behind: about two seconds of a device on TCP.
 const MAX_BEHIND: usize = 1024;
 
 #[derive(Debug)]
 pub(super) struct WireLog {
     gripper: Name,
     listeners: broadcast::Sender<Arc<Frame>>,
-    /// Of the frames that were told.
+    /// Number of the newest frame.
     seq: u64,
-    /// Of what the device sends; none while nobody listens.
+    /// Decoder of the device's bytes; none while nobody listens.
     decoder: Option<Decoder>,
 }
 
