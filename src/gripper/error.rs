@@ -1,5 +1,5 @@
-//! Why a request was not done. Bad input, the gateway's own state, the device's refusal and our failure are
-//! different types, and every door maps each to its own words in one exhaustive match.
+//! Rejections of requests. Bad input, the gateway's own state, the device's refusal and the gateway's failure are
+//! different types, and every interface maps each to its own words in one exhaustive match.
 
 use std::sync::Arc;
 
@@ -7,118 +7,80 @@ use crate::wsg::Status;
 
 use super::model::{CommandId, FastStopId, Link};
 
-/// Why a request has no outcome.
+/// Rejection of a request.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Rejection {
-    /// What was asked for can't be.
+    /// The request can never be done.
     #[error(transparent)]
     Invalid(#[from] Invalid),
-    /// It could be, but not now.
+    /// The request can't be done now.
     #[error(transparent)]
     Conflict(#[from] Conflict),
     /// The device refused it.
     #[error(transparent)]
     Device(#[from] DeviceRefusal),
-    /// We couldn't ask, or got no answer.
+    /// The device could not be asked, or did not answer.
     #[error(transparent)]
     Failure(#[from] Failure),
 }
 
 /// A value that can't be. It never becomes a frame.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages name the fields")]
 pub enum Invalid {
     /// Outside the device's limits, or the soft limits.
     #[error("{field} is {value}, and must be from {min} to {max} ({limit})")]
     OutOfRange {
-        /// The field's name, as the doors have it.
         field: &'static str,
-        /// What was given.
         value: f32,
-        /// The lowest allowed value.
         min: f32,
-        /// The highest allowed value.
         max: f32,
-        /// Whose limit it is, and what can be done.
+        /// Whose limit it is, and the remedy.
         limit: &'static str,
     },
     /// A value of the wrong form.
     #[error("{field}: {detail}")]
-    Malformed {
-        /// The field's name, as the doors have it.
-        field: &'static str,
-        /// What is wrong with it, and what is allowed.
-        detail: String,
-    },
+    Malformed { field: &'static str, detail: String },
 }
 
 /// The gateway's own state forbids it for now.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages name the fields")]
 pub enum Conflict {
     /// A FAST STOP holds.
     #[error("a FAST STOP holds: acknowledge it by its id {id}, after its cause is gone")]
-    FastStop {
-        /// What an acknowledge has to name.
-        id: FastStopId,
-    },
+    FastStop { id: FastStopId },
     /// An acknowledge was sent, and the device's flags still show FAST STOP.
     #[error("the device stays in FAST STOP after the acknowledge (flags: {flags}): remove its cause, then repeat it")]
-    FastStopPersists {
-        /// What an acknowledge has to name.
-        id: FastStopId,
-        /// The device's flags, by name.
-        flags: String,
-    },
+    FastStopPersists { id: FastStopId, flags: String },
     /// The acknowledge names a FAST STOP that isn't the newest.
     #[error("{}", stale_fast_stop(*given, *current))]
-    StaleFastStop {
-        /// What it named.
-        given: FastStopId,
-        /// What holds now.
-        current: Option<FastStopId>,
-    },
+    StaleFastStop { given: FastStopId, current: Option<FastStopId> },
     /// The device's flags haven't shown the FAST STOP yet, so it can't be acknowledged.
     #[error("the device has not confirmed FAST STOP {id} yet: it can be acknowledged once it has")]
-    FastStopUnconfirmed {
-        /// The unconfirmed one.
-        id: FastStopId,
-    },
-    /// Somebody else's acknowledge of it is on its way.
+    FastStopUnconfirmed { id: FastStopId },
+    /// Another client's acknowledge is on its way.
     #[error("FAST STOP {id} is being acknowledged already: wait for its result")]
-    Acknowledging {
-        /// What is being acknowledged.
-        id: FastStopId,
-    },
+    Acknowledging { id: FastStopId },
     /// The fingers are not referenced.
     #[error("the gripper is not referenced: home it first")]
     NotReferenced,
     /// A command runs, and one moves at a time.
     #[error("command {id} is running: wait for its end, or stop it")]
-    AlreadyRunning {
-        /// The running one.
-        id: CommandId,
-    },
+    AlreadyRunning { id: CommandId },
     /// The device has restarted, and refused to take what clients had set.
     #[error("the device has lost what was set, and refused to take it again ({settings}): set it anew first")]
-    SettingsLost {
-        /// What is lost.
-        settings: String,
-    },
-    /// Somebody else holds the lease, or the gripper is reserved.
+    SettingsLost { settings: String },
+    /// Another client holds the lease, or the gripper is reserved.
     #[error("{}", lease_held(holder, *expires_in_ms))]
     LeaseHeld {
-        /// Who.
         holder: Arc<str>,
         /// How long it lives without use; none where the gripper is reserved for a holder that was lost.
         expires_in_ms: Option<u64>,
     },
     /// The lease token isn't that of the lease.
     #[error("{}", stale_lease(*epoch, holder.as_deref()))]
-    StaleLease {
-        /// The newest lease's.
-        epoch: u64,
-        /// Who holds that.
-        holder: Option<Arc<str>>,
-    },
+    StaleLease { epoch: u64, holder: Option<Arc<str>> },
     /// The request id was used for something else.
     #[error("the request id was used for another request: a new request needs a new id")]
     RequestIdReused,
@@ -163,79 +125,44 @@ pub struct DeviceRefusal {
     pub fast_stop: Option<FastStopId>,
 }
 
-/// We couldn't ask the device, or got no answer.
+/// Failure to ask the device, or to get an answer.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[allow(missing_docs, reason = "the messages name the fields")]
 pub enum Failure {
     /// There is no working link.
     #[error("the link to the device is {link}: {cause}")]
-    LinkDown {
-        /// How it is.
-        link: Link,
-        /// Why.
-        cause: String,
-    },
+    LinkDown { link: Link, cause: String },
     /// The gateway is shutting down, or gives this gripper up.
     #[error("the gateway is giving this gripper up, and takes no new commands for it")]
     Draining,
     /// No answer came in time.
     #[error("the device did not answer {command} within {waited_ms} ms")]
-    DeviceTimeout {
-        /// What was asked of it.
-        command: &'static str,
-        /// For how long we waited.
-        waited_ms: u64,
-    },
+    DeviceTimeout { command: &'static str, waited_ms: u64 },
     /// Its answer can't be one.
     #[error("the device's answer to {command} is none: {detail}")]
-    DeviceProtocol {
-        /// What was asked of it.
-        command: &'static str,
-        /// What is wrong with the answer.
-        detail: String,
-    },
+    DeviceProtocol { command: &'static str, detail: String },
     /// Too many requests wait already.
     #[error("{limit} requests wait for this gripper already: try again later")]
-    Overloaded {
-        /// The bound.
-        limit: usize,
-    },
+    Overloaded { limit: usize },
     /// The client's request ids take all the slots that it may have.
     #[error(
         "this client has used {limit} request ids for this gripper within 10 minutes, which is the bound: wait, or \
              send fewer requests with an id"
     )]
-    RequestIds {
-        /// The bound.
-        limit: usize,
-    },
+    RequestIds { limit: usize },
     /// The journal takes no records, and nothing moves that is not written down.
     #[error(
         "the journal takes no records ({cause}), and nothing moves that is not written down: mend it, or set \
              on_journal_failure to continue"
     )]
-    JournalDown {
-        /// Why.
-        cause: String,
-    },
+    JournalDown { cause: String },
     /// It would wear out the device's flash memory.
     #[error(
         "{command} wears the device's flash memory, and is sent once in {every_ms} ms at most: try again later, and \
          only when the value has changed"
     )]
-    FlashWear {
-        /// What was asked for.
-        command: &'static str,
-        /// The shortest time between two writes.
-        every_ms: u64,
-    },
+    FlashWear { command: &'static str, every_ms: u64 },
     /// It would keep the line busy for too long while the fingers move.
     #[error("{command} would take {line_ms} ms of line time, and no more than {max_ms} ms are allowed while moving")]
-    LineTime {
-        /// What was asked for.
-        command: &'static str,
-        /// How long it would take.
-        line_ms: u64,
-        /// The bound.
-        max_ms: u64,
-    },
+    LineTime { command: &'static str, line_ms: u64, max_ms: u64 },
 }

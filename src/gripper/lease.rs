@@ -255,15 +255,15 @@ impl LeaseState {
             }
             _ if wish.token.is_some() => return Err(self.stale()),
             Some(_) if wish.force => AcquireOutcome::Forced,
-            Some(_) => {
-                if wish.request {
+            None if wish.force || self.reserved.as_ref().is_none_or(|reserved| reserved.is(&holder)) => {
+                AcquireOutcome::Free
+            }
+            held => {
+                if held.is_some() && wish.request {
                     self.ask(now, holder, terms);
                 }
                 return self.check(now, None).map(|()| AcquireOutcome::Free);
             }
-            None if self.reserved.as_ref().is_none_or(|reserved| reserved.is(&holder)) => AcquireOutcome::Free,
-            None if wish.force => AcquireOutcome::Free,
-            None => return self.check(now, None).map(|()| AcquireOutcome::Free),
         };
         self.give(now, holder, terms, token, Usage::Idle);
         Ok(way)

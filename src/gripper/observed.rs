@@ -31,7 +31,7 @@ pub(super) struct HeldPart {
 }
 
 /// The newest values.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Observed {
     pub flags: Option<SystemState>,
     pub gripper_state: Option<GripperState>,
@@ -56,21 +56,7 @@ impl Observed {
     /// Values that are all unknown, on a line of this speed.
     pub(super) fn new(bytes_per_second: Option<u32>) -> Self {
         let period = Duration::from_millis(period_ms(bytes_per_second).into());
-        Self {
-            flags: None,
-            gripper_state: None,
-            width_mm: None,
-            speed_mm_s: None,
-            force_n: None,
-            temperature: None,
-            temperature_at: None,
-            updated_at: None,
-            part: HeldPart::default(),
-            heard: [None; UPDATED.len()],
-            fresh: [None; UPDATED.len()],
-            renew_after: RENEW_AFTER.max(MISSED_PERIODS * period),
-            flows: false,
-        }
+        Self { renew_after: RENEW_AFTER.max(MISSED_PERIODS * period), ..Self::default() }
     }
 
     /// Whether the flags that came now were missed before: a device that restarts forgets its automatic updates.

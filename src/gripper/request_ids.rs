@@ -22,7 +22,7 @@ const SLOT_BYTES: usize = 2048;
 pub(super) type Key = (Arc<str>, RequestId);
 
 /// Bounds of one table, in slots.
-#[derive(Debug, Clone, Copy)]
+#[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Bounds {
     /// Slots of one subject.
     pub per_subject: usize,
@@ -31,7 +31,7 @@ pub(super) struct Bounds {
 }
 
 /// The request ids of one gripper.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct RequestIds {
     bounds: Bounds,
     ids: HashMap<Key, Bound>,
@@ -65,15 +65,7 @@ struct Bound {
 
 impl RequestIds {
     pub(super) fn new(bounds: Bounds) -> Self {
-        Self {
-            bounds,
-            ids: HashMap::new(),
-            by_age: BTreeMap::new(),
-            subjects: HashMap::new(),
-            by_slots: BTreeSet::new(),
-            slots: 0,
-            next_number: 0,
-        }
+        Self { bounds, ..Self::default() }
     }
 
     /// The request of this id and its command, while the id stands for it.

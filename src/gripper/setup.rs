@@ -58,7 +58,7 @@ pub(super) enum WantedSoftLimits {
 }
 
 /// A set-up under way, and what it has learned.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(super) struct Setup {
     todo: VecDeque<Command>,
     current: Option<(Command, u8)>,
@@ -99,17 +99,9 @@ impl Setup {
         ];
         Self {
             todo: reads.into_iter().chain(observed::switch_on_all(bytes_per_second)).collect(),
-            current: None,
-            token: None,
             known_serial,
             wanted,
-            system: None,
-            limits: None,
-            tag: None,
-            soft_limits: None,
-            restored: Vec::new(),
-            lost: BTreeSet::new(),
-            replaced: false,
+            ..Self::default()
         }
     }
 
