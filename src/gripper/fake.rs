@@ -8,7 +8,7 @@ use tokio::sync::{broadcast, mpsc, watch};
 
 use super::clock;
 use super::error::Rejection;
-use super::handle::{FastStopRequest, Granted, Handle, Request, Ticket};
+use super::handle::{AcquiredLease, FastStopRequest, Handle, Request, Ticket};
 use super::info::Info;
 use super::lease::{LeaseState, Terms};
 use super::model::{
@@ -177,11 +177,11 @@ impl Actor {
         }
     }
 
-    fn take(&mut self, take: &TakeLease, token: LeaseToken) -> Result<Granted, Rejection> {
+    fn take(&mut self, take: &TakeLease, token: LeaseToken) -> Result<AcquiredLease, Rejection> {
         let terms = Terms::of(take, &LeaseRules::default())?;
         self.lease.take(clock::instant(), take, terms, token)?;
         let times_taken = self.lease.times_taken();
-        Ok(Granted { lease: self.lease.view(clock::instant(), self.lease.token()), times_taken, keep: None })
+        Ok(AcquiredLease { lease: self.lease.view(clock::instant(), self.lease.token()), times_taken, keep: None })
     }
 
     fn submit(&mut self, submission: &Submission, id: CommandId) -> Result<Ticket, Rejection> {

@@ -38,7 +38,7 @@ pub enum Request {
     Exchange { command: wsg::Command, client: Client, lease: Option<LeaseToken>, answer: Steps },
     Acknowledge { id: FastStopId, client: Client, answer: Answer<()> },
     Lease { answer: oneshot::Sender<Lease> },
-    TakeLease { take: TakeLease, token: LeaseToken, answer: Answer<Granted> },
+    TakeLease { take: TakeLease, token: LeaseToken, answer: Answer<AcquiredLease> },
     UseLease { token: LeaseToken, answer: oneshot::Sender<Option<Keep>> },
     RenewLease { token: Option<LeaseToken>, answer: Answer<Lease> },
     HandOver { token: Option<LeaseToken>, to: String, new: LeaseToken, answer: Answer<Lease> },
@@ -83,7 +83,7 @@ pub struct FastStop {
 
 /// A lease that was taken.
 #[derive(Debug)]
-pub struct Granted {
+pub struct AcquiredLease {
     /// The lease, with its token.
     pub lease: Lease,
     /// Number of times that the lease was taken. It belongs to the connection that took it last.
@@ -278,7 +278,7 @@ impl Handle {
     }
 
     /// Takes the lease, or changes the terms of the one that is held already.
-    pub async fn take_lease(&self, take: TakeLease) -> Result<Granted, Rejection> {
+    pub async fn take_lease(&self, take: TakeLease) -> Result<AcquiredLease, Rejection> {
         let token = LeaseToken::generate();
         self.request_reserved(|answer| Request::TakeLease { take, token, answer }).await?
     }

@@ -30,7 +30,7 @@ pub use connector::Connector;
 pub use driver::spawn;
 pub use error::{Conflict, DeviceRefusal, Failure, Invalid, Rejection};
 pub use grippers::Grippers;
-pub use handle::{FastStop, Granted, Handle, Ticket};
+pub use handle::{AcquiredLease, FastStop, Handle, Ticket};
 pub use info::Info;
 pub use lease::Keep;
 pub use metrics::Metrics;

@@ -13,7 +13,7 @@ use super::operation::{Operation, reply};
 use super::problem::Problem;
 use super::reply::{Effect, Json, Reply};
 use super::values::{integer, name, text};
-use crate::gripper::Granted;
+use crate::gripper::AcquiredLease;
 use crate::gripper::model::lease::{MAX_TTL, MIN_TTL};
 use crate::gripper::model::{Lease, OnLossHolding, OnLossMoving, TakeLease, Urgency};
 
@@ -84,7 +84,7 @@ async fn take(call: Call) -> Result<Reply, Problem> {
         client: gripper.client,
     };
     let (handle, has_ttl) = (gripper.handle, take.ttl.is_some());
-    let Granted { lease, times_taken, keep } = handle.take_lease(take).await?;
+    let AcquiredLease { lease, times_taken, keep } = handle.take_lease(take).await?;
     let keep = keep.filter(|_| !has_ttl);
     let leased = lease.token.clone().map(|token| ConnectionLease::new(handle, token, times_taken, keep));
     Reply::new(&lease, leased.map_or(Effect::None, |lease| Effect::Leased(Arc::new(lease))))

@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use super::super::Now;
 use super::super::error::{Conflict, Failure, Rejection};
-use super::super::handle::{Answer, FastStopRequest, Granted};
+use super::super::handle::{AcquiredLease, Answer, FastStopRequest};
 use super::super::lease::{AcquireOutcome, Held, Holder, Terms};
 use super::super::model::{
     Client, FastStopCause, Lease, LeaseEvent, LeaseStep, LeaseToken, LossCause, LossEffect, OnLossHolding,
@@ -44,12 +44,12 @@ impl Actor {
         self.lease.view(now.instant, None)
     }
 
-    pub(super) fn take_lease(&mut self, now: Now, wish: &TakeLease, token: LeaseToken, answer: Answer<Granted>) {
+    pub(super) fn take_lease(&mut self, now: Now, wish: &TakeLease, token: LeaseToken, answer: Answer<AcquiredLease>) {
         let granted = self.try_take_lease(now, wish, token).map(|()| {
             let token = self.lease.token().cloned();
             let keep = self.lease.keep(now.instant, token.as_ref());
             let times_taken = self.lease.times_taken();
-            Granted { lease: self.lease.view(now.instant, token.as_ref()), times_taken, keep }
+            AcquiredLease { lease: self.lease.view(now.instant, token.as_ref()), times_taken, keep }
         });
         // The caller may be gone: then the lease runs out.
         let _ = answer.send(granted);

@@ -17,7 +17,7 @@ use crate::gripper::clock::{self, sleep_until};
 use crate::gripper::model::{
     Action, Client, Command, FastStopId, LeaseToken, Motion, Outcome, Phase, Reason, State, Submission, TakeLease,
 };
-use crate::gripper::{Granted, Handle, Keep, Rejection, Ticket};
+use crate::gripper::{AcquiredLease, Handle, Keep, Rejection, Ticket};
 use crate::interfaces::admission::{Claim, Class, ConnectionPermit};
 use crate::operations::audit::RefusedRequest;
 use crate::wsg::{self, Data, Reply, Status, id};
@@ -77,7 +77,7 @@ enum Step {
     Accepted(Ask, Ticket, Box<Command>),
     /// Whether a refusal is to be written down.
     Rejected(Ask, Rejection, bool),
-    Kept(Option<Granted>),
+    Kept(Option<AcquiredLease>),
 }
 
 /// Why a client is not served any longer.

@@ -8,7 +8,7 @@ use wsg_gateway::gripper::model::{
     Action, Client, Door, FastStopCause, HolderName, Lease, LeaseToken, Motion, OnLossHolding, OnLossMoving, Outcome,
     Submission, TakeLease,
 };
-use wsg_gateway::gripper::{Conflict, Granted, Rejection, Ticket};
+use wsg_gateway::gripper::{AcquiredLease, Conflict, Rejection, Ticket};
 use wsg_gateway::sim::{Change, Interface};
 use wsg_gateway::wsg::{self, Acceleration, Speed, Width, id};
 
@@ -36,7 +36,7 @@ fn finish_moving(wish: TakeLease) -> TakeLease {
     TakeLease { on_loss_moving: Some(OnLossMoving::Finish), ..wish }
 }
 
-fn take(world: &mut World, take: TakeLease) -> Result<Granted, Rejection> {
+fn take(world: &mut World, take: TakeLease) -> Result<AcquiredLease, Rejection> {
     let token = LeaseToken::generate();
     request(world, |answer| Request::TakeLease { take, token, answer }).try_recv().unwrap()
 }
