@@ -8,7 +8,7 @@ use tokio::sync::{broadcast, mpsc, oneshot, watch};
 use super::clock;
 use super::error::{Failure, Rejection};
 use super::info::Info;
-use super::lease::Keep;
+use super::lease::LeaseKeepAlive;
 use super::model::{
     Action, Client, Command, CommandId, CustomIds, FastStopCause, FastStopId, Frame, Lease, LeaseToken, Link, Name,
     Phase, Reason, State, Submission, TakeLease,
@@ -39,7 +39,7 @@ pub enum Request {
     Acknowledge { id: FastStopId, client: Client, answer: Answer<()> },
     Lease { answer: oneshot::Sender<Lease> },
     TakeLease { take: TakeLease, token: LeaseToken, answer: Answer<AcquiredLease> },
-    UseLease { token: LeaseToken, answer: oneshot::Sender<Option<Keep>> },
+    UseLease { token: LeaseToken, answer: oneshot::Sender<Option<LeaseKeepAlive>> },
     RenewLease { token: Option<LeaseToken>, answer: Answer<Lease> },
     HandOver { token: Option<LeaseToken>, to: String, new: LeaseToken, answer: Answer<Lease> },
     ReleaseLease { token: Option<LeaseToken>, answer: oneshot::Sender<Lease> },
@@ -89,13 +89,13 @@ pub struct AcquiredLease {
     /// Number of times that the lease was taken. It belongs to the connection that took it last.
     pub times_taken: u64,
     /// Keeps the lease from running out, for an interface whose connection counts as use of it.
-    pub keep: Option<Keep>,
+    pub keep: Option<LeaseKeepAlive>,
 }
 
 /// A lease in use, which doesn't run out before this is dropped.
 #[derive(Debug)]
 pub struct Using {
-    _keep: oneshot::Receiver<Option<Keep>>,
+    _keep: oneshot::Receiver<Option<LeaseKeepAlive>>,
 }
 
 /// An admitted command to wait for. Its client's lease doesn't run out meanwhile.
@@ -103,7 +103,7 @@ pub struct Using {
 pub struct Ticket {
     pub(super) record: watch::Receiver<Arc<Command>>,
     pub(super) replayed: bool,
-    pub(super) _keep: Option<Arc<Keep>>,
+    pub(super) _keep: Option<Arc<LeaseKeepAlive>>,
 }
 
 impl Ticket {

@@ -119,12 +119,12 @@ impl Held {
 
 /// Keeps a lease from running out until it is dropped: for an open request, or a connection that answers.
 #[derive(Debug)]
-pub struct Keep {
+pub struct LeaseKeepAlive {
     open: Option<Arc<()>>,
     closed: Arc<Notify>,
 }
 
-impl Drop for Keep {
+impl Drop for LeaseKeepAlive {
     fn drop(&mut self) {
         // First, so that the receiver of the notice sees it.
         self.open = None;
@@ -215,12 +215,12 @@ impl LeaseState {
     }
 
     /// Renews the lease of this token, and keeps it until the request ends. `None` for a token without a lease.
-    pub(super) fn keep(&mut self, now: Instant, token: Option<&LeaseToken>) -> Option<Keep> {
+    pub(super) fn keep(&mut self, now: Instant, token: Option<&LeaseToken>) -> Option<LeaseKeepAlive> {
         let closed = self.closed.clone();
         let held = self.held.as_mut().filter(|held| Some(&held.token) == token)?;
         held.used(now);
         held.usage = Usage::Open;
-        Some(Keep { open: Some(held.open.clone()), closed })
+        Some(LeaseKeepAlive { open: Some(held.open.clone()), closed })
     }
 
     /// A request of the holder has ended. After the last one the time runs.

@@ -32,6 +32,6 @@ pub use error::{Conflict, DeviceRefusal, Failure, Invalid, Rejection};
 pub use grippers::Grippers;
 pub use handle::{AcquiredLease, FastStop, Handle, Ticket};
 pub use info::Info;
-pub use lease::Keep;
+pub use lease::LeaseKeepAlive;
 pub use metrics::Metrics;
 pub use recorder::{Health, Record, Recorder, Unrecorded};

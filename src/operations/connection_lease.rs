@@ -1,7 +1,7 @@
 //! A lease that ends with its client's connection.
 
 use crate::gripper::model::{LeaseToken, Name};
-use crate::gripper::{Handle, Keep};
+use crate::gripper::{Handle, LeaseKeepAlive};
 
 /// An acquired lease, as an interface keeps it that sees its client's end. HTTP, which does not, drops it.
 #[derive(Debug)]
@@ -10,12 +10,12 @@ pub struct ConnectionLease {
     token: LeaseToken,
     takes: u64,
     /// Where its taker has not said how long it lives without use: as long as the connection.
-    _keep: Option<Keep>,
+    _keep: Option<LeaseKeepAlive>,
 }
 
 impl ConnectionLease {
     /// Returns the lease of this token, as taken this many times.
-    pub fn new(handle: Handle, token: LeaseToken, takes: u64, keep: Option<Keep>) -> Self {
+    pub fn new(handle: Handle, token: LeaseToken, takes: u64, keep: Option<LeaseKeepAlive>) -> Self {
         Self { handle, token, takes, _keep: keep }
     }
 

@@ -17,7 +17,7 @@ use crate::gripper::clock::{self, sleep_until};
 use crate::gripper::model::{
     Action, Client, Command, FastStopId, LeaseToken, Motion, Outcome, Phase, Reason, State, Submission, TakeLease,
 };
-use crate::gripper::{AcquiredLease, Handle, Keep, Rejection, Ticket};
+use crate::gripper::{AcquiredLease, Handle, LeaseKeepAlive, Rejection, Ticket};
 use crate::interfaces::admission::{Claim, Class, ConnectionPermit};
 use crate::operations::audit::RefusedRequest;
 use crate::wsg::{self, Data, Reply, Status, id};
@@ -62,7 +62,7 @@ pub(super) struct Served<R, W> {
 /// The lease for as long as its client is there, who is not sent away meanwhile.
 struct Kept {
     epoch: u64,
-    _keep: Keep,
+    _keep: LeaseKeepAlive,
     _pin: Option<Claim>,
 }
 
