@@ -26,7 +26,7 @@ use crate::config::{self, Config, Device, Gripper, Mistake};
 use crate::events::Updates;
 use crate::fleet::Network;
 use crate::gripper::model::{Detail, Event, GatewayEvent, MemoryKey, Name};
-use crate::gripper::recorder::{Recollection, Record, Recorder as _};
+use crate::gripper::recorder::{Record, Recorder as _, RestoredState};
 use crate::gripper::{self, Connector, Grippers, Handle, Now};
 use crate::interfaces::{self, Bounds, http, zenoh};
 use crate::journal::{self, Journal, Recovered};
@@ -196,19 +196,19 @@ fn spawn_all(
     registry: &Registry,
 ) -> anyhow::Result<Grippers> {
     let _inside = devices.enter();
-    let spawn = |gripper| spawn(config, gripper, journal, recollection(recovered, gripper), registry);
+    let spawn = |gripper| spawn(config, gripper, journal, restored(recovered, gripper), registry);
     let handles: anyhow::Result<Vec<Handle>> = config.grippers.iter().map(spawn).collect();
     Ok(Grippers::new(handles?))
 }
 
 /// What the journal knows of a gripper from earlier runs.
-fn recollection(recovered: &Recovered, gripper: &Gripper) -> Recollection {
+fn restored(recovered: &Recovered, gripper: &Gripper) -> RestoredState {
     let remembered = |key| {
         let memory = recovered.memory.iter().find(|memory| memory.gripper == gripper.name && memory.key == key);
         memory.and_then(|memory| memory.value.clone())
     };
     let requests = recovered.requests.iter().filter(|request| request.command.gripper == gripper.name);
-    Recollection {
+    RestoredState {
         settings: remembered(MemoryKey::Settings),
         latch: remembered(MemoryKey::Latch),
         lease: remembered(MemoryKey::Lease),
@@ -222,7 +222,7 @@ fn spawn(
     config: &Config,
     gripper: &Gripper,
     journal: &Journal,
-    recollection: Recollection,
+    restored: RestoredState,
     registry: &Registry,
 ) -> anyhow::Result<Handle> {
     let connector: Arc<dyn Connector> = match &gripper.device {
@@ -247,7 +247,7 @@ fn spawn(
         seed: rand::rng().random(),
         metrics: gripper::Metrics::register(registry, &gripper.name)?,
     };
-    let handle = gripper::spawn(config, connector, Arc::new(journal.clone()), recollection);
+    let handle = gripper::spawn(config, connector, Arc::new(journal.clone()), restored);
     gripper::metrics::Newest::register(registry, &handle)?;
     Ok(handle)
 }

@@ -20,7 +20,7 @@ use super::connector::Connector;
 use super::handle::{FastStopRequest, Handle, MAX_WAITING_FAST_STOPS, MAX_WAITING_REQUESTS, Request};
 use super::model::CommandId;
 use super::observed;
-use super::recorder::{Health, Recollection, Record, Recorder};
+use super::recorder::{Health, Record, Recorder, RestoredState};
 use crate::transport::Pipe;
 use crate::wsg::Command;
 
@@ -48,14 +48,14 @@ pub fn spawn(
     config: Config,
     connector: Arc<dyn Connector>,
     recorder: Arc<dyn Recorder>,
-    recollection: Recollection,
+    restored: RestoredState,
 ) -> Handle {
     let (requests, request_queue) = mpsc::channel(MAX_WAITING_REQUESTS);
     let (fast_stops, fast_stop_queue) = mpsc::channel(MAX_WAITING_FAST_STOPS);
     let (name, custom_ids) = (config.name.clone(), Arc::new(config.custom_ids.clone()));
     let update_period_ms = observed::period_ms(config.traits.bytes_per_second);
     let (mut actor, watches) = Actor::new(config);
-    actor.recollect(Now::read(), recollection);
+    actor.restore(Now::read(), restored);
     let health = recorder.health();
     let driver = Driver {
         lease_requests: actor.lease_requests(),

@@ -120,7 +120,7 @@ impl LatchState {
 
     /// After a restart of the gateway: the FAST STOP of this epoch was the newest, and holds if its latch is given. The
     /// device may have forgotten it.
-    pub(super) fn recollect(&mut self, now: Instant, epoch: u64, latch: Option<Latch>) {
+    pub(super) fn restore(&mut self, now: Instant, epoch: u64, latch: Option<Latch>) {
         self.epoch = epoch;
         self.latch = latch.map(|latch| Latch { confirmed: false, ..latch });
         self.flags_count_from = Some(now);

@@ -166,7 +166,7 @@ pub(super) enum AcquireOutcome {
 
 impl LeaseState {
     /// Restores the epoch of the newest lease before a restart. Its holder, if there was one, is lost.
-    pub(super) fn recollect(&mut self, epoch: u64, holder: Option<Holder>) {
+    pub(super) fn restore(&mut self, epoch: u64, holder: Option<Holder>) {
         self.epoch = epoch;
         self.reserved = holder;
     }

@@ -27,7 +27,7 @@ pub enum Record {
 
 /// State of a gripper from an earlier run.
 #[derive(Debug, Clone, Default)]
-pub struct Recollection {
+pub struct RestoredState {
     /// The value of [`MemoryKey::Settings`](super::model::MemoryKey::Settings).
     pub settings: Option<String>,
     /// The value of [`MemoryKey::Latch`](super::model::MemoryKey::Latch).

@@ -18,7 +18,7 @@ use wsg_gateway::gripper::model::{
     Action, Admitted, Client, CommandEvent, CommandId, Detail, Done, Door, Event, GripRecord, IdSource, Kind,
     LeaseRules, Link, LinkEvent, Motion, Name, Outcome, Parameters, PartId, Sample, Submission,
 };
-use wsg_gateway::gripper::recorder::{Recollection, Record, Recorder, Unrecorded};
+use wsg_gateway::gripper::recorder::{Record, Recorder, RestoredState, Unrecorded};
 use wsg_gateway::gripper::{self, Connector, Handle};
 use wsg_gateway::journal::{
     EventKind, EventQuery, Filter, GripQuery, Journal, Order, Page, Place, Query, ReadError, Reader, Retention, verify,
@@ -159,7 +159,7 @@ async fn gripper(recorder: Arc<dyn Recorder>) -> Result<(Handle, Switch), Error>
         metrics: gripper::Metrics::register(&Registry::new(), &name)?,
         name,
     };
-    let handle = gripper::spawn(config, Arc::new(address), recorder, Recollection::default());
+    let handle = gripper::spawn(config, Arc::new(address), recorder, RestoredState::default());
     handle.states().wait_for(|state| state.link == Link::Connected).await?;
     run(&handle, Action::Motion(Motion::Home(HomingDirection::Default))).await?;
     Ok((handle, switch))

@@ -11,7 +11,7 @@ use wsg_gateway::gripper::actor::{Config, OnJournalFailure};
 use wsg_gateway::gripper::model::{
     Client, CustomIds, Door, FastStopId, IdSource, LeaseRules, Link, Name, Reason, State,
 };
-use wsg_gateway::gripper::recorder::Recollection;
+use wsg_gateway::gripper::recorder::RestoredState;
 use wsg_gateway::gripper::{self, Handle, Metrics, Unrecorded};
 use wsg_gateway::transport::Address;
 
@@ -145,7 +145,7 @@ async fn a_fast_stop_that_the_device_does_not_answer_is_repeated() {
 }
 
 /// A gripper at this device, with what an earlier run of the gateway remembers.
-fn spawned(device: SocketAddr, recollection: Recollection) -> Handle {
+fn spawned(device: SocketAddr, restored: RestoredState) -> Handle {
     let address: Address = format!("tcp://{device}").parse().unwrap();
     let name: Name = "g".parse().unwrap();
     let config = Config {
@@ -159,7 +159,7 @@ fn spawned(device: SocketAddr, recollection: Recollection) -> Handle {
         seed: 1,
         metrics: Metrics::register(&Registry::new(), &name).unwrap(),
     };
-    gripper::spawn(config, Arc::new(address), Arc::new(Unrecorded), recollection)
+    gripper::spawn(config, Arc::new(address), Arc::new(Unrecorded), restored)
 }
 
 #[tokio::test]
@@ -170,7 +170,7 @@ async fn a_clock_set_back_confirms_no_fast_stop() {
     let ahead = Timestamp::now() + SignedDuration::from_hours(24);
     let id = IdSource::new(1).fast_stop_id(ahead);
     let latch = json!({"id": id, "by": "test", "cause": "requested", "reason": "", "at": ahead, "confirmed": true});
-    let handle = spawned(device.address, Recollection { latch: Some(latch.to_string()), ..Recollection::default() });
+    let handle = spawned(device.address, RestoredState { latch: Some(latch.to_string()), ..RestoredState::default() });
     let confirmed = |state: &Arc<State>| state.latch.as_ref().is_some_and(|latch| latch.fast_stop_confirmed);
     let restored = handle.states().wait_for(confirmed).await.unwrap().latch.clone().unwrap();
     assert_eq!(restored.fast_stop_id, id);

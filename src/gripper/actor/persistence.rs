@@ -8,7 +8,7 @@ use super::super::latch::LatchState;
 use super::super::lease::{Holder, LeaseState};
 use super::super::model::{CommandId, FastStopId, Latch, Memory, MemoryKey};
 use super::super::observed::HeldPart;
-use super::super::recorder::{Recollection, Record};
+use super::super::recorder::{Record, RestoredState};
 use super::super::setup::{Wanted, WantedSoftLimits};
 use super::Actor;
 use super::recording::Recording;
@@ -102,29 +102,29 @@ pub(super) struct LastReported {
 
 impl Actor {
     /// Restores the state of an earlier run, before the first link.
-    pub fn recollect(&mut self, now: Now, recollection: Recollection) {
-        if let Some(settings) = self.parse::<PersistedSettings>(recollection.settings.as_deref()) {
+    pub fn restore(&mut self, now: Now, restored: RestoredState) {
+        if let Some(settings) = self.parse::<PersistedSettings>(restored.settings.as_deref()) {
             self.settings.wanted = settings.wanted();
             self.settings.known_serial = settings.serial_number;
         }
-        let skipped = if recollection.unclean { EPOCHS_SKIPPED } else { 0 };
-        let latch = match self.parse(recollection.latch.as_deref()) {
+        let skipped = if restored.unclean { EPOCHS_SKIPPED } else { 0 };
+        let latch = match self.parse(restored.latch.as_deref()) {
             Some(PersistedLatch::Holds(HeldLatch { epoch, latch })) => Some((epoch, Some(latch))),
             Some(PersistedLatch::Cleared(ClearedLatch { epoch })) => Some((epoch, None)),
             None => None,
         };
         if let Some((epoch, latch)) = latch {
             self.recording.reported.latch = (epoch, latch.as_ref().map(|latch| latch.id));
-            self.latch.recollect(now.instant, epoch.saturating_add(skipped), latch);
+            self.latch.restore(now.instant, epoch.saturating_add(skipped), latch);
         }
-        let grip = self.parse(recollection.holding.as_deref());
+        let grip = self.parse(restored.holding.as_deref());
         self.recording.reported.grip = grip;
         self.observed.part = HeldPart { is_held: grip.is_some(), grip };
-        if let Some(PersistedLease { epoch, holder }) = self.parse(recollection.lease.as_deref()) {
-            self.lease.recollect(epoch.saturating_add(skipped), holder);
+        if let Some(PersistedLease { epoch, holder }) = self.parse(restored.lease.as_deref()) {
+            self.lease.restore(epoch.saturating_add(skipped), holder);
         }
-        self.link.unannounced = recollection.unclean && self.link.properties.connection_oriented;
-        for request in recollection.requests {
+        self.link.unannounced = restored.unclean && self.link.properties.connection_oriented;
+        for request in restored.requests {
             self.commands.bind_again(now, request);
         }
         self.after_input(now);

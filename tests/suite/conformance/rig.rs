@@ -54,7 +54,7 @@ pub fn spawn(connector: impl Connector) -> Handle {
         config,
         Arc::new(connector),
         Arc::new(gripper::Unrecorded),
-        gripper::recorder::Recollection::default(),
+        gripper::recorder::RestoredState::default(),
     )
 }
 

@@ -7,7 +7,7 @@ use rand::RngExt;
 use wsg_gateway::gripper::Record;
 use wsg_gateway::gripper::actor::Actor;
 use wsg_gateway::gripper::model::{CommandEvent, CommandId, Detail, DeviceEvent, MemoryKey, Outcome};
-use wsg_gateway::gripper::recorder::Recollection;
+use wsg_gateway::gripper::recorder::RestoredState;
 
 use super::client::{Admitted, is_streamed};
 use super::leases::Leases;
@@ -32,9 +32,9 @@ pub struct Journal {
 
 impl Journal {
     /// What a gateway that starts again knows of this one.
-    pub fn recollection(&self) -> Recollection {
+    pub fn restored(&self) -> RestoredState {
         let remembered = |key| self.memory.get(&key).cloned().flatten();
-        Recollection {
+        RestoredState {
             settings: remembered(MemoryKey::Settings),
             latch: remembered(MemoryKey::Latch),
             lease: remembered(MemoryKey::Lease),
@@ -140,7 +140,7 @@ impl World {
         Journal::keep(self);
         (self.actor, self.watches) = Actor::new(self.config.clone());
         let now = self.clock();
-        self.actor.recollect(now, self.journal.recollection());
+        self.actor.restore(now, self.journal.restored());
         self.settle();
     }
 }
