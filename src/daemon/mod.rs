@@ -25,7 +25,7 @@ use url::Url;
 use crate::config::{self, Config, Device, Gripper, Mistake};
 use crate::events::Updates;
 use crate::fleet::Network;
-use crate::gripper::model::{Detail, Event, GatewayEvent, MemoryKey, Name};
+use crate::gripper::model::{Detail, Event, GatewayEvent, Name, PersistedKey};
 use crate::gripper::recorder::{Record, Recorder as _, RestoredState};
 use crate::gripper::{self, Connector, Grippers, Handle, Now};
 use crate::interfaces::{self, Bounds, http, zenoh};
@@ -209,10 +209,10 @@ fn restored(recovered: &Recovered, gripper: &Gripper) -> RestoredState {
     };
     let requests = recovered.requests.iter().filter(|request| request.command.gripper == gripper.name);
     RestoredState {
-        settings: remembered(MemoryKey::Settings),
-        latch: remembered(MemoryKey::Latch),
-        lease: remembered(MemoryKey::Lease),
-        holding: remembered(MemoryKey::Holding),
+        settings: remembered(PersistedKey::Settings),
+        latch: remembered(PersistedKey::Latch),
+        lease: remembered(PersistedKey::Lease),
+        holding: remembered(PersistedKey::Holding),
         requests: requests.cloned().collect(),
         unclean: recovered.unclean,
     }

@@ -38,7 +38,7 @@ pub use lease::{
     OnLossMoving, TakeLease,
 };
 pub use parameters::{Direction, OnBlock, Parameters};
-pub use record::{GripRecord, Memory, MemoryKey, Sample};
+pub use record::{GripRecord, PersistedKey, PersistedState, Sample};
 pub use state::{FastStopCause, Latch, LatchFields, Link, State, Telemetry};
 pub use text::{InvalidShownName, PartId, Reason, RequestId, ShownName, Text};
 pub use urgency::Urgency;

@@ -2,7 +2,7 @@
 
 use tokio::sync::{oneshot, watch};
 
-use super::model::{Command, Event, GripRecord, Memory, Parameters, RequestId};
+use super::model::{Command, Event, GripRecord, Parameters, PersistedState, RequestId};
 
 /// Keeps records. It never makes a gripper wait: what finds no place is counted and lost, and said to be.
 pub trait Recorder: Send + Sync + 'static {
@@ -22,19 +22,19 @@ pub enum Record {
     /// A motion's measurements.
     Grip(Box<GripRecord>),
     /// State that outlives a restart.
-    Memory(Memory),
+    Persisted(PersistedState),
 }
 
 /// State of a gripper from an earlier run.
 #[derive(Debug, Clone, Default)]
 pub struct RestoredState {
-    /// The value of [`MemoryKey::Settings`](super::model::MemoryKey::Settings).
+    /// The value of [`PersistedKey::Settings`](super::model::PersistedKey::Settings).
     pub settings: Option<String>,
-    /// The value of [`MemoryKey::Latch`](super::model::MemoryKey::Latch).
+    /// The value of [`PersistedKey::Latch`](super::model::PersistedKey::Latch).
     pub latch: Option<String>,
-    /// The value of [`MemoryKey::Lease`](super::model::MemoryKey::Lease).
+    /// The value of [`PersistedKey::Lease`](super::model::PersistedKey::Lease).
     pub lease: Option<String>,
-    /// The value of [`MemoryKey::Holding`](super::model::MemoryKey::Holding).
+    /// The value of [`PersistedKey::Holding`](super::model::PersistedKey::Holding).
     pub holding: Option<String>,
     /// The requests with ids of their own, so that a repetition moves nothing again: the oldest first.
     pub requests: Vec<PastRequest>,

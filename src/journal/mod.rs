@@ -34,7 +34,7 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::{broadcast, watch};
 
-use crate::gripper::model::{Command, CommandEvent, CommandId, Detail, Event, Memory, Name, Sample};
+use crate::gripper::model::{Command, CommandEvent, CommandId, Detail, Event, Name, PersistedState, Sample};
 use crate::gripper::recorder::{Health, Record, Recorder};
 use check::Check;
 use reader::Pool;
@@ -204,7 +204,7 @@ impl Recorder for Journal {
                 // Its end would come too late, if a try to write takes long.
                 Record::Event(event, waiter.filter(|_| !self.shared.failing()))
             }
-            Record::Memory(memory) => return self.remember(memory),
+            Record::Persisted(memory) => return self.remember(memory),
             record @ Record::Grip(_) => record,
         };
         let has_place = self.shared.waits(places(&record, QUEUE));
@@ -224,7 +224,7 @@ impl Recorder for Journal {
 
 impl Journal {
     /// A value finds its place however much waits, since it takes that of the one before.
-    fn remember(&self, memory: Memory) {
+    fn remember(&self, memory: PersistedState) {
         self.shared.remember(memory);
         // Where there is no room for it, the thread has enough to do, and looks when it has done that.
         if let Err(TrySendError::Disconnected(_)) = self.writing.inputs.try_send(Input::Memories) {

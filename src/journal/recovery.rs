@@ -10,7 +10,7 @@ use super::commands::CommandBody;
 use super::query::{Cursor, EventQuery, Filter, Limit, Order, page};
 use super::row::{EventKind, now};
 use crate::gripper::model::{
-    Command, CommandEvent, CommandId, Detail, Done, Event, GatewayEvent, Memory, Outcome, Phase,
+    Command, CommandEvent, CommandId, Detail, Done, Event, GatewayEvent, Outcome, PersistedState, Phase,
 };
 use crate::gripper::recorder::PastRequest;
 
@@ -25,7 +25,7 @@ const MAX_REQUESTS: usize = 65_536;
 #[derive(Debug, Default)]
 pub struct Recovered {
     /// What the grippers remember.
-    pub memory: Vec<Memory>,
+    pub memory: Vec<PersistedState>,
     /// Whether the last run has ended in order, if there was one.
     pub unclean: bool,
     /// The commands that were running: each gets a record that it ended as `UNKNOWN`.
@@ -92,7 +92,7 @@ fn ended(connection: &Connection) -> rusqlite::Result<bool> {
         .is_none_or(|ended| ended == Some(true)))
 }
 
-fn memory(connection: &Connection) -> rusqlite::Result<Vec<Memory>> {
+fn memory(connection: &Connection) -> rusqlite::Result<Vec<PersistedState>> {
     let mut statement = connection.prepare("SELECT gripper, key, value, hash FROM memory ORDER BY gripper, key")?;
     let mut rows = statement.query([])?;
     let mut memories = Vec::new();
@@ -100,7 +100,7 @@ fn memory(connection: &Connection) -> rusqlite::Result<Vec<Memory>> {
         let (gripper, key, value): (String, String, String) = (row.get(0)?, row.get(1)?, row.get(2)?);
         let intact = row.get_ref(3)?.as_blob().is_ok_and(|hash| hash == memory_hash(&gripper, &key, &value));
         match (gripper.parse(), serde_json::from_value(key.clone().into())) {
-            (Ok(gripper), Ok(key)) if intact => memories.push(Memory { gripper, key, value: Some(value) }),
+            (Ok(gripper), Ok(key)) if intact => memories.push(PersistedState { gripper, key, value: Some(value) }),
             _ => tracing::warn!(gripper, key, value, "a damaged memory in the journal is left out"),
         }
     }

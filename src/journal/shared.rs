@@ -10,7 +10,7 @@ use super::rates::Rates;
 use super::row::Stored;
 use super::source::Place;
 use super::store::Memories;
-use crate::gripper::model::Memory;
+use crate::gripper::model::PersistedState;
 use crate::gripper::recorder::Health;
 
 /// How many events a slow follower may be behind before it reads them from the file.
@@ -101,7 +101,7 @@ impl Shared {
         self.waiting.fetch_sub(1, Ordering::AcqRel);
     }
 
-    pub(super) fn remember(&self, memory: Memory) {
+    pub(super) fn remember(&self, memory: PersistedState) {
         self.memories().insert((memory.gripper, memory.key), memory.value);
     }
 

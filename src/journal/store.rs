@@ -14,7 +14,7 @@ use super::presence::Presence;
 use super::row::{EventKind, Row, word};
 use super::schema::{self, APPLICATION_ID, Content, SPAN_BITS, VERSION, content};
 use super::source::{BUSY_TIMEOUT, Place, Source, no_file};
-use crate::gripper::model::{MemoryKey, Name};
+use crate::gripper::model::{Name, PersistedKey};
 
 /// How large the write-ahead log gets while readers don't need more of it, in bytes.
 const LOG_BYTES: u64 = 16 << 20;
@@ -26,7 +26,7 @@ const EMPTY_LOG_WITHIN: Duration = Duration::from_millis(100);
 const MAX_LINKS: usize = 40;
 
 /// The newest values to remember; none forgets one.
-pub(super) type Memories = BTreeMap<(Name, MemoryKey), Option<String>>;
+pub(super) type Memories = BTreeMap<(Name, PersistedKey), Option<String>>;
 
 /// Why a journal was not opened.
 #[derive(Debug, thiserror::Error)]

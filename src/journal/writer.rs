@@ -176,7 +176,7 @@ impl Writer {
                 self.batch.waiters.extend(waiter.filter(|_| self.retry_at.is_none()));
             }
             Record::Grip(grip) => self.batch.records.push(Placed::Grip(grip)),
-            Record::Memory(memory) => self.shared.remember(memory),
+            Record::Persisted(memory) => self.shared.remember(memory),
         }
     }
 

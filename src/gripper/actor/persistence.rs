@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 use super::super::Now;
 use super::super::latch::LatchState;
 use super::super::lease::{Holder, LeaseState};
-use super::super::model::{CommandId, FastStopId, Latch, Memory, MemoryKey};
+use super::super::model::{CommandId, FastStopId, Latch, PersistedKey, PersistedState};
 use super::super::observed::HeldPart;
 use super::super::recorder::{Record, RestoredState};
 use super::super::setup::{Wanted, WantedSoftLimits};
@@ -132,7 +132,7 @@ impl Actor {
 
     pub(super) fn persist_settings(&mut self) {
         let settings = PersistedSettings::new(self.settings.known_serial, &self.settings.wanted);
-        self.recording.persist(MemoryKey::Settings, Some(&settings));
+        self.recording.persist(PersistedKey::Settings, Some(&settings));
     }
 
     fn parse<T: DeserializeOwned>(&self, value: Option<&str>) -> Option<T> {
@@ -142,17 +142,17 @@ impl Actor {
 }
 
 impl Recording {
-    pub(super) fn persist<T: Serialize>(&mut self, key: MemoryKey, value: Option<&T>) {
+    pub(super) fn persist<T: Serialize>(&mut self, key: PersistedKey, value: Option<&T>) {
         // Such structures are always JSON.
         let value = value.and_then(|value| serde_json::to_string(value).ok());
-        self.push(Record::Memory(Memory { gripper: self.gripper.clone(), key, value }));
+        self.push(Record::Persisted(PersistedState { gripper: self.gripper.clone(), key, value }));
     }
 
     /// Persists the changes of the latch, the lease and the part that is held.
     pub(super) fn persist_changes(&mut self, latch: &LatchState, lease: &LeaseState, grip: Option<CommandId>) {
         if self.reported.grip != grip {
             self.reported.grip = grip;
-            self.persist(MemoryKey::Holding, grip.as_ref());
+            self.persist(PersistedKey::Holding, grip.as_ref());
         }
         let epoch = latch.epoch();
         if self.reported.latch != (epoch, latch.id()) {
@@ -161,13 +161,13 @@ impl Recording {
                 Some(latch) => PersistedLatch::Holds(HeldLatch { epoch, latch }),
                 None => PersistedLatch::Cleared(ClearedLatch { epoch }),
             };
-            self.persist(MemoryKey::Latch, Some(&latch));
+            self.persist(PersistedKey::Latch, Some(&latch));
         }
         // A gripper that was reserved, or held by a client that is gone with the gateway, is reserved again.
         let holder = lease.holder().or(lease.reserved());
         if (self.reported.lease.epoch, self.reported.lease.holder.as_ref()) != (lease.epoch(), holder) {
             let lease = PersistedLease { epoch: lease.epoch(), holder: holder.cloned() };
-            self.persist(MemoryKey::Lease, Some(&lease));
+            self.persist(PersistedKey::Lease, Some(&lease));
             self.reported.lease = lease;
         }
     }

@@ -71,11 +71,11 @@ pub struct Sample {
 
 /// What has to outlive a restart of the gateway, by gripper and name.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Memory {
+pub struct PersistedState {
     /// The gripper.
     pub gripper: Name,
     /// What it is.
-    pub key: MemoryKey,
+    pub key: PersistedKey,
     /// Its value as JSON; none forgets it.
     pub value: Option<String>,
 }
@@ -83,7 +83,7 @@ pub struct Memory {
 /// What can be remembered.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum MemoryKey {
+pub enum PersistedKey {
     /// The settings that clients made, and on which device.
     Settings,
     /// The FAST STOP that holds.

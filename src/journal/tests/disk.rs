@@ -25,7 +25,7 @@ async fn a_full_disk_is_said_and_nothing_that_has_a_place_is_lost() {
     let before = journal.last_seq();
     // Who asks while the disk is known to fail is told at once, and the record is kept.
     assert!(!kept(&journal, link(number + 1, "left")).await);
-    journal.record(Record::Memory(memory("left", MemoryKey::Latch, Some("1"))));
+    journal.record(Record::Persisted(memory("left", PersistedKey::Latch, Some("1"))));
     journal.limit_pages(1_000_000);
     health.wait_for(|health| health.failure.is_none()).await.unwrap();
     assert_eq!(journal.last_seq(), before + 2);
@@ -33,7 +33,7 @@ async fn a_full_disk_is_said_and_nothing_that_has_a_place_is_lost() {
     journal.close().await.unwrap();
     assert_eq!(journal.health().borrow().lost, 0);
     let (_, recovered) = directory.open();
-    assert_eq!((recovered.unclean, recovered.memory), (false, vec![memory("left", MemoryKey::Latch, Some("1"))]));
+    assert_eq!((recovered.unclean, recovered.memory), (false, vec![memory("left", PersistedKey::Latch, Some("1"))]));
 }
 
 #[tokio::test]
@@ -120,7 +120,7 @@ async fn an_end_and_a_memory_find_a_place_where_nothing_else_does() {
     }
     record(&journal, done(3, "left", 1, None, Outcome::PartHeld));
     for value in ["1", "2"] {
-        journal.record(Record::Memory(memory("left", MemoryKey::Latch, Some(value))));
+        journal.record(Record::Persisted(memory("left", PersistedKey::Latch, Some(value))));
     }
     let lost = journal.health().borrow().lost;
     drop(stalled);
@@ -128,7 +128,7 @@ async fn an_end_and_a_memory_find_a_place_where_nothing_else_does() {
     assert_eq!(journal.health().borrow().lost, lost);
     drop(journal);
     let (journal, recovered) = directory.open();
-    assert_eq!((recovered.unclean, recovered.memory), (false, vec![memory("left", MemoryKey::Latch, Some("2"))]));
+    assert_eq!((recovered.unclean, recovered.memory), (false, vec![memory("left", PersistedKey::Latch, Some("2"))]));
     let command = journal.command(name("left"), id(1)).await.unwrap().unwrap();
     assert_eq!(command.outcome, Some(Outcome::PartHeld));
 }

@@ -17,7 +17,7 @@ use tokio::sync::oneshot;
 use super::*;
 use crate::gripper::model::{
     Admitted, CommandEvent, CommandId, Detail, Done, Door, Event, GatewayEvent, GripRecord, IdSource, Kind, Link,
-    LinkEvent, Memory, MemoryKey, Name, Outcome, Parameters, PartId, RequestId, Sample,
+    LinkEvent, Name, Outcome, Parameters, PartId, PersistedKey, PersistedState, RequestId, Sample,
 };
 
 /// A directory of one test, which goes with it.
@@ -132,8 +132,8 @@ pub(super) fn grip(time: i64, gripper: &str, number: u32, part_id: Option<&str>)
     }
 }
 
-pub(super) fn memory(gripper: &str, key: MemoryKey, value: Option<&str>) -> Memory {
-    Memory { gripper: name(gripper), key, value: value.map(str::to_owned) }
+pub(super) fn memory(gripper: &str, key: PersistedKey, value: Option<&str>) -> PersistedState {
+    PersistedState { gripper: name(gripper), key, value: value.map(str::to_owned) }
 }
 
 pub(super) fn record(journal: &Journal, event: Event) {

@@ -72,19 +72,20 @@ async fn memories_outlive_a_restart_until_they_are_forgotten() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
     for value in [
-        memory("left", MemoryKey::Latch, Some("{\"id\":1}")),
-        memory("left", MemoryKey::Lease, Some("6")),
-        memory("left", MemoryKey::Lease, Some("7")),
-        memory("right", MemoryKey::Settings, Some("{}")),
-        memory("right", MemoryKey::Settings, None),
+        memory("left", PersistedKey::Latch, Some("{\"id\":1}")),
+        memory("left", PersistedKey::Lease, Some("6")),
+        memory("left", PersistedKey::Lease, Some("7")),
+        memory("right", PersistedKey::Settings, Some("{}")),
+        memory("right", PersistedKey::Settings, None),
     ] {
-        journal.record(Record::Memory(value));
+        journal.record(Record::Persisted(value));
     }
     drop(journal);
     let (journal, recovered) = directory.open();
-    let expected = [memory("left", MemoryKey::Latch, Some("{\"id\":1}")), memory("left", MemoryKey::Lease, Some("7"))];
+    let expected =
+        [memory("left", PersistedKey::Latch, Some("{\"id\":1}")), memory("left", PersistedKey::Lease, Some("7"))];
     assert_eq!(recovered.memory, expected);
-    journal.record(Record::Memory(memory("left", MemoryKey::Latch, None)));
+    journal.record(Record::Persisted(memory("left", PersistedKey::Latch, None)));
     journal.close().await.unwrap();
     assert_eq!(directory.open().1.memory, expected[1..]);
 }
@@ -211,13 +212,13 @@ async fn a_disk_that_takes_nothing_at_the_start_is_said_and_tried_again() {
     let (journal, _) = directory.open();
     let now = Timestamp::now().as_millisecond();
     record(&journal, admitted(now - 1000, "left", 1, None));
-    journal.record(Record::Memory(memory("left", MemoryKey::Latch, Some("1"))));
+    journal.record(Record::Persisted(memory("left", PersistedKey::Latch, Some("1"))));
     drop(journal);
     let disk = rusqlite::Connection::open(directory.journal()).unwrap();
     disk.execute_batch("CREATE TRIGGER full BEFORE INSERT ON events BEGIN SELECT RAISE(ABORT, 'full'); END").unwrap();
     let (journal, recovered) = directory.open();
     assert_eq!((recovered.unclean, &*recovered.running), (true, &[id(1)][..]));
-    assert_eq!(recovered.memory, [memory("left", MemoryKey::Latch, Some("1"))]);
+    assert_eq!(recovered.memory, [memory("left", PersistedKey::Latch, Some("1"))]);
     assert_eq!(recovered.requests[0].command.outcome, Some(Outcome::Unknown));
     let mut health = journal.health();
     assert!(health.borrow().failure.as_deref().is_some_and(|failure| failure.contains("full")));

@@ -8,7 +8,7 @@ use super::super::chain::Hash;
 use super::super::tests::{Directory, admitted, done, grip, id, link, memory, started};
 use super::super::{Record, Recorder};
 use super::*;
-use crate::gripper::model::{MemoryKey, Outcome};
+use crate::gripper::model::{Outcome, PersistedKey};
 
 /// Of all bytes of the file, each of these many is damaged; coprime to 8, so that each bit has its turn.
 const STRIDE: usize = 53;
@@ -30,8 +30,8 @@ fn filled(directory: &Directory) -> Vec<u8> {
         journal.record(Record::Grip(Box::new(grip(time, "left", number, part))));
     }
     journal.record(Record::Event(admitted(1_700_000_000_999, "right", 99, None), None));
-    for key in [MemoryKey::Latch, MemoryKey::Settings, MemoryKey::Lease] {
-        journal.record(Record::Memory(memory("left", key, Some("{\"remembered\":1}"))));
+    for key in [PersistedKey::Latch, PersistedKey::Settings, PersistedKey::Lease] {
+        journal.record(Record::Persisted(memory("left", key, Some("{\"remembered\":1}"))));
     }
     runtime.block_on(journal.close()).unwrap();
     // Leaves no copies of records in free space, where damage does nothing.

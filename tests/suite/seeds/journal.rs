@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use rand::RngExt;
 use wsg_gateway::gripper::Record;
 use wsg_gateway::gripper::actor::Actor;
-use wsg_gateway::gripper::model::{CommandEvent, CommandId, Detail, DeviceEvent, MemoryKey, Outcome};
+use wsg_gateway::gripper::model::{CommandEvent, CommandId, Detail, DeviceEvent, Outcome, PersistedKey};
 use wsg_gateway::gripper::recorder::RestoredState;
 
 use super::client::{Admitted, is_streamed};
@@ -27,7 +27,7 @@ pub struct Journal {
     pub lost_parts: Vec<Option<CommandId>>,
     /// All that was written down.
     pub events: Vec<Detail>,
-    memory: BTreeMap<MemoryKey, Option<String>>,
+    memory: BTreeMap<PersistedKey, Option<String>>,
 }
 
 impl Journal {
@@ -35,10 +35,10 @@ impl Journal {
     pub fn restored(&self) -> RestoredState {
         let remembered = |key| self.memory.get(&key).cloned().flatten();
         RestoredState {
-            settings: remembered(MemoryKey::Settings),
-            latch: remembered(MemoryKey::Latch),
-            lease: remembered(MemoryKey::Lease),
-            holding: remembered(MemoryKey::Holding),
+            settings: remembered(PersistedKey::Settings),
+            latch: remembered(PersistedKey::Latch),
+            lease: remembered(PersistedKey::Lease),
+            holding: remembered(PersistedKey::Holding),
             requests: Vec::new(),
             unclean: false,
         }
@@ -107,7 +107,7 @@ impl Journal {
                 }
             }
             Record::Grip(_) => self.grips += 1,
-            Record::Memory(memory) => {
+            Record::Persisted(memory) => {
                 self.memory.insert(memory.key, memory.value.clone());
             }
         }
