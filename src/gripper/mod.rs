@@ -34,4 +34,4 @@ pub use handle::{AcquiredLease, FastStop, Handle, Ticket};
 pub use info::Info;
 pub use lease::LeaseKeepAlive;
 pub use metrics::Metrics;
-pub use recorder::{Health, Record, Recorder, Unrecorded};
+pub use recorder::{Health, NullRecorder, Record, Recorder};

@@ -66,9 +66,9 @@ pub struct Health {
 
 /// A recorder that keeps nothing: each record counts as durable at once.
 #[derive(Debug, Clone, Copy, Default)]
-pub struct Unrecorded;
+pub struct NullRecorder;
 
-impl Recorder for Unrecorded {
+impl Recorder for NullRecorder {
     fn record(&self, record: Record) {
         if let Record::Event(_, Some(durable)) = record {
             // The receiver may be gone.

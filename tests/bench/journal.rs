@@ -18,7 +18,7 @@ use wsg_gateway::gripper::model::{
     Action, Admitted, Client, CommandEvent, CommandId, Detail, Done, Door, Event, GripRecord, IdSource, Kind,
     LeaseRules, Link, LinkEvent, Motion, Name, Outcome, Parameters, PartId, Sample, Submission,
 };
-use wsg_gateway::gripper::recorder::{Record, Recorder, RestoredState, Unrecorded};
+use wsg_gateway::gripper::recorder::{NullRecorder, Record, Recorder, RestoredState};
 use wsg_gateway::gripper::{self, Connector, Handle};
 use wsg_gateway::journal::{
     EventKind, EventQuery, Filter, GripQuery, Journal, Order, Page, Place, Query, ReadError, Reader, Retention, verify,
@@ -182,7 +182,7 @@ async fn run(handle: &Handle, action: Action) -> Result<Duration, Error> {
 async fn commands(path: &Path) -> Result<(), Error> {
     let (journal, _) = open(path)?;
     let (with, _device) = gripper(Arc::new(journal.clone())).await?;
-    let (without, _other_device) = gripper(Arc::new(Unrecorded)).await?;
+    let (without, _other_device) = gripper(Arc::new(NullRecorder)).await?;
     let flags = MoveFlags { relative: false, stop_on_block: true };
     let a_move =
         |mm| Ok::<_, Error>(Action::Motion(Motion::Move { flags, width: Width::new(mm)?, speed: Speed::new(400.0)? }));

@@ -12,7 +12,7 @@ use wsg_gateway::gripper::model::{
     Client, CustomIds, Door, FastStopId, IdSource, LeaseRules, Link, Name, Reason, State,
 };
 use wsg_gateway::gripper::recorder::RestoredState;
-use wsg_gateway::gripper::{self, Handle, Metrics, Unrecorded};
+use wsg_gateway::gripper::{self, Handle, Metrics, NullRecorder};
 use wsg_gateway::transport::Address;
 
 use crate::harness::{Gateway, Proxy, Scripted, Simulator, Table, success};
@@ -159,7 +159,7 @@ fn spawned(device: SocketAddr, restored: RestoredState) -> Handle {
         seed: 1,
         metrics: Metrics::register(&Registry::new(), &name).unwrap(),
     };
-    gripper::spawn(config, Arc::new(address), Arc::new(Unrecorded), restored)
+    gripper::spawn(config, Arc::new(address), Arc::new(NullRecorder), restored)
 }
 
 #[tokio::test]

@@ -53,7 +53,7 @@ pub fn spawn(connector: impl Connector) -> Handle {
     gripper::spawn(
         config,
         Arc::new(connector),
-        Arc::new(gripper::Unrecorded),
+        Arc::new(gripper::NullRecorder),
         gripper::recorder::RestoredState::default(),
     )
 }
