@@ -239,7 +239,7 @@ fn spawn(
     let config = gripper::actor::Config {
         name: gripper.name.clone(),
         url: connector.url(),
-        traits: connector.traits(),
+        properties: connector.properties(),
         custom_ids: gripper.custom_ids.clone(),
         drain: config.drain,
         on_journal_failure,

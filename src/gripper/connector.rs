@@ -4,7 +4,7 @@ use std::future::Future;
 use std::io;
 use std::pin::Pin;
 
-use crate::transport::{Address, Pipe, Traits};
+use crate::transport::{Address, LinkProperties, Pipe};
 
 /// Makes links to one device.
 pub trait Connector: Send + Sync + 'static {
@@ -12,7 +12,7 @@ pub trait Connector: Send + Sync + 'static {
     fn url(&self) -> String;
 
     /// Properties of the transport that matter to the protocol.
-    fn traits(&self) -> Traits;
+    fn properties(&self) -> LinkProperties;
 
     /// Connects. Cancelled by dropping the future.
     fn connect(&self) -> Pin<Box<dyn Future<Output = io::Result<Pipe>> + Send + '_>>;
@@ -23,8 +23,8 @@ impl Connector for Address {
         self.to_string()
     }
 
-    fn traits(&self) -> Traits {
-        Self::traits(self)
+    fn properties(&self) -> LinkProperties {
+        Self::properties(self)
     }
 
     fn connect(&self) -> Pin<Box<dyn Future<Output = io::Result<Pipe>> + Send + '_>> {

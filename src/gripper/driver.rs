@@ -53,7 +53,7 @@ pub fn spawn(
     let (requests, request_queue) = mpsc::channel(MAX_WAITING_REQUESTS);
     let (fast_stops, fast_stop_queue) = mpsc::channel(MAX_WAITING_FAST_STOPS);
     let (name, custom_ids) = (config.name.clone(), Arc::new(config.custom_ids.clone()));
-    let update_period_ms = observed::period_ms(config.traits.bytes_per_second);
+    let update_period_ms = observed::period_ms(config.properties.bytes_per_second);
     let (mut actor, watches) = Actor::new(config);
     actor.restore(Now::read(), restored);
     let health = recorder.health();
@@ -156,7 +156,7 @@ impl Driver {
         }
         // A connection that is just being made may exist already, and dropping it would be a FAST STOP.
         if let Ok(Ok(mut pipe)) = tokio::time::timeout(FAREWELL_WITHIN, connecting).await
-            && self.connector.traits().connection_oriented
+            && self.connector.properties().connection_oriented
         {
             say_good_bye(&mut pipe, &[]).await;
         }
@@ -299,7 +299,7 @@ impl Driver {
     /// Before a connection is closed on a device that may still hear, the device is told: a plain close is a FAST
     /// STOP. What was being written is finished first, so that the announcement is a frame of its own.
     async fn farewell(&self, link: &mut LinkIo) {
-        if self.connector.traits().connection_oriented && !self.actor.has_announced() {
+        if self.connector.properties().connection_oriented && !self.actor.has_announced() {
             say_good_bye(&mut link.pipe, link.outgoing.rest()).await;
         }
     }

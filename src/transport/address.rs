@@ -11,7 +11,7 @@ use super::can::CanAddress;
 use super::serial::SerialAddress;
 use super::tcp::{self, TcpAddress};
 use super::udp::{self, UdpAddress};
-use super::{Pipe, Traits};
+use super::{LinkProperties, Pipe};
 
 /// Where a device is.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -123,12 +123,12 @@ impl fmt::Display for InUrl<'_> {
 impl Address {
     /// What its transport means for the protocol.
     #[must_use]
-    pub const fn traits(&self) -> Traits {
+    pub const fn properties(&self) -> LinkProperties {
         match self {
-            Self::Tcp(_) => tcp::TRAITS,
-            Self::Udp(_) => udp::TRAITS,
-            Self::Serial(address) => address.traits(),
-            Self::Can(address) => address.traits(),
+            Self::Tcp(_) => tcp::PROPERTIES,
+            Self::Udp(_) => udp::PROPERTIES,
+            Self::Serial(address) => address.properties(),
+            Self::Can(address) => address.properties(),
         }
     }
 

@@ -65,17 +65,17 @@ fn an_option_is_named_with_what_is_allowed() {
 
 #[test]
 fn only_tcp_has_connections_and_slow_lines_know_how_slow_they_are() {
-    let traits = |text: &str| text.parse::<Address>().unwrap().traits();
-    assert!(traits("tcp://h").connection_oriented);
+    let properties = |text: &str| text.parse::<Address>().unwrap().properties();
+    assert!(properties("tcp://h").connection_oriented);
     for (text, bytes_per_second) in [
         ("udp://h", None),
         ("serial:///dev/ttyS0?baud=9600", Some(960)),
         ("serial:///dev/ttyS0?stop_bits=2", Some(10_472)),
         ("can://can0", Some(23_809)),
     ] {
-        let traits = traits(text);
-        assert!(!traits.connection_oriented);
-        assert_eq!(traits.bytes_per_second, bytes_per_second, "{text}");
+        let properties = properties(text);
+        assert!(!properties.connection_oriented);
+        assert_eq!(properties.bytes_per_second, bytes_per_second, "{text}");
     }
 }
 

@@ -46,7 +46,7 @@ impl fmt::Debug for Pipe {
 
 /// What a transport means for the protocol on it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Traits {
+pub struct LinkProperties {
     /// The scheme of its URLs.
     pub name: &'static str,
     /// Whether the device notices the connection's end: FAST STOP unless it was announced (`fw4-en 3.1.2`).

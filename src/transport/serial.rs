@@ -18,7 +18,7 @@ use url::Url;
 
 use super::options::Options;
 use super::pace::Pacer;
-use super::{CONNECT_WITHIN, Pipe, Traits, present};
+use super::{CONNECT_WITHIN, LinkProperties, Pipe, present};
 
 /// The bit rate unless it is said (field practice).
 const DEFAULT_BAUD: u32 = 115_200;
@@ -64,8 +64,8 @@ impl SerialAddress {
         self.baud / (1 + 8 + self.stop_bits as u32)
     }
 
-    pub(super) const fn traits(&self) -> Traits {
-        Traits {
+    pub(super) const fn properties(&self) -> LinkProperties {
+        LinkProperties {
             name: "serial",
             connection_oriented: false,
             bytes_per_second: Some(self.bytes_per_second()),

@@ -7,7 +7,7 @@ use tokio::net::TcpStream;
 use url::Url;
 
 use super::options::Options;
-use super::{CONNECT_WITHIN, Pipe, Traits, host_of};
+use super::{CONNECT_WITHIN, LinkProperties, Pipe, host_of};
 
 /// The port that devices listen on (field practice; the manuals name none).
 const DEFAULT_PORT: u16 = 1000;
@@ -24,7 +24,7 @@ pub struct TcpAddress {
 /// A lost segment is repeated after 200 ms or more, and then its frame is late, not damaged.
 const FRAME_GAP: Duration = Duration::from_millis(500);
 
-pub(super) const TRAITS: Traits = Traits {
+pub(super) const PROPERTIES: LinkProperties = LinkProperties {
     name: "tcp",
     connection_oriented: true,
     bytes_per_second: None,

@@ -17,7 +17,7 @@ use tokio::net::UdpSocket;
 use url::Url;
 
 use super::options::Options;
-use super::{CONNECT_WITHIN, Pipe, Traits, host_of};
+use super::{CONNECT_WITHIN, LinkProperties, Pipe, host_of};
 
 /// The port that devices listen on (field practice; the manuals name none).
 const DEFAULT_PORT: u16 = 1500;
@@ -32,7 +32,7 @@ const FRAME_GAP: Duration = Duration::from_millis(20);
 /// The longest datagram there can be.
 const MAX_DATAGRAM_BYTES: usize = 65_535;
 
-pub(super) const TRAITS: Traits = Traits {
+pub(super) const PROPERTIES: LinkProperties = LinkProperties {
     name: "udp",
     connection_oriented: false,
     bytes_per_second: None,

@@ -150,7 +150,7 @@ async fn gripper(recorder: Arc<dyn Recorder>) -> Result<(Handle, Switch), Error>
     let name: Name = "g".parse()?;
     let config = gripper::actor::Config {
         url: address.url(),
-        traits: address.traits(),
+        properties: address.properties(),
         custom_ids: gripper::model::CustomIds::default(),
         drain: Duration::from_secs(2),
         on_journal_failure: gripper::actor::OnJournalFailure::Refuse,

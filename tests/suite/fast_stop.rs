@@ -151,7 +151,7 @@ fn spawned(device: SocketAddr, restored: RestoredState) -> Handle {
     let config = Config {
         name: name.clone(),
         url: address.to_string(),
-        traits: address.traits(),
+        properties: address.properties(),
         custom_ids: CustomIds::default(),
         drain: Duration::from_secs(2),
         on_journal_failure: OnJournalFailure::Refuse,

@@ -20,7 +20,7 @@ use url::Url;
 
 use crate::gripper::{Connector, clock};
 use crate::sim::{Device, DeviceConfig, Part};
-use crate::transport::{Pipe, Traits};
+use crate::transport::{LinkProperties, Pipe};
 pub use pump::Switch;
 pub use serve::{Served, serve, serve_simulated};
 use wire::Wire;
@@ -32,7 +32,7 @@ const PIPE_BYTES: usize = 4096;
 const MODELS: &str = "wsg25, wsg32, wsg50, wsg70";
 
 /// What a pipe in this process means for the protocol: it stands for a device on TCP.
-const TRAITS: Traits = Traits {
+const PROPERTIES: LinkProperties = LinkProperties {
     name: "sim",
     connection_oriented: true,
     bytes_per_second: None,
@@ -129,8 +129,8 @@ impl Connector for InProcess {
         self.url.clone()
     }
 
-    fn traits(&self) -> Traits {
-        TRAITS
+    fn properties(&self) -> LinkProperties {
+        PROPERTIES
     }
 
     fn connect(&self) -> Pin<Box<dyn Future<Output = io::Result<Pipe>> + Send + '_>> {

@@ -13,7 +13,7 @@ use super::super::model::{Client, CommandId, Frame, Link, Name};
 use super::super::setup::{Setup, Step};
 use super::wire_log::WireLog;
 use super::{REPLY_WITHIN, RESULT_WITHIN, name_of};
-use crate::transport::Traits;
+use crate::transport::LinkProperties;
 use crate::wsg::session::{self, End, Event, NotTaken, Session, Token};
 use crate::wsg::{self, Command, Data, Force, id};
 
@@ -84,7 +84,7 @@ enum LinkState {
 #[derive(Debug)]
 pub(super) struct DeviceLink {
     gripper: Name,
-    pub properties: Traits,
+    pub properties: LinkProperties,
     state: LinkState,
     /// Exists while the link is not down.
     pub session: Option<Session>,
@@ -100,7 +100,7 @@ pub(super) struct DeviceLink {
 }
 
 impl DeviceLink {
-    pub(super) fn new(gripper: Name, properties: Traits) -> Self {
+    pub(super) fn new(gripper: Name, properties: LinkProperties) -> Self {
         Self {
             wire_log: WireLog::new(gripper.clone()),
             gripper,
@@ -145,7 +145,7 @@ impl DeviceLink {
 
     /// A link has come up: its session and its set-up begin.
     pub(super) fn open(&mut self, now: Instant, nonce_seed: u64, setup: Setup) {
-        let Traits { bytes_per_second, frame_gap, may_duplicate, .. } = self.properties;
+        let LinkProperties { bytes_per_second, frame_gap, may_duplicate, .. } = self.properties;
         let config = session::Config { bytes_per_second, frame_gap, may_duplicate, nonce_seed };
         self.session = Some(Session::new(config, now));
         self.close = None;

@@ -57,7 +57,7 @@ use super::metrics::Metrics;
 use super::model::{CustomIds, FastStopStep, Frame, IdSource, LeaseRules, Name, State};
 use super::observed::Observed;
 use super::registry::CommandRegistry;
-use crate::transport::Traits;
+use crate::transport::LinkProperties;
 use crate::wsg::{Command, id};
 use drain::Drain;
 pub use link::Close;
@@ -86,7 +86,7 @@ pub struct Config {
     /// URL of the device.
     pub url: String,
     /// Properties of the transport that matter to the protocol.
-    pub traits: Traits,
+    pub properties: LinkProperties,
     /// Meaning of the ids of custom commands.
     pub custom_ids: CustomIds,
     /// Time for a running command to finish when the gripper is given up.
@@ -138,11 +138,11 @@ impl Actor {
     pub fn new(config: Config) -> (Self, Watches) {
         let publication = Publication::new(&config);
         let (state, info) = publication.watch();
-        let link = DeviceLink::new(config.name.clone(), config.traits);
+        let link = DeviceLink::new(config.name.clone(), config.properties);
         let frames = link.frames();
         let actor = Self {
             ids: IdSource::new(config.seed),
-            observed: Observed::new(config.traits.bytes_per_second),
+            observed: Observed::new(config.properties.bytes_per_second),
             link,
             settings: Settings::default(),
             latch: LatchState::default(),

@@ -23,8 +23,8 @@ impl Publication {
         let info = Info::unknown(
             config.name.clone(),
             config.url.clone(),
-            config.traits.name,
-            config.traits.connection_oriented,
+            config.properties.name,
+            config.properties.connection_oriented,
         );
         let state = State::unknown(config.name.clone());
         Self { sequence: 0, state: watch::Sender::new(Arc::new(state)), info: watch::Sender::new(Arc::new(info)) }

@@ -20,7 +20,7 @@ use url::Url;
 
 use super::options::Options;
 use super::pace::Pacer;
-use super::{Pipe, Traits, present};
+use super::{LinkProperties, Pipe, present};
 use segment::Reassembler;
 
 /// The ids unless they are said: the most common pair (field practice).
@@ -99,8 +99,8 @@ impl CanAddress {
         self.bitrate / BITS_PER_BYTE
     }
 
-    pub(super) const fn traits(&self) -> Traits {
-        Traits {
+    pub(super) const fn properties(&self) -> LinkProperties {
+        LinkProperties {
             name: "can",
             connection_oriented: false,
             bytes_per_second: Some(self.bytes_per_second()),

@@ -42,7 +42,7 @@ pub fn spawn(connector: impl Connector) -> Handle {
     let config = gripper::actor::Config {
         name: "g".parse().unwrap(),
         url: connector.url(),
-        traits: connector.traits(),
+        properties: connector.properties(),
         custom_ids: gripper::model::CustomIds { read: (0xB0..=0xB7).collect(), ..Default::default() },
         drain: Duration::from_secs(2),
         on_journal_failure: gripper::actor::OnJournalFailure::Refuse,
@@ -71,7 +71,7 @@ impl Rig {
     /// Connected, and not referenced.
     pub async fn new(url: &str) -> Self {
         let Served { address, switch, .. } = served(url).await;
-        let is_tcp = address.traits().connection_oriented;
+        let is_tcp = address.properties().connection_oriented;
         let rig = Self { handle: spawn(address), switch, is_tcp };
         rig.link(Link::Connected, SOON).await;
         rig

@@ -11,7 +11,7 @@ use wsg_gateway::gripper::actor::{Actor, Close, Config, OnJournalFailure, Watche
 use wsg_gateway::gripper::model::{CustomIds, IdSource, LeaseRules, Phase};
 use wsg_gateway::gripper::{Metrics, Now};
 use wsg_gateway::sim::{Device, DeviceConfig, Interface, LinkAction, Part, Script, ScriptAnswer};
-use wsg_gateway::transport::Traits;
+use wsg_gateway::transport::LinkProperties;
 use wsg_gateway::wsg::Command;
 
 use super::client::Clients;
@@ -161,7 +161,7 @@ impl World {
         let config = Config {
             name: "g".parse().unwrap(),
             url: "sim://g".to_owned(),
-            traits: Traits {
+            properties: LinkProperties {
                 name: "sim",
                 connection_oriented: interface == Interface::Tcp,
                 bytes_per_second,
