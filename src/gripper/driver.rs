@@ -41,7 +41,7 @@ const READS_IN_A_ROW: u32 = 8;
 const READ_BYTES: usize = 32 * 1024;
 
 /// Delay of a deadline that shows a stall: the driver had no processor time, and has not read what was sent meanwhile.
-const OVERSLEPT: Duration = Duration::from_millis(50);
+const STALLED_AFTER: Duration = Duration::from_millis(50);
 
 /// Starts a gripper on the current runtime. It ends when it was drained, or when all its handles are gone.
 pub fn spawn(
@@ -210,8 +210,8 @@ impl Driver {
         let deadline = self.actor.poll_timeout();
         let input = self.next_input(link, deadline).await;
         let now = Now::read();
-        if deadline.is_some_and(|deadline| now.instant >= deadline + OVERSLEPT) {
-            self.actor.overslept(now);
+        if deadline.is_some_and(|deadline| now.instant >= deadline + STALLED_AFTER) {
+            self.actor.after_stall(now);
         }
         input
     }

@@ -78,7 +78,7 @@ impl Actor {
 
     /// Has to be called before the next input when a deadline was missed by far. The clients' requests of that time are
     /// on their way, and no holder is lost because the gateway could not hear it.
-    pub fn overslept(&mut self, now: Now) {
+    pub fn after_stall(&mut self, now: Now) {
         tracing::debug!(gripper = %self.config.name, "the gateway had no processor time");
         self.lease.extend(now.instant + FRONTEND_GRACE);
     }

@@ -280,7 +280,7 @@ fn a_holder_has_a_little_time_where_the_gateway_had_none_and_once() {
     token(&mut world, wish("a"));
     let oversleep = |world: &mut World| {
         let now = world.clock();
-        world.actor.overslept(now);
+        world.actor.after_stall(now);
     };
     world.advance(TTL * 9 / 10);
     oversleep(&mut world);
