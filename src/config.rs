@@ -152,14 +152,14 @@ impl fmt::Display for Place {
 /// A mistake in a configuration: where, what, and what to do about it.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{place}: {detail}")]
-pub struct Mistake {
+pub struct ConfigError {
     /// Where it is.
     pub place: Place,
     /// What it is, with its remedy.
     pub detail: String,
 }
 
-impl Mistake {
+impl ConfigError {
     /// At a place.
     pub fn at(place: &Place, detail: impl fmt::Display) -> Self {
         Self { place: place.clone(), detail: detail.to_string() }
@@ -176,8 +176,8 @@ impl Config {
     /// From the flags (which clap has merged with the environment) and the file that they name.
     ///
     /// # Errors
-    /// The first [`Mistake`].
-    pub fn load(flags: &Flags) -> Result<Self, Mistake> {
+    /// The first [`ConfigError`].
+    pub fn load(flags: &Flags) -> Result<Self, ConfigError> {
         let file = match &flags.config {
             Some(path) => Some(File::read(path)?),
             None => None,
@@ -185,7 +185,7 @@ impl Config {
         Self::merge(flags, file.as_ref())
     }
 
-    fn merge(flags: &Flags, file: Option<&File>) -> Result<Self, Mistake> {
+    fn merge(flags: &Flags, file: Option<&File>) -> Result<Self, ConfigError> {
         let content = file.map(|file| &file.content);
         let pick = |flag: &Option<String>, name: &'static str, in_file: Option<&Spanned<String>>, default: &str| match (
             flag, file, in_file,
@@ -197,7 +197,7 @@ impl Config {
             _ => Placed { value: default.to_owned(), place: Place::Default },
         };
         let name = pick(&flags.name, "--name", content.and_then(|content| content.name.as_ref()), DEFAULT_NAME);
-        let name: Name = name.value.parse().map_err(|error| Mistake::at(&name.place, error))?;
+        let name: Name = name.value.parse().map_err(|error| ConfigError::at(&name.place, error))?;
         let listen =
             pick(&flags.listen, "--listen", content.and_then(|content| content.listen.as_ref()), DEFAULT_LISTEN);
         let insecure = flags.insecure || content.is_some_and(|content| content.insecure);
@@ -214,35 +214,35 @@ impl Config {
     }
 }
 
-fn parse_listen(listen: &Placed<String>, insecure: bool) -> Result<SocketAddr, Mistake> {
+fn parse_listen(listen: &Placed<String>, insecure: bool) -> Result<SocketAddr, ConfigError> {
     let address: SocketAddr = listen.value.parse().map_err(|_| {
         let detail = format!("{:?} is no address to listen on: write it as 127.0.0.1:8080 or [::1]:8080", listen.value);
-        Mistake::at(&listen.place, detail)
+        ConfigError::at(&listen.place, detail)
     })?;
     if !address.ip().is_loopback() && !insecure {
         let detail = format!(
             "{address} is not a loopback address, and there are no credentials yet: whoever reaches it can move the \
              grippers. Listen on 127.0.0.1, or say --insecure if the network is yours alone"
         );
-        return Err(Mistake::at(&listen.place, detail));
+        return Err(ConfigError::at(&listen.place, detail));
     }
     Ok(address)
 }
 
-fn drain(file: Option<&File>) -> Result<Duration, Mistake> {
+fn drain(file: Option<&File>) -> Result<Duration, ConfigError> {
     let Some((file, drain_ms)) = file.and_then(|file| Some((file, file.content.drain_ms.as_ref()?))) else {
         return Ok(DEFAULT_DRAIN);
     };
     let drain = Duration::from_millis(*drain_ms.get_ref());
     if drain > LONGEST_DRAIN {
         let detail = format!("drain_ms is {}, and may be {} at most", drain.as_millis(), LONGEST_DRAIN.as_millis());
-        return Err(Mistake::at(&file.place(drain_ms.span().start), detail));
+        return Err(ConfigError::at(&file.place(drain_ms.span().start), detail));
     }
     Ok(drain)
 }
 
-fn grippers(flags: &Flags, file: Option<&File>, insecure: bool) -> Result<Vec<Gripper>, Mistake> {
-    let by_text = |texts: &[String], place: Place| -> Result<Vec<Gripper>, Mistake> {
+fn grippers(flags: &Flags, file: Option<&File>, insecure: bool) -> Result<Vec<Gripper>, ConfigError> {
+    let by_text = |texts: &[String], place: Place| -> Result<Vec<Gripper>, ConfigError> {
         texts.iter().map(|text| parse_gripper(text, &place)).collect()
     };
     let mut configured = match file {
@@ -256,7 +256,7 @@ fn grippers(flags: &Flags, file: Option<&File>, insecure: bool) -> Result<Vec<Gr
     }
     for (index, gripper) in configured.iter().enumerate() {
         if let Some(detail) = configured[..index].iter().find_map(|other| conflict(other, gripper)) {
-            return Err(Mistake::at(&gripper.place, detail));
+            return Err(ConfigError::at(&gripper.place, detail));
         }
     }
     Ok(configured)
@@ -272,12 +272,12 @@ fn conflict(one: &Gripper, other: &Gripper) -> Option<String> {
     Some(format!("{} and {} exclude each other: {why}", one.name, other.name))
 }
 
-fn parse_gripper(text: &str, place: &Place) -> Result<Gripper, Mistake> {
+fn parse_gripper(text: &str, place: &Place) -> Result<Gripper, ConfigError> {
     let (name, url) = text.split_once('=').ok_or_else(|| {
-        Mistake::at(place, format!("{text:?} is no gripper: write it as left=tcp://192.168.1.20:1000"))
+        ConfigError::at(place, format!("{text:?} is no gripper: write it as left=tcp://192.168.1.20:1000"))
     })?;
     Ok(Gripper {
-        name: name.parse().map_err(|error| Mistake::at(place, error))?,
+        name: name.parse().map_err(|error| ConfigError::at(place, error))?,
         device: parse_device(url, place)?,
         custom_ids: CustomIds::default(),
         lease: LeaseRules::default(),
@@ -286,14 +286,14 @@ fn parse_gripper(text: &str, place: &Place) -> Result<Gripper, Mistake> {
     })
 }
 
-fn parse_device(url: &str, place: &Place) -> Result<Device, Mistake> {
+fn parse_device(url: &str, place: &Place) -> Result<Device, ConfigError> {
     if url.starts_with("sim:") {
         return url
             .parse()
             .map(Device::Simulated)
-            .map_err(|error| Mistake::at(place, format!("{url:?} is no URL ({error}): write it as sim://wsg50")));
+            .map_err(|error| ConfigError::at(place, format!("{url:?} is no URL ({error}): write it as sim://wsg50")));
     }
-    url.parse().map(Device::At).map_err(|error| Mistake::at(place, error))
+    url.parse().map(Device::At).map_err(|error| ConfigError::at(place, error))
 }
 
 /// The path of a file, as mistakes name it.

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use toml::Spanned;
 
-use super::{Content, Gripper, GripperContent, Mistake, Place, WsgPort, owned, parse_device};
+use super::{ConfigError, Content, Gripper, GripperContent, Place, WsgPort, owned, parse_device};
 use crate::gripper::model::lease::{MAX_TTL, MIN_TTL};
 use crate::gripper::model::{CustomIds, LeaseRules};
 
@@ -22,21 +22,21 @@ impl File {
     /// Reads it.
     ///
     /// # Errors
-    /// [`Mistake`], where it can't be read, or is no such TOML.
-    pub fn read(path: &Path) -> Result<Self, Mistake> {
+    /// [`ConfigError`], where it can't be read, or is no such TOML.
+    pub fn read(path: &Path) -> Result<Self, ConfigError> {
         let place = Place::File { path: owned(path), line: 1 };
-        let text = std::fs::read_to_string(path).map_err(|error| Mistake::at(&place, error))?;
+        let text = std::fs::read_to_string(path).map_err(|error| ConfigError::at(&place, error))?;
         Self::parse(path, text)
     }
 
     /// Parses a file's text.
     ///
     /// # Errors
-    /// [`Mistake`], where it is no such TOML.
-    pub fn parse(path: &Path, text: String) -> Result<Self, Mistake> {
+    /// [`ConfigError`], where it is no such TOML.
+    pub fn parse(path: &Path, text: String) -> Result<Self, ConfigError> {
         let content = toml::from_str(&text).map_err(|error: toml::de::Error| {
             let line = line_of(&text, error.span().map_or(0, |span| span.start));
-            Mistake::at(&Place::File { path: owned(path), line }, error.message())
+            ConfigError::at(&Place::File { path: owned(path), line }, error.message())
         })?;
         Ok(Self { path: owned(path), text, content })
     }
@@ -51,11 +51,11 @@ impl File {
         Place::File { path: self.path.clone(), line: line_of(&self.text, offset) }
     }
 
-    pub(super) fn grippers(&self) -> Result<Vec<Gripper>, Mistake> {
+    pub(super) fn grippers(&self) -> Result<Vec<Gripper>, ConfigError> {
         let parse = |(name, gripper): (&toml::Spanned<String>, &super::GripperContent)| {
             let place = self.place(gripper.url.span().start);
             Ok(Gripper {
-                name: name.get_ref().parse().map_err(|error| Mistake::at(&self.place(name.span().start), error))?,
+                name: name.get_ref().parse().map_err(|error| ConfigError::at(&self.place(name.span().start), error))?,
                 device: parse_device(gripper.url.get_ref(), &place)?,
                 custom_ids: self.custom_ids(gripper)?,
                 lease: self.lease_rules(gripper)?,
@@ -68,29 +68,29 @@ impl File {
 }
 
 impl File {
-    fn custom_ids(&self, gripper: &GripperContent) -> Result<CustomIds, Mistake> {
+    fn custom_ids(&self, gripper: &GripperContent) -> Result<CustomIds, ConfigError> {
         let read = self.script_ids("read_ids", gripper.read_ids.as_ref())?;
         let stream = self.script_ids("stream_ids", gripper.stream_ids.as_ref())?;
         if let (Some(both), Some(place)) = (stream.intersection(&read).next(), &gripper.stream_ids) {
             let detail = format!("{both} is among read_ids and stream_ids: it moves the fingers, or it doesn't");
-            return Err(Mistake::at(&self.place(place.span().start), detail));
+            return Err(ConfigError::at(&self.place(place.span().start), detail));
         }
         Ok(CustomIds { read, stream })
     }
 
     /// Ids of scripts on the gripper. What the manual's ids do is known, and can't be declared.
-    fn script_ids(&self, field: &str, ids: Option<&Spanned<BTreeSet<u8>>>) -> Result<BTreeSet<u8>, Mistake> {
+    fn script_ids(&self, field: &str, ids: Option<&Spanned<BTreeSet<u8>>>) -> Result<BTreeSet<u8>, ConfigError> {
         let Some(ids) = ids else { return Ok(BTreeSet::new()) };
         if let Some((id, name)) = ids.get_ref().iter().find_map(|&id| Some((id, CustomIds::name_in_manual(id)?))) {
             let detail = format!(
                 "{field} has {id} ({id:02X}h), which the manual knows as {name}: list only ids of scripts on the gripper"
             );
-            return Err(Mistake::at(&self.place(ids.span().start), detail));
+            return Err(ConfigError::at(&self.place(ids.span().start), detail));
         }
         Ok(ids.get_ref().clone())
     }
 
-    fn lease_rules(&self, gripper: &GripperContent) -> Result<LeaseRules, Mistake> {
+    fn lease_rules(&self, gripper: &GripperContent) -> Result<LeaseRules, ConfigError> {
         let default = LeaseRules::default();
         let max_ttl = match &gripper.lease_max_ttl_ms {
             None => default.max_ttl,
@@ -99,7 +99,7 @@ impl File {
                 if !(MIN_TTL..=MAX_TTL).contains(&ttl) {
                     let (min, max) = (MIN_TTL.as_millis(), MAX_TTL.as_millis());
                     let detail = format!("lease_max_ttl_ms is {}, and must be from {min} to {max}", ms.get_ref());
-                    return Err(Mistake::at(&self.place(ms.span().start), detail));
+                    return Err(ConfigError::at(&self.place(ms.span().start), detail));
                 }
                 ttl
             }
@@ -124,12 +124,12 @@ impl File {
         key: &str,
         given: Option<&Spanned<Vec<T>>>,
         default: Vec<T>,
-    ) -> Result<Vec<T>, Mistake> {
+    ) -> Result<Vec<T>, ConfigError> {
         match given {
             None => Ok(default),
             Some(words) if words.get_ref().is_empty() => {
                 let detail = format!("{key} is empty: name what clients may choose, what counts by default first");
-                Err(Mistake::at(&self.place(words.span().start), detail))
+                Err(ConfigError::at(&self.place(words.span().start), detail))
             }
             Some(words) => Ok(words.get_ref().clone()),
         }

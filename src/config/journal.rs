@@ -8,7 +8,7 @@ use std::time::Duration;
 use etcetera::BaseStrategy;
 use toml::Spanned;
 
-use super::{DEFAULT_NAME, File, Flags, Mistake, Place};
+use super::{ConfigError, DEFAULT_NAME, File, Flags, Place};
 use crate::gripper::model::Name;
 
 /// How old records may be told to get at most, in days: a century.
@@ -69,22 +69,22 @@ impl JournalFlags {
     /// The file.
     ///
     /// # Errors
-    /// [`Mistake`], where there can be none.
-    pub fn path(&self) -> Result<PathBuf, Mistake> {
+    /// [`ConfigError`], where there can be none.
+    pub fn path(&self) -> Result<PathBuf, ConfigError> {
         let name = self.name.as_deref().unwrap_or(DEFAULT_NAME);
-        let name = name.parse().map_err(|error| Mistake::at(&Place::Flag("--name"), error))?;
+        let name = name.parse().map_err(|error| ConfigError::at(&Place::Flag("--name"), error))?;
         match place(self.journal.as_deref(), &Place::Flag("--journal"), &name)? {
             JournalPlace::File(path) => Ok(path),
             JournalPlace::Memory => {
                 let detail = "a journal in memory can be read over the gateway's HTTP alone: name a file";
-                Err(Mistake::at(&Place::Flag("--journal"), detail))
+                Err(ConfigError::at(&Place::Flag("--journal"), detail))
             }
         }
     }
 }
 
 impl Journal {
-    pub(super) fn merge(flags: &Flags, file: Option<&File>, name: &Name) -> Result<Self, Mistake> {
+    pub(super) fn merge(flags: &Flags, file: Option<&File>, name: &Name) -> Result<Self, ConfigError> {
         let in_file = file.and_then(|file| Some((file, file.content.journal.as_ref()?)));
         let place = match (&flags.journal, in_file) {
             (Some(path), _) => place(Some(path), &Place::Flag("--journal"), name)?,
@@ -116,26 +116,26 @@ fn bounded(
     value: Option<&Spanned<u64>>,
     allowed: RangeInclusive<u64>,
     remedy: &str,
-) -> Result<Option<u64>, Mistake> {
+) -> Result<Option<u64>, ConfigError> {
     let Some((file, value)) = file.zip(value) else { return Ok(None) };
     if allowed.contains(value.get_ref()) {
         return Ok(Some(*value.get_ref()));
     }
     let (least, most) = allowed.into_inner();
     let detail = format!("{key} is {}, and must be from {least} to {most}: {remedy}", value.get_ref());
-    Err(Mistake::at(&file.place(value.span().start), detail))
+    Err(ConfigError::at(&file.place(value.span().start), detail))
 }
 
-fn place(journal: Option<&str>, said: &Place, name: &Name) -> Result<JournalPlace, Mistake> {
+fn place(journal: Option<&str>, said: &Place, name: &Name) -> Result<JournalPlace, ConfigError> {
     match journal {
         Some(":memory:") => Ok(JournalPlace::Memory),
-        Some("") => Err(Mistake::at(said, "the journal has no name: write a path, or :memory:")),
+        Some("") => Err(ConfigError::at(said, "the journal has no name: write a path, or :memory:")),
         Some(path) => Ok(JournalPlace::File(path.into())),
         None => {
             let home = etcetera::base_strategy::Xdg::new().ok().and_then(|directories| directories.state_dir());
             let path = default_path(std::env::var_os("STATE_DIRECTORY"), home.as_deref(), name);
             let none = "there is no directory for the journal, as HOME is not set: say --journal PATH or :memory:";
-            path.map(JournalPlace::File).ok_or_else(|| Mistake::at(said, none))
+            path.map(JournalPlace::File).ok_or_else(|| ConfigError::at(said, none))
         }
     }
 }

@@ -4,7 +4,7 @@ fn flags() -> Flags {
     Flags::default()
 }
 
-fn file(text: &str) -> Result<Config, Mistake> {
+fn file(text: &str) -> Result<Config, ConfigError> {
     Config::merge(&flags(), Some(&File::parse(Path::new("gateway.toml"), text.to_owned())?))
 }
 

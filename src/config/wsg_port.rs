@@ -8,7 +8,7 @@ use ipnet::IpNet;
 use serde::Deserialize;
 use url::Url;
 
-use super::{File, Gripper, GripperContent, Mistake, Place};
+use super::{ConfigError, File, Gripper, GripperContent, Place};
 use crate::transport::Options;
 
 /// The ports that devices listen on (field practice).
@@ -80,7 +80,7 @@ pub(super) enum OneOrMore {
 
 impl WsgPort {
     /// As a file has it.
-    pub(super) fn of_file(file: &File, gripper: &GripperContent) -> Result<Self, Mistake> {
+    pub(super) fn of_file(file: &File, gripper: &GripperContent) -> Result<Self, ConfigError> {
         let texts = match gripper.wsg_port.as_ref().map(|texts| (texts.span(), texts.get_ref())) {
             None => Vec::new(),
             Some((span, OneOrMore::One(text))) => vec![(text, file.place(span.start))],
@@ -92,7 +92,7 @@ impl WsgPort {
             None => Vec::new(),
         };
         Ok(Self {
-            addresses: addresses.collect::<Result<_, Mistake>>()?,
+            addresses: addresses.collect::<Result<_, ConfigError>>()?,
             allow,
             acknowledge: gripper.wsg_port_acknowledge,
             checksum_evaluation: gripper.wsg_port_checksum_evaluation.unwrap_or(true),
@@ -100,7 +100,7 @@ impl WsgPort {
     }
 
     /// Another address than loopback needs a list of who may connect, or a word that everyone may.
-    pub(super) fn check(&self, insecure: bool) -> Result<(), Mistake> {
+    pub(super) fn check(&self, insecure: bool) -> Result<(), ConfigError> {
         for (address, place) in &self.addresses {
             let (WsgAddress::Tcp(address) | WsgAddress::Udp { address, .. }) = address;
             if !address.ip().is_loopback() && self.allow.is_empty() && !insecure {
@@ -108,7 +108,7 @@ impl WsgPort {
                     "{address} is not a loopback address, and the WSG protocol knows no credentials: whoever reaches it \
                      can move the gripper. Name who may in wsg_port_allow, or say --insecure if the network is yours alone"
                 );
-                return Err(Mistake::at(place, detail));
+                return Err(ConfigError::at(place, detail));
             }
         }
         Ok(())
@@ -116,18 +116,18 @@ impl WsgPort {
 }
 
 /// What `--wsg-port` says beats the file, gripper by gripper.
-pub(super) fn take_flags(grippers: &mut [Gripper], texts: &[String]) -> Result<(), Mistake> {
+pub(super) fn take_flags(grippers: &mut [Gripper], texts: &[String]) -> Result<(), ConfigError> {
     let place = Place::Flag("--wsg-port");
     let mut given: Vec<(&str, WsgAddress)> = Vec::new();
     for text in texts {
-        let (name, address) = text
-            .split_once('=')
-            .ok_or_else(|| Mistake::at(&place, format!("{text:?} is no WSG port: write it as left=127.0.0.1:1000")))?;
+        let (name, address) = text.split_once('=').ok_or_else(|| {
+            ConfigError::at(&place, format!("{text:?} is no WSG port: write it as left=127.0.0.1:1000"))
+        })?;
         given.push((name, parse(address, &place)?));
         if !grippers.iter().any(|gripper| gripper.name.as_str() == name) {
             let names: Vec<_> = grippers.iter().map(|gripper| gripper.name.as_str()).collect();
             let detail = format!("there is no gripper {name:?} to serve; there are: {}", names.join(", "));
-            return Err(Mistake::at(&place, detail));
+            return Err(ConfigError::at(&place, detail));
         }
     }
     for gripper in grippers {
@@ -140,8 +140,8 @@ pub(super) fn take_flags(grippers: &mut [Gripper], texts: &[String]) -> Result<(
     Ok(())
 }
 
-fn parse(text: &str, place: &Place) -> Result<WsgAddress, Mistake> {
-    parse_address(text).map_err(|detail| Mistake::at(place, detail))
+fn parse(text: &str, place: &Place) -> Result<WsgAddress, ConfigError> {
+    parse_address(text).map_err(|detail| ConfigError::at(place, detail))
 }
 
 fn parse_address(text: &str) -> Result<WsgAddress, String> {
@@ -176,17 +176,17 @@ fn parse_address(text: &str) -> Result<WsgAddress, String> {
     }
 }
 
-fn parse_nets(texts: &[String], place: &Place) -> Result<Vec<IpNet>, Mistake> {
+fn parse_nets(texts: &[String], place: &Place) -> Result<Vec<IpNet>, ConfigError> {
     if texts.is_empty() {
         let detail =
             "wsg_port_allow is empty: name who may connect, or leave it out where only loopback is listened on";
-        return Err(Mistake::at(place, detail));
+        return Err(ConfigError::at(place, detail));
     }
     let parse = |text: &String| {
         let one = || text.parse().map(|ip: std::net::IpAddr| IpNet::from(ip));
         text.parse::<IpNet>().or_else(|_| one()).map_err(|_| {
             let detail = format!("{text:?} is no address and no network: write it as 192.168.1.0/24 or 192.168.1.7");
-            Mistake::at(place, detail)
+            ConfigError::at(place, detail)
         })
     };
     texts.iter().map(parse).collect()

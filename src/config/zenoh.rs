@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use toml::Spanned;
 use zenoh::config::{EndPoint, WhatAmI};
 
-use super::{File, Flags, Mistake, Place};
+use super::{ConfigError, File, Flags, Place};
 
 /// Where it listens unless it is told otherwise.
 const DEFAULT_LISTEN: &str = "tcp/127.0.0.1:7447";
@@ -114,7 +114,7 @@ impl PartialEq for Zenoh {
 
 impl Zenoh {
     /// None where it is off.
-    pub(super) fn merge(flags: &Flags, file: Option<&File>, insecure: bool) -> Result<Option<Self>, Mistake> {
+    pub(super) fn merge(flags: &Flags, file: Option<&File>, insecure: bool) -> Result<Option<Self>, ConfigError> {
         let content = file.map(|file| (file, &file.content.zenoh));
         let flags = &flags.zenoh;
         let base = Base::read(content)?;
@@ -140,7 +140,7 @@ impl Zenoh {
         let mut set = |key: &str, value: Value| {
             settings
                 .insert_json5(key, &value.to_string())
-                .map_err(|error| Mistake::at(&base.place, format!("{key}: {error}")))
+                .map_err(|error| ConfigError::at(&base.place, format!("{key}: {error}")))
         };
         set("mode", json!(mode.to_str()))?;
         let default_listen = if mode == WhatAmI::Client { vec![] } else { vec![DEFAULT_LISTEN.to_owned()] };
@@ -149,7 +149,7 @@ impl Zenoh {
         if mode == WhatAmI::Client && connect.0.is_empty() {
             let detail =
                 "a Zenoh client needs a router or a peer: name it with --zenoh-connect, e.g. tcp/127.0.0.1:7447";
-            return Err(Mistake::at(&base.place, detail));
+            return Err(ConfigError::at(&base.place, detail));
         }
         set("listen/endpoints", json!(listen.0))?;
         set("connect/endpoints", json!(connect.0))?;
@@ -187,7 +187,7 @@ impl Zenoh {
         (!texts(&self.setting(gossip)).concat().is_empty()).then_some(gossip)
     }
 
-    fn check_loopback(&self, endpoints: [&(Vec<String>, Place); 2], place: &Place) -> Result<(), Mistake> {
+    fn check_loopback(&self, endpoints: [&(Vec<String>, Place); 2], place: &Place) -> Result<(), ConfigError> {
         let exposed = endpoints.into_iter().flat_map(|(endpoints, place)| endpoints.iter().map(move |e| (e, place)));
         let exposed =
             exposed.map(|(endpoint, place)| (endpoint.as_str(), place)).find(|(endpoint, _)| !is_loopback(endpoint));
@@ -197,7 +197,7 @@ impl Zenoh {
              the grippers. Give a Zenoh configuration with mutual TLS, or with access_control that denies what no rule allows, in [zenoh] config, or say \
              --insecure if the network is yours alone"
         );
-        Err(Mistake::at(place, detail))
+        Err(ConfigError::at(place, detail))
     }
 }
 
@@ -208,15 +208,16 @@ struct Base {
 }
 
 impl Base {
-    fn read(content: Option<(&File, &Content)>) -> Result<Self, Mistake> {
+    fn read(content: Option<(&File, &Content)>) -> Result<Self, ConfigError> {
         let given = content.and_then(|(file, content)| Some((file, content.config.as_ref()?)));
         let Some((file, path)) = given else {
             return Ok(Self { settings: zenoh::Config::default(), place: Place::Flag("--zenoh-mode") });
         };
         let place = file.place(path.span().start);
         let path = file.beside(path.get_ref());
-        let settings = zenoh::Config::from_file(&path)
-            .map_err(|error| Mistake::at(&place, format!("{} is no Zenoh configuration: {error}", path.display())))?;
+        let settings = zenoh::Config::from_file(&path).map_err(|error| {
+            ConfigError::at(&place, format!("{} is no Zenoh configuration: {error}", path.display()))
+        })?;
         Ok(Self { settings, place })
     }
 
@@ -275,7 +276,7 @@ fn endpoints(
     key: &str,
     mode: WhatAmI,
     default: Vec<String>,
-) -> Result<(Vec<String>, Place), Mistake> {
+) -> Result<(Vec<String>, Place), ConfigError> {
     let (endpoints, place) = match given {
         Some(given) => given,
         None if base.leaves_out(key) => (default, base.place.clone()),
@@ -291,7 +292,7 @@ fn endpoints(
         if !parsed.as_ref().is_ok_and(|parsed| PROTOCOLS.contains(&parsed.protocol().as_str())) {
             let detail =
                 format!("{endpoint:?} is no Zenoh endpoint: write it as {DEFAULT_LISTEN} or tls/cell-7.example:7447");
-            return Err(Mistake::at(&place, detail));
+            return Err(ConfigError::at(&place, detail));
         }
     }
     Ok((endpoints, place))
@@ -316,14 +317,14 @@ fn is_loopback(endpoint: &str) -> bool {
     }
 }
 
-fn max_hz(content: Option<(&File, &Content)>) -> Result<u32, Mistake> {
+fn max_hz(content: Option<(&File, &Content)>) -> Result<u32, ConfigError> {
     let given = content.and_then(|(file, content)| Some((file, content.max_hz.as_ref()?)));
     let Some((file, max_hz)) = given else { return Ok(DEFAULT_HZ as u32) };
     if (1..=MAX_HZ).contains(max_hz.get_ref()) {
         return Ok(*max_hz.get_ref() as u32);
     }
     let detail = format!("max_hz is {}, and must be from 1 to {MAX_HZ}", max_hz.get_ref());
-    Err(Mistake::at(&file.place(max_hz.span().start), detail))
+    Err(ConfigError::at(&file.place(max_hz.span().start), detail))
 }
 
 #[cfg(test)]

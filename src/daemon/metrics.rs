@@ -8,7 +8,7 @@ use prometheus::proto::MetricFamily;
 use prometheus::{IntCounter, IntGauge, Opts, Registry, Result};
 use tokio::sync::watch;
 
-use crate::fleet::Network;
+use crate::fleet::Peers;
 use crate::gripper::Recorder as _;
 use crate::gripper::model::Name;
 use crate::gripper::recorder::Health;
@@ -61,7 +61,7 @@ impl Collector for JournalHealth {
 }
 
 /// Adds whether the gateway is on Zenoh as it is to be.
-pub(super) fn register_zenoh(registry: &Registry, network: &Network) -> Result<()> {
+pub(super) fn register_zenoh(registry: &Registry, network: &Peers) -> Result<()> {
     let up =
         IntGauge::new("wsg_zenoh_up", "Whether Zenoh listens wherever it is to, and is connected where it is to be.")?;
     registry.register(Box::new(ZenohHealth { cause: network.cause(), up }))

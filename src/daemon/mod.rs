@@ -22,9 +22,9 @@ use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 use url::Url;
 
-use crate::config::{self, Config, Device, Gripper, Mistake};
+use crate::config::{self, Config, ConfigError, Device, Gripper};
 use crate::events::Updates;
-use crate::fleet::Network;
+use crate::fleet::Peers;
 use crate::gripper::model::{Detail, Event, GatewayEvent, Name, PersistedKey};
 use crate::gripper::recorder::{Record, Recorder as _, RestoredState};
 use crate::gripper::{self, Connector, Grippers, Handle, Now};
@@ -79,11 +79,11 @@ pub fn runtime() -> std::io::Result<Runtime> {
 /// Checks what only the daemon can: the simulated devices of the configuration.
 ///
 /// # Errors
-/// The first [`Mistake`].
-pub fn check(config: &Config) -> Result<(), Mistake> {
+/// The first [`ConfigError`].
+pub fn check(config: &Config) -> Result<(), ConfigError> {
     for gripper in &config.grippers {
         if let Device::Simulated(url) = &gripper.device {
-            SimulatedDevice::from_url(url).map_err(|detail| Mistake::at(&gripper.place, detail))?;
+            SimulatedDevice::from_url(url).map_err(|detail| ConfigError::at(&gripper.place, detail))?;
         }
     }
     Ok(())
@@ -107,14 +107,14 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     let registry = metrics::registry(&config.name, &journal)?;
     let grippers = spawn_all(config, &runtimes.devices, &journal, &recovered, &registry)?;
     let audit = Arc::new(Audit::new(journal.clone()));
-    let network = Arc::new(Network::new(config.name.clone(), grippers.clone()));
+    let peers = Arc::new(Peers::new(config.name.clone(), grippers.clone()));
     let gateway = Arc::new(Gateway {
         name: config.name.clone(),
         grippers: grippers.clone(),
         journal: journal.clone(),
         audit: audit.clone(),
-        network: network.clone(),
-        updates: Arc::new(Updates::new(&grippers, journal.clone(), network)),
+        peers: peers.clone(),
+        updates: Arc::new(Updates::new(&grippers, journal.clone(), peers)),
     });
     let context = Arc::new(http::Context {
         gateway,
@@ -228,7 +228,7 @@ fn spawn(
     let connector: Arc<dyn Connector> = match &gripper.device {
         Device::At(address) => Arc::new(address.clone()),
         Device::Simulated(url) => {
-            let device = SimulatedDevice::from_url(url).map_err(|detail| Mistake::at(&gripper.place, detail))?;
+            let device = SimulatedDevice::from_url(url).map_err(|detail| ConfigError::at(&gripper.place, detail))?;
             Arc::new(device.start(url.as_str()))
         }
     };
@@ -281,14 +281,14 @@ fn zenoh_settings(
     zenoh: &config::Zenoh,
     context: &http::Context,
 ) -> anyhow::Result<(zenoh::Settings, interfaces::Context)> {
-    let network = &context.gateway.network;
+    let network = &context.gateway.peers;
     metrics::register_zenoh(&context.registry, network)?;
     let (config, listen, connect) = (zenoh.settings.clone(), zenoh.listen.clone(), zenoh.connect.clone());
-    let reach = zenoh::Reach { config, listen, connect };
+    let connectivity = zenoh::Connectivity { config, listen, connect };
     // A client's Zenoh waits until it is connected.
-    network.set_cause(Some(reach.awaited().unwrap_or_else(|| "Zenoh is not open yet".to_owned())));
+    network.set_cause(Some(connectivity.awaited().unwrap_or_else(|| "Zenoh is not open yet".to_owned())));
     let figures = interfaces::metrics::Metrics::register(&context.registry, "zenoh")?;
-    Ok((zenoh::Settings { reach, max_hz: zenoh.max_hz }, context.of_interface(figures)))
+    Ok((zenoh::Settings { connectivity, max_hz: zenoh.max_hz }, context.of_interface(figures)))
 }
 
 /// Says where Zenoh is, which may be later than all else.

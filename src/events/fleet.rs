@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 use super::Notification;
-use crate::fleet::{FleetGripper, Network};
+use crate::fleet::{FleetGripper, Peers};
 use crate::gripper::Now;
 
 /// How often it is looked at, for all who follow it: that a gateway is gone is seen by the time alone.
@@ -14,7 +14,7 @@ const LOOKED_AT_EVERY: Duration = Duration::from_millis(100);
 /// What was told of it.
 #[derive(Debug)]
 pub(super) struct FleetNews {
-    network: Arc<Network>,
+    network: Arc<Peers>,
     known: Mutex<Known>,
 }
 
@@ -35,7 +35,7 @@ struct Newest {
 }
 
 impl FleetNews {
-    pub(super) fn new(network: Arc<Network>) -> Self {
+    pub(super) fn new(network: Arc<Peers>) -> Self {
         Self { network, known: Mutex::default() }
     }
 

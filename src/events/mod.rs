@@ -18,7 +18,7 @@ use serde::{Deserialize, Serialize};
 use tokio::sync::watch;
 use utoipa::ToSchema;
 
-use crate::fleet::Network;
+use crate::fleet::Peers;
 use crate::gripper::model::{Frame, Name, State};
 use crate::gripper::{Grippers, Handle, Now};
 use crate::journal::{Journal, Stored};
@@ -81,7 +81,7 @@ struct Source {
 impl Updates {
     /// Of these grippers, of this journal, and of all gateways' grippers.
     #[must_use]
-    pub fn new(fleet: &Grippers, journal: Journal, network: Arc<Network>) -> Self {
+    pub fn new(fleet: &Grippers, journal: Journal, network: Arc<Peers>) -> Self {
         let source = |handle: &Handle| {
             let (state, telemetry, frames) = (Recent::new(1), Recent::new(1), Recent::new(RECENT_FRAMES));
             Arc::new(Source { handle: handle.clone(), state, telemetry, frames })

@@ -13,7 +13,7 @@ fn updates() -> (Arc<Updates>, Journal) {
     let (journal, _) = Journal::open(Place::Memory, Retention::default()).unwrap();
     let fleet =
         Grippers::new([fake::gripper("left", Script::default()).0, fake::gripper("right", Script::default()).0]);
-    let network = Arc::new(Network::new("wsg".parse().unwrap(), fleet.clone()));
+    let network = Arc::new(Peers::new("wsg".parse().unwrap(), fleet.clone()));
     (Arc::new(Updates::new(&fleet, journal.clone(), network)), journal)
 }
 

@@ -15,7 +15,7 @@ use zenoh::qos::Priority;
 use zenoh::query::{ConsolidationMode, QueryTarget, Reply};
 use zenoh::sample::Locality;
 
-use super::Network;
+use super::Peers;
 use super::keys::{self, Keys};
 use super::twins::has_token;
 use crate::gripper::Now;
@@ -95,7 +95,7 @@ pub enum NoAnswer {
     None,
 }
 
-impl Network {
+impl Peers {
     /// Asks the gateway that owns a gripper, and waits for its answer. For as long as that is waited for, and no longer, the
     /// lease that is named is kept.
     ///
@@ -303,7 +303,7 @@ mod tests {
     #[tokio::test]
     async fn of_who_is_told_as_gone_only_what_stops_and_what_keeps_a_lease_is_asked() {
         let name = |text: &str| text.parse::<Name>().unwrap();
-        let network = Network::new(name("cell-0"), crate::gripper::Grippers::default());
+        let network = Peers::new(name("cell-0"), crate::gripper::Grippers::default());
         network.take_token("wsg/v1/cell-1/alive", true);
         network.take_state("wsg/v1/cell-1/left/state", br#"{"link": "connected", "age_ms": 5, "fast_stop": false}"#);
         let urgency = |method| match method {

@@ -6,7 +6,7 @@
 mod ask;
 pub mod keys;
 mod others;
-mod told;
+mod report;
 mod twins;
 
 use std::collections::BTreeSet;
@@ -28,7 +28,7 @@ use crate::gripper::model::{Client, FastStopId, Name, Reason, State};
 use crate::gripper::{Grippers, Now};
 
 pub use ask::{Ask, Asked, NoAnswer};
-pub use told::FleetGripper;
+pub use report::FleetGripper;
 
 /// Requests to other gateways that may be under way, of those that only stop, of those that keep or end a lease, and of all
 /// others.
@@ -51,7 +51,7 @@ const MAX_STATE_BYTES: usize = 16 * 1024;
 
 /// The network, from one gateway's place.
 #[derive(Debug)]
-pub struct Network {
+pub struct Peers {
     gateway: Name,
     own: Grippers,
     session: OnceLock<zenoh::Session>,
@@ -59,7 +59,7 @@ pub struct Network {
     cause: watch::Sender<Option<String>>,
     others: Mutex<Others>,
     twins: Arc<Twins>,
-    /// Told when another gateway has answered.
+    /// Notified when another gateway has answered.
     news: Notify,
     /// When the other gateways were asked for their states last.
     asked_at: Mutex<Option<Instant>>,
@@ -79,7 +79,7 @@ pub struct FleetStop {
     pub stops: Vec<(String, bool)>,
 }
 
-impl Network {
+impl Peers {
     /// Of the gateway of this name with these grippers, which is on no network yet.
     #[must_use]
     pub fn new(gateway: Name, own: Grippers) -> Self {
@@ -259,7 +259,7 @@ impl Network {
             return;
         };
         let is_bounded = state.payload().len() <= MAX_STATE_BYTES;
-        if let Some(told) = is_bounded.then(|| told::Told::of(&state.payload().to_bytes())).flatten() {
+        if let Some(told) = is_bounded.then(|| report::PeerReport::of(&state.payload().to_bytes())).flatten() {
             self.others().take_answer(&name, &told, &replier.zid().to_string(), asked_at);
             self.news.notify_waiters();
         }
@@ -282,7 +282,7 @@ impl Network {
     }
 
     fn of_own(&self, state: &State) -> Option<FleetGripper> {
-        let told = told::Told::of(&serde_json::to_vec(state).ok()?)?;
+        let told = report::PeerReport::of(&serde_json::to_vec(state).ok()?)?;
         Some(told.of_gripper(&self.gateway, &state.gripper, Duration::ZERO, false))
     }
 
@@ -290,7 +290,7 @@ impl Network {
         let Some((gateway, gripper)) = keys::of_gripper(key) else { return };
         if gateway != self.gateway
             && state.len() <= MAX_STATE_BYTES
-            && let Some(told) = told::Told::of(state)
+            && let Some(told) = report::PeerReport::of(state)
         {
             self.others().take_state(gateway, gripper, told);
         }

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
 
-use super::told::{FleetGripper, Told};
+use super::report::{FleetGripper, PeerReport};
 use crate::gripper::Now;
 use crate::gripper::model::Name;
 
@@ -33,7 +33,7 @@ const KEPT_FOR: Duration = Duration::from_hours(1);
 /// What a gripper's gateway told last, and when.
 #[derive(Debug)]
 struct Known {
-    told: Told,
+    told: PeerReport,
     at: Instant,
     answer: Option<OwnersAnswer>,
 }
@@ -76,7 +76,7 @@ pub(super) struct Others {
 }
 
 impl Others {
-    pub(super) fn take_state(&mut self, gateway: Name, gripper: Name, told: Told) {
+    pub(super) fn take_state(&mut self, gateway: Name, gripper: Name, told: PeerReport) {
         let at = Now::read().instant;
         let name = (gateway, gripper);
         if self.grippers.len() >= MAX_GRIPPERS && !self.grippers.contains_key(&name) && !self.make_room(at) {
@@ -98,7 +98,7 @@ impl Others {
     }
 
     /// Takes the state of a known gripper with which this session has answered a query that went out at `asked_at`.
-    pub(super) fn take_answer(&mut self, name: &(Name, Name), told: &Told, session: &str, asked_at: Instant) {
+    pub(super) fn take_answer(&mut self, name: &(Name, Name), told: &PeerReport, session: &str, asked_at: Instant) {
         let is_owners = self.instances_of(&name.0).eq([session]);
         let Some(known) = self.grippers.get_mut(name) else { return };
         let mut answer =
@@ -197,9 +197,9 @@ impl Others {
 mod tests {
     use super::*;
 
-    fn told(fast_stop: bool) -> Told {
+    fn told(fast_stop: bool) -> PeerReport {
         let state = serde_json::json!({"link": "connected", "age_ms": 5, "fast_stop": fast_stop, "fast_stop_confirmed": fast_stop});
-        Told::of(state.to_string().as_bytes()).unwrap()
+        PeerReport::of(state.to_string().as_bytes()).unwrap()
     }
 
     fn name(text: &str) -> Name {

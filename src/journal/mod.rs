@@ -9,7 +9,7 @@ mod check;
 mod commands;
 pub mod csv;
 mod curve;
-mod follow;
+mod event_stream;
 mod presence;
 mod prune;
 mod query;
@@ -43,7 +43,7 @@ use store::Store;
 use writer::{Input, Writer};
 
 pub use commands::command_of;
-pub use follow::{Follow, Followed};
+pub use event_stream::{EventStream, StreamItem};
 pub use query::{Cursor, EventQuery, Filter, GripQuery, InvalidCursor, InvalidLimit, Limit, Order, Page, Query};
 pub use reader::Reader;
 pub use recovery::Recovered;
@@ -142,8 +142,8 @@ impl Journal {
     /// The events behind one, or those from now on; slow followers miss none but those that are too old, and are told of
     /// them.
     #[must_use]
-    pub fn follow(&self, after: Option<i64>, filter: Filter<EventKind>) -> Follow {
-        Follow::new(&self.shared, &self.pool, after, filter)
+    pub fn follow(&self, after: Option<i64>, filter: Filter<EventKind>) -> EventStream {
+        EventStream::new(&self.shared, &self.pool, after, filter)
     }
 
     /// See [`Reader::events`].

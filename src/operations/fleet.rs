@@ -46,11 +46,11 @@ pub struct FleetFastStopAnswer {
 
 fn list(call: &Call) -> Result<Json<FleetList>, Problem> {
     let NoFields {} = call.fields()?;
-    Ok(Json(FleetList { grippers: call.gateway.network.grippers() }))
+    Ok(Json(FleetList { grippers: call.gateway.peers.grippers() }))
 }
 
 async fn fast_stop(call: Call) -> Result<Json<FleetFastStopAnswer>, Problem> {
-    let FleetStop { id, stops } = call.gateway.network.fast_stop(&call.caller.client, &reason(&call)).await;
+    let FleetStop { id, stops } = call.gateway.peers.fast_stop(&call.caller.client, &reason(&call)).await;
     log(id);
     let (confirmed, unconfirmed) = by_confirmation(stops);
     Ok(Json(FleetFastStopAnswer {

@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use super::audit::Audit;
 use crate::events::Updates;
-use crate::fleet::Network;
+use crate::fleet::Peers;
 use crate::gripper::Grippers;
 use crate::gripper::model::Name;
 use crate::journal::Journal;
@@ -21,7 +21,7 @@ pub struct Gateway {
     /// Record of refused requests.
     pub audit: Arc<Audit>,
     /// The other gateways.
-    pub network: Arc<Network>,
+    pub peers: Arc<Peers>,
     /// Live updates.
     pub updates: Arc<Updates>,
 }
@@ -33,8 +33,8 @@ impl Gateway {
         let (journal, _) = Journal::open(crate::journal::Place::Memory, crate::journal::Retention::default()).unwrap();
         let (name, grippers): (Name, _) = ("wsg".parse().unwrap(), Grippers::new(grippers));
         let audit = Arc::new(Audit::new(journal.clone()));
-        let network = Arc::new(Network::new(name.clone(), grippers.clone()));
-        let updates = Arc::new(Updates::new(&grippers, journal.clone(), network.clone()));
-        Arc::new(Self { name, grippers, journal, audit, network, updates })
+        let peers = Arc::new(Peers::new(name.clone(), grippers.clone()));
+        let updates = Arc::new(Updates::new(&grippers, journal.clone(), peers.clone()));
+        Arc::new(Self { name, grippers, journal, audit, peers, updates })
     }
 }

@@ -73,7 +73,7 @@ pub async fn forward(
     let Some((operation, mut path)) = operation(&parts, &target.operation)? else {
         return Ok(not_allowed(&parts, &target.operation));
     };
-    if context.gateway.network.is_own(&target.gateway) {
+    if context.gateway.peers.is_own(&target.gateway) {
         path.insert("gripper", target.gripper);
         return if operation.urgency == Urgency::FastStop {
             fast_stop::serve_below(&context, operation, path, &parts, stream).await
@@ -96,7 +96,7 @@ pub async fn forward(
     let (gateway, client, urgency) = (target.gateway.clone(), client(&parts.extensions), operation.urgency);
     let ask = move |params| async move {
         let (method, params) = (operation.name, Value::Object(params));
-        context.gateway.network.ask(Ask { gateway, gripper, method, params, wait, aside, client, urgency }).await
+        context.gateway.peers.ask(Ask { gateway, gripper, method, params, wait, aside, client, urgency }).await
     };
     let asked = if urgency == Urgency::FastStop {
         let reason = |text: &[u8]| Reason::truncated(&text_member(text, "reason").unwrap_or_default());

@@ -79,7 +79,7 @@ pub async fn readiness(Shared(context): Shared<Arc<Context>>) -> (StatusCode, Js
     let journal = own.journal.health().borrow().clone();
     let (journal_cause, journal_damage) = (journal.failure, journal.damage);
     let not_ready: Vec<_> = own.grippers.iter().filter_map(why_not_ready).collect();
-    let zenoh_cause = own.network.cause().borrow().clone().or_else(|| own.network.why_no_motions());
+    let zenoh_cause = own.peers.cause().borrow().clone().or_else(|| own.peers.why_no_motions());
     let ready = journal_cause.is_none() && journal_damage.is_none() && zenoh_cause.is_none() && not_ready.is_empty();
     let status = if ready { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
     let gateway = own.name.to_string();

@@ -23,7 +23,7 @@ use crate::gripper::Now;
 use crate::gripper::model::Name;
 use crate::interfaces::admission::{Claim, Class, ConnectionPermit};
 use crate::interfaces::metrics::Metrics;
-use crate::journal::{Filter, Follow, Followed};
+use crate::journal::{EventStream, Filter, StreamItem};
 use crate::operations::values::integer;
 use crate::operations::{Code, Problem};
 
@@ -31,7 +31,7 @@ use crate::operations::{Code, Problem};
 const KEPT_ALIVE_EVERY: Duration = Duration::from_secs(15);
 
 /// How long a stream rests whose journal can't be read.
-const RESTS_FOR: Duration = Duration::from_secs(1);
+const READ_RETRY_PAUSE: Duration = Duration::from_secs(1);
 
 #[derive(IntoParams)]
 #[into_params(parameter_in = Query)]
@@ -81,7 +81,7 @@ pub struct Message {
 
 /// One client's stream.
 struct Stream {
-    events: Option<Follow>,
+    events: Option<EventStream>,
     updates: Subscription,
     pace: Pace,
     metrics: Metrics,
@@ -168,7 +168,7 @@ impl Stream {
                 event = next_event(&mut self.events) => match event {
                     Ok(Some(event)) => return Some(event),
                     Ok(None) => return None,
-                    Err(()) => tokio::time::sleep(RESTS_FOR).await,
+                    Err(()) => tokio::time::sleep(READ_RETRY_PAUSE).await,
                 },
                 Some(frame) = self.updates.next() => self.ready.push_back(frame),
                 missed = self.pace.next(), if self.updates.has_states() => {
@@ -191,14 +191,14 @@ fn message(told: &Notification) -> sse::Event {
 }
 
 /// The next event, or what is missing before it; none after the journal was closed.
-async fn next_event(events: &mut Option<Follow>) -> Result<Option<sse::Event>, ()> {
+async fn next_event(events: &mut Option<EventStream>) -> Result<Option<sse::Event>, ()> {
     let Some(events) = events else { return std::future::pending().await };
     match events.next().await {
         Ok(None) => Ok(None),
-        Ok(Some(Followed::Event(event))) => {
+        Ok(Some(StreamItem::Event(event))) => {
             Ok(Some(sse::Event::default().event("event").id(event.seq.to_string()).data(&*event.body)))
         }
-        Ok(Some(Followed::Removed { behind, missed })) => {
+        Ok(Some(StreamItem::Removed { behind, missed })) => {
             let gap = Notification::new("gap", &Gap::of_events(behind, missed.unsigned_abs())).ok_or(())?;
             Ok(Some(message(&gap).id((behind + missed).to_string())))
         }

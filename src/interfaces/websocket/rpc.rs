@@ -26,7 +26,7 @@ const REFUSED: i32 = -32000;
 
 /// One request.
 #[derive(Debug, PartialEq)]
-pub struct Call {
+pub struct RpcCall {
     /// Under which it is answered; none where it is a notification, which is not answered.
     pub id: Option<Value>,
     /// What to do.
@@ -39,9 +39,9 @@ pub struct Call {
 #[derive(Debug)]
 pub enum Incoming {
     /// A request, or what is wrong with it.
-    One(Result<Call, Answer>),
+    One(Result<RpcCall, RpcResponse>),
     /// Several.
-    Batch(Vec<Result<Call, Answer>>),
+    Batch(Vec<Result<RpcCall, RpcResponse>>),
 }
 
 /// What went wrong with a request.
@@ -54,7 +54,7 @@ pub struct RpcError {
 
 /// An answer.
 #[derive(Debug, Serialize)]
-pub struct Answer {
+pub struct RpcResponse {
     jsonrpc: &'static str,
     id: Value,
     #[serde(flatten)]
@@ -68,7 +68,7 @@ enum Outcome {
     Error(RpcError),
 }
 
-impl Answer {
+impl RpcResponse {
     /// To the request of this id.
     pub fn new(id: Value, outcome: Result<Box<RawValue>, RpcError>) -> Self {
         let outcome = match outcome {
@@ -120,8 +120,8 @@ pub fn has_fast_stop(text: &str) -> bool {
 pub fn parse(text: &str) -> Incoming {
     let invalid = |code, detail: String| {
         Incoming::One(match fast_stop_in(text) {
-            Some(name) => Ok(Call { id: Some(Value::Null), method: name.to_owned(), params: Value::Null }),
-            None => Err(Answer::invalid(Value::Null, code, malformed(detail))),
+            Some(name) => Ok(RpcCall { id: Some(Value::Null), method: name.to_owned(), params: Value::Null }),
+            None => Err(RpcResponse::invalid(Value::Null, code, malformed(detail))),
         })
     };
     match serde_json::from_str(text).map(|StrictJson(message)| message) {
@@ -138,7 +138,7 @@ pub fn parse(text: &str) -> Incoming {
 }
 
 /// A request. One for a FAST STOP is one however it is put.
-fn call(mut request: Value) -> Result<Call, Answer> {
+fn call(mut request: Value) -> Result<RpcCall, RpcResponse> {
     let mut take = |key: &str| request.get_mut(key).map(Value::take);
     let (version, id, method, params) = (take("jsonrpc"), take("id"), take("method"), take("params"));
     let params = params.unwrap_or_default();
@@ -149,10 +149,10 @@ fn call(mut request: Value) -> Result<Call, Answer> {
     };
     let known_id = id.as_ref().filter(|id| is_id(id)).cloned();
     if let Some(method) = method.as_ref().and_then(Value::as_str).filter(|method| is_fast_stop(method)) {
-        return Ok(Call { id: known_id, method: method.to_owned(), params });
+        return Ok(RpcCall { id: known_id, method: method.to_owned(), params });
     }
     let invalid = |detail: &str| {
-        Err(Answer::invalid(known_id.clone().unwrap_or_default(), INVALID_REQUEST, malformed(detail.to_owned())))
+        Err(RpcResponse::invalid(known_id.clone().unwrap_or_default(), INVALID_REQUEST, malformed(detail.to_owned())))
     };
     if version.as_ref().and_then(Value::as_str) != Some(VERSION) {
         return invalid("a request has \"jsonrpc\": \"2.0\"");
@@ -161,7 +161,7 @@ fn call(mut request: Value) -> Result<Call, Answer> {
         return invalid("id must be a string of at most 64 bytes, or a whole number below 2^64");
     }
     match method {
-        Some(Value::String(method)) => Ok(Call { id, method, params }),
+        Some(Value::String(method)) => Ok(RpcCall { id, method, params }),
         _ => invalid("a request has a \"method\", which is a text"),
     }
 }
@@ -176,7 +176,7 @@ mod tests {
 
     use super::*;
 
-    fn one(request: &Value) -> Result<Call, Value> {
+    fn one(request: &Value) -> Result<RpcCall, Value> {
         match parse(&request.to_string()) {
             Incoming::One(one) => one.map_err(|answer| serde_json::to_value(answer).unwrap()),
             Incoming::Batch(_) => panic!("a batch"),
@@ -186,7 +186,7 @@ mod tests {
     #[test]
     fn a_request_has_an_id_and_a_notification_has_none() {
         let request = one(&json!({"jsonrpc": "2.0", "id": "a", "method": "state", "params": {"gripper": "left"}}));
-        let expected = Call { id: Some("a".into()), method: "state".to_owned(), params: json!({"gripper": "left"}) };
+        let expected = RpcCall { id: Some("a".into()), method: "state".to_owned(), params: json!({"gripper": "left"}) };
         assert_eq!(request, Ok(expected));
         assert_eq!(one(&json!({"jsonrpc": "2.0", "method": "state"})).unwrap().id, None);
     }
@@ -235,7 +235,7 @@ mod tests {
             &request.replace('1', "1, \"id\": 2"),
         ] {
             let Incoming::One(Ok(call)) = parse(text) else { panic!("{text}") };
-            assert_eq!(call, Call { id: Some(Value::Null), method: "fast-stop".to_owned(), params: Value::Null });
+            assert_eq!(call, RpcCall { id: Some(Value::Null), method: "fast-stop".to_owned(), params: Value::Null });
         }
     }
 }

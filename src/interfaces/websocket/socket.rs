@@ -27,7 +27,7 @@ use tokio_util::task::AbortOnDropHandle;
 use super::bodies::{self, Following};
 use super::halves::{self, Inbound};
 use super::outbox::Outbox;
-use super::rpc::{self, Answer, Call, Incoming, RpcError};
+use super::rpc::{self, Incoming, RpcCall, RpcError, RpcResponse};
 use super::writer::Writer;
 use crate::events::{Notification, encoded, text_frame};
 use crate::gripper::Ticket;
@@ -116,7 +116,7 @@ struct Done {
 /// One request of it.
 #[derive(Default)]
 struct Answered {
-    answer: Option<Answer>,
+    answer: Option<RpcResponse>,
     running: Option<Ticket>,
     lease: Option<Arc<ConnectionLease>>,
     following: Option<Following>,
@@ -135,7 +135,7 @@ impl Answered {
             Effect::Leased(lease) => (None, Some(lease)),
             Effect::None => (None, None),
         };
-        Self { answer: id.map(|id| Answer::new(id, result)), running, lease, following: None }
+        Self { answer: id.map(|id| RpcResponse::new(id, result)), running, lease, following: None }
     }
 }
 
@@ -328,29 +328,29 @@ impl Socket {
     }
 
     /// Begins a request.
-    fn answered(&self, call: Result<Call, Answer>) -> BoxFuture<'static, Answered> {
+    fn answered(&self, call: Result<RpcCall, RpcResponse>) -> BoxFuture<'static, Answered> {
         let ready = |answered| std::future::ready(answered).boxed();
-        let Call { id, method, params } = match call {
+        let RpcCall { id, method, params } = match call {
             Ok(call) => call,
             Err(answer) => return ready(Answered { answer: Some(answer), ..Answered::default() }),
         };
         let refused = |problem: Problem| Err(RpcError::from(problem));
         if let Some(detail) = self.overload().filter(|_| !is_fast_stop(&method)) {
             let refused = refused(Problem::new(Code::Overloaded, detail));
-            return ready(Answered { answer: id.map(|id| Answer::new(id, refused)), ..Answered::default() });
+            return ready(Answered { answer: id.map(|id| RpcResponse::new(id, refused)), ..Answered::default() });
         }
         if method == "subscribe" {
             return ready(
                 match bodies::subscribe(&self.context.gateway, &params).map(|(told, following)| (raw(&told), following))
                 {
                     Ok((told, following)) => Answered {
-                        answer: id.map(|id| Answer::new(id, told)),
+                        answer: id.map(|id| RpcResponse::new(id, told)),
                         following: Some(following),
                         lease: None,
                         running: None,
                     },
                     Err(problem) => {
-                        Answered { answer: id.map(|id| Answer::new(id, refused(problem))), ..Answered::default() }
+                        Answered { answer: id.map(|id| RpcResponse::new(id, refused(problem))), ..Answered::default() }
                     }
                 },
             );
@@ -358,7 +358,7 @@ impl Socket {
         if named(&method).next().is_none() {
             let names = "there is no such method: the API's description has them all";
             let error = RpcError::no_method(Problem::new(Code::NotFound, names));
-            return ready(Answered { answer: id.map(|id| Answer::new(id, Err(error))), ..Answered::default() });
+            return ready(Answered { answer: id.map(|id| RpcResponse::new(id, Err(error))), ..Answered::default() });
         }
         if method == lease::TAKE.name && id.is_none() {
             // Nobody would hear its token.

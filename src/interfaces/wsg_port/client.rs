@@ -10,9 +10,9 @@ use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio::sync::oneshot;
 use tokio_util::sync::CancellationToken;
 
-use super::device::{Answer, Ask, Order, Ordered, VirtualDevice};
+use super::device::{PortOrder, PortOrdered, PortReply, PortRequest, VirtualDevice};
 use super::port::Port;
-use super::status::{Refusal, status_of_end};
+use super::status::{RefusedStatus, status_of_end};
 use crate::gripper::clock::{self, sleep_until};
 use crate::gripper::model::{
     Action, Client, Command, FastStopId, LeaseToken, Motion, Outcome, Phase, Reason, State, Submission, TakeLease,
@@ -68,15 +68,15 @@ struct Kept {
 
 /// How far an order has come.
 enum Step {
-    Answered(Ask, Answer),
+    Answered(PortRequest, PortReply),
     /// The device has accepted what moves nothing, and takes its time for it.
-    Begun(Ask, BoxFuture<'static, Step>),
+    Begun(PortRequest, BoxFuture<'static, Step>),
     /// A command was admitted.
-    Admitted(Ask, Ticket),
+    Admitted(PortRequest, Ticket),
     /// It was accepted, or has ended before.
-    Accepted(Ask, Ticket, Box<Command>),
+    Accepted(PortRequest, Ticket, Box<Command>),
     /// Whether a refusal is to be written down.
-    Rejected(Ask, Rejection, bool),
+    Rejected(PortRequest, Rejection, bool),
     Kept(Option<AcquiredLease>),
 }
 
@@ -290,16 +290,16 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
         }
     }
 
-    fn step_of(&self, Ordered { ask, order }: Ordered) -> BoxFuture<'static, Step> {
+    fn step_of(&self, PortOrdered { ask, order }: PortOrdered) -> BoxFuture<'static, Step> {
         let (gripper, client, token) = (self.port.gripper.clone(), self.client.clone(), self.token.clone());
         let order = match order {
-            Order::Exchange(wsg::Command::Custom(custom)) if !gripper.only_reads(custom.id()) => {
-                Order::Command(Action::Motion(Motion::Custom(custom)))
+            PortOrder::Exchange(wsg::Command::Custom(custom)) if !gripper.only_reads(custom.id()) => {
+                PortOrder::Command(Action::Motion(Motion::Custom(custom)))
             }
             order => order,
         };
         match order {
-            Order::Command(action) => {
+            PortOrder::Command(action) => {
                 // A Stop needs no lease.
                 let lease = matches!(action, Action::Motion(_)).then_some(token);
                 let submission = Submission { client, action, request_id: None, lease };
@@ -311,25 +311,25 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
                 }
                 .boxed()
             }
-            Order::FastStop => async move {
+            PortOrder::FastStop => async move {
                 let stopped = gripper.fast_stop(FastStopId::generate(), client, Reason::truncated("23h")).await;
-                Step::Answered(ask, Answer::FastStopped(stopped))
+                Step::Answered(ask, PortReply::FastStopped(stopped))
             }
             .boxed(),
-            Order::Acknowledge(id) => async move {
+            PortOrder::Acknowledge(id) => async move {
                 match gripper.acknowledge(id, client).await {
-                    Ok(()) => Step::Answered(ask, Answer::Reply(Reply::Success(Data::None))),
+                    Ok(()) => Step::Answered(ask, PortReply::Reply(Reply::Success(Data::None))),
                     Err(rejection) => Step::Rejected(ask, rejection, true),
                 }
             }
             .boxed(),
-            Order::Exchange(command) => {
+            PortOrder::Exchange(command) => {
                 let (accepted, is_accepted) = oneshot::channel();
                 let mut exchanged = async move {
                     // Who only reads changes nothing, and leaves no trace.
                     let changes = !command.is_read();
                     match gripper.exchange_in_steps(command, client, Some(token), accepted).await {
-                        Ok(data) => Step::Answered(ask, Answer::Reply(Reply::Success(data.of_reply(ask.id)))),
+                        Ok(data) => Step::Answered(ask, PortReply::Reply(Reply::Success(data.of_reply(ask.id)))),
                         Err(rejection) => Step::Rejected(ask, rejection, changes),
                     }
                 }
@@ -343,9 +343,9 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
                 };
                 begun.boxed()
             }
-            Order::Release => async move {
+            PortOrder::Release => async move {
                 let _ = gripper.release_lease(Some(token)).await;
-                Step::Answered(ask, Answer::Reply(Reply::Success(Data::None)))
+                Step::Answered(ask, PortReply::Reply(Reply::Success(Data::None)))
             }
             .boxed(),
         }
@@ -357,16 +357,16 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             Step::Begun(ask, rest) => {
                 // Where the next request waits for the last reply, that is all that its client expects.
                 if !ask.is_awaited {
-                    self.answer(ask, Answer::Accepted);
+                    self.answer(ask, PortReply::Accepted);
                 }
                 self.begin(rest);
             }
             Step::Rejected(ask, rejection, is_recorded) => {
-                let refusal = Refusal::from(&rejection);
+                let refusal = RefusedStatus::from(&rejection);
                 if is_recorded {
                     self.record(ask.id, refusal.status, rejection.to_string());
                 }
-                self.answer(ask, Answer::Refused(refusal));
+                self.answer(ask, PortReply::Refused(refusal));
             }
             Step::Admitted(ask, mut ticket) => {
                 if ask.id != id::STOP {
@@ -392,14 +392,14 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
     }
 
     /// A command was accepted, or has ended without.
-    fn accepted(&mut self, ask: Ask, mut ticket: Ticket, command: &Command) {
+    fn accepted(&mut self, ask: PortRequest, mut ticket: Ticket, command: &Command) {
         // What was admitted and stopped before it was sent looks like what was stopped right after.
         let was_stopped = id::is_motion(ask.id) && command.outcome == Some(Outcome::Aborted);
         let is_two_step = command.accepted || was_stopped;
         let mut end = ask;
         if is_two_step {
-            self.answer(ask, Answer::Accepted);
-            end = Ask { is_awaited: false, ..ask };
+            self.answer(ask, PortReply::Accepted);
+            end = PortRequest { is_awaited: false, ..ask };
         }
         if command.phase == Phase::Done {
             return self.answer(end, ended(command));
@@ -408,7 +408,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
         self.begin(ended.boxed());
     }
 
-    fn answer(&mut self, ask: Ask, answer: Answer) {
+    fn answer(&mut self, ask: PortRequest, answer: PortReply) {
         self.device.answer(clock::instant(), ask, answer, &self.port.gripper.state());
     }
 
@@ -435,15 +435,15 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
 }
 
 /// How a command's last reply looks.
-fn ended(command: &Command) -> Answer {
+fn ended(command: &Command) -> PortReply {
     if let Some(rejection) = &command.rejection {
-        return Answer::Refused(rejection.into());
+        return PortReply::Refused(rejection.into());
     }
     match status_of_end(command) {
         Status::E_SUCCESS => {
             let answer = command.payload.as_deref().and_then(|payload| hex::decode(payload).ok());
-            Answer::Reply(Reply::Success(answer.map_or(Data::None, Data::Custom)))
+            PortReply::Reply(Reply::Success(answer.map_or(Data::None, Data::Custom)))
         }
-        status => Answer::Reply(Reply::Status(status)),
+        status => PortReply::Reply(Reply::Status(status)),
     }
 }

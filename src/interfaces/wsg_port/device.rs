@@ -17,7 +17,7 @@ use std::time::Instant;
 
 use super::input::{Input, Request};
 use super::port::Rules;
-use super::status::Refusal;
+use super::status::RefusedStatus;
 use crate::gripper::FastStop;
 use crate::gripper::model::{Action, CustomIds, FastStopCause, FastStopId, LatchFields, Link, State};
 use crate::wsg::{
@@ -40,7 +40,7 @@ const MAX_FRAMES_BEFORE_UPDATES: usize = 16;
 
 /// What is to be asked of the gripper.
 #[derive(Debug, PartialEq)]
-pub(super) enum Order {
+pub(super) enum PortOrder {
     Command(Action),
     FastStop,
     Acknowledge(FastStopId),
@@ -50,14 +50,14 @@ pub(super) enum Order {
 
 /// An order, and the request that it is for.
 #[derive(Debug, PartialEq)]
-pub(super) struct Ordered {
-    pub ask: Ask,
-    pub order: Order,
+pub(super) struct PortOrdered {
+    pub ask: PortRequest,
+    pub order: PortOrder,
 }
 
 /// A request that was taken up.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Ask {
+pub(super) struct PortRequest {
     pub id: u8,
     /// Whether the next request waits for its answer.
     pub is_awaited: bool,
@@ -65,11 +65,11 @@ pub(super) struct Ask {
 
 /// What became of an order.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) enum Answer {
+pub(super) enum PortReply {
     /// The device has accepted a motion: its result follows.
     Accepted,
     Reply(Reply),
-    Refused(Refusal),
+    Refused(RefusedStatus),
     FastStopped(FastStop),
 }
 
@@ -107,7 +107,7 @@ pub(super) struct VirtualDevice {
     motions_are_stopping: bool,
     fast_stops: FastStops,
     subscriptions: Subscriptions,
-    orders: VecDeque<Ordered>,
+    orders: VecDeque<PortOrdered>,
     refused: VecDeque<Refused>,
     frames: VecDeque<Vec<u8>>,
     announced: bool,
@@ -162,16 +162,16 @@ impl VirtualDevice {
     }
 
     /// What became of an order.
-    pub(super) fn answer(&mut self, now: Instant, ask: Ask, answer: Answer, state: &State) {
-        let is_last = answer != Answer::Accepted;
+    pub(super) fn answer(&mut self, now: Instant, ask: PortRequest, answer: PortReply, state: &State) {
+        let is_last = answer != PortReply::Accepted;
         match answer {
-            Answer::Accepted => self.status(ask.id, Status::E_CMD_PENDING),
-            Answer::Reply(reply) => self.reply(ask.id, &reply),
-            Answer::Refused(refusal) => {
+            PortReply::Accepted => self.status(ask.id, Status::E_CMD_PENDING),
+            PortReply::Reply(reply) => self.reply(ask.id, &reply),
+            PortReply::Refused(refusal) => {
                 self.seen = refusal.fast_stop.or(self.seen);
                 self.status(ask.id, refusal.status);
             }
-            Answer::FastStopped(FastStop { id, confirmed }) => {
+            PortReply::FastStopped(FastStop { id, confirmed }) => {
                 (self.caused, self.seen) = (Some(id), Some(id));
                 for _ in 0..std::mem::take(&mut self.fast_stops.under_way) {
                     self.status(ask.id, if confirmed { Status::E_SUCCESS } else { Status::E_TIMEOUT });
@@ -192,7 +192,7 @@ impl VirtualDevice {
         self.take_up(now, state);
     }
 
-    pub(super) fn poll_order(&mut self) -> Option<Ordered> {
+    pub(super) fn poll_order(&mut self) -> Option<PortOrdered> {
         self.orders.pop_front()
     }
 
@@ -260,7 +260,7 @@ impl VirtualDevice {
                     self.abort_waiting_motions();
                     self.stops += 1;
                     self.motions_are_stopping = self.motions > 0;
-                    self.order(id, false, Order::Command(Action::Stop));
+                    self.order(id, false, PortOrder::Command(Action::Stop));
                 }
                 _ if self.waiting.len() >= MAX_WAITING_REQUESTS => self.status(id, Status::E_OVERRUN),
                 _ => self.waiting.push_back(request),
@@ -274,7 +274,7 @@ impl VirtualDevice {
     fn begin_fast_stop(&mut self) {
         if self.fast_stops.under_way == 0 && self.fast_stops.waiting > 0 {
             self.fast_stops.under_way = std::mem::take(&mut self.fast_stops.waiting);
-            self.order(id::FAST_STOP, true, Order::FastStop);
+            self.order(id::FAST_STOP, true, PortOrder::FastStop);
         }
     }
 
@@ -332,14 +332,14 @@ impl VirtualDevice {
             Command::DisconnectAnnouncement => {
                 self.announced = true;
                 self.subscriptions.clear();
-                self.order(id, true, Order::Release);
+                self.order(id, true, PortOrder::Release);
             }
             command @ (Command::Custom(_) | Command::FingerPower { .. }) => {
                 // Those that follow one another wait for one another.
-                self.order(id, self.custom_ids.stream.contains(&id), Order::Exchange(command));
+                self.order(id, self.custom_ids.stream.contains(&id), PortOrder::Exchange(command));
             }
             command => {
-                let order = Action::of(&command).map_or_else(|| Order::Exchange(command), Order::Command);
+                let order = Action::of(&command).map_or_else(|| PortOrder::Exchange(command), PortOrder::Command);
                 self.order(id, true, order);
             }
         }
@@ -388,7 +388,7 @@ impl VirtualDevice {
         let id = id::ACKNOWLEDGE_FAST_STOP;
         match &state.latch {
             Some(latch) if self.rules.acknowledge_any || self.may_acknowledge(latch) => {
-                self.order(id, true, Order::Acknowledge(latch.fast_stop_id));
+                self.order(id, true, PortOrder::Acknowledge(latch.fast_stop_id));
             }
             Some(_) => {
                 let cause = "a FAST STOP is acknowledged on a connection that was told of it, if that connection or \
@@ -416,10 +416,10 @@ impl VirtualDevice {
         self.seen == id && (!is_the_clients || self.caused == id)
     }
 
-    fn order(&mut self, id: u8, is_awaited: bool, order: Order) {
+    fn order(&mut self, id: u8, is_awaited: bool, order: PortOrder) {
         self.awaited += usize::from(is_awaited);
         self.motions += usize::from(id::is_motion(id));
-        self.orders.push_back(Ordered { ask: Ask { id, is_awaited }, order });
+        self.orders.push_back(PortOrdered { ask: PortRequest { id, is_awaited }, order });
     }
 
     fn status(&mut self, id: u8, status: Status) {

@@ -64,11 +64,11 @@ impl Bench {
         self.device.receive(self.now, &bytes, &self.state);
     }
 
-    fn order(&mut self) -> Ordered {
+    fn order(&mut self) -> PortOrdered {
         self.device.poll_order().expect("an order")
     }
 
-    fn answer(&mut self, ask: Ask, answer: Answer) {
+    fn answer(&mut self, ask: PortRequest, answer: PortReply) {
         self.device.answer(self.now, ask, answer, &self.state);
     }
 
@@ -96,7 +96,7 @@ impl Bench {
     }
 }
 
-const NOTHING: Answer = Answer::Reply(Reply::Success(Data::None));
+const NOTHING: PortReply = PortReply::Reply(Reply::Success(Data::None));
 
 #[test]
 fn requests_are_taken_up_in_order_and_stops_overtake() {
@@ -106,15 +106,15 @@ fn requests_are_taken_up_in_order_and_stops_overtake() {
     bench.send(id::STOP, &[]);
     bench.send(id::FAST_STOP, b"whatever");
     let homing = bench.order();
-    assert_eq!(homing.order, Order::Command(Action::Motion(Motion::Home(HomingDirection::Default))));
-    assert_eq!(bench.order().order, Order::Command(Action::Stop));
+    assert_eq!(homing.order, PortOrder::Command(Action::Motion(Motion::Home(HomingDirection::Default))));
+    assert_eq!(bench.order().order, PortOrder::Command(Action::Stop));
     let fast_stop = bench.order();
-    assert_eq!((fast_stop.order, bench.device.poll_order()), (Order::FastStop, None));
-    bench.answer(homing.ask, Answer::Accepted);
+    assert_eq!((fast_stop.order, bench.device.poll_order()), (PortOrder::FastStop, None));
+    bench.answer(homing.ask, PortReply::Accepted);
     assert_eq!(bench.device.poll_order(), None, "a FAST STOP is waited for");
     let id = FastStopId::generate();
-    bench.answer(fast_stop.ask, Answer::FastStopped(FastStop { id, confirmed: true }));
-    assert_eq!(bench.order().order, Order::Exchange(Command::GetForceLimit));
+    bench.answer(fast_stop.ask, PortReply::FastStopped(FastStop { id, confirmed: true }));
+    assert_eq!(bench.order().order, PortOrder::Exchange(Command::GetForceLimit));
     assert_eq!(bench.sent(), [(id::HOMING, Status::E_CMD_PENDING), (id::FAST_STOP, Status::E_SUCCESS)]);
 }
 
@@ -127,7 +127,7 @@ fn a_stop_ends_what_came_before_it_also_what_was_not_begun() {
     }
     bench.device.receive(bench.now, &bytes, &bench.state);
     let (first, stop) = (bench.order(), bench.order());
-    assert_eq!((first.ask.id, stop.order), (id::LOOP, Order::Command(Action::Stop)));
+    assert_eq!((first.ask.id, stop.order), (id::LOOP, PortOrder::Command(Action::Stop)));
     bench.answer(first.ask, NOTHING);
     assert_eq!(bench.device.poll_order(), None, "no motion behind the Stop");
     assert_eq!(bench.sent(), [(id::LOOP, Status::E_SUCCESS), (id::HOMING, Status::E_CMD_ABORTED)]);
@@ -148,8 +148,8 @@ fn a_motion_behind_a_stop_waits_until_it_is_known_that_the_fingers_stand() {
     let mut bench = Bench::new();
     bench.send(id::HOMING, &[0]);
     let homing = bench.order();
-    bench.answer(homing.ask, Answer::Accepted);
-    let homing = Ask { is_awaited: false, ..homing.ask };
+    bench.answer(homing.ask, PortReply::Accepted);
+    let homing = PortRequest { is_awaited: false, ..homing.ask };
     // Devices tell the end of a Stop and of what it stopped in either order.
     for stop_is_answered_first in [true, false] {
         bench.send(id::STOP, &[]);
@@ -157,7 +157,7 @@ fn a_motion_behind_a_stop_waits_until_it_is_known_that_the_fingers_stand() {
         bench.send(id::HOMING, &[1]);
         bench.send(id::GET_FORCE_LIMIT, &[]);
         assert_eq!(bench.device.poll_order(), None, "nor does what is behind it overtake");
-        let mut ends = [(stop.ask, NOTHING), (homing, Answer::Reply(Reply::Status(Status::E_CMD_ABORTED)))];
+        let mut ends = [(stop.ask, NOTHING), (homing, PortReply::Reply(Reply::Status(Status::E_CMD_ABORTED)))];
         if !stop_is_answered_first {
             ends.reverse();
         }
@@ -166,13 +166,13 @@ fn a_motion_behind_a_stop_waits_until_it_is_known_that_the_fingers_stand() {
         assert_eq!(bench.device.poll_order(), None);
         bench.answer(second.0, second.1);
         let next = bench.order();
-        assert_eq!(next.order, Order::Command(Action::Motion(Motion::Home(HomingDirection::Outer))));
-        bench.answer(next.ask, Answer::Accepted);
+        assert_eq!(next.order, PortOrder::Command(Action::Motion(Motion::Home(HomingDirection::Outer))));
+        bench.answer(next.ask, PortReply::Accepted);
         let setting = bench.order();
         bench.answer(setting.ask, NOTHING);
     }
     // Where nothing moves, the Stop alone is waited for, and another one ends what waits.
-    bench.answer(homing, Answer::Reply(Reply::Status(Status::E_SUCCESS)));
+    bench.answer(homing, PortReply::Reply(Reply::Status(Status::E_SUCCESS)));
     bench.send(id::STOP, &[]);
     bench.send(id::HOMING, &[0]);
     bench.send(id::STOP, &[]);
@@ -206,7 +206,7 @@ fn a_script_holds_up_nothing() {
     let mut bench = Bench::new();
     bench.send(0xB0, &[1]);
     bench.send(id::GET_SYSTEM_STATE, &[0; 3]);
-    assert!(matches!(bench.order().order, Order::Exchange(Command::Custom(_))));
+    assert!(matches!(bench.order().order, PortOrder::Exchange(Command::Custom(_))));
     assert_eq!(bench.sent(), [(id::GET_SYSTEM_STATE, Status::E_SUCCESS)]);
     // Nor what is behind a Stop, which ends no script.
     bench.send(id::STOP, &[]);
@@ -225,7 +225,7 @@ fn requests_of_a_stream_wait_for_one_another_and_a_stop_ends_those_that_wait() {
     let first = bench.order();
     assert_eq!((first.ask.id, bench.device.poll_order()), (0xB1, None));
     bench.send(id::STOP, &[]);
-    assert_eq!(bench.order().order, Order::Command(Action::Stop));
+    assert_eq!(bench.order().order, PortOrder::Command(Action::Stop));
     bench.answer(first.ask, NOTHING);
     assert_eq!(bench.order().ask.id, 0xB2, "what only reads is no motion");
     let aborted = Status::E_CMD_ABORTED;
@@ -239,11 +239,11 @@ fn after_the_announcement_stops_alone_are_taken() {
     bench.send(id::DISCONNECT_ANNOUNCEMENT, &[]);
     assert!(bench.device.has_announced());
     let release = bench.order();
-    assert_eq!(release.order, Order::Release);
+    assert_eq!(release.order, PortOrder::Release);
     bench.send(id::GRIP, &[0; 8]);
     bench.answer(release.ask, NOTHING);
     bench.send(id::STOP, &[]);
-    assert_eq!(bench.order().order, Order::Command(Action::Stop));
+    assert_eq!(bench.order().order, PortOrder::Command(Action::Stop));
     bench.pass(Duration::from_secs(1));
     let denied = (id::GRIP, Status::E_ACCESS_DENIED);
     let expected =
@@ -318,7 +318,11 @@ fn more_requests_than_may_wait_are_an_overrun() {
     bench.send(id::LOOP, b"x");
     assert_eq!(bench.sent(), [(id::LOOP, Status::E_OVERRUN)]);
     bench.send(id::FAST_STOP, &[]);
-    assert_eq!((bench.order().ask.id, bench.order().order), (id::LOOP, Order::FastStop), "which finds a place always");
+    assert_eq!(
+        (bench.order().ask.id, bench.order().order),
+        (id::LOOP, PortOrder::FastStop),
+        "which finds a place always"
+    );
 }
 
 #[test]
@@ -328,15 +332,15 @@ fn many_fast_stops_at_once_are_one_and_those_that_come_before_its_answer_one_mor
         bench.send(id::FAST_STOP, &[]);
     }
     let first = bench.order();
-    assert_eq!((first.order, bench.device.poll_order()), (Order::FastStop, None));
+    assert_eq!((first.order, bench.device.poll_order()), (PortOrder::FastStop, None));
     bench.send(id::FAST_STOP, &[]);
     assert_eq!(bench.sent(), [(id::FAST_STOP, Status::E_OVERRUN)], "those before it stop as well");
-    let stopped = |confirmed| Answer::FastStopped(FastStop { id: FastStopId::generate(), confirmed });
+    let stopped = |confirmed| PortReply::FastStopped(FastStop { id: FastStopId::generate(), confirmed });
     bench.answer(first.ask, stopped(true));
     assert_eq!(bench.sent(), [(id::FAST_STOP, Status::E_SUCCESS)]);
     // The first may have been acknowledged by now.
     let second = bench.order();
-    assert_eq!((second.order, bench.device.poll_order()), (Order::FastStop, None));
+    assert_eq!((second.order, bench.device.poll_order()), (PortOrder::FastStop, None));
     bench.send(id::GET_FORCE_LIMIT, &[]);
     bench.answer(second.ask, stopped(false));
     assert_eq!(bench.sent(), [(id::FAST_STOP, Status::E_TIMEOUT)].repeat(MAX_WAITING_REQUESTS));
@@ -373,16 +377,16 @@ fn of_a_client_that_is_gone_nothing_is_begun_but_its_fast_stops() {
     let (looped, first) = (bench.order(), bench.order());
     bench.device.forget_waiting();
     bench.answer(looped.ask, NOTHING);
-    bench.answer(first.ask, Answer::FastStopped(FastStop { id: FastStopId::generate(), confirmed: true }));
+    bench.answer(first.ask, PortReply::FastStopped(FastStop { id: FastStopId::generate(), confirmed: true }));
     let second = bench.order();
-    assert_eq!((second.order, bench.device.poll_order()), (Order::FastStop, None));
+    assert_eq!((second.order, bench.device.poll_order()), (PortOrder::FastStop, None));
     assert!(bench.device.is_stopping());
 }
 
 fn acknowledges(bench: &mut Bench) -> bool {
     bench.send(id::ACKNOWLEDGE_FAST_STOP, b"ack");
     match bench.device.poll_order() {
-        Some(Ordered { order: Order::Acknowledge(_), ask }) => {
+        Some(PortOrdered { order: PortOrder::Acknowledge(_), ask }) => {
             bench.answer(ask, NOTHING);
             assert_eq!(bench.sent().last(), Some(&(id::ACKNOWLEDGE_FAST_STOP, Status::E_SUCCESS)));
             true
@@ -399,7 +403,7 @@ fn acknowledges(bench: &mut Bench) -> bool {
 #[test]
 fn a_latch_is_acknowledged_by_who_has_seen_it_and_where_its_client_or_the_device_has_caused_it() {
     let id = FastStopId::generate();
-    let refusal = Answer::Refused(Refusal { status: Status::E_ACCESS_DENIED, fast_stop: Some(id) });
+    let refusal = PortReply::Refused(RefusedStatus { status: Status::E_ACCESS_DENIED, fast_stop: Some(id) });
     for (cause, by_device) in [
         (FastStopCause::Requested, false),
         (FastStopCause::ClientLost, false),
@@ -430,7 +434,7 @@ fn a_latch_is_acknowledged_by_who_has_seen_it_and_where_its_client_or_the_device
     let mut own = Bench { state: latched(id, FastStopCause::Requested), ..Bench::new() };
     own.send(id::FAST_STOP, &[]);
     let ask = own.order().ask;
-    own.answer(ask, Answer::FastStopped(FastStop { id, confirmed: true }));
+    own.answer(ask, PortReply::FastStopped(FastStop { id, confirmed: true }));
     assert!(acknowledges(&mut own), "its own");
     // A further one by somebody else is another.
     own.state = latched(FastStopId::generate(), FastStopCause::Requested);

@@ -6,13 +6,13 @@ use crate::wsg::Status;
 
 /// Why a request was not done, as the protocol has it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct Refusal {
+pub(super) struct RefusedStatus {
     pub status: Status,
     /// The FAST STOP that was in the way.
     pub fast_stop: Option<FastStopId>,
 }
 
-impl From<&Rejection> for Refusal {
+impl From<&Rejection> for RefusedStatus {
     fn from(rejection: &Rejection) -> Self {
         let fast_stop = match rejection {
             Rejection::Conflict(Conflict::FastStop { id }) => Some(*id),

@@ -17,10 +17,10 @@
 
 mod client;
 mod clients;
+mod connectivity;
 mod fast_stop;
 mod publications;
 mod queries;
-mod reach;
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -32,11 +32,11 @@ use zenoh::Wait as _;
 use zenoh::liveliness::LivelinessToken;
 
 use self::clients::Clients;
+pub use self::connectivity::Connectivity;
 use self::fast_stop::FastStops;
 use self::publications::Publications;
 use self::queries::Queries;
-pub use self::reach::Reach;
-use crate::fleet::Network;
+use crate::fleet::Peers;
 use crate::fleet::keys::Keys;
 use crate::interfaces::Context;
 
@@ -51,7 +51,7 @@ const FAREWELL_WITHIN: Duration = Duration::from_secs(1);
 #[derive(Debug, Clone)]
 pub struct Settings {
     /// Where it is to be reached.
-    pub reach: Reach,
+    pub connectivity: Connectivity,
     /// How often states and telemetry are published at most, a second and gripper.
     pub max_hz: u32,
 }
@@ -59,11 +59,11 @@ pub struct Settings {
 /// Serves until the gateway closes. Where Zenoh can't be had, the gateway is served without until it can; `opened` is told
 /// where others find it.
 pub async fn serve(settings: Settings, context: Context, opened: impl FnMut(&[String])) {
-    let Settings { reach, max_hz } = settings;
+    let Settings { connectivity, max_hz } = settings;
     let session = tokio::select! {
         biased;
         () = context.closing.cancelled() => return,
-        session = open_at_last(&reach, &context.gateway.network) => session,
+        session = open_at_last(&connectivity, &context.gateway.peers) => session,
     };
     let declared = tokio::select! {
         biased;
@@ -75,12 +75,12 @@ pub async fn serve(settings: Settings, context: Context, opened: impl FnMut(&[St
             tokio::select! {
                 biased;
                 () = context.closing.cancelled() => {}
-                () = reach.watch(&session, &context.gateway.network, opened) => {}
+                () = connectivity.watch(&session, &context.gateway.peers, opened) => {}
             }
         }
         Err(error) => {
             tracing::error!(%error, "Zenoh declares nothing: the grippers are served without it");
-            context.gateway.network.set_cause(Some(format!("Zenoh declares nothing: {error}")));
+            context.gateway.peers.set_cause(Some(format!("Zenoh declares nothing: {error}")));
         }
     }
     if tokio::time::timeout(FAREWELL_WITHIN, session.close()).await.is_err() {
@@ -89,12 +89,12 @@ pub async fn serve(settings: Settings, context: Context, opened: impl FnMut(&[St
 }
 
 /// Opens a session, and tries again where that fails.
-async fn open_at_last(reach: &Reach, network: &Network) -> zenoh::Session {
+async fn open_at_last(connectivity: &Connectivity, network: &Peers) -> zenoh::Session {
     let mut again_after = OPENED_AGAIN_AFTER;
     loop {
-        match open(reach.config.clone()).await {
+        match open(connectivity.config.clone()).await {
             Ok(session) => return session,
-            Err(error) => reach::say(network, Some(format!("Zenoh can't be opened: {error}"))),
+            Err(error) => connectivity::say(network, Some(format!("Zenoh can't be opened: {error}"))),
         }
         tokio::time::sleep(again_after).await;
         again_after = (again_after * 2).min(OPENED_AGAIN_AT_LEAST_EVERY);
@@ -124,11 +124,11 @@ async fn declare(
     FastStops::new(gateway.grippers.clone(), runtimes.accept.clone()).declare(session, &keys).await?;
     let clients = Arc::new(Clients::new(keys.clone(), Handle::current(), metrics.clone()));
     clients.declare(session).await?;
-    let instance = gateway.network.join(session).await?;
+    let instance = gateway.peers.join(session).await?;
     let queries = Queries::new(keys.clone(), gateway, clients, metrics.clone());
     Arc::new(queries).declare(session, &gateway.grippers).await?;
     let mut told = JoinSet::new();
-    told.spawn(gateway.network.watch_twins(session));
+    told.spawn(gateway.peers.watch_twins(session));
     for handle in gateway.grippers.iter() {
         let publications = Publications::declare(session, &keys, handle).await?;
         told.spawn_on(publications.tell(context.clone(), max_hz), &runtimes.observers);

@@ -16,14 +16,14 @@ use crate::fleet::keys::Keys;
 use crate::gripper::Handle;
 use crate::gripper::model::{Link, State};
 use crate::interfaces::Context;
-use crate::journal::{Filter, Followed, Stored};
+use crate::journal::{Filter, Stored, StreamItem};
 
 /// How often a state is told that has not changed: who counts on it sees by its silence that the gateway is gone, and
 /// one that was dropped on its way is made up for.
 const TOLD_EVERY: Duration = Duration::from_millis(500);
 
 /// How long events rest whose journal can't be read.
-const RESTS_FOR: Duration = Duration::from_secs(1);
+const READ_RETRY_PAUSE: Duration = Duration::from_secs(1);
 
 /// What one gripper publishes.
 pub struct Publications {
@@ -132,14 +132,14 @@ pub async fn tell_events(session: zenoh::Session, keys: Keys, context: Context) 
             event = events.next() => event,
         };
         match event {
-            Ok(Some(Followed::Event(event))) => publish_event(&session, &keys, event).await,
-            Ok(Some(Followed::Removed { missed, .. })) => {
+            Ok(Some(StreamItem::Event(event))) => publish_event(&session, &keys, event).await,
+            Ok(Some(StreamItem::Removed { missed, .. })) => {
                 tracing::warn!(missed, "events were too old before Zenoh had taken them");
             }
             Ok(None) => return,
             Err(error) => {
                 tracing::warn!(%error, "Zenoh's events can't be read");
-                tokio::time::sleep(RESTS_FOR).await;
+                tokio::time::sleep(READ_RETRY_PAUSE).await;
             }
         }
     }

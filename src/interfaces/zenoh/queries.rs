@@ -155,7 +155,7 @@ impl Queries {
         if !named(&method).any(operations::Operation::is_of_gripper) {
             return Err(Problem::not_found("such command: the API's description has them all"));
         }
-        if self.gateway.network.has_twin() && urgency(&method) == Urgency::None {
+        if self.gateway.peers.has_twin() && urgency(&method) == Urgency::None {
             let detail = "another gateway on the Zenoh network has the name of this one, and would do it, too: give each its own";
             return Err(Problem::new(Code::NameTaken, detail));
         }

@@ -3,7 +3,7 @@
 use super::*;
 
 /// The sequence numbers of the next events.
-async fn seqs(follow: &mut Follow, count: usize) -> Vec<i64> {
+async fn seqs(follow: &mut EventStream, count: usize) -> Vec<i64> {
     let mut seqs = Vec::new();
     while seqs.len() < count {
         seqs.push(next_event(follow).await.seq);

@@ -141,9 +141,9 @@ pub(super) fn record(journal: &Journal, event: Event) {
 }
 
 /// The next event that a follower is told.
-async fn next_event(follow: &mut Follow) -> Arc<Stored> {
+async fn next_event(follow: &mut EventStream) -> Arc<Stored> {
     match follow.next().await.unwrap() {
-        Some(Followed::Event(event)) => event,
+        Some(StreamItem::Event(event)) => event,
         other => panic!("{other:?}"),
     }
 }

@@ -14,8 +14,8 @@ async fn pruned(journal: &Journal, up_to: impl Fn(&serde_json::Value) -> bool) -
     let mut follow = journal.follow(Some(0), Filter { kind: Some(EventKind::Gateway), ..Filter::default() });
     loop {
         let event = match follow.next().await.unwrap().unwrap() {
-            Followed::Event(event) => event,
-            Followed::Removed { .. } => continue,
+            StreamItem::Event(event) => event,
+            StreamItem::Removed { .. } => continue,
         };
         let event: serde_json::Value = serde_json::from_str(&event.body).unwrap();
         if event["event"] == "pruned" && up_to(&event) {
@@ -58,10 +58,10 @@ async fn what_is_too_old_goes_and_what_is_left_is_proved() {
     removed(&journal, 600).await;
     // Who goes on behind one that is gone is told how many he misses.
     let mut follow = journal.follow(Some(10), Filter { gripper: Some(name("left")), ..Filter::default() });
-    assert_eq!(follow.next().await.unwrap(), Some(Followed::Removed { behind: 10, missed: 590 }));
+    assert_eq!(follow.next().await.unwrap(), Some(StreamItem::Removed { behind: 10, missed: 590 }));
     for mut follow in [follow, journal.follow(Some(600), Filter::default())] {
         let next = follow.next().await.unwrap();
-        assert!(matches!(&next, Some(Followed::Event(event)) if event.seq == 601), "{next:?}");
+        assert!(matches!(&next, Some(StreamItem::Event(event)) if event.seq == 601), "{next:?}");
     }
     let mut report = verify(&directory.journal()).unwrap();
     while report.grips > 1 {

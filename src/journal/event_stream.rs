@@ -14,7 +14,7 @@ use super::source::ReadError;
 
 /// What a follower is told.
 #[derive(Debug, PartialEq)]
-pub enum Followed {
+pub enum StreamItem {
     /// An event.
     Event(Arc<Stored>),
     /// So many events behind this one that are not there any more, of whatever gripper.
@@ -28,7 +28,7 @@ pub enum Followed {
 
 /// The events behind one, in order.
 #[derive(Debug)]
-pub struct Follow {
+pub struct EventStream {
     live: broadcast::Receiver<Arc<Stored>>,
     shared: Arc<Shared>,
     pool: Pool,
@@ -37,12 +37,12 @@ pub struct Follow {
     after: i64,
     /// Up to this one, events come from the file.
     until: i64,
-    read: VecDeque<Followed>,
+    read: VecDeque<StreamItem>,
     /// Whether there may be no such event yet as the one that is gone on behind.
     is_ahead: bool,
 }
 
-impl Follow {
+impl EventStream {
     pub(super) fn new(shared: &Arc<Shared>, pool: &Pool, after: Option<i64>, filter: Filter<EventKind>) -> Self {
         // Before it is looked what there is already: what comes between the two is seen twice rather than never.
         let live = shared.subscribe();
@@ -57,7 +57,7 @@ impl Follow {
     ///
     /// # Errors
     /// [`ReadError`], where older events can't be read. They are tried again by the next call.
-    pub async fn next(&mut self) -> Result<Option<Followed>, ReadError> {
+    pub async fn next(&mut self) -> Result<Option<StreamItem>, ReadError> {
         loop {
             if let Some(read) = self.read.pop_front() {
                 return Ok(Some(read));
@@ -78,7 +78,7 @@ impl Follow {
                 Ok(event) if event.seq == self.after + 1 => {
                     self.after = event.seq;
                     if self.filter.matches(&event) {
-                        return Ok(Some(Followed::Event(event)));
+                        return Ok(Some(StreamItem::Event(event)));
                     }
                 }
                 Ok(event) => self.until = event.seq,
@@ -102,8 +102,8 @@ impl Follow {
         };
         // What is removed beyond is told by the next look.
         let missed = first.map_or(until, |first| until.min(first - 1)) - after;
-        self.read.extend((missed > 0).then_some(Followed::Removed { behind: after, missed }));
-        self.read.extend(read.into_iter().map(Followed::Event));
+        self.read.extend((missed > 0).then_some(StreamItem::Removed { behind: after, missed }));
+        self.read.extend(read.into_iter().map(StreamItem::Event));
         Ok(())
     }
 }

@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use zenoh::config::EndPoint;
 
-use crate::fleet::Network;
+use crate::fleet::Peers;
 use crate::interfaces::sockets::remedy;
 
 /// How often it is looked at: at first, and where it takes longer.
@@ -22,7 +22,7 @@ const FILES: [&str; 5] =
 
 /// Where the gateway is to be reached, and how.
 #[derive(Debug, Clone)]
-pub struct Reach {
+pub struct Connectivity {
     /// Zenoh's own configuration.
     pub config: zenoh::Config,
     /// Where it is to listen.
@@ -31,10 +31,10 @@ pub struct Reach {
     pub connect: Vec<String>,
 }
 
-impl Reach {
+impl Connectivity {
     /// Watches for as long as it is polled; tells where it listens, and says on the network's behalf where it does not, or
     /// is connected to nothing, and why.
-    pub async fn watch(&self, session: &zenoh::Session, network: &Network, mut opened: impl FnMut(&[String])) {
+    pub async fn watch(&self, session: &zenoh::Session, network: &Peers, mut opened: impl FnMut(&[String])) {
         let (mut told, mut looks_after, mut was_connected) = (Vec::new(), LOOKS_AFTER, false);
         loop {
             let mut locators: Vec<_> = session.info().locators().await.iter().map(ToString::to_string).collect();
@@ -87,7 +87,7 @@ impl Reach {
 }
 
 /// Says why it is not on the network as it should be, or that it is: once.
-pub fn say(network: &Network, cause: Option<String>) {
+pub fn say(network: &Peers, cause: Option<String>) {
     if *network.cause().borrow() != cause {
         if let Some(cause) = &cause {
             tracing::warn!(cause, "Zenoh is not as it should be, and is tried again: the grippers are served");

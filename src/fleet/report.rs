@@ -9,7 +9,7 @@ use crate::gripper::model::{FastStopId, Name, Text};
 
 /// That part, as the gateway that owns the gripper has published it. What it calls things is bounded here.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
-pub(super) struct Told {
+pub(super) struct PeerReport {
     link: Text<32>,
     age_ms: Option<u64>,
     state: Option<Text<32>>,
@@ -22,7 +22,7 @@ pub(super) struct Told {
     lease_holder: Option<Text<64>>,
 }
 
-impl Told {
+impl PeerReport {
     /// Of a state's JSON; none where it is no state.
     pub(super) fn of(state: &[u8]) -> Option<Self> {
         serde_json::from_slice(state).ok()
