@@ -85,7 +85,9 @@ impl Call {
         let unknown = || Problem::not_found("gripper of this name");
         let name = self.params.part("gripper")?.parse().map_err(|_| unknown())?;
         let handle = self.gateway.grippers.get(&name).ok_or_else(unknown)?.clone();
-        let Caller { client, lease, presence, .. } = self.caller.clone();
+        let Caller { client, lease, request_id, presence, .. } = self.caller.clone();
+        // An invalid request id is refused by operations that do not need one, too.
+        let lease = lease.and_then(|lease| request_id.map(|_| lease));
         let used = lease.as_ref().ok().and_then(Option::as_ref).map(|lease| LeaseUse::begin(&handle, lease, presence));
         Ok(Gripper { handle, client, lease, used, presence })
     }
@@ -251,5 +253,15 @@ mod tests {
             let left_then = left().await;
             assert!(left_then > 59_500, "{presence:?}: {left_then}");
         }
+    }
+
+    #[tokio::test]
+    async fn invalid_request_id_is_refused_by_a_read() {
+        let gateway = Gateway::of([fake::gripper("left", Script::default()).0]);
+        let client = Client { subject: "test".into(), door: Door::Http };
+        let request_id = Err(Problem::malformed("Idempotency-Key", "invalid"));
+        let caller = Caller { request_id, ..Caller::new(client) };
+        assert!(call(&gateway, caller.clone(), "state", json!({"gripper": "left"})).await.is_err());
+        assert!(call(&gateway, caller, "fast-stop", json!({"gripper": "left"})).await.is_ok());
     }
 }

@@ -37,7 +37,7 @@ fn served() -> Router<Arc<Context>> {
     routes.layer(Extension(Arc::new(docs::Documents::new(document)))).layer(CatchPanicLayer::custom(panicked))
 }
 
-/// The document of what [`router`] serves.
+/// The document of what `router` serves.
 #[must_use]
 pub fn openapi() -> OpenApi {
     routes().into_openapi()
