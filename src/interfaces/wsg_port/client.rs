@@ -134,6 +134,8 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
         // What it has sent before it left counts: many announce and leave.
         while let Some(Ok(bytes)) = self.read_now().filter(|read| !matches!(read, Ok(0))) {
             tracing::trace!(bytes, "read after the end");
+            // The grippers' actors run on the same thread.
+            tokio::task::yield_now().await;
         }
         self.start_orders();
         if self.device.has_announced() {

@@ -238,7 +238,7 @@ impl VirtualDevice {
 
     /// Whether its client doesn't read what it asks for.
     pub(super) fn has_overflown(&self) -> bool {
-        self.overflown
+        self.overflown || self.input.is_garbage()
     }
 
     fn take_requests(&mut self, now: Instant, state: &State) {

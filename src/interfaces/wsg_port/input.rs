@@ -29,20 +29,36 @@ pub(super) struct Input {
     decoder: Decoder,
     evaluation: ChecksumEvaluation,
     partial_until: Option<Instant>,
+    /// Damaged frames since the last good one.
+    damaged: u32,
 }
+
+/// Damaged frames in a row after which a client's bytes are not read any more. Each may cost the checksum of 4 KiB.
+const MAX_DAMAGED: u32 = 64;
 
 impl Input {
     pub(super) fn new(evaluation: ChecksumEvaluation) -> Self {
-        Self { decoder: Decoder::new(max_request_bytes, evaluation), evaluation, partial_until: None }
+        Self { decoder: Decoder::new(max_request_bytes, evaluation), evaluation, partial_until: None, damaged: 0 }
+    }
+
+    /// Whether the bytes make so little sense that no more are read.
+    pub(super) fn is_garbage(&self) -> bool {
+        self.damaged >= MAX_DAMAGED
     }
 
     /// Takes bytes. Call [`Input::next`] until it returns `None` afterwards.
     pub(super) fn push(&mut self, now: Instant, bytes: &[u8]) {
+        if self.is_garbage() {
+            return;
+        }
         self.decoder.push(bytes);
         self.partial_until = Some(now + PARTIAL_WITHIN);
     }
 
     pub(super) fn next(&mut self) -> Option<Request> {
+        if self.is_garbage() {
+            return None;
+        }
         if let Some(announcement) = self.short_announcement() {
             return Some(announcement);
         }
@@ -51,6 +67,7 @@ impl Input {
             // It may stand behind garbage.
             return self.short_announcement();
         };
+        self.damaged = if matches!(decoded, Decoded::Damaged { .. }) { self.damaged + 1 } else { 0 };
         Some(match decoded {
             Decoded::Frame(frame) => Request { id: frame.id, command: parse(frame.id, frame.payload) },
             Decoded::Damaged { id } => Request { id, command: Err(Status::E_CHECKSUM_ERROR) },
@@ -168,5 +185,15 @@ mod tests {
         let bytes = [&[0xAA, 0xAA, 0xAA, 0x07, 0xFF, 0xFF][..], &frame(id::FAST_STOP, &[])].concat();
         let found = requests(ChecksumEvaluation::On, &bytes, bytes.len());
         assert_eq!(found.last(), Some(&(id::FAST_STOP, Ok(Command::FastStop))));
+    }
+
+    #[test]
+    fn garbage_is_read_within_a_bound() {
+        let mut input = Input::new(ChecksumEvaluation::On);
+        let header = [0xAA, 0xAA, 0xAA, 0xB5, 0x00, 0x10];
+        input.push(Instant::now(), &header.repeat(4000));
+        let damaged = std::iter::from_fn(|| input.next()).count();
+        assert_eq!(damaged, MAX_DAMAGED as usize);
+        assert!(input.is_garbage());
     }
 }
