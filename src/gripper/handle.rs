@@ -324,18 +324,25 @@ impl Handle {
     pub async fn fast_stop(&self, id: FastStopId, client: Client, reason: Reason) -> FastStop {
         let at = clock::instant();
         let mut states = self.states();
+        let latch_epoch = |state: &State| state.latch.as_ref().map_or(0, |latch| latch.epoch);
+        let before = latch_epoch(&states.borrow());
+        let (epoch, latched) = oneshot::channel();
+        let request = FastStopRequest { id, client, cause: FastStopCause::Requested, reason, at, epoch: Some(epoch) };
         let stop = async {
-            let (epoch, latched) = oneshot::channel();
-            let (cause, epoch) = (FastStopCause::Requested, Some(epoch));
-            self.fast_stops.send(FastStopRequest { id, client, cause, reason, at, epoch }).await.ok()?;
-            let epoch = latched.await.ok()?;
+            let (epoch, joins) = match self.fast_stops.try_send(request) {
+                Ok(()) => (latched.await.ok()?, false),
+                // So many that wait stop the gripper already: this one joins the next of them.
+                Err(mpsc::error::TrySendError::Full(_)) => (before + 1, true),
+                Err(mpsc::error::TrySendError::Closed(_)) => return None,
+            };
             let confirmed_by = |state: &Arc<State>| {
                 state.latch.as_ref().is_some_and(|latch| latch.epoch >= epoch && latch.fast_stop_confirmed)
             };
-            states.wait_for(confirmed_by).await.ok().map(drop)
+            let state = states.wait_for(confirmed_by).await.ok()?;
+            joins.then(|| state.latch.as_ref().map(|latch| latch.fast_stop_id)).flatten().or(Some(id))
         };
-        let confirmed = tokio::time::timeout(FAST_STOP_WAIT, stop).await.is_ok_and(|confirmed| confirmed.is_some());
-        FastStop { id, confirmed }
+        let confirmed = tokio::time::timeout(FAST_STOP_WAIT, stop).await.ok().flatten();
+        FastStop { id: confirmed.unwrap_or(id), confirmed: confirmed.is_some() }
     }
 
     /// Acknowledges the FAST STOP of this id, and returns when the device's flags show that it is gone.

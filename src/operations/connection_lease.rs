@@ -1,6 +1,6 @@
 //! A lease that ends with its client's connection.
 
-use crate::gripper::model::{LeaseToken, Name};
+use crate::gripper::model::{Lease, LeaseToken, Name};
 use crate::gripper::{Handle, LeaseKeepAlive};
 
 /// An acquired lease, as an interface keeps it that sees its client's end. HTTP, which does not, drops it.
@@ -8,25 +8,33 @@ use crate::gripper::{Handle, LeaseKeepAlive};
 pub struct ConnectionLease {
     handle: Handle,
     token: LeaseToken,
+    epoch: u64,
     takes: u64,
     /// Where its taker has not said how long it lives without use: as long as the connection.
     _keep: Option<LeaseKeepAlive>,
 }
 
 impl ConnectionLease {
-    /// Returns the lease of this token, as taken this many times.
-    pub fn new(handle: Handle, token: LeaseToken, takes: u64, keep: Option<LeaseKeepAlive>) -> Self {
-        Self { handle, token, takes, _keep: keep }
+    /// Returns a lease that has a token, as taken this many times.
+    pub fn new(handle: Handle, lease: &Lease, takes: u64, keep: Option<LeaseKeepAlive>) -> Option<Self> {
+        Some(Self { handle, token: lease.token.clone()?, epoch: lease.epoch, takes, _keep: keep })
     }
 
     /// The same, which runs out without use.
     pub fn without_keep(&self) -> Self {
-        Self { handle: self.handle.clone(), token: self.token.clone(), takes: self.takes, _keep: None }
+        let (handle, token) = (self.handle.clone(), self.token.clone());
+        Self { handle, token, epoch: self.epoch, takes: self.takes, _keep: None }
     }
 
     /// Whether it is the lease of this token.
     pub fn is(&self, token: &str) -> bool {
         self.token.as_str() == token
+    }
+
+    /// Whether it is held: no longer once another client has the lease, or nobody.
+    pub fn is_held(&self) -> bool {
+        let state = self.handle.state();
+        state.lease_holder.is_some() && state.lease_epoch == self.epoch
     }
 
     /// Of which gripper.

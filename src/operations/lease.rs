@@ -86,7 +86,7 @@ async fn take(call: Call) -> Result<Reply, Problem> {
     let (handle, has_ttl) = (gripper.handle, take.ttl.is_some());
     let AcquiredLease { lease, times_taken, keep } = handle.take_lease(take).await?;
     let keep = keep.filter(|_| !has_ttl);
-    let leased = lease.token.clone().map(|token| ConnectionLease::new(handle, token, times_taken, keep));
+    let leased = ConnectionLease::new(handle, &lease, times_taken, keep);
     Reply::new(&lease, leased.map_or(Effect::None, |lease| Effect::Leased(Arc::new(lease))))
 }
 

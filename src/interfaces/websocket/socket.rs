@@ -96,7 +96,7 @@ pub struct Socket {
     pings: Interval,
     /// Pings since anything came from the client.
     unanswered: u32,
-    pace: RequestPace,
+    pace: Arc<RequestPace>,
     /// Until then the socket is not read, where it sends faster than the pace.
     paused_until: Option<Instant>,
     _connected: Connected,
@@ -198,7 +198,7 @@ impl Socket {
             leases: HashMap::new(),
             pings,
             unanswered: 0,
-            pace: RequestPace::default(),
+            pace: Arc::default(),
             paused_until: None,
             _connected: context.metrics.connected(),
             context,
@@ -268,6 +268,8 @@ impl Socket {
                 },
                 () = sleep_until(paused_until), if self.paused_until.is_some() => self.paused_until = None,
                 _ = self.pings.tick() => {
+                    // A connection whose lease another client has is evicted like all others.
+                    self.leases.retain(|_, (lease, _)| lease.is_held());
                     if self.unanswered >= MAX_UNANSWERED {
                         return End::Lost;
                     }
@@ -366,8 +368,12 @@ impl Socket {
         }
         let (gateway, client, metrics) =
             (self.context.gateway.clone(), self.client.clone(), self.context.metrics.clone());
-        let is_urgent = urgency(&method) != Urgency::None;
+        let (is_urgent, pace) = (urgency(&method) != Urgency::None, self.pace.clone());
         let answered = async move {
+            // Those of a batch come at once.
+            if is_fast_stop(&method) {
+                pace.next_fast_stop().await;
+            }
             let result = crate::operations::call(&gateway, Caller::new(client), &method, params).await;
             let status = result.as_ref().map_or_else(|problem| problem.status().as_u16(), |_| 200);
             metrics.answered(Some(&method), "CALL", status);
