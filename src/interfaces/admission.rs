@@ -30,6 +30,10 @@ use table::{Id, Table};
 /// before its eviction.
 const LINGER: Duration = Duration::from_millis(100);
 
+/// Places beside the reserved ones for connections whose first line is there. They leave it within microseconds, so their
+/// descriptors are among those that the gateway keeps for itself.
+const FOR_COMPLETE_LINES: usize = 4;
+
 /// The connections of one listener.
 #[derive(Debug)]
 pub struct Admission {
@@ -48,7 +52,7 @@ impl Admission {
     #[must_use]
     pub fn new(bounds: Bounds) -> Arc<Self> {
         let (table, tracker) = (Mutex::new(Table::new(bounds)), TaskTracker::new());
-        let reserve = Arc::new(Semaphore::new(bounds.reserved));
+        let reserve = Arc::new(Semaphore::new(bounds.reserved + FOR_COMPLETE_LINES));
         Arc::new(Self { table, ended: Notify::new(), released: Notify::new(), tracker, reserve })
     }
 
@@ -76,14 +80,11 @@ impl Admission {
         self.table().is_crowded()
     }
 
-    /// A place to look at a connection while too many are leaving, if there is one.
-    pub fn reserved(&self) -> Option<OwnedSemaphorePermit> {
-        self.reserve.clone().try_acquire_owned().ok()
-    }
-
-    /// The next such place; none once the gateway ends.
-    pub async fn next_reserved(&self) -> Option<OwnedSemaphorePermit> {
-        self.reserve.clone().acquire_owned().await.ok()
+    /// A place to look at a connection while too many are leaving, if there is one. Some are only for connections whose first
+    /// line is there, and which leave their place within microseconds: others may take as long as a line may.
+    pub fn reserved(&self, has_line: bool) -> Option<OwnedSemaphorePermit> {
+        let has_room = has_line || self.reserve.available_permits() > FOR_COMPLETE_LINES;
+        has_room.then(|| self.reserve.clone().try_acquire_owned().ok()).flatten()
     }
 
     /// Closes the oldest connection that has no claim, where the process is out of descriptors.

@@ -208,7 +208,6 @@ impl Table {
             WhenFull::Evict => true,
             WhenFull::Share => self.entries.get(&id).is_some_and(|entry| has(&entry.peer) > has(&newcomer) + 1),
             WhenFull::Refuse => false,
-            WhenFull::Enter => return true,
         };
         if gives_way {
             self.give_way(id, class);

@@ -153,3 +153,12 @@ fn all_are_evicted_on_closing() {
     closing.cancel();
     assert!(is_evicted(&permit));
 }
+
+#[tokio::test]
+async fn pinned_connections_are_bounded() {
+    let admission = Admission::new(Bounds::of(Bounds::MAX_DESCRIPTORS));
+    let closing = CancellationToken::new();
+    let permits: Vec<_> = (0..100).map(|_| Arc::new(admission.admit(HERE, &closing))).collect();
+    let pins: Vec<_> = permits.iter().filter_map(|permit| permit.claim(Class::Pinned)).collect();
+    assert!((1..=64).contains(&pins.len()), "{}", pins.len());
+}

@@ -84,10 +84,6 @@ const ROOM_WITHIN: Duration = Duration::from_millis(10);
 /// How long accepting does not wait again after that was in vain.
 const STALLED_FOR: Duration = Duration::from_millis(200);
 
-/// How long a FAST STOP waits in a crowd for a place to look at it. Each place is free again after twice
-/// [`FIRST_LINE_WITHIN`].
-const RESERVED_WITHIN: Duration = Duration::from_millis(50);
-
 /// How long the rest of a first line may take, where its beginning is there.
 const FIRST_LINE_WITHIN: Duration = Duration::from_millis(20);
 
@@ -158,7 +154,7 @@ impl Server {
             match listener.accept().await {
                 Ok((stream, peer)) if self.admission.is_crowded() => {
                     // They end where others are served, which may be busy. A FAST STOP waits for none of them.
-                    if let Some(place) = self.reserved_for(&stream).await {
+                    if let Some(place) = self.reserved_for(&stream) {
                         tokio::spawn(self.clone().admit_fast_stop(stream, peer, place));
                     }
                 }
@@ -176,17 +172,12 @@ impl Server {
         }
     }
 
-    /// A place to look at a connection in a crowd. Only a FAST STOP is waited for, whose first bytes are there.
-    async fn reserved_for(&self, stream: &TcpStream) -> Option<OwnedSemaphorePermit> {
-        if let Some(place) = self.admission.reserved() {
-            return Some(place);
-        }
+    /// A place to look at a connection in a crowd. A FAST STOP whose first line is there finds one where others don't.
+    fn reserved_for(&self, stream: &TcpStream) -> Option<OwnedSemaphorePermit> {
         let mut first = [0; FIRST_BYTES];
         let seen = peek_now(stream, &mut first);
-        if !may_be_fast_stop(first.get(..seen)?) {
-            return None;
-        }
-        timeout(RESERVED_WITHIN, self.admission.next_reserved()).await.ok().flatten()
+        let first = first.get(..seen)?;
+        self.admission.reserved(first.contains(&b'\n') && may_be_fast_stop(first))
     }
 
     /// Admits a connection only where it begins with a FAST STOP.
