@@ -6,11 +6,14 @@ use std::sync::Arc;
 use tokio::sync::broadcast;
 use tokio::sync::broadcast::error::RecvError;
 
-use super::query::{Cursor, EventQuery, Filter, Order};
+use super::query::{Cursor, EventQuery, Filter, Limit, Order};
 use super::reader::{Pool, Reader};
 use super::row::{EventKind, Stored};
 use super::shared::Shared;
 use super::source::ReadError;
+
+/// Events that are read at once: a thousand followers that read nothing hold as many each.
+const PAGE: u64 = 16;
 
 /// What a follower is told.
 #[derive(Debug, PartialEq)]
@@ -91,7 +94,13 @@ impl EventStream {
     async fn catch_up(&mut self) -> Result<(), ReadError> {
         let (after, until) = (self.after, self.until);
         let (filter, cursor) = (self.filter.clone(), Some(Cursor::behind(after)));
-        let query = EventQuery { filter, cursor, order: Order::Oldest, ..EventQuery::default() };
+        let query = EventQuery {
+            filter,
+            cursor,
+            order: Order::Oldest,
+            limit: Limit::new(PAGE).unwrap_or_default(),
+            ..EventQuery::default()
+        };
         let (first, page) = self.pool.read(move |reader| reader.events_and_first(&query, until)).await?;
         let read = page.bodies.into_iter().map(|body| Stored::of(body).map(Arc::new));
         let read = read.collect::<Result<Vec<_>, _>>();

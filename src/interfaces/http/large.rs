@@ -3,6 +3,7 @@
 
 use std::convert::Infallible;
 use std::sync::Arc;
+use std::time::Duration;
 
 use axum::body::{Body, Bytes, HttpBody as _};
 use axum::extract::{Request, State};
@@ -12,6 +13,7 @@ use axum::response::{IntoResponse as _, Response};
 use futures_util::stream::unfold;
 use http_body_util::BodyExt as _;
 use tokio::sync::Semaphore;
+use tokio::time::timeout;
 
 use crate::interfaces::admission::ConnectionPermit;
 use crate::operations::{Code, Problem};
@@ -22,12 +24,16 @@ const COUNTED_FROM: u64 = 16 * 1024;
 /// Bytes of an answer that are handed over at once.
 const PART_BYTES: usize = 16 * 1024;
 
-/// Reads of the journal that may be under way: each may take long, and takes a slot of those that answer requests.
-pub const MAX_READS: usize = 64;
+/// Reads of the journal that may be under way: each holds up to a thousand records, which are counted only once the answer
+/// is made.
+pub const MAX_READS: usize = 8;
+
+/// Time that a read waits for its place.
+const PLACE_TIME: Duration = Duration::from_secs(2);
 
 /// The middleware, with the places for reads.
 pub async fn count(State(places): State<Arc<Semaphore>>, request: Request, next: Next) -> Response {
-    let Ok(_place) = places.try_acquire() else {
+    let Ok(Ok(_place)) = timeout(PLACE_TIME, places.acquire()).await else {
         let detail = format!("{MAX_READS} requests read the journal already: try again when some have been answered");
         return Problem::new(Code::Overloaded, detail).into_response();
     };
