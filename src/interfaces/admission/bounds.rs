@@ -31,6 +31,8 @@ pub(super) enum WhenFull {
     Share,
     /// The newcomer is refused, and so is one whose peer has three quarters of the class.
     Refuse,
+    /// The newcomer is refused, and keeps the slot of another class.
+    Enter,
 }
 
 impl Class {
@@ -38,7 +40,8 @@ impl Class {
         match self {
             Self::Incoming | Self::Idle | Self::Urgent => WhenFull::Evict,
             Self::Waiting | Self::Streaming => WhenFull::Share,
-            Self::Answering | Self::Pinned => WhenFull::Refuse,
+            Self::Answering => WhenFull::Refuse,
+            Self::Pinned => WhenFull::Enter,
         }
     }
 }
@@ -71,36 +74,35 @@ const URGENT: usize = 128;
 const WAITING: usize = 256;
 /// WebSockets and event streams: a thousand observers.
 const STREAMING: usize = 1024;
-/// Holders of leases. A gripper has one; the rest have lost theirs within the last second.
-const PINNED: usize = 64;
 /// Connections that were evicted and still deliver an answer.
 const LEAVING: usize = 128;
 /// Connections that are looked at while too many are leaving. Only those that begin with a FAST STOP are admitted then.
 const RESERVED: usize = 64;
 
+/// Holders of leases, at most. A gripper has one; the rest have lost theirs within the last second.
+const PINNED: usize = 16;
+
 /// Descriptors of a stream: a WebSocket's reader and writer have one each.
 const STREAMING_DESCRIPTORS: usize = 2;
 
 impl Bounds {
+    /// Connections that may be pinned: a quarter of the streams, which most of them are.
+    pub(super) fn pinned(&self) -> usize {
+        (self.of_class(Class::Streaming) / 4).clamp(1, PINNED)
+    }
+
     /// The most descriptors that a listener's connections ever take, those that are still ending among them.
-    pub const MAX_DESCRIPTORS: usize = INCOMING
-        + IDLE
-        + ANSWERING
-        + URGENT
-        + WAITING
-        + (STREAMING + PINNED) * STREAMING_DESCRIPTORS
-        + LEAVING
-        + RESERVED;
+    pub const MAX_DESCRIPTORS: usize =
+        INCOMING + IDLE + ANSWERING + URGENT + WAITING + STREAMING * STREAMING_DESCRIPTORS + LEAVING + RESERVED;
 
     /// The fewest descriptors, which leave each class one slot.
-    pub const MIN_DESCRIPTORS: usize = 11;
+    pub const MIN_DESCRIPTORS: usize = 9;
 
     /// Shares out this many descriptors: [`Bounds::MAX_DESCRIPTORS`] or fewer.
     #[must_use]
     pub fn of(descriptors: usize) -> Self {
-        let descriptors = descriptors.clamp(Self::MIN_DESCRIPTORS, Self::MAX_DESCRIPTORS);
-        let beyond = descriptors - Self::MIN_DESCRIPTORS;
-        let share = |most: usize| 1 + (most - 1) * beyond / (Self::MAX_DESCRIPTORS - Self::MIN_DESCRIPTORS);
+        let descriptors = descriptors.min(Self::MAX_DESCRIPTORS);
+        let share = |most: usize| (most * descriptors / Self::MAX_DESCRIPTORS).max(1);
         let mut classes = [usize::MAX; CLASSES];
         for (class, most) in [
             (Class::Incoming, INCOMING),
@@ -109,15 +111,13 @@ impl Bounds {
             (Class::Urgent, URGENT),
             (Class::Waiting, WAITING),
             (Class::Streaming, STREAMING),
-            (Class::Pinned, PINNED),
         ] {
             classes[class as usize] = share(most);
         }
         let (leaving, reserved) = (share(LEAVING), share(RESERVED));
         // The remainder goes to keep-alive connections.
         let bounded: usize = classes.iter().filter(|most| **most < usize::MAX).sum();
-        let streams = classes[Class::Streaming as usize] + classes[Class::Pinned as usize];
-        let taken = bounded + streams * (STREAMING_DESCRIPTORS - 1) + leaving + reserved;
+        let taken = bounded + classes[Class::Streaming as usize] * (STREAMING_DESCRIPTORS - 1) + leaving + reserved;
         classes[Class::Idle as usize] += descriptors.saturating_sub(taken);
         Self { classes, leaving, reserved, held_bytes: HELD_BYTES }
     }

@@ -197,6 +197,9 @@ impl Table {
     fn make_room(&mut self, class: Class, newcomer: Peer) -> bool {
         let (members, most) = (&self.classes[class as usize], self.bounds.of_class(class));
         let has = |peer: &Peer| members.peers.get(peer).map_or(0, BTreeSet::len);
+        if class == Class::Pinned {
+            return members.count < self.bounds.pinned();
+        }
         if class.when_full() == WhenFull::Refuse && has(&newcomer) >= (most - most / 4).max(1) {
             return false;
         }
@@ -208,6 +211,7 @@ impl Table {
             WhenFull::Evict => true,
             WhenFull::Share => self.entries.get(&id).is_some_and(|entry| has(&entry.peer) > has(&newcomer) + 1),
             WhenFull::Refuse => false,
+            WhenFull::Enter => false,
         };
         if gives_way {
             self.give_way(id, class);
