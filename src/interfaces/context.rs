@@ -1,4 +1,4 @@
-//! What an interface serves, and on what.
+//! The gateway that an interface serves, with its runtimes.
 
 use std::sync::Arc;
 
@@ -8,7 +8,7 @@ use super::metrics::Metrics;
 use super::runtimes::Runtimes;
 use crate::operations::Gateway;
 
-/// What an interface serves, and on what.
+/// The gateway that an interface serves, with its runtimes.
 #[derive(Debug, Clone)]
 pub struct Context {
     /// The gateway that operations work on.
@@ -17,6 +17,6 @@ pub struct Context {
     pub closing: CancellationToken,
     /// Runtimes that serve clients.
     pub runtimes: Runtimes,
-    /// What the interface counts.
+    /// Figures of the interface.
     pub metrics: Metrics,
 }

@@ -28,12 +28,12 @@ const HELD_BACK_FOR: Duration = Duration::from_millis(50);
 /// And how many wait at a time: they keep connections busy, of which a FAST STOP needs one. More are answered at once.
 const MAX_HELD_BACK: usize = 64;
 
-/// Who was refused what, and why.
+/// A kind of refused request.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct RefusedRequest {
-    /// Where it was meant for one.
+    /// The gripper, where the request names one.
     pub gripper: Option<Name>,
-    /// Who asked.
+    /// The client.
     pub client: Client,
     /// For what.
     pub command: String,
@@ -51,7 +51,7 @@ pub struct Audit {
 }
 
 impl Audit {
-    /// That are written into this journal.
+    /// Returns an audit that writes into this journal.
     #[must_use]
     pub fn new(journal: Journal) -> Self {
         Self { journal, counted: Mutex::default(), held_back: Semaphore::new(MAX_HELD_BACK) }

@@ -49,7 +49,7 @@ pub struct Call {
     pub gateway: Arc<Gateway>,
     /// The client that asks.
     pub caller: Caller,
-    /// What it asks for.
+    /// Parameters of the request.
     pub params: Params,
 }
 

@@ -10,7 +10,7 @@ pub struct ConnectionLease {
     token: LeaseToken,
     epoch: u64,
     takes: u64,
-    /// Where its taker has not said how long it lives without use: as long as the connection.
+    /// Keeps a lease without a time of its own for as long as the connection lives.
     _keep: Option<LeaseKeepAlive>,
 }
 
@@ -37,7 +37,7 @@ impl ConnectionLease {
         state.lease_holder.is_some() && state.lease_epoch == self.epoch
     }
 
-    /// Of which gripper.
+    /// The gripper's name.
     pub fn gripper(&self) -> &Name {
         self.handle.name()
     }

@@ -2,7 +2,6 @@
 //!
 //! A client that asks for a FAST STOP gets it, whatever its parameters: they only give a reason.
 
-use bytes::Bytes;
 use http::Method as Verb;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
@@ -12,7 +11,7 @@ use utoipa::openapi::schema::{ObjectBuilder, SchemaType};
 use utoipa::openapi::{RefOr, Schema};
 use utoipa::{PartialSchema, ToSchema};
 
-use super::call::{Call, Fields};
+use super::call::Call;
 use super::operation::{Operation, Role, reply};
 use super::problem::Problem;
 use super::reply::Json;
@@ -82,18 +81,9 @@ pub struct AllFastStopAnswer {
     unconfirmed: Vec<String>,
 }
 
-/// The longest text that is searched for a reason. All FAST STOPs are served on one runtime, and a large text takes time.
-const MAX_REASON_BYTES: usize = 4 * 1024;
-
 /// Returns the reason of a FAST STOP; none where the parameters can't be parsed.
 pub(super) fn reason(call: &Call) -> Reason {
-    let is_short = |text: &Bytes| text.len() <= MAX_REASON_BYTES;
-    let is_read = match &call.params.fields {
-        Fields::Text(text) => is_short(text),
-        Fields::Object(_) => true,
-    };
-    let reason = is_read.then(|| call.lenient_text("reason")).flatten();
-    Reason::truncated(&reason.unwrap_or_default())
+    Reason::truncated(&call.lenient_text("reason").unwrap_or_default())
 }
 
 /// Notes the id of a FAST STOP in the log of its request.

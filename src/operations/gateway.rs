@@ -9,7 +9,7 @@ use crate::gripper::Grippers;
 use crate::gripper::model::Name;
 use crate::journal::Journal;
 
-/// What operations work on.
+/// State that operations work on.
 #[derive(Debug, Clone)]
 pub struct Gateway {
     /// The gateway's name.

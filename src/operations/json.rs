@@ -28,9 +28,16 @@ pub fn parse<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
     Ok(parsed)
 }
 
-/// Returns a text among the members of an object; none where `bytes` are not JSON.
+/// The longest text that is searched for a member whatever else it has. All FAST STOPs are served on one runtime, and a
+/// large text takes time.
+const MAX_SEARCHED_BYTES: usize = 4 * 1024;
+
+/// Returns a text among the members of an object; none where `bytes` are not JSON, or too many.
 #[must_use]
 pub fn text_member(bytes: &[u8], key: &str) -> Option<String> {
+    if bytes.len() > MAX_SEARCHED_BYTES {
+        return None;
+    }
     serde_json::from_slice::<Value>(bytes).ok()?.get(key)?.as_str().map(ToOwned::to_owned)
 }
 

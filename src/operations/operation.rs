@@ -11,15 +11,15 @@ use crate::gripper::model::Urgency;
 /// An operation.
 #[derive(Debug, Clone, Copy)]
 pub struct Operation {
-    /// Its name: WebSocket's method, and the last part of Zenoh's command key.
+    /// Name: WebSocket's method, and the last part of Zenoh's command key.
     pub name: &'static str,
     /// HTTP's method.
     pub verb: &'static Verb,
-    /// HTTP's path, below the API's. What it names stands among the parameters of the other interfaces.
+    /// HTTP's path, below the API's. The other interfaces have its variables among the parameters.
     pub path: &'static str,
     /// The role that it needs.
     pub role: Role,
-    /// What it may wait behind.
+    /// Requests that it may wait behind.
     pub urgency: Urgency,
     /// Whether it starts a command, whose end is reported later.
     pub starts_command: bool,
@@ -30,7 +30,7 @@ pub struct Operation {
 
 type Run = fn(Call) -> BoxFuture<'static, Result<Reply, Problem>>;
 
-/// What a client is entitled to.
+/// Operations that a client is entitled to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Role {
     /// Stops only: a light curtain's box.
@@ -95,14 +95,14 @@ impl Operation {
         self.path.split('/').filter_map(|part| part.strip_prefix('{')?.strip_suffix('}'))
     }
 
-    /// The subject of the operation in the journal: the last part of its path that is no parameter.
+    /// The subject of the operation in the journal: the last fixed part of its path.
     #[must_use]
     pub fn subject(&self) -> &'static str {
         subject(self.path)
     }
 }
 
-/// The last part of a path's template that is no parameter.
+/// The last fixed part of a path's template.
 #[must_use]
 pub fn subject(template: &str) -> &str {
     template.rsplit('/').find(|part| !part.starts_with('{')).unwrap_or_default()

@@ -27,7 +27,7 @@ macro_rules! codes {
                 match self { $(Self::$name => StatusCode::$status),* }
             }
 
-            /// As clients are told.
+            /// The code as clients see it.
             fn word(self) -> String {
                 serde_json::to_value(self).ok().and_then(|code| Some(code.as_str()?.to_owned())).unwrap_or_default()
             }
@@ -255,19 +255,19 @@ impl Problem {
         self.0.is_recorded
     }
 
-    /// What is wrong, for programs.
+    /// The code for programs.
     #[must_use]
     pub fn code(&self) -> Code {
         self.0.code
     }
 
-    /// The code as clients are told.
+    /// The code as clients see it.
     #[must_use]
     pub fn code_word(&self) -> String {
         self.0.code.word()
     }
 
-    /// What is wrong, for people.
+    /// The description for people.
     #[must_use]
     pub fn detail(&self) -> &str {
         &self.0.detail

@@ -15,11 +15,11 @@ use crate::gripper::model::Name;
 pub struct Reply {
     /// The result as JSON.
     pub body: Box<RawValue>,
-    /// What goes on after the reply.
+    /// Command or lease that outlives the reply.
     pub effect: Effect,
 }
 
-/// What goes on after a reply.
+/// A command or lease that outlives a reply.
 #[derive(Debug)]
 pub enum Effect {
     /// Nothing.
@@ -39,7 +39,7 @@ pub enum Effect {
 #[derive(Debug)]
 pub struct Json<T>(pub T);
 
-/// What the function of an operation may return.
+/// A result that the function of an operation may return.
 pub(super) trait IntoReply {
     fn into_reply(self) -> Result<Reply, Problem>;
 }

@@ -24,7 +24,7 @@ use crate::gripper::model::Urgency;
 /// delayed, unless the operation is urgent.
 ///
 /// # Errors
-/// The problem that the caller is told.
+/// The problem for the caller.
 pub async fn run(
     gateway: &Arc<Gateway>,
     operation: &'static Operation,
@@ -59,7 +59,7 @@ pub async fn run(
 /// among them.
 ///
 /// # Errors
-/// The problem that the caller is told.
+/// The problem for the caller.
 pub async fn call(gateway: &Arc<Gateway>, caller: Caller, name: &str, params: Value) -> Result<Reply, Problem> {
     if !is_fast_stop(name) {
         let (operation, params) = resolve(name, params)?;
@@ -76,7 +76,7 @@ pub async fn call(gateway: &Arc<Gateway>, caller: Caller, name: &str, params: Va
     run(gateway, operation.unwrap_or(&fast_stop::ALL), caller, Params { fields, ..Params::default() }).await
 }
 
-/// Finds the operation of a name, and divides its parameters. Of several operations, the first counts whose path's
+/// Finds the operation of a name, and divides its parameters. The first operation counts whose path's
 /// parameters are all given.
 fn resolve(name: &str, params: Value) -> Result<(&'static Operation, Params), Problem> {
     let first = named(name).next().ok_or_else(|| Problem::not_found(format!("method {:?}", shortened(name))))?;

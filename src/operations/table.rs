@@ -72,7 +72,7 @@ pub fn urgency(name: &str) -> Urgency {
     named(name).next().map_or(Urgency::None, |operation| operation.urgency)
 }
 
-/// As much of a client's text as an answer repeats.
+/// Returns as much of a client's text as an answer repeats.
 pub(super) fn shortened(text: &str) -> String {
     text.chars().take(32).collect()
 }

@@ -31,8 +31,6 @@ pub(super) enum WhenFull {
     Share,
     /// The newcomer is refused, and so is one whose peer has three quarters of the class.
     Refuse,
-    /// The newcomer is refused, and keeps the slot of another class.
-    Enter,
 }
 
 impl Class {
@@ -40,8 +38,7 @@ impl Class {
         match self {
             Self::Incoming | Self::Idle | Self::Urgent => WhenFull::Evict,
             Self::Waiting | Self::Streaming => WhenFull::Share,
-            Self::Answering => WhenFull::Refuse,
-            Self::Pinned => WhenFull::Enter,
+            Self::Answering | Self::Pinned => WhenFull::Refuse,
         }
     }
 }

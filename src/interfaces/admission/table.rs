@@ -210,7 +210,7 @@ impl Table {
         let gives_way = match class.when_full() {
             WhenFull::Evict => true,
             WhenFull::Share => self.entries.get(&id).is_some_and(|entry| has(&entry.peer) > has(&newcomer) + 1),
-            WhenFull::Refuse | WhenFull::Enter => false,
+            WhenFull::Refuse => false,
         };
         if gives_way {
             self.give_way(id, class);

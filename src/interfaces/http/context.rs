@@ -1,4 +1,4 @@
-//! What the handlers share.
+//! State that the handlers share.
 
 use std::sync::Arc;
 
@@ -9,10 +9,10 @@ use crate::interfaces::metrics::Metrics;
 use crate::interfaces::{self, Runtimes};
 use crate::operations::Gateway;
 
-/// Where the API begins.
+/// Path below which the API is.
 pub const API: &str = "/api/v1";
 
-/// What the handlers share.
+/// State that the handlers share.
 #[derive(Debug, Clone)]
 pub struct Context {
     /// The gateway that operations work on.
@@ -21,9 +21,9 @@ pub struct Context {
     pub closing: CancellationToken,
     /// Runtimes that serve clients.
     pub runtimes: Runtimes,
-    /// What HTTP counts.
+    /// Figures of HTTP.
     pub metrics: Metrics,
-    /// What WebSocket counts.
+    /// Figures of WebSocket.
     pub ws_metrics: Metrics,
     /// All figures.
     pub registry: Registry,
@@ -42,7 +42,7 @@ impl Context {
 
 #[cfg(test)]
 impl Context {
-    /// Of these grippers, with a journal in memory.
+    /// Returns a context with these grippers and a journal in memory.
     pub(crate) fn of(grippers: impl IntoIterator<Item = crate::gripper::Handle>) -> Self {
         let registry = Registry::new();
         let [metrics, ws_metrics] = ["http", "ws"].map(|name| Metrics::register(&registry, name).unwrap());

@@ -3,24 +3,17 @@
 //! A FAST STOP is done whatever its body says and however long the body takes: it is only a reason. So the body is read here,
 //! within [`REASON_TIME`], and a client that is gone before has stopped its gripper all the same.
 
-use std::collections::BTreeMap;
-use std::sync::Arc;
 use std::time::Duration;
 
 use axum::body::{Body, Bytes};
-use axum::extract::Request;
 use axum::http::Method;
-use axum::http::request::Parts;
-use axum::response::Response;
 use http_body_util::{BodyExt, Limited};
 use tokio::time::timeout;
 use tracing::Instrument as _;
 
 use super::body;
-use super::context::Context;
-use super::operation::{caller, path, response};
 use crate::operations::json::MAX_BODY_BYTES;
-use crate::operations::{Code, Fields, Operation, Params, Problem, run};
+use crate::operations::{Code, Problem};
 
 /// Time that a FAST STOP waits for its reason. A client's header and body come in one packet or in two right after each
 /// other, so it is there already; if it isn't, stopping is worth more than knowing why.
@@ -31,31 +24,6 @@ const REST_TIME: Duration = crate::gripper::handle::FAST_STOP_WAIT;
 
 /// The end of a FAST STOP's path.
 const FAST_STOP: &str = "/fast-stop";
-
-/// Serves a request for a FAST STOP.
-pub async fn serve(
-    context: &Arc<Context>,
-    operation: &'static Operation,
-    request: Request,
-) -> Result<Response, Problem> {
-    let (mut parts, stream) = request.into_parts();
-    let path = path(&mut parts, operation).await?;
-    serve_below(context, operation, path, &parts, stream).await
-}
-
-/// Serves a request for a FAST STOP whose path was taken apart.
-pub async fn serve_below(
-    context: &Arc<Context>,
-    operation: &'static Operation,
-    path: BTreeMap<&'static str, String>,
-    parts: &Parts,
-    stream: Body,
-) -> Result<Response, Problem> {
-    let (gateway, caller) = (context.gateway.clone(), caller(parts, operation)?);
-    let stop =
-        move |text| async move { run(&gateway, operation, caller, Params { path, fields: Fields::Text(text) }).await };
-    with_reason(stream, stop).await?.map(response)
-}
 
 /// Stops with the body's reason, if there is one by now. The rest of the body is read meanwhile, so that the client sees
 /// its answer. Runs on a task of its own, since a handler ends with its client's connection.

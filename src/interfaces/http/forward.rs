@@ -16,7 +16,7 @@ use serde_json::{Map, Value};
 use super::body;
 use super::client::client;
 use super::context::{API, Context};
-use super::fast_stop::{self, with_reason};
+use super::fast_stop::with_reason;
 use super::operation::serve_below;
 use super::problem::PROBLEM_JSON;
 use super::query::Query;
@@ -75,11 +75,7 @@ pub async fn forward(
     };
     if context.gateway.peers.is_own(&target.gateway) {
         path.insert("gripper", target.gripper);
-        return if operation.urgency == Urgency::FastStop {
-            fast_stop::serve_below(&context, operation, path, &parts, stream).await
-        } else {
-            serve_below(&context, operation, path, &parts, stream).await
-        };
+        return serve_below(&context, operation, path, &parts, stream).await;
     }
     let gripper = target.gripper.parse().map_err(|_| Problem::not_found("gripper of this name"))?;
     let (mut wait, aside) = (wait(&parts, operation)?, aside(&parts));

@@ -13,9 +13,10 @@ use axum::response::{IntoResponse, Response};
 use super::body;
 use super::client::client;
 use super::context::{API, Context};
+use super::fast_stop::with_reason;
 use super::query::Query;
 use super::wait::ConnectionWaits;
-use crate::gripper::model::{LeaseToken, Text};
+use crate::gripper::model::{LeaseToken, Text, Urgency};
 use crate::operations::values::text;
 use crate::operations::{
     Caller, Effect, Fields, MAX_LEASE_BYTES, Operation, Params, Presence, Problem, Reply, Wait, run,
@@ -40,15 +41,22 @@ pub async fn serve_below(
     parts: &Parts,
     stream: Body,
 ) -> Result<Response, Problem> {
-    let caller = caller(parts, operation)?;
-    // The body of a GET says nothing (RFC 9110, 9.3.1).
-    let text = if *operation.verb == Method::GET { Bytes::new() } else { body::bytes(stream).await? };
-    let reply = run(&context.gateway, operation, caller, Params { path, fields: Fields::Text(text) }).await?;
+    let (gateway, caller) = (context.gateway.clone(), caller(parts, operation)?);
+    let run =
+        move |text| async move { run(&gateway, operation, caller, Params { path, fields: Fields::Text(text) }).await };
+    let reply = if operation.urgency == Urgency::FastStop {
+        with_reason(stream, run).await??
+    } else if *operation.verb == Method::GET {
+        // The body of a GET says nothing (RFC 9110, 9.3.1).
+        run(Bytes::new()).await?
+    } else {
+        run(body::bytes(stream).await?).await?
+    };
     Ok(response(reply))
 }
 
 /// Returns the parameters that the path names. A path that is not even text names nothing.
-pub async fn path(parts: &mut Parts, operation: &Operation) -> Result<BTreeMap<&'static str, String>, Problem> {
+async fn path(parts: &mut Parts, operation: &Operation) -> Result<BTreeMap<&'static str, String>, Problem> {
     let unknown = || Problem::not_found("such path");
     let given: RawPathParams = parts.extract().await.map_err(|_| unknown())?;
     let part = |key| {
@@ -59,7 +67,7 @@ pub async fn path(parts: &mut Parts, operation: &Operation) -> Result<BTreeMap<&
 }
 
 /// Returns the caller of a request.
-pub fn caller(parts: &Parts, operation: &Operation) -> Result<Caller, Problem> {
+fn caller(parts: &Parts, operation: &Operation) -> Result<Caller, Problem> {
     let wait = if operation.waits {
         let given = Query::of(&parts.uri)?.one("wait_ms")?.map(ToOwned::to_owned);
         Wait::Ms { given, limiter: ConnectionWaits::of(&parts.extensions) }
@@ -88,7 +96,7 @@ fn key<const MAX: usize>(headers: &HeaderMap, name: &'static str) -> Result<Opti
 }
 
 /// Returns 200 with the result, or 202 and where to ask for a command that still runs.
-pub fn response(Reply { body, effect }: Reply) -> Response {
+fn response(Reply { body, effect }: Reply) -> Response {
     let json = [(header::CONTENT_TYPE, "application/json")];
     let body = String::from(Box::<str>::from(body));
     match effect {

@@ -11,7 +11,7 @@ use super::port::Port;
 use super::udp::Datagrams;
 use super::{tcp, udp};
 
-/// Where a gripper is served.
+/// Address of a gripper's port.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Address {
     /// Connections.
@@ -58,7 +58,7 @@ impl Listener {
         })
     }
 
-    /// Where clients reach it.
+    /// URL of the listener.
     ///
     /// # Errors
     /// As the operating system says.

@@ -29,14 +29,14 @@ pub const MIN_DESCRIPTORS: usize = 4;
 /// datagram where nothing else is said.
 pub const LOST_AFTER: Duration = sockets::LOST_AFTER;
 
-/// What a port grants its clients.
+/// Rights of a port's clients.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Rules {
     /// Whether checksums of requests count.
     pub checksum_evaluation: bool,
     /// Whether everyone may acknowledge every FAST STOP.
     pub acknowledge_any: bool,
-    /// Who may connect; none is everyone.
+    /// Networks of the clients that may connect; all where the list is empty.
     pub allow: Vec<IpNet>,
 }
 

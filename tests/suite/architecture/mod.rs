@@ -105,7 +105,8 @@ fn circle(code: &Code, table: &str, of: &str) -> Option<String> {
     let imports: DiGraphMap<_, _> = names.collect();
     let back = |(from, to, _)| Some(astar(&imports, to, |file| file == from, |_| 1, |_| 0)?.1);
     let files = imports.all_edges().filter_map(back).min_by_key(Vec::len)?;
-    let steps = files.iter().zip(files.iter().cycle().skip(1));
+    let (first, rest) = files.split_first()?;
+    let steps = files.iter().zip(rest.iter().chain([first]));
     Some(steps.map(|(from, to)| format!("{from} → {to} ({})", imports[(*from, *to)])).collect::<Vec<_>>().join(", "))
 }
 

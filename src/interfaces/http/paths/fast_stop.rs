@@ -1,11 +1,11 @@
 //! FAST STOP and its acknowledge.
 
 use super::parameters::{GripperPath, LeaseHeader};
+use super::paths;
 use super::responses::{AnyProblem, DeviceProblem, GripperProblem};
-use super::{fast_stop_paths, paths};
 use crate::operations::fast_stop::{self, Acknowledge, Acknowledged, AllFastStopAnswer, FastStopAnswer, FastStopBody};
 
-fast_stop_paths! {
+paths! {
     /// FAST STOP
     ///
     /// Stops the fastest way, needs no lease, and holds until it is acknowledged by its id: no motion until then. Answers

@@ -1,7 +1,7 @@
 //! The grippers of all gateways.
 
+use super::paths;
 use super::responses::AnyProblem;
-use super::{fast_stop_paths, paths};
 use crate::operations::fast_stop::FastStopBody;
 use crate::operations::fleet::{self, FleetFastStopAnswer, FleetList};
 
@@ -19,7 +19,7 @@ paths! {
     list => fleet::LIST;
 }
 
-fast_stop_paths! {
+paths! {
     /// FAST STOP of the fleet
     ///
     /// Stops all grippers of all gateways. Answers once all whose gateways live have confirmed, or after 500 ms. It is not a safety
