@@ -172,7 +172,7 @@ async fn follow_prints_what_comes_and_what_was_since() {
 async fn verify_says_that_all_is_as_it_was_written_or_what_is_not() {
     let file = File::new("verify");
     let journal = filled(&file).await;
-    let expected = ["3 events, 0 grip records, 0 remembered values: all as written"];
+    let expected = ["3 events, 0 grip records, 0 remembered values: all intact"];
     assert_eq!(said(&file, &["verify"]).await, expected);
     journal.close().await.unwrap();
     let path = file.path();
@@ -182,7 +182,7 @@ async fn verify_says_that_all_is_as_it_was_written_or_what_is_not() {
     std::fs::write(&path, bytes).unwrap();
     let ended = run(&["journal", "--journal", &path, "verify"]).await;
     assert_eq!(ended.status.code(), Some(1), "{ended:?}");
-    assert_eq!(ended.stdout, "events 3: it is not as it was written (its hash is another)");
+    assert_eq!(ended.stdout, "events 3: changed since it was written (hash mismatch)");
     assert!(ended.stderr.contains("4 events, 0 grip records, 0 remembered values: 1 findings"), "{ended:?}");
 }
 
