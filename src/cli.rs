@@ -65,8 +65,8 @@ enum Command {
     Asyncapi,
     /// Decode hex to readable frames, one per line, or encode a frame
     Decode {
-        /// File with lines of hex, each optionally preceded by a time and -> or <-; lines that begin with # are comments
-        /// [default: standard input]
+        /// File with lines of hex, each optionally preceded by a time and -> or <-; lines that begin with # are
+        /// comments [default: standard input]
         #[arg(value_name = "FILE", conflicts_with = "encode")]
         file: Option<PathBuf>,
         /// Print the bytes of a frame, e.g. 'Grip width=20 speed=50', FastStop or '0xB0 0x20 150.0f "text"'

@@ -1,4 +1,4 @@
-//! The fleet, gripper by gripper, where one of them says more than that time goes by.
+//! Updates of the fleet's grippers, sent when more than a gripper's age has changed.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -8,10 +8,10 @@ use super::Notification;
 use crate::fleet::{FleetGripper, Peers};
 use crate::gripper::Now;
 
-/// How often it is looked at, for all who follow it: that a gateway is gone is seen by the time alone.
+/// Time between two looks at the fleet, shared by all subscribers. Only elapsed time shows that a gateway has gone.
 const LOOKED_AT_EVERY: Duration = Duration::from_millis(100);
 
-/// What was told of it.
+/// The newest update of each gripper of the fleet.
 #[derive(Debug)]
 pub(super) struct FleetNews {
     network: Arc<Peers>,
@@ -21,14 +21,14 @@ pub(super) struct FleetNews {
 #[derive(Debug, Default)]
 struct Known {
     looked_at: Option<Instant>,
-    /// How often anything has changed.
+    /// Number of changes so far.
     seq: u64,
     grippers: BTreeMap<(String, String), Newest>,
 }
 
 #[derive(Debug)]
 struct Newest {
-    /// Which change it is.
+    /// Number of the change that this update belongs to.
     seq: u64,
     lasting: FleetGripper,
     told: Notification,
@@ -39,9 +39,9 @@ impl FleetNews {
         Self { network, known: Mutex::default() }
     }
 
-    /// Of each gripper the newest, where it has changed since that change, which becomes the last one.
+    /// Returns the newest update of each gripper that has changed since change `seq`, and advances `seq`.
     pub(super) fn since(&self, seq: &mut u64) -> Vec<Notification> {
-        // A panic while it was locked has left what is looked at again.
+        // After a panic under the lock, the next look rebuilds the state.
         let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
         let now = Now::read().instant;
         if known.looked_at.is_none_or(|at| now.saturating_duration_since(at) >= LOOKED_AT_EVERY) {
