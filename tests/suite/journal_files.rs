@@ -193,7 +193,7 @@ async fn a_mistake_is_named_with_its_remedy() {
     let path = file.path();
     let none = Path::new(&path).with_file_name("none.db");
     for (arguments, expected) in [
-        (&["--journal", none.to_str().unwrap(), "list"][..], "there is no journal"),
+        (&["--journal", none.to_str().unwrap(), "list"][..], "does not exist: name the gateway's journal file"),
         (&["--journal", ":memory:", "list"], "name a file"),
         (&["--journal", &path, "list", "--kind", "links"], "expected one of `command`, `fast_stop`"),
         (&["--journal", &path, "list", "--kind", "link", "--grips"], "expected one of `home`, `move`"),

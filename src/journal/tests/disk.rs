@@ -95,7 +95,7 @@ async fn a_disk_that_stalls_is_said_while_it_does() {
     });
     // Long before SQLite gives up.
     let failure = health.wait_for(|health| health.failure.is_some()).await.unwrap().failure.clone().unwrap();
-    assert!(failure.contains("journal.db: ") && failure.contains("within 500 ms: look at its disk"), "{failure}");
+    assert!(failure.contains("journal.db: ") && failure.contains("within 500 ms: check the disk"), "{failure}");
     assert!(!waiting.is_finished());
     assert!(!kept(&journal, started(2)).await, "who asks meanwhile is told at once");
     drop(stalled);
