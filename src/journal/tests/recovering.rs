@@ -1,9 +1,9 @@
-//! Restarts, in order and not.
+//! Restarts after orderly and unclean ends.
 
 use super::*;
 
 #[tokio::test]
-async fn an_orderly_end_leaves_nothing_open() {
+async fn orderly_end_leaves_nothing_open() {
     let directory = Directory::new();
     let (journal, recovered) = directory.open();
     assert!(!recovered.unclean && recovered.memory.is_empty());
@@ -21,7 +21,7 @@ async fn an_orderly_end_leaves_nothing_open() {
 }
 
 #[tokio::test]
-async fn what_ran_at_an_unclean_end_is_unknown_and_named() {
+async fn running_commands_end_as_unknown_after_an_unclean_end() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
     for event in [
@@ -60,7 +60,7 @@ async fn what_ran_at_an_unclean_end_is_unknown_and_named() {
         ]
     );
     assert_eq!(journal.command(name("left"), id(1)).await.unwrap().unwrap().outcome, Some(Outcome::Unknown));
-    // A second unclean end has none to name.
+    // At a second unclean end no command is running.
     drop(journal);
     let (journal, recovered) = directory.open();
     assert!(recovered.unclean && recovered.running.is_empty());
@@ -68,7 +68,7 @@ async fn what_ran_at_an_unclean_end_is_unknown_and_named() {
 }
 
 #[tokio::test]
-async fn memories_outlive_a_restart_until_they_are_forgotten() {
+async fn persisted_values_outlive_a_restart_until_they_are_deleted() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
     for value in [
@@ -140,7 +140,7 @@ async fn requests_of_the_last_ten_minutes_stand_for_their_commands() {
 }
 
 #[tokio::test]
-async fn a_journal_has_one_gateway() {
+async fn second_gateway_cannot_open_the_journal() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
     assert!(kept(&journal, started(1)).await);
@@ -152,14 +152,14 @@ async fn a_journal_has_one_gateway() {
 }
 
 #[test]
-fn a_journal_has_one_gateway_whatever_links_lead_to_it() {
+fn second_gateway_cannot_open_the_journal_through_a_link() {
     use std::os::unix::fs::symlink;
     let directory = Directory::new();
     let by = |name: &str| directory.0.join(name);
     std::fs::create_dir(by("real")).unwrap();
     symlink("real", by("directory")).unwrap();
     symlink("directory/journal.db", by("link")).unwrap();
-    // The first makes the file that the link leads to.
+    // The first round creates the target of the link.
     for (first, second) in [("link", "real/journal.db"), ("directory/journal.db", "link"), ("real/journal.db", "link")]
     {
         let (_journal, _) = Journal::open(Place::File(by(first)), Retention::default()).unwrap();
@@ -172,12 +172,12 @@ fn a_journal_has_one_gateway_whatever_links_lead_to_it() {
 }
 
 #[test]
-fn what_is_no_journal_is_refused_and_left_as_it_is() {
+fn other_file_is_refused_and_left_unchanged() {
     let directory = Directory::new();
     let refused = || Journal::open(directory.place(), Retention::default()).unwrap_err().to_string();
     std::fs::write(
         directory.journal(),
-        "notes, which are long enough to be the header of a database, but are none of it. ".repeat(20),
+        "Notes that are as long as the header of a database, but have another format. ".repeat(20),
     )
     .unwrap();
     let before = std::fs::read(directory.journal()).unwrap();
@@ -194,7 +194,7 @@ fn what_is_no_journal_is_refused_and_left_as_it_is() {
 }
 
 #[test]
-fn directories_are_made_and_one_that_can_t_be_is_named() {
+fn missing_directories_are_created() {
     let directory = Directory::new();
     Journal::open(Place::File(directory.0.join("a/b/journal.db")), Retention::default()).unwrap();
     std::fs::write(directory.0.join("file"), "").unwrap();
@@ -204,7 +204,7 @@ fn directories_are_made_and_one_that_can_t_be_is_named() {
 }
 
 #[tokio::test]
-async fn a_disk_that_takes_nothing_at_the_start_is_said_and_tried_again() {
+async fn failing_disk_at_the_start_is_reported_and_retried() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
     let now = Timestamp::now().as_millisecond();
@@ -228,7 +228,7 @@ async fn a_disk_that_takes_nothing_at_the_start_is_said_and_tried_again() {
 }
 
 #[tokio::test]
-async fn what_can_not_be_read_is_named_with_what_helps() {
+async fn unreadable_journal_is_reported_with_a_remedy() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
     record(&journal, started(1));
