@@ -9,7 +9,7 @@ use crate::fleet::{FleetGripper, Peers};
 use crate::gripper::Now;
 
 /// Time between two looks at the fleet, shared by all subscribers. Only elapsed time shows that a gateway has gone.
-const LOOKED_AT_EVERY: Duration = Duration::from_millis(100);
+const POLL_EVERY: Duration = Duration::from_millis(100);
 
 /// The newest update of each gripper of the fleet.
 #[derive(Debug)]
@@ -20,7 +20,7 @@ pub(super) struct FleetNews {
 
 #[derive(Debug, Default)]
 struct Known {
-    looked_at: Option<Instant>,
+    polled_at: Option<Instant>,
     /// Number of changes so far.
     seq: u64,
     grippers: BTreeMap<(String, String), Newest>,
@@ -31,7 +31,7 @@ struct Newest {
     /// Number of the change that this update belongs to.
     seq: u64,
     lasting: FleetGripper,
-    told: Notification,
+    update: Notification,
 }
 
 impl FleetNews {
@@ -44,14 +44,14 @@ impl FleetNews {
         // After a panic under the lock, the next look rebuilds the state.
         let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
         let now = Now::read().instant;
-        if known.looked_at.is_none_or(|at| now.saturating_duration_since(at) >= LOOKED_AT_EVERY) {
-            known.looked_at = Some(now);
+        if known.polled_at.is_none_or(|at| now.saturating_duration_since(at) >= POLL_EVERY) {
+            known.polled_at = Some(now);
             known.take(self.network.grippers());
         }
         let changed = known.grippers.values().filter(|newest| newest.seq > *seq);
-        let told = changed.map(|newest| newest.told.clone()).collect();
+        let updates = changed.map(|newest| newest.update.clone()).collect();
         *seq = known.seq;
-        told
+        updates
     }
 }
 
@@ -61,9 +61,9 @@ impl Known {
         for gripper in grippers {
             let (name, lasting) = (gripper.name(), gripper.lasting());
             let newest = before.remove(&name).filter(|newest| newest.lasting == lasting).or_else(|| {
-                let told = Notification::new("fleet", &gripper)?;
+                let update = Notification::new("fleet", &gripper)?;
                 self.seq += 1;
-                Some(Newest { seq: self.seq, lasting, told })
+                Some(Newest { seq: self.seq, lasting, update })
             });
             self.grippers.extend(newest.map(|newest| (name, newest)));
         }

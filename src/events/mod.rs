@@ -175,7 +175,7 @@ impl Subscription {
     /// Returns the states, telemetry and fleet grippers that have changed since they were sent, and the number of
     /// states and telemetry dropped in between: at most one per topic and missed tick.
     pub fn newest(&mut self, missed_ticks: u64) -> (Vec<Notification>, u64) {
-        let (mut told, mut dropped) = (Vec::new(), 0);
+        let (mut updates, mut dropped) = (Vec::new(), 0);
         for Watched { source, states, seq } in &mut self.watched {
             if !states.has_changed().unwrap_or_default() {
                 continue;
@@ -188,13 +188,13 @@ impl Subscription {
             ];
             let missed = state.seq.saturating_sub(*seq + 1).min(missed_ticks);
             dropped += missed * new.iter().flatten().count() as u64;
-            told.extend(new.into_iter().flatten());
+            updates.extend(new.into_iter().flatten());
             *seq = state.seq;
         }
         if self.topics.contains(&Topic::Fleet) {
-            told.extend(self.updates.fleet.since(&mut self.fleet_seq));
+            updates.extend(self.updates.fleet.since(&mut self.fleet_seq));
         }
-        (told, dropped)
+        (updates, dropped)
     }
 
     /// Returns the next event, frame or gap; `None` after the end of every topic. Cancel-safe.

@@ -40,7 +40,7 @@ impl Gap {
 /// Returns the next item of a broadcast, or the number of missed ones; `None` after its end.
 async fn next<T: Clone>(receiver: &mut Receiver<T>) -> Option<Result<T, u64>> {
     match receiver.recv().await {
-        Ok(told) => Some(Ok(told)),
+        Ok(item) => Some(Ok(item)),
         Err(RecvError::Lagged(missed)) => Some(Err(missed)),
         Err(RecvError::Closed) => None,
     }
@@ -70,8 +70,8 @@ pub(super) fn events(
                 last = event.seq;
                 let is_wanted =
                     only.as_ref().is_none_or(|only| event.gripper.as_ref().is_some_and(|name| only.contains(name)));
-                if is_wanted && let Some(told) = updates.event(&event) {
-                    return Some((told, (receiver, last)));
+                if is_wanted && let Some(update) = updates.event(&event) {
+                    return Some((update, (receiver, last)));
                 }
             }
         }
@@ -84,7 +84,7 @@ pub(super) fn frames(source: Arc<Source>) -> impl Stream<Item = Notification> + 
     unfold((receiver, 0), move |(mut receiver, last)| {
         let source = source.clone();
         async move {
-            let (told, last) = match next(&mut receiver).await? {
+            let (update, last) = match next(&mut receiver).await? {
                 Ok(frame) => (source.frame(&frame)?, frame.seq),
                 Err(missed) => {
                     let gripper = Some(source.handle.name().clone());
@@ -92,7 +92,7 @@ pub(super) fn frames(source: Arc<Source>) -> impl Stream<Item = Notification> + 
                     (Notification::new("gap", &gap)?, last + missed)
                 }
             };
-            Some((told, (receiver, last)))
+            Some((update, (receiver, last)))
         }
     })
 }

@@ -86,20 +86,20 @@ async fn fleet_is_sent_whole_and_then_by_its_changes() {
     let (updates, _) = updates();
     let (mut one, mut other) = (updates.subscribe(None, [Topic::Fleet]), updates.subscribe(None, [Topic::State]));
     assert!(one.has_states());
-    let told = |subscription: &mut Subscription| {
-        let (told, _) = subscription.newest(0);
-        let body = |told: Notification| -> Value { serde_json::from_str(told.body()).unwrap() };
-        told.into_iter().filter(|told| told.method() == "fleet").map(body).collect::<Vec<_>>()
+    let sent = |subscription: &mut Subscription| {
+        let (updates, _) = subscription.newest(0);
+        let body = |update: Notification| -> Value { serde_json::from_str(update.body()).unwrap() };
+        updates.into_iter().filter(|update| update.method() == "fleet").map(body).collect::<Vec<_>>()
     };
-    let names: Vec<_> = told(&mut one).iter().map(|body| format!("{}/{}", body["gateway"], body["gripper"])).collect();
+    let names: Vec<_> = sent(&mut one).iter().map(|body| format!("{}/{}", body["gateway"], body["gripper"])).collect();
     assert_eq!(names, [r#""wsg"/"left""#, r#""wsg"/"right""#]);
-    assert_eq!((told(&mut one).len(), told(&mut other).len()), (0, 0));
+    assert_eq!((sent(&mut one).len(), sent(&mut other).len()), (0, 0));
     let right = updates.grippers[1].handle.clone();
     let client = Client { subject: "test".into(), door: Door::Http };
     right.fast_stop(FastStopId::generate(), client, Reason::truncated("")).await;
     let changed = async {
         loop {
-            let changed = told(&mut one);
+            let changed = sent(&mut one);
             if !changed.is_empty() {
                 return changed;
             }
@@ -108,5 +108,5 @@ async fn fleet_is_sent_whole_and_then_by_its_changes() {
     };
     let changed = tokio::time::timeout(std::time::Duration::from_secs(20), changed).await.expect("the change is sent");
     assert_eq!((changed.len(), &changed[0]["gripper"]), (1, &"right".into()));
-    assert_eq!(told(&mut updates.subscribe(None, [Topic::Fleet])).len(), 2, "a later subscriber gets all");
+    assert_eq!(sent(&mut updates.subscribe(None, [Topic::Fleet])).len(), 2, "a later subscriber gets all");
 }

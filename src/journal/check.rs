@@ -74,7 +74,7 @@ impl Check {
             // On failure the check runs at normal priority.
             let _ = rustix::process::setpriority_process(None, NICE);
             if let Some(report) = verify_in_parts(&reader, |took| until.rest(took * REST)) {
-                say(&place, &report, &shared);
+                report_damage(&place, &report, &shared);
             }
         })?;
         Ok(Some(Self { thread, interrupt, stop }))
@@ -95,10 +95,10 @@ impl Check {
 
 /// Checks the newest records before the first write.
 pub(super) fn check_newest(place: &Place, connection: &Connection, shared: &Shared) {
-    say(place, &verify_newest(connection, NEWEST), shared);
+    report_damage(place, &verify_newest(connection, NEWEST), shared);
 }
 
-fn say(place: &Place, report: &Report, shared: &Shared) {
+fn report_damage(place: &Place, report: &Report, shared: &Shared) {
     let Some(first) = report.findings.first() else { return };
     let count = report.findings.len() as u64 + report.more;
     let damage = format!(

@@ -103,7 +103,7 @@ impl Journal {
         let max_bytes = retention.max_bytes.or(in_memory.then_some(MEMORY_BYTES));
         let store = Store::open(place)?;
         let source = store.source.clone();
-        let unusable = |error| OpenError::Unusable(source.words(&error));
+        let unusable = |error| OpenError::Unusable(source.describe(&error));
         let (recovered, events) = recovery::recover(&store.connection).map_err(unusable)?;
         let writer = Writer::new(store, Retention { max_bytes, ..retention }, events).map_err(unusable)?;
         let shared = writer.shared();

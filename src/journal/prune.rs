@@ -201,7 +201,7 @@ fn remove(store: &mut Store, removal: [Tip; 2], step: i64) -> rusqlite::Result<b
             remove_of(store, chain, to.min(before + step))?;
             // The removal counts even if the file does not shrink.
             if let Err(error) = give_back(&store.connection) {
-                tracing::warn!(failure = store.source.words(&error), "journal file not shrunk");
+                tracing::warn!(failure = store.source.describe(&error), "journal file not shrunk");
             }
             return Ok(true);
         }

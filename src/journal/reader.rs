@@ -40,12 +40,12 @@ impl Reader {
         let reader = Self::connect(&Source::new(Place::File(path.to_owned())))?;
         match reader.with(content)? {
             Content::Journal => Ok(reader),
-            other => Err(ReadError(other.words(path))),
+            other => Err(ReadError(other.describe(path))),
         }
     }
 
     pub(super) fn connect(source: &Source) -> Result<Self, ReadError> {
-        let connection = source.reading().map_err(|error| ReadError(source.words(&error)))?;
+        let connection = source.reading().map_err(|error| ReadError(source.describe(&error)))?;
         Ok(Self { source: source.clone(), connection })
     }
 
@@ -54,7 +54,7 @@ impl Reader {
     }
 
     pub(super) fn with<T>(&self, read: impl FnOnce(&Connection) -> rusqlite::Result<T>) -> Result<T, ReadError> {
-        read(&self.connection).map_err(|error| ReadError(self.source.words(&error)))
+        read(&self.connection).map_err(|error| ReadError(self.source.describe(&error)))
     }
 
     /// Reads a page of events.

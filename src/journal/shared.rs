@@ -140,10 +140,10 @@ impl Shared {
     /// Reports each slow write while it lasts. The writing thread cannot, because it waits for the disk.
     pub(super) fn watch(&self, place: &Place) {
         let mut work = self.work();
-        let mut told = None;
+        let mut reported = None;
         while *work != Work::Over {
             let left = match *work {
-                Work::Writing(since) if told != Some(since) => WRITTEN_WITHIN.checked_sub(since.elapsed()),
+                Work::Writing(since) if reported != Some(since) => WRITTEN_WITHIN.checked_sub(since.elapsed()),
                 _ => Some(Duration::MAX),
             };
             work = match left {
@@ -151,7 +151,7 @@ impl Shared {
                 Some(left) => self.work_changed.wait_timeout(work, left).unwrap_or_else(PoisonError::into_inner).0,
                 None => {
                     if let Work::Writing(since) = *work {
-                        told = Some(since);
+                        reported = Some(since);
                     }
                     let limit_ms = WRITTEN_WITHIN.as_millis();
                     let failure = format!(

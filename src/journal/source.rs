@@ -67,7 +67,7 @@ impl Source {
     }
 
     /// Describes an error, with the journal and the remedy.
-    pub(super) fn words(&self, error: &rusqlite::Error) -> String {
+    pub(super) fn describe(&self, error: &rusqlite::Error) -> String {
         format!("the journal {}: {error}: {}", self.place, remedy(error))
     }
 }

@@ -51,7 +51,7 @@ pub enum OpenError {
 
 impl Content {
     /// Describes why this content cannot be used as a journal, with the remedy.
-    pub(super) fn words(self, path: &Path) -> String {
+    pub(super) fn describe(self, path: &Path) -> String {
         let path = path.display();
         match self {
             Self::Version(found) => format!(
@@ -87,7 +87,7 @@ impl Store {
             Place::Memory => None,
         };
         let source = Source::new(place);
-        let unusable = |error: rusqlite::Error| OpenError::Unusable(source.words(&error));
+        let unusable = |error: rusqlite::Error| OpenError::Unusable(source.describe(&error));
         let mut connection = source.writing().map_err(unusable)?;
         match content(&connection).map_err(unusable)? {
             Content::Journal => {}
@@ -97,7 +97,7 @@ impl Store {
                 write_ahead(&connection).map_err(unusable)?;
                 schema::create(&mut connection).map_err(unusable)?;
             }
-            other => return Err(OpenError::NoJournal(other.words(Path::new(&source.place.to_string())))),
+            other => return Err(OpenError::NoJournal(other.describe(Path::new(&source.place.to_string())))),
         }
         write_ahead(&connection).map_err(unusable)?;
         // Makes SQLite create the write-ahead log and its index now.

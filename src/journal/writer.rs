@@ -84,7 +84,7 @@ impl Batch {
 pub(super) struct Writer {
     store: Store,
     shared: Arc<Shared>,
-    told: broadcast::Sender<Arc<Stored>>,
+    events: broadcast::Sender<Arc<Stored>>,
     /// Ends of the chains of events and grip records; none after a failed write, until they are read from the file.
     ends: Option<[Tip; 2]>,
     batch: Batch,
@@ -95,7 +95,7 @@ pub(super) struct Writer {
     /// Time of the next attempt to empty the write-ahead log, while it is too large.
     empty_log_at: Option<Instant>,
     /// Lost records that events have reported.
-    lost_told: u64,
+    lost_reported: u64,
     pruning: Pruning,
 }
 
@@ -104,20 +104,20 @@ impl Writer {
     pub(super) fn new(store: Store, retention: Retention, last_run: Vec<Event>) -> rusqlite::Result<Self> {
         let ends = store.ends()?;
         let pruning = Pruning::new(retention, Instant::now());
-        let (shared, told) = Shared::new(ends[Chain::Events as usize].seq);
+        let (shared, events) = Shared::new(ends[Chain::Events as usize].seq);
         let (shared, mut batch) = (Arc::new(shared), Batch::default());
         check_newest(&store.source.place, &store.connection, &shared);
         batch.records.extend(last_run.into_iter().map(Placed::Event));
         let mut writer = Self {
             store,
             shared,
-            told,
+            events,
             ends: Some(ends),
             batch,
             retry_at: None,
             check_at: Instant::now() + CHECK_EVERY,
             empty_log_at: None,
-            lost_told: 0,
+            lost_reported: 0,
             pruning,
         };
         writer.commit(Instant::now());
@@ -217,7 +217,7 @@ impl Writer {
         }
         // While the disk fails, losses add up to one number, which is recorded once it works again.
         if self.retry_at.is_none() {
-            self.tell_of_lost();
+            self.record_lost();
             self.take_aggregates(now, false);
         }
         self.batch.memories.extend(self.shared.take_memories());
@@ -230,14 +230,14 @@ impl Writer {
         }
         let rows = match self.write() {
             Ok(rows) => rows,
-            Err(error) => return self.fail(self.store.source.words(&error), now),
+            Err(error) => return self.fail(self.store.source.describe(&error), now),
         };
         let kept = self.store.check_written();
         self.pruning.wrote(&rows, now);
         let batch = std::mem::take(&mut self.batch);
         let records = rows.len();
         for event in rows.into_iter().filter_map(|row| row.event) {
-            self.tell(event);
+            self.broadcast(event);
         }
         if let Err(failure) = kept {
             // The open files have the records, so they are not written again. But no waiter counts them as durable.
@@ -267,21 +267,21 @@ impl Writer {
     }
 
     /// Broadcasts a durable event, after its sequence number.
-    fn tell(&self, event: Arc<Stored>) {
+    fn broadcast(&self, event: Arc<Stored>) {
         self.shared.set_committed(event.seq);
         // There may be no receivers.
-        let _ = self.told.send(event);
+        let _ = self.events.send(event);
     }
 
     fn take_aggregates(&mut self, now: Instant, all: bool) {
         self.batch.records.extend(self.shared.rates.due(now, all).into_iter().map(Placed::Event));
     }
 
-    fn tell_of_lost(&mut self) {
+    fn record_lost(&mut self) {
         let lost = self.shared.health.borrow().lost;
-        if lost > self.lost_told {
-            self.own(GatewayEvent::RecordsLost { count: lost - self.lost_told });
-            self.lost_told = lost;
+        if lost > self.lost_reported {
+            self.own(GatewayEvent::RecordsLost { count: lost - self.lost_reported });
+            self.lost_reported = lost;
         }
     }
 
@@ -294,9 +294,9 @@ impl Writer {
             return;
         }
         match self.remove(now) {
-            Ok(Some(event)) => self.tell(event),
+            Ok(Some(event)) => self.broadcast(event),
             Ok(None) => {}
-            Err(error) => tracing::warn!(failure = self.store.source.words(&error), "old records not removed"),
+            Err(error) => tracing::warn!(failure = self.store.source.describe(&error), "old records not removed"),
         }
         // A slow or failed removal does not count as a failure of the journal: the next write is tried at once.
         self.shared.set_failure(None);
@@ -309,7 +309,7 @@ impl Writer {
         }
         let emptied = self.store.checkpoint();
         match emptied.and_then(|()| self.remove(now)) {
-            Ok(event) => event.into_iter().for_each(|event| self.tell(event)),
+            Ok(event) => event.into_iter().for_each(|event| self.broadcast(event)),
             Err(error) => tracing::debug!(%error, "no records removed"),
         }
     }
@@ -322,7 +322,7 @@ impl Writer {
         if self.store.log_is_large()
             && let Err(error) = self.shared.while_watched(|| self.store.checkpoint())
         {
-            tracing::warn!(failure = self.store.source.words(&error), "write-ahead log not emptied");
+            tracing::warn!(failure = self.store.source.describe(&error), "write-ahead log not emptied");
         }
         self.empty_log_at = self.store.log_is_large().then_some(now + EMPTY_LOG_EVERY);
     }
@@ -360,7 +360,7 @@ impl Writer {
             std::thread::sleep(RETRY);
         }
         if orderly && let Err(error) = self.store.checkpoint() {
-            tracing::warn!(failure = self.store.source.words(&error), "write-ahead log not emptied on close");
+            tracing::warn!(failure = self.store.source.describe(&error), "write-ahead log not emptied on close");
         }
         Ok(())
     }

@@ -54,14 +54,14 @@ async fn lost_records_are_counted_and_recorded() {
     journal.limit_pages(1_000_000);
     health.wait_for(|health| health.failure.is_none()).await.unwrap();
     let mut follow = journal.follow(Some(0), Filter { kind: Some(EventKind::Gateway), ..Filter::default() });
-    let mut told = 0;
-    while told < health.borrow().lost {
+    let mut recorded = 0;
+    while recorded < health.borrow().lost {
         let event: serde_json::Value = serde_json::from_str(&next_event(&mut follow).await.body).unwrap();
         if event["event"] == "records_lost" {
-            told += event["count"].as_u64().unwrap();
+            recorded += event["count"].as_u64().unwrap();
         }
     }
-    assert_eq!(told, health.borrow().lost);
+    assert_eq!(recorded, health.borrow().lost);
 }
 
 #[tokio::test]

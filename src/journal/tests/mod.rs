@@ -150,8 +150,8 @@ async fn next_event(follow: &mut EventStream) -> Arc<Stored> {
 
 /// Records an event and waits until it is durable; returns false if that fails.
 pub(super) async fn kept(journal: &Journal, event: Event) -> bool {
-    let (told, durable) = oneshot::channel();
-    journal.record(Record::Event(event, Some(told)));
+    let (waiter, durable) = oneshot::channel();
+    journal.record(Record::Event(event, Some(waiter)));
     durable.await.is_ok()
 }
 

@@ -100,8 +100,8 @@ async fn requests_keep_the_order_of_their_records_when_a_clock_is_set_back() {
     }
     drop(journal);
     let (_, recovered) = directory.open();
-    let told: Vec<_> = recovered.requests.iter().map(|request| request.command.id).collect();
-    assert_eq!(told, [id(3), id(2), id(1)]);
+    let ids: Vec<_> = recovered.requests.iter().map(|request| request.command.id).collect();
+    assert_eq!(ids, [id(3), id(2), id(1)]);
 }
 
 #[tokio::test]
@@ -122,7 +122,7 @@ async fn requests_of_the_last_ten_minutes_stand_for_their_commands() {
     }
     drop(journal);
     let (_, recovered) = directory.open();
-    let told: Vec<_> = recovered
+    let requests: Vec<_> = recovered
         .requests
         .iter()
         .map(|request| {
@@ -130,7 +130,7 @@ async fn requests_of_the_last_ten_minutes_stand_for_their_commands() {
         })
         .collect();
     assert_eq!(
-        told,
+        requests,
         [
             ("request-2", id(2), Some(Outcome::PartHeld), Some(20.5)),
             ("request-4", id(4), Some(Outcome::Unknown), Some(20.5)),
