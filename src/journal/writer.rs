@@ -240,7 +240,7 @@ impl Writer {
             self.broadcast(event);
         }
         if let Err(failure) = kept {
-            // The open files have the records, so they are not written again. But no waiter counts them as durable.
+            // The open files have the records, so they are not written again. They are not durable: the waiters drop.
             return self.fail(failure, now);
         }
         if self.retry_at.take().is_some() {
