@@ -1,4 +1,4 @@
-//! The command line: what to do, and what to do it with.
+//! The command line: subcommands and flags.
 
 mod decode;
 mod journal;
@@ -17,14 +17,14 @@ use crate::config::{Config, Flags};
 use crate::logging::{self, LogFormat};
 use crate::{daemon, interfaces};
 
-/// Lets many clients share Weiss/SCHUNK WSG grippers. Without a subcommand it serves; without anything, two simulated
-/// grippers.
+/// Lets many clients share Weiss/SCHUNK WSG grippers. Without a subcommand, serves the configured grippers, or two
+/// simulated ones if none is configured.
 #[derive(Debug, Parser)]
 #[command(name = "wsg-gateway", version, args_conflicts_with_subcommands = true)]
 struct Cli {
     #[command(flatten)]
     flags: Flags,
-    /// How logs are written
+    /// Format of the log
     #[arg(long, value_name = "FORMAT", env = "WSG_GATEWAY_LOG_FORMAT", global = true, value_enum, default_value_t)]
     log_format: LogFormat,
     #[command(subcommand)]
@@ -35,51 +35,51 @@ struct Cli {
 enum Command {
     /// Serve a simulated gripper on each URL, e.g. tcp://127.0.0.1:1000
     Sim {
-        /// Where: tcp://127.0.0.1:1000, udp://127.0.0.1:1500?reply_port=1501, serial://pty?baud=115200&link=/tmp/gripper,
-        /// can://vcan0?rx=0x64&tx=0x65
+        /// Addresses to serve: tcp://127.0.0.1:1000, udp://127.0.0.1:1500?reply_port=1501,
+        /// serial://pty?baud=115200&link=/tmp/gripper, can://vcan0?rx=0x64&tx=0x65
         #[arg(required = true, value_name = "URL")]
         urls: Vec<Url>,
-        /// wsg25, wsg32, wsg50 or wsg70
+        /// Gripper model: wsg25, wsg32, wsg50 or wsg70
         #[arg(long, default_value = "wsg50")]
         model: String,
-        /// The width in mm of a part in reach
+        /// Width in mm of a part within reach of the fingers
         #[arg(long, value_name = "MM")]
         part_mm: Option<String>,
-        /// fw2 or fw4
+        /// Firmware generation: fw2 or fw4
         #[arg(long, default_value = "fw4")]
         firmware: String,
-        /// Where to serve the faults, over HTTP: GET /devices shows all devices; POST /devices/0 takes what happens, e.g.
-        /// {"place_part": {"width_mm": 20}}, "take_part", "slip_part", {"overheat": {"temperature_c": 90}}, "cool",
-        /// {"silent": {"on": true}}, "cut_connection", {"reboot": {"ready_after_ms": 500}}
+        /// Address of the HTTP server that injects faults: GET /devices lists the devices; POST /devices/0 takes an
+        /// event, e.g. {"place_part": {"width_mm": 20}}, "take_part", "slip_part", {"overheat": {"temperature_c": 90}},
+        /// "cool", {"silent": {"on": true}}, "cut_connection", {"reboot": {"ready_after_ms": 500}}
         #[arg(long, value_name = "ADDR")]
         control: Option<SocketAddr>,
     },
-    /// Check a configuration, and say what it would serve
+    /// Check a configuration and print what it would serve
     Check {
         #[command(flatten)]
         flags: Flags,
     },
     /// Print the OpenAPI document
     Openapi,
-    /// Print the AsyncAPI document, of the WebSocket
+    /// Print the AsyncAPI document of the WebSocket interface
     Asyncapi,
-    /// Hex to readable frames, one line a frame, and back
+    /// Decode hex to readable frames, one per line, or encode a frame
     Decode {
-        /// Lines of hex, each perhaps behind a time and -> or <-, and comments behind #; standard input where there is
-        /// none
+        /// File with lines of hex, each optionally preceded by a time and -> or <-; lines that begin with # are
+        /// comments [default: standard input]
         #[arg(value_name = "FILE", conflicts_with = "encode")]
         file: Option<PathBuf>,
-        /// The bytes of a frame, e.g. 'Grip width=20 speed=50', FastStop or '0xB0 0x20 150.0f "text"'
+        /// Print the bytes of a frame, e.g. 'Grip width=20 speed=50', FastStop or '0xB0 0x20 150.0f "text"'
         #[arg(long, value_name = "TEXT")]
         encode: Option<String>,
-        /// The frames of a running gateway as they go, e.g. http://127.0.0.1:8080, or
-        /// http://127.0.0.1:8080/api/v1/grippers/left for one gripper
+        /// Print frames live from a running gateway, e.g. http://127.0.0.1:8080 for all grippers, or
+        /// http://127.0.0.1:8080/api/v1/grippers/left for one
         #[arg(long, value_name = "URL", conflicts_with_all = ["file", "encode"])]
         follow: Option<Url>,
     },
-    /// Read the journal: list, follow, export or verify it, also while the gateway runs
+    /// List, follow, export or verify the journal, even while the gateway runs
     Journal(journal::Journal),
-    /// Make a token (not yet supported)
+    /// Create a token (not yet supported)
     Token(NotYet),
 }
 
@@ -89,10 +89,10 @@ struct NotYet {
     _arguments: Vec<OsString>,
 }
 
-/// Does what the process's arguments say.
+/// Runs the subcommand that the process arguments name.
 ///
 /// # Errors
-/// What went wrong, and what to do about it.
+/// The cause of the failure, and the remedy.
 pub fn run() -> anyhow::Result<()> {
     let cli = Cli::parse();
     let _logs = logging::init(cli.log_format);
@@ -130,7 +130,7 @@ pub fn run() -> anyhow::Result<()> {
                 }
                 None => decode::decode(std::io::stdin().lock(), &mut output),
             })?;
-            ensure!(wrong == 0, "lines that are wrong: {wrong}; each is marked as such");
+            ensure!(wrong == 0, "lines that could not be decoded: {wrong} (each is marked in the output)");
             Ok(())
         }
         Some(Command::Journal(journal)) => journal::run(&journal, std::io::stdout().lock()),
@@ -143,10 +143,10 @@ fn check(flags: &Flags) -> anyhow::Result<()> {
     daemon::check(&config)?;
     let Config { name, grippers, listen, .. } = &config;
     let count = grippers.len();
-    quietly(writeln!(std::io::stdout(), "the configuration is right: {name} serves {count} grippers at {listen}"))
+    quietly(writeln!(std::io::stdout(), "configuration valid: {name} serves {count} grippers at {listen}"))
 }
 
-/// Whoever reads standard output may have enough of it: that is no error.
+/// Ignores a broken pipe: the reader of standard output may stop early.
 fn quietly<T: Default>(written: std::io::Result<T>) -> anyhow::Result<T> {
     match written {
         Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(T::default()),

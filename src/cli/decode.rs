@@ -1,7 +1,7 @@
-//! `wsg-gateway decode`: hex to readable frames, one line a frame, and back.
+//! `wsg-gateway decode`: hex to readable frames, one per line, and back.
 //!
-//! A line of input is hex, with what may stand before it: a time, and `>` or `->` (to the device), `<` or `<-` (from
-//! it). Frames may go on from one line to the next of the same direction. Lines that begin with `#` are comments.
+//! A line of input is hex, optionally preceded by a time and a direction: `>` or `->` to the device, `<` or `<-` from
+//! the device. A frame can span several lines of the same direction. Lines that begin with `#` are comments.
 
 mod follow;
 
@@ -13,10 +13,10 @@ use crate::wsg::{ChecksumEvaluation, Command, Decoded, Decoder, id};
 
 pub(super) use follow::follow;
 
-/// The bytes of the frame that a text describes, as hex.
+/// Encodes the frame that a text describes, as hex.
 ///
 /// # Errors
-/// What is wrong with the text.
+/// The fault in the text.
 pub(super) fn encode(text: &str) -> anyhow::Result<String> {
     let command: Command = text.parse()?;
     let mut frame = Vec::new();
@@ -25,11 +25,11 @@ pub(super) fn encode(text: &str) -> anyhow::Result<String> {
     Ok(bytes.join(" "))
 }
 
-/// Reads lines of hex, and writes a line a frame. Comments are copied, and so are lines that have no hex, with what is
-/// wrong with them. Returns how many of those there are.
+/// Reads lines of hex and writes one line per frame. Copies comments, and marks lines that it cannot decode. Returns
+/// the number of marked lines.
 ///
 /// # Errors
-/// As the operating system says.
+/// Any read or write error.
 pub(super) fn decode(input: impl BufRead, output: &mut impl Write) -> io::Result<usize> {
     let mut streams = [Direction::Request, Direction::Reply, Direction::Unknown].map(Stream::new);
     let mut wrong = 0;
@@ -47,20 +47,19 @@ pub(super) fn decode(input: impl BufRead, output: &mut impl Write) -> io::Result
                 }
                 Err(error) => {
                     wrong += 1;
-                    writeln!(output, "{text}  [line {} is wrong: {error}]", index + 1)?;
+                    writeln!(output, "{text}  [line {} not decoded: {error}]", index + 1)?;
                 }
             },
         }
     }
     for stream in &streams {
         if stream.decoder.is_partial() {
-            writeln!(output, "{}a frame cut short at the end", stream.mark())?;
+            writeln!(output, "{}frame cut short at the end of the input", stream.mark())?;
         }
     }
     Ok(wrong)
 }
 
-/// A line of input.
 struct Line<'a> {
     time: &'a str,
     direction: Direction,
@@ -84,7 +83,7 @@ impl<'a> Line<'a> {
     }
 }
 
-/// A line from where its bytes begin. What is no hex is a time, and so is a number right before a frame.
+/// Returns a line from its first byte on. A word that is not hex counts as time, as does a number right before a frame.
 fn without_time(line: &str) -> &str {
     let mut rest = line;
     while let Some((word, behind)) = rest.split_once(char::is_whitespace) {
@@ -96,7 +95,7 @@ fn without_time(line: &str) -> &str {
         }
         rest = behind;
     }
-    // The last word alone: if that is no hex either, nothing is.
+    // Only the last word is left. If that is not hex either, the line has no bytes.
     if bytes(rest).is_ok() { rest } else { line }
 }
 
@@ -106,13 +105,13 @@ fn all_bytes(text: &str) -> Result<Vec<u8>, String> {
     Ok(parsed?.concat())
 }
 
-/// Bytes as `AA`, `AAh`, `0xAA` or `AAAAAA25`.
+/// Parses bytes written as `AA`, `AAh`, `0xAA` or `AAAAAA25`.
 fn bytes(word: &str) -> Result<Vec<u8>, String> {
     let digits = word.trim_start_matches("0x").trim_end_matches(['h', 'H']);
-    hex::decode(digits).map_err(|_| format!("{word:?} is no hex: write bytes as AA AA AA 22 00 00 0E 76"))
+    hex::decode(digits).map_err(|_| format!("{word:?} is not hex: write bytes as AA AA AA 22 00 00 0E 76"))
 }
 
-/// What goes one way.
+/// The bytes of one direction.
 struct Stream {
     direction: Direction,
     decoder: Decoder,
@@ -140,7 +139,7 @@ impl Stream {
         while let Some(decoded) = self.decoder.next() {
             match decoded {
                 Decoded::Frame(frame) => {
-                    writeln!(output, "{before}{mark}{}  [checksum right]", describe(frame, self.direction))?;
+                    writeln!(output, "{before}{mark}{}  [checksum ok]", describe(frame, self.direction))?;
                 }
                 Decoded::Damaged { id } => {
                     let name = id::name(id).map_or_else(|| format!("0x{id:02X}"), str::to_owned);
@@ -150,7 +149,7 @@ impl Stream {
         }
         let skipped = self.decoder.counters().skipped_bytes;
         if skipped > self.skipped {
-            writeln!(output, "{before}{mark}({} bytes of no frame)", skipped - self.skipped)?;
+            writeln!(output, "{before}{mark}({} bytes outside any frame)", skipped - self.skipped)?;
             self.skipped = skipped;
         }
         Ok(())
@@ -163,15 +162,15 @@ mod tests {
 
     fn decoded(text: &str) -> String {
         let mut output = Vec::new();
-        assert_eq!(decode(text.as_bytes(), &mut output).unwrap(), 0, "all is right");
+        assert_eq!(decode(text.as_bytes(), &mut output).unwrap(), 0, "every line is decoded");
         String::from_utf8(output).unwrap()
     }
 
     #[test]
-    fn the_manuals_frames_are_readable() {
+    fn frames_from_the_manual_are_readable() {
         let text = "AAh AAh AAh 20h 02h 00h 00h 00h B3h FDh\nAA AA AA 21 02 00 1A 00 67 CB\nAAAAAA2200000E76\n";
-        let expected = "Homing -> E_SUCCESS  [checksum right]\nPrePosition -> E_CMD_PENDING  [checksum right]\n\
-                        Stop  [checksum right]\n";
+        let expected = "Homing -> E_SUCCESS  [checksum ok]\nPrePosition -> E_CMD_PENDING  [checksum ok]\n\
+                        Stop  [checksum ok]\n";
         assert_eq!(decoded(text), expected);
     }
 
@@ -179,55 +178,55 @@ mod tests {
     fn time_and_direction_are_kept() {
         let text = "12:00:01.250 > AA AA AA 22 00 00\n12:00:01.251 < AAAAAA 22 0200 0000 7CCA\n12:00:02 > 0E 76";
         let lines = decoded(text);
-        assert!(lines.contains("12:00:02 > Stop  [checksum right]"), "{lines}");
+        assert!(lines.contains("12:00:02 > Stop  [checksum ok]"), "{lines}");
         assert!(lines.starts_with("12:00:01.251 < Stop"), "{lines}");
     }
 
     #[test]
-    fn a_number_right_before_a_frame_is_a_time_and_elsewhere_it_is_bytes() {
+    fn number_before_a_frame_is_a_time() {
         for time in ["12.345", "1732182000", "1732182000.250", "12:00:01", "0250"] {
             let line = decoded(&format!("{time} AA AA AA 22 00 00 0E 76"));
-            assert_eq!(line, format!("{time} Stop  [checksum right]\n"));
+            assert_eq!(line, format!("{time} Stop  [checksum ok]\n"));
         }
-        assert_eq!(decoded("AAAAAA 22\n0000 0E76"), "Stop  [checksum right]\n");
-        assert_eq!(decoded("AAAAAA22 0000\n12.345 0E 76"), "12.345 Stop  [checksum right]\n");
+        assert_eq!(decoded("AAAAAA 22\n0000 0E76"), "Stop  [checksum ok]\n");
+        assert_eq!(decoded("AAAAAA22 0000\n12.345 0E 76"), "12.345 Stop  [checksum ok]\n");
     }
 
     #[test]
-    fn a_direction_may_be_an_arrow() {
+    fn direction_can_be_an_arrow() {
         let (request, reply) = ("AA AA AA 22 00 00 0E 76", "AA AA AA 20 02 00 00 00 B3 FD");
-        let expected = "12.345 > Stop  [checksum right]\n12.346 < Homing -> E_SUCCESS  [checksum right]\n";
+        let expected = "12.345 > Stop  [checksum ok]\n12.346 < Homing -> E_SUCCESS  [checksum ok]\n";
         assert_eq!(decoded(&format!("12.345 -> {request}\n12.346 <- {reply}")), expected);
         assert_eq!(decoded(&format!("12.345->{request}\n12.346<-{reply}")), expected);
     }
 
     #[test]
     fn comments_are_copied() {
-        let line = "# 12.345 -> a homing, no hex";
-        assert_eq!(decoded(&format!("{line}\n\nAAAAAA2200000E76")), format!("{line}\nStop  [checksum right]\n"));
+        let line = "# 12.345 -> a homing, not hex";
+        assert_eq!(decoded(&format!("{line}\n\nAAAAAA2200000E76")), format!("{line}\nStop  [checksum ok]\n"));
     }
 
     #[test]
-    fn a_wrong_line_is_marked_and_counted_and_the_others_are_decoded() {
+    fn undecodable_lines_are_marked_and_counted() {
         let mut output = Vec::new();
         let input = b"zz\nAA AA AA 22 0 0\n\xFF\nAAAAAA2200000E76\n";
         assert_eq!(decode(&input[..], &mut output).unwrap(), 3);
         let output = String::from_utf8(output).unwrap();
         let lines: Vec<_> = output.lines().collect();
-        assert!(lines[0].starts_with("zz  [line 1 is wrong: \"zz\" is no hex: "), "{output}");
-        assert!(lines[1].starts_with("AA AA AA 22 0 0  [line 2 is wrong: \"0\" is no hex: "), "{output}");
-        assert_eq!(lines[3], "Stop  [checksum right]");
+        assert!(lines[0].starts_with("zz  [line 1 not decoded: \"zz\" is not hex: "), "{output}");
+        assert!(lines[1].starts_with("AA AA AA 22 0 0  [line 2 not decoded: \"0\" is not hex: "), "{output}");
+        assert_eq!(lines[3], "Stop  [checksum ok]");
     }
 
     #[test]
-    fn damage_is_said() {
+    fn damaged_frames_are_marked() {
         assert!(decoded("AA AA AA 22 00 00 0E 77").contains("Stop  [checksum wrong]"));
         assert!(decoded("AA AA AA 22 00").contains("cut short"));
-        assert!(decoded("00 01 02 AA AA AA 22 00 00 0E 76").contains("(3 bytes of no frame)"));
+        assert!(decoded("00 01 02 AA AA AA 22 00 00 0E 76").contains("(3 bytes outside any frame)"));
     }
 
     #[test]
-    fn a_text_becomes_a_frame() {
+    fn text_is_encoded() {
         assert_eq!(encode("FastStop").unwrap(), "AA AA AA 23 00 00 AC 1C");
         assert_eq!(encode("Grip width=20 speed=50").unwrap(), "AA AA AA 25 08 00 00 00 A0 41 00 00 48 42 AA 1E");
         assert!(encode("Grip width=20").unwrap_err().to_string().contains("speed"));

@@ -1,4 +1,4 @@
-//! Reading a journal's file: what happened, what happens, and whether it is as it was written.
+//! `wsg-gateway journal`: lists, follows, exports and verifies the records of a journal file.
 
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
@@ -17,13 +17,13 @@ use crate::journal::{
 
 mod line;
 
-/// How often it is looked for what is new.
+/// Time between two looks for new events.
 const POLL: Duration = Duration::from_millis(200);
 
-/// How many records are listed where no number is said.
+/// Records listed without `--limit`.
 const LISTED: u64 = 100;
 
-/// How many records are read at once.
+/// Records read at once.
 const PAGE: u64 = 1000;
 
 #[derive(Debug, Args)]
@@ -36,28 +36,28 @@ pub(super) struct Journal {
 
 #[derive(Debug, Subcommand)]
 enum Command {
-    /// Print records, one a line: the newest 100, if nothing else is said
+    /// Print records, one per line; by default the newest 100
     List {
         #[command(flatten)]
         which: Which,
     },
     /// Print each event as it becomes durable
     Follow {
-        /// Begin behind the event with this number, rather than with the next one
+        /// Begin after the event with this sequence number instead of with the next new event
         #[arg(long, value_name = "SEQ")]
         after: Option<u64>,
         #[command(flatten)]
         filters: Filters,
     },
-    /// Write all fields of records, the oldest first
+    /// Write records with all their fields, oldest first
     Export {
-        /// json: an object a line; csv: a header, and a line for each record
+        /// json: one object per line; csv: a header, then one line per record
         #[arg(long, value_enum, default_value_t)]
         format: Format,
         #[command(flatten)]
         which: Which,
     },
-    /// Check that each record is as it was written; exits with 1 where one isn't
+    /// Check that no record was changed since it was written; exits with 1 if any was
     Verify,
 }
 
@@ -70,41 +70,41 @@ enum Format {
 
 #[derive(Debug, Args)]
 struct Which {
-    /// Grip records instead of events
+    /// Read grip records instead of events
     #[arg(long)]
     grips: bool,
     #[command(flatten)]
     filters: Filters,
-    /// How many at most
+    /// Maximum number of records
     #[arg(long, value_name = "N")]
     limit: Option<u64>,
-    /// newest or oldest first
+    /// Order of the records: newest or oldest first
     #[arg(long, value_name = "ORDER")]
     order: Option<String>,
 }
 
 #[derive(Debug, Args)]
 struct Filters {
-    /// Of this gripper
+    /// Only records of this gripper
     #[arg(long, value_name = "NAME")]
     gripper: Option<String>,
-    /// Of this kind: command, fast_stop, acknowledge, lease, link, device, settings, refused or gateway; of grip records
-    /// home, move, grip or release
+    /// Only records of this kind: command, fast_stop, acknowledge, lease, link, device, settings, refused or gateway;
+    /// with --grips home, move, grip or release
     #[arg(long)]
     kind: Option<String>,
-    /// Of this part
+    /// Only records of this part
     #[arg(long, value_name = "PART")]
     part_id: Option<String>,
-    /// With this outcome, e.g. PART_HELD or NO_PART
+    /// Only records with this outcome, e.g. PART_HELD or NO_PART
     #[arg(long)]
     outcome: Option<String>,
-    /// Of this command
+    /// Only records of this command
     #[arg(long, value_name = "ID")]
     command_id: Option<String>,
-    /// Not before this time, e.g. 2026-11-21T09:00:00Z
+    /// Only records from this time on, e.g. 2026-11-21T09:00:00Z
     #[arg(long, value_name = "TIME")]
     from: Option<String>,
-    /// Before this time
+    /// Only records before this time
     #[arg(long, value_name = "TIME")]
     to: Option<String>,
 }
@@ -124,7 +124,7 @@ impl Filters {
     }
 }
 
-/// A value by its name in JSON.
+/// Parses a flag's value by its name in JSON.
 fn value<T: DeserializeOwned>(flag: &str, text: Option<&String>) -> anyhow::Result<Option<T>> {
     let parse = |text: &String| serde_json::from_value(text.clone().into()).with_context(|| format!("{flag} {text}"));
     text.map(parse).transpose()
@@ -143,7 +143,7 @@ pub(super) fn run(journal: &Journal, out: impl Write) -> anyhow::Result<()> {
         Command::Verify => check(&path, &mut out),
     };
     match result.and_then(|()| Ok(out.flush()?)) {
-        // Whoever reads standard output may have enough of it: that is no error.
+        // The reader of standard output may stop early.
         Err(error)
             if error.downcast_ref::<io::Error>().is_some_and(|error| error.kind() == io::ErrorKind::BrokenPipe) =>
         {
@@ -169,7 +169,7 @@ fn export(reader: &Reader, format: Format, which: &Which, out: &mut impl Write) 
     })
 }
 
-/// Takes page after page to `write`, until there are no more records, or as many as are wanted.
+/// Writes page after page until `limit` is reached or the records end.
 fn each_page(
     reader: &Reader,
     which: &Which,
@@ -213,7 +213,7 @@ fn follow(reader: &Reader, after: Option<u64>, filters: &Filters, out: &mut impl
         None => reader.last_seq()?,
     };
     loop {
-        // What comes while the page is read is looked for the next time.
+        // Events that arrive during the read belong to the next round.
         let last = reader.last_seq()?;
         query.cursor = Some(Cursor::behind(after));
         pages(query.clone(), u64::MAX, |query| reader.events_until(query, last), |bodies| list(out, bodies))?;
@@ -233,5 +233,5 @@ fn check(path: &Path, out: &mut impl Write) -> anyhow::Result<()> {
         out.flush()?;
         bail!("{read}: {found} findings");
     }
-    Ok(writeln!(out, "{read}: all as written")?)
+    Ok(writeln!(out, "{read}: all intact")?)
 }

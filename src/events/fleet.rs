@@ -1,4 +1,4 @@
-//! The fleet, gripper by gripper, where one of them says more than that time goes by.
+//! Updates of the fleet's grippers, sent when more than a gripper's age has changed.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -8,10 +8,10 @@ use super::Notification;
 use crate::fleet::{FleetGripper, Peers};
 use crate::gripper::Now;
 
-/// How often it is looked at, for all who follow it: that a gateway is gone is seen by the time alone.
-const LOOKED_AT_EVERY: Duration = Duration::from_millis(100);
+/// Time between two looks at the fleet, shared by all subscribers. Only elapsed time shows that a gateway has gone.
+const POLL_EVERY: Duration = Duration::from_millis(100);
 
-/// What was told of it.
+/// The newest update of each gripper of the fleet.
 #[derive(Debug)]
 pub(super) struct FleetNews {
     network: Arc<Peers>,
@@ -20,18 +20,18 @@ pub(super) struct FleetNews {
 
 #[derive(Debug, Default)]
 struct Known {
-    looked_at: Option<Instant>,
-    /// How often anything has changed.
+    polled_at: Option<Instant>,
+    /// Number of changes so far.
     seq: u64,
     grippers: BTreeMap<(String, String), Newest>,
 }
 
 #[derive(Debug)]
 struct Newest {
-    /// Which change it is.
+    /// Number of the change that this update belongs to.
     seq: u64,
     lasting: FleetGripper,
-    told: Notification,
+    update: Notification,
 }
 
 impl FleetNews {
@@ -39,19 +39,19 @@ impl FleetNews {
         Self { network, known: Mutex::default() }
     }
 
-    /// Of each gripper the newest, where it has changed since that change, which becomes the last one.
+    /// Returns the newest update of each gripper that has changed since change `seq`, and advances `seq`.
     pub(super) fn since(&self, seq: &mut u64) -> Vec<Notification> {
-        // A panic while it was locked has left what is looked at again.
+        // After a panic under the lock, the next look rebuilds the state.
         let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
         let now = Now::read().instant;
-        if known.looked_at.is_none_or(|at| now.saturating_duration_since(at) >= LOOKED_AT_EVERY) {
-            known.looked_at = Some(now);
+        if known.polled_at.is_none_or(|at| now.saturating_duration_since(at) >= POLL_EVERY) {
+            known.polled_at = Some(now);
             known.take(self.network.grippers());
         }
         let changed = known.grippers.values().filter(|newest| newest.seq > *seq);
-        let told = changed.map(|newest| newest.told.clone()).collect();
+        let updates = changed.map(|newest| newest.update.clone()).collect();
         *seq = known.seq;
-        told
+        updates
     }
 }
 
@@ -61,9 +61,9 @@ impl Known {
         for gripper in grippers {
             let (name, lasting) = (gripper.name(), gripper.lasting());
             let newest = before.remove(&name).filter(|newest| newest.lasting == lasting).or_else(|| {
-                let told = Notification::new("fleet", &gripper)?;
+                let update = Notification::new("fleet", &gripper)?;
                 self.seq += 1;
-                Some(Newest { seq: self.seq, lasting, told })
+                Some(Newest { seq: self.seq, lasting, update })
             });
             self.grippers.extend(newest.map(|newest| (name, newest)));
         }

@@ -1,8 +1,8 @@
-//! What happens, told to many at once: server-sent events and WebSocket tell the same.
+//! Live updates for many subscribers at once, the same over server-sent events and WebSocket.
 //!
-//! An update is serialised once, by whoever comes to tell it first, and its bytes are shared by all who tell it. Of
-//! states and telemetry each subscriber gets the newest when it has room for it, and nothing is queued. Events and
-//! frames come one by one; a subscriber that is too far behind misses some, and is told how many by a `gap`.
+//! The first subscription to send an update serialises it, and all share its bytes. States and telemetry are not
+//! queued: each subscriber gets the newest when it has room. Events and frames come one by one; a subscriber that is
+//! too far behind misses some, and a `gap` says how many.
 
 mod fleet;
 mod notification;
@@ -29,38 +29,39 @@ pub use notification::{Notification, encoded, text_frame};
 pub use pace::Pace;
 pub use queued::Gap;
 
-/// What can be followed.
+/// Topic of a subscription:
+///
+/// - `state`: newest state of each gripper
+/// - `telemetry`: newest measured values of each gripper
+/// - `events`: every event, once it is durable in the journal
+/// - `frames`: every frame to and from a device
+/// - `fleet`: newest state of each gripper of all gateways
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Topic {
-    /// The newest states.
     State,
-    /// Their measured values alone.
     Telemetry,
-    /// What happens, as the journal has it.
     Events,
-    /// Every frame to and from a device.
     Frames,
-    /// The grippers of all gateways.
     Fleet,
 }
 
-/// The topics, as a mistake names them.
+/// The topics, as an error message lists them.
 pub const TOPICS: &str = "state, telemetry, events, frames, fleet";
 
 /// Rate of states and telemetry in Hz, unless a client asks for more or less.
 pub const DEFAULT_HZ: u64 = 10;
 
-/// Highest rate in Hz: that of the devices.
+/// Highest rate in Hz, which is that of the devices.
 pub const MAX_HZ: u64 = 100;
 
-/// So many serialised events are kept for those who tell them later than the first.
+/// Serialised events that are kept for slower subscriptions.
 const RECENT_EVENTS: usize = 64;
 
-/// And frames, of each gripper.
+/// Serialised frames that are kept of each gripper.
 const RECENT_FRAMES: usize = 64;
 
-/// All that can be followed.
+/// The sources of all topics.
 #[derive(Debug)]
 pub struct Updates {
     journal: Journal,
@@ -69,7 +70,7 @@ pub struct Updates {
     fleet: FleetNews,
 }
 
-/// One gripper's.
+/// The updates of one gripper.
 #[derive(Debug)]
 struct Source {
     handle: Handle,
@@ -79,7 +80,7 @@ struct Source {
 }
 
 impl Updates {
-    /// Of these grippers, of this journal, and of all gateways' grippers.
+    /// Collects the updates of this gateway's grippers, of the journal, and of the fleet's grippers.
     #[must_use]
     pub fn new(fleet: &Grippers, journal: Journal, network: Arc<Peers>) -> Self {
         let source = |handle: &Handle| {
@@ -90,8 +91,8 @@ impl Updates {
         Self { journal, events, grippers, fleet: FleetNews::new(network) }
     }
 
-    /// Follows these topics of these grippers, from now on. Events that concern no gripper come only where `grippers` is
-    /// none, which is all; of the fleet all come in any case.
+    /// Subscribes to topics of some grippers from now on, or of all with `None`. Only a subscription to all grippers
+    /// gets the events that concern none. The fleet is always sent whole.
     #[must_use]
     pub fn subscribe(
         self: &Arc<Self>,
@@ -133,34 +134,34 @@ impl Source {
     }
 }
 
-/// A gripper whose state is followed.
+/// A gripper with a subscribed state.
 #[derive(Debug)]
 struct Watched {
     source: Arc<Source>,
     states: watch::Receiver<Arc<State>>,
-    /// Which of them was told last.
+    /// Number of the state that was sent last.
     seq: u64,
 }
 
-/// What one client follows.
+/// The topics and grippers of one client.
 pub struct Subscription {
     updates: Arc<Updates>,
     watched: Vec<Watched>,
-    /// Up to which change of the fleet it was told.
+    /// Number of the fleet's change that was sent last.
     fleet_seq: u64,
     topics: BTreeSet<Topic>,
     queued: SelectAll<BoxStream<'static, Notification>>,
 }
 
 impl Subscription {
-    /// Whether it has any of what is told by [`Subscription::newest`].
+    /// Whether [`Subscription::newest`] can ever return an update.
     #[must_use]
     pub fn has_states(&self) -> bool {
         let has_own = self.topics.contains(&Topic::State) || self.topics.contains(&Topic::Telemetry);
         self.topics.contains(&Topic::Fleet) || (has_own && !self.watched.is_empty())
     }
 
-    /// The states as they are now, which count as told.
+    /// Returns the current states, which count as sent.
     pub fn snapshot(&mut self) -> Vec<Arc<State>> {
         let look = |watched: &mut Watched| {
             watched.states.mark_unchanged();
@@ -171,10 +172,10 @@ impl Subscription {
         self.watched.iter_mut().map(look).collect()
     }
 
-    /// The states, telemetry and grippers of the fleet that have changed since they were told, and how many states and
-    /// telemetry were dropped for them: of those that there were, each tick that the client missed would have told one.
+    /// Returns the states, telemetry and fleet grippers that have changed since they were sent, and the number of
+    /// states and telemetry dropped in between: at most one per topic and missed tick.
     pub fn newest(&mut self, missed_ticks: u64) -> (Vec<Notification>, u64) {
-        let (mut told, mut dropped) = (Vec::new(), 0);
+        let (mut updates, mut dropped) = (Vec::new(), 0);
         for Watched { source, states, seq } in &mut self.watched {
             if !states.has_changed().unwrap_or_default() {
                 continue;
@@ -187,16 +188,16 @@ impl Subscription {
             ];
             let missed = state.seq.saturating_sub(*seq + 1).min(missed_ticks);
             dropped += missed * new.iter().flatten().count() as u64;
-            told.extend(new.into_iter().flatten());
+            updates.extend(new.into_iter().flatten());
             *seq = state.seq;
         }
         if self.topics.contains(&Topic::Fleet) {
-            told.extend(self.updates.fleet.since(&mut self.fleet_seq));
+            updates.extend(self.updates.fleet.since(&mut self.fleet_seq));
         }
-        (told, dropped)
+        (updates, dropped)
     }
 
-    /// The next event or frame, or how many were missed; none where no topic has any more. Cancelled without loss.
+    /// Returns the next event, frame or gap; `None` after the end of every topic. Cancel-safe.
     pub async fn next(&mut self) -> Option<Notification> {
         self.queued.next().await
     }

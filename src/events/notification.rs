@@ -1,4 +1,4 @@
-//! A serialised update, and the recent ones.
+//! Serialised updates, and a cache of the recent ones.
 
 use std::ops::Range;
 use std::sync::{Mutex, PoisonError};
@@ -8,56 +8,56 @@ use serde::Serialize;
 use tokio_tungstenite::tungstenite::protocol::frame::Frame;
 use tokio_tungstenite::tungstenite::protocol::frame::coding::{Data, OpCode};
 
-/// A JSON-RPC notification in a WebSocket frame, whose parameters are the update's body. Its clones share their bytes.
+/// A JSON-RPC notification in a WebSocket frame, with the update's body as its parameters. Clones share the bytes.
 #[derive(Debug, Clone)]
 pub struct Notification {
     method: &'static str,
     frame: Bytes,
-    /// Where the body is in the frame.
+    /// Position of the body in the frame.
     body: Range<usize>,
 }
 
 impl Notification {
-    /// Of a body; none where that has no JSON.
+    /// Serialises a body. Logs a body that has no JSON form, and returns none.
     pub fn new(method: &'static str, body: &impl Serialize) -> Option<Self> {
-        let json = serde_json::to_string(body).inspect_err(|error| tracing::error!(method, %error, "it has no JSON"));
+        let json =
+            serde_json::to_string(body).inspect_err(|error| tracing::error!(method, %error, "update has no JSON form"));
         Some(Self::of_json(method, &json.ok()?))
     }
 
-    /// Of a body that is JSON.
+    /// Wraps a body that is JSON already.
     pub(super) fn of_json(method: &'static str, json: &str) -> Self {
         let frame = text_frame(format!(r#"{{"jsonrpc":"2.0","method":"{method}","params":{json}}}"#));
-        // Behind the body there is one brace.
+        // One brace follows the body.
         let end = frame.len().saturating_sub(1);
         Self { method, frame, body: end.saturating_sub(json.len())..end }
     }
 
-    /// What it is: `state`, `telemetry`, `event`, `frame`, `fleet` or `gap`.
+    /// Returns the kind of update: `state`, `telemetry`, `event`, `frame`, `fleet` or `gap`.
     #[must_use]
     pub fn method(&self) -> &'static str {
         self.method
     }
 
-    /// The frame.
     #[must_use]
     pub fn frame(&self) -> Bytes {
         self.frame.clone()
     }
 
-    /// The body alone.
+    /// Returns the update's JSON without its envelope.
     #[must_use]
     pub fn body(&self) -> &str {
         self.frame.get(self.body.clone()).and_then(|body| std::str::from_utf8(body).ok()).unwrap_or_default()
     }
 }
 
-/// A text as one WebSocket frame of a server (RFC 6455, 5.2).
+/// Encodes a text as one WebSocket frame of a server (RFC 6455, 5.2).
 #[must_use]
 pub fn text_frame(text: String) -> Bytes {
     encoded(Frame::message(text, OpCode::Data(Data::Text), true))
 }
 
-/// A WebSocket frame's bytes.
+/// Encodes a WebSocket frame.
 #[must_use]
 pub fn encoded(frame: Frame) -> Bytes {
     let mut bytes = Vec::with_capacity(frame.len());
@@ -66,25 +66,24 @@ pub fn encoded(frame: Frame) -> Bytes {
     bytes.into()
 }
 
-/// The newest notifications of one kind, by their sequence number. Whoever asks for one that isn't there makes it, for
-/// all who come later.
+/// The newest notifications of one kind, by sequence number. The first caller to need one makes it for the others.
 #[derive(Debug)]
 pub(super) struct Recent(Vec<Mutex<Option<(u64, Notification)>>>);
 
 impl Recent {
-    /// Of so many.
+    /// Keeps at most `count` notifications.
     pub(super) fn new(count: usize) -> Self {
         Self((0..count).map(|_| Mutex::default()).collect())
     }
 
-    /// The one of this number.
+    /// Returns the notification with this sequence number, and makes it if it is missing.
     pub(super) fn get(&self, seq: u64, make: impl FnOnce() -> Option<Notification>) -> Option<Notification> {
         let slot = self.0.get(usize::try_from(seq % self.0.len() as u64).ok()?)?;
-        // A panic while it was locked has left nothing half done.
+        // A panic under the lock leaves nothing half done.
         let mut slot = slot.lock().unwrap_or_else(PoisonError::into_inner);
         match &*slot {
             Some((kept, notification)) if *kept == seq => Some(notification.clone()),
-            // Who is behind keeps nothing from those who are not.
+            // A slow subscriber does not replace what faster ones share.
             Some((kept, _)) if *kept > seq => make(),
             _ => {
                 let new = make()?;
@@ -100,7 +99,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_notification_is_its_body_with_an_envelope() {
+    fn notification_wraps_its_body() {
         let notification = Notification::new("state", &serde_json::json!({"seq": 7})).unwrap();
         let text = br#"{"jsonrpc":"2.0","method":"state","params":{"seq":7}}"#;
         assert_eq!(notification.frame(), [&[0x81, text.len() as u8][..], text].concat());
@@ -108,7 +107,7 @@ mod tests {
     }
 
     #[test]
-    fn each_is_made_once_and_a_late_one_does_not_replace_a_newer() {
+    fn notification_is_made_once_and_never_replaces_a_newer_one() {
         let recent = Recent::new(2);
         let count = std::cell::Cell::new(0);
         let ask = |seq: u64| {

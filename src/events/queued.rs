@@ -1,4 +1,4 @@
-//! What comes one by one: events and frames, from broadcasts that a slow subscriber falls behind of.
+//! Topics that come one by one: events and frames, from broadcasts in which a slow subscriber can fall behind.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -11,46 +11,47 @@ use utoipa::ToSchema;
 use super::{Notification, Source, Topic, Updates};
 use crate::gripper::model::Name;
 
-/// Told in place of what a client was too slow for, or what is too old to be there.
+/// Sent in place of events or frames that a slow client missed, or that are no longer in the journal.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 #[schema(example = json!({"topic": "events", "gripper": null, "seq": 4711, "missed": 12}))]
 pub struct Gap {
-    /// Of which topic: `events` or `frames`.
+    /// Topic with the gap: `events` or `frames`.
     topic: Topic,
-    /// Of which gripper; null for events, which are counted before they are told apart.
+    /// Gripper of the missing frames. Null for events, because the count covers all grippers.
     #[schema(value_type = Option<String>, required, max_length = 32)]
     gripper: Option<Name>,
-    /// The last one before those that are missing. `GET /events?order=oldest&cursor=` this has them, unless they are too old.
+    /// Sequence number of the last event or frame before the gap. `GET /events?order=oldest&cursor={seq}` returns the
+    /// missing events, unless the journal has removed them.
     #[schema(minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     seq: u64,
-    /// How many are missing.
+    /// Number of missing events or frames.
     #[schema(minimum = 1, maximum = 9_007_199_254_740_991_i64)]
     missed: u64,
 }
 
 impl Gap {
-    /// Of so many events behind this one.
+    /// A gap of `missed` events after event `seq`.
     #[must_use]
     pub fn of_events(seq: i64, missed: u64) -> Self {
         Self { topic: Topic::Events, gripper: None, seq: seq.unsigned_abs(), missed }
     }
 }
 
-/// The next thing that a broadcast has; none after its end.
+/// Returns the next item of a broadcast, or the number of missed ones; `None` after its end.
 async fn next<T: Clone>(receiver: &mut Receiver<T>) -> Option<Result<T, u64>> {
     match receiver.recv().await {
-        Ok(told) => Some(Ok(told)),
+        Ok(item) => Some(Ok(item)),
         Err(RecvError::Lagged(missed)) => Some(Err(missed)),
         Err(RecvError::Closed) => None,
     }
 }
 
-/// The events of these grippers, or all, from now on.
+/// Streams the events of some grippers, or of all, from now on.
 pub(super) fn events(
     updates: Arc<Updates>,
     only: Option<BTreeSet<Name>>,
 ) -> impl Stream<Item = Notification> + Send + 'static {
-    // Before it is looked what there is already: what comes between the two is left out below rather than never told.
+    // Subscribes before it reads the newest number: events between the two are skipped below, not lost.
     let receiver = updates.journal.subscribe();
     let last = updates.journal.last_seq();
     unfold((receiver, last), move |(mut receiver, mut last)| {
@@ -69,21 +70,21 @@ pub(super) fn events(
                 last = event.seq;
                 let is_wanted =
                     only.as_ref().is_none_or(|only| event.gripper.as_ref().is_some_and(|name| only.contains(name)));
-                if is_wanted && let Some(told) = updates.event(&event) {
-                    return Some((told, (receiver, last)));
+                if is_wanted && let Some(update) = updates.event(&event) {
+                    return Some((update, (receiver, last)));
                 }
             }
         }
     })
 }
 
-/// A gripper's frames from now on.
+/// Streams a gripper's frames from now on.
 pub(super) fn frames(source: Arc<Source>) -> impl Stream<Item = Notification> + Send + 'static {
     let receiver = source.handle.frames();
     unfold((receiver, 0), move |(mut receiver, last)| {
         let source = source.clone();
         async move {
-            let (told, last) = match next(&mut receiver).await? {
+            let (update, last) = match next(&mut receiver).await? {
                 Ok(frame) => (source.frame(&frame)?, frame.seq),
                 Err(missed) => {
                     let gripper = Some(source.handle.name().clone());
@@ -91,7 +92,7 @@ pub(super) fn frames(source: Arc<Source>) -> impl Stream<Item = Notification> + 
                     (Notification::new("gap", &gap)?, last + missed)
                 }
             };
-            Some((told, (receiver, last)))
+            Some((update, (receiver, last)))
         }
     })
 }

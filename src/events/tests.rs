@@ -1,4 +1,4 @@
-//! What subscribers are told, and what not.
+//! Updates that subscribers get, and those that they don't.
 
 use futures_util::FutureExt as _;
 use serde_json::Value;
@@ -20,12 +20,12 @@ fn updates() -> (Arc<Updates>, Journal) {
 fn record(journal: &Journal, gripper: Option<&str>) {
     let refused = RefusedEvent { command: "grip".into(), code: "malformed".into(), cause: "a test".into(), count: 1 };
     let gripper = gripper.map(|name| name.parse().unwrap());
-    // A client's repetitions would be merged.
+    // An event without a client, because repetitions of a client would be merged.
     let event = Event::new(Now::read().wall, gripper, Detail::Refused(refused));
     journal.record(Record::Event(event, None));
 }
 
-/// Waits until so many events are durable.
+/// Waits until the event with this number is durable.
 async fn until(journal: &Journal, seq: i64) {
     while journal.last_seq() < seq {
         tokio::task::yield_now().await;
@@ -37,13 +37,13 @@ fn body(notification: &Notification) -> Value {
 }
 
 #[tokio::test]
-async fn a_subscriber_that_is_too_slow_for_events_is_told_how_many_it_missed() {
+async fn slow_subscriber_gets_a_gap_with_the_number_of_missed_events() {
     let (updates, journal) = updates();
     let mut subscription = updates.subscribe(None, [Topic::Events]);
     let (count, first) = (3000, journal.last_seq());
     for recorded in 1..=count {
         record(&journal, None);
-        // As fast as it can be taken.
+        // Slow enough for the journal's queue.
         until(&journal, first + recorded).await;
     }
     let gap = subscription.next().await.unwrap();
@@ -57,7 +57,7 @@ async fn a_subscriber_that_is_too_slow_for_events_is_told_how_many_it_missed() {
 }
 
 #[tokio::test]
-async fn each_event_is_serialised_once_for_all() {
+async fn event_is_serialised_once_for_all_subscribers() {
     let (updates, journal) = updates();
     let mut both = [updates.subscribe(None, [Topic::Events]), updates.subscribe(None, [Topic::Events])];
     record(&journal, None);
@@ -68,7 +68,7 @@ async fn each_event_is_serialised_once_for_all() {
 }
 
 #[tokio::test]
-async fn who_follows_one_gripper_is_told_of_no_other() {
+async fn subscription_to_one_gripper_gets_no_other() {
     let (updates, journal) = updates();
     let only = BTreeSet::from(["left".parse().unwrap()]);
     let mut subscription = updates.subscribe(Some(&only), [Topic::Events, Topic::State]);
@@ -82,31 +82,31 @@ async fn who_follows_one_gripper_is_told_of_no_other() {
 }
 
 #[tokio::test]
-async fn the_fleet_is_told_whole_and_then_what_has_changed() {
+async fn fleet_is_sent_whole_and_then_by_its_changes() {
     let (updates, _) = updates();
     let (mut one, mut other) = (updates.subscribe(None, [Topic::Fleet]), updates.subscribe(None, [Topic::State]));
     assert!(one.has_states());
-    let told = |subscription: &mut Subscription| {
-        let (told, _) = subscription.newest(0);
-        let body = |told: Notification| -> Value { serde_json::from_str(told.body()).unwrap() };
-        told.into_iter().filter(|told| told.method() == "fleet").map(body).collect::<Vec<_>>()
+    let sent = |subscription: &mut Subscription| {
+        let (updates, _) = subscription.newest(0);
+        let body = |update: Notification| -> Value { serde_json::from_str(update.body()).unwrap() };
+        updates.into_iter().filter(|update| update.method() == "fleet").map(body).collect::<Vec<_>>()
     };
-    let names: Vec<_> = told(&mut one).iter().map(|body| format!("{}/{}", body["gateway"], body["gripper"])).collect();
+    let names: Vec<_> = sent(&mut one).iter().map(|body| format!("{}/{}", body["gateway"], body["gripper"])).collect();
     assert_eq!(names, [r#""wsg"/"left""#, r#""wsg"/"right""#]);
-    assert_eq!((told(&mut one).len(), told(&mut other).len()), (0, 0));
+    assert_eq!((sent(&mut one).len(), sent(&mut other).len()), (0, 0));
     let right = updates.grippers[1].handle.clone();
     let client = Client { subject: "test".into(), door: Door::Http };
     right.fast_stop(FastStopId::generate(), client, Reason::truncated("")).await;
     let changed = async {
         loop {
-            let changed = told(&mut one);
+            let changed = sent(&mut one);
             if !changed.is_empty() {
                 return changed;
             }
             tokio::task::yield_now().await;
         }
     };
-    let changed = tokio::time::timeout(std::time::Duration::from_secs(20), changed).await.expect("it is told");
+    let changed = tokio::time::timeout(std::time::Duration::from_secs(20), changed).await.expect("the change is sent");
     assert_eq!((changed.len(), &changed[0]["gripper"]), (1, &"right".into()));
-    assert_eq!(told(&mut updates.subscribe(None, [Topic::Fleet])).len(), 2, "who comes later has all");
+    assert_eq!(sent(&mut updates.subscribe(None, [Topic::Fleet])).len(), 2, "a later subscriber gets all");
 }

@@ -1,11 +1,11 @@
-//! The chain of hashes: each record's hash covers its body, its curve and the hash before it.
+//! The hash chains: each record's hash covers its body, its curve and the hash of the record before.
 
 use sha2::{Digest, Sha256};
 
-/// SHA-256.
+/// A SHA-256 digest.
 pub(super) type Hash = [u8; 32];
 
-/// What is chained: two tables of the same columns.
+/// A chain of records. Each has a table, with the same columns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(super) enum Chain {
     Events,
@@ -15,7 +15,7 @@ pub(super) enum Chain {
 impl Chain {
     pub(super) const ALL: [Self; 2] = [Self::Events, Self::Grips];
 
-    /// Its table, and how findings name it.
+    /// Name of the chain's table, also used in findings.
     pub(super) const fn name(self) -> &'static str {
         match self {
             Self::Events => "events",
@@ -23,7 +23,7 @@ impl Chain {
         }
     }
 
-    /// The field of a body that says when it was.
+    /// Field of a body with the record's time.
     pub(super) const fn time_field(self) -> &'static str {
         match self {
             Self::Events => "at",
@@ -32,7 +32,7 @@ impl Chain {
     }
 }
 
-/// The end of a chain: its newest record, or what attests the removed ones.
+/// The end of a chain: its newest record, or the last removed one if none is left.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub(super) struct Tip {
     pub(super) seq: i64,
@@ -40,19 +40,19 @@ pub(super) struct Tip {
 }
 
 impl Tip {
-    /// The end after one more record.
+    /// Returns the end after one more record.
     pub(super) fn next(&self, body: &[u8], curve: &[u8]) -> Self {
         Self { seq: self.seq + 1, hash: hash(&self.hash, body, curve) }
     }
 }
 
-/// The hash of a record behind another. The body's length keeps it apart from the curve.
+/// Hashes a record that follows another. The length of the body separates it from the curve.
 pub(super) fn hash(previous: &Hash, body: &[u8], curve: &[u8]) -> Hash {
     let digest = Sha256::new().chain_update(previous).chain_update((body.len() as u64).to_be_bytes());
     digest.chain_update(body).chain_update(curve).finalize().into()
 }
 
-/// The hash of a remembered value, which is no part of a chain: it is overwritten.
+/// Hashes a persisted value. These are overwritten, so they are outside the chains.
 pub(super) fn memory_hash(gripper: &str, key: &str, value: &str) -> Hash {
     Sha256::new().chain_update(format!("{gripper}\n{key}\n{value}")).finalize().into()
 }
@@ -62,7 +62,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_hash_depends_on_all_that_it_covers_and_on_where_the_body_ends() {
+    fn hash_covers_previous_hash_body_curve_and_their_boundary() {
         let base = hash(&[0; 32], b"body", b"curve");
         for other in [
             hash(&[1; 32], b"body", b"curve"),

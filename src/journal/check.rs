@@ -14,11 +14,11 @@ use super::spawn;
 use super::store::OpenError;
 use super::verify::{Report, verify_in_parts, verify_newest};
 
-/// Records of each chain that are checked at the start: about 5 ms, whatever the file's size. The whole takes 10 s per
-/// GB from memory, and minutes from an SD card.
+/// Records of each chain that are checked at the start, which takes about 5 ms whatever the file's size. The whole
+/// journal takes 10 s per GB from memory, and minutes from an SD card.
 const NEWEST: i64 = 1024;
 
-/// The check rests so many times as long as it read. So it takes a fifth of a disk that it could keep busy.
+/// Ratio of resting to reading: the check uses at most a fifth of the disk's time.
 const REST: u32 = 4;
 
 /// Scheduling priority of the checking thread: the lowest, which is also the lowest for the disk.
@@ -53,7 +53,7 @@ impl Stop {
         self.changed.notify_all();
     }
 
-    /// Waits; false where the check has to end.
+    /// Waits for a time; returns false if the check has to end.
     fn rest(&self, time: Duration) -> bool {
         let stopped = self.stopped.lock().unwrap_or_else(PoisonError::into_inner);
         let rested = self.changed.wait_timeout_while(stopped, time, |stopped| !*stopped);
@@ -71,10 +71,10 @@ impl Check {
         let (interrupt, stop) = (reader.interrupt_handle(), Arc::new(Stop::default()));
         let (place, until) = (source.place.clone(), stop.clone());
         let thread = spawn("journal-check", move || {
-            // Without it the check is as important as any other thread.
+            // On failure the check runs at normal priority.
             let _ = rustix::process::setpriority_process(None, NICE);
             if let Some(report) = verify_in_parts(&reader, |took| until.rest(took * REST)) {
-                say(&place, &report, &shared);
+                report_damage(&place, &report, &shared);
             }
         })?;
         Ok(Some(Self { thread, interrupt, stop }))
@@ -93,19 +93,19 @@ impl Check {
     }
 }
 
-/// Checks the newest records, before anything is written behind them.
+/// Checks the newest records before the first write.
 pub(super) fn check_newest(place: &Place, connection: &Connection, shared: &Shared) {
-    say(place, &verify_newest(connection, NEWEST), shared);
+    report_damage(place, &verify_newest(connection, NEWEST), shared);
 }
 
-fn say(place: &Place, report: &Report, shared: &Shared) {
+fn report_damage(place: &Place, report: &Report, shared: &Shared) {
     let Some(first) = report.findings.first() else { return };
     let count = report.findings.len() as u64 + report.more;
     let damage = format!(
-        "the journal {place} is damaged ({count} findings, the first is {first}): new records are still written; \
-         `wsg-gateway journal verify --journal {place}` lists the findings; export what is needed, stop the gateway, \
-         and put an intact copy in the file's place or move the file away"
+        "the journal {place} is damaged ({count} findings, first: {first}), but new records are still written: list \
+         the findings with `wsg-gateway journal verify --journal {place}`, export what is needed, stop the gateway, \
+         and replace the file with an intact copy or move it away"
     );
-    tracing::error!(damage, "the journal is damaged");
+    tracing::error!(damage, "journal damaged");
     shared.set_damage(damage);
 }

@@ -1,4 +1,4 @@
-//! A command, rebuilt from its records.
+//! Commands, rebuilt from their records.
 
 use std::sync::Arc;
 
@@ -7,7 +7,7 @@ use serde::Deserialize;
 
 use crate::gripper::model::{Command, CommandEvent, CommandId, Done, Door, Name, Phase};
 
-/// What is read of an event of kind `command`.
+/// The parts of a `command` event that describe the command.
 #[derive(Debug, Deserialize)]
 pub(super) struct CommandBody {
     pub(super) at: Timestamp,
@@ -71,8 +71,8 @@ fn ended(running: Command, done: Done) -> Command {
     }
 }
 
-/// The command that a body of kind `command` tells of: running where it was admitted, with its outcome where it has
-/// ended; none where the body is no such.
+/// Returns the command of a `command` event: running after the first record, with its outcome after the second.
+/// Returns `None` for any other body.
 #[must_use]
 pub fn command_of(body: &str) -> Option<Command> {
     serde_json::from_str(body).ok().map(CommandBody::command)

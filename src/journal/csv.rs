@@ -1,10 +1,10 @@
-//! Pages and curves as CSV. The columns of a list are always the same, whatever its records have.
+//! Pages and curves as CSV. The columns of a list are always the same, whatever fields its records have.
 
 use serde_json::Value;
 
 use crate::gripper::model::Sample;
 
-/// An event's columns: those of all kinds.
+/// Columns of events of all kinds.
 pub const EVENT_COLUMNS: &[&str] = &[
     "seq",
     "at",
@@ -65,7 +65,7 @@ pub const EVENT_COLUMNS: &[&str] = &[
     "other",
 ];
 
-/// A grip record's columns.
+/// Columns of grip records.
 pub const GRIP_COLUMNS: &[&str] = &[
     "seq",
     "id",
@@ -86,26 +86,25 @@ pub const GRIP_COLUMNS: &[&str] = &[
     "other",
 ];
 
-/// Characters with which a spreadsheet's formula begins, and those that a spreadsheet skips before one.
+/// Characters that begin a formula in a spreadsheet, or that a spreadsheet skips before one.
 const FORMULA_STARTS: [char; 11] = ['=', '+', '-', '@', '\t', '\r', '\n', '＝', '＋', '－', '＠'];
 
-/// A curve's columns.
 const CURVE_COLUMNS: [&str; 4] = ["t_ms", "width_mm", "speed_mm_s", "force_n"];
 
-/// A header of these columns.
+/// Formats the header line.
 #[must_use]
 pub fn header(columns: &[&str]) -> String {
     text(&[columns.iter().map(ToString::to_string).collect()])
 }
 
-/// A line for each body. The last column takes, as JSON, what has no column of its own.
+/// Formats a line for each body. The last column takes, as JSON, all fields without a column of their own.
 #[must_use]
 pub fn lines<'a>(columns: &[&str], bodies: impl IntoIterator<Item = &'a str>) -> String {
     let rows: Vec<_> = bodies.into_iter().map(|body| row(columns, body)).collect();
     text(&rows)
 }
 
-/// A curve with its header.
+/// Formats a curve, with its header.
 #[must_use]
 pub fn curve(samples: &[Sample]) -> String {
     let mut rows = vec![CURVE_COLUMNS.map(str::to_owned).to_vec()];
@@ -127,8 +126,8 @@ fn row(columns: &[&str], body: &str) -> Vec<String> {
     row
 }
 
-/// Returns a cell: nothing for null, and the values of a list separated by blanks. A text is harmless; numbers stay
-/// numbers, also negative ones.
+/// Formats a cell: null is empty, and blanks separate the values of a list. Texts are made harmless; numbers stay as
+/// they are, including negative ones.
 fn cell(value: Value) -> String {
     match value {
         Value::String(_) | Value::Array(_) => harmless(plain(value)),
@@ -145,15 +144,15 @@ fn plain(value: Value) -> String {
     }
 }
 
-/// Prefixes a text that a spreadsheet would run as a formula with a single quote, as OWASP advises against CSV injection:
-/// clients choose part ids, reasons, tags and names.
+/// Adds a single quote before a text that a spreadsheet would run as a formula, as OWASP advises against CSV injection.
+/// Clients choose part ids, reasons, tags and names.
 fn harmless(text: String) -> String {
     if text.starts_with(FORMULA_STARTS) { format!("'{text}") } else { text }
 }
 
 fn text(rows: &[Vec<String>]) -> String {
     let mut writer = ::csv::Writer::from_writer(Vec::new());
-    // Neither memory nor rows of equal length fail.
+    // Writing rows of equal length to memory does not fail.
     let _ = rows.iter().try_for_each(|row| writer.write_record(row));
     writer.into_inner().map(|bytes| String::from_utf8_lossy(&bytes).into_owned()).unwrap_or_default()
 }
@@ -171,7 +170,7 @@ mod tests {
     }
 
     #[test]
-    fn each_field_of_a_record_has_a_column() {
+    fn every_field_has_a_column() {
         let bodies = [
             admitted(1, "left", 1, Some("P,\"1\"")),
             done(2, "left", 1, None, Outcome::NoPart),
@@ -210,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn what_has_no_column_is_not_lost() {
+    fn unknown_fields_go_into_the_last_column() {
         assert_eq!(
             lines(&["seq", "flags", "other"], [r#"{"seq":1,"flags":["A","B"],"new":"x"}"#]),
             "1,A B,\"{\"\"new\"\":\"\"x\"\"}\"\n"
@@ -218,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn a_curve_has_its_header_and_a_line_a_sample() {
+    fn curve_has_a_header_and_a_line_per_sample() {
         let sample = Sample { t_ms: 10, width_mm: 20.5, speed_mm_s: -3.0, force_n: 0.25 };
         assert_eq!(curve(&[sample]), "t_ms,width_mm,speed_mm_s,force_n\n10,20.5,-3,0.25\n");
         assert_eq!(curve(&[]), "t_ms,width_mm,speed_mm_s,force_n\n");

@@ -1,4 +1,4 @@
-//! A curve's bytes: each sample as the difference to the one before, in steps finer than the device measures.
+//! Encoding of curves: each sample is the difference to the one before, in steps finer than the device's resolution.
 
 use crate::gripper::model::Sample;
 
@@ -14,9 +14,9 @@ const STEPS_PER_N: f64 = 100.0;
 /// Time, width, speed and force in steps.
 type Steps = [i64; 4];
 
-/// Bytes that are no curve.
+/// Error of bytes that do not encode a curve.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("the curve can't be decoded")]
+#[error("the curve cannot be decoded")]
 pub(super) struct NoCurve;
 
 pub(super) fn encode(samples: &[Sample]) -> Vec<u8> {
@@ -76,7 +76,7 @@ mod tests {
     }
 
     #[test]
-    fn a_curve_comes_back_within_its_steps_and_is_small() {
+    fn curve_is_small_and_exact_to_a_step() {
         let curve: Vec<_> = (0..1000).map(|i| sample(i * 10)).collect();
         let bytes = encode(&curve);
         assert!(bytes.len() < 6 * curve.len(), "{} bytes", bytes.len());
@@ -90,13 +90,13 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_curve_is_said_and_never_panics() {
+    fn undecodable_bytes_are_an_error() {
         let bytes = encode(&[sample(0), sample(10)]);
         assert_eq!(decode(&bytes[..bytes.len() - 1]), Err(NoCurve));
         assert_eq!(decode(&[&bytes[..], &[0]].concat()), Err(NoCurve));
         assert_eq!(decode(&[]), Err(NoCurve));
         assert_eq!(decode(&encode(&[sample(5)])[..1]), Err(NoCurve));
-        // A vector that says it is longer than memory.
+        // A vector with a length beyond memory.
         assert_eq!(decode(&[0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x7F]), Err(NoCurve));
         let wild = Sample { t_ms: u32::MAX, width_mm: f32::INFINITY, speed_mm_s: f32::MIN, force_n: f32::NAN };
         assert!(decode(&encode(&[wild, sample(0), wild])).is_ok());

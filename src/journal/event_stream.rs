@@ -1,4 +1,4 @@
-//! Following: what was, then what comes, without a gap or a repetition between the two.
+//! Event streams: past events, then new ones, without a gap or a repetition between the two.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -12,42 +12,42 @@ use super::row::{EventKind, Stored};
 use super::shared::Shared;
 use super::source::ReadError;
 
-/// Events that are read at once: a thousand followers that read nothing hold as many each.
+/// Events read at once. Each of a thousand followers can hold this many if its client stops reading.
 const PAGE: u64 = 16;
 
-/// What a follower is told.
+/// An item of an [`EventStream`].
 #[derive(Debug, PartialEq)]
 pub enum StreamItem {
     /// An event.
     Event(Arc<Stored>),
-    /// So many events behind this one that are not there any more, of whatever gripper.
+    /// Events of any gripper that retention has removed.
     Removed {
-        /// The last one before them.
+        /// Sequence number of the last event before them.
         behind: i64,
-        /// How many they are: 1 or more.
+        /// Number of removed events, at least 1.
         missed: i64,
     },
 }
 
-/// The events behind one, in order.
+/// The events after a given one, in order.
 #[derive(Debug)]
 pub struct EventStream {
     live: broadcast::Receiver<Arc<Stored>>,
     shared: Arc<Shared>,
     pool: Pool,
     filter: Filter<EventKind>,
-    /// Up to this one, events have been returned, are in `read`, or don't match.
+    /// Events up to this one were returned, are in `read`, or don't match the filter.
     after: i64,
-    /// Up to this one, events come from the file.
+    /// Events up to this one come from the file.
     until: i64,
     read: VecDeque<StreamItem>,
-    /// Whether there may be no such event yet as the one that is gone on behind.
+    /// Whether the resume cursor may lie beyond the newest event.
     is_ahead: bool,
 }
 
 impl EventStream {
     pub(super) fn new(shared: &Arc<Shared>, pool: &Pool, after: Option<i64>, filter: Filter<EventKind>) -> Self {
-        // Before it is looked what there is already: what comes between the two is seen twice rather than never.
+        // Subscribes before it reads the newest number, so that no event is lost between the two. Repeats are skipped.
         let live = shared.subscribe();
         let until = shared.committed();
         let after = after.unwrap_or(until);
@@ -55,18 +55,17 @@ impl EventStream {
         Self { live, shared: shared.clone(), pool: pool.clone(), filter, after, until, read, is_ahead }
     }
 
-    /// The next event, once it is durable, or what is missing before it; none after the journal was closed. Nothing is lost where the caller gives up
-    /// waiting.
+    /// Waits for the next durable event or a notice of removed ones; `None` once the journal is closed. Cancel-safe.
     ///
     /// # Errors
-    /// [`ReadError`], where older events can't be read. They are tried again by the next call.
+    /// [`ReadError`], if older events cannot be read. The next call tries again.
     pub async fn next(&mut self) -> Result<Option<StreamItem>, ReadError> {
         loop {
             if let Some(read) = self.read.pop_front() {
                 return Ok(Some(read));
             }
             if self.is_ahead {
-                // Who has seen more than there is has seen another journal, and nothing of this one.
+                // A cursor beyond the newest event belongs to another journal, so the stream starts at the beginning.
                 if self.after > self.pool.read(Reader::last_seq).await? {
                     self.after = 0;
                 }
@@ -104,12 +103,12 @@ impl EventStream {
         let (first, page) = self.pool.read(move |reader| reader.events_and_first(&query, until)).await?;
         let read = page.bodies.into_iter().map(|body| Stored::of(body).map(Arc::new));
         let read = read.collect::<Result<Vec<_>, _>>();
-        let read = read.map_err(|error| ReadError(format!("an event is damaged: {error}")))?;
+        let read = read.map_err(|error| ReadError(format!("an event in the journal is damaged: {error}")))?;
         self.after = match (page.next_cursor, read.last()) {
             (Some(_), Some(last)) => last.seq,
             _ => until,
         };
-        // What is removed beyond is told by the next look.
+        // Events removed beyond `until` show at the next read.
         let missed = first.map_or(until, |first| until.min(first - 1)) - after;
         self.read.extend((missed > 0).then_some(StreamItem::Removed { behind: after, missed }));
         self.read.extend(read.into_iter().map(StreamItem::Event));

@@ -1,8 +1,8 @@
 //! The journal: events and grip records that outlive the gateway, each in a chain of hashes, in one SQLite file.
 //!
-//! A gripper never waits for it: [`Journal`] is a [`Recorder`] whose queue a thread of its own empties, many records to
-//! a transaction, and who needs to know is told once they are on the disk. Readers have connections of their own, and
-//! get the JSON as it was written. [`verify`] says whether a file is as it was written.
+//! A gripper never waits for the journal: [`Journal`] is a [`Recorder`] with a queue, and a thread of its own writes
+//! many records per transaction. A caller can be notified once its record is on the disk. Readers have their own
+//! connections, and get the JSON as it was written. [`verify`] finds records that were changed since.
 
 mod chain;
 mod check;
@@ -52,26 +52,26 @@ pub use source::{Place, ReadError};
 pub use store::OpenError;
 pub use verify::{Finding, Report, verify};
 
-/// How many records may wait for the thread that writes: what comes in while a disk stalls for some seconds.
+/// Records that can wait for the writing thread: enough for a disk that stalls for some seconds.
 const QUEUE: usize = 8192;
 
-/// How many ends of commands have a place besides: more than run at once. A command without its end would be `UNKNOWN`
-/// at the next start, and keep all behind it from being removed.
+/// Further places, for ends of commands only: more than run at once. A command without its end would be `UNKNOWN` at
+/// the next start, and would keep all later events from being removed.
 const ENDS: usize = 1024;
 
-/// How large a journal in memory gets where nothing else is said, in bytes.
+/// Default size limit of a journal in memory, in bytes.
 const MEMORY_BYTES: u64 = 64 << 20;
 
-/// How long records are kept. None of a command that has not ended is removed.
+/// Limits beyond which the oldest records are removed. A running command's events, and all later ones, stay.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Retention {
-    /// How old they get; for ever where there is none.
+    /// Age at which records are removed; never if absent.
     pub max_age: Option<Duration>,
-    /// How large the file gets, without its write-ahead log.
+    /// Size limit of the file in bytes, without its write-ahead log.
     pub max_bytes: Option<u64>,
 }
 
-/// An open journal. Its clones are the same journal.
+/// An open journal. Clones share it.
 #[derive(Debug, Clone)]
 pub struct Journal {
     writing: Arc<Writing>,
@@ -79,7 +79,7 @@ pub struct Journal {
     pool: Pool,
 }
 
-/// The thread that writes, which ends with the last handle.
+/// Handle of the writing thread, which ends with the last [`Journal`].
 #[derive(Debug)]
 struct Writing {
     inputs: SyncSender<Input>,
@@ -87,60 +87,60 @@ struct Writing {
     thread: Mutex<Option<JoinHandle<Result<(), String>>>>,
 }
 
-/// The journal was closed without all that it was to keep.
+/// Error of a journal that was closed before all records were written.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct CloseError(String);
 
 impl Journal {
-    /// Opens a journal, and ends what its last run left open. A disk that takes nothing is a [`Health`], and is tried
-    /// again.
+    /// Opens a journal, and records the end of commands that its last run left open. A failing disk is not an error: it
+    /// shows in [`Health`], and the write is retried.
     ///
     /// # Errors
-    /// [`OpenError`], where another gateway has it, where it is no journal, or can't be made or read.
+    /// [`OpenError`], if another gateway uses the journal, or the file is not a journal or cannot be created or read.
     pub fn open(place: Place, retention: Retention) -> Result<(Self, Recovered), OpenError> {
         let in_memory = place == Place::Memory;
         let max_bytes = retention.max_bytes.or(in_memory.then_some(MEMORY_BYTES));
         let store = Store::open(place)?;
         let source = store.source.clone();
-        let unusable = |error| OpenError::Unusable(source.words(&error));
+        let unusable = |error| OpenError::Unusable(source.describe(&error));
         let (recovered, events) = recovery::recover(&store.connection).map_err(unusable)?;
         let writer = Writer::new(store, Retention { max_bytes, ..retention }, events).map_err(unusable)?;
         let shared = writer.shared();
         let check = Check::start(&source, shared.clone())?;
         let (inputs, queue) = sync_channel(QUEUE + ENDS);
         let (watched, place) = (shared.clone(), source.place.clone());
-        // It ends with the thread that it watches.
+        // The watch ends with the writing thread.
         spawn("journal-watch", move || watched.watch(&place))?;
         let thread = spawn("journal", move || writer.run(&queue))?;
         let writing = Arc::new(Writing { inputs, check: Mutex::new(check), thread: Mutex::new(Some(thread)) });
         Ok((Self { writing, shared, pool: Pool::new(&source) }, recovered))
     }
 
-    /// Writes what waits and that the gateway has ended in order, and ends the writing. What is recorded later is lost.
+    /// Writes the waiting records and the orderly end of the gateway, then stops writing. Later records are lost.
     ///
     /// # Errors
-    /// [`CloseError`], where the disk didn't take all.
+    /// [`CloseError`], if some records could not be written.
     pub async fn close(&self) -> Result<(), CloseError> {
         let writing = self.writing.clone();
         let closing = tokio::task::spawn_blocking(move || writing.end(true));
         closing.await.map_err(|error| CloseError(error.to_string()))?.map_err(CloseError)
     }
 
-    /// The newest durable event's sequence number; 0 before the first.
+    /// Returns the sequence number of the newest durable event; 0 before the first.
     #[must_use]
     pub fn last_seq(&self) -> i64 {
         self.shared.committed()
     }
 
-    /// Each event once it is durable. Who is too slow misses some, and is told how many.
+    /// Subscribes to events as they become durable. A receiver that lags misses some, and gets their number.
     #[must_use]
     pub fn subscribe(&self) -> broadcast::Receiver<Arc<Stored>> {
         self.shared.subscribe()
     }
 
-    /// The events behind one, or those from now on; slow followers miss none but those that are too old, and are told of
-    /// them.
+    /// Streams the events after one, or those from now on. A slow follower misses only events that retention has
+    /// removed, and gets their number.
     #[must_use]
     pub fn follow(&self, after: Option<i64>, filter: Filter<EventKind>) -> EventStream {
         EventStream::new(&self.shared, &self.pool, after, filter)
@@ -149,7 +149,7 @@ impl Journal {
     /// See [`Reader::events`].
     ///
     /// # Errors
-    /// [`ReadError`], where the journal can't be read.
+    /// [`ReadError`], if the journal cannot be read.
     pub async fn events(&self, query: EventQuery) -> Result<Page, ReadError> {
         self.pool.read(move |reader| reader.events(&query)).await
     }
@@ -157,7 +157,7 @@ impl Journal {
     /// See [`Reader::grips`].
     ///
     /// # Errors
-    /// [`ReadError`], where the journal can't be read.
+    /// [`ReadError`], if the journal cannot be read.
     pub async fn grips(&self, query: GripQuery) -> Result<Page, ReadError> {
         self.pool.read(move |reader| reader.grips(&query)).await
     }
@@ -165,7 +165,7 @@ impl Journal {
     /// See [`Reader::grip`].
     ///
     /// # Errors
-    /// [`ReadError`], where the journal can't be read.
+    /// [`ReadError`], if the journal cannot be read.
     pub async fn grip(&self, id: CommandId) -> Result<Option<Arc<str>>, ReadError> {
         self.pool.read(move |reader| reader.grip(id)).await
     }
@@ -173,7 +173,7 @@ impl Journal {
     /// See [`Reader::curve`].
     ///
     /// # Errors
-    /// [`ReadError`], where the journal can't be read.
+    /// [`ReadError`], if the journal cannot be read.
     pub async fn curve(&self, id: CommandId) -> Result<Option<Vec<Sample>>, ReadError> {
         self.pool.read(move |reader| reader.curve(id)).await
     }
@@ -181,7 +181,7 @@ impl Journal {
     /// See [`Reader::command`].
     ///
     /// # Errors
-    /// [`ReadError`], where the journal can't be read.
+    /// [`ReadError`], if the journal cannot be read.
     pub async fn command(&self, gripper: Name, id: CommandId) -> Result<Option<Command>, ReadError> {
         self.pool.read(move |reader| reader.command(&gripper, id)).await
     }
@@ -189,7 +189,7 @@ impl Journal {
 
 fn spawn<T: Send + 'static>(name: &str, run: impl FnOnce() -> T + Send + 'static) -> Result<JoinHandle<T>, OpenError> {
     let thread = std::thread::Builder::new().name(name.to_owned()).spawn(run);
-    thread.map_err(|error| OpenError::Unusable(format!("no thread for the journal: {error}")))
+    thread.map_err(|error| OpenError::Unusable(format!("cannot start a journal thread: {error}")))
 }
 
 impl Recorder for Journal {
@@ -197,11 +197,11 @@ impl Recorder for Journal {
         let record = match record {
             Record::Event(event, waiter) => {
                 let Some(event) = self.shared.rates.take(Instant::now(), event) else {
-                    // A Stop beyond its client's rate counts with the next one: nothing waits for that.
+                    // A Stop beyond its client's rate is counted with the next one, so its waiter need not wait.
                     let _ = waiter.map(|waiter| waiter.send(()));
                     return;
                 };
-                // Its end would come too late, if a try to write takes long.
+                // While the disk fails, the waiter is dropped at once: a retry could take too long.
                 Record::Event(event, waiter.filter(|_| !self.shared.failing()))
             }
             Record::Persisted(memory) => return self.remember(memory),
@@ -223,17 +223,17 @@ impl Recorder for Journal {
 }
 
 impl Journal {
-    /// A value finds its place however much waits, since it takes that of the one before.
+    /// Stores a value however long the queue is, because it replaces the value before.
     fn remember(&self, memory: PersistedState) {
         self.shared.remember(memory);
-        // Where there is no room for it, the thread has enough to do, and looks when it has done that.
+        // With a full queue the thread is awake anyway, and takes the value with its next batch.
         if let Err(TrySendError::Disconnected(_)) = self.writing.inputs.try_send(Input::Memories) {
             self.shared.lose();
         }
     }
 }
 
-/// How many records may wait for this one to have a place too.
+/// Number of waiting records below which this record is accepted.
 fn places(record: &Record, places: usize) -> usize {
     match record {
         Record::Event(Event { detail: Detail::Command(CommandEvent::Done(_)), .. }, _) => places + ENDS,
@@ -247,16 +247,16 @@ impl Writing {
         if let Some(check) = self.check.lock().unwrap_or_else(PoisonError::into_inner).take() {
             check.end();
         }
-        // A thread that has gone has said why.
+        // A thread that has gone reported the cause.
         let _ = self.inputs.send(Input::End { orderly });
-        thread.join().unwrap_or_else(|_| Err("the journal's thread has panicked".to_owned()))
+        thread.join().unwrap_or_else(|_| Err("the journal thread panicked".to_owned()))
     }
 }
 
 impl Drop for Writing {
     fn drop(&mut self) {
         if let Err(cause) = self.end(false) {
-            tracing::error!(cause, "the journal was closed");
+            tracing::error!(cause, "journal closed with an error");
         }
     }
 }

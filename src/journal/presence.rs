@@ -12,8 +12,7 @@ use rusqlite::Connection;
 
 use super::source::Place;
 
-/// Time between two checks of an idle journal. A check before each commit finds a loss earlier; three `stat` calls take
-/// about 3 µs.
+/// Time between two checks of an idle journal. Each commit also checks, which takes three `stat` calls, about 3 µs.
 pub(super) const CHECK_EVERY: Duration = Duration::from_secs(1);
 
 /// The files of an open journal: the database, its write-ahead log and the log's index.
@@ -48,11 +47,11 @@ impl OpenFile {
 }
 
 impl Presence {
-    /// Notes the files that a connection has opened. They are looked at by name: closing a second descriptor of a
-    /// database would drop SQLite's own locks on it.
+    /// Notes the files that a connection has opened, by path: closing a second descriptor of a database would drop
+    /// SQLite's own locks.
     ///
     /// # Errors
-    /// Any file that cannot be looked at.
+    /// Any file whose metadata cannot be read.
     pub(super) fn new(place: &Place, connection: &Connection) -> io::Result<Option<Self>> {
         let Place::File(path) = place else { return Ok(None) };
         // SQLite follows links to the database, and keeps the other two files beside it.
@@ -64,7 +63,7 @@ impl Presence {
     /// Compares the files at their paths with the open ones.
     ///
     /// # Errors
-    /// The file, what became of it, and the remedy.
+    /// The file, what happened to it, and the remedy.
     pub(super) fn check(&mut self) -> Result<(), String> {
         if let Some(truncated) = &self.truncated {
             return Err(truncated.clone());
@@ -73,7 +72,7 @@ impl Presence {
             let bytes = file.identify()?;
             if bytes < file.bytes {
                 let truncated = format!(
-                    "the journal's file {} was truncated from {} to {bytes} bytes: \
+                    "the journal file {} was truncated from {} to {bytes} bytes: \
                      restart the gateway with an intact copy of the journal, or move its files away to begin a new one",
                     file.path.display(),
                     file.bytes
@@ -93,14 +92,14 @@ impl Presence {
         for file in &mut self.files {
             match file.identify() {
                 Ok(bytes) => file.bytes = bytes,
-                // The sizes of the others count all the same.
+                // The other files' sizes are still noted.
                 Err(lost) => present = present.and(Err(lost)),
             }
         }
         present
     }
 
-    /// Whether a file was found truncated, so that no write can mend it.
+    /// Whether a file was found truncated, which no write can repair.
     pub(super) fn is_truncated(&self) -> bool {
         self.truncated.is_some()
     }
@@ -109,14 +108,14 @@ impl Presence {
 fn cause(error: &io::Error) -> String {
     match error.kind() {
         ErrorKind::NotFound => "was removed or renamed".to_owned(),
-        _ => format!("cannot be looked at ({error})"),
+        _ => format!("cannot be checked ({error})"),
     }
 }
 
 fn lost(path: &Path, cause: &str) -> String {
     format!(
-        "the journal's file {} {cause} while the gateway runs, and new records would be lost: \
-         put the same file back, or restart the gateway to begin with what is at the path",
+        "the journal file {} {cause} while the gateway runs, so new records would be lost: \
+         put the same file back, or restart the gateway to use whatever is at this path",
         path.display()
     )
 }

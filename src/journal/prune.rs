@@ -1,7 +1,7 @@
-//! Retention: the oldest records are removed in small steps between batches, and what is removed is attested.
+//! Retention: the oldest records are removed in small steps between batches, and an event attests each removal.
 //!
-//! A removal begins with its `pruned` event. The newest such event names the last record of each chain that it removes,
-//! and its hash, so that what is left is proved to be all that followed.
+//! A removal begins with its `pruned` event. The newest `pruned` event names the last removed record of each chain and
+//! its hash, which proves that the remaining records are all that followed.
 
 use std::time::{Duration, Instant};
 
@@ -15,35 +15,35 @@ use super::schema::SPAN_BITS;
 use super::store::{Store, anchor, insert};
 use crate::gripper::model::{Detail, Event, GatewayEvent};
 
-/// How many records a step removes: some milliseconds, for which a command may have to wait. Where more are written
-/// between two steps, it is twice as many as those.
+/// Records removed per step, or twice those written since the last step if that is more. A step takes some
+/// milliseconds, during which a command may have to wait.
 const STEP: i64 = 256;
 
-/// How many pages a step gives back to the disk at most; more than a step's records have.
+/// Maximum number of pages that a step gives back to the disk: more than the step's records take.
 const STEP_PAGES: i64 = 1024;
 
-/// How often it is looked whether something is too old or too much.
+/// Time between two looks for records beyond the limits.
 const EVERY: Duration = Duration::from_mins(1);
 
-/// It is looked earlier when so much of the greatest size has been written, as one part of this many.
+/// Part of the size limit: a look comes earlier once this much has been written.
 const LOOK_PART: u64 = 64;
 
-/// How much older than allowed the oldest record gets, so that not each look removes a few, with an event of its own.
+/// Age beyond the limit at which a removal begins. Without it every look would remove a few records, with an event.
 const LEEWAY: SignedDuration = SignedDuration::from_hours(1);
 
-/// How much is left of a journal that was too large, in percent, so that it isn't soon again.
+/// Size in percent of the limit to which a removal shrinks the journal, so that the next removal is not due at once.
 const SHRINK_TO_PERCENT: u64 = 90;
 
-/// When and what to remove.
+/// State of the removal of old records.
 #[derive(Debug)]
 pub(super) struct Pruning {
     retention: Retention,
     due: Instant,
-    /// While a journal that was too large is made smaller.
+    /// Whether a journal that was too large is being shrunk.
     shrinking: bool,
-    /// What is being removed: of events and of grip records, all up to these.
+    /// Last event and last grip record of the removal in progress.
     removal: Option<[Tip; 2]>,
-    /// How many records were written since the last step, and how many bytes since the last look.
+    /// Records written since the last step, and bytes since the last look.
     rows: i64,
     bytes: u64,
 }
@@ -53,12 +53,12 @@ impl Pruning {
         Self { retention, due: now, shrinking: false, removal: None, rows: 0, bytes: 0 }
     }
 
-    /// When the next step is.
+    /// Returns the time of the next step.
     pub(super) fn due(&self) -> Instant {
         self.due
     }
 
-    /// Takes account of what was written.
+    /// Counts written records.
     pub(super) fn wrote(&mut self, rows: &[Row], at: Instant) {
         self.rows += i64::try_from(rows.len()).unwrap_or(i64::MAX);
         self.bytes += rows.iter().map(Row::bytes).sum::<u64>();
@@ -67,8 +67,8 @@ impl Pruning {
         }
     }
 
-    /// Looks whether something is too old or too much, and returns the event that attests its removal; or removes some
-    /// of it.
+    /// Removes some records of the current removal. Without one, looks for records beyond the limits, and returns the
+    /// event that attests their removal.
     pub(super) fn step(&mut self, store: &mut Store, end: Tip, at: Instant) -> rusqlite::Result<Option<Row>> {
         self.due = at + EVERY;
         let step = STEP.max(std::mem::take(&mut self.rows).saturating_mul(2));
@@ -113,8 +113,8 @@ impl Pruning {
     }
 }
 
-/// What can go of each chain, where `last` says the last record that should: none of a command that has not ended, and
-/// never the chain's end.
+/// Returns the last record that can be removed of each chain, where `last` is the last that should be. Records of a
+/// running command and the end of a chain stay.
 fn removal(
     connection: &Connection,
     last: impl Fn(Chain) -> rusqlite::Result<i64>,
@@ -142,19 +142,19 @@ fn newest(connection: &Connection, chain: Chain) -> rusqlite::Result<i64> {
     connection.query_row(&sql, [], |row| row.get(0))
 }
 
-/// The last record before the first that is not older. What is later than now was written by a clock gone wrong, and
-/// goes with its neighbours.
+/// Returns the last record before the first that is new enough. Records from the future come from a wrong clock, and go
+/// with their neighbours.
 fn before_time(connection: &Connection, chain: Chain, before: Timestamp, now: Timestamp) -> rusqlite::Result<i64> {
     let first = first_within(connection, chain, milliseconds(before), now)?;
     Ok(first.map_or(i64::MAX, |(seq, _)| seq - 1))
 }
 
-/// When the first record was that a right clock may have written.
+/// Returns the time of the first record that is not from the future.
 fn oldest(connection: &Connection, chain: Chain, now: Timestamp) -> rusqlite::Result<Option<i64>> {
     Ok(first_within(connection, chain, i64::MIN, now)?.map(|(_, at)| at))
 }
 
-/// The first record of a time up to now, and its time.
+/// Finds the first record with a time between `from` and `now`. Returns its sequence number and its time.
 fn first_within(
     connection: &Connection,
     chain: Chain,
@@ -171,13 +171,13 @@ fn first_within(
     connection.query_row(&sql, values, |row| Ok((row.get(0)?, row.get(1)?))).optional()
 }
 
-/// How large the file is without its free pages, in bytes.
+/// Returns the file's size without its free pages, in bytes.
 fn used(connection: &Connection) -> rusqlite::Result<u64> {
     let number = |pragma| connection.pragma_query_value(None, pragma, |row| row.get::<_, u32>(0).map(u64::from));
     Ok((number("page_count")? - number("freelist_count")?) * number("page_size")?)
 }
 
-/// Writes down what is removed from now on.
+/// Writes the event that attests a removal, before the removal begins.
 fn attest(store: &mut Store, [events, grips]: [Tip; 2], end: Tip) -> rusqlite::Result<Row> {
     let event = GatewayEvent::Pruned {
         up_to_seq: events.seq,
@@ -193,15 +193,15 @@ fn attest(store: &mut Store, [events, grips]: [Tip; 2], end: Tip) -> rusqlite::R
     Ok(row)
 }
 
-/// Removes some of what is to go; false where all of it has gone.
+/// Removes one step of a removal; returns false once all is removed.
 fn remove(store: &mut Store, removal: [Tip; 2], step: i64) -> rusqlite::Result<bool> {
     for chain in Chain::ALL {
         let (before, to) = (anchor(&store.connection, chain)?.seq, removal[chain as usize].seq);
         if before < to {
             remove_of(store, chain, to.min(before + step))?;
-            // What was removed is, whether or not the file gets smaller by it.
+            // The removal counts even if the file does not shrink.
             if let Err(error) = give_back(&store.connection) {
-                tracing::warn!(failure = store.source.words(&error), "the journal's file was not made smaller");
+                tracing::warn!(failure = store.source.describe(&error), "journal file not shrunk");
             }
             return Ok(true);
         }
@@ -222,7 +222,7 @@ fn remove_of(store: &mut Store, chain: Chain, last: i64) -> rusqlite::Result<()>
     transaction.commit()
 }
 
-/// Makes the file smaller.
+/// Gives free pages back to the disk.
 fn give_back(connection: &Connection) -> rusqlite::Result<()> {
     let mut statement = connection.prepare_cached(&format!("PRAGMA incremental_vacuum({STEP_PAGES})"))?;
     let mut rows = statement.query([])?;

@@ -1,4 +1,4 @@
-//! A page of records: what is asked for, and how it is found without reading more than is returned.
+//! Queries for pages of records, which read no more records than they return.
 
 use std::fmt;
 use std::str::FromStr;
@@ -13,26 +13,23 @@ use super::row::{EventKind, Stored, milliseconds, word};
 use super::runs::{Run, runs};
 use crate::gripper::model::{CommandId, Kind, Name, Outcome, PartId};
 
-/// Asks for events.
+/// Query for events.
 pub type EventQuery = Query<EventKind>;
 
-/// Asks for grip records.
+/// Query for grip records.
 pub type GripQuery = Query<Kind>;
 
-/// Asks for a page of records.
+/// Query for a page of records.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Query<K> {
-    /// Which ones.
     pub filter: Filter<K>,
-    /// Not before.
+    /// Earliest time, inclusive.
     pub from: Option<Timestamp>,
-    /// Before.
+    /// Latest time, exclusive.
     pub to: Option<Timestamp>,
-    /// How many at most.
     pub limit: Limit,
-    /// Behind which one, in that order.
+    /// Record after which the page begins, in this order.
     pub cursor: Option<Cursor>,
-    /// In which order.
     pub order: Order,
 }
 
@@ -43,18 +40,14 @@ impl<K> Default for Query<K> {
     }
 }
 
-/// What records must have; none asks for all.
+/// Values that records must have; an absent value matches all.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Filter<K> {
-    /// This gripper.
     pub gripper: Option<Name>,
-    /// This kind.
     pub kind: Option<K>,
-    /// This part.
     pub part_id: Option<PartId>,
-    /// This outcome.
     pub outcome: Option<Outcome>,
-    /// This command; of grip records, this id.
+    /// Id of the command; for grip records their own id.
     pub command_id: Option<CommandId>,
 }
 
@@ -65,7 +58,7 @@ impl<K> Default for Filter<K> {
 }
 
 impl Filter<EventKind> {
-    /// Whether an event is asked for.
+    /// Whether an event passes the filter.
     #[must_use]
     pub fn matches(&self, event: &Stored) -> bool {
         fn allows<T: PartialEq>(asked: Option<&T>, is: Option<&T>) -> bool {
@@ -79,26 +72,25 @@ impl Filter<EventKind> {
     }
 }
 
-/// In which order records come.
+/// Order of records by sequence number:
+///
+/// - `newest`: newest first
+/// - `oldest`: oldest first
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Serialize, serde::Deserialize, utoipa::ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Order {
-    /// The newest first.
     #[default]
     Newest,
-    /// The oldest first.
     Oldest,
 }
 
-/// How many records a page has at most: 1 to 1000.
+/// Maximum number of records on a page, from 1 to 1000.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limit(u16);
 
 impl Limit {
-    /// So many.
-    ///
     /// # Errors
-    /// [`InvalidLimit`], where it is none of 1 to 1000.
+    /// [`InvalidLimit`], if the number is not from 1 to 1000.
     pub fn new(limit: u64) -> Result<Self, InvalidLimit> {
         match u16::try_from(limit) {
             Ok(limit @ 1..=1000) => Ok(Self(limit)),
@@ -113,17 +105,17 @@ impl Default for Limit {
     }
 }
 
-/// A number that is no [`Limit`].
+/// Error of a number that is not a [`Limit`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("limit is {0}, and must be from 1 to 1000: ask for more by the cursor")]
+#[error("limit is {0} but must be from 1 to 1000: use the cursor to get more records")]
 pub struct InvalidLimit(u64);
 
-/// Where the next page begins. Clients give it back as it is.
+/// Position where the next page begins. Clients send it back unchanged.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Cursor(i64);
 
 impl Cursor {
-    /// Behind the record with this sequence number.
+    /// Begins after the record with this sequence number.
     #[must_use]
     pub fn behind(seq: i64) -> Self {
         Self(seq)
@@ -144,25 +136,26 @@ impl FromStr for Cursor {
     }
 }
 
-/// A text that is no [`Cursor`].
+/// Error of a text that is not a [`Cursor`].
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{0:?} is no cursor: give next_cursor of the page before as it is, or none for the first page")]
+#[error("{0:?} is not a cursor: send next_cursor of the previous page unchanged, or no cursor for the first page")]
 pub struct InvalidCursor(String);
 
-/// Some of the records that were asked for.
+/// A page of records.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Page {
-    /// Each as JSON.
+    /// The records as JSON.
     pub bodies: Vec<Arc<str>>,
-    /// For the page behind it; none where this is the last.
+    /// Cursor of the next page; absent on the last.
     pub next_cursor: Option<String>,
 }
 
 /// The kinds of one chain's records.
 pub(super) trait ChainKind: Copy + PartialEq + serde::Serialize {
     const CHAIN: Chain;
-    /// The only one that has a part, and the only one that has an outcome, where there is such.
+    /// The only kind that can have a part.
     const WITH_PART: Self;
+    /// The only kind that can have an outcome; absent if every kind has one.
     const WITH_OUTCOME: Option<Self>;
 }
 
@@ -178,13 +171,13 @@ impl ChainKind for Kind {
     const WITH_OUTCOME: Option<Self> = None;
 }
 
-/// Conditions on columns, and the index that has exactly these columns.
+/// Conditions on columns, and the index of exactly these columns.
 struct Plan {
     index: String,
     conditions: Vec<(&'static str, String)>,
 }
 
-/// None where nothing can match.
+/// Returns none if nothing can match.
 fn plan<K: ChainKind>(filter: &Filter<K>) -> Option<Plan> {
     let implied = match (&filter.part_id, &filter.outcome) {
         (Some(_), _) => Some(K::WITH_PART),
@@ -202,7 +195,7 @@ fn plan<K: ChainKind>(filter: &Filter<K>) -> Option<Plan> {
     conditions.extend(filter.outcome.map(|outcome| ("outcome", word(&outcome))));
     let columns: Vec<_> = conditions.iter().map(|(column, _)| *column).collect();
     let table = K::CHAIN.name();
-    // A command has so few records that the other conditions may read them all.
+    // A command has few records, so the other conditions can read them all.
     let index = match filter.command_id {
         Some(_) => format!("INDEXED BY {table}_command_id"),
         None if columns.is_empty() => "NOT INDEXED".to_owned(),
@@ -213,7 +206,7 @@ fn plan<K: ChainKind>(filter: &Filter<K>) -> Option<Plan> {
 }
 
 impl Chain {
-    /// A record's body as it is served, with what became of a part behind its grip.
+    /// Columns of a served record: body, time at which a grip's part was lost, and whether the record is a grip.
     fn served(self) -> &'static str {
         match self {
             Self::Events => "body, NULL, 0",
@@ -226,7 +219,7 @@ impl Chain {
     }
 }
 
-/// Reads a page: `until` is the last record that may be on it.
+/// Reads a page of records up to `until`.
 pub(super) fn page<K: ChainKind>(connection: &Connection, query: &Query<K>, until: i64) -> rusqlite::Result<Page> {
     let Some(plan) = plan(&query.filter) else { return Ok(Page::default()) };
     let cursor = query.cursor.map(|Cursor(seq)| seq);
@@ -237,7 +230,7 @@ pub(super) fn page<K: ChainKind>(connection: &Connection, query: &Query<K>, unti
     let limit = usize::from(query.limit.0);
     let mut found = Vec::new();
     for run in runs(connection, K::CHAIN, (query.from, query.to), (first, last), query.order)? {
-        // One more than the page has tells whether another page is behind it.
+        // One record beyond the limit shows that another page follows.
         read_run(connection, &plan, query, run, limit + 1, &mut found)?;
         if found.len() > limit {
             break;
@@ -282,7 +275,7 @@ fn read_run<K: ChainKind>(
     Ok(())
 }
 
-/// The body, behind which a grip has `part_lost_at`.
+/// Returns the body as served: a grip gets `part_lost_at` at its end.
 fn served(body: &str, part_lost_at: Option<String>, is_grip: bool) -> Arc<str> {
     if !is_grip {
         return body.into();

@@ -1,11 +1,11 @@
-//! Rates of what is written down. Nobody can flush the audit trail by repeating what costs nothing.
+//! Rate limits for records, so that no client can flush the audit trail by repeating cheap requests.
 //!
-//! Each client's address has an account of bytes. While it has some, every event is a record of its own. Beyond, the
-//! newest event of a kind stands for all of its kind: it is written when the account allows, a second later at the
-//! earliest, and says for how many it stands. Nothing is refused here, and no count is lost.
+//! Each client's address has an account of bytes. While bytes are left, every event is a record of its own. After that,
+//! the newest event of a kind stands for all of its kind, and carries their count. It is written when the account
+//! allows, but at least a second later. No request is refused here, and no count is lost.
 //!
-//! A motion's two records are exempt, because nothing moves that is not written down: the device bounds their rate.
-//! So is what no client causes: the gateway's own events, and those of link and device.
+//! A motion's two records are exempt, because every motion has to be recorded; the device bounds their rate. Events
+//! that no client causes are exempt too: those of the gateway, the link and the device.
 
 use std::collections::hash_map::Entry;
 use std::collections::{HashMap, HashSet};
@@ -20,49 +20,48 @@ use crate::gripper::model::{
     RefusedEvent, SettingChange,
 };
 
-/// Bytes that an account has at first, and at most: some 1,700 records. A PLC that changes a setting in each 10 ms
-/// cycle is recorded one by one for 17 s.
+/// Initial and maximum bytes of an account: some 1,700 records. A PLC that changes a setting in each 10 ms cycle is
+/// recorded one by one for 17 s.
 const BURST: u64 = 1 << 20;
 
 /// Bytes that an account gets each second: about one record. One address that floods four grippers through all
 /// interfaces draws on eight accounts: two of its own, two of Zenoh's, and each gripper's.
-/// 8 × (1 MiB + 768 B/s × 604,800 s) = 3.7 GB a week, so the default 4,096 MB keep more than a week of it.
+/// 8 × (1 MiB + 768 B/s × 604,800 s) = 3.7 GB a week, so the default 4,096 MB hold more than a week of such a flood.
 const REFILL_PER_S: u64 = 768;
 
-/// Bytes of the file that a record takes beside its JSON: hash, indexes and page overhead.
+/// Bytes that a record takes in the file besides its JSON: hash, indexes and page overhead.
 const OVERHEAD: u64 = 300;
 
-/// Time that events are merged for, so that an aggregate is written once a second at most.
+/// Shortest time for which events are merged, so that an aggregate is written at most once a second.
 const MERGED_FOR: Duration = Duration::from_secs(1);
 
-/// Accounts that are told apart: more than the clients of a cell. Further clients share one.
+/// Maximum number of separate accounts: more than a cell has clients. Further clients share one.
 const MAX_ACCOUNTS: usize = 64;
 
-/// Aggregates that are told apart. Further ones of an account share one.
+/// Maximum number of separate aggregates. Further ones of an account share one.
 const MAX_MERGED: usize = 256;
 
-/// Stops whose first record is written, and whose second is still to come: more than a gripper's lane holds, for each
-/// of 32 grippers.
+/// Maximum number of Stops with their second record still to come: more than the lanes of 32 grippers hold.
 const MAX_OPEN_STOPS: usize = 1024;
 
-/// What a client's records are charged to.
+/// Account to which a client's records are charged.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 struct Account {
     payer: Payer,
-    /// FAST STOPs and acknowledges have an account of their own, which nothing else draws on.
+    /// FAST STOPs and acknowledges have an account of their own, so that other records cannot use it up.
     is_fast_stop: bool,
 }
 
-/// What the gateway knows of a client, and a client can't invent.
+/// Identity of a client that it cannot invent.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 enum Payer {
-    /// A peer's address; of IPv6 its network, because a host has 2^64 addresses there.
+    /// Address of a peer; for IPv6 its /64 network, because a host has 2^64 addresses there.
     Address(IpAddr),
-    /// All clients of an interface that tells only the names that they give themselves.
+    /// All clients of an interface that knows only names of the clients' own choice.
     Interface(Door),
-    /// What the device shows of all clients' FAST STOPs.
+    /// Events of FAST STOPs that the device shows, whichever client caused them.
     Gripper(Name),
-    /// More than are told apart.
+    /// Clients beyond [`MAX_ACCOUNTS`].
     Others,
 }
 
@@ -92,7 +91,7 @@ impl Payer {
     }
 }
 
-/// Kinds of events of which the newest stands for all.
+/// Kinds of events that are merged into the newest one.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 enum Mergeable {
     Stop,
@@ -102,7 +101,7 @@ enum Mergeable {
     Setting(Discriminant<SettingChange>),
     Device(Discriminant<DeviceEvent>),
     Refused(String),
-    /// More than are told apart.
+    /// Kinds beyond [`MAX_MERGED`].
     Others,
 }
 
@@ -122,7 +121,7 @@ impl Mergeable {
     }
 }
 
-/// Bytes that may still be written; below 0 by one record at most.
+/// Bytes left in an account; below 0 by at most one record.
 #[derive(Debug)]
 struct Balance {
     bytes: f64,
@@ -148,22 +147,22 @@ struct Slot {
     kind: Mergeable,
 }
 
-/// The accounts, and what waits until they allow more.
+/// The accounts, and the aggregates that wait for them.
 #[derive(Debug, Default)]
 pub(super) struct Rates(Mutex<State>);
 
 #[derive(Debug, Default)]
 struct State {
     balances: HashMap<Account, Balance>,
-    /// The newest event of each, and since when events are merged.
+    /// Newest event of each slot, and the time at which merging began.
     merged: HashMap<Slot, (Instant, Event)>,
     open_stops: HashSet<CommandId>,
-    /// When unused accounts were closed last.
+    /// Time at which unused accounts were last closed.
     closed_at: Option<Instant>,
 }
 
 impl Rates {
-    /// Takes an event: to be written now, or merged.
+    /// Returns an event that is to be written now, or merges it and returns none.
     pub(super) fn take(&self, now: Instant, event: Event) -> Option<Event> {
         let Some((account, kind)) = Account::of(&event).zip(Mergeable::of(&event.detail)) else { return Some(event) };
         let mut state = self.state();
@@ -181,7 +180,7 @@ impl Rates {
         None
     }
 
-    /// Returns the aggregates that are to be written now, the oldest first: all of them where the journal is closed.
+    /// Returns the aggregates that are due, oldest first; all of them when the journal closes.
     pub(super) fn due(&self, now: Instant, all: bool) -> Vec<Event> {
         let mut state = self.state();
         let is_due = |since: Instant| all || now >= since + MERGED_FOR;
@@ -212,7 +211,7 @@ impl Rates {
 }
 
 impl State {
-    /// Opens an account, or finds the shared one where there are too many.
+    /// Opens an account if needed, and returns it; the shared one if there are too many.
     fn known(&mut self, now: Instant, account: Account) -> Account {
         let is_new = !self.balances.contains_key(&account);
         if is_new && self.balances.len() >= MAX_ACCOUNTS {
@@ -224,7 +223,7 @@ impl State {
         account
     }
 
-    /// Closes the accounts that are as if they were new.
+    /// Closes the accounts that are full and have no waiting aggregates.
     fn close_unused(&mut self, now: Instant) {
         if self.closed_at.is_some_and(|at| now < at + MERGED_FOR) {
             return;
@@ -253,8 +252,8 @@ impl State {
         }
     }
 
-    /// A Stop is never refused. It has both of its records, or counts with the newest: a first record without the
-    /// second would be told as `UNKNOWN` after a restart.
+    /// Takes a Stop's record. A Stop has both of its records, or is counted with the newest: after a restart a first
+    /// record without the second would end as `UNKNOWN`.
     fn take_stop(&mut self, now: Instant, account: Account, is_admitted: bool, event: Event) -> Option<Event> {
         let Some(id) = event.command_id else { return Some(event) };
         if is_admitted {
@@ -286,7 +285,7 @@ impl State {
     }
 }
 
-/// Lets the newest event stand for an older one too.
+/// Merges an older event into the newest one.
 fn absorb(newest: &mut Event, older: &mut Event) {
     let mut more = 0;
     match (count(&mut newest.detail), count(&mut older.detail).copied()) {
@@ -297,7 +296,7 @@ fn absorb(newest: &mut Event, older: &mut Event) {
     newest.aggregated = NonZero::new(more + aggregated(newest) + aggregated(older));
 }
 
-/// Requests that an event says it tells of; none where its kind has no count of its own.
+/// Returns the count of requests in an event; none if its kind has no count of its own.
 fn count(detail: &mut Detail) -> Option<&mut u64> {
     match detail {
         Detail::FastStop(FastStopEvent { count, .. })

@@ -1,4 +1,4 @@
-//! Reading: one connection, and a few of them for many readers.
+//! Read connections to a journal, and a small pool of them for many readers.
 
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -14,10 +14,10 @@ use super::schema::{Content, content};
 use super::source::{Place, ReadError, Source, no_file};
 use crate::gripper::model::{Command, CommandId, Name, Sample};
 
-/// How many read at once: what more than the cores do only waits longer.
+/// Maximum number of concurrent reads. More than there are cores would only wait longer.
 const READERS: usize = 4;
 
-/// A connection that only reads. It may be of another process than the gateway that writes.
+/// A read-only connection, possibly in another process than the gateway that writes.
 #[derive(Debug)]
 pub struct Reader {
     source: Source,
@@ -25,13 +25,14 @@ pub struct Reader {
 }
 
 impl Reader {
-    /// Opens a journal's file, which a gateway may be writing.
+    /// Opens a journal file, even while a gateway writes to it.
     ///
     /// # Errors
-    /// [`ReadError`], where there is no file, it is no journal, or not of this version.
+    /// [`ReadError`], if the file is missing, is not a journal, or has another version.
     pub fn open(path: &Path) -> Result<Self, ReadError> {
         if !path.exists() {
-            return Err(ReadError(format!("there is no journal {}: name the gateway's file", path.display())));
+            let path = path.display();
+            return Err(ReadError(format!("the journal {path} does not exist: name the gateway's journal file")));
         }
         if let Some(no_file) = no_file(path) {
             return Err(ReadError(no_file));
@@ -39,12 +40,12 @@ impl Reader {
         let reader = Self::connect(&Source::new(Place::File(path.to_owned())))?;
         match reader.with(content)? {
             Content::Journal => Ok(reader),
-            other => Err(ReadError(other.words(path))),
+            other => Err(ReadError(other.describe(path))),
         }
     }
 
     pub(super) fn connect(source: &Source) -> Result<Self, ReadError> {
-        let connection = source.reading().map_err(|error| ReadError(source.words(&error)))?;
+        let connection = source.reading().map_err(|error| ReadError(source.describe(&error)))?;
         Ok(Self { source: source.clone(), connection })
     }
 
@@ -53,32 +54,32 @@ impl Reader {
     }
 
     pub(super) fn with<T>(&self, read: impl FnOnce(&Connection) -> rusqlite::Result<T>) -> Result<T, ReadError> {
-        read(&self.connection).map_err(|error| ReadError(self.source.words(&error)))
+        read(&self.connection).map_err(|error| ReadError(self.source.describe(&error)))
     }
 
-    /// A page of events.
+    /// Reads a page of events.
     ///
     /// # Errors
-    /// [`ReadError`], where the journal can't be read.
+    /// [`ReadError`], if the journal cannot be read.
     pub fn events(&self, query: &EventQuery) -> Result<Page, ReadError> {
         self.events_until(query, i64::MAX)
     }
 
-    /// A page of events none of which is newer than `until`.
+    /// Reads a page of events up to sequence number `until`.
     ///
     /// # Errors
-    /// [`ReadError`], where the journal can't be read.
+    /// [`ReadError`], if the journal cannot be read.
     pub fn events_until(&self, query: &EventQuery, until: i64) -> Result<Page, ReadError> {
         self.with(|connection| page(connection, query, until))
     }
 
-    /// The same, and the oldest event's sequence number at that time; none where there is none.
+    /// Reads a page of events up to `until`, and the sequence number of the oldest event, if any, at the same moment.
     ///
     /// # Errors
-    /// [`ReadError`], where the journal can't be read.
+    /// [`ReadError`], if the journal cannot be read.
     pub(super) fn events_and_first(&self, query: &EventQuery, until: i64) -> Result<(Option<i64>, Page), ReadError> {
         self.with(|connection| {
-            // Both see the journal as it is now, whatever is removed meanwhile.
+            // Both reads see the journal as it is now, even if events are removed meanwhile.
             let now = connection.unchecked_transaction()?;
             let sql = format!("SELECT min(seq) FROM {}", Chain::Events.name());
             let first = now.prepare_cached(&sql)?.query_row([], |row| row.get(0))?;
@@ -86,27 +87,27 @@ impl Reader {
         })
     }
 
-    /// A page of grip records, each with `part_lost_at`, which is null while the part was not lost.
+    /// Reads a page of grip records, each with `part_lost_at`, which is null unless the part was lost.
     ///
     /// # Errors
-    /// [`ReadError`], where the journal can't be read.
+    /// [`ReadError`], if the journal cannot be read.
     pub fn grips(&self, query: &GripQuery) -> Result<Page, ReadError> {
         self.with(|connection| page(connection, query, i64::MAX))
     }
 
-    /// The grip record of a command, as on a page.
+    /// Reads the grip record of a command, in the form that pages have.
     ///
     /// # Errors
-    /// [`ReadError`], where the journal can't be read.
+    /// [`ReadError`], if the journal cannot be read.
     pub fn grip(&self, id: CommandId) -> Result<Option<Arc<str>>, ReadError> {
         let filter = Filter { command_id: Some(id), ..Filter::default() };
         Ok(self.grips(&GripQuery { filter, ..GripQuery::default() })?.bodies.pop())
     }
 
-    /// The curve of a grip record.
+    /// Reads the curve of a grip record.
     ///
     /// # Errors
-    /// [`ReadError`], where the journal can't be read.
+    /// [`ReadError`], if the journal cannot be read.
     pub fn curve(&self, id: CommandId) -> Result<Option<Vec<Sample>>, ReadError> {
         let bytes: Option<Vec<u8>> = self.with(|connection| {
             let mut statement = connection.prepare_cached("SELECT curve FROM grips WHERE command_id = ?")?;
@@ -116,10 +117,10 @@ impl Reader {
         bytes.map(|bytes| curve::decode(&bytes).map_err(damaged)).transpose()
     }
 
-    /// A command of a gripper, as far as the journal knows it.
+    /// Reads the newest state of a gripper's command.
     ///
     /// # Errors
-    /// [`ReadError`], where the journal can't be read.
+    /// [`ReadError`], if the journal cannot be read.
     pub fn command(&self, gripper: &Name, id: CommandId) -> Result<Option<Command>, ReadError> {
         let body: Option<String> = self.with(|connection| {
             let mut statement = connection.prepare_cached(
@@ -131,10 +132,10 @@ impl Reader {
         Ok(body.and_then(|body| command_of(&body)))
     }
 
-    /// The newest event's sequence number; 0 where there is none.
+    /// Returns the sequence number of the newest event; 0 in an empty journal.
     ///
     /// # Errors
-    /// [`ReadError`], where the journal can't be read.
+    /// [`ReadError`], if the journal cannot be read.
     pub fn last_seq(&self) -> Result<i64, ReadError> {
         self.with(|connection| {
             let sql = format!("SELECT coalesce(max(seq), 0) FROM {}", Chain::Events.name());
@@ -143,7 +144,7 @@ impl Reader {
     }
 }
 
-/// Readers for an asynchronous program.
+/// A pool of readers for asynchronous callers.
 #[derive(Debug, Clone)]
 pub(super) struct Pool {
     source: Arc<Source>,

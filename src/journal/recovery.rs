@@ -1,4 +1,4 @@
-//! What outlives a restart, and what is written down of a run that has not ended in order.
+//! Recovery after a restart: persisted values, recent requests, and records that complete a run without an orderly end.
 
 use std::collections::{BTreeMap, HashMap};
 
@@ -14,28 +14,28 @@ use crate::gripper::model::{
 };
 use crate::gripper::recorder::PastRequest;
 
-/// How long a request id stands for its command.
+/// Time for which a request id stands for its command.
 const REPLAYED_FOR: SignedDuration = SignedDuration::from_mins(10);
 
-/// Requests that are taken in at most, the newest: at 100 a second, more than ten minutes of them. A clock that was set
-/// back makes the requests of a longer time look recent.
+/// Maximum number of recovered requests, the newest: more than ten minutes at 100 a second. After a clock was set back,
+/// the requests of a longer time look recent.
 const MAX_REQUESTS: usize = 65_536;
 
-/// What outlives a restart.
+/// Data of earlier runs.
 #[derive(Debug, Default)]
 pub struct Recovered {
-    /// What the grippers remember.
+    /// Persisted values of the grippers.
     pub memory: Vec<PersistedState>,
-    /// Whether the last run has ended in order, if there was one.
+    /// Whether the last run ended without an orderly shutdown.
     pub unclean: bool,
-    /// The commands that were running: each gets a record that it ended as `UNKNOWN`.
+    /// Commands that were running; each gets a record that it ended as `UNKNOWN`.
     pub running: Vec<CommandId>,
-    /// The requests of the last ten minutes that had an id, in the order of their admission. A refused one is not
-    /// among them, since it binds nothing.
+    /// Requests with an id from the last ten minutes, in the order of their admission. Refused ones are left out,
+    /// because they bind nothing.
     pub requests: Vec<PastRequest>,
 }
 
-/// Reads what outlives the last run, and says what is to be written down of what it left open.
+/// Reads the data of earlier runs, and returns the events that complete the last one.
 pub(super) fn recover(connection: &Connection) -> rusqlite::Result<(Recovered, Vec<Event>)> {
     let running = running(connection)?;
     let ids: Vec<_> = running.iter().map(|body| body.command_id).collect();
@@ -52,7 +52,7 @@ pub(super) fn recover(connection: &Connection) -> rusqlite::Result<(Recovered, V
     Ok((Recovered { memory, unclean, running: ids, requests }, events))
 }
 
-/// The admitted records of the commands without an end.
+/// Reads the admission records of commands without an end.
 fn running(connection: &Connection) -> rusqlite::Result<Vec<CommandBody>> {
     let sql = "SELECT body FROM running JOIN events USING (seq) ORDER BY seq";
     let mut statement = connection.prepare(sql)?;
@@ -62,15 +62,15 @@ fn running(connection: &Connection) -> rusqlite::Result<Vec<CommandBody>> {
 
 fn parsed(body: &str) -> Option<CommandBody> {
     let parsed = serde_json::from_str(body);
-    parsed.inspect_err(|error| tracing::warn!(body, %error, "a damaged record in the journal is left out")).ok()
+    parsed.inspect_err(|error| tracing::warn!(body, %error, "damaged journal record skipped")).ok()
 }
 
-/// Nobody knows what became of it.
+/// Ends a command as `UNKNOWN`.
 fn unknown_command(running: Command) -> Command {
     Command { phase: Phase::Done, outcome: Some(Outcome::Unknown), ..running }
 }
 
-/// The second record of a command that has only the first.
+/// Makes the second record of a command that has only the first.
 fn unknown(admitted: CommandBody) -> Event {
     let part_id = match &admitted.event {
         CommandEvent::Admitted(admitted) => admitted.parameters.part_id.clone(),
@@ -83,7 +83,7 @@ fn unknown(admitted: CommandBody) -> Event {
     Event { subject, door, ..Event::new(now(), gripper, Detail::Command(done)) }.of(id)
 }
 
-/// Whether the last record is an orderly end; an empty journal has had none to end.
+/// Whether the last record is an orderly end. Also true of an empty journal.
 fn ended(connection: &Connection) -> rusqlite::Result<bool> {
     let sql = "SELECT kind = 'gateway' AND body ->> '$.event' = 'ended' FROM events ORDER BY seq DESC LIMIT 1";
     Ok(connection
@@ -101,7 +101,7 @@ fn memory(connection: &Connection) -> rusqlite::Result<Vec<PersistedState>> {
         let intact = row.get_ref(3)?.as_blob().is_ok_and(|hash| hash == memory_hash(&gripper, &key, &value));
         match (gripper.parse(), serde_json::from_value(key.clone().into())) {
             (Ok(gripper), Ok(key)) if intact => memories.push(PersistedState { gripper, key, value: Some(value) }),
-            _ => tracing::warn!(gripper, key, value, "a damaged memory in the journal is left out"),
+            _ => tracing::warn!(gripper, key, value, "damaged persisted value in the journal skipped"),
         }
     }
     Ok(memories)
@@ -125,7 +125,7 @@ fn requests(connection: &Connection, since: Timestamp) -> rusqlite::Result<Vec<P
     Ok(requests.in_order.into_values().collect())
 }
 
-/// Requests in the order of their records. Their ids and times are a wall clock's, which may have jumped.
+/// Requests in the order of their records. Their ids and times come from a wall clock, which can jump.
 #[derive(Default)]
 struct Requests {
     in_order: BTreeMap<u64, PastRequest>,

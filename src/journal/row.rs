@@ -1,4 +1,4 @@
-//! One record, as it is stored and served.
+//! Records, as they are stored and served.
 
 use std::sync::Arc;
 
@@ -10,44 +10,42 @@ use super::chain::{Chain, Tip};
 use super::curve;
 use crate::gripper::model::{CommandId, Event, GripRecord, Name, Outcome, PartId};
 
-/// What an event is about.
+/// Kind of an event:
+///
+/// - `command`: a command was admitted or ended
+/// - `fast_stop`: a FAST STOP was latched or confirmed
+/// - `acknowledge`: a FAST STOP was acknowledged, or the acknowledge failed
+/// - `lease`: a lease was requested, taken, handed over, released or lost
+/// - `link`: the connection state of the device link changed
+/// - `device`: the device restarted, was replaced, reported a fault, lost a part or moved by itself
+/// - `settings`: a client changed a setting, or the gateway restored one
+/// - `refused`: a request was refused
+/// - `gateway`: the gateway started or ended, or its journal lost or removed records
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum EventKind {
-    /// A command was admitted, or has ended.
     Command,
-    /// A FAST STOP was latched or confirmed.
     FastStop,
-    /// A FAST STOP was acknowledged, or could not be.
     Acknowledge,
-    /// A lease was taken, released or lost.
     Lease,
-    /// The link has changed.
     Link,
-    /// The device has said or lost something.
     Device,
-    /// A setting was made.
     Settings,
-    /// A request was refused.
     Refused,
-    /// The gateway itself.
     Gateway,
 }
 
-/// An event that is durable, and what it can be told apart by.
+/// A durable event, with the values that filters compare.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub struct Stored {
-    /// Its place in the order of events, from 1.
+    /// Sequence number, from 1.
     pub seq: i64,
-    /// What it is about.
     pub kind: EventKind,
-    /// Its gripper; none where it concerns all.
+    /// Gripper of the event; absent if it concerns all.
     pub gripper: Option<Name>,
-    /// Its command.
     pub command_id: Option<CommandId>,
-    /// Its part.
     pub part_id: Option<PartId>,
-    /// How its command has ended.
+    /// Outcome of the event's command, once that has ended.
     pub outcome: Option<Outcome>,
     /// The event as JSON, as it is served.
     #[serde(skip)]
@@ -55,7 +53,7 @@ pub struct Stored {
 }
 
 impl Stored {
-    /// Of an event's body.
+    /// Parses an event's body.
     pub(super) fn of(body: Arc<str>) -> serde_json::Result<Self> {
         let stored: Self = serde_json::from_str(&body)?;
         Ok(Self { body, ..stored })
@@ -67,11 +65,11 @@ impl Stored {
 pub(super) struct Row {
     pub(super) chain: Chain,
     pub(super) tip: Tip,
-    /// In ms since 1970.
+    /// Time in ms since 1970.
     pub(super) at: i64,
     pub(super) body: Arc<str>,
     pub(super) curve: Option<Vec<u8>>,
-    /// What it is as an event.
+    /// The event; absent for grip records.
     pub(super) event: Option<Arc<Stored>>,
 }
 
@@ -83,7 +81,7 @@ struct Numbered<'a, T> {
 }
 
 impl Row {
-    /// The event that comes behind this end of its chain.
+    /// Makes the row of an event that follows this end of its chain.
     pub(super) fn event(end: Tip, event: &Event) -> serde_json::Result<Self> {
         let body: Arc<str> = serde_json::to_string(&Numbered { seq: end.seq + 1, record: event })?.into();
         let stored = Stored::of(body.clone())?;
@@ -97,12 +95,12 @@ impl Row {
         })
     }
 
-    /// How long it is.
+    /// Returns the size of body and curve.
     pub(super) fn bytes(&self) -> u64 {
         (self.body.len() + self.curve.as_ref().map_or(0, Vec::len)) as u64
     }
 
-    /// The grip record that comes behind this end of its chain.
+    /// Makes the row of a grip record that follows this end of its chain.
     pub(super) fn grip(end: Tip, grip: &GripRecord) -> serde_json::Result<Self> {
         let body: Arc<str> = serde_json::to_string(&Numbered { seq: end.seq + 1, record: grip })?.into();
         let curve = curve::encode(&grip.curve);
@@ -117,19 +115,19 @@ impl Row {
     }
 }
 
-/// As `at` is stored: whole ms since 1970, rounded up, so that what is before a limit is so in ms too.
+/// Converts a time to whole ms since 1970, rounded up, so that comparisons with a limit hold in ms too.
 pub(super) fn milliseconds(at: Timestamp) -> i64 {
     let whole = at.as_millisecond();
     whole + i64::from(at.as_nanosecond() > i128::from(whole) * 1_000_000)
 }
 
-/// Now, in whole milliseconds, as all records have it.
+/// Returns the current time in whole milliseconds, the resolution of all records.
 pub(super) fn now() -> Timestamp {
     let now = Timestamp::now();
     Timestamp::from_millisecond(now.as_millisecond()).unwrap_or(now)
 }
 
-/// A value by its name in JSON.
+/// Returns the name of a value in JSON.
 pub(super) fn word(value: &impl Serialize) -> String {
     match serde_json::to_value(value) {
         Ok(serde_json::Value::String(word)) => word,
@@ -142,7 +140,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_time_is_rounded_up_to_whole_milliseconds() {
+    fn times_are_rounded_up_to_whole_milliseconds() {
         let at = |text: &str| milliseconds(text.parse().unwrap());
         assert_eq!(at("1970-01-01T00:00:00.001Z"), 1);
         assert_eq!(at("1970-01-01T00:00:00.0010001Z"), 2);

@@ -1,4 +1,4 @@
-//! Time ranges as ranges of sequence numbers. Wall clocks jump, so the records of a time may lie in several places.
+//! Time ranges as runs of sequence numbers. Wall clocks jump, so the records of one time range can form several runs.
 
 use jiff::Timestamp;
 use rusqlite::{Connection, params};
@@ -8,16 +8,16 @@ use super::query::Order;
 use super::row::milliseconds;
 use super::schema::SPAN_BITS;
 
-/// Sequence numbers among which the records of a time range are.
+/// Sequence numbers that contain records of a time range.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Run {
     pub(super) first: i64,
     pub(super) last: i64,
-    /// Whether all records among them are of that time.
+    /// Whether all of these records are within the time range.
     pub(super) whole: bool,
 }
 
-/// The runs of a time range (from, to) within first and last, in order.
+/// Returns the runs of a time range (from, to) between the sequence numbers `first` and `last`, in order.
 pub(super) fn runs(
     connection: &Connection,
     chain: Chain,

@@ -1,5 +1,5 @@
-//! The file's tables. What a body says is stored once: filters read columns that SQLite derives from the body, and
-//! that exist in the indexes alone.
+//! The tables of a journal file. Each value is stored once, in the body: filters use columns that SQLite derives from
+//! the body, and that exist only in the indexes.
 
 use rusqlite::Connection;
 
@@ -9,13 +9,14 @@ pub(super) const APPLICATION_ID: i32 = 0x5753_474A;
 /// The version of [`TABLES`].
 pub(super) const VERSION: i32 = 1;
 
-/// A record of both chains: `at` (in ms since 1970) is stored, since time ranges compare it row by row.
+/// SQL that creates the tables. `at` (in ms since 1970) is stored in both chains, because time ranges compare it row by
+/// row.
 ///
-/// Each combination of filters that a page can have is an index, behind which SQLite keeps the sequence number, so
-/// that no page reads more than it returns. Only commands have an outcome or a part.
+/// Each combination of filters has an index, to which SQLite adds the sequence number, so that no page reads more than
+/// it returns. Only commands have an outcome or a part.
 ///
-/// `spans` has the least and the greatest `at` of each 1024 records: wall clocks jump, sequence numbers don't.
-/// `running` has the commands that were admitted and have not ended. `anchors` has the last removed record.
+/// `spans` has the earliest and the latest `at` of each 1024 records: wall clocks jump, sequence numbers don't.
+/// `running` has the commands that were admitted and have not ended. `anchors` has each chain's last removed record.
 pub(super) const TABLES: &str = "
 CREATE TABLE events(
     seq INTEGER PRIMARY KEY, at INTEGER NOT NULL, body TEXT NOT NULL, curve BLOB, hash BLOB NOT NULL,
@@ -68,23 +69,23 @@ CREATE TABLE running(command_id TEXT NOT NULL PRIMARY KEY, seq INTEGER NOT NULL)
 CREATE TABLE anchors(chain TEXT NOT NULL PRIMARY KEY, seq INTEGER NOT NULL, hash BLOB NOT NULL) STRICT, WITHOUT ROWID;
 ";
 
-/// How many bits of a sequence number count within a span.
+/// Number of bits that count the records within a span.
 pub(super) const SPAN_BITS: u32 = 10;
 
-/// What a file is.
+/// Content of a file.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Content {
-    /// Nothing yet.
+    /// An empty file.
     Nothing,
     /// A journal of this version.
     Journal,
     /// A journal of another version.
     Version(i32),
-    /// Something else.
+    /// Another SQLite database.
     Other,
 }
 
-/// Finds out what a file is.
+/// Determines the content of a file.
 pub(super) fn content(connection: &Connection) -> rusqlite::Result<Content> {
     let number = |pragma| connection.pragma_query_value(None, pragma, |row| row.get::<_, i32>(0));
     let tables: i64 = connection.query_row("SELECT count(*) FROM sqlite_schema", [], |row| row.get(0))?;
@@ -96,7 +97,7 @@ pub(super) fn content(connection: &Connection) -> rusqlite::Result<Content> {
     })
 }
 
-/// Makes a file without content a journal.
+/// Makes an empty file a journal.
 pub(super) fn create(connection: &mut Connection) -> rusqlite::Result<()> {
     let transaction = connection.transaction()?;
     transaction.execute_batch(TABLES)?;

@@ -1,4 +1,4 @@
-//! What the journal's handles and its writing thread share.
+//! State that the journal's handles and its writing thread share.
 
 use std::sync::atomic::{AtomicI64, AtomicUsize, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -13,41 +13,41 @@ use super::store::Memories;
 use crate::gripper::model::PersistedState;
 use crate::gripper::recorder::Health;
 
-/// How many events a slow follower may be behind before it reads them from the file.
+/// Events by which a follower can lag before it reads them from the file.
 const BROADCAST: usize = 1024;
 
-/// How long a write may take until it is told that the journal takes no records: as long as a motion waits for its own.
+/// Duration of a write after which the journal counts as failed: as long as a motion waits for its own record.
 const WRITTEN_WITHIN: Duration = Duration::from_millis(500);
 
-/// What the thread that writes is doing.
+/// Activity of the writing thread.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Work {
     Idle,
-    /// It waits for the disk since then.
+    /// A write to the disk began at this time.
     Writing(Instant),
-    /// It has gone.
+    /// The thread has ended.
     Over,
 }
 
-/// The newest of what is known.
+/// The shared state.
 #[derive(Debug)]
 pub(super) struct Shared {
     pub(super) health: watch::Sender<Health>,
     pub(super) rates: Rates,
-    /// Of the thread that writes: its end ends what listens.
+    /// Broadcast of the writing thread, whose end ends all receivers.
     events: broadcast::WeakSender<Arc<Stored>>,
     committed: AtomicI64,
-    /// How many records wait for the thread that writes.
+    /// Number of records that wait for the writing thread.
     waiting: AtomicUsize,
-    /// What is to be remembered, the newest of each: as many as grippers have.
+    /// Newest persisted values that wait for the writing thread: at most as many as the grippers have.
     memories: Mutex<Memories>,
     work: Mutex<Work>,
-    /// Told of each change of the work.
+    /// Notified of each change of `work`.
     work_changed: Condvar,
 }
 
 impl Shared {
-    /// And what the thread tells of events by.
+    /// Returns the shared state, and the sender that the writing thread owns.
     pub(super) fn new(committed: i64) -> (Self, broadcast::Sender<Arc<Stored>>) {
         let events = broadcast::Sender::new(BROADCAST);
         let (health, committed) = (watch::Sender::default(), AtomicI64::new(committed));
@@ -61,7 +61,7 @@ impl Shared {
         self.events.upgrade().map_or_else(|| broadcast::channel(1).1, |events| events.subscribe())
     }
 
-    /// The newest durable event.
+    /// Returns the sequence number of the newest durable event.
     pub(super) fn committed(&self) -> i64 {
         self.committed.load(Ordering::Acquire)
     }
@@ -86,12 +86,12 @@ impl Shared {
         });
     }
 
-    /// Says that records of earlier are damaged, which does not keep new ones from being written.
+    /// Reports damage of earlier records. New ones are still written.
     pub(super) fn set_damage(&self, damage: String) {
         self.health.send_modify(|health| health.damage = Some(damage));
     }
 
-    /// One more record waits, where fewer than so many do.
+    /// Counts one more waiting record; returns false if `places` records wait already.
     pub(super) fn waits(&self, places: usize) -> bool {
         let one_more = |waiting| (waiting < places).then_some(waiting + 1);
         self.waiting.fetch_update(Ordering::AcqRel, Ordering::Acquire, one_more).is_ok()
@@ -105,7 +105,7 @@ impl Shared {
         self.memories().insert((memory.gripper, memory.key), memory.value);
     }
 
-    /// What is to be remembered since this was asked last.
+    /// Takes the persisted values that wait for the writing thread.
     pub(super) fn take_memories(&self) -> Memories {
         std::mem::take(&mut *self.memories())
     }
@@ -114,7 +114,7 @@ impl Shared {
         self.memories.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Writes, and is told of if that takes long.
+    /// Runs a write under the watch that reports slow ones.
     pub(super) fn while_watched<T>(&self, write: impl FnOnce() -> T) -> T {
         self.work_is(Work::Writing(Instant::now()));
         let written = write();
@@ -122,10 +122,10 @@ impl Shared {
         written
     }
 
-    /// Nothing is written from now on.
+    /// Reports that the writing thread has ended.
     pub(super) fn over(&self) {
         self.work_is(Work::Over);
-        self.set_failure(Some("the journal is closed: nothing is written any more".to_owned()));
+        self.set_failure(Some("the journal is closed: no more records are written".to_owned()));
     }
 
     fn work_is(&self, work: Work) {
@@ -137,13 +137,13 @@ impl Shared {
         self.work.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Tells of each write that takes too long, while it does: the thread that writes can't, as it waits for the disk.
+    /// Reports each slow write while it lasts. The writing thread cannot, because it waits for the disk.
     pub(super) fn watch(&self, place: &Place) {
         let mut work = self.work();
-        let mut told = None;
+        let mut reported = None;
         while *work != Work::Over {
             let left = match *work {
-                Work::Writing(since) if told != Some(since) => WRITTEN_WITHIN.checked_sub(since.elapsed()),
+                Work::Writing(since) if reported != Some(since) => WRITTEN_WITHIN.checked_sub(since.elapsed()),
                 _ => Some(Duration::MAX),
             };
             work = match left {
@@ -151,15 +151,15 @@ impl Shared {
                 Some(left) => self.work_changed.wait_timeout(work, left).unwrap_or_else(PoisonError::into_inner).0,
                 None => {
                     if let Work::Writing(since) = *work {
-                        told = Some(since);
+                        reported = Some(since);
                     }
                     let limit_ms = WRITTEN_WITHIN.as_millis();
                     let failure = format!(
-                        "the journal {place}: its disk has not taken a record within {limit_ms} ms: look at its disk, \
-                         and at the system's log"
+                        "the journal {place}: the disk took no record within {limit_ms} ms: check the disk and the \
+                         system log"
                     );
-                    tracing::error!(failure, "the journal is not written");
-                    // With the work's lock: who has written meanwhile says so behind it.
+                    tracing::error!(failure, "journal write stalled");
+                    // Under the lock, so that the report of a finished write comes after this one.
                     self.set_failure(Some(failure));
                     work
                 }

@@ -1,4 +1,4 @@
-//! Where a journal is, how to connect to it, and what its errors mean.
+//! Location of a journal, connections to it, and remedies for its errors.
 
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -7,16 +7,16 @@ use std::time::Duration;
 use rusqlite::{Connection, ErrorCode, OpenFlags};
 use uuid::Uuid;
 
-/// How long a connection waits for another's lock: readers of a journal in memory keep its writer waiting.
+/// Time for which a connection waits for another's lock. Readers of a journal in memory make its writer wait.
 pub(super) const BUSY_TIMEOUT: Duration = Duration::from_secs(5);
 
-/// How many prepared statements a connection keeps: each filter combination has one.
+/// Prepared statements that a connection keeps: each combination of filters has one.
 const STATEMENTS: usize = 64;
 
-/// Where a journal is kept.
+/// Location of a journal.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Place {
-    /// In a file, which is made where there is none, with the directories above it.
+    /// In a file. A missing file and its directories are created.
     File(PathBuf),
     /// In memory, until the gateway ends.
     Memory,
@@ -31,7 +31,7 @@ impl fmt::Display for Place {
     }
 }
 
-/// What all connections to one journal share.
+/// Parameters that all connections to a journal share.
 #[derive(Debug, Clone)]
 pub(super) struct Source {
     pub(super) place: Place,
@@ -66,33 +66,33 @@ impl Source {
         Ok(connection)
     }
 
-    /// What went wrong, and what to do about it.
-    pub(super) fn words(&self, error: &rusqlite::Error) -> String {
+    /// Describes an error, with the journal and the remedy.
+    pub(super) fn describe(&self, error: &rusqlite::Error) -> String {
         format!("the journal {}: {error}: {}", self.place, remedy(error))
     }
 }
 
-/// Why a path can't be a journal's file, where it can't.
+/// Returns why a path cannot be a journal file; none if it can.
 pub(super) fn no_file(path: &Path) -> Option<String> {
     path.is_dir().then(|| format!("{0} is a directory: name a file, such as {0}/journal.db", path.display()))
 }
 
-/// The journal could not be read.
+/// Error of a journal that cannot be read.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{0}")]
 pub struct ReadError(pub(super) String);
 
 fn remedy(error: &rusqlite::Error) -> &'static str {
     match error.sqlite_error_code() {
-        Some(ErrorCode::DiskFull) => "make room on its disk, or give the journal a maximum age or size",
-        Some(ErrorCode::SystemIoFailure) => "look at its disk, and at the system's log",
+        Some(ErrorCode::DiskFull) => "make room on its disk, or limit the journal's age or size",
+        Some(ErrorCode::SystemIoFailure) => "check its disk and the system log",
         Some(ErrorCode::ReadOnly | ErrorCode::PermissionDenied | ErrorCode::CannotOpen) => {
-            "let the user that this runs as write the file and its directory, or read a copy of it elsewhere"
+            "give this program's user write access to the file and its directory, or read a copy elsewhere"
         }
-        Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked) => "end the other program that writes it",
+        Some(ErrorCode::DatabaseBusy | ErrorCode::DatabaseLocked) => "stop the other program that writes to it",
         Some(ErrorCode::DatabaseCorrupt | ErrorCode::NotADatabase) => {
-            "put a copy of it in its place, or move the file away to begin anew"
+            "replace it with an intact copy, or move the file away to begin a new journal"
         }
-        _ => "if the file is damaged, put a copy of it in its place, or move the file away to begin anew",
+        _ => "if the file is damaged, replace it with an intact copy, or move the file away to begin a new journal",
     }
 }

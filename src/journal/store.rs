@@ -1,4 +1,4 @@
-//! The connection that writes: one at a time, and alone.
+//! The writing connection. A lock file keeps a second gateway from the same journal.
 
 use std::collections::BTreeMap;
 use std::fs::{DirBuilder, File, TryLockError};
@@ -16,56 +16,51 @@ use super::schema::{self, APPLICATION_ID, Content, SPAN_BITS, VERSION, content};
 use super::source::{BUSY_TIMEOUT, Place, Source, no_file};
 use crate::gripper::model::{Name, PersistedKey};
 
-/// How large the write-ahead log gets while readers don't need more of it, in bytes.
+/// Size limit of the write-ahead log in bytes, while no reader needs more of it.
 const LOG_BYTES: u64 = 16 << 20;
 
-/// How long the log waits to be emptied for who reads from it.
+/// Time for which emptying the log waits for readers.
 const EMPTY_LOG_WITHIN: Duration = Duration::from_millis(100);
 
-/// How many links a path may lead over: as many as Linux follows.
+/// Maximum number of symbolic links in a path, the same as in Linux.
 const MAX_LINKS: usize = 40;
 
-/// The newest values to remember; none forgets one.
+/// Newest persisted values by gripper and key; `None` deletes one.
 pub(super) type Memories = BTreeMap<(Name, PersistedKey), Option<String>>;
 
-/// Why a journal was not opened.
+/// Error of a journal that cannot be opened.
 #[derive(Debug, thiserror::Error)]
 pub enum OpenError {
-    /// Its directory can't be made, or its lock not be had.
+    /// The directory or the lock file cannot be created.
     #[error(
-        "the journal's {path} can't be made: {cause}: let the gateway's user write there, or say another --journal"
+        "cannot create {path} for the journal: {cause}: let the gateway's user write there, or set another --journal"
     )]
-    Directory {
-        /// What can't be made.
-        path: PathBuf,
-        /// Why.
-        cause: io::Error,
-    },
-    /// Another gateway writes it.
+    Directory { path: PathBuf, cause: io::Error },
+    /// Another gateway uses the journal.
     #[error(
-        "the journal {0} belongs to a gateway that is running: end it, or give this one a --name or --journal of its own"
+        "the journal {0} is in use by another gateway: stop that one, or give this one its own --name or --journal"
     )]
     Locked(PathBuf),
-    /// The file isn't a journal, or not of this version.
+    /// The file is not a journal, or has another version.
     #[error("{0}")]
     NoJournal(String),
-    /// The file can't be used.
+    /// The file cannot be used.
     #[error("{0}")]
     Unusable(String),
 }
 
 impl Content {
-    /// Why it can't be used as a journal, and what to do about it.
-    pub(super) fn words(self, path: &Path) -> String {
+    /// Describes why this content cannot be used as a journal, with the remedy.
+    pub(super) fn describe(self, path: &Path) -> String {
         let path = path.display();
         match self {
             Self::Version(found) => format!(
-                "the journal {path} is of version {found}, and this gateway reads and writes version {VERSION}: \
-                 use the gateway that wrote it, or move the file away to begin anew"
+                "the journal {path} has version {found}, but this gateway needs version {VERSION}: \
+                 use the gateway that wrote it, or move the file away to begin a new journal"
             ),
             _ => format!(
-                "{path} is no journal (application id {APPLICATION_ID:#x} is not in it): name another file, or move \
-                 it away"
+                "{path} is not a journal (it lacks application id {APPLICATION_ID:#x}): name another file, or move \
+                 this one away"
             ),
         }
     }
@@ -76,9 +71,9 @@ impl Content {
 pub(super) struct Store {
     pub(super) source: Source,
     pub(super) connection: Connection,
-    /// The open files; none of a journal in memory.
+    /// Open files; none for a journal in memory.
     presence: Option<Presence>,
-    /// Held as long as the journal is open.
+    /// Lock that is held while the journal is open.
     _lock: Option<File>,
 }
 
@@ -92,17 +87,17 @@ impl Store {
             Place::Memory => None,
         };
         let source = Source::new(place);
-        let unusable = |error: rusqlite::Error| OpenError::Unusable(source.words(&error));
+        let unusable = |error: rusqlite::Error| OpenError::Unusable(source.describe(&error));
         let mut connection = source.writing().map_err(unusable)?;
         match content(&connection).map_err(unusable)? {
             Content::Journal => {}
             Content::Nothing => {
-                // Takes effect only before there are tables.
+                // This pragma has an effect only before the tables exist.
                 connection.pragma_update(None, "auto_vacuum", "INCREMENTAL").map_err(unusable)?;
                 write_ahead(&connection).map_err(unusable)?;
                 schema::create(&mut connection).map_err(unusable)?;
             }
-            other => return Err(OpenError::NoJournal(other.words(Path::new(&source.place.to_string())))),
+            other => return Err(OpenError::NoJournal(other.describe(Path::new(&source.place.to_string())))),
         }
         write_ahead(&connection).map_err(unusable)?;
         // Makes SQLite create the write-ahead log and its index now.
@@ -113,15 +108,15 @@ impl Store {
         Ok(Self { source, connection, presence, _lock: lock })
     }
 
-    /// Whether records written now would be in the files at the journal's path.
+    /// Checks that new records would be in the files at the journal's path.
     ///
     /// # Errors
-    /// The file that is lost, and the remedy.
+    /// The lost file, and the remedy.
     pub(super) fn check_files(&mut self) -> Result<(), String> {
         self.presence.as_mut().map_or(Ok(()), Presence::check)
     }
 
-    /// The same after a write, which may have changed the file's size.
+    /// Checks the same after a write, which can change the files' sizes.
     ///
     /// # Errors
     /// As [`Store::check_files`].
@@ -129,16 +124,15 @@ impl Store {
         self.presence.as_mut().map_or(Ok(()), Presence::wrote)
     }
 
-    /// Brings what only a lost write-ahead log has into the database, which may still be in its place.
+    /// Copies records from a lost write-ahead log into the database, which may still be in its place.
     pub(super) fn rescue(&mut self) {
         if self.presence.as_ref().is_some_and(|presence| !presence.is_truncated())
             && let Err(error) = self.checkpoint()
         {
-            tracing::warn!(%error, "the newest records could not be brought into the journal's file");
+            tracing::warn!(%error, "newest records not copied into the journal file");
         }
     }
 
-    /// The end of a chain.
     pub(super) fn end(&self, chain: Chain) -> rusqlite::Result<Tip> {
         let newest = format!("SELECT seq, hash FROM {} ORDER BY seq DESC LIMIT 1", chain.name());
         let tip = |row: &rusqlite::Row<'_>| Ok(Tip { seq: row.get(0)?, hash: row.get(1)? });
@@ -148,12 +142,12 @@ impl Store {
         }
     }
 
-    /// The ends of the chains: of events and of grip records.
+    /// Returns the ends of the chains of events and grip records.
     pub(super) fn ends(&self) -> rusqlite::Result<[Tip; 2]> {
         Ok([self.end(Chain::Events)?, self.end(Chain::Grips)?])
     }
 
-    /// Makes records and memories durable, all or none.
+    /// Makes records and persisted values durable, all or none.
     pub(super) fn commit(&mut self, rows: &[Row], memories: &Memories) -> rusqlite::Result<()> {
         let transaction = self.begin()?;
         for row in rows {
@@ -169,26 +163,26 @@ impl Store {
         self.connection.transaction_with_behavior(TransactionBehavior::Immediate)
     }
 
-    /// Brings the write-ahead log into the file, and empties it, unless somebody reads from it for long.
+    /// Copies the write-ahead log into the file and empties it, unless a long read keeps it in use.
     pub(super) fn checkpoint(&mut self) -> rusqlite::Result<()> {
-        // A truncation is noted before the sizes change by this process.
+        // Notes a truncation before this process changes the sizes.
         let _ = self.check_files();
         self.connection.busy_timeout(EMPTY_LOG_WITHIN)?;
         let emptied = self.connection.query_row("PRAGMA wal_checkpoint(TRUNCATE)", [], |_| Ok(()));
         self.connection.busy_timeout(BUSY_TIMEOUT)?;
-        // What is wrong with the files is found again, and said, at the next commit.
+        // The next commit finds and reports a fault of the files again.
         let _ = self.check_written();
         emptied
     }
 
-    /// Whether the write-ahead log is larger than it has to be.
+    /// Whether the write-ahead log is larger than its limit.
     pub(super) fn log_is_large(&self) -> bool {
         let log = self.connection.path().map(|path| format!("{path}-wal"));
         log.and_then(|log| std::fs::metadata(log).ok()).is_some_and(|log| log.len() > LOG_BYTES)
     }
 }
 
-/// The last removed record of a chain; the chain's beginning where none was removed.
+/// Returns the last removed record of a chain; the chain's beginning if none was removed.
 pub(super) fn anchor(connection: &Connection, chain: Chain) -> rusqlite::Result<Tip> {
     let tip = |row: &rusqlite::Row<'_>| Ok(Tip { seq: row.get(0)?, hash: row.get(1)? });
     let anchor = connection.query_row("SELECT seq, hash FROM anchors WHERE chain = ?", [chain.name()], tip);
@@ -224,14 +218,14 @@ fn remember(connection: &Connection, gripper: &str, key: &str, value: Option<&st
     connection.prepare_cached(sql)?.execute(values).map(drop)
 }
 
-/// Readers don't wait for the writer, and each commit is on the disk when it returns.
+/// Configures a connection so that readers don't wait for the writer, and each commit is on the disk when it returns.
 fn write_ahead(connection: &Connection) -> rusqlite::Result<()> {
     connection.pragma_update_and_check(None, "journal_mode", "WAL", |_| Ok(()))?;
     connection.pragma_update(None, "synchronous", "FULL")?;
     connection.pragma_update_and_check(None, "journal_size_limit", LOG_BYTES.cast_signed(), |_| Ok(()))
 }
 
-/// Keeps a second gateway from writing the same file. Readers take no notice of it.
+/// Takes the lock that keeps a second gateway from the same file. Readers ignore it.
 fn lock(path: &Path) -> Result<File, OpenError> {
     let failed = |path: &Path| {
         let path = path.to_owned();
@@ -251,7 +245,7 @@ fn lock(path: &Path) -> Result<File, OpenError> {
     }
 }
 
-/// The file's one name, whatever links lead to it, as SQLite writes to where they lead: also where there is no file yet.
+/// Resolves all links to the file, because SQLite writes to their target. The file need not exist yet.
 fn real(path: &Path) -> io::Result<PathBuf> {
     let mut path = path.to_owned();
     for _ in 0..MAX_LINKS {
@@ -263,12 +257,12 @@ fn real(path: &Path) -> io::Result<PathBuf> {
             Err(_) => return Ok(file),
         }
     }
-    Err(io::Error::other(format!("it leads over more than {MAX_LINKS} links")))
+    Err(io::Error::other(format!("the path has more than {MAX_LINKS} links")))
 }
 
 #[cfg(test)]
 impl Store {
-    /// Makes the disk as full as if there were no room for more pages.
+    /// Limits the file's size, as a full disk does.
     pub(super) fn limit_pages(&self, pages: i64) {
         self.connection.pragma_update_and_check(None, "max_page_count", pages, |_| Ok(())).unwrap();
     }

@@ -1,4 +1,4 @@
-//! Whether a journal is as it was written. Each record is read and hashed, and what it is found by is compared with it.
+//! Verification of a journal: reads and hashes each record, and compares it with the indexes by which it is found.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
@@ -18,30 +18,29 @@ use walk::Walk;
 mod tests;
 mod walk;
 
-/// How many findings are named; the rest is counted. A file that is damaged all over needs no more.
+/// Maximum number of findings that are listed; further ones are only counted.
 const MAX_FINDINGS: usize = 1000;
 
-/// What was read, and what was found.
+/// Result of a verification.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Report {
-    /// How many events there are.
+    /// Number of events read.
     pub events: u64,
-    /// How many grip records.
+    /// Number of grip records read.
     pub grips: u64,
-    /// How many remembered values.
+    /// Number of persisted values read.
     pub memories: u64,
-    /// What is not as it was written; the first thousand.
+    /// The first thousand findings.
     pub findings: Vec<Finding>,
-    /// How many more there are.
+    /// Number of further findings.
     pub more: u64,
 }
 
-/// Something that is not as it was written.
+/// A difference from the journal as it was written.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Finding {
     /// The record: `events 17`, `grips 3`, `memory left latch`, `anchors events`, `running …`, or `file`.
     pub record: String,
-    /// What is wrong with it.
     pub detail: String,
 }
 
@@ -51,10 +50,10 @@ impl fmt::Display for Finding {
     }
 }
 
-/// Reads a whole journal as it is at this moment. A gateway may be writing it, or may have been killed.
+/// Verifies a whole journal as it is at this moment, even while a gateway writes to it or after one was killed.
 ///
 /// # Errors
-/// [`ReadError`], where there is no such file, or it is not a journal of this version.
+/// [`ReadError`], if the file is missing, is not a journal, or has another version.
 pub fn verify(path: &Path) -> Result<Report, ReadError> {
     let reader = Reader::open(path)?;
     reader.with(|connection| {
@@ -67,7 +66,7 @@ pub fn verify(path: &Path) -> Result<Report, ReadError> {
     })
 }
 
-/// Reads the newest records alone: the quick check at the start, of a few milliseconds whatever the file's size.
+/// Verifies only the newest records: the quick check at the start, which takes milliseconds whatever the file's size.
 pub(super) fn verify_newest(connection: &Connection, records: i64) -> Report {
     let mut verifier = Verifier::default();
     verifier.tables(connection);
@@ -82,10 +81,10 @@ pub(super) fn verify_newest(connection: &Connection, records: i64) -> Report {
     verifier.report
 }
 
-/// Reads a whole journal in parts, while it is written. `pause` is called after each part with the time that it took;
-/// where it says no, the check ends without a report.
+/// Verifies a whole journal in parts, while it is written. Calls `pause` after each part with the time that the part
+/// took; if it returns false, the check ends without a report.
 ///
-/// The last statement, the check of the file's pages and indexes, is one: interrupting it ends it early.
+/// The check of the file's pages and indexes, at the end, is a single statement; an interrupt ends it early.
 pub(super) fn verify_in_parts(reader: &Reader, mut pause: impl FnMut(Duration) -> bool) -> Option<Report> {
     let mut verifier = Verifier::default();
     let read = reader.with(|connection| {
@@ -105,7 +104,7 @@ pub(super) fn verify_in_parts(reader: &Reader, mut pause: impl FnMut(Duration) -
                 }
             }
         }
-        // What came meanwhile, and what the file keeps beside the chains, are of one moment.
+        // New records, and the tables beside the chains, are read at one moment.
         let snapshot = connection.unchecked_transaction()?;
         verifier.finish(&snapshot, walks);
         drop(snapshot);
@@ -121,9 +120,9 @@ pub(super) fn verify_in_parts(reader: &Reader, mut pause: impl FnMut(Duration) -
 #[derive(Debug, Default)]
 struct Verifier {
     report: Report,
-    /// The commands that were admitted and have not ended, by the records.
+    /// Commands that were admitted and have not ended, according to the events.
     running: BTreeMap<String, i64>,
-    /// What the newest `pruned` event says of each chain's last removed record.
+    /// Last removed record of each chain, according to the newest `pruned` event.
     attested: BTreeMap<Chain, (i64, String)>,
 }
 
@@ -136,20 +135,20 @@ impl Verifier {
         }
     }
 
-    /// What can't be read is a finding too.
+    /// Runs a check, and reports a read error as a finding.
     fn check(&mut self, record: &str, check: impl FnOnce(&mut Self) -> rusqlite::Result<()>) {
         if let Err(error) = check(self) {
-            self.find(record, format!("can't be read: {error}"));
+            self.find(record, format!("cannot be read: {error}"));
         }
     }
 
-    /// Indexes of other columns would find other records.
+    /// Checks the definitions of tables and indexes: an index of other columns would find other records.
     fn tables(&mut self, connection: &Connection) {
         self.check("file", |this| {
             let expected = Connection::open_in_memory()?;
             expected.execute_batch(TABLES)?;
             if tables(&expected)? != tables(connection)? {
-                this.find("file", "its tables or indexes are not those of a journal");
+                this.find("file", "tables or indexes differ from those of a journal");
             }
             Ok(())
         });
@@ -161,13 +160,13 @@ impl Verifier {
         for walk in walks {
             match walk {
                 Ok(walk) => begun.push(walk),
-                Err((chain, error)) => self.find(chain.name(), format!("can't be read: {error}")),
+                Err((chain, error)) => self.find(chain.name(), format!("cannot be read: {error}")),
             }
         }
         self.finish(connection, begun);
     }
 
-    /// Goes to the ends of the chains, and compares what the file keeps beside them.
+    /// Walks to the ends of the chains, and compares the tables beside them.
     fn finish(&mut self, connection: &Connection, walks: impl IntoIterator<Item = Walk>) {
         for mut walk in walks {
             self.check(walk.chain().name(), |this| {
@@ -185,12 +184,12 @@ impl Verifier {
             let anchor = anchor(connection, chain)?;
             let attested = match self.attested.get(&chain) {
                 Some((seq, hash)) if *seq == anchor.seq => *hash == hex::encode(anchor.hash),
-                // What is attested is still being removed.
+                // The attested records are still being removed.
                 Some((seq, hash)) => anchor.seq < *seq && *hash == hash_of(connection, chain, *seq)?,
                 None => anchor.seq == 0,
             };
             if !attested {
-                let detail = format!("that {} is the last removed record is not what the events attest", anchor.seq);
+                let detail = format!("last removed record {} does not match the newest `pruned` event", anchor.seq);
                 self.find(format!("anchors {}", chain.name()), detail);
             }
         }
@@ -203,7 +202,7 @@ impl Verifier {
         let stored: BTreeSet<(String, i64)> = stored.collect::<Result<_, _>>()?;
         let expected: BTreeSet<_> = std::mem::take(&mut self.running).into_iter().collect();
         for (id, seq) in stored.symmetric_difference(&expected) {
-            self.find(format!("running {id}"), format!("whether it has ended is not what the events say ({seq})"));
+            self.find(format!("running {id}"), format!("running commands do not match the events (event {seq})"));
         }
         Ok(())
     }
@@ -216,13 +215,13 @@ impl Verifier {
             let text = |i| row.get_ref(i).map(|text| text.as_bytes().map(String::from_utf8_lossy).unwrap_or_default());
             let (gripper, key, value) = (text(0)?, text(1)?, text(2)?);
             if !row.get_ref(3)?.as_blob().is_ok_and(|hash| hash == memory_hash(&gripper, &key, &value)) {
-                self.find(format!("memory {gripper} {key}"), "it is not as it was written (its hash is another)");
+                self.find(format!("memory {gripper} {key}"), "changed since it was written (hash mismatch)");
             }
         }
         Ok(())
     }
 
-    /// What the file itself says: its pages, and that each index has each record.
+    /// Checks the file's pages, and that each index has each record.
     fn integrity(&mut self, connection: &Connection) {
         self.check("file", |this| {
             let mut statement = connection.prepare("PRAGMA integrity_check")?;
@@ -238,14 +237,14 @@ impl Verifier {
     }
 }
 
-/// A record's hash; nothing where there is no such record.
+/// Returns a record's hash; empty if the record is missing.
 fn hash_of(connection: &Connection, chain: Chain, seq: i64) -> rusqlite::Result<String> {
     let sql = format!("SELECT hash FROM {} WHERE seq = ?", chain.name());
     let hash: Option<Vec<u8>> = connection.query_row(&sql, [seq], |row| row.get(0)).optional()?;
     Ok(hash.map(hex::encode).unwrap_or_default())
 }
 
-/// What the tables and indexes are, as SQL.
+/// Returns the definitions of tables and indexes, as SQL.
 fn tables(connection: &Connection) -> rusqlite::Result<BTreeSet<[Option<String>; 4]>> {
     let mut statement = connection.prepare("SELECT type, name, tbl_name, sql FROM sqlite_schema")?;
     let rows = statement.query_map([], |row| Ok([row.get(0)?, row.get(1)?, row.get(2)?, row.get(3)?]))?;

@@ -1,5 +1,5 @@
-//! The thread that writes. What waits becomes one transaction, so that a slow disk costs each record less the more
-//! there are; a disk that fails is tried again, with what came since.
+//! The writing thread. All waiting records become one transaction, so that on a slow disk more records cost less each.
+//! After a failure the write is retried, together with newer records.
 
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
@@ -18,37 +18,37 @@ use super::{Retention, places};
 use crate::gripper::model::{Detail, Event, GatewayEvent, GripRecord};
 use crate::gripper::recorder::Record;
 
-/// How many records one transaction has at most: some milliseconds of work, for which its first has to wait.
+/// Maximum number of records per transaction: some milliseconds of work, for which the first record has to wait.
 const MAX_BATCH: usize = 1024;
 
-/// How many records are kept while the disk fails: a minute at a hundred a second, in some megabytes.
+/// Records kept in memory while the disk fails: more than a minute at 100 a second, in some megabytes.
 const MAX_HELD: usize = 8192;
 
-/// How soon a disk that failed is tried again.
+/// Time before a failed write is retried.
 const RETRY: Duration = Duration::from_secs(1);
 
-/// How soon a write-ahead log that could not be emptied is tried again.
+/// Time between two attempts to empty the write-ahead log.
 const EMPTY_LOG_EVERY: Duration = Duration::from_secs(1);
 
-/// How long an orderly end tries to write what a failing disk didn't take.
+/// Time for which an orderly end retries failed writes.
 const CLOSE_WITHIN: Duration = Duration::from_secs(3);
 
-/// What the thread is told.
+/// Input of the writing thread.
 #[derive(Debug)]
 pub(super) enum Input {
     Record(Box<Record>),
-    /// There is something to remember.
+    /// Persisted values wait in [`Shared`].
     Memories,
-    /// The end; in order, or as if the process were killed after what it had recorded.
+    /// The end: in order, or as if the process were killed after its last record.
     End {
         orderly: bool,
     },
-    /// Makes the disk full, or not.
+    /// Limits the file's size, to simulate a full disk.
     #[cfg(test)]
     MaxPages(i64),
 }
 
-/// What gets a place in a chain.
+/// A record that waits for its place in a chain.
 #[derive(Debug)]
 enum Placed {
     Event(Event),
@@ -56,7 +56,7 @@ enum Placed {
 }
 
 impl Placed {
-    /// With its place behind these ends of the chains.
+    /// Gives the record its place after these ends of the chains.
     fn row(&self, ends: &[Tip; 2]) -> serde_json::Result<Row> {
         match self {
             Self::Event(event) => Row::event(ends[Chain::Events as usize], event),
@@ -65,7 +65,7 @@ impl Placed {
     }
 }
 
-/// What is not durable yet. Its records get their places when they are written.
+/// Records and persisted values that are not durable yet. Records get their places when they are written.
 #[derive(Debug, Default)]
 struct Batch {
     records: Vec<Placed>,
@@ -79,45 +79,45 @@ impl Batch {
     }
 }
 
-/// The thread's state.
+/// State of the writing thread.
 #[derive(Debug)]
 pub(super) struct Writer {
     store: Store,
     shared: Arc<Shared>,
-    told: broadcast::Sender<Arc<Stored>>,
-    /// Of events and of grip records; none after a write that failed, until the file has said where they are.
+    events: broadcast::Sender<Arc<Stored>>,
+    /// Ends of the chains of events and grip records; none after a failed write, until they are read from the file.
     ends: Option<[Tip; 2]>,
     batch: Batch,
-    /// While the disk fails, when it is tried again.
+    /// Time of the next attempt, while writes fail.
     retry_at: Option<Instant>,
-    /// Time of the next look at the journal's files.
+    /// Time of the next check of the journal's files.
     check_at: Instant,
-    /// While the write-ahead log is too large, when it is emptied.
+    /// Time of the next attempt to empty the write-ahead log, while it is too large.
     empty_log_at: Option<Instant>,
-    /// How many lost records have been told of.
-    lost_told: u64,
+    /// Lost records that events have reported.
+    lost_reported: u64,
     pruning: Pruning,
 }
 
 impl Writer {
-    /// Writes what is to be said of the last run, or will with what comes, where the disk takes nothing.
+    /// Writes the events that complete the last run. If the disk fails, they wait for the next attempt.
     pub(super) fn new(store: Store, retention: Retention, last_run: Vec<Event>) -> rusqlite::Result<Self> {
         let ends = store.ends()?;
         let pruning = Pruning::new(retention, Instant::now());
-        let (shared, told) = Shared::new(ends[Chain::Events as usize].seq);
+        let (shared, events) = Shared::new(ends[Chain::Events as usize].seq);
         let (shared, mut batch) = (Arc::new(shared), Batch::default());
         check_newest(&store.source.place, &store.connection, &shared);
         batch.records.extend(last_run.into_iter().map(Placed::Event));
         let mut writer = Self {
             store,
             shared,
-            told,
+            events,
             ends: Some(ends),
             batch,
             retry_at: None,
             check_at: Instant::now() + CHECK_EVERY,
             empty_log_at: None,
-            lost_told: 0,
+            lost_reported: 0,
             pruning,
         };
         writer.commit(Instant::now());
@@ -131,7 +131,7 @@ impl Writer {
     /// Writes until the end.
     ///
     /// # Errors
-    /// What was not written, and why.
+    /// The number of unwritten records, and the cause.
     pub(super) fn run(mut self, inputs: &Receiver<Input>) -> Result<(), String> {
         loop {
             let due = self.empty_log_at.into_iter().chain([self.check_at]).fold(self.pruning.due(), Instant::min);
@@ -172,7 +172,7 @@ impl Writer {
         match record {
             Record::Event(event, waiter) => {
                 self.batch.records.push(Placed::Event(event));
-                // While the disk fails, the channel's end says so at once.
+                // While the disk fails, the dropped channel reports that at once.
                 self.batch.waiters.extend(waiter.filter(|_| self.retry_at.is_none()));
             }
             Record::Grip(grip) => self.batch.records.push(Placed::Grip(grip)),
@@ -180,12 +180,12 @@ impl Writer {
         }
     }
 
-    /// The ends of the chains, which count as unknown until whoever asks has written behind them.
+    /// Takes the ends of the chains. They stay unknown unless the caller puts them back after a successful write.
     fn take_ends(&mut self) -> rusqlite::Result<[Tip; 2]> {
         self.ends.take().map_or_else(|| self.store.ends(), Ok)
     }
 
-    /// Gives the batch's records their places, and writes all of it.
+    /// Gives the batch's records their places, and writes the batch.
     fn write(&mut self) -> rusqlite::Result<Vec<Row>> {
         let mut ends = self.take_ends()?;
         let mut rows = Vec::with_capacity(self.batch.records.len());
@@ -196,7 +196,7 @@ impl Writer {
                 true
             }
             Err(error) => {
-                tracing::error!(%error, "a record has no JSON, and is lost");
+                tracing::error!(%error, "record lost: it has no JSON form");
                 self.shared.lose();
                 false
             }
@@ -206,7 +206,7 @@ impl Writer {
         Ok(rows)
     }
 
-    /// Makes the batch durable, and tells of it; where that fails, keeps it.
+    /// Makes the batch durable and broadcasts its events; keeps it on failure.
     fn commit(&mut self, now: Instant) {
         self.check_at = now + CHECK_EVERY;
         if let Err(failure) = self.store.check_files() {
@@ -215,39 +215,39 @@ impl Writer {
             }
             return self.fail(failure, now);
         }
-        // A failing disk is told of once it works again: what is lost until then is one number.
+        // While the disk fails, losses add up to one number, which is recorded once it works again.
         if self.retry_at.is_none() {
-            self.tell_of_lost();
+            self.record_lost();
             self.take_aggregates(now, false);
         }
         self.batch.memories.extend(self.shared.take_memories());
         if self.batch.is_empty() {
             if self.retry_at.take().is_some() {
-                tracing::info!("the journal can be written again");
+                tracing::info!("journal recovered");
                 self.shared.set_failure(None);
             }
             return;
         }
         let rows = match self.write() {
             Ok(rows) => rows,
-            Err(error) => return self.fail(self.store.source.words(&error), now),
+            Err(error) => return self.fail(self.store.source.describe(&error), now),
         };
         let kept = self.store.check_written();
         self.pruning.wrote(&rows, now);
         let batch = std::mem::take(&mut self.batch);
         let records = rows.len();
         for event in rows.into_iter().filter_map(|row| row.event) {
-            self.tell(event);
+            self.broadcast(event);
         }
         if let Err(failure) = kept {
-            // The open files have the records, so they are not written again. No waiter is told that they are durable.
+            // The open files have the records, so they are not written again. They are not durable: the waiters drop.
             return self.fail(failure, now);
         }
         if self.retry_at.take().is_some() {
-            tracing::info!(records, "the journal is written again");
+            tracing::info!(records, "journal recovered");
         }
         for waiter in batch.waiters {
-            // Whoever waited may have given up.
+            // The receiver may be gone.
             let _ = waiter.send(());
         }
         if self.shared.failing() {
@@ -256,32 +256,32 @@ impl Writer {
         }
     }
 
-    /// The batch was not written, and is tried again.
+    /// Notes a failed write, which is retried.
     fn fail(&mut self, failure: String, now: Instant) {
         if self.retry_at.is_none() {
-            tracing::error!(failure, "the journal can't be written");
+            tracing::error!(failure, "journal cannot be written");
         }
         self.shared.set_failure(Some(failure));
         self.batch.waiters.clear();
         self.retry_at = Some(now + RETRY);
     }
 
-    /// Tells of a durable event: first that it can be read, then what it is.
-    fn tell(&self, event: Arc<Stored>) {
+    /// Broadcasts a durable event, after its sequence number.
+    fn broadcast(&self, event: Arc<Stored>) {
         self.shared.set_committed(event.seq);
-        // Nobody may be listening.
-        let _ = self.told.send(event);
+        // There may be no receivers.
+        let _ = self.events.send(event);
     }
 
     fn take_aggregates(&mut self, now: Instant, all: bool) {
         self.batch.records.extend(self.shared.rates.due(now, all).into_iter().map(Placed::Event));
     }
 
-    fn tell_of_lost(&mut self) {
+    fn record_lost(&mut self) {
         let lost = self.shared.health.borrow().lost;
-        if lost > self.lost_told {
-            self.own(GatewayEvent::RecordsLost { count: lost - self.lost_told });
-            self.lost_told = lost;
+        if lost > self.lost_reported {
+            self.own(GatewayEvent::RecordsLost { count: lost - self.lost_reported });
+            self.lost_reported = lost;
         }
     }
 
@@ -294,27 +294,27 @@ impl Writer {
             return;
         }
         match self.remove(now) {
-            Ok(Some(event)) => self.tell(event),
+            Ok(Some(event)) => self.broadcast(event),
             Ok(None) => {}
-            Err(error) => tracing::warn!(failure = self.store.source.words(&error), "old records were not removed"),
+            Err(error) => tracing::warn!(failure = self.store.source.describe(&error), "old records not removed"),
         }
-        // Whatever it took: what is written next is tried at once.
+        // A slow or failed removal does not count as a failure of the journal: the next write is tried at once.
         self.shared.set_failure(None);
     }
 
-    /// Before a disk that failed is tried again: it may be full of what has had its time.
+    /// Removes old records before a failed write is retried, because they may fill the disk.
     fn make_room(&mut self, now: Instant) {
         if self.retry_at.is_none() || self.store.check_files().is_err() {
             return;
         }
         let emptied = self.store.checkpoint();
         match emptied.and_then(|()| self.remove(now)) {
-            Ok(event) => event.into_iter().for_each(|event| self.tell(event)),
-            Err(error) => tracing::debug!(%error, "nothing was removed"),
+            Ok(event) => event.into_iter().for_each(|event| self.broadcast(event)),
+            Err(error) => tracing::debug!(%error, "no records removed"),
         }
     }
 
-    /// Keeps the write-ahead log small, also where it never has a moment without a reader.
+    /// Keeps the write-ahead log small, even if readers always use it.
     fn empty_log(&mut self, now: Instant) {
         if self.retry_at.is_some() || self.empty_log_at.is_some_and(|at| now < at) {
             return;
@@ -322,15 +322,15 @@ impl Writer {
         if self.store.log_is_large()
             && let Err(error) = self.shared.while_watched(|| self.store.checkpoint())
         {
-            tracing::warn!(failure = self.store.source.words(&error), "the write-ahead log was not emptied");
+            tracing::warn!(failure = self.store.source.describe(&error), "write-ahead log not emptied");
         }
         self.empty_log_at = self.store.log_is_large().then_some(now + EMPTY_LOG_EVERY);
     }
 
-    /// Removes what retention says, and returns the event that attests it.
+    /// Runs a step of retention, and returns the event that attests a new removal.
     fn remove(&mut self, now: Instant) -> rusqlite::Result<Option<Arc<Stored>>> {
         if self.store.check_files().is_err() {
-            // The next commit says it.
+            // The next commit reports the fault.
             return Ok(None);
         }
         let mut ends = self.take_ends()?;
@@ -340,7 +340,7 @@ impl Writer {
             ends[Chain::Events as usize] = row.tip;
         }
         self.ends = Some(ends);
-        // What is wrong with the files is found again, and said, at the next commit.
+        // The next commit finds and reports a fault of the files again.
         let _ = self.store.check_written();
         Ok(row.and_then(|row| row.event))
     }
@@ -355,12 +355,12 @@ impl Writer {
             self.commit(Instant::now());
             let Some(failure) = self.shared.health.borrow().failure.clone() else { break };
             if !orderly || Instant::now() + RETRY > until {
-                return Err(format!("{} records were not kept: {failure}", self.batch.records.len()));
+                return Err(format!("{} records were not written: {failure}", self.batch.records.len()));
             }
             std::thread::sleep(RETRY);
         }
         if orderly && let Err(error) = self.store.checkpoint() {
-            tracing::warn!(failure = self.store.source.words(&error), "the write-ahead log stays");
+            tracing::warn!(failure = self.store.source.describe(&error), "write-ahead log not emptied on close");
         }
         Ok(())
     }

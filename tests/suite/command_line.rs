@@ -143,8 +143,8 @@ async fn frames_are_decoded_and_encoded() {
 async fn a_wrong_line_does_not_end_a_decoding_and_is_told_by_the_exit_status() {
     let ended = run(&["decode", file("wrong.hex", "nonsense\nAAAAAA230000AC1C\n").to_str().unwrap()]).await;
     assert_eq!(ended.status.code(), Some(1), "{ended:?}");
-    assert!(ended.stdout.contains("line 1 is wrong") && ended.stdout.contains("FastStop"), "{ended:?}");
-    assert!(ended.stderr.contains("lines that are wrong: 1"), "{ended:?}");
+    assert!(ended.stdout.contains("line 1 not decoded") && ended.stdout.contains("FastStop"), "{ended:?}");
+    assert!(ended.stderr.contains("could not be decoded: 1"), "{ended:?}");
 }
 
 #[test]

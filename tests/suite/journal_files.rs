@@ -90,7 +90,7 @@ async fn removed_or_replaced_journal_refuses_motions_and_is_said() {
         let stopped = gateway.post("fast-stop", &json!({})).await.ok();
         assert_eq!(stopped["fast_stop_confirmed"], true);
         let ended = gateway.terminate().await;
-        assert!(ended.stderr.contains("the journal can't be written"), "{ended:?}");
+        assert!(ended.stderr.contains("journal cannot be written"), "{ended:?}");
         if is_replaced {
             assert_eq!(std::fs::read(file.path()).unwrap(), b"another file");
         }
@@ -172,7 +172,7 @@ async fn follow_prints_what_comes_and_what_was_since() {
 async fn verify_says_that_all_is_as_it_was_written_or_what_is_not() {
     let file = File::new("verify");
     let journal = filled(&file).await;
-    let expected = ["3 events, 0 grip records, 0 remembered values: all as written"];
+    let expected = ["3 events, 0 grip records, 0 remembered values: all intact"];
     assert_eq!(said(&file, &["verify"]).await, expected);
     journal.close().await.unwrap();
     let path = file.path();
@@ -182,7 +182,7 @@ async fn verify_says_that_all_is_as_it_was_written_or_what_is_not() {
     std::fs::write(&path, bytes).unwrap();
     let ended = run(&["journal", "--journal", &path, "verify"]).await;
     assert_eq!(ended.status.code(), Some(1), "{ended:?}");
-    assert_eq!(ended.stdout, "events 3: it is not as it was written (its hash is another)");
+    assert_eq!(ended.stdout, "events 3: changed since it was written (hash mismatch)");
     assert!(ended.stderr.contains("4 events, 0 grip records, 0 remembered values: 1 findings"), "{ended:?}");
 }
 
@@ -193,7 +193,7 @@ async fn a_mistake_is_named_with_its_remedy() {
     let path = file.path();
     let none = Path::new(&path).with_file_name("none.db");
     for (arguments, expected) in [
-        (&["--journal", none.to_str().unwrap(), "list"][..], "there is no journal"),
+        (&["--journal", none.to_str().unwrap(), "list"][..], "does not exist: name the gateway's journal file"),
         (&["--journal", ":memory:", "list"], "name a file"),
         (&["--journal", &path, "list", "--kind", "links"], "expected one of `command`, `fast_stop`"),
         (&["--journal", &path, "list", "--kind", "link", "--grips"], "expected one of `home`, `move`"),

@@ -288,7 +288,7 @@ async fn decode_follows_the_wire_and_says_when_it_ends() {
     assert_eq!(following.word_after(" g > Homing ").await, "direction=default");
     gateway.terminate().await;
     let ended = following.ended().await;
-    assert!(!ended.status.success() && ended.stderr.contains("the gateway has ended it"), "{}", ended.stderr);
+    assert!(!ended.status.success() && ended.stderr.contains("the gateway closed the connection"), "{}", ended.stderr);
 }
 
 #[tokio::test]

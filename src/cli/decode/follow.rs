@@ -1,4 +1,4 @@
-//! `wsg-gateway decode --follow URL`: the frames on a running gateway's wires, as they go.
+//! `wsg-gateway decode --follow URL`: prints the frames on a running gateway's device links as they pass.
 
 use std::io::Write;
 
@@ -14,17 +14,17 @@ use url::Url;
 
 use crate::gripper::model::{Frame, FrameDirection};
 
-/// What a gateway says.
+/// A JSON-RPC message from a gateway.
 #[derive(Debug, Deserialize)]
-struct Said {
+struct GatewayMessage {
     method: Option<String>,
     #[serde(default)]
     params: Value,
-    error: Option<Refused>,
+    error: Option<GatewayError>,
 }
 
 #[derive(Debug, Deserialize)]
-struct Refused {
+struct GatewayError {
     message: String,
 }
 
@@ -34,17 +34,18 @@ struct Gap {
     missed: u64,
 }
 
-/// Writes a line a frame, until the gateway ends or nobody reads the lines any more.
+/// Writes one line per frame until the gateway ends or the output is closed.
 ///
 /// # Errors
-/// Where there is no gateway, or it has ended.
+/// An unreachable gateway, or the end of the gateway or of the connection to it.
 pub async fn follow(url: &Url, output: &mut impl Write) -> anyhow::Result<()> {
-    let (address, gripper) = place(url)?;
-    let mut request = address.as_str().into_client_request().with_context(|| format!("{url} is no address"))?;
+    let (address, gripper) = endpoint(url)?;
+    let mut request =
+        address.as_str().into_client_request().with_context(|| format!("{url} is not a valid address"))?;
     request.headers_mut().insert("Sec-WebSocket-Protocol", HeaderValue::from_static("wsg.v1"));
     let connected = connect_async(request).await;
     let (mut socket, _) =
-        connected.map_err(|error| anyhow::anyhow!("no gateway answers at {url}: {}", words(error)))?;
+        connected.map_err(|error| anyhow::anyhow!("no gateway answers at {url}: {}", describe(error)))?;
     let params = match &gripper {
         Some(gripper) => json!({"topics": ["frames"], "grippers": [gripper]}),
         None => json!({"topics": ["frames"]}),
@@ -54,41 +55,41 @@ pub async fn follow(url: &Url, output: &mut impl Write) -> anyhow::Result<()> {
     while let Some(message) = socket.next().await {
         match message {
             Ok(Message::Text(text)) => {
-                let line = line(serde_json::from_str(&text).context("the gateway's words are not understood")?)?;
+                let line = line(serde_json::from_str(&text).context("the gateway sent an invalid message")?)?;
                 if let Some(line) = line {
                     writeln!(output, "{line}")?;
                     output.flush()?;
                 }
             }
-            Ok(Message::Close(Some(frame))) => bail!("the gateway has ended it: {}", frame.reason),
+            Ok(Message::Close(Some(frame))) => bail!("the gateway closed the connection: {}", frame.reason),
             Ok(_) => {}
-            Err(error) => bail!("the connection to the gateway was lost: {error}"),
+            Err(error) => bail!("connection to the gateway lost: {error}"),
         }
     }
-    bail!("the gateway has ended it")
+    bail!("the gateway closed the connection")
 }
 
-/// Where its WebSocket is, and which gripper is meant where the address is one's.
-fn place(url: &Url) -> anyhow::Result<(Url, Option<String>)> {
+/// Returns the URL of the gateway's WebSocket, and the gripper that the path names, if any.
+fn endpoint(url: &Url) -> anyhow::Result<(Url, Option<String>)> {
     let remedy = "give http://HOST:PORT, or http://HOST:PORT/api/v1/grippers/NAME for one gripper";
-    ensure!(matches!(url.scheme(), "http" | "ws"), "{url} is no address to follow: {remedy}");
-    let mut place = url.clone();
-    place.set_query(None);
-    place.set_path("/api/v1/ws");
-    ensure!(place.set_scheme("ws").is_ok() && place.host().is_some(), "{url} is no address to follow: {remedy}");
+    ensure!(matches!(url.scheme(), "http" | "ws"), "cannot follow {url}: {remedy}");
+    let mut address = url.clone();
+    address.set_query(None);
+    address.set_path("/api/v1/ws");
+    ensure!(address.set_scheme("ws").is_ok() && address.host().is_some(), "cannot follow {url}: {remedy}");
     let gripper = url.path().strip_prefix("/api/v1/grippers/").and_then(|path| path.split('/').next());
     ensure!(gripper.is_some() || matches!(url.path(), "/" | "/api/v1/ws"), "{url} names no gripper: {remedy}");
-    Ok((place, gripper.map(ToOwned::to_owned)))
+    Ok((address, gripper.map(ToOwned::to_owned)))
 }
 
-/// What is written of what was said.
-fn line(said: Said) -> anyhow::Result<Option<String>> {
-    if let Some(Refused { message }) = said.error {
-        bail!("the gateway refuses: {message}");
+/// Formats a message as a line of output; returns none for messages that are not printed.
+fn line(message: GatewayMessage) -> anyhow::Result<Option<String>> {
+    if let Some(GatewayError { message }) = message.error {
+        bail!("the gateway refused the subscription: {message}");
     }
-    Ok(match said.method.as_deref() {
+    Ok(match message.method.as_deref() {
         Some("frame") => {
-            let Frame { gripper, at, direction, text, .. } = serde_json::from_value(said.params)?;
+            let Frame { gripper, at, direction, text, .. } = serde_json::from_value(message.params)?;
             let mark = match direction {
                 FrameDirection::Sent => '>',
                 FrameDirection::Received => '<',
@@ -96,15 +97,15 @@ fn line(said: Said) -> anyhow::Result<Option<String>> {
             Some(format!("{at} {gripper} {mark} {text}"))
         }
         Some("gap") => {
-            let Gap { gripper, missed } = serde_json::from_value(said.params)?;
-            Some(format!("# {gripper}: {missed} frames came faster than they were read, and are missing here"))
+            let Gap { gripper, missed } = serde_json::from_value(message.params)?;
+            Some(format!("# {gripper}: {missed} frames are missing here: they arrived faster than they were read"))
         }
         _ => None,
     })
 }
 
-/// What a gateway that refuses says of it.
-fn words(error: Error) -> String {
+/// Describes a failed connection, with the gateway's own words if it sent a problem.
+fn describe(error: Error) -> String {
     match error {
         Error::Http(response) => {
             let detail = response.body().as_ref().and_then(|body| serde_json::from_slice::<Value>(body).ok());
@@ -120,14 +121,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_address_is_a_gateways_or_a_grippers() {
-        let place = |url: &str| place(&url.parse().unwrap()).map(|(url, gripper)| (url.to_string(), gripper));
+    fn address_names_a_gateway_or_a_gripper() {
+        let endpoint = |url: &str| endpoint(&url.parse().unwrap()).map(|(url, gripper)| (url.to_string(), gripper));
         let address = "ws://127.0.0.1:8080/api/v1/ws".to_owned();
-        assert_eq!(place("http://127.0.0.1:8080").unwrap(), (address.clone(), None));
-        let one = place("http://127.0.0.1:8080/api/v1/grippers/left").unwrap();
+        assert_eq!(endpoint("http://127.0.0.1:8080").unwrap(), (address.clone(), None));
+        let one = endpoint("http://127.0.0.1:8080/api/v1/grippers/left").unwrap();
         assert_eq!(one, (address, Some("left".to_owned())));
         for wrong in ["https://127.0.0.1", "tcp://127.0.0.1:1000", "http://127.0.0.1/left"] {
-            assert!(place(wrong).unwrap_err().to_string().contains("http://HOST:PORT"), "{wrong}");
+            assert!(endpoint(wrong).unwrap_err().to_string().contains("http://HOST:PORT"), "{wrong}");
         }
     }
 }

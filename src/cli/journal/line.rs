@@ -1,14 +1,14 @@
-//! A record as a line that people read: when, its number, which gripper, who, what, and how it ended.
+//! A record as a readable line: time, sequence number, gripper, subject, kind with details, and outcome with cause.
 
 use serde_json::Value;
 
-/// What says more than a record's kind, in the order of looking.
+/// Fields that refine a record's kind; the first one present is printed.
 const SAYS_MORE: [&str; 5] = ["event", "link", "setting", "code", "phase"];
 
-/// Why, in words.
+/// Fields with the cause in words; the first one present is printed.
 const SAYS_WHY: [&str; 3] = ["cause", "link_cause", "reason"];
 
-/// Of a body.
+/// Formats a record's body.
 pub(super) fn of(body: &str) -> String {
     let record: Value = serde_json::from_str(body).unwrap_or_default();
     let text = |field: &str| record[field].as_str().filter(|text| !text.is_empty());
@@ -32,7 +32,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_line_says_when_which_who_what_and_how_it_ended() {
+    fn line_has_time_gripper_subject_kind_and_outcome() {
         let done = r#"{"seq":17,"at":"2026-11-21T09:00:00.123Z","gripper":"left","subject":"http:127.0.0.1","kind":"command","phase":"done","command":"grip","outcome":"NO_PART","part_id":"P-1"}"#;
         let expected = "2026-11-21T09:00:00.123Z       17  left       http:127.0.0.1         command grip done        NO_PART  P-1";
         assert_eq!(of(done), expected);

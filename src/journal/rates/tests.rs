@@ -1,11 +1,11 @@
-//! Floods, on a virtual clock.
+//! Floods of events, on a virtual clock.
 
 use super::super::tests::{Directory, at, id, kept, name, started};
 use super::super::{Record, Recorder as _};
 use super::*;
 use crate::gripper::model::{Admitted, Client, Done, FastStopCause, IdSource, Outcome, Parameters, SettingsEvent};
 
-/// Largest event of the tests, beyond which an account may be drawn.
+/// Upper bound of an event's size in the tests, by which an account can be overdrawn.
 const ONE: u64 = 1024;
 
 fn client(subject: &str, door: Door) -> Client {
@@ -23,7 +23,7 @@ fn refused(client: &Client, code: &str) -> Event {
     Event::new(at(1), Some(name("left")), Detail::Refused(refused)).by(client)
 }
 
-/// A Stop's two records.
+/// Returns the two records of a Stop.
 fn stop(client: &Client, number: u32) -> [Event; 2] {
     let admitted = Admitted { command: Kind::Stop, request_id: None, parameters: Parameters::default() };
     let done = Done {
@@ -50,7 +50,7 @@ fn bytes(events: &[Event]) -> u64 {
     events.iter().map(|event| serde_json::to_vec(event).unwrap().len() as u64 + OVERHEAD).sum()
 }
 
-/// For how many requests these stand.
+/// Returns the number of requests that these events stand for.
 fn total(events: &[Event]) -> u64 {
     let of = |event: &Event| aggregated(event) + count(&mut event.detail.clone()).copied().unwrap_or(1);
     events.iter().map(of).sum()
@@ -60,7 +60,8 @@ fn aggregated(event: &Event) -> u64 {
     event.aggregated.map_or(0, NonZero::get)
 }
 
-/// What is written of an hour in which `next` makes a hundred events a second.
+/// Simulates an hour in which `next` makes events a hundred times a second. Returns the written events, and the number
+/// of made ones.
 fn hour(rates: &Rates, start: Instant, mut next: impl FnMut(u32) -> Vec<Event>) -> (Vec<Event>, u64) {
     let (mut written, mut made) = (Vec::new(), 0);
     for number in 0..360_000 {
@@ -80,7 +81,7 @@ fn hour(rates: &Rates, start: Instant, mut next: impl FnMut(u32) -> Vec<Event>) 
 #[test]
 fn flood_from_one_address_is_bounded_and_counted() {
     let (rates, start) = (Rates::default(), Instant::now());
-    // A client of three interfaces is one address.
+    // One address on three interfaces is one payer.
     let clients = [("http:10.0.0.7", Door::Http), ("ws:10.0.0.7", Door::Ws), ("wsg:10.0.0.7", Door::Wsg)]
         .map(|(s, d)| client(s, d));
     let (written, made) = hour(&rates, start, |number| vec![setting(&clients[number as usize % 3], number as f32)]);
@@ -128,7 +129,7 @@ fn accounts_are_bounded() {
         rates.take(start, setting(&client(&format!("http:{}", std::net::Ipv4Addr::from(number)), Door::Http), 1.0));
     }
     assert_eq!(rates.state().balances.len(), MAX_ACCOUNTS + 1);
-    // Those that are unused make room; the shared one has an aggregate to write.
+    // Unused accounts are closed; the shared one stays, because an aggregate waits for it.
     rates.take(start + Duration::from_hours(1), setting(&client("http:10.0.0.1", Door::Http), 1.0));
     assert_eq!(rates.state().balances.len(), 2);
 }
@@ -218,7 +219,7 @@ async fn flooded_journal_grows_no_more_than_its_accounts() {
     journal.close().await.unwrap();
     drop(journal);
     let bytes = std::fs::metadata(directory.journal()).unwrap().len();
-    // Beside the account: the empty tables, and the events of the gateway.
+    // The file also has the empty tables and the gateway's own events.
     assert!(bytes < BURST + BURST / 4, "{bytes}");
-    assert!(bytes > BURST / 2, "an account's bytes are the file's: {bytes}");
+    assert!(bytes > BURST / 2, "the account's bytes match the file's: {bytes}");
 }

@@ -1,14 +1,14 @@
-//! A journal whose pages were damaged before the start.
+//! Journals with pages damaged before the start.
 
 use std::fs;
 use std::os::unix::fs::FileExt as _;
 
 use super::*;
 
-/// Records of a journal whose first are older than the check at the start looks.
+/// Number of records: more than the check at the start reads.
 const MANY: u32 = 3000;
 
-/// Closes a journal of many records, and damages the body of the record that has this time.
+/// Closes a journal of many records, and damages the body of the record with this time.
 async fn damaged(directory: &Directory, time: i64) {
     let (journal, _) = directory.open();
     for number in 0..MANY {
@@ -29,12 +29,12 @@ async fn damaged(directory: &Directory, time: i64) {
 }
 
 #[tokio::test]
-async fn damage_of_the_newest_records_is_said_at_the_start() {
+async fn damage_of_the_newest_records_is_reported_at_the_start() {
     let directory = Directory::new();
     damaged(&directory, i64::from(MANY) - 10).await;
     let (journal, _) = directory.open();
     let health = journal.health().borrow().clone();
-    let said = health.damage.expect("it is said before anything is written");
+    let said = health.damage.expect("damage is reported before the first write");
     assert!(said.contains(&format!("events {}: ", MANY - 9)) && said.contains("journal verify --journal"), "{said}");
     assert!(kept(&journal, started(1)).await, "records are still written");
 }
@@ -46,7 +46,7 @@ async fn damage_of_old_records_is_found_in_the_background() {
     let (journal, _) = directory.open();
     let mut health = journal.health();
     let found = health.wait_for(|health| health.damage.is_some());
-    let found = tokio::time::timeout(Duration::from_secs(20), found).await.expect("it is found").unwrap();
+    let found = tokio::time::timeout(Duration::from_secs(20), found).await.expect("damage is found").unwrap();
     let said = found.damage.clone().unwrap();
     assert!(said.contains("events 18: "), "{said}");
     assert_eq!(found.failure, None);
@@ -71,7 +71,7 @@ async fn damage_of_an_index_is_found_in_the_background() {
     let (journal, _) = directory.open();
     let mut health = journal.health();
     let found = health.wait_for(|health| health.damage.is_some());
-    tokio::time::timeout(Duration::from_secs(20), found).await.expect("it is found").unwrap();
+    tokio::time::timeout(Duration::from_secs(20), found).await.expect("damage is found").unwrap();
 }
 
 #[tokio::test]

@@ -1,16 +1,16 @@
-//! A disk that is full, or too slow.
+//! Full and slow disks.
 
 use super::*;
 
 impl Journal {
-    /// Makes the disk as full as if there were no room for more pages.
+    /// Limits the file's size, as a full disk does.
     pub(crate) fn limit_pages(&self, pages: i64) {
         self.writing.inputs.send(Input::MaxPages(pages)).unwrap();
     }
 }
 
 #[tokio::test]
-async fn a_full_disk_is_said_and_nothing_that_has_a_place_is_lost() {
+async fn full_disk_is_reported_and_waiting_records_are_kept() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
     assert!(kept(&journal, started(1)).await);
@@ -23,7 +23,7 @@ async fn a_full_disk_is_said_and_nothing_that_has_a_place_is_lost() {
     let failure = health.wait_for(|health| health.failure.is_some()).await.unwrap().failure.clone().unwrap();
     assert!(failure.contains("journal.db: ") && failure.contains("full") && failure.contains("make room"), "{failure}");
     let before = journal.last_seq();
-    // Who asks while the disk is known to fail is told at once, and the record is kept.
+    // While the disk fails, a waiter hears so at once, and the record is kept.
     assert!(!kept(&journal, link(number + 1, "left")).await);
     journal.record(Record::Persisted(memory("left", PersistedKey::Latch, Some("1"))));
     journal.limit_pages(1_000_000);
@@ -37,7 +37,7 @@ async fn a_full_disk_is_said_and_nothing_that_has_a_place_is_lost() {
 }
 
 #[tokio::test]
-async fn what_a_full_disk_and_a_full_memory_lose_is_counted_and_told() {
+async fn lost_records_are_counted_and_recorded() {
     let (journal, _) = Journal::open(Place::Memory, Retention::default()).unwrap();
     assert!(kept(&journal, started(1)).await);
     journal.limit_pages(1);
@@ -54,29 +54,29 @@ async fn what_a_full_disk_and_a_full_memory_lose_is_counted_and_told() {
     journal.limit_pages(1_000_000);
     health.wait_for(|health| health.failure.is_none()).await.unwrap();
     let mut follow = journal.follow(Some(0), Filter { kind: Some(EventKind::Gateway), ..Filter::default() });
-    let mut told = 0;
-    while told < health.borrow().lost {
+    let mut recorded = 0;
+    while recorded < health.borrow().lost {
         let event: serde_json::Value = serde_json::from_str(&next_event(&mut follow).await.body).unwrap();
         if event["event"] == "records_lost" {
-            told += event["count"].as_u64().unwrap();
+            recorded += event["count"].as_u64().unwrap();
         }
     }
-    assert_eq!(told, health.borrow().lost);
+    assert_eq!(recorded, health.borrow().lost);
 }
 
 #[tokio::test]
-async fn an_end_on_a_full_disk_says_what_was_not_kept() {
+async fn close_on_a_full_disk_reports_unwritten_records() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
     journal.limit_pages(1);
     while kept(&journal, link(1, "left")).await {}
     let error = journal.close().await.unwrap_err().to_string();
-    assert!(error.starts_with("2 records were not kept: the journal"), "{error}");
+    assert!(error.starts_with("2 records were not written: the journal"), "{error}");
     drop(journal);
     assert!(directory.open().1.unclean);
 }
 
-/// Keeps a journal's disk from taking anything, for as long as it is there.
+/// Blocks all writes to a journal until the connection is dropped.
 fn stall(directory: &Directory) -> rusqlite::Connection {
     let disk = rusqlite::Connection::open(directory.journal()).unwrap();
     disk.execute_batch("BEGIN IMMEDIATE").unwrap();
@@ -84,7 +84,7 @@ fn stall(directory: &Directory) -> rusqlite::Connection {
 }
 
 #[tokio::test]
-async fn a_disk_that_stalls_is_said_while_it_does() {
+async fn stalled_disk_is_reported_during_the_stall() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
     let mut health = journal.health();
@@ -93,11 +93,11 @@ async fn a_disk_that_stalls_is_said_while_it_does() {
         let journal = journal.clone();
         async move { kept(&journal, started(1)).await }
     });
-    // Long before SQLite gives up.
+    // The report comes long before SQLite gives up.
     let failure = health.wait_for(|health| health.failure.is_some()).await.unwrap().failure.clone().unwrap();
-    assert!(failure.contains("journal.db: ") && failure.contains("within 500 ms: look at its disk"), "{failure}");
+    assert!(failure.contains("journal.db: ") && failure.contains("within 500 ms: check the disk"), "{failure}");
     assert!(!waiting.is_finished());
-    assert!(!kept(&journal, started(2)).await, "who asks meanwhile is told at once");
+    assert!(!kept(&journal, started(2)).await, "a waiter hears so at once during the stall");
     drop(stalled);
     assert!(waiting.await.unwrap());
     health.wait_for(|health| health.failure.is_none()).await.unwrap();
@@ -108,7 +108,7 @@ async fn a_disk_that_stalls_is_said_while_it_does() {
 }
 
 #[tokio::test]
-async fn an_end_and_a_memory_find_a_place_where_nothing_else_does() {
+async fn full_queue_still_takes_ends_of_commands_and_persisted_values() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
     assert!(kept(&journal, admitted(1, "left", 1, None)).await);
@@ -134,7 +134,7 @@ async fn an_end_and_a_memory_find_a_place_where_nothing_else_does() {
 }
 
 #[tokio::test]
-async fn a_log_that_a_reader_made_large_is_emptied_when_that_has_gone() {
+async fn large_write_ahead_log_is_emptied_after_its_reader_has_gone() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
     assert!(kept(&journal, started(1)).await);

@@ -1,8 +1,8 @@
-//! Followers, fast and slow.
+//! Fast and slow followers of events.
 
 use super::*;
 
-/// The sequence numbers of the next events.
+/// Returns the sequence numbers of the next events.
 async fn seqs(follow: &mut EventStream, count: usize) -> Vec<i64> {
     let mut seqs = Vec::new();
     while seqs.len() < count {
@@ -12,7 +12,7 @@ async fn seqs(follow: &mut EventStream, count: usize) -> Vec<i64> {
 }
 
 #[tokio::test]
-async fn a_follower_gets_each_event_once_while_others_write() {
+async fn follower_gets_each_event_once_during_writes() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
     for number in 0..249 {
@@ -43,7 +43,7 @@ async fn a_follower_gets_each_event_once_while_others_write() {
 }
 
 #[tokio::test]
-async fn a_follower_that_was_too_slow_reads_what_it_missed() {
+async fn slow_follower_reads_missed_events_from_the_file() {
     let (journal, _) = Journal::open(Place::Memory, Retention::default()).unwrap();
     let filter = Filter { gripper: Some(name("left")), ..Filter::default() };
     let (mut all, mut left) = (journal.follow(None, Filter::default()), journal.follow(None, filter));
@@ -60,7 +60,7 @@ async fn a_follower_that_was_too_slow_reads_what_it_missed() {
 }
 
 #[tokio::test]
-async fn who_has_seen_more_than_there_is_is_told_all_of_this_journal() {
+async fn cursor_beyond_the_newest_event_starts_at_the_beginning() {
     let (journal, _) = Journal::open(Place::Memory, Retention::default()).unwrap();
     for number in 0..3 {
         assert!(kept(&journal, link(number, "left")).await);

@@ -1,11 +1,11 @@
-//! A journal whose files are removed, replaced or truncated while it is open.
+//! Journals with files removed, replaced or truncated while they are open.
 
 use std::fs;
 use std::path::Path;
 
 use super::*;
 
-/// Waits until the journal says that it takes no records, without a record that would make it look.
+/// Waits until the journal reports a failure, without a record that would trigger a check.
 async fn failure(journal: &Journal) -> String {
     let mut health = journal.health();
     let failed = health.wait_for(|health| health.failure.is_some());
@@ -13,7 +13,7 @@ async fn failure(journal: &Journal) -> String {
     failed.failure.clone().unwrap()
 }
 
-/// A journal of one event, and its file.
+/// Opens a journal and records one event. Returns the journal and its file.
 async fn opened(directory: &Directory) -> (Journal, PathBuf) {
     let (journal, _) = directory.open();
     assert!(kept(&journal, started(1)).await);
@@ -69,7 +69,7 @@ async fn truncated_journal_fails_until_a_restart() {
         journal.close().await.unwrap();
         drop(journal);
         let (journal, _) = opened(&directory).await;
-        // The journal writes at its start, and takes the size after that as its own.
+        // The journal writes at its start, and takes the size after that as the expected one.
         assert!(kept(&journal, started(1)).await, "{end}");
         let path = beside(&path, end);
         let whole = fs::read(&path).unwrap();
@@ -77,7 +77,7 @@ async fn truncated_journal_fails_until_a_restart() {
         assert!(!kept(&journal, started(2)).await, "{end}");
         let said = failure(&journal).await;
         assert!(said.contains(&format!("journal.db{end} was truncated from")) && said.contains("to 4096"), "{said}");
-        // The file is as large again, but another program wrote its pages.
+        // The file has its former size again, but another program wrote its pages.
         fs::write(&path, whole).unwrap();
         assert!(journal.close().await.unwrap_err().to_string().contains("was truncated"), "{end}");
     }
@@ -108,7 +108,7 @@ async fn records_before_a_lost_log_are_in_the_file() {
     }
     fs::remove_file(beside(&path, "-wal")).unwrap();
     failure(&journal).await;
-    // What a restart finds: the file alone.
+    // A restart would find the file alone.
     let copy = Directory::new();
     fs::copy(&path, copy.journal()).unwrap();
     assert_eq!(Reader::open(&copy.journal()).unwrap().last_seq().unwrap(), 49);

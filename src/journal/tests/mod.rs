@@ -1,4 +1,4 @@
-//! The journal as a gateway uses it; what several tests need.
+//! Tests of the journal as a gateway uses it, and their helpers.
 
 mod damage;
 mod disk;
@@ -20,7 +20,7 @@ use crate::gripper::model::{
     LinkEvent, Name, Outcome, Parameters, PartId, PersistedKey, PersistedState, RequestId, Sample,
 };
 
-/// A directory of one test, which goes with it.
+/// Temporary directory of one test.
 pub(super) struct Directory(PathBuf);
 
 impl Directory {
@@ -57,12 +57,12 @@ pub(super) fn name(text: &str) -> Name {
     text.parse().unwrap()
 }
 
-/// The id of the command with this number.
+/// Returns the id of the command with this number.
 pub(super) fn id(number: u32) -> CommandId {
     IdSource::new(number.into()).command_id(at(number.into()))
 }
 
-/// A client asked the gripper for something at this time.
+/// Makes a client's event of a command.
 fn asked(time: i64, gripper: &str, number: u32, event: CommandEvent) -> Event {
     Event {
         subject: Some("http:127.0.0.1".into()),
@@ -140,7 +140,7 @@ pub(super) fn record(journal: &Journal, event: Event) {
     journal.record(Record::Event(event, None));
 }
 
-/// The next event that a follower is told.
+/// Returns the next event of a stream.
 async fn next_event(follow: &mut EventStream) -> Arc<Stored> {
     match follow.next().await.unwrap() {
         Some(StreamItem::Event(event)) => event,
@@ -148,20 +148,20 @@ async fn next_event(follow: &mut EventStream) -> Arc<Stored> {
     }
 }
 
-/// Records an event, and waits until it is durable; false where it won't be.
+/// Records an event and waits until it is durable; returns false if that fails.
 pub(super) async fn kept(journal: &Journal, event: Event) -> bool {
-    let (told, durable) = oneshot::channel();
-    journal.record(Record::Event(event, Some(told)));
+    let (waiter, durable) = oneshot::channel();
+    journal.record(Record::Event(event, Some(waiter)));
     durable.await.is_ok()
 }
 
-/// All events, the oldest first.
+/// Reads all events, oldest first.
 pub(super) async fn all(journal: &Journal) -> Vec<serde_json::Value> {
     let query = EventQuery { order: Order::Oldest, limit: Limit::new(1000).unwrap(), ..EventQuery::default() };
     journal.events(query).await.unwrap().bodies.iter().map(|body| serde_json::from_str(body).unwrap()).collect()
 }
 
-/// Of each event the values of these fields.
+/// Returns the values of some fields of each event.
 pub(super) fn fields(events: &[serde_json::Value], names: &[&str]) -> Vec<String> {
     let field = |event: &serde_json::Value, name: &str| {
         event.get(name).map(|value| value.as_str().map_or(value.to_string(), str::to_owned))
@@ -173,7 +173,7 @@ pub(super) fn fields(events: &[serde_json::Value], names: &[&str]) -> Vec<String
 }
 
 #[tokio::test]
-async fn what_is_recorded_is_served_as_it_was_written() {
+async fn records_are_served_as_they_were_written() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
     assert!(kept(&journal, admitted(1_700_000_000_123, "left", 1, Some("P-1"))).await);
@@ -205,7 +205,7 @@ async fn what_is_recorded_is_served_as_it_was_written() {
 }
 
 #[tokio::test]
-async fn a_part_that_is_lost_later_is_told_with_its_grip() {
+async fn part_lost_later_shows_in_its_grip() {
     let (journal, _) = Journal::open(Place::Memory, Retention::default()).unwrap();
     journal.record(Record::Grip(Box::new(grip(1000, "left", 1, None))));
     let lost = crate::gripper::model::DeviceEvent::PartLost { width_mm: Some(3.0) };
@@ -215,7 +215,7 @@ async fn a_part_that_is_lost_later_is_told_with_its_grip() {
 }
 
 #[tokio::test]
-async fn what_many_record_at_once_is_numbered_without_a_gap_and_all_are_told() {
+async fn concurrent_records_are_numbered_without_a_gap() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
     let recording = (0..20).map(|client| {
@@ -234,7 +234,7 @@ async fn what_many_record_at_once_is_numbered_without_a_gap_and_all_are_told() {
 }
 
 #[tokio::test]
-async fn every_event_that_there_is_can_be_written_and_read() {
+async fn every_kind_of_event_can_be_written_and_read() {
     use crate::gripper::model::{
         AcknowledgeEvent, Client, DeviceEvent, FastStopCause, FastStopEvent, FastStopStep, RefusedEvent, SettingChange,
         SettingsEvent,

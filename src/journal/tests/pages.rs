@@ -1,4 +1,4 @@
-//! Pages: against a filter that reads everything, and against the clock.
+//! Pages, compared with a filter that reads everything, and timed.
 
 use std::time::Instant;
 
@@ -12,7 +12,7 @@ use super::super::row::{Row, milliseconds};
 use super::super::store::{Memories, Store};
 use super::*;
 
-/// Records of one chain, as filters see them.
+/// The values of a record that filters compare.
 struct Known<K> {
     seq: i64,
     at: i64,
@@ -32,7 +32,7 @@ fn matches<K: ChainKind>(known: &Known<K>, query: &Query<K>) -> bool {
         && query.to.is_none_or(|to| known.at < milliseconds(to))
 }
 
-/// The sequence numbers that a query's pages have, one after the other.
+/// Reads all pages of a query. Returns the sequence numbers of the records.
 fn paged<K: ChainKind>(store: &Store, mut query: Query<K>) -> Vec<i64> {
     let mut seqs = Vec::new();
     loop {
@@ -55,7 +55,7 @@ fn expected<K: ChainKind>(known: &[Known<K>], query: &Query<K>) -> Vec<i64> {
     seqs
 }
 
-/// A clock that mostly goes on, and sometimes jumps.
+/// Advances a clock, which sometimes jumps.
 fn tick(random: &mut SmallRng, time: &mut i64) -> i64 {
     *time += match random.random_range(0..500) {
         0 => -50_000,
@@ -65,7 +65,7 @@ fn tick(random: &mut SmallRng, time: &mut i64) -> i64 {
     *time
 }
 
-/// So many events and grip records, and what they are.
+/// Fills a journal with events and grip records, and returns their values.
 fn fill(store: &mut Store, count: u32) -> (Vec<Known<EventKind>>, Vec<Known<Kind>>) {
     let mut random = SmallRng::seed_from_u64(1);
     let (mut events, mut grips, mut rows) = (Vec::new(), Vec::new(), Vec::new());
@@ -115,7 +115,7 @@ fn fill(store: &mut Store, count: u32) -> (Vec<Known<EventKind>>, Vec<Known<Kind
     (events, grips)
 }
 
-/// All combinations of filters, each with values that occur and with ones that don't.
+/// Returns all combinations of filters, each with values that occur and values that don't.
 fn filters<K: ChainKind>(kinds: &[K]) -> Vec<Filter<K>> {
     let kinds: Vec<_> = std::iter::once(None).chain(kinds.iter().copied().map(Some)).collect();
     let mut filters = Vec::new();
@@ -154,7 +154,7 @@ fn compare<K: ChainKind + std::fmt::Debug>(store: &Store, known: &[Known<K>], ki
 }
 
 #[test]
-fn all_filters_orders_and_times_give_what_a_look_at_each_record_gives() {
+fn pages_match_a_scan_of_all_records() {
     let mut store = Store::open(Place::Memory).unwrap();
     let (events, grips) = fill(&mut store, 6000);
     compare(&store, &events, &[EventKind::Command, EventKind::Link, EventKind::Lease]);
@@ -162,7 +162,7 @@ fn all_filters_orders_and_times_give_what_a_look_at_each_record_gives() {
 }
 
 #[test]
-fn a_page_s_time_does_not_depend_on_how_much_there_is() {
+fn page_of_a_large_journal_is_fast() {
     let mut store = Store::open(Place::Memory).unwrap();
     let (events, grips) = fill(&mut store, 60_000);
     slowest(&store, &events, &[EventKind::Command, EventKind::Link, EventKind::Lease]);
@@ -176,7 +176,7 @@ fn slowest<K: ChainKind + std::fmt::Debug>(store: &Store, known: &[Known<K>], ki
             for order in [Order::Newest, Order::Oldest] {
                 let query =
                     Query { filter: filter.clone(), from: from.map(at), to: to.map(at), order, ..Query::default() };
-                // Of three, since the machine does other things too.
+                // The fastest of three, because the machine does other things too.
                 let time = (0..3).map(|_| {
                     let start = Instant::now();
                     page(&store.connection, &query, i64::MAX).unwrap();
@@ -189,10 +189,10 @@ fn slowest<K: ChainKind + std::fmt::Debug>(store: &Store, known: &[Known<K>], ki
 }
 
 #[test]
-fn a_limit_and_a_cursor_are_checked_with_their_remedy() {
+fn invalid_limits_and_cursors_name_the_remedy() {
     assert_eq!(
         Limit::new(0).unwrap_err().to_string(),
-        "limit is 0, and must be from 1 to 1000: ask for more by the cursor"
+        "limit is 0 but must be from 1 to 1000: use the cursor to get more records"
     );
     assert!(Limit::new(1001).is_err() && Limit::new(u64::MAX).is_err());
     assert!("x".parse::<Cursor>().unwrap_err().to_string().contains("next_cursor"));

@@ -1,15 +1,15 @@
-//! Retention.
+//! Removal of old records.
 
 use super::*;
 
-/// Closes the journal, and opens it with this retention.
+/// Closes a journal, and opens it again with this retention.
 async fn reopened(directory: &Directory, journal: Journal, retention: Retention) -> Journal {
     journal.close().await.unwrap();
     drop(journal);
     Journal::open(directory.place(), retention).unwrap().0
 }
 
-/// Waits for the event that attests removals up to there.
+/// Waits for a `pruned` event that meets a condition.
 async fn pruned(journal: &Journal, up_to: impl Fn(&serde_json::Value) -> bool) -> serde_json::Value {
     let mut follow = journal.follow(Some(0), Filter { kind: Some(EventKind::Gateway), ..Filter::default() });
     loop {
@@ -24,7 +24,7 @@ async fn pruned(journal: &Journal, up_to: impl Fn(&serde_json::Value) -> bool) -
     }
 }
 
-/// Waits until the oldest event is the one behind this.
+/// Waits until all events up to this one are removed.
 async fn removed(journal: &Journal, up_to_seq: i64) {
     while all(journal).await[0]["seq"] != up_to_seq + 1 {
         assert!(kept(journal, started(1)).await);
@@ -45,7 +45,7 @@ async fn fill(journal: &Journal, count: u32) {
 }
 
 #[tokio::test]
-async fn what_is_too_old_goes_and_what_is_left_is_proved() {
+async fn old_records_are_removed_and_the_rest_stays_proved() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
     fill(&journal, 300).await;
@@ -56,7 +56,7 @@ async fn what_is_too_old_goes_and_what_is_left_is_proved() {
     let journal = reopened(&directory, journal, retention).await;
     let event = pruned(&journal, |event| event["up_to_seq"] == 600 && event["grips_up_to_seq"] == 299).await;
     removed(&journal, 600).await;
-    // Who goes on behind one that is gone is told how many he misses.
+    // A follower that resumes after a removed event gets the number of missed ones.
     let mut follow = journal.follow(Some(10), Filter { gripper: Some(name("left")), ..Filter::default() });
     assert_eq!(follow.next().await.unwrap(), Some(StreamItem::Removed { behind: 10, missed: 590 }));
     for mut follow in [follow, journal.follow(Some(600), Filter::default())] {
@@ -75,7 +75,7 @@ async fn what_is_too_old_goes_and_what_is_left_is_proved() {
     journal.close().await.unwrap();
     drop(journal);
     assert!(std::fs::metadata(directory.journal()).unwrap().len() < before);
-    // The next run goes on behind what there was.
+    // The next run continues the sequence.
     let (journal, _) = directory.open();
     assert!(kept(&journal, link(now, "left")).await);
     assert!(journal.last_seq() > 604);
@@ -83,7 +83,7 @@ async fn what_is_too_old_goes_and_what_is_left_is_proved() {
 }
 
 #[tokio::test]
-async fn a_command_that_has_not_ended_stays_with_all_behind_it() {
+async fn running_command_and_all_later_events_stay() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
     fill(&journal, 10).await;
@@ -106,7 +106,7 @@ async fn a_command_that_has_not_ended_stays_with_all_behind_it() {
 }
 
 #[tokio::test]
-async fn a_file_that_is_too_large_shrinks_and_its_sequence_goes_on() {
+async fn too_large_file_shrinks_and_its_sequence_continues() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
     fill(&journal, 1000).await;
@@ -118,7 +118,7 @@ async fn a_file_that_is_too_large_shrinks_and_its_sequence_goes_on() {
     let bytes = || connection.pragma_query_value(None, "page_count", |row| row.get::<_, i64>(0)).unwrap() * 4096;
     while bytes() > max {
         assert!(kept(&journal, link(1, "left")).await);
-        assert_eq!(verify(&directory.journal()).unwrap().findings, [], "also in the midst of a removal");
+        assert_eq!(verify(&directory.journal()).unwrap().findings, [], "intact even during a removal");
     }
     drop(connection);
     let last = journal.last_seq();
@@ -130,7 +130,7 @@ async fn a_file_that_is_too_large_shrinks_and_its_sequence_goes_on() {
 }
 
 #[tokio::test]
-async fn a_removal_that_the_events_do_not_attest_is_found() {
+async fn unattested_removal_is_found() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
     fill(&journal, 5).await;
@@ -150,13 +150,13 @@ async fn a_removal_that_the_events_do_not_attest_is_found() {
 }
 
 #[tokio::test]
-async fn a_file_that_can_not_be_made_smaller_is_written_on() {
+async fn file_that_cannot_shrink_still_takes_records() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
     fill(&journal, 300).await;
     journal.close().await.unwrap();
     drop(journal);
-    // Without what its second page says, no page of the file can be moved to another's place.
+    // Without the content of its second page, SQLite cannot move any page of the file.
     let file = std::fs::File::options().write(true).open(directory.journal()).unwrap();
     std::os::unix::fs::FileExt::write_all_at(&file, &[0; 4096], 4096).unwrap();
     let retention = Retention { max_age: Some(Duration::from_hours(20)), ..Retention::default() };
@@ -166,7 +166,7 @@ async fn a_file_that_can_not_be_made_smaller_is_written_on() {
 }
 
 #[tokio::test]
-async fn a_removal_is_one_event_however_many_records_go() {
+async fn removal_of_many_records_is_one_event() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
     fill(&journal, 600).await;
@@ -178,7 +178,7 @@ async fn a_removal_is_one_event_however_many_records_go() {
 }
 
 #[tokio::test]
-async fn a_time_to_come_keeps_nothing_that_is_too_old() {
+async fn records_from_the_future_do_not_keep_old_ones() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
     let ahead = Timestamp::now().as_millisecond() + 86_400_000;
@@ -196,7 +196,7 @@ async fn a_time_to_come_keeps_nothing_that_is_too_old() {
 }
 
 #[tokio::test]
-async fn a_file_stays_as_small_as_is_said_while_much_is_written() {
+async fn file_stays_within_its_limit_during_fast_writes() {
     let directory = Directory::new();
     let max = 3_000_000;
     let (journal, _) =
@@ -212,6 +212,6 @@ async fn a_file_stays_as_small_as_is_said_while_much_is_written() {
         largest = largest.max(pages * 4096);
     }
     assert!(journal.last_seq() > 20_000);
-    // Some batches of two megabytes come before the first step. All that was written takes more than 30.
-    assert!(largest < max + 7_000_000, "{largest} bytes, where {max} are allowed");
+    // Some batches of 2 MB come before the first step. Without removal the file would exceed 30 MB.
+    assert!(largest < max + 7_000_000, "{largest} bytes, but {max} are allowed");
 }

@@ -1,9 +1,9 @@
-//! Restarts, in order and not.
+//! Restarts after orderly and unclean ends.
 
 use super::*;
 
 #[tokio::test]
-async fn an_orderly_end_leaves_nothing_open() {
+async fn orderly_end_leaves_nothing_open() {
     let directory = Directory::new();
     let (journal, recovered) = directory.open();
     assert!(!recovered.unclean && recovered.memory.is_empty());
@@ -21,7 +21,7 @@ async fn an_orderly_end_leaves_nothing_open() {
 }
 
 #[tokio::test]
-async fn what_ran_at_an_unclean_end_is_unknown_and_named() {
+async fn running_commands_end_as_unknown_after_an_unclean_end() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
     for event in [
@@ -60,7 +60,7 @@ async fn what_ran_at_an_unclean_end_is_unknown_and_named() {
         ]
     );
     assert_eq!(journal.command(name("left"), id(1)).await.unwrap().unwrap().outcome, Some(Outcome::Unknown));
-    // A second unclean end has none to name.
+    // At a second unclean end no command is running.
     drop(journal);
     let (journal, recovered) = directory.open();
     assert!(recovered.unclean && recovered.running.is_empty());
@@ -68,7 +68,7 @@ async fn what_ran_at_an_unclean_end_is_unknown_and_named() {
 }
 
 #[tokio::test]
-async fn memories_outlive_a_restart_until_they_are_forgotten() {
+async fn persisted_values_outlive_a_restart_until_they_are_deleted() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
     for value in [
@@ -100,8 +100,8 @@ async fn requests_keep_the_order_of_their_records_when_a_clock_is_set_back() {
     }
     drop(journal);
     let (_, recovered) = directory.open();
-    let told: Vec<_> = recovered.requests.iter().map(|request| request.command.id).collect();
-    assert_eq!(told, [id(3), id(2), id(1)]);
+    let ids: Vec<_> = recovered.requests.iter().map(|request| request.command.id).collect();
+    assert_eq!(ids, [id(3), id(2), id(1)]);
 }
 
 #[tokio::test]
@@ -122,7 +122,7 @@ async fn requests_of_the_last_ten_minutes_stand_for_their_commands() {
     }
     drop(journal);
     let (_, recovered) = directory.open();
-    let told: Vec<_> = recovered
+    let requests: Vec<_> = recovered
         .requests
         .iter()
         .map(|request| {
@@ -130,7 +130,7 @@ async fn requests_of_the_last_ten_minutes_stand_for_their_commands() {
         })
         .collect();
     assert_eq!(
-        told,
+        requests,
         [
             ("request-2", id(2), Some(Outcome::PartHeld), Some(20.5)),
             ("request-4", id(4), Some(Outcome::Unknown), Some(20.5)),
@@ -140,29 +140,26 @@ async fn requests_of_the_last_ten_minutes_stand_for_their_commands() {
 }
 
 #[tokio::test]
-async fn a_journal_has_one_gateway() {
+async fn second_gateway_cannot_open_the_journal() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
     assert!(kept(&journal, started(1)).await);
     let second = Journal::open(directory.place(), Retention::default()).unwrap_err().to_string();
-    assert!(
-        second.contains("journal.db belongs to a gateway that is running") && second.contains("--journal"),
-        "{second}"
-    );
+    assert!(second.contains("journal.db is in use by another gateway") && second.contains("--journal"), "{second}");
     assert_eq!(Reader::open(&directory.journal()).unwrap().last_seq().unwrap(), 1);
     drop(journal);
     directory.open();
 }
 
 #[test]
-fn a_journal_has_one_gateway_whatever_links_lead_to_it() {
+fn second_gateway_cannot_open_the_journal_through_a_link() {
     use std::os::unix::fs::symlink;
     let directory = Directory::new();
     let by = |name: &str| directory.0.join(name);
     std::fs::create_dir(by("real")).unwrap();
     symlink("real", by("directory")).unwrap();
     symlink("directory/journal.db", by("link")).unwrap();
-    // The first makes the file that the link leads to.
+    // The first round creates the target of the link.
     for (first, second) in [("link", "real/journal.db"), ("directory/journal.db", "link"), ("real/journal.db", "link")]
     {
         let (_journal, _) = Journal::open(Place::File(by(first)), Retention::default()).unwrap();
@@ -175,12 +172,12 @@ fn a_journal_has_one_gateway_whatever_links_lead_to_it() {
 }
 
 #[test]
-fn what_is_no_journal_is_refused_and_left_as_it_is() {
+fn other_file_is_refused_and_left_unchanged() {
     let directory = Directory::new();
     let refused = || Journal::open(directory.place(), Retention::default()).unwrap_err().to_string();
     std::fs::write(
         directory.journal(),
-        "notes, which are long enough to be the header of a database, but are none of it. ".repeat(20),
+        "Notes that are as long as the header of a database, but have another format. ".repeat(20),
     )
     .unwrap();
     let before = std::fs::read(directory.journal()).unwrap();
@@ -189,25 +186,25 @@ fn what_is_no_journal_is_refused_and_left_as_it_is() {
     std::fs::remove_file(directory.journal()).unwrap();
     let other = rusqlite::Connection::open(directory.journal()).unwrap();
     other.execute_batch("CREATE TABLE notes(text)").unwrap();
-    assert!(refused().contains("is no journal"), "{}", refused());
+    assert!(refused().contains("is not a journal"), "{}", refused());
     other.execute_batch("DROP TABLE notes; PRAGMA application_id = 0x5753474A; PRAGMA user_version = 7;").unwrap();
-    assert!(refused().contains("is of version 7, and this gateway reads and writes version 1"), "{}", refused());
+    assert!(refused().contains("has version 7, but this gateway needs version 1"), "{}", refused());
     assert!(Reader::open(&directory.journal()).unwrap_err().to_string().contains("version 7"));
-    assert!(Reader::open(&directory.0.join("none.db")).unwrap_err().to_string().contains("there is no journal"));
+    assert!(Reader::open(&directory.0.join("none.db")).unwrap_err().to_string().contains("does not exist"));
 }
 
 #[test]
-fn directories_are_made_and_one_that_can_t_be_is_named() {
+fn missing_directories_are_created() {
     let directory = Directory::new();
     Journal::open(Place::File(directory.0.join("a/b/journal.db")), Retention::default()).unwrap();
     std::fs::write(directory.0.join("file"), "").unwrap();
     let place = Place::File(directory.0.join("file/journal.db"));
     let refused = Journal::open(place, Retention::default()).unwrap_err().to_string();
-    assert!(refused.contains("/file can't be made") || refused.contains("/file/journal.db"), "{refused}");
+    assert!(refused.contains("/file for the journal") || refused.contains("/file/journal.db"), "{refused}");
 }
 
 #[tokio::test]
-async fn a_disk_that_takes_nothing_at_the_start_is_said_and_tried_again() {
+async fn failing_disk_at_the_start_is_reported_and_retried() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
     let now = Timestamp::now().as_millisecond();
@@ -231,7 +228,7 @@ async fn a_disk_that_takes_nothing_at_the_start_is_said_and_tried_again() {
 }
 
 #[tokio::test]
-async fn what_can_not_be_read_is_named_with_what_helps() {
+async fn unreadable_journal_is_reported_with_a_remedy() {
     let directory = Directory::new();
     let (journal, _) = directory.open();
     record(&journal, started(1));

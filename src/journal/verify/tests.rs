@@ -1,4 +1,4 @@
-//! Every byte of a journal is damaged once.
+//! Tests that damage a journal byte by byte.
 
 use std::fs;
 use std::os::unix::fs::FileExt;
@@ -10,10 +10,10 @@ use super::super::{Record, Recorder};
 use super::*;
 use crate::gripper::model::{Outcome, PersistedKey};
 
-/// Of all bytes of the file, each of these many is damaged; coprime to 8, so that each bit has its turn.
+/// Distance between damaged bytes in the whole file; coprime to 8, so that each bit has its turn.
 const STRIDE: usize = 53;
 
-/// A closed journal with all that can be in one.
+/// Returns the bytes of a closed journal with all kinds of content.
 fn filled(directory: &Directory) -> Vec<u8> {
     let runtime = tokio::runtime::Runtime::new().unwrap();
     let (journal, _) = directory.open();
@@ -34,19 +34,19 @@ fn filled(directory: &Directory) -> Vec<u8> {
         journal.record(Record::Persisted(memory("left", key, Some("{\"remembered\":1}"))));
     }
     runtime.block_on(journal.close()).unwrap();
-    // Leaves no copies of records in free space, where damage does nothing.
+    // Leaves no copies of records in free space, where damage has no effect.
     let compact = "PRAGMA secure_delete = ON; VACUUM; PRAGMA wal_checkpoint(TRUNCATE)";
     Connection::open(directory.journal()).unwrap().execute_batch(compact).unwrap();
     fs::read(directory.journal()).unwrap()
 }
 
-/// A column of all records, in order.
+/// Reads a column of all records, in order.
 fn column<T: rusqlite::types::FromSql>(connection: &Connection, of: &str) -> Vec<T> {
     let mut statement = connection.prepare(&format!("SELECT {of} NOT INDEXED ORDER BY 1")).unwrap();
     statement.query_map([], |row| row.get(1)).unwrap().collect::<Result<_, _>>().unwrap()
 }
 
-/// Each record's name and a part of what is stored of it.
+/// Returns parts of all records' stored bytes, each with its record's name.
 fn contents(path: &Path) -> Vec<(String, Vec<u8>)> {
     let connection = Connection::open(path).unwrap();
     let mut contents = Vec::new();
@@ -70,7 +70,7 @@ fn contents(path: &Path) -> Vec<(String, Vec<u8>)> {
     contents
 }
 
-/// Where a text is in the file: all its places.
+/// Returns all places of a text in the file.
 fn places(file: &[u8], text: &[u8]) -> Vec<usize> {
     (0..=file.len() - text.len()).filter(|&i| file[i] == text[0] && &file[i..i + text.len()] == text).collect()
 }
@@ -87,7 +87,7 @@ fn records_of(path: &Path) -> Report {
 }
 
 #[test]
-fn a_journal_is_as_it_was_written_also_while_it_is_written_and_after_a_kill() {
+fn intact_journal_has_no_findings_even_while_open_and_after_a_kill() {
     let directory = Directory::new();
     filled(&directory);
     let report = verify(&directory.journal()).unwrap();
@@ -99,7 +99,7 @@ fn a_journal_is_as_it_was_written_also_while_it_is_written_and_after_a_kill() {
     assert!(runtime.block_on(super::super::tests::kept(&journal, link(2, "left"))));
     let report = verify(&directory.journal()).unwrap();
     assert_eq!((report.events, report.grips, report.findings), (23, 7, Vec::new()));
-    // What a kill leaves: the file and its write-ahead log.
+    // After a kill only the file and its write-ahead log are left.
     let killed = Directory::new();
     for end in ["", "-wal"] {
         let name = |directory: &Directory| format!("{}{end}", directory.journal().display());
@@ -110,7 +110,7 @@ fn a_journal_is_as_it_was_written_also_while_it_is_written_and_after_a_kill() {
     assert!(killed.open().1.unclean);
 }
 
-/// Damages these bytes, one after the other, on as many threads as there are cores, and looks at what came of it.
+/// Damages these bytes one after the other, on as many threads as there are cores, and calls `look` for each.
 fn damage<T: Sync>(file: &[u8], bytes: &[(usize, T)], look: impl Fn(&Path, usize, &T) + Sync) {
     let share = bytes.len().div_ceil(std::thread::available_parallelism().map_or(1, usize::from));
     std::thread::scope(|scope| {
@@ -130,7 +130,7 @@ fn damage<T: Sync>(file: &[u8], bytes: &[(usize, T)], look: impl Fn(&Path, usize
 }
 
 #[test]
-fn each_damaged_byte_of_a_record_is_found_and_named() {
+fn damaged_byte_of_a_record_is_found_and_named() {
     let directory = Directory::new();
     let file = filled(&directory);
     let contents = contents(&directory.journal());
@@ -152,7 +152,7 @@ fn each_damaged_byte_of_a_record_is_found_and_named() {
     });
 }
 
-/// All that can be read, or none where it can't.
+/// Reads all records; none if that fails.
 fn read(path: &Path) -> Option<Vec<Vec<Option<Vec<u8>>>>> {
     let connection = Connection::open_with_flags(path, rusqlite::OpenFlags::SQLITE_OPEN_READ_ONLY).ok()?;
     let mut all = Vec::new();
@@ -168,7 +168,7 @@ fn read(path: &Path) -> Option<Vec<Vec<Option<Vec<u8>>>>> {
 }
 
 #[test]
-fn no_damaged_byte_anywhere_changes_what_is_read_unnoticed() {
+fn no_damaged_byte_changes_records_unnoticed() {
     let directory = Directory::new();
     let file = filled(&directory);
     let expected = read(&directory.journal());

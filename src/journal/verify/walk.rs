@@ -1,4 +1,4 @@
-//! A walk along a chain, from what is left of its beginning to its end, in parts of a bounded size.
+//! A walk along a chain, from its oldest remaining record to its end, in parts of a bounded size.
 
 use rusqlite::types::ValueRef;
 use rusqlite::{Connection, OptionalExtension as _, Row, params};
@@ -11,7 +11,7 @@ use super::super::schema::SPAN_BITS;
 use super::super::store::anchor;
 use super::Verifier;
 
-/// Records of one part: some milliseconds of reading, during which the write-ahead log cannot start anew.
+/// Records per part: some milliseconds of reading, during which the write-ahead log cannot be restarted.
 pub(super) const PART: i64 = 1024;
 
 /// A record as it is stored.
@@ -27,27 +27,26 @@ struct Raw<'a> {
 #[derive(Debug)]
 pub(super) struct Walk {
     chain: Chain,
-    /// The record before.
+    /// Sequence number of the record before.
     seq: i64,
-    /// What its hash may be: two where it is not known which of its body and its hash is damaged; none where it is not
-    /// there.
+    /// Possible hashes of the record before: two if its body or its stored hash is damaged, none if it is missing.
     hashes: Vec<Hash>,
-    /// The sequence number behind which the next part begins.
+    /// Sequence number after which the next part begins.
     after: i64,
-    /// The span that was read last, and its times.
+    /// Span that was read last, and its times.
     span: Option<(i64, Option<(i64, i64)>)>,
-    /// Whether a record can't be read, so that nothing behind it can be either.
+    /// Whether a record was unreadable, so that later ones are too.
     broken: bool,
 }
 
 impl Walk {
-    /// A walk along all records of a chain.
+    /// Walks along all records of a chain.
     pub(super) fn all(connection: &Connection, chain: Chain) -> rusqlite::Result<Self> {
-        // Records before the anchor should be gone: they are findings.
+        // Records before the anchor should have been removed, so they are findings.
         Ok(Self { after: i64::MIN, ..Self::behind(chain, anchor(connection, chain)?) })
     }
 
-    /// A walk along the newest records of a chain.
+    /// Walks along the newest records of a chain.
     pub(super) fn newest(connection: &Connection, chain: Chain, records: i64) -> rusqlite::Result<Self> {
         let sql = format!("SELECT seq, hash FROM {} ORDER BY seq DESC LIMIT 1 OFFSET ?", chain.name());
         let tip = connection.query_row(&sql, [records], |row| Ok(Tip { seq: row.get(0)?, hash: row.get(1)? }));
@@ -65,7 +64,7 @@ impl Walk {
         self.chain
     }
 
-    /// Reads the next part, as the chain is at this moment; whether there may be more.
+    /// Reads the next part, as the chain is at this moment. Returns false at the end of the chain.
     pub(super) fn part(&mut self, verifier: &mut Verifier, connection: &Connection) -> rusqlite::Result<bool> {
         if self.broken {
             return Ok(false);
@@ -85,7 +84,7 @@ impl Walk {
                 Ok(None) => return Ok(count == PART),
                 Err(error) => {
                     self.broken = true;
-                    self.find(verifier, self.seq + 1, format!("can't be read, nor what follows: {error}"));
+                    self.find(verifier, self.seq + 1, format!("cannot be read, nor can later records: {error}"));
                     return Ok(false);
                 }
             }
@@ -93,7 +92,7 @@ impl Walk {
         }
     }
 
-    /// Goes on behind what was removed since the last part.
+    /// Skips records that were removed since the last part.
     fn skip_removed(&mut self, verifier: &mut Verifier, anchor: Tip) {
         if self.after != i64::MIN && anchor.seq > self.seq {
             if self.chain == Chain::Events {
@@ -105,7 +104,7 @@ impl Walk {
     }
 }
 
-/// The least and the greatest time of a span's records.
+/// Returns the earliest and the latest time of a span's records.
 fn times(connection: &Connection, chain: Chain, span: i64) -> rusqlite::Result<Option<(i64, i64)>> {
     let sql = "SELECT oldest, newest FROM spans WHERE chain = ? AND span = ?";
     let times = |row: &Row<'_>| Ok((row.get(0)?, row.get(1)?));
@@ -142,7 +141,7 @@ impl Walk {
         }
         (self.seq, self.after) = (seq, seq);
         let Some(raw) = raw(self.chain, row)? else {
-            self.find(verifier, seq, "its columns are not of their types");
+            self.find(verifier, seq, "columns have wrong types");
             self.hashes.clear();
             return Ok(());
         };
@@ -158,7 +157,7 @@ impl Walk {
         let computed: Vec<_> = self.hashes.iter().map(|previous| hash(previous, raw.body, raw.curve)).collect();
         self.hashes = vec![raw.hash];
         if !computed.is_empty() && !computed.contains(&raw.hash) {
-            self.find(verifier, raw.seq, "it is not as it was written (its hash is another)");
+            self.find(verifier, raw.seq, "changed since it was written (hash mismatch)");
             self.hashes.extend(computed);
         }
         if self.chain == Chain::Grips && curve::decode(raw.curve).is_err() {
@@ -166,21 +165,21 @@ impl Walk {
         }
         let times = self.span.and_then(|(_, times)| times);
         if !times.is_some_and(|(oldest, newest)| (oldest..=newest).contains(&raw.at)) {
-            self.find(verifier, raw.seq, "it is not found by its time");
+            self.find(verifier, raw.seq, "time is outside the range in the time index");
         }
         match serde_json::from_slice(raw.body) {
             Ok(body) => self.body(verifier, raw, &body),
-            Err(error) => self.find(verifier, raw.seq, format!("its body is no JSON: {error}")),
+            Err(error) => self.find(verifier, raw.seq, format!("body is not valid JSON: {error}")),
         }
     }
 
     fn body(&self, verifier: &mut Verifier, raw: &Raw<'_>, body: &Value) {
         if body["seq"].as_i64() != Some(raw.seq) {
-            self.find(verifier, raw.seq, format!("its body says that it is {}", body["seq"]));
+            self.find(verifier, raw.seq, format!("body has sequence number {}", body["seq"]));
         }
         let time = &body[self.chain.time_field()];
         if time.as_str().and_then(|at| at.parse().ok()).map(milliseconds) != Some(raw.at) {
-            self.find(verifier, raw.seq, format!("its body says that it was at {time}, and not at {} ms", raw.at));
+            self.find(verifier, raw.seq, format!("body has time {time}, but the column has {} ms", raw.at));
         }
         if self.chain == Chain::Events {
             verifier.event(raw.seq, body);
@@ -189,7 +188,7 @@ impl Walk {
 }
 
 impl Verifier {
-    /// Takes from an event what the file keeps beside it.
+    /// Notes the parts of an event that other tables repeat.
     fn event(&mut self, seq: i64, body: &Value) {
         let text = |field: &str| body[field].as_str().unwrap_or_default().to_owned();
         match (body["kind"].as_str(), body["event"].as_str()) {
