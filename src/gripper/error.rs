@@ -91,7 +91,7 @@ fn lease_held(holder: &str, expires_in_ms: Option<u64>) -> String {
 fn stale_lease(epoch: u64, holder: Option<&str>) -> String {
     match holder {
         Some(holder) => format!("the lease token is no longer valid: {holder} holds lease {epoch}"),
-        None => format!("the lease token is not valid: lease {epoch} was the newest and has ended; take the lease again"),
+        None => format!("the lease token is not valid: no lease is held (newest: {epoch}); take the lease again"),
     }
 }
 

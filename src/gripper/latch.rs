@@ -36,7 +36,7 @@ pub(super) struct LatchState {
     sent: Option<Token>,
     /// Whether the device has answered a 23h that was sent for this latch.
     answered: bool,
-    /// Time from which the flags alone confirm the latch. Until then an acknowledge on its way could clear the FAST STOP
+    /// Time from which the flags alone confirm the latch. Until then a pending acknowledge could clear the FAST STOP
     /// that they show.
     flags_count_from: Option<Instant>,
     repeat_at: Option<Instant>,
@@ -118,15 +118,15 @@ impl LatchState {
         self.latch.as_ref().is_some_and(|latch| !latch.confirmed)
     }
 
-    /// Restores the newest epoch after a restart of the gateway, and the latch if there was one. The latch is unconfirmed
-    /// again, since the device may have forgotten its FAST STOP.
+    /// Restores the newest epoch after a restart of the gateway, and the latch if there was one. The latch is
+    /// unconfirmed again, since the device may have forgotten its FAST STOP.
     pub(super) fn restore(&mut self, now: Instant, epoch: u64, latch: Option<Latch>) {
         self.epoch = epoch;
         self.latch = latch.map(|latch| Latch { confirmed: false, ..latch });
         self.flags_count_from = Some(now);
     }
 
-    /// Latches a client's FAST STOP. Returns a pending acknowledge, which must not reach the device after the FAST STOP.
+    /// Latches a client's FAST STOP. Returns a pending acknowledge, which must not reach the device afterwards.
     pub(super) fn request(&mut self, now: Now, request: FastStopRequest) -> Option<Token> {
         let was_acknowledging = self.acknowledging.is_some();
         let overtaken = self.acknowledging.take().and_then(|acknowledging| {
