@@ -122,7 +122,7 @@ impl Ticket {
 
     /// Waits until the command is recorded, or until the actor stops waiting for the record.
     async fn recorded(&mut self) {
-        // A closed channel is no error: the actor has ended and records nothing further.
+        // An actor that has ended records nothing further.
         let _ = self.record.wait_for(|command| command.recorded).await;
     }
 
@@ -283,7 +283,7 @@ impl Handle {
             self.requests.try_send(Request::UseLease { token, answer })
         {
             let requests = self.requests.clone();
-            // Waits for a free slot. If the actor has ended, there is no lease to use.
+            // Waits for a free slot. An actor that has ended has no lease.
             tokio::spawn(async move { requests.send(request).await });
         }
         Using { _keep: keep }
@@ -308,7 +308,7 @@ impl Handle {
     /// Reports that the holder of this token was lost. With `times_taken`, the report counts only if the lease was not
     /// taken again since.
     pub async fn lose_lease(&self, token: LeaseToken, times_taken: Option<u64>) {
-        // If the actor has ended, there is no lease to lose.
+        // An actor that has ended has disconnected from its device.
         let _ = self.requests.send(Request::LoseLease { token, times_taken }).await;
     }
 
@@ -414,7 +414,7 @@ mod tests {
             tokio::task::yield_now().await;
             assert!(matches!(queue.try_recv(), Ok(Request::Lease { .. })));
             let refused = handle.lease().now_or_never();
-            assert_eq!(refused, Some(Err(Failure::Overloaded { limit: MAX_WAITING_REQUESTS })), "slots go to waiting requests first");
+            assert_eq!(refused, Some(Err(Failure::Overloaded { limit: MAX_WAITING_REQUESTS })), "waiters go first");
             for asked in &mut asked {
                 assert!(asked.now_or_never().is_none(), "not answered yet");
             }

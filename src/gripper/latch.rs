@@ -72,7 +72,7 @@ enum Progress {
     },
 }
 
-/// What the flags have shown since the device reported success.
+/// Flags seen since the device reported success.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Shown {
     /// No flags have arrived.
