@@ -218,8 +218,8 @@ impl Driver {
     }
 
     /// Picks the next input by priority: a FAST STOP first, then a finished write, which makes room for its frame.
-    /// Deadlines come after input that the device and the journal have sent already, and requests after deadlines. Every
-    /// [`READS_IN_A_ROW`] reads, deadlines and requests come before the next read.
+    /// Deadlines come after input that the device and the journal have sent already, and requests after deadlines.
+    /// Every [`READS_IN_A_ROW`] reads, deadlines and requests come before the next read.
     async fn next_input(&mut self, link: Option<&mut LinkIo>, deadline: Option<Instant>) -> Input {
         let mut failed_before = None;
         let (pipe, outgoing, incoming, failed) = match link {
@@ -299,7 +299,7 @@ impl Driver {
     }
 
     /// Announces the disconnect before closing the connection of a device that may still be listening, since a plain
-    /// close causes a FAST STOP. A half-written frame is finished first, so that the announcement is a frame of its own.
+    /// close causes a FAST STOP. A half-written frame is finished first, so that the announcement is a separate frame.
     async fn farewell(&self, link: &mut LinkIo) {
         if self.connector.properties().connection_oriented && !self.actor.has_announced() {
             say_good_bye(&mut link.pipe, link.outgoing.rest()).await;

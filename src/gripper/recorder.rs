@@ -15,8 +15,8 @@ pub trait Recorder: Send + Sync + 'static {
 
 #[derive(Debug)]
 pub enum Record {
-    /// An event, with a channel to signal that it is durable. The channel closes without a signal if that fails or takes
-    /// too long.
+    /// An event, with a channel to signal that it is durable. The channel closes without a signal if that fails or
+    /// takes too long.
     Event(Event, Option<oneshot::Sender<()>>),
     /// Measurements of a motion.
     Grip(Box<GripRecord>),
