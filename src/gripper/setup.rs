@@ -38,8 +38,8 @@ impl Setting {
     }
 }
 
-/// Settings of clients, to be restored if the device has lost them. Overdrive is excluded: after a restart, a client has
-/// to switch it on again.
+/// Settings of clients, to be restored if the device has lost them. Overdrive is excluded: after a restart, a client
+/// has to switch it on again.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Wanted {
     pub acceleration: Option<Acceleration>,
