@@ -73,8 +73,8 @@ impl Actor {
         }
     }
 
-    /// Notices a restart of the device by the loss of its reference, unless the fingers are being homed by this gateway or
-    /// another program. On a transport without connections, no other sign shows a restart.
+    /// Notices a restart of the device by the loss of its reference, unless the fingers are being homed by this gateway
+    /// or another program. On a transport without connections, no other sign shows a restart.
     fn notice_restart(&mut self, now: Now, before: Option<SystemState>, flags: SystemState) {
         let was_referenced = before.is_some_and(|before| before.contains(SystemState::REFERENCED));
         let homes = flags.contains(SystemState::MOVING) || self.motion.is_homing();

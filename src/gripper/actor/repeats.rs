@@ -13,7 +13,8 @@ use super::recording::Recording;
 /// Time for which repeated requests are counted.
 const COUNTED_FOR: Duration = Duration::from_secs(1);
 
-/// Clients distinguished within that time. FAST STOPs of further clients are counted together; their Stops count as new.
+/// Clients distinguished within that time. FAST STOPs of further clients are counted together, and their Stops count as
+/// new.
 const MAX_CLIENTS: usize = 16;
 
 /// Requests that were recorded within the last second.
