@@ -60,8 +60,8 @@ impl Metrics {
         let bytes = of.counters("wsg_bytes_total", "Bytes to and from the device.", &["direction"])?;
         let discarded = of.counters(
             "wsg_discarded_replies_total",
-            "Replies that were discarded: late, after the request had timed out; stray, without a request; invalid, with \
-             contents that the protocol does not allow.",
+            "Discarded replies: late, after the request had timed out; stray, without a request; invalid, with contents \
+             that the protocol does not allow.",
             &["reason"],
         )?;
         Ok(Self {

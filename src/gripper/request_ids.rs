@@ -1,8 +1,8 @@
 //! Request ids of the last ten minutes, each with its command, so that a repeated request does not move the gripper
 //! twice.
 //!
-//! Slots are shared fairly. Each subject has its own bound, and if a table is full, the subject with the most slots loses
-//! its oldest id. A flood from one subject, or from many invented ones, does not affect the ids of others.
+//! Slots are shared fairly. Each subject has its own bound, and if a table is full, the subject with the most slots
+//! loses its oldest id. A flood from one subject, or from many invented ones, does not affect the ids of others.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;

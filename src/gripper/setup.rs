@@ -1,5 +1,5 @@
-//! Setup of a link: identity, limits and state are read, one request at a time; then clients' settings are restored, and
-//! automatic updates are switched on. Nothing moves, and nothing is acknowledged.
+//! Setup of a link: identity, limits and state are read, one request at a time; then clients' settings are restored,
+//! and automatic updates are switched on. Nothing moves, and nothing is acknowledged.
 
 use std::collections::{BTreeSet, VecDeque};
 

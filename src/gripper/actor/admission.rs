@@ -145,7 +145,7 @@ impl Actor {
                 Err(failure) => return drop(answer.send(Err(failure.into()))),
             }
         }
-        tracing::debug!(gripper = %self.config.name, command = super::name_of(&command), client = %client.subject, "sending request");
+        tracing::debug!(gripper = %self.config.name, command = super::name_of(&command), client = %client.subject, "exchange");
         if is_slow_getter(&command) {
             return self.read(now, command, answer);
         }

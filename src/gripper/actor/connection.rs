@@ -98,11 +98,12 @@ impl Actor {
             tracing::warn!(gripper = %name, settings = ?setup.restored, "settings restored: the device had lost them");
         }
         if !setup.lost.is_empty() {
-            tracing::warn!(gripper = %name, settings = ?setup.lost, "settings could not be restored: motion is blocked until they are set again");
+            tracing::warn!(gripper = %name, settings = ?setup.lost,
+                "settings could not be restored: motion is blocked until they are set again");
         }
         let overdrive = self.observed.has(SystemState::OVERDRIVE_MODE);
         if !overdrive && self.settings.overdrive.give_up() {
-            tracing::warn!(gripper = %name, "Overdrive Mode was lost in a device restart: switch it on again if needed");
+            tracing::warn!(gripper = %name, "Overdrive Mode was lost in a device restart: enable it again if needed");
         }
         self.recording.restored(now, &setup.restored, self.settings.wanted);
         if self.settings.learn(&mut setup, overdrive) {

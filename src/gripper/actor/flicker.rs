@@ -1,6 +1,6 @@
-//! Changes of the device or its link that repeat quickly. The first few of each sort are recorded at once, and further ones
-//! are counted per second, so that a flickering device does not fill the disk. FAST STOPs and events of commands are
-//! always recorded.
+//! Changes of the device or its link that repeat quickly. The first few of each sort are recorded at once, and further
+//! ones are counted per second, so that a flickering device does not fill the disk. FAST STOPs and events of commands
+//! are always recorded.
 
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
@@ -57,8 +57,8 @@ impl Flicker {
         prompt
     }
 
-    /// Ends the second. Returns the changes left out and the newest of each sort, to be recorded. A sort that was quiet for
-    /// a second starts over.
+    /// Ends the second. Returns the changes left out and the newest of each sort, to be recorded. A sort that was quiet
+    /// for a second starts over.
     fn end(&mut self, now: Instant) -> (Option<DeviceEvent>, Vec<Event>) {
         let left_out = || self.sorts.iter().filter(|sort| sort.left_out > 0);
         let names: BTreeSet<_> = left_out().map(|sort| sort.name.as_str()).collect();

@@ -10,14 +10,14 @@
 //!
 //! # Parts
 //!
-//! Each part is a struct whose methods take their inputs as arguments and return what the actor has to do. Decisions that
-//! concern several parts are methods of [`Actor`].
+//! Each part is a struct whose methods take their inputs as arguments and return what the actor has to do. Decisions
+//! that concern several parts are methods of [`Actor`].
 //!
 //! # Architecture invariants
 //!
-//! A motion frame is submitted to the session in one place, `start_motion`, once for each admitted command. While a FAST
-//! STOP is latched, no motion frame is submitted, and unwritten ones are withdrawn. An acknowledge is submitted in one
-//! place, for a client that named the latch's id.
+//! A motion frame is submitted to the session in one place, `start_motion`, once for each admitted command. While a
+//! FAST STOP is latched, no motion frame is submitted, and unwritten ones are withdrawn. An acknowledge is submitted in
+//! one place, for a client that named the latch's id.
 
 mod admission;
 mod connection;
@@ -196,7 +196,8 @@ impl Actor {
             Request::Cancel { id, client, answer } => {
                 let ticket = self.commands.find(id);
                 if ticket.is_some() {
-                    tracing::info!(gripper = %self.config.name, command = %id, by = %client.subject, "command cancelled");
+                    tracing::info!(gripper = %self.config.name, command = %id, by = %client.subject,
+                        "command cancelled");
                     self.cancel(now, id, &client);
                 }
                 let _ = answer.send(ticket);

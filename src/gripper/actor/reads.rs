@@ -1,7 +1,7 @@
 //! Getters without automatic updates, read at most every few seconds, however many clients ask.
 //!
-//! A value is served until it is too old or a request could have changed it. Callers that arrive during a read share its
-//! reply.
+//! A value is served until it is too old or a request could have changed it. Callers that arrive during a read share
+//! its reply.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};

@@ -1,7 +1,7 @@
 //! Records for the journal, and the commands that wait until theirs are durable.
 //!
-//! A motion's frame is sent, and its client is answered, only after its `admitted` record is durable. So the journal has
-//! every command that a client knows of, even after a crash. FAST STOPs and the frames of Stops do not wait.
+//! A motion's frame is sent, and its client is answered, only after its `admitted` record is durable. So the journal
+//! has every command that a client knows of, even after a crash. FAST STOPs and the frames of Stops do not wait.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};

@@ -1,5 +1,5 @@
-//! Requests that clients repeat without effect: recorded once, then counted per second, so that a flood of requests does
-//! not fill the disk.
+//! Requests that clients repeat without effect: recorded once, then counted per second, so that a flood of requests
+//! does not fill the disk.
 
 use std::time::{Duration, Instant};
 

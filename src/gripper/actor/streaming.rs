@@ -1,5 +1,5 @@
-//! Streamed motions, sent many times a second by a client that steers a script on the device. Each is a command, subject
-//! to lease and latch. This module counts them for the journal.
+//! Streamed motions, sent many times a second by a client that steers a script on the device. Each is a command,
+//! subject to lease and latch. This module counts them for the journal.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -22,7 +22,7 @@ const LASTS: Duration = Duration::from_secs(1);
 pub(super) struct Streaming {
     /// Time of the newest streamed command.
     at: Option<Instant>,
-    /// Commands since the last record, by id and client. Bounded by what the device answers in a second.
+    /// Commands since the last record, by id and client. Bounded by the device's replies in a second.
     counted: HashMap<(u8, Client), u64>,
     /// Time of the next record.
     written_at: Option<Instant>,

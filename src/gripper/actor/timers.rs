@@ -76,8 +76,8 @@ impl Actor {
         }
     }
 
-    /// Extends the lease after a stall. Has to be called before the next input if a deadline was missed by far. Requests
-    /// from that time are still on their way, so a lease holder must not be lost because the gateway was stalled.
+    /// Extends the lease after a stall. Has to be called before the next input if a deadline was missed by far.
+    /// Requests from that time are still on their way, and a stall of the gateway must not lose a lease holder.
     pub fn after_stall(&mut self, now: Now) {
         tracing::debug!(gripper = %self.config.name, "gateway stalled: no processor time");
         self.lease.extend(now.instant + FRONTEND_GRACE);

@@ -75,7 +75,7 @@ pub enum InvalidShownName {
     #[error("is {bytes} bytes long; at most {max} are allowed")]
     TooLong { bytes: usize, max: usize },
     /// A character that is invisible, bidirectional, unassigned or a variant of another one.
-    #[error("contains U+{:04X}, which is not allowed in a name: use printable ASCII, or letters and digits of one script", u32::from(*.0))]
+    #[error("contains U+{:04X}, not allowed in names: use printable ASCII, or letters and digits of one script", u32::from(*.0))]
     Character(char),
     /// An accent that is separate from its letter.
     #[error("contains an accent separate from its letter: use the composed form (NFC)")]
