@@ -1,5 +1,5 @@
 //! Rejections of requests. Bad input, the gateway's own state, the device's refusal and the gateway's failure are
-//! different types, and every interface maps each to its own words in one exhaustive match.
+//! different types. Every interface maps each of them in one exhaustive match.
 
 use std::sync::Arc;
 
