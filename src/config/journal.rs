@@ -175,6 +175,6 @@ mod tests {
         assert_eq!(flags("j.db").path(), Ok("j.db".into()));
         assert!(flags(":memory:").path().unwrap_err().to_string().contains("name a file"));
         let named = JournalFlags { journal: None, name: Some("Cell 7".to_owned()) };
-        assert!(named.path().unwrap_err().to_string().starts_with("--name: \"Cell 7\" is no name"));
+        assert!(named.path().unwrap_err().to_string().starts_with("--name: \"Cell 7\" is not a valid name"));
     }
 }

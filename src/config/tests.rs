@@ -31,13 +31,13 @@ fn a_flag_beats_the_file() {
 #[test]
 fn a_mistake_in_a_file_is_named_with_its_line_and_remedy() {
     let mistake = |text: &str| file(text).unwrap_err().to_string();
-    assert!(mistake("name = \"Cell 7\"").starts_with("gateway.toml:1: \"Cell 7\" is no name"));
+    assert!(mistake("name = \"Cell 7\"").starts_with("gateway.toml:1: \"Cell 7\" is not a valid name"));
     assert!(mistake("\n\nlisten = \"8080\"").starts_with("gateway.toml:3: \"8080\" is no address"));
     assert!(
         mistake("[grippers.g]\n\nurl = \"can://can0?tx=9999\"").starts_with("gateway.toml:3: \"can://can0?tx=9999\": ")
     );
     assert!(mistake("name = \"a\"\nlistne = 1").starts_with("gateway.toml:2: unknown field `listne`"));
-    assert!(mistake("[grippers.Left]\nurl = \"sim://wsg50\"").starts_with("gateway.toml:1: \"Left\" is no name"));
+    assert!(mistake("[grippers.Left]\nurl = \"sim://wsg50\"").starts_with("gateway.toml:1: \"Left\" is not a valid name"));
     assert!(mistake("journal = \"\"").starts_with("gateway.toml:1: the journal has no name"));
     assert!(
         mistake("\njournal_max_size_mb = 20000000").starts_with(
@@ -66,7 +66,7 @@ fn a_mistake_in_a_flag_is_named_with_its_remedy() {
     let mistake = |flags: Flags| Config::load(&flags).unwrap_err().to_string();
     let gripper = |text: &str| Flags { grippers: vec![text.to_owned()], ..flags() };
     assert!(mistake(gripper("left")).contains("left=tcp://192.168.1.20:1000"));
-    assert!(mistake(gripper("Left=sim://wsg50")).contains("is no name"));
+    assert!(mistake(gripper("Left=sim://wsg50")).contains("is not a valid name"));
     assert!(mistake(gripper("left=serial:///dev/ttyUSB0?baud=1")).contains("baud=1 must be one of 1200"));
     let twice = Flags { grippers: vec!["a=sim://wsg50".to_owned(); 2], ..flags() };
     assert!(mistake(twice).contains("two grippers"));

@@ -1,20 +1,19 @@
-//! What the time is. Only those who do I/O read it; the machines are told.
+//! Clocks. Only code that does I/O reads them; the state machines take the time as an argument.
 
 use std::time::Instant;
 
 use jiff::Timestamp;
 
-/// The clock that never jumps, and the one that people read.
+/// Time of the monotonic clock and of the wall clock.
 #[derive(Debug, Clone, Copy)]
 pub struct Now {
-    /// For deadlines.
+    /// Monotonic time, for deadlines.
     pub instant: Instant,
-    /// For records, in whole milliseconds.
+    /// Wall clock time, for records, in whole milliseconds.
     pub wall: Timestamp,
 }
 
 impl Now {
-    /// What the clocks say.
     #[must_use]
     pub fn read() -> Self {
         let now = Timestamp::now();
@@ -23,13 +22,13 @@ impl Now {
     }
 }
 
-/// What the clock that never jumps says, which tests can pause.
+/// Monotonic time, which tests can pause.
 #[must_use]
 pub fn instant() -> Instant {
     tokio::time::Instant::now().into_std()
 }
 
-/// Comes at the deadline, or never where there is none.
+/// Waits until the deadline, or forever without one.
 pub async fn sleep_until(deadline: Option<Instant>) {
     match deadline {
         Some(deadline) => tokio::time::sleep_until(deadline.into()).await,

@@ -1,4 +1,4 @@
-//! The interface to whatever connects a gripper: a transport, or a simulated device.
+//! The interface for making links to a device: a transport, or a simulated device.
 
 use std::future::Future;
 use std::io;
@@ -8,13 +8,12 @@ use crate::transport::{Address, LinkProperties, Pipe};
 
 /// Makes links to one device.
 pub trait Connector: Send + Sync + 'static {
-    /// URL of the device.
     fn url(&self) -> String;
 
     /// Properties of the transport that matter to the protocol.
     fn properties(&self) -> LinkProperties;
 
-    /// Connects. Cancelled by dropping the future.
+    /// Connects. Dropping the future cancels the attempt.
     fn connect(&self) -> Pin<Box<dyn Future<Output = io::Result<Pipe>> + Send + '_>>;
 }
 

@@ -1,27 +1,26 @@
-//! What is measured during a motion: the samples, and what they say of the contact.
+//! Measurements during a motion: the samples, and the contact that follows from them.
 
 use std::time::{Duration, Instant};
 
 use super::model::Sample;
 
-/// Samples of one motion at most: the longest way at the fastest updates. The rest is not kept.
+/// Most samples of one motion, enough for the longest travel at the fastest updates. Further samples are dropped.
 const MAX_SAMPLES: usize = 32_768;
 
-/// How long the curve of a grip goes on after its end: that is when the force settles.
+/// Time that a grip's curve continues after the grip's end, while the force settles.
 pub(super) const TAIL: Duration = Duration::from_secs(1);
 
-/// The part of the peak force from which on the fingers are said to have met the part: below is the friction of an
-/// empty way.
+/// Fraction of the peak force that counts as contact with the part; smaller forces come from friction.
 const CONTACT_SHARE: f32 = 0.1;
 
-/// A curve as it grows.
+/// Curve of a motion under way.
 #[derive(Debug, Default)]
 pub(super) struct Curve {
     since: Option<Instant>,
     samples: Vec<Sample>,
 }
 
-/// Where the fingers met something.
+/// First contact of the fingers.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub(super) struct Contact {
     pub width_mm: f32,
@@ -29,23 +28,23 @@ pub(super) struct Contact {
 }
 
 impl Curve {
-    /// Takes a sample, of values that are all known.
+    /// Adds a sample.
     pub(super) fn take(&mut self, now: Instant, width_mm: f32, speed_mm_s: f32, force_n: f32) {
         if self.samples.len() >= MAX_SAMPLES {
             return;
         }
         let since = *self.since.get_or_insert(now);
-        // 49 days: no motion lasts so long.
+        // u32 milliseconds last 49 days, longer than any motion.
         let t_ms = now.saturating_duration_since(since).as_millis() as u32;
         self.samples.push(Sample { t_ms, width_mm, speed_mm_s, force_n });
     }
 
-    /// The greatest force of either sign.
+    /// Force of the greatest magnitude.
     pub(super) fn peak_force_n(&self) -> Option<f32> {
         self.samples.iter().map(|sample| sample.force_n).max_by(|a, b| a.abs().total_cmp(&b.abs()))
     }
 
-    /// The first sample with a force to speak of, if there is one.
+    /// First sample with at least [`CONTACT_SHARE`] of the peak force.
     pub(super) fn contact(&self) -> Option<Contact> {
         let threshold = self.peak_force_n().map(f32::abs).filter(|peak| *peak > 0.0)? * CONTACT_SHARE;
         let first = self.samples.iter().find(|sample| sample.force_n.abs() >= threshold)?;
@@ -62,7 +61,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_contact_is_where_the_force_begins_to_rise() {
+    fn contact_is_where_the_force_begins_to_rise() {
         let (mut curve, start) = (Curve::default(), Instant::now());
         for (index, (width, force)) in [(30.0, 0.0), (25.0, 0.5), (20.0, 8.0), (19.9, 40.0)].into_iter().enumerate() {
             curve.take(start + Duration::from_millis(10 * index as u64), width, 50.0, force);

@@ -1,5 +1,5 @@
-//! The driver: the I/O around one gripper's actor. It connects, reads, writes one frame at a time, and passes clients'
-//! requests on.
+//! The driver: the I/O around one gripper's actor. It connects, reads, writes one frame at a time, and forwards
+//! clients' requests.
 
 use std::future::Future;
 use std::io;
@@ -24,26 +24,27 @@ use super::recorder::{Health, Record, Recorder, RestoredState};
 use crate::transport::Pipe;
 use crate::wsg::Command;
 
-/// The pause before the first attempt to connect again; it doubles with each.
+/// Pause before the first attempt to reconnect; it doubles with each attempt.
 const FIRST_BACK_OFF: Duration = Duration::from_millis(100);
 
-/// The longest pause between two attempts.
+/// Longest pause between two attempts.
 const LONGEST_BACK_OFF: Duration = Duration::from_secs(2);
 
-/// Time for writing a farewell to a device that is being given up on.
+/// Time limit for writing the disconnect announcement before a link is closed.
 const FAREWELL_WITHIN: Duration = Duration::from_millis(100);
 
-/// Reads that may pass deadlines and requests over. A device that sends without end must not silence them.
+/// Consecutive reads before deadlines and requests get their turn, so that a device that sends without end can't
+/// block them.
 const READS_IN_A_ROW: u32 = 8;
 
-/// What is read at once: all that a device sends in four seconds with its updates every 10 ms. A driver stalled
-/// for less than this still processes every queued update before it acts on timeouts.
+/// Bytes of one read: everything that a device sends in four seconds with updates every 10 ms. A driver stalled for
+/// less than this still processes every queued update before it acts on timeouts.
 const READ_BYTES: usize = 32 * 1024;
 
-/// Delay of a deadline that shows a stall: the driver had no processor time, and has not read what was sent meanwhile.
+/// Lateness of a deadline that counts as a stall: the driver had no processor time and has unread input.
 const STALLED_AFTER: Duration = Duration::from_millis(50);
 
-/// Starts a gripper on the current runtime. It ends when it was drained, or when all its handles are gone.
+/// Starts a gripper on the current runtime. It ends when drained, or when all its handles are gone.
 pub fn spawn(
     config: Config,
     connector: Arc<dyn Connector>,
@@ -78,7 +79,7 @@ struct Driver {
     connector: Arc<dyn Connector>,
     recorder: Arc<dyn Recorder>,
     health: watch::Receiver<Health>,
-    /// The records that commands wait for: as many as there are commands under way.
+    /// Records that commands wait for: at most one for each running command.
     awaited: FuturesUnordered<Awaited>,
     requests: mpsc::Receiver<Request>,
     fast_stops: mpsc::Receiver<FastStopRequest>,
@@ -88,7 +89,7 @@ struct Driver {
     is_abandoned: bool,
 }
 
-/// Comes when a command's record is durable, or won't be.
+/// Resolves when a command's record is durable, or has failed to become so.
 struct Awaited(CommandId, oneshot::Receiver<()>);
 
 impl Future for Awaited {
@@ -104,7 +105,7 @@ struct LinkIo {
     pipe: Pipe,
     outgoing: Outgoing,
     incoming: Vec<u8>,
-    /// Error after which nothing can be read, reported after the bytes before it were taken in.
+    /// Read error, reported after the bytes before it were processed.
     failed: Option<io::Error>,
     reads_in_a_row: u32,
 }
@@ -143,7 +144,7 @@ impl Driver {
         self.pass_records_on();
     }
 
-    /// Connects, serving requests meanwhile. `None` when the gripper is given up.
+    /// Connects, and serves requests meanwhile. Returns `None` if the gripper is being drained.
     async fn connect(&mut self) -> Option<io::Result<Pipe>> {
         let connector = self.connector.clone();
         let mut connecting = connector.connect();
@@ -154,7 +155,7 @@ impl Driver {
                 connected = &mut connecting => return Some(connected),
             }
         }
-        // A connection that is just being made may exist already, and dropping it would be a FAST STOP.
+        // A connection being made may exist already, and dropping it would cause a FAST STOP.
         if let Ok(Ok(mut pipe)) = tokio::time::timeout(FAREWELL_WITHIN, connecting).await
             && self.connector.properties().connection_oriented
         {
@@ -163,7 +164,7 @@ impl Driver {
         None
     }
 
-    /// Waits before the next attempt, serving requests meanwhile. `false` when the gripper is given up.
+    /// Waits before the next attempt, and serves requests meanwhile. Returns `false` if the gripper is being drained.
     async fn pause(&mut self, back_off: Duration) -> bool {
         let jittered = back_off.mul_f64(rand::rng().random_range(0.75..=1.0));
         let mut sleep = Box::pin(tokio::time::sleep(jittered));
@@ -204,7 +205,7 @@ impl Driver {
         was_set_up
     }
 
-    /// Waits for the next input. Cancelled without loss.
+    /// Waits for the next input. Cancel-safe.
     async fn wait(&mut self, link: Option<&mut LinkIo>) -> Input {
         self.pass_records_on();
         let deadline = self.actor.poll_timeout();
@@ -216,8 +217,9 @@ impl Driver {
         input
     }
 
-    /// The order is the priority: a FAST STOP first, then what makes room for its frame. Deadlines come behind what the
-    /// device and the journal have said already, and requests behind them, but for every few reads before it.
+    /// Picks the next input by priority: a FAST STOP first, then a finished write, which makes room for its frame.
+    /// Deadlines come after input that the device and the journal have sent already, and requests after deadlines.
+    /// Every [`READS_IN_A_ROW`] reads, deadlines and requests come before the next read.
     async fn next_input(&mut self, link: Option<&mut LinkIo>, deadline: Option<Instant>) -> Input {
         let mut failed_before = None;
         let (pipe, outgoing, incoming, failed) = match link {
@@ -264,7 +266,7 @@ impl Driver {
         }
     }
 
-    /// Hands what is to be recorded to the recorder, which doesn't make anybody wait.
+    /// Passes the actor's records to the recorder, which never blocks.
     fn pass_records_on(&mut self) {
         while let Some((record, awaited_by)) = self.actor.poll_record() {
             let record = match (record, awaited_by) {
@@ -279,7 +281,7 @@ impl Driver {
         }
     }
 
-    /// Hands what does not concern the link's I/O to the actor.
+    /// Passes an input to the actor, unless it concerns the link's I/O.
     fn take_request(&mut self, input: Input) {
         match input {
             Input::FastStop(Some(request)) => self.actor.fast_stop(Now::read(), request),
@@ -296,8 +298,8 @@ impl Driver {
         }
     }
 
-    /// Before a connection is closed on a device that may still hear, the device is told: a plain close is a FAST
-    /// STOP. What was being written is finished first, so that the announcement is a frame of its own.
+    /// Announces the disconnect before closing the connection of a device that may still be listening, since a plain
+    /// close causes a FAST STOP. A half-written frame is finished first, so that the announcement is a separate frame.
     async fn farewell(&self, link: &mut LinkIo) {
         if self.connector.properties().connection_oriented && !self.actor.has_announced() {
             say_good_bye(&mut link.pipe, link.outgoing.rest()).await;
@@ -305,8 +307,8 @@ impl Driver {
     }
 }
 
-/// Reads all that is there, as far as it has a place. Cancelled without loss. An end that comes behind something is
-/// told by the next read.
+/// Reads all available bytes that fit into the buffer. Cancel-safe. An error after some bytes is returned by the next
+/// call.
 async fn read_all(
     reader: &mut (impl AsyncRead + Unpin),
     incoming: &mut [u8],
@@ -329,19 +331,21 @@ async fn read_all(
     Ok(bytes)
 }
 
-/// Writes 07h behind what was being written. It may not get through: links are also closed because nothing does.
+/// Finishes the current frame, then writes 07h. A failure is ignored: the link may be closed because nothing gets
+/// through.
 async fn say_good_bye(pipe: &mut Pipe, unfinished: &[u8]) {
     let mut bytes = unfinished.to_vec();
     Command::DisconnectAnnouncement.encode(&mut bytes);
     let _ = tokio::time::timeout(FAREWELL_WITHIN, pipe.writer.write_all(&bytes)).await;
 }
 
-/// The frame that is being written. There is one at a time, so that a FAST STOP waits for one at most.
+/// The frame being written. There is one at a time, so that a FAST STOP waits for one frame at most.
 #[derive(Debug, Default)]
 struct Outgoing {
     frame: Vec<u8>,
     written: usize,
-    /// Whether all of it was written, and the line is still busy with it: the next one waits, and may be overtaken.
+    /// Whether the whole frame was written and the line is still sending it. The next frame waits outside, so that a
+    /// FAST STOP can overtake it.
     is_leaving: bool,
 }
 
@@ -360,7 +364,7 @@ impl Outgoing {
         self.is_leaving = actor.poll_transmit(Now::read(), &mut self.frame);
     }
 
-    /// Writes some of it, or waits until the line is through with it. Cancelled without loss.
+    /// Writes part of the frame, or waits until the line has sent it. Cancel-safe.
     async fn write(&mut self, writer: &mut (impl AsyncWrite + Unpin)) -> io::Result<()> {
         if self.written == self.frame.len() {
             writer.flush().await?;
@@ -397,7 +401,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_is_there_is_read_at_once_and_its_end_is_told_behind_it() {
+    async fn available_bytes_are_read_at_once_and_errors_come_after_them() {
         let refused = Err(io::ErrorKind::ConnectionRefused.into());
         let mut reader = Datagrams([Ok(&b"first"[..]), Ok(&b"second"[..]), refused].into());
         let (mut incoming, mut failed) = (vec![0; 64], None);

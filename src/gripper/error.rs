@@ -1,5 +1,5 @@
 //! Rejections of requests. Bad input, the gateway's own state, the device's refusal and the gateway's failure are
-//! different types, and every interface maps each to its own words in one exhaustive match.
+//! different types. Every interface maps each of them in one exhaustive match.
 
 use std::sync::Arc;
 
@@ -10,32 +10,32 @@ use super::model::{CommandId, FastStopId, Link};
 /// Rejection of a request.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Rejection {
-    /// The request can never be done.
+    /// The request is not valid, whatever the gripper's state.
     #[error(transparent)]
     Invalid(#[from] Invalid),
-    /// The request can't be done now.
+    /// The gateway's state forbids the request for now.
     #[error(transparent)]
     Conflict(#[from] Conflict),
-    /// The device refused it.
+    /// The device refused the request.
     #[error(transparent)]
     Device(#[from] DeviceRefusal),
-    /// The device could not be asked, or did not answer.
+    /// The request did not reach the device, or no valid reply came.
     #[error(transparent)]
     Failure(#[from] Failure),
 }
 
-/// A value that can't be. It never becomes a frame.
+/// An invalid value. It never becomes a frame.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[allow(missing_docs, reason = "the messages name the fields")]
 pub enum Invalid {
     /// Outside the device's limits, or the soft limits.
-    #[error("{field} is {value}, and must be from {min} to {max} ({limit})")]
+    #[error("{field} is {value}; it must be between {min} and {max} ({limit})")]
     OutOfRange {
         field: &'static str,
         value: f32,
         min: f32,
         max: f32,
-        /// Whose limit it is, and the remedy.
+        /// Source of the limit, and the remedy.
         limit: &'static str,
     },
     /// A value of the wrong form.
@@ -43,126 +43,105 @@ pub enum Invalid {
     Malformed { field: &'static str, detail: String },
 }
 
-/// The gateway's own state forbids it for now.
+/// Conflict with the gateway's own state.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs, reason = "the messages name the fields")]
 pub enum Conflict {
-    /// A FAST STOP holds.
-    #[error("a FAST STOP holds: acknowledge it by its id {id}, after its cause is gone")]
+    #[error("FAST STOP {id} is latched: remove its cause, then acknowledge it by this id")]
     FastStop { id: FastStopId },
-    /// An acknowledge was sent, and the device's flags still show FAST STOP.
-    #[error("the device stays in FAST STOP after the acknowledge (flags: {flags}): remove its cause, then repeat it")]
+    #[error("the device is still in FAST STOP after the acknowledge (flags: {flags}): remove the cause and try again")]
     FastStopPersists { id: FastStopId, flags: String },
-    /// The acknowledge names a FAST STOP that isn't the newest.
     #[error("{}", stale_fast_stop(*given, *current))]
     StaleFastStop { given: FastStopId, current: Option<FastStopId> },
-    /// The device's flags haven't shown the FAST STOP yet, so it can't be acknowledged.
-    #[error("the device has not confirmed FAST STOP {id} yet: it can be acknowledged once it has")]
+    #[error("the device has not confirmed FAST STOP {id} yet: acknowledge it after the confirmation")]
     FastStopUnconfirmed { id: FastStopId },
-    /// Another client's acknowledge is on its way.
-    #[error("FAST STOP {id} is being acknowledged already: wait for its result")]
+    #[error("FAST STOP {id} is already being acknowledged: wait for the result")]
     Acknowledging { id: FastStopId },
-    /// The fingers are not referenced.
     #[error("the gripper is not referenced: home it first")]
     NotReferenced,
-    /// A command runs, and one moves at a time.
-    #[error("command {id} is running: wait for its end, or stop it")]
+    #[error("command {id} is still running: wait for it to end, or stop it")]
     AlreadyRunning { id: CommandId },
-    /// The device has restarted, and refused to take what clients had set.
-    #[error("the device has lost what was set, and refused to take it again ({settings}): set it anew first")]
+    #[error("the device lost settings that could not be restored ({settings}): set them again first")]
     SettingsLost { settings: String },
-    /// Another client holds the lease, or the gripper is reserved.
     #[error("{}", lease_held(holder, *expires_in_ms))]
     LeaseHeld {
         holder: Arc<str>,
-        /// How long it lives without use; none where the gripper is reserved for a holder that was lost.
+        /// Remaining time to live without use; `None` if the gripper is reserved for a holder that was lost.
         expires_in_ms: Option<u64>,
     },
-    /// The lease token isn't that of the lease.
     #[error("{}", stale_lease(*epoch, holder.as_deref()))]
     StaleLease { epoch: u64, holder: Option<Arc<str>> },
-    /// The request id was used for something else.
-    #[error("the request id was used for another request: a new request needs a new id")]
+    #[error("the request id was already used for a different request: use a new id for each new request")]
     RequestIdReused,
 }
 
 fn lease_held(holder: &str, expires_in_ms: Option<u64>) -> String {
     match expires_in_ms {
         Some(ms) => format!(
-            "{holder} holds the lease, for {ms} ms more if it is not renewed: wait, ask for it with request, or have a \
-             supervisor force it"
+            "{holder} holds the lease for another {ms} ms unless it is renewed: wait, ask for a hand-over with \
+             `request`, or have a supervisor force it"
         ),
         None => format!(
-            "the gripper holds a part, and is reserved for {holder}, which was lost: {holder} or a supervisor may take \
-             the lease"
+            "the gripper is reserved for {holder}, whose lease was lost while a part was held: only {holder} or a \
+             supervisor can take the lease"
         ),
     }
 }
 
 fn stale_lease(epoch: u64, holder: Option<&str>) -> String {
     match holder {
-        Some(holder) => format!("the lease token is not valid any more: {holder} holds lease {epoch}"),
-        None => format!("the lease token is not valid: no lease is held, and the newest was {epoch}; take it anew"),
+        Some(holder) => format!("the lease token is no longer valid: {holder} holds lease {epoch}"),
+        None => format!("the lease token is not valid: no lease is held (newest: {epoch}); take the lease again"),
     }
 }
 
 fn stale_fast_stop(given: FastStopId, current: Option<FastStopId>) -> String {
     match current {
-        Some(current) => format!("FAST STOP {given} is not the newest: {current} holds now"),
-        None => format!("no FAST STOP holds, so {given} cannot be acknowledged"),
+        Some(current) => format!("FAST STOP {given} is not the newest: FAST STOP {current} is latched now"),
+        None => format!("no FAST STOP is latched, so {given} cannot be acknowledged"),
     }
 }
 
-/// The device answered with a status other than success. What it was reaches the client by name and number.
+/// A status other than success from the device. Clients get its name and number.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("the device refused {command}: {status} ({}), {}", status.code(), status.meaning())]
 pub struct DeviceRefusal {
-    /// What was asked of it.
     pub command: &'static str,
-    /// Its answer.
     pub status: Status,
-    /// The FAST STOP that holds, if one does.
+    /// Id of the latched FAST STOP, if there is one.
     pub fast_stop: Option<FastStopId>,
 }
 
-/// Failure to ask the device, or to get an answer.
+/// Failure to reach the device, or to get a valid reply.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs, reason = "the messages name the fields")]
 pub enum Failure {
-    /// There is no working link.
     #[error("the link to the device is {link}: {cause}")]
     LinkDown { link: Link, cause: String },
-    /// The gateway is shutting down, or gives this gripper up.
-    #[error("the gateway is giving this gripper up, and takes no new commands for it")]
+    /// The gateway is shutting down, or the gripper is being removed.
+    #[error("the gateway is disconnecting from this gripper and accepts no new commands for it")]
     Draining,
-    /// No answer came in time.
     #[error("the device did not answer {command} within {waited_ms} ms")]
     DeviceTimeout { command: &'static str, waited_ms: u64 },
-    /// Its answer can't be one.
-    #[error("the device's answer to {command} is none: {detail}")]
+    #[error("unexpected reply from the device to {command}: {detail}")]
     DeviceProtocol { command: &'static str, detail: String },
-    /// Too many requests wait already.
-    #[error("{limit} requests wait for this gripper already: try again later")]
+    #[error("{limit} requests are already waiting for this gripper: try again later")]
     Overloaded { limit: usize },
-    /// The client's request ids take all the slots that it may have.
     #[error(
-        "this client has used {limit} request ids for this gripper within 10 minutes, which is the bound: wait, or \
-             send fewer requests with an id"
+        "this client has reached the limit of {limit} request ids for this gripper within 10 minutes: wait, or send \
+             fewer requests with an id"
     )]
     RequestIds { limit: usize },
-    /// The journal takes no records, and nothing moves that is not written down.
     #[error(
-        "the journal takes no records ({cause}), and nothing moves that is not written down: mend it, or set \
-             on_journal_failure to continue"
+        "journal unavailable ({cause}): motion is blocked until it recovers, unless on_journal_failure is set to \
+             continue"
     )]
     JournalDown { cause: String },
-    /// It would wear out the device's flash memory.
     #[error(
-        "{command} wears the device's flash memory, and is sent once in {every_ms} ms at most: try again later, and \
-         only when the value has changed"
+        "{command} wears the device's flash memory, so the limit is one every {every_ms} ms: try again later, and \
+         only if the value has changed"
     )]
     FlashWear { command: &'static str, every_ms: u64 },
-    /// It would keep the line busy for too long while the fingers move.
-    #[error("{command} would take {line_ms} ms of line time, and no more than {max_ms} ms are allowed while moving")]
+    #[error("{command} would take {line_ms} ms of line time; while the fingers move, at most {max_ms} ms are allowed")]
     LineTime { command: &'static str, line_ms: u64, max_ms: u64 },
 }

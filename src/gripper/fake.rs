@@ -1,4 +1,4 @@
-//! A gripper without a device, for the tests of the doors: a handle, and an actor that answers as it is told to.
+//! A gripper without a device, for tests of the interfaces: a handle, and an actor that follows a script.
 
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -17,10 +17,10 @@ use super::model::{
 };
 use crate::wsg::{self, Data};
 
-/// The custom command that only reads.
+/// Id of a custom command that only reads.
 pub const READ_ID: u8 = 0xB0;
 
-/// What the actor was asked.
+/// A request that the actor received.
 #[derive(Debug)]
 pub enum Seen {
     Submission(Submission),
@@ -29,7 +29,7 @@ pub enum Seen {
     Acknowledge(FastStopId),
 }
 
-/// What becomes of a command.
+/// Result of a submitted command.
 #[derive(Debug, Clone)]
 pub enum Fate {
     /// Not admitted.
@@ -42,7 +42,7 @@ pub enum Fate {
     Ends(Outcome),
 }
 
-/// How it answers.
+/// Replies of the actor.
 pub struct Script {
     pub fate: Fate,
     pub exchange: fn(&wsg::Command) -> Result<Data, Rejection>,
@@ -57,7 +57,7 @@ impl Default for Script {
     }
 }
 
-/// The handle of a gripper that follows a script, and what it is asked.
+/// The handle of a gripper that follows a script, and the requests that it receives.
 pub fn gripper(name: &str, script: Script) -> (Handle, mpsc::UnboundedReceiver<Seen>) {
     let name: Name = name.parse().unwrap();
     let (requests, asked) = mpsc::channel(64);
@@ -101,7 +101,7 @@ impl Actor {
     }
 
     fn see(&self, seen: Seen) {
-        // A test that doesn't look has dropped the other end.
+        // A test that does not look has dropped the receiver.
         let _ = self.seen.send(seen);
     }
 

@@ -1,4 +1,4 @@
-//! All grippers of this gateway, by name.
+//! The grippers of this gateway, by name.
 
 use std::collections::BTreeMap;
 
@@ -12,24 +12,22 @@ pub struct Grippers {
 }
 
 impl Grippers {
-    /// Of these.
     #[must_use]
     pub fn new(grippers: impl IntoIterator<Item = Handle>) -> Self {
         Self { grippers: grippers.into_iter().map(|handle| (handle.name().clone(), handle)).collect() }
     }
 
-    /// The gripper of this name.
     #[must_use]
     pub fn get(&self, name: &Name) -> Option<&Handle> {
         self.grippers.get(name)
     }
 
-    /// All of them, by name.
+    /// Iterates over the grippers, sorted by name.
     pub fn iter(&self) -> impl Iterator<Item = &Handle> {
         self.grippers.values()
     }
 
-    /// Stops all of them at once, under one id; each is told by name whether it has confirmed.
+    /// FAST STOPs all grippers at once, under one id. Returns for each whether its device has confirmed.
     pub async fn fast_stop(&self, client: &Client, reason: &Reason) -> (FastStopId, Vec<(Name, bool)>) {
         let id = FastStopId::generate();
         let stops = self.iter().map(|handle| async {
@@ -39,7 +37,7 @@ impl Grippers {
         (id, futures_util::future::join_all(stops).await)
     }
 
-    /// Gives all of them up in order, side by side.
+    /// Drains all grippers concurrently.
     pub async fn drain(&self) {
         futures_util::future::join_all(self.iter().map(Handle::drain)).await;
     }

@@ -1,4 +1,4 @@
-//! The handle that every interface has of a gripper. It is cheap to clone; the actor behind it owns the state.
+//! The handle through which every interface uses a gripper. It is cheap to clone; the actor behind it owns the state.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -15,22 +15,21 @@ use super::model::{
 };
 use crate::wsg;
 
-/// Requests that may wait for the actor. It answers each within microseconds, so more than this many waiting means
-/// that it can't keep up, and the next is told so rather than queued: but for what ends or keeps the right to move, and
-/// what stops, which wait for a place. They get the next one that is free, in their order, and are as many at most as
-/// the doors let their clients ask at a time.
+/// Requests that can wait for the actor. The actor answers each within microseconds, so a full queue means that it
+/// can't keep up, and further requests are rejected. Requests that stop, or that keep or end a lease, wait for a free
+/// slot instead, in order. The interfaces bound how many of these their clients can make at a time.
 pub const MAX_WAITING_REQUESTS: usize = 64;
 
-/// FAST STOPs that may wait for the actor, on a lane of their own. A sender waits for a place, which the actor frees
-/// before it does anything else.
+/// FAST STOPs that can wait for the actor, in a queue of their own, which the actor empties before it does anything
+/// else. While the queue is full, a further FAST STOP joins the ones that wait.
 pub const MAX_WAITING_FAST_STOPS: usize = 64;
 
-/// How long a client waits for a FAST STOP's confirmation before it is told that there is none yet.
+/// Longest wait for the confirmation of a FAST STOP, after which the client gets `confirmed: false`.
 pub const FAST_STOP_WAIT: Duration = Duration::from_millis(250);
 
-/// A request to the actor, with the channel for its answer. [`Handle`] has a method for each.
+/// A request to the actor, with the channel for its reply. [`Handle`] has a method for each.
 #[derive(Debug)]
-#[allow(missing_docs, reason = "said at the handle's methods")]
+#[allow(missing_docs, reason = "documented at the handle's methods")]
 pub enum Request {
     Submit { submission: Submission, id: CommandId, answer: Answer<Ticket> },
     Find { id: CommandId, answer: oneshot::Sender<Option<Ticket>> },
@@ -47,28 +46,24 @@ pub enum Request {
     Drain { answer: oneshot::Sender<()> },
 }
 
-/// Channel for an answer or a rejection.
+/// Channel for a reply or a rejection.
 pub type Answer<T> = oneshot::Sender<Result<T, Rejection>>;
 
-/// Channel for the news that the device has accepted a request and takes its time for it, if a caller wants them, and
-/// channel for the data of the last reply.
+/// Optional channel to signal that the device has accepted a request (`E_CMD_PENDING`), and channel for the data of the
+/// last reply.
 pub type Steps = (Option<oneshot::Sender<()>>, Answer<wsg::Data>);
 
-/// A FAST STOP on its way to the actor, on a lane of its own.
+/// A requested FAST STOP, on its way to the actor.
 #[derive(Debug)]
 pub struct FastStopRequest {
     /// Id that an acknowledge will have to name.
     pub id: FastStopId,
-    /// The caller.
     pub client: Client,
-    /// Cause in the gateway's words.
     pub cause: FastStopCause,
-    /// Reason in the client's words.
     pub reason: Reason,
     /// Time at which the request was received.
     pub at: Instant,
-    /// Takes the latch's epoch, by which the caller tells the confirmation of this FAST STOP, or of a later one, from
-    /// that of an earlier one.
+    /// Channel for the latch's epoch, by which the caller recognises a confirmation of this FAST STOP or a later one.
     pub epoch: Option<oneshot::Sender<u64>>,
 }
 
@@ -86,19 +81,19 @@ pub struct FastStop {
 pub struct AcquiredLease {
     /// The lease, with its token.
     pub lease: Lease,
-    /// Number of times that the lease was taken. It belongs to the connection that took it last.
+    /// Number of times that this lease was taken. It belongs to the connection that took it last.
     pub times_taken: u64,
-    /// Keeps the lease from running out, for an interface whose connection counts as use of it.
+    /// Guard that keeps the lease, for interfaces whose open connection counts as use.
     pub keep: Option<LeaseKeepAlive>,
 }
 
-/// A lease in use, which doesn't run out before this is dropped.
+/// Guard for a lease in use, which does not run out before the guard is dropped.
 #[derive(Debug)]
 pub struct Using {
     _keep: oneshot::Receiver<Option<LeaseKeepAlive>>,
 }
 
-/// An admitted command to wait for. Its client's lease doesn't run out meanwhile.
+/// An admitted command, whose end can be awaited. Its client's lease does not run out meanwhile.
 #[derive(Debug, Clone)]
 pub struct Ticket {
     pub(super) record: watch::Receiver<Arc<Command>>,
@@ -120,15 +115,14 @@ impl Ticket {
         Self { _keep: None, ..self.clone() }
     }
 
-    /// Its id.
     #[must_use]
     pub fn id(&self) -> CommandId {
         self.record.borrow().id
     }
 
-    /// Waits until the command is recorded, for as long as the actor allows.
+    /// Waits until the command is recorded, or until the actor stops waiting for the record.
     async fn recorded(&mut self) {
-        // An actor that is gone records nothing any more.
+        // An actor that has ended records nothing further.
         let _ = self.record.wait_for(|command| command.recorded).await;
     }
 
@@ -139,29 +133,29 @@ impl Ticket {
         changed
     }
 
-    /// The command when the device has accepted it, or when it has ended without that.
+    /// Waits until the device has accepted the command or the command has ended.
     pub async fn accepted(&mut self) -> Command {
-        // An actor that is gone accepts nothing any more: the record says how far the command came.
+        // The actor's end is not an error here: the record shows how far the command came.
         let _ = self.record.wait_for(|command| command.accepted || command.phase == Phase::Done).await;
         self.now()
     }
 
-    /// The command when it has ended, or as it is when its gripper is given up.
+    /// Waits until the command has ended or the gripper is disconnected.
     pub async fn ended(&mut self) -> Command {
-        // The actor's end is no error here: the record says how far the command came.
+        // The actor's end is not an error here: the record shows how far the command came.
         let _ = self.record.wait_for(|command| command.phase == Phase::Done).await;
         self.now()
     }
 
-    /// The command when it has ended, or as it is after `limit`.
+    /// Waits until the command has ended, but no longer than `limit`.
     pub async fn wait(&mut self, limit: Duration) -> Command {
-        // Neither a time-out nor the actor's end is an error here: the record says how far the command came.
+        // Neither a time-out nor the actor's end is an error here: the record shows how far the command came.
         let _ = tokio::time::timeout(limit, self.ended()).await;
         self.now()
     }
 }
 
-/// One gripper, for everyone but its actor.
+/// Access to one gripper.
 #[derive(Debug, Clone)]
 pub struct Handle {
     pub(super) name: Name,
@@ -175,31 +169,30 @@ pub struct Handle {
 }
 
 impl Handle {
-    /// The gripper's name.
     #[must_use]
     pub fn name(&self) -> &Name {
         &self.name
     }
 
-    /// The newest state. Costs the device nothing.
+    /// The newest state. Causes no request to the device.
     #[must_use]
     pub fn state(&self) -> Arc<State> {
         let state = self.state.borrow().clone();
         if self.requests.is_closed() {
-            // Its last state must not look like news.
-            let link_cause = Some("the gateway has given this gripper up".to_owned());
+            // The last state must not look current.
+            let link_cause = Some("the gateway has disconnected from this gripper".to_owned());
             return Arc::new(State { link: Link::Reconnecting, link_cause, ..State::clone(&state) });
         }
         state
     }
 
-    /// The states from now on, newest wins.
+    /// Watches the state. A slow receiver sees only the newest one.
     #[must_use]
     pub fn states(&self) -> watch::Receiver<Arc<State>> {
         self.state.clone()
     }
 
-    /// The frames from now on, in both directions. A receiver that is too slow misses some, and learns how many.
+    /// Subscribes to frames in both directions. A slow receiver misses frames and learns how many.
     #[must_use]
     pub fn frames(&self) -> broadcast::Receiver<Arc<Frame>> {
         self.frames.subscribe()
@@ -211,25 +204,24 @@ impl Handle {
         self.update_period_ms
     }
 
-    /// Information about the device. Costs the device nothing.
+    /// Information about the device. Causes no request to the device.
     #[must_use]
     pub fn info(&self) -> Arc<Info> {
         self.info.borrow().clone()
     }
 
-    /// Whether a custom command of this id only reads. Others count as motions.
+    /// Whether a custom command of this id only reads. All others count as motions.
     #[must_use]
     pub fn only_reads(&self, id: u8) -> bool {
         self.custom_ids.read.contains(&id)
     }
 
-    /// Meaning of the ids of custom commands.
     #[must_use]
     pub fn custom_ids(&self) -> Arc<CustomIds> {
         self.custom_ids.clone()
     }
 
-    /// Submits a command: admitted with an id and written down, or rejected before anything was sent.
+    /// Submits a command. It is admitted and recorded, or rejected before anything was sent.
     pub async fn submit(&self, submission: Submission) -> Result<Ticket, Rejection> {
         let id = CommandId::generate();
         let is_stop = matches!(submission.action, Action::Stop);
@@ -239,18 +231,18 @@ impl Handle {
         Ok(ticket)
     }
 
-    /// A command of the last hour, by its id.
+    /// Finds a command of the last hour.
     pub async fn find(&self, id: CommandId) -> Result<Option<Ticket>, Failure> {
         self.try_request(|answer| Request::Find { id, answer }).await
     }
 
-    /// Stops a command if it still runs.
+    /// Stops a command if it is still running.
     pub async fn cancel(&self, id: CommandId, client: Client) -> Result<Option<Ticket>, Failure> {
         self.request_reserved(|answer| Request::Cancel { id, client, answer }).await
     }
 
-    /// One request to the device that moves nothing, and its reply's data. After a setter the value is read back, and
-    /// the data are the getter's: what the device made of it.
+    /// Sends one request that moves nothing, and returns the data of its reply. After a setter, the value is read back,
+    /// and the data are those of the getter.
     pub async fn exchange(
         &self,
         command: wsg::Command,
@@ -260,7 +252,7 @@ impl Handle {
         self.try_request(|answer| Request::Exchange { command, client, lease, answer: (None, answer) }).await?
     }
 
-    /// Works like [`Handle::exchange`], and tells `accepted` when the device has answered `E_CMD_PENDING`.
+    /// Works like [`Handle::exchange`], and signals `accepted` when the device has answered `E_CMD_PENDING`.
     pub async fn exchange_in_steps(
         &self,
         command: wsg::Command,
@@ -277,13 +269,13 @@ impl Handle {
         self.try_request(|answer| Request::Lease { answer }).await
     }
 
-    /// Takes the lease, or changes the terms of the one that is held already.
+    /// Takes the lease, or changes the terms of a lease that the client holds already.
     pub async fn take_lease(&self, take: TakeLease) -> Result<AcquiredLease, Rejection> {
         let token = LeaseToken::generate();
         self.request_reserved(|answer| Request::TakeLease { take, token, answer }).await?
     }
 
-    /// Counts as use of the lease of this token, if there is one. The caller does not wait.
+    /// Marks the lease of this token as in use, if there is one, without waiting for the actor.
     #[must_use]
     pub fn use_lease(&self, token: LeaseToken) -> Using {
         let (answer, keep) = oneshot::channel();
@@ -291,7 +283,7 @@ impl Handle {
             self.requests.try_send(Request::UseLease { token, answer })
         {
             let requests = self.requests.clone();
-            // It waits for a place. An actor that is gone has no lease.
+            // Waits for a free slot. An actor that has ended has no lease.
             tokio::spawn(async move { requests.send(request).await });
         }
         Using { _keep: keep }
@@ -302,25 +294,25 @@ impl Handle {
         self.request_reserved(|answer| Request::RenewLease { token, answer }).await?
     }
 
-    /// Gives the lease of this token to the client that has asked for it.
+    /// Gives the lease of this token to the client that has requested it.
     pub async fn hand_over(&self, token: Option<LeaseToken>, to: String) -> Result<Lease, Rejection> {
         let new = LeaseToken::generate();
         self.request_reserved(|answer| Request::HandOver { token, to, new, answer }).await?
     }
 
-    /// Gives the lease of this token back, and stops a running motion. A token without a lease does nothing.
+    /// Releases the lease of this token and stops a running motion. A token without a lease does nothing.
     pub async fn release_lease(&self, token: Option<LeaseToken>) -> Result<Lease, Failure> {
         self.request_reserved(|answer| Request::ReleaseLease { token, answer }).await
     }
 
-    /// Reports that the holder of this token was lost. With `times_taken` the report holds only while the lease was not
+    /// Reports that the holder of this token was lost. With `times_taken`, the report counts only if the lease was not
     /// taken again since.
     pub async fn lose_lease(&self, token: LeaseToken, times_taken: Option<u64>) {
-        // An actor that is gone has given its device up.
+        // An actor that has ended has disconnected from its device.
         let _ = self.requests.send(Request::LoseLease { token, times_taken }).await;
     }
 
-    /// FAST STOP: waits for nothing but the device's confirmation, and for that at most [`FAST_STOP_WAIT`].
+    /// Requests a FAST STOP. Waits only for the device's confirmation, and at most [`FAST_STOP_WAIT`].
     pub async fn fast_stop(&self, id: FastStopId, client: Client, reason: Reason) -> FastStop {
         let at = clock::instant();
         let mut states = self.states();
@@ -331,7 +323,7 @@ impl Handle {
         let stop = async {
             let (epoch, joins) = match self.fast_stops.try_send(request) {
                 Ok(()) => (latched.await.ok()?, false),
-                // So many that wait stop the gripper already: this one joins the next of them.
+                // The waiting FAST STOPs stop the gripper as well: this one joins the next of them.
                 Err(mpsc::error::TrySendError::Full(_)) => (before + 1, true),
                 Err(mpsc::error::TrySendError::Closed(_)) => return None,
             };
@@ -345,21 +337,22 @@ impl Handle {
         FastStop { id: confirmed.unwrap_or(id), confirmed: confirmed.is_some() }
     }
 
-    /// Acknowledges the FAST STOP of this id, and returns when the device's flags show that it is gone.
+    /// Acknowledges the FAST STOP of this id, and returns when the device's flags show that it is cleared.
     pub async fn acknowledge(&self, id: FastStopId, client: Client) -> Result<(), Rejection> {
         self.request_reserved(|answer| Request::Acknowledge { id, client, answer }).await?
     }
 
-    /// Gives the gripper up in order: no new commands, a running one may finish, the device is told, the link closed.
+    /// Disconnects from the gripper in order: rejects new commands, lets a running one finish, announces the disconnect
+    /// and closes the link.
     pub async fn drain(&self) {
-        // An actor that is gone already has nothing left to give up.
+        // If the actor has ended, there is nothing left to disconnect.
         if self.request_reserved(|answer| Request::Drain { answer }).await.is_ok() {
-            // Behind the answer come its last records.
+            // The last records follow the reply, so wait for the actor's end.
             self.requests.closed().await;
         }
     }
 
-    /// Sends a request that is refused where too many wait already.
+    /// Sends a request, or fails if too many are waiting.
     async fn try_request<T>(&self, request: impl FnOnce(oneshot::Sender<T>) -> Request) -> Result<T, Failure> {
         let (answer, answered) = oneshot::channel();
         self.requests.try_send(request(answer)).map_err(|error| match error {
@@ -369,7 +362,7 @@ impl Handle {
         answered.await.map_err(|_| Failure::Draining)
     }
 
-    /// Sends a request that has to get through: it waits for a place, before later calls of [`Handle::try_request`].
+    /// Sends a request that must get through: waits for a free slot, ahead of later calls of [`Handle::try_request`].
     async fn request_reserved<T>(&self, request: impl FnOnce(oneshot::Sender<T>) -> Request) -> Result<T, Failure> {
         let (answer, answered) = oneshot::channel();
         self.requests.send(request(answer)).await.map_err(|_| Failure::Draining)?;
@@ -385,7 +378,7 @@ mod tests {
     use crate::gripper::fake;
     use crate::gripper::model::Door;
 
-    /// A handle whose actor takes nothing by itself.
+    /// A handle whose requests stay in the queue.
     fn idle() -> (Handle, mpsc::Receiver<Request>) {
         let (requests, queue) = mpsc::channel(MAX_WAITING_REQUESTS);
         let (handle, _) = fake::gripper("left", fake::Script::default());
@@ -393,12 +386,12 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn who_floods_a_gripper_refuses_nobody_a_stop_or_the_lease() {
+    async fn flood_of_reads_does_not_reject_stops_or_lease_requests() {
         let (handle, mut queue) = idle();
         let client = Client { subject: "test".into(), door: Door::Http };
         let reads: Vec<_> = (0..MAX_WAITING_REQUESTS).map(|_| Box::pin(handle.lease())).collect();
         let mut reads: Vec<_> = reads.into_iter().map(|mut read| ((&mut read).now_or_never(), read)).collect();
-        assert!(reads.iter().all(|(answered, _)| answered.is_none()), "each has a place");
+        assert!(reads.iter().all(|(answered, _)| answered.is_none()), "each has a slot");
         let refused = handle.lease().now_or_never();
         assert_eq!(refused, Some(Err(Failure::Overloaded { limit: MAX_WAITING_REQUESTS })));
         let token = LeaseToken::generate();
@@ -414,16 +407,16 @@ mod tests {
         ];
         tokio::task::yield_now().await;
         for asked in &mut asked {
-            assert!(asked.now_or_never().is_none(), "it waits");
+            assert!(asked.now_or_never().is_none(), "waits for a slot");
         }
         for _ in 0..asked.len() {
-            // So that each may be polled as often as it is.
+            // Renews the task's budget, so that each future can be polled.
             tokio::task::yield_now().await;
             assert!(matches!(queue.try_recv(), Ok(Request::Lease { .. })));
             let refused = handle.lease().now_or_never();
-            assert_eq!(refused, Some(Err(Failure::Overloaded { limit: MAX_WAITING_REQUESTS })), "others wait longer");
+            assert_eq!(refused, Some(Err(Failure::Overloaded { limit: MAX_WAITING_REQUESTS })), "waiters go first");
             for asked in &mut asked {
-                assert!(asked.now_or_never().is_none(), "it is not answered yet");
+                assert!(asked.now_or_never().is_none(), "not answered yet");
             }
         }
         for _ in asked.len()..MAX_WAITING_REQUESTS {

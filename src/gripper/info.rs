@@ -1,4 +1,4 @@
-//! What is known of a gripper's device: told as one flat body by every door.
+//! Information about a gripper's device, served by every interface as one flat body.
 
 use serde::Serialize;
 use utoipa::ToSchema;
@@ -17,71 +17,71 @@ use crate::wsg::{DeviceTag, Force, SystemInfo, SystemLimits};
     "capabilities": ["temperature", "fingers", "overdrive"]
 }))]
 pub struct Info {
-    /// The gripper's name.
+    /// Name of the gripper.
     #[schema(value_type = String, max_length = 32)]
     pub gripper: Name,
-    /// How the link to the device is.
+    /// Connection state of the device link.
     pub link: Link,
-    /// Why it isn't connected; null while it is.
+    /// Reason that the link is not connected; null while it is.
     #[schema(required)]
     pub link_cause: Option<String>,
-    /// Where the device is.
+    /// URL of the device.
     pub url: String,
-    /// `tcp`, `udp`, `serial`, `can` or `sim`.
+    /// Transport: `tcp`, `udp`, `serial`, `can` or `sim`.
     pub transport: &'static str,
-    /// Whether a moving gripper stops by itself when the gateway dies: on TCP it does.
+    /// Whether a moving gripper stops by itself if the gateway dies. It does on TCP.
     pub stops_on_gateway_loss: bool,
-    /// The model; null until the first connect, as are all below.
+    /// Model of the device; null until the first connection, as are all following values.
     #[schema(required)]
     pub device_type: Option<String>,
-    /// The same, by its number.
+    /// Number of the model.
     #[schema(required, minimum = 0, maximum = 255)]
     pub device_type_code: Option<u8>,
-    /// The hardware revision.
+    /// Hardware revision.
     #[schema(required, minimum = 0, maximum = 255)]
     pub hardware_revision: Option<u8>,
-    /// The firmware version.
+    /// Firmware version.
     #[schema(required)]
     pub firmware: Option<String>,
-    /// The serial number.
+    /// Serial number.
     #[schema(required, format = Int64, minimum = 0, maximum = 4_294_967_295_i64)]
     pub serial_number: Option<u32>,
-    /// The device tag; null where none is set.
+    /// Device tag; null if none is set.
     #[schema(required, max_length = 64)]
     pub device_tag: Option<String>,
-    /// Widths go from 0 to this.
+    /// Stroke in mm: opening widths range from 0 to this value.
     #[schema(required, minimum = 0, maximum = 1000)]
     pub stroke_mm: Option<f32>,
-    /// The lowest speed.
+    /// Lowest speed in mm/s.
     #[schema(required, minimum = 0, maximum = 10000)]
     pub min_speed_mm_s: Option<f32>,
-    /// The highest speed.
+    /// Highest speed in mm/s.
     #[schema(required, minimum = 0, maximum = 10000)]
     pub max_speed_mm_s: Option<f32>,
-    /// The lowest acceleration.
+    /// Lowest acceleration in mm/s².
     #[schema(required, minimum = 0, maximum = 1_000_000)]
     pub min_acceleration_mm_s2: Option<f32>,
-    /// The highest acceleration.
+    /// Highest acceleration in mm/s².
     #[schema(required, minimum = 0, maximum = 1_000_000)]
     pub max_acceleration_mm_s2: Option<f32>,
-    /// The lowest gripping force.
+    /// Lowest gripping force in N.
     #[schema(required, minimum = 0, maximum = 10000)]
     pub min_force_n: Option<f32>,
-    /// The highest gripping force without Overdrive Mode.
+    /// Highest gripping force in N without Overdrive Mode.
     #[schema(required, minimum = 0, maximum = 10000)]
     pub nominal_force_n: Option<f32>,
-    /// The highest gripping force in Overdrive Mode.
+    /// Highest gripping force in N with Overdrive Mode.
     #[schema(required, minimum = 0, maximum = 10000)]
     pub overdrive_force_n: Option<f32>,
-    /// `temperature`, `fingers`, `overdrive`: what this model and firmware can do beyond the common.
+    /// Additional features of this model and firmware: `temperature`, `fingers`, `overdrive`.
     pub capabilities: Vec<&'static str>,
 }
 
-/// The first major firmware version with the finger interface and the temperature (`fw4-en 3.4.7`, `3.6`).
+/// First major firmware version with the finger interface and Get Temperature (`fw4-en 3.4.7`, `3.6`).
 const FIRST_FW4: u8 = 4;
 
 impl Info {
-    /// Of a device that has not been reached yet.
+    /// Information about a device that has not been reached yet.
     #[must_use]
     pub fn unknown(gripper: Name, url: String, transport: &'static str, stops_on_gateway_loss: bool) -> Self {
         Self {
@@ -109,7 +109,7 @@ impl Info {
         }
     }
 
-    /// Takes in what the device said on connecting.
+    /// Takes the information that the device reported during setup.
     pub(super) fn learn(&mut self, system: &SystemInfo, limits: &SystemLimits, tag: Option<&DeviceTag>) {
         self.device_type = Some(system.device_type.to_string());
         self.device_type_code = Some(system.device_type.code());
@@ -135,7 +135,7 @@ impl Info {
     }
 }
 
-/// Whether Get Temperature (46h) and the finger interface are there.
+/// Whether the firmware has Get Temperature (46h) and the finger interface.
 pub(super) fn has_temperature(system: &SystemInfo) -> bool {
     system.firmware.major() >= FIRST_FW4
 }

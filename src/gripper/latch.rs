@@ -1,7 +1,8 @@
-//! The latch: a FAST STOP that holds until it is acknowledged by its id.
+//! The latch: a FAST STOP that stays until it is acknowledged by its id.
 //!
-//! A request is repeated until the device's flags confirm it; a FAST STOP that the gateway did not cause is a latch too,
-//! and confirmed from the start. It outlives a device that forgot its own. Nothing acknowledges by itself.
+//! A requested FAST STOP is sent again until the device's flags confirm it. A FAST STOP that the gateway did not cause
+//! becomes a latch too, confirmed from the start. A latch outlives a device that forgets its own FAST STOP. Nothing is
+//! acknowledged automatically.
 
 use std::time::{Duration, Instant};
 
@@ -15,33 +16,32 @@ use crate::wsg::session::Token;
 /// Period at which a FAST STOP is repeated until it is confirmed.
 pub(super) const REPEAT_EVERY: Duration = Duration::from_millis(100);
 
-/// Time that the flags may go on showing FAST STOP after the device has acknowledged (`fw4-en 3.2.5` names no status
-/// for a cause that persists: the flag is what counts).
+/// Time for which the flags can still show FAST STOP after the device has acknowledged. `fw4-en 3.2.5` names no status
+/// for a cause that persists, so the flag decides.
 const CLEARS_WITHIN: Duration = Duration::from_millis(500);
 
-/// Time that an acknowledge can be on its way: longer than the wait for it.
+/// Time for which a sent acknowledge can still take effect: longer than the wait for its reply.
 const ACKNOWLEDGE_LASTS: Duration = Duration::from_secs(2);
 
-/// Subject of a FAST STOP that no client asked for.
+/// Subject of a FAST STOP that no client requested.
 const BY_DEVICE: &str = "device";
 
 /// The FAST STOP of one gripper, its frames and its acknowledge.
 #[derive(Debug, Default)]
 pub(super) struct LatchState {
     latch: Option<Latch>,
-    /// Counts the FAST STOPs, also across restarts. Their order comes from here: an id's time is a wall clock's, which
-    /// may jump.
+    /// Number of FAST STOPs, also across restarts. It gives their order, since the wall clock behind an id can jump.
     epoch: u64,
     /// The 23h in flight.
     sent: Option<Token>,
     /// Whether the device has answered a 23h that was sent for this latch.
     answered: bool,
-    /// Time from which the flags alone confirm it. Until then an acknowledge that was on its way could take back what
-    /// they show.
+    /// Time from which the flags alone confirm the latch. Until then a pending acknowledge could clear the FAST STOP
+    /// that they show.
     flags_count_from: Option<Instant>,
     repeat_at: Option<Instant>,
     acknowledging: Option<Acknowledging>,
-    /// Acknowledges that have ended, and whose clients have not been told.
+    /// Ended acknowledges whose clients have not been answered yet.
     untold: Vec<Acknowledged>,
 }
 
@@ -65,37 +65,37 @@ struct Acknowledging {
 #[derive(Debug)]
 enum Progress {
     Sent(Token),
-    /// The device said success; its flags have until then to show it.
+    /// The device reported success, and its flags have until `until` to show it.
     Watching {
         until: Instant,
         shown: Shown,
     },
 }
 
-/// State of the flags since the device has said success.
+/// Flags seen since the device reported success.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Shown {
-    /// They have not come.
+    /// No flags have arrived.
     Nothing,
     FastStop,
 }
 
-/// Ids and cause for the latch of a FAST STOP that no client asked for.
+/// Ids and cause for the latch of a FAST STOP that no client requested.
 #[derive(Debug)]
 pub(super) struct Origin<'a> {
     pub ids: &'a mut IdSource,
-    /// Whether our own connection ended unannounced before.
+    /// Whether the gateway's last connection ended without an announcement.
     pub unannounced: bool,
 }
 
-/// Change of the latch by an update of the flags.
+/// Change of the latch after an update of the flags.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Change {
-    /// A FAST STOP that no client asked for.
+    /// The device is in a FAST STOP that no client requested.
     Seen,
-    /// The latch is confirmed now.
+    /// The flags confirm the latch.
     Confirmed,
-    /// The latch was acknowledged, and is gone.
+    /// The acknowledge has cleared the latch.
     Cleared,
 }
 
@@ -113,20 +113,20 @@ impl LatchState {
         self.latch.as_ref().map(|latch| latch.id)
     }
 
-    /// Whether a FAST STOP holds that the device has not confirmed.
+    /// Whether a FAST STOP is latched that the device has not confirmed.
     pub(super) fn is_unconfirmed(&self) -> bool {
         self.latch.as_ref().is_some_and(|latch| !latch.confirmed)
     }
 
-    /// After a restart of the gateway: the FAST STOP of this epoch was the newest, and holds if its latch is given. The
-    /// device may have forgotten it.
+    /// Restores the newest epoch after a restart of the gateway, and the latch if there was one. The latch is
+    /// unconfirmed again, since the device may have forgotten its FAST STOP.
     pub(super) fn restore(&mut self, now: Instant, epoch: u64, latch: Option<Latch>) {
         self.epoch = epoch;
         self.latch = latch.map(|latch| Latch { confirmed: false, ..latch });
         self.flags_count_from = Some(now);
     }
 
-    /// Latches a client's FAST STOP. Returns an acknowledge on its way, which must not come after it.
+    /// Latches a client's FAST STOP. Returns a pending acknowledge, which must not reach the device afterwards.
     pub(super) fn request(&mut self, now: Now, request: FastStopRequest) -> Option<Token> {
         let was_acknowledging = self.acknowledging.is_some();
         let overtaken = self.acknowledging.take().and_then(|acknowledging| {
@@ -164,7 +164,7 @@ impl LatchState {
         self.repeat_at = Some(now + REPEAT_EVERY);
     }
 
-    /// A 23h has ended, perhaps with an answer.
+    /// Ends a 23h, with or without a reply.
     pub(super) fn ended(&mut self, token: Token, answered: bool) {
         if self.sent == Some(token) {
             self.sent = None;
@@ -210,7 +210,7 @@ impl LatchState {
         }
     }
 
-    /// Whether this acknowledge may be sent.
+    /// Whether an acknowledge of this id can be sent.
     pub(super) fn check_acknowledge(&self, id: FastStopId) -> Result<(), Conflict> {
         match &self.latch {
             Some(latch) if latch.id != id => Err(Conflict::StaleFastStop { given: id, current: Some(latch.id) }),
@@ -225,7 +225,7 @@ impl LatchState {
         self.acknowledging = Some(Acknowledging { id, client, answer, progress: Progress::Sent(token) });
     }
 
-    /// The 24h has ended.
+    /// Takes the result of the 24h.
     pub(super) fn acknowledge_ended(&mut self, now: Instant, token: Token, result: Result<(), Rejection>) {
         let Some(acknowledging) = &mut self.acknowledging else { return };
         if !matches!(acknowledging.progress, Progress::Sent(sent) if sent == token) {
@@ -239,7 +239,7 @@ impl LatchState {
         }
     }
 
-    /// Gives up waiting for flags that stay. Those of before its answer tell nothing of an acknowledge.
+    /// Fails an acknowledge whose FAST STOP flag stays set. Flags from before its reply do not count.
     pub(super) fn handle_timeout(&mut self, now: Instant, flags: Option<SystemState>) {
         let Some(Acknowledging { id, .. }) = &self.acknowledging else { return };
         if self.clears_at().is_some_and(|at| at <= now) {
@@ -249,7 +249,7 @@ impl LatchState {
         }
     }
 
-    /// The link is gone, and with it what was on its way.
+    /// Drops all pending requests, because the link is lost.
     pub(super) fn link_lost(&mut self, rejection: &Rejection) {
         self.sent = None;
         self.answered = false;
@@ -262,7 +262,7 @@ impl LatchState {
         self.repeat_at.filter(|_| self.is_unconfirmed() && self.sent.is_none())
     }
 
-    /// Time until which the flags may go on showing an acknowledged FAST STOP.
+    /// Time until which the flags can still show an acknowledged FAST STOP.
     pub(super) fn clears_at(&self) -> Option<Instant> {
         match self.acknowledging.as_ref()?.progress {
             Progress::Watching { until, shown: Shown::FastStop } => Some(until),
@@ -280,7 +280,7 @@ impl LatchState {
         }
     }
 
-    /// The acknowledges that have ended: their clients are told after the state was published.
+    /// Takes the ended acknowledges, to answer their clients after the state was published.
     pub(super) fn take_acknowledged(&mut self) -> Vec<Acknowledged> {
         std::mem::take(&mut self.untold)
     }
@@ -319,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn an_acknowledge_is_judged_by_flags_of_after_its_answer() {
+    fn only_flags_after_the_reply_decide_an_acknowledge() {
         let answered = Now::read();
         let later = Now { instant: answered.instant + CLEARS_WITHIN, ..answered };
         for (flags, cleared) in [(SystemState::empty(), true), (SystemState::FAST_STOP, false)] {
@@ -334,7 +334,7 @@ mod tests {
             let token = acknowledge_frame(answered.instant);
             latch.acknowledge_sent(id, client, token, oneshot::channel().0);
             latch.acknowledge_ended(answered.instant, token, Ok(()));
-            // The gateway had no processor time: the flags that it knows are those of before.
+            // The gateway was stalled, so it still has the flags from before the reply.
             latch.handle_timeout(later.instant, Some(SystemState::FAST_STOP));
             assert!(latch.take_acknowledged().is_empty());
             assert_eq!(take_flags(&mut latch, later, flags), cleared.then_some(Change::Cleared));

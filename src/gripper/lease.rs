@@ -1,5 +1,5 @@
-//! The lease of one gripper: its holder, its time and the client that asks for it. Consequences of its changes for the
-//! fingers are the actor's.
+//! The lease of one gripper: its holder, its time to live and the client that requests it. The actor decides what a
+//! change of the lease means for the fingers.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -14,7 +14,7 @@ use super::model::{Client, Lease, LeaseRules, LeaseToken, OnLossHolding, OnLossM
 /// Time for which a request for the lease counts without being repeated.
 const REQUEST_LASTS: Duration = Duration::from_mins(1);
 
-/// A client that holds a lease, or held it, or asks for it.
+/// A client that holds, held or requests a lease.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Holder {
     pub name: Arc<str>,
@@ -43,7 +43,7 @@ pub(super) struct Terms {
 }
 
 impl Terms {
-    /// The terms that the client asked for, with the rules' defaults.
+    /// The terms that the client requested, completed with the configured defaults.
     pub(super) fn of(wish: &TakeLease, rules: &LeaseRules) -> Result<Self, Invalid> {
         let ttl = wish.ttl.unwrap_or(DEFAULT_TTL.min(rules.max_ttl));
         if ttl < MIN_TTL || ttl > rules.max_ttl {
@@ -71,7 +71,7 @@ fn chosen<T: Copy + PartialEq + Serialize>(field: &'static str, given: Option<T>
     match (given, allowed.first()) {
         (Some(given), _) if allowed.contains(&given) => Ok(given),
         (None, Some(first)) => Ok(*first),
-        _ => Err(Invalid::Malformed { field, detail: format!("this gripper's configuration allows {}", words()) }),
+        _ => Err(Invalid::Malformed { field, detail: format!("this gripper's configuration allows only {}", words()) }),
     }
 }
 
@@ -81,24 +81,24 @@ pub(super) struct Held {
     pub holder: Holder,
     pub terms: Terms,
     token: LeaseToken,
-    /// Number of times that the lease was taken. It is lost with the newest connection that took it.
+    /// Number of times that this lease was taken. The end of an earlier connection does not lose the lease.
     times_taken: u64,
     expires_at: Instant,
     /// Shared with each open request of the holder.
     open: Arc<()>,
     usage: Usage,
-    /// Whether a stall of the gateway has extended the lease since its holder was last heard.
+    /// Whether a stall of the gateway has extended the lease since its last use.
     is_extended: bool,
 }
 
 /// Use of a lease by its holder's requests.
 #[derive(Debug, PartialEq, Eq)]
 enum Usage {
-    /// The lease was handed over, and its new holder has not come for the token yet.
+    /// The lease was handed over, and its new holder has not fetched the token yet.
     HandedOver,
-    /// No request was open at the last look.
+    /// No request was open at the last check.
     Idle,
-    /// A request was open at the last look.
+    /// A request was open at the last check.
     Open,
 }
 
@@ -117,7 +117,7 @@ impl Held {
     }
 }
 
-/// Keeps a lease from running out until it is dropped: for an open request, or a connection that answers.
+/// Guard that keeps a lease from running out until dropped: for an open request, or a connection that responds.
 #[derive(Debug)]
 pub struct LeaseKeepAlive {
     open: Option<Arc<()>>,
@@ -126,7 +126,7 @@ pub struct LeaseKeepAlive {
 
 impl Drop for LeaseKeepAlive {
     fn drop(&mut self) {
-        // First, so that the receiver of the notice sees it.
+        // Comes first, so that the notified task sees the request closed.
         self.open = None;
         self.closed.notify_one();
     }
@@ -145,7 +145,7 @@ pub(super) struct LeaseState {
     epoch: u64,
     held: Option<Held>,
     asking: Option<Asking>,
-    /// Holder that was lost while a part was held.
+    /// Holder that was lost while a part was held; only this client can take the lease.
     reserved: Option<Holder>,
     /// Notified when a request of the holder ends.
     closed: Arc<Notify>,
@@ -165,7 +165,7 @@ pub(super) enum AcquireOutcome {
 }
 
 impl LeaseState {
-    /// Restores the epoch of the newest lease before a restart. Its holder, if there was one, is lost.
+    /// Restores the epoch of the newest lease before a restart. A former holder gets a reservation.
     pub(super) fn restore(&mut self, epoch: u64, holder: Option<Holder>) {
         self.epoch = epoch;
         self.reserved = holder;
@@ -183,7 +183,7 @@ impl LeaseState {
         self.reserved.as_ref()
     }
 
-    /// Notifier of ended requests of a holder, after which [`LeaseState::request_closed`] has to be called.
+    /// Notified when a request of the holder ends; [`LeaseState::request_closed`] has to be called then.
     pub(super) fn closed(&self) -> Arc<Notify> {
         self.closed.clone()
     }
@@ -204,7 +204,7 @@ impl LeaseState {
         }
     }
 
-    /// Whether this client may take the lease without asking.
+    /// Whether this client can take the lease without a hand-over or force.
     pub(super) fn is_free_for(&self, client: &Client) -> bool {
         let holder = Holder { name: client.subject.clone(), client: client.clone() };
         self.held.is_none() && self.reserved.as_ref().is_none_or(|reserved| reserved.is(&holder))
@@ -214,7 +214,7 @@ impl LeaseState {
         Conflict::StaleLease { epoch: self.epoch, holder: self.holder().map(|holder| holder.name.clone()) }
     }
 
-    /// Renews the lease of this token, and keeps it until the request ends. `None` for a token without a lease.
+    /// Renews the lease of this token and keeps it while the guard lives. `None` if the token has no lease.
     pub(super) fn keep(&mut self, now: Instant, token: Option<&LeaseToken>) -> Option<LeaseKeepAlive> {
         let closed = self.closed.clone();
         let held = self.held.as_mut().filter(|held| Some(&held.token) == token)?;
@@ -223,7 +223,7 @@ impl LeaseState {
         Some(LeaseKeepAlive { open: Some(held.open.clone()), closed })
     }
 
-    /// A request of the holder has ended. After the last one the time runs.
+    /// Starts the time to live when the holder's last open request has ended.
     pub(super) fn request_closed(&mut self, now: Instant) {
         if let Some(held) = self.held.as_mut().filter(|held| held.usage == Usage::Open && !held.is_open()) {
             held.usage = Usage::Idle;
@@ -231,7 +231,7 @@ impl LeaseState {
         }
     }
 
-    /// Takes the lease for a client. A new lease gets the token.
+    /// Takes the lease for a client. A new lease gets `token`.
     pub(super) fn take(
         &mut self,
         now: Instant,
@@ -277,7 +277,7 @@ impl LeaseState {
         self.held = Some(Held { holder, terms, token, times_taken: 1, expires_at, open, usage, is_extended: false });
     }
 
-    /// Notes the first client that asks, which the holder is told, until that client is not heard from for a while.
+    /// Notes the first client that requests the lease, until its request is no longer repeated. The holder sees it.
     fn ask(&mut self, now: Instant, holder: Holder, terms: Terms) {
         match &self.asking {
             Some(asking) if !asking.holder.is(&holder) && now < asking.at + REQUEST_LASTS => {}
@@ -296,7 +296,7 @@ impl LeaseState {
         }
     }
 
-    /// Gives the lease of this token to the client that asked for it, which has to come for a token of its own.
+    /// Gives the lease of this token to the client that requested it, which has to fetch its own token.
     pub(super) fn hand_over(
         &mut self,
         now: Instant,
@@ -308,7 +308,7 @@ impl LeaseState {
         let asking = self.asking_now(now);
         let Some(Asking { holder, terms, .. }) = asking.filter(|asking| &*asking.holder.name == to) else {
             let asks = asking.map_or("nobody".to_owned(), |asking| format!("{:?}", asking.holder.name));
-            let detail = format!("{to:?} has not asked for the lease, but {asks}");
+            let detail = format!("{to:?} has not requested the lease (requested by: {asks})");
             return Err(Invalid::Malformed { field: "to", detail }.into());
         };
         let (holder, terms) = (holder.clone(), *terms);
@@ -316,7 +316,7 @@ impl LeaseState {
         Ok(holder)
     }
 
-    /// Ends the lease of this token, if it is one. A part that is held needs no holder then.
+    /// Ends the lease of this token, if it is current. A held part does not reserve the gripper then.
     pub(super) fn end(&mut self, token: Option<&LeaseToken>) -> Option<Held> {
         let ended = self.held.take_if(|held| Some(&held.token) == token);
         self.asking.take_if(|_| ended.is_some());
@@ -328,7 +328,7 @@ impl LeaseState {
         self.held.as_ref().map_or(0, |held| held.times_taken)
     }
 
-    /// Ends the lease of this token. With `times_taken`, only while it was not taken again since.
+    /// Ends the lease of this token; with `times_taken`, only if the lease was not taken again since.
     pub(super) fn lose(&mut self, token: &LeaseToken, times_taken: Option<u64>) -> Option<Held> {
         let is_newest = times_taken.is_none_or(|times_taken| times_taken == self.times_taken());
         is_newest.then(|| self.end(Some(token))).flatten()
@@ -353,7 +353,7 @@ impl LeaseState {
         self.reserved = Some(holder);
     }
 
-    /// Ends the reservation, after no part is held any more.
+    /// Ends the reservation once no part is held.
     pub(super) fn unreserve(&mut self) -> Option<Holder> {
         self.reserved.take()
     }
@@ -362,7 +362,7 @@ impl LeaseState {
         self.held.as_ref().filter(|held| !held.is_open()).map(|held| held.expires_at)
     }
 
-    /// The lease as clients see it, with the token for its holder.
+    /// The lease as clients see it. It includes the token only if `token` matches.
     pub(super) fn view(&self, now: Instant, token: Option<&LeaseToken>) -> Lease {
         let held = self.held.as_ref();
         let ms = |time: Duration| time.as_millis() as u64;
@@ -380,12 +380,12 @@ impl LeaseState {
         }
     }
 
-    /// The token of the lease that is held.
+    /// Token of the current lease.
     pub(super) fn token(&self) -> Option<&LeaseToken> {
         self.held.as_ref().map(|held| &held.token)
     }
 
-    /// The client that asks for a hand-over.
+    /// The client that requests a hand-over.
     pub(super) fn asking(&self, now: Instant) -> Option<&Holder> {
         self.asking_now(now).map(|asking| &asking.holder)
     }

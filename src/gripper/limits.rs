@@ -1,25 +1,23 @@
-//! What is refused before it becomes a frame: values beyond the device's limits, though the device itself would clamp
-//! them, and targets that the soft limits forbid. Of a device that has not told its limits yet, what no gripper can do.
+//! Limits of values, checked before a frame is sent. Values beyond the device's limits are refused, though the device
+//! itself would clamp them, and so are targets that the soft limits forbid. Until the device has reported its limits,
+//! the limits of the whole gripper family apply.
 
 use super::error::Invalid;
 use super::model::Motion;
 use crate::wsg::{Acceleration, Command, Force, NotFinite, SoftLimits, Speed, SystemLimits, Width};
 
-/// Widths beyond any gripper of the family, in mm; the speeds, accelerations and forces below likewise.
+/// Width beyond any gripper of the family; the speed, acceleration and force below likewise.
 pub const WIDEST_MM: f32 = 1000.0;
-/// In mm/s.
 pub const FASTEST_MM_S: f32 = 10_000.0;
-/// In mm/s².
 pub const HARDEST_MM_S2: f32 = 1_000_000.0;
-/// In N.
 pub const STRONGEST_N: f32 = 10_000.0;
 
-const ANY_DEVICE: &str = "no gripper goes beyond; this one has not told its limits yet";
+const ANY_DEVICE: &str = "the limits of any gripper; this device has not reported its own yet";
 const DEVICE: &str = "the device's limits";
 const SOFT: &str = "the soft limits: change or clear them first";
-const NOMINAL: &str = "the nominal force: switch overdrive on to go beyond it";
+const NOMINAL: &str = "the nominal force: enable overdrive to exceed it";
 
-/// What is known of the device that a value could violate.
+/// Known limits of the device.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Limits {
     pub system: Option<SystemLimits>,
@@ -28,7 +26,7 @@ pub(super) struct Limits {
 }
 
 impl Limits {
-    /// Checks a motion that begins at `width`, where that is known.
+    /// Checks a motion that begins at `width`, if that is known.
     pub(super) fn check_motion(&self, motion: &Motion, width: Option<f32>) -> Result<(), Invalid> {
         match *motion {
             Motion::Home(_) | Motion::Custom(_) => Ok(()),
@@ -48,7 +46,7 @@ impl Limits {
         }
     }
 
-    /// Checks a request that sets something.
+    /// Checks a setter's values.
     pub(super) fn check_setting(&self, command: &Command) -> Result<(), Invalid> {
         match command {
             Command::SetAcceleration(acceleration) => {
@@ -63,7 +61,7 @@ impl Limits {
         }
     }
 
-    /// What a device makes of a motion that goes beyond its physical limits (`fw4-en 3.2.2`); what the soft limits
+    /// Clamps a motion to the physical limits, as a device does (`fw4-en 3.2.2`). A target that the soft limits
     /// forbid stays forbidden.
     pub(super) fn clamp_motion(&self, motion: Motion, width: Option<f32>) -> Motion {
         let (_, widest, _) = self.widths();
@@ -86,7 +84,7 @@ impl Limits {
         }
     }
 
-    /// What a device makes of a setting beyond its limits (`fw4-en 3.3`).
+    /// Clamps a setting to the limits, as a device does (`fw4-en 3.3`).
     pub(super) fn clamp_setting(&self, command: Command) -> Command {
         match command {
             Command::SetAcceleration(given) => {
@@ -108,7 +106,7 @@ impl Limits {
         self.system.map_or((0.0, WIDEST_MM, ANY_DEVICE), |system| (0.0, system.stroke.mm(), DEVICE))
     }
 
-    /// The widths that a motion may end at, and whose limits they are.
+    /// Widths at which a motion may end, and the source of these limits.
     fn targets(&self) -> Range {
         let (min, max, limit) = self.widths();
         match self.soft {
@@ -127,7 +125,7 @@ impl Limits {
             return in_range("width_mm", offset.mm(), (-widest, widest, limit));
         };
         let (min, max, limit) = self.targets();
-        // At an end stop a width may be measured a little beyond the stroke.
+        // At an end stop the measured width can be slightly beyond the stroke.
         let width = width.clamp(0.0, widest.max(0.0));
         in_range("width_mm", offset.mm(), (min - width, max - width, limit))
     }
@@ -163,7 +161,7 @@ impl Limits {
     }
 }
 
-/// The lowest and the highest allowed value, and whose limits they are.
+/// Lowest and highest allowed value, and the source of these limits.
 type Range = (f32, f32, &'static str);
 
 fn bounds((min, max, _): Range) -> (f32, f32) {
@@ -221,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn the_field_and_its_limits_are_named() {
+    fn errors_name_the_field_and_its_limits() {
         let limits = limits();
         assert_eq!(field(&limits.check_motion(&grip(5000.0, 50.0, None), None)), Some(("width_mm", 0.0, 110.0)));
         assert_eq!(field(&limits.check_motion(&grip(-0.1, 50.0, None), None)), Some(("width_mm", 0.0, 110.0)));
@@ -233,7 +231,7 @@ mod tests {
     }
 
     #[test]
-    fn a_relative_move_is_checked_where_it_ends() {
+    fn relative_moves_are_checked_at_their_end() {
         let limits = limits();
         let flags = MoveFlags { relative: true, stop_on_block: true };
         let by = |mm| Motion::Move { flags, width: width(mm), speed: speed(50.0) };
@@ -242,7 +240,7 @@ mod tests {
     }
 
     #[test]
-    fn a_target_that_the_soft_limits_forbid_is_refused() {
+    fn targets_outside_soft_limits_are_refused() {
         let soft = SoftLimits::new(width(10.0), width(60.0));
         let limits = Limits { soft, ..limits() };
         assert_eq!(field(&limits.check_motion(&grip(9.0, 50.0, None), None)), Some(("width_mm", 10.0, 60.0)));
@@ -254,7 +252,7 @@ mod tests {
     }
 
     #[test]
-    fn without_its_limits_only_what_no_gripper_can_do_is_refused() {
+    fn unknown_device_limits_fall_back_to_the_family() {
         let unknown = Limits::default();
         assert_eq!(field(&unknown.check_motion(&grip(1001.0, 50.0, None), None)), Some(("width_mm", 0.0, 1000.0)));
         assert_eq!(unknown.check_motion(&grip(200.0, 50.0, None), None), Ok(()));

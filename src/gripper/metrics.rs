@@ -1,7 +1,7 @@
-//! What is measured of a gripper, for Prometheus.
+//! Prometheus metrics of a gripper.
 //!
-//! The actor counts in a [`Metrics`]; what can be seen in the newest state is a gauge of [`Newest`], taken when it is
-//! asked for, so that it costs the actor nothing.
+//! The actor counts in [`Metrics`]. Values of the newest state are gauges of [`Newest`], read when Prometheus collects
+//! them, without work for the actor.
 
 use std::sync::Arc;
 
@@ -16,16 +16,16 @@ use super::clock;
 use super::handle::Handle;
 use super::model::{Link, Name, State};
 
-/// The series of one gripper, at most: all kinds with all outcomes, and all causes, have happened.
+/// Largest number of series for one gripper, reached when every kind, outcome and cause has occurred.
 pub const MAX_SERIES: usize = 193;
 
-/// Of answers and FAST STOPs, in seconds: from a socket in this machine to a slow line, and a link that was lost.
+/// Buckets for latencies of replies and FAST STOPs, in seconds: from a local socket to a slow line or a lost link.
 const LATENCIES: [f64; 11] = [0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0];
 
-/// Of motions, in seconds: from a few millimetres to the slowest homing.
+/// Buckets for durations of motions, in seconds: from a few millimetres to the slowest homing.
 const DURATIONS: [f64; 10] = [0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 60.0];
 
-/// What the actor counts. Nothing restarts with a link's session.
+/// Counters and histograms of the actor. They continue across sessions of the link.
 #[derive(Debug, Clone)]
 pub struct Metrics {
     pub(super) reconnects: IntCounter,
@@ -50,70 +50,69 @@ pub struct Metrics {
 }
 
 impl Metrics {
-    /// Of one gripper.
+    /// Registers the metrics of one gripper.
     ///
     /// # Errors
-    /// Where the registry has one of this name already.
+    /// If a gripper of this name is already registered.
     pub fn register(registry: &Registry, gripper: &Name) -> Result<Self> {
         let of = Of { registry, gripper };
         let frames = of.counters("wsg_frames_total", "Frames to and from the device.", &["direction"])?;
         let bytes = of.counters("wsg_bytes_total", "Bytes to and from the device.", &["direction"])?;
         let discarded = of.counters(
             "wsg_discarded_replies_total",
-            "Replies that answer nothing: late, of a request that was given up; stray, of one that was never made; \
-             invalid, with contents that can't be.",
+            "Discarded replies: late, after the request had timed out; stray, without a request; invalid, with contents \
+             that the protocol does not allow.",
             &["reason"],
         )?;
         Ok(Self {
-            reconnects: of.counter("wsg_reconnects_total", "Times that a link was made again after it was lost.")?,
+            reconnects: of.counter("wsg_reconnects_total", "Reconnections after a lost link.")?,
             round_trip: of.histogram(
                 "wsg_round_trip_seconds",
-                "From a request's frame to the device's first answer to it.",
+                "Time from a request's frame to the device's first reply.",
                 &LATENCIES,
             )?,
             frames_sent: frames.with_label_values(&["sent"]),
             frames_received: frames.with_label_values(&["received"]),
             bytes_sent: bytes.with_label_values(&["sent"]),
             bytes_received: bytes.with_label_values(&["received"]),
-            checksum_errors: of.counter("wsg_checksum_errors_total", "Frames rejected for their checksum.")?,
+            checksum_errors: of.counter("wsg_checksum_errors_total", "Frames rejected because of a wrong checksum.")?,
             resynchronisations: of
-                .counter("wsg_resynchronisations_total", "Times that a frame was found after bytes that were none.")?,
+                .counter("wsg_resynchronisations_total", "Times a frame was found after skipped bytes.")?,
             late_replies: discarded.with_label_values(&["late"]),
             stray_replies: discarded.with_label_values(&["stray"]),
             invalid_replies: discarded.with_label_values(&["invalid"]),
-            timeouts: of.counter("wsg_timeouts_total", "Requests to the device that ended by a deadline.")?,
-            updates: of.counter("wsg_updates_total", "Values of the device's state that were received.")?,
+            timeouts: of.counter("wsg_timeouts_total", "Requests to the device that timed out.")?,
+            updates: of.counter("wsg_updates_total", "State values received from the device.")?,
             commands: of.counters(
                 "wsg_commands_total",
-                "Commands that have ended, by kind and outcome. A grip's PART_HELD and NO_PART are among them.",
+                "Ended commands, by kind and outcome. The outcomes include PART_HELD and NO_PART of grips.",
                 &["kind", "outcome"],
             )?,
             motions: of.register(HistogramVec::new(
                 of.histogram_opts(
                     "wsg_motion_duration_seconds",
-                    "From a motion's admission to its end, by kind; without those that were refused.",
+                    "Time from a motion's admission to its end, by kind, without refused motions.",
                     &DURATIONS,
                 ),
                 &["kind"],
             )?)?,
-            fast_stops: of.counters("wsg_fast_stops_total", "FAST STOPs that were latched, by cause.", &["cause"])?,
+            fast_stops: of.counters("wsg_fast_stops_total", "Latched FAST STOPs, by cause.", &["cause"])?,
             fast_stop_sent: of.histogram(
                 "wsg_fast_stop_sent_seconds",
-                "From the request of a FAST STOP to its first frame's way to the device: without a link, until there \
-                 is one.",
+                "Time from the request of a FAST STOP until its first frame is sent. Includes the time without a link.",
                 &LATENCIES,
             )?,
             fast_stop_confirmed: of.histogram(
                 "wsg_fast_stop_confirmed_seconds",
-                "From the request of a FAST STOP to the device's flags that show it.",
+                "Time from the request of a FAST STOP until the device's flags show it.",
                 &LATENCIES,
             )?,
-            parts_lost: of.counter("wsg_parts_lost_total", "Times that a part was lost that had been held.")?,
+            parts_lost: of.counter("wsg_parts_lost_total", "Held parts that were lost.")?,
         })
     }
 }
 
-/// The gauges of a gripper's newest state.
+/// Gauges of a gripper's newest state.
 #[derive(Debug)]
 pub struct Newest {
     state: watch::Receiver<Arc<State>>,
@@ -124,18 +123,18 @@ pub struct Newest {
 }
 
 impl Newest {
-    /// Of one gripper, which it doesn't keep alive.
+    /// Registers the gauges of one gripper, without keeping it alive.
     ///
     /// # Errors
-    /// Where the registry has one of this name already.
+    /// If a gripper of this name is already registered.
     pub fn register(registry: &Registry, handle: &Handle) -> Result<()> {
         let of = Of { registry, gripper: handle.name() };
         let newest = Self {
             state: handle.states(),
-            link_up: IntGauge::with_opts(of.opts("wsg_link_up", "Whether the link is set up, and heard from."))?,
-            latched: IntGauge::with_opts(of.opts("wsg_fast_stop_latched", "Whether a FAST STOP holds."))?,
-            age: Gauge::with_opts(of.opts("wsg_update_age_seconds", "The age of the newest update."))?,
-            temperature: Gauge::with_opts(of.opts("wsg_temperature_celsius", "The device's temperature."))?,
+            link_up: IntGauge::with_opts(of.opts("wsg_link_up", "1 if the link is set up and responds, else 0."))?,
+            latched: IntGauge::with_opts(of.opts("wsg_fast_stop_latched", "1 if a FAST STOP is latched, else 0."))?,
+            age: Gauge::with_opts(of.opts("wsg_update_age_seconds", "Age of the newest update from the device."))?,
+            temperature: Gauge::with_opts(of.opts("wsg_temperature_celsius", "Temperature of the device."))?,
         };
         registry.register(Box::new(newest))
     }
@@ -143,14 +142,14 @@ impl Newest {
 
 impl Collector for Newest {
     fn desc(&self) -> Vec<&Desc> {
-        // The registry tells collectors apart by the sum of their descriptions' hashes, and sums of several meet: one
-        // description tells grippers apart.
+        // The registry identifies a collector by the sum of its descriptions' hashes, and sums of several can collide.
+        // One description is enough to distinguish grippers.
         self.link_up.desc()
     }
 
     fn collect(&self) -> Vec<MetricFamily> {
         let state = self.state.borrow().clone();
-        // An actor that is gone has left its last state behind.
+        // An actor that has ended leaves its last state behind.
         let up = state.link == Link::Connected && self.state.has_changed().is_ok();
         self.link_up.set(up.into());
         self.latched.set(state.latch.is_some().into());
@@ -167,7 +166,7 @@ impl Collector for Newest {
     }
 }
 
-/// Makes what bears a gripper's name, and registers it.
+/// Creates and registers metrics with a gripper's name as their label.
 struct Of<'a> {
     registry: &'a Registry,
     gripper: &'a Name,
@@ -209,7 +208,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn a_gripper_has_so_many_series_and_never_more() {
+    async fn series_of_a_gripper_are_bounded() {
         let registry = Registry::new();
         let (handle, _seen) = fake::gripper("left", Script::default());
         let metrics = Metrics::register(&registry, handle.name()).unwrap();
@@ -227,7 +226,7 @@ mod tests {
         Newest::register(&registry, &handle).unwrap();
         let text = prometheus::TextEncoder::new().encode_to_string(&registry.gather()).unwrap();
         let series = text.lines().filter(|line| !line.starts_with('#')).count();
-        // A gripper that was never heard has neither an age nor a temperature.
+        // A gripper without any update has neither an age nor a temperature.
         assert_eq!(series, MAX_SERIES - 2, "{text}");
     }
 
@@ -243,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn two_grippers_share_the_families_and_a_name_is_taken_once() {
+    fn grippers_share_families_and_a_name_registers_once() {
         let registry = Registry::new();
         for name in ["left", "right"] {
             Metrics::register(&registry, &name.parse().unwrap()).unwrap();

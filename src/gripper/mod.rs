@@ -1,7 +1,8 @@
 //! Grippers: one actor per gripper, the only owner of its state; everyone else has a [`Handle`].
 //!
-//! [`model`] and [`info`] are the vocabulary of requests and answers, [`error`] says why a request was not done. The
-//! [`actor`] decides and is a pure machine; the `driver` does its I/O over what a [`Connector`] connects.
+//! [`model`] and [`info`] are the vocabulary of requests and replies; [`error`] has the reasons for a rejected request.
+//! The [`actor`] is a pure state machine that makes the decisions. The `driver` does its I/O over a link from a
+//! [`Connector`].
 
 pub mod actor;
 pub mod clock;

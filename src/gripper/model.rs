@@ -1,6 +1,6 @@
-//! What clients say to a gripper, and what they are told of it: the vocabulary that all doors share.
+//! Requests to a gripper and the data returned to clients: the vocabulary shared by all interfaces.
 //!
-//! The types that are told derive their JSON here, once, so that every door sends the same bodies.
+//! Response types derive their JSON here, once, so that every interface sends the same bodies.
 
 use std::fmt;
 use std::sync::Arc;
@@ -56,9 +56,9 @@ impl TryFrom<String> for Name {
     }
 }
 
-/// A text that is no [`Name`].
+/// A text that is not a valid [`Name`].
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("{0:?} is no name: 1 to 32 of a-z, 0-9, _ and -, beginning with a letter or a digit")]
+#[error("{0:?} is not a valid name: use 1 to 32 characters of a-z, 0-9, _ and -, starting with a letter or digit")]
 pub struct InvalidName(pub String);
 
 impl std::str::FromStr for Name {
@@ -76,7 +76,6 @@ impl std::str::FromStr for Name {
 }
 
 impl Name {
-    /// As it is written.
     #[must_use]
     pub fn as_str(&self) -> &str {
         &self.0
@@ -96,32 +95,27 @@ pub enum Motion {
     Home(HomingDirection),
     /// Pre-position Fingers (21h).
     Move {
-        /// Relative or absolute; stop or clamp on block.
         flags: MoveFlags,
-        /// The target, or the offset to the current width.
+        /// Target width, or the offset from the current width if `flags` says relative.
         width: Width,
-        /// The speed.
         speed: Speed,
     },
-    /// Grip Part (25h), after Set Force Limit (32h) where a force is given.
+    /// Grip Part (25h), after Set Force Limit (32h) if a force is given.
     Grip {
-        /// The part's nominal width.
+        /// Nominal width of the part.
         width: Width,
-        /// The speed.
         speed: Speed,
-        /// The force limit to set first; it stays set.
+        /// Force limit to set first; it stays set.
         force: Option<Force>,
-        /// The part's name, for the records.
         part_id: Option<PartId>,
     },
     /// Release Part (26h).
     Release {
-        /// The width to open to.
+        /// Width to open to.
         width: Width,
-        /// The speed.
         speed: Speed,
     },
-    /// A script on the device, which may move them.
+    /// A script on the device, which may move the fingers.
     Custom(CustomCommand),
 }
 
@@ -139,7 +133,6 @@ impl Motion {
         }
     }
 
-    /// Its kind, as commands are told.
     #[must_use]
     pub const fn kind(&self) -> Kind {
         match self {
@@ -152,17 +145,16 @@ impl Motion {
     }
 }
 
-/// What a command does.
+/// A motion or a Stop.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Action {
-    /// It moves the fingers.
     Motion(Motion),
     /// Stop (22h): needs no lease, and ends a running motion.
     Stop,
 }
 
 impl Action {
-    /// What a request of the protocol does, where it moves the fingers or stops them in order.
+    /// The action of a WSG protocol request, or `None` if it neither moves the fingers nor is a Stop.
     #[must_use]
     pub fn of(request: &crate::wsg::Command) -> Option<Self> {
         use crate::wsg::Command as C;
@@ -176,7 +168,6 @@ impl Action {
         }))
     }
 
-    /// Its kind, as commands are told.
     #[must_use]
     pub const fn kind(&self) -> Kind {
         match self {
@@ -189,17 +180,21 @@ impl Action {
 /// A client's request for a command.
 #[derive(Debug, Clone)]
 pub struct Submission {
-    /// Who asks.
     pub client: Client,
-    /// For what.
     pub action: Action,
     /// Makes the request safe to repeat.
     pub request_id: Option<RequestId>,
-    /// The lease token that came with it.
     pub lease: Option<LeaseToken>,
 }
 
-/// The kind of a command.
+/// Kind of a command.
+///
+/// - `home`: Homing (20h)
+/// - `move`: Pre-position Fingers (21h)
+/// - `grip`: Grip Part (25h)
+/// - `release`: Release Part (26h)
+/// - `stop`: Stop (22h)
+/// - `custom`: a custom command, run by a script on the device
 #[derive(
     Debug,
     Clone,
@@ -217,60 +212,56 @@ pub struct Submission {
 #[serde(rename_all = "snake_case")]
 #[strum(serialize_all = "snake_case")]
 pub enum Kind {
-    /// Homing (20h).
     Home,
-    /// Pre-position Fingers (21h).
     Move,
-    /// Grip Part (25h).
     Grip,
-    /// Release Part (26h).
     Release,
-    /// Stop (22h).
     Stop,
-    /// A script on the device.
     Custom,
 }
 
 /// Whether a command has ended.
+///
+/// - `running`: admitted, and not ended yet
+/// - `done`: ended, with an outcome
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Phase {
-    /// Admitted, and not ended.
     Running,
-    /// Ended, with an outcome.
     Done,
 }
 
-/// How a command ended.
+/// Result of a command.
+///
+/// - `SUCCESS`: done as requested
+/// - `PART_HELD`: the grip holds a part
+/// - `NO_PART`: the grip found no part; an answer, not an error
+/// - `BLOCKED`: the axis was blocked
+/// - `ABORTED`: ended by a Stop, a FAST STOP or a cancel, or withdrawn before it started
+/// - `RANGE`: a soft or hard limit was reached during the motion
+/// - `TIMEOUT`: the device reported a time-out of its own motion (E_TIMEOUT)
+/// - `FAILED`: the device ended the command with another status code
+/// - `REFUSED`: rejected before the device accepted the command, after its client had been answered 202
+/// - `UNKNOWN`: the result never arrived; the motion may or may not have happened
 #[derive(
     Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema, strum::IntoStaticStr, strum::VariantArray,
 )]
 #[serde(rename_all = "SCREAMING_SNAKE_CASE")]
 #[strum(serialize_all = "SCREAMING_SNAKE_CASE")]
 pub enum Outcome {
-    /// Done as asked.
     Success,
-    /// A grip that holds its part.
     PartHeld,
-    /// A grip that found no part: an answer, not an error.
     NoPart,
-    /// The axis was blocked.
     Blocked,
-    /// Ended by a Stop, a FAST STOP or a cancel.
     Aborted,
-    /// A soft or hard limit was reached during the motion.
     Range,
-    /// The device gave up waiting for its own motion.
     Timeout,
-    /// The device ended it with another status code.
     Failed,
-    /// Refused by the device, after its client had been told 202.
     Refused,
-    /// It may have happened, or not: the answer never came.
     Unknown,
 }
 
-/// One command, as clients are told of it.
+/// A command, running or ended.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 #[schema(example = json!({
     "id": "019aa5c8-5a70-7c31-9f3f-4a3b7c1d2e4f", "gripper": "left", "kind": "grip", "phase": "done",
@@ -279,72 +270,71 @@ pub enum Outcome {
     "client": "http:127.0.0.1", "replayed": false
 }))]
 pub struct Command {
-    /// A UUID of version 7.
+    /// Id of the command, a version 7 UUID.
     #[schema(value_type = Uuid)]
     pub id: CommandId,
-    /// The gripper's name.
+    /// Name of the gripper.
     #[schema(value_type = String, max_length = 32)]
     pub gripper: Name,
-    /// What was asked for.
+    /// Kind of the command.
     pub kind: Kind,
-    /// Whether it has ended.
+    /// Whether the command has ended.
     pub phase: Phase,
-    /// How it ended; null while it runs.
+    /// Result of the command; null while it runs.
     #[schema(required)]
     pub outcome: Option<Outcome>,
-    /// The device's last status, by its symbol; null where the device gave none.
+    /// Symbol of the last status code from the device, such as `E_SUCCESS`; null if the device sent none.
     #[schema(required)]
     pub status: Option<String>,
-    /// The same, by its number.
+    /// Number of that status code.
     #[schema(required, minimum = 0, maximum = 65535)]
     pub status_code: Option<u16>,
-    /// Whether the goal was reached: the target, or a part held. Null while that isn't known.
+    /// Whether the command reached its goal: the target width, or a held part. Null while unknown.
     #[schema(required)]
     pub reached_goal: Option<bool>,
-    /// Whether the fingers were stopped by a contact. Null while that isn't known.
+    /// Whether contact stopped the fingers. Null while unknown.
     #[schema(required)]
     pub stalled: Option<bool>,
-    /// The opening width at the end, in mm; null while running, or where it isn't known.
+    /// Opening width at the end, in mm; null while running or if unknown.
     #[schema(required, minimum = -1000, maximum = 1000)]
     pub width_mm: Option<f32>,
-    /// The gripping force at the end, in N; null while running, or where it isn't known.
+    /// Gripping force at the end, in N; null while running or if unknown.
     #[schema(required, minimum = -10000, maximum = 10000)]
     pub force_n: Option<f32>,
-    /// When it was admitted.
+    /// Time of admission.
     #[schema(value_type = String, format = DateTime)]
     pub started_at: Timestamp,
-    /// From its admission to its end; null while running.
+    /// Time from admission to end, in ms; null while running.
     #[schema(required, minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     pub duration_ms: Option<u64>,
-    /// Who asked.
+    /// Subject of the client that requested the command.
     #[schema(value_type = String)]
     pub client: Arc<str>,
-    /// Whether this answers a request that was made before.
+    /// Whether this answers a repeated request: the command was admitted earlier.
     pub replayed: bool,
-    /// The FAST STOP that aborted it; only then.
+    /// Id of the FAST STOP that came while the command ran; otherwise absent.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<Uuid>, nullable = false)]
     pub fast_stop_id: Option<FastStopId>,
-    /// What a custom command's script answered, as hex; only then, and until the gateway ends.
+    /// Reply of a custom command's script, as hex; absent for other commands and after a restart of the gateway.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<String>, nullable = false, max_length = 8192)]
     pub payload: Option<Arc<str>>,
-    /// Why it was refused: told as a problem to whoever waits for it.
+    /// Reason for a refusal, which waiting clients get as a problem.
     #[serde(skip)]
     pub rejection: Option<Rejection>,
-    /// Who had it stopped, where that was not by a Stop or a FAST STOP: for the journal.
+    /// Subject of the client that cancelled the command, for the journal.
     #[serde(skip)]
     pub cancelled_by: Option<Arc<str>>,
-    /// Whether clients may be told of it, since it is written down.
+    /// Whether the admission is recorded in the journal, so that clients can learn of the command.
     #[serde(skip)]
     pub recorded: bool,
-    /// Whether the device has accepted it with E_CMD_PENDING.
+    /// Whether the device has accepted the command with E_CMD_PENDING.
     #[serde(skip)]
     pub accepted: bool,
 }
 
 impl Command {
-    /// A command that was just admitted.
     #[must_use]
     pub fn admitted(id: CommandId, gripper: Name, submission: &Submission, at: Timestamp) -> Self {
         Self {
@@ -372,7 +362,6 @@ impl Command {
         }
     }
 
-    /// Takes the device's status into the record.
     pub fn set_status(&mut self, status: Status) {
         self.status = Some(status.to_string());
         self.status_code = Some(status.code());

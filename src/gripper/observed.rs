@@ -1,36 +1,35 @@
-//! The newest values of the device, from which every reader is served.
+//! The newest values of the device, which serve all readers.
 
 use std::time::{Duration, Instant};
 
 use super::model::CommandId;
 use crate::wsg::{Command, Data, GripperState, SystemState, Temperature, Updates, id};
 
-/// The getters that have automatic updates.
+/// Getters with automatic updates.
 const UPDATED: [u8; 5] = [id::GET_SYSTEM_STATE, id::GET_GRIPPER_STATE, id::GET_WIDTH, id::GET_SPEED, id::GET_FORCE];
 
-/// The bytes of one frame of each.
+/// Bytes of one frame of each getter in [`UPDATED`].
 const UPDATE_BYTES: u32 = 14 + 11 + 14 + 14 + 14;
 
-/// The shortest period that a device takes (`fw4-en 3.4.1`).
+/// Shortest period that a device accepts (`fw4-en 3.4.1`).
 const MIN_PERIOD_MS: u16 = 10;
 
-/// A getter that has been silent for so long, or for a few periods of a slow line, has its updates switched on again. A
-/// device that refuses updates answers each time with the value, and so is polled at this period.
+/// Silence of a getter after which its updates are switched on again; on a slow line, a few periods if that is longer.
+/// A device that refuses updates answers each time with the value, so it is polled at this period.
 const RENEW_AFTER: Duration = Duration::from_secs(1);
 
-/// Periods without an update that are no accident.
+/// Periods without an update after which updates count as stopped.
 const MISSED_PERIODS: u32 = 3;
 
-/// A part between the fingers, as far as is known.
+/// A part between the fingers, as far as known.
 #[derive(Debug, Default)]
 pub(super) struct HeldPart {
-    /// Whether one is held: nothing has said since that it is gone.
+    /// Whether a part is held. Stays true until the device's state shows that the part is gone.
     pub is_held: bool,
-    /// The grip that holds it; `None` for a part that another program gripped.
+    /// Id of the grip that holds the part; `None` for a part that another program gripped.
     pub grip: Option<CommandId>,
 }
 
-/// The newest values.
 #[derive(Debug, Default)]
 pub(super) struct Observed {
     pub flags: Option<SystemState>,
@@ -39,27 +38,27 @@ pub(super) struct Observed {
     pub speed_mm_s: Option<f32>,
     pub force_n: Option<f32>,
     pub temperature: Option<Temperature>,
-    /// Time of the next read of the temperature.
+    /// Time at which the temperature is read next.
     pub temperature_at: Option<Instant>,
     pub updated_at: Option<Instant>,
     pub part: HeldPart,
-    /// Time at which each of [`UPDATED`] was last heard.
+    /// Time at which each getter of [`UPDATED`] was last heard.
     heard: [Option<Instant>; UPDATED.len()],
-    /// Time at which each of them was last heard, or asked for.
+    /// Time at which each getter was last heard or requested.
     fresh: [Option<Instant>; UPDATED.len()],
     renew_after: Duration,
-    /// Whether the flags came oftener than they were asked for.
+    /// Whether the flags came more often than they were requested, that is, by automatic updates.
     flows: bool,
 }
 
 impl Observed {
-    /// Values that are all unknown, on a line of this speed.
+    /// No known values, on a line of this speed.
     pub(super) fn new(bytes_per_second: Option<u32>) -> Self {
         let period = Duration::from_millis(period_ms(bytes_per_second).into());
         Self { renew_after: RENEW_AFTER.max(MISSED_PERIODS * period), ..Self::default() }
     }
 
-    /// Whether the flags that came now were missed before: a device that restarts forgets its automatic updates.
+    /// Whether the flags arriving now were overdue. A device that restarts forgets its automatic updates.
     pub(super) fn were_missed(&mut self, now: Instant) -> bool {
         let [Some(heard), ..] = self.heard else { return false };
         let silence = now.saturating_duration_since(heard);
@@ -68,7 +67,7 @@ impl Observed {
         missed
     }
 
-    /// Takes a value in.
+    /// Takes a value from the device.
     pub(super) fn take(&mut self, now: Instant, data: &Data) {
         let id = match *data {
             Data::SystemState(flags) => {
@@ -101,8 +100,8 @@ impl Observed {
         }
     }
 
-    /// A FAST STOP ends HOLDING, and not what is between the fingers: ERROR tells nothing of it, nor what follows, nor
-    /// the IDLE that fw2 has in its place.
+    /// Whether a part is held in this state. A FAST STOP ends HOLDING, but the part may still be between the fingers.
+    /// Neither ERROR nor the IDLE after it shows whether it is, nor the IDLE that fw2 reports instead of ERROR.
     fn holds_part_in(&self, state: GripperState) -> bool {
         match state {
             GripperState::Holding => true,
@@ -120,12 +119,12 @@ impl Observed {
         self.heard.iter().all(|heard| heard.is_some_and(|heard| heard > then))
     }
 
-    /// Whether a flag is set, as far as is known.
+    /// Whether a flag is known to be set.
     pub(super) fn has(&self, flag: SystemState) -> bool {
         self.flags.is_some_and(|flags| flags.contains(flag))
     }
 
-    /// The newest value of a getter with automatic updates, as its reply would have it.
+    /// The newest value of a getter with automatic updates, in the form of its reply.
     pub(super) fn newest(&self, id: u8) -> Option<Data> {
         use crate::wsg::{Force, Speed, Width};
         match id {
@@ -138,7 +137,7 @@ impl Observed {
         }
     }
 
-    /// The getter whose updates have to be switched on again, if one has. Opening-width updates are not expected
+    /// A getter whose updates have to be switched on again, if there is one. Opening-width updates are not expected
     /// before the fingers are referenced (`fw4-en 3.4.4`).
     pub(super) fn silent(&self, now: Instant) -> Option<u8> {
         self.deadlines().find(|&(_, deadline)| deadline <= now).map(|(id, _)| id)
@@ -156,7 +155,7 @@ impl Observed {
         UPDATED.into_iter().zip(&self.fresh).filter_map(silent_from).filter(expected)
     }
 
-    /// Notes that a getter was asked, so that it isn't again at once.
+    /// Notes that a getter was requested, so that it is not requested again at once.
     pub(super) fn asked(&mut self, now: Instant, id: u8) {
         if let Some(index) = UPDATED.iter().position(|&updated| updated == id) {
             self.fresh[index] = Some(now);
@@ -164,15 +163,15 @@ impl Observed {
     }
 }
 
-/// The requests that switch all automatic updates on, at a period that the line can carry.
+/// Requests that switch on all automatic updates, at a period that the line can carry.
 pub(super) fn switch_on_all(bytes_per_second: Option<u32>) -> impl Iterator<Item = Command> {
     let period_ms = period_ms(bytes_per_second);
     UPDATED.into_iter().filter_map(move |id| switch_on(id, period_ms))
 }
 
-/// The request that switches one getter's updates on.
+/// Request that switches on the updates of one getter.
 pub(super) fn switch_on(id: u8, period_ms: u16) -> Option<Command> {
-    // Always, not on change only: after a damaged frame the next update mends the picture.
+    // Not on change only: after a damaged frame, the next update corrects the value.
     let updates = Updates::On { on_change: false, period_ms };
     Some(match id {
         id::GET_SYSTEM_STATE => Command::GetSystemState(updates),
@@ -184,7 +183,7 @@ pub(super) fn switch_on(id: u8, period_ms: u16) -> Option<Command> {
     })
 }
 
-/// 10 ms where the line is fast enough; else so that updates take at most half of it.
+/// Period of the updates: 10 ms if the line is fast enough, else long enough that updates take at most half of it.
 pub(super) fn period_ms(bytes_per_second: Option<u32>) -> u16 {
     let Some(bytes_per_second) = bytes_per_second else { return MIN_PERIOD_MS };
     let half_the_line = (2 * 1000 * UPDATE_BYTES).div_ceil(bytes_per_second.max(1));
@@ -204,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn updates_that_stop_are_missed_and_values_that_are_asked_for_are_not() {
+    fn only_automatic_updates_are_missed() {
         let mut observed = Observed::new(None);
         let mut now = Instant::now();
         let mut hear_after = |milliseconds| {
@@ -222,13 +221,13 @@ mod tests {
     }
 
     #[test]
-    fn a_slow_line_is_given_a_few_periods() {
+    fn slow_lines_get_a_few_periods() {
         assert_eq!(Observed::new(Some(11_520)).renew_after, Duration::from_secs(1));
         assert_eq!(Observed::new(Some(120)).renew_after, Duration::from_millis(3351), "1200 baud");
     }
 
     #[test]
-    fn a_part_is_held_until_it_is_known_to_be_gone() {
+    fn parts_are_held_until_known_to_be_gone() {
         use GripperState::{Error, Holding, Idle, NoPart, PartLost, Releasing};
         let stopped = Data::SystemState(SystemState::FAST_STOP);
         let holds = |state| Data::GripperState(state);
@@ -250,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn a_width_is_not_missed_before_the_fingers_are_referenced() {
+    fn width_updates_are_not_missed_before_referencing() {
         let mut observed = Observed::new(None);
         let start = Instant::now();
         observed.asked(start, id::GET_WIDTH);

@@ -1,4 +1,4 @@
-//! The registry of commands: every command of the last hour by its id, and which request became which command.
+//! The registry of commands: every command of the last hour by its id, and the command behind each request id.
 
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
@@ -13,25 +13,25 @@ use super::model::{Client, Command, CommandId, Kind, Outcome, Parameters, Phase,
 use super::recorder::PastRequest;
 use super::request_ids::{Bounds, Key, REPLAYED_FOR, RequestIds};
 
-/// Time for which an ended command can be asked for.
+/// Time for which a command can be looked up.
 const KEPT_FOR: Duration = Duration::from_hours(1);
 
-/// Motions that are kept at most: at one a second, more than an hour of them. The journal has the rest.
+/// Most motions kept: more than an hour at one a second. The journal has the rest.
 const MAX_MOTIONS: usize = 4096;
 
-/// Stops that are kept at most. They have places of their own, so that a flood of them leaves the motions alone.
+/// Most Stops kept. They are counted separately, so that a flood of Stops pushes out no motions.
 const MAX_STOPS: usize = 1024;
 
-/// Streamed commands that are kept: those of the last second or two, of which there are many more than of others.
+/// Most streamed commands kept: those of the last second or two, since they are far more frequent than others.
 const MAX_STREAMED: usize = 64;
 
-/// Slots for the request ids of motions: 64 MiB in all. One subject has 27 a second for ten minutes, more than the pause
-/// between motions allows. A subject beyond its bound is refused, since a forgotten id would let its request move the
-/// gripper twice.
+/// Slots for the request ids of motions: 64 MiB in all. One subject has enough for 27 a second over ten minutes, more
+/// than the pause between motions allows. A subject beyond its bound is refused, since a forgotten id would let its
+/// request move the gripper twice.
 const MOTION_IDS: Bounds = Bounds { per_subject: 16_384, whole: 32_768 };
 
-/// Slots for the request ids of Stops and streamed commands: 8 MiB in all. Their oldest ids give way, since a Stop is
-/// never refused for want of a slot, and does no harm when it is repeated; a stream is repeated within a second.
+/// Slots for the request ids of Stops and streamed commands: 8 MiB in all. The oldest ids are dropped first: a Stop is
+/// never refused for lack of a slot, and its repetition is harmless. Streamed commands are repeated within a second.
 const FREQUENT_IDS: Bounds = Bounds { per_subject: 512, whole: 4096 };
 
 #[derive(Debug)]
@@ -42,7 +42,7 @@ pub(super) struct CommandRegistry {
     streamed: History,
     motion_ids: RequestIds,
     frequent_ids: RequestIds,
-    /// The commands that have ended, and whose clients have not been told.
+    /// Ended commands whose clients have not been notified yet.
     untold: Vec<Arc<Command>>,
 }
 
@@ -66,13 +66,13 @@ impl History {
         Self { ids: VecDeque::new(), limit }
     }
 
-    /// Forgets the commands that are too old or too many, and never one that still runs.
+    /// Forgets commands beyond the age or the limit, but never a running one.
     fn forget_old(&mut self, now: Instant, commands: &mut HashMap<CommandId, Entry>) {
         for _ in 0..self.ids.len() {
             let Some(id) = self.ids.front().copied() else { return };
             let entry = commands.get(&id);
             if entry.is_some_and(|entry| entry.record.borrow().phase == Phase::Running) {
-                // One motion runs at a time, and few Stops.
+                // Few entries: one motion runs at a time, and few Stops.
                 self.ids.rotate_left(1);
             } else if entry.is_none_or(|entry| now >= entry.admitted_at + KEPT_FOR) || self.ids.len() >= self.limit {
                 self.ids.pop_front();
@@ -99,7 +99,7 @@ impl Default for CommandRegistry {
 }
 
 impl CommandRegistry {
-    /// The command that this very request has become before, if it has.
+    /// The earlier command of this request, if the request is a repetition.
     pub(super) fn replay(&self, now: Instant, submission: &Submission) -> Result<Option<Ticket>, Conflict> {
         let Some(key) = key(submission) else { return Ok(None) };
         let found = self.motion_ids.find(now, &key).or_else(|| self.frequent_ids.find(now, &key));
@@ -112,7 +112,7 @@ impl CommandRegistry {
         }
     }
 
-    /// Whether the request id of a motion can be remembered.
+    /// Checks that the request id of a motion can be stored.
     pub(super) fn check_room(&mut self, now: Instant, submission: &Submission) -> Result<(), Failure> {
         self.motion_ids.forget_old(now);
         let has_room = submission.request_id.is_none() || self.motion_ids.has_room(&submission.client.subject);
@@ -120,7 +120,7 @@ impl CommandRegistry {
         if has_room { Ok(()) } else { Err(Failure::RequestIds { limit }) }
     }
 
-    /// Enters an admitted command. Of those that come many times a second, `is_streamed`, few are kept.
+    /// Adds an admitted command. Few streamed commands are kept.
     pub(super) fn enter(
         &mut self,
         now: Instant,
@@ -145,12 +145,11 @@ impl CommandRegistry {
         ticket
     }
 
-    /// Whether it is one of many that steer the fingers.
+    /// Whether a command is a streamed one.
     pub(super) fn is_streamed(&self, id: CommandId) -> bool {
         self.streamed.ids.contains(&id)
     }
 
-    /// The client of a command.
     pub(super) fn client(&self, id: CommandId) -> Option<Client> {
         self.commands.get(&id).map(|entry| entry.client.clone())
     }
@@ -159,7 +158,7 @@ impl CommandRegistry {
         self.commands.get(&id).map(|entry| Ticket { record: entry.record.subscribe(), replayed: false, _keep: None })
     }
 
-    /// Ends a command, which [`CommandRegistry::tell`] tells its clients. A second end of the same command does nothing.
+    /// Ends a command. [`CommandRegistry::tell`] notifies its clients. A second end of the same command does nothing.
     pub(super) fn end(
         &mut self,
         now: Instant,
@@ -183,10 +182,10 @@ impl CommandRegistry {
         Some((entry.client.clone(), command))
     }
 
-    /// Takes in a request of an earlier run of the gateway.
+    /// Restores a request id of an earlier run of the gateway.
     pub(super) fn bind_again(&mut self, now: Now, request: PastRequest) {
         let PastRequest { request_id, parameters, command } = request;
-        // A clock that was set back makes it no younger than now.
+        // If the wall clock was set back, the age counts as 0.
         let age = Duration::try_from(now.wall.duration_since(command.started_at)).unwrap_or_default();
         let Some(since) = now.instant.checked_sub(age).filter(|_| age < REPLAYED_FOR) else { return };
         if command.outcome == Some(Outcome::Refused) {
@@ -198,22 +197,22 @@ impl CommandRegistry {
         ids.bind(since, key, asked, Ticket { record: watch::channel(command).1, replayed: false, _keep: None });
     }
 
-    /// The device has accepted a command: its clients are told at once.
+    /// Notifies clients that the device has accepted a command.
     pub(super) fn accepted(&self, id: CommandId) {
         if let Some(entry) = self.commands.get(&id) {
             entry.record.send_modify(|command| Arc::make_mut(command).accepted = true);
         }
     }
 
-    /// A command's record is durable, or is not waited for any longer: its client may be told of it.
+    /// Lets clients learn of a command, because its record is durable or no longer awaited.
     pub(super) fn recorded(&mut self, id: CommandId) {
         if let Some(entry) = self.commands.get(&id) {
             entry.record.send_modify(|command| Arc::make_mut(command).recorded = true);
         }
     }
 
-    /// Tells clients of the commands that have ended: after the state was published, so that who reads it next reads
-    /// none of before the end.
+    /// Notifies clients of ended commands. Has to be called after the state was published, so that a client's next read
+    /// returns no state from before the end.
     pub(super) fn tell(&mut self) {
         let untold = std::mem::take(&mut self.untold);
         for command in untold {

@@ -1,8 +1,8 @@
-//! The request ids of the last ten minutes: which request became which command, so that a repeated request does not move
-//! the gripper twice.
+//! Request ids of the last ten minutes, each with its command, so that a repeated request does not move the gripper
+//! twice.
 //!
-//! Slots are shared fairly. A subject has a bound of its own, and where a table is full, the subject with the most slots
-//! gives up its oldest id. A flood from one subject, or from many invented ones, leaves the others' ids alone.
+//! Slots are shared fairly. Each subject has its own bound, and if a table is full, the subject with the most slots
+//! loses its oldest id. A flood from one subject, or from many invented ones, does not affect the ids of others.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::sync::Arc;
@@ -11,14 +11,14 @@ use std::time::{Duration, Instant};
 use super::handle::Ticket;
 use super::model::{Command, Kind, Outcome, Parameters, RequestId};
 
-/// How long a request id stands for its command.
+/// Time for which a request id stands for its command.
 pub(super) const REPLAYED_FOR: Duration = Duration::from_mins(10);
 
-/// Memory behind one slot: an id, its parameters, its command and their places in the tables, rounded up. Longer
-/// payloads take further slots.
+/// Memory of one slot: an id, its parameters, its command and their table entries, rounded up. Longer payloads take
+/// further slots.
 const SLOT_BYTES: usize = 2048;
 
-/// A request id counts for its subject alone.
+/// Subject and request id: equal ids of different subjects are independent.
 pub(super) type Key = (Arc<str>, RequestId);
 
 /// Bounds of one table, in slots.
@@ -35,11 +35,11 @@ pub(super) struct Bounds {
 pub(super) struct RequestIds {
     bounds: Bounds,
     ids: HashMap<Key, Bound>,
-    /// All ids, the oldest first.
+    /// All ids, oldest first.
     by_age: BTreeMap<u64, Key>,
-    /// The ids of each subject, the oldest first, and their slots.
+    /// Ids of each subject, oldest first, and their slots.
     subjects: HashMap<Arc<str>, Subject>,
-    /// The subjects by their slots.
+    /// Subjects, ordered by their slots.
     by_slots: BTreeSet<(usize, Arc<str>)>,
     slots: usize,
     next_number: u64,
@@ -51,14 +51,14 @@ struct Subject {
     numbers: BTreeSet<u64>,
 }
 
-/// The request behind an id, and the command that it became.
+/// The request behind an id, and its command.
 #[derive(Debug)]
 struct Bound {
-    /// Outlives the command's place in the registry.
+    /// Outlives the command's entry in the registry.
     ticket: Ticket,
     asked: (Kind, Parameters),
     since: Instant,
-    /// Counts the ids in the order of their admission, which no clock tells.
+    /// Number of the id in the order of admission, independent of any clock.
     number: u64,
     slots: usize,
 }
@@ -68,26 +68,25 @@ impl RequestIds {
         Self { bounds, ..Self::default() }
     }
 
-    /// The request of this id and its command, while the id stands for it.
+    /// The request of this id and its command, while the id is valid.
     pub(super) fn find(&self, now: Instant, key: &Key) -> Option<(&(Kind, Parameters), &Ticket)> {
         let bound = self.ids.get(key).filter(|bound| now < bound.since + REPLAYED_FOR)?;
         Some((&bound.asked, &bound.ticket))
     }
 
-    /// Whether another id of this subject finds a slot without one of its own being forgotten early.
+    /// Whether another id of this subject fits without an early loss of the subject's own ids.
     pub(super) fn has_room(&self, subject: &Arc<str>) -> bool {
         let own = self.slots_of(subject);
         let largest = self.by_slots.last().map_or(0, |(slots, _)| *slots);
         own < self.bounds.per_subject && (self.slots < self.bounds.whole || largest > own)
     }
 
-    /// The bound that a subject meets first.
     pub(super) fn per_subject(&self) -> usize {
         self.bounds.per_subject
     }
 
-    /// Binds an id to a command. Where there is no slot left, the oldest id of this subject gives way, or else the
-    /// oldest id of the subject with the most.
+    /// Binds an id to a command. At the subject's bound, the oldest id of this subject is dropped. In a full table, the
+    /// oldest id of the subject with the most slots is dropped.
     pub(super) fn bind(&mut self, since: Instant, key: Key, asked: (Kind, Parameters), ticket: Ticket) {
         self.remove(&key);
         let slots = slots_of(asked.1.payload.as_deref()) + slots_of(ticket.record.borrow().payload.as_deref()) + 1;
@@ -105,7 +104,7 @@ impl RequestIds {
         self.ids.insert(key, Bound { ticket, asked, since, number, slots });
     }
 
-    /// A command has ended: refused by the device it binds nothing, and a script's answer takes slots.
+    /// Updates the slots after a command's end: a refused command frees its id, and a script's reply takes slots.
     pub(super) fn ended(&mut self, key: &Key, command: &Command) {
         let Some(bound) = self.ids.get_mut(key).filter(|bound| bound.ticket.id() == command.id) else { return };
         let more = slots_of(command.payload.as_deref());
@@ -161,7 +160,7 @@ impl RequestIds {
     }
 }
 
-/// Slots that a payload takes.
+/// Number of slots that a payload takes.
 fn slots_of(payload: Option<&str>) -> usize {
     payload.map_or(0, str::len).div_ceil(SLOT_BYTES)
 }

@@ -1,5 +1,5 @@
-//! Setting a link up: the reads of design section 4, one at a time, then the settings that clients made, then the
-//! automatic updates. Nothing moves, nothing is acknowledged.
+//! Setup of a link: identity, limits and state are read, one request at a time; then clients' settings are restored,
+//! and automatic updates are switched on. Nothing moves, and nothing is acknowledged.
 
 use std::collections::{BTreeSet, VecDeque};
 
@@ -9,25 +9,25 @@ use crate::wsg::{
     Acceleration, Command, Data, DeviceTag, Force, Reply, SoftLimits, Status, SystemInfo, SystemLimits, Updates, id,
 };
 
-/// Attempts at a request before the link is given up, or the request, where the link can do without.
+/// Attempts at a request before the link is closed, or before the request is skipped if the link can do without it.
 const ATTEMPTS: u8 = 3;
 
-/// A setting that clients make, and a restarted device has forgotten.
+/// A setting of clients that a restarted device has lost.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, strum::Display)]
 pub enum Setting {
-    /// 30h
+    /// Set Acceleration (30h).
     #[strum(serialize = "acceleration")]
     Acceleration,
-    /// 32h
+    /// Set Force Limit (32h).
     #[strum(serialize = "force limit")]
     ForceLimit,
-    /// 34h, 36h
+    /// Set and Clear Soft Limits (34h, 36h).
     #[strum(serialize = "soft limits")]
     SoftLimits,
 }
 
 impl Setting {
-    /// The setting that a request reads or makes.
+    /// The setting that a request reads or changes.
     pub(super) fn of(id: u8) -> Option<Self> {
         match id {
             id::SET_ACCELERATION | id::GET_ACCELERATION => Some(Self::Acceleration),
@@ -38,8 +38,8 @@ impl Setting {
     }
 }
 
-/// Settings of clients, to be restored when the device has forgotten them. Overdrive is not among them: after a restart a
-/// client has to switch it on again.
+/// Settings of clients, to be restored if the device has lost them. Overdrive is excluded: after a restart, a client
+/// has to switch it on again.
 #[derive(Debug, Clone, Copy, Default)]
 pub(super) struct Wanted {
     pub acceleration: Option<Acceleration>,
@@ -50,40 +50,40 @@ pub(super) struct Wanted {
 /// The soft limits that clients want.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) enum WantedSoftLimits {
-    /// Nobody has touched them.
+    /// No client has changed them.
     #[default]
     AsTheyAre,
     Cleared,
     Set(SoftLimits),
 }
 
-/// A set-up under way, and what it has learned.
+/// Setup under way, with the information gathered so far.
 #[derive(Debug, Default)]
 pub(super) struct Setup {
     todo: VecDeque<Command>,
     current: Option<(Command, u8)>,
     token: Option<Token>,
-    /// The serial number of the device that [`Wanted`] was set on.
+    /// Serial number of the device that [`Wanted`] was set on.
     known_serial: Option<u32>,
     wanted: Wanted,
     pub system: Option<SystemInfo>,
     pub limits: Option<SystemLimits>,
     pub tag: Option<DeviceTag>,
     pub soft_limits: Option<SoftLimits>,
-    /// Settings that were found changed, and set again.
+    /// Settings that had changed on the device and were restored.
     pub restored: Vec<Setting>,
-    /// Settings of clients that the device refuses to tell or to take.
+    /// Settings of clients that the device refuses to report or to accept.
     pub lost: BTreeSet<Setting>,
-    /// Whether another device has answered than the one before.
+    /// Whether a different device has answered than before.
     pub replaced: bool,
 }
 
-/// The next step of a set-up.
+/// Next step of a setup.
 #[derive(Debug, PartialEq)]
 pub(super) enum Step {
     Send(Command),
     Done,
-    /// The device does not answer what a gripper must answer.
+    /// The device does not answer a request that every gripper must answer.
     Failed(&'static str),
 }
 
@@ -108,7 +108,7 @@ impl Setup {
     /// The next request, after the last has ended.
     pub(super) fn next(&mut self) -> Step {
         if let Some((command, attempts)) = self.current.take() {
-            // Updates are switched on again later, where they don't come.
+            // If updates do not arrive, they are switched on again later.
             let allowed = if is_switch_on(&command) { 1 } else { ATTEMPTS };
             if attempts < allowed {
                 self.current = Some((command.clone(), attempts + 1));
@@ -123,7 +123,7 @@ impl Setup {
         Step::Send(command)
     }
 
-    /// Whether a setting that a client made hangs on it.
+    /// Whether a request reads or changes a setting that a client made.
     fn concerns_wanted(&self, command: &Command) -> bool {
         match Setting::of(command.id()) {
             Some(Setting::Acceleration) => self.wanted.acceleration.is_some(),
@@ -142,13 +142,13 @@ impl Setup {
         self.token == Some(token)
     }
 
-    /// Takes a reply in. Without one, or where a status is none, [`Setup::next`] tries again.
+    /// Takes a reply. Without one, or with an error status for a vital request, [`Setup::next`] tries again.
     pub(super) fn take(&mut self, reply: Reply) {
         let Some((command, attempts)) = self.current.take() else { return };
         match (command.id(), reply) {
             (id::GET_SOFT_LIMITS, Reply::Success(Data::SoftLimits(found))) => self.compare_soft_limits(Some(found)),
             (id::GET_SOFT_LIMITS, Reply::Status(Status::E_NOT_AVAILABLE)) => self.compare_soft_limits(None),
-            // The device has to tell its identity and its flags.
+            // The device has to report its identity and its flags.
             (_, Reply::Status(_)) if is_vital(&command) => self.current = Some((command, attempts)),
             (_, Reply::Status(_)) if self.concerns_wanted(&command) => self.lost.extend(Setting::of(command.id())),
             (_, Reply::Status(_)) => {}
@@ -184,7 +184,7 @@ impl Setup {
         self.system = Some(system);
         self.replaced = self.known_serial.is_some_and(|known| known != system.serial_number);
         if self.replaced {
-            // Another serial number gets nothing.
+            // Settings belong to the device with the known serial number only.
             self.wanted = Wanted::default();
         }
         if self.wanted.acceleration.is_some() {
@@ -216,12 +216,12 @@ impl Setup {
     }
 }
 
-/// Whether a link is none without its answer: what the device is, and what its flags are.
+/// Whether the link is useless without a reply: the device's identity, and its flags.
 fn is_vital(command: &Command) -> bool {
     matches!(command, Command::GetSystemInfo | Command::GetSystemState(Updates::Off))
 }
 
-/// Whether it switches automatic updates on.
+/// Whether a request switches on automatic updates.
 fn is_switch_on(command: &Command) -> bool {
     matches!(
         command,
@@ -248,7 +248,7 @@ mod tests {
         Reply::Success(Data::SystemInfo(info))
     }
 
-    /// Answers each request by `reply`, and returns what was sent.
+    /// Answers each request with `reply`, and returns the sent requests.
     fn run(mut setup: Setup, mut reply: impl FnMut(&Command) -> Option<Reply>) -> (Setup, Vec<Command>, Step) {
         let mut sent = Vec::new();
         loop {
@@ -264,7 +264,7 @@ mod tests {
         }
     }
 
-    #[allow(clippy::unnecessary_wraps, reason = "it answers everything, others don't")]
+    #[allow(clippy::unnecessary_wraps, reason = "other reply functions return None")]
     fn forgetful(command: &Command) -> Option<Reply> {
         Some(match command {
             Command::GetSystemInfo => system(7),
@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wanted_setting_that_is_refused_is_lost_and_never_told_as_restored() {
+    fn refused_settings_are_lost_and_not_reported_as_restored() {
         for refused in [id::GET_FORCE_LIMIT, id::SET_FORCE_LIMIT] {
             let (setup, _, end) = run(Setup::new(None, Some(7), wanted()), |command| {
                 let refusal = Reply::Status(Status::E_INSUFFICIENT_RESOURCES);
@@ -293,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wanted_setting_that_is_not_answered_fails_the_link() {
+    fn unanswered_settings_fail_the_link() {
         let (_, _, end) = run(Setup::new(None, Some(7), wanted()), |command| {
             if command.id() == id::SET_FORCE_LIMIT { None } else { forgetful(command) }
         });
@@ -301,7 +301,7 @@ mod tests {
     }
 
     #[test]
-    fn a_status_instead_of_identity_or_flags_is_no_answer() {
+    fn error_status_for_identity_or_flags_fails_the_link() {
         for vital in [id::GET_SYSTEM_INFO, id::GET_SYSTEM_STATE] {
             let (_, _, end) = run(Setup::new(None, None, Wanted::default()), |command| {
                 let refusal = Reply::Status(Status::E_NOT_AVAILABLE);
@@ -312,7 +312,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unanswered_switch_on_costs_one_attempt() {
+    fn unanswered_switch_on_is_tried_once() {
         let (_, sent, end) = run(Setup::new(None, None, Wanted::default()), |command| {
             if command.id() == id::GET_WIDTH { None } else { forgetful(command) }
         });
@@ -320,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn a_first_connect_reads_and_switches_updates_on_and_sets_nothing() {
+    fn first_connect_reads_and_switches_updates_on() {
         let (_, sent, end) = run(Setup::new(None, None, Wanted::default()), forgetful);
         let ids: Vec<_> = sent.iter().map(Command::id).collect();
         assert_eq!(ids, [0x50, 0x53, 0x52, 0x40, 0x41, 0x35, 0x40, 0x41, 0x43, 0x44, 0x45]);
@@ -328,14 +328,14 @@ mod tests {
     }
 
     #[test]
-    fn a_restarted_device_gets_its_settings_again_and_another_one_nothing() {
+    fn only_the_same_device_gets_its_settings_again() {
         let wanted = Wanted {
             acceleration: Some(Acceleration::new(2000.0).unwrap()),
             force_limit: Some(Force::new(40.0).unwrap()),
             soft_limits: WantedSoftLimits::Cleared,
         };
         let (setup, sent, _) = run(Setup::new(None, Some(7), wanted), forgetful);
-        assert_eq!(setup.restored, [Setting::Acceleration], "the force limit is as it was");
+        assert_eq!(setup.restored, [Setting::Acceleration], "the force limit is unchanged");
         assert!(sent.contains(&Command::SetAcceleration(Acceleration::new(2000.0).unwrap())));
         let (setup, sent, _) = run(Setup::new(None, Some(8), wanted), forgetful);
         assert!(setup.replaced && setup.restored.is_empty());
@@ -343,7 +343,7 @@ mod tests {
     }
 
     #[test]
-    fn a_device_that_does_not_say_what_it_is_fails_the_link() {
+    fn unanswered_identity_fails_the_link() {
         let (_, sent, end) = run(Setup::new(None, None, Wanted::default()), |_| None);
         assert_eq!(sent.len(), 3, "each request is tried three times");
         assert_eq!(end, Step::Failed("GetSystemInfo"));

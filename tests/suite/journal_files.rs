@@ -198,8 +198,8 @@ async fn a_mistake_is_named_with_its_remedy() {
         (&["--journal", &path, "list", "--kind", "links"], "expected one of `command`, `fast_stop`"),
         (&["--journal", &path, "list", "--kind", "link", "--grips"], "expected one of `home`, `move`"),
         (&["--journal", &path, "list", "--from", "yesterday"], "--from yesterday"),
-        (&["--journal", &path, "list", "--gripper", "Left"], "is no name"),
-        (&["--name", "Cell 7", "verify"], "is no name"),
+        (&["--journal", &path, "list", "--gripper", "Left"], "is not a valid name"),
+        (&["--name", "Cell 7", "verify"], "is not a valid name"),
     ] {
         let ended = run(&[&["journal"], arguments].concat()).await;
         assert!(!ended.status.success() && ended.stderr.contains(expected), "{arguments:?}: {ended:?}");

@@ -25,8 +25,8 @@ async fn one_command_id_is_in_the_answer_the_journal_and_the_log() {
         .collect();
     let said = |message: &str| lines.iter().filter(|line| line["message"] == message).collect::<Vec<_>>();
     // What the actor says of it, and what the door does.
-    assert_eq!(said("admitted").iter().map(|line| &line["command"]).collect::<Vec<_>>(), [&id]);
-    let ended = said("ended");
+    assert_eq!(said("command admitted").iter().map(|line| &line["command"]).collect::<Vec<_>>(), [&id]);
+    let ended = said("command ended");
     assert_eq!(
         ended.iter().map(|line| (&line["command"], &line["outcome"])).collect::<Vec<_>>(),
         [(&id, &json!("SUCCESS"))]
@@ -35,6 +35,6 @@ async fn one_command_id_is_in_the_answer_the_journal_and_the_log() {
     let [home, fast_stop] = answered[..] else { panic!("{answered:?}") };
     assert_eq!((&home["span"]["command"], &home["status"]), (&id, &json!(200)), "{home}");
     assert_eq!(home["span"]["path"], "/api/v1/grippers/g/home", "{home}");
-    assert_eq!((&fast_stop["span"]["fast_stop"], &said("FAST STOP")[0]["id"]), (&fast_stop_id, &fast_stop_id));
+    assert_eq!((&fast_stop["span"]["fast_stop"], &said("FAST STOP latched")[0]["id"]), (&fast_stop_id, &fast_stop_id));
     assert!(lines.iter().all(|line| line["timestamp"].is_string() && line["level"].is_string()), "{lines:?}");
 }

@@ -15,7 +15,7 @@ use super::running::Running;
 use crate::wsg::{Command, Data, SystemState, id};
 
 impl Actor {
-    /// Admits a command, or says why not.
+    /// Admits or rejects a command.
     pub(super) fn admit(&mut self, now: Now, id: CommandId, submission: &Submission) -> Result<Ticket, Rejection> {
         let clamped = submission.client.door.speaks_wsg().then(|| self.clamped(submission));
         let submission = clamped.as_ref().unwrap_or(submission);
@@ -30,7 +30,7 @@ impl Actor {
                 }
                 self.check_motion(now, motion, submission)?;
                 self.claim(now, &submission.client, submission.lease.as_ref())?;
-                // A motion that has ended is told as it is, rather than by values measured during the next one.
+                // A settling motion ends now, with its values so far, before the next one changes them.
                 self.end_running(now, false);
                 let keep = self.lease.keep(now.instant, submission.lease.as_ref()).map(Arc::new);
                 let ticket = self.enter(now, id, submission);
@@ -39,7 +39,7 @@ impl Actor {
                 }
                 self.motion.running = Some(Running::new(id, motion.clone(), self.is_streamed(motion)));
                 if self.is_streamed(motion) {
-                    // A streamed command waits for no record.
+                    // A streamed command does not wait for a record.
                     self.motion.let_run();
                     self.commands.recorded(id);
                 }
@@ -51,7 +51,7 @@ impl Actor {
                     return Ok(Ticket { _keep: keep, ..ticket });
                 }
                 let is_moving = self.is_moving(now.instant);
-                // An unresponsive device may still hear it, so all that it needs is a link.
+                // An unresponsive device may still receive a Stop, so any link will do.
                 if let Err(not_taken) = self.link.submit(now, Command::Stop, Purpose::Stop(Some(id))) {
                     let ticket = self.join_stop(now, not_taken.0)?;
                     return Ok(Ticket { _keep: keep, ..ticket });
@@ -65,7 +65,7 @@ impl Actor {
         }
     }
 
-    /// Checks a motion: first for what can never be, then for what can't be now.
+    /// Checks a motion: first its values, then the state of lease, link and gripper.
     fn check_motion(&self, now: Now, motion: &Motion, submission: &Submission) -> Result<(), Rejection> {
         let referenced = self.observed.has(SystemState::REFERENCED);
         let width = self.observed.width_mm.filter(|_| referenced);
@@ -89,7 +89,7 @@ impl Actor {
         self.motion.check()
     }
 
-    /// The submission with its values clamped to the device's limits, as the device would clamp them.
+    /// Clamps the values of a submission to the device's limits, as the device would.
     fn clamped(&self, submission: &Submission) -> Submission {
         let action = match &submission.action {
             Action::Motion(motion) => Action::Motion(
@@ -113,7 +113,7 @@ impl Actor {
         self.commands.enter(now.instant, record, submission, is_streamed)
     }
 
-    /// Takes up a request that moves nothing.
+    /// Checks and sends a request that moves nothing.
     pub(super) fn exchange(
         &mut self,
         now: Now,
@@ -134,7 +134,7 @@ impl Actor {
         // A token without a lease renews nothing.
         let _ = self.lease.renew(now.instant, lease);
         if let Some(data) = self.observed.newest(command.id()) {
-            // Asking would switch the automatic updates off.
+            // Sending the getter would switch its automatic updates off.
             let _ = answer.send(Ok(data));
             return;
         }
@@ -171,12 +171,12 @@ impl Actor {
         }
         self.check_link()?;
         match command {
-            command if command.is_motion() => Err(not_here("it is a command of its own")),
-            Command::Stop | Command::FastStop => Err(not_here("it is a command of its own")),
-            Command::AcknowledgeFastStop => Err(not_here("acknowledge by the FAST STOP's id")),
+            command if command.is_motion() => Err(not_here("use its own operation")),
+            Command::Stop | Command::FastStop => Err(not_here("use its own operation")),
+            Command::AcknowledgeFastStop => Err(not_here("acknowledge the FAST STOP by its id")),
             Command::DisconnectAnnouncement => Err(not_here("the gateway announces its own disconnects")),
             Command::Custom(_) if !self.only_reads(command) => {
-                Err(not_here("it may move, and is a command of its own"))
+                Err(not_here("it can move the fingers; submit it as a command"))
             }
             command if id::has_updates(command.id()) && self.observed.newest(command.id()).is_none() => {
                 Err(Failure::DeviceTimeout { command: super::name_of(command), waited_ms: 0 }.into())
@@ -185,7 +185,7 @@ impl Actor {
         }
     }
 
-    /// Whether the command leaves the gripper as it is, so that any client may send it.
+    /// Whether the command only reads, so that any client can send it.
     fn only_reads(&self, command: &Command) -> bool {
         match command {
             Command::Custom(custom) => self.config.custom_ids.read.contains(&custom.id()),
@@ -193,7 +193,7 @@ impl Actor {
         }
     }
 
-    /// Reads a setter's value back, and notes a value that was read back.
+    /// Sends the getter after a setter, or takes the value that was read back.
     pub(super) fn exchange_succeeded(&mut self, now: Now, exchange: Exchange, data: Data) {
         let Exchange { command, answer, setter, client, .. } = exchange;
         let getter = match &command {
@@ -233,7 +233,7 @@ impl Actor {
         }
     }
 
-    /// Notes a value that the device read back.
+    /// Notes and persists a value that was read back.
     pub(super) fn note_setting(&mut self, data: &Data) {
         match data {
             Data::Acceleration(_) | Data::ForceLimit(_) | Data::SoftLimits(_) => self.settings.note(data),
@@ -254,7 +254,7 @@ impl Actor {
         });
         match sent {
             Ok(token) => {
-                tracing::info!(gripper = %self.config.name, %id, by = %client.subject, "FAST STOP acknowledged");
+                tracing::info!(gripper = %self.config.name, %id, by = %client.subject, "acknowledging FAST STOP");
                 self.latch.acknowledge_sent(id, client, token, answer);
             }
             Err(rejection) => {

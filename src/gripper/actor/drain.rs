@@ -1,4 +1,5 @@
-//! The orderly end: no new commands, a running one may finish or is stopped, the device is told, the link closed.
+//! The orderly end: new commands are rejected, a running one finishes or is stopped, the disconnect is announced, and
+//! the link is closed.
 
 use std::time::{Duration, Instant};
 
@@ -9,29 +10,29 @@ use super::Actor;
 use super::link::{Close, Purpose};
 use crate::wsg::{Command, SystemState};
 
-/// Time for the device to stop, and then again to acknowledge the announcement.
+/// Time limit for the device to stop, and again for its reply to the announcement.
 const ANSWERED_WITHIN: Duration = Duration::from_millis(500);
 
-/// Giving a gripper up.
+/// A drain under way.
 #[derive(Debug)]
 pub(super) struct Drain {
     stage: Stage,
     until: Instant,
     /// Whether 07h was handed out.
     has_announced: bool,
-    /// Callers that wait for the end.
+    /// Callers that wait for the end of the drain.
     answers: Vec<oneshot::Sender<()>>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum Stage {
-    /// A running command may finish.
+    /// A running command has time to finish.
     Finishing,
     /// The command did not finish, and is being stopped.
     Stopping,
     /// 07h waits to be written.
     Announcing,
-    /// 07h was written: nothing follows it.
+    /// 07h was written, and nothing may follow.
     Announced,
     /// The link can be closed.
     Over,
@@ -48,7 +49,7 @@ impl Drain {
         self.stage = Stage::Announced;
     }
 
-    /// The device has acknowledged the announcement, or refused it, or said nothing.
+    /// Ends the wait for the announcement: the device has acknowledged it, refused it or not replied.
     pub(super) fn answered(&mut self) {
         self.stage = Stage::Over;
     }
@@ -59,36 +60,36 @@ impl Drain {
 }
 
 impl Actor {
-    /// Begins to give the gripper up.
+    /// Begins the drain.
     pub(super) fn start_drain(&mut self, now: Now, answer: oneshot::Sender<()>) {
         let until = now.instant + self.config.drain;
         let drain = self.drain.get_or_insert_with(|| {
-            tracing::info!(gripper = %self.config.name, "giving up in order");
+            tracing::info!(gripper = %self.config.name, "draining");
             Drain { stage: Stage::Finishing, until, has_announced: false, answers: Vec::new() }
         });
         drain.answers.push(answer);
     }
 
-    /// Gives the gripper up after its last handle is gone, so that no caller waits.
+    /// Begins a drain without a caller, after the last handle is gone.
     pub fn abandon(&mut self, now: Now) {
         let (answer, _) = oneshot::channel();
         self.start_drain(now, answer);
         self.after_input(now);
     }
 
-    /// Whether the gripper is being given up, so that its link is not made again.
+    /// Whether a drain is under way, so that no new link may be made.
     #[must_use]
     pub fn is_draining(&self) -> bool {
         self.drain.is_some()
     }
 
-    /// Whether the device was told that its connection ends.
+    /// Whether a disconnect was announced to the device.
     #[must_use]
     pub fn has_announced(&self) -> bool {
         self.drain.as_ref().is_some_and(|drain| drain.has_announced)
     }
 
-    /// Answers the callers that wait: the gripper was given up.
+    /// Records what is pending, and answers the callers that wait for the drain.
     pub fn drained(&mut self, now: Now) {
         self.recording.finish(now);
         self.streaming.write(now, &mut self.recording);
@@ -98,7 +99,7 @@ impl Actor {
     }
 
     pub(super) fn continue_drain(&mut self, now: Now) {
-        // No client loses by a request of the set-up.
+        // During setup, the requests in flight are not clients' requests, and need not be waited for.
         let asked = self.link.is_up() && self.link.session.as_ref().is_some_and(|session| !session.is_idle());
         let idle = self.motion.running.is_none() && !self.latch.is_unconfirmed() && !asked;
         let Some(drain) = &mut self.drain else { return };
@@ -122,7 +123,7 @@ impl Actor {
         }
     }
 
-    /// Sends the farewell: 07h where the device knows it, or else Stop if the fingers move.
+    /// Sends the last request: 07h if the transport has connections, else Stop if the fingers move.
     fn leave(&mut self, now: Now) {
         let connected = !self.link.is_down();
         let farewell = if self.link.properties.connection_oriented {
@@ -137,7 +138,7 @@ impl Actor {
         });
         if let Some(drain) = &mut self.drain {
             drain.stage = if sent { Stage::Announcing } else { Stage::Over };
-            // The session's own deadlines come first: to be written, then to be answered.
+            // Longer than the session's own deadlines for writing and for the reply.
             drain.until = now.instant + 3 * ANSWERED_WITHIN;
         }
     }

@@ -9,7 +9,7 @@ use crate::wsg::session::{End, Event, Token};
 use crate::wsg::{Command, Data, GripperState, Reply, Status, SystemState};
 
 impl Actor {
-    /// Takes all events of the session.
+    /// Processes all pending events of the session.
     pub(super) fn take_events(&mut self, now: Now) {
         while let Some(event) = self.link.poll_event() {
             match event {
@@ -44,7 +44,7 @@ impl Actor {
         let flags = match *data {
             Data::SystemState(flags) => flags,
             Data::GripperState(_) => return self.record_gripper_state(now, state_before),
-            // The last of the values of a period.
+            // The force is the last value of each update period.
             Data::Force(_) => return self.recording.measure(now, &self.observed),
             _ => return,
         };
@@ -58,7 +58,7 @@ impl Actor {
         match self.latch.take_flags(now, flags, &mut origin) {
             Some(Change::Seen) => {
                 let cause = self.latch.current().map_or(FastStopCause::Unknown, |latch| latch.cause);
-                tracing::warn!(gripper = %self.config.name, cause = cause.name(), "the device is in FAST STOP");
+                tracing::warn!(gripper = %self.config.name, cause = cause.name(), "device in FAST STOP");
                 self.record_fast_stop(now, FastStopStep::Latched, None);
                 self.abort_for_latch(now);
                 self.link.expect_aborts(now);
@@ -73,30 +73,30 @@ impl Actor {
         }
     }
 
-    /// A device that loses its reference has restarted, unless its fingers are being homed, by this gateway or by another
-    /// program. Without connections that end with the restart, nothing else shows it.
+    /// Notices a restart of the device by the loss of its reference, unless the fingers are being homed by this gateway
+    /// or another program. On a transport without connections, no other sign shows a restart.
     fn notice_restart(&mut self, now: Now, before: Option<SystemState>, flags: SystemState) {
         let was_referenced = before.is_some_and(|before| before.contains(SystemState::REFERENCED));
         let homes = flags.contains(SystemState::MOVING) || self.motion.is_homing();
         if !was_referenced || flags.contains(SystemState::REFERENCED) || homes {
             return;
         }
-        tracing::warn!(gripper = %self.config.name, "the device has lost its reference: it has restarted");
+        tracing::warn!(gripper = %self.config.name, "device restarted: reference lost");
         self.recording.device(now, DeviceEvent::Restarted);
         if self.link.is_up() {
             self.link.close = Some(Close::Restarted);
         }
     }
 
-    /// Records that the fingers begin to move without a command: by another program, a script on the device, or a hand.
+    /// Records that the fingers begin to move without a command, caused by another program, a script or a hand.
     fn notice_foreign_motion(&mut self, now: Now, before: Option<SystemState>, flags: SystemState) {
         let moves = |flags: SystemState| flags.contains(SystemState::MOVING);
         let begins = moves(flags) && before.is_some_and(|before| !moves(before));
         let ours = self.motion.may_move(now.instant);
-        // A part that is lost lets the fingers close on.
+        // After a part is lost, the fingers close further.
         let holds = matches!(self.observed.gripper_state, Some(GripperState::Holding | GripperState::PartLost));
         if begins && !ours && !holds {
-            tracing::warn!(gripper = %self.config.name, "the fingers move, and nobody here asked for it");
+            tracing::warn!(gripper = %self.config.name, "fingers moving without a command of this gateway");
             self.recording.device(now, DeviceEvent::ForeignMotion);
         }
     }
@@ -144,7 +144,7 @@ impl Actor {
     fn take_exchange_end(&mut self, now: Now, exchange: Exchange, end: End) {
         match end {
             End::Reply(Reply::Success(data)) => self.exchange_succeeded(now, exchange, data),
-            // Soft limits that were cleared read back as not available (`fw4-en 3.3.6`): that is what was wanted.
+            // Cleared soft limits read back as not available (`fw4-en 3.3.6`), which is success.
             End::Reply(Reply::Status(Status::E_NOT_AVAILABLE))
                 if matches!(exchange.setter, Some(Command::ClearSoftLimits)) =>
             {
@@ -155,7 +155,7 @@ impl Actor {
             }
             end => {
                 let command = super::name_of(&exchange.command);
-                // A setting that can't be read back is answered as it was sent.
+                // If a setting can't be read back, the reply has the value as sent.
                 let result = match exchange.setter.as_ref().and_then(as_read_back) {
                     Some(data) => {
                         self.note_setting(&data);
@@ -170,7 +170,7 @@ impl Actor {
     }
 }
 
-/// The data that reading a setter's value back brings, if the device took it as it is.
+/// Data that reading back a setter's value would return if the device took the value unchanged.
 fn as_read_back(setter: &Command) -> Option<Data> {
     Some(match setter {
         Command::SetAcceleration(acceleration) => Data::Acceleration(*acceleration),

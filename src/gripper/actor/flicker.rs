@@ -1,6 +1,6 @@
-//! Changes of the device or its link that come and go quickly: the first few of a sort are written down at once, further
-//! ones are counted by the second, so that a device that flickers fills no disk. FAST STOPs and what belongs to a command
-//! are never counted.
+//! Changes of the device or its link that repeat quickly. The first few of each sort are recorded at once, and further
+//! ones are counted per second, so that a flickering device does not fill the disk. FAST STOPs and events of commands
+//! are always recorded.
 
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
@@ -12,16 +12,16 @@ use super::recording::Recording;
 /// Time for which changes are counted before they are recorded.
 const COUNTED_FOR: Duration = Duration::from_secs(1);
 
-/// Changes of a sort that are written down at once: a restart or a reconnect has fewer.
+/// Changes of one sort that are recorded at once. A restart or a reconnection has fewer.
 const MAX_PROMPT: u64 = 4;
 
-/// Sorts that are told apart. Further sets of flags are one sort, by the newest of them.
+/// Sorts distinguished. All further sorts are counted together, and the newest of them is recorded.
 const MAX_SORTS: usize = 16;
 
 /// Changes within the current second.
 #[derive(Debug, Default)]
 pub(super) struct Flicker {
-    /// The sort that changed last is the last one.
+    /// Sorts in the order of their last change.
     sorts: Vec<Sort>,
     until: Option<Instant>,
 }
@@ -30,13 +30,13 @@ pub(super) struct Flicker {
 struct Sort {
     name: String,
     written: u64,
-    /// The newest change that was not recorded. `left_out` counts those before it.
+    /// The newest unrecorded change. `left_out` counts those before it.
     newest: Option<Event>,
     left_out: u64,
 }
 
 impl Flicker {
-    /// Takes a change: to be written down now, or counted.
+    /// Takes a change. Returns it if it has to be recorded now; otherwise it is counted.
     fn take(&mut self, now: Instant, name: String, event: Event) -> Option<Event> {
         self.until.get_or_insert(now + COUNTED_FOR);
         let found = self.sorts.iter().position(|sort| sort.name == name);
@@ -57,8 +57,8 @@ impl Flicker {
         prompt
     }
 
-    /// What was counted, to be written down: what was left out, and the newest of each sort. A sort that was quiet for a
-    /// second begins anew.
+    /// Ends the second. Returns the changes left out and the newest of each sort, to be recorded. A sort that was quiet
+    /// for a second starts over.
     fn end(&mut self, now: Instant) -> (Option<DeviceEvent>, Vec<Event>) {
         let left_out = || self.sorts.iter().filter(|sort| sort.left_out > 0);
         let names: BTreeSet<_> = left_out().map(|sort| sort.name.as_str()).collect();
@@ -79,7 +79,7 @@ impl Flicker {
 }
 
 impl Recording {
-    /// Records a change of the device or its link, now or with those that are counted.
+    /// Records a change of the device or its link, now or with the counted ones.
     pub(super) fn change_of_device(&mut self, now: Now, event: Event) {
         let sort = sort_of(&event).filter(|_| event.command_id.is_none());
         let event = match sort {
@@ -91,7 +91,7 @@ impl Recording {
         }
     }
 
-    /// Records the changes that were counted.
+    /// Records the counted changes.
     pub(super) fn record_flicker(&mut self, now: Now) {
         let (left_out, newest) = self.flicker.end(now.instant);
         let left_out = left_out.map(|event| self.event(now, Detail::Device(event)));
@@ -101,7 +101,7 @@ impl Recording {
     }
 }
 
-/// Name of a sort of events that repeat, or that come with their opposites.
+/// Sort of an event that can repeat quickly; `None` for other events.
 fn sort_of(event: &Event) -> Option<String> {
     Some(match &event.detail {
         Detail::Link(link) => format!("link {}", link.link),

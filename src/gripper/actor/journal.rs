@@ -1,4 +1,4 @@
-//! What the journal's answers and the device's news mean for commands and parts.
+//! Effects of journal replies and device events on commands and parts.
 
 use super::super::Now;
 use super::super::model::{AcknowledgeEvent, Client, CommandId, Detail, DeviceEvent, FastStopStep};
@@ -7,18 +7,17 @@ use super::Actor;
 use crate::wsg::{GripperState, SystemState};
 
 impl Actor {
-    /// The next record, and the command that waits for it: [`Actor::recorded`] takes the result.
+    /// The next record, and the command that waits for it. [`Actor::recorded`] takes the result.
     pub fn poll_record(&mut self) -> Option<(Record, Option<CommandId>)> {
         self.recording.poll()
     }
 
-    /// A command's record is durable, or will not be soon.
+    /// Takes the result for a command's record: durable, or failed.
     pub fn recorded(&mut self, now: Now, id: CommandId, durable: bool) {
-        self.take_recorded(now, id, durable.then_some(()).ok_or("it did not take the record"));
+        self.take_recorded(now, id, durable.then_some(()).ok_or("the record was not stored"));
         self.after_input(now);
     }
 
-    /// Takes the journal's health.
     pub fn journal_health(&mut self, now: Now, health: Health) {
         self.recording.health = health;
         self.after_input(now);
@@ -38,8 +37,8 @@ impl Actor {
     /// Ends the wait of commands whose records did not become durable in time.
     pub(super) fn give_up_recording(&mut self, now: Now) {
         while let Some((_, id)) = self.recording.oldest_wait().filter(|(until, _)| *until <= now.instant) {
-            tracing::warn!(gripper = %self.config.name, command = %id, "its record is not durable in time");
-            self.take_recorded(now, id, Err("it has not taken the record in time"));
+            tracing::warn!(gripper = %self.config.name, command = %id, "command record not durable in time");
+            self.take_recorded(now, id, Err("the record was not durable in time"));
         }
     }
 
@@ -49,7 +48,7 @@ impl Actor {
         self.recording.fast_stop(now, step, latch, by);
     }
 
-    /// Tells clients how their acknowledges ended, and records it.
+    /// Records the results of acknowledges, and sends them to their clients.
     pub(super) fn tell_acknowledges(&mut self, now: Now) {
         for acknowledged in self.latch.take_acknowledged() {
             self.recording.record_repeats();
@@ -70,7 +69,7 @@ impl Actor {
         match self.observed.gripper_state {
             state if state == before => {}
             Some(GripperState::PartLost) => self.record_lost_part(now, before.is_none()),
-            // A part that was let go, or a device that has restarted.
+            // The part was released, or the device has restarted.
             Some(GripperState::Idle | GripperState::NoPart)
                 if self.motion.running.is_none() && !self.observed.part.is_held =>
             {
@@ -80,13 +79,13 @@ impl Actor {
         }
     }
 
-    /// Records that a part was lost. A part that was lost before the last run knew of it is no news.
+    /// Records a lost part. A loss that the first state shows, without a known grip, is not recorded.
     fn record_lost_part(&mut self, now: Now, is_first_look: bool) {
         let grip = self.observed.part.grip.take();
         if is_first_look && grip.is_none() {
             return;
         }
-        tracing::warn!(gripper = %self.config.name, "the part is lost");
+        tracing::warn!(gripper = %self.config.name, "part lost");
         self.metering.metrics.parts_lost.inc();
         let width_mm = self.observed.width_mm.filter(|_| self.observed.has(SystemState::REFERENCED));
         let event = self.recording.event(now, Detail::Device(DeviceEvent::PartLost { width_mm }));

@@ -1,4 +1,4 @@
-//! Consequences of the lease's changes: for the fingers, the journal and the callers.
+//! Effects of lease changes on the fingers, the journal and the callers.
 
 use std::time::Instant;
 
@@ -14,7 +14,7 @@ use super::Actor;
 use crate::wsg::SystemState;
 
 impl Actor {
-    /// Whether a request with this token, or without one, may change anything.
+    /// Checks that a request with this token, or without one, can make changes.
     pub(super) fn check_claim(&self, now: Now, client: &Client, token: Option<&LeaseToken>) -> Result<(), Conflict> {
         if !client.door.speaks_wsg() {
             return self.lease.check(now.instant, token);
@@ -34,7 +34,7 @@ impl Actor {
         }
     }
 
-    /// A request of a lease's holder has ended, as [`Actor::lease_requests`] told.
+    /// Takes the end of a holder's request, as notified by [`Actor::lease_requests`].
     pub fn lease_request_closed(&mut self, now: Now) {
         self.lease.request_closed(now.instant);
         self.after_input(now);
@@ -51,7 +51,7 @@ impl Actor {
             let times_taken = self.lease.times_taken();
             AcquiredLease { lease: self.lease.view(now.instant, token.as_ref()), times_taken, keep }
         });
-        // The caller may be gone: then the lease runs out.
+        // If the caller is gone, the lease runs out.
         let _ = answer.send(granted);
     }
 
@@ -75,7 +75,7 @@ impl Actor {
             AcquireOutcome::HandedOver | AcquireOutcome::Again => {}
         }
         if wish.force && !matches!(way, AcquireOutcome::Again) {
-            // It does not matter who moves the fingers: a holder that was lost, or one that has handed over.
+            // The motion may also belong to a lost holder, or to one that has handed over.
             self.stop_motion(now);
         }
         Ok(())
@@ -95,12 +95,12 @@ impl Actor {
     ) -> Result<Lease, Rejection> {
         let holder = self.lease.hand_over(now.instant, token, to, new)?;
         self.record_lease(now, LeaseStep::HandedOver, &holder, None);
-        // A motion that runs goes on; one that has not begun would begin under somebody else's lease.
+        // A running motion goes on. One that has not started would start under another client's lease.
         self.withdraw_waiting_motion(now);
         Ok(self.lease_now(now))
     }
 
-    /// A release is the announcement: a running motion stops, and nothing is latched.
+    /// Releases a lease. A running motion stops, and nothing is latched.
     pub(super) fn release_lease(&mut self, now: Now, token: Option<&LeaseToken>) -> Lease {
         if let Some(held) = self.lease.end(token) {
             self.record_lease(now, LeaseStep::Released, &held.holder, None);
@@ -109,14 +109,14 @@ impl Actor {
         self.lease_now(now)
     }
 
-    /// The connection that the lease was bound to has ended without a release.
+    /// Takes the end of the connection that the lease was bound to, without a release.
     pub(super) fn lose_lease(&mut self, now: Now, token: &LeaseToken, times_taken: Option<u64>) {
         if let Some(held) = self.lease.lose(token, times_taken) {
             self.holder_lost(now, &held, LossCause::Disconnected);
         }
     }
 
-    /// Ends a lease that has run out, and a reservation that protects nothing any more.
+    /// Ends a lease that has run out, and a reservation that no longer protects a part.
     pub(super) fn expire_lease(&mut self, now: Now) {
         if let Some(held) = self.lease.expire(now.instant) {
             self.holder_lost(now, &held, LossCause::Expired);
@@ -146,7 +146,7 @@ impl Actor {
             (false, false) => LossEffect::None,
         };
         let name = &held.holder.name;
-        tracing::warn!(gripper = %self.config.name, holder = %name, ?cause, ?effect, "the lease's holder is lost");
+        tracing::warn!(gripper = %self.config.name, holder = %name, ?cause, ?effect, "lease holder lost");
         self.record_lease(now, LeaseStep::Lost, &held.holder, Some((effect, cause)));
         match effect {
             LossEffect::FastStop => {
@@ -154,26 +154,26 @@ impl Actor {
                     id: self.ids.fast_stop_id(now.wall),
                     client: held.holder.client.clone(),
                     cause: FastStopCause::ClientLost,
-                    reason: Reason::truncated(&format!("{name} was lost")),
+                    reason: Reason::truncated(&format!("lease holder {name} lost")),
                     at: now.instant,
                     epoch: None,
                 };
                 self.latch(now, request);
             }
             LossEffect::Stop => self.stop_motion(now),
-            // It may end with a part that is held.
+            // The motion can end with a held part.
             LossEffect::Finish | LossEffect::Keep => self.lease.reserve(held.holder.clone()),
             LossEffect::None => {}
         }
         self.streaming.stopped();
     }
 
-    /// Whether the fingers move, or are about to, as far as is known, or were steered at that time.
+    /// Whether the fingers are known to move or to be about to, or a stream was active at `at`.
     pub(super) fn is_moving(&self, at: Instant) -> bool {
         self.motion.is_under_way() || self.observed.has(SystemState::MOVING) || self.is_streaming(at)
     }
 
-    /// Stops whatever moves on the gateway's own account; what waits is withdrawn.
+    /// Withdraws a waiting motion, and sends a Stop if the fingers move.
     fn stop_motion(&mut self, now: Now) {
         if !self.is_moving(now.instant) {
             return;

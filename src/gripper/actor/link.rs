@@ -17,26 +17,25 @@ use crate::transport::LinkProperties;
 use crate::wsg::session::{self, End, Event, NotTaken, Session, Token};
 use crate::wsg::{self, Command, Data, Force, id};
 
-/// A link without a sign of life for so long is unresponsive: motions are refused.
+/// Silence after which a link is unresponsive, and motions are refused.
 const UNRESPONSIVE_AFTER: Duration = Duration::from_millis(1500);
 
-/// A link that has been silent for so long is closed.
+/// Silence after which a link is closed.
 const CLOSED_AFTER: Duration = Duration::from_millis(6500);
 
 /// Reason to close the link.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum Close {
-    /// Nothing was heard for too long.
     #[error("nothing was heard from the device for {0} ms")]
     Silent(u64),
-    /// The device doesn't answer what a gripper must answer.
+    /// The device does not answer a request that every gripper must answer.
     #[error("the device does not answer {0}")]
     SetupFailed(&'static str),
-    /// The device has restarted, and has to be set up again: what was under way on it is lost.
-    #[error("the device has restarted: it has lost its reference")]
+    /// The device has restarted and has to be set up again. Pending requests are lost.
+    #[error("the device restarted and lost its reference")]
     Restarted,
-    /// The gripper was given up in order; a disconnect was announced where the device knows that.
-    #[error("given up in order")]
+    /// The gripper was drained. The disconnect was announced on a transport with connections.
+    #[error("disconnected in order")]
     Drained,
 }
 
@@ -47,30 +46,30 @@ pub(super) enum Purpose {
     Upkeep,
     FastStop,
     Acknowledge,
-    /// Set Force Limit, before a grip.
+    /// Set Force Limit before a grip.
     Force(CommandId, Force),
     Motion(CommandId),
-    /// For a client's stop command, or on the gateway's own account.
+    /// A client's Stop command, or a Stop by the gateway itself (`None`).
     Stop(Option<CommandId>),
     Exchange(Exchange),
-    /// A getter that several clients may wait for.
+    /// A getter that several clients can wait for.
     Read(u8),
     Announce,
 }
 
-/// A client's request that moves nothing, under way.
+/// A pending request of a client that moves nothing.
 #[derive(Debug)]
 pub(super) struct Exchange {
     pub command: Command,
     pub answer: Answer<Data>,
-    /// Told when the device has accepted the request.
+    /// Signalled when the device has accepted the request.
     pub accepted: Option<oneshot::Sender<()>>,
     /// The setter whose value is being read back.
     pub setter: Option<Command>,
     pub client: Client,
 }
 
-/// Rejection of a request that the session did not take, and the request's purpose.
+/// Rejection of a request that the session did not accept, and the request's purpose.
 pub(super) type NotSubmitted = Box<(Rejection, Purpose)>;
 
 #[derive(Debug)]
@@ -86,11 +85,11 @@ pub(super) struct DeviceLink {
     gripper: Name,
     pub properties: LinkProperties,
     state: LinkState,
-    /// Exists while the link is not down.
+    /// Session; present while the link is not down.
     pub session: Option<Session>,
     pub purposes: BTreeMap<Token, Purpose>,
     pub close: Option<Close>,
-    /// Cause of a link that isn't up, or is unresponsive.
+    /// Reason that the link is not up or is unresponsive.
     pub cause: Option<String>,
     /// Whether the link was ever up.
     pub was_up: bool,
@@ -115,7 +114,7 @@ impl DeviceLink {
         }
     }
 
-    /// Every frame from now on.
+    /// Sender of the wire log, to subscribe to.
     pub(super) fn frames(&self) -> broadcast::Sender<Arc<Frame>> {
         self.wire_log.listeners()
     }
@@ -139,11 +138,11 @@ impl DeviceLink {
     }
 
     pub(super) fn failure(&self) -> Failure {
-        let cause = self.cause.clone().unwrap_or_else(|| "it is being set up".to_owned());
+        let cause = self.cause.clone().unwrap_or_else(|| "the device is being set up".to_owned());
         Failure::LinkDown { link: self.status(), cause }
     }
 
-    /// A link has come up: its session and its set-up begin.
+    /// Starts the session and the setup of a new link.
     pub(super) fn open(&mut self, now: Instant, nonce_seed: u64, setup: Setup) {
         let LinkProperties { bytes_per_second, frame_gap, may_duplicate, .. } = self.properties;
         let config = session::Config { bytes_per_second, frame_gap, may_duplicate, nonce_seed };
@@ -153,7 +152,7 @@ impl DeviceLink {
         self.set_up(setup);
     }
 
-    /// The link is gone. Returns the requests in flight, and whether each was never written.
+    /// Takes the link down. Returns the pending requests, each with whether it was never written.
     pub(super) fn down(&mut self, cause: &str) -> Vec<(Purpose, bool)> {
         let mut session = self.session.take();
         if session.is_some() && self.close == Some(Close::Drained) {
@@ -163,7 +162,7 @@ impl DeviceLink {
             if self.is_up() {
                 tracing::warn!(gripper = %self.gripper, cause, "link lost");
             } else if self.cause.as_deref() != Some(cause) {
-                tracing::warn!(gripper = %self.gripper, cause, "no link");
+                tracing::warn!(gripper = %self.gripper, cause, "connection failed");
             }
             if session.is_some() {
                 self.unannounced = self.properties.connection_oriented;
@@ -181,7 +180,7 @@ impl DeviceLink {
         self.state = LinkState::SettingUp(Box::new(setup));
     }
 
-    /// Sends the set-up's next request. Returns the set-up when it is done.
+    /// Sends the next request of the setup. Returns the setup when it is done.
     pub(super) fn continue_setup(&mut self, now: Now) -> Option<Box<Setup>> {
         loop {
             let LinkState::SettingUp(setup) = &mut self.state else { return None };
@@ -209,7 +208,7 @@ impl DeviceLink {
         }
     }
 
-    /// Takes the end of a set-up's request. Returns whether the set-up waits for nothing more.
+    /// Takes the result of a setup request. Returns whether it was the pending one, so that the setup can continue.
     pub(super) fn setup_ended(&mut self, token: Token, end: End) -> bool {
         let LinkState::SettingUp(setup) = &mut self.state else { return false };
         let is_current = setup.is_current(token);
@@ -219,21 +218,21 @@ impl DeviceLink {
         is_current
     }
 
-    /// The set-up is done.
+    /// Marks the link as connected after its setup.
     pub(super) fn ready(&mut self) {
         self.was_up = true;
         self.cause = None;
         self.unannounced = false;
     }
 
-    /// Time from which silence has consequences.
+    /// Time at which continued silence makes the link unresponsive, or closes it.
     pub(super) fn silence_at(&self) -> Option<Instant> {
         let session = self.session.as_ref().filter(|_| self.is_up())?;
         let after = if self.cause.is_some() { CLOSED_AFTER } else { UNRESPONSIVE_AFTER };
         Some(session.last_heard() + after)
     }
 
-    /// Notices silence, and its end. Returns whether the device is responsive again.
+    /// Handles silence of the device. Returns whether the device is responsive again.
     pub(super) fn supervise(&mut self, now: Instant) -> bool {
         let Some(session) = self.session.as_ref().filter(|_| self.is_up()) else { return false };
         let silent_for = now.saturating_duration_since(session.last_heard());
@@ -243,7 +242,7 @@ impl DeviceLink {
             return self.cause.take().is_some();
         } else if self.cause.is_none() {
             let cause = format!("nothing heard from the device for {} ms", UNRESPONSIVE_AFTER.as_millis());
-            tracing::warn!(gripper = %self.gripper, cause, "unresponsive");
+            tracing::warn!(gripper = %self.gripper, cause, "device unresponsive");
             self.cause = Some(cause);
         }
         false
@@ -267,12 +266,12 @@ impl DeviceLink {
             return None;
         }
         let id = out[start + wsg::frame::PREAMBLE.len()];
-        tracing::trace!(gripper = %self.gripper, id = id::name(id), frame = %hex::encode(&out[start..]), "sent");
+        tracing::trace!(gripper = %self.gripper, id = id::name(id), frame = %hex::encode(&out[start..]), "frame sent");
         self.wire_log.sent(now, &out[start..]);
         Some(id)
     }
 
-    /// Submits a request to the session, if there is one.
+    /// Submits a request to the session.
     pub(super) fn submit(&mut self, now: Now, command: Command, purpose: Purpose) -> Result<Token, NotSubmitted> {
         self.submit_within(now, command, purpose, REPLY_WITHIN, RESULT_WITHIN)
     }
@@ -301,7 +300,7 @@ impl DeviceLink {
         Err(Box::new((failure.into(), purpose)))
     }
 
-    /// Takes a request back that was not written yet. Returns whether nothing of it will be written.
+    /// Withdraws a request. Returns `false` if its frame was written, in whole or in part.
     pub(super) fn withdraw(&mut self, token: Token) -> bool {
         let withdrawn = self.session.as_mut().is_some_and(|session| session.withdraw(token));
         if withdrawn {
@@ -310,7 +309,7 @@ impl DeviceLink {
         withdrawn
     }
 
-    /// Sends a Stop on the gateway's own account, unless a Stop waits to be written anyway. So the lane has room for the
+    /// Sends a Stop by the gateway itself, unless a Stop is waiting to be written. This keeps room in the queue for
     /// clients' Stops.
     pub(super) fn send_stop(&mut self, now: Now) {
         if self.session.as_ref().is_some_and(|session| !session.has_waiting(id::STOP)) {
@@ -318,14 +317,14 @@ impl DeviceLink {
         }
     }
 
-    /// Sends a Stop that has nothing to stop, as far as is known, unless one is on its way: the lane is for others.
+    /// Sends a repeated Stop, unless a Stop is pending. There is nothing to stop, as far as known.
     pub(super) fn stop_again(&mut self, now: Now) {
         if !self.purposes.values().any(|purpose| matches!(purpose, Purpose::Stop(_))) {
             let _ = self.submit(now, Command::Stop, Purpose::Stop(None));
         }
     }
 
-    /// The newest Stop of a client that has not ended.
+    /// The newest pending Stop of a client.
     pub(super) fn newest_stop(&self) -> Option<CommandId> {
         self.purposes.values().rev().find_map(|purpose| match purpose {
             Purpose::Stop(id) => *id,
@@ -333,7 +332,7 @@ impl DeviceLink {
         })
     }
 
-    /// The device stops by itself: the results of its motions come now, or never.
+    /// Expects the results of motions now or never, because the device has stopped.
     pub(super) fn expect_aborts(&mut self, now: Now) {
         if let Some(session) = &mut self.session {
             session.expect_aborts(now.instant);

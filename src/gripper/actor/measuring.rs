@@ -1,4 +1,4 @@
-//! The curve of the motion that is being measured.
+//! Measuring of motions.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -10,18 +10,18 @@ use super::super::observed::Observed;
 use super::super::recorder::Record;
 use super::recording::Recording;
 
-/// A motion that is being measured.
+/// A motion being measured.
 #[derive(Debug)]
 pub(super) struct Measured {
     id: CommandId,
     part_id: Option<PartId>,
     curve: Curve,
-    /// The command after its end, and the end of its curve.
+    /// End time of the curve, and the ended command.
     ended: Option<(Instant, Arc<Ended>)>,
 }
 
 impl Recording {
-    /// Measures a motion from now on.
+    /// Starts measuring a motion.
     pub(super) fn start_measuring(&mut self, id: CommandId, motion: &Motion) {
         self.finish_measuring();
         let part_id = match motion {
@@ -31,7 +31,7 @@ impl Recording {
         self.measured = Some(Measured { id, part_id, curve: Curve::default(), ended: None });
     }
 
-    /// Takes a sample, of values that are all known.
+    /// Takes a sample, if all values are known.
     pub(super) fn measure(&mut self, now: Now, observed: &Observed) {
         if let (Some(measured), Some(width), Some(speed), Some(force)) =
             (&mut self.measured, observed.width_mm, observed.speed_mm_s, observed.force_n)
@@ -40,19 +40,19 @@ impl Recording {
         }
     }
 
-    /// The part that the measured command grips.
+    /// Name of the part that the measured command grips.
     pub(super) fn measured_part(&self, id: CommandId) -> Option<PartId> {
         self.measured.as_ref().filter(|measured| measured.id == id)?.part_id.clone()
     }
 
-    /// End of the tail of the curve that is being measured.
+    /// End of the current curve's tail.
     pub(super) fn curve_ends_at(&self) -> Option<Instant> {
         Some(self.measured.as_ref()?.ended.as_ref()?.0)
     }
 
-    /// The measured command has ended: its curve goes on for its tail.
+    /// Takes the end of the measured command. A grip's curve continues for its tail.
     pub(super) fn end_measuring(&mut self, now: Now, command: &Arc<Ended>) {
-        // Nothing moves for a command that was refused.
+        // A refused command moved nothing.
         self.measured.take_if(|measured| measured.id == command.id && command.outcome == Some(Outcome::Refused));
         if let Some(measured) = self.measured.as_mut().filter(|measured| measured.id == command.id) {
             let tail = if command.kind == Kind::Grip { TAIL } else { Duration::ZERO };
@@ -60,7 +60,7 @@ impl Recording {
         }
     }
 
-    /// Records the curve as it is.
+    /// Records the curve so far.
     pub(super) fn finish_measuring(&mut self) {
         let Some(Measured { part_id, curve, ended: Some((_, command)), .. }) = self.measured.take() else { return };
         let contact = curve.contact().filter(|_| command.kind == Kind::Grip);

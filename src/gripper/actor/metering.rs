@@ -1,4 +1,4 @@
-//! Counters of the gripper: its link's sessions, its commands and its FAST STOPs.
+//! Metering of a gripper: sessions of its link, commands and FAST STOPs.
 
 use std::time::Instant;
 
@@ -9,11 +9,11 @@ use super::super::model::{Command as Ended, FastStopCause, FastStopStep, Kind, O
 use crate::wsg::DecoderCounters;
 use crate::wsg::session::{Counters, Session};
 
-/// The gripper's metrics, and how far they were counted.
+/// Metrics of the gripper, and the session counters already included in them.
 #[derive(Debug)]
 pub(super) struct Metering {
     pub metrics: Metrics,
-    /// Counters of the current session, which begin at 0.
+    /// Counters of the current session, as last seen. They begin at 0.
     sent: Counters,
     received: DecoderCounters,
     /// Whether the current link has not been set up yet.
@@ -30,13 +30,13 @@ impl Metering {
         Self { metrics, sent, received, is_new_link: false, unsent: None, unconfirmed: None }
     }
 
-    /// A session begins.
+    /// Starts the counters of a new session.
     pub(super) fn link_up(&mut self) {
         (self.sent, self.received) = (Counters::default(), DecoderCounters::default());
         self.is_new_link = true;
     }
 
-    /// Counts what the session has seen since the last call. Has to be called before a session ends.
+    /// Adds the session's counts since the last call. Has to be called before a session ends.
     pub(super) fn session(&mut self, session: Option<&mut Session>) {
         let Some(session) = session else { return };
         let metrics = &self.metrics;
@@ -66,7 +66,7 @@ impl Metering {
         (self.sent, self.received) = (sent, received);
     }
 
-    /// The link was set up, perhaps again.
+    /// Counts a reconnection after the setup of a new link.
     pub(super) fn set_up(&mut self, was_connected: bool) {
         if std::mem::take(&mut self.is_new_link) && was_connected {
             self.metrics.reconnects.inc();
@@ -84,7 +84,7 @@ impl Metering {
         }
     }
 
-    /// A FAST STOP was requested. Of several the one that waits the longest counts.
+    /// Starts the time of a FAST STOP. If several wait, the oldest counts.
     pub(super) fn fast_stop_requested(&mut self, at: Instant) {
         self.unsent.get_or_insert(at);
         self.unconfirmed.get_or_insert(at);

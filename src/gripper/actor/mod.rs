@@ -1,23 +1,23 @@
-//! The actor: the only owner of one gripper, as a pure machine. Its `driver` does the I/O.
+//! The actor: a pure state machine that alone owns one gripper. Its `driver` does the I/O.
 //!
-//! # How it is driven
+//! # Inputs and outputs
 //!
 //! - Inputs: [`Actor::link_up`], [`Actor::link_down`], [`Actor::receive`], [`Actor::request`], [`Actor::fast_stop`],
-//!   [`Actor::handle_timeout`]. Each takes `now`, and leaves nothing half done.
-//! - Outputs, to be looked at after each input: [`Actor::poll_transmit`] whenever the link can take a frame,
+//!   [`Actor::handle_timeout`]. Each takes `now` and processes its input completely.
+//! - Outputs, to be checked after each input: [`Actor::poll_transmit`] whenever the link can take a frame,
 //!   [`Actor::wants_close`], and [`Actor::poll_timeout`], which says when to call [`Actor::handle_timeout`].
-//!   Clients get their answers through the channels that came with their requests, and the newest state by a watch.
+//!   Clients get replies through the channels in their requests, and the newest state through a watch channel.
 //!
 //! # Parts
 //!
-//! Each part is a struct with methods of its own, which take what they need and return what the actor has to do. A
-//! decision that concerns several parts is a method of [`Actor`].
+//! Each part is a struct whose methods take their inputs as arguments and return what the actor has to do. Decisions
+//! that concern several parts are methods of [`Actor`].
 //!
 //! # Architecture invariants
 //!
-//! A motion frame is submitted to the session in one place, `start_motion`, for an admitted command, once. While a
-//! latch holds, none is submitted, and what was not written yet is withdrawn. An acknowledge is submitted in one place,
-//! for a client that named the latch's id.
+//! A motion frame is submitted to the session in one place, `start_motion`, once for each admitted command. While a
+//! FAST STOP is latched, no motion frame is submitted, and unwritten ones are withdrawn. An acknowledge is submitted in
+//! one place, for a client that named the latch's id.
 
 mod admission;
 mod connection;
@@ -71,33 +71,27 @@ use running::MotionState;
 use settings::Settings;
 use streaming::Streaming;
 
-/// Time for the device to answer, before a Loop asks whether the answer was lost.
+/// Time limit for the device's reply, after which a Loop checks whether the reply was lost.
 const REPLY_WITHIN: Duration = Duration::from_secs(1);
 
-/// Time for the result of a request that is no motion: a finger powers up in about 500 ms (`fw4-en 3.6.3`), and a custom
-/// command may do anything.
+/// Time limit for the result of a custom command or of a request without motion. A finger powers up in about 500 ms
+/// (`fw4-en 3.6.3`), and a custom command can do anything.
 const RESULT_WITHIN: Duration = Duration::from_secs(30);
 
 /// Configuration of an actor.
 #[derive(Debug, Clone)]
 pub struct Config {
-    /// The gripper's name.
     pub name: Name,
-    /// URL of the device.
     pub url: String,
-    /// Properties of the transport that matter to the protocol.
     pub properties: LinkProperties,
-    /// Meaning of the ids of custom commands.
     pub custom_ids: CustomIds,
-    /// Time for a running command to finish when the gripper is given up.
+    /// Time for a running command to finish when the gripper is drained.
     pub drain: Duration,
-    /// Treatment of motions while the journal takes no records.
     pub on_journal_failure: OnJournalFailure,
-    /// Terms that clients may ask for.
+    /// Lease terms that clients can request.
     pub lease: LeaseRules,
     /// Seed for ids and nonces; fixed in tests.
     pub seed: u64,
-    /// Counters and histograms of this gripper.
     pub metrics: Metrics,
 }
 
@@ -124,16 +118,14 @@ pub struct Actor {
 /// Receivers of an actor's publications.
 #[derive(Debug)]
 pub struct Watches {
-    /// The newest state.
     pub state: watch::Receiver<Arc<State>>,
-    /// Information about the device.
     pub info: watch::Receiver<Arc<Info>>,
-    /// Every frame from now on, once somebody subscribes.
+    /// Sender of the wire log, to subscribe to.
     pub frames: broadcast::Sender<Arc<Frame>>,
 }
 
 impl Actor {
-    /// A gripper without a link yet.
+    /// Creates an actor without a link.
     #[must_use]
     pub fn new(config: Config) -> (Self, Watches) {
         let publication = Publication::new(&config);
@@ -160,13 +152,13 @@ impl Actor {
         (actor, Watches { state, info, frames })
     }
 
-    /// Takes bytes off the link.
+    /// Takes bytes from the link.
     pub fn receive(&mut self, now: Now, bytes: &[u8]) {
         self.link.receive(now, bytes);
         self.after_input(now);
     }
 
-    /// A FAST STOP: needs no lease, waits for nothing.
+    /// Takes a FAST STOP, which needs no lease and waits for nothing.
     pub fn fast_stop(&mut self, now: Now, request: FastStopRequest) {
         self.latch(now, request);
         self.after_input(now);
@@ -178,7 +170,7 @@ impl Actor {
         self.metering.fast_stop_requested(request.at);
         let caller = request.epoch.take();
         if let Some(token) = self.latch.request(now, request) {
-            // An acknowledge of an earlier one must not come after this.
+            // An acknowledge of an earlier FAST STOP must not be sent after this one.
             self.link.withdraw(token);
         }
         if let Some(caller) = caller {
@@ -188,7 +180,7 @@ impl Actor {
         self.send_fast_stop_if_due(now);
         self.record_fast_stop(now, FastStopStep::Latched, Some(&client));
         self.abort_for_latch(now);
-        tracing::warn!(gripper = %self.config.name, %id, by = %client.subject, cause = cause.name(), reason = reason.as_str(), "FAST STOP");
+        tracing::warn!(gripper = %self.config.name, %id, by = %client.subject, cause = cause.name(), reason = reason.as_str(), "FAST STOP latched");
     }
 
     /// Takes any other request of a client.
@@ -204,7 +196,8 @@ impl Actor {
             Request::Cancel { id, client, answer } => {
                 let ticket = self.commands.find(id);
                 if ticket.is_some() {
-                    tracing::info!(gripper = %self.config.name, command = %id, by = %client.subject, "cancelled");
+                    tracing::info!(gripper = %self.config.name, command = %id, by = %client.subject,
+                        "command cancelled");
                     self.cancel(now, id, &client);
                 }
                 let _ = answer.send(ticket);
@@ -218,7 +211,7 @@ impl Actor {
             }
             Request::TakeLease { take, token, answer } => self.take_lease(now, &take, token, answer),
             Request::UseLease { token, answer } => {
-                // A caller that is gone already has used it once.
+                // If the caller is gone, this counts as a single use.
                 let _ = answer.send(self.lease.keep(now.instant, Some(&token)));
             }
             Request::RenewLease { token, answer } => {
@@ -236,7 +229,7 @@ impl Actor {
         self.after_input(now);
     }
 
-    /// Appends the next frame to `out`, if there is one. What is handed out counts as written.
+    /// Appends the next frame to `out`, if there is one. Such a frame counts as written.
     pub fn poll_transmit(&mut self, now: Now, out: &mut Vec<u8>) -> bool {
         if self.drain.as_ref().is_some_and(Drain::is_announced) {
             // Nothing follows a disconnect announcement.
@@ -251,7 +244,7 @@ impl Actor {
         true
     }
 
-    /// Notifier of ended requests of the lease's holder, after which [`Actor::lease_request_closed`] has to be called.
+    /// Notified when a request of the lease holder ends; [`Actor::lease_request_closed`] has to be called then.
     #[must_use]
     pub fn lease_requests(&self) -> Arc<Notify> {
         self.lease.closed()
@@ -263,8 +256,8 @@ impl Actor {
         self.link.close
     }
 
-    /// Does everything that follows from an input: takes the session's events, then runs what is due. Clients get their
-    /// answers after the state was published, so that their next read shows no older one.
+    /// Processes the consequences of an input: the session's events, then due timers. Clients get their replies after
+    /// the state was published, so that their next read returns no older state.
     fn after_input(&mut self, now: Now) {
         self.take_events(now);
         self.run_due_timers(now);
@@ -278,7 +271,7 @@ impl Actor {
     }
 }
 
-/// A command's name, as errors have it.
+/// Name of a command for error messages.
 fn name_of(command: &Command) -> &'static str {
     id::name(command.id()).unwrap_or("the custom command")
 }

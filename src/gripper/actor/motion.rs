@@ -11,7 +11,7 @@ use crate::wsg::session::End;
 use crate::wsg::{Command, Data, Force, Reply, Status, SystemState};
 
 impl Actor {
-    /// Starts the motion that waits, when its pause is over.
+    /// Starts the waiting motion after its pause.
     pub(super) fn start_waiting_motion(&mut self, now: Now) {
         if !self.link.is_up() {
             return;
@@ -27,7 +27,7 @@ impl Actor {
         }
     }
 
-    /// The one place that submits a motion.
+    /// Submits a motion to the session. No other place does.
     pub(super) fn start_motion(&mut self, now: Now, id: CommandId) {
         let Some(running) = self.motion.running.as_ref().filter(|running| running.id == id) else { return };
         if let Some(fast_stop) = self.latch.id() {
@@ -47,7 +47,7 @@ impl Actor {
         }
     }
 
-    /// The force limit before a grip has been answered. It stays set, whatever has become of the grip.
+    /// Takes the result of the Set Force Limit before a grip. The limit stays set, whatever happens to the grip.
     pub(super) fn force_ended(&mut self, now: Now, id: CommandId, force: Force, end: End) {
         self.reads.forget();
         let success = matches!(end, End::Reply(Reply::Success(_)));
@@ -71,19 +71,19 @@ impl Actor {
     pub(super) fn motion_accepted(&mut self, id: CommandId) {
         if let Some(running) = self.motion.get_mut(id) {
             running.accepted = true;
-            // The motion lets go of what was held, or grips it anew.
+            // The motion releases the held part, or grips it again.
             self.observed.part = HeldPart::default();
             self.commands.accepted(id);
         }
     }
 
-    /// The motion has ended, as far as the session knows.
+    /// Takes the result of a motion from the session.
     pub(super) fn motion_ended(&mut self, now: Now, id: CommandId, end: End) {
         let Some(running) = self.motion.running.as_mut().filter(|running| running.id == id) else { return };
         self.motion.last_end = Some(now.instant);
         let command = super::name_of(&running.motion.request());
         let (outcome, status) = match end {
-            // A script needs no E_CMD_PENDING before.
+            // A script may reply without an E_CMD_PENDING before.
             End::Reply(Reply::Success(Data::Custom(payload))) => {
                 running.payload = Some(payload);
                 (Outcome::Success, Some(Status::E_SUCCESS))
@@ -112,12 +112,12 @@ impl Actor {
         }
     }
 
-    /// Ends the motion as it stands: settled, or cut off by the end of its link.
+    /// Ends the motion with its result so far: settled, or cut off by the loss of the link.
     pub(super) fn end_running(&mut self, now: Now, unwritten: bool) {
         let Some(running) = self.motion.finish(now.instant, self.settings.stroke_mm()) else { return };
         let (outcome, status) = match running.stage {
             Stage::Settling(Settling { outcome, status, .. }) => (outcome, status),
-            // It may have happened.
+            // The motion may have happened.
             Stage::Sent(_) if !unwritten => (Outcome::Unknown, None),
             _ => return self.reject(now, running.id, self.link.failure().into()),
         };
@@ -134,7 +134,7 @@ impl Actor {
         });
     }
 
-    /// A FAST STOP holds: what waits is over, what runs will be.
+    /// Aborts the motion for a FAST STOP: a waiting motion ends at once, a running one with its reply.
     pub(super) fn abort_for_latch(&mut self, now: Now) {
         if let Some(running) = &mut self.motion.running {
             running.fast_stop = self.latch.id();
@@ -142,7 +142,7 @@ impl Actor {
         }
     }
 
-    /// Ends the motion whose frame has not been written yet, if there is one.
+    /// Ends the motion as aborted if its frame has not been written yet.
     pub(super) fn withdraw_waiting_motion(&mut self, now: Now) {
         let Some(running) = self.motion.running.as_ref() else { return };
         let withdrawn = running.token().is_some_and(|token| self.link.withdraw(token));
@@ -156,7 +156,7 @@ impl Actor {
         }
     }
 
-    /// Stops a command on its client's behalf.
+    /// Cancels a command for a client.
     pub(super) fn cancel(&mut self, now: Now, id: CommandId, by: &Client) {
         if !self.motion.cancel(id, by) {
             return;
@@ -167,7 +167,7 @@ impl Actor {
         }
     }
 
-    /// A Stop has ended.
+    /// Takes the result of a Stop.
     pub(super) fn stop_ended(&mut self, now: Now, id: CommandId, end: End) {
         match end {
             End::Reply(Reply::Success(_)) => {
@@ -178,7 +178,7 @@ impl Actor {
                 });
             }
             end => {
-                // Written and not answered, it may have happened all the same.
+                // A Stop that was written but not answered may still have happened.
                 let unknown = matches!(end, End::Unanswered { written: true, .. } | End::NoResult { .. });
                 let outcome = if unknown { Outcome::Unknown } else { Outcome::Refused };
                 let rejection = self.rejection_of("Stop", end);
@@ -187,7 +187,7 @@ impl Actor {
         }
     }
 
-    /// Rejection for an end that is no success.
+    /// Rejection for a request that ended without success.
     pub(super) fn rejection_of(&self, command: &'static str, end: End) -> Rejection {
         match end {
             End::Reply(reply) => self.refusal(command, reply.status()),
@@ -226,7 +226,7 @@ impl Actor {
         });
     }
 
-    /// The one place that ends a command.
+    /// Ends a command. No other place does.
     pub(super) fn end(&mut self, now: Now, id: CommandId, fill_in: impl FnOnce(&mut Record)) {
         self.reads.forget();
         let (width_mm, force_n) = (self.observed.width_mm, self.observed.force_n);
@@ -252,7 +252,7 @@ impl Actor {
             }
             tracing::info!(gripper = %self.config.name, command = %id, kind = %record.kind,
                 outcome = record.outcome.map(Outcome::name), status = record.status, duration_ms = record.duration_ms,
-                "ended");
+                "command ended");
         }
     }
 }

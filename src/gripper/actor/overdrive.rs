@@ -1,4 +1,4 @@
-//! Overdrive Mode. The device's flags, and not its reply, show whether it was switched.
+//! Overdrive Mode. The device's flags, not its reply, show whether the mode was switched.
 
 use std::time::{Duration, Instant};
 
@@ -6,29 +6,29 @@ use super::super::error::{Failure, Rejection};
 use super::super::handle::Answer;
 use crate::wsg::{Data, SystemState};
 
-/// Time that the flags may take to show that Overdrive Mode was switched.
+/// Time limit for the flags to show that Overdrive Mode was switched.
 const FLAGS_WITHIN: Duration = Duration::from_millis(500);
 
 #[derive(Debug, Default)]
 pub(super) struct Overdrive {
     is_wanted: bool,
-    /// Requests that wait for the flags, and until when.
+    /// Requests that wait for the flags, each with the end of its wait.
     waiting: Vec<(Instant, Answer<Data>)>,
 }
 
 impl Overdrive {
-    /// The device has accepted a request to switch.
+    /// Waits for the flags, after the device has accepted a request to switch.
     pub(super) fn requested(&mut self, now: Instant, on: bool, answer: Answer<Data>) {
         self.is_wanted = on;
         self.waiting.push((now + FLAGS_WITHIN, answer));
     }
 
-    /// Overdrive Mode stays off after a restart of the device. Returns whether a client had switched it on.
+    /// Leaves Overdrive Mode off after a restart of the device. Returns whether a client had switched it on.
     pub(super) fn give_up(&mut self) -> bool {
         std::mem::take(&mut self.is_wanted)
     }
 
-    /// Answers the requests that the flags show as done. An answer that nobody takes is lost.
+    /// Answers the requests that the flags show as done. A caller that has gone gets no reply.
     pub(super) fn answer(&mut self, flags: Option<SystemState>) {
         if let Some(flags) = flags.filter(|flags| flags.contains(SystemState::OVERDRIVE_MODE) == self.is_wanted) {
             for (_, answer) in self.waiting.drain(..) {

@@ -14,7 +14,7 @@ use super::Actor;
 use super::recording::Recording;
 use crate::wsg::{Acceleration, Force, SoftLimits, Width};
 
-/// Leases or FAST STOPs that a gateway which was killed may have counted and not persisted.
+/// Epochs to skip after an unclean end, in which the last epochs may not have been persisted.
 const EPOCHS_SKIPPED: u64 = 1000;
 
 /// Settings of clients.
@@ -68,7 +68,7 @@ struct PersistedLease {
     holder: Option<Holder>,
 }
 
-/// The FAST STOP that holds, or the epoch of the last one.
+/// The latched FAST STOP, or the epoch of the last one.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(untagged)]
 enum PersistedLatch {
@@ -78,21 +78,21 @@ enum PersistedLatch {
 
 #[derive(Debug, Serialize, Deserialize)]
 struct HeldLatch {
-    /// Earlier versions wrote none.
+    /// Absent in values of earlier versions.
     #[serde(default)]
     epoch: u64,
     #[serde(flatten)]
     latch: Latch,
 }
 
-/// Epoch of a latch that is gone. It denies further fields, so that a latch that can't be read is not taken for one.
+/// Epoch of a cleared latch. Denies unknown fields, so that an unreadable [`HeldLatch`] does not parse as cleared.
 #[derive(Debug, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct ClearedLatch {
     epoch: u64,
 }
 
-/// State that was persisted last.
+/// State as last persisted.
 #[derive(Debug, Default)]
 pub(super) struct LastReported {
     latch: (u64, Option<FastStopId>),
@@ -143,12 +143,12 @@ impl Actor {
 
 impl Recording {
     pub(super) fn persist<T: Serialize>(&mut self, key: PersistedKey, value: Option<&T>) {
-        // Such structures are always JSON.
+        // These structures always serialize to JSON.
         let value = value.and_then(|value| serde_json::to_string(value).ok());
         self.push(Record::Persisted(PersistedState { gripper: self.gripper.clone(), key, value }));
     }
 
-    /// Persists the changes of the latch, the lease and the part that is held.
+    /// Persists changes of the latch, the lease and the held part.
     pub(super) fn persist_changes(&mut self, latch: &LatchState, lease: &LeaseState, grip: Option<CommandId>) {
         if self.reported.grip != grip {
             self.reported.grip = grip;
@@ -163,7 +163,7 @@ impl Recording {
             };
             self.persist(PersistedKey::Latch, Some(&latch));
         }
-        // A gripper that was reserved, or held by a client that is gone with the gateway, is reserved again.
+        // After a restart, the gripper is reserved for its last holder, or for the client of an earlier reservation.
         let holder = lease.holder().or(lease.reserved());
         if (self.reported.lease.epoch, self.reported.lease.holder.as_ref()) != (lease.epoch(), holder) {
             let lease = PersistedLease { epoch: lease.epoch(), holder: holder.cloned() };

@@ -10,7 +10,7 @@ use super::super::model::{LatchFields, State};
 use super::{Actor, Config};
 use crate::wsg::{DeviceTag, GripperState, SystemState, Temperature};
 
-/// State and device information, as clients can watch them.
+/// State and device information for clients to watch.
 #[derive(Debug)]
 pub(super) struct Publication {
     sequence: u64,

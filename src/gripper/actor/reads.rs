@@ -1,7 +1,7 @@
-//! Getters without automatic updates: read every few seconds at most, however many clients ask.
+//! Getters without automatic updates, read at most every few seconds, however many clients ask.
 //!
-//! A value that was read is served until it is too old, or until a request could have changed it. Callers that come while
-//! a read is under way get its answer.
+//! A value is served until it is too old or a request could have changed it. Callers that arrive during a read share
+//! its reply.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -14,18 +14,18 @@ use super::link::Purpose;
 use crate::wsg::session::End;
 use crate::wsg::{Command, Data, Reply};
 
-/// Greatest age of a value that is served.
+/// Longest time for which a value is served.
 const FRESH_FOR: Duration = Duration::from_secs(2);
 
-/// Clients that may wait for one read: as many as there can be connections.
+/// Clients that can wait for one read: as many as there can be connections.
 const MAX_READERS: usize = 1024;
 
-/// Values that were read, and reads under way, by id.
+/// Values read, and reads under way, by id.
 #[derive(Debug, Default)]
 pub(super) struct Reads {
     known: BTreeMap<u8, (Instant, Result<Data, Rejection>)>,
     waiting: BTreeMap<u8, Vec<Answer<Data>>>,
-    /// Reads under way that began before something was changed: their answers are told, and not kept.
+    /// Whether the reads under way began before a change. Their replies are passed on but not kept.
     outdated: bool,
 }
 
@@ -62,7 +62,7 @@ impl Reads {
 }
 
 impl Actor {
-    /// Answers from what is known, or by a read.
+    /// Answers with a known value, or with a read of the device.
     pub(super) fn read(&mut self, now: Now, command: Command, answer: Answer<Data>) {
         let id = command.id();
         if let Some(result) = self.reads.fresh(now.instant, id) {
@@ -91,7 +91,7 @@ impl Actor {
     }
 }
 
-/// Whether a command only reads what seldom changes.
+/// Whether a command only reads a value that seldom changes.
 pub(super) fn is_slow_getter(command: &Command) -> bool {
     matches!(
         command,

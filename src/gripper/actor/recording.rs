@@ -1,8 +1,7 @@
 //! Records for the journal, and the commands that wait until theirs are durable.
 //!
-//! A motion's frame leaves after its `admitted` record is durable, and no client is told of a command before: so
-//! whatever becomes of the gateway, the journal knows every command that a client knows. A FAST STOP waits for nothing,
-//! and a Stop's frame neither.
+//! A motion's frame is sent, and its client is answered, only after its `admitted` record is durable. So the journal
+//! has every command that a client knows of, even after a crash. FAST STOPs and the frames of Stops do not wait.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -20,16 +19,16 @@ use super::persistence::LastReported;
 use super::repeats::Repeats;
 use crate::wsg::SystemState;
 
-/// Time that a command waits for its record. A command that waits longer is refused, or goes on, and is never sent later.
+/// Time limit for a command's record. After it, the command is refused or goes on at once; it is never sent later.
 const RECORDED_WITHIN: Duration = Duration::from_millis(500);
 
-/// Treatment of motions while the journal takes no records.
+/// Treatment of motions while the journal is unavailable.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum OnJournalFailure {
-    /// They are refused.
+    /// Motions are refused.
     #[default]
     Refuse,
-    /// They go on without.
+    /// Motions go on without records.
     Continue,
 }
 
@@ -38,14 +37,14 @@ pub enum OnJournalFailure {
 pub(super) struct Recording {
     pub gripper: Name,
     on_failure: OnJournalFailure,
-    /// Records for the driver, which takes them after each input, with the commands that wait for them.
+    /// Records for the driver to take after each input, with the commands that wait for them.
     outbox: VecDeque<(Record, Option<CommandId>)>,
-    /// Commands whose records aren't durable yet, the oldest first, and until when each waits.
+    /// Commands whose records are not durable yet, oldest first, each with the end of its wait.
     unrecorded: VecDeque<(Instant, CommandId)>,
     pub health: Health,
-    /// The motion that is being measured.
+    /// The motion being measured.
     pub measured: Option<Measured>,
-    /// The link as it was recorded last.
+    /// Link state as last recorded.
     link: Option<(Link, bool)>,
     pub reported: LastReported,
     pub repeats: Repeats,
@@ -72,25 +71,25 @@ impl Recording {
         self.outbox.pop_front()
     }
 
-    /// Takes a record that nobody waits for.
+    /// Adds a record that no command waits for.
     pub(super) fn push(&mut self, record: Record) {
         self.outbox.push_back((record, None));
     }
 
-    /// Cause of records that don't become durable.
+    /// Reason that records do not become durable.
     pub(super) fn failure(&self) -> Option<&str> {
         self.health.failure.as_deref()
     }
 
-    /// Whether a motion may be admitted.
+    /// Checks that a motion can be admitted.
     pub(super) fn check(&self) -> Result<(), Failure> {
         match (self.on_failure, self.failure()) {
-            (OnJournalFailure::Refuse, Some(_)) => Err(self.journal_down("it takes none")),
+            (OnJournalFailure::Refuse, Some(_)) => Err(self.journal_down("it stores no records")),
             _ => Ok(()),
         }
     }
 
-    /// Ends the wait for a command's record, and tells whether the command may go on.
+    /// Ends the wait for a command's record. An error means that the command must not go on.
     pub(super) fn end_wait(&mut self, id: CommandId, durable: Result<(), &str>) -> Result<(), Failure> {
         self.unrecorded.retain(|(_, unrecorded)| *unrecorded != id);
         match durable {
@@ -99,12 +98,12 @@ impl Recording {
         }
     }
 
-    /// The oldest command whose record is not durable yet, and until when it waits.
+    /// The oldest command whose record is not durable yet, with the end of its wait.
     pub(super) fn oldest_wait(&self) -> Option<(Instant, CommandId)> {
         self.unrecorded.front().copied()
     }
 
-    /// The journal's own words for the failure, or else the cause that is given.
+    /// A failure with the journal's own reason, or with `cause` if it has none.
     fn journal_down(&self, cause: &str) -> Failure {
         Failure::JournalDown { cause: self.failure().unwrap_or(cause).to_owned() }
     }
@@ -122,7 +121,7 @@ impl Recording {
         self.change_of_device(now, event);
     }
 
-    /// The first of a command's two records.
+    /// Records the admission of a command.
     pub(super) fn admitted(&mut self, now: Now, id: CommandId, submission: &Submission) {
         let admitted = Admitted {
             command: submission.action.kind(),
@@ -135,7 +134,7 @@ impl Recording {
         self.unrecorded.push_back((now.instant + RECORDED_WITHIN, id));
     }
 
-    /// The second of a command's two records.
+    /// Records the end of a command.
     pub(super) fn done(&mut self, now: Now, client: &Client, command: &std::sync::Arc<Ended>) {
         let part_id = self.measured_part(command.id);
         let detail = Detail::Command(CommandEvent::Done(Box::new(Done::of(command, part_id))));
@@ -165,7 +164,7 @@ impl Recording {
         self.record_or_count(now, event, by);
     }
 
-    /// Records a change of the link once: not each attempt of one that can't be made.
+    /// Records a change of the link, but not each failed attempt to connect.
     pub(super) fn link(&mut self, now: Now, link: Link, link_cause: Option<String>) {
         let change = (link, link_cause.is_some());
         if self.link.replace(change) == Some(change) {
@@ -192,7 +191,7 @@ impl Recording {
         self.record(event);
     }
 
-    /// Records all that was counted, or is still being measured.
+    /// Records everything that was counted or is being measured.
     pub(super) fn finish(&mut self, now: Now) {
         self.finish_measuring();
         self.record_repeats();

@@ -1,5 +1,5 @@
-//! Requests that clients repeat without effect: recorded once, and counted by the second, so that a client that floods its
-//! gripper fills no disk.
+//! Requests that clients repeat without effect: recorded once, then counted per second, so that a flood of requests
+//! does not fill the disk.
 
 use std::time::{Duration, Instant};
 
@@ -13,31 +13,32 @@ use super::recording::Recording;
 /// Time for which repeated requests are counted.
 const COUNTED_FOR: Duration = Duration::from_secs(1);
 
-/// Clients that are told apart within that time. Requests of further clients are counted together, or count as new.
+/// Clients distinguished within that time. FAST STOPs of further clients are counted together, and their Stops count as
+/// new.
 const MAX_CLIENTS: usize = 16;
 
 /// Requests that were recorded within the last second.
 #[derive(Debug, Default)]
 pub(super) struct Repeats {
     fast_stops: Option<FastStops>,
-    /// The Stops that had nothing to stop, and until when a further Stop of the same client counts as a repetition.
+    /// Stops that had nothing to stop, and the time until which another Stop of the same client counts as a repetition.
     stops: Vec<(Instant, Client, CommandId)>,
 }
 
-/// The FAST STOPs of a second.
+/// FAST STOPs within one second.
 #[derive(Debug)]
 struct FastStops {
     until: Instant,
     /// Clients whose first FAST STOP was recorded.
     clients: Vec<Client>,
-    /// Number of FAST STOPs since, the newest of them, and its confirmation by the device's flags.
+    /// Number of FAST STOPs since then, the newest one, and its confirmation by the device's flags.
     more: u64,
     newest: Option<Event>,
     confirmed: Option<Event>,
 }
 
 impl Repeats {
-    /// Takes the event of a FAST STOP that a client asked for: to be written down now, or counted.
+    /// Takes the event of a requested FAST STOP. Returns it if it has to be recorded now; otherwise it is counted.
     fn fast_stop(&mut self, now: Instant, client: &Client, event: Event) -> Option<Event> {
         let opened =
             || FastStops { until: now + COUNTED_FOR, clients: Vec::new(), more: 0, newest: None, confirmed: None };
@@ -52,7 +53,7 @@ impl Repeats {
         None
     }
 
-    /// Takes what else is written down of FAST STOPs: behind those that are counted, if there are some.
+    /// Takes any other FAST STOP event. Returns it, unless it has to wait for the counted ones to be recorded first.
     fn behind_fast_stops(&mut self, event: Event) -> Option<Event> {
         match &mut self.fast_stops {
             Some(second) if second.newest.is_some() => {
@@ -74,7 +75,7 @@ impl Repeats {
 }
 
 impl Recording {
-    /// Records an event of a FAST STOP, now or with those that are counted.
+    /// Records a FAST STOP event now, or together with the counted ones.
     pub(super) fn record_or_count(&mut self, now: Now, event: Event, by: Option<&Client>) {
         let event = match by {
             Some(client) => self.repeats.fast_stop(now.instant, client, event),
@@ -85,7 +86,7 @@ impl Recording {
         }
     }
 
-    /// Records the FAST STOPs that were counted: the newest, and how many it stands for.
+    /// Records the counted FAST STOPs: the newest, with the count.
     pub(super) fn record_repeats(&mut self) {
         let Some(FastStops { more, newest, confirmed, .. }) = self.repeats.fast_stops.take() else { return };
         if let Some(Event { detail: Detail::FastStop(fast_stop), .. }) = &newest {
@@ -98,7 +99,7 @@ impl Recording {
 }
 
 impl Actor {
-    /// The Stop that this one repeats: of the same client, within a second, while there is nothing to stop.
+    /// An earlier Stop of the same client within a second, while there is nothing to stop.
     pub(super) fn repeated_stop(&mut self, now: Now, submission: &Submission) -> Option<Ticket> {
         if submission.request_id.is_some() || self.check_link().is_err() || self.is_moving(now.instant) {
             return None;
@@ -108,7 +109,7 @@ impl Actor {
         may_succeed.then_some(Ticket { replayed: true, ..ticket })
     }
 
-    /// The newest Stop that waits to be written, for a Stop that found the lane full: it stops the fingers as well.
+    /// For a Stop that found the queue full, the newest pending Stop, which stops the fingers as well.
     pub(super) fn join_stop(&mut self, now: Now, not_taken: Rejection) -> Result<Ticket, Rejection> {
         let is_full = matches!(not_taken, Rejection::Failure(Failure::Overloaded { .. }));
         let ticket =

@@ -1,4 +1,4 @@
-//! The command that moves the fingers, and how long they may move on its behalf.
+//! The command that moves the fingers, and the time for which they can move because of it.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -9,57 +9,57 @@ use super::RESULT_WITHIN;
 use crate::wsg::Status;
 use crate::wsg::session::Token;
 
-/// The pause between the end of a motion and the next: devices in the field fall over otherwise.
+/// Pause between the end of a motion and the next one. Devices in the field fail without it.
 const PAUSE: Duration = Duration::from_millis(50);
 
-/// Time for homing: the slowest homing speed over the longest stroke.
+/// Time limit for homing: the longest stroke at the slowest homing speed.
 const HOMING_WITHIN: Duration = Duration::from_mins(1);
 
-/// Time that a motion may take beyond its way at its speed: for acceleration, clamping, and a device that gives up by
-/// itself with E_TIMEOUT.
+/// Time allowed in addition to the travel time of a motion: for acceleration, clamping, and the device's own time-out
+/// (E_TIMEOUT).
 const MOTION_MARGIN: Duration = Duration::from_secs(10);
 
-/// Time that a command's end waits for values that were measured after it, so that the client is told, and reads next,
-/// values of after the motion. Updates every 10 ms bring them sooner.
+/// Longest wait for values measured after a motion, so that its result and the client's next read have the values at
+/// rest. Updates every 10 ms usually end the wait sooner.
 const SETTLES_WITHIN: Duration = Duration::from_millis(50);
 
-/// Time after a motion's end in which the flags may still show movement.
+/// Time after a motion's end for which the flags can still show movement.
 const ENDS_WITHIN: Duration = Duration::from_millis(300);
 
-/// The longest time for a way, whatever stroke a device reports.
+/// Upper bound of a travel time, whatever stroke a device reports.
 const LONGEST_WAY: Duration = Duration::from_mins(5);
 
-/// The stroke of a device that has not told its own.
+/// Assumed stroke of a device that has not reported its own.
 const LONGEST_STROKE_MM: f32 = 250.0;
 
-/// The command that moves the fingers, or is about to.
+/// The command that moves the fingers, or is about to move them.
 #[derive(Debug)]
 pub(super) struct Running {
     pub id: CommandId,
     pub motion: Motion,
     pub stage: Stage,
     pub accepted: bool,
-    /// Whether it is one of many commands that steer the fingers: such a command waits for nothing, nor does its client.
+    /// Whether the command is streamed: neither the command nor its client waits for anything.
     pub is_streamed: bool,
-    /// Whether its `admitted` record is durable, or need not be.
+    /// Whether the command's `admitted` record is durable, or not required to be.
     pub recorded: bool,
-    /// The FAST STOP that came while it ran.
+    /// Id of the FAST STOP that came while the command ran.
     pub fast_stop: Option<FastStopId>,
-    /// Subject of the client that has cancelled it.
+    /// Subject of the client that cancelled the command.
     pub cancelled_by: Option<Arc<str>>,
-    /// Answer of a script.
+    /// Reply of a script.
     pub payload: Option<Vec<u8>>,
 }
 
 #[derive(Debug)]
 pub(super) enum Stage {
-    /// For the pause after the last one.
+    /// Waits for its record and for the pause after the last motion.
     Waiting,
-    /// For the answer to Set Force Limit.
+    /// Waits for the reply to Set Force Limit.
     Force(Token),
-    /// The session has the motion: its frame may be written.
+    /// The session has the motion, and may have written its frame.
     Sent(Token),
-    /// The motion has ended, and values of after its end are awaited.
+    /// The motion has ended, and values measured after its end are awaited.
     Settling(Settling),
 }
 
@@ -86,17 +86,17 @@ impl Running {
         }
     }
 
-    /// Whether the device has said how it ended.
+    /// Whether the result of the motion is known.
     fn has_ended(&self) -> bool {
         matches!(self.stage, Stage::Settling(_))
     }
 
-    /// Whether it has not been given to the device.
+    /// Whether the motion has not been submitted to the session yet.
     pub(super) fn is_waiting(&self) -> bool {
         matches!(self.stage, Stage::Waiting | Stage::Force(_))
     }
 
-    /// The session's token of it.
+    /// Token of the session's request, if there is one.
     pub(super) fn token(&self) -> Option<Token> {
         match self.stage {
             Stage::Waiting | Stage::Settling(_) => None,
@@ -104,13 +104,13 @@ impl Running {
         }
     }
 
-    /// Time that the fingers may still move on its behalf after its end.
+    /// Time for which the fingers can still move because of this command after its end.
     fn moves_on_for(&self, stroke_mm: Option<f32>) -> Duration {
         let is_told = matches!(self.stage, Stage::Settling(Settling { status: Some(_), .. }));
         match &self.motion {
-            // They push against an obstacle, and snap to the target when it goes.
+            // The fingers push against an obstacle, and snap to the target when it is gone.
             Motion::Move { flags, .. } if !flags.stop_on_block => LONGEST_WAY,
-            // A script may do anything.
+            // A script can do anything.
             Motion::Custom(_) => RESULT_WITHIN,
             _ if is_told => ENDS_WITHIN,
             motion => result_within(motion, stroke_mm),
@@ -118,7 +118,7 @@ impl Running {
     }
 }
 
-/// Time that a motion's result may take.
+/// Time limit for a motion's result.
 pub(super) fn result_within(motion: &Motion, stroke_mm: Option<f32>) -> Duration {
     let speed = match motion {
         Motion::Home(_) => return HOMING_WITHIN,
@@ -130,12 +130,12 @@ pub(super) fn result_within(motion: &Motion, stroke_mm: Option<f32>) -> Duration
     way.min(LONGEST_WAY) + MOTION_MARGIN
 }
 
-/// The motion at hand, and the end of the last one.
+/// The current motion, and the end of the last one.
 #[derive(Debug, Default)]
 pub(super) struct MotionState {
     pub running: Option<Running>,
     pub last_end: Option<Instant>,
-    /// End of the time in which the fingers may move on behalf of a motion that has ended.
+    /// Time until which the fingers can move because of a motion that has ended.
     may_move_until: Option<Instant>,
 }
 
@@ -149,12 +149,12 @@ impl MotionState {
         self.running.as_ref().map(|running| running.id)
     }
 
-    /// Whether a motion runs whose end the device has not told.
+    /// Whether a motion runs whose result is not known yet.
     pub(super) fn is_under_way(&self) -> bool {
         self.running.as_ref().is_some_and(|running| !running.has_ended())
     }
 
-    /// Whether the next motion may be admitted.
+    /// Checks that the next motion can be admitted.
     pub(super) fn check(&self) -> Result<(), Conflict> {
         match &self.running {
             Some(running) if !running.has_ended() => Err(Conflict::AlreadyRunning { id: running.id }),
@@ -162,7 +162,7 @@ impl MotionState {
         }
     }
 
-    /// Nothing but its pause keeps the motion from starting.
+    /// Lets the motion start after its pause.
     pub(super) fn let_run(&mut self) {
         if let Some(running) = &mut self.running {
             running.recorded = true;
@@ -174,7 +174,7 @@ impl MotionState {
         self.running.as_ref().is_some_and(|running| running.id == id && !running.recorded)
     }
 
-    /// The motion that waits for nothing but its pause.
+    /// The motion that waits only for its pause.
     fn pausing(&self) -> Option<&Running> {
         self.running.as_ref().filter(|running| running.recorded && matches!(running.stage, Stage::Waiting))
     }
@@ -189,7 +189,7 @@ impl MotionState {
         self.pausing().filter(|_| self.starts_at().is_none_or(|at| at <= now))
     }
 
-    /// Time at which a settling motion is told as it is.
+    /// Time at which a settling motion ends even without newer values.
     pub(super) fn settles_at(&self) -> Option<Instant> {
         match self.running.as_ref()?.stage {
             Stage::Settling(settling) => Some(settling.since + SETTLES_WITHIN),
@@ -197,7 +197,7 @@ impl MotionState {
         }
     }
 
-    /// Whether the motion has settled, by values that are newer than its end or by the time.
+    /// Whether the motion has settled: values newer than its end have arrived, or the wait is over.
     pub(super) fn has_settled(&self, now: Instant, is_newer_than: impl FnOnce(Instant) -> bool) -> bool {
         match &self.running {
             Some(Running { stage: Stage::Settling(settling), is_streamed, .. }) => {
@@ -207,32 +207,32 @@ impl MotionState {
         }
     }
 
-    /// Takes the motion that ends now: the fingers may move on for a while.
+    /// Takes the ended motion, and notes for how long the fingers can still move.
     pub(super) fn finish(&mut self, now: Instant, stroke_mm: Option<f32>) -> Option<Running> {
         let running = self.running.take()?;
         self.may_move_until = Some(now + running.moves_on_for(stroke_mm));
         Some(running)
     }
 
-    /// Notes the client that cancels a command. Returns whether the command is under way.
+    /// Notes the client that cancels a command. Returns whether the command is still under way.
     pub(super) fn cancel(&mut self, id: CommandId, by: &Client) -> bool {
         let running = self.get_mut(id).filter(|running| !running.has_ended());
         running.map(|running| running.cancelled_by.get_or_insert_with(|| by.subject.clone())).is_some()
     }
 
-    /// Whether a motion takes the fingers' reference away, for as long as it runs.
+    /// Whether homing is under way, during which the fingers are not referenced.
     pub(super) fn is_homing(&self) -> bool {
         self.running.as_ref().is_some_and(|running| matches!(running.motion, Motion::Home(_)) && !running.is_waiting())
     }
 
-    /// Whether a motion of the gateway's clients may move the fingers now.
+    /// Whether the fingers can be moving because of a command of this gateway.
     pub(super) fn may_move(&self, now: Instant) -> bool {
         self.may_move_until.is_some_and(|until| now < until)
             || self.running.as_ref().is_some_and(|running| !running.is_waiting())
     }
 }
 
-/// The outcome that a status of an accepted motion means (`fw4-en 3.2`).
+/// Outcome of an accepted motion that ended with this status (`fw4-en 3.2`).
 pub(super) fn outcome_of(kind: Kind, status: Status) -> Outcome {
     match (kind, status) {
         (Kind::Grip, Status::E_SUCCESS) => Outcome::PartHeld,
@@ -251,7 +251,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_grip_without_a_part_is_an_answer_and_not_a_failure() {
+    fn grip_without_a_part_is_not_a_failure() {
         assert_eq!(outcome_of(Kind::Grip, Status::E_SUCCESS), Outcome::PartHeld);
         assert_eq!(outcome_of(Kind::Grip, Status::E_CMD_FAILED), Outcome::NoPart);
         assert_eq!(outcome_of(Kind::Release, Status::E_CMD_FAILED), Outcome::Failed);

@@ -1,4 +1,4 @@
-//! Settings of the device: what clients want of it, and what it allows.
+//! Settings of the device: the values that clients have set, and its limits.
 
 use std::collections::BTreeSet;
 
@@ -14,13 +14,12 @@ use super::recording::Recording;
 use super::tag::TagWrites;
 use crate::wsg::{Command, Data, Finger, SystemInfo, SystemState};
 
-/// Settings of the device.
 #[derive(Debug, Default)]
 pub(super) struct Settings {
     /// Serial number of the device that `wanted` was set on.
     pub known_serial: Option<u32>,
     pub wanted: Wanted,
-    /// Settings of clients that could not be restored: nothing moves until they are set again.
+    /// Settings of clients that could not be restored. Motion is blocked until they are set again.
     lost: BTreeSet<Setting>,
     system: Option<SystemInfo>,
     limits: Limits,
@@ -29,7 +28,7 @@ pub(super) struct Settings {
 }
 
 impl Settings {
-    /// Whether the device has all that clients have set.
+    /// Checks that the device has all settings of clients.
     pub(super) fn check(&self) -> Result<(), Conflict> {
         if self.lost.is_empty() {
             return Ok(());
@@ -50,7 +49,7 @@ impl Settings {
         self.system.as_ref().is_some_and(has_temperature)
     }
 
-    /// Notes a value that the device read back: it is restored after a restart of the device.
+    /// Notes a value that was read back, to restore it after a restart of the device.
     pub(super) fn note(&mut self, data: &Data) {
         match data {
             Data::Acceleration(acceleration) => {
@@ -70,18 +69,18 @@ impl Settings {
         }
     }
 
-    /// Notes that soft limits were read back, and that there are none.
+    /// Notes that the soft limits were read back as cleared.
     pub(super) fn note_no_soft_limits(&mut self) {
         self.wanted.soft_limits = WantedSoftLimits::Cleared;
         self.lost.remove(&Setting::SoftLimits);
         self.limits.soft = None;
     }
 
-    /// Takes what a set-up has learned. Returns whether the device has another serial number than the one before.
+    /// Takes the results of a setup. Returns whether the serial number differs from the one before.
     pub(super) fn learn(&mut self, setup: &mut Setup, has_overdrive: bool) -> bool {
         self.wanted = setup.wanted();
         if let (Some(wanted), Some(limits), false) = (self.wanted.force_limit, setup.limits, has_overdrive) {
-            // Without overdrive the device has clamped it, and would be found changed at each reconnect.
+            // Without overdrive the device clamps the force limit, which would look changed at each reconnection.
             self.wanted.force_limit = Some(if wanted > limits.nominal_force { limits.nominal_force } else { wanted });
         }
         self.lost = std::mem::take(&mut setup.lost);
@@ -99,14 +98,14 @@ impl Recording {
         self.record(event);
     }
 
-    /// Records a setter's value that was read back.
+    /// Records a value that was read back after a setter.
     pub(super) fn set(&mut self, now: Now, client: &Client, data: &Data) {
         if let Some(setting) = change_of(data) {
             self.setting(now, client, setting);
         }
     }
 
-    /// Records what a command has changed on the device and nothing can read back.
+    /// Records a change that can't be read back.
     pub(super) fn change(&mut self, now: Now, client: &Client, command: &Command) {
         let setting = match command {
             Command::TareForceSensor => SettingChange::Tare,
@@ -120,7 +119,7 @@ impl Recording {
         self.setting(now, client, setting);
     }
 
-    /// Records settings that the device had forgotten, and has got again.
+    /// Records settings that were restored on a device that had lost them.
     pub(super) fn restored(&mut self, now: Now, restored: &[Setting], wanted: Wanted) {
         let Wanted { acceleration, force_limit, soft_limits } = wanted;
         for setting in restored {

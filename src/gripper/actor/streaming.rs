@@ -1,5 +1,5 @@
-//! Motions that come many times a second, from a client that steers a script on the device. Each is a command, held to
-//! lease and latch. Their counting is here.
+//! Streamed motions, sent many times a second by a client that steers a script on the device. Each is a command,
+//! subject to lease and latch. This module counts them for the journal.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -14,15 +14,15 @@ use crate::wsg::GripperState;
 /// Time for which commands are counted before they are recorded.
 const COUNTED_FOR: Duration = Duration::from_secs(1);
 
-/// Time that a stream goes on without a request: streams in use have 30 requests a second and more.
+/// Time that a stream counts as active after its last request. Active streams have 30 or more requests a second.
 const LASTS: Duration = Duration::from_secs(1);
 
 /// Streamed commands.
 #[derive(Debug, Default)]
 pub(super) struct Streaming {
-    /// Time of the newest.
+    /// Time of the newest streamed command.
     at: Option<Instant>,
-    /// Commands since the last record, by id and client: no more of them than the device answers in a second.
+    /// Commands since the last record, by id and client. Bounded by the device's replies in a second.
     counted: HashMap<(u8, Client), u64>,
     /// Time of the next record.
     written_at: Option<Instant>,
@@ -33,12 +33,12 @@ impl Streaming {
         self.written_at
     }
 
-    /// The stream was ended in order.
+    /// Marks the stream as ended.
     pub(super) fn stopped(&mut self) {
         self.at = None;
     }
 
-    /// Counts an admitted command: the first of a second is recorded at once.
+    /// Counts an admitted command. The first one is recorded at once.
     pub(super) fn count(&mut self, now: Now, submission: &Submission, recording: &mut Recording) {
         let Action::Motion(Motion::Custom(custom)) = &submission.action else { return };
         let (id, client) = (custom.id(), &submission.client);
@@ -53,7 +53,7 @@ impl Streaming {
         self.written_at.get_or_insert(now.instant + COUNTED_FOR);
     }
 
-    /// Records the commands that were counted. A stream that goes on is counted on, at the cost of one record a second.
+    /// Records the counted commands. An active stream continues to be counted, with one record a second.
     pub(super) fn write(&mut self, now: Now, recording: &mut Recording) {
         let counted = std::mem::take(&mut self.counted);
         for ((id, client), count) in counted.into_iter().filter(|(_, count)| *count > 0) {
@@ -65,13 +65,13 @@ impl Streaming {
 }
 
 impl Actor {
-    /// Whether a motion is one of many commands that steer the fingers.
+    /// Whether a motion is a streamed command.
     pub(super) fn is_streamed(&self, motion: &Motion) -> bool {
         matches!(motion, Motion::Custom(custom) if self.config.custom_ids.stream.contains(&custom.id()))
     }
 
-    /// Whether the fingers are being steered, as far as was known at `at`. Fingers that hold a part, and don't move,
-    /// are not: to stop them may drop it.
+    /// Whether a stream was active at `at`. It does not count while a part is held, since stopping the fingers could
+    /// drop the part.
     pub(super) fn is_streaming(&self, at: Instant) -> bool {
         let holds = self.observed.gripper_state == Some(GripperState::Holding);
         !holds && self.streaming.at.is_some_and(|streamed| at < streamed + LASTS)

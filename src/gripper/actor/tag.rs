@@ -1,14 +1,14 @@
-//! The device tag: each write of it wears the device's flash.
+//! The device tag. Each write wears the device's flash memory.
 
 use std::time::{Duration, Instant};
 
 use super::super::error::Failure;
 use crate::wsg::{Command, DeviceTag};
 
-/// Time between two writes, whoever asks: a write each second is already far more than a tag changes.
+/// Shortest time between two writes by all clients together. A tag changes far less often.
 const WRITE_EVERY: Duration = Duration::from_secs(1);
 
-/// Time for which a tag that was read back counts as the device's. Another program on the device may change it meanwhile.
+/// Time for which a tag that was read back counts as current. Another program can change it meanwhile.
 const KNOWN_FOR: Duration = Duration::from_mins(1);
 
 /// Writes of the device tag.
@@ -20,12 +20,12 @@ pub(super) struct TagWrites {
 }
 
 impl TagWrites {
-    /// The tag was read back.
+    /// Notes that the tag was read back.
     pub(super) fn read_back(&mut self, now: Instant) {
         self.known_at = Some(now);
     }
 
-    /// The tag may be another: the link is lost.
+    /// Forgets that the tag is known, because the link was lost.
     pub(super) fn forget(&mut self) {
         self.known_at = None;
     }
@@ -33,7 +33,7 @@ impl TagWrites {
     /// Begins a write, unless the device has this tag already. Returns whether to write.
     ///
     /// # Errors
-    /// [`Failure::FlashWear`] where the last write was just now.
+    /// [`Failure::FlashWear`] if the last write was less than [`WRITE_EVERY`] ago.
     pub(super) fn begin(&mut self, now: Instant, tag: &DeviceTag, is_known: bool) -> Result<bool, Failure> {
         if is_known && self.known_at.is_some_and(|at| now < at + KNOWN_FOR) {
             return Ok(false);

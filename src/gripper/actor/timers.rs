@@ -1,4 +1,4 @@
-//! The timers: all work that becomes due by itself, in one table.
+//! The timers: all work that becomes due with time, in one table.
 
 use std::time::{Duration, Instant};
 
@@ -12,18 +12,18 @@ use crate::wsg::session::Session;
 /// Period of reading the temperature, which has no automatic updates (`fw4-en 3.4.7`) and changes slowly.
 const TEMPERATURE_EVERY: Duration = Duration::from_secs(5);
 
-/// Time that the clients' requests may take through their interfaces after the gateway had no processor time.
+/// Time for clients' requests to pass through their interfaces after a stall of the gateway.
 const FRONTEND_GRACE: Duration = Duration::from_millis(200);
 
 /// A deadline of the actor, and its work.
 struct Timer {
     deadline: fn(&Actor) -> Option<Instant>,
     run: fn(&mut Actor, Now),
-    /// Whether the work may also be due for another reason than time: it is run after each input, and looks itself.
+    /// Whether the work can be due for reasons other than time. Such work runs after each input, and checks for itself.
     always: bool,
 }
 
-/// Work that is due once its deadline has come.
+/// Work that is due only at its deadline.
 const fn due(deadline: fn(&Actor) -> Option<Instant>, run: fn(&mut Actor, Now)) -> Timer {
     Timer { deadline, run, always: false }
 }
@@ -52,7 +52,7 @@ const TIMERS: [Timer; 15] = [
 ];
 
 impl Actor {
-    /// Does what is due. Has to be called when [`Actor::poll_timeout`] has come.
+    /// Runs due work. Has to be called at the time of [`Actor::poll_timeout`].
     pub fn handle_timeout(&mut self, now: Now) {
         if let Some(session) = &mut self.link.session {
             session.handle_timeout(now.instant);
@@ -76,14 +76,14 @@ impl Actor {
         }
     }
 
-    /// Has to be called before the next input when a deadline was missed by far. The clients' requests of that time are
-    /// on their way, and no holder is lost because the gateway could not hear it.
+    /// Extends the lease after a stall. Has to be called before the next input if a deadline was missed by far.
+    /// Requests from that time are still on their way, and a stall of the gateway must not lose a lease holder.
     pub fn after_stall(&mut self, now: Now) {
-        tracing::debug!(gripper = %self.config.name, "the gateway had no processor time");
+        tracing::debug!(gripper = %self.config.name, "gateway stalled: no processor time");
         self.lease.extend(now.instant + FRONTEND_GRACE);
     }
 
-    /// Whether the link is up and the gripper is not being given up.
+    /// Whether the link is up and no drain is under way.
     fn is_in_use(&self) -> bool {
         self.link.is_up() && self.drain.is_none()
     }
@@ -113,7 +113,7 @@ impl Actor {
         while let Some(id) = self.observed.silent(now.instant) {
             self.observed.asked(now.instant, id);
             if let Some(command) = observed::switch_on(id, period_ms) {
-                // A full lane is as good as no answer: it is asked again later.
+                // A full queue counts as no reply: the request is repeated later.
                 let _ = self.link.submit(now, command, Purpose::Upkeep);
             }
         }

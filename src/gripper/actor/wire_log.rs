@@ -1,4 +1,4 @@
-//! The wire log: every frame in both directions, for whoever listens. It costs nothing while nobody does.
+//! The wire log: every frame in both directions, for listeners. It costs nothing without listeners.
 
 use std::sync::Arc;
 
@@ -9,16 +9,16 @@ use super::super::model::{Frame, FrameDirection, Name};
 use crate::wsg::text::{Direction, describe};
 use crate::wsg::{self, ChecksumEvaluation, Decoded, Decoder, id};
 
-/// Frames that a listener may be behind: about two seconds of a device on TCP.
+/// Frames that a listener can lag behind: about two seconds of a device on TCP.
 const MAX_BEHIND: usize = 1024;
 
 #[derive(Debug)]
 pub(super) struct WireLog {
     gripper: Name,
     listeners: broadcast::Sender<Arc<Frame>>,
-    /// Number of the newest frame.
+    /// Sequence number of the newest frame.
     seq: u64,
-    /// Decoder of the device's bytes; none while nobody listens.
+    /// Decoder of the device's bytes; `None` without listeners.
     decoder: Option<Decoder>,
 }
 
@@ -31,7 +31,7 @@ impl WireLog {
         self.listeners.clone()
     }
 
-    /// One frame, whole.
+    /// Logs one complete frame.
     pub(super) fn sent(&mut self, now: Now, bytes: &[u8]) {
         if self.listeners.receiver_count() == 0 {
             return;
@@ -43,7 +43,7 @@ impl WireLog {
         }
     }
 
-    /// Bytes as they come.
+    /// Logs the frames in received bytes.
     pub(super) fn received(&mut self, now: Now, bytes: &[u8]) {
         if self.listeners.receiver_count() == 0 {
             self.decoder = None;
@@ -60,7 +60,7 @@ impl WireLog {
         self.decoder = Some(decoder);
     }
 
-    /// A new link begins with a new frame.
+    /// Drops partial frames of the previous link.
     pub(super) fn link_up(&mut self) {
         self.decoder = None;
     }
@@ -83,7 +83,7 @@ impl WireLog {
             hex: hex::encode(bytes),
             text: describe(frame, read_as),
         };
-        // The last listener may just have gone.
+        // The last listener may have just gone.
         let _ = self.listeners.send(Arc::new(told));
     }
 }

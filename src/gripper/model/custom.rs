@@ -1,22 +1,23 @@
-//! What the ids of the scripts on a gripper mean. Nobody but the gripper's owner knows.
+//! Meaning of custom command ids, as the gripper's owner configures it.
 
 use std::collections::BTreeSet;
 
 use crate::wsg::id;
 
-/// The ids that are no ordinary motions. All others that the manuals don't know count as motions: one at a time, each a
-/// command with its records.
+/// Custom command ids with a special meaning. All other ids that the manuals don't define count as ordinary motions:
+/// one at a time, each a command with its own records.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct CustomIds {
-    /// They only read: whoever asks is answered, also while somebody else holds the lease, and in FAST STOP.
+    /// Ids that only read. Every client can use them, even in FAST STOP or while another client holds the lease.
     pub read: BTreeSet<u8>,
-    /// They move, many times a second: held to lease and latch as other motions are, but without the pause before them,
-    /// without waiting for values of after them, and counted in the journal rather than written down one by one.
+    /// Ids that move the fingers many times a second. Lease and latch apply as for other motions. They start
+    /// without a pause, and their end does not wait for fresh values. The journal counts them instead of listing each
+    /// one.
     pub stream: BTreeSet<u8>,
 }
 
 impl CustomIds {
-    /// Name of an id that the manual knows. What such an id does is known, so it can't be declared custom.
+    /// Name of an id that the manual defines. Such an id can't be declared custom.
     #[must_use]
     pub fn name_in_manual(id: u8) -> Option<&'static str> {
         id::name(id)

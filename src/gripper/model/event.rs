@@ -1,4 +1,4 @@
-//! What is written down of a gripper and of the gateway: one event for each thing that happened.
+//! Events of grippers and of the gateway, as the journal stores them.
 
 use std::num::NonZero;
 use std::sync::Arc;
@@ -16,54 +16,54 @@ mod device;
 
 pub use device::{DeviceEvent, LinkEvent};
 
-/// Something that happened. The journal gives it a sequence number; `kind` and its fields stand beside the common ones.
+/// An event. The journal adds a sequence number. `kind` and its fields stand beside the common fields.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct Event {
-    /// When.
+    /// Time of the event.
     #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
-    /// To which gripper; none where it concerns all.
+    /// Name of the gripper; null if the event concerns all grippers.
     #[schema(value_type = Option<String>, required, max_length = 32)]
     pub gripper: Option<Name>,
-    /// Who asked for it; none where nobody did.
+    /// Subject of the client that caused the event; null if no client did.
     #[schema(value_type = Option<String>, required)]
     pub subject: Option<Arc<str>>,
-    /// Through which door.
+    /// Interface that the client used; null if no client caused the event.
     #[schema(required)]
     pub door: Option<Door>,
-    /// The command that it belongs to.
+    /// Id of the command that the event belongs to; null if it belongs to none.
     #[schema(value_type = Option<uuid::Uuid>, required)]
     pub command_id: Option<CommandId>,
-    /// How many earlier events of its kind it stands for. A client that repeats itself beyond its rate is written down by its newest event, once a second at most. Left out where there are none.
+    /// Number of earlier events of the same kind that this event also stands for; absent if it stands for itself
+    /// alone. For a client that exceeds its rate, only the newest event is stored, at most once a second.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<u64>, nullable = false, minimum = 1, maximum = 9_007_199_254_740_991_i64)]
     pub aggregated: Option<NonZero<u64>>,
-    /// What happened.
     #[serde(flatten)]
     pub detail: Detail,
 }
 
 impl Event {
-    /// Something that nobody asked for.
+    /// An event that no client caused.
     #[must_use]
     pub fn new(at: Timestamp, gripper: Option<Name>, detail: Detail) -> Self {
         Self { at, gripper, subject: None, door: None, command_id: None, aggregated: None, detail }
     }
 
-    /// Something that a client asked for.
+    /// Adds the client that caused the event.
     #[must_use]
     pub fn by(self, client: &Client) -> Self {
         Self { subject: Some(client.subject.clone()), door: Some(client.door), ..self }
     }
 
-    /// A part of a command.
+    /// Adds the command that the event belongs to.
     #[must_use]
     pub fn of(self, command: CommandId) -> Self {
         Self { command_id: Some(command), ..self }
     }
 }
 
-/// What happened, with its kind's fields.
+/// Kind of an event, with the fields of that kind.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 #[serde(tag = "kind", rename_all = "snake_case")]
 pub enum Detail {
@@ -73,95 +73,95 @@ pub enum Detail {
     FastStop(FastStopEvent),
     /// A FAST STOP was acknowledged, or could not be.
     Acknowledge(AcknowledgeEvent),
-    /// The lease has changed.
+    /// The lease changed.
     Lease(LeaseEvent),
-    /// The link has changed.
+    /// The connection state of the device link changed.
     Link(LinkEvent),
-    /// The device has said something of itself, or lost something.
+    /// The device restarted, was replaced, reported a fault, lost a part, or moved without a command.
     Device(DeviceEvent),
-    /// A client has set something, or it was set again for the client.
+    /// A client changed a setting, or the gateway restored one.
     Settings(SettingsEvent),
     /// A request was refused.
     Refused(RefusedEvent),
-    /// The gateway itself.
+    /// The gateway started, ended, or changed its records.
     Gateway(GatewayEvent),
 }
 
-/// A command's two records.
+/// Admission or end of a command.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[serde(tag = "phase", rename_all = "lowercase")]
 pub enum CommandEvent {
-    /// It was admitted.
+    /// The command was admitted.
     Admitted(Admitted),
-    /// It has ended.
+    /// The command has ended.
     Done(Box<Done>),
 }
 
-/// A command that was admitted.
+/// Admission of a command.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Admitted {
-    /// `home`, `move`, `grip`, `release`, `stop` or `custom`.
+    /// Kind of the command.
     pub command: Kind,
-    /// What makes a repetition the same request.
+    /// Id by which a repetition counts as the same request.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<String>, nullable = false, max_length = 64)]
     pub request_id: Option<RequestId>,
-    /// What was asked for.
+    /// Parameters of the request.
     #[serde(flatten)]
     pub parameters: Parameters,
 }
 
-/// A command that has ended.
+/// End of a command.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Done {
-    /// Its kind, like [`Admitted::command`].
+    /// Kind of the command.
     pub command: Kind,
-    /// How it ended.
+    /// Result of the command.
     pub outcome: Outcome,
-    /// The device's last status, by its symbol.
+    /// Symbol of the last status code from the device.
     #[schema(required)]
     pub status: Option<String>,
-    /// The same, by its number.
+    /// Number of that status code.
     #[schema(required)]
     pub status_code: Option<u16>,
-    /// Whether the goal was reached.
+    /// Whether the command reached its goal.
     #[schema(required)]
     pub reached_goal: Option<bool>,
-    /// Whether a contact stopped the fingers.
+    /// Whether contact stopped the fingers.
     #[schema(required)]
     pub stalled: Option<bool>,
-    /// The opening width at the end, in mm.
+    /// Opening width at the end, in mm.
     #[schema(required)]
     pub width_mm: Option<f32>,
-    /// The gripping force at the end, in N.
+    /// Gripping force at the end, in N.
     #[schema(required)]
     pub force_n: Option<f32>,
-    /// When it was admitted.
+    /// Time of admission.
     #[schema(value_type = String, format = DateTime)]
     pub started_at: Timestamp,
-    /// From its admission to its end.
+    /// Time from admission to end, in ms.
     #[schema(required)]
     pub duration_ms: Option<u64>,
-    /// The FAST STOP that ended it.
+    /// Id of the FAST STOP that came while the command ran.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<uuid::Uuid>, nullable = false)]
     pub fast_stop_id: Option<FastStopId>,
-    /// The part's name.
+    /// Name of the part.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<String>, nullable = false, max_length = 48)]
     pub part_id: Option<PartId>,
-    /// Who cancelled it.
+    /// Subject of the client that cancelled the command.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<String>, nullable = false)]
     pub cancelled_by: Option<Arc<str>>,
-    /// Why it was refused, in words.
+    /// Reason for a refusal, as text.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
     pub cause: Option<String>,
 }
 
 impl Done {
-    /// Of a command's record. One that has no outcome may have happened.
+    /// The end of a command, from its record. A missing outcome becomes [`Outcome::Unknown`].
     #[must_use]
     pub fn of(command: &Command, part_id: Option<PartId>) -> Self {
         Self {
@@ -183,53 +183,53 @@ impl Done {
     }
 }
 
-/// A FAST STOP's records.
+/// Step of a FAST STOP.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct FastStopEvent {
-    /// Which of its records.
+    /// Step that was reached.
     pub event: FastStopStep,
-    /// What an acknowledge has to name.
+    /// Id that an acknowledge has to name.
     #[schema(value_type = uuid::Uuid)]
     pub fast_stop_id: FastStopId,
-    /// Why, in the gateway's words.
+    /// Cause of the FAST STOP.
     pub cause: FastStopCause,
-    /// Why, in the client's words.
+    /// Reason given by the client; may be empty.
     pub reason: String,
-    /// How many it stands for: of those that a client repeats while one holds, the newest is told, once a second.
+    /// Number of FAST STOPs that this event stands for. Repeated requests are stored once a second, by the newest.
     #[schema(minimum = 1, maximum = 9_007_199_254_740_991_i64)]
     pub count: u64,
 }
 
-/// How far a FAST STOP is.
+/// Step of a FAST STOP.
+///
+/// - `latched`: requested by a client, or reported by the device
+/// - `confirmed`: shown by the device's flags
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum FastStopStep {
-    /// Asked for, or seen.
     Latched,
-    /// The device's flags show it.
     Confirmed,
 }
 
-/// An acknowledge's end.
+/// Result of an acknowledge.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct AcknowledgeEvent {
-    /// The FAST STOP that it named.
+    /// Id of the FAST STOP that the acknowledge named.
     #[schema(value_type = uuid::Uuid)]
     pub fast_stop_id: FastStopId,
-    /// Whether the FAST STOP is gone.
+    /// Whether the FAST STOP was cleared.
     pub cleared: bool,
-    /// Why it isn't, in words.
+    /// Reason for a failure, as text; absent if the FAST STOP was cleared.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
     pub cause: Option<String>,
 }
 
-/// What was set.
+/// Change of a setting.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct SettingsEvent {
-    /// Whether the gateway has set it again, for a device that had forgotten it.
+    /// Whether the gateway restored the setting on a device that had lost it.
     pub restored: bool,
-    /// What.
     #[serde(flatten)]
     pub setting: SettingChange,
 }
@@ -238,101 +238,101 @@ pub struct SettingsEvent {
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 #[serde(tag = "setting", rename_all = "snake_case")]
 pub enum SettingChange {
-    /// 30h
+    /// Set Acceleration (30h).
     Acceleration {
-        /// In mm/s².
+        /// Acceleration in mm/s².
         acceleration_mm_s2: f32,
     },
-    /// 32h
+    /// Set Force Limit (32h).
     ForceLimit {
-        /// In N.
+        /// Force limit in N.
         force_n: f32,
     },
-    /// 34h
+    /// Set Soft Limits (34h).
     SoftLimits {
-        /// In mm.
+        /// Smallest allowed width in mm.
         minus_mm: f32,
-        /// In mm.
+        /// Largest allowed width in mm.
         plus_mm: f32,
     },
-    /// 36h
+    /// Clear Soft Limits (36h).
     SoftLimitsCleared,
-    /// 37h
+    /// Overdrive Mode (37h).
     Overdrive {
-        /// Whether it is on.
+        /// Whether Overdrive Mode is on.
         enabled: bool,
     },
-    /// 51h
+    /// Set Device Tag (51h).
     DeviceTag {
-        /// The text.
+        /// Text of the tag.
         tag: String,
     },
-    /// A finger's power.
+    /// Finger Power Control (62h, 72h).
     FingerPower {
-        /// 1 or 2.
+        /// Number of the finger, 1 or 2.
         finger: u8,
-        /// Whether it is on.
+        /// Whether the power is on.
         enabled: bool,
     },
-    /// 38h
+    /// Tare Force Sensor (38h).
     Tare,
     /// The statistics were reset.
     StatisticsReset,
 }
 
-/// A refusal, or several of the same in one second.
+/// A refusal, or several equal ones within one second.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct RefusedEvent {
-    /// What was asked for: the last part of the path, or the method's name.
+    /// Requested operation: the last part of the path, or the method's name.
     pub command: String,
-    /// The problem's code.
+    /// Code of the problem.
     pub code: String,
-    /// The problem's words.
+    /// Text of the problem.
     pub cause: String,
-    /// How many of them.
+    /// Number of refusals.
     pub count: u64,
 }
 
-/// What became of the gateway.
+/// An event of the gateway itself.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub enum GatewayEvent {
-    /// It has started.
+    /// The gateway has started.
     Started {
-        /// Its version.
+        /// Version of the gateway.
         version: &'static str,
-        /// Its name.
+        /// Name of the gateway.
         gateway: String,
     },
-    /// The configuration that it runs with.
+    /// The gateway's configuration.
     Configuration {
-        /// Where it serves HTTP.
+        /// Address of the HTTP server.
         listen: String,
-        /// The grippers, each as `name=URL`.
+        /// Grippers, each as `name=URL`.
         grippers: Vec<String>,
     },
-    /// Its last run has not ended in order.
+    /// The last run of the gateway did not shut down in order.
     UncleanEnd {
-        /// The commands that were running: each is told as `UNKNOWN`.
+        /// Ids of the commands that were running; each gets the outcome `UNKNOWN`.
         #[schema(value_type = Vec<uuid::Uuid>)]
         running: Vec<CommandId>,
     },
-    /// It has ended in order.
+    /// The gateway has shut down in order.
     Ended,
-    /// Records found no place while the disk did not take them.
+    /// Records were lost because the disk did not accept them and the buffer was full.
     RecordsLost {
-        /// How many.
+        /// Number of lost records.
         count: u64,
     },
     /// Old records were removed.
     Pruned {
-        /// The last event that is removed from now on; 0 where none was yet.
+        /// Sequence number of the newest removed event; 0 if none was removed yet.
         up_to_seq: i64,
-        /// Its hash, as hex: what is left begins behind it.
+        /// Hash of that event, as hex. The remaining events continue from it.
         hash: String,
-        /// The last grip record that is; 0 where none was yet.
+        /// Sequence number of the newest removed grip record; 0 if none was removed yet.
         grips_up_to_seq: i64,
-        /// Its hash, as hex.
+        /// Hash of that grip record, as hex.
         grips_hash: String,
     },
 }

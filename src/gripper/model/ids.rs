@@ -1,4 +1,4 @@
-//! What names a command and a FAST STOP.
+//! Ids of commands and FAST STOPs.
 
 use std::fmt;
 
@@ -15,7 +15,7 @@ macro_rules! identifiers {
         pub struct $name(Uuid);
 
         impl $name {
-            /// A new one. Its time is the wall clock's, which may jump: no order comes from it.
+            /// Generates an id. Its time comes from the wall clock, which can jump, so ids give no order.
             #[must_use]
             pub fn generate() -> Self {
                 Self(Uuid::now_v7())
@@ -39,35 +39,33 @@ macro_rules! identifiers {
 }
 
 identifiers! {
-    /// A command's id, a UUID of version 7.
+    /// Id of a command, a version 7 UUID.
     #[derive(PartialOrd, Ord)]
     CommandId
-    /// A FAST STOP's id, a UUID of version 7. Which of two is later is told by their epochs.
+    /// Id of a FAST STOP, a version 7 UUID. The epoch, not the id, gives the order of FAST STOPs.
     FastStopId
 }
 
-/// Makes ids without a clock or chance of its own, so that the same seed gives the same ids.
+/// Generator of ids from a seed and a given time: the same seed and times give the same ids.
 #[derive(Debug)]
 pub struct IdSource(SmallRng);
 
 impl IdSource {
-    /// From a seed, which should be random but in tests.
+    /// `seed` should be random, except in tests.
     #[must_use]
     pub fn new(seed: u64) -> Self {
         Self(SmallRng::seed_from_u64(seed))
     }
 
-    /// What makes the nonces of one link differ from those of another.
+    /// Seed for the nonces of one link, so that they differ from those of other links.
     pub fn nonce(&mut self) -> u64 {
         self.0.random()
     }
 
-    /// A command's id, of this time.
     pub fn command_id(&mut self, at: Timestamp) -> CommandId {
         CommandId(self.uuid(at))
     }
 
-    /// A FAST STOP's id, of this time.
     pub fn fast_stop_id(&mut self, at: Timestamp) -> FastStopId {
         FastStopId(self.uuid(at))
     }

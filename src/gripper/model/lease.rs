@@ -1,4 +1,4 @@
-//! The lease: the right to move a gripper, and what clients say and are told of it.
+//! The lease, which is the right to move a gripper: requests, replies and events.
 
 use std::fmt;
 use std::sync::Arc;
@@ -10,30 +10,27 @@ use utoipa::ToSchema;
 
 use super::{Client, ShownName};
 
-/// How long a lease lives without use if its taker doesn't say.
+/// Time to live of a lease without use, unless the client asks for another.
 pub const DEFAULT_TTL: Duration = Duration::from_secs(3);
 
-/// The shortest time to live.
 pub const MIN_TTL: Duration = Duration::from_millis(100);
 
-/// The longest time to live.
 pub const MAX_TTL: Duration = Duration::from_mins(1);
 
-/// The name that a lease's holder gives itself.
+/// Name that a lease holder gives itself.
 pub type HolderName = ShownName<32>;
 
-/// What proves that a request is the holder's: 128 random bits as hex, or whatever a client says in its place.
+/// Proof that a request comes from the lease holder: 128 random bits as hex, or any text that a client sends instead.
 #[derive(Clone, PartialEq, Eq, Serialize)]
 pub struct LeaseToken(Arc<str>);
 
 impl LeaseToken {
-    /// A new one, which can't be guessed.
+    /// Generates a token that can't be guessed.
     #[must_use]
     pub fn generate() -> Self {
         Self(format!("{:032x}", rand::rng().random::<u128>()).into())
     }
 
-    /// As it is written.
     #[must_use]
     pub fn as_str(&self) -> &str {
         &self.0
@@ -46,43 +43,44 @@ impl From<&str> for LeaseToken {
     }
 }
 
-/// Logs have no use for it.
+/// Keeps the token out of logs.
 impl fmt::Debug for LeaseToken {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str("LeaseToken(…)")
     }
 }
 
-/// What becomes of fingers that move when the lease's holder is lost.
+/// Action if the lease holder is lost while the fingers move.
+///
+/// - `fast_stop`: a latched FAST STOP
+/// - `stop`: a Stop
+/// - `finish`: the motion goes on to its end
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum OnLossMoving {
-    /// A FAST STOP, latched.
     FastStop,
-    /// A Stop.
     Stop,
-    /// They may finish.
     Finish,
 }
 
-/// What becomes of a part that is held when the lease's holder is lost.
+/// Action if the lease holder is lost while a part is held and the fingers do not move.
+///
+/// - `keep`: the part stays held, and the gripper stays reserved for the holder; a blind stop may drop the part
+/// - `fast_stop`: a latched FAST STOP
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum OnLossHolding {
-    /// It goes on being held, and the gripper stays reserved for the holder: a blind stop may drop the part.
     Keep,
-    /// A FAST STOP, latched.
     FastStop,
 }
 
-/// What may be asked for of a lease.
+/// Lease terms that a gripper's configuration allows.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LeaseRules {
-    /// What a lost holder may have chosen for fingers that move; the first counts where it chose nothing.
+    /// Choices for a loss while the fingers move; the first is the default.
     pub on_loss_moving: Vec<OnLossMoving>,
-    /// And for a part that is held.
+    /// Choices for a loss while a part is held; the first is the default.
     pub on_loss_holding: Vec<OnLossHolding>,
-    /// The longest time to live.
     pub max_ttl: Duration,
 }
 
@@ -96,29 +94,26 @@ impl Default for LeaseRules {
     }
 }
 
-/// A client's wish to hold the lease.
+/// A client's request for the lease.
 #[derive(Debug, Clone)]
 pub struct TakeLease {
-    /// Who asks.
     pub client: Client,
-    /// By which name; its subject, where it gives none.
+    /// Name of the holder; the client's subject if absent.
     pub holder: Option<HolderName>,
-    /// How long the lease lives without use.
+    /// Time to live without use.
     pub ttl: Option<Duration>,
-    /// What becomes of fingers that move when the holder is lost.
     pub on_loss_moving: Option<OnLossMoving>,
-    /// What becomes of a part that is held then.
     pub on_loss_holding: Option<OnLossHolding>,
-    /// Take it from whoever holds it, as a supervisor does. A running motion is stopped.
+    /// Takes the lease from its current holder, as a supervisor does. A running motion is stopped.
     pub force: bool,
-    /// Where somebody else holds it, tell that holder who asks.
+    /// Shows this request to the current holder, if there is one.
     pub request: bool,
-    /// The token of the lease that is held already, whose terms are to change.
+    /// Token of a lease that the client holds already, whose terms are to change.
     pub token: Option<LeaseToken>,
 }
 
 impl TakeLease {
-    /// Of a client that asks for nothing but the lease.
+    /// A request by `client` with default terms.
     #[must_use]
     pub const fn by(client: Client) -> Self {
         Self {
@@ -134,7 +129,7 @@ impl TakeLease {
     }
 }
 
-/// The lease of a gripper, as clients are told.
+/// The lease of a gripper.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 #[schema(example = json!({
     "held": true, "holder": "robot-1", "epoch": 7, "token": "5f0c8ac1e2b84d6c9a0f4be2c1d3a795", "ttl_ms": 3000,
@@ -142,98 +137,103 @@ impl TakeLease {
     "reserved_for": null
 }))]
 pub struct Lease {
-    /// Whether somebody holds it.
+    /// Whether a client holds the lease.
     pub held: bool,
-    /// Who holds it.
+    /// Name of the lease holder; null if the lease is free.
     #[schema(value_type = Option<String>, required)]
     pub holder: Option<Arc<str>>,
-    /// Counts the leases of this gripper, across restarts of the gateway.
+    /// Number of the newest lease of this gripper. It grows with each lease, also across restarts of the gateway.
     #[schema(minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     pub epoch: u64,
-    /// What its requests have to bring; told to its taker alone.
+    /// Token that requests under this lease must carry. Only the client that took the lease receives it.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<String>, nullable = false)]
     pub token: Option<LeaseToken>,
-    /// How long it lives without use.
+    /// Time to live without use, in ms; null if the lease is free.
     #[schema(required, minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     pub ttl_ms: Option<u64>,
-    /// How much of that is left: all of it while a request of the holder is open.
+    /// Remaining time to live, in ms. It does not run down while a request of the holder is open. Null if the lease is
+    /// free.
     #[schema(required, minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     pub expires_in_ms: Option<u64>,
-    /// What becomes of fingers that move when the holder is lost.
+    /// Action if the holder is lost while the fingers move; null if the lease is free.
     #[schema(required)]
     pub on_loss_moving: Option<OnLossMoving>,
-    /// What becomes of a part that is held then.
+    /// Action if the holder is lost while a part is held; null if the lease is free.
     #[schema(required)]
     pub on_loss_holding: Option<OnLossHolding>,
-    /// Who asks for it to be handed over.
+    /// Name of the client that has requested a hand-over; null if no client has.
     #[schema(value_type = Option<String>, required)]
     pub requested_by: Option<Arc<str>>,
-    /// Who alone may take it, beside a supervisor: its holder was lost while a part was held, which is still held.
+    /// Name of a holder that was lost while a part was held. Only this client or a supervisor can take the lease. Null
+    /// if the gripper is not reserved.
     #[schema(value_type = Option<String>, required)]
     pub reserved_for: Option<Arc<str>>,
 }
 
-/// A lease's change.
+/// Change of a lease.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct LeaseEvent {
-    /// What happened.
+    /// Kind of change.
     pub event: LeaseStep,
-    /// Who held it, or holds it now.
+    /// Name of the client concerned: the new holder, the requesting client, or the former holder.
     #[schema(value_type = String)]
     pub holder: Arc<str>,
-    /// Which lease it is.
+    /// Number of the newest lease at that time.
     pub epoch: u64,
-    /// What became of the gripper; only of a holder that was lost.
+    /// Action taken after the holder was lost; otherwise absent.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
     pub effect: Option<LossEffect>,
-    /// Why its holder was lost; only then.
+    /// Cause of the holder's loss; otherwise absent.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
     pub cause: Option<LossCause>,
 }
 
-/// What happened to a lease.
+/// Kind of change of a lease.
+///
+/// - `taken`: a client took the free lease
+/// - `forced`: a supervisor took the lease from its holder
+/// - `requested`: a client requested a hand-over
+/// - `handed_over`: the holder gave the lease to the client that had requested it
+/// - `released`: the holder released the lease
+/// - `lost`: the holder was lost
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum LeaseStep {
-    /// It was free, and taken.
     Taken,
-    /// It was taken from its holder by force.
     Forced,
-    /// Somebody asks for it.
     Requested,
-    /// Its holder gave it to who had asked.
     HandedOver,
-    /// Its holder gave it back.
     Released,
-    /// Its holder was lost.
     Lost,
 }
 
-/// Why a holder counts as lost.
+/// Reason that a lease holder counts as lost.
+///
+/// - `expired`: the lease ran out without use
+/// - `disconnected`: the connection bound to the lease ended without a release
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum LossCause {
-    /// The lease has run out without use.
     Expired,
-    /// The connection that it was bound to has ended without a release.
     Disconnected,
 }
 
-/// What became of the gripper when its holder was lost.
+/// Action taken after the lease holder was lost.
+///
+/// - `fast_stop`: a latched FAST STOP
+/// - `stop`: a Stop
+/// - `finish`: the motion went on, and the gripper was reserved for the holder
+/// - `keep`: the part stayed held, and the gripper was reserved for the holder
+/// - `none`: none, because nothing moved and no part was held
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum LossEffect {
-    /// A FAST STOP.
     FastStop,
-    /// A Stop.
     Stop,
-    /// The motion goes on.
     Finish,
-    /// The part goes on being held, and the gripper is reserved.
     Keep,
-    /// Nothing moved, and nothing was held.
     None,
 }

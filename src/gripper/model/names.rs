@@ -1,11 +1,11 @@
-//! The names that JSON has for enums, for logs and metrics.
+//! JSON names of enum values, for logs and metrics.
 
 use super::{FastStopCause, Kind, Outcome};
 
 macro_rules! names {
     ($($type:ty)*) => {$(
         impl $type {
-            /// As JSON has it.
+            /// Name of the value in JSON.
             #[must_use]
             pub fn name(self) -> &'static str {
                 self.into()
@@ -23,7 +23,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_names_are_those_of_the_json() {
+    fn names_match_json() {
         for kind in Kind::VARIANTS {
             assert_eq!(serde_json::json!(kind), kind.name());
         }

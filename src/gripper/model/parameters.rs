@@ -6,57 +6,58 @@ use utoipa::ToSchema;
 use super::{Action, Motion, PartId};
 use crate::wsg::{Force, HomingDirection};
 
-/// What was asked for, by the names of the request.
+/// Parameters of a command, named as in the request. Those that do not apply are absent.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, Default, ToSchema)]
 pub struct Parameters {
-    /// Homing's direction.
+    /// Direction of homing.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[schema(nullable = false)]
     pub direction: Option<Direction>,
-    /// The target width in mm.
+    /// Target width in mm, or the offset if `relative` is true.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[schema(nullable = false)]
     pub width_mm: Option<f32>,
-    /// The speed in mm/s.
+    /// Speed in mm/s.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[schema(nullable = false)]
     pub speed_mm_s: Option<f32>,
-    /// Whether the width is an offset.
+    /// Whether the width is an offset from the current width.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[schema(nullable = false)]
     pub relative: Option<bool>,
-    /// Whether a blocked axis clamps.
+    /// Reaction to an obstacle.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[schema(nullable = false)]
     pub on_block: Option<OnBlock>,
-    /// The force limit to set first, in N.
+    /// Force limit to set before the grip, in N.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[schema(nullable = false)]
     pub force_n: Option<f32>,
-    /// The part's name.
+    /// Name of the part.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[schema(value_type = Option<String>, nullable = false, max_length = 48)]
     pub part_id: Option<PartId>,
-    /// A custom command's id.
+    /// Id of a custom command.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[schema(nullable = false)]
     pub raw_id: Option<u8>,
-    /// Its bytes, as hex.
+    /// Payload of a custom command, as hex.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[schema(nullable = false, max_length = 8192)]
     pub payload: Option<String>,
 }
 
-/// To which end stop.
+/// End stop that homing moves to.
+///
+/// - `default`: as configured on the device
+/// - `outer`: the outer end stop
+/// - `inner`: the inner end stop
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Direction {
-    /// As the device is configured.
     #[default]
     Default,
-    /// The outer end stop.
     Outer,
-    /// The inner end stop.
     Inner,
 }
 
@@ -80,14 +81,15 @@ impl From<HomingDirection> for Direction {
     }
 }
 
-/// What happens when the fingers meet an obstacle.
+/// Reaction when the fingers meet an obstacle.
+///
+/// - `stop`: the motor is switched off
+/// - `clamp`: the fingers go on pushing, and snap to the target when they are freed
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum OnBlock {
-    /// The motor is switched off.
     #[default]
     Stop,
-    /// The fingers go on pushing, and snap to the target when they are freed.
     Clamp,
 }
 

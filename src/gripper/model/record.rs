@@ -1,4 +1,4 @@
-//! What is kept of a gripper beside its events: the measurements of its motions, and what has to outlive a restart.
+//! Stored data of a gripper besides its events: measurements of motions, and state that outlives a restart.
 
 use std::sync::Arc;
 
@@ -8,88 +8,86 @@ use utoipa::ToSchema;
 
 use super::{CommandId, Kind, Name, Outcome, PartId};
 
-/// What was measured during a motion, and what became of it.
+/// Result and measurements of a motion.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct GripRecord {
-    /// The command's id.
+    /// Id of the command.
     #[schema(value_type = uuid::Uuid)]
     pub id: CommandId,
-    /// The gripper's name.
+    /// Name of the gripper.
     #[schema(value_type = String, max_length = 32)]
     pub gripper: Name,
-    /// `home`, `move`, `grip` or `release`.
+    /// Kind of the command: `home`, `move`, `grip` or `release`.
     pub kind: Kind,
-    /// The part's name.
+    /// Name of the part; null if none was given.
     #[schema(value_type = Option<String>, required, max_length = 48)]
     pub part_id: Option<PartId>,
-    /// How it ended.
+    /// Result of the command.
     pub outcome: Outcome,
-    /// Who asked.
+    /// Subject of the client that requested the command.
     #[schema(value_type = String)]
     pub subject: Arc<str>,
-    /// When it was admitted.
+    /// Time of admission.
     #[schema(value_type = String, format = DateTime)]
     pub started_at: Timestamp,
-    /// From its admission to its end.
+    /// Time from admission to end, in ms.
     #[schema(required)]
     pub duration_ms: Option<u64>,
-    /// The opening width at the end, in mm.
+    /// Opening width at the end, in mm.
     #[schema(required)]
     pub width_mm: Option<f32>,
-    /// The gripping force at the end, in N.
+    /// Gripping force at the end, in N.
     #[schema(required)]
     pub force_n: Option<f32>,
-    /// The greatest force that was measured, in N.
+    /// Measured force of the greatest magnitude, in N.
     #[schema(required)]
     pub peak_force_n: Option<f32>,
-    /// The opening width where the fingers met the part, in mm.
+    /// Opening width at which the fingers met the part, in mm; only for a grip.
     #[schema(required)]
     pub contact_width_mm: Option<f32>,
-    /// From the first sample to that contact.
+    /// Time from the first sample to that contact, in ms.
     #[schema(required)]
     pub time_to_contact_ms: Option<u64>,
-    /// How many samples the curve has.
+    /// Number of samples in the curve.
     pub samples: usize,
-    /// The curve, which is kept and told beside the record.
+    /// Curve, stored and served separately from the record.
     #[serde(skip)]
     #[schema(ignore)]
     pub curve: Vec<Sample>,
 }
 
-/// One point of a curve.
+/// A point of a curve.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize, ToSchema)]
 pub struct Sample {
-    /// Since the first sample.
+    /// Time since the first sample, in ms.
     pub t_ms: u32,
-    /// The opening width in mm.
+    /// Opening width in mm.
     pub width_mm: f32,
-    /// The speed of the fingers relative to each other, in mm/s.
+    /// Speed of the fingers relative to each other, in mm/s.
     pub speed_mm_s: f32,
-    /// The gripping force in N.
+    /// Gripping force in N.
     pub force_n: f32,
 }
 
-/// What has to outlive a restart of the gateway, by gripper and name.
+/// State that outlives a restart of the gateway.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PersistedState {
-    /// The gripper.
     pub gripper: Name,
-    /// What it is.
     pub key: PersistedKey,
-    /// Its value as JSON; none forgets it.
+    /// Value as JSON; `None` deletes the key.
     pub value: Option<String>,
 }
 
-/// What can be remembered.
+/// Key of persisted state.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PersistedKey {
-    /// The settings that clients made, and on which device.
+    /// Settings made by clients, and the serial number of the device.
     Settings,
-    /// The FAST STOP that holds.
+    /// The latched FAST STOP, or the epoch of the last one.
     Latch,
-    /// The newest lease's epoch and holder.
+    /// Epoch and holder of the newest lease.
     Lease,
-    /// The grip that holds a part.
+    /// Id of the grip that holds a part.
     Holding,
 }

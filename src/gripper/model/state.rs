@@ -1,4 +1,4 @@
-//! What clients are told of a gripper itself: its link, its FAST STOP, its newest state.
+//! The state of a gripper: its link, its FAST STOP and its newest values.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -9,66 +9,66 @@ use utoipa::ToSchema;
 
 use super::{CommandId, FastStopId, Name, Reason};
 
-/// How the link to the device is.
+/// Connection state of the device link.
+///
+/// - `connecting`: not connected since the start of the gateway
+/// - `connected`: set up, and the device responds
+/// - `unresponsive`: open, but nothing is heard from the device; motions are refused
+/// - `reconnecting`: lost; being connected or set up again
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, ToSchema, strum::Display)]
 #[serde(rename_all = "lowercase")]
 #[strum(serialize_all = "lowercase")]
 pub enum Link {
-    /// Never yet connected.
     Connecting,
-    /// Set up, and heard from.
     Connected,
-    /// Up, but silent: motions are refused.
     Unresponsive,
-    /// Lost, and being made again.
     Reconnecting,
 }
 
-/// Why a gripper is in FAST STOP.
+/// Cause of a FAST STOP.
+///
+/// - `requested`: a client requested it
+/// - `client_lost`: the lease holder was lost
+/// - `unannounced_disconnect`: the gateway's own connection to the device ended without an announcement
+/// - `temperature_fault`: the temperature is critical (`TEMP_FAULT`)
+/// - `power_fault`: the supply voltage is out of range (`POWER_FAULT`)
+/// - `current_fault`: the motor reached its thermal limit (`CURR_FAULT`)
+/// - `finger_fault`: a finger reported a fault (`FINGER_FAULT`)
+/// - `soft_limit`: the fingers moved into a range that the soft limits forbid
+/// - `unknown`: the device is in FAST STOP, and its flags do not show why
 #[derive(
     Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema, strum::IntoStaticStr, strum::VariantArray,
 )]
 #[serde(rename_all = "snake_case")]
 #[strum(serialize_all = "snake_case")]
 pub enum FastStopCause {
-    /// A client of the gateway asked for it.
     Requested,
-    /// The lease's holder was lost.
     ClientLost,
-    /// The gateway's own connection ended unannounced.
     UnannouncedDisconnect,
-    /// The temperature is critical (TEMP_FAULT).
     TemperatureFault,
-    /// The power supply is outside its range (POWER_FAULT).
     PowerFault,
-    /// The motor's thermal limit (CURR_FAULT).
     CurrentFault,
-    /// A finger's fault (FINGER_FAULT).
     FingerFault,
-    /// The fingers moved into a range that the soft limits forbid.
     SoftLimit,
-    /// The device's flags don't say.
     Unknown,
 }
 
-/// A FAST STOP that holds until it is acknowledged by its id.
+/// A FAST STOP that stays latched until it is acknowledged by its id.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Latch {
-    /// What an acknowledge has to name.
+    /// Id that an acknowledge has to name.
     pub id: FastStopId,
-    /// Who asked for it; `device` where nobody here did.
+    /// Subject of the client that requested the FAST STOP, or `device` if no client did.
     pub by: Arc<str>,
-    /// Why, in the gateway's words.
     pub cause: FastStopCause,
-    /// Why, in the client's words.
     pub reason: Reason,
-    /// When it was asked for, or seen.
+    /// Time at which the FAST STOP was requested or first seen.
     pub at: Timestamp,
-    /// Whether the device's flags showed it since.
+    /// Whether the device's flags have shown the FAST STOP since.
     pub confirmed: bool,
 }
 
-/// The newest state of a gripper.
+/// Newest state of a gripper.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 #[schema(example = json!({
     "gripper": "left", "link": "connected", "link_cause": null, "age_ms": 4, "seq": 51234, "state": "HOLDING",
@@ -77,30 +77,40 @@ pub struct Latch {
     "fast_stop": false, "lease_holder": null, "lease_epoch": 0, "journal_cause": null, "command": null
 }))]
 pub struct State {
-    /// The gripper's name.
+    /// Name of the gripper.
     #[schema(value_type = String, max_length = 32)]
     pub gripper: Name,
-    /// How the link to the device is.
+    /// Connection state of the device link.
     pub link: Link,
-    /// Why it isn't connected; null while it is.
+    /// Reason that the link is not connected; null while it is.
     #[schema(required)]
     pub link_cause: Option<String>,
-    /// The age of the newest update; null before the first.
+    /// Age of the newest update from the device, in ms; null before the first update.
     #[serde(rename = "age_ms", serialize_with = "age_ms")]
     #[schema(value_type = Option<u64>, required, minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     pub updated_at: Option<Instant>,
-    /// Counts the changes of this state.
+    /// Number of changes of this state so far.
     #[schema(minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     pub seq: u64,
-    /// The gripper state, by the manual's noun; null before the first update.
+    /// Name of the gripper state, as in the manual; null before the first update. `state_code` lists all names.
     #[schema(required)]
     pub state: Option<&'static str>,
-    /// The same, by its number.
+    /// Number of the gripper state; null before the first update.
+    ///
+    /// - 0 `IDLE`: waiting for a command
+    /// - 1 `GRASPING`: the fingers are closing on a part
+    /// - 2 `NO_PART`: the grip found no part; lasts until the next motion
+    /// - 3 `PART_LOST`: a gripped part was lost; lasts until the next motion
+    /// - 4 `HOLDING`: a part is held with the gripping force
+    /// - 5 `RELEASING`: the fingers are opening to release a part
+    /// - 6 `POSITIONING`: pre-positioning, or homing (firmware 4)
+    /// - 7 `ERROR`: an error or a FAST STOP (firmware 4; reserved in firmware 2)
+    /// - 8 and up `RESERVED`: not defined by the manuals
     #[schema(required, minimum = 0, maximum = 255)]
     pub state_code: Option<u8>,
-    /// The system state flags that are set.
+    /// Names of the system state flags that are set.
     pub flags: Vec<&'static str>,
-    /// All 32 of them as a number; null before the first update.
+    /// All 32 system state flags as a number; null before the first update.
     #[schema(required, format = Int64, minimum = 0, maximum = 4_294_967_295_i64)]
     pub flags_raw: Option<u32>,
     /// Whether the fingers are referenced; null before the first update.
@@ -109,41 +119,41 @@ pub struct State {
     /// Whether the fingers are moving; null before the first update.
     #[schema(required)]
     pub moving: Option<bool>,
-    /// The opening width in mm; null until referenced.
+    /// Opening width in mm; null until the fingers are referenced.
     #[schema(required, minimum = -1000, maximum = 1000)]
     pub width_mm: Option<f32>,
-    /// The speed of the fingers relative to each other, in mm/s.
+    /// Speed of the fingers relative to each other, in mm/s.
     #[schema(required, minimum = -10000, maximum = 10000)]
     pub speed_mm_s: Option<f32>,
-    /// The gripping force in N, the sum over the fingers.
+    /// Gripping force in N, summed over the fingers.
     #[schema(required, minimum = -10000, maximum = 10000)]
     pub force_n: Option<f32>,
-    /// The device's temperature in °C; null where it has none to tell (fw2).
+    /// Temperature of the device in °C; null if the firmware does not report it (firmware 2).
     #[schema(required, minimum = -3276.8, maximum = 3276.7)]
     pub temperature_c: Option<f32>,
-    /// Whether a FAST STOP holds; null until the first connect.
+    /// Whether a FAST STOP is latched; null until the first connection.
     #[schema(required)]
     pub fast_stop: Option<bool>,
-    /// The FAST STOP that holds; only while one does.
+    /// The latched FAST STOP; absent if `fast_stop` is not true.
     #[serde(flatten)]
     #[schema(value_type = LatchFields)]
     pub latch: Option<LatchFields>,
-    /// Who holds the lease; null while nobody does.
+    /// Name of the lease holder; null while the lease is free.
     #[schema(value_type = Option<String>, required)]
     pub lease_holder: Option<Arc<str>>,
-    /// Counts the leases.
+    /// Number of the newest lease.
     #[schema(minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     pub lease_epoch: u64,
-    /// Why nothing can be written down in the journal; null while it can.
+    /// Reason that the journal is unavailable; null while it works.
     #[schema(required)]
     pub journal_cause: Option<String>,
-    /// The running command's id; null while none runs.
+    /// Id of the running command; null while none runs.
     #[schema(value_type = Option<Uuid>, required)]
     pub command: Option<CommandId>,
 }
 
 impl State {
-    /// Of a gripper that was not reached yet.
+    /// State of a gripper that has not been reached yet.
     #[must_use]
     pub fn unknown(gripper: Name) -> Self {
         Self {
@@ -172,31 +182,30 @@ impl State {
     }
 }
 
-/// The measured values of a [`State`] alone.
+/// Measured values of a [`State`].
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct Telemetry {
-    /// The gripper's name.
+    /// Name of the gripper.
     #[schema(value_type = String, max_length = 32)]
     pub gripper: Name,
-    /// The state's.
+    /// Sequence number of the state.
     pub seq: u64,
-    /// When the gateway had it.
+    /// Time at which the gateway published the values.
     #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
-    /// The opening width in mm; null until referenced.
+    /// Opening width in mm; null until the fingers are referenced.
     pub width_mm: Option<f32>,
-    /// The speed of the fingers relative to each other, in mm/s.
+    /// Speed of the fingers relative to each other, in mm/s.
     pub speed_mm_s: Option<f32>,
-    /// The gripping force in N.
+    /// Gripping force in N.
     pub force_n: Option<f32>,
-    /// The gripper state, by the manual's noun.
+    /// Name of the gripper state, as in the manual; `state_code` of the state lists all names.
     pub state: Option<&'static str>,
     /// All 32 system state flags as a number.
     pub flags_raw: Option<u32>,
 }
 
 impl State {
-    /// Its measured values.
     #[must_use]
     pub fn telemetry(&self, at: Timestamp) -> Telemetry {
         Telemetry {
@@ -212,35 +221,34 @@ impl State {
     }
 }
 
-/// What a [`State`] has in addition while a FAST STOP holds.
+/// Additional fields of a [`State`] while a FAST STOP is latched.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct LatchFields {
-    /// What an acknowledge has to name.
+    /// Id that an acknowledge has to name.
     #[schema(value_type = Uuid, required = false)]
     pub fast_stop_id: FastStopId,
-    /// Who asked for it; `device` where nobody here did.
+    /// Subject of the client that requested the FAST STOP, or `device` if no client did.
     #[schema(value_type = String, required = false)]
     pub fast_stop_by: Arc<str>,
-    /// Why, in the gateway's words.
+    /// Cause of the FAST STOP.
     #[schema(required = false)]
     pub fast_stop_cause: FastStopCause,
-    /// Why, in the client's words.
+    /// Reason given by the client; may be empty.
     #[schema(value_type = String, required = false, max_length = 64)]
     pub fast_stop_reason: Reason,
-    /// When it was asked for, or seen.
+    /// Time at which the FAST STOP was requested or first seen.
     #[schema(value_type = String, required = false, format = DateTime)]
     pub fast_stop_at: Timestamp,
-    /// Whether the device's flags showed it since.
+    /// Whether the device's flags have shown the FAST STOP since.
     #[schema(required = false)]
     pub fast_stop_confirmed: bool,
-    /// Counts the FAST STOPs: a later one has a higher number, whatever the clock says.
+    /// Number of the FAST STOP. A later one has a higher number, whatever the clock says.
     #[serde(skip)]
     #[schema(ignore)]
     pub epoch: u64,
 }
 
 impl LatchFields {
-    /// As clients are told of it.
     #[must_use]
     pub fn of(latch: &Latch, epoch: u64) -> Self {
         Self {

@@ -1,11 +1,11 @@
-//! Texts from clients, by what they are for: names that people tell clients apart by, and free texts.
+//! Texts from clients: names that distinguish clients for people, and free texts.
 
 use serde::{Deserialize, Serialize};
 use unicode_general_category::{GeneralCategory, get_general_category};
 use unicode_normalization::is_nfc;
 use unicode_security::{GeneralSecurityProfile as _, RestrictionLevel, RestrictionLevelDetection as _};
 
-/// Text from a client without control characters, of at most `MAX` bytes.
+/// Text from a client, of at most `MAX` bytes and without control characters.
 #[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String")]
 pub struct Text<const MAX: usize>(String);
@@ -14,19 +14,19 @@ impl<const MAX: usize> TryFrom<String> for Text<MAX> {
     type Error = String;
 
     fn try_from(text: String) -> Result<Self, String> {
-        Self::new(&text).ok_or_else(|| format!("{text:?} is longer than {MAX} bytes, or has a control character"))
+        Self::new(&text).ok_or_else(|| format!("{text:?} is longer than {MAX} bytes or contains a control character"))
     }
 }
 
 impl<const MAX: usize> Text<MAX> {
-    /// The text, or `None` where it is longer than `MAX` bytes or has a control character.
+    /// Returns `None` if the text is longer than `MAX` bytes or contains a control character.
     #[must_use]
     pub fn new(text: &str) -> Option<Self> {
         (text.len() <= MAX && !text.chars().any(char::is_control)).then(|| Self(text.to_owned()))
     }
 
-    /// As much of `text` as fits, without the characters that are not seen or that turn others around: for a text that
-    /// must be taken whatever it says.
+    /// Cuts `text` to `MAX` bytes, without its invisible and bidirectional characters. For a text that must be accepted
+    /// whatever it contains.
     #[must_use]
     pub fn truncated(text: &str) -> Self {
         let mut kept = String::new();
@@ -39,15 +39,14 @@ impl<const MAX: usize> Text<MAX> {
         Self(kept)
     }
 
-    /// The text.
     #[must_use]
     pub fn as_str(&self) -> &str {
         &self.0
     }
 }
 
-/// Whether a character has a meaning to a reader: control and format characters (zero width, bidirectional), other line
-/// ends, and what Unicode has not assigned have none.
+/// Whether a reader can see a character. Control and format characters (zero width, bidirectional), other line ends,
+/// and unassigned code points are not visible.
 fn is_seen(character: char) -> bool {
     use GeneralCategory as G;
     let category = get_general_category(character);
@@ -56,47 +55,36 @@ fn is_seen(character: char) -> bool {
     !unseen.contains(&category)
 }
 
-/// Why somebody stopped a gripper.
+/// A client's reason for a FAST STOP.
 pub type Reason = Text<64>;
-/// A part's name, as the MES knows it.
+/// Name of a part, as the MES knows it.
 pub type PartId = Text<48>;
-/// What makes a request the same as an earlier one (`Idempotency-Key`).
+/// Id by which a repeated request is recognised (`Idempotency-Key`).
 pub type RequestId = Text<64>;
 
-/// A name that people tell clients apart by, of at most `MAX` bytes. Two names that look the same are the same, as far
-/// as the rules of UTS #39 go: printable ASCII, and letters, marks and digits that Unicode allows in identifiers, in
-/// composed form (NFC) and of scripts that are written together. Names of one foreign script that imitate another, such
-/// as Cyrillic `сосо`, are left to the subject to tell apart.
+/// A name that distinguishes clients for people, of at most `MAX` bytes. Two names that look the same are the same, as
+/// far as the rules of UTS #39 go. Allowed are printable ASCII, and letters, marks and digits that Unicode allows in
+/// identifiers, in composed form (NFC) and of scripts that are written together. A name in one script that imitates
+/// another script, such as Cyrillic `сосо`, is allowed; its subject distinguishes the client.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct ShownName<const MAX: usize>(String);
 
-/// A text that is not a [`ShownName`], with the remedy.
+/// Reason that a text is not a valid [`ShownName`], with the remedy.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum InvalidShownName {
-    /// It is too long.
-    #[error("has {bytes} bytes, and may have {max} at most")]
-    TooLong {
-        /// Its bytes in UTF-8.
-        bytes: usize,
-        /// The bound.
-        max: usize,
-    },
-    /// It has a character that is invisible, bidirectional, unassigned or a variant of another one.
-    #[error("has U+{:04X}, which a name may not have: use printable ASCII, or letters and digits of one script", u32::from(*.0))]
+    #[error("is {bytes} bytes long; at most {max} are allowed")]
+    TooLong { bytes: usize, max: usize },
+    /// A character that is invisible, bidirectional, unassigned or a variant of another one.
+    #[error("contains U+{:04X}, not allowed in names: use printable ASCII, or letters and digits of one script", u32::from(*.0))]
     Character(char),
-    /// It has an accent apart from its letter.
-    #[error("has an accent apart from its letter: write it in composed form (NFC)")]
+    /// An accent that is separate from its letter.
+    #[error("contains an accent separate from its letter: use the composed form (NFC)")]
     NotComposed,
-    /// It mixes scripts whose letters look alike.
-    #[error("mixes scripts whose letters look alike, such as Latin and Cyrillic: use one")]
+    #[error("mixes scripts with look-alike letters, such as Latin and Cyrillic: use only one script")]
     MixedScripts,
 }
 
 impl<const MAX: usize> ShownName<MAX> {
-    /// A name, where it is one.
-    ///
-    /// # Errors
-    /// [`InvalidShownName`]
     pub fn new(text: &str) -> Result<Self, InvalidShownName> {
         if text.len() > MAX {
             return Err(InvalidShownName::TooLong { bytes: text.len(), max: MAX });
@@ -109,7 +97,7 @@ impl<const MAX: usize> ShownName<MAX> {
         if !is_nfc(text) {
             return Err(InvalidShownName::NotComposed);
         }
-        // Spaces and punctuation of ASCII belong to every script.
+        // ASCII spaces and punctuation belong to every script.
         let letters: String = text.chars().filter(|character| character.identifier_allowed()).collect();
         if !letters.as_str().check_restriction_level(RestrictionLevel::HighlyRestrictive) {
             return Err(InvalidShownName::MixedScripts);
@@ -117,7 +105,6 @@ impl<const MAX: usize> ShownName<MAX> {
         Ok(Self(text.to_owned()))
     }
 
-    /// As it is written.
     #[must_use]
     pub fn as_str(&self) -> &str {
         &self.0
@@ -133,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn names_of_people_and_machines_are_names() {
+    fn names_of_people_and_machines_are_valid() {
         for text in
             ["", "robot-1", "Cell #4 (left)", "Müller", "Иванов", "机器人1", "ロボットA", "로봇", "יוסי", "Ελένη"]
         {
@@ -142,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn names_that_cannot_be_told_apart_are_refused() {
+    fn confusable_names_are_refused() {
         for (text, character) in [
             ("robot\u{200B}1", '\u{200B}'),
             ("\u{202E}tobor", '\u{202E}'),
@@ -173,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn reasons_lose_what_is_not_seen() {
+    fn reasons_lose_invisible_characters() {
         let reason = Reason::truncated("\u{202E}light\u{200B} curtain\u{2028}\u{FEFF}\u{E0001}\n 🛑 é");
         assert_eq!(reason.as_str(), "light curtain 🛑 é");
         assert_eq!(Reason::truncated(&"ü".repeat(40)).as_str(), "ü".repeat(32));

@@ -1,14 +1,14 @@
-//! What a request may wait behind.
+//! Urgency of requests.
 
-/// The urgency of a request: what it may wait behind, and whose slots it takes.
+/// Urgency of a request: which requests it can wait behind, and which slots it takes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Urgency {
-    /// Goes before everything, and needs no slot: FAST STOP.
+    /// FAST STOP: goes before all other requests, and needs no slot.
     FastStop,
-    /// Goes before what moves and reads: operations that only stop.
+    /// Operations that only stop: go before motions and reads.
     Stop,
-    /// Waits for no motion: operations that keep or end a lease.
+    /// Operations that keep or end a lease: wait for no motion.
     Lease,
-    /// Everything else.
+    /// All other operations.
     None,
 }

@@ -14,7 +14,7 @@ fn submission(subject: &str, action: Action, request_id: Option<&str>) -> Submis
     Submission { client, action, request_id, lease: None }
 }
 
-/// A registry, and the clocks of its commands' ids: a wall clock that goes backwards, since no order may come from it.
+/// A registry with its clocks. The wall clock behind the ids runs backwards, since no order may depend on it.
 struct Desk {
     commands: CommandRegistry,
     now: Instant,
@@ -46,7 +46,7 @@ impl Desk {
         id
     }
 
-    /// The command that a repeated request is answered with.
+    /// The command that answers a repeated request.
     fn replayed(&self, subject: &str, action: Action, request_id: &str) -> Option<CommandId> {
         let replay = self.commands.replay(self.now, &submission(subject, action, Some(request_id))).unwrap();
         replay.map(|ticket| ticket.id())
@@ -58,7 +58,7 @@ impl Desk {
 }
 
 #[test]
-fn a_request_id_outlives_its_commands_place_in_the_book() {
+fn request_ids_outlive_their_commands_in_the_registry() {
     let mut desk = Desk::new();
     let first = desk.run("test", home(), Some("r1"));
     for _ in 0..=MAX_MOTIONS {
@@ -72,7 +72,7 @@ fn a_request_id_outlives_its_commands_place_in_the_book() {
 }
 
 #[test]
-fn request_ids_are_bounded_and_none_is_forgotten_early() {
+fn request_ids_are_bounded_and_never_forgotten_early() {
     let mut desk = Desk::new();
     let limit = MOTION_IDS.per_subject;
     let ids: Vec<_> = (0..limit).map(|number| desk.run("test", home(), Some(&number.to_string()))).collect();
@@ -87,7 +87,7 @@ fn request_ids_are_bounded_and_none_is_forgotten_early() {
 }
 
 #[test]
-fn invented_subjects_leave_anothers_request_ids_alone() {
+fn invented_subjects_push_out_no_request_ids_of_others() {
     let mut desk = Desk::new();
     let own = desk.run("holder", home(), Some("r1"));
     for number in 0..2 * MOTION_IDS.whole {
@@ -113,7 +113,7 @@ fn stops_with_ids_take_no_slots_of_motions() {
     assert_eq!(desk.replayed("holder", home(), "r1"), Some(motion));
     assert_eq!(desk.replayed("holder", Action::Stop, "s1"), Some(stop));
     assert!(desk.replayed("flood", Action::Stop, "99999").is_some());
-    assert_eq!(desk.replayed("flood", Action::Stop, "0"), None, "the oldest gives way");
+    assert_eq!(desk.replayed("flood", Action::Stop, "0"), None, "the oldest is dropped");
 }
 
 #[test]
@@ -129,7 +129,7 @@ fn stops_push_no_motion_out_of_the_history() {
 }
 
 #[test]
-fn a_running_motion_stays_while_others_are_forgotten() {
+fn running_motions_are_never_forgotten() {
     let mut desk = Desk::new();
     let running = desk.admit(&submission("holder", home(), None));
     for _ in 0..2 * MAX_MOTIONS {
@@ -145,7 +145,7 @@ fn a_running_motion_stays_while_others_are_forgotten() {
 }
 
 #[test]
-fn a_refused_request_binds_nothing() {
+fn refused_requests_bind_nothing() {
     let mut desk = Desk::new();
     let refused = desk.admit(&submission("test", home(), Some("r1")));
     desk.end(refused, Outcome::Refused);
@@ -153,7 +153,7 @@ fn a_refused_request_binds_nothing() {
 }
 
 #[test]
-fn scripts_answers_count_by_their_bytes() {
+fn script_replies_take_slots_by_size() {
     let mut desk = Desk::new();
     let answer: Arc<str> = "00".repeat(4096).into();
     for number in 0..MOTION_IDS.per_subject {
@@ -165,12 +165,12 @@ fn scripts_answers_count_by_their_bytes() {
             return;
         }
     }
-    panic!("answers of 8 KiB are not counted");
+    panic!("replies of 8 KiB are not counted");
 }
 
 #[test]
-fn a_slot_is_as_large_as_what_it_holds() {
+fn slots_are_large_enough() {
     let tables = 6 * size_of::<Key>() + size_of::<(Kind, Parameters)>();
-    // Beside the command: the words of its strings, and a channel to watch it.
+    // Besides the command: the contents of its strings, and a watch channel.
     assert!(tables + size_of::<Command>() + 512 < 2048);
 }

@@ -1,65 +1,66 @@
-//! What becomes of the device and of its link.
+//! Events of the device and of its link.
 
 use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::super::Link;
 
-/// A link's change.
+/// Change of the link's connection state.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct LinkEvent {
-    /// How it is now.
+    /// New connection state.
     pub link: Link,
-    /// Why it isn't connected.
+    /// Reason that the link is not connected; null if it is.
     #[schema(required)]
     pub link_cause: Option<String>,
 }
 
-/// What became of the device.
+/// An event of the device.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 #[serde(tag = "event", rename_all = "snake_case")]
 pub enum DeviceEvent {
-    /// It has restarted: its reference is gone.
+    /// The device has restarted and lost its reference.
     Restarted,
-    /// Another device answers.
+    /// A different device answers.
     Replaced {
-        /// The one before.
+        /// Serial number of the previous device.
         #[schema(format = Int64)]
         known_serial_number: u32,
-        /// The one that answers.
+        /// Serial number of the device that answers now.
         #[schema(format = Int64)]
         serial_number: u32,
     },
-    /// Fault flags have come.
+    /// Fault flags were set.
     Fault {
-        /// Their names.
+        /// Names of the flags.
         flags: Vec<&'static str>,
     },
-    /// Fault flags are gone.
+    /// Fault flags were cleared.
     FaultCleared {
-        /// Their names.
+        /// Names of the flags.
         flags: Vec<&'static str>,
     },
-    /// The fingers move, and nobody here asked for it.
+    /// The fingers moved without a command of this gateway.
     ForeignMotion,
-    /// Changes came so quickly that they were counted; the newest of each sort follows.
+    /// Changes came so fast that some were only counted. The newest of each sort follows as an event of its own.
     Flickering {
-        /// Which changes, such as `link reconnecting` or `fault TEMP_FAULT`.
+        /// Sorts of changes, such as `link reconnecting` or `fault TEMP_FAULT`.
         cause: String,
-        /// How many were left out within one second.
+        /// Number of changes left out within one second.
         #[schema(minimum = 1, maximum = 9_007_199_254_740_991_i64)]
         count: u64,
     },
-    /// A script was asked to move them, by an id of `stream_ids`: the first time, or so often in one second.
+    /// Clients asked a script to move the fingers, by an id of `stream_ids`. The first request is recorded at once, and
+    /// further ones are counted each second.
     Streamed {
-        /// Its id.
+        /// Id of the custom command.
         raw_id: u8,
-        /// How many requests were admitted.
+        /// Number of admitted requests.
         count: u64,
     },
-    /// A part that was held is gone; the event belongs to its grip.
+    /// A held part was lost. The event belongs to the command that gripped the part.
     PartLost {
-        /// The opening width in mm where it was seen.
+        /// Opening width in mm when the loss was noticed; null if unknown.
         #[schema(required)]
         width_mm: Option<f32>,
     },
