@@ -24,8 +24,8 @@ struct Subscription {
 pub struct Subscriptions(Vec<Subscription>);
 
 impl Subscriptions {
-    /// Switches the updates of `id` on or off; `value` is the current value. Periodic updates of equal periods share one
-    /// cycle, so that their values are from the same instant.
+    /// Switches the updates of `id` on or off; `value` is the current value. Periodic updates of equal periods share
+    /// one cycle, so that their values are from the same instant.
     pub fn set(&mut self, id: u8, updates: Updates, value: Data, now: Instant) {
         self.0.retain(|subscription| subscription.id != id);
         if let Updates::On { on_change, period_ms } = updates {
