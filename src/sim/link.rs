@@ -136,7 +136,7 @@ impl Device {
         self.join_wait().is_some()
     }
 
-    /// Discards the state of the connection. The device does not notice the end of a half-open one.
+    /// Ends the connection, with a FAST STOP if so configured. The device does not notice the end of a half-open one.
     fn end_connection(&mut self) {
         if !self.announced && !self.half_open && self.config.fast_stop_on_disconnect {
             self.fast_stop();

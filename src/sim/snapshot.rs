@@ -29,7 +29,7 @@ pub struct Snapshot {
     pub fast_stop: bool,
     /// Part between the jaws or beside them.
     pub part: Option<Part>,
-    /// Width at the obstacle, in mm.
+    /// Width at which the jaws touch the obstacle, in mm.
     pub obstacle_mm: Option<f64>,
     /// Gripping statistics (42h).
     pub statistics: Statistics,

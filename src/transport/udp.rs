@@ -51,7 +51,7 @@ pub struct UdpAddress {
     attempts: Attempts,
 }
 
-/// Number of connection attempts. Equality and clones ignore it, because it is not part of the address.
+/// Number of connection attempts. Not part of the address: equality ignores it, and clones reset it.
 #[derive(Debug, Default)]
 struct Attempts(AtomicUsize);
 
