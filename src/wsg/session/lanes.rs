@@ -6,8 +6,8 @@ use std::time::Instant;
 use super::{Request, Token};
 use crate::wsg::Command;
 
-/// Limit of waiting requests per lane. The gateway uses a few dozen ids with one request in flight each, so only a
-/// caller that does not wait for replies exceeds the limit.
+/// Limit of waiting requests per lane. The gateway uses a few dozen ids with one request in flight each. Only a caller
+/// that does not wait for replies exceeds the limit.
 pub const MAX_WAITING: usize = 64;
 
 /// A request that has not been written yet.

@@ -57,7 +57,7 @@ pub struct Config {
     pub bytes_per_second: Option<u32>,
     /// Time limit from the first to the last byte of a frame, beyond its line time.
     pub frame_gap: Duration,
-    /// Whether the link can duplicate frames. If so, an answered id stays closed until duplicates have arrived.
+    /// Whether the link can duplicate frames. If so, an answered id stays closed until no duplicate can arrive.
     pub may_duplicate: bool,
     /// Seed that makes this session's nonces differ from those of earlier sessions.
     pub nonce_seed: u64,
