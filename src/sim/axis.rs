@@ -1,4 +1,4 @@
-//! The axis: trapezoidal motion in fixed steps, and what happens where the fingers meet something.
+//! The axis: trapezoidal motion in fixed steps, and contact of the fingers with surfaces.
 
 use std::time::Duration;
 
@@ -6,22 +6,22 @@ use serde::{Deserialize, Serialize};
 
 use super::world::Surfaces;
 
-/// The simulation's step.
+/// Time step of the simulation.
 pub const STEP: Duration = Duration::from_millis(1);
 
-/// The same in seconds.
+/// [`STEP`] in seconds.
 const STEP_S: f64 = 0.001;
 
-/// The fingers go no faster than this while they press on something, in mm/s.
+/// Speed limit in mm/s while the fingers press on a surface.
 const CONTACT_SPEED_MM_S: f64 = 10.0;
 
-/// A direction of the fingers.
+/// Direction of a finger motion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Direction {
-    /// Negative: to the inner end stop.
+    /// Negative, to the inner end stop.
     Closing,
-    /// Positive: to the outer end stop.
+    /// Positive, to the outer end stop.
     Opening,
 }
 
@@ -40,13 +40,13 @@ impl Direction {
         }
     }
 
-    /// The way from one width to another. No way at all counts as closing.
+    /// Direction from one width to another. Equal widths count as closing.
     pub(super) fn towards(from_mm: f64, to_mm: f64) -> Self {
         if to_mm > from_mm { Self::Opening } else { Self::Closing }
     }
 }
 
-/// Where a motion goes, and how.
+/// Target and limits of a motion.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Drive {
     pub target_mm: f64,
@@ -55,20 +55,19 @@ pub(super) struct Drive {
     pub force_limit_n: f64,
 }
 
-/// How far a step has brought the fingers.
+/// Outcome of a step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Progress {
     Moving,
-    /// They stand at the target.
+    /// The fingers are at the target.
     Reached,
-    /// They press on something with the force limit.
+    /// The fingers press on a surface with the force limit.
     Pressing(Direction),
 }
 
-/// The fingers.
 #[derive(Debug)]
 pub(super) struct Axis {
-    /// The true distance of the jaws.
+    /// True distance between the jaws.
     pub position_mm: f64,
     /// Positive while opening.
     pub speed_mm_s: f64,
@@ -84,7 +83,7 @@ impl Axis {
         self.speed_mm_s.abs() > 0.0
     }
 
-    /// One step towards the drive's target.
+    /// Moves by one step towards the drive's target.
     pub fn step(&mut self, drive: &Drive, surfaces: &Surfaces) -> Progress {
         let direction = Direction::towards(self.position_mm, drive.target_mm);
         let remaining_mm = (drive.target_mm - self.position_mm).abs();
@@ -117,7 +116,7 @@ impl Axis {
         progress
     }
 
-    /// One step of coming to a stand.
+    /// Brakes for one step.
     pub fn brake(&mut self, deceleration_mm_s2: f64, surfaces: &Surfaces) {
         let direction = if self.speed_mm_s > 0.0 { Direction::Opening } else { Direction::Closing };
         let speed_mm_s = (self.speed_mm_s.abs() - deceleration_mm_s2 * STEP_S).max(0.0);
@@ -128,7 +127,7 @@ impl Axis {
         }
     }
 
-    /// The motor lets go: what was pressed springs back, and no force is left.
+    /// Switches the motor off: pressed surfaces spring back, and the force drops to 0.
     pub fn relax(&mut self, surfaces: &Surfaces) {
         for direction in [Direction::Closing, Direction::Opening] {
             if surfaces.depth_mm(direction, self.position_mm) > 0.0 {

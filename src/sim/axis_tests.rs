@@ -5,7 +5,7 @@ fn drive(target_mm: f64) -> Drive {
     Drive { target_mm, speed_mm_s: 100.0, acceleration_mm_s2: 1000.0, force_limit_n: 40.0 }
 }
 
-/// Steps to the end: how many, and the highest speed.
+/// Steps until the end. Returns the number of steps, the highest speed and the outcome.
 fn run(axis: &mut Axis, drive: &Drive, world: &World) -> (u32, f64, Progress) {
     let (mut steps, mut fastest) = (0, 0.0_f64);
     loop {
@@ -20,21 +20,21 @@ fn run(axis: &mut Axis, drive: &Drive, world: &World) -> (u32, f64, Progress) {
 }
 
 #[test]
-fn a_long_motion_is_a_trapezoid() {
+fn long_motion_is_trapezoid() {
     let mut axis = Axis::new(100.0);
     let (steps, fastest, progress) = run(&mut axis, &drive(20.0), &World::new(110.0));
     assert_eq!(progress, Progress::Reached);
     assert!((fastest - 100.0).abs() < 1e-9);
-    // 0.1 s up, 0.7 s along, 0.1 s down.
+    // 0.1 s of acceleration, 0.7 s at constant speed, 0.1 s of deceleration.
     assert!((895..=910).contains(&steps), "{steps}");
     assert!((axis.position_mm - 20.0).abs() < 1e-9 && !axis.is_moving());
 }
 
 #[test]
-fn a_short_motion_never_reaches_its_speed() {
+fn short_motion_never_reaches_full_speed() {
     let mut axis = Axis::new(20.0);
     let (steps, fastest, _) = run(&mut axis, &drive(21.0), &World::new(110.0));
-    // A triangle of 1 mm: the peak is sqrt(a * s).
+    // A triangular profile over 1 mm peaks at sqrt(a * s).
     assert!((fastest - 31.6).abs() < 2.0, "{fastest}");
     assert!((60..=70).contains(&steps), "{steps}");
 }
@@ -50,7 +50,7 @@ fn speed_is_positive_while_opening() {
 }
 
 #[test]
-fn a_part_is_pressed_until_the_force_is_there() {
+fn part_is_pressed_up_to_the_force_limit() {
     let mut world = World::new(110.0);
     world.place_part(Part::outside(50.0), 100.0);
     let mut axis = Axis::new(100.0);
@@ -63,7 +63,7 @@ fn a_part_is_pressed_until_the_force_is_there() {
 }
 
 #[test]
-fn a_part_wider_than_the_fingers_stand_apart_is_not_between_them() {
+fn too_wide_part_is_not_between_fingers() {
     let mut world = World::new(110.0);
     world.place_part(Part::outside(50.0), 30.0);
     let mut axis = Axis::new(30.0);

@@ -1,5 +1,4 @@
-//! What can happen to a device from outside of its protocol, as values: the world around it, its own faults, and faults
-//! of the link.
+//! Events from outside the protocol, as values: changes in the surroundings, device faults and link faults.
 
 use std::time::{Duration, Instant};
 
@@ -14,114 +13,90 @@ use super::process::Kind;
 use super::world::Part;
 use super::{Device, LinkAction};
 
-/// Something that happens to the device.
+/// An event that affects the device.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Change {
-    /// A part is put between the jaws. One that is wider than they stand apart waits until they have opened.
+    /// A part is put between the jaws. If it is too wide, it waits beside the jaws until they have opened.
     PlacePart(Part),
     /// The part is taken away.
     TakePart,
-    /// The part gives way, or swells: the fingers follow within the clamping travel.
+    /// The part shrinks or swells. The fingers follow within the clamping travel.
     ResizePart {
-        /// Where the fingers now meet it.
+        /// New width of the part in mm.
         width_mm: f64,
     },
     /// The part slips out of the fingers, faster than they can follow.
     SlipPart,
-    /// Something hard is put in the way of the jaws.
+    /// A hard obstacle is put in the way of the jaws.
     PlaceObstacle {
-        /// Where they meet it, from whichever side they come.
+        /// Width in mm at which the jaws touch the obstacle, from either side.
         width_mm: f64,
     },
     /// The obstacle is removed.
     RemoveObstacle,
-    /// The device has this temperature from now on: the thresholds are in its configuration.
-    Overheat {
-        /// The temperature.
-        temperature_c: f64,
-    },
-    /// The temperature is the device's own again.
+    /// The device keeps this temperature from now on. Its configuration has the thresholds.
+    Overheat { temperature_c: f64 },
+    /// The temperature follows the load again.
     Cool,
-    /// The motor has reached its thermal limit, or (without a duration) recovers from it.
+    /// The motor reaches its thermal limit, or recovers.
     CurrentFault {
-        /// Whether there is a fault.
         on: bool,
-        /// After how long the motor recovers by itself (`fw4-en` Appendix B).
+        /// Time after which the motor recovers by itself (`fw4-en` Appendix B).
         clears_after_ms: Option<u32>,
     },
     /// The power supply leaves its valid range, or returns to it.
-    PowerFault {
-        /// Whether there is a fault.
-        on: bool,
-    },
-    /// A finger's power draws too much current, or no longer does.
+    PowerFault { on: bool },
+    /// Over-current in a finger's supply begins or ends.
     FingerOverCurrent {
-        /// 1 or 2.
+        /// Finger 1 or 2.
         finger: u8,
-        /// Whether there is a fault.
         on: bool,
     },
-    /// A finger's communication fails, or works again.
+    /// A finger's communication fails or recovers.
     FingerCommunicationFault {
-        /// 1 or 2.
+        /// Finger 1 or 2.
         finger: u8,
-        /// Whether there is a fault.
         on: bool,
     },
-    /// A motion from another side, such as the device's web page. Ignored while a motion runs or none is allowed.
-    MoveBySomebody {
-        /// The target.
-        width_mm: f64,
-        /// The speed.
-        speed_mm_s: f64,
-    },
-    /// A FAST STOP that no client asked for.
+    /// A motion from another source, such as the device's web page. Ignored while a motion runs or motion is blocked.
+    MoveBySomebody { width_mm: f64, speed_mm_s: f64 },
+    /// A FAST STOP that no client requested.
     SetFastStop,
-    /// The script ends with an error: its commands are unknown until it is started again.
+    /// The script ends with an error. Its commands are unknown until it starts again.
     FailScript,
     /// The script is started.
     StartScript,
-    /// The device restarts. It forgets its settings, its origin, the updates and the connection.
+    /// The device restarts and loses its settings, origin, updates and connection.
     Reboot {
-        /// How long it takes.
+        /// Duration of the restart.
         ready_after_ms: u32,
-        /// Whether half of a frame still gets out.
+        /// Whether the device still sends half a frame.
         #[serde(default)]
         mid_frame: bool,
     },
-    /// The device acts on what it receives, and says nothing.
-    Silent {
-        /// Whether it is silent.
-        on: bool,
-    },
-    /// No byte passes in either direction, and neither end of the connection is noticed, until a new one begins.
-    HalfOpen {
-        /// Whether the connection is half-open.
-        on: bool,
-    },
-    /// New connections are refused.
-    RefuseConnections {
-        /// Whether they are.
-        on: bool,
-    },
+    /// The device executes requests but sends nothing.
+    Silent { on: bool },
+    /// The connection passes no bytes, and neither side notices its end, until a new connection begins.
+    HalfOpen { on: bool },
+    /// The device refuses new connections.
+    RefuseConnections { on: bool },
     /// The connection is cut now (TCP).
     CutConnection,
     /// Arms a fault.
     Fault {
-        /// Which.
         kind: FaultKind,
-        /// For frames of this id, or of any.
+        /// Id of the affected frames, or `None` for all.
         id: Option<u8>,
-        /// For so many of them.
+        /// Number of frames to affect.
         times: u32,
     },
-    /// Disarms all faults that have not struck yet.
+    /// Disarms all pending faults.
     DisarmFaults,
 }
 
 impl Device {
-    /// Lets something happen.
+    /// Applies a change.
     #[allow(clippy::needless_pass_by_value, reason = "a change happens once")]
     pub fn apply(&mut self, now: Instant, change: Change) {
         self.advance(now);

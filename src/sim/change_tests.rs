@@ -10,7 +10,7 @@ fn acceleration(mm_s2: f32) -> Command {
 }
 
 #[test]
-fn a_change_survives_json() {
+fn changes_survive_json() {
     let changes = [
         Change::PlacePart(Part::inside(40.0)),
         Change::CurrentFault { on: true, clears_after_ms: Some(500) },
@@ -24,7 +24,7 @@ fn a_change_survives_json() {
 }
 
 #[test]
-fn overheating_warns_and_then_stops() {
+fn overheating_warns_then_stops() {
     let mut bench = Bench::homed(DeviceConfig::wsg50());
     bench.apply(Change::Overheat { temperature_c: 75.0 });
     assert!(bench.has(SystemState::TEMP_WARNING) && !bench.has_any(SystemState::TEMP_FAULT | SystemState::FAST_STOP));
@@ -50,7 +50,7 @@ fn ruling_an_acknowledge_before_the_fault_has_cleared_leaves_the_fast_stop() {
         for (fault, cure) in &cases {
             let mut bench = Bench::homed(config.clone());
             bench.apply(fault.clone());
-            assert_eq!(bench.reply(&Command::AcknowledgeFastStop), DONE, "the status alone doesn't say it");
+            assert_eq!(bench.reply(&Command::AcknowledgeFastStop), DONE, "the status alone does not show it");
             assert!(bench.has(SystemState::FAST_STOP));
             assert_eq!(bench.reply(&move_to(50.0, 50.0)), status(Status::E_ACCESS_DENIED));
             bench.apply(cure.clone());
@@ -62,7 +62,7 @@ fn ruling_an_acknowledge_before_the_fault_has_cleared_leaves_the_fast_stop() {
 }
 
 #[test]
-fn a_current_fault_clears_by_itself() {
+fn current_fault_clears_by_itself() {
     let mut bench = Bench::new(DeviceConfig::wsg50());
     bench.apply(Change::CurrentFault { on: true, clears_after_ms: Some(300) });
     bench.pass(ms(299));
@@ -73,7 +73,7 @@ fn a_current_fault_clears_by_itself() {
 }
 
 #[test]
-fn a_fast_stop_can_be_set_before_a_client_comes() {
+fn fast_stop_can_be_set_without_client() {
     let mut bench = Bench::new(DeviceConfig::wsg50());
     bench.apply(Change::SetFastStop);
     assert!(bench.has(SystemState::FAST_STOP));
@@ -99,7 +99,7 @@ fn finger_faults_show_in_both_flags() {
 }
 
 #[test]
-fn a_motion_from_another_side_is_seen_and_not_answered() {
+fn foreign_motion_is_visible_but_not_answered() {
     let mut bench = Bench::homed(DeviceConfig::wsg50());
     bench.apply(Change::MoveBySomebody { width_mm: 50.0, speed_mm_s: 100.0 });
     assert!(bench.has(SystemState::MOVING));
@@ -109,12 +109,12 @@ fn a_motion_from_another_side_is_seen_and_not_answered() {
     assert_eq!(bench.happened(FaultName::ForeignMotion), 1);
     bench.ask(&Command::FastStop);
     bench.apply(Change::MoveBySomebody { width_mm: 20.0, speed_mm_s: 100.0 });
-    assert!(!bench.snapshot().moving, "not against a FAST STOP");
+    assert!(!bench.snapshot().moving, "a FAST STOP blocks it");
     assert_eq!(bench.happened(FaultName::ForeignMotion), 1);
 }
 
 #[test]
-fn a_reboot_forgets_the_session_and_keeps_tag_and_statistics() {
+fn reboot_keeps_only_tag_and_statistics() {
     let mut bench = Bench::homed(DeviceConfig::wsg50());
     bench.reply(&acceleration(1234.0));
     bench.reply(&Command::SetForceLimit(Force::new(77.0).unwrap()));
@@ -126,7 +126,7 @@ fn a_reboot_forgets_the_session_and_keeps_tag_and_statistics() {
     bench.ask(&Command::FastStop);
     bench.apply(Change::Reboot { ready_after_ms: 2000, mid_frame: false });
     assert_eq!(bench.device.poll_link(), Some(LinkAction::Drop));
-    assert!(!bench.device.connect(bench.now, Interface::Tcp), "while it starts");
+    assert!(!bench.device.connect(bench.now, Interface::Tcp), "rejected while booting");
     assert_eq!(bench.pass(ms(2000)), []);
     assert!(bench.device.connect(bench.now, Interface::Tcp));
 
@@ -141,13 +141,13 @@ fn a_reboot_forgets_the_session_and_keeps_tag_and_statistics() {
 }
 
 #[test]
-fn a_reboot_while_moving_ends_the_motion_without_an_answer() {
+fn reboot_ends_motion_without_result() {
     let mut bench = Bench::on(DeviceConfig::wsg50(), Interface::Serial);
     bench.home();
     bench.ask(&move_to(20.0, 50.0));
     bench.pass(ms(200));
     bench.apply(Change::Reboot { ready_after_ms: 100, mid_frame: false });
-    assert_eq!(bench.device.poll_link(), None, "there is no connection to drop");
+    assert_eq!(bench.device.poll_link(), None, "no connection to drop");
     assert_eq!(bench.pass(ms(3000)), []);
     assert!(!bench.snapshot().moving);
     assert_eq!(bench.reply(&looped(&[1])), Reply::Success(Data::Loop(vec![1])));
@@ -155,7 +155,7 @@ fn a_reboot_while_moving_ends_the_motion_without_an_answer() {
 }
 
 #[test]
-fn a_fault_that_outlives_a_reboot_is_a_fast_stop_again() {
+fn fault_after_reboot_triggers_fast_stop_again() {
     let mut bench = Bench::new(DeviceConfig::wsg50());
     bench.apply(Change::PowerFault { on: true });
     bench.apply(Change::Reboot { ready_after_ms: 100, mid_frame: false });
@@ -165,7 +165,7 @@ fn a_fault_that_outlives_a_reboot_is_a_fast_stop_again() {
 }
 
 #[test]
-fn a_reboot_can_cut_a_frame_in_half() {
+fn reboot_can_cut_frame_in_half() {
     let mut bench = Bench::new(DeviceConfig::wsg50());
     bench.apply(Change::Reboot { ready_after_ms: 100, mid_frame: true });
     let chunks = bench.chunks();
@@ -173,21 +173,21 @@ fn a_reboot_can_cut_a_frame_in_half() {
 }
 
 #[test]
-fn silent_it_acts_and_says_nothing() {
+fn silent_device_acts_without_replies() {
     let mut bench = Bench::new(DeviceConfig::wsg50());
     bench.apply(Change::Silent { on: true });
     assert_eq!(bench.ask(&acceleration(1234.0)), []);
     assert!(near(bench.snapshot().acceleration_mm_s2, 1234.0));
     bench.device.disconnect(bench.now);
     assert!(bench.device.connect(bench.now, Interface::Tcp));
-    assert_eq!(bench.ask(&looped(&[1])), [], "also towards the next client");
+    assert_eq!(bench.ask(&looped(&[1])), [], "silent to the next client too");
     bench.apply(Change::Silent { on: false });
     assert_eq!(bench.ask(&looped(&[1])).len(), 1);
     assert_eq!(bench.happened(FaultName::Silent), 2);
 }
 
 #[test]
-fn a_connection_can_be_cut() {
+fn connection_can_be_cut() {
     let mut bench = Bench::new(DeviceConfig::wsg50());
     bench.apply(Change::CutConnection);
     assert_eq!(bench.device.poll_link(), Some(LinkAction::Drop));
@@ -196,7 +196,7 @@ fn a_connection_can_be_cut() {
 }
 
 #[test]
-fn force_heats_it_and_overdrive_can_be_too_much() {
+fn force_heats_device_and_overdrive_overheats_it() {
     let run = |force_n: f32| {
         let mut bench = Bench::homed(DeviceConfig::wsg50().with_part(Part::outside(20.0)));
         bench.reply(&Command::OverdriveMode { on: true });

@@ -1,4 +1,4 @@
-//! What a request gets: every command but the motions.
+//! Handling of all requests except motions.
 
 use crate::wsg::{Acceleration, Command, CustomCommand, Data, Finger, Force, Reply, Status, Temperature, Updates, id};
 
@@ -6,7 +6,7 @@ use super::Device;
 use super::config::{Generation, ScriptAnswer};
 
 impl Device {
-    /// A request whose checksum was right.
+    /// Handles a request with a correct checksum.
     pub(super) fn request(&mut self, id: u8, payload: &[u8]) {
         if self.outbox.is_full() {
             self.refused_requests += 1;
@@ -16,7 +16,7 @@ impl Device {
             return;
         }
         if self.announced {
-            // fw4-en 3.1.2: until the connection has ended.
+            // Until the connection ends (`fw4-en 3.1.2`).
             return self.answer_status(id, Status::E_ACCESS_DENIED);
         }
         if self.strikes_request(id) {
@@ -34,7 +34,8 @@ impl Device {
         }
     }
 
-    /// fw2 has neither the temperature nor the finger interface, and ids of scripts exist while the script runs.
+    /// Whether the device knows `id`. fw2 has no temperature and no finger interface, and script ids need a running
+    /// script.
     fn knows(&self, id: u8) -> bool {
         match id {
             id::GET_TEMPERATURE
@@ -99,7 +100,7 @@ impl Device {
         Status::E_SUCCESS
     }
 
-    /// `fw4-en 3.3.9`
+    /// Tares the force sensor (`fw4-en 3.3.9`).
     fn tare(&mut self) -> Status {
         if !self.config.has_force_sensor() {
             return Status::E_NOT_AVAILABLE;
@@ -111,7 +112,7 @@ impl Device {
         Status::E_SUCCESS
     }
 
-    /// `fw4-en 3.4.1`: a query without updates is answered once, and switches updates off.
+    /// Answers a getter (`fw4-en 3.4.1`). A query without updates switches updates off.
     fn query(&mut self, id: u8, updates: Updates) {
         let value = self.value(id);
         self.subscriptions.set(id, updates, value.clone(), self.clock);
@@ -155,7 +156,7 @@ impl Device {
         })
     }
 
-    /// `fw4-en 3.6.3`: on takes its time, off is immediate.
+    /// Switches a finger's power: on takes time, off is immediate (`fw4-en 3.6.3`).
     fn finger_power(&mut self, id: u8, finger: Finger, on: bool) {
         let index = index(finger);
         let port = &mut self.fingers[index];

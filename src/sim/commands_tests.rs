@@ -10,7 +10,7 @@ fn force(n: f32) -> Command {
 }
 
 #[test]
-fn every_model_tells_its_type_and_limits() {
+fn every_model_returns_its_type_and_limits() {
     let types = [DeviceType::Wsg25, DeviceType::Wsg32, DeviceType::Wsg50, DeviceType::Wsg70];
     for (model, device_type) in Model::ALL.into_iter().zip(types) {
         let config = DeviceConfig::from_model(model.name()).unwrap();
@@ -21,13 +21,13 @@ fn every_model_tells_its_type_and_limits() {
 
         let fw2 = DeviceConfig::from_model(&format!("{}-fw2", model.name())).unwrap();
         let Reply::Success(Data::SystemInfo(info)) = Bench::new(fw2).reply(&Command::GetSystemInfo) else { panic!() };
-        assert!(info.device_type.code() <= 1 && info.firmware.major() == 2, "fw2 knows 0 and 1 alone");
+        assert!(info.device_type.code() <= 1 && info.firmware.major() == 2, "fw2 defines only 0 and 1");
     }
     assert!(DeviceConfig::from_model("wsg51").is_none());
 }
 
 #[test]
-fn a_wrong_length_gets_the_status_that_the_manual_names() {
+fn wrong_length_gets_the_manuals_status() {
     let no_param = [0x22, 0x31, 0x33, 0x35, 0x36, 0x38, 0x46, 0x50, 0x52, 0x53, 0x07];
     let format = [0x24, 0x30, 0x32, 0x34, 0x37, 0x40, 0x41, 0x42, 0x43, 0x44, 0x45, 0x60, 0x61, 0x62, 0x63, 0x73];
     let mut bench = Bench::new(DeviceConfig::wsg50());
@@ -43,14 +43,14 @@ fn a_wrong_length_gets_the_status_that_the_manual_names() {
 }
 
 #[test]
-fn an_unknown_id_is_said_to_be_unknown() {
+fn unknown_id_gets_unknown_command() {
     let mut bench = Bench::new(DeviceConfig::wsg50());
     assert_eq!(bench.status_of_raw(0x90, &[]), Status::E_CMD_UNKNOWN);
     assert!(bench.has(SystemState::CMD_FAILURE));
 }
 
 #[test]
-fn fw2_knows_neither_temperature_nor_fingers() {
+fn fw2_has_no_temperature_and_no_fingers() {
     let mut bench = Bench::new(DeviceConfig::wsg50().fw2());
     for id in [0x46, 0x60, 0x61, 0x62, 0x63, 0x70, 0x71, 0x72, 0x73] {
         assert_eq!(bench.status_of_raw(id, &[0]), Status::E_CMD_UNKNOWN, "{id:02X}h");
@@ -58,16 +58,16 @@ fn fw2_knows_neither_temperature_nor_fingers() {
 }
 
 #[test]
-fn command_failure_tells_of_the_last_command() {
+fn command_failure_flag_follows_last_command() {
     let mut bench = Bench::homed(DeviceConfig::wsg50());
     bench.reply(&Command::GetSoftLimits);
     let Reply::Success(Data::SystemState(flags)) = bench.reply(&Command::GetSystemState(Updates::Off)) else {
         panic!()
     };
     assert!(flags.contains(SystemState::CMD_FAILURE));
-    assert!(!bench.has(SystemState::CMD_FAILURE), "the query itself was a success");
+    assert!(!bench.has(SystemState::CMD_FAILURE), "the query itself succeeded");
     bench.run(&grip(20.0, 100.0));
-    assert!(bench.has(SystemState::CMD_FAILURE), "a late error is one too");
+    assert!(bench.has(SystemState::CMD_FAILURE), "a late error counts too");
 }
 
 #[test]
@@ -130,7 +130,7 @@ fn ruling_statistics_answer_with_42h_and_can_be_reset() {
     bench.run(&grip(20.0, 200.0));
     let once = Reply::Success(Data::Statistics(Statistics { total: 1, no_part: 1, lost_part: 0 }));
     assert_eq!(bench.ask(&Command::GetStatistics { reset: false }), [(0x42, once.clone())]);
-    assert_eq!(bench.reply(&Command::GetStatistics { reset: true }), once, "read before it is reset");
+    assert_eq!(bench.reply(&Command::GetStatistics { reset: true }), once, "read before the reset");
     let none = Reply::Success(Data::Statistics(Statistics::default()));
     assert_eq!(bench.reply(&Command::GetStatistics { reset: false }), none);
 }
@@ -144,7 +144,7 @@ fn ruling_minus_1_1_degrees_is_fff5h() {
 }
 
 #[test]
-fn a_device_tag_is_kept_once_it_is_set() {
+fn device_tag_is_kept() {
     let mut bench = Bench::new(DeviceConfig::wsg50());
     assert_eq!(bench.reply(&Command::GetDeviceTag), status(Status::E_NOT_AVAILABLE));
     let tag = DeviceTag::new(b"cell 7").unwrap();
@@ -158,7 +158,7 @@ fn tare_needs_a_sensor_and_zeroes_it() {
     assert_eq!(bench.reply(&Command::TareForceSensor), status(Status::E_NOT_AVAILABLE));
     let config = DeviceConfig { force_sensor: true, force_sensor_offset_n: -2.5, ..DeviceConfig::wsg50() };
     let mut bench = Bench::new(config);
-    assert!(near(bench.snapshot().force_n, 2.5), "the force carries no sign");
+    assert!(near(bench.snapshot().force_n, 2.5), "the force has no sign");
     assert_eq!(bench.reply(&Command::TareForceSensor), DONE);
     assert!(near(bench.snapshot().force_n, 0.0));
 }
@@ -183,7 +183,7 @@ fn ruling_finger_info_has_its_size_at_bytes_1_and_2() {
 }
 
 #[test]
-fn a_force_finger_tells_its_share_of_the_force() {
+fn force_finger_returns_its_share_of_force() {
     let fingers = [FingerConfig::Fmf, FingerConfig::Fmf];
     let config = DeviceConfig { fingers, ..DeviceConfig::wsg50() };
     let mut bench = Bench::homed(config.with_part(Part::outside(20.0)));
@@ -210,7 +210,7 @@ fn ruling_finger_power_is_byte_0_and_on_takes_half_a_second() {
 }
 
 #[test]
-fn switching_a_finger_off_aborts_its_powering_up() {
+fn switching_finger_off_aborts_power_up() {
     let mut bench = Bench::new(DeviceConfig::wsg50());
     let power = |on| Command::FingerPower { finger: Finger::One, on };
     bench.ask(&power(true));
@@ -220,7 +220,7 @@ fn switching_a_finger_off_aborts_its_powering_up() {
 }
 
 #[test]
-fn only_a_generic_fingers_power_can_be_switched() {
+fn only_generic_fingers_can_be_switched() {
     let fingers = [FingerConfig::Fmf, FingerConfig::None];
     let mut bench = Bench::new(DeviceConfig { fingers, ..DeviceConfig::wsg50() });
     let off = Command::FingerPower { finger: Finger::One, on: false };

@@ -1,5 +1,4 @@
-//! How a simulated device is built and set up: what a real one has on its type plate and on its web page, and a choice
-//! wherever the manuals leave one.
+//! Configuration of a simulated device: type plate, web page settings, and each choice that the manuals leave open.
 
 use std::time::Duration;
 
@@ -9,7 +8,7 @@ use super::axis::Direction;
 use super::models::Model;
 use super::world::Part;
 
-/// Which manual the firmware follows.
+/// Generation of the firmware, which determines the manual.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Generation {
     /// Firmware 2: no ERROR state, no temperature, no finger interface.
@@ -18,28 +17,28 @@ pub enum Generation {
     Fw4,
 }
 
-/// What a request with a wrong checksum gets. The manuals don't say.
+/// Reaction to a request with a wrong checksum, which the manuals leave open.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum BadChecksum {
-    /// Nothing.
+    /// No reply.
     Silence,
     /// `E_CHECKSUM_ERROR`.
     Answer,
 }
 
-/// What is mounted on a base jaw.
+/// Finger on a base jaw.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub enum FingerConfig {
-    /// Nothing, which can't be told from [`FingerConfig::Generic`].
+    /// No finger, which the protocol cannot distinguish from [`FingerConfig::Generic`].
     #[default]
     None,
-    /// A finger without electronics of its own; its power can be switched.
+    /// A finger without electronics. Its power can be switched.
     Generic,
-    /// WSG-FMF: measures the force, its data being half of the gripping force as a float, in N.
+    /// WSG-FMF force measurement finger. Its data are half of the gripping force in N, as a float.
     Fmf,
-    /// WSG-DSA: tactile, its data being this frame.
+    /// WSG-DSA tactile finger.
     Dsa {
-        /// What 63h or 73h returns.
+        /// Data that 63h or 73h returns.
         frame: Vec<u8>,
     },
 }
@@ -47,104 +46,97 @@ pub enum FingerConfig {
 /// A command that a script on the device adds.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Script {
-    /// An id that the manuals don't know, such as B0h.
+    /// An id that the manuals do not list, such as B0h.
     pub id: u8,
-    /// What it answers.
     pub answer: ScriptAnswer,
 }
 
-/// What a script answers.
+/// Reply of a script.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum ScriptAnswer {
-    /// Its own parameters.
+    /// The parameters of the request.
     Echo,
-    /// These bytes.
     Bytes(Vec<u8>),
-    /// The gripper state as a byte, then width in mm, speed in mm/s and force in N as floats: what the measuring
-    /// scripts of the field do.
+    /// The gripper state as a byte, then width in mm, speed in mm/s and force in N as floats, as common measuring
+    /// scripts reply.
     Measurement,
     /// A status, without data.
     Status(u16),
 }
 
-/// How a device is built and set up.
+/// Configuration of a device.
 #[derive(Debug, Clone)]
-#[allow(clippy::struct_excessive_bools, reason = "each is a checkbox of its own")]
+#[allow(clippy::struct_excessive_bools, reason = "independent checkboxes")]
 pub struct DeviceConfig {
-    /// The model.
     pub model: Model,
-    /// Which manual it follows.
     pub generation: Generation,
-    /// The firmware version (50h).
+    /// Firmware version (50h).
     pub firmware: Firmware,
-    /// The hardware revision (50h).
+    /// Hardware revision (50h).
     pub hardware_revision: u8,
-    /// The serial number (50h).
+    /// Serial number (50h).
     pub serial_number: u32,
-    /// The physical limits (53h).
+    /// Physical limits (53h).
     pub limits: SystemLimits,
-    /// Where the jaws really stand when it is switched on, in mm, which the device doesn't know.
+    /// True width in mm at power-on, unknown to the device.
     pub start_width_mm: f64,
-    /// The direction of homing where 20h says "default".
+    /// Homing direction for "default" in 20h.
     pub homing: Direction,
-    /// How far the fingers may go beyond a part's nominal width to build up force, in mm (`fw4-en 3.2.6`).
+    /// Travel in mm beyond a part's nominal width to build up force (`fw4-en 3.2.6`).
     pub clamping_travel_mm: f64,
-    /// By how much a part may be met before its nominal width, in mm.
+    /// Tolerance in mm for contact with a part before its nominal width.
     pub part_width_tolerance_mm: f64,
-    /// The acceleration after a start, in mm/s² (`fw4-en 3.3.1`).
+    /// Acceleration after a restart, in mm/s² (`fw4-en 3.3.1`).
     pub acceleration_mm_s2: f64,
-    /// The force limit after a start, in N (`fw4-en 3.3.3`).
+    /// Force limit after a restart, in N (`fw4-en 3.3.3`).
     pub force_limit_n: f64,
-    /// Soft limits that are loaded at a start (fw2 3.3.5).
+    /// Soft limits loaded at a restart (fw2 3.3.5).
     pub soft_limits: Option<SoftLimits>,
-    /// The device tag that it has from before.
+    /// Stored device tag.
     pub device_tag: Option<DeviceTag>,
-    /// Whether it evaluates checksums (`fw4-en 1.4.1`).
+    /// Whether the device evaluates checksums (`fw4-en 1.4.1`).
     pub checksum_evaluation: ChecksumEvaluation,
-    /// What a bad checksum gets.
     pub bad_checksum: BadChecksum,
     /// Whether the unannounced end of a TCP connection is a FAST STOP (`fw4-en 1.4.2`).
     pub fast_stop_on_disconnect: bool,
-    /// What is mounted on the base jaws.
     pub fingers: [FingerConfig; 2],
-    /// A force sensor of its own. A WSG-FMF finger is one too.
+    /// Whether the device has its own force sensor. A WSG-FMF finger also counts as one.
     pub force_sensor: bool,
-    /// What that sensor shows without any load, in N, until it is tared (38h).
+    /// Offset in N of the unloaded force sensor until it is tared (38h).
     pub force_sensor_offset_n: f64,
-    /// Whether it has an Overdrive Mode (37h).
+    /// Whether the device has an Overdrive Mode (37h).
     pub overdrive: bool,
-    /// The part between the jaws at the beginning.
+    /// Initial part between the jaws.
     pub part: Option<Part>,
-    /// Commands of scripts.
     pub scripts: Vec<Script>,
-    /// Whether 43h tells a width before the first homing (fw4: 0, and no change messages).
+    /// Whether 43h returns a width before the first homing (fw4: 0, without updates on change).
     pub width_before_referencing: bool,
-    /// Whether switching automatic updates on is itself answered. The manuals don't say.
+    /// Whether a request that switches automatic updates on gets a reply. The manuals leave it open.
     pub answers_update_requests: bool,
-    /// Whether an `E_CMD_PENDING` comes before Loop's data (`fw4-en 3.1.1`).
+    /// Whether `E_CMD_PENDING` precedes the data of Loop (`fw4-en 3.1.1`).
     pub loop_is_pending: bool,
-    /// Whether Stop's own answer comes before the stopped motion's. The manuals don't say.
+    /// Whether the reply to Stop precedes the result of the stopped motion. The manuals leave it open.
     pub stop_answers_first: bool,
     /// Whether a Stop without a motion sets AXIS_STOPPED. Ruling: both are possible.
     pub stop_sets_flag_when_idle: bool,
-    /// Whether a Stop while HOLDING ends the gripping force. The manuals don't say.
+    /// Whether Stop while HOLDING ends the gripping force. The manuals leave it open.
     pub stop_lets_go: bool,
-    /// What an acknowledge gets while the fault is still there. Ruling: the FAST STOP stays; no status is named.
+    /// Status for an acknowledgement while the fault persists. No manual names one. Ruling: the FAST STOP stays.
     pub early_acknowledge: Status,
-    /// What a grip in the opposite direction, without a release between, gets. fw4 forbids it, and names no status.
+    /// Status for a grip in the opposite direction without a release between. fw4 forbids it without naming a status.
     pub opposite_grip: Status,
-    /// The temperature around it, in °C.
+    /// Ambient temperature in °C.
     pub ambient_c: f64,
-    /// From here on there is a temperature warning, in °C.
+    /// Temperature warning threshold in °C.
     pub warning_c: f64,
-    /// From here on there is a temperature fault, in °C.
+    /// Temperature fault threshold in °C.
     pub critical_c: f64,
-    /// How long a partial request is waited for.
+    /// Time limit for the rest of an incomplete request.
     pub partial_request_timeout: Duration,
 }
 
 impl DeviceConfig {
-    /// A device of this model as it comes from the factory, with firmware 4.
+    /// Factory configuration of a model, with firmware 4.
     #[must_use]
     pub fn new(model: Model) -> Self {
         let limits = model.limits();
@@ -187,31 +179,27 @@ impl DeviceConfig {
         }
     }
 
-    /// A WSG 25, without Overdrive Mode.
     #[must_use]
     pub fn wsg25() -> Self {
         Self::new(Model::Wsg25)
     }
 
-    /// A WSG 32.
     #[must_use]
     pub fn wsg32() -> Self {
         Self::new(Model::Wsg32)
     }
 
-    /// A WSG 50.
     #[must_use]
     pub fn wsg50() -> Self {
         Self::new(Model::Wsg50)
     }
 
-    /// A WSG 70.
     #[must_use]
     pub fn wsg70() -> Self {
         Self::new(Model::Wsg70)
     }
 
-    /// The device of this name: `wsg25`, `wsg32`, `wsg50` or `wsg70`, with `-fw2` behind it for firmware 2.
+    /// Configuration by name: `wsg25`, `wsg32`, `wsg50` or `wsg70`, with the suffix `-fw2` for firmware 2.
     #[must_use]
     pub fn from_model(name: &str) -> Option<Self> {
         match name.strip_suffix("-fw2") {
@@ -220,13 +208,11 @@ impl DeviceConfig {
         }
     }
 
-    /// The same device with firmware 2.
     #[must_use]
     pub fn fw2(self) -> Self {
         Self { generation: Generation::Fw2, firmware: Firmware(0x2200), width_before_referencing: true, ..self }
     }
 
-    /// The same device with this part between its jaws.
     #[must_use]
     pub fn with_part(self, part: Part) -> Self {
         Self { part: Some(part), ..self }
@@ -244,7 +230,7 @@ impl DeviceConfig {
         f64::from(self.limits.nominal_force.n())
     }
 
-    /// Whether 38h has something to tare.
+    /// Whether 38h can tare a sensor.
     pub(super) fn has_force_sensor(&self) -> bool {
         self.force_sensor || self.has_force_finger()
     }
@@ -253,7 +239,7 @@ impl DeviceConfig {
         self.fingers.contains(&FingerConfig::Fmf)
     }
 
-    // Limits are set freely, so these are no `clamp`, which panics where the least is above the most.
+    // Limits can be configured freely, so avoid `clamp`, which panics if the minimum exceeds the maximum.
 
     pub(super) fn clamp_speed_mm_s(&self, speed_mm_s: f64) -> f64 {
         speed_mm_s.max(f64::from(self.limits.min_speed.mm_s())).min(f64::from(self.limits.max_speed.mm_s()))

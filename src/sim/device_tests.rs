@@ -1,4 +1,4 @@
-//! Whatever clients and the world do, in whatever order: what must hold of the device all the same.
+//! Invariants of the device under random requests and changes.
 
 use std::collections::HashMap;
 
@@ -9,7 +9,7 @@ use crate::wsg::{Command, Finger, Force, HomingDirection, Reply, SoftLimits, Sta
 const SEEDS: u64 = 60;
 const ACTIONS: u32 = 250;
 
-/// Numbers that look random, and are the same every time.
+/// Reproducible pseudo-random numbers.
 struct Numbers(u64);
 
 impl Numbers {
@@ -64,7 +64,7 @@ fn config(numbers: &mut Numbers) -> DeviceConfig {
     if numbers.below(2) == 0 { config } else { config.fw2() }
 }
 
-/// A run's frames, every one with its time since the beginning in ms.
+/// Runs a random sequence. Returns its frames with their times in ms since the start.
 fn run(seed: u64) -> Vec<(u128, u8, Reply)> {
     let mut numbers = Numbers(seed);
     let mut bench = Bench::new(config(&mut numbers));
@@ -97,7 +97,7 @@ fn run(seed: u64) -> Vec<(u128, u8, Reply)> {
             assert!(!snapshot.moving, "seed {seed}: {snapshot:?}");
         }
     }
-    // Whatever still runs comes to its end.
+    // Lets running motions end.
     let rest = bench.pass(ms(60_000));
     let at = (bench.now - start).as_millis();
     log.extend(rest.into_iter().map(|(id, reply)| (at, id, reply)));
@@ -122,12 +122,12 @@ fn every_accepted_motion_gets_exactly_one_result() {
             } else if *is_open && reply.status() != Status::E_ALREADY_RUNNING {
                 *is_open = false;
             } else {
-                assert!(!reply.status().only_ends_a_motion(), "seed {seed}: {id:02X}h {reply:?} without a pending");
+                assert!(!reply.status().only_ends_a_motion(), "seed {seed}: {id:02X}h {reply:?} without E_CMD_PENDING");
             }
         }
         assert!(!open.values().any(|is_open| *is_open), "seed {seed}: without a result");
     }
-    assert!(accepted > 500, "{accepted}: a run counts only if its motions happened");
+    assert!(accepted > 500, "only {accepted} motions were accepted");
 }
 
 #[test]
@@ -138,11 +138,11 @@ fn the_same_inputs_give_the_same_frames() {
 }
 
 #[test]
-fn bytes_that_are_no_requests_do_no_harm() {
+fn random_bytes_do_no_harm() {
     let mut numbers = Numbers(1);
     let mut bench = Bench::new(DeviceConfig::wsg50());
     for _ in 0..2000 {
-        // Headers of any id and small sizes, in the middle of anything.
+        // Headers with random ids and small sizes, among random bytes.
         let mut bytes: Vec<u8> = (0..numbers.below(30)).map(|_| numbers.below(256) as u8).collect();
         bytes.extend([0xAA, 0xAA, 0xAA, numbers.below(256) as u8, numbers.below(12) as u8, 0]);
         bench.device.receive(bench.now, &bytes);
@@ -154,7 +154,7 @@ fn bytes_that_are_no_requests_do_no_harm() {
 }
 
 #[test]
-fn payloads_of_every_id_and_length_get_an_answer() {
+fn every_id_and_payload_length_gets_a_reply() {
     for config in [DeviceConfig::wsg50(), DeviceConfig::wsg50().fw2()] {
         for id in (0..=u8::MAX).filter(|&id| id != 0xAA && id != id::DISCONNECT_ANNOUNCEMENT) {
             for length in 0..12 {
@@ -165,9 +165,8 @@ fn payloads_of_every_id_and_length_get_an_answer() {
     }
 }
 
-/// A run counts only if its faults happened: each kind is made to happen once, and counted.
 #[test]
-fn every_kind_of_fault_can_happen_and_is_counted() {
+fn every_kind_of_fault_occurs_and_is_counted() {
     let on_the_wire = [
         FaultKind::CorruptByte,
         FaultKind::CorruptChecksum,
@@ -202,7 +201,7 @@ fn every_kind_of_fault_can_happen_and_is_counted() {
         }
         counted.extend(happened(&bench.device));
     }
-    let mut bench = Bench::new(all_that_can_break());
+    let mut bench = Bench::new(config_with_all_features());
     let mut frames = Vec::new();
     looped(&[1]).encode(&mut frames);
     looped(&[2]).encode(&mut frames);
@@ -239,7 +238,7 @@ fn every_kind_of_fault_can_happen_and_is_counted() {
     assert!(bench.has(SystemState::TEMP_FAULT));
 }
 
-fn all_that_can_break() -> DeviceConfig {
+fn config_with_all_features() -> DeviceConfig {
     let scripts = vec![crate::sim::Script { id: 0xB0, answer: crate::sim::ScriptAnswer::Echo }];
     let fingers = [FingerConfig::Generic, FingerConfig::Generic];
     DeviceConfig { fingers, scripts, ..DeviceConfig::wsg50().with_part(Part::outside(10.0)) }

@@ -1,11 +1,11 @@
-//! Faults on demand: what is armed, when it strikes, and how often each kind really happened.
+//! Faults on demand: armed faults, the stage at which each strikes, and a count per kind.
 
 use serde::{Deserialize, Serialize};
 
-/// So many faults are armed at most; further ones are ignored.
+/// Limit of armed faults; further ones are ignored.
 pub const MAX_ARMED_FAULTS: usize = 256;
 
-/// A fault that strikes once at a frame of the device, on the wire or in the protocol.
+/// A fault that affects one frame of the device, on the wire or in the protocol.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum FaultKind {
@@ -15,61 +15,56 @@ pub enum FaultKind {
     CorruptChecksum,
     /// The size field arrives as FFFFh.
     CorruptSize,
-    /// Half a frame arrives, and then nothing more until [`Change::Silent`](super::Change::Silent) ends it, or a
-    /// client connects anew.
+    /// Half a frame arrives, then nothing more until [`Change::Silent`](super::Change::Silent) ends the silence or a
+    /// client reconnects.
     HalfFrame,
-    /// Bytes that belong to no frame come before it.
+    /// Garbage bytes precede the frame.
     Garbage,
-    /// A run of AAh comes before it.
+    /// A run of AAh precedes the frame.
     PreambleRun,
-    /// The header of a Loop reply that never comes stands before it.
+    /// The header of a missing Loop reply precedes the frame.
     FalsePreamble,
-    /// Its bytes arrive one by one.
+    /// The frame's bytes arrive one by one.
     SplitBytes,
-    /// It arrives in one chunk with the frame behind it.
+    /// The frame arrives in one chunk with the next frame.
     JoinFrames,
-    /// The frame is lost, and the connection with it (TCP).
+    /// The frame and the connection are lost (TCP).
     DropConnection,
-    /// The request gets no answer, and is not executed.
+    /// The request is neither executed nor answered.
     NoReply,
-    /// The request gets this status at once, and is not executed.
+    /// The request gets this status at once and is not executed.
     Status {
-        /// Any number, listed or not.
+        /// Any status code, listed or not.
         code: u16,
     },
-    /// The request is executed, and gets this status as its result.
+    /// The request is executed but gets this status as its result.
     FinalStatus {
-        /// Any number, listed or not.
+        /// Any status code, listed or not.
         code: u16,
     },
-    /// The result comes twice.
+    /// The result arrives twice.
     FinalTwice,
-    /// The result comes late.
-    FinalLate {
-        /// By so much.
-        by_ms: u32,
-    },
-    /// The result comes without `E_CMD_PENDING`.
+    /// The result arrives late.
+    FinalLate { by_ms: u32 },
+    /// The result arrives without `E_CMD_PENDING`.
     FinalWithoutPending,
-    /// The result comes first, `E_CMD_PENDING` behind it.
+    /// The result arrives before `E_CMD_PENDING`.
     FinalBeforePending,
-    /// `E_CMD_PENDING` comes, and the result never does.
+    /// `E_CMD_PENDING` arrives, but the result never does.
     PendingWithoutFinal,
-    /// The request is taken up, and then nothing more is heard, as after [`FaultKind::HalfFrame`].
+    /// The request is accepted, then the device stays silent, as after [`FaultKind::HalfFrame`].
     SilenceAfterAccept,
 }
 
 macro_rules! fault_names {
     ($($name:ident)*) => {
-        /// The kinds of faults, for counting. The armed ones are described at [`FaultKind`], the others at
-        /// [`Change`](super::Change).
+        /// Kinds of faults, for counting. [`FaultKind`] describes the armed ones, [`Change`](super::Change) the others.
         #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
         #[serde(rename_all = "snake_case")]
-        #[allow(missing_docs, reason = "named as what they count")]
+        #[allow(missing_docs, reason = "the names explain themselves")]
         pub enum FaultName { $($name),* }
 
         impl FaultName {
-            /// All of them.
             pub const ALL: &[Self] = &[$(Self::$name),*];
         }
     };
@@ -83,7 +78,6 @@ fault_names! {
 }
 
 impl FaultKind {
-    /// What it is counted as.
     #[must_use]
     pub const fn name(self) -> FaultName {
         match self {
@@ -109,7 +103,6 @@ impl FaultKind {
         }
     }
 
-    /// Where in a frame's life it strikes.
     pub(super) const fn stage(self) -> Stage {
         match self {
             Self::NoReply | Self::Status { .. } => Stage::Request,
@@ -125,10 +118,10 @@ impl FaultKind {
     }
 }
 
-/// Where in a frame's life a fault strikes.
+/// Stage in the handling of a frame at which a fault strikes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Stage {
-    /// Before the request is looked at.
+    /// Before the request is processed.
     Request,
     /// Instead of `E_CMD_PENDING`.
     Pending,
@@ -140,7 +133,7 @@ pub(super) enum Stage {
     Wire,
 }
 
-/// How often each kind of fault really happened.
+/// Number of occurrences of each kind of fault.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct FaultCounts([u64; FaultName::ALL.len()]);
 
@@ -151,13 +144,11 @@ impl Default for FaultCounts {
 }
 
 impl FaultCounts {
-    /// Of one kind.
     #[must_use]
     pub fn of(&self, name: FaultName) -> u64 {
         self.0[name as usize]
     }
 
-    /// Of every kind.
     pub fn iter(&self) -> impl Iterator<Item = (FaultName, u64)> {
         FaultName::ALL.iter().map(|&name| (name, self.of(name)))
     }
@@ -174,7 +165,6 @@ struct Armed {
     times: u32,
 }
 
-/// What is armed, and what happened.
 #[derive(Debug, Default)]
 pub(super) struct Faults {
     armed: Vec<Armed>,
@@ -193,12 +183,12 @@ impl Faults {
         self.armed.clear();
     }
 
-    /// Whether a fault waits for a frame of `id` at `stage`.
+    /// Whether a fault is armed for a frame of `id` at `stage`.
     pub fn is_armed(&self, id: u8, stage: Stage) -> bool {
         self.armed.iter().any(|armed| armed.strikes(id, stage))
     }
 
-    /// The fault that strikes a frame of `id` at `stage`: counted, and armed once less.
+    /// Takes and counts a fault armed for a frame of `id` at `stage`.
     pub fn take(&mut self, id: u8, stage: Stage) -> Option<FaultKind> {
         self.take_if(id, stage, |_| true)
     }

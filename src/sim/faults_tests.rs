@@ -2,7 +2,7 @@ use crate::sim::testing::*;
 use crate::sim::{Change, DeviceConfig, FaultKind, FaultName, LinkAction};
 use crate::wsg::{Command, Data, Reply, Status, id};
 
-/// A loop's reply on a wire with this fault: the chunks, the frames found in them, and then those of a second loop.
+/// Sends a Loop with this fault armed. Returns the chunks of its reply, and the bench.
 fn on_the_wire(kind: FaultKind) -> (Vec<Vec<u8>>, Bench) {
     let mut bench = Bench::new(DeviceConfig::wsg50());
     bench.arm(kind, id::LOOP);
@@ -21,7 +21,7 @@ fn echo(bytes: &[u8]) -> (u8, Reply) {
 }
 
 #[test]
-fn a_corrupt_byte_or_checksum_costs_one_frame() {
+fn corrupt_byte_or_checksum_loses_one_frame() {
     for kind in [FaultKind::CorruptByte, FaultKind::CorruptChecksum] {
         let (chunks, mut bench) = on_the_wire(kind);
         assert_eq!(chunks.len(), 1);
@@ -33,7 +33,7 @@ fn a_corrupt_byte_or_checksum_costs_one_frame() {
 }
 
 #[test]
-fn a_corrupt_size_costs_one_frame() {
+fn corrupt_size_loses_one_frame() {
     let (_, mut bench) = on_the_wire(FaultKind::CorruptSize);
     assert_eq!(bench.frames(), []);
     assert_eq!(bench.decoder.counters().oversized, 1);
@@ -41,7 +41,7 @@ fn a_corrupt_size_costs_one_frame() {
 }
 
 #[test]
-fn garbage_and_preamble_runs_come_before_a_good_frame() {
+fn garbage_and_preamble_runs_precede_valid_frame() {
     for kind in [FaultKind::Garbage, FaultKind::PreambleRun] {
         let (_, mut bench) = on_the_wire(kind);
         assert_eq!(bench.frames(), [echo(&[1, 2, 3])]);
@@ -51,7 +51,7 @@ fn garbage_and_preamble_runs_come_before_a_good_frame() {
 }
 
 #[test]
-fn a_false_preamble_hides_the_frame_behind_it() {
+fn false_preamble_hides_next_frame() {
     let (_, mut bench) = on_the_wire(FaultKind::FalsePreamble);
     assert_eq!(bench.frames(), []);
     bench.decoder.give_up_partial();
@@ -60,7 +60,7 @@ fn a_false_preamble_hides_the_frame_behind_it() {
 }
 
 #[test]
-fn half_a_frame_is_followed_by_silence() {
+fn half_frame_is_followed_by_silence() {
     let (chunks, mut bench) = on_the_wire(FaultKind::HalfFrame);
     assert_eq!(chunks.concat().len(), 6);
     assert_eq!(bench.ask(&looped(&[4])), []);
@@ -71,7 +71,7 @@ fn half_a_frame_is_followed_by_silence() {
 }
 
 #[test]
-fn a_frame_can_arrive_byte_by_byte() {
+fn frame_can_arrive_byte_by_byte() {
     let (chunks, mut bench) = on_the_wire(FaultKind::SplitBytes);
     assert!(chunks.len() == 13 && chunks.iter().all(|chunk| chunk.len() == 1));
     assert_eq!(bench.frames(), [echo(&[1, 2, 3])]);
@@ -81,7 +81,7 @@ fn a_frame_can_arrive_byte_by_byte() {
 #[test]
 fn two_frames_can_arrive_together() {
     let (chunks, mut bench) = on_the_wire(FaultKind::JoinFrames);
-    assert!(chunks.is_empty(), "it waits for another one");
+    assert!(chunks.is_empty(), "the frame waits for the next one");
     assert!(bench.device.poll_timeout().is_some());
     let mut request = Vec::new();
     looped(&[4]).encode(&mut request);
@@ -91,26 +91,26 @@ fn two_frames_can_arrive_together() {
 }
 
 #[test]
-fn a_frame_without_another_to_join_leaves_by_itself() {
+fn frame_without_successor_leaves_alone() {
     let (_, mut bench) = on_the_wire(FaultKind::JoinFrames);
     assert_eq!(bench.pass(ms(50)), [echo(&[1, 2, 3])]);
-    assert_eq!(bench.happened(FaultName::JoinFrames), 0, "it did not happen");
+    assert_eq!(bench.happened(FaultName::JoinFrames), 0, "the fault did not occur");
 }
 
 #[test]
-fn a_frame_and_its_connection_can_be_lost() {
+fn frame_and_connection_can_be_lost() {
     let (chunks, mut bench) = on_the_wire(FaultKind::DropConnection);
     assert!(chunks.is_empty());
     assert_eq!(bench.device.poll_link(), Some(LinkAction::Drop));
     assert_eq!(bench.device.poll_link(), None);
-    assert_eq!(bench.ask(&looped(&[4])), [], "nothing passes any more");
+    assert_eq!(bench.ask(&looped(&[4])), [], "the connection is lost");
     assert_eq!(bench.happened(FaultName::DropConnection), 1);
     bench.device.disconnect(bench.now);
     assert!(bench.snapshot().fast_stop);
 }
 
 #[test]
-fn a_request_can_stay_unanswered() {
+fn request_can_stay_unanswered() {
     let mut bench = Bench::new(DeviceConfig::wsg50());
     bench.arm(FaultKind::NoReply, id::SET_ACCELERATION);
     let before = bench.snapshot().acceleration_mm_s2;
@@ -120,10 +120,10 @@ fn a_request_can_stay_unanswered() {
 }
 
 #[test]
-fn any_status_can_be_the_answer() {
+fn any_status_can_be_the_reply() {
     let mut bench = Bench::homed(DeviceConfig::wsg50());
     bench.arm(FaultKind::Status { code: 4711 }, id::PRE_POSITION);
-    assert_eq!(bench.ask(&looped(&[1])), [echo(&[1])], "other ids are not struck");
+    assert_eq!(bench.ask(&looped(&[1])), [echo(&[1])], "other ids are not affected");
     assert_eq!(bench.reply(&move_to(50.0, 50.0)), status(Status::from_code(4711)));
     assert!(!bench.snapshot().moving);
     assert_eq!(bench.happened(FaultName::Status), 1);
@@ -139,7 +139,7 @@ fn any_status_can_be_the_result() {
 }
 
 #[test]
-fn results_and_pending_can_come_in_every_wrong_way() {
+fn results_and_pending_can_arrive_in_wrong_order_and_number() {
     let cases = [
         (FaultKind::FinalTwice, vec![PENDING, DONE, DONE]),
         (FaultKind::FinalWithoutPending, vec![DONE]),
@@ -156,7 +156,7 @@ fn results_and_pending_can_come_in_every_wrong_way() {
 }
 
 #[test]
-fn a_result_can_come_late() {
+fn result_can_be_late() {
     let mut bench = Bench::homed(DeviceConfig::wsg50());
     bench.arm(FaultKind::FinalLate { by_ms: 700 }, id::PRE_POSITION);
     bench.ask(&move_to(100.0, 50.0));
@@ -169,17 +169,17 @@ fn a_result_can_come_late() {
 }
 
 #[test]
-fn silence_can_follow_an_accepted_request() {
+fn accepted_request_can_be_followed_by_silence() {
     let mut bench = Bench::homed(DeviceConfig::wsg50());
     bench.arm(FaultKind::SilenceAfterAccept, id::PRE_POSITION);
     assert_eq!(bench.run(&move_to(50.0, 50.0)), [PENDING]);
     assert_eq!(bench.ask(&looped(&[1])), []);
-    assert!(near(bench.snapshot().width_mm, 50.0), "it goes on acting");
+    assert!(near(bench.snapshot().width_mm, 50.0), "the device keeps acting");
     assert_eq!(bench.happened(FaultName::SilenceAfterAccept), 1);
 }
 
 #[test]
-fn a_fault_strikes_as_often_as_it_is_armed_and_can_be_disarmed() {
+fn fault_strikes_as_often_as_armed_unless_disarmed() {
     let mut bench = Bench::new(DeviceConfig::wsg50());
     bench.apply(Change::Fault { kind: FaultKind::Status { code: 16 }, id: None, times: 2 });
     assert_eq!(bench.reply(&Command::GetSystemInfo), status(Status::E_ACCESS_DENIED));
@@ -191,7 +191,7 @@ fn a_fault_strikes_as_often_as_it_is_armed_and_can_be_disarmed() {
 }
 
 #[test]
-fn the_number_of_armed_faults_is_bounded() {
+fn armed_faults_are_bounded() {
     let mut bench = Bench::new(DeviceConfig::wsg50());
     for _ in 0..2 * super::MAX_ARMED_FAULTS {
         bench.arm(FaultKind::NoReply, id::LOOP);

@@ -1,4 +1,4 @@
-//! The finger interface of fw4 (`fw4-en 3.6`): two ports, each with or without a finger that has electronics.
+//! The finger interface of fw4 (`fw4-en 3.6`): two ports, each with or without an intelligent finger.
 
 use std::time::{Duration, Instant};
 
@@ -6,10 +6,10 @@ use crate::wsg::{FingerFlags, FingerInfo, FingerType, Status};
 
 use super::config::FingerConfig;
 
-/// Powering up takes so long (`fw4-en 3.6.3`).
+/// Duration of powering up (`fw4-en 3.6.3`).
 const POWER_UP: Duration = Duration::from_millis(500);
 
-/// The bytes of a WSG-FMF's data: a float.
+/// Size in bytes of a WSG-FMF's data, a float.
 const FMF_DATA_BYTES: u16 = 4;
 
 #[derive(Debug)]
@@ -22,12 +22,12 @@ pub(super) struct FingerPort {
 }
 
 impl FingerPort {
-    /// `fw4-en 3.6.3`: powered at start.
+    /// Creates a port, powered at start (`fw4-en 3.6.3`).
     pub fn new(config: FingerConfig) -> Self {
         Self { config, powered: true, powered_up_at: None, over_current: false, communication_fault: false }
     }
 
-    /// Power comes back; what is broken stays broken.
+    /// Restores power at a restart. Faults remain.
     pub fn restart(&mut self) {
         self.powered = !self.over_current;
         self.powered_up_at = None;
@@ -61,8 +61,8 @@ impl FingerPort {
         flags
     }
 
-    /// Switches power, and says what the request gets at once. Only a generic finger's power can be switched; no
-    /// status is named for the others.
+    /// Switches power, and returns the immediate status of the request. Only generic fingers can be switched; the
+    /// manual names no status for other fingers.
     pub fn set_power(&mut self, on: bool, now: Instant) -> Status {
         if self.is_intelligent() {
             return Status::E_NOT_AVAILABLE;
@@ -82,10 +82,10 @@ impl FingerPort {
         Status::E_CMD_PENDING
     }
 
-    /// The finger's data, the gripping force being `force_n`.
+    /// Data of the finger at a gripping force of `force_n`.
     ///
     /// # Errors
-    /// `E_NOT_AVAILABLE` where it has none, `E_IO_ERROR` where it can't be reached.
+    /// `E_NOT_AVAILABLE` if the finger has no data, `E_IO_ERROR` if it is unreachable.
     pub fn data(&self, force_n: f64) -> Result<Vec<u8>, Status> {
         let data = match &self.config {
             FingerConfig::None | FingerConfig::Generic => return Err(Status::E_NOT_AVAILABLE),

@@ -1,30 +1,30 @@
-//! Gripping and holding a part (`fw4-en 3.2.6`): the fingers move on beyond the nominal width until the force is there,
-//! or the clamping travel is used up.
+//! Gripping and holding a part (`fw4-en 3.2.6`): the fingers move beyond the nominal width until they reach the force
+//! limit or the end of the clamping travel.
 
 use super::axis::{Axis, Direction, Drive, Progress};
 use super::world::Surfaces;
 
-/// The force must have stood for so many steps before a part counts as held.
+/// Number of steps with the full force before a part counts as held.
 const SETTLE_STEPS: u32 = 30;
 
-/// Without contact for so many steps, a held part is lost.
+/// Number of steps without contact after which a held part is lost.
 const LOST_STEPS: u32 = 20;
 
-/// Below this share of the force limit there is no contact.
+/// Share of the force limit that counts as contact.
 const CONTACT_SHARE: f64 = 0.05;
 
-/// A grip on its way.
+/// A grip in progress.
 #[derive(Debug, Clone)]
 pub(super) struct Grip {
     drive: Drive,
     direction: Direction,
-    /// The widest and the narrowest width at which a part is recognised.
+    /// Bounds of the widths at which a part is recognised.
     from_mm: f64,
     to_mm: f64,
     pressing: u32,
 }
 
-/// What a step of a grip came to.
+/// Outcome of a grip's step.
 #[derive(Debug)]
 pub(super) enum Grown {
     NotYet { pressing: Option<Direction> },
@@ -33,8 +33,8 @@ pub(super) enum Grown {
 }
 
 impl Grip {
-    /// Of a part of `nominal_mm`, recognised from `tolerance_mm` before that to the end of the clamping travel, which
-    /// is where `drive` leads.
+    /// Grips a part of `nominal_mm`. Contact counts from `tolerance_mm` before that width to the target of `drive`, the
+    /// end of the clamping travel.
     pub fn new(drive: Drive, direction: Direction, nominal_mm: f64, tolerance_mm: f64) -> Self {
         let first_mm = nominal_mm - direction.sign() * tolerance_mm;
         let (from_mm, to_mm) = (first_mm.min(drive.target_mm), first_mm.max(drive.target_mm));
@@ -52,7 +52,7 @@ impl Grip {
                 self.pressing = 0;
                 return Grown::NotYet { pressing: None };
             }
-            // The travel is used up. A soft part may be there, and not resist with the force that was asked for.
+            // End of the clamping travel. A soft part may be present without resisting with the requested force.
             Progress::Reached => return Grown::Nothing { blocked: None },
         };
         self.pressing += 1;
@@ -67,7 +67,7 @@ impl Grip {
     }
 }
 
-/// A part that is held with the gripping force.
+/// A part held with the gripping force.
 #[derive(Debug)]
 pub(super) struct Hold {
     drive: Drive,
@@ -84,7 +84,7 @@ impl Hold {
         self.drive.force_limit_n = force_limit_n;
     }
 
-    /// The fingers follow the part within the clamping travel.
+    /// Moves the fingers by one step. They follow the part within the clamping travel.
     pub fn step(&mut self, axis: &mut Axis, surfaces: &Surfaces) -> Progress {
         let progress = axis.step(&self.drive, surfaces);
         let contact = axis.force_n >= self.drive.force_limit_n * CONTACT_SHARE;

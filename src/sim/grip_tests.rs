@@ -2,7 +2,7 @@ use crate::sim::testing::*;
 use crate::sim::{Change, DeviceConfig, FingerConfig, Model, Part};
 use crate::wsg::{Command, Force, GripperState, Status, SystemState, id};
 
-/// A homed device with a part between its jaws.
+/// Creates a homed device with a part between its jaws.
 fn with_part(config: DeviceConfig, part: Part) -> Bench {
     let mut bench = Bench::homed(config);
     bench.apply(Change::PlacePart(part));
@@ -21,7 +21,7 @@ fn both() -> [DeviceConfig; 2] {
 }
 
 #[test]
-fn a_part_is_held_with_the_force_limit() {
+fn part_is_held_with_force_limit() {
     for model in Model::ALL {
         let config = DeviceConfig::new(model);
         let force_n = config.force_limit_n;
@@ -34,7 +34,7 @@ fn a_part_is_held_with_the_force_limit() {
 }
 
 #[test]
-fn the_force_settles_before_a_part_counts_as_held() {
+fn force_settles_before_part_counts_as_held() {
     let mut bench = with_part(DeviceConfig::wsg50(), Part::outside(20.0));
     bench.ask(&grip(20.0, 100.0));
     while bench.snapshot().force_n < 39.9 {
@@ -48,7 +48,7 @@ fn the_force_settles_before_a_part_counts_as_held() {
 }
 
 #[test]
-fn a_hollow_part_is_gripped_from_inside() {
+fn hollow_part_is_gripped_from_inside() {
     let mut bench = with_part(DeviceConfig::wsg50(), Part::inside(60.0));
     bench.run(&move_to(30.0, 200.0));
     assert_eq!(bench.run(&grip(60.0, 100.0)), [PENDING, DONE]);
@@ -59,7 +59,7 @@ fn a_hollow_part_is_gripped_from_inside() {
 }
 
 #[test]
-fn without_a_part_the_clamping_travel_is_used_up() {
+fn grip_without_part_ends_after_clamping_travel() {
     for config in both() {
         let mut bench = Bench::homed(config);
         assert_eq!(bench.run(&grip(20.0, 100.0)), [PENDING, status(Status::E_CMD_FAILED)]);
@@ -71,7 +71,7 @@ fn without_a_part_the_clamping_travel_is_used_up() {
 }
 
 #[test]
-fn a_part_is_only_recognised_within_tolerance_and_clamping_travel() {
+fn part_is_recognised_within_tolerance_and_clamping_travel() {
     for (nominal, held) in [(19.2, true), (18.8, false), (22.7, true), (23.5, false)] {
         let mut bench = with_part(DeviceConfig::wsg50(), Part::outside(20.0));
         let expected = if held { DONE } else { status(Status::E_CMD_FAILED) };
@@ -82,14 +82,14 @@ fn a_part_is_only_recognised_within_tolerance_and_clamping_travel() {
 }
 
 #[test]
-fn closed_fingers_are_no_part() {
+fn closed_fingers_do_not_count_as_part() {
     let mut bench = Bench::homed(DeviceConfig::wsg50());
     assert_eq!(bench.run(&grip(1.0, 100.0)), [PENDING, status(Status::E_CMD_FAILED)]);
     assert!(near(bench.snapshot().width_mm, 0.0));
 }
 
 #[test]
-fn a_part_too_soft_for_the_force_is_none() {
+fn too_soft_part_is_not_found() {
     let part = Part { stiffness_n_mm: 5.0, ..Part::outside(20.0) };
     let mut bench = with_part(DeviceConfig::wsg50(), part);
     assert_eq!(bench.run(&grip(20.0, 100.0)), [PENDING, status(Status::E_CMD_FAILED)]);
@@ -97,11 +97,11 @@ fn a_part_too_soft_for_the_force_is_none() {
 }
 
 #[test]
-fn a_part_that_is_taken_is_lost() {
+fn taken_part_is_lost() {
     for config in both() {
         let mut bench = holding(config);
         bench.apply(Change::TakePart);
-        assert_eq!(bench.pass(ms(100)), [], "the grip was answered before");
+        assert_eq!(bench.pass(ms(100)), [], "the grip already has its result");
         assert_eq!(bench.state(), GripperState::PartLost);
         assert_eq!(bench.snapshot().statistics.lost_part, 1);
         assert!(near(bench.snapshot().force_n, 0.0) && !bench.has(SystemState::BLOCKED_MINUS));
@@ -109,7 +109,7 @@ fn a_part_that_is_taken_is_lost() {
 }
 
 #[test]
-fn a_part_that_slips_is_lost() {
+fn slipping_part_is_lost() {
     let mut bench = holding(DeviceConfig::wsg50());
     bench.apply(Change::SlipPart);
     bench.pass(ms(200));
@@ -117,7 +117,7 @@ fn a_part_that_slips_is_lost() {
 }
 
 #[test]
-fn a_part_that_gives_way_is_followed_within_the_clamping_travel() {
+fn fingers_follow_shrinking_part_within_clamping_travel() {
     let mut bench = holding(DeviceConfig::wsg50());
     bench.apply(Change::ResizePart { width_mm: 19.95 });
     bench.pass(ms(200));
@@ -129,7 +129,7 @@ fn a_part_that_gives_way_is_followed_within_the_clamping_travel() {
 }
 
 #[test]
-fn release_opens_to_an_absolute_width() {
+fn release_opens_to_absolute_width() {
     for config in both() {
         let mut bench = holding(config);
         bench.ask(&release(45.0, 100.0));
@@ -142,7 +142,7 @@ fn release_opens_to_an_absolute_width() {
 }
 
 #[test]
-fn a_blocked_release_times_out() {
+fn blocked_release_times_out() {
     for (config, state) in both().into_iter().zip([GripperState::Error, GripperState::Idle]) {
         let mut bench = holding(config);
         bench.apply(Change::PlaceObstacle { width_mm: 30.0 });
@@ -174,20 +174,20 @@ fn ruling_no_part_lasts_until_any_motion_in_fw4_and_until_a_grip_or_release_in_f
 }
 
 #[test]
-fn a_regrip_is_allowed_in_the_same_direction_only() {
+fn regrip_is_allowed_in_same_direction_only() {
     let mut bench = holding(DeviceConfig::wsg50());
     assert_eq!(bench.run(&grip(20.0, 100.0)), [PENDING, DONE], "the same part again");
     assert_eq!(bench.run(&grip(19.0, 100.0)), [PENDING, DONE], "in the same direction");
-    assert_eq!(bench.reply(&grip(60.0, 100.0)), status(Status::E_ALREADY_RUNNING), "in the opposite one");
+    assert_eq!(bench.reply(&grip(60.0, 100.0)), status(Status::E_ALREADY_RUNNING), "in the opposite direction");
     bench.run(&release(40.0, 100.0));
     assert_eq!(bench.run(&grip(60.0, 100.0)), [PENDING, status(Status::E_CMD_FAILED)], "after a release");
 
     let mut bench = holding(DeviceConfig::wsg50().fw2());
-    assert_eq!(bench.run(&grip(60.0, 100.0)).len(), 2, "fw2 knows no such rule");
+    assert_eq!(bench.run(&grip(60.0, 100.0)).len(), 2, "fw2 does not have this rule");
 }
 
 #[test]
-fn stop_while_gripping_is_idle() {
+fn stop_while_gripping_leads_to_idle() {
     let mut bench = with_part(DeviceConfig::wsg50(), Part::outside(20.0));
     bench.ask(&grip(20.0, 50.0));
     bench.pass(ms(100));
@@ -209,7 +209,7 @@ fn stop_while_holding_keeps_the_part_unless_configured_otherwise() {
 }
 
 #[test]
-fn fast_stop_while_holding_lets_the_force_go() {
+fn fast_stop_while_holding_ends_force() {
     let mut bench = holding(DeviceConfig::wsg50());
     assert_eq!(bench.reply(&Command::FastStop), DONE);
     assert_eq!(bench.state(), GripperState::Error);
@@ -218,7 +218,7 @@ fn fast_stop_while_holding_lets_the_force_go() {
 }
 
 #[test]
-fn the_gripping_force_follows_the_force_limit() {
+fn gripping_force_follows_force_limit() {
     let mut bench = holding(DeviceConfig::wsg50());
     for force_n in [75.0_f32, 12.0] {
         bench.reply(&Command::SetForceLimit(Force::new(force_n).unwrap()));
@@ -229,7 +229,7 @@ fn the_gripping_force_follows_the_force_limit() {
 }
 
 #[test]
-fn force_control_mode_needs_a_force_finger_and_a_part() {
+fn force_control_mode_needs_force_finger_and_part() {
     let fingers = [FingerConfig::Fmf, FingerConfig::Fmf];
     let mut bench = holding(DeviceConfig { fingers, ..DeviceConfig::wsg50() });
     assert!(bench.has(SystemState::FORCECNTL_MODE));

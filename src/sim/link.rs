@@ -1,4 +1,4 @@
-//! The link's end on the device: connections, bytes in, bytes out (`fw4-en 1.1`, `1.4`).
+//! The device's side of the link: connections, received and sent bytes (`fw4-en 1.1`, `1.4`).
 
 use std::time::{Duration, Instant};
 
@@ -11,34 +11,32 @@ use super::faults::{FaultKind, FaultName, Stage};
 use super::received::ReceivedFrame;
 use super::{Device, wire};
 
-/// How long a frame waits for another one to leave with, where a fault wants them together.
+/// Time limit for a frame that waits to be joined with the next one.
 const JOIN_WAIT: Duration = Duration::from_millis(50);
 
-/// What the device is connected by.
+/// Interface of the device.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Interface {
-    /// The only one that has connections.
+    /// TCP, the only interface with connections.
     Tcp,
-    /// Datagrams.
     Udp,
     /// RS-232.
     Serial,
-    /// CAN.
     Can,
 }
 
-/// What has to be done to the connection.
+/// Action that the caller must perform on the connection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum LinkAction {
-    /// Close it now, once what [`Device::poll_transmit`] gave is written.
+    /// Close the connection after writing all bytes from [`Device::poll_transmit`].
     Drop,
 }
 
 impl Device {
-    /// A client connects, or the bytes of one begin to come. A connection that was open before ends.
+    /// Connects a client on `interface`. An open TCP connection ends.
     ///
-    /// Returns whether the device takes it; a TCP connection that it doesn't take is to be closed.
+    /// Returns whether the device accepts the client. Close a TCP connection that it rejects.
     pub fn connect(&mut self, now: Instant, interface: Interface) -> bool {
         self.advance(now);
         if interface == Interface::Tcp && !self.accepts_connections() {
@@ -57,8 +55,8 @@ impl Device {
         true
     }
 
-    /// The connection has ended: on TCP a FAST STOP, unless it was announced (`fw4-en 3.1.2`), or the device is told
-    /// otherwise (`fw4-en 1.4.2`). On the other interfaces there is nothing that could end.
+    /// Ends the connection. On TCP, this triggers a FAST STOP unless the end was announced (`fw4-en 3.1.2`) or the
+    /// device is configured otherwise (`fw4-en 1.4.2`). Other interfaces have no connections.
     pub fn disconnect(&mut self, now: Instant) {
         self.advance(now);
         if self.is_tcp() && !self.half_open {
@@ -67,7 +65,7 @@ impl Device {
         self.settle();
     }
 
-    /// Bytes arrive.
+    /// Processes received bytes.
     pub fn receive(&mut self, now: Instant, bytes: &[u8]) {
         self.advance(now);
         self.count_if(self.half_open, FaultName::HalfOpen);
@@ -79,8 +77,7 @@ impl Device {
         self.settle();
     }
 
-    /// Appends what is to be sent next to `out`, in one write: a frame, or what a fault made of one. `false` where
-    /// nothing waits.
+    /// Appends the bytes of the next write to `out`: a frame, or its bytes after a fault. Returns `false` if none wait.
     pub fn poll_transmit(&mut self, out: &mut Vec<u8>) -> bool {
         if self.half_open || self.is_cut {
             return false;
@@ -119,7 +116,7 @@ impl Device {
         true
     }
 
-    /// What has to be done to the connection. Ask after [`Device::poll_transmit`] has nothing more.
+    /// Returns the next action on the connection. Call it after [`Device::poll_transmit`] returns `false`.
     pub fn poll_link(&mut self) -> Option<LinkAction> {
         self.link_actions.pop_front()
     }
@@ -128,7 +125,7 @@ impl Device {
         self.link == Some(Interface::Tcp)
     }
 
-    /// Until when a frame waits for another one.
+    /// Time until which a frame waits to be joined.
     pub(super) fn join_wait(&self) -> Option<Instant> {
         let frame = self.outbox.front().filter(|_| self.outbox.len() == 1)?;
         let until = frame.at + JOIN_WAIT;
@@ -139,7 +136,7 @@ impl Device {
         self.join_wait().is_some()
     }
 
-    /// What belongs to a connection ends with it. That a half-open one has ended is not noticed.
+    /// Ends the connection, with a FAST STOP if so configured. The device does not notice the end of a half-open one.
     fn end_connection(&mut self) {
         if !self.announced && !self.half_open && self.config.fast_stop_on_disconnect {
             self.fast_stop();
@@ -159,7 +156,7 @@ impl Device {
         self.partial_until = None;
     }
 
-    /// The rest of a request doesn't come any more.
+    /// Gives up an incomplete request.
     pub(super) fn give_up_partial_request(&mut self) {
         self.decoder.give_up_partial();
         self.take_requests();

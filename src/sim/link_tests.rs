@@ -20,18 +20,18 @@ fn damaged(command: &Command) -> Vec<u8> {
 }
 
 #[test]
-fn an_unannounced_end_of_a_tcp_connection_is_a_fast_stop() {
+fn unannounced_tcp_disconnect_triggers_fast_stop() {
     let mut bench = Bench::homed(DeviceConfig::wsg50());
     bench.ask(&move_to(20.0, 50.0));
     bench.pass(ms(100));
     reconnect(&mut bench);
     assert!(bench.has(SystemState::FAST_STOP));
-    assert_eq!(bench.pass(ms(2000)), [], "the old client's result is not the new one's");
+    assert_eq!(bench.pass(ms(2000)), [], "the new client does not get the old result");
     assert!(bench.snapshot().width_mm > 90.0);
 }
 
 #[test]
-fn it_can_be_told_not_to_stop() {
+fn fast_stop_on_disconnect_can_be_disabled() {
     let mut bench = Bench::homed(DeviceConfig { fast_stop_on_disconnect: false, ..DeviceConfig::wsg50() });
     bench.ask(&move_to(50.0, 50.0));
     reconnect(&mut bench);
@@ -40,7 +40,7 @@ fn it_can_be_told_not_to_stop() {
 }
 
 #[test]
-fn the_other_interfaces_have_no_end() {
+fn other_interfaces_ignore_disconnect() {
     for interface in [Interface::Udp, Interface::Serial, Interface::Can] {
         let mut bench = Bench::on(DeviceConfig::wsg50(), interface);
         bench.device.disconnect(bench.now);
@@ -50,14 +50,14 @@ fn the_other_interfaces_have_no_end() {
 }
 
 #[test]
-fn a_second_client_ends_the_first_ones_connection() {
+fn second_client_replaces_first() {
     let mut bench = Bench::new(DeviceConfig::wsg50());
     assert!(bench.device.connect(bench.now, Interface::Tcp));
     assert!(bench.has(SystemState::FAST_STOP));
 }
 
 #[test]
-fn through_a_half_open_connection_no_byte_passes_and_its_end_is_not_noticed() {
+fn half_open_connection_passes_no_bytes_and_hides_its_end() {
     let mut bench = Bench::homed(DeviceConfig::wsg50());
     bench.ask(&move_to(50.0, 50.0));
     bench.apply(Change::HalfOpen { on: true });
@@ -65,7 +65,7 @@ fn through_a_half_open_connection_no_byte_passes_and_its_end_is_not_noticed() {
     assert_eq!(bench.ask(&Command::FastStop), []);
     assert_eq!(bench.device.received().len(), received);
     bench.pass(ms(3000));
-    assert!(near(bench.snapshot().width_mm, 50.0), "the motion goes on");
+    assert!(near(bench.snapshot().width_mm, 50.0), "the motion continues");
     assert_eq!(bench.happened(FaultName::HalfOpen), 2, "a request and a result");
     reconnect(&mut bench);
     assert!(!bench.has(SystemState::FAST_STOP));
@@ -79,11 +79,11 @@ fn refused_connections_are_counted() {
     assert!(!bench.device.accepts_connections());
     assert!(!bench.device.connect(bench.now, Interface::Tcp));
     assert_eq!(bench.happened(FaultName::RefusedConnection), 1);
-    assert_eq!(bench.reply(&looped(&[1])), Reply::Success(Data::Loop(vec![1])), "the open one stays");
+    assert_eq!(bench.reply(&looped(&[1])), Reply::Success(Data::Loop(vec![1])), "the open connection stays");
 }
 
 #[test]
-fn requests_may_come_in_pieces_or_together() {
+fn requests_can_arrive_in_pieces_or_together() {
     let mut bench = Bench::new(DeviceConfig::wsg50());
     let two = [bytes(&looped(&[1])), bytes(&looped(&[2]))].concat();
     for byte in &two {
@@ -95,17 +95,17 @@ fn requests_may_come_in_pieces_or_together() {
 }
 
 #[test]
-fn a_request_that_stops_halfway_is_given_up() {
+fn incomplete_request_is_given_up() {
     let mut bench = Bench::new(DeviceConfig::wsg50());
     bench.device.receive(bench.now, &[0xAA, 0xAA, 0xAA, id::LOOP, 100, 0]);
-    assert_eq!(bench.ask(&looped(&[1])), [], "swallowed by the false beginning");
+    assert_eq!(bench.ask(&looped(&[1])), [], "swallowed by the false start");
     assert_eq!(bench.pass(ms(499)), []);
     assert_eq!(bench.pass(ms(1)), [(id::LOOP, Reply::Success(Data::Loop(vec![1])))]);
     assert_eq!(bench.device.poll_timeout(), None);
 }
 
 #[test]
-fn a_bad_checksum_gets_silence_or_a_status() {
+fn bad_checksum_gets_silence_or_status() {
     for (bad_checksum, answered) in [(BadChecksum::Silence, false), (BadChecksum::Answer, true)] {
         let mut bench = Bench::new(DeviceConfig { bad_checksum, ..DeviceConfig::wsg50() });
         bench.device.receive(bench.now, &damaged(&Command::FastStop));
@@ -117,7 +117,7 @@ fn a_bad_checksum_gets_silence_or_a_status() {
 }
 
 #[test]
-fn with_evaluation_off_any_checksum_will_do_and_the_replies_have_a_right_one() {
+fn evaluation_off_accepts_any_checksum_but_sends_correct_ones() {
     let config = DeviceConfig { checksum_evaluation: ChecksumEvaluation::Off, ..DeviceConfig::wsg50() };
     let mut bench = Bench::new(config);
     bench.device.receive(bench.now, &damaged(&Command::FastStop));
@@ -125,7 +125,7 @@ fn with_evaluation_off_any_checksum_will_do_and_the_replies_have_a_right_one() {
 }
 
 #[test]
-fn too_many_unfetched_replies_refuse_requests_but_no_fast_stop() {
+fn full_queue_rejects_requests_except_fast_stop() {
     let mut bench = Bench::new(DeviceConfig::wsg50());
     for _ in 0..MAX_QUEUED_REPLIES + 10 {
         bench.device.receive(bench.now, &bytes(&looped(&[1])));
@@ -138,7 +138,7 @@ fn too_many_unfetched_replies_refuse_requests_but_no_fast_stop() {
 }
 
 #[test]
-fn the_log_of_requests_is_bounded_and_counts_on() {
+fn request_log_is_bounded_but_counts_all() {
     let mut bench = Bench::new(DeviceConfig::wsg50());
     for _ in 0..=MAX_RECEIVED_FRAMES {
         bench.ask(&looped(&[1]));

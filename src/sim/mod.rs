@@ -1,17 +1,17 @@
-//! A simulated WSG gripper: the device that the manuals describe, for tests, for trying things out, and for whoever has
-//! no gripper at hand.
+//! A simulated WSG gripper, as the manuals describe it, for tests and for trials without a gripper.
 //!
-//! [`Device`] is a pure machine that runs on any clock. Bytes, [`Change`]s and `now` go in; after any input, drain
-//! [`Device::poll_transmit`] until it returns `false`, then [`Device::poll_link`], and call [`Device::handle_timeout`]
-//! when [`Device::poll_timeout`] is due. Late calls are made up for: the motion is simulated in steps of
-//! [`STEP`], whatever the rhythm of the calls.
+//! [`Device`] is a pure state machine that runs on any clock. Its inputs are bytes, [`Change`]s and `now`. After each
+//! input, drain [`Device::poll_transmit`] until it returns `false`, then [`Device::poll_link`]. Call
+//! [`Device::handle_timeout`] when [`Device::poll_timeout`] is due. Late calls do not change the result, because
+//! motions always advance in steps of [`STEP`].
 //!
-//! How it is built: `axis` moves the fingers by one step through what `world` has put between them; `motion` and `grip`
-//! make motions of steps; `process` keeps the gripper state and the statistics. `commands`, `motions` and `stops` decide what a
-//! request gets, `replies` what becomes of an answer, `link` what becomes of its bytes, and `tick` what is due when.
-//! [`Change`] is all that can happen from outside of the protocol, and [`FaultKind`] what can go wrong on the wire.
+//! Structure: `axis` moves the fingers by one step among the objects in `world`; `motion` and `grip` build motions
+//! from steps; `process` keeps the gripper state and the statistics. `commands`, `motions` and `stops` handle requests,
+//! `replies` and `link` send replies, and `tick` runs due timers. [`Change`] lists events from outside the protocol,
+//! and [`FaultKind`] lists faults on the wire.
 //!
-//! Architecture invariant: no runtime, no clock, no randomness, and of this crate only [`wsg`](crate::wsg).
+//! Architecture invariant: no runtime, no clock, no randomness, and no imports from this crate except
+//! [`wsg`](crate::wsg).
 
 use std::collections::VecDeque;
 use std::time::Instant;
@@ -66,7 +66,7 @@ use replies::{Late, Ticket};
 use settings::Settings;
 use thermal::Thermal;
 
-/// The motion that runs, and who is told of its end: nobody, where it came from another side.
+/// The running motion. The ticket for its result is `None` if no client requested it.
 #[derive(Debug)]
 struct Running {
     kind: Kind,
@@ -75,10 +75,10 @@ struct Running {
 
 /// A simulated device.
 #[derive(Debug)]
-#[allow(clippy::struct_excessive_bools, reason = "each is a state of its own, and any of them can hold with any other")]
+#[allow(clippy::struct_excessive_bools, reason = "independent states in any combination")]
 pub struct Device {
     config: DeviceConfig,
-    /// The newest time that it was told.
+    /// Newest time given by the caller.
     clock: Instant,
     next_step: Option<Instant>,
     booting_until: Option<Instant>,
@@ -86,11 +86,11 @@ pub struct Device {
     mechanics: Mechanics,
     process: Process,
     running: Option<Running>,
-    /// Stops that wait for a stand.
+    /// Stops that wait for the fingers to come to rest.
     stops: Vec<Ticket>,
     settings: Settings,
     fingers: [FingerPort; 2],
-    /// Who is told when a finger has powered up.
+    /// Tickets for the results of powering up the fingers.
     finger_tickets: [Option<Ticket>; 2],
     thermal: Thermal,
     sensor_offset_n: f64,
@@ -105,20 +105,20 @@ pub struct Device {
     script_failed: bool,
 
     link: Option<Interface>,
-    /// Tells connections apart: an answer that outlives its connection is dropped.
+    /// Connection number. A reply for an earlier connection is dropped.
     connection: u64,
     announced: bool,
     is_cut: bool,
     half_open: bool,
     silent: bool,
-    /// Silent by a fault, until the next connection.
+    /// Silent because of a fault, until the next connection.
     muted: bool,
     refuses_connections: bool,
     link_actions: VecDeque<LinkAction>,
     decoder: Decoder,
     partial_until: Option<Instant>,
     outbox: Outbox,
-    /// Bytes that leave before the outbox's, each chunk by itself.
+    /// Bytes that leave before the outbox's, one chunk per write.
     chunks: VecDeque<Vec<u8>>,
     late: Vec<Late>,
     subscriptions: Subscriptions,
@@ -130,7 +130,7 @@ pub struct Device {
 }
 
 impl Device {
-    /// A device that was just switched on.
+    /// Creates a device that was just switched on.
     #[must_use]
     pub fn new(config: DeviceConfig, now: Instant) -> Self {
         let max_acceleration_mm_s2 = f64::from(config.limits.max_acceleration.mm_s2());
@@ -182,26 +182,24 @@ impl Device {
         }
     }
 
-    /// How it is built and set up.
     #[must_use]
     pub fn config(&self) -> &DeviceConfig {
         &self.config
     }
 
-    /// The newest [`MAX_RECEIVED_FRAMES`] frames that it received, the oldest first; [`Snapshot::received_frames`]
-    /// counts them all.
+    /// Newest [`MAX_RECEIVED_FRAMES`] received frames, oldest first; [`Snapshot::received_frames`] counts all.
     #[must_use]
     pub fn received(&self) -> &[ReceivedFrame] {
         self.log.frames()
     }
 
-    /// How often each kind of fault really happened.
+    /// Number of occurrences of each kind of fault.
     #[must_use]
     pub fn fault_counts(&self) -> &FaultCounts {
         &self.faults.counts
     }
 
-    /// Whether new connections are taken: neither while it starts, nor while it refuses them.
+    /// Whether the device accepts new connections: not while booting, and not while it refuses them.
     #[must_use]
     pub fn accepts_connections(&self) -> bool {
         !self.refuses_connections && self.booting_until.is_none()

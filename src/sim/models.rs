@@ -1,36 +1,33 @@
-//! The grippers of the family: names, types and physical limits.
+//! Gripper models: names, types and physical limits.
 //!
-//! The limits are plausible for each size, and not copied from a data sheet: what counts is that they differ, that a
-//! client has to ask for them (`fw4-en 3.5.4`), and that one model has no overdrive (`fw4-en 3.3.8`).
+//! The limits are plausible for each size but not copied from a data sheet. They differ, so that clients have to query
+//! them (`fw4-en 3.5.4`), and one model has no overdrive (`fw4-en 3.3.8`).
 
 use crate::wsg::{Acceleration, DeviceType, Force, Speed, SystemLimits, Width};
 
 use super::config::Generation;
 
-/// A gripper of the family.
+/// A gripper model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Model {
-    /// The smallest; without Overdrive Mode.
+    /// The smallest model, without Overdrive Mode.
     Wsg25,
-    /// The slim one.
     Wsg32,
-    /// The common one, and the only one that fw2 knows by its type.
+    /// The common model, and the only one with a type code in fw2.
     Wsg50,
-    /// The largest.
+    /// The largest model.
     Wsg70,
 }
 
 impl Model {
-    /// All of them.
     pub const ALL: [Self; 4] = [Self::Wsg25, Self::Wsg32, Self::Wsg50, Self::Wsg70];
 
-    /// By the name that [`Model::name`] gives.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|model| model.name() == name)
     }
 
-    /// Its name in addresses and configurations.
+    /// Name in addresses and configurations.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -41,7 +38,7 @@ impl Model {
         }
     }
 
-    /// What 50h returns: fw2 knows the WSG 50 alone (fw2 3.5.1).
+    /// Type in the reply to 50h. fw2 lists only the WSG 50 (fw2 3.5.1).
     #[must_use]
     pub const fn device_type(self, generation: Generation) -> DeviceType {
         match (self, generation) {
@@ -53,13 +50,12 @@ impl Model {
         }
     }
 
-    /// Whether it has an Overdrive Mode.
     #[must_use]
     pub const fn has_overdrive(self) -> bool {
         !matches!(self, Self::Wsg25)
     }
 
-    /// What 53h returns.
+    /// Limits in the reply to 53h.
     #[must_use]
     pub fn limits(self) -> SystemLimits {
         // Stroke; speeds; accelerations; minimum, nominal and overdrive force.

@@ -1,4 +1,4 @@
-//! The mechanics: the axis, what it meets, and the motion that runs. Knows nothing of frames; what a motion comes to is
+//! The mechanics: the axis, its surroundings and the running motion, independent of frames. The outcome of a motion is
 //! an [`Event`].
 
 use crate::wsg::{SoftLimits, Status};
@@ -9,16 +9,16 @@ use super::world::World;
 
 mod ends;
 
-/// Pressing for so many steps is a block.
+/// Number of pressing steps that count as a block.
 const BLOCK_STEPS: u32 = 10;
 
-/// FAST STOP brakes by so much more than any motion may.
+/// Factor by which FAST STOP brakes harder than any motion.
 const FAST_STOP_FACTOR: f64 = 4.0;
 
-/// A width counts as at a limit when it is so close, in mm.
+/// Distance in mm within which a width counts as at a limit.
 pub(super) const AT_LIMIT_MM: f64 = 0.01;
 
-/// A motion to be started, in true widths.
+/// A motion to start, in true widths.
 #[derive(Debug, Clone)]
 pub(super) enum Plan {
     Home { direction: Direction, drive: Drive },
@@ -27,16 +27,16 @@ pub(super) enum Plan {
     Release { drive: Drive },
 }
 
-/// What a step came to.
+/// Outcome of a step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Event {
     /// The motion is over.
     Finished(Status),
-    /// The fingers stand after a Stop.
+    /// The fingers came to rest after a Stop.
     Stopped,
-    /// What was held is gone.
+    /// The held part is gone.
     PartLost,
-    /// The fingers move into what the soft limits forbid.
+    /// The fingers leave the soft limits.
     ForbiddenRange,
 }
 
@@ -63,12 +63,12 @@ enum Activity {
     },
     Grip(Grip),
     Hold(Hold),
-    /// Clamp on block: pushes on, and snaps to the target when freed (`fw4-en 3.2.2`).
+    /// Clamp on block: keeps pressing, and snaps to the target when freed (`fw4-en 3.2.2`).
     Clamp {
         drive: Drive,
     },
     Stopping,
-    /// A FAST STOP that has not come to a stand yet.
+    /// A FAST STOP whose fingers are still moving.
     Braking,
 }
 
@@ -79,11 +79,11 @@ pub(super) struct Mechanics {
     pub referenced: bool,
     pub blocked: Option<Direction>,
     activity: Activity,
-    /// What the device shows is the true width plus this.
+    /// Difference between the device's width and the true width.
     offset_mm: f64,
     stroke_mm: f64,
     max_acceleration_mm_s2: f64,
-    /// The fingers press with a constant force: nothing happens until something is changed.
+    /// The fingers press with a constant force, so steps change nothing until a disturbance.
     steady: bool,
 }
 
@@ -102,12 +102,12 @@ impl Mechanics {
         }
     }
 
-    /// The width that the device shows, by the origin that it knows.
+    /// Width that the device shows, relative to its origin.
     pub fn width_mm(&self) -> f64 {
         self.axis.position_mm + self.offset_mm
     }
 
-    /// The true width where the device would show `width_mm`.
+    /// True width at which the device shows `width_mm`.
     pub fn true_mm(&self, width_mm: f64) -> f64 {
         width_mm - self.offset_mm
     }
@@ -121,7 +121,7 @@ impl Mechanics {
         }
     }
 
-    /// SF_MOVING.
+    /// Flag `MOVING`.
     pub fn is_moving(&self) -> bool {
         match &self.activity {
             Activity::Seek { pressing, .. }
@@ -137,12 +137,12 @@ impl Mechanics {
         self.holds_in().is_some()
     }
 
-    /// The direction in which a held part is gripped.
+    /// Direction of the grip while a part is held.
     pub fn holds_in(&self) -> Option<Direction> {
         if let Activity::Hold(hold) = &self.activity { Some(hold.direction()) } else { None }
     }
 
-    /// Whether time changes anything.
+    /// Whether steps can change anything.
     pub fn needs_steps(&self) -> bool {
         self.world.is_changing()
             || match self.activity {
@@ -166,8 +166,8 @@ impl Mechanics {
         };
     }
 
-    /// Comes to a stand, with an [`Event::Stopped`] when it does, or at once where nothing moves. A part that is held
-    /// is held on, unless it is to be let go.
+    /// Stops the fingers. [`Event::Stopped`] follows when they are at rest, at once if nothing moves. A held part stays
+    /// held unless `let_go`.
     pub fn stop(&mut self, let_go: bool) -> Option<Event> {
         self.steady = false;
         match self.activity {
@@ -188,14 +188,14 @@ impl Mechanics {
         }
     }
 
-    /// Power is gone: everything stands, and the origin is forgotten.
+    /// Simulates a power loss: the fingers stop, and the origin is lost.
     pub fn restart(&mut self) {
         self.rest();
         self.referenced = false;
         self.offset_mm = -self.axis.position_mm;
     }
 
-    /// The world or the force limit has changed: what was steady may be no more.
+    /// Reacts to a change of the world or the force limit, after which the fingers may no longer be steady.
     pub fn disturb(&mut self) {
         self.steady = false;
         self.world.step(self.axis.position_mm);
@@ -209,7 +209,7 @@ impl Mechanics {
         }
     }
 
-    /// While holding, the gripping force follows the limit.
+    /// Applies a new force limit to a held part.
     pub fn set_grip_force(&mut self, force_limit_n: f64) {
         if let Activity::Hold(hold) = &mut self.activity {
             hold.set_force_limit(force_limit_n);
@@ -303,7 +303,8 @@ impl Mechanics {
         self.activity = Activity::Rest;
     }
 
-    /// `fw4-en 3.3.5`. Homing ignores soft limits, and moving back inside is allowed.
+    /// Whether the fingers move out of the soft limits (`fw4-en 3.3.5`). Homing ignores the limits, and moving back
+    /// inside is allowed.
     fn enters_forbidden_range(&self, soft_limits: Option<SoftLimits>) -> bool {
         let homing = matches!(self.activity, Activity::Seek { .. } | Activity::BackOff { .. });
         let Some(limits) = soft_limits.filter(|_| self.referenced && !homing) else { return false };

@@ -1,4 +1,4 @@
-//! What a motion's request gets (`fw4-en 3.2`).
+//! Handling of motion requests (`fw4-en 3.2`).
 
 use crate::wsg::{Command, HomingDirection, InvalidRequest, Status, Width};
 
@@ -9,14 +9,14 @@ use super::process::Kind;
 use super::replies::Ticket;
 use super::{Device, Running};
 
-/// The speed of homing, in mm/s.
+/// Homing speed in mm/s.
 const HOMING_SPEED_MM_S: f64 = 50.0;
 
-/// Pre-positioning presses with this share of the nominal force (fw4), and homing too.
+/// Share of the nominal force for pre-positioning (fw4) and homing.
 const BLOCK_FORCE_SHARE: f64 = 0.5;
 
 impl Device {
-    /// The checks are in the order in which the manual lists their statuses.
+    /// Checks a request in the order of the manual's statuses, and starts the motion.
     pub(super) fn motion_request(&mut self, id: u8, payload: &[u8]) {
         match self.check_motion(Command::parse(id, payload)) {
             Ok((kind, plan)) => {
@@ -61,8 +61,8 @@ impl Device {
         }
     }
 
-    /// Fingers that hold a part have gone beyond its nominal width, within the clamping travel: to grip the same part
-    /// again is no way back.
+    /// Direction of a grip. Fingers that hold a part are beyond its nominal width, within the clamping travel, so
+    /// gripping the same part again keeps the direction.
     fn grip_direction(&self, nominal_mm: f64) -> Direction {
         let width_mm = self.mechanics.width_mm();
         match self.mechanics.holds_in() {
@@ -75,7 +75,8 @@ impl Device {
         }
     }
 
-    /// Clamped to the physical limits (`fw4-en 3.2.2`). Ruling: a target outside the soft limits is a range error.
+    /// Clamps a target to the physical limits (`fw4-en 3.2.2`). Ruling: a target outside the soft limits is a range
+    /// error.
     fn allowed_target(&self, width_mm: f64) -> Result<f64, Status> {
         let width_mm = self.config.clamp_width_mm(width_mm);
         let target = Width::new(width_mm as f32).unwrap_or(Width::ZERO);
@@ -101,7 +102,7 @@ impl Device {
         Plan::Home { direction, drive }
     }
 
-    /// fw2 pre-positions with the force limit, fw4 with half of the nominal force.
+    /// Plans pre-positioning: with the force limit in fw2, with half of the nominal force in fw4.
     pub(super) fn plan_move(&self, width_mm: f64, speed_mm_s: f64, clamp: bool) -> Plan {
         let force_limit_n = if self.config.is_fw4() {
             self.config.nominal_force_n() * BLOCK_FORCE_SHARE

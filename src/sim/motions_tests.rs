@@ -26,13 +26,13 @@ fn homing_finds_either_end_stop_and_backs_off() {
 }
 
 #[test]
-fn the_default_direction_of_homing_is_configured() {
+fn default_homing_direction_is_configurable() {
     let config = DeviceConfig { homing: Direction::Closing, ..DeviceConfig::wsg50() };
     assert!(near(Bench::homed(config).snapshot().width_mm, 1.0));
 }
 
 #[test]
-fn while_homing_the_fingers_are_unreferenced_and_positioning() {
+fn homing_is_unreferenced_and_positioning() {
     let mut bench = Bench::homed(DeviceConfig::wsg50());
     assert_eq!(bench.ask(&inner()), [(id::HOMING, PENDING)]);
     bench.pass(ms(100));
@@ -45,7 +45,7 @@ fn while_homing_the_fingers_are_unreferenced_and_positioning() {
 }
 
 #[test]
-fn an_obstacle_while_homing_gives_a_wrong_origin() {
+fn obstacle_during_homing_gives_wrong_origin() {
     let mut bench = Bench::new(DeviceConfig::wsg50());
     bench.apply(Change::PlaceObstacle { width_mm: 30.0 });
     assert_eq!(bench.run(&inner()), [PENDING, DONE]);
@@ -54,7 +54,7 @@ fn an_obstacle_while_homing_gives_a_wrong_origin() {
 }
 
 #[test]
-fn blocked_while_moving_away_from_the_end_stop_homing_fails() {
+fn blocked_back_off_fails_homing() {
     let mut bench = Bench::new(DeviceConfig::wsg50());
     bench.ask(&inner());
     while bench.snapshot().true_width_mm > 0.001 {
@@ -79,7 +79,7 @@ fn ruling_every_motion_but_homing_needs_a_reference() {
 }
 
 #[test]
-fn a_move_takes_the_time_that_its_speed_and_acceleration_give() {
+fn move_duration_follows_speed_and_acceleration() {
     let mut bench = Bench::homed(DeviceConfig::wsg50());
     bench.ask(&move_to(50.0, 100.0));
     let start = bench.now;
@@ -93,7 +93,7 @@ fn a_move_takes_the_time_that_its_speed_and_acceleration_give() {
 }
 
 #[test]
-fn speed_carries_the_sign_of_the_direction() {
+fn speed_sign_gives_direction() {
     let mut bench = Bench::homed(DeviceConfig::wsg50());
     bench.ask(&move_to(50.0, 100.0));
     bench.pass(ms(200));
@@ -105,7 +105,7 @@ fn speed_carries_the_sign_of_the_direction() {
 }
 
 #[test]
-fn a_relative_move_starts_where_the_fingers_are() {
+fn relative_move_starts_at_current_width() {
     let mut bench = Bench::homed(DeviceConfig::wsg50());
     bench.run(&move_to(50.0, 400.0));
     bench.run(&move_by(-10.5, 400.0));
@@ -113,7 +113,7 @@ fn a_relative_move_starts_where_the_fingers_are() {
 }
 
 #[test]
-fn widths_and_speeds_beyond_the_limits_are_clamped() {
+fn width_and_speed_are_clamped() {
     for model in Model::ALL {
         let config = DeviceConfig::new(model);
         let (stroke_mm, max) = (config.stroke_mm(), f64::from(config.limits.max_speed.mm_s()));
@@ -130,12 +130,12 @@ fn widths_and_speeds_beyond_the_limits_are_clamped() {
         assert!(near(bench.snapshot().width_mm, stroke_mm));
         bench.ask(&move_to(0.0, -7.0));
         bench.pass(ms(100));
-        assert!(near(bench.snapshot().speed_mm_s, -5.0), "the lowest speed is 5 mm/s");
+        assert!(near(bench.snapshot().speed_mm_s, -5.0), "5 mm/s is the lowest speed");
     }
 }
 
 #[test]
-fn the_checks_come_in_the_manuals_order() {
+fn checks_follow_the_manuals_order() {
     let mut bench = Bench::new(DeviceConfig::wsg50());
     bench.ask(&Command::Homing(HomingDirection::Default));
     assert_eq!(bench.status_of_raw(id::GRIP, &[1]), Status::E_ALREADY_RUNNING);
@@ -154,7 +154,7 @@ fn the_checks_come_in_the_manuals_order() {
 }
 
 #[test]
-fn a_second_motion_is_refused_while_one_runs() {
+fn second_motion_is_rejected_while_one_runs() {
     let mut bench = Bench::homed(DeviceConfig::wsg50());
     bench.ask(&move_to(50.0, 50.0));
     for command in [move_to(60.0, 50.0), grip(20.0, 50.0), release(90.0, 50.0), inner()] {
@@ -171,7 +171,7 @@ fn stop_on_block_leaves_the_motor_off() {
     assert!(near(bench.snapshot().force_n, 0.0));
     bench.apply(Change::RemoveObstacle);
     bench.pass(ms(500));
-    assert!(near(bench.snapshot().width_mm, 40.0), "it does not snap");
+    assert!(near(bench.snapshot().width_mm, 40.0), "the fingers do not snap to the target");
     assert_eq!(bench.run(&move_to(100.0, 100.0)), [PENDING, DONE]);
     bench.apply(Change::PlaceObstacle { width_mm: 105.0 });
     bench.run(&move_to(110.0, 100.0));
@@ -179,7 +179,7 @@ fn stop_on_block_leaves_the_motor_off() {
 }
 
 #[test]
-fn clamp_on_block_pushes_on_and_snaps_to_the_target_when_freed() {
+fn clamp_on_block_presses_and_snaps_to_target_when_freed() {
     // Half of the nominal force (fw4), or the force limit (fw2).
     for (config, force_n) in [(DeviceConfig::wsg50(), 40.0), (DeviceConfig::wsg50().fw2(), 25.0)] {
         let mut bench = Bench::homed(DeviceConfig { force_limit_n: 25.0, ..config });
@@ -197,7 +197,7 @@ fn clamp_on_block_pushes_on_and_snaps_to_the_target_when_freed() {
 }
 
 #[test]
-fn target_pos_reached_comes_after_moving_has_gone() {
+fn target_pos_reached_follows_end_of_moving() {
     let reached = |config| {
         let mut bench = Bench::homed(config);
         bench.ask(&move_to(100.0, 100.0));
@@ -233,7 +233,7 @@ fn ruling_a_target_outside_the_soft_limits_is_refused_whichever_way_it_is_reache
 }
 
 #[test]
-fn outside_of_new_soft_limits_only_the_way_back_is_allowed() {
+fn only_motion_back_inside_new_soft_limits_is_allowed() {
     let mut bench = Bench::homed(DeviceConfig::wsg50());
     bench.run(&move_to(80.0, 400.0));
     bench.reply(&limits(20.0, 60.0));
@@ -244,7 +244,7 @@ fn outside_of_new_soft_limits_only_the_way_back_is_allowed() {
 }
 
 #[test]
-fn moving_into_the_forbidden_range_is_a_fast_stop() {
+fn entering_forbidden_range_triggers_fast_stop() {
     let mut bench = Bench::homed(DeviceConfig::wsg50());
     bench.run(&move_to(80.0, 400.0));
     bench.ask(&move_to(20.0, 50.0));
@@ -265,7 +265,7 @@ fn homing_ignores_soft_limits() {
 }
 
 #[test]
-fn without_soft_limits_there_are_none_to_get() {
+fn unset_soft_limits_are_not_available() {
     let mut bench = Bench::new(DeviceConfig::wsg50());
     assert_eq!(bench.reply(&Command::GetSoftLimits), status(Status::E_NOT_AVAILABLE));
     bench.reply(&limits(5.0, 60.0));
@@ -275,7 +275,7 @@ fn without_soft_limits_there_are_none_to_get() {
 }
 
 #[test]
-fn late_calls_give_the_same_end_as_calls_in_time() {
+fn late_calls_give_same_result() {
     let story = |stride| {
         let mut bench = Bench::new(DeviceConfig::wsg50());
         bench.stride = ms(stride);
@@ -295,14 +295,14 @@ fn late_calls_give_the_same_end_as_calls_in_time() {
 }
 
 #[test]
-fn driven_by_its_own_timeouts_alone_it_comes_to_the_same_end() {
+fn own_timeouts_alone_give_same_result() {
     let story = |by_timeouts: bool| {
         let mut bench = Bench::homed(DeviceConfig::wsg50().with_part(crate::sim::Part::outside(20.0)));
         bench.ask(&Command::GetWidth(updates(true, 25)));
         let end = bench.now + ms(5000);
         let mut frames = bench.ask(&grip(20.0, 80.0));
         while by_timeouts && let Some(due) = bench.device.poll_timeout() {
-            assert!(due > bench.now, "what was due is done");
+            assert!(due > bench.now, "due timers have run");
             bench.now = due;
             bench.device.handle_timeout(due);
             frames.extend(bench.frames());
@@ -314,12 +314,12 @@ fn driven_by_its_own_timeouts_alone_it_comes_to_the_same_end() {
 }
 
 #[test]
-fn nothing_is_due_while_nothing_happens() {
+fn no_timer_runs_while_idle() {
     let mut bench = Bench::new(DeviceConfig::wsg50());
     assert_eq!(bench.device.poll_timeout(), None);
     bench.home();
     assert_eq!(bench.device.poll_timeout(), None);
     bench.apply(Change::PlacePart(crate::sim::Part::outside(20.0)));
     bench.run(&grip(20.0, 80.0));
-    assert_eq!(bench.device.poll_timeout(), None, "also while a part is held");
+    assert_eq!(bench.device.poll_timeout(), None, "nor while a part is held");
 }

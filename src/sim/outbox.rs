@@ -1,15 +1,15 @@
-//! What waits to be sent, bounded: when it is full, the oldest automatic update goes, and never a reply.
+//! Bounded queue of frames to send. When it is full, it drops the oldest automatic update rather than a reply.
 
 use std::collections::VecDeque;
 use std::time::Instant;
 
-/// So many frames wait at most. At 10 ms for each of the five updates that is half a second of a pump that stands.
+/// Limit of queued frames: half a second of the five updates at 10 ms each.
 pub const MAX_QUEUED_FRAMES: usize = 256;
 
-/// With so many replies waiting, further requests are not taken up. The rest is for results of what runs.
+/// Limit of queued replies above which requests are rejected. The remaining room is for results of running commands.
 pub const MAX_QUEUED_REPLIES: usize = MAX_QUEUED_FRAMES - 16;
 
-/// A frame on its way out.
+/// A queued frame.
 #[derive(Debug, Clone)]
 pub(super) struct Outgoing {
     pub id: u8,
@@ -29,7 +29,7 @@ pub(super) struct Outbox {
 impl Outbox {
     pub fn push(&mut self, frame: Outgoing) {
         if self.frames.len() >= MAX_QUEUED_FRAMES && !self.drop_oldest_update() {
-            // Replies alone fill it: can't be while requests are refused in time, but a bound is a bound.
+            // Only replies are left. Rejecting requests in time prevents this, but the bound holds anyway.
             let dropped = if frame.is_update { &mut self.dropped_updates } else { &mut self.dropped_replies };
             *dropped += 1;
             return;
@@ -57,7 +57,7 @@ impl Outbox {
         self.replies = 0;
     }
 
-    /// Whether a further request would find no room for its replies.
+    /// Whether the replies to another request would exceed the limit.
     pub fn is_full(&self) -> bool {
         self.replies >= MAX_QUEUED_REPLIES
     }
@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn a_full_queue_drops_the_oldest_update_and_no_reply() {
+    fn full_queue_drops_oldest_update_but_no_reply() {
         let mut outbox = Outbox::default();
         outbox.push(frame(1, false));
         outbox.push(frame(2, true));
@@ -93,7 +93,7 @@ mod tests {
     }
 
     #[test]
-    fn it_is_full_while_there_is_still_room_for_results() {
+    fn full_queue_has_room_for_results() {
         let mut outbox = Outbox::default();
         for _ in 0..MAX_QUEUED_REPLIES {
             assert!(!outbox.is_full());

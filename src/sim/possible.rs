@@ -1,32 +1,28 @@
-//! What can't happen to a device: values beyond what it is built for, or beyond what its frames can carry.
+//! Validation of changes against the limits of the device and the range of its frames.
 
 use crate::wsg::SystemLimits;
 
 use super::Change;
 use super::world::{RIGID_N_MM, SOFTEST_N_MM};
 
-/// The absolute zero, and what 46h can carry, in °C.
+/// Absolute zero and the largest value of 46h, in °C.
 const TEMPERATURES_C: [f64; 2] = [-273.1, i16::MAX as f64 / 10.0];
 
-/// A change that can't happen.
+/// A change with a value outside the possible range.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[error("{field} is {value}, and must be from {min} to {max}")]
 pub struct ImpossibleChange {
-    /// Which field makes it so.
     pub field: &'static str,
-    /// What it is.
     pub value: f64,
-    /// The least that it may be.
     pub min: f64,
-    /// And the most.
     pub max: f64,
 }
 
 impl Change {
-    /// Whether it can happen to a device with these limits.
+    /// Checks whether the change can happen to a device with these limits.
     ///
     /// # Errors
-    /// The first field that it can't happen by.
+    /// [`ImpossibleChange`] for the first field that is out of range.
     pub fn check(&self, limits: &SystemLimits) -> Result<(), ImpossibleChange> {
         let width = |mm| within("width_mm", mm, [0.0, limits.stroke.mm().into()]);
         match *self {
@@ -50,7 +46,7 @@ impl Change {
     }
 }
 
-/// NaN is within nothing.
+/// Checks that `value` is within a range; NaN never is.
 fn within(field: &'static str, value: f64, [min, max]: [f64; 2]) -> Result<(), ImpossibleChange> {
     if (min..=max).contains(&value) { Ok(()) } else { Err(ImpossibleChange { field, value, min, max }) }
 }
@@ -61,7 +57,7 @@ mod tests {
     use crate::sim::{DeviceConfig, FaultKind, Part};
 
     #[test]
-    fn what_a_device_cannot_be_or_carry_is_named_with_its_limits() {
+    fn impossible_values_are_rejected_with_their_limits() {
         let limits = DeviceConfig::wsg50().limits;
         let soft = Part { stiffness_n_mm: 0.0, ..Part::outside(20.0) };
         for (change, expected) in [

@@ -1,4 +1,4 @@
-//! The gripper state (`fw4-en 3.4.2`), the statistics, and the flags that a motion leaves behind.
+//! The gripper state (`fw4-en 3.4.2`), the statistics, and the flags set by motions.
 
 use std::time::{Duration, Instant};
 
@@ -6,10 +6,10 @@ use crate::wsg::{GripperState, Statistics, Status};
 
 use super::axis::Direction;
 
-/// In fw4, TARGET_POS_REACHED comes so much later than MOVING goes (`fw4-en` Appendix B).
+/// Delay in fw4 from the end of MOVING to TARGET_POS_REACHED (`fw4-en` Appendix B).
 const TARGET_REACHED_DELAY: Duration = Duration::from_millis(5);
 
-/// What kind of motion runs.
+/// Kind of a motion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Kind {
     Home,
@@ -24,9 +24,9 @@ pub(super) struct Process {
     pub statistics: Statistics,
     pub axis_stopped: bool,
     pub target_reached: bool,
-    /// When TARGET_POS_REACHED follows.
+    /// Time at which TARGET_POS_REACHED follows.
     pub target_reached_at: Option<Instant>,
-    /// The direction of the last grip, until a release.
+    /// Direction of the last grip, until a release.
     gripped: Option<Direction>,
     is_fw4: bool,
 }
@@ -44,12 +44,13 @@ impl Process {
         }
     }
 
-    /// Forgets all but the statistics.
+    /// Resets everything except the statistics.
     pub fn restart(&mut self) {
         *self = Self { statistics: self.statistics, ..Self::new(self.is_fw4) };
     }
 
-    /// `fw4-en 3.2.6`: no second grip in the opposite direction without a release between. fw2 knows no such rule.
+    /// Whether a grip in `direction` needs a release first, after a grip in the opposite direction (`fw4-en 3.2.6`, not
+    /// in fw2).
     pub fn forbids_grip(&self, direction: Direction) -> bool {
         self.is_fw4 && self.gripped == Some(direction.opposite())
     }
@@ -66,7 +67,7 @@ impl Process {
         self.state = match kind {
             Kind::Grip(_) => GripperState::Grasping,
             Kind::Release => GripperState::Releasing,
-            // fw2: "no part" and "part lost" last until the next grip or release, and homing has no state of its own.
+            // fw2: NO_PART and PART_LOST last until the next grip or release, and homing has no own state.
             Kind::Home | Kind::Move if !self.is_fw4 && self.has_result() => self.state,
             Kind::Home if !self.is_fw4 => GripperState::Idle,
             Kind::Home | Kind::Move => GripperState::Positioning,
@@ -101,7 +102,7 @@ impl Process {
         self.state = GripperState::PartLost;
     }
 
-    /// By Stop, or by the end of a connection that was announced.
+    /// Ends the process after Stop, or after a disconnect announcement.
     pub fn aborted(&mut self) {
         if !self.has_result() {
             self.state = GripperState::Idle;
@@ -124,7 +125,7 @@ impl Process {
         matches!(self.state, GripperState::NoPart | GripperState::PartLost)
     }
 
-    /// fw2 reserves 7.
+    /// State after an error. fw2 reserves 7.
     fn error(&self) -> GripperState {
         if self.is_fw4 { GripperState::Error } else { GripperState::Idle }
     }

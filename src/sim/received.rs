@@ -1,18 +1,16 @@
-//! A log of the frames that the device received: what invariants are checked on.
+//! Log of received frames, on which tests check invariants.
 
 use std::time::Instant;
 
-/// So many of the newest frames are kept.
+/// Limit of logged frames; the newest are kept.
 pub const MAX_RECEIVED_FRAMES: usize = 4096;
 
-/// A request as it came over the wire.
+/// A request as received.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct ReceivedFrame {
-    /// When it was complete.
+    /// Time at which the frame was complete.
     pub at: Instant,
-    /// Its id.
     pub id: u8,
-    /// Its parameters.
     pub payload: Vec<u8>,
 }
 
@@ -25,7 +23,7 @@ pub(super) struct ReceivedLog {
 impl ReceivedLog {
     pub fn push(&mut self, frame: ReceivedFrame) {
         if self.frames.len() == MAX_RECEIVED_FRAMES {
-            // A quarter at once, so that the move costs little per frame.
+            // Removes a quarter at once, so that moving the rest costs little per frame.
             self.frames.drain(..MAX_RECEIVED_FRAMES / 4);
         }
         self.frames.push(frame);

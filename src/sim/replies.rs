@@ -1,4 +1,4 @@
-//! What becomes of an answer: `E_CMD_PENDING` and the result of a request in two steps, and the faults that strike them.
+//! Replies: `E_CMD_PENDING` and results of two-step requests, and the faults that affect them.
 
 use std::time::{Duration, Instant};
 
@@ -8,10 +8,10 @@ use super::Device;
 use super::faults::{FaultKind, FaultName, Stage};
 use super::outbox::Outgoing;
 
-/// So many late results wait at most; a further one is sent at once.
+/// Limit of delayed results; further ones are sent at once.
 const MAX_LATE_RESULTS: usize = 64;
 
-/// Who waits for an answer.
+/// A request that waits for its reply.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Ticket {
     pub id: u8,
@@ -21,7 +21,7 @@ pub(super) struct Ticket {
     owes_pending: bool,
 }
 
-/// A result that is held back by a fault.
+/// A result delayed by a fault.
 #[derive(Debug)]
 pub(super) struct Late {
     pub at: Instant,
@@ -34,7 +34,7 @@ impl Device {
         Ticket { id, connection: self.connection, two_step: false, owes_pending: false }
     }
 
-    /// The first step of two: a ticket for the second.
+    /// Sends `E_CMD_PENDING`, and returns the ticket for the result.
     pub(super) fn pending(&mut self, id: u8) -> Ticket {
         let mut ticket = Ticket { two_step: true, ..self.ticket(id) };
         match self.faults.take(id, Stage::Pending) {
@@ -48,7 +48,7 @@ impl Device {
         ticket
     }
 
-    /// The answer to a request of one step.
+    /// Answers a one-step request.
     pub(super) fn answer(&mut self, id: u8, reply: Reply) {
         let ticket = self.ticket(id);
         self.result(ticket, reply);
@@ -122,7 +122,7 @@ impl Device {
         self.outbox.push(Outgoing { id, is_update, at: self.clock, bytes });
     }
 
-    /// What a fault makes of a request: `true` where that is all that it gets.
+    /// Applies an armed fault to a request. Returns `true` if the request must not be executed.
     pub(super) fn strikes_request(&mut self, id: u8) -> bool {
         match self.faults.take(id, Stage::Request) {
             Some(FaultKind::Status { code }) => {
@@ -136,7 +136,7 @@ impl Device {
         }
     }
 
-    /// Loop may say `E_CMD_PENDING` before its data (`fw4-en 3.1.1`).
+    /// Answers Loop, after `E_CMD_PENDING` if so configured (`fw4-en 3.1.1`).
     pub(super) fn answer_loop(&mut self, data: Vec<u8>) {
         if self.config.loop_is_pending {
             self.send(id::LOOP, &Reply::Status(Status::E_CMD_PENDING), false);
@@ -145,7 +145,7 @@ impl Device {
     }
 }
 
-/// A success keeps its data, if it had any.
+/// Replaces the status of a reply. A reply that already has this status keeps its data.
 fn with_status(reply: Reply, status: Status) -> Reply {
     if status == reply.status() { reply } else { Reply::Status(status) }
 }

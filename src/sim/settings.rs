@@ -1,4 +1,4 @@
-//! What a client sets (`fw4-en 3.3`): all of it but the device tag is forgotten at a restart.
+//! Client settings (`fw4-en 3.3`). Only the device tag survives a restart.
 
 use crate::wsg::{Acceleration, DeviceTag, Force, SoftLimits};
 
@@ -34,7 +34,7 @@ impl Settings {
         self.acceleration_mm_s2 = f64::from(acceleration.mm_s2().max(least).min(most));
     }
 
-    /// `fw4-en 3.3.3` clamps at nominal, which yields to Overdrive Mode (3.3.8).
+    /// Clamps at the nominal force (`fw4-en 3.3.3`), or at the overdrive force in Overdrive Mode (3.3.8).
     pub fn set_force_limit(&mut self, force: Force, config: &DeviceConfig) {
         let limits = &config.limits;
         let most = if self.overdrive { limits.overdrive_force } else { limits.nominal_force };

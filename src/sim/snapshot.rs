@@ -1,5 +1,4 @@
-//! What the device is at the moment: the values of its getters, and a snapshot of everything for tests and a control
-//! port.
+//! Current state of the device: values of its getters, and a full snapshot for tests and the control port.
 
 use crate::wsg::{Data, Force, GripperState, SoftLimits, Speed, Statistics, SystemInfo, SystemState, Width, id};
 
@@ -8,72 +7,63 @@ use super::axis::Direction;
 use super::motion::AT_LIMIT_MM;
 use super::world::Part;
 
-/// Everything about a device at one moment, the truth and what it shows of it.
+/// Full state of a device at one moment: true values and those that the device shows.
 #[derive(Debug, Clone, PartialEq)]
-#[allow(clippy::struct_excessive_bools, reason = "a snapshot of states that are independent")]
+#[allow(clippy::struct_excessive_bools, reason = "independent states")]
 pub struct Snapshot {
-    /// The true distance of the jaws, in mm.
+    /// True distance between the jaws, in mm.
     pub true_width_mm: f64,
-    /// What it shows as its opening width (43h), in mm.
+    /// Opening width that the device shows (43h), in mm.
     pub width_mm: f64,
-    /// The relative speed of the fingers, positive while opening, in mm/s.
+    /// Relative speed of the fingers, positive while opening, in mm/s.
     pub speed_mm_s: f64,
-    /// What it shows as gripping force (45h), in N.
+    /// Gripping force that the device shows (45h), in N.
     pub force_n: f64,
-    /// The system state flags (40h).
+    /// System state flags (40h).
     pub flags: SystemState,
-    /// The gripper state (41h).
+    /// Gripper state (41h).
     pub gripper_state: GripperState,
-    /// Whether the fingers are referenced.
     pub referenced: bool,
-    /// Whether they move.
     pub moving: bool,
     /// Whether a FAST STOP is latched.
     pub fast_stop: bool,
-    /// What is between the jaws, or beside them.
+    /// Part between the jaws or beside them.
     pub part: Option<Part>,
-    /// Where an obstacle stands, in mm.
+    /// Width at which the jaws touch the obstacle, in mm.
     pub obstacle_mm: Option<f64>,
-    /// The gripping statistics (42h).
+    /// Gripping statistics (42h).
     pub statistics: Statistics,
-    /// The temperature, in °C.
     pub temperature_c: f64,
-    /// The acceleration that is set, in mm/s².
     pub acceleration_mm_s2: f64,
-    /// The force limit that is set, in N.
     pub force_limit_n: f64,
-    /// The soft limits that are set.
     pub soft_limits: Option<SoftLimits>,
-    /// Whether Overdrive Mode is on.
     pub overdrive: bool,
-    /// The device tag.
     pub device_tag: Option<String>,
-    /// The ids whose automatic updates are on.
+    /// Ids whose automatic updates are on.
     pub updates: Vec<u8>,
-    /// Whether it has a client: connected (TCP), or told of its interface (others).
+    /// Whether a client is connected (TCP), or an interface is in use (others).
     pub connected: bool,
-    /// Whether the client has announced its end.
+    /// Whether the client has announced its disconnect (07h).
     pub announced: bool,
-    /// Whether it starts after a [`Reboot`](super::Change::Reboot).
+    /// Whether the device is restarting after a [`Reboot`](super::Change::Reboot).
     pub booting: bool,
-    /// Whether it says nothing, by [`Silent`](super::Change::Silent) or by a fault.
+    /// Whether the device sends nothing, because of [`Silent`](super::Change::Silent) or a fault.
     pub silent: bool,
-    /// Whether no byte passes.
+    /// Whether the connection passes no bytes.
     pub half_open: bool,
-    /// Frames that wait to be sent.
+    /// Frames waiting to be sent.
     pub queued_frames: usize,
-    /// Automatic updates that were dropped, because too many frames waited.
+    /// Automatic updates dropped because too many frames were waiting.
     pub dropped_updates: u64,
-    /// Requests received with a right checksum.
+    /// Requests received with a correct checksum.
     pub received_frames: u64,
-    /// Requests received with a wrong one.
+    /// Requests received with a wrong checksum.
     pub damaged_requests: u64,
-    /// Requests not taken up, because too many replies waited.
+    /// Requests rejected because too many replies were waiting.
     pub refused_requests: u64,
 }
 
 impl Device {
-    /// Everything about it at this moment.
     #[must_use]
     pub fn snapshot(&self) -> Snapshot {
         Snapshot {
@@ -109,7 +99,7 @@ impl Device {
         }
     }
 
-    /// What the getter of `id` returns.
+    /// Value that the getter `id` returns.
     pub(super) fn value(&self, id: u8) -> Data {
         match id {
             id::GET_SYSTEM_STATE => Data::SystemState(self.flags()),
@@ -121,19 +111,19 @@ impl Device {
         }
     }
 
-    /// `fw4-en 3.4.4`: 0 unless referenced.
+    /// Width in mm, or 0 unless referenced (`fw4-en 3.4.4`).
     fn shown_width_mm(&self) -> f64 {
         let known = self.mechanics.referenced || self.config.width_before_referencing;
         if known { self.mechanics.width_mm() } else { 0.0 }
     }
 
-    /// The force carries no sign.
+    /// Absolute gripping force in N.
     pub(super) fn shown_force_n(&self) -> f64 {
         let force_n = self.mechanics.axis.force_n;
         if self.config.has_force_sensor() { (force_n + self.sensor_offset_n).abs() } else { force_n }
     }
 
-    /// The system state flags (40h; `fw4-en` Appendix B).
+    /// System state flags (40h; `fw4-en` Appendix B).
     #[must_use]
     pub fn flags(&self) -> SystemState {
         let mechanics = &self.mechanics;
@@ -176,7 +166,7 @@ impl Device {
         }
     }
 
-    /// Which soft limit the fingers stand at or beyond.
+    /// Soft limit that the fingers have reached or passed.
     fn at_soft_limit(&self) -> Option<Direction> {
         let limits = self.settings.soft_limits.filter(|_| self.mechanics.referenced)?;
         let width_mm = self.mechanics.width_mm();

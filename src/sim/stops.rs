@@ -1,5 +1,5 @@
-//! Stop, FAST STOP and its acknowledge, and the announced end of a connection: what ends a motion (`fw4-en 3.2.3` to
-//! `3.2.5`, `3.1.2`).
+//! Commands that end motions: Stop, FAST STOP and its acknowledgement, and the disconnect announcement
+//! (`fw4-en 3.2.3` to `3.2.5`, `3.1.2`).
 
 use crate::wsg::{Status, id};
 
@@ -8,11 +8,11 @@ use super::motion::Event;
 use super::process::Kind;
 use super::replies::Ticket;
 
-/// So many Stops wait for a stand at most; a further one is answered at once.
+/// Limit of Stops that wait for the fingers to come to rest; further ones are answered at once.
 const MAX_WAITING_STOPS: usize = 16;
 
 impl Device {
-    /// `fw4-en 3.2.3`: answered when the fingers stand.
+    /// Stops the motion, and replies when the fingers are at rest (`fw4-en 3.2.3`).
     pub(super) fn stop(&mut self) {
         let ticket = self.ticket(id::STOP);
         if self.is_running() || self.config.stop_sets_flag_when_idle {
@@ -38,7 +38,7 @@ impl Device {
         self.end_running(&stops, Status::E_CMD_ABORTED);
     }
 
-    /// `fw4-en 3.2.4`: answered at once, whatever the fingers still do.
+    /// Triggers a FAST STOP, and replies at once even if the fingers are still moving (`fw4-en 3.2.4`).
     pub(super) fn fast_stop_request(&mut self) {
         let ticket = self.ticket(id::FAST_STOP);
         self.fast_stop_with(Some(ticket), Status::E_CMD_ABORTED);
@@ -48,7 +48,7 @@ impl Device {
         self.fast_stop_with(None, Status::E_CMD_ABORTED);
     }
 
-    /// `fw4-en 3.3.5`. Only 21h has a status that says why; the others' result is that of any FAST STOP.
+    /// Triggers a FAST STOP outside the soft limits (`fw4-en 3.3.5`). Only 21h has a specific status for this cause.
     pub(super) fn left_soft_limits(&mut self) {
         let moves = self.running.as_ref().is_some_and(|running| running.kind == Kind::Move);
         self.fast_stop_with(None, if moves { Status::E_RANGE_ERROR } else { Status::E_CMD_ABORTED });
@@ -63,7 +63,7 @@ impl Device {
         self.end_running(&tickets, result);
     }
 
-    /// Answers those who stopped, and whoever was stopped, in the order that the configuration says.
+    /// Answers the stop requests and the stopped motion, in the configured order.
     fn end_running(&mut self, stoppers: &[Ticket], result: Status) {
         let stopped = self.running.take().and_then(|running| running.ticket);
         let answer = |device: &mut Self| {
@@ -82,7 +82,7 @@ impl Device {
         }
     }
 
-    /// `fw4-en 3.2.5`. Ruling: while its cause is still there, the FAST STOP stays.
+    /// Acknowledges a FAST STOP (`fw4-en 3.2.5`). Ruling: while its cause persists, the FAST STOP stays.
     pub(super) fn acknowledge(&mut self) {
         if self.fast_stopped && self.has_fault() {
             let status = self.config.early_acknowledge;
@@ -92,7 +92,7 @@ impl Device {
         self.answer_status(id::ACKNOWLEDGE_FAST_STOP, Status::E_SUCCESS);
     }
 
-    /// `fw4-en 3.1.2`: a motion is aborted at once, and nothing is accepted any more. What is held stays held.
+    /// Aborts a motion at once and rejects all further requests (`fw4-en 3.1.2`). A held part stays held.
     pub(super) fn announce_disconnect(&mut self) {
         if !self.is_tcp() {
             return self.answer_status(id::DISCONNECT_ANNOUNCEMENT, Status::E_NOT_AVAILABLE);

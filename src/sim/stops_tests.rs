@@ -3,12 +3,12 @@ use crate::sim::{Change, DeviceConfig, Interface};
 use crate::wsg::{Command, Data, GripperState, HomingDirection, Reply, Status, SystemState, id};
 
 #[test]
-fn stop_ends_a_motion_and_both_are_answered() {
+fn stop_ends_motion_and_both_get_replies() {
     for stop_answers_first in [true, false] {
         let mut bench = Bench::homed(DeviceConfig { stop_answers_first, ..DeviceConfig::wsg50() });
         bench.ask(&move_to(10.0, 400.0));
         bench.pass(ms(200));
-        assert_eq!(bench.ask(&Command::Stop), [], "not before the fingers stand");
+        assert_eq!(bench.ask(&Command::Stop), [], "not before the fingers are at rest");
         let stop = (id::STOP, DONE);
         let aborted = (id::PRE_POSITION, status(Status::E_CMD_ABORTED));
         let expected = if stop_answers_first { [stop, aborted] } else { [aborted, stop] };
@@ -30,7 +30,7 @@ fn ruling_a_stop_while_idle_sets_axis_stopped_or_not() {
 }
 
 #[test]
-fn fast_stop_answers_at_once_and_latches_until_acknowledged() {
+fn fast_stop_replies_at_once_and_latches_until_acknowledged() {
     let mut bench = Bench::homed(DeviceConfig::wsg50());
     bench.ask(&move_to(10.0, 400.0));
     bench.pass(ms(150));
@@ -54,14 +54,14 @@ fn fast_stop_answers_at_once_and_latches_until_acknowledged() {
 }
 
 #[test]
-fn fast_stop_stops_whatever_its_payload() {
+fn fast_stop_takes_any_payload() {
     let mut bench = Bench::new(DeviceConfig::wsg50());
     assert_eq!(bench.status_of_raw(id::FAST_STOP, &[1, 2, 3]), Status::E_SUCCESS);
     assert!(bench.has(SystemState::FAST_STOP));
 }
 
 #[test]
-fn a_fast_stop_answers_the_stop_that_it_overtakes() {
+fn fast_stop_ends_pending_stop() {
     let mut bench = Bench::homed(DeviceConfig::wsg50());
     bench.ask(&move_to(10.0, 400.0));
     bench.pass(ms(150));
@@ -93,7 +93,7 @@ fn stop_ends_clamping() {
 }
 
 #[test]
-fn an_announced_disconnect_aborts_and_then_denies_everything() {
+fn announced_disconnect_aborts_motion_and_denies_requests() {
     let mut bench = Bench::homed(DeviceConfig::wsg50());
     bench.ask(&move_to(10.0, 100.0));
     bench.pass(ms(100));
@@ -112,7 +112,7 @@ fn an_announced_disconnect_aborts_and_then_denies_everything() {
 }
 
 #[test]
-fn only_tcp_has_a_disconnect_announcement() {
+fn only_tcp_supports_disconnect_announcement() {
     for interface in [Interface::Udp, Interface::Serial, Interface::Can] {
         let mut bench = Bench::on(DeviceConfig::wsg50(), interface);
         assert_eq!(bench.reply(&Command::DisconnectAnnouncement), status(Status::E_NOT_AVAILABLE));

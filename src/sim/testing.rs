@@ -1,4 +1,4 @@
-//! A bench for tests: a device on a virtual clock, and the requests and replies of a client.
+//! Test bench: a device on a virtual clock, with a client's requests and replies.
 
 use std::time::{Duration, Instant};
 
@@ -13,7 +13,7 @@ pub struct Bench {
     pub device: Device,
     pub now: Instant,
     pub decoder: Decoder,
-    /// How far the clock goes between two calls of the device at most.
+    /// Longest time between two calls of the device.
     pub stride: Duration,
 }
 
@@ -29,7 +29,7 @@ pub const DONE: Reply = Reply::Success(Data::None);
 pub const PENDING: Reply = Reply::Status(Status::E_CMD_PENDING);
 
 impl Bench {
-    /// A device with a client on TCP.
+    /// Creates a device with a client on TCP.
     pub fn new(config: DeviceConfig) -> Self {
         Self::on(config, Interface::Tcp)
     }
@@ -42,7 +42,7 @@ impl Bench {
         Self { device, now, decoder, stride: ms(1) }
     }
 
-    /// A homed device: its fingers stand a millimetre from the outer end stop.
+    /// Creates a homed device, with its fingers 1 mm from the outer end stop.
     pub fn homed(config: DeviceConfig) -> Self {
         let mut bench = Self::new(config);
         bench.home();
@@ -53,7 +53,7 @@ impl Bench {
         assert_eq!(self.run(&Command::Homing(HomingDirection::Default)), [PENDING, DONE]);
     }
 
-    /// Sends a request, and tells the frames that come at once.
+    /// Sends a request, and returns the immediate frames.
     pub fn ask(&mut self, command: &Command) -> Vec<(u8, Reply)> {
         let mut bytes = Vec::new();
         command.encode(&mut bytes);
@@ -61,7 +61,7 @@ impl Bench {
         self.frames()
     }
 
-    /// The same for a request that need not be one.
+    /// Sends a possibly invalid request, and returns the immediate frames.
     pub fn ask_raw(&mut self, id: u8, payload: &[u8]) -> Vec<(u8, Reply)> {
         let mut bytes = Vec::new();
         crate::wsg::frame::encode(id, payload, &mut bytes);
@@ -69,7 +69,7 @@ impl Bench {
         self.frames()
     }
 
-    /// The one reply to a request of one step.
+    /// Sends a one-step request, and returns its only reply.
     pub fn reply(&mut self, command: &Command) -> Reply {
         let frames = self.ask(command);
         assert_eq!(frames.len(), 1, "{frames:?}");
@@ -84,14 +84,14 @@ impl Bench {
         frames[0].1.status()
     }
 
-    /// The replies to a motion, to its end.
+    /// Runs a motion to its end, and returns its replies.
     pub fn run(&mut self, command: &Command) -> Vec<Reply> {
         let mut frames = self.ask(command);
         frames.extend(self.pass(ms(8000)));
         frames.into_iter().filter(|(id, _)| *id == command.id()).map(|(_, reply)| reply).collect()
     }
 
-    /// Lets time pass, and tells the frames that come.
+    /// Advances time, and returns the frames sent meanwhile.
     pub fn pass(&mut self, time: Duration) -> Vec<(u8, Reply)> {
         let end = self.now + time;
         let mut frames = Vec::new();

@@ -1,18 +1,18 @@
-//! The temperature: it follows the load slowly, unless the world holds it at a value.
+//! The temperature, which follows the load slowly unless a change fixes it.
 
 use std::time::{Duration, Instant};
 
-/// How long the device takes to come close to the temperature of its load, in s.
+/// Time constant in s with which the temperature approaches its final value.
 const TIME_CONSTANT_S: f64 = 600.0;
 
-/// How much warmer than its surroundings it becomes with the nominal force, in K. It grows with the force's square, so
-/// that Overdrive Mode can overheat it (`fw4-en 3.3.8`).
+/// Temperature rise over ambient at the nominal force, in K. It grows with the square of the force, so Overdrive Mode
+/// can overheat the device (`fw4-en 3.3.8`).
 const RISE_AT_NOMINAL_K: f64 = 25.0;
 
 #[derive(Debug)]
 pub(super) struct Thermal {
     ambient_c: f64,
-    /// The share of the nominal force since `since`, when the temperature was `initial_c`.
+    /// Share of the nominal force since `since`, when the temperature was `initial_c`.
     load: f64,
     since: Instant,
     initial_c: f64,
@@ -28,7 +28,7 @@ impl Thermal {
         self.held_c.unwrap_or_else(|| self.own_c(now))
     }
 
-    /// It is this warm, until [`Thermal::let_go`].
+    /// Fixes the temperature until [`Thermal::let_go`].
     pub fn hold(&mut self, temperature_c: f64) {
         self.held_c = Some(temperature_c);
     }
@@ -44,14 +44,14 @@ impl Thermal {
         }
     }
 
-    /// When the temperature crosses `threshold_c` by itself, if that is after `now`.
+    /// Time after `now` at which the temperature crosses `threshold_c` by itself.
     pub fn crosses(&self, threshold_c: f64, now: Instant) -> Option<Instant> {
         let ratio = (self.initial_c - self.final_c()) / (threshold_c - self.final_c());
         if self.held_c.is_some() || !ratio.is_finite() || ratio <= 1.0 {
             return None;
         }
         let after = Duration::from_secs_f64(TIME_CONSTANT_S * ratio.ln());
-        // A little later, so that it has crossed the threshold beyond the error of the numbers.
+        // Slightly later, so that the crossing exceeds the rounding error.
         let at = self.since + after + Duration::from_millis(1);
         (at > now).then_some(at)
     }

@@ -1,4 +1,4 @@
-//! Time: what is due when, and what happens then.
+//! Timers of the device.
 
 use std::time::Instant;
 
@@ -10,19 +10,19 @@ use super::faults::FaultName;
 use super::motion::Event;
 
 impl Device {
-    /// Lets time pass up to `now`.
+    /// Advances time to `now`.
     pub fn handle_timeout(&mut self, now: Instant) {
         self.advance(now);
         self.settle();
     }
 
-    /// When [`Device::handle_timeout`] is next due; `None` while nothing can happen by itself.
+    /// Time of the next [`Device::handle_timeout`], or `None` if no timer runs.
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Instant> {
         self.next_due().into_iter().chain(self.join_wait()).min()
     }
 
-    /// Does what is due up to `now`, each thing at its own time. A time before the newest one changes nothing.
+    /// Runs all timers due up to `now`, each at its own time. An earlier time than the newest changes nothing.
     pub(super) fn advance(&mut self, now: Instant) {
         while let Some(due) = self.next_due().filter(|&due| due <= now) {
             self.clock = self.clock.max(due);
@@ -31,7 +31,7 @@ impl Device {
         self.clock = self.clock.max(now);
     }
 
-    /// After anything has changed: does what is due because of it.
+    /// Runs timers that became due because of a change.
     pub(super) fn settle(&mut self) {
         self.watch_faults();
         self.plan_step();
@@ -127,7 +127,7 @@ impl Device {
         }
     }
 
-    /// A fault that appears is a FAST STOP.
+    /// Triggers a FAST STOP on overheating.
     pub(super) fn watch_faults(&mut self) {
         let load = self.mechanics.axis.force_n / self.config.nominal_force_n();
         self.thermal.set_load(load, self.clock);

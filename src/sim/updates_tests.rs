@@ -3,9 +3,9 @@ use crate::sim::{Change, DeviceConfig, Interface, Part};
 use crate::wsg::{Command, Data, GripperState, Reply, SystemState, Updates, id};
 
 #[test]
-fn updates_come_at_their_period_and_look_like_replies() {
+fn updates_are_periodic_and_look_like_replies() {
     let mut bench = Bench::new(DeviceConfig::wsg50());
-    assert_eq!(bench.ask(&Command::GetGripperState(updates(false, 20))).len(), 1, "switching on is answered");
+    assert_eq!(bench.ask(&Command::GetGripperState(updates(false, 20))).len(), 1, "switching on gets a reply");
     let idle = (id::GET_GRIPPER_STATE, Reply::Success(Data::GripperState(GripperState::Idle)));
     assert_eq!(bench.pass(ms(19)), []);
     assert_eq!(bench.pass(ms(1)), [idle]);
@@ -13,21 +13,21 @@ fn updates_come_at_their_period_and_look_like_replies() {
 }
 
 #[test]
-fn switching_updates_on_need_not_be_answered() {
+fn reply_to_switching_updates_on_is_optional() {
     let mut bench = Bench::new(DeviceConfig { answers_update_requests: false, ..DeviceConfig::wsg50() });
     assert_eq!(bench.ask(&Command::GetForce(updates(false, 20))), []);
     assert_eq!(bench.pass(ms(20)).len(), 1);
 }
 
 #[test]
-fn the_shortest_period_is_10_ms() {
+fn shortest_period_is_10_ms() {
     let mut bench = Bench::new(DeviceConfig::wsg50());
     bench.ask(&Command::GetSpeed(updates(false, 1)));
     assert_eq!(bench.pass(ms(100)).len(), 10);
 }
 
 #[test]
-fn those_of_one_period_come_together_whenever_they_were_switched_on() {
+fn updates_of_equal_period_share_cycle() {
     let mut bench = Bench::homed(DeviceConfig::wsg50());
     bench.ask(&Command::GetWidth(updates(false, 20)));
     assert_eq!(bench.pass(ms(7)), []);
@@ -41,7 +41,7 @@ fn those_of_one_period_come_together_whenever_they_were_switched_on() {
 }
 
 #[test]
-fn a_query_without_updates_switches_them_off() {
+fn query_without_updates_switches_them_off() {
     let mut bench = Bench::new(DeviceConfig::wsg50());
     bench.ask(&Command::GetSpeed(updates(false, 10)));
     assert_eq!(bench.ask(&Command::GetSpeed(Updates::Off)).len(), 1);
@@ -50,7 +50,7 @@ fn a_query_without_updates_switches_them_off() {
 }
 
 #[test]
-fn on_change_nothing_comes_without_one() {
+fn on_change_sends_nothing_without_change() {
     let mut bench = Bench::homed(DeviceConfig::wsg50());
     for command in [
         Command::GetSystemState(updates(true, 10)),
@@ -66,7 +66,7 @@ fn on_change_nothing_comes_without_one() {
 }
 
 #[test]
-fn on_change_the_period_is_the_shortest_interval() {
+fn on_change_period_is_shortest_interval() {
     let mut bench = Bench::homed(DeviceConfig::wsg50());
     bench.ask(&Command::GetWidth(updates(true, 50)));
     bench.ask(&move_to(50.0, 100.0));
@@ -80,12 +80,12 @@ fn on_change_the_period_is_the_shortest_interval() {
             }
         }
     }
-    // 635 ms of motion, and one more at its end.
+    // One per interval over 635 ms of motion, plus one at its end.
     assert!((12..=14).contains(&widths), "{widths}");
 }
 
 #[test]
-fn a_change_of_state_comes_at_once_when_the_interval_has_passed() {
+fn state_change_is_sent_at_once_after_interval() {
     let mut bench = Bench::homed(DeviceConfig::wsg50());
     bench.ask(&Command::GetSystemState(updates(true, 10)));
     bench.pass(ms(100));
@@ -96,7 +96,7 @@ fn a_change_of_state_comes_at_once_when_the_interval_has_passed() {
 }
 
 #[test]
-fn a_change_below_the_threshold_is_none() {
+fn change_below_threshold_is_ignored() {
     let mut bench = Bench::homed(DeviceConfig::wsg50());
     bench.ask(&Command::GetWidth(updates(true, 10)));
     bench.pass(ms(20));
@@ -108,7 +108,7 @@ fn a_change_below_the_threshold_is_none() {
 }
 
 #[test]
-fn fw4_tells_no_width_before_it_is_referenced() {
+fn fw4_sends_no_width_before_reference() {
     for (config, told) in [(DeviceConfig::wsg50(), false), (DeviceConfig::wsg50().fw2(), true)] {
         let mut bench = Bench::new(config);
         let zero = Reply::Success(Data::Width(width(0.0)));
@@ -117,12 +117,12 @@ fn fw4_tells_no_width_before_it_is_referenced() {
         let frames = bench.pass(ms(500));
         assert_eq!(frames.iter().any(|(id, _)| *id == id::GET_WIDTH), told);
         let frames = bench.pass(ms(3000));
-        assert!(frames.iter().any(|(id, _)| *id == id::GET_WIDTH), "when it is referenced, the width has changed");
+        assert!(frames.iter().any(|(id, _)| *id == id::GET_WIDTH), "homing changes the width");
     }
 }
 
 #[test]
-fn the_force_is_told_while_it_builds_up() {
+fn force_is_updated_while_it_builds_up() {
     let mut bench = Bench::homed(DeviceConfig::wsg50());
     bench.apply(Change::PlacePart(Part::outside(20.0)));
     bench.ask(&Command::GetForce(updates(true, 10)));
@@ -137,7 +137,7 @@ fn the_force_is_told_while_it_builds_up() {
 }
 
 #[test]
-fn updates_end_with_their_connection() {
+fn updates_end_with_connection() {
     let mut bench = Bench::new(DeviceConfig::wsg50());
     bench.ask(&Command::GetSpeed(updates(false, 10)));
     bench.device.disconnect(bench.now);
@@ -147,7 +147,7 @@ fn updates_end_with_their_connection() {
 }
 
 #[test]
-fn updates_that_nobody_fetches_are_dropped_and_replies_are_not() {
+fn unfetched_updates_are_dropped_but_not_replies() {
     let mut bench = Bench::on(DeviceConfig::wsg50(), Interface::Udp);
     bench.ask(&Command::GetSpeed(updates(false, 10)));
     let mut request = Vec::new();

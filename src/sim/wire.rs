@@ -1,19 +1,19 @@
-//! What faults of the wire do to a frame's bytes.
+//! Effects of wire faults on a frame's bytes.
 
 use crate::wsg::{frame, id};
 
 use super::faults::FaultKind;
 
-/// Bytes that are no frame, and hold the beginning of a preamble.
+/// Bytes without a frame, but with the start of a preamble.
 const GARBAGE: [u8; 7] = [0x00, 0x55, 0xAA, 0xAA, 0x13, 0xFF, 0x7E];
 
-/// So many AAh come before a frame: more than a preamble, and no multiple of it.
+/// Run of AAh before a frame: longer than a preamble, and not a multiple of one.
 const PREAMBLE_RUN: [u8; 7] = [0xAA; 7];
 
-/// The header of a Loop reply of 32 bytes that never comes.
+/// Header of a missing 32-byte Loop reply.
 const FALSE_HEADER: [u8; 6] = [0xAA, 0xAA, 0xAA, id::LOOP, 32, 0];
 
-/// The chunks in which a whole frame arrives.
+/// Splits a frame into the chunks that arrive.
 pub(super) fn damage(kind: FaultKind, mut bytes: Vec<u8>) -> Vec<Vec<u8>> {
     match kind {
         FaultKind::CorruptByte => flip(&mut bytes, frame::HEADER_BYTES),

@@ -1,47 +1,46 @@
-//! What stands between the jaws: a part, an obstacle, and the end stops. All widths here are true distances in mm,
-//! which the device knows only once it is referenced.
+//! Objects between the jaws: a part, an obstacle and the end stops. All widths are true distances in mm, which the
+//! device knows only once it is referenced.
 
 use serde::{Deserialize, Serialize};
 
 use super::axis::Direction;
 
-/// How hard the end stops and obstacles are, in N/mm.
+/// Stiffness of end stops and obstacles, in N/mm.
 pub(super) const RIGID_N_MM: f64 = 2000.0;
 
-/// No part is softer than this, in N/mm.
+/// Minimum stiffness of a part, in N/mm.
 pub(super) const SOFTEST_N_MM: f64 = 0.1;
 
-/// How fast a slipping part leaves the fingers, in mm per step; faster than fingers in contact can follow.
+/// Speed of a slipping part in mm per step, faster than fingers in contact can follow.
 const SLIP_MM_PER_STEP: f64 = 0.05;
 
-/// A part that has slipped so far, in mm, has fallen.
+/// Distance in mm after which a slipping part has fallen.
 const SLIP_MM: f64 = 5.0;
 
-/// From which side a part is gripped.
+/// Side from which a part is gripped.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum GripSide {
-    /// The fingers close on it.
+    /// The fingers close on the part.
     #[default]
     Outside,
-    /// It is hollow, and the fingers open into it.
+    /// The part is hollow, and the fingers open into it.
     Inside,
 }
 
 /// A part between the jaws.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct Part {
-    /// Where the fingers meet it, in mm.
+    /// Width at which the fingers touch the part, in mm.
     pub width_mm: f64,
-    /// From which side.
     #[serde(default)]
     pub side: GripSide,
-    /// How much force it takes to press it together by a millimetre, in N/mm.
+    /// Stiffness in N/mm.
     #[serde(default = "ordinary_stiffness_n_mm")]
     pub stiffness_n_mm: f64,
 }
 
-/// Of a part that is neither foam nor steel, in N/mm.
+/// Default stiffness in N/mm, between foam and steel.
 const ORDINARY_N_MM: f64 = 200.0;
 
 fn ordinary_stiffness_n_mm() -> f64 {
@@ -69,14 +68,14 @@ impl Part {
     }
 }
 
-/// Something that resists the fingers in one direction.
+/// A surface that resists the fingers in one direction.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Surface {
     pub at_mm: f64,
     pub stiffness_n_mm: f64,
 }
 
-/// The first surface in either direction.
+/// First surface in each direction.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Surfaces {
     pub closing: Surface,
@@ -91,12 +90,12 @@ impl Surfaces {
         }
     }
 
-    /// How far fingers at `position_mm` press into what resists `direction`; negative where there is a gap.
+    /// Depth in mm by which fingers at `position_mm` press into the surface in `direction`; negative for a gap.
     pub fn depth_mm(&self, direction: Direction, position_mm: f64) -> f64 {
         (position_mm - self.against(direction).at_mm) * direction.sign()
     }
 
-    /// The force on fingers at `position_mm`.
+    /// Force in N on fingers at `position_mm`.
     pub fn force_n(&self, position_mm: f64) -> f64 {
         let force = |direction| self.depth_mm(direction, position_mm).max(0.0) * self.against(direction).stiffness_n_mm;
         force(Direction::Closing).max(force(Direction::Opening))
@@ -106,7 +105,7 @@ impl Surfaces {
 #[derive(Debug, Clone, Copy)]
 struct Placed {
     part: Part,
-    /// A part wider than the fingers stand apart lies beside them, until they have opened around it.
+    /// Whether the fingers enclose the part. A part that is too wide lies beside them until they have opened.
     between_fingers: bool,
     slipped_mm: Option<f64>,
 }
@@ -168,12 +167,12 @@ impl World {
         self.obstacle = None;
     }
 
-    /// Whether something moves by itself.
+    /// Whether a part is slipping.
     pub fn is_changing(&self) -> bool {
         self.part.is_some_and(|placed| placed.slipped_mm.is_some())
     }
 
-    /// One step of what moves by itself, the fingers standing at `position_mm`.
+    /// Moves a slipping part by one step, with the fingers at `position_mm`.
     pub fn step(&mut self, position_mm: f64) {
         if let Some(placed) = &mut self.part
             && let Some(slipped_mm) = &mut placed.slipped_mm
@@ -212,7 +211,7 @@ impl World {
 }
 
 impl Surfaces {
-    /// Whichever of two comes first is the one that counts.
+    /// Keeps the nearer of the current surface and `surface`.
     fn meet(&mut self, direction: Direction, surface: Surface) {
         let first = match direction {
             Direction::Closing => &mut self.closing,

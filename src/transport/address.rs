@@ -1,4 +1,4 @@
-//! Where a device is, as a URL: `tcp://192.168.1.20:1000`, `udp://192.168.1.20:1500?local_port=1501`,
+//! Device addresses as URLs: `tcp://192.168.1.20:1000`, `udp://192.168.1.20:1500?local_port=1501`,
 //! `serial:///dev/ttyUSB0?baud=115200&stop_bits=1`, `can://can0?tx=0x64&rx=0x65`.
 
 use std::fmt;
@@ -13,7 +13,7 @@ use super::tcp::{self, TcpAddress};
 use super::udp::{self, UdpAddress};
 use super::{LinkProperties, Pipe};
 
-/// Where a device is.
+/// Address of a device.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Address {
     /// `tcp://host:port`
@@ -26,7 +26,7 @@ pub enum Address {
     Can(CanAddress),
 }
 
-/// How each transport's URL is written.
+/// Example URL of each transport.
 const EXAMPLES: [(&str, &str); 4] = [
     ("tcp", "tcp://192.168.1.20:1000"),
     ("udp", "udp://192.168.1.20:1500?local_port=1501"),
@@ -34,40 +34,31 @@ const EXAMPLES: [(&str, &str); 4] = [
     ("can", "can://can0?tx=0x64&rx=0x65"),
 ];
 
-/// Why a text is no address.
+/// Reason why a text is not a valid address.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum InvalidAddress {
-    /// Not a URL at all.
-    #[error("{text:?} is no URL ({detail}): write it as {example}")]
+    /// The text is not a URL.
+    #[error("{text:?} is not a valid URL ({detail}); write it as {example}")]
     NoUrl {
-        /// What was given.
         text: String,
-        /// What is wrong with it.
         detail: String,
-        /// A right one.
+        /// Valid URL of the same transport.
         example: &'static str,
     },
-    /// No transport's scheme.
-    #[error("{text:?}: there is no transport {scheme:?}; there are tcp, udp, serial, can")]
-    UnknownScheme {
-        /// What was given.
-        text: String,
-        /// Its scheme.
-        scheme: String,
-    },
-    /// A part that this transport doesn't have, or lacks.
+    /// No transport has this scheme.
+    #[error("{text:?}: unknown transport {scheme:?}; use one of tcp, udp, serial, can")]
+    UnknownScheme { text: String, scheme: String },
+    /// A part of the URL is missing, invalid or not supported by the transport.
     #[error("{text:?}: {detail}; write it as {example}")]
     Part {
-        /// What was given.
         text: String,
-        /// What is wrong with it.
         detail: String,
-        /// A right one.
+        /// Valid URL of the same transport.
         example: &'static str,
     },
 }
 
-/// How a URL that begins like this one is written.
+/// Example URL with the same scheme as `text`.
 fn example_for(text: &str) -> &'static str {
     let scheme = text.split(':').next().unwrap_or_default();
     let example = EXAMPLES.iter().find(|(name, _)| *name == scheme).unwrap_or(&EXAMPLES[0]);
@@ -93,7 +84,7 @@ impl FromStr for Address {
                 return Err(InvalidAddress::UnknownScheme { text: text.to_owned(), scheme: scheme.to_owned() });
             }
         };
-        let parsed = if url.fragment().is_some() { Err("nothing may stand behind a #".to_owned()) } else { parsed };
+        let parsed = if url.fragment().is_some() { Err("a fragment (#) is not supported".to_owned()) } else { parsed };
         parsed.map_err(|detail| InvalidAddress::Part { text: text.to_owned(), detail, example })
     }
 }
@@ -111,7 +102,7 @@ impl fmt::Display for Address {
     }
 }
 
-/// A host as URLs have it: an IPv6 address in brackets.
+/// A host in URL form, with brackets around an IPv6 address.
 struct InUrl<'a>(&'a str);
 
 impl fmt::Display for InUrl<'_> {
@@ -121,7 +112,7 @@ impl fmt::Display for InUrl<'_> {
 }
 
 impl Address {
-    /// What its transport means for the protocol.
+    /// Properties of the transport.
     #[must_use]
     pub const fn properties(&self) -> LinkProperties {
         match self {
@@ -132,13 +123,13 @@ impl Address {
         }
     }
 
-    /// Why devices at these two addresses can't be served together, and what to do about it.
+    /// Reason and remedy if the two addresses cannot be used at the same time.
     #[must_use]
     pub fn conflict_with(&self, other: &Self) -> Option<String> {
         let is_one_device = match (self, other) {
             (Self::Udp(one), Self::Udp(other)) if one.local_port == other.local_port => {
                 let port = one.local_port;
-                let remedy = "give each a local_port of its own, and set the same on the device";
+                let remedy = "use a separate local_port for each, and set the same port on the device";
                 return Some(format!("both listen on UDP port {port}: {remedy}"));
             }
             (Self::Can(one), Self::Can(other)) => return one.conflict_with(other),
@@ -147,15 +138,14 @@ impl Address {
             (Self::Serial(one), Self::Serial(other)) => one.path == other.path,
             _ => false,
         };
-        let remedy = "give each an address of its own, or leave one out";
-        is_one_device.then(|| format!("both are at {self}, and a device has one client: {remedy}"))
+        let remedy = "use separate addresses, or remove one";
+        is_one_device.then(|| format!("both are at {self}, but a device accepts only one client: {remedy}"))
     }
 
-    /// Connects. Only TCP asks the device; the others are ready once there is something to send by.
+    /// Opens a pipe. Only TCP contacts the device; other transports are ready once the local port is open.
     ///
     /// # Errors
-    /// As the operating system says, with what to do about it, or that it took longer than
-    /// [`super::CONNECT_WITHIN`].
+    /// The operating system's error with a remedy, or a timeout after [`super::CONNECT_WITHIN`].
     pub async fn connect(&self) -> io::Result<Pipe> {
         match self {
             Self::Tcp(address) => address.connect().await,

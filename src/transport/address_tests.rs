@@ -1,7 +1,7 @@
 use super::*;
 
 #[test]
-fn a_url_and_back() {
+fn urls_survive_a_round_trip() {
     for (text, written) in [
         ("tcp://192.168.1.20:1000", "tcp://192.168.1.20:1000"),
         ("tcp://gripper.cell7", "tcp://gripper.cell7:1000"),
@@ -28,13 +28,13 @@ fn mistake(text: &str, parts: &[&str]) {
 }
 
 #[test]
-fn a_mistake_is_named_with_its_remedy() {
+fn errors_name_mistake_and_remedy() {
     mistake("192.168.1.20:1000", &["tcp://192.168.1.20:1000"]);
-    mistake("http://host", &["no transport", "tcp, udp, serial, can"]);
+    mistake("http://host", &["unknown transport", "tcp, udp, serial, can"]);
     mistake("tcp://host:0", &["port 0"]);
     mistake("tcp://:1000", &["tcp://"]);
     mistake("tcp://host:70000", &["port"]);
-    mistake("tcp://user@host", &["no user"]);
+    mistake("tcp://user@host", &["user and password"]);
     mistake("tcp://host#there", &["#"]);
     mistake("udp://0.0.0.0", &["0.0.0.0 is the unspecified address", "udp://192.168.1.20:1500"]);
     mistake("udp://[::]", &[":: is the unspecified address"]);
@@ -42,15 +42,15 @@ fn a_mistake_is_named_with_its_remedy() {
     mistake("udp://[ff02::1]", &["ff02::1 is a multicast address"]);
     mistake("udp://255.255.255.255", &["255.255.255.255 is the broadcast address"]);
     mistake("serial://ttyUSB0", &["three slashes", "serial:///dev/ttyUSB0"]);
-    mistake("serial:///", &["no port"]);
-    mistake("serial:ttyUSB0", &["no port"]);
+    mistake("serial:///", &["port is missing"]);
+    mistake("serial:ttyUSB0", &["port is missing"]);
     mistake("can://", &["can0"]);
-    mistake("can://an-interface-with-a-long-name", &["no interface"]);
+    mistake("can://an-interface-with-a-long-name", &["interface is missing or invalid"]);
 }
 
 #[test]
-fn an_option_is_named_with_what_is_allowed() {
-    mistake("tcp://host:1000?baud=9600", &["\"baud\"", "there are: none"]);
+fn option_errors_name_allowed_values() {
+    mistake("tcp://host:1000?baud=9600", &["\"baud\"", "known options: none"]);
     mistake("udp://host?port=1", &["\"port\"", "local_port"]);
     mistake("udp://host?local_port=0", &["local_port=0", "1 to 65535"]);
     mistake("udp://host?local_port=1&local_port=2", &["local_port is given twice"]);
@@ -64,7 +64,7 @@ fn an_option_is_named_with_what_is_allowed() {
 }
 
 #[test]
-fn only_tcp_has_connections_and_slow_lines_know_how_slow_they_are() {
+fn properties_give_connections_and_line_rates() {
     let properties = |text: &str| text.parse::<Address>().unwrap().properties();
     assert!(properties("tcp://h").connection_oriented);
     for (text, bytes_per_second) in [
@@ -80,18 +80,18 @@ fn only_tcp_has_connections_and_slow_lines_know_how_slow_they_are() {
 }
 
 #[test]
-fn addresses_that_exclude_each_other_say_why() {
+fn conflicting_addresses_give_reason() {
     let conflict = |one: &str, other: &str| {
         let [one, other] = [one, other].map(|text| text.parse::<Address>().unwrap());
         let why = one.conflict_with(&other);
-        assert_eq!(why.is_some(), other.conflict_with(&one).is_some(), "{one} {other}: whichever comes first");
+        assert_eq!(why.is_some(), other.conflict_with(&one).is_some(), "{one} {other}: in either order");
         why.unwrap_or_default()
     };
     for (one, other, why) in [
-        ("tcp://h", "tcp://h:1000", "both are at tcp://h:1000, and a device has one client"),
+        ("tcp://h", "tcp://h:1000", "both are at tcp://h:1000, but a device accepts only one client"),
         ("udp://h?local_port=5", "udp://i?local_port=5", "both listen on UDP port 5"),
-        ("udp://h?local_port=5", "udp://h?local_port=6", "a device has one client"),
-        ("serial:///dev/ttyS0", "serial:///dev/ttyS0?baud=9600", "a device has one client"),
+        ("udp://h?local_port=5", "udp://h?local_port=6", "a device accepts only one client"),
+        ("serial:///dev/ttyS0", "serial:///dev/ttyS0?baud=9600", "a device accepts only one client"),
         ("can://can0?tx=1&rx=2", "can://can0?tx=1&rx=3", "the id 0x1 on can0"),
         ("can://can0?tx=1&rx=2", "can://can0?tx=3&rx=2", "the id 0x2 on can0"),
         ("can://can0?tx=1&rx=2", "can://can0?tx=2&rx=3", "the id 0x2 on can0"),
@@ -111,10 +111,10 @@ fn addresses_that_exclude_each_other_say_why() {
 }
 
 #[tokio::test]
-async fn a_port_or_an_interface_that_is_not_there_is_answered_with_those_that_are() {
+async fn missing_port_or_interface_lists_available_ones() {
     let refused = async |text: &str| text.parse::<Address>().unwrap().connect().await.unwrap_err().to_string();
     let serial = refused("serial:///dev/ttyNONE9").await;
-    assert!(serial.contains("/dev/ttyNONE9 is not there; "), "{serial}");
+    assert!(serial.contains("/dev/ttyNONE9 does not exist; "), "{serial}");
     let can = refused("can://nocan9").await;
-    assert!(can.contains("nocan9 cannot be opened") && (can.contains("no CAN") || can.contains("there are")), "{can}");
+    assert!(can.contains("nocan9 cannot be opened") && (can.contains("no CAN") || can.contains("available")), "{can}");
 }

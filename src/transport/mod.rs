@@ -1,7 +1,7 @@
-//! Byte pipes to devices. Knows nothing of the protocol.
+//! Byte pipes to devices, independent of the protocol.
 //!
-//! An [`Address`] is where a device is, as a URL; [`Address::connect`] makes a [`Pipe`] to it. One write to a pipe's
-//! writer is one frame, for the transports that care; one flush is its way through the line, for those that are slow.
+//! An [`Address`] is a device's URL, and [`Address::connect`] opens a [`Pipe`] to the device. Each write to the pipe's
+//! writer must be one frame. On slow lines, a flush completes once the frame has been transmitted.
 
 mod address;
 pub mod can;
@@ -26,15 +26,15 @@ pub use serial::SerialAddress;
 pub use tcp::TcpAddress;
 pub use udp::UdpAddress;
 
-/// How long connecting may take before it counts as failed.
+/// Time limit for connecting.
 pub const CONNECT_WITHIN: Duration = Duration::from_secs(3);
 
 /// A connection to a device.
 pub struct Pipe {
-    /// What the device sends. An end of file, like an error, is the end of the link.
+    /// Bytes from the device. End of file, like an error, is the end of the link.
     pub reader: Box<dyn AsyncRead + Send + Unpin>,
-    /// What the device is sent: a frame a write. A flush ends when the frame is on the line, so that nothing waits in a
-    /// buffer where it can't be overtaken any more.
+    /// Bytes to the device, one frame per write. A flush ends when the frame is on the line, so that no frame waits in
+    /// a buffer where a FAST STOP cannot overtake it.
     pub writer: Box<dyn AsyncWrite + Send + Unpin>,
 }
 
@@ -44,34 +44,34 @@ impl fmt::Debug for Pipe {
     }
 }
 
-/// What a transport means for the protocol on it.
+/// Properties of a transport that matter to the protocol.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct LinkProperties {
-    /// The scheme of its URLs.
+    /// URL scheme.
     pub name: &'static str,
-    /// Whether the device notices the connection's end: FAST STOP unless it was announced (`fw4-en 3.1.2`).
+    /// Whether the device detects the end of the connection: a FAST STOP unless announced (`fw4-en 3.1.2`).
     pub connection_oriented: bool,
-    /// How fast the line is, where that matters.
+    /// Line rate, or `None` if it does not matter.
     pub bytes_per_second: Option<u32>,
-    /// Whether a frame may come twice.
+    /// Whether frames can be duplicated.
     pub may_duplicate: bool,
-    /// How long a frame's bytes may stop coming, beyond their line time, before the frame is given up.
+    /// Time limit, beyond the line time, after which an incomplete frame is given up.
     pub frame_gap: Duration,
 }
 
-/// The host and the port of a URL that has nothing else but options.
+/// Host and port of a URL. Apart from options, other parts are an error.
 fn host_of(url: &Url, default_port: u16) -> Result<(String, u16), String> {
-    let host = url.host_str().filter(|host| !host.is_empty()).ok_or("it names no host")?;
+    let host = url.host_str().filter(|host| !host.is_empty()).ok_or("the host is missing")?;
     let port = url.port().unwrap_or(default_port);
     if port == 0 {
-        return Err("port 0 cannot be connected to".to_owned());
+        return Err("port 0 is not valid".to_owned());
     }
     if !url.username().is_empty() || url.password().is_some() {
-        return Err("a device has no user and no password".to_owned());
+        return Err("user and password are not supported".to_owned());
     }
     if !matches!(url.path(), "" | "/") {
-        return Err("nothing but options may stand behind the port".to_owned());
+        return Err("only options can follow the port".to_owned());
     }
-    // A URL has an IPv6 address in brackets; a socket address has not.
+    // An IPv6 address has brackets in a URL, but not in a socket address.
     Ok((host.trim_start_matches('[').trim_end_matches(']').to_owned(), port))
 }

@@ -1,44 +1,41 @@
-//! The options behind a URL's `?`: each known, given once, and in its range, or named in the error with what is allowed.
+//! Options after the `?` of a URL. Unknown, repeated and out-of-range options give errors that list allowed values.
 
 use std::fmt::Display;
 use std::ops::RangeInclusive;
 
 use url::Url;
 
-/// The options of one URL.
+/// Options of one URL.
 #[derive(Debug)]
 pub struct Options(Vec<(String, String)>);
 
 impl Options {
-    /// Of this URL, whose transport knows these.
+    /// Parses the options of `url`.
     ///
     /// # Errors
-    /// Which option is not known, or given twice, and which there are.
+    /// An option is not in `known`, or is given twice.
     pub fn of(url: &Url, known: &[&str]) -> Result<Self, String> {
         let mut options: Vec<(String, String)> = Vec::new();
         for (name, value) in url.query_pairs() {
             if !known.contains(&&*name) {
                 let there_are = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
-                return Err(format!("there is no option {name:?} for {}; there are: {there_are}", url.scheme()));
+                return Err(format!("unknown option {name:?} for {}; known options: {there_are}", url.scheme()));
             }
             if options.iter().any(|(given, _)| *given == name) {
-                return Err(format!("the option {name} is given twice"));
+                return Err(format!("option {name} is given twice"));
             }
             options.push((name.into_owned(), value.into_owned()));
         }
         Ok(Self(options))
     }
 
-    /// An option's text, where it was given.
+    /// Text of an option, if given.
     #[must_use]
     pub fn text(&self, name: &str) -> Option<&str> {
         self.0.iter().find(|(given, _)| given == name).map(|(_, value)| value.as_str())
     }
 
-    /// A decimal number, or one in hexadecimal behind `0x`, from a range.
-    ///
-    /// # Errors
-    /// What it may be.
+    /// Decimal or (with `0x`) hexadecimal number in a range.
     pub fn number(&self, name: &str, allowed: RangeInclusive<u32>) -> Result<Option<u32>, String> {
         let Some(text) = self.text(name) else { return Ok(None) };
         let number = match text.strip_prefix("0x").or_else(|| text.strip_prefix("0X")) {
@@ -52,18 +49,12 @@ impl Options {
         })
     }
 
-    /// A port, 1 to 65535.
-    ///
-    /// # Errors
-    /// What it may be.
+    /// Port from 1 to 65535.
     pub fn port(&self, name: &str) -> Result<Option<u16>, String> {
         Ok(self.number(name, 1..=u32::from(u16::MAX))?.map(|port| port as u16))
     }
 
-    /// One of a few numbers.
-    ///
-    /// # Errors
-    /// Which there are.
+    /// One of the `allowed` numbers.
     pub fn one_of(&self, name: &str, allowed: &[u32]) -> Result<Option<u32>, String> {
         let Some(text) = self.text(name) else { return Ok(None) };
         let number = text.parse().ok().filter(|number| allowed.contains(number));
@@ -71,7 +62,7 @@ impl Options {
     }
 }
 
-/// A bound, written as what was given was written.
+/// Formats a bound in the base of `text`.
 fn like(text: &str, bound: u32) -> String {
     if text.starts_with("0x") || text.starts_with("0X") { format!("{bound:#X}") } else { bound.to_string() }
 }

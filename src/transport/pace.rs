@@ -1,4 +1,4 @@
-//! Pacing: when what was handed to a line has left it, where nothing better says so.
+//! Estimates when bytes have left a line, for transports that cannot report it.
 
 use std::future::Future;
 use std::pin::Pin;
@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use tokio::time::{Instant, Sleep};
 
-/// Reckons how long a line is busy, and waits for it.
+/// Estimates how long a line is busy, and waits until it is free.
 #[derive(Debug)]
 pub struct Pacer {
     bytes_per_second: u32,
@@ -16,13 +16,12 @@ pub struct Pacer {
 }
 
 impl Pacer {
-    /// Of a line that carries so much.
     #[must_use]
     pub fn new(bytes_per_second: u32) -> Self {
         Self { bytes_per_second: bytes_per_second.max(1), busy_until: None, sleep: None }
     }
 
-    /// So many bytes were handed to the line.
+    /// Adds the line time of `bytes` bytes.
     pub fn wrote(&mut self, bytes: usize) {
         let now = Instant::now();
         let from = self.busy_until.map_or(now, |until| until.max(now));
@@ -30,19 +29,19 @@ impl Pacer {
         self.sleep = None;
     }
 
-    /// How long so many bytes take.
+    /// Line time of `bytes` bytes.
     #[must_use]
     pub fn line_time(&self, bytes: usize) -> Duration {
         Duration::from_secs_f64(bytes as f64 / f64::from(self.bytes_per_second))
     }
 
-    /// Not before this time from now.
+    /// Keeps the line busy until `time` from now.
     pub fn hold(&mut self, time: Duration) {
         self.busy_until = Some(Instant::now() + time);
         self.sleep = None;
     }
 
-    /// Ready once the line is free.
+    /// Is ready once the line is free.
     pub fn poll_free(&mut self, cx: &mut Context<'_>) -> Poll<()> {
         let Some(until) = self.busy_until.filter(|until| *until > Instant::now()) else {
             self.busy_until = None;

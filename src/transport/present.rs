@@ -1,31 +1,31 @@
-//! What serial ports and CAN interfaces this machine has, for whoever named one that it hasn't.
+//! Serial ports and CAN interfaces of this machine, for errors about missing ones.
 
 use std::fs;
 use std::path::Path;
 
-/// So many are listed at most: more would hide the message that they are a part of.
+/// Limit of listed names, so that the list does not bury the rest of the message.
 const MAX_LISTED: usize = 12;
 
-/// What serial ports are called on Linux, those that are plugged in first: USB to serial, USB modems, ARM, i.MX, OMAP,
-/// Tegra, Bluetooth, on-board.
+/// Names of serial ports on Linux, pluggable ones first: USB to serial, USB modems, ARM, i.MX, OMAP, Tegra, Bluetooth,
+/// on-board.
 const SERIAL_NAMES: [&str; 8] = ["ttyUSB", "ttyACM", "ttyAMA", "ttymxc", "ttyO", "ttyTHS", "rfcomm", "ttyS"];
 
-/// What the kernel calls a port that it has a name for, and no hardware (`PORT_UNKNOWN`).
+/// Kernel's type of a port without hardware (`PORT_UNKNOWN`).
 const NO_HARDWARE: &str = "0";
 
-/// The kernel's number for a CAN interface (`ARPHRD_CAN`).
+/// Kernel's type of a CAN interface (`ARPHRD_CAN`).
 const CAN_HARDWARE: &str = "280";
 
-/// IFF_UP, in an interface's flags.
+/// Bit `IFF_UP` of an interface's flags.
 const UP: u32 = 1;
 
-/// E.g. "there are: /dev/ttyUSB0, /dev/ttyS0".
+/// E.g. "available: /dev/ttyUSB0, /dev/ttyS0".
 pub(super) fn serial_ports() -> String {
     let ports = ports(Path::new("/dev"), Path::new("/sys/class/tty"));
-    list("no serial port is there: is the adapter plugged in?", ports)
+    list("no serial port found: check that the adapter is plugged in", ports)
 }
 
-/// Those by their ids, which stay the same, then all by their numbers.
+/// Lists ports by their stable ids first, then all ports by their numbers.
 fn ports(devices: &Path, classes: &Path) -> Vec<String> {
     let by_id = devices.join("serial/by-id");
     let mut ports: Vec<_> = names(&by_id).iter().map(|name| by_id.join(name)).collect();
@@ -41,28 +41,27 @@ fn ports(devices: &Path, classes: &Path) -> Vec<String> {
     ports.iter().map(|port| port.display().to_string()).collect()
 }
 
-/// E.g. "there are: can0 (down), vcan0".
+/// E.g. "available: can0 (down), vcan0".
 pub(super) fn can_interfaces() -> String {
     let interfaces = names(Path::new(INTERFACES)).into_iter().filter(|name| is_can(name));
     let described = interfaces.map(|name| if is_up(&name) { name } else { format!("{name} (down)") });
-    list("no CAN interface is there: is the adapter plugged in, and its driver loaded?", described.collect())
+    list("no CAN interface found: check that the adapter is plugged in and its driver loaded", described.collect())
 }
 
 const INTERFACES: &str = "/sys/class/net";
 
-/// Whether there is a CAN interface of this name.
+/// Whether a CAN interface of this name exists.
 pub(super) fn is_can(name: &str) -> bool {
     attribute(name, "type").is_some_and(|hardware| hardware == CAN_HARDWARE)
 }
 
-/// Whether an interface is up.
 pub(super) fn is_up(name: &str) -> bool {
     let flags = attribute(name, "flags");
     let flags = flags.and_then(|flags| u32::from_str_radix(flags.trim_start_matches("0x"), 16).ok());
     flags.is_some_and(|flags| flags & UP != 0)
 }
 
-/// Whether there is no hardware behind an interface.
+/// Whether an interface has no hardware.
 pub(super) fn is_virtual(name: &str) -> bool {
     !Path::new(INTERFACES).join(name).join("device").exists()
 }
@@ -89,7 +88,7 @@ fn list(none: &str, mut names: Vec<String>) -> String {
     let more = names.len().saturating_sub(MAX_LISTED);
     names.truncate(MAX_LISTED);
     let and_more = if more > 0 { format!(" and {more} more") } else { String::new() };
-    format!("there are: {}{and_more}", names.join(", "))
+    format!("available: {}{and_more}", names.join(", "))
 }
 
 #[cfg(test)]
@@ -97,7 +96,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_plugged_in_comes_first_and_ports_without_hardware_not_at_all() {
+    fn lists_pluggable_ports_first_and_omits_ports_without_hardware() {
         let root = std::env::temp_dir().join(format!("wsg-ports-{}", std::process::id()));
         let file = |path: &str, text: &str| {
             let path = root.join(path);

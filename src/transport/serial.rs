@@ -1,8 +1,8 @@
-//! RS-232: 8 data bits, no parity, 1 or 2 stop bits; 115200 baud is common (field practice: the manuals name neither).
+//! RS-232 transport: 8 data bits, no parity, 1 or 2 stop bits; 115200 baud is common (field practice; the manuals name
+//! neither).
 //!
-//! A slow line makes latency: what lies in the kernel's buffer can't be overtaken any more, at 9600 baud not for tens
-//! of milliseconds. So the writer's flush ends only when the line has drained, and whoever flushes after each frame
-//! never has more than one in the kernel.
+//! A FAST STOP cannot overtake bytes in the kernel's buffer, which take tens of milliseconds at 9600 baud. So a flush
+//! ends only when the line has drained, and a flush after each frame keeps at most one frame in the kernel.
 
 use std::fmt;
 use std::io;
@@ -20,26 +20,26 @@ use super::options::Options;
 use super::pace::Pacer;
 use super::{CONNECT_WITHIN, LinkProperties, Pipe, present};
 
-/// The bit rate unless it is said (field practice).
+/// Default bit rate (field practice).
 const DEFAULT_BAUD: u32 = 115_200;
 
-/// The bit rates that devices have (field practice).
+/// Bit rates of devices (field practice).
 const BAUDS: [u32; 10] = [1200, 2400, 4800, 9600, 19_200, 38_400, 57_600, 115_200, 230_400, 460_800];
 
-/// A USB adapter gathers what it receives for 16 ms, and a busy host adds to that.
+/// A USB adapter buffers received bytes for 16 ms, and a busy host adds to the delay.
 const FRAME_GAP: Duration = Duration::from_millis(100);
 
-/// How often the kernel is asked whether its buffer is empty, once it should be.
+/// Shortest interval between checks whether the kernel's buffer is empty.
 const DRAINS_WITHIN: Duration = Duration::from_millis(1);
 
-/// A serial port and how its device is set up.
+/// A serial port with its line settings.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct SerialAddress {
-    /// E.g. `/dev/ttyUSB0`. A link in `/dev/serial/by-id` stays the same when adapters change places.
+    /// Device file, e.g. `/dev/ttyUSB0`. A link in `/dev/serial/by-id` stays the same if adapters swap ports.
     pub path: String,
-    /// Bits per second, 1200 to 460800; 115200 by default.
+    /// Bit rate in bits per second, 1200 to 460800; 115200 by default.
     pub baud: u32,
-    /// 1 or 2; 1 by default.
+    /// Number of stop bits, 1 or 2; 1 by default.
     pub stop_bits: u8,
 }
 
@@ -47,18 +47,18 @@ impl SerialAddress {
     pub(super) fn parse(url: &Url) -> Result<Self, String> {
         let options = Options::of(url, &["baud", "stop_bits"])?;
         if url.has_host() && url.host_str().is_some_and(|host| !host.is_empty()) {
-            return Err("a serial port is a path: with three slashes it begins at the root".to_owned());
+            return Err("a serial port is an absolute path: write three slashes".to_owned());
         }
         let path = url.path();
         if !path.starts_with('/') || path.len() < 2 || path.contains('%') {
-            return Err("it names no port: a path from the root, without special characters".to_owned());
+            return Err("the serial port is missing: expected an absolute path without special characters".to_owned());
         }
         let baud = options.one_of("baud", &BAUDS)?.unwrap_or(DEFAULT_BAUD);
         let stop_bits = options.one_of("stop_bits", &[1, 2])?.unwrap_or(1) as u8;
         Ok(Self { path: path.to_owned(), baud, stop_bits })
     }
 
-    /// How fast its line is: a start bit, 8 data bits and the stop bits make a byte.
+    /// Line rate: a byte takes a start bit, 8 data bits and the stop bits.
     #[must_use]
     pub const fn bytes_per_second(&self) -> u32 {
         self.baud / (1 + 8 + self.stop_bits as u32)
@@ -75,7 +75,7 @@ impl SerialAddress {
     }
 
     pub(super) async fn connect(&self) -> io::Result<Pipe> {
-        // Opening may wait for an adapter, which must not hold up the other grippers.
+        // Opening can block on an adapter, which must not delay other grippers.
         let address = self.clone();
         let opening = tokio::task::spawn_blocking(move || address.open());
         let opened = tokio::time::timeout(CONNECT_WITHIN, opening).await.map_err(|_| {
@@ -98,7 +98,7 @@ impl SerialAddress {
             .stop_bits(stop_bits)
             .flow_control(FlowControl::None);
         let stream = SerialStream::open(&builder).map_err(|error| self.explain(&error.into()))?;
-        // What came before is half a frame at best. A pty can't say; then it is resynchronised.
+        // Old input is half a frame at best. If clearing it fails, as on a pty, the decoder resynchronises.
         let _ = stream.clear(ClearBuffer::Input);
         Ok(stream)
     }
@@ -107,13 +107,13 @@ impl SerialAddress {
         let path = &self.path;
         let detail = if error.kind() == io::ErrorKind::PermissionDenied {
             format!(
-                "{path} may not be opened ({error}): add the user that the gateway runs as to the group that owns it, \
-                 mostly dialout: sudo usermod -aG dialout USER, and start the gateway again"
+                "no permission to open {path} ({error}): add the gateway's user to the group of the port, usually \
+                 dialout (sudo usermod -aG dialout USER), and restart the gateway"
             )
         } else if !Path::new(path).exists() {
-            format!("{path} is not there; {}", present::serial_ports())
+            format!("{path} does not exist; {}", present::serial_ports())
         } else if error.kind() == io::ErrorKind::NotFound || error.kind() == io::ErrorKind::WouldBlock {
-            format!("{path} is in use ({error}): end the other program that has it open")
+            format!("{path} is in use ({error}): close the other program")
         } else {
             format!("{path} cannot be opened ({error}); {}", present::serial_ports())
         };
@@ -130,7 +130,7 @@ impl fmt::Display for SerialAddress {
 type Port = Arc<Mutex<SerialStream>>;
 
 fn locked(port: &Port) -> MutexGuard<'_, SerialStream> {
-    // Nothing panics while it holds the lock; if it did, the port would still be a port.
+    // No code panics while holding the lock; even then, the port would remain usable.
     port.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
@@ -150,9 +150,9 @@ impl AsyncRead for Reader {
     }
 }
 
-/// The operating system's word for an adapter that was pulled is an error of input or output.
+/// Explains the I/O error that the operating system reports for an unplugged adapter.
 fn gone(path: &str, error: &io::Error) -> io::Error {
-    io::Error::new(error.kind(), format!("{path} is gone ({error}): was its adapter pulled?"))
+    io::Error::new(error.kind(), format!("{path} is gone ({error}): check that the adapter is plugged in"))
 }
 
 struct Writer {
@@ -169,8 +169,8 @@ impl AsyncWrite for Writer {
         Poll::Ready(Ok(written))
     }
 
-    /// Ready once the line has drained. Both ways of knowing are needed: a pty says at once that its buffer is empty,
-    /// and a line that is held up takes longer than reckoned.
+    /// Is ready once the line has drained, by estimate and by the kernel's buffer. A pty reports an empty buffer at
+    /// once, and a delayed line takes longer than estimated.
     fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
         loop {
             ready!(self.pacer.poll_free(cx));

@@ -6,7 +6,7 @@ use tokio::time::{sleep, timeout};
 
 use super::*;
 
-/// A pty's master, and the name of its slave.
+/// Master of a pty, and the path of its slave.
 fn pty() -> (std::fs::File, String) {
     let master = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY).unwrap();
     grantpt(&master).unwrap();
@@ -34,18 +34,18 @@ async fn bytes_pass_both_ways_unchanged() {
 }
 
 #[tokio::test]
-async fn a_flush_takes_as_long_as_the_line() {
+async fn flush_waits_for_the_line() {
     let (_master, path) = pty();
     let mut pipe = address(path, 9600).connect().await.unwrap();
     let begun = Instant::now();
     pipe.writer.write_all(&[0; 48]).await.unwrap();
-    assert!(begun.elapsed() < Duration::from_millis(25), "writing itself does not wait");
+    assert!(begun.elapsed() < Duration::from_millis(25), "a write alone does not wait");
     pipe.writer.flush().await.unwrap();
     assert!(begun.elapsed() >= Duration::from_millis(50), "48 bytes at 960 a second: {:?}", begun.elapsed());
 }
 
 #[tokio::test]
-async fn a_port_is_ours_alone() {
+async fn port_is_opened_exclusively() {
     let (_master, path) = pty();
     let first = address(path.clone(), 9600).connect().await.unwrap();
     let error = address(path.clone(), 9600).connect().await.unwrap_err().to_string();
@@ -55,7 +55,7 @@ async fn a_port_is_ours_alone() {
 }
 
 #[tokio::test]
-async fn a_pulled_adapter_is_an_error_that_names_the_port_and_not_an_end_of_file() {
+async fn unplugged_adapter_gives_error_with_port_name() {
     let (master, path) = pty();
     let mut pipe = address(path.clone(), 9600).connect().await.unwrap();
     let pulling = async {

@@ -1,4 +1,4 @@
-//! TCP: a device listens on port 1000, and has one client at a time.
+//! TCP transport. A device listens on port 1000 and accepts one client at a time.
 
 use std::io;
 use std::time::Duration;
@@ -9,19 +9,19 @@ use url::Url;
 use super::options::Options;
 use super::{CONNECT_WITHIN, LinkProperties, Pipe, host_of};
 
-/// The port that devices listen on (field practice; the manuals name none).
+/// Port that devices listen on (field practice; the manuals name none).
 const DEFAULT_PORT: u16 = 1000;
 
-/// A device's TCP endpoint.
+/// TCP endpoint of a device.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TcpAddress {
-    /// A name or an address.
+    /// Host name or IP address.
     pub host: String,
-    /// 1000 by default.
+    /// TCP port, 1000 by default.
     pub port: u16,
 }
 
-/// A lost segment is repeated after 200 ms or more, and then its frame is late, not damaged.
+/// Covers a lost segment, which TCP retransmits after 200 ms or more: its frame is late, not damaged.
 const FRAME_GAP: Duration = Duration::from_millis(500);
 
 pub(super) const PROPERTIES: LinkProperties = LinkProperties {
@@ -45,7 +45,7 @@ impl TcpAddress {
             let waited = CONNECT_WITHIN.as_secs();
             io::Error::new(io::ErrorKind::TimedOut, format!("no connection within {waited} s"))
         })??;
-        // A frame is small and urgent: it must not wait for the acknowledge of the one before.
+        // A small urgent frame must not wait for the acknowledgement of the previous one.
         stream.set_nodelay(true)?;
         let (reader, writer) = stream.into_split();
         Ok(Pipe { reader: Box::new(reader), writer: Box::new(writer) })

@@ -1,8 +1,8 @@
-//! UDP: a device listens on port 1500 and answers to a port that is configured on it, commonly 1501, whatever the
-//! sender's port was; one frame a datagram (field practice: the manuals say no more than that there is UDP).
+//! UDP transport, one frame per datagram. A device listens on port 1500 and replies to a port configured on it,
+//! commonly 1501, regardless of the sender's port (field practice; the manuals only mention UDP).
 //!
-//! What a sender can't rely on costs no more than the frame it hits: a datagram that is lost, late or there twice is a
-//! frame that is lost, late or there twice, which the session knows. What comes from another address is not believed.
+//! A lost, late or duplicate datagram is a lost, late or duplicate frame, which the session handles. Datagrams from
+//! other addresses are ignored.
 
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
@@ -19,17 +19,16 @@ use url::Url;
 use super::options::Options;
 use super::{CONNECT_WITHIN, LinkProperties, Pipe, host_of};
 
-/// The port that devices listen on (field practice; the manuals name none).
+/// Port that devices listen on (field practice; the manuals name none).
 const DEFAULT_PORT: u16 = 1500;
 
-/// The port that devices answer to (field practice).
+/// Port that devices reply to (field practice).
 const DEFAULT_LOCAL_PORT: u16 = 1501;
 
-/// A datagram has its whole frame or none of it: the rest of one that was cut short never comes. This is only so long
-/// that a frame in two datagrams, which nobody is known to send, would still be one.
+/// A datagram contains its whole frame, so the rest of a truncated one never arrives. The gap still allows for a frame
+/// in two datagrams, although no known device sends one.
 const FRAME_GAP: Duration = Duration::from_millis(20);
 
-/// The longest datagram there can be.
 const MAX_DATAGRAM_BYTES: usize = 65_535;
 
 pub(super) const PROPERTIES: LinkProperties = LinkProperties {
@@ -40,19 +39,19 @@ pub(super) const PROPERTIES: LinkProperties = LinkProperties {
     frame_gap: FRAME_GAP,
 };
 
-/// A device's UDP endpoint.
+/// UDP endpoint of a device.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct UdpAddress {
-    /// A name or an address.
+    /// Host name or IP address.
     pub host: String,
-    /// Where the device listens; 1500 by default.
+    /// Port that the device listens on, 1500 by default.
     pub port: u16,
-    /// Where it answers to; 1501 by default.
+    /// Local port that the device replies to, 1501 by default.
     pub local_port: u16,
     attempts: Attempts,
 }
 
-/// How often a connection was tried. No part of where a device is.
+/// Number of connection attempts. Not part of the address: equality ignores it, and clones reset it.
 #[derive(Debug, Default)]
 struct Attempts(AtomicUsize);
 
@@ -71,7 +70,7 @@ impl PartialEq for Attempts {
 impl Eq for Attempts {}
 
 impl UdpAddress {
-    /// A device that listens at this host and port, and answers to this port here.
+    /// Address of a device that listens at `host` and `port`, and replies to `local_port`.
     #[must_use]
     pub fn new(host: String, port: u16, local_port: u16) -> Self {
         Self { host, port, local_port, attempts: Attempts::default() }
@@ -82,7 +81,7 @@ impl UdpAddress {
         let (host, port) = host_of(url, DEFAULT_PORT)?;
         let local_port = options.port("local_port")?.unwrap_or(DEFAULT_LOCAL_PORT);
         if let Some(kind) = host.parse().ok().and_then(kind_of_no_device) {
-            return Err(format!("{host} is {kind}, and a device has an address of its own"));
+            return Err(format!("{host} is {kind}; use the device's own address"));
         }
         Ok(Self::new(host, port, local_port))
     }
@@ -91,7 +90,10 @@ impl UdpAddress {
         let lookup = tokio::net::lookup_host((self.host.as_str(), self.port));
         let addresses = tokio::time::timeout(CONNECT_WITHIN, lookup).await.map_err(|_| {
             let waited = CONNECT_WITHIN.as_secs();
-            io::Error::new(io::ErrorKind::TimedOut, format!("{:?} could not be looked up within {waited} s", self.host))
+            io::Error::new(
+                io::ErrorKind::TimedOut,
+                format!("host name {:?} was not resolved within {waited} s", self.host),
+            )
         })??;
         let device = self.choose(addresses).await?;
         let socket = UdpSocket::bind((any(device), self.local_port)).await.map_err(|error| self.explain(&error))?;
@@ -100,8 +102,7 @@ impl UdpAddress {
         Ok(Pipe { reader: Box::new(reader), writer: Box::new(Sender { socket, device }) })
     }
 
-    /// One of a name's addresses that can be sent to, another one at each attempt: only silence tells that the device
-    /// isn't there.
+    /// Chooses the next usable address of the host at each attempt, because UDP reports no failed connection.
     async fn choose(&self, addresses: impl Iterator<Item = SocketAddr>) -> io::Result<SocketAddr> {
         let (mut usable, mut unusable) = (Vec::new(), Vec::new());
         for address in addresses {
@@ -111,7 +112,7 @@ impl UdpAddress {
             }
         }
         if usable.is_empty() {
-            let detail = format!("{:?} has no address that can be sent to: {}", self.host, unusable.join(", "));
+            let detail = format!("host {:?} has no usable address: {}", self.host, unusable.join(", "));
             return Err(io::Error::new(io::ErrorKind::AddrNotAvailable, detail));
         }
         let attempt = self.attempts.0.fetch_add(1, Ordering::Relaxed);
@@ -122,22 +123,22 @@ impl UdpAddress {
         let port = self.local_port;
         let remedy = match error.kind() {
             io::ErrorKind::AddrInUse => {
-                "another program, or another gripper, has it: give each gripper a local_port of its own, and set the \
-                 same on the device"
+                "another program or gripper uses the port: use a separate local_port for each gripper, and set the \
+                 same port on the device"
             }
-            io::ErrorKind::PermissionDenied => "ports below 1024 need a privilege: choose a higher local_port",
-            _ => "choose another local_port, and set the same on the device",
+            io::ErrorKind::PermissionDenied => "ports below 1024 require privileges: use a higher local_port",
+            _ => "use another local_port, and set the same port on the device",
         };
         io::Error::new(error.kind(), format!("cannot listen on UDP port {port} ({error}): {remedy}"))
     }
 }
 
-/// What listens on all addresses of this one's family.
+/// The unspecified address of the same family, to listen on all interfaces.
 fn any(address: SocketAddr) -> IpAddr {
     if address.is_ipv4() { Ipv4Addr::UNSPECIFIED.into() } else { Ipv6Addr::UNSPECIFIED.into() }
 }
 
-/// What an address is that no single device has.
+/// Kind of an address that no single device can have, or `None`.
 fn kind_of_no_device(address: IpAddr) -> Option<&'static str> {
     match address.to_canonical() {
         address if address.is_unspecified() => Some("the unspecified address"),
@@ -147,24 +148,22 @@ fn kind_of_no_device(address: IpAddr) -> Option<&'static str> {
     }
 }
 
-/// Whether an address can be sent to. Nothing is sent: the kernel looks for a way there, and knows its networks'
-/// broadcast addresses.
+/// Checks that an address is usable. Sends nothing: the kernel looks up a route, and rejects broadcast addresses.
 async fn try_out(address: SocketAddr) -> io::Result<()> {
     if let Some(kind) = kind_of_no_device(address.ip()) {
         return Err(io::Error::new(io::ErrorKind::InvalidInput, kind));
     }
     let probe = UdpSocket::bind((any(address), 0)).await?;
     probe.connect(address).await.map_err(|error| match error.kind() {
-        io::ErrorKind::PermissionDenied => io::Error::new(error.kind(), "a broadcast address, or one that is blocked"),
+        io::ErrorKind::PermissionDenied => io::Error::new(error.kind(), "a broadcast or blocked address"),
         _ => error,
     })
 }
 
-/// What the device sends.
 struct Datagrams {
     socket: Arc<UdpSocket>,
     device: IpAddr,
-    /// The newest datagram, of which so many bytes were taken.
+    /// Newest datagram; its first `taken` bytes have been read.
     datagram: Vec<u8>,
     taken: usize,
 }
@@ -186,7 +185,7 @@ impl AsyncRead for Datagrams {
             this.datagram.truncate(if believed { bytes } else { 0 });
             let sender = ready!(received)?;
             if !believed {
-                tracing::debug!(%sender, device = %this.device, "a datagram from another address is ignored");
+                tracing::debug!(%sender, device = %this.device, "ignored datagram from another address");
             }
         }
         let bytes = out.remaining().min(this.datagram.len() - this.taken);
@@ -196,7 +195,7 @@ impl AsyncRead for Datagrams {
     }
 }
 
-/// What the device is sent: a write is a datagram.
+/// Sends each write as one datagram.
 struct Sender {
     socket: Arc<UdpSocket>,
     device: SocketAddr,
@@ -239,7 +238,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_write_is_a_datagram_and_any_port_of_the_device_is_heard() {
+    async fn sends_datagrams_and_receives_from_any_port_of_device() {
         let (device, mut pipe, local_port) = pair().await;
         pipe.writer.write_all(b"first").await.unwrap();
         pipe.writer.write_all(b"second").await.unwrap();
@@ -257,7 +256,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn what_comes_from_another_address_or_is_empty_is_not_heard() {
+    async fn ignores_other_addresses_and_empty_datagrams() {
         let (device, mut pipe, local_port) = pair().await;
         let stranger = UdpSocket::bind("127.0.0.2:0").await.unwrap();
         stranger.send_to(b"believe me", ("127.0.0.1", local_port)).await.unwrap();
@@ -269,13 +268,13 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_port_that_is_taken_is_named_with_the_remedy() {
+    async fn port_in_use_error_names_remedy() {
         let (_device, _pipe, local_port) = pair().await;
         let error = at("127.0.0.1", 1500, local_port).connect().await.unwrap_err().to_string();
-        assert!(error.contains(&local_port.to_string()) && error.contains("local_port of its own"), "{error}");
+        assert!(error.contains(&local_port.to_string()) && error.contains("separate local_port"), "{error}");
     }
     #[tokio::test]
-    async fn the_addresses_of_a_name_are_tried_in_turn_if_they_can_be_sent_to() {
+    async fn usable_addresses_of_a_name_are_tried_in_turn() {
         let name = at("gripper", 1500, 1501);
         let addresses: Vec<SocketAddr> =
             ["127.255.255.255:9", "127.0.0.3:9", "[ff02::1]:9", "127.0.0.4:9"].map(|text| text.parse().unwrap()).into();
@@ -289,11 +288,11 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_device_that_is_not_there_is_silent_and_heard_when_it_comes() {
+    async fn receives_from_device_that_appears_later() {
         let (device, mut pipe, local_port) = pair().await;
         let address = device.local_addr().unwrap();
         drop(device);
-        // The machine says that nobody listens there, more often than a socket could keep to itself.
+        // The kernel reports an unreachable port each time; the pipe must survive the errors.
         for _ in 0..3 {
             pipe.writer.write_all(b"nobody").await.unwrap();
         }

@@ -1,4 +1,4 @@
-//! Requests: every command of the manuals as a type that can't hold an invalid value, to bytes and back.
+//! Requests: every command of the manuals as a type without invalid values, with encoding and parsing.
 
 use super::device::{DeviceTag, Finger, InvalidDeviceTag, SoftLimits};
 use super::frame;
@@ -10,7 +10,7 @@ use super::status::Status;
 /// The direction of Homing (`fw4-en 3.2.1`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub enum HomingDirection {
-    /// 0: as the device is configured.
+    /// 0: the direction configured on the device.
     #[default]
     Default,
     /// 1: positive, to the outer end stop.
@@ -19,26 +19,26 @@ pub enum HomingDirection {
     Inner,
 }
 
-/// The flags of Pre-position Fingers (`fw4-en 3.2.2`), whose other bits are unused.
+/// Flags of Pre-position Fingers (`fw4-en 3.2.2`); bits D2 to D7 are unused.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub struct MoveFlags {
-    /// D0: the width is an offset to the current one.
+    /// D0: the width is relative to the current width.
     pub relative: bool,
-    /// D1: stop on block, else clamp on block.
+    /// D1: stop on block if set, clamp on block otherwise.
     pub stop_on_block: bool,
 }
 
 /// Automatic updates of a getter (`fw4-en 3.4.1`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub enum Updates {
-    /// D0 = 0: one reply, now; automatic updates are switched off.
+    /// D0 = 0: one immediate reply; switches automatic updates off.
     #[default]
     Off,
-    /// D0 = 1: on.
+    /// D0 = 1: switches automatic updates on.
     On {
-        /// D1: only when the value has changed.
+        /// D1: send an update only when the value has changed.
         on_change: bool,
-        /// The least time between two of them, as asked for: the device takes 10 ms at least (fw4).
+        /// Requested interval in ms: shortest time between two updates. The device uses at least 10 ms (fw4).
         period_ms: u16,
     },
 }
@@ -83,25 +83,25 @@ pub enum Command {
     Custom(CustomCommand),
 }
 
-/// The data of Loop: 256 bytes at most (`fw4-en 3.1.1`).
+/// Data of a Loop command, at most 256 bytes (`fw4-en 3.1.1`).
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct LoopData(Vec<u8>);
 
 impl LoopData {
-    /// These bytes, or `None` where they are more than [`id::MAX_LOOP_BYTES`].
+    /// Wraps `bytes`, or returns `None` if they exceed [`id::MAX_LOOP_BYTES`].
     #[must_use]
     pub fn new(bytes: Vec<u8>) -> Option<Self> {
         (bytes.len() <= id::MAX_LOOP_BYTES).then_some(Self(bytes))
     }
 
-    /// The bytes.
+    /// The bytes that the device echoes.
     #[must_use]
     pub fn as_bytes(&self) -> &[u8] {
         &self.0
     }
 }
 
-/// A command of a script on the device: an id that the manuals don't know, and opaque bytes.
+/// A command of a script on the device: an id that the manuals do not list, with opaque bytes.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CustomCommand {
     id: u8,
@@ -109,52 +109,52 @@ pub struct CustomCommand {
 }
 
 impl CustomCommand {
-    /// Of this id, or `None` where the manuals know it, where it is AAh (which can't be told from a preamble), or
-    /// where the payload is above [`id::MAX_OPAQUE_BYTES`].
+    /// Builds the command. Returns `None` if the manuals list `id`, if `id` is AAh (indistinguishable from the
+    /// preamble), or if the payload exceeds [`id::MAX_OPAQUE_BYTES`].
     #[must_use]
     pub fn new(id: u8, payload: Vec<u8>) -> Option<Self> {
         let possible = id::describe(id).is_none() && id != frame::PREAMBLE[0];
         (possible && payload.len() <= id::MAX_OPAQUE_BYTES).then_some(Self { id, payload })
     }
 
-    /// The script's id.
+    /// Command id, as defined by the script.
     #[must_use]
     pub const fn id(&self) -> u8 {
         self.id
     }
 
-    /// Its opaque bytes.
+    /// Opaque parameter bytes.
     #[must_use]
     pub fn payload(&self) -> &[u8] {
         &self.payload
     }
 }
 
-/// Why bytes are no request.
+/// Reason why bytes are not a valid request.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum InvalidRequest {
-    /// 07h, 22h and other commands that take none.
-    #[error("{0} takes no parameters, and {1} bytes were given")]
+    /// Parameters for a command without parameters, such as 07h or 22h.
+    #[error("{0} takes no parameters, but {1} bytes were given")]
     NoParameterExpected(&'static str, usize),
     /// A wrong length, or a wrong acknowledge key.
-    #[error("the parameters of {0} have a wrong length or form ({1} bytes were given)")]
+    #[error("parameters of {0} have a wrong length or format ({1} bytes were given)")]
     Format(&'static str, usize),
-    /// A value that the command does not have.
-    #[error("a parameter of {0} has a value that the command does not know")]
+    /// A parameter value that the command does not define.
+    #[error("parameter of {0} has an undefined value")]
     Value(&'static str),
-    /// Not a finite number.
-    #[error("a parameter of {0}: {1}")]
+    /// A parameter that is NaN or infinite.
+    #[error("parameter of {0} is invalid: {1}")]
     Number(&'static str, NotFinite),
-    /// 51h.
+    /// An invalid tag in Set Device Tag (51h).
     #[error(transparent)]
     Tag(#[from] InvalidDeviceTag),
-    /// An id that no frame can carry, or more bytes than a custom command may have.
-    #[error("no custom command has id {0:02X}h with {1} bytes")]
+    /// An id that no frame can carry (AAh), or more than [`id::MAX_OPAQUE_BYTES`] of payload.
+    #[error("custom command {0:02X}h with {1} bytes cannot be sent: reserved id or too many bytes")]
     Custom(u8, usize),
 }
 
 impl InvalidRequest {
-    /// What a device answers.
+    /// Status with which a device replies to the invalid request.
     #[must_use]
     pub const fn status(self) -> Status {
         match self {
@@ -173,7 +173,7 @@ impl InvalidRequest {
 const ACKNOWLEDGE_KEY: &[u8; 3] = b"ack";
 
 impl Command {
-    /// Its id.
+    /// Command id (`fw4-en 3`).
     #[must_use]
     pub fn id(&self) -> u8 {
         match self {
@@ -214,13 +214,13 @@ impl Command {
         }
     }
 
-    /// Whether it moves the fingers.
+    /// Whether the command moves the fingers.
     #[must_use]
     pub fn is_motion(&self) -> bool {
         id::is_motion(self.id())
     }
 
-    /// Whether it asks, and leaves the gripper and its settings as they are.
+    /// Whether the command only reads, changing neither the gripper nor its settings.
     #[must_use]
     pub fn is_read(&self) -> bool {
         match self {
@@ -262,13 +262,13 @@ impl Command {
         }
     }
 
-    /// Whether its first reply is `E_CMD_PENDING`, and a second one brings the result (`fw4-en 1.3`).
+    /// Whether the first reply is `E_CMD_PENDING` and a second reply carries the result (`fw4-en 1.3`).
     #[must_use]
     pub fn is_two_step(&self) -> bool {
         self.is_motion() || matches!(self, Self::FingerPower { on: true, .. })
     }
 
-    /// Appends its parameters to `out`.
+    /// Appends the encoded parameters to `out`.
     pub fn write_payload(&self, out: &mut Vec<u8>) {
         match self {
             Self::Loop(LoopData(bytes)) => out.extend_from_slice(bytes),
@@ -298,15 +298,15 @@ impl Command {
         }
     }
 
-    /// Appends its frame to `out`.
+    /// Appends the whole frame to `out`.
     pub fn encode(&self, out: &mut Vec<u8>) {
         frame::encode_with(self.id(), out, |out| self.write_payload(out));
     }
 
-    /// The request that a frame carries. An id that the manuals don't know is a [`Command::Custom`].
+    /// Parses a frame's payload as a request. An id that the manuals do not list gives [`Command::Custom`].
     ///
     /// # Errors
-    /// [`InvalidRequest`], whose [`status`](InvalidRequest::status) is a device's answer to it.
+    /// [`InvalidRequest`]; its [`status`](InvalidRequest::status) is the device's reply.
     pub fn parse(id: u8, payload: &[u8]) -> Result<Self, InvalidRequest> {
         let Some(description) = id::describe(id) else {
             let custom = CustomCommand::new(id, payload.to_vec());
@@ -383,7 +383,7 @@ impl Command {
             id::GET_SYSTEM_LIMITS => Self::GetSystemLimits,
             id::GET_FINGER_1_INFO | id::GET_FINGER_2_INFO => Self::GetFingerInfo(finger_of(id)),
             id::GET_FINGER_1_FLAGS | id::GET_FINGER_2_FLAGS => Self::GetFingerFlags(finger_of(id)),
-            // Ruling: the parameter is byte 0, though the manuals' tables call it byte 1.
+            // Ruling: the parameter is byte 0, although the manuals' tables call it byte 1.
             id::FINGER_1_POWER | id::FINGER_2_POWER => match fields.u8() {
                 on @ (0 | 1) => Self::FingerPower { finger: finger_of(id), on: on == 1 },
                 _ => return Err(InvalidRequest::Value(name)),
@@ -417,7 +417,7 @@ fn by_finger(finger: Finger, one: u8, two: u8) -> u8 {
     }
 }
 
-/// 60h to 63h are the first finger's, 70h to 73h the second's.
+/// Ids 60h to 63h address the first finger, 70h to 73h the second.
 pub(super) fn finger_of(id: u8) -> Finger {
     if id < id::GET_FINGER_2_INFO { Finger::One } else { Finger::Two }
 }

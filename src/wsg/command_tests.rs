@@ -12,7 +12,7 @@ fn updates() -> Updates {
     Updates::On { on_change: true, period_ms: 10 }
 }
 
-/// One of each, both fingers included.
+/// One command of each kind, for both fingers.
 pub(in crate::wsg) fn every_command() -> Vec<Command> {
     let flags = MoveFlags { relative: true, stop_on_block: true };
     let mut commands = vec![
@@ -63,7 +63,7 @@ fn every_command_survives_a_round_trip() {
     let commands = every_command();
     let mut ids: Vec<_> = commands.iter().map(Command::id).filter(|&id| id != 0xB0).collect();
     ids.sort_unstable();
-    assert!(ids.iter().copied().eq(id::COMMANDS.iter().map(|row| row.id)), "each id of the manuals is here once");
+    assert!(ids.iter().copied().eq(id::COMMANDS.iter().map(|row| row.id)), "every id of the manuals occurs once");
     for command in commands {
         let mut payload = Vec::new();
         command.write_payload(&mut payload);
@@ -72,12 +72,12 @@ fn every_command_survives_a_round_trip() {
 }
 
 #[test]
-fn wrong_lengths_are_answered_as_the_manuals_say() {
+fn wrong_lengths_get_the_manuals_status() {
     let no_param = [0x07, 0x22, 0x31, 0x33, 0x35, 0x36, 0x38, 0x46, 0x50, 0x52, 0x53];
     for row in id::COMMANDS {
         let status = Command::parse(row.id, &[0; 300]).err().map(InvalidRequest::status);
         let expected = match row.id {
-            // 300 NULs are an empty tag.
+            // A tag of 300 NULs is empty, thus valid.
             id::FAST_STOP | id::SET_DEVICE_TAG => None,
             id if no_param.contains(&id) => Some(Status::E_NO_PARAM_EXPECTED),
             _ => Some(Status::E_CMD_FORMAT_ERROR),
@@ -93,13 +93,13 @@ fn wrong_lengths_are_answered_as_the_manuals_say() {
 }
 
 #[test]
-fn a_number_that_is_not_finite_is_an_invalid_parameter() {
+fn non_finite_number_is_invalid_parameter() {
     let nan = [f32::NAN.to_le_bytes(), 50f32.to_le_bytes()].concat();
     assert_eq!(Command::parse(0x25, &nan).unwrap_err().status(), Status::E_INVALID_PARAMETER);
 }
 
 #[test]
-fn fast_stop_stops_whatever_its_payload() {
+fn fast_stop_takes_any_payload() {
     assert_eq!(Command::parse(0x23, &[1, 2, 3]).unwrap(), Command::FastStop);
 }
 
@@ -111,7 +111,7 @@ fn ruling_finger_power_has_its_parameter_at_byte_0() {
 }
 
 #[test]
-fn a_custom_command_has_an_id_that_the_manuals_do_not_know() {
+fn custom_command_requires_unlisted_id() {
     assert!(CustomCommand::new(0xB0, vec![]).is_some());
     assert!(CustomCommand::new(0x25, vec![]).is_none());
     assert!(CustomCommand::new(0xAA, vec![]).is_none());

@@ -1,13 +1,13 @@
 //! The checksum of a frame (`fw4-en` Appendix D).
 //!
-//! A table-driven CRC-16 with polynomial 1021h whose table is built most significant bit first but consumed least
-//! significant byte first. It is none of the catalogued CRC-16s, so no CRC library can express it.
+//! A table-driven CRC-16 with polynomial 1021h. The table is built most significant bit first but consumed least
+//! significant byte first. No CRC library can express the combination, because no catalogued CRC-16 uses it.
 //!
 //! Ruling: the table is built from the polynomial, because every printed table is damaged.
 
 const POLYNOMIAL: u16 = 0x1021;
 
-/// The value that a checksum starts from (`fw4-en` Appendix D).
+/// Initial value of a checksum (`fw4-en` Appendix D).
 pub const INITIAL: u16 = 0xFFFF;
 
 const TABLE: [u16; 256] = table();
@@ -28,13 +28,13 @@ const fn table() -> [u16; 256] {
     table
 }
 
-/// Continues the checksum `crc` over `bytes`. Over a whole frame, its checksum included, the result is 0.
+/// Continues the checksum `crc` over `bytes`. The result over a whole frame including its checksum is 0.
 #[must_use]
 pub fn update(crc: u16, bytes: &[u8]) -> u16 {
     bytes.iter().fold(crc, |crc, &byte| TABLE[usize::from((crc ^ u16::from(byte)) as u8)] ^ (crc >> 8))
 }
 
-/// The checksum of `bytes` from [`INITIAL`] on.
+/// Checksum of `bytes`, starting at [`INITIAL`].
 #[must_use]
 pub fn checksum(bytes: &[u8]) -> u16 {
     update(INITIAL, bytes)

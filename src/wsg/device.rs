@@ -1,32 +1,32 @@
-//! What a device says of itself: model, firmware, limits, tag, statistics, fingers (`fw4-en 3.4.3`, `3.5`, `3.6`).
+//! Device information: model, firmware, limits, tag, statistics and fingers (`fw4-en 3.4.3`, `3.5`, `3.6`).
 
 use std::fmt;
 
 use super::quantity::{Acceleration, Force, Speed, Width};
 
-/// The type that Get System Information (50h) returns. fw2 knows 0 and 1 alone.
+/// Device type in the reply to Get System Information (50h). fw2 defines only 0 and 1.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum DeviceType {
-    /// 0
+    /// 0: unknown.
     Unknown,
-    /// 1
+    /// 1: WSG 50.
     Wsg50,
-    /// 2
+    /// 2: WSG 32.
     Wsg32,
-    /// 3: a force-torque sensor.
+    /// 3: KMS 40, a force-torque sensor.
     Kms40,
-    /// 4: a tactile sensing module.
+    /// 4: WTS, a tactile sensing module.
     Wts,
-    /// 5
+    /// 5: WSG 25.
     Wsg25,
-    /// 6
+    /// 6: WSG 70.
     Wsg70,
-    /// A type that the manuals do not list.
+    /// A code that the manuals do not list.
     Other(u8),
 }
 
 impl DeviceType {
-    /// From the byte of 50h.
+    /// Decodes the type byte of 50h.
     #[must_use]
     pub const fn from_code(code: u8) -> Self {
         match code {
@@ -41,7 +41,7 @@ impl DeviceType {
         }
     }
 
-    /// The byte of 50h.
+    /// Type byte of 50h.
     #[must_use]
     pub const fn code(self) -> u8 {
         match self {
@@ -72,12 +72,12 @@ impl fmt::Display for DeviceType {
     }
 }
 
-/// A firmware version, four nibbles (`fw4-en 3.5.1`; fw2 says "firmware revision" and no more).
+/// Firmware version in four nibbles (`fw4-en 3.5.1`; fw2 says only "firmware revision").
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Firmware(pub u16);
 
 impl Firmware {
-    /// The major version: what tells the generations of the protocol apart.
+    /// Major version, which distinguishes the protocol generations.
     #[must_use]
     pub const fn major(self) -> u8 {
         (self.0 >> 12) as u8
@@ -95,42 +95,42 @@ impl fmt::Display for Firmware {
     }
 }
 
-/// What Get System Information (50h) returns.
+/// Reply data of Get System Information (50h, `fw4-en 3.5.1`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct SystemInfo {
-    /// The model.
+    /// Device model.
     pub device_type: DeviceType,
-    /// The hardware revision.
+    /// Hardware revision number.
     pub hardware_revision: u8,
-    /// The firmware version.
+    /// Firmware version of the device.
     pub firmware: Firmware,
-    /// The serial number.
+    /// Serial number of the device.
     pub serial_number: u32,
 }
 
-/// What Get System Limits (53h) returns.
+/// Reply data of Get System Limits (53h, `fw4-en 3.5.4`).
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SystemLimits {
-    /// The stroke: widths go from 0 to this.
+    /// Stroke: opening widths range from 0 to this.
     pub stroke: Width,
-    /// The lowest speed.
+    /// Lowest speed.
     pub min_speed: Speed,
-    /// The highest speed.
+    /// Highest speed.
     pub max_speed: Speed,
-    /// The lowest acceleration.
+    /// Lowest acceleration.
     pub min_acceleration: Acceleration,
-    /// The highest acceleration.
+    /// Highest acceleration.
     pub max_acceleration: Acceleration,
-    /// The lowest gripping force.
+    /// Lowest gripping force.
     pub min_force: Force,
-    /// The nominal gripping force: the highest without Overdrive Mode.
+    /// Nominal gripping force: the highest without Overdrive Mode.
     pub nominal_force: Force,
-    /// The highest gripping force in Overdrive Mode.
+    /// Highest gripping force in Overdrive Mode.
     pub overdrive_force: Force,
 }
 
 impl SystemLimits {
-    /// Whether a gripper can have them: nothing is negative, and no lower limit above its upper one.
+    /// Whether a gripper can have these limits: none is negative, and no lower limit exceeds its upper one.
     #[must_use]
     pub fn are_plausible(&self) -> bool {
         self.stroke > Width::ZERO
@@ -140,7 +140,7 @@ impl SystemLimits {
     }
 }
 
-/// Soft limits (34h, 35h): widths outside `minus..=plus` are forbidden.
+/// Soft limits (34h, 35h; `fw4-en 3.3.5`): widths outside `minus..=plus` are forbidden.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct SoftLimits {
     minus: Width,
@@ -148,54 +148,54 @@ pub struct SoftLimits {
 }
 
 impl SoftLimits {
-    /// From `minus` to `plus`, or `None` where `minus` is above `plus`.
+    /// Builds limits from `minus` to `plus`, or returns `None` if `minus` exceeds `plus`.
     #[must_use]
     pub fn new(minus: Width, plus: Width) -> Option<Self> {
         (minus <= plus).then_some(Self { minus, plus })
     }
 
-    /// The smallest allowed width.
+    /// Smallest allowed width.
     #[must_use]
     pub const fn minus(self) -> Width {
         self.minus
     }
 
-    /// The largest allowed width.
+    /// Largest allowed width.
     #[must_use]
     pub const fn plus(self) -> Width {
         self.plus
     }
 
-    /// Ruling: a target outside is a range error, whichever way it is reached.
+    /// Whether `target` is within the limits. Ruling: a target outside is a range error, from either direction.
     #[must_use]
     pub fn allow(self, target: Width) -> bool {
         (self.minus..=self.plus).contains(&target)
     }
 }
 
-/// A device tag (51h, 52h): at most 64 ASCII characters, none of them a control character.
+/// A device tag (51h, 52h): at most 64 ASCII characters without control characters.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct DeviceTag(String);
 
-/// Why a text is no device tag.
+/// Reason why a text is not a valid device tag.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum InvalidDeviceTag {
-    /// More than [`DeviceTag::MAX_BYTES`].
-    #[error("a device tag has 64 characters at most")]
+    /// The text exceeds [`DeviceTag::MAX_BYTES`].
+    #[error("a device tag can have at most 64 characters")]
     TooLong,
-    /// Not ASCII, or a control character.
-    #[error("a device tag is ASCII without control characters")]
+    /// The text contains a non-ASCII or control character.
+    #[error("a device tag must be ASCII without control characters")]
     IllegalCharacter,
 }
 
 impl DeviceTag {
-    /// `fw4-en 3.5.2`
+    /// Limit in bytes (`fw4-en 3.5.2`).
     pub const MAX_BYTES: usize = 64;
 
-    /// The tag of these characters, trailing NULs stripped (fw2 3.5.2).
+    /// Builds a tag from `bytes`, without trailing NULs (fw2 3.5.2).
     ///
     /// # Errors
-    /// [`InvalidDeviceTag`], which a device tells as `E_OVERRUN` or `E_INVALID_PARAMETER`.
+    /// [`InvalidDeviceTag`]; a device returns `E_OVERRUN` or `E_INVALID_PARAMETER` instead.
     pub fn new(bytes: &[u8]) -> Result<Self, InvalidDeviceTag> {
         let stripped = bytes.len() - bytes.iter().rev().take_while(|&&byte| byte == 0).count();
         let bytes = &bytes[..stripped];
@@ -208,25 +208,25 @@ impl DeviceTag {
         }
     }
 
-    /// Its characters.
+    /// The tag as text.
     #[must_use]
     pub fn as_str(&self) -> &str {
         &self.0
     }
 }
 
-/// What Get Gripping Statistics (42h) returns.
+/// Reply data of Get Gripping Statistics (42h, `fw4-en 3.4.3`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Statistics {
-    /// Executed grips.
+    /// Number of executed grips.
     pub total: u32,
-    /// Grips that found no part.
+    /// Number of grips that found no part.
     pub no_part: u16,
-    /// Grips whose part was lost before the gripper was opened again.
+    /// Number of grips whose part was lost before the gripper opened again.
     pub lost_part: u16,
 }
 
-/// Which finger: 60h to 63h speak of the first, 70h to 73h of the second.
+/// A finger: ids 60h to 63h address the first, 70h to 73h the second.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum Finger {
     /// Finger 1.
@@ -235,21 +235,21 @@ pub enum Finger {
     Two,
 }
 
-/// The type of a finger (60h, 70h).
+/// Finger type (60h, 70h).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
 pub enum FingerType {
-    /// 0: generic, or none.
+    /// 0: generic finger, or no finger.
     Generic,
-    /// 1: WSG-FMF, force measurement.
+    /// 1: WSG-FMF, force measurement finger.
     Fmf,
-    /// 2: WSG-DSA, tactile.
+    /// 2: WSG-DSA, tactile finger.
     Dsa,
     /// 3 and up: reserved.
     Reserved(u8),
 }
 
 impl FingerType {
-    /// From the byte of 60h.
+    /// Decodes the type byte of 60h and 70h.
     #[must_use]
     pub const fn from_code(code: u8) -> Self {
         match code {
@@ -260,7 +260,7 @@ impl FingerType {
         }
     }
 
-    /// The byte of 60h.
+    /// Type byte of 60h and 70h.
     #[must_use]
     pub const fn code(self) -> u8 {
         match self {
@@ -283,28 +283,28 @@ impl fmt::Display for FingerType {
     }
 }
 
-/// What Get Finger Info (60h, 70h) returns.
+/// Reply data of Get Finger Info (60h, 70h; `fw4-en 3.6.1`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FingerInfo {
-    /// Its type.
+    /// Type of the finger.
     pub finger_type: FingerType,
-    /// The bytes of one data frame (63h, 73h); 0 where the finger has none.
+    /// Size in bytes of one data frame (63h, 73h); 0 if the finger has no data.
     pub data_bytes: u16,
 }
 
 bitflags::bitflags! {
-    /// The finger flags (61h, 71h; `fw4-en 3.6.2`). Reserved bits survive a round trip.
+    /// Finger flags (61h, 71h; `fw4-en 3.6.2`). Reserved bits survive a round trip.
     #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
     pub struct FingerFlags: u16 {
-        /// Powered.
+        /// The finger is powered.
         const POWER_ON = 1;
-        /// It has configuration data: an intelligent finger.
+        /// The finger has configuration data, so it is an intelligent finger.
         const CONFIG_AVAIL = 1 << 1;
-        /// Its communication interface is open.
+        /// The finger's communication interface is open.
         const COMM_OPEN = 1 << 2;
-        /// Over-current.
+        /// Over-current in the finger's supply.
         const POWER_FAULT = 1 << 8;
-        /// A communication fault at run time.
+        /// Communication fault at run time.
         const COMM_FAULT = 1 << 9;
 
         const _ = !0;
@@ -312,7 +312,7 @@ bitflags::bitflags! {
 }
 
 impl FingerFlags {
-    /// The names of the flags that are set; reserved bits have none.
+    /// Names of the flags that are set. Reserved bits have no name.
     pub fn names(self) -> impl Iterator<Item = &'static str> {
         self.iter_names().map(|(name, _)| name)
     }
@@ -323,14 +323,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn firmware_is_four_nibbles() {
+    fn firmware_version_has_four_nibbles() {
         assert_eq!(Firmware(0x4020).to_string(), "4.0.2");
         assert_eq!(Firmware(0x2203).to_string(), "2.2.0-rc3");
         assert_eq!(Firmware(0x4020).major(), 4);
     }
 
     #[test]
-    fn every_device_and_finger_type_survives() {
+    fn type_codes_survive_a_round_trip() {
         for code in 0..=u8::MAX {
             assert_eq!(DeviceType::from_code(code).code(), code);
             assert_eq!(FingerType::from_code(code).code(), code);
@@ -348,7 +348,7 @@ mod tests {
     }
 
     #[test]
-    fn a_tag_has_64_printable_ascii_characters_at_most() {
+    fn tag_takes_at_most_64_printable_ascii_characters() {
         assert_eq!(DeviceTag::new(b"cell 7\0\0").unwrap().as_str(), "cell 7");
         assert!(DeviceTag::new(&[b'x'; 64]).is_ok());
         assert_eq!(DeviceTag::new(&[b'x'; 65]), Err(InvalidDeviceTag::TooLong));

@@ -1,38 +1,37 @@
 //! Frames: `AA AA AA | id | size | payload | checksum`, little endian (`fw4-en 1.2.1`).
 //!
-//! [`encode`] appends a frame to a buffer. [`Decoder`] finds frames in a byte stream, and finds them again after
-//! garbage, damage or a frame cut short: after a rejected header it goes on one byte later in the bytes that it
-//! already holds, so nothing is lost but the damaged frame itself. It allocates nothing per frame.
+//! [`encode`] appends a frame to a buffer. [`Decoder`] finds frames in a byte stream, and resynchronises after garbage,
+//! damage or a truncated frame. After a rejected header, it continues one byte later in its buffer, so only the damaged
+//! frame is lost. It allocates nothing per frame.
 
 use super::crc;
 
-/// Every frame begins with these three bytes.
+/// First three bytes of every frame.
 pub const PREAMBLE: [u8; 3] = [0xAA; 3];
 
-/// Preamble, id and size.
+/// Size in bytes of preamble, id and size field.
 pub const HEADER_BYTES: usize = 6;
 
-/// What a frame has besides its payload: header and checksum.
+/// Bytes of a frame besides its payload: header and checksum.
 pub const OVERHEAD_BYTES: usize = HEADER_BYTES + 2;
 
-/// One frame, its checksum already verified (or its verification waived) and removed.
+/// A frame without its checksum, which was verified unless [`ChecksumEvaluation`] is off.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Frame<'a> {
-    /// The command's id.
+    /// Command id.
     pub id: u8,
-    /// What stands between the size field and the checksum.
+    /// Bytes between the size field and the checksum.
     pub payload: &'a [u8],
 }
 
 /// Appends the frame of `id` and `payload` to `out`.
 ///
-/// The size field has 16 bits: of a longer payload, which no type of this crate can hold, only the first 65535 bytes
-/// are taken.
+/// The size field has 16 bits, so a longer payload is truncated to 65535 bytes. No type of this crate can hold one.
 pub fn encode(id: u8, payload: &[u8], out: &mut Vec<u8>) {
     encode_with(id, out, |out| out.extend_from_slice(payload));
 }
 
-/// Appends the frame of `id` whose payload `write` appends.
+/// Appends a frame of `id` with the payload that `write` appends.
 pub fn encode_with(id: u8, out: &mut Vec<u8>, write: impl FnOnce(&mut Vec<u8>)) {
     let start = out.len();
     out.extend_from_slice(&PREAMBLE);
@@ -45,52 +44,52 @@ pub fn encode_with(id: u8, out: &mut Vec<u8>, write: impl FnOnce(&mut Vec<u8>)) 
     out.extend_from_slice(&checksum.to_le_bytes());
 }
 
-/// Whether a receiver evaluates checksums (`fw4-en 1.4.1`: a device can be told not to; everyone else does).
+/// Whether a receiver evaluates checksums. Only a device can be configured not to (`fw4-en 1.4.1`).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum ChecksumEvaluation {
-    /// A frame with a wrong checksum is damaged.
+    /// Frames with a wrong checksum are rejected.
     #[default]
     On,
-    /// The two bytes must be there, and may have any value.
+    /// The two checksum bytes must be present, but can have any value.
     Off,
 }
 
-/// What a [`Decoder`] found.
+/// A finding of a [`Decoder`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Decoded<'a> {
     /// A valid frame.
     Frame(Frame<'a>),
-    /// What looked like a frame of this id, but its checksum is wrong. Decoding goes on one byte after its beginning.
+    /// An apparent frame with a wrong checksum. Decoding continues one byte after its start.
     Damaged {
-        /// The id that its header named.
+        /// Id in the rejected header.
         id: u8,
     },
 }
 
-/// What a [`Decoder`] has seen since it was made.
+/// Counters of a [`Decoder`] since its creation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct DecoderCounters {
     /// Bytes received.
     pub bytes: u64,
     /// Valid frames.
     pub frames: u64,
-    /// Frames rejected for their checksum.
+    /// Frames rejected because of a wrong checksum.
     pub checksum_errors: u64,
-    /// Frames rejected because their size is above what their id allows.
+    /// Frames rejected because their size exceeds the limit of their id.
     pub oversized: u64,
-    /// Frames given up because their bytes stopped coming.
+    /// Frames given up because the remaining bytes did not arrive.
     pub cut_short: u64,
     /// Bytes that belonged to no valid frame.
     pub skipped_bytes: u64,
-    /// Times that a valid frame was found after skipped bytes.
+    /// Number of times a valid frame followed skipped bytes.
     pub resynchronisations: u64,
 }
 
-/// Finds frames in a stream of bytes.
+/// Frame decoder for a byte stream.
 #[derive(Debug)]
 pub struct Decoder {
     buffer: Vec<u8>,
-    /// Where the first byte that is not yet decided upon stands in `buffer`.
+    /// Index in `buffer` of the first byte that is not yet classified.
     start: usize,
     max_payload_bytes: fn(u8) -> usize,
     evaluation: ChecksumEvaluation,
@@ -99,15 +98,15 @@ pub struct Decoder {
 }
 
 impl Decoder {
-    /// A decoder that takes a payload of an id up to `max_payload_bytes(id)`: a size above is damage, and ends the
-    /// frame at once, rather than have it swallow what follows.
+    /// Creates a decoder that accepts payloads of up to `max_payload_bytes(id)` bytes. A larger size field counts as
+    /// damage and ends the frame at once, so that it cannot swallow the frames after it.
     #[must_use]
     pub fn new(max_payload_bytes: fn(u8) -> usize, evaluation: ChecksumEvaluation) -> Self {
         let counters = DecoderCounters::default();
         Self { buffer: Vec::new(), start: 0, max_payload_bytes, evaluation, in_sync: true, counters }
     }
 
-    /// Takes bytes as they come. Call [`Decoder::next`] until it returns `None` after each call.
+    /// Appends received bytes. After each call, call [`Decoder::next`] until it returns `None`.
     pub fn push(&mut self, bytes: &[u8]) {
         self.buffer.drain(..self.start);
         self.start = 0;
@@ -115,8 +114,8 @@ impl Decoder {
         self.counters.bytes += bytes.len() as u64;
     }
 
-    /// The next thing found in what was pushed, or `None` until more bytes come.
-    #[allow(clippy::should_implement_trait, reason = "what it returns borrows from the decoder, which Iterator cannot")]
+    /// Returns the next finding in the pushed bytes, or `None` until more bytes arrive.
+    #[allow(clippy::should_implement_trait, reason = "the result borrows from the decoder, unlike an Iterator's item")]
     pub fn next(&mut self) -> Option<Decoded<'_>> {
         let (id, end) = loop {
             let candidate = self.candidate()?;
@@ -143,26 +142,26 @@ impl Decoder {
         Some(Decoded::Frame(Frame { id, payload: &self.buffer[payload] }))
     }
 
-    /// Whether the beginning of a frame waits for the rest of it.
+    /// Whether the start of a frame is waiting for its remaining bytes.
     #[must_use]
     pub fn is_partial(&self) -> bool {
         self.start < self.buffer.len()
     }
 
-    /// The beginning of a frame that waits for its rest.
+    /// Received bytes of a frame that is still incomplete.
     #[must_use]
     pub fn partial(&self) -> &[u8] {
         self.buffer.get(self.start..).unwrap_or_default()
     }
 
-    /// Where in the stream the first undecided byte stands.
+    /// Stream position in bytes of the first unclassified byte.
     #[must_use]
     pub fn position(&self) -> u64 {
         self.counters.bytes - (self.buffer.len() - self.start) as u64
     }
 
-    /// Gives up the frame that waits for its rest: its bytes have stopped for longer than a frame takes. Call
-    /// [`Decoder::next`] afterwards, since a whole frame may have been behind the false beginning.
+    /// Gives up an incomplete frame whose remaining bytes did not arrive in time. Call [`Decoder::next`] afterwards,
+    /// because a whole frame can follow a false start.
     pub fn give_up_partial(&mut self) {
         if self.is_partial() {
             self.counters.cut_short += 1;
@@ -170,13 +169,13 @@ impl Decoder {
         }
     }
 
-    /// What was seen so far.
+    /// Current counter values.
     #[must_use]
     pub fn counters(&self) -> DecoderCounters {
         self.counters
     }
 
-    /// Moves `start` to the next header whose frame is complete or too big.
+    /// Advances `start` to the next header whose frame is complete or oversized.
     fn candidate(&mut self) -> Option<Candidate> {
         loop {
             let rest = &self.buffer[self.start..];
@@ -190,7 +189,7 @@ impl Decoder {
             }
             let id = *rest.get(3)?;
             if id == PREAMBLE[0] {
-                // A fourth AAh: a run of them cannot be told from an id AAh, and the last three are the preamble.
+                // A fourth AAh: an id AAh is indistinguishable from a run, whose last three bytes are the preamble.
                 self.discard(1);
                 continue;
             }
@@ -239,7 +238,7 @@ mod tests {
         out
     }
 
-    /// The frames that the manuals print (`fw4-en 1.2.1`, `1.2.2`, `1.3`). Do not change them.
+    /// Frames printed in the manuals (`fw4-en 1.2.1`, `1.2.2`, `1.3`). Do not change them.
     #[test]
     fn golden_frames_of_the_manuals() {
         let golden: [(&str, u8, &[u8]); 7] = [
@@ -269,7 +268,7 @@ mod tests {
         assert_eq!(frames(&mut decoder), []);
         assert!(decoder.is_partial());
         decoder.push(&frame(0x20, &[0, 0]));
-        assert_eq!(frames(&mut decoder), [(0x20, vec![0, 0])], "the next frame is not lost");
+        assert_eq!(frames(&mut decoder), [(0x20, vec![0, 0])], "the next frame is found");
         assert_eq!(decoder.counters().checksum_errors, 1);
 
         let restored = hex::decode("AAAAAA300600000000001643DCCB").unwrap();
@@ -277,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_split_at_every_byte_is_found() {
+    fn frame_split_at_any_byte_is_found() {
         let bytes = [frame(0x43, &[0, 0, 1, 2, 3, 4]), frame(0x06, &[0xAA; 20])].concat();
         for split in 0..bytes.len() {
             let mut decoder = decoder();
@@ -291,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn garbage_and_runs_of_aa_cost_no_frame() {
+    fn garbage_and_runs_of_aa_lose_no_frame() {
         let mut decoder = decoder();
         let good = frame(0x41, &[0, 0, 4]);
         let stream = [&[0x00, 0xAA, 0xAA, 0x01][..], &good, &[0xAA; 5], &good, &[0xAA], &good].concat();
@@ -302,7 +301,7 @@ mod tests {
     }
 
     #[test]
-    fn a_size_that_no_reply_can_have_ends_the_frame_at_once() {
+    fn oversized_frame_ends_at_once() {
         let mut decoder = decoder();
         decoder.push(&[0xAA, 0xAA, 0xAA, 0x40, 0xFF, 0xFF]);
         decoder.push(&frame(0x40, &[0, 0, 1, 0, 0, 0]));
@@ -311,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_hidden_in_a_partial_one_is_found_when_that_is_given_up() {
+    fn giving_up_partial_frame_reveals_frame_inside() {
         let mut decoder = decoder();
         decoder.push(&[0xAA, 0xAA, 0xAA, 0x06, 0x20, 0x00]);
         decoder.push(&frame(0x41, &[0, 0, 4]));
@@ -323,7 +322,7 @@ mod tests {
     }
 
     #[test]
-    fn with_evaluation_off_any_checksum_will_do_but_must_be_there() {
+    fn evaluation_off_accepts_any_checksum_but_requires_one() {
         let mut decoder = Decoder::new(|_| 300, ChecksumEvaluation::Off);
         let mut bytes = frame(0x22, &[]);
         bytes[6..].copy_from_slice(&[0x12, 0x34]);

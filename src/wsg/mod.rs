@@ -1,9 +1,9 @@
-//! The WSG binary command protocol, sans-IO: no runtime, no clock, no randomness. Bytes and `now` go in, outputs come
-//! out.
+//! The WSG binary command protocol, sans-IO: no runtime, no clock, no randomness. Inputs are bytes and `now`.
 //!
-//! [`frame`] is the outermost layer, [`command`] and [`reply`] say what a frame means, and [`session`] is the state of
-//! one link: what is in flight, what waits, what is late. The manuals are cited as `fw2`, `fw4-de` and `fw4-en`, by
-//! section; where they contradict each other, a comment says "Ruling", and a test of that name holds it.
+//! [`frame`] is the outermost layer, [`command`] and [`reply`] give a frame its meaning, and [`session`] is the state
+//! of one link: requests in flight, queued requests and late replies. Citations name a manual (`fw2`, `fw4-de`,
+//! `fw4-en`) and its section. If manuals contradict each other, a comment starts with "Ruling", and a `ruling_…` test
+//! enforces it.
 //!
 //! Architecture invariant: nothing here imports anything else of this crate.
 

@@ -1,8 +1,8 @@
-//! Reading little-endian fields off a payload whose length was checked before.
+//! Reader for the little-endian fields of a payload whose length was already checked.
 
 use super::quantity::{NotFinite, Speed, Width};
 
-/// What is left of a payload. Past its end there are zeros: callers check the length first, by the table in
+/// Unread rest of a payload. Reads past the end return zeros: callers first check the length against the table in
 /// [`id`](super::id).
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Fields<'a>(&'a [u8]);

@@ -1,6 +1,6 @@
-//! Physical quantities as the wire has them: finite IEEE 754 singles, each with its unit in its type.
+//! Physical quantities as encoded on the wire: finite IEEE 754 singles, each with its unit in its type.
 //!
-//! NaN and the infinities are no value that any command could mean, so they can't be built.
+//! Constructors reject NaN and the infinities, because no command defines a meaning for them.
 
 use std::fmt;
 
@@ -8,7 +8,7 @@ use std::fmt;
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 #[error("{value} is not a finite number")]
 pub struct NotFinite {
-    /// What was given.
+    /// The rejected value.
     pub value: f32,
 }
 
@@ -19,7 +19,7 @@ macro_rules! quantities {
         pub struct $name(f32);
 
         impl $name {
-            /// Zero.
+            /// The quantity 0.
             pub const ZERO: Self = Self(0.0);
 
             #[doc = concat!("A quantity of `value` ", $unit, ".")]
@@ -30,7 +30,7 @@ macro_rules! quantities {
                 if value.is_finite() { Ok(Self(value)) } else { Err(NotFinite { value }) }
             }
 
-            #[doc = concat!("In ", $unit, ".")]
+            #[doc = concat!("The value in ", $unit, ".")]
             #[must_use]
             pub const fn $unit_fn(self) -> f32 {
                 self.0
@@ -62,7 +62,7 @@ mod tests {
 
     #[test]
     #[allow(clippy::float_cmp, reason = "nothing is computed")]
-    fn what_is_not_finite_cannot_be_built() {
+    fn rejects_non_finite_values() {
         assert!(Width::new(f32::NAN).is_err());
         assert!(Speed::new(f32::INFINITY).is_err());
         assert_eq!(Force::new(40.0).unwrap().to_string(), "40 N");

@@ -1,4 +1,4 @@
-//! Replies and automatic updates, which look the same: a status, and data where it is `E_SUCCESS` (`fw4-en 1.2.2`).
+//! Replies and automatic updates, which have one format: a status, and data after `E_SUCCESS` (`fw4-en 1.2.2`).
 
 use super::command::finger_of;
 use super::device::{
@@ -12,20 +12,20 @@ use super::quantity::{Acceleration, Force, NotFinite, Speed, Width};
 use super::state::{GripperState, SystemState};
 use super::status::Status;
 
-/// A reply's payload.
+/// Payload of a reply.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Reply {
-    /// `E_SUCCESS`, and what comes with it.
+    /// `E_SUCCESS` with its data.
     Success(Data),
-    /// Any other status, `E_CMD_PENDING` among them, which carries no data.
+    /// Any other status, including `E_CMD_PENDING`, without data.
     Status(Status),
 }
 
-/// The data of a successful reply.
+/// Data of a successful reply.
 #[derive(Debug, Clone, PartialEq)]
-#[allow(missing_docs, reason = "named as the commands that return them")]
+#[allow(missing_docs, reason = "named after the commands that return them")]
 pub enum Data {
-    /// Commands that return none.
+    /// No data.
     None,
     Loop(Vec<u8>),
     Acceleration(Acceleration),
@@ -54,43 +54,43 @@ pub enum Data {
 pub struct Temperature(pub i16);
 
 impl Temperature {
-    /// In °C.
+    /// Temperature in °C.
     #[must_use]
     pub fn celsius(self) -> f32 {
         f32::from(self.0) / 10.0
     }
 }
 
-/// Why a payload whose checksum was right is no reply all the same. The checksum is weak, so sizes and values are
+/// Reason why a payload with a correct checksum is not a valid reply. The checksum is weak, so sizes and values are
 /// checked too.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub enum InvalidReply {
-    /// It has no room for a status, or data of a length that its id does not have.
-    #[error("a reply of id {id:02X}h cannot have {bytes} bytes")]
+    /// The payload is too short for a status, or its data length does not match the id.
+    #[error("reply to {id:02X}h has an invalid length of {bytes} bytes")]
     Size {
-        /// The reply's id.
+        /// Command id of the reply.
         id: u8,
-        /// The bytes of its payload, the status included.
+        /// Payload size in bytes, including the status.
         bytes: usize,
     },
-    /// A number that is not finite.
-    #[error("a reply of id {id:02X}h: {source}")]
+    /// A number is NaN or infinite.
+    #[error("reply to {id:02X}h is invalid: {source}")]
     Number {
-        /// The reply's id.
+        /// Command id of the reply.
         id: u8,
-        /// What it held.
+        /// The rejected number.
         source: NotFinite,
     },
-    /// A value that is none.
-    #[error("a reply of id {id:02X}h has a value that cannot be")]
+    /// A value is undefined or implausible.
+    #[error("reply to {id:02X}h has an impossible value")]
     Value {
-        /// The reply's id.
+        /// Command id of the reply.
         id: u8,
     },
 }
 
 impl Reply {
-    /// Its status.
+    /// Status code of the reply.
     #[must_use]
     pub const fn status(&self) -> Status {
         match self {
@@ -99,10 +99,10 @@ impl Reply {
         }
     }
 
-    /// The reply, or the update, that a frame carries.
+    /// Parses a frame's payload as a reply or an automatic update.
     ///
     /// # Errors
-    /// [`InvalidReply`], where size or values can't be a device's.
+    /// [`InvalidReply`] if no device could send this size or these values.
     pub fn parse(id: u8, payload: &[u8]) -> Result<Self, InvalidReply> {
         let size = InvalidReply::Size { id, bytes: payload.len() };
         let (status, data) = payload.split_first_chunk::<STATUS_BYTES>().ok_or(size)?;
@@ -123,7 +123,7 @@ impl Reply {
         Data::parse(id, data).map(Self::Success)
     }
 
-    /// Appends its frame, as a reply of `id`, to `out`.
+    /// Appends the frame of the reply to command `id` to `out`.
     pub fn encode(&self, id: u8, out: &mut Vec<u8>) {
         frame::encode_with(id, out, |out| {
             out.extend_from_slice(&self.status().code().to_le_bytes());
@@ -183,7 +183,8 @@ impl Data {
         })
     }
 
-    /// As a reply of `id` carries it. A setter's reply has none: its data are what was read back after it.
+    /// Returns the data as a reply of `id` carries them, or [`Data::None`] if it cannot. The data of a setter are read
+    /// back afterwards, so they are not part of its reply.
     #[must_use]
     pub fn of_reply(self, id: u8) -> Self {
         let mut bytes = Vec::new();

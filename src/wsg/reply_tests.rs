@@ -75,7 +75,7 @@ fn ruling_loop_data_come_with_success() {
 }
 
 #[test]
-#[allow(clippy::float_cmp, reason = "nothing is computed but a division by ten")]
+#[allow(clippy::float_cmp, reason = "the only computation is a division by ten")]
 fn ruling_fff5h_is_minus_1_1_degrees() {
     let celsius = |bytes: [u8; 2]| match Reply::parse(0x46, &[0, 0, bytes[0], bytes[1]]) {
         Ok(Reply::Success(Data::Temperature(temperature))) => temperature.celsius(),
@@ -97,11 +97,11 @@ fn ruling_finger_size_is_at_bytes_1_and_2_of_3_or_2_and_3_of_4() {
 }
 
 #[test]
-fn what_a_device_cannot_have_said_is_refused() {
+fn impossible_replies_are_rejected() {
     assert!(Reply::parse(0x40, &[0]).is_err(), "no room for a status");
     assert!(Reply::parse(0x40, &[0, 0, 1]).is_err(), "flags are four bytes");
     assert!(Reply::parse(0x40, &[16, 0, 1]).is_err(), "an error has no data");
-    assert!(Reply::parse(0x43, &[0, 0, 0, 0, 0xC0, 0x7F]).is_err(), "NaN is no width");
+    assert!(Reply::parse(0x43, &[0, 0, 0, 0, 0xC0, 0x7F]).is_err(), "NaN is not a width");
     assert!(Reply::parse(0x52, &[0, 0, 7]).is_err(), "a tag has no control characters");
     assert_eq!(Reply::parse(0x40, &[0x67, 0x12]).unwrap(), Reply::Status(Status::from_code(0x1267)));
 }

@@ -1,31 +1,31 @@
 //! The system state flags (`fw4-en` Appendix B) and the gripper states (`fw4-en 3.4.2`).
 
 bitflags::bitflags! {
-    /// The 32 system state flags of Get System State (40h). They are for information: a gripping process is
-    /// controlled by the [`GripperState`]. Reserved bits (10, 11 and 21 to 31) survive a round trip.
+    /// The 32 flags of Get System State (40h). They are for information only: follow a gripping process by
+    /// [`GripperState`]. Reserved bits (10, 11 and 21 to 31) survive a round trip.
     #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
     pub struct SystemState: u32 {
         /// The fingers are referenced.
         const REFERENCED = 1;
         /// The fingers are moving.
         const MOVING = 1 << 1;
-        /// The axis is blocked in negative direction, until the block is gone or by Stop (fw4).
+        /// The axis is blocked in negative direction, until the block is gone or Stop clears the flag (fw4).
         const BLOCKED_MINUS = 1 << 2;
-        /// The axis is blocked in positive direction, until the block is gone or by Stop (fw4).
+        /// The axis is blocked in positive direction, until the block is gone or Stop clears the flag (fw4).
         const BLOCKED_PLUS = 1 << 3;
         /// The soft limit in negative direction was reached, until the fingers move away from it.
         const SOFT_LIMIT_MINUS = 1 << 4;
         /// The soft limit in positive direction was reached, until the fingers move away from it.
         const SOFT_LIMIT_PLUS = 1 << 5;
-        /// A motion was aborted by Stop; until the next motion.
+        /// Stop aborted a motion; set until the next motion.
         const AXIS_STOPPED = 1 << 6;
-        /// The target position was reached. Not synchronous with MOVING (fw4).
+        /// The target position was reached. Not synchronous with `MOVING` (fw4).
         const TARGET_POS_REACHED = 1 << 7;
-        /// The force limit may go up to the overdrive force.
+        /// Overdrive Mode is on: the force limit can be set up to the overdrive force.
         const OVERDRIVE_MODE = 1 << 8;
-        /// True force control by a force measurement finger.
+        /// True force control with a force measurement finger is active.
         const FORCECNTL_MODE = 1 << 9;
-        /// A FAST STOP; until it is acknowledged.
+        /// A FAST STOP is active, until it is acknowledged.
         const FAST_STOP = 1 << 12;
         /// The temperature will soon be critical.
         const TEMP_WARNING = 1 << 13;
@@ -33,7 +33,7 @@ bitflags::bitflags! {
         const TEMP_FAULT = 1 << 14;
         /// The power supply is outside its valid range.
         const POWER_FAULT = 1 << 15;
-        /// The motor's thermal limit; clears by itself (fw4), then the FAST STOP can be acknowledged.
+        /// The motor reached its thermal limit. Clears by itself (fw4); then the FAST STOP can be acknowledged.
         const CURR_FAULT = 1 << 16;
         /// A finger is neither operating nor absent.
         const FINGER_FAULT = 1 << 17;
@@ -41,7 +41,7 @@ bitflags::bitflags! {
         const CMD_FAILURE = 1 << 18;
         /// A script is running on the device.
         const SCRIPT_RUNNING = 1 << 19;
-        /// A script was aborted by an error; until a script is started.
+        /// An error aborted a script; set until a script is started.
         const SCRIPT_FAILURE = 1 << 20;
 
         const _ = !0;
@@ -49,33 +49,33 @@ bitflags::bitflags! {
 }
 
 impl SystemState {
-    /// The flags that stand for a fault of the device.
+    /// Flags that indicate a device fault.
     pub const FAULTS: Self =
         Self::TEMP_FAULT.union(Self::POWER_FAULT).union(Self::CURR_FAULT).union(Self::FINGER_FAULT);
 
-    /// The names of the flags that are set, by their bit number; reserved bits have none.
+    /// Names of the flags that are set, in bit order. Reserved bits have no name.
     pub fn names(self) -> impl Iterator<Item = &'static str> {
         self.iter_names().map(|(name, _)| name)
     }
 }
 
-/// What the gripping process is doing (`fw4-en 3.4.2`; fw2 calls it the grasping state).
+/// State of the gripping process (`fw4-en 3.4.2`; "grasping state" in fw2).
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub enum GripperState {
-    /// 0: waits for a command.
+    /// 0: waiting for a command.
     #[default]
     Idle,
     /// 1: the fingers are closing on a part.
     Grasping,
-    /// 2: no part was found; until the next motion.
+    /// 2: no part was found; lasts until the next motion.
     NoPart,
-    /// 3: a part was gripped, then lost; until the next motion.
+    /// 3: a part was gripped, then lost; lasts until the next motion.
     PartLost,
     /// 4: a part is held with the gripping force.
     Holding,
     /// 5: the fingers are opening.
     Releasing,
-    /// 6: pre-positioning, and homing (fw4).
+    /// 6: pre-positioning, or homing (fw4).
     Positioning,
     /// 7: an error or a FAST STOP (fw4; reserved in fw2).
     Error,
@@ -84,7 +84,7 @@ pub enum GripperState {
 }
 
 impl GripperState {
-    /// From the byte of Get Gripper State (41h).
+    /// Decodes the byte of Get Gripper State (41h).
     #[must_use]
     pub const fn from_code(code: u8) -> Self {
         match code {
@@ -116,7 +116,7 @@ impl GripperState {
         }
     }
 
-    /// The manual's noun.
+    /// The manual's name for the state, in capitals.
     #[must_use]
     pub const fn name(self) -> &'static str {
         match self {
@@ -147,13 +147,13 @@ mod tests {
     }
 
     #[test]
-    fn every_flag_stands_at_the_bit_that_the_manual_gives() {
+    fn flags_have_the_manuals_bit_numbers() {
         let bits: Vec<_> = SystemState::all().iter_names().map(|(_, flag)| flag.bits().trailing_zeros()).collect();
         assert_eq!(bits, [0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 12, 13, 14, 15, 16, 17, 18, 19, 20]);
     }
 
     #[test]
-    fn every_gripper_state_byte_survives() {
+    fn gripper_state_bytes_survive_a_round_trip() {
         for code in 0..=u8::MAX {
             assert_eq!(GripperState::from_code(code).code(), code);
         }

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-/// The status that every reply begins with. A code that the manuals do not list survives as its number.
+/// Status at the start of every reply. A code that the manuals do not list keeps its number.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 pub struct Status(u16);
 
@@ -14,19 +14,19 @@ macro_rules! statuses {
                 pub const $name: Self = Self($code);
             )*
 
-            /// The codes that the manuals list, in their order.
+            /// All codes that the manuals list, in order.
             pub const ALL: &[Self] = &[$(Self::$name),*];
 
-            /// The symbol of `fw4-en` Appendix A, or `None` for a code that it does not list.
+            /// Symbol in `fw4-en` Appendix A, or `None` for an unlisted code.
             #[must_use]
             pub fn name(self) -> Option<&'static str> {
                 match self.0 { $($code => Some(stringify!($name)),)* _ => None }
             }
 
-            /// What it means, in a few words.
+            /// Short description of the status.
             #[must_use]
             pub fn meaning(self) -> &'static str {
-                match self.0 { $($code => $meaning,)* _ => "a status code that the manuals do not list" }
+                match self.0 { $($code => $meaning,)* _ => "status code not listed in the manuals" }
             }
         }
     };
@@ -67,19 +67,19 @@ statuses! {
 }
 
 impl Status {
-    /// Any code, listed or not.
+    /// Wraps any code, listed or not.
     #[must_use]
     pub const fn from_code(code: u16) -> Self {
         Self(code)
     }
 
-    /// Its number.
+    /// Numeric code on the wire.
     #[must_use]
     pub const fn code(self) -> u16 {
         self.0
     }
 
-    /// Whether it can only be a motion's result, never the first reply to it: what arrives in its place is late.
+    /// Whether the status can only be a motion's result. As a first reply, it belongs to an earlier request.
     #[must_use]
     pub fn only_ends_a_motion(self) -> bool {
         matches!(
@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_code_survives_as_its_number() {
+    fn unlisted_code_keeps_its_number() {
         let status = Status::from_code(4711);
         assert_eq!((status.code(), status.name()), (4711, None));
         assert_eq!(status.to_string(), "E_4711");

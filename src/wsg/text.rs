@@ -1,7 +1,7 @@
-//! Frames as text, and back: `Grip width=20 speed=50`, one line a frame.
+//! Text form of frames, one line each: `Grip width=20 speed=50`.
 //!
-//! A custom id stands as its number, and its payload as bytes: `0xB0 0x20 150.0f "text"`, as in the command editor of
-//! the WSG Commander (`fw4-en 2`): decimal or hexadecimal bytes, floats that end in `f`, and quoted text.
+//! A custom command is written as its id and its bytes: `0xB0 0x20 150.0f "text"`, as in the command editor of the WSG
+//! Commander (`fw4-en 2`). Bytes are decimal or hexadecimal, floats end in `f`, and texts are quoted.
 
 use std::fmt;
 use std::str::FromStr;
@@ -12,36 +12,36 @@ use super::id;
 use super::quantity::{Acceleration, Force, Speed, Width};
 use super::reply::{Data, Reply};
 
-/// Why a text is no request.
+/// Reason why a text is not a valid request.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum InvalidText {
-    /// Neither a command's name nor a number.
-    #[error("there is no command {0:?}: write a name as in `Grip width=20 speed=50`, or an id as in `0xB0`")]
+    /// The first word is neither a command name nor a number.
+    #[error("unknown command {0:?}: write a name as in `Grip width=20 speed=50`, or an id as in `0xB0`")]
     UnknownCommand(String),
-    /// A field that the command doesn't have.
+    /// The command does not have this field.
     #[error("{command} has no field {field:?}")]
     UnknownField {
-        /// The command.
+        /// Name of the command.
         command: String,
-        /// What was given.
+        /// Name of the unknown field.
         field: String,
     },
-    /// A field that the command needs.
+    /// A required field is missing.
     #[error("{command} needs {field}=…")]
     MissingField {
-        /// The command.
+        /// Name of the command.
         command: String,
-        /// What is missing.
+        /// Name of the missing field.
         field: &'static str,
     },
-    /// A value of the wrong form.
-    #[error("{field}={value} is wrong: it must be {expected}")]
+    /// A value has the wrong format.
+    #[error("{field}={value} is invalid: expected {expected}")]
     Value {
-        /// The field.
+        /// Name of the field.
         field: String,
-        /// What was given.
+        /// The rejected value.
         value: String,
-        /// What it must be.
+        /// Description of valid values.
         expected: &'static str,
     },
 }
@@ -165,7 +165,7 @@ impl FromStr for Command {
     }
 }
 
-/// Words between spaces, where quotes hold a word together.
+/// Splits text at whitespace, except within quotes.
 fn words(text: &str) -> Vec<String> {
     let mut words = Vec::new();
     let mut word = String::new();
@@ -202,7 +202,7 @@ fn custom(name: &str, arguments: &[String]) -> Result<Command, InvalidText> {
         None => Command::parse(id, &payload).map_err(|_| InvalidText::Value {
             field: "payload".to_owned(),
             value: hex::encode(&payload),
-            expected: "what the manuals say of this id",
+            expected: "a payload that the manuals define for this id",
         }),
     }
 }
@@ -214,7 +214,7 @@ fn byte(text: &str) -> Option<u8> {
     }
 }
 
-/// `name=value` pairs, taken out one by one.
+/// `name=value` pairs, removed one by one.
 struct Fields {
     command: &'static str,
     pairs: Vec<(String, String)>,
@@ -317,11 +317,11 @@ impl Fields {
             id::GET_FORCE => Command::GetForce(self.updates()?),
             id::SET_DEVICE_TAG => {
                 let value = self.required("tag")?;
-                let expected = "at most 64 ASCII characters, none of them a control character";
+                let expected = "at most 64 ASCII characters without control characters";
                 Command::SetDeviceTag(DeviceTag::new(value.as_bytes()).map_err(|_| wrong("tag", &value, expected))?)
             }
             id::ACKNOWLEDGE_FAST_STOP => Command::AcknowledgeFastStop,
-            // All others have no parameters, so an empty payload is theirs.
+            // All other commands have no parameters, so their payload is empty.
             _ => Command::parse(id, &[]).map_err(|_| InvalidText::UnknownCommand(self.command.to_owned()))?,
         })
     }
@@ -331,19 +331,19 @@ fn wrong(field: &str, value: &str, expected: &'static str) -> InvalidText {
     InvalidText::Value { field: field.to_owned(), value: value.to_owned(), expected }
 }
 
-/// Which way a frame went.
+/// Direction of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
 pub enum Direction {
     /// To the device.
     Request,
     /// From the device.
     Reply,
-    /// Nobody says: it is described as whatever it can be.
+    /// Unknown direction: the description covers every possible reading.
     #[default]
     Unknown,
 }
 
-/// What a frame says.
+/// Describes a frame in one line.
 #[must_use]
 pub fn describe(frame: super::Frame<'_>, direction: Direction) -> String {
     let name = id::name(frame.id).map_or_else(|| format!("0x{:02X}", frame.id), str::to_owned);
@@ -351,11 +351,11 @@ pub fn describe(frame: super::Frame<'_>, direction: Direction) -> String {
     let request = Command::parse(frame.id, frame.payload).ok().filter(|_| direction != Direction::Reply);
     let reply = Reply::parse(frame.id, frame.payload).ok().filter(|_| direction != Direction::Request);
     match (request, reply) {
-        // Any bytes are a custom request, so a reply is the better guess.
+        // Any bytes parse as a custom request, so for custom ids a reply is the better guess.
         (Some(request), Some(reply)) if is_known => format!("{request} (or its reply: {reply})"),
         (_, Some(reply)) => format!("{name} -> {reply}"),
         (Some(request), None) => request.to_string(),
-        (None, None) => format!("{name} payload={} (no payload of this id)", hex::encode(frame.payload)),
+        (None, None) => format!("{name} payload={} (invalid payload for this id)", hex::encode(frame.payload)),
     }
 }
 

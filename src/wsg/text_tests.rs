@@ -3,7 +3,7 @@ use super::super::{Frame, Status, SystemState};
 use super::*;
 
 #[test]
-fn every_command_survives_its_text() {
+fn every_command_survives_a_round_trip() {
     for command in every_command() {
         let text = command.to_string();
         assert_eq!(text.parse::<Command>().as_ref(), Ok(&command), "{text}");
@@ -11,7 +11,7 @@ fn every_command_survives_its_text() {
 }
 
 #[test]
-fn a_grip_as_its_user_writes_it() {
+fn grip_parses_from_text() {
     let command: Command = "Grip width=20 speed=50".parse().unwrap();
     assert_eq!(command.to_string(), "Grip width=20 speed=50");
     assert_eq!("FastStop".parse::<Command>().unwrap(), Command::FastStop);
@@ -19,17 +19,17 @@ fn a_grip_as_its_user_writes_it() {
 }
 
 #[test]
-fn a_custom_command_is_written_as_in_the_command_editor() {
+fn custom_command_uses_command_editor_syntax() {
     let command: Command = "0xB0 0x20 7 150.0f \"a b\"".parse().unwrap();
     let Command::Custom(custom) = command else { panic!("{command:?}") };
     assert_eq!(custom.payload(), [&[0x20, 7][..], &150f32.to_le_bytes(), b"a b"].concat());
 }
 
 #[test]
-fn a_mistake_is_named() {
+fn errors_name_the_mistake() {
     let mistake = |text: &str| text.parse::<Command>().unwrap_err().to_string();
     assert!(mistake("Grap width=20").contains("\"Grap\""));
-    assert!(mistake("").contains("no command"));
+    assert!(mistake("").contains("unknown command"));
     assert!(mistake("Grip width=20").contains("needs speed"));
     assert!(mistake("Grip width=20 speed=fast").contains("speed=fast"));
     assert!(mistake("Grip width=NaN speed=50").contains("finite"));
@@ -41,7 +41,7 @@ fn a_mistake_is_named() {
 }
 
 #[test]
-fn a_frame_is_described_as_what_it_can_be() {
+fn describe_covers_possible_readings() {
     let describe = |id, payload: &[u8]| describe(Frame { id, payload }, Direction::Unknown);
     assert_eq!(describe(0x22, &[]), "Stop");
     assert_eq!(describe(0x20, &[0, 0]), "Homing -> E_SUCCESS");
@@ -51,5 +51,5 @@ fn a_frame_is_described_as_what_it_can_be() {
     assert_eq!(Reply::Status(Status::from_code(99)).to_string(), "E_99");
     assert!(describe(0x41, &[0, 0, 4]).contains("or its reply: E_SUCCESS state=4 HOLDING"));
     assert_eq!(describe(0xB0, &[0, 0, 1]), "0xB0 -> E_SUCCESS data=01");
-    assert!(describe(0x25, &[1]).contains("no payload of this id"));
+    assert!(describe(0x25, &[1]).contains("invalid payload for this id"));
 }

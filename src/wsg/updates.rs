@@ -1,13 +1,13 @@
-//! Automatic updates (`fw4-en 3.4.1` to `3.4.6`): by period, or on change with the period as the shortest interval.
+//! Automatic updates (`fw4-en 3.4.1` to `3.4.6`): periodic, or on change with the period as the shortest interval.
 
 use std::time::{Duration, Instant};
 
 use super::{Data, Updates, id};
 
-/// The shortest period (fw4). fw2 names none; a period of 0 can't be kept, so it is the shortest there too.
+/// Shortest period in ms (fw4). fw2 names no minimum, but no device can keep a period of 0, so it applies there too.
 const MIN_PERIOD_MS: u16 = 10;
 
-/// The ids that have automatic updates, in the order in which they are sent.
+/// Ids with automatic updates, in sending order.
 const IDS: [u8; 5] = [id::GET_SYSTEM_STATE, id::GET_GRIPPER_STATE, id::GET_WIDTH, id::GET_SPEED, id::GET_FORCE];
 
 #[derive(Debug)]
@@ -19,13 +19,13 @@ struct Subscription {
     last: Data,
 }
 
-/// The automatic updates that are switched on.
+/// Active automatic updates.
 #[derive(Debug, Default)]
 pub struct Subscriptions(Vec<Subscription>);
 
 impl Subscriptions {
-    /// Switches the updates of `id` on or off; `now` its value is `value`. Those of one period come in one cycle, so that
-    /// their values are of one instant.
+    /// Switches the updates of `id` on or off; `value` is the current value. Periodic updates of equal periods share
+    /// one cycle, so that their values are from the same instant.
     pub fn set(&mut self, id: u8, updates: Updates, value: Data, now: Instant) {
         self.0.retain(|subscription| subscription.id != id);
         if let Updates::On { on_change, period_ms } = updates {
@@ -37,23 +37,23 @@ impl Subscriptions {
         }
     }
 
-    /// Switches all of them off.
+    /// Switches all updates off.
     pub fn clear(&mut self) {
         self.0.clear();
     }
 
-    /// Which of them are on.
+    /// Ids whose updates are on.
     pub fn ids(&self) -> impl Iterator<Item = u8> {
         self.0.iter().map(|subscription| subscription.id)
     }
 
-    /// Whether some of them wait for a change.
+    /// Whether any updates are sent on change.
     #[must_use]
     pub fn watch(&self) -> bool {
         self.0.iter().any(|subscription| subscription.on_change)
     }
 
-    /// When the next update is due, by the values that `read` tells; never before it is allowed.
+    /// Time of the next update, given the current values from `read`. Never earlier than the period allows.
     pub fn due(&self, read: impl Fn(u8) -> Data) -> Option<Instant> {
         let due = |subscription: &Subscription| {
             let waits = subscription.on_change && !has_changed(&subscription.last, &read(subscription.id));
@@ -62,7 +62,7 @@ impl Subscriptions {
         self.0.iter().filter_map(due).min()
     }
 
-    /// The updates that are due at `now`.
+    /// Returns the updates due at `now`, with their values from `read`.
     pub fn take_due(&mut self, now: Instant, read: impl Fn(u8) -> Data) -> Vec<(u8, Data)> {
         let mut taken = Vec::new();
         for subscription in &mut self.0 {
@@ -71,7 +71,7 @@ impl Subscriptions {
             if waits || now < subscription.last_at + subscription.period {
                 continue;
             }
-            // Who was not asked in time leaves out what was missed.
+            // After a late call, missed updates are skipped.
             let next = subscription.last_at + subscription.period;
             let is_late = now >= next + subscription.period;
             subscription.last_at = if subscription.on_change || is_late { now } else { next };
@@ -82,7 +82,7 @@ impl Subscriptions {
     }
 }
 
-/// By the manual's thresholds.
+/// Compares values by the manual's thresholds in mm, mm/s and N.
 fn has_changed(last: &Data, value: &Data) -> bool {
     match (last, value) {
         (Data::Width(last), Data::Width(value)) => differ(last.mm(), value.mm(), 0.01),

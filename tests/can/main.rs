@@ -127,7 +127,7 @@ async fn an_interface_that_goes_down_is_a_loss_that_recovers() {
     sleep(Duration::from_secs(1)).await;
     let cause = rig.handle.state().link_cause.clone().unwrap_or_default();
     set("up");
-    assert!(cause.ends_with(&format!("is down: bring it up: sudo ip link set {} up", interface())), "{cause}");
+    assert!(cause.ends_with(&format!("is down: bring it up with sudo ip link set {} up", interface())), "{cause}");
     rig.link(Link::Connected, SOON).await;
     rig.drain().await;
 }

@@ -1,4 +1,4 @@
-//! How each kind of motion ends, by what its newest step came to.
+//! End conditions of each kind of motion, based on its newest step.
 
 use crate::wsg::Status;
 
@@ -6,15 +6,14 @@ use super::super::axis::{Direction, Drive, Progress};
 use super::super::grip::Grown;
 use super::{Activity, BLOCK_STEPS, Event, Mechanics};
 
-/// A release that is blocked ends in a time-out after so many steps: it is the one thing that it can say
-/// (`fw4-en 3.2.7` lists no `E_AXIS_BLOCKED`).
+/// Number of steps after which a blocked release times out, because `fw4-en 3.2.7` lists no `E_AXIS_BLOCKED`.
 const RELEASE_TIMEOUT_STEPS: u32 = 3000;
 
-/// How far the fingers move away from the end stop after they found it, in mm.
+/// Distance in mm by which the fingers back off after they found the end stop.
 const BACK_OFF_MM: f64 = 1.0;
 
 impl Mechanics {
-    /// `fw4-en 3.2.1`: the blocking position becomes the origin, whatever blocked.
+    /// Makes the blocking position the origin, even if an obstacle blocked (`fw4-en 3.2.1`).
     pub(super) fn found_end_stop(&mut self, direction: Direction) {
         let Activity::Seek { drive, .. } = self.activity else { return };
         self.axis.relax(&self.world.surfaces());
@@ -95,7 +94,7 @@ impl Mechanics {
         }
     }
 
-    /// The motor is off, and the block is remembered.
+    /// Ends the motion with the motor off and the block recorded.
     fn blocked_in(&mut self, direction: Direction) -> Event {
         self.rest();
         self.blocked = Some(direction);

@@ -1,5 +1,5 @@
-//! CAN: classic data frames with 11-bit ids, requests by one id, answers by another; see [`segment`] for what is in
-//! them. The bit rate, 500 or 1000 kbit/s as a rule, is set on the device and on the interface (field practice).
+//! CAN transport: classic data frames with 11-bit ids, one for requests and one for replies; see [`segment`] for their
+//! contents. The bit rate, usually 500 or 1000 kbit/s, is set on the device and on the interface (field practice).
 
 pub mod segment;
 
@@ -23,46 +23,45 @@ use super::pace::Pacer;
 use super::{LinkProperties, Pipe, present};
 use segment::Reassembler;
 
-/// The ids unless they are said: the most common pair (field practice).
+/// Default ids: the most common pair (field practice).
 const DEFAULT_TX: u16 = 0x64;
 const DEFAULT_RX: u16 = 0x65;
 
-/// The bit rate unless it is said: the slower one of the two that are common, so that the line is never overrated.
+/// Default bit rate: the slower of the two common ones, so that the line rate is never overestimated.
 const DEFAULT_BITRATE: u32 = 500_000;
 
-/// The highest 11-bit id.
 const MAX_ID: u32 = 0x7FF;
 
-/// The bits on the bus for each of our bytes: a slice of 8 takes up to 135 with stuffing and the gap to the next, and
-/// frames are cut so that it holds 6.7 bytes on average.
+/// Bits on the bus per payload byte. A slice of 8 bytes takes up to 135 bits including stuffing and gap, and holds 6.7
+/// bytes on average.
 const BITS_PER_BYTE: u32 = 21;
 
-/// The slices of a frame come one behind the other, but frames of higher priority may come between.
+/// Slices of a frame follow each other directly, except for frames of higher priority in between.
 const FRAME_GAP: Duration = Duration::from_millis(100);
 
-/// How often the interface is looked at: a read that waits isn't told that it went down.
+/// Poll interval of the interface, because a pending read is not notified when the interface goes down.
 const LOOK_EVERY: Duration = Duration::from_millis(100);
 
-/// How long the kernel's queue is left alone when it is full: about ten frames at the common bit rates.
+/// Retry delay when the kernel's queue is full: about ten frames at the common bit rates.
 const QUEUE_FULL: Duration = Duration::from_millis(1);
 
-/// An error frame's bit that says that the controller has left the bus (`CAN_ERR_BUSOFF`).
+/// Error frame bit for a controller that has left the bus (`CAN_ERR_BUSOFF`).
 const BUS_OFF: u32 = 0x40;
 
-/// An identifier's bits, with the flags of extended and remote frames, for a filter. The flag of error frames would make
-/// it a filter for those alone.
+/// Filter mask for all 11 id bits and the flags of extended and remote frames. With the flag of error frames, the
+/// filter would match only those.
 const WHOLE_ID: u32 = 0xC000_07FF;
 
 /// A device on a CAN bus.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct CanAddress {
-    /// The interface, e.g. `can0`.
+    /// Network interface, e.g. `can0`.
     pub interface: String,
-    /// The 11-bit id that we send with; 64h by default.
+    /// 11-bit id of requests, 64h by default.
     pub tx: u16,
-    /// The 11-bit id that we listen to; 65h by default.
+    /// 11-bit id of replies, 65h by default.
     pub rx: u16,
-    /// In bits per second, 10000 to 1000000; 500000 by default. It is the interface's, and only reckoned with here.
+    /// Bit rate in bits per second, 10000 to 1000000; 500000 by default. Only for estimates: the interface sets it.
     pub bitrate: u32,
 }
 
@@ -70,30 +69,30 @@ impl CanAddress {
     pub(super) fn parse(url: &Url) -> Result<Self, String> {
         let options = Options::of(url, &["tx", "rx", "bitrate"])?;
         let interface = url.host_str().unwrap_or_default();
-        // IFNAMSIZ, with its end.
+        // IFNAMSIZ, including the terminating NUL.
         if interface.is_empty() || interface.len() > 15 || !matches!(url.path(), "" | "/") || url.port().is_some() {
-            return Err("it names no interface, as can0 is one".to_owned());
+            return Err("the interface is missing or invalid: expected a name such as can0".to_owned());
         }
         let id = |name, default| Ok::<_, String>(options.number(name, 0..=MAX_ID)?.map_or(default, |id| id as u16));
         let (tx, rx) = (id("tx", DEFAULT_TX)?, id("rx", DEFAULT_RX)?);
         if tx == rx {
-            return Err(format!("tx and rx are both {tx:#x}: requests use one id, answers another"));
+            return Err(format!("tx and rx are both {tx:#x}: requests and replies need different ids"));
         }
         let bitrate = options.number("bitrate", 10_000..=1_000_000)?.unwrap_or(DEFAULT_BITRATE);
         Ok(Self { interface: interface.to_owned(), tx, rx, bitrate })
     }
 
-    /// Why the devices at both can't be told apart, if they can't.
+    /// Reason and remedy if the two devices share an id.
     pub(super) fn conflict_with(&self, other: &Self) -> Option<String> {
         let ids = [other.tx, other.rx];
         let shared = [self.tx, self.rx].into_iter().find(|id| ids.contains(id))?;
         (self.interface == other.interface).then(|| {
             let interface = &self.interface;
-            format!("both use the id {shared:#x} on {interface}: give each a tx and an rx of its own, as on the device")
+            format!("both use the id {shared:#x} on {interface}: use separate tx and rx ids, also on the device")
         })
     }
 
-    /// What of our bytes the bus carries at least.
+    /// Lower bound of the line rate.
     #[must_use]
     pub const fn bytes_per_second(&self) -> u32 {
         self.bitrate / BITS_PER_BYTE
@@ -111,10 +110,10 @@ impl CanAddress {
 
     pub(super) fn connect(&self) -> io::Result<Pipe> {
         let (listening, sending) = self.open().map_err(|error| self.explain(&error))?;
-        // Opening an interface that is down succeeds, and then nothing happens.
+        // Opening succeeds even if the interface is down, but no frames pass.
         if present::is_can(&self.interface) && !present::is_up(&self.interface) {
             let remedy = self.bring_up(present::is_virtual(&self.interface));
-            let detail = format!("{} is down: bring it up: {remedy}", self.interface);
+            let detail = format!("{} is down: bring it up with {remedy}", self.interface);
             return Err(io::Error::new(io::ErrorKind::NetworkDown, detail));
         }
         let id = StandardId::new(self.tx).ok_or(io::ErrorKind::InvalidInput)?;
@@ -130,14 +129,14 @@ impl CanAddress {
         })
     }
 
-    /// A virtual interface has no bit rate, and refuses one.
+    /// Command that brings the interface up. Virtual interfaces reject a bit rate.
     fn bring_up(&self, is_virtual: bool) -> String {
         let Self { interface, bitrate, .. } = self;
         let settings = if is_virtual { String::new() } else { format!(" type can bitrate {bitrate} restart-ms 100") };
         format!("sudo ip link set {interface} up{settings}")
     }
 
-    /// One socket to listen, and one to send, so that neither shares anything with the other.
+    /// Opens separate sockets for listening and sending, so that they share no state.
     fn open(&self) -> io::Result<(CanSocket, CanSocket)> {
         let (listening, sending) = (CanSocket::open(&self.interface)?, CanSocket::open(&self.interface)?);
         listening.set_filters(&[CanFilter::new(self.rx.into(), WHOLE_ID)])?;
@@ -150,11 +149,11 @@ impl CanAddress {
         let interface = &self.interface;
         let is = |errno: Errno| error.raw_os_error() == Some(errno.raw_os_error());
         let remedy = if is(Errno::AFNOSUPPORT) || is(Errno::PROTONOSUPPORT) {
-            "this system has no CAN sockets: load them with sudo modprobe can-raw, or allow AF_CAN where the service \
-             is confined"
+            "CAN sockets are not available: run sudo modprobe can-raw, or allow AF_CAN if the service is sandboxed"
                 .to_owned()
         } else if is(Errno::PERM) || is(Errno::ACCESS) {
-            "CAN sockets are not allowed: a container needs the host's network, a confined service AF_CAN".to_owned()
+            "CAN sockets are not permitted: use the host's network in a container, or allow AF_CAN in a sandbox"
+                .to_owned()
         } else {
             present::can_interfaces()
         };
@@ -170,22 +169,23 @@ impl fmt::Display for CanAddress {
     }
 }
 
-/// A controller that is not told to restart stays off the bus, and says so once. It only takes that setting while down.
+/// Error of a controller without automatic restart: it stays off the bus and reports that once. The remedy first takes
+/// the interface down, because `restart-ms` can only be set then.
 fn bus_off(interface: &str) -> io::Error {
     let detail = format!(
-        "{interface} is bus-off: its bit rate is not the device's, or the cable is bad. Let it restart by itself: sudo ip \
-         link set {interface} down; sudo ip link set {interface} type can restart-ms 100; sudo ip link set {interface} up"
+        "{interface} is bus-off: its bit rate differs from the device's, or the cable is faulty. Enable automatic \
+         restart: sudo ip link set {interface} down; sudo ip link set {interface} type can restart-ms 100; \
+         sudo ip link set {interface} up"
     );
     io::Error::new(io::ErrorKind::NetworkDown, detail)
 }
 
-/// What the device sends.
 struct Reader {
     interface: String,
     socket: CanSocket,
     look: Interval,
     reassembler: Reassembler,
-    /// What was received, and not yet read.
+    /// Bytes received but not yet read.
     bytes: VecDeque<u8>,
 }
 
@@ -201,7 +201,7 @@ impl Reader {
         Ok(())
     }
 
-    /// Whether something came, though nobody was told.
+    /// Polls the socket for a frame or error without notification.
     fn look(&mut self) -> io::Result<()> {
         match self.socket.try_read_frame() {
             Ok(frame) => self.take(&frame),
@@ -234,11 +234,11 @@ impl AsyncRead for Reader {
     }
 }
 
-/// What the device is sent: a write is a frame, which begins with a slice of its own.
+/// Sends each write as one frame, which starts in a new slice.
 struct Writer {
     socket: CanSocket,
     id: StandardId,
-    /// The slices of the frame that is being sent.
+    /// Unsent slices of the current frame.
     queue: VecDeque<CanFrame>,
     pacer: Pacer,
 }
@@ -252,7 +252,7 @@ impl AsyncWrite for Writer {
         Poll::Ready(Ok(frame.len()))
     }
 
-    /// Ready once all slices have been handed to the controller, and it has had the time to send them.
+    /// Is ready once the controller has received all slices and has had time to send them.
     fn poll_flush(self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
         let this = self.get_mut();
         while let Some(slice) = this.queue.front() {
@@ -276,7 +276,7 @@ impl AsyncWrite for Writer {
     }
 }
 
-/// Whether the kernel has no room for another frame at the moment.
+/// Whether the kernel's queue is full.
 fn is_full(error: &io::Error) -> bool {
     error.kind() == io::ErrorKind::WouldBlock || error.raw_os_error() == Some(Errno::NOBUFS.raw_os_error())
 }
@@ -286,7 +286,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_virtual_interface_is_brought_up_without_a_bit_rate() {
+    fn virtual_interface_is_brought_up_without_bit_rate() {
         let address = |name: &str| CanAddress { interface: name.to_owned(), tx: 1, rx: 2, bitrate: 250_000 };
         let real = "sudo ip link set can0 up type can bitrate 250000 restart-ms 100";
         assert_eq!(address("can0").bring_up(false), real);
@@ -294,7 +294,7 @@ mod tests {
     }
 
     #[test]
-    fn bus_off_is_named_with_the_setting_that_ends_it() {
+    fn bus_off_error_names_restart_setting() {
         let error = bus_off("can0").to_string();
         assert!(error.contains("can0 is bus-off"), "{error}");
         assert!(error.contains("ip link set can0 type can restart-ms 100"), "{error}");

@@ -1,45 +1,46 @@
-//! How a frame travels on CAN: cut into slices of 8 bytes, each a classic data frame; the last may be short, and is not
-//! padded. There is no sequence byte and no length byte, so the end is known from the frame's own size field alone
-//! (field practice: four independent drivers agree; no vendor's text is public).
+//! Segmentation of frames on CAN into slices of 8 bytes, each a classic data frame. The last slice can be shorter and
+//! is not padded. Slices have no sequence or length byte, so only the frame's own size field marks its end (field
+//! practice: four independent drivers agree; no vendor documentation is public).
 //!
-//! This module knows three things of what it carries, which the rest of `transport` does not: what a frame begins with,
-//! where its size stands, and how much there is besides. It only uses them to drop what lies behind a frame's end.
-//! Whether a frame is whole, and where one begins if slices were lost, is for whoever checks its checksum.
+//! Unlike the rest of `transport`, this module knows a frame's preamble, size field and overhead. It only uses them to
+//! drop bytes after the end of a frame. The decoder checks whether a frame is complete, and resynchronises after lost
+//! slices.
 
-/// A slice is what a classic CAN frame holds.
+/// Capacity of a classic CAN frame.
 pub const SLICE_BYTES: usize = 8;
 
-/// What a frame begins with.
+/// First bytes of a frame.
 const PREAMBLE: [u8; 3] = [0xAA; 3];
 
-/// Where the size of its payload stands, as a little-endian number.
+/// Position of the payload size, a little-endian number.
 const SIZE_AT: std::ops::Range<usize> = 4..6;
 
-/// What a frame has besides its payload: preamble, id, size, checksum.
+/// Bytes of a frame besides its payload: preamble, id, size, checksum.
 const OVERHEAD_BYTES: usize = 8;
 
-/// The slices of a frame.
+/// Cuts a frame into slices.
 pub fn slices(frame: &[u8]) -> impl Iterator<Item = &[u8]> {
     frame.chunks(SLICE_BYTES)
 }
 
-/// Makes a byte stream of slices again: frame behind frame, without what lies between them.
+/// Joins slices into a byte stream of frames, without bytes between them.
 #[derive(Debug, Default)]
 pub struct Reassembler {
-    /// How many bytes of the frame that has begun are still to come.
+    /// Number of bytes of the current frame that are still missing.
     missing: usize,
 }
 
 impl Reassembler {
-    /// Takes a slice, and returns what of it belongs to a frame.
+    /// Returns the bytes of `slice` that belong to a frame.
     ///
-    /// A preamble at the start of a slice begins a frame. If the one before isn't whole, either its rest was lost, or
-    /// its payload happens to look like that: no byte is dropped until both would be whole, and the checksum tells.
+    /// A preamble at the start of a slice starts a frame. If the previous frame is incomplete, either its rest was
+    /// lost, or its payload contains a preamble. So no byte is dropped until both would be complete; the checksum
+    /// decides.
     pub fn push<'a>(&mut self, slice: &'a [u8]) -> &'a [u8] {
         if slice.starts_with(&PREAMBLE) {
             let whole = match slice.get(SIZE_AT) {
                 Some(&[low, high]) => OVERHEAD_BYTES + usize::from(u16::from_le_bytes([low, high])),
-                // A sender that cuts elsewhere: a frame is as long as this at least.
+                // A sender that cuts elsewhere. A frame has at least this length.
                 _ => OVERHEAD_BYTES,
             };
             self.missing = self.missing.max(whole);
@@ -67,7 +68,7 @@ mod tests {
     }
 
     #[test]
-    fn slices_have_eight_bytes_and_the_last_what_is_left() {
+    fn slices_have_eight_bytes_except_the_last() {
         let lengths = |payload: usize| slices(&frame(&vec![1; payload])).map(<[u8]>::len).collect::<Vec<_>>();
         assert_eq!(lengths(0), [8], "a Stop fills one");
         assert_eq!(lengths(8), [8, 8], "a Grip fills two");
@@ -76,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn frames_of_any_length_come_together_again_one_behind_the_other() {
+    fn frames_of_any_length_are_reassembled() {
         let mut sent = Vec::new();
         let mut reassembler = Reassembler::default();
         let mut received = Vec::new();
@@ -89,14 +90,14 @@ mod tests {
     }
 
     #[test]
-    fn what_lies_behind_the_end_is_dropped() {
+    fn bytes_after_the_end_are_dropped() {
         let padded = [&[0xAA, 0xAA, 0xAA, 0x22, 2, 0, 0, 0][..], &[0x0E, 0x76, 0, 0, 0, 0, 0, 0], &[0xFF; 8]];
         assert_eq!(reassembled(padded).len(), 10);
         assert!(reassembled([&[1, 2, 3][..], &[0xAA, 0xAA]]).is_empty());
     }
 
     #[test]
-    fn a_preamble_begins_anew_where_slices_were_lost() {
+    fn preamble_restarts_after_lost_slices() {
         let long = frame(&[7; 20]);
         let cut = slices(&long).take(2);
         let bytes = reassembled(cut.chain([&STOP[..], &[0; 8], &STOP[..]]));
@@ -107,7 +108,7 @@ mod tests {
     }
 
     #[test]
-    fn a_preamble_in_a_payload_costs_no_byte() {
+    fn preamble_in_payload_loses_no_byte() {
         let mut payload = vec![1, 2];
         for size in [0u8, 1, 0xAA] {
             payload.extend([0xAA, 0xAA, 0xAA, 0x22, size, 0, 1, 2]);
@@ -118,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn a_short_first_slice_is_no_end() {
+    fn short_first_slice_does_not_end_frame() {
         assert_eq!(reassembled([&STOP[..4], &STOP[4..]]), STOP);
         assert!(reassembled([&[][..]]).is_empty());
     }

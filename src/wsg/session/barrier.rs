@@ -1,33 +1,33 @@
-//! The Loop that tells late from new.
+//! The Loop that separates late replies from new ones.
 //!
-//! There is no sequence number on the wire, so after a time-out a Loop with a fresh nonce is sent: what arrives
-//! before its echo was on its way before it. The same Loop is the probe of a silent device.
+//! The wire has no sequence numbers, so after a timeout the session sends a Loop with a fresh nonce. Replies that
+//! arrive before its echo were sent before it. The same Loop probes a silent device.
 
 use std::time::{Duration, Instant};
 
-/// How long an echo may take at first before a Loop with another nonce is sent; it doubles with each that isn't heard.
+/// Initial time limit for an echo before the next Loop is sent. Doubles with each missing echo.
 const ECHO_WITHIN: Duration = Duration::from_millis(400);
 
-/// And at last.
+/// Upper bound for the doubled time limit.
 const ECHO_WITHIN_AT_MOST: Duration = Duration::from_millis(1600);
 
-/// Marks our nonces, so that a client's Loop data are not mistaken for one.
+/// Prefix of the session's nonces, so that a client's Loop data are not mistaken for one.
 const MARK: &[u8; 8] = b"wsg-loop";
 
-/// The mark, the seed, and the generation.
+/// Size in bytes of mark, seed and generation.
 pub(super) const NONCE_BYTES: usize = 24;
 
-/// Counts the Loops sent; a greater one was sent later.
+/// Number of a Loop, increasing in sending order.
 pub(super) type Generation = u64;
 
-/// Whose data a Loop has brought back.
+/// Origin of echoed Loop data.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Echo {
-    /// A Loop's of ours, if not the newest one's: all that was on its way before that one was sent has arrived.
+    /// A Loop of this session, possibly not the newest. All replies sent before this Loop have arrived.
     Ours(Generation),
-    /// Of a Loop that was sent before this session.
+    /// A Loop of an earlier session.
     Stale,
-    /// A client's.
+    /// A client's Loop.
     NotOurs,
 }
 
@@ -42,18 +42,18 @@ pub(super) struct Barrier {
 }
 
 impl Barrier {
-    /// With a seed that makes its nonces differ from those of an earlier session on the same line.
+    /// Creates a barrier. `seed` makes its nonces differ from those of earlier sessions on the same line.
     pub(super) fn new(seed: u64) -> Self {
         Self { seed, sent: 0, wanted: false, in_flight: None, echo_within: ECHO_WITHIN, round_trip: None }
     }
 
-    /// Asks for a Loop that is written from now on. Returns the generation that its echo will be greater than.
+    /// Requests a Loop written after this call. Its generation will exceed the returned one.
     pub(super) fn want(&mut self) -> Generation {
         self.wanted = true;
         self.sent
     }
 
-    /// Asks for a Loop unless one is on its way.
+    /// Requests a Loop unless one is in flight.
     pub(super) fn probe(&mut self) {
         self.wanted |= self.in_flight.is_none();
     }
@@ -66,7 +66,7 @@ impl Barrier {
         self.in_flight.is_some()
     }
 
-    /// The data of the Loop that is written now, and whose way takes so much line time.
+    /// Returns the data of the Loop to write now. `line_time` extends the time limit for its echo.
     pub(super) fn start(&mut self, now: Instant, line_time: Duration) -> [u8; NONCE_BYTES] {
         self.wanted = false;
         self.sent += 1;
@@ -74,7 +74,7 @@ impl Barrier {
         self.nonce()
     }
 
-    /// Takes a Loop's data.
+    /// Identifies echoed Loop data.
     pub(super) fn echo(&mut self, now: Instant, data: &[u8]) -> Echo {
         let Some((MARK, numbers)) = data.split_first_chunk() else { return Echo::NotOurs };
         let Some((seed, generation)) = numbers.split_first_chunk() else { return Echo::NotOurs };
@@ -103,7 +103,7 @@ impl Barrier {
         self.in_flight.map(|(_, deadline)| deadline)
     }
 
-    /// How long the newest echo took, once.
+    /// Takes the round-trip time of the newest echo; returns each only once.
     pub(super) fn take_round_trip(&mut self) -> Option<Duration> {
         self.round_trip.take()
     }

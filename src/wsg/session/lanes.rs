@@ -1,4 +1,4 @@
-//! What waits to be written: FAST STOP first, then Stop, then the rest, in order within an id.
+//! Queues of unwritten requests: FAST STOP first, then Stop, then all others, in order within an id.
 
 use std::collections::VecDeque;
 use std::time::Instant;
@@ -6,8 +6,8 @@ use std::time::Instant;
 use super::{Request, Token};
 use crate::wsg::Command;
 
-/// Requests that may wait in one lane. The gateway has a few dozen ids, one request of each in flight; whoever queues
-/// more than this does not wait for answers.
+/// Limit of waiting requests per lane. The gateway uses a few dozen ids with one request in flight each. Only a caller
+/// that does not wait for replies exceeds the limit.
 pub const MAX_WAITING: usize = 64;
 
 /// A request that has not been written yet.
@@ -15,7 +15,7 @@ pub const MAX_WAITING: usize = 64;
 pub(super) struct Waiting {
     pub token: Token,
     pub request: Request,
-    /// When it is given up unwritten.
+    /// Time at which the request is given up unwritten.
     pub deadline: Instant,
 }
 
@@ -27,7 +27,7 @@ pub(super) struct Lanes {
 }
 
 impl Lanes {
-    /// Queues a request, or gives it back where its lane is full.
+    /// Queues a request, or returns it if its lane is full.
     pub(super) fn push(&mut self, waiting: Waiting) -> Result<(), Waiting> {
         let lane = match waiting.request.command {
             Command::FastStop => &mut self.fast_stop,
@@ -41,17 +41,17 @@ impl Lanes {
         Ok(())
     }
 
-    /// The next FAST STOP or Stop whose id is open.
+    /// Removes the next FAST STOP or Stop whose id is open.
     pub(super) fn pop_urgent(&mut self, is_open: impl Fn(u8) -> bool) -> Option<Waiting> {
         pop_open(&mut self.fast_stop, &is_open).or_else(|| pop_open(&mut self.stop, &is_open))
     }
 
-    /// The next of the rest whose id is open: one that waits for its id is passed by others, not by its own.
+    /// Removes the next other request whose id is open. Requests of different ids can overtake each other.
     pub(super) fn pop_rest(&mut self, is_open: impl Fn(u8) -> bool) -> Option<Waiting> {
         pop_open(&mut self.rest, &is_open)
     }
 
-    /// Takes back a request that has not been written.
+    /// Removes an unwritten request. Returns whether there was one.
     pub(super) fn withdraw(&mut self, token: Token) -> bool {
         let lanes = [&mut self.fast_stop, &mut self.stop, &mut self.rest];
         lanes.into_iter().any(|lane| {
@@ -61,7 +61,7 @@ impl Lanes {
         })
     }
 
-    /// Takes out one request whose deadline has come.
+    /// Removes one request whose deadline has passed.
     pub(super) fn pop_expired(&mut self, now: Instant) -> Option<Waiting> {
         let lanes = [&mut self.fast_stop, &mut self.stop, &mut self.rest];
         lanes.into_iter().find_map(|lane| {

@@ -1,21 +1,23 @@
-//! The state of one link: what waits, what is in flight, what is late. Sans-IO.
+//! The state of one link: queued requests, requests in flight and late replies. Sans-IO.
 //!
-//! # How it is driven
+//! # Usage
 //!
 //! - Inputs: [`Session::submit`], [`Session::withdraw`], [`Session::receive`], [`Session::handle_timeout`]. They take
 //!   `now`.
 //! - Outputs, to be drained after each input: [`Session::poll_event`] until `None`; [`Session::poll_transmit`] whenever
-//!   the link can take a frame; then [`Session::poll_timeout`] says when to call [`Session::handle_timeout`].
+//!   the link can take a frame; then [`Session::poll_timeout`] for the time of the next [`Session::handle_timeout`].
 //!
-//! # What it guarantees
+//! # Guarantees
 //!
-//! One request of an id is in flight. FAST STOP is written before Stop, and Stop before the rest; since frames are
-//! handed out one by one, each waits for the frame being written at most. Every request ends, once: with a reply, or
-//! by its deadline. After a time-out the id is closed until the echo of a Loop that was sent later (see `barrier`); a
-//! two-step id until its late result has come, or the device has been seen not MOVING after that echo. FAST STOP and
-//! Stop never wait for any of that.
+//! - At most one request per id is in flight.
+//! - FAST STOP is written before Stop, and Stop before all others. Frames are handed out one by one, so a stop waits at
+//!   most for the frame being written.
+//! - Every request ends exactly once: with a reply or at its deadline.
+//! - After a timeout, an id stays closed until the echo of a later Loop (see `barrier`). A two-step id stays closed
+//!   until its late result arrives, or the device reports not MOVING after that echo. FAST STOP and Stop never wait
+//!   for this.
 //!
-//! Architecture invariant: a request is written at most once. Nothing in here sends anything again but the Loop.
+//! Architecture invariant: a request is written at most once. The session repeats only its own Loop.
 
 mod barrier;
 mod lanes;
@@ -33,98 +35,98 @@ pub use lanes::MAX_WAITING;
 use lanes::{Lanes, Waiting};
 use slots::{Closed, InFlight, SlotState, Slots};
 
-/// How much line time one request may take while the fingers move: what a FAST STOP may have to wait for.
+/// Limit of one request's line time while the fingers move, because a FAST STOP has to wait for it.
 pub const MAX_LINE_TIME_WHILE_MOVING: Duration = Duration::from_millis(100);
 
-/// How long the result of a stopped motion is waited for: nothing says that it comes at all (`fw4-en 3.2.3`).
+/// Time limit for the result of a stopped motion. The manual does not promise one (`fw4-en 3.2.3`).
 pub const ABORT_GRACE: Duration = Duration::from_millis(250);
 
-/// How long a result may still be on its way from a device that has stopped moving.
+/// Time limit for a late result from a device that has stopped moving.
 pub const RESULT_GRACE: Duration = Duration::from_secs(1);
 
-/// How long nothing may have been heard before a Loop is sent to see whether the device is still there.
+/// Silence after which a Loop probes whether the device is still there.
 pub const PROBE_AFTER: Duration = Duration::from_millis(500);
 
-/// The payload of the longest automatic update: a status and four bytes.
+/// Payload size of the longest automatic update: a status and four bytes.
 const LONGEST_UPDATE_BYTES: usize = 6;
 
-/// What a session has to know of its link.
+/// Link parameters of a session.
 #[derive(Debug, Clone)]
 pub struct Config {
-    /// How fast the line is, where that matters: none for TCP.
+    /// Line rate in bytes per second, or `None` if it does not matter, as for TCP.
     pub bytes_per_second: Option<u32>,
-    /// How long a frame may take from its first byte to its last, beyond its line time.
+    /// Time limit from the first to the last byte of a frame, beyond its line time.
     pub frame_gap: Duration,
-    /// Whether a frame may come twice: then an id that was answered stays closed until what could come again has come.
+    /// Whether the link can duplicate frames. If so, an answered id stays closed until no duplicate can arrive.
     pub may_duplicate: bool,
-    /// Makes the nonces of this session differ from those of an earlier one.
+    /// Seed that makes this session's nonces differ from those of earlier sessions.
     pub nonce_seed: u64,
 }
 
-/// Names a request for as long as it is under way.
+/// Handle of a request until it ends.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct Token(u64);
 
 /// A request to the device.
 #[derive(Debug, Clone)]
 pub struct Request {
-    /// What is asked.
+    /// Command to send.
     pub command: Command,
-    /// How long it may wait to be written, and then again for its first reply, beyond the line time of both.
+    /// Time limit for writing the request, and again for its first reply, each beyond its line time.
     pub reply_within: Duration,
-    /// How long the result may take, once it was accepted with `E_CMD_PENDING`.
+    /// Time limit for the result after `E_CMD_PENDING`.
     pub result_within: Duration,
 }
 
-/// Why a request was not taken.
+/// Reason why a request was rejected.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
 pub enum NotTaken {
-    /// [`MAX_WAITING`] requests wait already.
-    #[error("{MAX_WAITING} requests wait already")]
+    /// [`MAX_WAITING`] requests are already waiting.
+    #[error("{MAX_WAITING} requests are already waiting")]
     Full,
-    /// It would keep the line busy for longer than [`MAX_LINE_TIME_WHILE_MOVING`], and the fingers move.
-    #[error("it would take {line_ms} ms of line time while the fingers move")]
+    /// The fingers are moving, and the request takes longer than [`MAX_LINE_TIME_WHILE_MOVING`] on the line.
+    #[error("request would occupy the line for {line_ms} ms while the fingers move")]
     LineTime {
-        /// How long it would take.
+        /// Line time of the request in ms.
         line_ms: u64,
     },
 }
 
-/// What happened.
+/// An event of a session.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Event {
     /// The device has accepted a request with `E_CMD_PENDING`; its result follows.
     Accepted(Token),
     /// A request has ended.
     Ended(Token, End),
-    /// A value of 40h, 41h, 43h, 44h or 45h, by an automatic update or by a reply.
+    /// A value of 40h, 41h, 43h, 44h or 45h, from an automatic update or a reply.
     Update(Data),
 }
 
-/// How a request ended.
+/// End of a request.
 #[derive(Debug, Clone, PartialEq)]
 pub enum End {
     /// With a reply.
     Reply(Reply),
-    /// With a reply that can't be one. Never a motion's: for that, it is as good as none.
+    /// With an invalid reply. Does not occur for motions, whose invalid replies are ignored.
     Invalid(InvalidReply),
-    /// Without any reply in time.
+    /// Without any reply before the deadline.
     Unanswered {
-        /// Whether its frame was handed out: if not, the device never saw it.
+        /// Whether the frame was handed out. If not, the device never received it.
         written: bool,
         /// Whether a Stop or FAST STOP was confirmed meanwhile.
         stopped: bool,
-        /// How long it was waited for.
+        /// Time spent waiting.
         waited: Duration,
     },
-    /// Accepted, and then without a result in time.
+    /// Accepted, but without a result before the deadline.
     NoResult {
-        /// Whether a Stop or FAST STOP was confirmed meanwhile, which explains it.
+        /// Whether a Stop or FAST STOP was confirmed meanwhile, which explains the missing result.
         stopped: bool,
     },
 }
 
-/// What a session has seen since it was made.
+/// Counters of a session since its creation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub struct Counters {
     /// Frames handed out to be written.
@@ -133,15 +135,15 @@ pub struct Counters {
     pub bytes_sent: u64,
     /// Replies that belonged to an earlier request of their id.
     pub late_replies: u64,
-    /// Replies of an id that nothing was asked of.
+    /// Replies of an id without a request.
     pub stray_replies: u64,
-    /// Replies with a right checksum and impossible contents.
+    /// Replies with a correct checksum but impossible contents.
     pub invalid_replies: u64,
-    /// Requests that ended by a deadline.
+    /// Requests that ended at a deadline.
     pub time_outs: u64,
 }
 
-/// One link's protocol state.
+/// Protocol state of one link.
 #[derive(Debug)]
 pub struct Session {
     config: Config,
@@ -155,12 +157,12 @@ pub struct Session {
     next_token: u64,
     moving: bool,
     last_heard: Instant,
-    /// The stream position of a frame that waits for its rest, and since when.
+    /// Stream position of an incomplete frame, and the time since which it is incomplete.
     partial: Option<(u64, Instant)>,
 }
 
 impl Session {
-    /// A session on a link that has just come up.
+    /// Creates a session on a newly established link.
     #[must_use]
     pub fn new(config: Config, now: Instant) -> Self {
         let barrier = Barrier::new(config.nonce_seed);
@@ -180,10 +182,10 @@ impl Session {
         }
     }
 
-    /// Takes a request. It ends with one [`Event::Ended`], unless it is withdrawn.
+    /// Queues a request. It ends with exactly one [`Event::Ended`], unless it is withdrawn.
     ///
     /// # Errors
-    /// [`NotTaken`]: nothing will be written, and no event follows.
+    /// [`NotTaken`] if the lane is full, or the request too long for the line while the fingers move. No event follows.
     pub fn submit(&mut self, now: Instant, request: Request) -> Result<Token, NotTaken> {
         let line_time = self.line_time_of(&request.command);
         if self.moving && line_time > MAX_LINE_TIME_WHILE_MOVING {
@@ -196,28 +198,28 @@ impl Session {
         Ok(token)
     }
 
-    /// Takes a request back that has not been written: `true` if it was, and then no event follows.
+    /// Withdraws an unwritten request. Returns `true` if it was withdrawn; then no event follows.
     pub fn withdraw(&mut self, token: Token) -> bool {
         self.lanes.withdraw(token)
     }
 
-    /// Whether a request of this id waits to be written.
+    /// Whether a request of `id` is waiting to be written.
     #[must_use]
     pub fn has_waiting(&self, id: u8) -> bool {
         self.lanes.has_waiting(id)
     }
 
-    /// Takes bytes off the link.
+    /// Processes bytes received from the link.
     pub fn receive(&mut self, now: Instant, bytes: &[u8]) {
         self.decoder.push(bytes);
         self.decode(now);
         if self.partial.is_some() {
-            // A long frame on a slow line is a sign of life while it comes, which is not for long.
+            // An incomplete frame on a slow line is a sign of life; `partial_deadline` bounds its duration.
             self.last_heard = now;
         }
     }
 
-    /// To be called when [`Session::poll_timeout`] has come.
+    /// Processes expired deadlines. Call it at the time given by [`Session::poll_timeout`].
     pub fn handle_timeout(&mut self, now: Instant) {
         if self.partial_deadline().is_some_and(|deadline| deadline <= now) {
             self.decoder.give_up_partial();
@@ -236,16 +238,16 @@ impl Session {
         }
     }
 
-    /// What happened, oldest first.
+    /// Returns the oldest event.
     pub fn poll_event(&mut self) -> Option<Event> {
         self.events.pop_front()
     }
 
-    /// Appends the next frame to `out`, if there is one. Call it only when the link can take a frame: what is handed
-    /// out counts as written.
+    /// Appends the next frame to `out`. Returns whether there was one. Call it only when the link can take a frame,
+    /// because a frame handed out counts as written.
     pub fn poll_transmit(&mut self, now: Instant, out: &mut Vec<u8>) -> bool {
         let before = out.len();
-        // A user's Loop and ours share their id, and one of an id is in flight.
+        // A client's Loop and the session's own share one id, so only one can be in flight.
         let loop_busy = self.barrier.is_in_flight();
         let is_open = |id| self.slots.is_open(id) && !(loop_busy && id == id::LOOP);
         if let Some(waiting) = self.lanes.pop_urgent(is_open) {
@@ -264,7 +266,7 @@ impl Session {
         true
     }
 
-    /// When to call [`Session::handle_timeout`] next.
+    /// Time of the next call of [`Session::handle_timeout`].
     #[must_use]
     pub fn poll_timeout(&self) -> Option<Instant> {
         let in_flight = self.slots.in_flight().map(|(_, in_flight)| in_flight.deadline).min();
@@ -274,30 +276,30 @@ impl Session {
         deadlines.into_iter().flatten().min()
     }
 
-    /// When a valid frame, or a part of what may become one, was last received.
+    /// Time at which a valid frame, or part of a possible frame, was last received.
     #[must_use]
     pub fn last_heard(&self) -> Instant {
         self.last_heard
     }
 
-    /// Whether nothing waits and nothing is in flight.
+    /// Whether no request is waiting or in flight.
     #[must_use]
     pub fn is_idle(&self) -> bool {
         self.lanes.is_empty() && self.slots.in_flight().next().is_none()
     }
 
-    /// How long the device took for its newest first answer to a request, once: from when that was handed out.
+    /// Takes the newest round-trip time: from handing out a request to its first reply. Returns each only once.
     pub fn take_round_trip(&mut self) -> Option<Duration> {
         self.barrier.take_round_trip().or(self.round_trip.take())
     }
 
-    /// What was seen so far.
+    /// Current counter values of the session.
     #[must_use]
     pub fn counters(&self) -> Counters {
         self.counters
     }
 
-    /// What the decoder has seen so far.
+    /// Current counter values of the decoder.
     #[must_use]
     pub fn decoder_counters(&self) -> DecoderCounters {
         self.decoder.counters()
@@ -315,7 +317,7 @@ impl Session {
         self.line_time(frame.len())
     }
 
-    /// Of a request of so many bytes, of the update that the device may be sending, and of its longest reply.
+    /// Line time of the request, of an update in transmission, and of the longest reply.
     fn round_trip_line_time(&self, request_bytes: usize, id: u8) -> Duration {
         let reply_bytes = frame::OVERHEAD_BYTES + id::max_reply_bytes(id).min(id::MAX_LOOP_BYTES);
         self.line_time(request_bytes + frame::OVERHEAD_BYTES + LONGEST_UPDATE_BYTES + reply_bytes)
@@ -330,7 +332,7 @@ impl Session {
         let before = out.len();
         command.encode(out);
         let line_time = match command {
-            // Its repetition is due when it is due.
+            // Line time must not delay the repetition of a FAST STOP.
             Command::FastStop => Duration::ZERO,
             _ => self.round_trip_line_time(out.len() - before, command.id()),
         };
@@ -349,7 +351,7 @@ impl Session {
         self.slots.insert(command.id(), in_flight);
     }
 
-    /// The device may have restarted: the results of accepted motions come within [`RESULT_GRACE`], or never.
+    /// Shortens the wait for the results of accepted motions to [`RESULT_GRACE`], for a device that may have restarted.
     pub fn expect_results(&mut self, now: Instant) {
         for (id, in_flight) in self.slots.in_flight_mut() {
             if id::is_motion(id) && in_flight.accepted {
@@ -358,7 +360,7 @@ impl Session {
         }
     }
 
-    /// A stop ends what was written before it, and nothing that came after.
+    /// Expects aborts of motions written before the stop, but not of those written after it.
     fn expect_aborts_before(&mut self, now: Instant, order: u64) {
         for (id, in_flight) in self.slots.in_flight_mut() {
             if id::is_motion(id) && in_flight.order < order {

@@ -1,4 +1,4 @@
-//! What comes off the link: which request a reply belongs to, and what it means.
+//! Handling of received frames: matching replies to requests.
 
 use std::time::Instant;
 
@@ -36,7 +36,7 @@ impl Session {
             self.take_update(data.clone());
         }
         let Some(slot) = self.slots.get_mut(id) else {
-            // An update is no stray: it answers the request that switched updates on.
+            // Automatic updates are not stray replies.
             self.counters.stray_replies += u64::from(!id::has_updates(id));
             return;
         };
@@ -47,7 +47,7 @@ impl Session {
                     self.round_trip = Some(now.saturating_duration_since(in_flight.sent_at));
                     in_flight.accepted = true;
                     if id != id::FAST_STOP {
-                        // Its repetition is due when it is due, whatever the device makes of it.
+                        // Acceptance must not delay the repetition of a FAST STOP.
                         in_flight.deadline = now + in_flight.result_within;
                     }
                     self.events.push_back(Event::Accepted(in_flight.token));
@@ -72,7 +72,7 @@ impl Session {
             },
             SlotState::Closed(closed) => {
                 self.counters.late_replies += 1;
-                // The late result itself: nothing of that request can come any more.
+                // This is the late result itself, so nothing more of that request can arrive.
                 if closed.two_step && reply.status() != Status::E_CMD_PENDING {
                     self.slots.open(id);
                 }
@@ -80,10 +80,10 @@ impl Session {
         }
     }
 
-    /// Whether it was the echo of a Loop of ours.
+    /// Handles a reply to the session's own Loop. Returns whether it was one.
     fn take_echo(&mut self, now: Instant, reply: &Reply) -> bool {
         let Reply::Success(Data::Loop(data)) = reply else {
-            // An `E_CMD_PENDING` before the data (`fw4-en 3.1.1`), or a refusal, which the deadline deals with.
+            // `E_CMD_PENDING` before the data (`fw4-en 3.1.1`), or an error; the deadline handles both.
             return self.barrier.is_in_flight() && !self.loop_in_flight();
         };
         match self.barrier.echo(now, data) {
@@ -110,7 +110,7 @@ impl Session {
         self.events.push_back(Event::Update(data));
     }
 
-    /// The device has stopped: the results of running motions come within [`super::ABORT_GRACE`], or never.
+    /// Shortens the wait for the results of running motions to [`super::ABORT_GRACE`], because the device has stopped.
     pub fn expect_aborts(&mut self, now: Instant) {
         self.expect_aborts_before(now, u64::MAX);
     }
@@ -118,7 +118,7 @@ impl Session {
     fn take_invalid(&mut self, id: u8, invalid: InvalidReply) {
         self.counters.invalid_replies += 1;
         if id::is_motion(id) {
-            // It may be moving: only silence until the deadline says that we don't know.
+            // The fingers may be moving, so the request stays in flight until its deadline.
             return;
         }
         if let Some(slot) = self.slots.get_mut(id)

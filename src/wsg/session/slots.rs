@@ -1,4 +1,4 @@
-//! What each id is doing: one request in flight, or closed after a time-out until nothing late can come any more.
+//! State of each id: one request in flight, or closed after a timeout until no late reply can arrive.
 
 use std::time::Instant;
 
@@ -24,38 +24,38 @@ pub(super) struct InFlight {
     pub token: Token,
     pub sent_at: Instant,
     pub deadline: Instant,
-    /// How long the result may take once the request has been accepted.
+    /// Time limit for the result, counted from acceptance.
     pub result_within: std::time::Duration,
     pub accepted: bool,
     pub two_step: bool,
-    /// A Stop or FAST STOP was confirmed meanwhile, so the result may never come.
+    /// A Stop or FAST STOP was confirmed meanwhile, so the result may never arrive.
     pub stopped: bool,
-    /// Counts what was written, since two frames can be written at one instant.
+    /// Number of frames written before: orders frames written at the same instant.
     pub order: u64,
-    /// What a Loop's reply has to bring back.
+    /// Data that the reply to a Loop must echo.
     pub echo: Option<Vec<u8>>,
 }
 
-/// A request that timed out, and whose reply may still come.
+/// An id whose last request can still get a late or duplicate reply.
 #[derive(Debug)]
 pub(super) struct Closed {
-    /// Opens after the echo of a Loop that is newer than this.
+    /// The id opens after the echo of a Loop newer than this.
     pub since: Generation,
     pub echoed: bool,
     pub two_step: bool,
 }
 
-/// What a status means to a request in flight.
+/// Meaning of a status for a request in flight.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Verdict {
     Accepted,
     Final,
-    /// It belongs to an earlier request of the id.
+    /// The status belongs to an earlier request of the id.
     Late,
 }
 
 impl InFlight {
-    /// Whether it is the echo of another Loop: one that came twice, or late.
+    /// Whether `reply` is a late or duplicate echo of another Loop.
     pub(super) fn is_foreign_echo(&self, reply: &Reply) -> bool {
         match (&self.echo, reply) {
             (Some(sent), Reply::Success(Data::Loop(echoed))) => sent != echoed,
@@ -67,7 +67,7 @@ impl InFlight {
         let premature = if crate::wsg::id::is_motion(id) {
             status.only_ends_a_motion()
         } else {
-            // A finger's power: over-current is told at once, success only after E_CMD_PENDING (`fw4-en 3.6.3`).
+            // Finger power: over-current is reported at once, success only after E_CMD_PENDING (`fw4-en 3.6.3`).
             status == Status::E_SUCCESS
         };
         match (status, self.accepted) {
@@ -79,7 +79,7 @@ impl InFlight {
     }
 }
 
-/// The ids that are not open. Few at a time, so a list is quicker than a map, and never grows beyond 256.
+/// All ids that are not open. Few at a time, so a list is faster than a map; never more than 256.
 #[derive(Debug, Default)]
 pub(super) struct Slots(Vec<Slot>);
 

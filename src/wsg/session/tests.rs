@@ -7,7 +7,7 @@ const RESULT: Duration = Duration::from_secs(5);
 const NOTHING: [u8; 0] = [];
 const NO_EVENTS: [Event; 0] = [];
 
-/// A session on a virtual clock, and the bytes that its device would see.
+/// A session on a virtual clock, with helpers that act as its device.
 struct Rig {
     session: Session,
     now: Instant,
@@ -37,7 +37,7 @@ impl Rig {
         self.session.submit(self.now, Request { command, reply_within: ANSWER, result_within: RESULT }).unwrap()
     }
 
-    /// The ids of the frames that are handed out now.
+    /// Ids of the frames handed out now.
     fn written(&mut self) -> Vec<u8> {
         let mut ids = Vec::new();
         let mut out = Vec::new();
@@ -48,10 +48,10 @@ impl Rig {
         ids
     }
 
-    /// The Loop that is handed out now, as the device would echo it.
+    /// Device's echo of the Loop handed out now.
     fn echo_of_written_loop(&mut self) -> Vec<u8> {
         let mut out = Vec::new();
-        assert!(self.session.poll_transmit(self.now, &mut out), "a Loop is wanted");
+        assert!(self.session.poll_transmit(self.now, &mut out), "the session sends a Loop");
         assert_eq!(out[3], id::LOOP);
         let mut echo = Vec::new();
         Reply::Success(Data::Loop(out[6..out.len() - 2].to_vec())).encode(id::LOOP, &mut echo);
@@ -102,7 +102,7 @@ fn fast_stop_overtakes_stop_and_stop_overtakes_the_rest() {
 }
 
 #[test]
-fn one_request_of_an_id_is_in_flight_and_others_pass_it() {
+fn one_request_per_id_is_in_flight() {
     let mut rig = Rig::new();
     let first = rig.submit(Command::GetTemperature);
     let second = rig.submit(Command::GetTemperature);
@@ -117,7 +117,7 @@ fn one_request_of_an_id_is_in_flight_and_others_pass_it() {
 }
 
 #[test]
-fn a_two_step_command_is_accepted_and_then_ends() {
+fn two_step_command_is_accepted_then_ends() {
     let mut rig = Rig::new();
     let token = rig.submit(grip());
     rig.written();
@@ -130,7 +130,7 @@ fn a_two_step_command_is_accepted_and_then_ends() {
 }
 
 #[test]
-fn a_final_reply_before_its_pending_is_late() {
+fn result_before_pending_is_late() {
     let mut rig = Rig::new();
     let token = rig.submit(grip());
     rig.written();
@@ -143,7 +143,7 @@ fn a_final_reply_before_its_pending_is_late() {
 }
 
 #[test]
-fn a_refused_motion_ends_at_once() {
+fn rejected_motion_ends_at_once() {
     let mut rig = Rig::new();
     let token = rig.submit(grip());
     rig.written();
@@ -152,7 +152,7 @@ fn a_refused_motion_ends_at_once() {
 }
 
 #[test]
-fn a_late_reply_does_not_answer_the_next_request_of_its_id() {
+fn late_reply_does_not_end_next_request_of_its_id() {
     let mut rig = Rig::new();
     let first = rig.submit(Command::GetForceLimit);
     rig.written();
@@ -176,7 +176,7 @@ fn a_late_reply_does_not_answer_the_next_request_of_its_id() {
 }
 
 #[test]
-fn the_echo_of_a_loop_from_before_the_time_out_proves_nothing() {
+fn echo_of_loop_before_timeout_opens_nothing() {
     let mut rig = Rig::new();
     rig.submit(Command::GetForceLimit);
     rig.submit(Command::GetTemperature);
@@ -196,7 +196,7 @@ fn the_echo_of_a_loop_from_before_the_time_out_proves_nothing() {
 }
 
 #[test]
-fn a_two_step_id_stays_closed_until_its_late_result() {
+fn two_step_id_stays_closed_until_late_result() {
     let mut rig = Rig::new();
     rig.submit(grip());
     rig.written();
@@ -216,7 +216,7 @@ fn a_two_step_id_stays_closed_until_its_late_result() {
 }
 
 #[test]
-fn a_two_step_id_opens_when_nothing_moves_after_the_echo() {
+fn two_step_id_opens_when_not_moving_after_echo() {
     let mut rig = Rig::new();
     rig.submit(grip());
     rig.written();
@@ -224,7 +224,7 @@ fn a_two_step_id_opens_when_nothing_moves_after_the_echo() {
     rig.submit(grip());
     rig.flags(SystemState::REFERENCED);
     let echo = rig.echo_of_written_loop();
-    assert_eq!(rig.written(), NOTHING, "that update was on its way before");
+    assert_eq!(rig.written(), NOTHING, "the update was sent before the echo");
     rig.session.receive(rig.now, &echo);
     assert_eq!(rig.written(), NOTHING);
     rig.flags(SystemState::REFERENCED);
@@ -244,7 +244,7 @@ fn fast_stop_and_stop_never_wait_for_an_echo() {
 }
 
 #[test]
-fn a_fast_stop_that_is_only_said_to_be_pending_is_given_up_as_soon_as_one_without_an_answer() {
+fn pending_fast_stop_times_out_like_unanswered_one() {
     let mut rig = Rig::new();
     let token = rig.submit(Command::FastStop);
     rig.written();
@@ -257,7 +257,7 @@ fn a_fast_stop_that_is_only_said_to_be_pending_is_given_up_as_soon_as_one_withou
 }
 
 #[test]
-fn the_result_of_a_stopped_motion_is_not_waited_for_long() {
+fn stop_shortens_wait_for_motion_result() {
     let mut rig = Rig::new();
     let motion = rig.submit(grip());
     rig.written();
@@ -271,7 +271,7 @@ fn the_result_of_a_stopped_motion_is_not_waited_for_long() {
 }
 
 #[test]
-fn a_request_that_cannot_be_written_ends_unwritten() {
+fn unwritten_request_ends_at_its_deadline() {
     let mut rig = Rig::new();
     let token = rig.submit(Command::GetTemperature);
     rig.pass(ANSWER);
@@ -291,7 +291,7 @@ fn a_withdrawn_request_is_never_written() {
 }
 
 #[test]
-fn a_clients_loop_and_ours_do_not_answer_each_other() {
+fn client_loop_and_session_loop_do_not_mix() {
     let mut rig = Rig::new();
     rig.pass(PROBE_AFTER);
     let probe = rig.echo_of_written_loop();
@@ -301,14 +301,14 @@ fn a_clients_loop_and_ours_do_not_answer_each_other() {
     rig.session.receive(rig.now, &probe);
     assert_eq!(rig.written(), [id::LOOP]);
     rig.session.receive(rig.now, &probe);
-    assert_eq!(rig.events(), NO_EVENTS, "a doubled echo of ours is no answer to the client's");
+    assert_eq!(rig.events(), NO_EVENTS, "a duplicate echo of the session's Loop does not end the client's");
     let reply = Reply::Success(Data::Loop(data.as_bytes().to_vec()));
     rig.reply(id::LOOP, &reply);
     assert_eq!(rig.events(), [Event::Ended(token, End::Reply(reply))]);
 }
 
 #[test]
-fn an_update_answers_the_request_that_switched_updates_on() {
+fn update_ends_the_request_that_enabled_it() {
     let mut rig = Rig::new();
     let token = rig.submit(Command::GetGripperState(Updates::On { on_change: false, period_ms: 10 }));
     rig.written();
@@ -322,7 +322,7 @@ fn an_update_answers_the_request_that_switched_updates_on() {
 }
 
 #[test]
-fn a_reply_with_impossible_contents_ends_its_request_unless_that_may_be_moving() {
+fn invalid_reply_ends_its_request_except_for_motions() {
     let mut rig = Rig::new();
     let token = rig.submit(Command::GetSystemLimits);
     rig.submit(grip());
@@ -330,11 +330,11 @@ fn a_reply_with_impossible_contents_ends_its_request_unless_that_may_be_moving()
     rig.reply(id::GET_SYSTEM_LIMITS, &Reply::Success(Data::None));
     rig.reply(id::GRIP, &Reply::Success(Data::GripperState(GripperState::Idle)));
     assert!(matches!(rig.events()[..], [Event::Ended(ended, End::Invalid(_))] if ended == token));
-    assert_eq!(rig.session.decoder_counters().oversized, 1, "a grip's reply has no parameters");
+    assert_eq!(rig.session.decoder_counters().oversized, 1, "the reply to a grip has no data");
 }
 
 #[test]
-fn a_silent_device_is_probed_and_the_partial_frame_given_up() {
+fn silent_device_is_probed_and_partial_frame_given_up() {
     let mut rig = Rig::new();
     rig.session.receive(rig.now, &[0xAA, 0xAA, 0xAA, id::LOOP]);
     assert_eq!(rig.session.poll_timeout(), Some(rig.now + Duration::from_millis(50)));
@@ -347,7 +347,7 @@ fn a_silent_device_is_probed_and_the_partial_frame_given_up() {
 }
 
 #[test]
-fn a_long_request_is_refused_on_a_slow_line_while_the_fingers_move() {
+fn long_request_is_rejected_on_slow_line_while_moving() {
     let mut rig = Rig::on_a_line(Some(960));
     let long = Request {
         command: Command::Loop(LoopData::new(vec![0; 256]).unwrap()),
@@ -360,7 +360,7 @@ fn a_long_request_is_refused_on_a_slow_line_while_the_fingers_move() {
 }
 
 #[test]
-fn a_lane_is_bounded() {
+fn lanes_are_bounded() {
     let mut rig = Rig::new();
     for _ in 0..MAX_WAITING {
         rig.submit(Command::GetTemperature);
@@ -371,7 +371,7 @@ fn a_lane_is_bounded() {
 }
 
 #[test]
-fn a_slow_device_opens_its_ids_again() {
+fn slow_echo_still_opens_ids() {
     let mut rig = Rig::new();
     rig.submit(Command::GetForceLimit);
     rig.written();
@@ -379,18 +379,18 @@ fn a_slow_device_opens_its_ids_again() {
     rig.submit(Command::GetForceLimit);
     let first = rig.echo_of_written_loop();
     rig.pass(Duration::from_millis(50));
-    // Another Loop is on its way before the echo of the first has come.
+    // The session sends another Loop before the echo of the first arrives.
     rig.now += Duration::from_millis(350);
     rig.session.handle_timeout(rig.now);
     let request = Request { command: Command::GetForceLimit, reply_within: ANSWER, result_within: RESULT };
     rig.session.submit(rig.now, request).unwrap();
     assert_eq!(rig.written(), [id::LOOP]);
     rig.session.receive(rig.now, &first);
-    assert_eq!(rig.written(), [id::GET_FORCE_LIMIT], "what was on its way before the first Loop has arrived");
+    assert_eq!(rig.written(), [id::GET_FORCE_LIMIT], "replies sent before the first Loop have arrived");
 }
 
 #[test]
-fn a_stop_ends_nothing_that_was_written_after_it() {
+fn stop_does_not_end_later_motion() {
     let mut rig = Rig::new();
     rig.submit(Command::Stop);
     rig.written();
@@ -405,7 +405,7 @@ fn a_stop_ends_nothing_that_was_written_after_it() {
 }
 
 #[test]
-fn an_echo_that_comes_twice_does_not_answer_the_next_loop() {
+fn duplicate_echo_does_not_end_next_loop() {
     let mut rig = Rig::new();
     let (first, second) = (LoopData::new(vec![1]).unwrap(), LoopData::new(vec![2]).unwrap());
     let token = rig.submit(Command::Loop(first));
@@ -423,7 +423,7 @@ fn an_echo_that_comes_twice_does_not_answer_the_next_loop() {
 }
 
 #[test]
-fn a_reply_that_comes_twice_does_not_answer_the_next_request_of_its_id() {
+fn duplicate_reply_does_not_end_next_request_of_its_id() {
     let mut rig = Rig::on_datagrams();
     let set = |n| Command::SetForceLimit(Force::new(n).unwrap());
     let first = rig.submit(set(10.0));
@@ -434,7 +434,7 @@ fn a_reply_that_comes_twice_does_not_answer_the_next_request_of_its_id() {
     let echo = rig.echo_of_written_loop();
     assert_eq!(rig.written(), NOTHING);
     rig.status(id::SET_FORCE_LIMIT, Status::E_SUCCESS);
-    assert_eq!(rig.events(), NO_EVENTS, "the first reply again");
+    assert_eq!(rig.events(), NO_EVENTS, "duplicate of the first reply");
     rig.session.receive(rig.now, &echo);
     assert_eq!(rig.written(), [id::SET_FORCE_LIMIT]);
     rig.status(id::SET_FORCE_LIMIT, Status::E_RANGE_ERROR);
