@@ -1,4 +1,4 @@
-//! What the manual has beside motions: settings, statistics, fingers, tare, Loop, raw requests.
+//! Device commands besides motions: settings, statistics, fingers, tare, Loop and raw requests.
 
 use std::time::Duration;
 
@@ -18,7 +18,7 @@ fn assert_has(body: &Value, fields: &Value) {
 }
 
 #[tokio::test]
-async fn every_setting_is_read_back_as_the_device_made_it() {
+async fn settings_are_read_back_from_the_device() {
     let device = Simulator::start(&[]).await;
     let gateway = Gateway::connected_to(device.address).await;
     let settings = [
@@ -39,7 +39,7 @@ async fn every_setting_is_read_back_as_the_device_made_it() {
     assert_eq!(gateway.get("").await.field("device_tag"), "cell 7");
 }
 
-/// Sets the tag, as soon as the last write is long enough ago.
+/// Sets the tag, and retries while the write limit refuses it.
 async fn set_tag(gateway: &Gateway, tag: &str) {
     let set = async || (gateway.put("settings/device-tag", &json!({"tag": tag})).await.status == 200).then_some(());
     eventually("the tag is set", set).await;
@@ -67,7 +67,7 @@ async fn device_tag_is_written_once_a_second_by_all_interfaces_together() {
 }
 
 #[tokio::test]
-async fn device_tag_that_the_device_has_is_not_written_again() {
+async fn unchanged_device_tag_is_not_written_again() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
     let (gateway, port) = Gateway::with_port(proxy.address, &[]).await;
@@ -83,7 +83,7 @@ async fn device_tag_that_the_device_has_is_not_written_again() {
 }
 
 #[tokio::test]
-async fn a_setting_beyond_the_devices_limits_is_refused_and_sends_no_frame() {
+async fn out_of_range_setting_is_refused_and_sends_no_frame() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
     let gateway = Gateway::connected_to(proxy.address).await;
@@ -146,7 +146,7 @@ async fn fingers_without_electronics_can_be_switched_and_have_no_data() {
 }
 
 #[tokio::test]
-async fn a_finger_with_electronics_tells_its_type_flags_and_data() {
+async fn finger_with_electronics_reports_type_flags_and_data() {
     let table = Table::from([
         (0x60, vec![success(&[1, 4, 0])]),
         (0x61, vec![success(&[7, 0])]),
@@ -161,7 +161,7 @@ async fn a_finger_with_electronics_tells_its_type_flags_and_data() {
 }
 
 #[tokio::test]
-async fn tare_and_loop_reach_the_device_and_refusals_come_by_name_and_number() {
+async fn tare_and_loop_reach_the_device() {
     let device = Scripted::start(Table::from([(0x38, vec![success(&[])])])).await;
     let gateway = Gateway::connected_to(device.address).await;
     assert_has(&gateway.post("tare", &json!({})).await.ok(), &json!({"tared": true}));
@@ -177,7 +177,7 @@ async fn tare_and_loop_reach_the_device_and_refusals_come_by_name_and_number() {
 }
 
 #[tokio::test]
-async fn a_raw_request_of_a_known_id_takes_the_typed_path_with_its_checks() {
+async fn raw_request_of_a_known_id_is_checked_like_its_operation() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
     let gateway = Gateway::connected_to(proxy.address).await;
@@ -201,7 +201,7 @@ async fn a_raw_request_of_a_known_id_takes_the_typed_path_with_its_checks() {
 }
 
 #[tokio::test]
-async fn raw_requests_that_are_the_gateways_own_are_refused() {
+async fn raw_requests_reserved_for_the_gateway_are_refused() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
     let gateway = Gateway::connected_to(proxy.address).await;
@@ -213,13 +213,13 @@ async fn raw_requests_that_are_the_gateways_own_are_refused() {
     gateway.post("raw", &json!({"id": 0x30, "payload": "00"})).await.problem(400, "malformed");
     gateway.post("raw", &json!({"id": 256})).await.problem(422, "out_of_range");
     let served = gateway.post("raw", &json!({"id": 0x40, "payload": "000000"})).await.ok();
-    assert_eq!(served["payload"].as_str().map(str::len), Some(8), "from the newest update: {served}");
+    assert_eq!(served["payload"].as_str().map(str::len), Some(8), "answered from the newest update: {served}");
     let caused: Vec<_> = proxy.frames.since(before).into_iter().filter(|frame| !frame.is_upkeep()).collect();
     assert_eq!(caused, []);
 }
 
 #[tokio::test]
-async fn a_custom_id_passes_through_as_it_is() {
+async fn custom_id_passes_through_unchanged() {
     let device = Scripted::start(Table::from([(0xB0, vec![success(&[1, 2, 3])])])).await;
     let gateway = Gateway::connected_to(device.address).await;
     let told = gateway.post("raw", &json!({"id": 0xB0, "payload": "ff00"})).await.ok();
@@ -241,8 +241,8 @@ async fn a_custom_id_passes_through_as_it_is() {
 }
 
 #[tokio::test]
-async fn a_custom_id_counts_as_a_motion_and_is_written_down_unless_it_is_configured_to_read() {
-    // It begins, and does not end.
+async fn custom_id_counts_as_a_motion_unless_configured_as_a_read() {
+    // B0h starts and never ends.
     let device = Scripted::start(Table::from([(0xB0, vec![vec![0x1A, 0]]), (0xB2, vec![success(&[7])])])).await;
     let path = std::env::temp_dir().join(format!("wsg-{}-read-ids.toml", std::process::id()));
     std::fs::write(&path, format!("[grippers.g]\nurl = \"tcp://{}\"\nread_ids = [0xB2]\n", device.address)).unwrap();

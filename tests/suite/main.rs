@@ -1,4 +1,4 @@
-//! The integration tests: one binary, each room of it a module.
+//! Integration tests, built as one binary. See `tests/README.md`.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 

@@ -21,7 +21,7 @@ async fn a_command_is_answered_when_admitted_and_its_end_is_told() {
     let running = socket.call("home", json!({"gripper": "g"})).await;
     assert_eq!((&running["phase"], &running["kind"]), (&json!("running"), &json!("home")));
     assert_eq!(running["client"], "ws:127.0.0.1");
-    let done = socket.told("command", |_| true).await;
+    let done = socket.notification("command", |_| true).await;
     assert_eq!((&done["id"], &done["outcome"]), (&running["id"], &json!("SUCCESS")), "{done}");
     let again = socket.call("command", json!({"gripper": "g", "command": running["id"]})).await;
     assert_eq!(again, done);
@@ -58,7 +58,7 @@ async fn a_subscription_begins_with_the_states_and_goes_on_with_what_changes() {
         }
     }
     socket.call("subscribe", json!({"topics": []})).await;
-    socket.forget();
+    socket.drop_queued();
     assert!(socket.is_silent_for(std::time::Duration::from_millis(300)).await);
 }
 
@@ -245,7 +245,7 @@ async fn observers_never_block() {
     assert!(socket.answer(id).await["result"]["fast_stop_confirmed"] == true);
     let (mut last, mut jump) = (begun, 0);
     while last < stalled {
-        let seq = socket.told("state", |_| true).await["seq"].as_u64().unwrap();
+        let seq = socket.notification("state", |_| true).await["seq"].as_u64().unwrap();
         jump = jump.max(seq - last);
         last = seq;
     }
@@ -262,17 +262,17 @@ async fn the_wire_log_has_the_bytes_that_the_device_got() {
     socket.call("subscribe", json!({"topics": ["frames"], "grippers": ["g"]})).await;
     let before = proxy.frames.len();
     socket.call("home", json!({"gripper": "g"})).await;
-    let pending = socket.told("frame", |frame| frame["text"] == "Homing -> E_CMD_PENDING").await;
+    let pending = socket.notification("frame", |frame| frame["text"] == "Homing -> E_CMD_PENDING").await;
     let hex = |id: u8, payload: &[u8]| {
         let mut bytes = Vec::new();
         wsg_gateway::wsg::frame::encode(id, payload, &mut bytes);
         json!(hex::encode(bytes))
     };
     assert_eq!((&pending["direction"], &pending["hex"]), (&json!("received"), &hex(0x20, &[26, 0])));
-    let ended = socket.told("frame", |frame| frame["text"] == "Homing -> E_SUCCESS").await;
+    let ended = socket.notification("frame", |frame| frame["text"] == "Homing -> E_SUCCESS").await;
     assert!(ended["seq"].as_u64() > pending["seq"].as_u64());
     socket.call("stop", json!({"gripper": "g"})).await;
-    let sent = socket.told("frame", |frame| frame["direction"] == "sent" && frame["id"] == 0x22).await;
+    let sent = socket.notification("frame", |frame| frame["direction"] == "sent" && frame["id"] == 0x22).await;
     assert_eq!((&sent["name"], &sent["text"], &sent["gripper"]), (&json!("Stop"), &json!("Stop"), &json!("g")));
     let stop = proxy.frames.since(before).into_iter().find(|frame| frame.id == 0x22).unwrap();
     assert_eq!(sent["hex"], hex(stop.id, &stop.payload));
@@ -340,7 +340,7 @@ async fn every_method_answers_as_it_is_described() {
         }
         let answer = socket.call(method, params).await;
         if answer["phase"] == "running" {
-            socket.told("command", |command| command["id"] == answer["id"]).await;
+            socket.notification("command", |command| command["id"] == answer["id"]).await;
         }
     }
     let all = socket.call("fast-stop", json!({})).await;
@@ -387,7 +387,7 @@ async fn a_lease_that_was_taken_again_is_not_lost_with_the_socket_before() {
     assert_eq!((&again["token"], &again["epoch"]), (&lease["token"], &lease["epoch"]));
     let homed = socket.call("home", json!({"gripper": "g", "lease": lease["token"]})).await;
     drop(before);
-    let done = socket.told("command", |_| true).await;
+    let done = socket.notification("command", |_| true).await;
     assert_eq!((&done["id"], &done["outcome"]), (&homed["id"], &json!("SUCCESS")), "{done}");
     assert_eq!(gateway.state().await["lease_holder"], "robot");
     drop(socket);

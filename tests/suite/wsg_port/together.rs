@@ -60,7 +60,7 @@ async fn two_drivers_a_rest_client_and_an_observer_share_one_gripper() {
     let rest = cell.gateway.post("move", &json!({"width_mm": 40, "speed_mm_s": 100})).await;
     assert_eq!(rest.problem(409, "lease_held")["holder"], "wsg:127.0.0.1");
     let held = |event: &serde_json::Value| event["door"] == "wsg" && event["outcome"] == "PART_HELD";
-    assert_eq!(observer.told("event", held).await["kind"], "command");
+    assert_eq!(observer.notification("event", held).await["kind"], "command");
 
     // Its end gives the gripper to the next.
     one.leave().await;

@@ -271,7 +271,7 @@ async fn the_fleet_is_followed_live_on_a_websocket() {
     let mut socket = Socket::open(&pair.near).await;
     socket.call("subscribe", json!({"topics": ["fleet"]})).await;
     let mut of = async |name: &str, wanted: &dyn Fn(&Value) -> bool| {
-        timeout(DEADLINE, socket.told("fleet", |told| told["gripper"] == name && wanted(told)))
+        timeout(DEADLINE, socket.notification("fleet", |told| told["gripper"] == name && wanted(told)))
             .await
             .expect("it is told")
     };
@@ -377,8 +377,8 @@ async fn who_has_the_name_of_another_is_told_so_and_is_stopped_and_kept_all_the_
         gateway("twin", router.endpoint(), 1, &[]),
         gateway("near", router.endpoint(), 1, &[])
     );
-    one.until_said("give each its own --name").await;
-    other.until_said("give each its own --name").await;
+    one.until_logged("give each its own --name").await;
+    other.until_logged("give each its own --name").await;
     until_whole(&near, 2).await;
     let client = ZenohClient::at(router.endpoint()).await;
     let codes = async |command: &str, body: &str| -> Vec<Value> {

@@ -90,7 +90,8 @@ async fn served(certificates: &Certificates) -> (Gateway, Proxy, Simulator, Stri
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
     let gripper = format!("g=tcp://{}", proxy.address);
-    let gateway = Gateway::start_as_told(&["--gripper", &gripper, "--config", toml.to_str().unwrap()]).await;
+    let gateway =
+        Gateway::start_without_zenoh_defaults(&["--gripper", &gripper, "--config", toml.to_str().unwrap()]).await;
     gateway.until_link("connected").await;
     let endpoint = gateway.word_after("Zenoh: ").await;
     let port = endpoint.rsplit(':').next().unwrap();
