@@ -1,4 +1,4 @@
-//! One command is found by one id: in its answer, in the journal and in the log.
+//! Command ids across the answer, the journal and the log.
 
 use serde_json::{Value, json};
 
@@ -24,7 +24,7 @@ async fn one_command_id_is_in_the_answer_the_journal_and_the_log() {
         .map(|line| serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}")))
         .collect();
     let said = |message: &str| lines.iter().filter(|line| line["message"] == message).collect::<Vec<_>>();
-    // What the actor says of it, and what the door does.
+    // Lines of the actor and of the HTTP interface.
     assert_eq!(said("admitted").iter().map(|line| &line["command"]).collect::<Vec<_>>(), [&id]);
     let ended = said("ended");
     assert_eq!(
