@@ -220,7 +220,7 @@ async fn unanswered_pings_close_the_socket() {
     let mut bytes = Vec::new();
     let reading = dead.read_to_end(&mut bytes);
     tokio::select! {
-        end = tokio::time::timeout(crate::harness::DEADLINE, reading) => drop(end.expect("the socket is closed").unwrap()),
+        end = tokio::time::timeout(crate::harness::DEADLINE, reading) => drop(end.expect("a close").unwrap()),
         told = lively.next() => panic!("{told:?}"),
     }
     let text = String::from_utf8_lossy(&bytes);
