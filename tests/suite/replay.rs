@@ -12,7 +12,7 @@ use wsg_gateway::transport::{Address, Pipe};
 
 use crate::conformance::rig::SOON;
 use crate::recordings::{self, Exchange, TRANSPORTS};
-use crate::wires::free_udp_port;
+use crate::transports::free_udp_port;
 
 #[test]
 fn every_command_and_reply_is_as_recorded() {

@@ -1,8 +1,8 @@
 //! The WSG port, with stand-ins for real drivers.
 
 mod allowed;
+mod disconnects;
 mod drivers;
-mod ends;
 mod field_notes;
 mod latch;
 mod link;

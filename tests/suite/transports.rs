@@ -24,9 +24,9 @@ fn serial() -> String {
     format!("serial://pty?link={}", link.display())
 }
 
-conformance!(on_tcp, crate::wires::tcp());
-conformance!(on_udp, crate::wires::udp());
-conformance!(on_serial, crate::wires::serial());
+conformance!(on_tcp, crate::transports::tcp());
+conformance!(on_udp, crate::transports::udp());
+conformance!(on_serial, crate::transports::serial());
 
 #[tokio::test]
 async fn cut_on_udp_is_noticed() {
