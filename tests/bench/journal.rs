@@ -110,8 +110,8 @@ fn done(at: Timestamp, part_id: Option<PartId>, outcome: Outcome) -> CommandEven
 }
 
 async fn durable(journal: &Journal, event: Event) -> Result<(), Error> {
-    let (told, durable) = oneshot::channel();
-    journal.record(Record::Event(event, Some(told)));
+    let (notify, durable) = oneshot::channel();
+    journal.record(Record::Event(event, Some(notify)));
     Ok(durable.await?)
 }
 

@@ -1,6 +1,6 @@
-//! A thousand observers, a hundred of which read nothing, with a flood of refused motions. Measures the time of a FAST
-//! STOP to the device compared with an idle gateway in the same run, whether every reading observer gets every event,
-//! and memory and processor time compared with a Mosquitto that fans out the same bytes.
+//! A thousand observers, a hundred of which read nothing, with a flood of refused motions. The bench measures the time
+//! of a FAST STOP to the device, compared with an idle gateway in the same run. It checks that every reading observer
+//! gets every event. It compares memory and processor time with a Mosquitto that fans out the same bytes.
 //!
 //! `cargo bench --bench observers`. Variables: `OBSERVERS` (1000), `STALLED` (100), `HZ` (50), `STOPS` (200 idle and
 //! 200 loaded) and `SECONDS` (10 per fan-out). Times are noisy; compare the ratios. Mosquitto is skipped if it is not

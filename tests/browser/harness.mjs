@@ -98,9 +98,9 @@ export async function slowReads({ url }) {
       return;
     }
     const { method, headers } = asked;
-    const passed = request(new URL(asked.url, url), { method, headers }, (told) => {
-      answer.writeHead(told.statusCode, told.headers);
-      told.pipe(answer);
+    const passed = request(new URL(asked.url, url), { method, headers }, (response) => {
+      answer.writeHead(response.statusCode, response.headers);
+      response.pipe(answer);
     });
     passed.on('error', () => answer.destroy());
     asked.pipe(passed);

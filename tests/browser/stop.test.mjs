@@ -111,15 +111,15 @@ test('a read cancelled by STOP is repeated', async () => {
     return reads === 1 ? undefined : route.continue();
   });
   await page.exposeFunction('reads', () => reads);
-  const told = await page.evaluate(async () => {
+  const result = await page.evaluate(async () => {
     const { get, postUrgently } = await import(new URL('net/rest.js', document.querySelector('script[type=module]').src));
     const read = get('events?limit=1').then(({ events }) => events.length, (problem) => problem);
     while (await globalThis.reads() === 0) await new Promise(requestAnimationFrame);
     const { fast_stop_id: id } = await postUrgently('grippers/left/fast-stop', { reason: 'a test' }, 5000);
     return { id, read: await read };
   });
-  assert.ok(told.id);
-  assert.deepEqual([told.read, reads], [1, 2]);
+  assert.ok(result.id);
+  assert.deepEqual([result.read, reads], [1, 2]);
   await close();
 });
 

@@ -100,7 +100,7 @@ async fn unrelated_frames_are_ignored() {
 
 #[tokio::test]
 async fn cut_on_can_is_noticed() {
-    conformance::a_cut_without_a_connection(&device()).await;
+    conformance::cut_without_a_connection(&device()).await;
 }
 
 #[tokio::test]

@@ -134,8 +134,8 @@ async fn fingers_without_electronics_can_be_switched_and_have_no_data() {
     let device = Simulator::start(&[]).await;
     let gateway = Gateway::connected_to(device.address).await;
     for finger in [1, 2] {
-        let told = gateway.get(&format!("fingers/{finger}")).await.ok();
-        assert_has(&told, &json!({"finger": finger, "type_code": 0, "data_bytes": 0}));
+        let answer = gateway.get(&format!("fingers/{finger}")).await.ok();
+        assert_has(&answer, &json!({"finger": finger, "type_code": 0, "data_bytes": 0}));
         for enabled in [false, true] {
             let switched = gateway.put(&format!("fingers/{finger}/power"), &json!({"enabled": enabled})).await;
             assert_has(&switched.ok(), &json!({"finger": finger, "enabled": enabled}));
@@ -154,9 +154,9 @@ async fn finger_with_electronics_reports_type_flags_and_data() {
     ]);
     let device = Scripted::start(table).await;
     let gateway = Gateway::connected_to(device.address).await;
-    let told = gateway.get("fingers/1").await.ok();
-    assert_has(&told, &json!({"type": "WSG-FMF", "type_code": 1, "data_bytes": 4, "flags_raw": 7}));
-    assert_has(&told, &json!({"flags": ["POWER_ON", "CONFIG_AVAIL", "COMM_OPEN"]}));
+    let answer = gateway.get("fingers/1").await.ok();
+    assert_has(&answer, &json!({"type": "WSG-FMF", "type_code": 1, "data_bytes": 4, "flags_raw": 7}));
+    assert_has(&answer, &json!({"flags": ["POWER_ON", "CONFIG_AVAIL", "COMM_OPEN"]}));
     assert_has(&gateway.get("fingers/1/data").await.ok(), &json!({"data": "0000a041"}));
 }
 
@@ -181,8 +181,8 @@ async fn raw_request_of_a_known_id_is_checked_like_its_operation() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
     let gateway = Gateway::connected_to(proxy.address).await;
-    let told = gateway.post("raw", &json!({"id": 0x31})).await.ok();
-    assert_has(&told, &json!({"name": "GetAcceleration", "status": "E_SUCCESS", "payload": "00401c45"}));
+    let answer = gateway.post("raw", &json!({"id": 0x31})).await.ok();
+    assert_has(&answer, &json!({"name": "GetAcceleration", "status": "E_SUCCESS", "payload": "00401c45"}));
     let to_40_mm = format!("00{}{}", hex::encode(40_f32.to_le_bytes()), hex::encode(400_f32.to_le_bytes()));
     let raw = json!({"id": 0x21, "payload": to_40_mm});
     gateway.post("raw", &raw).await.problem(409, "not_referenced");
@@ -222,8 +222,8 @@ async fn raw_requests_reserved_for_the_gateway_are_refused() {
 async fn custom_id_passes_through_unchanged() {
     let device = Scripted::start(Table::from([(0xB0, vec![success(&[1, 2, 3])])])).await;
     let gateway = Gateway::connected_to(device.address).await;
-    let told = gateway.post("raw", &json!({"id": 0xB0, "payload": "ff00"})).await.ok();
-    assert_has(&told, &json!({"id": 0xB0, "name": null, "status": "E_SUCCESS", "payload": "010203"}));
+    let answer = gateway.post("raw", &json!({"id": 0xB0, "payload": "ff00"})).await.ok();
+    assert_has(&answer, &json!({"id": 0xB0, "name": null, "status": "E_SUCCESS", "payload": "010203"}));
     let sent = device.frames.all().into_iter().find(|frame| frame.id == 0xB0).map(|frame| frame.payload);
     assert_eq!(sent, Some(vec![0xFF, 0x00]));
     let problem = gateway.post("raw", &json!({"id": 0xB1})).await.problem(422, "device_refused");
@@ -237,7 +237,7 @@ async fn custom_id_passes_through_unchanged() {
     ]) {
         assert_eq!((&event["phase"], &event["outcome"]), (&json!(phase), &outcome), "{written:?}");
     }
-    assert_eq!((written.len(), &written[1]["command_id"]), (4, &told["command_id"]), "{written:?}");
+    assert_eq!((written.len(), &written[1]["command_id"]), (4, &answer["command_id"]), "{written:?}");
 }
 
 #[tokio::test]

@@ -46,7 +46,7 @@ async fn grip_curve_shows_approach_contact_and_force() {
 
     let contact = samples.iter().position(|sample| sample.width_mm < part.width_mm).expect("the part is touched");
     let (way, pressing) = samples.split_at(contact);
-    // On the approach there is no force, and after the start the speed is the requested one.
+    // On the approach the force is zero, and after the start the speed is the requested one.
     assert!(way.iter().all(|sample| sample.force_n.abs() <= ROUNDING_N), "{way:?}");
     let (begun, met) = (way.iter().position(|sample| sample.width_mm < 39.0).unwrap(), &pressing[0]);
     let steady = &way[begun..];

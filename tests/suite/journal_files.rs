@@ -33,10 +33,10 @@ impl Drop for File {
 }
 
 async fn keep(journal: &Journal, second: i64, gripper: Option<&str>, detail: Detail) {
-    let (told, durable) = oneshot::channel();
+    let (notify, durable) = oneshot::channel();
     let gripper = gripper.map(|name| name.parse::<Name>().unwrap());
     let event = Event::new(Timestamp::from_second(second).unwrap(), gripper, detail);
-    journal.record(Record::Event(event, Some(told)));
+    journal.record(Record::Event(event, Some(notify)));
     durable.await.unwrap();
 }
 

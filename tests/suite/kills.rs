@@ -58,7 +58,7 @@ async fn killed_gateway_keeps_reported_commands() {
         let gateway = Gateway::start(&["--gripper", "g=sim://wsg50", "--journal", name]).await;
         gateway.until_link("connected").await;
         let kill_after = Duration::from_millis(rand::rng().random_range(0..LONGEST_TRAFFIC_MS));
-        // The random moment of the kill: there is no value to wait for.
+        // The kill comes at a random moment, so nothing is waited for.
         let _ = tokio::time::timeout(kill_after, traffic(&gateway, &mut reported)).await;
         killed_at.push(Instant::now());
         gateway.kill().await;

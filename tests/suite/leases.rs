@@ -179,8 +179,8 @@ async fn lease_is_requested_and_handed_over() {
     assert_eq!(taken["epoch"], 2);
     gateway.put("lease", &json!({"lease": a})).await.problem(409, "stale_lease");
     gateway.put("lease", &json!({"lease": taken["token"]})).await.ok();
-    let told = gateway.get("lease").await.ok();
-    assert_eq!((&told["holder"], told.get("token")), (&json!("b"), None), "{told}");
+    let current = gateway.get("lease").await.ok();
+    assert_eq!((&current["holder"], current.get("token")), (&json!("b"), None), "{current}");
 }
 
 #[tokio::test]

@@ -56,9 +56,9 @@ async fn make_settings(gateway: &Gateway) {
 async fn settings(gateway: &Gateway) -> Vec<Value> {
     let mut settings = Vec::new();
     for setting in ["acceleration", "force-limit", "soft-limits"] {
-        let mut told = gateway.get(&format!("settings/{setting}")).await.ok();
-        told.as_object_mut().unwrap().remove("gripper");
-        settings.push(told);
+        let mut value = gateway.get(&format!("settings/{setting}")).await.ok();
+        value.as_object_mut().unwrap().remove("gripper");
+        settings.push(value);
     }
     settings
 }

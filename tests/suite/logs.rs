@@ -5,7 +5,7 @@ use serde_json::{Value, json};
 use crate::harness::{Gateway, Simulator};
 
 #[tokio::test]
-async fn one_command_id_is_in_the_answer_the_journal_and_the_log() {
+async fn answer_journal_and_log_share_the_command_id() {
     let device = Simulator::start(&[]).await;
     let gripper = format!("g=tcp://{}", device.address);
     let gateway = Gateway::start(&["--log-format", "json", "--gripper", &gripper]).await;

@@ -30,7 +30,7 @@ conformance!(on_serial, crate::transports::serial());
 
 #[tokio::test]
 async fn cut_on_udp_is_noticed() {
-    conformance::a_cut_without_a_connection(&udp()).await;
+    conformance::cut_without_a_connection(&udp()).await;
 }
 
 #[tokio::test]

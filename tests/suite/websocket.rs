@@ -33,15 +33,21 @@ async fn command_is_answered_on_admission_and_notified_at_its_end() {
 async fn subscription_starts_with_states_and_continues_with_changes() {
     let (_device, gateway) = connected().await;
     let mut socket = Socket::open(&gateway).await;
-    let told = socket.call("subscribe", json!({"topics": ["state", "telemetry", "events"], "max_hz": 50})).await;
-    assert_eq!((&told["max_hz"], &told["states"][0]["gripper"]), (&json!(50), &json!("g")), "{told}");
-    let (mut state_seq, mut event_seq) = (told["states"][0]["seq"].as_u64(), told["event_seq"].as_i64().unwrap());
+    let subscription =
+        socket.call("subscribe", json!({"topics": ["state", "telemetry", "events"], "max_hz": 50})).await;
+    assert_eq!(
+        (&subscription["max_hz"], &subscription["states"][0]["gripper"]),
+        (&json!(50), &json!("g")),
+        "{subscription}"
+    );
+    let (mut state_seq, mut event_seq) =
+        (subscription["states"][0]["seq"].as_u64(), subscription["event_seq"].as_i64().unwrap());
     socket.call("home", json!({"gripper": "g"})).await;
-    let (mut has_moved, mut telemetry, mut has_ended, mut is_told) = (false, 0, false, false);
-    while !(has_moved && telemetry > 3 && has_ended && is_told) {
-        let told = socket.next().await.expect("an update");
-        let body = &told["params"];
-        match told["method"].as_str().unwrap() {
+    let (mut has_moved, mut telemetry, mut has_ended, mut has_notification) = (false, 0, false, false);
+    while !(has_moved && telemetry > 3 && has_ended && has_notification) {
+        let message = socket.next().await.expect("an update");
+        let body = &message["params"];
+        match message["method"].as_str().unwrap() {
             "state" => {
                 assert!(body["seq"].as_u64() > state_seq, "{body} after {state_seq:?}");
                 state_seq = body["seq"].as_u64();
@@ -53,7 +59,7 @@ async fn subscription_starts_with_states_and_continues_with_changes() {
                 event_seq += 1;
                 has_ended |= body["kind"] == "command" && body["phase"] == "done";
             }
-            "command" => is_told = true,
+            "command" => has_notification = true,
             other => panic!("{other}"),
         }
     }
@@ -221,7 +227,7 @@ async fn unanswered_pings_close_the_socket() {
     let reading = dead.read_to_end(&mut bytes);
     tokio::select! {
         end = tokio::time::timeout(crate::harness::DEADLINE, reading) => drop(end.expect("a close").unwrap()),
-        told = lively.next() => panic!("{told:?}"),
+        message = lively.next() => panic!("{message:?}"),
     }
     let text = String::from_utf8_lossy(&bytes);
     assert!(text.starts_with("HTTP/1.1 101 ") && text.contains("sec-websocket-protocol: wsg.v1"), "{text}");

@@ -20,8 +20,8 @@ use rig::{Rig, SOON, client, home, move_to};
 macro_rules! conformance {
     ($transport:ident, $url:expr) => {
         $crate::conformance!($transport, $url,
-            every_command updates_without_asking a_fast_stop_in_the_middle_of_a_motion a_reboot silence_and_recovery
-            a_pulled_wire_and_recovery an_orderly_end);
+            every_command automatic_updates fast_stop_during_a_motion reboot_during_a_motion silence_and_recovery
+            pulled_wire_and_recovery orderly_end);
     };
     ($transport:ident, $url:expr, $($test:ident)*) => {
         mod $transport {
@@ -125,7 +125,7 @@ pub async fn every_command(url: &str) {
 }
 
 /// Automatic updates arrive and take at most half of the line; readers cost the device nothing.
-pub async fn updates_without_asking(url: &str) {
+pub async fn automatic_updates(url: &str) {
     let rig = Rig::homed(url).await;
     let mut slow = rig.start(move_to(20.0, 40.0)).await;
     let received = rig.switch.snapshot().await.unwrap().received_frames;
@@ -146,7 +146,7 @@ pub async fn updates_without_asking(url: &str) {
 }
 
 /// A FAST STOP is confirmed at once, aborts the motion with its id, and blocks motion until it is acknowledged.
-pub async fn a_fast_stop_in_the_middle_of_a_motion(url: &str) {
+pub async fn fast_stop_during_a_motion(url: &str) {
     let rig = Rig::homed(url).await;
     let mut running = rig.start(move_to(10.0, 20.0)).await;
     rig.until("moving", SOON, |state| state.moving == Some(true)).await;
@@ -164,7 +164,7 @@ pub async fn a_fast_stop_in_the_middle_of_a_motion(url: &str) {
 }
 
 /// The device restarts during a motion: the outcome is unknown, nothing moves by itself, and settings are restored.
-pub async fn a_reboot(url: &str) {
+pub async fn reboot_during_a_motion(url: &str) {
     let rig = Rig::homed(url).await;
     rig.exchange(Command::SetAcceleration(Acceleration::new(700.0).unwrap())).await.unwrap();
     let mut running = rig.start(move_to(10.0, 10.0)).await;
@@ -197,7 +197,7 @@ pub async fn silence_and_recovery(url: &str) {
     rig.drain().await;
 }
 
-pub async fn a_pulled_wire_and_recovery(url: &str) {
+pub async fn pulled_wire_and_recovery(url: &str) {
     let rig = Rig::homed(url).await;
     rig.apply(Change::RefuseConnections { on: true }).await;
     rig.apply(Change::CutConnection).await;
@@ -215,7 +215,7 @@ pub async fn a_pulled_wire_and_recovery(url: &str) {
 }
 
 /// A cut without a close is noticed on connectionless links too; a request sent into it stays lost.
-pub async fn a_cut_without_a_connection(url: &str) {
+pub async fn cut_without_a_connection(url: &str) {
     let rig = Rig::homed(url).await;
     rig.apply(Change::CutConnection).await;
     let lost = Acceleration::new(700.0).unwrap();
@@ -223,12 +223,12 @@ pub async fn a_cut_without_a_connection(url: &str) {
     rig.link(Link::Unresponsive, SOON).await;
     rig.link(Link::Connected, SOON).await;
     assert_eq!(rig.run(move_to(50.0, 200.0)).await.outcome, Some(Outcome::Success));
-    assert!(!rig.received().await.contains(&id::SET_ACCELERATION), "it was delivered late");
+    assert!(!rig.received().await.contains(&id::SET_ACCELERATION), "delivered late");
     rig.drain().await;
 }
 
 /// Draining during a motion: the motion is stopped in time, and the disconnect is announced on TCP.
-pub async fn an_orderly_end(url: &str) {
+pub async fn orderly_end(url: &str) {
     let rig = Rig::homed(url).await;
     let mut running = rig.start(move_to(10.0, 5.0)).await;
     rig.until("moving", SOON, |state| state.moving == Some(true)).await;

@@ -199,12 +199,12 @@ impl Gateway {
     }
 
     pub async fn until_moving(&self) {
-        self.until("it moves", |state| state["moving"] == true).await;
+        self.until("moving", |state| state["moving"] == true).await;
     }
 
     /// Waits until the fingers stand still and no command runs; the gripper accepts the next motion only then.
     pub async fn until_standing(&self) -> Value {
-        self.until("it stands", |state| state["moving"] == false && state["command"].is_null()).await
+        self.until("standing still", |state| state["moving"] == false && state["command"].is_null()).await
     }
 
     /// Waits until the link has this state.

@@ -172,9 +172,9 @@ impl Socket {
     /// Returns the next notification of this method that `wanted` accepts, and drops others.
     pub async fn notification(&mut self, method: &str, wanted: impl Fn(&Value) -> bool) -> Value {
         loop {
-            let told = self.next().await.unwrap_or_else(|| panic!("no {method} arrives before the end"));
-            if told["method"] == method && wanted(&told["params"]) {
-                return told["params"].clone();
+            let notification = self.next().await.unwrap_or_else(|| panic!("no {method} arrives before the end"));
+            if notification["method"] == method && wanted(&notification["params"]) {
+                return notification["params"].clone();
             }
         }
     }

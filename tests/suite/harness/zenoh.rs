@@ -111,21 +111,21 @@ impl ZenohClient {
 
     /// Collects publications under this key expression from now on.
     pub async fn subscribe(&self, key: &str) -> Samples {
-        let told = Samples::default();
-        let taking = told.clone();
+        let samples = Samples::default();
+        let taking = samples.clone();
         let subscriber = self.session.declare_subscriber(key).callback(move |sample| taking.take(&sample));
         subscriber.background().await.unwrap();
-        told
+        samples
     }
 
     /// Collects liveliness tokens that appear and disappear, starting with existing ones.
     pub async fn tokens(&self, key: &str) -> Samples {
-        let told = Samples::default();
-        let taking = told.clone();
+        let samples = Samples::default();
+        let taking = samples.clone();
         let liveliness = self.session.liveliness();
         let subscriber = liveliness.declare_subscriber(key).history(true).callback(move |token| taking.take(&token));
         subscriber.background().await.unwrap();
-        told
+        samples
     }
 
     /// Declares a liveliness token at `key`, and waits until `other` sees it.

@@ -125,9 +125,9 @@ fn lease_held_names_the_holder_and_its_remaining_time() {
     let held = Conflict::LeaseHeld { holder: "a".into(), expires_in_ms: Some(400) };
     assert_eq!(refused(&mut world, move_to(50.0, 50.0)), held.clone().into());
     assert_eq!(take(&mut world, wish("b")).unwrap_err(), held.into());
-    let told = lease(&mut world);
-    assert_eq!((told.held, told.holder.as_deref(), told.epoch, told.token), (true, Some("a"), 1, None));
-    assert_eq!((told.ttl_ms, told.expires_in_ms), (Some(500), Some(400)));
+    let current = lease(&mut world);
+    assert_eq!((current.held, current.holder.as_deref(), current.epoch, current.token), (true, Some("a"), 1, None));
+    assert_eq!((current.ttl_ms, current.expires_in_ms), (Some(500), Some(400)));
     assert_eq!((state(&world).lease_holder.as_deref(), state(&world).lease_epoch), (Some("a"), 1));
     // Reads need no lease.
     let mut read = exchange(&mut world, wsg::Command::GetAcceleration);
@@ -166,8 +166,8 @@ fn holder_lost_with_a_part_leaves_it_held_and_reserved() {
     let from = mark(&world);
     world.advance(TTL * 4);
     assert_eq!((received(&world, from), state(&world).fast_stop), (NOTHING.to_vec(), Some(false)));
-    let told = lease(&mut world);
-    assert_eq!((told.held, told.reserved_for.as_deref()), (false, Some("a")));
+    let current = lease(&mut world);
+    assert_eq!((current.held, current.reserved_for.as_deref()), (false, Some("a")));
     let reserved = Conflict::LeaseHeld { holder: "a".into(), expires_in_ms: None };
     assert_eq!(refused(&mut world, move_to(50.0, 50.0)), reserved.clone().into());
     assert_eq!(take(&mut world, wish("b")).unwrap_err(), reserved.into());
@@ -334,8 +334,8 @@ fn lease_is_handed_over_to_the_first_requester() {
     let mut wrong = request(&mut world, hand_over("c", a.clone()));
     assert!(matches!(wrong.try_recv().unwrap(), Err(Rejection::Invalid(_))));
     let mut right = request(&mut world, hand_over("b", a.clone()));
-    let told = right.try_recv().unwrap().unwrap();
-    assert_eq!((told.holder.as_deref(), told.epoch, told.token), (Some("b"), 2, None));
+    let current = right.try_recv().unwrap().unwrap();
+    assert_eq!((current.holder.as_deref(), current.epoch, current.token), (Some("b"), 2, None));
     assert!(submit_with(&mut world, move_to(50.0, 50.0), a).is_err());
     assert!(take(&mut world, wish("c")).is_err());
     let b = token(&mut world, TakeLease { request: true, ..wish("b") });

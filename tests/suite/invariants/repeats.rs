@@ -60,11 +60,11 @@ fn repeated_fast_stops_are_journaled_once_a_second() {
     let latched: Vec<_> = latched.collect();
     assert_eq!(latched.iter().map(|fast_stop| fast_stop.count).sum::<u64>(), 500);
     assert_eq!(latched.last().unwrap().fast_stop_id, newest);
-    let confirmed = |detail: &&Detail| matches!(detail, Detail::FastStop(told) if told.event == FastStopStep::Confirmed && told.fast_stop_id == newest);
+    let confirmed = |detail: &&Detail| matches!(detail, Detail::FastStop(step) if step.event == FastStopStep::Confirmed && step.fast_stop_id == newest);
     assert_eq!(events.iter().filter(confirmed).count(), 1);
     // After an acknowledge a FAST STOP gets its own event.
     let again = fast_stop(&mut world);
-    assert!(matches!(world.journal.events.last(), Some(Detail::FastStop(told)) if told.fast_stop_id == again));
+    assert!(matches!(world.journal.events.last(), Some(Detail::FastStop(step)) if step.fast_stop_id == again));
 }
 
 #[test]
@@ -94,7 +94,7 @@ fn flickering_faults_are_journaled_once_a_second() {
     let mut world = homed();
     let events = world.journal.events.len();
     let flags = world.device.snapshot().flags;
-    let mut told = 0;
+    let mut changes = 0;
     for _ in 0..250 {
         for flags in [flags | SystemState::FINGER_FAULT, flags] {
             let mut update = vec![0, 0];
@@ -104,7 +104,7 @@ fn flickering_faults_are_journaled_once_a_second() {
             let now = world.clock();
             world.actor.receive(now, &frame);
             world.settle();
-            told += 1;
+            changes += 1;
         }
         world.advance(Duration::from_millis(20));
     }
@@ -116,7 +116,7 @@ fn flickering_faults_are_journaled_once_a_second() {
         Detail::Device(DeviceEvent::Flickering { count, .. }) => *count,
         other => panic!("{other:?}"),
     };
-    assert_eq!(events.iter().map(count).sum::<u64>(), told, "every change is counted");
+    assert_eq!(events.iter().map(count).sum::<u64>(), changes, "every change is counted");
     assert_eq!(events.last(), Some(&Detail::Device(DeviceEvent::FaultCleared { flags: vec!["FINGER_FAULT"] })));
     // After a quiet second the next fault gets its own event.
     world.device.apply(world.now, Change::PowerFault { on: true });
@@ -142,6 +142,6 @@ fn flickering_link_is_journaled_once_a_second() {
         _ => None,
     });
     assert_eq!(newest, Some(Link::Connected), "the last event is the final state");
-    let latched = |detail: &&Detail| matches!(detail, Detail::FastStop(told) if told.event == FastStopStep::Latched);
+    let latched = |detail: &&Detail| matches!(detail, Detail::FastStop(step) if step.event == FastStopStep::Latched);
     assert_eq!(events.iter().filter(latched).count(), 1, "the connection's end is a FAST STOP");
 }

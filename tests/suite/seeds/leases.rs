@@ -67,7 +67,7 @@ pub struct Leases {
 #[derive(Default)]
 struct Fingers {
     since: Option<(bool, Instant)>,
-    told_moving: Option<bool>,
+    reported_moving: Option<bool>,
     runs: bool,
     /// Time of the last stream request.
     streamed: Option<Instant>,
@@ -366,10 +366,10 @@ impl Leases {
         let (moves, since) = fingers.since?;
         let is_long = world.now >= since + KNOWN_AFTER;
         let is_heard = state.updated_at.is_some_and(|at| world.now < at + HEARD_WITHIN);
-        let told = state.moving.filter(|_| state.moving == fingers.told_moving);
+        let reported = state.moving.filter(|_| state.moving == fingers.reported_moving);
         let stands = !fingers.runs && state.command.is_none();
         let is_steered = fingers.streamed.is_some_and(|at| world.now < at + STREAM_LASTS);
-        match (moves && is_long && is_heard, told) {
+        match (moves && is_long && is_heard, reported) {
             _ if is_steered && !moves => None,
             (true, _) | (_, Some(true)) => Some(true),
             (_, Some(false)) if stands => Some(false),
@@ -387,7 +387,7 @@ impl Leases {
         let moves = world.device.flags().contains(SystemState::MOVING);
         let state = world.watches.state.borrow();
         let fingers = &mut world.leases.fingers;
-        fingers.told_moving = state.moving;
+        fingers.reported_moving = state.moving;
         fingers.runs = state.command.is_some();
         if fingers.since.is_none_or(|(before, _)| before != moves) {
             fingers.since = Some((moves, world.now));

@@ -62,7 +62,7 @@ async fn two_drivers_a_rest_client_and_an_observer_share_one_gripper() {
     let held = |event: &serde_json::Value| event["door"] == "wsg" && event["outcome"] == "PART_HELD";
     assert_eq!(observer.notification("event", held).await["kind"], "command");
 
-    // Its disconnect frees the gripper.
+    // The announced disconnect frees the gripper.
     one.leave().await;
     cell.gateway.post("move", &json!({"width_mm": 40, "speed_mm_s": 200})).await.outcome("SUCCESS");
     assert_eq!(two.run(MOVE, &move_to(50.0, 200.0)).await, SUCCESS);
