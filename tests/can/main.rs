@@ -7,7 +7,7 @@
 #[path = "../suite/conformance/mod.rs"]
 mod conformance;
 #[path = "../suite/recordings/mod.rs"]
-#[allow(dead_code, reason = "the other transports' are for the other tests")]
+#[allow(dead_code, reason = "recordings of other transports")]
 mod recordings;
 
 use std::process::Command as Process;

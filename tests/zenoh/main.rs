@@ -5,7 +5,7 @@
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 #[path = "../suite/harness/mod.rs"]
-#[allow(dead_code, unused_imports, reason = "the other doubles are for the other tests")]
+#[allow(dead_code, unused_imports, reason = "parts used only by other tests")]
 mod harness;
 
 use std::process::Stdio;

@@ -17,6 +17,7 @@ async fn acknowledge_as_the_first_request_is_harmless() {
 }
 
 /// "Many read one frame a recv, and break when a frame arrives in two pieces": [`Driver`] checks for whole frames.
+#[tokio::test]
 async fn frames_are_never_split() {
     let cell = Cell::homed().await;
     let mut driver = cell.driver().await;

@@ -271,20 +271,17 @@ async fn websocket_follows_the_fleet() {
     let mut socket = Socket::open(&pair.near).await;
     socket.call("subscribe", json!({"topics": ["fleet"]})).await;
     let mut of = async |name: &str, wanted: &dyn Fn(&Value) -> bool| {
-        timeout(
-            DEADLINE,
-            socket.notification("fleet", |named_grippers| named_grippers["gripper"] == name && wanted(named_grippers)),
-        )
-        .await
-        .expect("a fleet notification")
+        timeout(DEADLINE, socket.notification("fleet", |gripper| gripper["gripper"] == name && wanted(gripper)))
+            .await
+            .expect("a fleet notification")
     };
     assert_eq!(of("g", &|_| true).await["gateway"], "far", "all grippers come first");
     pair.near.post(&far("/home"), &json!({})).await.outcome("SUCCESS");
-    of("g", &|named_grippers| named_grippers["state"] == "HOMING" || named_grippers["moving"] == true).await;
+    of("g", &|gripper| gripper["state"] == "HOMING" || gripper["moving"] == true).await;
     pair.near.post(&far("/fast-stop"), &json!({})).await.ok();
-    of("g", &|named_grippers| named_grippers["fast_stop_confirmed"] == true).await;
+    of("g", &|gripper| gripper["fast_stop_confirmed"] == true).await;
     pair.far.kill().await;
-    of("g", &|named_grippers| named_grippers["gone"] == true).await;
+    of("g", &|gripper| gripper["gone"] == true).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
