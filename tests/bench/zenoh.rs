@@ -60,9 +60,9 @@ fn publish(endpoint: &str) -> Result<(), Error> {
     println!("publishing");
     for seq in 0_u64.. {
         let at = jiff::Timestamp::from_millisecond(now_ms())?;
-        let telemetry_body = json!({"gripper": "g", "seq": seq, "at": at, "width_mm": null, "speed_mm_s": 0.0, "force_n": 0.0,
+        let body = json!({"gripper": "g", "seq": seq, "at": at, "width_mm": null, "speed_mm_s": 0.0, "force_n": 0.0,
             "state": "IDLE", "flags_raw": 262_144});
-        publisher.put(telemetry_body.to_string()).wait()?;
+        publisher.put(body.to_string()).wait()?;
         std::thread::sleep(Duration::from_secs(1) / HZ as u32);
     }
     Ok(())
