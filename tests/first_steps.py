@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Runs the curl commands of README.md's first steps, and compares the answers with those that are printed there.
+"""Runs the curl commands of README.md's first steps, and compares the answers with the printed ones.
 
 usage: first_steps.py README.md http://127.0.0.1:PORT
 """
@@ -8,15 +8,15 @@ import json
 import subprocess
 import sys
 
-# Where the README's commands send to; the gateway under test listens on a port of its own.
+# Base URL in the README's commands; the gateway under test listens on another port.
 PRINTED_BASE = "http://127.0.0.1:8080"
 
-# Whose first block of commands is run, in this order, against one gateway.
+# Sections whose first block of commands runs, in this order, against one gateway.
 SECTIONS = ["A first grip", "Many clients, one gripper"]
 
 
 def steps(readme):
-    """The commands and their printed answers: of the first grip, and of what builds on it."""
+    """Yields each command with its printed answer."""
     blocks = [readme.split(f"## {title}\n", 1)[1].split("```sh\n", 1)[1].split("```", 1)[0] for title in SECTIONS]
     lines = [line for block in blocks for line in block.splitlines() if line and not line.startswith("# ")]
     for command, answer in zip(lines[::2], lines[1::2], strict=True):
@@ -25,7 +25,7 @@ def steps(readme):
 
 
 def is_same(printed, real):
-    """Measured values vary a little from run to run; all others are exact."""
+    """Compares measured values (floats) with a tolerance, and all others exactly."""
     if isinstance(printed, float):
         return isinstance(real, (int, float)) and abs(printed - real) < 0.5
     return type(printed) is type(real) and printed == real

@@ -1,4 +1,4 @@
-//! One attack, the probe beside it, and the row of the table that comes of it.
+//! Runs one attack with a probe beside it, and prints a row of the results table.
 
 use std::fmt::{self, Display};
 use std::time::{Duration, Instant};
@@ -8,34 +8,33 @@ use crate::gateway::{Gateway, Usage};
 use crate::poller::{Poller, Polls};
 use crate::probe::{Probe, Stops, Way};
 
-/// The bound of a FAST STOP on a fresh HTTP connection, from its connect to the device.
+/// Time limit of a FAST STOP on a fresh HTTP connection, from the connect until the device has it.
 pub const REACHES_WITHIN: Duration = Duration::from_millis(50);
 
-/// The FAST STOPs that are asked for beside an attack.
+/// Number of FAST STOPs during an attack.
 #[derive(Debug, Clone, Copy)]
 pub struct Wanted {
     /// On fresh HTTP connections.
     pub http: usize,
-    /// By each other interface.
+    /// On each other interface.
     pub others: usize,
 }
 
-/// As many as make a percentile.
+/// Enough for a percentile.
 pub const MANY: Wanted = Wanted { http: 120, others: 10 };
 
-/// As many as show that they get through.
+/// Enough to show that they get through.
 pub const SOME: Wanted = Wanted { http: 30, others: 5 };
 
-/// The time that memory has to come back.
+/// Time for memory to shrink again.
 const COMES_BACK_WITHIN: Duration = Duration::from_secs(10);
 
-/// The memory that is near enough to that of before: a share for what a warm process keeps, and some megabytes for the
-/// journal in memory.
+/// Memory growth allowed after an attack: caches of a warm process, and some megabytes of journal in memory.
 const NEAR_MB: usize = 40;
 
 const LOOK_EVERY: Duration = Duration::from_millis(100);
 
-/// The results of one attack.
+/// Results of one attack.
 pub struct Row {
     attack: String,
     pub stops: Vec<(Way, Stops)>,
@@ -46,7 +45,7 @@ pub struct Row {
     pub after: Usage,
 }
 
-/// Runs an attack, with the probe beside it. `begin` starts the attack, which ends when it is dropped. `during` is called
+/// Runs an attack with the probe beside it. `begin` starts the attack, and dropping its value ends it. `during` runs
 /// while the attack lasts.
 pub fn run<A>(
     attack: &str,
@@ -57,7 +56,7 @@ pub fn run<A>(
 ) -> Row {
     let mut probe = Probe::of(gateway, device);
     let poller = Poller::start(gateway.address);
-    // A process that has served each interface once has its buffers.
+    // Using each interface once allocates its buffers.
     for way in [Way::FreshHttp, Way::OpenWebSocket, Way::OpenPort, Way::Zenoh] {
         assert_eq!(probe.stops(way, 2).reached(), 2, "{way:?} reaches the device before the attack");
     }
@@ -65,7 +64,7 @@ pub fn run<A>(
     let measurement = gateway.measure();
     let mut attackers = begin();
     let mut stops = vec![(Way::FreshHttp, probe.stops(Way::FreshHttp, wanted.http))];
-    // A put stops all grippers, so it comes last.
+    // A put stops all grippers, so Zenoh comes last.
     for way in [Way::OpenWebSocket, Way::OpenPort, Way::FreshPort, Way::Zenoh] {
         stops.push((way, probe.stops(way, wanted.others)));
     }
@@ -86,38 +85,38 @@ pub fn run<A>(
 }
 
 impl Row {
-    /// The FAST STOPs by one interface.
+    /// FAST STOPs over one interface.
     pub fn by(&self, way: Way) -> &Stops {
         let (_, stops) = self.stops.iter().find(|(of, _)| *of == way).unwrap();
         stops
     }
 
-    /// Asserts that nobody was kept out: each FAST STOP has reached the device, on fresh HTTP connections soon, and the
-    /// poller has lost nothing.
+    /// Asserts that no client was blocked: each FAST STOP reached the device, those on fresh HTTP connections in time,
+    /// and the poller lost nothing.
     #[track_caller]
-    pub fn keeps_nobody_out(&self) {
+    pub fn blocks_no_client(&self) {
         let misses = self.misses();
         assert!(misses.is_empty(), "{}: {}", self.attack, misses.join("; "));
     }
 
-    /// Asserts that all FAST STOPs have reached the device.
+    /// Asserts that all FAST STOPs reached the device.
     #[track_caller]
     pub fn reaches_the_device(&self) {
         let lost = self.lost();
         assert!(lost.is_empty(), "{}: {}", self.attack, lost.join("; "));
     }
 
-    /// The ways by which FAST STOPs were lost.
+    /// Describes interfaces that lost FAST STOPs.
     fn lost(&self) -> Vec<String> {
         let lost = self.stops.iter().filter(|(_, stops)| stops.reached() < stops.wanted);
         let words = |(way, stops): &(Way, Stops)| {
             let Stops { asked, wanted, .. } = stops;
-            format!("{way:?}: {} FAST STOPs of {wanted} have reached the device, {asked} were asked", stops.reached())
+            format!("{way:?}: {} of {wanted} FAST STOPs reached the device, {asked} were sent", stops.reached())
         };
         lost.map(words).collect()
     }
 
-    /// The violations of [`Row::keeps_nobody_out`].
+    /// Describes violations of [`Row::blocks_no_client`].
     pub fn misses(&self) -> Vec<String> {
         let mut misses = self.lost();
         let slow = self.by(Way::FreshHttp).percentile(99).filter(|time| *time > REACHES_WITHIN);
@@ -125,7 +124,7 @@ impl Row {
         if self.polls.lost > 0 {
             let Polls { lost, asked, first_loss, .. } = &self.polls;
             let first_loss = first_loss.as_deref().unwrap_or_default();
-            misses.push(format!("the poller has lost {lost} of {asked}, at first: {first_loss}"));
+            misses.push(format!("the poller lost {lost} of {asked}, first: {first_loss}"));
         }
         if self.socket_has_ended {
             misses.push("the probe's WebSocket was closed".to_owned());
@@ -133,14 +132,14 @@ impl Row {
         misses
     }
 
-    /// Asserts that memory grew to this at most, and came back.
+    /// Asserts that memory stayed below this limit, and shrank again.
     #[track_caller]
     pub fn memory_stays_below(&self, most_mb: usize) {
         let Self { attack, before, highest, after, .. } = self;
         assert!(highest.rss_mb <= most_mb, "{attack}: {} MB of memory, above {most_mb} MB", highest.rss_mb);
         assert!(
             after.rss_mb <= before.rss_mb + NEAR_MB,
-            "{attack}: memory does not come back: {} MB before, {} MB after",
+            "{attack}: memory does not shrink again: {} MB before, {} MB after",
             before.rss_mb,
             after.rss_mb
         );

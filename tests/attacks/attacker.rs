@@ -1,6 +1,6 @@
-//! The attackers: a process of its own, so that they take no time from the probe's threads, which gives way to all
-//! others (`nice`). It is this test program again, with the attack in its environment. It ends with its parent, at
-//! the latest after [`LASTS_AT_MOST`].
+//! The attackers: a separate process, so that they take no time from the probe's threads, with a lower priority
+//! (`nice`). It is this test program again, with the attack in an environment variable. It ends with its parent, or
+//! after [`LASTS_AT_MOST`].
 
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::net::SocketAddr;
@@ -16,30 +16,30 @@ use tokio::time::{Interval, MissedTickBehavior, interval, sleep, timeout};
 
 use crate::{every_run, long};
 
-/// The bound on an attack.
+/// Time limit of an attack.
 const LASTS_AT_MOST: Duration = Duration::from_secs(400);
 
-/// The time that a crowd has to get in before the probe begins all the same.
+/// Time for a crowd to connect before the probe starts anyway.
 const GETS_IN_WITHIN: Duration = Duration::from_secs(8);
 
-/// The pause before a connection that has ended is opened again.
+/// Pause before a closed connection is reopened.
 const AGAIN_AFTER: Duration = Duration::from_millis(50);
 
-/// The least time between two connections of a crowd: it presses on, and is no flood of connections.
+/// Minimum time between two connections of a crowd, so that the attack is not a flood of connections.
 const OPENS_EVERY: Duration = Duration::from_millis(1);
 
-/// The interval at which a crowd is looked at.
+/// Polling interval of a crowd.
 const LOOK_EVERY: Duration = Duration::from_millis(5);
 
 const CONNECTS_WITHIN: Duration = Duration::from_secs(5);
 
-/// The lines of its standard output that are not of the test harness.
+/// Prefix of output lines that do not come from the test harness.
 const MARK: &str = "ATTACK ";
 
-/// The variable that makes this program an attacker.
+/// Environment variable that makes this program an attacker.
 const ATTACK: &str = "WSG_ATTACK";
 
-/// The parent's side.
+/// An attacker process, seen from its parent.
 #[derive(Debug)]
 pub struct Attacker {
     child: Child,
@@ -47,24 +47,24 @@ pub struct Attacker {
     says: BufReader<ChildStdout>,
 }
 
-/// The counters of a crowd.
+/// Counters of a crowd.
 #[derive(Debug, Clone, Copy)]
 pub struct Done {
-    /// The connections that are open now.
+    /// Connections open now.
     pub inside: usize,
-    /// The connections that were opened.
+    /// Connections opened so far.
     pub opened: usize,
-    /// The requests that were sent, where an attack counts them.
+    /// Requests sent, if the attack counts them.
     pub sent: usize,
 }
 
 impl Attacker {
-    /// Starts so many of an attack, and waits until they are connected.
+    /// Starts an attack with `count` members, and waits until they are connected.
     pub fn start(attack: &str, count: usize, address: SocketAddr) -> Self {
         Self::with_niceness("10", attack, count, address)
     }
 
-    /// The same, with as much processor time as all others have.
+    /// Like [`Attacker::start`], but at normal priority.
     pub fn start_selfish(attack: &str, count: usize, address: SocketAddr) -> Self {
         Self::with_niceness("0", attack, count, address)
     }
@@ -82,7 +82,7 @@ impl Attacker {
         attacker
     }
 
-    /// Its counters now.
+    /// Reads the current counters.
     pub fn done(&mut self) -> Done {
         writeln!(self.asks).unwrap();
         self.line()
@@ -106,20 +106,20 @@ impl Drop for Attacker {
     }
 }
 
-/// The members of one attack, in the attacker's process.
+/// Members of one attack, in the attacker's process.
 #[derive(Debug)]
 pub struct Crowd {
     pub address: SocketAddr,
-    /// How many they are to be.
+    /// Target number of members.
     pub count: usize,
     inside: AtomicUsize,
     opened: AtomicUsize,
     sent: AtomicUsize,
-    /// The ticks at which connections are opened.
+    /// Ticks at which connections are opened.
     pace: Mutex<Interval>,
 }
 
-/// A member that has done its part, until it is dropped.
+/// A member that is in place, until it is dropped.
 #[derive(Debug)]
 pub struct Inside<'a>(&'a Crowd);
 
@@ -130,23 +130,21 @@ impl Drop for Inside<'_> {
 }
 
 impl Crowd {
-    /// Counts a member that is where it wants to be.
+    /// Counts a member that is in place.
     pub fn inside(&self) -> Inside<'_> {
         self.inside.fetch_add(1, Ordering::Relaxed);
         Inside(self)
     }
 
-    /// Counts requests.
     pub fn sent(&self, requests: usize) {
         self.sent.fetch_add(requests, Ordering::Relaxed);
     }
 
-    /// Counts a connection.
     pub fn opened(&self) {
         self.opened.fetch_add(1, Ordering::Relaxed);
     }
 
-    /// Opens so many connections, and each of them again when its member is done with it.
+    /// Opens `count` connections, and reopens each when its member ends.
     pub fn each<F, M>(self: &Arc<Self>, count: usize, member: M)
     where
         F: Future<Output = std::io::Result<()>> + Send,
@@ -159,7 +157,7 @@ impl Crowd {
                     crowd.pace.lock().await.tick().await;
                     if let Ok(Ok(stream)) = timeout(CONNECTS_WITHIN, TcpStream::connect(crowd.address)).await {
                         crowd.opened();
-                        // However it ends, it is tried again.
+                        // Retry however the member ended.
                         let _ = member(crowd.clone(), index, stream).await;
                     }
                     sleep(AGAIN_AFTER).await;
@@ -174,7 +172,7 @@ impl Crowd {
     }
 }
 
-/// The attacker's side. Without an attack in the environment it does nothing.
+/// Body of the attacker process; does nothing without [`ATTACK`].
 #[test]
 fn role() {
     let Ok(attack) = std::env::var(ATTACK) else { return };

@@ -1,5 +1,5 @@
-//! A gripper that shares no code with the simulated one. It runs on threads of its own and records the arrival time of
-//! each frame, so neither a gateway nor a test runtime under load delays the record.
+//! A gripper that shares no code with the simulator. It runs on its own threads and records the arrival time of each
+//! frame, so that load on the gateway or on a test runtime does not delay the record.
 
 use std::collections::BTreeSet;
 use std::io::{ErrorKind, Read as _, Write as _};
@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 
 use crate::harness::scripted::{frame, success};
 
-/// The period of the automatic updates.
+/// Period of the automatic updates.
 const UPDATE_EVERY: Duration = Duration::from_millis(10);
 
 const REFERENCED: u32 = 1;
@@ -19,13 +19,13 @@ const FAST_STOP_SET: u32 = 1 << 12;
 const E_CMD_ABORTED: u8 = 19;
 const E_CMD_PENDING: u8 = 26;
 
-/// The id of FAST STOP.
+/// Id of FAST STOP.
 pub const FAST_STOP: u8 = 0x23;
 
-/// The id of Stop.
+/// Id of Stop.
 pub const STOP: u8 = 0x22;
 
-/// A WSG 50 whose motions never end by themselves.
+/// A WSG 50 whose motions never end on their own.
 #[derive(Debug)]
 pub struct Device {
     pub address: SocketAddr,
@@ -40,16 +40,16 @@ struct Shared {
 
 #[derive(Debug, Default)]
 struct Seen {
-    /// The id and the arrival time of each frame.
+    /// Id and arrival time of each frame.
     frames: Vec<(u8, Instant)>,
-    /// The start time of each connection.
+    /// Start time of each connection.
     connections: Vec<Instant>,
     current: Option<TcpStream>,
     is_over: bool,
 }
 
 impl Device {
-    /// Starts it, idle and referenced.
+    /// Starts a device, idle and referenced.
     pub fn start() -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let (address, shared) = (listener.local_addr().unwrap(), Arc::<Shared>::default());
@@ -61,25 +61,25 @@ impl Device {
                     return;
                 }
                 stream.set_nodelay(true).unwrap();
-                // A read may block until the next update is due.
+                // A read can block until the next update is due.
                 stream.set_read_timeout(Some(UPDATE_EVERY / 2)).unwrap();
                 let mut seen = serving.seen();
                 seen.connections.push(Instant::now());
                 seen.current = stream.try_clone().ok();
                 drop(seen);
-                // The gateway may end the connection at any time and connects again.
+                // The gateway can close the connection at any time, and reconnects.
                 let _ = serve(stream, &serving);
             }
         });
         Self { address, shared }
     }
 
-    /// The number of frames of this id.
+    /// Number of frames with this id.
     pub fn count(&self, id: u8) -> usize {
         self.shared.seen().frames.iter().filter(|(other, _)| *other == id).count()
     }
 
-    /// Waits for the first frame of this id that arrives after `since`.
+    /// Waits for the first frame of this id after `since`.
     pub fn first_since(&self, id: u8, since: Instant, within: Duration) -> Option<Instant> {
         let until = since + within;
         let mut seen = self.shared.seen();
@@ -93,7 +93,7 @@ impl Device {
         }
     }
 
-    /// Drops the gateway's connection, and returns how long the gateway takes to connect again.
+    /// Drops the gateway's connection, and returns the time until it reconnects.
     pub fn reconnect_time(&self, within: Duration) -> Option<Duration> {
         let (dropped_at, before) = {
             let mut seen = self.shared.seen();
@@ -130,10 +130,10 @@ impl Shared {
     }
 }
 
-/// The state of the device on one connection.
+/// State of the device on one connection.
 struct State {
     flags: u32,
-    /// The id of the running motion.
+    /// Id of the running motion.
     motion: Option<u8>,
     updated: BTreeSet<u8>,
     begun_at: Instant,
@@ -164,7 +164,7 @@ fn serve(mut stream: TcpStream, shared: &Shared) -> std::io::Result<()> {
     }
 }
 
-/// Takes the first whole frame. TCP damages nothing, so the checksum is not looked at.
+/// Takes the first whole frame. TCP preserves bytes, so the checksum is not verified.
 fn take_frame(received: &mut Vec<u8>) -> Option<(u8, Vec<u8>)> {
     const AROUND: usize = 8;
     let header = received.first_chunk::<6>()?;
@@ -230,7 +230,7 @@ impl State {
         }
     }
 
-    /// The value of a getter. The width swings while a motion runs, so that each update is a change.
+    /// Appends the value of a getter. The width swings while a motion runs, so that each update is a change.
     fn value(&self, id: u8, out: &mut Vec<u8>) {
         let swing = self.motion.map_or(0.0, |_| self.begun_at.elapsed().as_secs_f32().sin());
         match id {

@@ -1,4 +1,4 @@
-//! The gateway in a process of its own, under limits that a test chooses, and its memory and descriptors.
+//! A gateway process under chosen limits, with measurements of its memory and descriptors.
 
 use std::fs::File;
 use std::net::{SocketAddr, TcpStream};
@@ -12,16 +12,15 @@ use std::time::{Duration, Instant};
 use crate::device::Device;
 use crate::http;
 
-/// The time that the gateway has to start and to connect to its devices.
+/// Time for the gateway to start and connect to its devices.
 const STARTS_WITHIN: Duration = Duration::from_secs(20);
 
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 
-/// The interval at which memory and descriptors are looked at.
+/// Interval of the measurements.
 const MEASURE_EVERY: Duration = Duration::from_millis(50);
 
-/// A gateway that serves two devices as `g` and `h`, and `g` on a WSG port. It is killed by its own id when it is
-/// dropped.
+/// A gateway that serves two devices as `g` and `h`, with a WSG port for `g`. It is killed by its own id on drop.
 #[derive(Debug)]
 pub struct Gateway {
     child: Child,
@@ -33,23 +32,23 @@ pub struct Gateway {
     pub grippers: &'static [&'static str],
 }
 
-/// The limits that the gateway runs under, beside those of this process.
+/// Limits of the gateway, besides those of this process.
 #[derive(Debug, Clone, Copy)]
 pub enum Limits {
     Inherited,
-    /// Of file descriptors.
+    /// Limits the number of file descriptors.
     Descriptors {
         soft: u32,
         hard: u32,
     },
-    /// Of its address space, so that a gateway that takes too much memory ends, and not this machine.
+    /// Limits the address space, so that excessive memory use ends the gateway rather than the machine.
     Memory {
         mb: u32,
     },
 }
 
 impl Gateway {
-    /// Starts it, and waits until both devices are connected.
+    /// Starts a gateway, and waits until both devices are connected.
     pub fn start(g: &Device, h: &Device, limits: Limits) -> Self {
         let arguments = [
             format!("--gripper=g=tcp://{}", g.address),
@@ -59,7 +58,7 @@ impl Gateway {
         Self::with(&arguments, &["g", "h"], limits)
     }
 
-    /// Starts it with `g` alone.
+    /// Starts a gateway with `g` alone.
     pub fn of(g: &Device, limits: Limits) -> Self {
         let arguments = [format!("--gripper=g=tcp://{}", g.address), "--wsg-port=g=127.0.0.1:0".to_owned()];
         Self::with(&arguments, &["g"], limits)
@@ -90,7 +89,7 @@ impl Gateway {
         let until = Instant::now() + STARTS_WITHIN;
         let mut word_after = |before: &str| loop {
             let text = std::fs::read_to_string(&said).unwrap();
-            // A line is whole once it has its end.
+            // A line is complete once it has a line end.
             let line = text.split_once(before).and_then(|(_, rest)| rest.split_once('\n'));
             if let Some((line, _)) = line {
                 return line.split_whitespace().next().unwrap().trim_end_matches('/').to_owned();
@@ -110,7 +109,6 @@ impl Gateway {
         gateway
     }
 
-    /// Waits until a gripper is connected.
     pub fn until_connected(&self, gripper: &str) {
         let (path, until) = (format!("/api/v1/grippers/{gripper}/state"), Instant::now() + STARTS_WITHIN);
         while http::get(self.address, &path).is_none_or(|answer| !answer.body.contains(r#""link":"connected""#)) {
@@ -119,22 +117,22 @@ impl Gateway {
         }
     }
 
-    /// The text of its log so far.
+    /// Log so far.
     pub fn log(&self) -> String {
         String::from_utf8_lossy(&std::fs::read(&self.logged).unwrap()).into_owned()
     }
 
-    /// A fresh HTTP connection.
+    /// Opens an HTTP connection.
     pub fn connect(&self) -> std::io::Result<TcpStream> {
         http::connect(self.address)
     }
 
-    /// Its memory and descriptors now.
+    /// Measures memory and descriptors once.
     pub fn usage(&self) -> Usage {
         usage(self.child.id()).expect("the gateway runs")
     }
 
-    /// Measures its memory and descriptors until the measurement is ended.
+    /// Measures memory and descriptors until [`Measurement::end`].
     pub fn measure(&self) -> Measurement {
         let (pid, is_over) = (self.child.id(), Arc::<AtomicBool>::default());
         let ends = is_over.clone();
@@ -172,7 +170,7 @@ impl Drop for Gateway {
     }
 }
 
-/// The memory and the file descriptors of a process.
+/// Memory and file descriptors of a process.
 #[derive(Debug, Clone, Copy, Default)]
 pub struct Usage {
     pub rss_mb: usize,
@@ -187,7 +185,7 @@ fn usage(pid: u32) -> Option<Usage> {
     Some(Usage { rss_mb: rss_kb / 1024, descriptors })
 }
 
-/// A measurement under way.
+/// A running measurement.
 #[derive(Debug)]
 pub struct Measurement {
     is_over: Arc<AtomicBool>,
@@ -195,7 +193,7 @@ pub struct Measurement {
 }
 
 impl Measurement {
-    /// Ends it, and returns the highest values.
+    /// Ends the measurement, and returns the highest values.
     pub fn end(self) -> Usage {
         self.is_over.store(true, Ordering::Relaxed);
         self.measuring.join().unwrap()

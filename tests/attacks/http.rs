@@ -1,20 +1,18 @@
-//! HTTP over plain sockets, without a client library that would hold connections or retry.
+//! HTTP over plain sockets, without a client library that would keep connections or retry.
 
 use std::io::{Read as _, Write as _};
 use std::net::{SocketAddr, TcpStream};
 use std::time::Duration;
 
-/// The time that a connection and each part of an answer may take.
+/// Time limit of a connect, and of each read and write.
 pub const PATIENCE: Duration = Duration::from_secs(2);
 
-/// An answer.
 #[derive(Debug)]
 pub struct Answer {
     pub status: u16,
     pub body: String,
 }
 
-/// Opens a connection.
 pub fn connect(address: SocketAddr) -> std::io::Result<TcpStream> {
     let stream = TcpStream::connect_timeout(&address, PATIENCE)?;
     stream.set_nodelay(true)?;
@@ -23,13 +21,13 @@ pub fn connect(address: SocketAddr) -> std::io::Result<TcpStream> {
     Ok(stream)
 }
 
-/// The bytes of a request.
+/// Encodes a request.
 pub fn request(method: &str, path: &str, body: &str) -> String {
     let length = body.len();
     format!("{method} {path} HTTP/1.1\r\nHost: localhost\r\nContent-Length: {length}\r\n\r\n{body}")
 }
 
-/// Reads an answer. None: the connection has ended before.
+/// Reads an answer, or returns `None` if the connection ends first.
 pub fn read_answer(stream: &mut TcpStream) -> Option<Answer> {
     let (mut received, mut buffer) = (Vec::new(), [0; 4096]);
     loop {
@@ -52,18 +50,16 @@ fn whole(received: &[u8]) -> Option<Answer> {
     (body.len() >= length.unwrap_or(0)).then(|| Answer { status, body: body.to_owned() })
 }
 
-/// Sends a request on a connection, and reads its answer.
+/// Sends a request, and reads its answer.
 pub fn ask(stream: &mut TcpStream, request: &str) -> Option<Answer> {
     stream.write_all(request.as_bytes()).ok()?;
     read_answer(stream)
 }
 
-/// GET on a fresh connection.
 pub fn get(address: SocketAddr, path: &str) -> Option<Answer> {
     ask(&mut connect(address).ok()?, &request("GET", path, ""))
 }
 
-/// POST on a fresh connection.
 pub fn post(address: SocketAddr, path: &str, body: &str) -> Option<Answer> {
     ask(&mut connect(address).ok()?, &request("POST", path, body))
 }

@@ -1,14 +1,14 @@
-//! Attacks on the gateway, and whether a FAST STOP gets through beside them: each with a probe of every interface, a
-//! poller that must lose nothing, and a device that is not the simulated one. Each prints a row of figures.
+//! Attacks on the gateway, to show that a FAST STOP gets through meanwhile. Each has a probe of every interface, a
+//! poller that must lose nothing, and a device independent of the simulator. Each prints a row of figures.
 //!
-//! Not a part of plain `cargo test`, since they take minutes and the whole machine: `cargo test --test attacks
-//! every_run:: -- --test-threads=1 --nocapture`, or without `every_run::` for all of them. The attackers open up to 4,000
-//! connections, which the hard limit of file descriptors has to allow.
+//! Excluded from plain `cargo test`, since they take minutes and the whole machine. Run them with `cargo test --test
+//! attacks every_run:: -- --test-threads=1 --nocapture`, or without `every_run::` for all of them. The attackers open
+//! up to 4,000 connections, which the hard limit of file descriptors has to allow.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 #[path = "../suite/harness/mod.rs"]
-#[allow(dead_code, unused_imports, reason = "the other doubles are for the other tests")]
+#[allow(dead_code, unused_imports, reason = "parts used only by other tests")]
 mod harness;
 
 mod attack;

@@ -1,4 +1,4 @@
-//! A client that polls the state on one connection, ten times a second, as a PLC does.
+//! A client that polls the state on one connection ten times a second, as a PLC does.
 
 use std::io::Write as _;
 use std::net::SocketAddr;
@@ -11,17 +11,17 @@ use crate::http;
 
 const POLLS_EVERY: Duration = Duration::from_millis(100);
 
-/// The results of the polls.
+/// Results of the polls.
 #[derive(Debug, Default)]
 pub struct Polls {
     pub asked: usize,
-    /// Polls without an answer, or with another one than 200.
+    /// Polls without an answer, or with a status other than 200.
     pub lost: usize,
     pub slowest: Duration,
     pub first_loss: Option<String>,
 }
 
-/// A poller at work.
+/// A running poller.
 #[derive(Debug)]
 pub struct Poller {
     is_over: Arc<AtomicBool>,
@@ -29,7 +29,7 @@ pub struct Poller {
 }
 
 impl Poller {
-    /// Begins to poll the state of `g`.
+    /// Starts polling the state of `g`.
     pub fn start(address: SocketAddr) -> Self {
         let is_over = Arc::<AtomicBool>::default();
         let ends = is_over.clone();
@@ -57,12 +57,12 @@ fn poll(address: SocketAddr, is_over: &AtomicBool) -> Polls {
                 continue;
             };
             if let Err(error) = open.write_all(request.as_bytes()) {
-                break Some(format!("the connection has ended: {error}"));
+                break Some(format!("the connection closed: {error}"));
             }
             break match http::read_answer(open) {
                 Some(answer) if answer.status == 200 => None,
                 Some(answer) => Some(format!("{} {}", answer.status, answer.body)),
-                None => Some("the connection has ended without an answer".to_owned()),
+                None => Some("the connection closed without an answer".to_owned()),
             };
         };
         polls.slowest = polls.slowest.max(begun.elapsed());

@@ -1,5 +1,5 @@
-//! FAST STOPs by each interface, one at a time. A FAST STOP has reached the device when the device has seen 23h, with
-//! nothing latched before: the gateway repeats 23h only for a latch that is not confirmed.
+//! FAST STOPs over each interface, one at a time. A FAST STOP counts as arrived when the device sees 23h with nothing
+//! latched before: the gateway repeats 23h only for an unconfirmed latch.
 
 use std::io::Write as _;
 use std::net::TcpStream;
@@ -14,29 +14,29 @@ use crate::harness::{ZenohClient, wsg};
 use crate::http;
 use crate::websocket::{Socket, TEXT};
 
-/// The time after which a FAST STOP counts as not reached.
+/// Time after which a FAST STOP counts as lost.
 const REACHES_WITHIN: Duration = Duration::from_secs(1);
 
-/// The least time between two FAST STOPs, so that they meet an attack at all its stages.
+/// Minimum time between two FAST STOPs, so that they cover all stages of an attack.
 const ASKED_EVERY: Duration = Duration::from_millis(90);
 
-/// So many in a row that do not reach the device end a series: the rest would only take time.
+/// Number of consecutive losses that end a series, to save time.
 const GIVES_UP_AFTER: usize = 20;
 
-/// The time that a series may take: one whose acknowledges are slow counts as it is then.
+/// Time limit of a series, which slow acknowledges can stretch. The result then covers the FAST STOPs so far.
 const ENDS_AFTER: Duration = Duration::from_secs(40);
 
-/// The silence of a client between its connection and its first byte, as over a slow line.
+/// Pause of a client between connect and first byte, as on a slow line.
 const HESITATES_FOR: Duration = Duration::from_millis(20);
 
-/// The time that a latch has to be acknowledged.
+/// Time to acknowledge a latch.
 const SETTLES_WITHIN: Duration = Duration::from_secs(5);
 
-/// An interface, and whether its connection is open before.
+/// An interface, with a fresh or an already open connection.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Way {
     FreshHttp,
-    /// On a fresh connection that says nothing for [`HESITATES_FOR`]; the time runs from its first byte.
+    /// On a fresh connection that is silent for [`HESITATES_FOR`]; the time runs from the first byte.
     HesitantHttp,
     OpenWebSocket,
     OpenPort,
@@ -44,12 +44,12 @@ pub enum Way {
     Zenoh,
 }
 
-/// The FAST STOPs by one interface.
+/// FAST STOPs over one interface.
 #[derive(Debug, Default)]
 pub struct Stops {
     pub wanted: usize,
     pub asked: usize,
-    /// The times of those that reached the device, sorted.
+    /// Times of those that reached the device, sorted.
     times: Vec<Duration>,
 }
 
@@ -58,14 +58,14 @@ impl Stops {
         self.times.len()
     }
 
-    /// The time that so many per cent of those that reached the device did not exceed.
+    /// Returns this percentile of the times.
     pub fn percentile(&self, percent: usize) -> Option<Duration> {
         let last = self.times.len().checked_sub(1)?;
         self.times.get((last * percent).div_ceil(100)).copied()
     }
 }
 
-/// A client of each interface, all of them connected before an attack begins.
+/// A client of each interface, all connected before an attack starts.
 pub struct Probe<'a> {
     gateway: &'a Gateway,
     device: &'a Device,
@@ -84,7 +84,7 @@ impl<'a> Probe<'a> {
         Self { gateway, device, runtime, zenoh, socket, port }
     }
 
-    /// Asks for so many FAST STOPs by one interface.
+    /// Sends a series of FAST STOPs over one interface.
     pub fn stops(&mut self, way: Way, wanted: usize) -> Stops {
         let mut stops = Stops { wanted, ..Stops::default() };
         let (mut missed, series_begun) = (0, Instant::now());
@@ -102,27 +102,27 @@ impl<'a> Probe<'a> {
             std::thread::sleep(ASKED_EVERY.saturating_sub(begun.elapsed()));
         }
         for gripper in self.gateway.grippers.iter().filter(|_| way == Way::Zenoh) {
-            // A put stops all of them.
+            // A put stops all grippers.
             self.settle(gripper);
         }
         stops.times.sort_unstable();
         stops
     }
 
-    /// The time from before the connection, where a fresh one is asked for, until the device saw 23h.
+    /// Returns the time until the device saw 23h, including the connect if the connection is fresh.
     fn stop(&mut self, way: Way) -> Option<Duration> {
         let begun = Instant::now();
         let asked = self.ask(way);
         let reached = self.device.first_since(FAST_STOP, begun, REACHES_WITHIN);
         let begun = begun + if way == Way::HesitantHttp { HESITATES_FOR } else { Duration::ZERO };
         if let (Way::FreshHttp | Way::HesitantHttp, Ok(Some(mut connection)), true) = (way, asked, reached.is_some()) {
-            // A client that waits for its answer frees its place only then.
+            // A client that waits for its answer frees its slot only then.
             http::read_answer(&mut connection);
         }
         reached.map(|at| at.saturating_duration_since(begun))
     }
 
-    /// Asks for a FAST STOP, and returns the connection, if it is a fresh one.
+    /// Sends a FAST STOP, and returns the connection if it is a fresh HTTP or port connection.
     fn ask(&mut self, way: Way) -> std::io::Result<Option<TcpStream>> {
         let port_request = wsg::request(FAST_STOP, &[]);
         match way {
@@ -153,7 +153,7 @@ impl<'a> Probe<'a> {
         }
     }
 
-    /// Acknowledges by Zenoh until nothing is latched.
+    /// Acknowledges over Zenoh until nothing is latched.
     fn settle(&self, gripper: &str) {
         let until = Instant::now() + SETTLES_WITHIN;
         while Instant::now() < until {
@@ -175,7 +175,7 @@ impl<'a> Probe<'a> {
         self.runtime.block_on(self.zenoh.all(selector, payload)).into_iter().find_map(|(_, answer)| answer.ok())
     }
 
-    /// Lets a connection or a frame cause one FAST STOP, and returns whether it has reached the device.
+    /// Runs `ask`, which must cause one FAST STOP, and returns whether it reached the device.
     pub fn reaches(&self, ask: impl FnOnce()) -> bool {
         self.settle("g");
         let begun = Instant::now();

@@ -1,4 +1,4 @@
-//! A WebSocket over a plain socket, frame by frame, so that a test can send what a client library would not.
+//! A WebSocket over a plain socket, frame by frame, for messages that client libraries do not send.
 
 use std::io::{ErrorKind, Read as _, Write as _};
 use std::net::TcpStream;
@@ -9,17 +9,17 @@ use std::time::{Duration, Instant};
 use crate::gateway::Gateway;
 use crate::http;
 
-/// The interval of the signs of life: the gateway gives up a client after 3 s without one.
+/// Interval of pongs: the gateway closes a socket after 3 s without one.
 const LIVES_EVERY: Duration = Duration::from_millis(500);
 
 pub const TEXT: u8 = 1;
 pub const BINARY: u8 = 2;
 pub const PONG: u8 = 10;
 
-/// The key of the example in RFC 6455.
+/// Key of the example in RFC 6455.
 pub const KEY: &str = "dGhlIHNhbXBsZSBub25jZQ==";
 
-/// The head of an upgrade.
+/// Head of an upgrade request.
 pub fn upgrade(key: &str) -> String {
     format!(
         "GET /api/v1/ws HTTP/1.1\r\nHost: localhost\r\nConnection: Upgrade\r\nUpgrade: websocket\r\n\
@@ -27,7 +27,7 @@ pub fn upgrade(key: &str) -> String {
     )
 }
 
-/// The bytes of a whole frame of a client. The mask is zero.
+/// Encodes a whole client frame with a zero mask.
 pub fn frame(opcode: u8, payload: &[u8]) -> Vec<u8> {
     let length = match payload.len() {
         short @ 0..126 => vec![0x80 | short as u8],
@@ -37,7 +37,7 @@ pub fn frame(opcode: u8, payload: &[u8]) -> Vec<u8> {
     [&[0x80 | opcode], &length[..], &[0; 4], payload].concat()
 }
 
-/// An open WebSocket of a well-behaved client. The gateway's messages are read and thrown away.
+/// An open WebSocket of a well-behaved client, which reads and drops all messages.
 #[derive(Debug)]
 pub struct Socket {
     stream: TcpStream,
@@ -45,7 +45,6 @@ pub struct Socket {
 }
 
 impl Socket {
-    /// Opens one.
     pub fn open(gateway: &Gateway) -> Option<Self> {
         let mut stream = gateway.connect().ok()?;
         stream.write_all(upgrade(KEY).as_bytes()).ok()?;
@@ -61,12 +60,11 @@ impl Socket {
         Some(Self { stream, has_ended })
     }
 
-    /// Sends a frame.
     pub fn send(&mut self, opcode: u8, payload: &str) -> std::io::Result<()> {
         self.stream.write_all(&frame(opcode, payload.as_bytes()))
     }
 
-    /// Whether the gateway has closed it.
+    /// Whether the gateway has closed the socket.
     pub fn has_ended(&self) -> bool {
         self.has_ended.load(Ordering::Relaxed)
     }

@@ -1,12 +1,12 @@
-//! Where a bench's files are.
+//! Temporary files of a bench.
 
 use std::path::{Path, PathBuf};
 
-/// A directory that goes with the bench.
+/// A directory that is removed after the bench.
 pub struct Directory(pub PathBuf);
 
 impl Directory {
-    /// Of a bench of this name.
+    /// Creates the directory of this bench.
     pub fn new(bench: &str) -> std::io::Result<Self> {
         let directory = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("{bench}-bench-{}", std::process::id()));
         std::fs::create_dir_all(&directory)?;

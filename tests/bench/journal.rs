@@ -1,7 +1,7 @@
-//! What the journal takes, and how soon it answers: durable commands a second on a real disk, what that costs a command
-//! of a gripper, and the time of a page of 100 among a million events, for each combination of filters.
+//! Throughput and latency of the journal: durable commands per second on a real disk, their cost for a gripper command,
+//! and the time of a page of 100 among a million events for each combination of filters.
 //!
-//! `cargo bench --bench journal`, or with `-- --events 100000`. Fails where a page takes longer than 20 ms.
+//! `cargo bench --bench journal`, or with `-- --events 100000`. Fails if a page takes longer than 20 ms.
 
 mod directory;
 
@@ -28,22 +28,22 @@ use wsg_gateway::wsg::{HomingDirection, MoveFlags, Speed, Width};
 
 type Error = Box<dyn std::error::Error>;
 
-/// How long each rate is measured.
+/// Duration of each rate measurement.
 const MEASURED: Duration = Duration::from_secs(5);
 
-/// How long a page may take.
+/// Time limit of a page.
 const PAGE_LIMIT: Duration = Duration::from_millis(20);
 
-/// How often each page is read; the fastest counts, since the machine does other things too.
+/// Reads of each page; the fastest counts, to exclude other load.
 const READS: usize = 3;
 
-/// How often each command is given to a gripper with and to one without a journal.
+/// Commands given to each gripper, with and without a journal.
 const COMMANDS: usize = 200;
 
-/// Longer than the pause between two motions, which is no part of a command's time.
+/// Longer than the pause between two motions, so that the pause is not measured.
 const REST: Duration = Duration::from_millis(60);
 
-/// How many events are recorded before it is waited until they are durable; fewer than the journal's queue has room for.
+/// Events recorded before each wait for the disk; fewer than the journal's queue holds.
 const BURST: u32 = 4000;
 
 fn main() -> Result<(), Error> {
@@ -71,7 +71,7 @@ fn main() -> Result<(), Error> {
     let report = verify(&path)?;
     println!("verified in {:.1?}: {} findings", begun.elapsed(), report.findings.len());
     if worst > PAGE_LIMIT || !report.findings.is_empty() {
-        return Err(format!("a page took {worst:?}, and {PAGE_LIMIT:?} are allowed; or something was found").into());
+        return Err(format!("a page took {worst:?} (limit {PAGE_LIMIT:?}), or verify found damage").into());
     }
     Ok(())
 }
@@ -110,12 +110,12 @@ fn done(at: Timestamp, part_id: Option<PartId>, outcome: Outcome) -> CommandEven
 }
 
 async fn durable(journal: &Journal, event: Event) -> Result<(), Error> {
-    let (told, durable) = oneshot::channel();
-    journal.record(Record::Event(event, Some(told)));
+    let (notify, durable) = oneshot::channel();
+    journal.record(Record::Event(event, Some(notify)));
     Ok(durable.await?)
 }
 
-/// How many commands so many clients get through the journal, each waiting for each record.
+/// Returns the number of commands that `clients` clients record, each waiting for every record.
 async fn rate(journal: &Journal, clients: u64) -> Result<u32, Error> {
     let until = Instant::now() + MEASURED;
     let running: Vec<_> = (0..clients)
@@ -143,7 +143,7 @@ async fn rate(journal: &Journal, clients: u64) -> Result<u32, Error> {
     Ok(commands)
 }
 
-/// A simulated gripper with this recorder, homed, and its device, which goes with the switch.
+/// Starts and homes a simulated gripper with this recorder. The device stops when the switch is dropped.
 async fn gripper(recorder: Arc<dyn Recorder>) -> Result<(Handle, Switch), Error> {
     let device = SimulatedDevice::new(DeviceConfig::wsg50());
     let Served { address, switch, .. } = serve_device(&"tcp://127.0.0.1:0".parse()?, device).await?;
@@ -165,7 +165,7 @@ async fn gripper(recorder: Arc<dyn Recorder>) -> Result<(Handle, Switch), Error>
     Ok((handle, switch))
 }
 
-/// Gives a command to a gripper, and waits until its client is told.
+/// Runs a command, and returns the time until its result.
 async fn run(handle: &Handle, action: Action) -> Result<Duration, Error> {
     let client = Client { subject: "http:127.0.0.1".into(), door: Door::Http };
     let begun = Instant::now();
@@ -178,7 +178,7 @@ async fn run(handle: &Handle, action: Action) -> Result<Duration, Error> {
     }
 }
 
-/// The same commands with and without a durable journal, in turn.
+/// Runs the same commands alternately with and without a durable journal.
 async fn commands(path: &Path) -> Result<(), Error> {
     let (journal, _) = open(path)?;
     let (with, _device) = gripper(Arc::new(journal.clone())).await?;
@@ -204,14 +204,14 @@ async fn commands(path: &Path) -> Result<(), Error> {
     Ok(journal.close().await?)
 }
 
-/// The time of the event with this number: ten a second.
+/// Time of the event with this number, at ten events a second.
 fn time(number: u32) -> Timestamp {
     Timestamp::UNIX_EPOCH
         + SignedDuration::from_hours(24 * 365 * 50)
         + SignedDuration::from_millis(i64::from(number) * 100)
 }
 
-/// Records so many events of each sort; one in a thousand is rare.
+/// Records this many events of all kinds; one in a thousand has rare values.
 async fn fill(path: &Path, events: u32) -> Result<(), Error> {
     let (journal, _) = open(path)?;
     let mut ids = IdSource::new(1);
@@ -263,7 +263,7 @@ fn grip(id: CommandId, at: Timestamp, gripper: &Name, part_id: Option<PartId>, o
     }
 }
 
-/// All combinations of what occurs often, rarely, and never.
+/// Returns all combinations of frequent, rare and absent values.
 fn filters<K: Copy>(kinds: &[K]) -> Result<Vec<Filter<K>>, Error> {
     let kinds: Vec<_> = std::iter::once(None).chain(kinds.iter().copied().map(Some)).collect();
     let mut filters = Vec::new();

@@ -1,13 +1,14 @@
-//! A thousand observers, a hundred of which read nothing, and a flood of refused motions: how long a FAST STOP takes to
-//! the device then, beside an idle gateway in the same run; whether every observer that reads got every event; what
-//! memory and processor time that costs, beside Mosquitto that fans the same bytes out to as many subscribers.
+//! A thousand observers, a hundred of which read nothing, with a flood of refused motions. The bench measures the time
+//! of a FAST STOP to the device, compared with an idle gateway in the same run. It checks that every reading observer
+//! gets every event. It compares memory and processor time with a Mosquitto that fans out the same bytes.
 //!
-//! `cargo bench --bench observers`. `OBSERVERS` (1000), `STALLED` (100), `HZ` (50), `STOPS` (200, each once idle and once
-//! loaded) and `SECONDS` (10, of each fan-out) change it. Times are noisy; the ratios are what counts. Mosquitto is left
-//! out where it isn't installed. The observers are a process of their own, which gives way to all others (`chrt --idle`, of
-//! util-linux). Where there are two processors or more, the last one is the observers', the clients' and the device's,
-//! and the gateway has the others, idle and loaded (`taskset`): elsewhere those are machines of their own. With `SHARED=1`
-//! all have all.
+//! `cargo bench --bench observers`. Variables: `OBSERVERS` (1000), `STALLED` (100), `HZ` (50), `STOPS` (200 idle and
+//! 200 loaded) and `SECONDS` (10 per fan-out). Times are noisy; compare the ratios. Mosquitto is skipped if it is not
+//! installed.
+//!
+//! The observers run in a separate process with idle priority (`chrt --idle`, from util-linux). With two or more
+//! processors, the last one runs the observers, the clients and the device, and the gateway has the others (`taskset`),
+//! as if on separate machines. With `SHARED=1` all processes share all processors.
 
 #[path = "observers/crowd.rs"]
 mod crowd;
@@ -26,21 +27,21 @@ use directory::Directory;
 use program::{Error, Running, start};
 use serde_json::{Value, json};
 
-/// Stops before any is measured, idle and loaded.
+/// Unmeasured stops at the start, idle and loaded.
 const WARM_UP: usize = 50;
 
-/// What the kernel counts processor time in, a second.
+/// Kernel clock ticks per second.
 const TICKS: f64 = 100.0;
 
 impl Running {
-    /// The memory that it has, in MiB.
+    /// Resident memory, in MiB.
     fn memory(&self) -> Result<f64, Error> {
         let status = std::fs::read_to_string(format!("/proc/{}/status", self.0.id()))?;
         let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).ok_or("no VmRSS")?;
         Ok(line.trim().trim_end_matches(" kB").parse::<f64>()? / 1024.0)
     }
 
-    /// The processor time that it has used.
+    /// Processor time used, in seconds.
     fn time(&self) -> Result<f64, Error> {
         let stat = std::fs::read_to_string(format!("/proc/{}/stat", self.0.id()))?;
         let fields: Vec<_> = stat.rsplit(')').next().ok_or("no stat")?.split_whitespace().collect();
@@ -49,7 +50,7 @@ impl Running {
     }
 }
 
-/// The observers, in a process of their own, which reports when it is asked.
+/// The observers' process, which reports on request.
 struct Crowd {
     running: Running,
     asks: ChildStdin,
@@ -58,7 +59,7 @@ struct Crowd {
 
 impl Crowd {
     fn start(what: &str, address: &str) -> Result<Self, Error> {
-        // Elsewhere observers have processors of their own: here they must not take the gateway's, nor its caller's.
+        // The observers must not take time from the gateway and its caller, since real observers run elsewhere.
         let mut command = Command::new("chrt");
         command.args(["--idle", "0"]).arg(std::env::current_exe()?).env("CROWD", what).env("ADDRESS", address);
         let mut child = command.stdin(Stdio::piped()).stdout(Stdio::piped()).spawn()?;
@@ -73,7 +74,7 @@ impl Crowd {
         let mut line = String::new();
         self.says.read_line(&mut line)?;
         if line.is_empty() {
-            return Err(format!("the observers have ended: {:?}", self.running.0.try_wait()).into());
+            return Err(format!("the observers ended: {:?}", self.running.0.try_wait()).into());
         }
         Ok(serde_json::from_str(&line)?)
     }
@@ -102,7 +103,7 @@ impl Stopper {
         Ok(self.runtime.block_on(async { self.http.get(url).send().await?.json().await })?)
     }
 
-    /// How long it takes from the request to the frame at the device.
+    /// Returns the time from the request until the device has the frame.
     fn stop(&self) -> Result<Duration, Error> {
         while self.stops.try_recv().is_ok() {}
         let begun = Instant::now();
@@ -127,14 +128,14 @@ fn percentile(times: &[Duration], percent: usize) -> Duration {
     times[(times.len() - 1) * percent / 100]
 }
 
-/// Which processors the threads of a process may use.
+/// Binds the threads of a process to these processors.
 fn bind(process: u32, processors: &str) -> Result<(), Error> {
     let mut command = Command::new("taskset");
     let bound = command.args(["-a", "-p", "-c", processors, &process.to_string()]).stdout(Stdio::null()).status()?;
     if bound.success() { Ok(()) } else { Err(format!("taskset: {bound}").into()) }
 }
 
-/// The gateway's processors, and the one of all others, which this process is bound to.
+/// Binds this process to the last processor, and returns the others for the gateway.
 fn processors() -> Result<Option<String>, Error> {
     let last = std::thread::available_parallelism()?.get() - 1;
     if last == 0 || number("SHARED", 0) == 1 {
@@ -152,7 +153,7 @@ fn main() -> Result<(), Error> {
     let (_device, device) = start(&["sim", "tcp://127.0.0.1:0"], " at tcp://")?;
     let (tapped, stops) = tap::start(device)?;
     let gripper = format!("g=tcp://{tapped}");
-    // In a file, as everywhere: in memory it would grow by what happens.
+    // A journal file, as in production; a journal in memory would grow with every event.
     let directory = Directory::new("observers")?;
     let journal = directory.0.join("gateway.db").to_string_lossy().into_owned();
     let zenoh = "tcp/127.0.0.1:0";
@@ -170,20 +171,20 @@ fn main() -> Result<(), Error> {
     stopper.stops(WARM_UP)?;
 
     let (observers, stalled, seconds) = (number("OBSERVERS", 1000), number("STALLED", 100), number("SECONDS", 10));
-    println!("{observers} observers at {} Hz, {stalled} of which read nothing, and a flood", number("HZ", 50));
+    println!("{observers} observers at {} Hz, {stalled} of them stalled, with a flood", number("HZ", 50));
     let count = number("STOPS", 200);
     let idle = stopper.stops(count)?;
     let before = gateway.memory()?;
     let mut crowd = Crowd::start("websocket", &address)?;
     let fan_out = fan_out(&mut crowd, &gateway, seconds)?;
-    // Each observer's buffers grow with the first events that it is told.
+    // Each observer's buffers grow with its first events.
     stopper.stops(WARM_UP)?;
     let begun = gateway.memory()?;
     let loaded = stopper.stops(count)?;
     let ended = gateway.memory()?;
-    // What was told last is under way.
+    // The last events are still in transit.
     std::thread::sleep(Duration::from_secs(2));
-    let told = crowd.report()?;
+    let report = crowd.report()?;
     for (name, percent) in [("p50", 50), ("p99", 99)] {
         let (idle, loaded) = (percentile(&idle, percent), percentile(&loaded, percent));
         let ratio = loaded.as_secs_f64() / idle.as_secs_f64();
@@ -194,22 +195,22 @@ fn main() -> Result<(), Error> {
         (ended / begun - 1.0) * 100.0
     );
     println!(
-        "events: {} observers read all of them, {} missed some; {} motions were refused",
-        told["complete"], told["incomplete"], told["refused"]
+        "events: {} observers got all of them, {} missed some; {} motions were refused",
+        report["complete"], report["incomplete"], report["refused"]
     );
     println!("gateway:   {fan_out}");
     drop((crowd, gateway));
     mosquitto(seconds, processors.as_deref())
 }
 
-/// What is delivered in so many seconds, and what it costs.
+/// Returns the delivery rate over some seconds, and its processor time.
 fn fan_out(crowd: &mut Crowd, server: &Running, seconds: usize) -> Result<String, Error> {
-    let delivered = |crowd: &mut Crowd| crowd.report().map(|told| told["delivered"].as_f64().unwrap_or_default());
+    let delivered = |crowd: &mut Crowd| crowd.report().map(|report| report["delivered"].as_f64().unwrap_or_default());
     let (begun, before, time) = (Instant::now(), delivered(crowd)?, server.time()?);
     std::thread::sleep(Duration::from_secs(seconds as u64));
-    let (told, time) = (delivered(crowd)? - before, server.time()? - time);
-    let second = told / begun.elapsed().as_secs_f64();
-    Ok(format!("{second:.0} deliveries a second, {:.1} s of processor time for a million", time / told * 1e6))
+    let (count, time) = (delivered(crowd)? - before, server.time()? - time);
+    let per_second = count / begun.elapsed().as_secs_f64();
+    Ok(format!("{per_second:.0} deliveries/s, {:.1} s of processor time per million", time / count * 1e6))
 }
 
 fn mosquitto(seconds: usize, processors: Option<&str>) -> Result<(), Error> {

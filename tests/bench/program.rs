@@ -1,11 +1,11 @@
-//! The gateway's program, as the benches start it.
+//! Processes of the gateway, as started by the benches.
 
 use std::io::{BufRead, BufReader};
 use std::process::{Child, Command, Stdio};
 
 pub type Error = Box<dyn std::error::Error + Send + Sync>;
 
-/// A process that is ended with the bench.
+/// A process that is killed with the bench.
 pub struct Running(pub Child);
 
 impl Drop for Running {
@@ -15,8 +15,8 @@ impl Drop for Running {
     }
 }
 
-/// Starts the program, and returns what it says between `before` and the end of the line. Its log is of errors alone:
-/// what it costs to write is not what is measured.
+/// Starts the program, and returns the output between `before` and the end of its line. Only errors are logged, so that
+/// logging is not measured.
 pub fn start(arguments: &[&str], before: &str) -> Result<(Running, String), Error> {
     let mut command = Command::new(env!("CARGO_BIN_EXE_wsg-gateway"));
     command.env("WSG_GATEWAY_JOURNAL", ":memory:").env("WSG_GATEWAY_LOG", "error");
@@ -28,5 +28,5 @@ pub fn start(arguments: &[&str], before: &str) -> Result<(Running, String), Erro
             return Ok((running, rest.trim_end_matches('/').to_owned()));
         }
     }
-    Err(format!("it never said {before:?}").into())
+    Err(format!("no output with {before:?}").into())
 }

@@ -1,6 +1,6 @@
-//! A Loop through the gateway, over HTTP, against one straight to the device, over TCP: in turn, in one run.
+//! Round trip of a Loop through the gateway over HTTP, compared with a direct TCP connection, alternating in one run.
 //!
-//! `cargo bench --bench round_trip`. Times are noisy; the ratio is what counts.
+//! `cargo bench --bench round_trip`. Times are noisy; compare the ratio.
 
 mod program;
 
@@ -11,10 +11,10 @@ use std::time::{Duration, Instant};
 use program::{Error, start};
 use wsg_gateway::wsg::{self, ChecksumEvaluation, Decoded, Decoder, LoopData, id};
 
-/// Round trips of each kind.
+/// Measured round trips of each kind.
 const ROUNDS: usize = 2000;
 
-/// Round trips that are not counted, first.
+/// Unmeasured round trips at the start.
 const WARM_UP: usize = 200;
 
 fn main() -> Result<(), Error> {
@@ -84,11 +84,11 @@ fn loop_straight(device: &mut TcpStream, frame: &[u8]) -> Result<(), Error> {
 fn report(direct: &mut [Duration], through: &mut [Duration]) {
     direct.sort_unstable();
     through.sort_unstable();
-    println!("a Loop of 16 bytes, {ROUNDS} times each, in turn");
+    println!("a Loop of 16 bytes, {ROUNDS} alternating round trips each");
     for (name, percent) in [("p50", 50), ("p99", 99)] {
         let of = |times: &[Duration]| times[(times.len() - 1) * percent / 100];
         let (direct, through) = (of(direct), of(through));
         let ratio = through.as_secs_f64() / direct.as_secs_f64();
-        println!("{name}: straight {direct:?}, through the gateway over HTTP {through:?}, ratio {ratio:.2}");
+        println!("{name}: direct {direct:?}, through the gateway over HTTP {through:?}, ratio {ratio:.2}");
     }
 }

@@ -1,6 +1,6 @@
-//! What the session costs: frames a second, and allocations a frame (in steady state there are to be none).
+//! Cost of the session: frames per second, and allocations per frame (none in steady state).
 //!
-//! `cargo bench --bench session`. The rows `alloc` count the allocations of one sample of 1,000 frames.
+//! `cargo bench --bench session`. The `alloc` rows count the allocations of one sample of 1,000 frames.
 
 use std::hint::black_box;
 use std::time::{Duration, Instant};
@@ -16,7 +16,7 @@ static ALLOCATOR: AllocProfiler = AllocProfiler::system();
 /// Frames of one sample.
 const FRAMES: usize = 1000;
 
-/// What a device with all its updates on sends, in chunks as they come off a socket.
+/// Frames per chunk, as a device with all updates on delivers them to a socket.
 const CHUNK_FRAMES: usize = 5;
 
 fn main() {
@@ -79,7 +79,7 @@ fn encode_grips(bencher: Bencher) {
     });
 }
 
-/// A request and its reply: submitted, written, answered, ended.
+/// A request and its reply: submit, transmit, receive, event.
 #[divan::bench]
 fn requests_and_replies(bencher: Bencher) {
     let mut session = session();

@@ -1,7 +1,7 @@
-//! A Loop through the WSG port, against one through a plain TCP relay (socat): in turn, in one run, while three other
-//! clients use the WSG port.
+//! Round trip of a Loop through the WSG port, compared with a plain TCP relay (socat), alternating in one run, while
+//! three other clients use the WSG port.
 //!
-//! `cargo bench --bench wsg_port`. Times are noisy; the ratio is what counts.
+//! `cargo bench --bench wsg_port`. Times are noisy; compare the ratio.
 
 mod program;
 
@@ -16,13 +16,13 @@ use std::time::{Duration, Instant};
 use program::{Error, Running, start};
 use wsg_gateway::wsg::{self, ChecksumEvaluation, Decoded, Decoder, LoopData, Updates, id};
 
-/// Round trips of each kind.
+/// Measured round trips of each kind.
 const ROUNDS: usize = 20_000;
 
-/// Round trips that are not counted, first.
+/// Unmeasured round trips at the start.
 const WARM_UP: usize = 1000;
 
-/// How often the other clients ask: as scripts in the field do.
+/// Polling interval of the other clients, as in real scripts.
 const POLLED_EVERY: Duration = Duration::from_millis(20);
 
 /// A client that waits for each answer.
@@ -48,7 +48,7 @@ impl Client {
         }
     }
 
-    /// Returns the status of the next reply of this id.
+    /// Returns the status of the next reply with this id.
     fn ask(&mut self, command: &wsg::Command) -> Result<u16, Error> {
         let mut frame = Vec::new();
         command.encode(&mut frame);
@@ -111,7 +111,7 @@ fn main() -> Result<(), Error> {
     Ok(())
 }
 
-/// A client beside: it has automatic updates on, and polls.
+/// Starts another client that polls with automatic updates on.
 fn poll(address: String, ends: Arc<AtomicBool>, polls: Arc<AtomicU64>) -> thread::JoinHandle<Result<(), Error>> {
     thread::spawn(move || {
         let mut client = Client::connect(&address)?;
@@ -136,7 +136,7 @@ fn timed(client: &mut Client, command: &wsg::Command) -> Result<Duration, Error>
 fn report(by_relay: &mut [Duration], by_port: &mut [Duration], polls: u64) {
     by_relay.sort_unstable();
     by_port.sort_unstable();
-    println!("a Loop of 16 bytes, {ROUNDS} times each, in turn, beside {polls} polls of three other clients");
+    println!("a Loop of 16 bytes, {ROUNDS} alternating round trips each, during {polls} polls of three other clients");
     for (name, percent) in [("p50", 50), ("p99", 99)] {
         let of = |times: &[Duration]| times[(times.len() - 1) * percent / 100];
         let (relay, port) = (of(by_relay), of(by_port));

@@ -1,9 +1,9 @@
-//! Telemetry of one gripper to many subscribers, by Zenoh, by WebSocket, and by a bare Zenoh publisher without the
-//! gateway: how much arrives, and how late. Then how long a FAST STOP's put takes to the device while another client floods
-//! the gateway and its subscribers with states as fast as it can, beside the same without.
+//! Telemetry of one gripper to many subscribers over Zenoh, over WebSocket, and from a bare Zenoh publisher without the
+//! gateway: rate and delay. Then the time of a FAST STOP put to the device, with and without a client that floods the
+//! gateway and its subscribers with states.
 //!
-//! `cargo bench --bench zenoh`. `SUBSCRIBERS` (20), `SECONDS` (5, of each) and `STOPS` (100, each) change it. Times are
-//! noisy, and those of telemetry are told in whole milliseconds; the ratios are what counts.
+//! `cargo bench --bench zenoh`. Variables: `SUBSCRIBERS` (20), `SECONDS` (5 per measurement) and `STOPS` (100 per
+//! series). Times are noisy, and telemetry times have whole milliseconds; compare the ratios.
 
 mod program;
 #[path = "zenoh/subscribers.rs"]
@@ -23,22 +23,22 @@ use subscribers::{Seen, now_ms};
 use zenoh::Wait as _;
 use zenoh::qos::{CongestionControl, Priority};
 
-/// As often as the gateway tells of a gripper.
+/// Telemetry rate of the gateway.
 const HZ: u64 = 50;
 
-/// Of one that floods: as large as a state.
+/// Payload size of the flood, similar to a state.
 const FLOOD_BYTES: usize = 700;
 
 fn number(name: &str, default: usize) -> usize {
     std::env::var(name).ok().and_then(|text| text.parse().ok()).unwrap_or(default)
 }
 
-/// A port that was free just now.
+/// Returns a port that is free at the moment.
 fn free() -> Result<String, Error> {
     Ok(std::net::TcpListener::bind("127.0.0.1:0")?.local_addr()?.to_string())
 }
 
-/// Zenoh's configuration of one that does only what it is told.
+/// Zenoh configuration without scouting or automatic connections.
 fn config(mode: &str, listen: &[&str], connect: &[&str]) -> Result<zenoh::Config, Error> {
     let mut config = zenoh::Config::default();
     for (key, value) in [
@@ -53,22 +53,22 @@ fn config(mode: &str, listen: &[&str], connect: &[&str]) -> Result<zenoh::Config
     Ok(config)
 }
 
-/// Publishes what the gateway would, without the gateway.
+/// Publishes telemetry at the gateway's rate, without the gateway.
 fn publish(endpoint: &str) -> Result<(), Error> {
     let session = zenoh::open(config("peer", &[endpoint], &[])?).wait()?;
     let publisher = session.declare_publisher("wsg/v1/bare/g/telemetry").priority(Priority::DataLow).wait()?;
-    println!("publishes");
+    println!("publishing");
     for seq in 0_u64.. {
         let at = jiff::Timestamp::from_millisecond(now_ms())?;
-        let told = json!({"gripper": "g", "seq": seq, "at": at, "width_mm": null, "speed_mm_s": 0.0, "force_n": 0.0,
+        let body = json!({"gripper": "g", "seq": seq, "at": at, "width_mm": null, "speed_mm_s": 0.0, "force_n": 0.0,
             "state": "IDLE", "flags_raw": 262_144});
-        publisher.put(told.to_string()).wait()?;
+        publisher.put(body.to_string()).wait()?;
         std::thread::sleep(Duration::from_secs(1) / HZ as u32);
     }
     Ok(())
 }
 
-/// Counts for a while.
+/// Measures rate and delay.
 fn measure(name: &str, seen: &Arc<Seen>, subscribers: usize) -> (f64, f64) {
     std::thread::sleep(Duration::from_secs(1));
     seen.begin();
@@ -76,11 +76,11 @@ fn measure(name: &str, seen: &Arc<Seen>, subscribers: usize) -> (f64, f64) {
     std::thread::sleep(Duration::from_secs(number("SECONDS", 5) as u64));
     let (count, mean_ms, p99_ms) = seen.end();
     let rate = count as f64 / begun.elapsed().as_secs_f64() / subscribers as f64;
-    println!("{name}: {rate:.1} a second to each of {subscribers}, {mean_ms:.2} ms late on average, p99 {p99_ms} ms");
+    println!("{name}: {rate:.1} messages/s to each of {subscribers}, mean delay {mean_ms:.2} ms, p99 {p99_ms} ms");
     (rate, mean_ms)
 }
 
-/// A client that stops the gripper by a put, and acknowledges.
+/// A client that stops the gripper with a put, and acknowledges.
 struct Stopper {
     session: zenoh::Session,
     stops: Receiver<Instant>,
@@ -93,7 +93,7 @@ impl Stopper {
         Ok(serde_json::from_slice(&reply.payload().to_bytes())?)
     }
 
-    /// How long it takes from the put to the frame at the device.
+    /// Returns the time from the put until the device has the frame.
     fn stop(&self) -> Result<Duration, Error> {
         while self.stops.try_recv().is_ok() {}
         let begun = Instant::now();
@@ -145,7 +145,7 @@ fn main() -> Result<(), Error> {
     let bare = measure("bare Zenoh", &by_bare.0, subscribers);
     drop((by_bare, publisher));
     for (name, (rate, late)) in [("Zenoh", zenoh), ("WebSocket", websocket)] {
-        println!("{name} to bare Zenoh: rate {:.2}, lateness {:.2}", rate / bare.0, late / bare.1);
+        println!("{name} to bare Zenoh: rate {:.2}, delay {:.2}", rate / bare.0, late / bare.1);
     }
 
     let crowd = subscribers::zenoh(subscribers, &endpoint, "wsg/v1/**")?;
@@ -172,9 +172,7 @@ fn main() -> Result<(), Error> {
     let rate = put.load(Ordering::Relaxed) as f64 / begun.elapsed().as_secs_f64();
     floods.store(false, Ordering::Relaxed);
     let _ = flood.join();
-    println!(
-        "a FAST STOP's put, beside {subscribers} subscribers of all, and a client that puts {rate:.0} states a second:"
-    );
+    println!("FAST STOP put, with {subscribers} subscribers of all keys, and a client that puts {rate:.0} states/s:");
     for (name, percent) in [("p50", 50), ("p99", 99)] {
         let (idle, loaded) = (percentile(&idle, percent), percentile(&loaded, percent));
         let ratio = loaded.as_secs_f64() / idle.as_secs_f64();

@@ -1,5 +1,5 @@
-// A browser without a test tool's ears on its network, for what is measured: each message of a WebSocket would be told
-// to them, and cost as much as what the page does with it. The DevTools protocol, over a pipe.
+// A browser controlled through the DevTools protocol over a pipe, for measurements. Playwright would receive each
+// WebSocket message as well, which costs as much as the page's own work.
 
 import { spawn } from 'node:child_process';
 import { mkdtempSync, rmSync } from 'node:fs';
@@ -38,7 +38,7 @@ export async function bareBrowser({ width = 1280, height = 800 } = {}) {
     rmSync(profile, { recursive: true, force: true });
   });
 
-  /** A page in a context of its own, in which nobody has been. */
+  /** Opens a page in a fresh browser context. */
   const open = async (url) => {
     const { browserContextId } = await send('Target.createBrowserContext');
     const { targetId } = await send('Target.createTarget', { url, browserContextId, width, height });

@@ -1,5 +1,5 @@
-// What the browser's tests stand on: the real gateway, Debian's Chromium, and pages that are watched for what must not
-// happen. Ports are the system's choice; every wait is for a condition; what was started is ended.
+// Support for the browser tests: the real gateway, Debian's Chromium, and pages watched for errors. The system chooses
+// ports; every wait is for a condition; all started processes are ended.
 
 import assert from 'node:assert/strict';
 import { spawn } from 'node:child_process';
@@ -17,13 +17,13 @@ export const AXE = installed.resolve('axe-core/axe.min.js');
 export const SHOTS = join(ROOT, 'target/browser/screenshots');
 export const ASSETS = join(ROOT, 'src/interfaces/dashboard/assets/');
 
-/** How long anything may take that has no time of its own: a busy machine is slow, and still right. */
+/** Deadline for anything without a time limit of its own. A busy machine is slow but still correct. */
 export const DEADLINE_MS = 30_000;
 
 export const CHROMIUM = process.env.CHROMIUM ?? '/usr/bin/chromium';
 export const FLAGS = ['--disable-gpu', '--disable-quic', '--no-first-run', '--disable-background-networking', '--disable-component-update', '--disable-sync'];
 
-/** What was started, to be ended in the opposite order. */
+/** Clean-up functions, run in reverse order. */
 export const started = [];
 
 export async function endAll() {
@@ -40,7 +40,7 @@ export async function until(what, look) {
   }
 }
 
-/** The program, once it has said on standard output what is looked for. */
+/** Starts the program, and waits for a match on standard output. */
 async function run(flags, looksFor) {
   const program = process.env.WSG_GATEWAY_PROGRAM ?? join(ROOT, 'target/debug/wsg-gateway');
   const child = spawn(program, flags, { stdio: ['ignore', 'pipe', 'pipe'] });
@@ -54,14 +54,14 @@ async function run(flags, looksFor) {
     await ended;
   };
   started.push(() => kill('SIGTERM'));
-  const says = (pattern) => until(`${flags.join(' ')} says ${pattern}`, () => {
-    assert.equal(child.exitCode, null, `it has ended: ${log}`);
+  const says = (pattern) => until(`${flags.join(' ')} prints ${pattern}`, () => {
+    assert.equal(child.exitCode, null, `the process ended: ${log}`);
     return pattern.exec(output)?.[1];
   });
   return { child, kill, says, said: await says(looksFor) };
 }
 
-/** A simulated device in a process of its own, which can be stopped, and to which things happen. */
+/** Starts a simulated device. `happens` injects changes through its control port. */
 export async function simulator() {
   const { child, says, said: url } = await run(['sim', 'tcp://127.0.0.1:0', '--control', '127.0.0.1:0'], /(tcp:\/\/127\.0\.0\.1:[1-9]\d*)/);
   const devices = await says(/faults at (http:\S+)/);
@@ -72,7 +72,7 @@ export async function simulator() {
   return { child, url, happens };
 }
 
-/** A gateway of its own; with `port` 0 at any that is free. It is there once these grippers are connected, or all. */
+/** Starts a gateway; `port` 0 is any free port. Waits until the grippers in `connects` are connected, or all. */
 export async function gateway({ port = 0, more = [], connects = null } = {}) {
   const own = ['--listen', `127.0.0.1:${port}`, '--zenoh-listen', 'tcp/127.0.0.1:0', '--journal', ':memory:'];
   const { child, kill, says, said: url } = await run([...own, ...more], /(http:\/\/127\.0\.0\.1:\d+)\//);
@@ -81,14 +81,15 @@ export async function gateway({ port = 0, more = [], connects = null } = {}) {
     return response.json();
   };
   const one = { url, child, port: Number(new URL(url).port), kill, says, ask };
-  await until('its grippers are connected', async () => {
+  await until('the grippers are connected', async () => {
     const { grippers } = await ask('GET', 'grippers');
     return grippers.length > 0 && grippers.every(({ gripper, link }) => link === 'connected' || connects?.includes(gripper) === false);
   });
   return one;
 }
 
-/** The same gateway, whose lists nobody gets an answer to, and which has no WebSocket; `held` are those who wait now. */
+/** A proxy to the gateway that never answers reads of lists, and refuses WebSockets. `held` is the number of waiting
+ * reads. */
 export async function slowReads({ url }) {
   const waiting = new Set();
   const proxy = createServer((asked, answer) => {
@@ -97,9 +98,9 @@ export async function slowReads({ url }) {
       return;
     }
     const { method, headers } = asked;
-    const passed = request(new URL(asked.url, url), { method, headers }, (told) => {
-      answer.writeHead(told.statusCode, told.headers);
-      told.pipe(answer);
+    const passed = request(new URL(asked.url, url), { method, headers }, (response) => {
+      answer.writeHead(response.statusCode, response.headers);
+      response.pipe(answer);
     });
     passed.on('error', () => answer.destroy());
     asked.pipe(passed);
@@ -119,13 +120,13 @@ export async function browser() {
   return launched;
 }
 
-/** A window of its own, in which nobody has been; its page is watched. */
+/** Opens a fresh browser context with a watched page. */
 export async function visit(launched, { url }, { path = '/', width = 1280, height = 800, ...more } = {}) {
   const context = await launched.newContext({ viewport: { width, height }, locale: 'en-GB', timezoneId: 'UTC', ...more });
   context.setDefaultTimeout(DEADLINE_MS);
   const page = await context.newPage();
   const wrong = [];
-  /** While the gateway is away on purpose, the browser says so. */
+  /** While the gateway is away on purpose, connection errors are allowed. */
   const allowed = { connections: false };
   const isAllowed = (text) => allowed.connections && /ERR_CONNECTION|ERR_EMPTY_RESPONSE|WebSocket|ERR_SOCKET/.test(text);
   page.on('console', (message) => {
@@ -140,19 +141,19 @@ export async function visit(launched, { url }, { path = '/', width = 1280, heigh
   return { page, context, wrong, allowed, close: () => context.close() };
 }
 
-/** Is called so. */
+/** Sets the user's name. */
 export async function named(page, name) {
   await page.fill('#my-name', name);
   await page.press('#my-name', 'Tab');
 }
 
-/** Has control of the gripper that is shown. */
+/** Takes control of the shown gripper. */
 export async function controlled(page) {
   await page.click('#take-control');
   await page.waitForSelector('.status.tone-mine');
 }
 
-/** Has control of it, and it is referenced. */
+/** Takes control of the shown gripper, and homes it. */
 export async function homed(page) {
   await controlled(page);
   await page.click('#home:enabled');
@@ -160,7 +161,7 @@ export async function homed(page) {
   await page.waitForSelector('#move:enabled');
 }
 
-/** Nothing in the console, no exception, no request that leaves the gateway. */
+/** Asserts no console messages, no exceptions and no requests to other hosts. */
 export function assertClean({ wrong }) {
   assert.deepEqual(wrong, []);
 }

@@ -1,5 +1,5 @@
-// What an open page costs, with eight grippers that move all the time: figures of the browser's own processes and heap.
-// SECONDS_OF_LOAD says for how long. `tests/run --long` has it: they are figures of a machine that does nothing else.
+// Cost of an open page with eight grippers that move all the time, from the browser's own process and heap figures.
+// SECONDS_OF_LOAD sets the duration. It needs an idle machine, so only `tests/run --long` runs it.
 
 import assert from 'node:assert/strict';
 import { after, test } from 'node:test';
@@ -12,21 +12,21 @@ after(endAll);
 const SECONDS = Number(process.env.SECONDS_OF_LOAD ?? 60);
 const GRIPPERS = 8;
 
-/** In shares of one core, all of the browser's processes together, on a screen of a 10-inch panel. */
+/** Share of one core for all of the browser's processes together, on a 10-inch panel's screen. */
 const MOST_CPU = 0.10;
 const MOST_FIRST_MS = 300;
-/** What cold caches may add to that, as a factor. */
+/** Factor for cold caches. */
 const MOST_CACHES = 1.3;
-/** What a heap may grow by and still not grow: charts fill their windows, and no two collections are the same. */
+/** Heap growth that does not count: charts fill their windows, and garbage collections differ. */
 const MOST_GROWTH_BYTES = 1_000_000;
-/** Whatever else runs on the machine only adds to what is measured, and not each time. */
+/** Other load only adds to a measurement, so the best of several tries counts. */
 const TRIES = 4;
 
-/** What the loop below takes on the machine that the limits were set on, with nothing else on it. */
+/** Time of the loop below on the idle reference machine. */
 const LOOP_MS = 20;
 const MOST_SLOWNESS = 3;
 
-/** How much longer than there the same work takes here and now; what is slower than that is no machine for a figure. */
+/** How much slower this machine is now than the reference; beyond the maximum, it is unfit for measurements. */
 function slowness() {
   const times = Array.from({ length: 15 }, () => {
     const begin = performance.now();
@@ -39,7 +39,7 @@ function slowness() {
 
 const sleep = (ms) => new Promise((resolve) => { setTimeout(resolve, ms); });
 
-/** Moves it to and fro until it is told to end. */
+/** Moves a gripper to and fro until the returned function is called. */
 function keepMoving({ ask }, name) {
   let goesOn = true;
   const done = (async () => {
@@ -61,7 +61,7 @@ async function cpuSeconds({ send }) {
 }
 
 async function heapBytes({ ask }) {
-  // Twice: what finalizers let go of is there for the second.
+  // Twice, because finalizers release memory only for the second collection.
   for (let count = 0; count < 2; count += 1) await ask('HeapProfiler.collectGarbage');
   return (await ask('Runtime.getHeapUsage')).usedSize;
 }
@@ -73,7 +73,7 @@ async function metrics({ ask }) {
 
 const percent = (value) => `${(value * 100).toFixed(1)} %`;
 
-/** The browser's share of one core over some seconds. */
+/** Measures the browser's share of one core over some seconds. */
 async function measure(launched, page) {
   const before = { cpu: await cpuSeconds(launched), metrics: await metrics(page), at: performance.now() };
   await sleep(SECONDS * 1000);
@@ -95,7 +95,7 @@ for (const view of ['operate', 'all']) {
     const page = await launched.open(`${served.url}/#/g1/${view}`);
     await page.ask('Performance.enable');
     await until('all grippers are shown', () => page.evaluate(`document.querySelectorAll('.chip').length >= ${GRIPPERS}`));
-    // The first seconds are those of compilers and caches.
+    // Compilers and caches dominate the first seconds.
     await sleep(5000);
     const heap = await heapBytes(page);
     let least = Infinity;
@@ -104,19 +104,19 @@ for (const view of ['operate', 'all']) {
       const { share, text } = await measure(launched, page);
       console.log(text);
       least = Math.min(least, share);
-      // Work that comes in small pieces finds its caches cold on a machine that is busy with other things.
+      // On a busy machine, small pieces of work find cold caches.
       most = MOST_CPU * Math.min(MOST_CACHES, slowness());
     }
     const growth = (await heapBytes(page)) - heap;
     console.log(`heap ${(heap / 1e6).toFixed(2)} MB, ${growth < 0 ? '' : '+'}${(growth / 1e6).toFixed(2)} MB since`);
     await Promise.all(stops.map((stop) => stop()));
     await page.close();
-    assert.ok(least < most, `${percent(least)} of one core, where ${percent(most)} may be`);
+    assert.ok(least < most, `${percent(least)} of one core; the limit is ${percent(most)}`);
     assert.ok(growth < MOST_GROWTH_BYTES, `the heap has grown by ${growth} bytes`);
   });
 }
 
-/** When the browser had put the width on its screen: the state and STOP come with it. */
+/** Time at which the browser rendered the width; the state and STOP are rendered with it. */
 const PAINTED = `new Promise((resolve) => {
   new PerformanceObserver((list) => {
     const width = list.getEntries().find(({ identifier }) => identifier === 'width');
@@ -125,18 +125,18 @@ const PAINTED = `new Promise((resolve) => {
 })`;
 
 const WAYS = {
-  /** What a person does. */
-  'in a tab that is there': async (launched, url) => {
+  /** Like a person's visit. */
+  'in an existing tab': async (launched, url) => {
     const page = await launched.open('about:blank');
-    await until('the tab is there', () => page.evaluate('document.readyState === "complete"'));
+    await until('the tab is loaded', () => page.evaluate('document.readyState === "complete"'));
     await page.ask('Page.navigate', { url });
     return page;
   },
-  /** The browser starts a process for it meanwhile, which takes more of the processors than the page. */
-  'in a tab that is made': (launched, url) => launched.open(url),
+  /** Meanwhile the browser starts a process for the tab, which takes more processor time than the page. */
+  'in a new tab': (launched, url) => launched.open(url),
 };
 
-test(`what is useful is on the screen within ${MOST_FIRST_MS} ms, of who has never been here`, async () => {
+test(`the first visit renders useful content within ${MOST_FIRST_MS} ms`, async () => {
   const served = await gateway();
   await served.ask('POST', 'grippers/left/home');
   const launched = await bareBrowser();
@@ -146,7 +146,7 @@ test(`what is useful is on the screen within ${MOST_FIRST_MS} ms, of who has nev
     const times = [];
     for (let count = 0; count < 4 * TRIES; count += 1) {
       const page = await open(launched, `${served.url}/`);
-      await until('the width is there', () => page.evaluate("document.querySelector('.figure-main') !== null"));
+      await until('the width is shown', () => page.evaluate("document.querySelector('.figure-main') !== null"));
       times.push(await page.evaluate(PAINTED));
       await page.close();
     }
@@ -155,7 +155,7 @@ test(`what is useful is on the screen within ${MOST_FIRST_MS} ms, of who has nev
     console.log(`useful ${way} after ${times.map(Math.round).join(', ')} ms: half of them within ${Math.round(useful[way].median)} ms`);
   }
   const most = MOST_FIRST_MS * Math.max(slow, slowness());
-  console.log(`on a machine that is so busy within ${Math.round(most)} ms`);
-  assert.ok(useful['in a tab that is there'].median < most, JSON.stringify(useful));
-  assert.ok(useful['in a tab that is made'].least < most, JSON.stringify(useful));
+  console.log(`the limit on this machine at this load is ${Math.round(most)} ms`);
+  assert.ok(useful['in an existing tab'].median < most, JSON.stringify(useful));
+  assert.ok(useful['in a new tab'].least < most, JSON.stringify(useful));
 });

@@ -1,5 +1,5 @@
-// How the page looks, to people and to axe: the three sizes, light and dark, German and English. The screenshots are
-// kept in target/browser/screenshots, and are to be looked at.
+// Appearance of the page, also checked with axe: several screen sizes, light and dark, German and English. Screenshots
+// are in target/browser/screenshots, for visual review.
 
 import assert from 'node:assert/strict';
 import { readFileSync } from 'node:fs';
@@ -10,21 +10,21 @@ import { assertClean, ASSETS, AXE, browser, endAll, gateway, homed, named, shoot
 after(endAll);
 const launched = await browser();
 
-/** 320 px is what WCAG asks for: a desk's 1280 at 400 %. */
+/** WCAG requires 320 px: 1280 px at 400 %. */
 const SIZES = { narrow: { width: 320, height: 568, hasTouch: true, isMobile: true }, phone: { width: 390, height: 844, hasTouch: true, isMobile: true }, panel: { width: 1280, height: 800, hasTouch: true }, desk: { width: 1920, height: 1080 } };
-/** As long as a name may be, without a place to break at. */
+/** The longest possible name, without a place to break. */
 const LONGEST = 'longest_possible_name_of_gripper';
 const VIEWS = ['operate', 'history', 'log', 'device', 'all'];
 const axe = readFileSync(AXE, 'utf8');
 
 async function violations(page) {
-  // Puts the checker in by the debugger, which the page's policy does not concern.
+  // Injects the checker through the debugger, which the page's content security policy does not restrict.
   await page.evaluate(axe);
   const { violations: found } = await page.evaluate(() => globalThis.axe.run(document, { runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa', 'best-practice'] }));
   return found.map(({ id, nodes }) => ({ id, nodes: nodes.map(({ target, failureSummary }) => `${target}: ${failureSummary}`) }));
 }
 
-/** What is wider than the screen, and what is too small to touch. The window's own width grows with what is in it. */
+/** Finds elements wider than the screen or too small to touch. The window's own width grows with its content. */
 async function misfits(page) {
   return page.evaluate((width) => {
     const small = [...document.querySelectorAll('button, select, input, a[href], summary')]
@@ -39,7 +39,7 @@ async function misfits(page) {
   }, page.viewportSize().width);
 }
 
-/** They come by the hundred: what is to be read is held first. */
+/** Frames arrive by the hundred, so the log is paused first. */
 async function pickAFrame(page) {
   await page.click('#with-updates');
   await page.waitForSelector('.frame');
@@ -49,7 +49,7 @@ async function pickAFrame(page) {
 
 for (const [size, shape] of Object.entries(SIZES)) {
   for (const [language, colorScheme] of [['en', 'light'], ['de', 'dark']]) {
-    test(`${size}, ${language}, ${colorScheme}: axe finds nothing, and all fits`, async () => {
+    test(`${size}, ${language}, ${colorScheme}: axe finds nothing, and everything fits`, async () => {
       const isNarrow = size === 'narrow';
       const served = await gateway({ more: isNarrow ? ['--gripper', `${LONGEST}=sim://wsg50?part_mm=20`, '--gripper', 'right=sim://wsg50'] : [] });
       const visitor = await visit(launched, served, { ...shape, colorScheme, locale: language === 'de' ? 'de-DE' : 'en-GB' });
@@ -89,7 +89,7 @@ for (const [size, shape] of Object.entries(SIZES)) {
 }
 
 for (const [language, colorScheme] of [['en', 'light'], ['en', 'dark'], ['de', 'light'], ['de', 'dark']]) {
-  test(`what is wrong is shown so that axe finds nothing, ${language}, ${colorScheme}`, async () => {
+  test(`axe finds nothing in error states, ${language}, ${colorScheme}`, async () => {
     const words = (await import(`${ASSETS}locales/${language}.js`))[language];
     const device = await simulator();
     const served = await gateway({ more: ['--gripper', `left=${device.url}`] });
@@ -137,7 +137,7 @@ for (const [language, colorScheme] of [['en', 'light'], ['en', 'dark'], ['de', '
   });
 }
 
-test('no word is left in the other language', async () => {
+test('a change of language translates every word', async () => {
   const { de } = await import(`${ASSETS}locales/de.js`);
   const served = await gateway();
   const visitor = await visit(launched, served);
@@ -152,7 +152,7 @@ test('no word is left in the other language', async () => {
   await visitor.close();
 });
 
-test('everything is reached and done by keyboard', async () => {
+test('everything works by keyboard', async () => {
   const served = await gateway();
   const visitor = await visit(launched, served);
   const { page } = visitor;

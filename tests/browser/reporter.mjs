@@ -1,4 +1,4 @@
-// One line a test, and the sum in the form that tests/run counts.
+// Prints one line per test, and the sum in the form that tests/run counts.
 
 export default async function* reporter(events) {
   let passed = 0;
@@ -7,7 +7,7 @@ export default async function* reporter(events) {
   for await (const { type, data } of events) {
     if (type === 'test:stdout' || type === 'test:stderr') yield data.message;
     if (type === 'test:diagnostic' && data.level !== 'info') yield `# ${data.message}\n`;
-    // A file is a test, too, to the runner.
+    // The runner also reports each file as a test.
     if (data.details?.type === 'suite' || !/^test:(pass|fail)$/.test(type)) continue;
     const isFile = data.name.endsWith('.mjs');
     if (data.skip !== undefined || data.todo !== undefined) {

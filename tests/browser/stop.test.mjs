@@ -1,4 +1,4 @@
-// STOP: from anywhere, over whatever way there is, and what it says of itself.
+// STOP: from every view, over every connection, and its displayed result.
 
 import assert from 'node:assert/strict';
 import { after, test } from 'node:test';
@@ -31,7 +31,7 @@ test('STOP works by key from any view and from a field, and without the WebSocke
   await stopsBy('Escape in a field', () => page.keyboard.press('Escape'));
   await stopsBy('Pause', () => page.keyboard.press('Pause'));
 
-  // No WebSocket at all: what remains is a request.
+  // Without a WebSocket, STOP uses a request.
   const without = await visit(launched, served, { path: '/' });
   without.allowed.connections = true;
   await without.page.routeWebSocket('**/api/v1/ws', (socket) => socket.close());
@@ -40,7 +40,7 @@ test('STOP works by key from any view and from a field, and without the WebSocke
   await stopsBy('STOP without a WebSocket', () => without.page.click('#stop'));
   await without.page.waitForSelector('.stopped:has-text("confirmed")');
 
-  // One that swallows everything: the request follows without delay.
+  // On a WebSocket that drops everything, the request follows without delay.
   const silent = await visit(launched, served);
   await silent.page.routeWebSocket('**/api/v1/ws', (socket) => {
     const server = socket.connectToServer();
@@ -54,10 +54,10 @@ test('STOP works by key from any view and from a field, and without the WebSocke
   await Promise.all([visitor, without, silent].map((one) => one.close()));
 });
 
-test('STOP stops when it is touched, also with another finger on the screen and when the finger slides', async () => {
+test('STOP acts on touch, also with a second finger and a sliding one', async () => {
   const served = await gateway();
   const { page } = await visit(launched, served);
-  // A socket whose answer is late is helped by a request: what is counted is what was pressed.
+  // A late answer on the socket causes an extra request, so the test counts socket messages.
   await page.addInitScript(() => {
     globalThis.stopsSent = 0;
     const { send } = WebSocket.prototype;
@@ -76,20 +76,20 @@ test('STOP stops when it is touched, also with another finger on the screen and 
   await touch('touchStart', [other]);
   await touch('touchStart', [other, finger]);
   await touch('touchMove', [other, { ...finger, x: finger.x + 60 }]);
-  await until('it is stopped', async () => (await served.ask('GET', 'grippers/left/state')).fast_stop);
+  await until('the gripper is stopped', async () => (await served.ask('GET', 'grippers/left/state')).fast_stop);
   await touch('touchEnd', []);
   await page.waitForSelector('#latch-title');
   assert.equal(await page.evaluate(() => globalThis.stopsSent), 1, 'one press is one FAST STOP');
 });
 
-test('STOP does not wait behind what is being read', async () => {
+test('STOP does not wait for pending reads', async () => {
   const served = await gateway();
   const slow = await slowReads(served);
   const visitor = await visit(launched, slow, { path: '/#/left/history' });
   const { page } = visitor;
   visitor.allowed.connections = true;
   await page.waitForSelector('#stop');
-  // More than a browser has connections to a host.
+  // More requests than a browser opens connections to a host.
   await page.evaluate(async () => {
     const { get } = await import(new URL('net/rest.js', document.querySelector('script[type=module]').src));
     for (let count = 0; count < 8; count += 1) get(`events?limit=${count + 1}`).catch(() => {});
@@ -102,7 +102,7 @@ test('STOP does not wait behind what is being read', async () => {
   await visitor.close();
 });
 
-test('what gave way to STOP is read again', async () => {
+test('a read cancelled by STOP is repeated', async () => {
   const served = await gateway();
   const { page, close } = await visit(launched, served);
   let reads = 0;
@@ -111,19 +111,19 @@ test('what gave way to STOP is read again', async () => {
     return reads === 1 ? undefined : route.continue();
   });
   await page.exposeFunction('reads', () => reads);
-  const told = await page.evaluate(async () => {
+  const result = await page.evaluate(async () => {
     const { get, postUrgently } = await import(new URL('net/rest.js', document.querySelector('script[type=module]').src));
     const read = get('events?limit=1').then(({ events }) => events.length, (problem) => problem);
     while (await globalThis.reads() === 0) await new Promise(requestAnimationFrame);
     const { fast_stop_id: id } = await postUrgently('grippers/left/fast-stop', { reason: 'a test' }, 5000);
     return { id, read: await read };
   });
-  assert.ok(told.id);
-  assert.deepEqual([told.read, reads], [1, 2]);
+  assert.ok(result.id);
+  assert.deepEqual([result.read, reads], [1, 2]);
   await close();
 });
 
-test('what became of the newest STOP is said, whenever an older one ends', async () => {
+test('the result of the newest STOP is shown', async () => {
   const served = await gateway();
   const visitor = await visit(launched, served);
   const { page } = visitor;
@@ -132,13 +132,13 @@ test('what became of the newest STOP is said, whenever an older one ends', async
   let presses = 0;
   await page.route('**/api/v1/fast-stop', async (route) => {
     presses += 1;
-    // The first one gets no answer.
+    // The first request gets no answer.
     if (presses > 1) await route.continue();
   });
   await page.reload();
   const ended = page.waitForEvent('requestfailed', (request) => request.url().endsWith('/fast-stop'));
   await page.click('#stop');
-  await until('the first one is on its way', () => presses === 1);
+  await until('the first STOP is sent', () => presses === 1);
   await page.click('#stop');
   await page.waitForSelector('.stopped:has-text("confirmed")');
   await ended;

@@ -1,4 +1,4 @@
-// What a person does with the page, in a real browser, against the real gateway.
+// A person's tasks on the page, in a real browser with the real gateway.
 
 import assert from 'node:assert/strict';
 import { after, test } from 'node:test';
@@ -10,11 +10,11 @@ const launched = await browser();
 
 const text = (page, selector) => page.locator(selector).first().innerText();
 
-test('home, grip, hold, stop, see who stopped it, acknowledge', async () => {
+test('home, grip, hold, stop, see the cause, acknowledge', async () => {
   const served = await gateway();
   const visitor = await visit(launched, served);
   const { page } = visitor;
-  assert.ok(await page.locator('#home').isDisabled(), 'nobody moves without control');
+  assert.ok(await page.locator('#home').isDisabled(), 'motion needs control');
   await page.click('#take-control');
   await page.waitForSelector('.why:has-text("Home first")');
   await page.click('#home:enabled');
@@ -29,7 +29,7 @@ test('home, grip, hold, stop, see who stopped it, acknowledge', async () => {
   assert.equal(state.state, 'HOLDING');
   const shown = Number((await text(page, '.figure-main .figure-value')).replace(/[^\d.]/g, ''));
   assert.ok(Math.abs(shown - state.width_mm) < 0.02, `${shown} is not ${state.width_mm}`);
-  // The jaws stand as far apart as the part is wide: 540 units for 110 mm.
+  // The drawn part is as wide as the gap between the jaws: 540 units for 110 mm.
   const drawn = Number(await page.locator('.jaws .part').getAttribute('width'));
   assert.ok(Math.abs(drawn - (state.width_mm * 540) / 110) < 1, `${drawn}`);
   await shoot(page, 'holding');
@@ -38,7 +38,7 @@ test('home, grip, hold, stop, see who stopped it, acknowledge', async () => {
   await page.waitForSelector('#latch-title');
   const stopped = await served.ask('GET', 'grippers/left/state');
   assert.equal(stopped.fast_stop, true);
-  assert.equal((await served.ask('GET', 'grippers/right/state')).fast_stop_id, stopped.fast_stop_id, 'all grippers');
+  assert.equal((await served.ask('GET', 'grippers/right/state')).fast_stop_id, stopped.fast_stop_id, 'STOP stops all grippers');
   assert.equal(await text(page, '#latch-by'), stopped.fast_stop_by);
   assert.match(await text(page, '.latch'), /dashboard, browser-/);
   assert.match(await text(page, '#latch-title'), new RegExp(`…${stopped.fast_stop_id.slice(-4)}`));
@@ -47,9 +47,9 @@ test('home, grip, hold, stop, see who stopped it, acknowledge', async () => {
   await page.click('#acknowledge:enabled');
   await page.waitForSelector('#grip');
   assert.equal((await served.ask('GET', 'grippers/left/state')).fast_stop, false);
-  assert.equal((await served.ask('GET', 'grippers/right/state')).fast_stop, true, 'only what was shown');
+  assert.equal((await served.ask('GET', 'grippers/right/state')).fast_stop, true, 'only the shown gripper is acknowledged');
 
-  // The part's name has gone with the grip.
+  // The part's name is stored with the grip.
   await page.click('[data-view=history]');
   await page.fill('#part-filter', 'lot-7');
   await page.waitForSelector('tbody tr:first-child td:has-text("lot-7")');
@@ -63,7 +63,7 @@ test('home, grip, hold, stop, see who stopped it, acknowledge', async () => {
   await visitor.close();
 });
 
-test('a value beyond its limits is not sent, and its field says why', async () => {
+test('an out-of-range value is not sent, and its field shows the limit', async () => {
   const served = await gateway();
   const visitor = await visit(launched, served);
   const { page } = visitor;
@@ -77,10 +77,10 @@ test('a value beyond its limits is not sent, and its field says why', async () =
     await page.fill(`#${id}`, right);
   }
   await page.fill('#width', '20,5');
-  assert.ok(await page.locator('#grip').isEnabled(), 'a comma is a point');
+  assert.ok(await page.locator('#grip').isEnabled(), 'a comma is a decimal separator');
   const before = await served.ask('GET', 'events?kind=refused');
   assert.deepEqual(before.events, []);
-  // Soft limits narrow what may be asked for.
+  // Soft limits narrow the accepted range.
   await page.click('[data-view=device]');
   await page.fill('#soft-limits-minus_mm', '10');
   await page.fill('#soft-limits-plus_mm', '60');
@@ -92,7 +92,7 @@ test('a value beyond its limits is not sent, and its field says why', async () =
   await visitor.close();
 });
 
-test('what is jogged moves while it is held and no longer', async () => {
+test('a jog moves only while it is held', async () => {
   const served = await gateway();
   const visitor = await visit(launched, served);
   const { page } = visitor;
@@ -111,14 +111,14 @@ test('what is jogged moves while it is held and no longer', async () => {
     await button.focus();
     const from = (await state()).width_mm;
     await press();
-    await until(`it moves ${how}`, async () => (await state()).width_mm < from - 1);
+    await until(`the fingers move ${how}`, async () => (await state()).width_mm < from - 1);
     await release();
-    await until(`it stands when let go ${how}`, async () => {
+    await until(`the fingers stand after release ${how}`, async () => {
       const { moving, command } = await state();
       return moving === false && command === null;
     });
     const at = (await state()).width_mm;
-    assert.ok(at > 5, `${how}: it went to the end, ${at}`);
+    assert.ok(at > 5, `${how}: moved to the end, ${at}`);
     await page.keyboard.up('Enter');
     if (how.includes('view')) await page.click('[data-view=operate]');
   }
@@ -126,7 +126,7 @@ test('what is jogged moves while it is held and no longer', async () => {
   await visitor.close();
 });
 
-test('a tap before it ends no jog that is held', async () => {
+test('earlier taps do not end a held jog', async () => {
   const served = await gateway();
   const { page } = await visit(launched, served);
   await homed(page);
@@ -139,15 +139,15 @@ test('a tap before it ends no jog that is held', async () => {
     await page.mouse.up();
   }
   await page.mouse.down();
-  // At 25 mm/s that is longer than the lease lives without a renewal.
-  await until('it moves as long as it is held', async () => (await state()).width_mm < from - 50);
+  // At 25 mm/s, longer than the lease lives without a renewal.
+  await until('the fingers move while the jog is held', async () => (await state()).width_mm < from - 50);
   assert.equal((await state()).fast_stop, false);
   await page.mouse.up();
-  await until('it stands', async () => (await state()).moving === false);
+  await until('the fingers stand', async () => (await state()).moving === false);
   assert.equal((await state()).fast_stop, false);
 });
 
-test('a page that hangs while it is jogged stops the fingers all the same', async () => {
+test('a page that hangs during a jog stops the fingers', async () => {
   const served = await gateway();
   const visitor = await visit(launched, served);
   const { page } = visitor;
@@ -156,8 +156,8 @@ test('a page that hangs while it is jogged stops the fingers all the same', asyn
   await page.locator('#jog-close').hover();
   await page.mouse.down();
   const state = () => served.ask('GET', 'grippers/left/state');
-  await until('it moves', async () => (await state()).width_mm < 105);
-  // Its connection answers pings still: that is the browser's doing, not the page's.
+  await until('the fingers move', async () => (await state()).width_mm < 105);
+  // The connection still answers pings, because the browser does that rather than the page.
   const hangs = page.evaluate(() => new Promise((resolve) => {
     setTimeout(() => {
       const end = Date.now() + 2500;
@@ -165,7 +165,7 @@ test('a page that hangs while it is jogged stops the fingers all the same', asyn
       resolve();
     });
   }));
-  const stopped = await until('it is stopped', async () => {
+  const stopped = await until('the gripper is stopped', async () => {
     const now = await state();
     return now.fast_stop ? now : null;
   });
@@ -194,7 +194,7 @@ test('presets are kept in the browser', async () => {
   await visitor.close();
 });
 
-test('frames are decoded, their bytes read, and a command is sent from the editor', async () => {
+test('frames and bytes are decoded, and the editor sends a command', async () => {
   const served = await gateway();
   const visitor = await visit(launched, served, { path: '/#/left/log' });
   const { page } = visitor;
@@ -210,7 +210,7 @@ test('frames are decoded, their bytes read, and a command is sent from the edito
   await page.click('.frame.received:has-text("Acceleration")');
   await page.click('#with-hex');
   await page.waitForSelector('.frame .hex');
-  // An answer with a float: its four bytes, picked from one to the other.
+  // A float reply: its four bytes, selected from first to last.
   await page.locator('.frame.received', { hasText: '150' }).last().click();
   await page.locator('.byte').nth(8).click();
   await page.locator('.byte').nth(11).click({ modifiers: ['Shift'] });
@@ -218,7 +218,7 @@ test('frames are decoded, their bytes read, and a command is sent from the edito
   await page.fill('#editor-payload', '0x20 nonsense');
   assert.match(await text(page, '#editor-payload-hint'), /nonsense/);
   assert.ok(await page.locator('#editor-send').isDisabled());
-  // What is refused is told in the gateway's words.
+  // A refusal is shown in the gateway's words.
   await page.fill('#editor-id', '07h');
   await page.fill('#editor-payload', '');
   await page.click('#editor-send');

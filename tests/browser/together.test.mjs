@@ -1,4 +1,4 @@
-// More than one person, and a gateway that goes away.
+// Several users, and a gateway that goes away.
 
 import assert from 'node:assert/strict';
 import { after, test } from 'node:test';
@@ -8,7 +8,7 @@ import { assertClean, browser, endAll, gateway, homed, named, shoot, simulator, 
 after(endAll);
 const launched = await browser();
 
-test('one browser asks, the other hands over, and the first takes it back by force', async () => {
+test('control is requested, handed over and taken back by force', async () => {
   const served = await gateway();
   const [anna, ben] = [await visit(launched, served), await visit(launched, served)];
   await named(anna.page, 'Anna');
@@ -23,7 +23,7 @@ test('one browser asks, the other hands over, and the first takes it back by for
   await ben.page.waitForSelector('.control-panel:has-text("You have control, as Ben")');
   await anna.page.waitForSelector('.control-panel:has-text("Ben has control")');
   await ben.page.click('#home:enabled');
-  await until('Ben moves it', async () => (await served.ask('GET', 'grippers/left/state')).moving);
+  await until('Ben moves the fingers', async () => (await served.ask('GET', 'grippers/left/state')).moving);
   await anna.page.waitForSelector('.last:has-text("Home")');
 
   await anna.page.click('#force-control');
@@ -38,14 +38,14 @@ test('one browser asks, the other hands over, and the first takes it back by for
   await Promise.all([anna.close(), ben.close()]);
 });
 
-test('a browser that goes while its fingers move leaves a FAST STOP that says so', async () => {
+test('a browser lost during a motion leaves a FAST STOP with that cause', async () => {
   const served = await gateway();
   const [goes, stays] = [await visit(launched, served), await visit(launched, served)];
   await homed(goes.page);
   await goes.page.fill('#width', '1');
   await goes.page.fill('#speed', '5');
   await goes.page.click('#move:enabled');
-  await until('it moves', async () => (await served.ask('GET', 'grippers/left/state')).moving);
+  await until('the fingers move', async () => (await served.ask('GET', 'grippers/left/state')).moving);
   await goes.close();
   await stays.page.waitForSelector('.latch:has-text("Who was in control was lost")');
   assert.equal((await served.ask('GET', 'grippers/left/state')).fast_stop_cause, 'client_lost');
@@ -53,10 +53,10 @@ test('a browser that goes while its fingers move leaves a FAST STOP that says so
   await stays.close();
 });
 
-/** Within that time of the gateway's end no old number may look live. */
-const SAID_WITHIN_MS = 2000;
+/** Time limit after the gateway's end, beyond which no old value may look live. */
+const SHOWN_WITHIN_MS = 2000;
 
-/** When the page covers what it shows, by the clock of its machine, which is this one. */
+/** Records the time at which the page covers its values, by the clock of this machine. */
 async function watchForCover(page) {
   await page.evaluate(() => {
     const look = () => { if (document.querySelector('.jaws-panel .cover')) globalThis.coveredAt ??= Date.now(); };
@@ -65,7 +65,7 @@ async function watchForCover(page) {
   return async () => (await page.waitForFunction(() => globalThis.coveredAt)).jsonValue();
 }
 
-test('the page says within 2 s that the gateway is gone, and recovers', async () => {
+test('the page shows a lost gateway within 2 s, and recovers', async () => {
   const first = await gateway();
   const visitor = await visit(launched, first);
   const { page } = visitor;
@@ -75,11 +75,11 @@ test('the page says within 2 s that the gateway is gone, and recovers', async ()
   const covered = await watchForCover(page);
   const killedAt = Date.now();
   await first.kill('SIGKILL');
-  const said = (await covered()) - killedAt;
-  assert.ok(said < SAID_WITHIN_MS, `said after ${said} ms`);
+  const shownAfter = (await covered()) - killedAt;
+  assert.ok(shownAfter < SHOWN_WITHIN_MS, `shown after ${shownAfter} ms`);
   await page.waitForSelector('.cover:has-text("Since")');
   await page.waitForSelector('.alarm:has-text("No connection to the gateway")');
-  assert.equal(await page.locator('.jaws-words').count(), 0, 'no old word looks live');
+  assert.equal(await page.locator('.jaws-words').count(), 0, 'no old value looks live');
   assert.ok(await page.locator('#stop').isEnabled(), 'STOP stays');
   await page.click('#stop');
   await page.waitForSelector('.stopped:has-text("did not get through")');
@@ -92,7 +92,7 @@ test('the page says within 2 s that the gateway is gone, and recovers', async ()
   await visitor.close();
 });
 
-test('a gateway that is frozen is noticed as soon, though its connection stands', async () => {
+test('a frozen gateway is noticed as soon as a lost one', async () => {
   const served = await gateway();
   const visitor = await visit(launched, served);
   const { page } = visitor;
@@ -101,8 +101,8 @@ test('a gateway that is frozen is noticed as soon, though its connection stands'
   const frozenAt = Date.now();
   served.child.kill('SIGSTOP');
   try {
-    const said = (await covered()) - frozenAt;
-    assert.ok(said < SAID_WITHIN_MS, `said after ${said} ms`);
+    const shownAfter = (await covered()) - frozenAt;
+    assert.ok(shownAfter < SHOWN_WITHIN_MS, `shown after ${shownAfter} ms`);
     assert.match(await page.locator('.cover').first().innerText(), /does not answer/);
   } finally {
     visitor.allowed.connections = true;
@@ -113,8 +113,8 @@ test('a gateway that is frozen is noticed as soon, though its connection stands'
   await visitor.close();
 });
 
-test('a gripper that is not there is covered, and an alarm until somebody has seen it', async () => {
-  // Nothing listens on the port of TCP's discard.
+test('an absent gripper is covered, with an alarm until acknowledged', async () => {
+  // Nothing listens on TCP's discard port.
   const served = await gateway({ more: ['--gripper', 'here=sim://wsg50', '--gripper', 'there=tcp://127.0.0.1:9'], connects: ['here'] });
   const visitor = await visit(launched, served, { path: '/#/there/operate' });
   const { page } = visitor;
@@ -130,7 +130,7 @@ test('a gripper that is not there is covered, and an alarm until somebody has se
   await visitor.close();
 });
 
-test('a gripper whose link is lost is covered since it was heard last, and comes back', async () => {
+test('a gripper with a lost link is covered, and recovers', async () => {
   const device = await simulator();
   const served = await gateway({ more: ['--gripper', `left=${device.url}`] });
   const visitor = await visit(launched, served);
@@ -147,7 +147,7 @@ test('a gripper whose link is lost is covered since it was heard last, and comes
   await visitor.close();
 });
 
-test('a fleet of two gateways is shown, and which of them is gone', async () => {
+test('a fleet of two gateways shows which one is gone', async () => {
   const near = await gateway({ more: ['--name', 'cell-1', '--gripper', 'left=sim://wsg50'] });
   const visitor = await visit(launched, near, { path: '/#/left/all' });
   const { page } = visitor;

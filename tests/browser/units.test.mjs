@@ -17,7 +17,7 @@ const { delay } = await core('backoff');
 const { bytesOf, cut } = await core('bytes');
 const { numbered } = await core('newest');
 
-test('frames and their checksums are those of the manuals', () => {
+test('frames and checksums match the manuals', () => {
   const vectors = ['aaaaaa010000e810', 'aaaaaa0102001234' + '6d66', 'aaaaaa2002000000b3fd', 'aaaaaa900200' + '0e00fd02', 'aaaaaa2102001a0067cb', 'aaaaaa21020000002804', 'aaaaaa310600' + '0000000016431caf'];
   for (const hex of vectors) {
     const { id, size, payload } = parts(fromHex(hex));
@@ -27,7 +27,7 @@ test('frames and their checksums are those of the manuals', () => {
   }
 });
 
-test('the editor takes bytes, floats and texts, and names what is none', () => {
+test('the editor accepts bytes, floats and texts, and names errors', () => {
   const bytes = (text) => {
     const { bytes: found, wrong } = parse(text);
     assert.equal(wrong, null, text);
@@ -46,12 +46,12 @@ test('the editor takes bytes, floats and texts, and names what is none', () => {
   }
 });
 
-test('an id is written as a number or as the manual writes it', () => {
+test('an id is a number or has the manual’s notation', () => {
   for (const [text, id] of [['0x31', 0x31], ['31h', 0x31], [' FFh ', 255], ['49', 49], ['0', 0]]) assert.equal(parseId(text), id, text);
   for (const text of ['', '256', '0x100', '-1', '1.5', 'xyz', '31']) assert.equal(parseId(text), text === '31' ? 31 : null, text);
 });
 
-test('bytes are read as what fits their number', () => {
+test('bytes are shown as every type of their length', () => {
   const read = (hex) => Object.fromEntries(interpretations([...fromHex(hex)]).map(({ type, value }) => [type, value]));
   assert.deepEqual(read('ff'), { u8: 255, i8: -1, text: '\u00b7' });
   assert.deepEqual(read('f6ff'), { u16: 65526, i16: -10, text: '\u00b7\u00b7' });
@@ -59,7 +59,7 @@ test('bytes are read as what fits their number', () => {
   assert.deepEqual(read('61636b'), { text: 'ack' });
 });
 
-test('the ring keeps the newest, and a window of it keeps the peaks', () => {
+test('the ring keeps the newest samples, and a window keeps the peaks', () => {
   const samples = new Samples(1000, 2);
   for (let at = 0; at < 2500; at += 1) samples.push(at, [at, at === 2000 ? 500 : NaN]);
   assert.equal(samples.length, 1000);
@@ -75,11 +75,11 @@ test('the ring keeps the newest, and a window of it keeps the peaks', () => {
   assert.deepEqual(new Samples(10).window(0, 10, 10), [[], [], [], []]);
 });
 
-test('a gap stays a gap, however many samples are one point', () => {
+test('a gap survives downsampling', () => {
   for (const points of [2000, 40]) {
     const samples = new Samples(4096, 2);
     samples.gap();
-    assert.equal(samples.length, 0, 'before anything is known there is none');
+    assert.equal(samples.length, 0, 'no gap before the first sample');
     for (let at = 0; at < 1000; at += 1) {
       samples.push(at, [NaN, at]);
       if (at === 499) for (let count = 0; count < 3; count += 1) samples.gap();
@@ -93,10 +93,10 @@ test('a gap stays a gap, however many samples are one point', () => {
   }
   const mixed = new Samples(100, 1);
   for (let at = 0; at < 100; at += 1) mixed.push(at, [at % 3 ? at : NaN]);
-  assert.ok(mixed.window(0, 100, 20)[0].length > 40, 'where samples are missing each one is a gap');
+  assert.ok(mixed.window(0, 100, 20)[0].length > 40, 'each missing sample is a gap');
 });
 
-test('a number that is another one elsewhere is none, and what is put into fields is none of those', () => {
+test('ambiguous numbers are rejected, and fields never contain one', () => {
   for (const text of ['1,000', '5.000', ' 33.125 ', '-12,345', '999.999']) {
     assert.ok(Number.isNaN(number(text)), text);
     assert.equal(readings(text).length, 2, text);
@@ -110,7 +110,7 @@ test('a number that is another one elsewhere is none, and what is put into field
   assert.equal(asTyped(null), '');
 });
 
-test('texts are cut by bytes, and no character in two', () => {
+test('texts are cut by bytes, between characters', () => {
   assert.deepEqual(['abc', 'äöü', '€', '😀'].map(bytesOf), [3, 6, 3, 4]);
   assert.equal(cut('a'.repeat(50), 48), 'a'.repeat(48));
   assert.equal(cut('ä'.repeat(40), 48), 'ä'.repeat(24));
@@ -118,14 +118,14 @@ test('texts are cut by bytes, and no character in two', () => {
   assert.equal(cut('abc😀', 7), 'abc😀');
 });
 
-test('of questions the newest is known', () => {
+test('only the newest request counts', () => {
   const [asking, other] = [numbered(), numbered()];
   const [first, second] = [asking(), asking()];
   other();
   assert.deepEqual([first(), second()], [false, true]);
 });
 
-test('limits are the narrower of the device’s and the soft ones', () => {
+test('limits combine device limits and soft limits', () => {
   const info = { stroke_mm: 110, min_speed_mm_s: 5, max_speed_mm_s: 420, min_force_n: 5, nominal_force_n: 80, overdrive_force_n: 120 };
   assert.deepEqual(widthLimits(info, { minus_mm: null }), { min: 0, max: 110, whose: 'device' });
   assert.deepEqual(widthLimits(info, { minus_mm: 10, plus_mm: 200 }), { min: 10, max: 110, whose: 'soft' });
@@ -140,23 +140,23 @@ test('limits are the narrower of the device’s and the soft ones', () => {
 
 const state = (more) => ({ gripper: 'left', link: 'connected', fast_stop: false, flags_raw: 1, state: 'IDLE', journal_cause: null, ...more });
 
-test('an alarm that is over stays until somebody has seen it', () => {
+test('a cleared alarm stays until acknowledged', () => {
   const faulty = wrongWith(state({ flags_raw: 1 | (1 << 14) }));
   assert.deepEqual(faulty.map(({ what, priority }) => [what, priority]), [['flag/TEMP_FAULT', 'critical']]);
   let alarms = updated([], faulty, 10);
-  assert.equal(updated(alarms, faulty, 20), alarms, 'nothing has changed');
+  assert.equal(updated(alarms, faulty, 20), alarms, 'no change');
   alarms = updated(alarms, [], 30);
   assert.deepEqual([alarms[0].since, alarms[0].clearedAt], [10, 30]);
   alarms = updated(alarms, faulty, 40);
-  assert.equal(alarms.length, 2, 'again is another one');
+  assert.equal(alarms.length, 2, 'a recurrence is another alarm');
   assert.equal(acknowledged(alarms, alarms[1].id, 50).length, 1);
   const seen = acknowledged(alarms, alarms[0].id, 50);
-  assert.equal(seen.length, 2, 'what is wrong now stays');
-  assert.equal(sorted(seen)[0].clearedAt, 30, 'what nobody has seen comes first');
+  assert.equal(seen.length, 2, 'an active alarm stays');
+  assert.equal(sorted(seen)[0].clearedAt, 30, 'unacknowledged alarms come first');
   assert.equal(updated(seen, [], 60).length, 1);
 });
 
-test('a newer FAST STOP is another alarm, and the list has an end', () => {
+test('a newer FAST STOP is another alarm, and the list is bounded', () => {
   let alarms = [];
   for (let count = 0; count < 3 * MAX_ALARMS; count += 1) {
     alarms = updated(alarms, wrongWith(state({ fast_stop: true, fast_stop_id: String(count), fast_stop_by: 'test' })), count);
@@ -167,7 +167,7 @@ test('a newer FAST STOP is another alarm, and the list has an end', () => {
   assert.deepEqual(many.map(({ what }) => what), ['link/reconnecting', 'journal', 'part_lost']);
 });
 
-test('what is wrong now stays in the list, however much has come and gone', () => {
+test('active alarms stay in the list despite many cleared ones', () => {
   const warm = state({ gripper: 'here', flags_raw: 1 | (1 << 13) });
   let alarms = updated([], wrongWith(warm), 0);
   for (let count = 1; count < 3 * MAX_ALARMS; count += 1) {
@@ -185,7 +185,7 @@ test('flags are read by their bits', () => {
   assert.ok(FLAGS[20].name === 'SCRIPT_FAILURE' && FLAGS[8].name === 'OVERDRIVE_MODE');
 });
 
-test('tries come later and later, up to a bound', () => {
+test('retries back off up to a limit', () => {
   const delays = Array.from({ length: 20 }, (_, tries) => delay(tries, 0.5));
   assert.ok(delays.every((ms, index) => index === 0 || ms >= delays[index - 1]));
   assert.ok(delays[0] < 300 && delays.at(-1) === 3000);

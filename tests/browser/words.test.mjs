@@ -1,4 +1,4 @@
-// No word is missing: in no language, of no code, flag, state or outcome that the API has.
+// Completeness of the texts: every language has a text for every code, flag, state and outcome of the API.
 
 import assert from 'node:assert/strict';
 import { readdirSync, readFileSync } from 'node:fs';
@@ -16,7 +16,7 @@ const sources = readdirSync(ASSETS, { recursive: true })
   .filter((path) => path.endsWith('.js') && !path.startsWith('vendor') && !path.startsWith('locales'))
   .map((path) => ({ path, text: readFileSync(ASSETS + path, 'utf8') }));
 
-test('every language has the same words, with the same parameters', () => {
+test('every language has the same texts, with the same parameters', () => {
   assert.deepEqual(Object.keys(de).sort(), Object.keys(en).sort());
   for (const key of Object.keys(en)) {
     assert.deepEqual(placeholders(de[key]), placeholders(en[key]), key);
@@ -24,13 +24,13 @@ test('every language has the same words, with the same parameters', () => {
   }
 });
 
-test('every word that a module asks for is there', () => {
+test('every text used by a module exists', () => {
   const asked = sources.flatMap(({ path, text }) => Array.from(text.matchAll(/\bt\((?:[^()'`]*\? )?'([\w.]+)'(?: : '([\w.]+)')?/g), ([, one, other]) => [one, other]).flat().filter(Boolean).map((key) => ({ path, key })));
-  assert.ok(asked.length > 150, `${asked.length} were found`);
+  assert.ok(asked.length > 150, `only ${asked.length} found`);
   assert.deepEqual(asked.filter(({ key }) => !(key in en)), []);
 });
 
-test('every word is asked for', () => {
+test('every text is used', () => {
   const all = sources.map(({ text }) => text).join('\n');
   const families = new Set(Array.from(all.matchAll(/`([\w.]+\.)\$\{/g), ([, family]) => family));
   for (const family of ['history.', 'type.', 'command.', 'kind.', 'outcome.']) families.add(family);
@@ -38,14 +38,14 @@ test('every word is asked for', () => {
   assert.deepEqual(Object.keys(en).filter((key) => !isAsked(key)), []);
 });
 
-test('whatever the API says has words', () => {
+test('every value of the API has a text', () => {
   const { schemas } = api.components;
   const words = (family, name) => {
     const values = schemas[name].enum ?? schemas[name].oneOf.flatMap((one) => one.enum);
     assert.ok(values.length > 1, name);
     return values.map((value) => `${family}.${value}`);
   };
-  // Those are for programs that ask for what this page doesn't.
+  // These codes concern programs whose requests this page never sends.
   const noneOfOurs = ['foreign_host', 'foreign_origin', 'method_not_allowed', 'request_timeout', 'too_large', 'request_id_reused'];
   const needed = [
     ...words('problem', 'Code').filter((key) => !noneOfOurs.includes(key.slice('problem.'.length))),

@@ -1,13 +1,13 @@
-//! The tests that need a real SocketCAN. Not a part of plain `cargo test`, so that a machine without CAN never counts
-//! them as passed: `WSG_TEST_CAN=vcan0 cargo test --test can -- --test-threads=1`, where `vcan0` is up and is theirs alone.
-//! The interface is taken down and up with `ip`, so that needs the privilege.
+//! Tests on a real SocketCAN interface. They are excluded from plain `cargo test`, so that a machine without CAN does
+//! not count them as passed. Run them with `WSG_TEST_CAN=vcan0 cargo test --test can -- --test-threads=1`. The
+//! interface must be up and used by nothing else; the tests take it down and up with `ip`, which needs the privilege.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 #[path = "../suite/conformance/mod.rs"]
 mod conformance;
 #[path = "../suite/recordings/mod.rs"]
-#[allow(dead_code, reason = "the other transports' are for the other tests")]
+#[allow(dead_code, reason = "recordings of other transports")]
 mod recordings;
 
 use std::process::Command as Process;
@@ -30,7 +30,7 @@ fn interface() -> String {
     std::env::var("WSG_TEST_CAN").expect("WSG_TEST_CAN has to name a CAN interface that is up, e.g. WSG_TEST_CAN=vcan0")
 }
 
-/// Each device has a pair of ids of its own.
+/// Each device gets its own pair of ids.
 fn next_id() -> u16 {
     static NEXT: AtomicU16 = AtomicU16::new(0x100);
     NEXT.fetch_add(2, Ordering::Relaxed)
@@ -43,7 +43,7 @@ fn device() -> String {
 
 conformance!(on_can, crate::device());
 
-/// A transport, and a bare socket on the same bus.
+/// Returns a transport, and a bare socket on the same bus.
 async fn pair() -> (wsg_gateway::transport::Pipe, CanSocket, CanAddress) {
     let tx = next_id();
     let address = CanAddress { interface: interface(), tx, rx: tx + 1, bitrate: 500_000 };
@@ -58,7 +58,7 @@ fn data_frame(id: u16, data: &[u8]) -> CanFrame {
 const STOP: [u8; 8] = [0xAA, 0xAA, 0xAA, 0x22, 0, 0, 0x0E, 0x76];
 
 #[tokio::test]
-async fn the_recorded_conversation_is_on_the_bus_frame_by_frame() {
+async fn bus_has_the_recorded_frames() {
     let (mut pipe, bus, address) = pair().await;
     for exchange in recordings::read("can") {
         let id = |line: &str| if line == "064" { address.tx } else { address.rx };
@@ -83,7 +83,7 @@ async fn the_recorded_conversation_is_on_the_bus_frame_by_frame() {
 }
 
 #[tokio::test]
-async fn other_ids_remote_frames_and_harmless_error_frames_are_not_heard() {
+async fn unrelated_frames_are_ignored() {
     let (mut pipe, bus, address) = pair().await;
     bus.write_frame(data_frame(address.rx + 1, &STOP)).await.unwrap();
     let extended = ExtendedId::new(address.rx.into()).unwrap();
@@ -99,12 +99,12 @@ async fn other_ids_remote_frames_and_harmless_error_frames_are_not_heard() {
 }
 
 #[tokio::test]
-async fn a_cut_on_can_is_seen_and_what_was_sent_into_it_is_lost() {
-    conformance::a_cut_without_a_connection(&device()).await;
+async fn cut_on_can_is_noticed() {
+    conformance::cut_without_a_connection(&device()).await;
 }
 
 #[tokio::test]
-async fn bus_off_is_a_loss_that_recovers() {
+async fn link_recovers_from_bus_off() {
     let rig = Rig::homed(&device()).await;
     let bus = CanSocket::open(&interface()).unwrap();
     let bus_off = CanErrorFrame::new_error(0x40, &[0; 8]).unwrap();
@@ -116,10 +116,10 @@ async fn bus_off_is_a_loss_that_recovers() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn an_interface_that_goes_down_is_a_loss_that_recovers() {
+async fn link_recovers_from_an_interface_that_was_down() {
     let rig = Rig::homed(&device()).await;
     let set = |state| {
-        let done = Process::new("ip").args(["link", "set", &interface(), state]).status().expect("ip is there");
+        let done = Process::new("ip").args(["link", "set", &interface(), state]).status().expect("ip is installed");
         assert!(done.success(), "ip link set {} {state}", interface());
     };
     set("down");
@@ -132,10 +132,10 @@ async fn an_interface_that_goes_down_is_a_loss_that_recovers() {
     rig.drain().await;
 }
 
-/// A slice that only the commands of this test have.
+/// Data that occurs only in the commands of this test.
 const MARKED: [u8; 8] = [7; 8];
 
-/// Carries frames from one id to another, and loses the next one that is marked when it is told to.
+/// Forwards frames to another id, and drops the next marked frame when `loses` is set.
 async fn carry(bus: CanSocket, to: u16, loses: Arc<AtomicBool>) {
     while let Ok(frame) = bus.read_frame().await {
         if frame.data() != MARKED || !loses.swap(false, Ordering::Relaxed) {
@@ -145,9 +145,9 @@ async fn carry(bus: CanSocket, to: u16, loses: Arc<AtomicBool>) {
 }
 
 #[tokio::test]
-async fn a_lost_can_frame_costs_one_command_and_not_the_session() {
+async fn lost_can_frame_affects_only_one_command() {
     let device = served(&device()).await;
-    let Address::Can(behind) = device.address else { panic!("it is on CAN") };
+    let Address::Can(behind) = device.address else { panic!("the device is on CAN") };
     let tx = next_id();
     let before = CanAddress { tx, rx: tx + 1, ..behind.clone() };
     let (loses_request, loses_reply) = (Arc::<AtomicBool>::default(), Arc::<AtomicBool>::default());
@@ -164,14 +164,14 @@ async fn a_lost_can_frame_costs_one_command_and_not_the_session() {
     for loses in [&loses_request, &loses_reply, &loses_request, &loses_reply] {
         assert_eq!(rig.exchange(marked()).await, echo);
         loses.store(true, Ordering::Relaxed);
-        assert!(rig.exchange(marked()).await.is_err(), "it is the one that was hit");
+        assert!(rig.exchange(marked()).await.is_err(), "the command with the lost slice fails");
         assert!(!loses.load(Ordering::Relaxed), "a slice was lost");
         rig.exchange(Command::GetAcceleration).await.unwrap();
-        assert_eq!(rig.exchange(marked()).await, echo, "the next one of the same id");
+        assert_eq!(rig.exchange(marked()).await, echo, "the next command with the same id");
     }
     let received = rig.received().await;
     let connects: Vec<_> = received.iter().filter(|&&id| id == id::GET_SYSTEM_INFO).collect();
-    assert_eq!(connects, [&id::GET_SYSTEM_INFO], "it was set up once, and the link is still that one");
+    assert_eq!(connects, [&id::GET_SYSTEM_INFO], "the link was set up only once");
     assert_eq!(rig.handle.state().link, Link::Connected);
     rig.drain().await;
 }

@@ -1,11 +1,11 @@
-//! A gateway whose disk fills up under traffic. It needs a file system of its own, which it mounts in a mount namespace
-//! of its own, and so is not a part of plain `cargo test`: `tests/run` starts it, or
-//! `unshare --map-root-user --mount cargo test --test full_disk`.
+//! A gateway whose disk fills up under traffic. The test mounts a file system in its own mount namespace, so it is
+//! excluded from plain `cargo test`. `tests/run` starts it; by hand: `unshare --map-root-user --mount cargo test --test
+//! full_disk`.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 #[path = "../suite/harness/mod.rs"]
-#[allow(dead_code, unused_imports, reason = "the other doubles are for the other tests")]
+#[allow(dead_code, unused_imports, reason = "parts used only by other tests")]
 mod harness;
 
 use std::collections::BTreeSet;
@@ -19,17 +19,17 @@ use wsg_gateway::journal::Reader;
 
 use harness::{Answer, Gateway, Proxy, Simulator, eventually, run};
 
-/// Twice what the journal's write-ahead log grows to.
+/// Twice the size of the journal's write-ahead log.
 const DISK_BYTES: usize = 8 << 20;
 
-/// How soon a FAST STOP has to reach the device.
+/// Time limit of a FAST STOP to the device.
 const FAST_STOP_WITHIN: Duration = Duration::from_millis(250);
 
-/// How many FAST STOPs are asked for while the disk is full.
+/// Number of FAST STOPs while the disk is full.
 const FAST_STOPS: usize = 10;
 
-/// How soon the journal goes on when there is room: it tries each second.
-const GOES_ON_WITHIN: Duration = Duration::from_secs(5);
+/// Time for the journal to recover once there is room: it retries each second.
+const RECOVERS_WITHIN: Duration = Duration::from_secs(5);
 
 /// A small file system in memory.
 struct Disk(PathBuf);
@@ -48,7 +48,7 @@ impl Disk {
         self.0.join("filler")
     }
 
-    /// Writes until nothing has room any more.
+    /// Writes until the disk is full.
     fn fill(&self) {
         let mut file = std::fs::File::create(self.filler()).unwrap();
         let full = loop {
@@ -66,35 +66,35 @@ impl Disk {
 
 impl Drop for Disk {
     fn drop(&mut self) {
-        // A gateway that a failed test leaves behind still has its files open.
+        // After a failed test, a gateway may still have files open.
         let _ = Command::new("umount").arg("--lazy").arg(&self.0).status();
         let _ = std::fs::remove_dir(&self.0);
     }
 }
 
-/// Motions one after the other, without an end. Whatever the disk does, each is a command or a problem of ours.
-async fn traffic(gateway: &Gateway, told: &mut BTreeSet<String>) {
+/// Sends motions one after another, without end. Each must be a command or a problem of the gateway.
+async fn traffic(gateway: &Gateway, reported: &mut BTreeSet<String>) {
     for n in 0_u32.. {
         let a_move = json!({"width_mm": 40 + n % 2 * 20, "speed_mm_s": 400});
         for (path, body) in [("move?wait_ms=20", a_move), ("stop", json!({}))] {
             let Answer { status, body, .. } = gateway.post(path, &body).await;
             assert!(matches!(status, 200 | 202 | 409 | 503), "{status} {body}");
-            told.extend(body["id"].as_str().map(str::to_owned));
+            reported.extend(body["id"].as_str().map(str::to_owned));
         }
     }
 }
 
 async fn journal_fails(gateway: &Gateway) -> Value {
-    gateway.until("the journal fails", |state| state["journal_cause"].is_string()).await
+    gateway.until("the journal failure is reported", |state| state["journal_cause"].is_string()).await
 }
 
-/// A FAST STOP, its way to the device, and its acknowledge: its id, and how long its frame took.
+/// Requests and acknowledges a FAST STOP, and returns its id and the time until the device has it.
 async fn fast_stop(gateway: &Gateway, proxy: &Proxy) -> (String, Duration) {
     let (before, asked_at) = (proxy.frames.count(0x23), Instant::now());
     let body = json!({"reason": "the disk is full"});
     let (stopped, reached_after) = tokio::join!(
         gateway.post("fast-stop", &body),
-        eventually("it reaches the device", async || (proxy.frames.count(0x23) > before).then(|| asked_at.elapsed()))
+        eventually("23h reaches the device", async || (proxy.frames.count(0x23) > before).then(|| asked_at.elapsed()))
     );
     let stopped = stopped.ok();
     assert_eq!(stopped["fast_stop_confirmed"], true, "{stopped}");
@@ -102,7 +102,7 @@ async fn fast_stop(gateway: &Gateway, proxy: &Proxy) -> (String, Duration) {
     (stopped["fast_stop_id"].as_str().unwrap().to_owned(), reached_after)
 }
 
-/// While the disk is full.
+/// Checks the gateway while the disk is full.
 async fn on_a_full_disk(gateway: &Gateway, proxy: &Proxy) -> Vec<String> {
     let state = journal_fails(gateway).await;
     let cause = state["journal_cause"].as_str().unwrap();
@@ -113,8 +113,8 @@ async fn on_a_full_disk(gateway: &Gateway, proxy: &Proxy) -> Vec<String> {
     let figures = gateway.figures().await;
     assert!(figures["wsg_journal_up"] < 1.0 && figures["wsg_link_up{gripper=\"g\"}"] > 0.0, "{figures:#?}");
 
-    // What was written down before runs on.
-    gateway.until("nothing runs", |state| state["command"].is_null()).await;
+    // A motion that is already recorded continues.
+    gateway.until("no command is running", |state| state["command"].is_null()).await;
     let motions = proxy.frames.motions();
     for path in ["move", "grip", "release"] {
         let refused = gateway.post(path, &json!({"width_mm": 50, "speed_mm_s": 50})).await.problem(503, "journal_down");
@@ -130,24 +130,24 @@ async fn on_a_full_disk(gateway: &Gateway, proxy: &Proxy) -> Vec<String> {
     }
     println!("on a full disk the slowest of {FAST_STOPS} FAST STOPs reached the device after {slowest:?}");
     assert!(slowest <= FAST_STOP_WITHIN, "{slowest:?}");
-    assert_eq!(proxy.frames.motions(), motions, "nothing moves that is not written down");
+    assert_eq!(proxy.frames.motions(), motions, "no motion without a record");
     ids
 }
 
-/// Reads back what clients were told of: nothing of it may be missing.
-fn check_journal(path: &Path, told: &BTreeSet<String>) {
+/// Checks that the journal has every command that a client saw.
+fn check_journal(path: &Path, reported: &BTreeSet<String>) {
     let reader = Reader::open(path).unwrap();
-    for id in told {
+    for id in reported {
         let command = reader.command(&"g".parse().unwrap(), id.parse().unwrap()).unwrap();
         assert!(
             command.is_some_and(|command| command.outcome.is_some()),
-            "{id} was told, and has no end in the journal"
+            "{id} was reported, but has no end in the journal"
         );
     }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_full_disk_refuses_motions_and_never_a_fast_stop_and_the_journal_goes_on_when_there_is_room() {
+async fn full_disk_blocks_motion_but_not_fast_stop() {
     let disk = Disk::mount();
     let path = disk.0.join("journal.db");
     let journal = path.to_str().unwrap();
@@ -158,7 +158,7 @@ async fn a_full_disk_refuses_motions_and_never_a_fast_stop_and_the_journal_goes_
     gateway.until_link("connected").await;
     gateway.post("home", &json!({})).await.outcome("SUCCESS");
 
-    let mut told = BTreeSet::new();
+    let mut reported = BTreeSet::new();
     let fast_stops = {
         let scenario = async {
             let motions = proxy.frames.motions();
@@ -168,18 +168,18 @@ async fn a_full_disk_refuses_motions_and_never_a_fast_stop_and_the_journal_goes_
 
             disk.make_room();
             let (room_since, motions) = (Instant::now(), proxy.frames.motions());
-            eventually("motions go on", async || (proxy.frames.motions() > motions).then_some(())).await;
-            let went_on_after = room_since.elapsed();
-            println!("the journal went on {went_on_after:?} after there was room");
-            assert!(went_on_after <= GOES_ON_WITHIN, "{went_on_after:?}");
+            eventually("motions resume", async || (proxy.frames.motions() > motions).then_some(())).await;
+            let recovered_after = room_since.elapsed();
+            println!("the journal recovered {recovered_after:?} after there was room");
+            assert!(recovered_after <= RECOVERS_WITHIN, "{recovered_after:?}");
             fast_stops
         };
         tokio::select! {
-            () = traffic(&gateway, &mut told) => unreachable!("it has no end"),
+            () = traffic(&gateway, &mut reported) => unreachable!("the traffic does not end"),
             fast_stops = scenario => fast_stops,
         }
     };
-    eventually("it is ready", async || (gateway.get("/readyz").await.status == 200).then_some(())).await;
+    eventually("the gateway is ready", async || (gateway.get("/readyz").await.status == 200).then_some(())).await;
     assert_eq!(gateway.state().await["journal_cause"], Value::Null);
     let figures = gateway.figures().await;
     assert!(figures["wsg_journal_up"] > 0.0 && figures["wsg_journal_records_lost_total"] < 1.0, "{figures:#?}");
@@ -194,7 +194,7 @@ async fn a_full_disk_refuses_motions_and_never_a_fast_stop_and_the_journal_goes_
     assert!(ended.stderr.contains("journal cannot be written"), "{ended:?}");
     let verified = run(&["journal", "verify", "--journal", journal]).await;
     assert!(verified.status.success() && verified.stdout.contains("all intact"), "{verified:?}");
-    check_journal(&path, &told);
-    println!("{} commands were told, all of them in the journal", told.len());
-    assert!(told.len() > 5, "so little traffic shows nothing");
+    check_journal(&path, &reported);
+    println!("{} reported commands, all in the journal", reported.len());
+    assert!(reported.len() > 5, "too little traffic");
 }

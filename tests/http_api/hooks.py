@@ -1,14 +1,14 @@
-"""What the description of the HTTP API cannot say of valid requests, and generated ones have to keep to."""
+"""Rules for valid requests that the OpenAPI document cannot express."""
 
 import schemathesis
 
-# The header and the field of the body that mean the same.
+# Header fields, and the body fields with the same meaning.
 SAME = {"idempotency-key": "request_id", "wsg-lease": "lease"}
 
 
 @schemathesis.hook
 def before_call(context, case, kwargs):
-    """A request that names itself in the header and in the body, and differs, is refused: so one of them is enough."""
+    """Removes a header that is also in the body, because the gateway refuses different values."""
     if not case.meta.generation.mode.is_positive or not isinstance(case.body, dict):
         return
     for header in list(case.headers or {}):

@@ -1,11 +1,11 @@
-//! What takes socat, which stands for an adapter that is pulled and comes back, and for a client's machine that is frozen
-//! by SIGSTOP. Not a part of plain `cargo test`, so that a machine without socat never counts it as passed: `cargo test
-//! --test socat`.
+//! Tests that need socat as a serial adapter that can be pulled, and as a client machine that can be frozen with
+//! SIGSTOP. They are excluded from plain `cargo test`, so that a machine without socat does not count them as passed.
+//! Run them with `cargo test --test socat`.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 #[path = "../suite/harness/mod.rs"]
-#[allow(dead_code, unused_imports, reason = "the other doubles are for the other tests")]
+#[allow(dead_code, unused_imports, reason = "parts used only by other tests")]
 mod harness;
 
 use std::path::{Path, PathBuf};
@@ -22,7 +22,7 @@ fn path(name: &str) -> PathBuf {
     PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{}-{name}", std::process::id()))
 }
 
-/// An adapter whose ends are this pty and that port.
+/// Plugs in an adapter between this pty and that port.
 async fn plug_in(pty: &Path, port: &Path) -> Child {
     let mut command = Command::new("socat");
     command.arg(format!("pty,raw,echo=0,link={}", pty.display())).arg(format!("{},raw,echo=0", port.display()));
@@ -32,7 +32,7 @@ async fn plug_in(pty: &Path, port: &Path) -> Child {
 }
 
 #[tokio::test]
-async fn a_pulled_adapter_is_named_and_comes_back() {
+async fn pulled_adapter_is_named_and_reconnected() {
     let (line, port) = (path("line"), path("port"));
     let device = Process::start(&["sim", &format!("serial://pty?link={}", line.display())]);
     device.word_after("a simulated wsg50 at ").await;
@@ -46,20 +46,20 @@ async fn a_pulled_adapter_is_named_and_comes_back() {
     let cause = state["link_cause"].as_str().unwrap();
     assert!(cause.contains(port.to_str().unwrap()), "{cause}");
     gateway.post("home", &json!({})).await.problem(503, "link_down");
-    // It says what is there instead, once it has tried again.
+    // After the next attempt, the cause names the missing device.
     gateway
         .until("absent", |state| state["link_cause"].as_str().is_some_and(|cause| cause.contains("not there")))
         .await;
 
-    // A killed socat leaves its link behind.
+    // A killed socat leaves its symbolic link behind.
     std::fs::remove_file(&port).unwrap();
     let _adapter = plug_in(&port, &line).await;
     gateway.until_link("connected").await;
     gateway.post("home", &json!({})).await.outcome("SUCCESS");
 }
 
-/// What one client has between itself and the gateway, and the address that it connects to: what is sent while it is
-/// frozen arrives when it thaws.
+/// Starts a relay between one client and the gateway, and returns its address. Bytes sent while it is frozen arrive
+/// when it thaws.
 async fn between(gateway: &Gateway) -> (Child, String) {
     let target = gateway.url("/").replace("http://", "TCP:").trim_end_matches('/').to_owned();
     let mut command = Command::new("socat");
@@ -67,9 +67,9 @@ async fn between(gateway: &Gateway) -> (Child, String) {
     let mut child = command.spawn().expect("socat has to be installed");
     let mut lines = BufReader::new(child.stderr.take().unwrap()).lines();
     loop {
-        let line = lines.next_line().await.unwrap().expect("it listens");
+        let line = lines.next_line().await.unwrap().expect("socat listens");
         if let Some((_, address)) = line.split_once("listening on AF=2 ") {
-            // It goes on saying what it does.
+            // socat keeps logging, so its output must be drained.
             tokio::spawn(async move { while let Ok(Some(_)) = lines.next_line().await {} });
             return (child, address.trim().to_owned());
         }
@@ -77,7 +77,7 @@ async fn between(gateway: &Gateway) -> (Child, String) {
 }
 
 #[tokio::test]
-async fn a_client_that_is_frozen_past_its_lease_moves_nothing_when_it_thaws() {
+async fn client_frozen_past_its_lease_moves_nothing() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
     let gateway = Gateway::homed_at(proxy.address).await;
@@ -93,7 +93,7 @@ async fn a_client_that_is_frozen_past_its_lease_moves_nothing_when_it_thaws() {
 
     let thawed = post("move", json!({"width_mm": 10, "speed_mm_s": 50, "lease": lease["token"]}));
     let meanwhile = async {
-        gateway.until("it ran out", |state| state["lease_holder"].is_null()).await;
+        gateway.until("the lease has expired", |state| state["lease_holder"].is_null()).await;
         let taken = gateway.post("lease", &json!({"holder": "b", "ttl_ms": 60000})).await.ok();
         let body = json!({"width_mm": 90, "speed_mm_s": 200, "lease": taken["token"]});
         gateway.post("move", &body).await.outcome("SUCCESS");
@@ -103,5 +103,5 @@ async fn a_client_that_is_frozen_past_its_lease_moves_nothing_when_it_thaws() {
     };
     let (refused, motions) = tokio::join!(thawed, meanwhile);
     assert_eq!((&refused["code"], &refused["holder"]), (&json!("stale_lease"), &json!("b")), "{refused}");
-    assert_eq!(proxy.frames.motions(), motions, "the device never sees it");
+    assert_eq!(proxy.frames.motions(), motions, "no motion reaches the device");
 }

@@ -1,10 +1,10 @@
-//! Bad bodies: a clear problem, never a 5xx, and never a frame.
+//! Invalid request bodies: each is a clear problem, never a 5xx and never a frame.
 
 use serde_json::{Value, json};
 
 use crate::harness::{Gateway, Proxy, Simulator};
 
-/// What a body gets: status, code, field, and the limits (lowest, highest).
+/// Expected answer: status, code, field, and limits (minimum, maximum).
 type Expected = (u16, &'static str, Option<&'static str>, Option<(f64, f64)>);
 
 const fn malformed(field: &'static str) -> Expected {
@@ -15,7 +15,7 @@ const fn out_of_range(field: &'static str, min: f64, max: f64) -> Expected {
     (422, "out_of_range", Some(field), Some((min, max)))
 }
 
-const NO_JSON: Expected = (400, "malformed", None, None);
+const NOT_JSON: Expected = (400, "malformed", None, None);
 
 const GRIPS: &[(&str, Expected)] = &[
     (r#"{"width_mm": 5000, "speed_mm_s": 50}"#, out_of_range("width_mm", 0.0, 110.0)),
@@ -38,13 +38,13 @@ const GRIPS: &[(&str, Expected)] = &[
     ("{}", malformed("width_mm")),
     (r#"{"width_mm": NaN, "speed_mm_s": 50}"#, (400, "malformed", Some("width_mm"), None)),
     (r#"{"width_mm": 1e999, "speed_mm_s": 50}"#, (400, "malformed", Some("width_mm"), None)),
-    (r#"{"width_mm": 20, "speed_mm_s": 50"#, NO_JSON),
-    (r#"{"width_mm": 20, "speed_mm_s": 50}}"#, NO_JSON),
-    ("[]", NO_JSON),
-    ("[20, 50, null, null]", NO_JSON),
-    ("null", NO_JSON),
-    ("\"grip\"", NO_JSON),
-    ("width_mm=20&speed_mm_s=50", NO_JSON),
+    (r#"{"width_mm": 20, "speed_mm_s": 50"#, NOT_JSON),
+    (r#"{"width_mm": 20, "speed_mm_s": 50}}"#, NOT_JSON),
+    ("[]", NOT_JSON),
+    ("[20, 50, null, null]", NOT_JSON),
+    ("null", NOT_JSON),
+    ("\"grip\"", NOT_JSON),
+    ("width_mm=20&speed_mm_s=50", NOT_JSON),
 ];
 
 fn check(body: &str, problem: &Value, (_, _, field, limits): Expected) {
@@ -58,7 +58,7 @@ fn check(body: &str, problem: &Value, (_, _, field, limits): Expected) {
 }
 
 #[tokio::test]
-async fn a_bad_grip_is_a_problem_that_names_field_and_limits_and_sends_no_frame() {
+async fn invalid_grip_names_field_and_limits_and_sends_no_frame() {
     let device = Simulator::with_part().await;
     let proxy = Proxy::to(device.address);
     let gateway = Gateway::homed_at(proxy.address).await;
@@ -84,7 +84,7 @@ async fn a_bad_grip_is_a_problem_that_names_field_and_limits_and_sends_no_frame(
 }
 
 #[tokio::test]
-async fn paths_methods_and_queries_that_are_not_there_are_problems() {
+async fn unknown_path_method_or_query_is_a_problem() {
     let device = Simulator::start(&[]).await;
     let gateway = Gateway::connected_to(device.address).await;
     gateway.get("/api/v1/grippers/nobody/state").await.problem(404, "not_found");
@@ -96,5 +96,5 @@ async fn paths_methods_and_queries_that_are_not_there_are_problems() {
     let problem = gateway.post("home?wait_ms=60001", &json!({})).await.problem(422, "out_of_range");
     assert_eq!((&problem["field"], &problem["max"]), (&json!("wait_ms"), &json!(60000.0)), "{problem}");
     let state = gateway.state().await;
-    assert_eq!(state["referenced"], false, "nothing moved: {state}");
+    assert_eq!(state["referenced"], false, "the gripper is not homed: {state}");
 }

@@ -1,4 +1,4 @@
-//! The command line: what starts, what is refused, and what is said.
+//! The command line: startup, errors and output.
 
 use std::net::TcpListener;
 use std::path::PathBuf;
@@ -6,14 +6,14 @@ use std::process::Command;
 
 use crate::harness::{Gateway, Simulator, run};
 
-/// A file of this text, for one test.
+/// Writes a file for one test.
 fn file(name: &str, text: &str) -> PathBuf {
     let path = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{}-{name}", std::process::id()));
     std::fs::write(&path, text).unwrap();
     path
 }
 
-/// Runs a command line that has to fail, and returns what it says.
+/// Runs a command line that must fail, and returns its standard error.
 async fn refused(arguments: &[&str]) -> String {
     let ended = run(arguments).await;
     assert!(!ended.status.success(), "{arguments:?} succeeds: {ended:?}");
@@ -21,7 +21,7 @@ async fn refused(arguments: &[&str]) -> String {
 }
 
 #[tokio::test]
-async fn both_servers_say_what_they_serve_and_where_and_what_to_try() {
+async fn startup_prints_addresses_and_a_command_to_try() {
     let device = Simulator::start(&["--model", "wsg32"]).await;
     assert_eq!(device.stdout(), format!("a simulated wsg32 at tcp://{}", device.address));
     let gateway = Gateway::start(&["--name", "cell-7", "--gripper", &format!("g=tcp://{}", device.address)]).await;
@@ -39,13 +39,13 @@ async fn both_servers_say_what_they_serve_and_where_and_what_to_try() {
 }
 
 #[tokio::test]
-async fn what_is_not_there_yet_is_refused_as_that() {
+async fn unsupported_command_is_refused() {
     let said = refused(&["token"]).await;
     assert!(said.contains("not supported yet"), "{said}");
 }
 
 #[tokio::test]
-async fn a_mistake_is_named_with_its_remedy() {
+async fn wrong_argument_is_named_with_a_remedy() {
     for (arguments, expected) in [
         (&["--listen", "0.0.0.0:0"][..], "--insecure"),
         (&["--listen", "nowhere"], "127.0.0.1:8080"),
@@ -73,14 +73,14 @@ async fn a_mistake_is_named_with_its_remedy() {
 }
 
 #[tokio::test]
-async fn other_addresses_than_loopback_are_listened_on_with_insecure_alone() {
+async fn non_loopback_address_needs_insecure() {
     let said = refused(&["check", "--listen", "0.0.0.0:8080"]).await;
     assert!(said.contains("loopback"), "{said}");
     assert!(run(&["check", "--listen", "0.0.0.0:8080", "--insecure"]).await.status.success());
 }
 
 #[tokio::test]
-async fn a_port_that_is_taken_is_a_clear_error_and_costs_the_device_nothing() {
+async fn occupied_port_is_a_clear_error_and_sends_no_frame() {
     let taken = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = taken.local_addr().unwrap().to_string();
     let device = Simulator::start(&[]).await;
@@ -93,7 +93,7 @@ async fn a_port_that_is_taken_is_a_clear_error_and_costs_the_device_nothing() {
 }
 
 #[tokio::test]
-async fn check_says_what_a_configuration_would_serve_or_which_line_is_wrong() {
+async fn check_prints_a_summary_or_the_wrong_line() {
     let right = file("right.toml", "name = \"cell\"\n[grippers.a]\nurl = \"sim://wsg50\"\n");
     let ended = run(&["check", "--config", right.to_str().unwrap()]).await;
     assert!(ended.status.success(), "{ended:?}");
@@ -113,16 +113,16 @@ async fn check_says_what_a_configuration_would_serve_or_which_line_is_wrong() {
 }
 
 #[tokio::test]
-async fn the_readmes_configuration_is_right() {
+async fn configuration_in_the_readme_is_valid() {
     let readme = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/README.md")).unwrap();
-    let (_, example) = readme.split_once("```toml\n").expect("an example in TOML");
+    let (_, example) = readme.split_once("```toml\n").expect("a TOML example");
     let (example, _) = example.split_once("```").unwrap();
     let ended = run(&["check", "--config", file("readme.toml", example).to_str().unwrap()]).await;
     assert!(ended.status.success(), "{ended:?}");
 }
 
 #[tokio::test]
-async fn openapi_prints_the_document_that_is_checked_in() {
+async fn openapi_prints_the_committed_document() {
     let ended = run(&["openapi"]).await;
     let checked_in = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/openapi/openapi.json")).unwrap();
     assert!(ended.status.success());
@@ -140,7 +140,7 @@ async fn frames_are_decoded_and_encoded() {
 }
 
 #[tokio::test]
-async fn a_wrong_line_does_not_end_a_decoding_and_is_told_by_the_exit_status() {
+async fn decode_continues_after_a_wrong_line_and_exits_with_1() {
     let ended = run(&["decode", file("wrong.hex", "nonsense\nAAAAAA230000AC1C\n").to_str().unwrap()]).await;
     assert_eq!(ended.status.code(), Some(1), "{ended:?}");
     assert!(ended.stdout.contains("line 1 not decoded") && ended.stdout.contains("FastStop"), "{ended:?}");
@@ -148,7 +148,7 @@ async fn a_wrong_line_does_not_end_a_decoding_and_is_told_by_the_exit_status() {
 }
 
 #[test]
-fn a_reader_that_has_enough_is_no_error() {
+fn closed_output_pipe_is_not_an_error() {
     let frames = file("enough.hex", &"AAAAAA230000AC1C\n".repeat(10_000));
     for arguments in [
         &["decode", frames.to_str().unwrap()][..],
@@ -166,7 +166,7 @@ fn a_reader_that_has_enough_is_no_error() {
 }
 
 #[tokio::test]
-async fn help_and_version_are_there() {
+async fn help_and_version_are_printed() {
     let help = run(&["--help"]).await;
     assert!(help.status.success());
     for expected in ["--gripper", "--listen", "--insecure", "--journal", "sim", "check", "openapi"] {

@@ -1,4 +1,4 @@
-//! Commands: waited for, asked for later, repeated, stopped, cancelled; and what the device makes of them.
+//! Commands: waited for, polled, repeated, stopped and cancelled; and the device's effect on outcomes.
 
 use std::time::Instant;
 
@@ -17,7 +17,7 @@ fn quick() -> Value {
 }
 
 #[tokio::test]
-async fn a_command_that_nobody_waits_for_is_told_by_its_location() {
+async fn command_without_waiting_returns_its_location() {
     let device = Simulator::start(&[]).await;
     let gateway = Gateway::homed_at(device.address).await;
     let accepted = gateway.post("move?wait_ms=0", &quick()).await;
@@ -26,12 +26,12 @@ async fn a_command_that_nobody_waits_for_is_told_by_its_location() {
     let location = accepted.location.clone().expect("a Location");
     assert_eq!(location, format!("/api/v1/grippers/g/commands/{}", accepted.text("id")));
     let ended = gateway.get(&format!("{location}?wait_ms=20000")).await.outcome("SUCCESS");
-    assert_eq!(gateway.get(&location).await.ok(), ended, "it is kept");
+    assert_eq!(gateway.get(&location).await.ok(), ended, "the command is kept");
     assert!(ended["duration_ms"].as_u64() > Some(0), "{ended}");
 }
 
 #[tokio::test]
-async fn a_repeated_request_id_gives_the_same_command_and_one_motion() {
+async fn repeated_request_id_returns_the_same_command() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
     let gateway = Gateway::homed_at(proxy.address).await;
@@ -43,14 +43,14 @@ async fn a_repeated_request_id_gives_the_same_command_and_one_motion() {
     assert_eq!(first["id"], again["id"]);
     let by_header = gateway.request("POST", "move").header("Idempotency-Key", "job-1").json(&quick());
     let again = gateway.send(by_header).await.outcome("SUCCESS");
-    assert_eq!((&again["replayed"], &again["id"]), (&json!(true), &first["id"]), "the header means the same");
+    assert_eq!((&again["replayed"], &again["id"]), (&json!(true), &first["id"]), "the header is an alias");
     let other = json!({"width_mm": 80, "speed_mm_s": 400, "request_id": "job-1"});
     gateway.post("move", &other).await.problem(409, "request_id_reused");
     assert_eq!(proxy.frames.motions(), motions + 1);
 }
 
 #[tokio::test]
-async fn a_repeated_request_joins_the_command_that_still_runs() {
+async fn repeated_request_joins_the_running_command() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
     let gateway = Gateway::homed_at(proxy.address).await;
@@ -63,7 +63,7 @@ async fn a_repeated_request_joins_the_command_that_still_runs() {
 }
 
 #[tokio::test]
-async fn a_refused_request_binds_nothing() {
+async fn refused_request_does_not_bind_its_request_id() {
     let device = Simulator::start(&[]).await;
     let gateway = Gateway::connected_to(device.address).await;
     let body = json!({"width_mm": 90, "speed_mm_s": 400, "request_id": "job-1"});
@@ -74,7 +74,7 @@ async fn a_refused_request_binds_nothing() {
 }
 
 #[tokio::test]
-async fn one_command_moves_at_a_time_and_the_other_is_told_which() {
+async fn second_motion_is_refused_with_the_running_command() {
     let device = Simulator::start(&[]).await;
     let gateway = Gateway::homed_at(device.address).await;
     let running = gateway.begin("move", &slow()).await;
@@ -85,7 +85,7 @@ async fn one_command_moves_at_a_time_and_the_other_is_told_which() {
 }
 
 #[tokio::test]
-async fn a_stop_ends_the_motion_and_holds_nothing() {
+async fn stop_ends_the_motion_without_a_latch() {
     let device = Simulator::start(&[]).await;
     let gateway = Gateway::homed_at(device.address).await;
     let running = gateway.begin("move", &slow()).await;
@@ -98,7 +98,7 @@ async fn a_stop_ends_the_motion_and_holds_nothing() {
 }
 
 #[tokio::test]
-async fn a_cancelled_command_is_aborted_and_one_that_has_ended_stays_as_it_is() {
+async fn cancel_aborts_a_running_command_and_keeps_a_finished_one() {
     let device = Simulator::start(&[]).await;
     let gateway = Gateway::homed_at(device.address).await;
     let running = gateway.begin("move", &slow()).await;
@@ -113,7 +113,7 @@ async fn a_cancelled_command_is_aborted_and_one_that_has_ended_stays_as_it_is() 
 }
 
 #[tokio::test]
-async fn a_relative_move_goes_by_its_offset_and_is_checked_where_it_ends() {
+async fn relative_move_is_checked_at_its_target() {
     let device = Simulator::start(&[]).await;
     let gateway = Gateway::homed_at(device.address).await;
     gateway.post("move", &quick()).await.outcome("SUCCESS");
@@ -125,7 +125,7 @@ async fn a_relative_move_goes_by_its_offset_and_is_checked_where_it_ends() {
 }
 
 #[tokio::test]
-async fn what_the_device_refuses_at_once_is_a_problem_with_its_status() {
+async fn device_refusal_is_a_problem_with_its_status() {
     let device = Scripted::start(Table::new()).await;
     let gateway = Gateway::connected_to(device.address).await;
     let refusals = [(10, "E_INSUFFICIENT_RESOURCES", "device_refused"), (3, "E_NOT_INITIALIZED", "not_referenced")];
@@ -141,7 +141,7 @@ async fn what_the_device_refuses_at_once_is_a_problem_with_its_status() {
 }
 
 #[tokio::test]
-async fn how_the_device_ends_an_accepted_motion_is_its_outcome_with_200() {
+async fn final_device_status_is_the_outcome_with_200() {
     let ends = [
         ("move", 0x21, 0, "SUCCESS"),
         ("move", 0x21, 29, "BLOCKED"),
@@ -162,7 +162,7 @@ async fn how_the_device_ends_an_accepted_motion_is_its_outcome_with_200() {
 }
 
 #[tokio::test]
-async fn a_motion_that_the_device_never_answers_is_unknown_and_is_not_sent_again() {
+async fn unanswered_motion_is_unknown_and_not_repeated() {
     let device = Scripted::start(Table::from([(0x21, Vec::new())])).await;
     let gateway = Gateway::connected_to(device.address).await;
     gateway.post("move?wait_ms=20000", &quick()).await.outcome("UNKNOWN");
@@ -171,7 +171,7 @@ async fn a_motion_that_the_device_never_answers_is_unknown_and_is_not_sent_again
 
 #[tokio::test]
 async fn flood_of_stops_leaves_the_holder_its_motion_and_its_stop() {
-    // Each Stop takes a second, since none is answered: they pile up.
+    // The device answers no Stop, so each takes a second and they pile up.
     let device = Scripted::start(Table::from([(0x21, vec![PENDING.to_vec()]), (0x22, Vec::new())])).await;
     let gateway = Gateway::connected_to(device.address).await;
     let lease = gateway.post("lease", &json!({"holder": "robot", "ttl_ms": 20_000})).await.text("token");

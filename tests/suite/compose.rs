@@ -1,4 +1,4 @@
-//! `docker-compose.yml` and `deploy/Dockerfile`: what they name is there, and what they run runs, as plain processes.
+//! `docker-compose.yml` and `deploy/Dockerfile`: their references exist, and their commands run as plain processes.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -49,7 +49,7 @@ fn compose() -> Compose {
     serde_saphyr::from_str(&read("docker-compose.yml")).unwrap()
 }
 
-/// What stands behind each instruction of this name, with its lines joined.
+/// Arguments of each instruction of this name, with continuation lines joined.
 fn instructions(name: &str) -> Vec<String> {
     let text = read("deploy/Dockerfile").replace("\\\n", " ");
     let of =
@@ -57,7 +57,7 @@ fn instructions(name: &str) -> Vec<String> {
     text.lines().filter_map(of).collect()
 }
 
-/// A crate's version, as it is built.
+/// Version of a crate in `Cargo.lock`.
 fn locked(name: &str) -> String {
     let lock: toml::Table = read("Cargo.lock").parse().unwrap();
     let package = lock["package"].as_array().unwrap().iter().find(|package| package["name"].as_str() == Some(name));
@@ -65,7 +65,7 @@ fn locked(name: &str) -> String {
 }
 
 #[test]
-fn what_the_dockerfile_copies_and_builds_is_there() {
+fn dockerfile_sources_exist() {
     let manifest: toml::Table = read("Cargo.toml").parse().unwrap();
     let rust = format!("rust:{}-bookworm AS build", manifest["package"]["rust-version"].as_str().unwrap());
     assert!(instructions("FROM").contains(&rust), "{:?}", instructions("FROM"));
@@ -81,19 +81,19 @@ fn what_the_dockerfile_copies_and_builds_is_there() {
     assert!(instructions("RUN").contains(&format!("cargo build --release --locked --bin {bin}")));
     assert!(instructions("COPY").contains(&format!("--from=build /src/target/release/{bin} /usr/local/bin/{bin}")));
     assert_eq!(instructions("ENTRYPOINT"), [format!("[\"{bin}\"]")]);
-    // Not as root, and its journal is where it may write and what outlives it.
+    // The gateway is not root, and keeps its journal in its state directory.
     let home = format!("/var/lib/{bin}");
     assert!(
         instructions("USER") == [bin]
             && instructions("RUN").iter().any(|run| run.contains(&format!("--home-dir {home} {bin}")))
     );
     assert_eq!(instructions("ENV"), [format!("STATE_DIRECTORY={home}")]);
-    // Simulated devices keep nothing, and each of them would get one.
+    // Simulated devices store nothing, yet each would get a volume.
     assert!(instructions("VOLUME").is_empty());
 }
 
 #[tokio::test]
-async fn the_health_check_tells_a_gateway_from_none() {
+async fn health_check_detects_the_gateway() {
     let check = instructions("HEALTHCHECK").remove(0);
     let command: Vec<String> = serde_json::from_str(check.split_once("CMD ").unwrap().1).unwrap();
     let gateway = Gateway::start(&["--gripper", "g=sim://wsg50"]).await;
@@ -102,7 +102,7 @@ async fn the_health_check_tells_a_gateway_from_none() {
     let exposed = instructions("EXPOSE").remove(0);
     let run = |command: &[String]| Command::new(&command[0]).args(&command[1..]).output().unwrap();
     let at = |port: &str| command.iter().map(|word| word.replace(&exposed, port)).collect::<Vec<_>>();
-    assert_ne!(at(port), command, "it asks at the port that is exposed");
+    assert_ne!(at(port), command, "the check uses the exposed port");
     let healthy = run(&at(port));
     assert!(healthy.status.success(), "{healthy:?}");
     let free = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
@@ -110,7 +110,7 @@ async fn the_health_check_tells_a_gateway_from_none() {
 }
 
 #[test]
-fn what_the_services_name_is_there() {
+fn service_references_exist() {
     let compose = compose();
     let exposed = instructions("EXPOSE").remove(0);
     for (name, service) in &compose.services {
@@ -121,7 +121,7 @@ fn what_the_services_name_is_there() {
             assert!(top().join(context).join(dockerfile).is_file(), "{name}: {dockerfile}");
         }
         if service.image != "wsg-gateway" {
-            assert_eq!(service.image, format!("eclipse/zenoh:{}", locked("zenoh")), "{name} speaks the same Zenoh");
+            assert_eq!(service.image, format!("eclipse/zenoh:{}", locked("zenoh")), "{name}: Zenoh version");
         }
         for volume in &service.volumes {
             let (volume, place) = volume.split_once(':').unwrap();
@@ -130,7 +130,11 @@ fn what_the_services_name_is_there() {
         }
         let is_privileged = service.command.iter().any(|word| word == "tcp://0.0.0.0:1000");
         let unprivileged_from = service.sysctls.get("net.ipv4.ip_unprivileged_port_start");
-        assert_eq!(unprivileged_from.copied(), is_privileged.then_some(0), "{name} is not root");
+        assert_eq!(
+            unprivileged_from.copied(),
+            is_privileged.then_some(0),
+            "{name}: a low port without root needs the sysctl"
+        );
         for port in &service.ports {
             assert!(port.starts_with("127.0.0.1:") && port.ends_with(&format!(":{exposed}")), "{name}: {port}");
             assert!(service.command.contains(&format!("--listen=0.0.0.0:{exposed}")), "{name}: {port}");
@@ -140,7 +144,7 @@ fn what_the_services_name_is_there() {
     assert!(built.len() == 1 && built[0].image == "wsg-gateway", "the image is built once: {built:?}");
 }
 
-/// A simulated device, by its service's command, and where it is.
+/// Starts a service's simulated device, and returns its address.
 async fn device(service: &Service) -> (Process, String) {
     let command: Vec<_> = service.command.iter().map(|word| word.replace("0.0.0.0:1000", "127.0.0.1:0")).collect();
     assert_ne!(command, service.command);
@@ -150,7 +154,7 @@ async fn device(service: &Service) -> (Process, String) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_services_run_as_plain_processes_and_are_one_fleet() {
+async fn services_run_as_processes_and_form_a_fleet() {
     let compose = compose();
     let (_left, left) = device(&compose.services["left"]).await;
     let (_right, right) = device(&compose.services["right"]).await;

@@ -1,11 +1,11 @@
-//! The simulated device's control port: what happens to it, and what can't.
+//! Control port of the simulated device.
 
 use serde_json::Value;
 
 use crate::harness::{Simulator, eventually};
 
 #[tokio::test]
-async fn what_cannot_happen_is_refused_with_its_limits_and_changes_nothing() {
+async fn impossible_change_is_refused_with_its_limits() {
     let device = Simulator::start(&["--control", "127.0.0.1:0"]).await;
     let url = eventually("the control port", async || {
         device.stdout().split_whitespace().find(|word| word.starts_with("http://")).map(|url| format!("{url}/0"))

@@ -1,4 +1,4 @@
-//! Without any argument: two simulated grippers, at once.
+//! A gateway without arguments, which has two simulated grippers.
 
 use serde_json::{Value, json};
 
@@ -15,7 +15,7 @@ async fn both(gateway: &Gateway, kind: &str, body: &Value) -> (Value, Value) {
 }
 
 #[tokio::test]
-async fn two_grippers_move_at_once_and_one_has_a_part_in_reach() {
+async fn two_grippers_move_at_once_and_one_has_a_part() {
     let gateway = Gateway::start(&["--journal", ":memory:"]).await;
     for gripper in ["left", "right"] {
         crate::harness::eventually(gripper, async || {

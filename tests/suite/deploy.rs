@@ -1,4 +1,4 @@
-//! What is shipped in `deploy/` fits what it is for.
+//! Files in `deploy/`.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -7,7 +7,7 @@ use serde_json::json;
 
 use crate::harness::{Gateway, Simulator};
 
-/// The metrics that a text names.
+/// Metrics named in a text.
 fn named(text: &str) -> BTreeSet<&str> {
     let words = text.split(|character: char| !character.is_ascii_alphanumeric() && character != '_');
     words.filter(|word| word.starts_with("wsg_")).collect()
@@ -28,10 +28,10 @@ fn texts(directory: &Path) -> Vec<(String, String)> {
 }
 
 #[tokio::test]
-async fn every_metric_that_is_watched_is_one_that_the_gateway_has() {
+async fn monitored_metrics_exist() {
     let device = Simulator::start(&[]).await;
     let gateway = Gateway::homed_at(device.address).await;
-    // What has labels of its own is there once it has happened.
+    // Metrics with labels appear only after the first event.
     gateway.post("fast-stop", &json!({})).await.ok();
     let figures = gateway.figures().await;
     let metrics: BTreeSet<_> = figures.keys().flat_map(|series| named(series)).collect();
@@ -39,10 +39,10 @@ async fn every_metric_that_is_watched_is_one_that_the_gateway_has() {
     let texts = texts(&Path::new(env!("CARGO_MANIFEST_DIR")).join("deploy"));
     for (path, text) in &texts {
         let unknown: Vec<_> = named(text).difference(&metrics).copied().collect();
-        assert!(unknown.is_empty(), "{path}: {unknown:?} are not among {metrics:#?}");
+        assert!(unknown.is_empty(), "{path}: unknown metrics {unknown:?}; the gateway has {metrics:#?}");
     }
     let watched: BTreeSet<_> = texts.iter().flat_map(|(_, text)| named(text)).collect();
     for needed in ["wsg_link_up", "wsg_journal_up", "wsg_fast_stop_latched", "wsg_checksum_errors_total"] {
-        assert!(watched.contains(needed), "nobody watches {needed}");
+        assert!(watched.contains(needed), "no alert or panel uses {needed}");
     }
 }

@@ -1,4 +1,4 @@
-//! What the manual has beside motions: settings, statistics, fingers, tare, Loop, raw requests.
+//! Device commands besides motions: settings, statistics, fingers, tare, Loop and raw requests.
 
 use std::time::Duration;
 
@@ -18,7 +18,7 @@ fn assert_has(body: &Value, fields: &Value) {
 }
 
 #[tokio::test]
-async fn every_setting_is_read_back_as_the_device_made_it() {
+async fn settings_are_read_back_from_the_device() {
     let device = Simulator::start(&[]).await;
     let gateway = Gateway::connected_to(device.address).await;
     let settings = [
@@ -39,7 +39,7 @@ async fn every_setting_is_read_back_as_the_device_made_it() {
     assert_eq!(gateway.get("").await.field("device_tag"), "cell 7");
 }
 
-/// Sets the tag, as soon as the last write is long enough ago.
+/// Sets the tag, and retries while the write limit refuses it.
 async fn set_tag(gateway: &Gateway, tag: &str) {
     let set = async || (gateway.put("settings/device-tag", &json!({"tag": tag})).await.status == 200).then_some(());
     eventually("the tag is set", set).await;
@@ -67,7 +67,7 @@ async fn device_tag_is_written_once_a_second_by_all_interfaces_together() {
 }
 
 #[tokio::test]
-async fn device_tag_that_the_device_has_is_not_written_again() {
+async fn unchanged_device_tag_is_not_written_again() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
     let (gateway, port) = Gateway::with_port(proxy.address, &[]).await;
@@ -83,7 +83,7 @@ async fn device_tag_that_the_device_has_is_not_written_again() {
 }
 
 #[tokio::test]
-async fn a_setting_beyond_the_devices_limits_is_refused_and_sends_no_frame() {
+async fn out_of_range_setting_is_refused_and_sends_no_frame() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
     let gateway = Gateway::connected_to(proxy.address).await;
@@ -134,8 +134,8 @@ async fn fingers_without_electronics_can_be_switched_and_have_no_data() {
     let device = Simulator::start(&[]).await;
     let gateway = Gateway::connected_to(device.address).await;
     for finger in [1, 2] {
-        let told = gateway.get(&format!("fingers/{finger}")).await.ok();
-        assert_has(&told, &json!({"finger": finger, "type_code": 0, "data_bytes": 0}));
+        let answer = gateway.get(&format!("fingers/{finger}")).await.ok();
+        assert_has(&answer, &json!({"finger": finger, "type_code": 0, "data_bytes": 0}));
         for enabled in [false, true] {
             let switched = gateway.put(&format!("fingers/{finger}/power"), &json!({"enabled": enabled})).await;
             assert_has(&switched.ok(), &json!({"finger": finger, "enabled": enabled}));
@@ -146,7 +146,7 @@ async fn fingers_without_electronics_can_be_switched_and_have_no_data() {
 }
 
 #[tokio::test]
-async fn a_finger_with_electronics_tells_its_type_flags_and_data() {
+async fn finger_with_electronics_reports_type_flags_and_data() {
     let table = Table::from([
         (0x60, vec![success(&[1, 4, 0])]),
         (0x61, vec![success(&[7, 0])]),
@@ -154,14 +154,14 @@ async fn a_finger_with_electronics_tells_its_type_flags_and_data() {
     ]);
     let device = Scripted::start(table).await;
     let gateway = Gateway::connected_to(device.address).await;
-    let told = gateway.get("fingers/1").await.ok();
-    assert_has(&told, &json!({"type": "WSG-FMF", "type_code": 1, "data_bytes": 4, "flags_raw": 7}));
-    assert_has(&told, &json!({"flags": ["POWER_ON", "CONFIG_AVAIL", "COMM_OPEN"]}));
+    let answer = gateway.get("fingers/1").await.ok();
+    assert_has(&answer, &json!({"type": "WSG-FMF", "type_code": 1, "data_bytes": 4, "flags_raw": 7}));
+    assert_has(&answer, &json!({"flags": ["POWER_ON", "CONFIG_AVAIL", "COMM_OPEN"]}));
     assert_has(&gateway.get("fingers/1/data").await.ok(), &json!({"data": "0000a041"}));
 }
 
 #[tokio::test]
-async fn tare_and_loop_reach_the_device_and_refusals_come_by_name_and_number() {
+async fn tare_and_loop_reach_the_device() {
     let device = Scripted::start(Table::from([(0x38, vec![success(&[])])])).await;
     let gateway = Gateway::connected_to(device.address).await;
     assert_has(&gateway.post("tare", &json!({})).await.ok(), &json!({"tared": true}));
@@ -177,12 +177,12 @@ async fn tare_and_loop_reach_the_device_and_refusals_come_by_name_and_number() {
 }
 
 #[tokio::test]
-async fn a_raw_request_of_a_known_id_takes_the_typed_path_with_its_checks() {
+async fn raw_request_of_a_known_id_is_checked_like_its_operation() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
     let gateway = Gateway::connected_to(proxy.address).await;
-    let told = gateway.post("raw", &json!({"id": 0x31})).await.ok();
-    assert_has(&told, &json!({"name": "GetAcceleration", "status": "E_SUCCESS", "payload": "00401c45"}));
+    let answer = gateway.post("raw", &json!({"id": 0x31})).await.ok();
+    assert_has(&answer, &json!({"name": "GetAcceleration", "status": "E_SUCCESS", "payload": "00401c45"}));
     let to_40_mm = format!("00{}{}", hex::encode(40_f32.to_le_bytes()), hex::encode(400_f32.to_le_bytes()));
     let raw = json!({"id": 0x21, "payload": to_40_mm});
     gateway.post("raw", &raw).await.problem(409, "not_referenced");
@@ -201,7 +201,7 @@ async fn a_raw_request_of_a_known_id_takes_the_typed_path_with_its_checks() {
 }
 
 #[tokio::test]
-async fn raw_requests_that_are_the_gateways_own_are_refused() {
+async fn raw_requests_reserved_for_the_gateway_are_refused() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
     let gateway = Gateway::connected_to(proxy.address).await;
@@ -213,17 +213,17 @@ async fn raw_requests_that_are_the_gateways_own_are_refused() {
     gateway.post("raw", &json!({"id": 0x30, "payload": "00"})).await.problem(400, "malformed");
     gateway.post("raw", &json!({"id": 256})).await.problem(422, "out_of_range");
     let served = gateway.post("raw", &json!({"id": 0x40, "payload": "000000"})).await.ok();
-    assert_eq!(served["payload"].as_str().map(str::len), Some(8), "from the newest update: {served}");
+    assert_eq!(served["payload"].as_str().map(str::len), Some(8), "answered from the newest update: {served}");
     let caused: Vec<_> = proxy.frames.since(before).into_iter().filter(|frame| !frame.is_upkeep()).collect();
     assert_eq!(caused, []);
 }
 
 #[tokio::test]
-async fn a_custom_id_passes_through_as_it_is() {
+async fn custom_id_passes_through_unchanged() {
     let device = Scripted::start(Table::from([(0xB0, vec![success(&[1, 2, 3])])])).await;
     let gateway = Gateway::connected_to(device.address).await;
-    let told = gateway.post("raw", &json!({"id": 0xB0, "payload": "ff00"})).await.ok();
-    assert_has(&told, &json!({"id": 0xB0, "name": null, "status": "E_SUCCESS", "payload": "010203"}));
+    let answer = gateway.post("raw", &json!({"id": 0xB0, "payload": "ff00"})).await.ok();
+    assert_has(&answer, &json!({"id": 0xB0, "name": null, "status": "E_SUCCESS", "payload": "010203"}));
     let sent = device.frames.all().into_iter().find(|frame| frame.id == 0xB0).map(|frame| frame.payload);
     assert_eq!(sent, Some(vec![0xFF, 0x00]));
     let problem = gateway.post("raw", &json!({"id": 0xB1})).await.problem(422, "device_refused");
@@ -237,12 +237,12 @@ async fn a_custom_id_passes_through_as_it_is() {
     ]) {
         assert_eq!((&event["phase"], &event["outcome"]), (&json!(phase), &outcome), "{written:?}");
     }
-    assert_eq!((written.len(), &written[1]["command_id"]), (4, &told["command_id"]), "{written:?}");
+    assert_eq!((written.len(), &written[1]["command_id"]), (4, &answer["command_id"]), "{written:?}");
 }
 
 #[tokio::test]
-async fn a_custom_id_counts_as_a_motion_and_is_written_down_unless_it_is_configured_to_read() {
-    // It begins, and does not end.
+async fn custom_id_counts_as_a_motion_unless_configured_as_a_read() {
+    // B0h starts and never ends.
     let device = Scripted::start(Table::from([(0xB0, vec![vec![0x1A, 0]]), (0xB2, vec![success(&[7])])])).await;
     let path = std::env::temp_dir().join(format!("wsg-{}-read-ids.toml", std::process::id()));
     std::fs::write(&path, format!("[grippers.g]\nurl = \"tcp://{}\"\nread_ids = [0xB2]\n", device.address)).unwrap();

@@ -1,4 +1,4 @@
-//! FAST STOP: it overtakes, it holds, and only an acknowledge that names it ends it.
+//! FAST STOP: it overtakes motions, latches, and ends only with an acknowledge of its id.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -26,7 +26,7 @@ fn a_move() -> Value {
 }
 
 #[tokio::test]
-async fn a_fast_stop_overtakes_a_motion_and_holds_until_it_is_acknowledged_by_its_id() {
+async fn fast_stop_aborts_a_motion_and_latches_until_acknowledged() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
     let gateway = Gateway::homed_at(proxy.address).await;
@@ -49,7 +49,7 @@ async fn a_fast_stop_overtakes_a_motion_and_holds_until_it_is_acknowledged_by_it
 
     let other = json!({"fast_stop_id": "019aa5c8-5a70-7c31-9f3f-4a3b7c1d2e4f"});
     let refused = gateway.post("acknowledge", &other).await.problem(409, "stale_fast_stop");
-    assert_eq!(&refused["fast_stop_id"], id, "it says which one holds");
+    assert_eq!(&refused["fast_stop_id"], id, "the problem names the current latch");
     assert_eq!((proxy.frames.motions(), proxy.frames.count(0x24)), (motions, 0));
 
     let acknowledged = gateway.post("acknowledge", &json!({"fast_stop_id": id})).await.ok();
@@ -61,7 +61,7 @@ async fn a_fast_stop_overtakes_a_motion_and_holds_until_it_is_acknowledged_by_it
 }
 
 #[tokio::test]
-async fn a_further_fast_stop_has_an_id_of_its_own_so_nobody_clears_one_that_he_has_not_seen() {
+async fn second_fast_stop_needs_its_own_acknowledge() {
     let device = Simulator::start(&[]).await;
     let gateway = Gateway::homed_at(device.address).await;
     let first = gateway.post("fast-stop", &json!({})).await.ok();
@@ -73,7 +73,7 @@ async fn a_further_fast_stop_has_an_id_of_its_own_so_nobody_clears_one_that_he_h
 }
 
 #[tokio::test]
-async fn whatever_its_body_says_a_fast_stop_stops() {
+async fn fast_stop_accepts_any_body() {
     let device = Simulator::start(&[]).await;
     let gateway = Gateway::connected_to(device.address).await;
     for body in ["", "{", "[]", "null", "{\"reason\": 7}", "{\"nonsense\": true}", &"x".repeat(100_000)] {
@@ -84,13 +84,13 @@ async fn whatever_its_body_says_a_fast_stop_stops() {
 }
 
 #[tokio::test]
-async fn a_fast_stop_that_the_device_caused_is_told_with_an_id_and_outlasts_an_acknowledge_while_its_cause_does() {
+async fn device_fast_stop_latches_while_its_cause_persists() {
     let device = Scripted::start(Table::new()).await;
     let gateway = Gateway::connected_to(device.address).await;
     let state = gateway.state().await;
     assert_eq!(state["fast_stop"], false, "{state}");
     device.flags(REFERENCED | FAST_STOP | TEMP_FAULT);
-    let state = gateway.until("it is told", |state| state["fast_stop"] == true).await;
+    let state = gateway.until("the FAST STOP is reported", |state| state["fast_stop"] == true).await;
     assert_eq!((&state["fast_stop_by"], &state["fast_stop_cause"]), (&json!("device"), &json!("temperature_fault")));
     assert_eq!(state["fast_stop_confirmed"], true, "{state}");
     let acknowledge = json!({"fast_stop_id": state["fast_stop_id"]});
@@ -106,7 +106,7 @@ async fn a_fast_stop_that_the_device_caused_is_told_with_an_id_and_outlasts_an_a
 }
 
 #[tokio::test]
-async fn a_fast_stop_on_a_lost_link_answers_soon_and_goes_first_after_the_reconnect() {
+async fn fast_stop_on_a_lost_link_is_sent_first_after_reconnect() {
     let device = Simulator::start(&[]).await;
     let mut proxy = Proxy::to(device.address);
     let gateway = Gateway::homed_at(proxy.address).await;
@@ -125,7 +125,7 @@ async fn a_fast_stop_on_a_lost_link_answers_soon_and_goes_first_after_the_reconn
     gateway.post("acknowledge", &acknowledge).await.problem(409, "fast_stop_unconfirmed");
 
     proxy.accept();
-    let state = gateway.until("it is confirmed", |state| state["fast_stop_confirmed"] == true).await;
+    let state = gateway.until("the FAST STOP is confirmed", |state| state["fast_stop_confirmed"] == true).await;
     assert_eq!((&state["fast_stop_id"], &state["fast_stop_cause"]), (id, &json!("requested")), "{state}");
     assert_eq!(proxy.frames.since(before)[0].id, 0x23, "{:?}", proxy.frames.since(before));
     gateway.until_link("connected").await;
@@ -133,18 +133,19 @@ async fn a_fast_stop_on_a_lost_link_answers_soon_and_goes_first_after_the_reconn
 }
 
 #[tokio::test]
-async fn a_fast_stop_that_the_device_does_not_answer_is_repeated() {
+async fn unanswered_fast_stop_is_repeated() {
     let device = Scripted::start(Table::from([(0x23, Vec::new())])).await;
     let gateway = Gateway::connected_to(device.address).await;
     let stopped = gateway.post("fast-stop", &json!({})).await.ok();
     assert_eq!(stopped["fast_stop_confirmed"], false, "{stopped}");
-    crate::harness::eventually("it is repeated", async || (device.frames.count(0x23) >= 3).then_some(())).await;
+    crate::harness::eventually("the FAST STOP is repeated", async || (device.frames.count(0x23) >= 3).then_some(()))
+        .await;
     device.flags(REFERENCED | FAST_STOP);
     device.answer(0x23, vec![crate::harness::success(&[])]);
-    gateway.until("it is confirmed", |state| state["fast_stop_confirmed"] == true).await;
+    gateway.until("the FAST STOP is confirmed", |state| state["fast_stop_confirmed"] == true).await;
 }
 
-/// A gripper at this device, with what an earlier run of the gateway remembers.
+/// Starts a gripper for this device, with state from an earlier run of the gateway.
 fn spawned(device: SocketAddr, restored: RestoredState) -> Handle {
     let address: Address = format!("tcp://{device}").parse().unwrap();
     let name: Name = "g".parse().unwrap();
@@ -163,10 +164,10 @@ fn spawned(device: SocketAddr, restored: RestoredState) -> Handle {
 }
 
 #[tokio::test]
-async fn a_clock_set_back_confirms_no_fast_stop() {
+async fn clock_set_back_does_not_confirm_a_fast_stop() {
     const UPDATES: [u8; 5] = [0x40, 0x41, 0x43, 0x44, 0x45];
     let device = Scripted::start(Table::from([(0x40, vec![success(&(REFERENCED | FAST_STOP).to_le_bytes())])])).await;
-    // A latch of an earlier version, without an epoch, from a clock that was a day ahead.
+    // A latch from an earlier version without epochs, from a clock that was a day ahead.
     let ahead = Timestamp::now() + SignedDuration::from_hours(24);
     let id = IdSource::new(1).fast_stop_id(ahead);
     let latch = json!({"id": id, "by": "test", "cause": "requested", "reason": "", "at": ahead, "confirmed": true});
@@ -187,6 +188,6 @@ async fn a_clock_set_back_confirms_no_fast_stop() {
     assert_eq!(handle.state().latch.as_ref().unwrap().fast_stop_id, unheard.id);
     device.flags(REFERENCED | FAST_STOP);
     let heard = stop().await;
-    assert!(heard.confirmed, "its flags show it");
+    assert!(heard.confirmed, "confirmed by the flags");
     assert!(handle.state().latch.as_ref().unwrap().epoch > restored.epoch);
 }

@@ -1,11 +1,11 @@
-//! Home, move, grip, release: what somebody does first.
+//! A user's first steps: home, move, grip, release.
 
 use serde_json::json;
 
 use crate::harness::{Gateway, Simulator};
 
 #[tokio::test]
-async fn a_part_is_gripped_held_and_released() {
+async fn part_is_gripped_held_and_released() {
     let device = Simulator::with_part().await;
     let gateway = Gateway::homed_at(device.address).await;
     let moved = gateway.post("move", &json!({"width_mm": 40, "speed_mm_s": 200})).await.outcome("SUCCESS");
@@ -30,7 +30,7 @@ async fn a_part_is_gripped_held_and_released() {
 }
 
 #[tokio::test]
-async fn a_grip_of_air_is_an_answer_not_an_error() {
+async fn grip_without_a_part_is_an_outcome_not_an_error() {
     let device = Simulator::start(&[]).await;
     let gateway = Gateway::homed_at(device.address).await;
     let nothing = gateway.post("grip", &json!({"width_mm": 20, "speed_mm_s": 200})).await.outcome("NO_PART");
@@ -41,19 +41,19 @@ async fn a_grip_of_air_is_an_answer_not_an_error() {
 }
 
 #[tokio::test]
-async fn nothing_but_homing_moves_an_unreferenced_gripper_and_it_has_no_width() {
+async fn unreferenced_gripper_only_homes_and_has_no_width() {
     let device = Simulator::start(&[]).await;
     let gateway = Gateway::connected_to(device.address).await;
     let state = gateway.state().await;
     assert_eq!((&state["referenced"], &state["width_mm"]), (&json!(false), &json!(null)), "{state}");
     gateway.post("move", &json!({"width_mm": 40, "speed_mm_s": 100})).await.problem(409, "not_referenced");
     gateway.post("home", &json!({"direction": "inner"})).await.outcome("SUCCESS");
-    let state = gateway.until("it is referenced", |state| state["referenced"] == true).await;
+    let state = gateway.until("the gripper is referenced", |state| state["referenced"] == true).await;
     assert!(state["width_mm"].as_f64().unwrap() < 5.0, "{state}");
 }
 
 #[tokio::test]
-async fn every_model_of_both_firmware_generations_tells_what_it_is() {
+async fn every_model_reports_its_properties() {
     for (model, firmware, stroke_mm) in
         [("wsg25", "fw4", 64), ("wsg32", "fw4", 68), ("wsg50", "fw2", 110), ("wsg70", "fw4", 210)]
     {

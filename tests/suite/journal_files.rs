@@ -1,4 +1,4 @@
-//! `wsg-gateway journal`, on a file that another process writes.
+//! `wsg-gateway journal` on a file that another process writes.
 
 use std::path::{Path, PathBuf};
 
@@ -11,7 +11,7 @@ use wsg_gateway::journal::{Journal, Place, Retention};
 
 use crate::harness::{Gateway, Process, Simulator, eventually, run};
 
-/// A journal's file, which goes with the test.
+/// A journal file, removed after the test.
 struct File(PathBuf);
 
 impl File {
@@ -33,10 +33,10 @@ impl Drop for File {
 }
 
 async fn keep(journal: &Journal, second: i64, gripper: Option<&str>, detail: Detail) {
-    let (told, durable) = oneshot::channel();
+    let (notify, durable) = oneshot::channel();
     let gripper = gripper.map(|name| name.parse::<Name>().unwrap());
     let event = Event::new(Timestamp::from_second(second).unwrap(), gripper, detail);
-    journal.record(Record::Event(event, Some(told)));
+    journal.record(Record::Event(event, Some(notify)));
     durable.await.unwrap();
 }
 
@@ -48,7 +48,7 @@ fn link(link: Link, cause: Option<&str>) -> Detail {
     Detail::Link(LinkEvent { link, link_cause: cause.map(str::to_owned) })
 }
 
-/// A journal of three events, still open.
+/// Returns an open journal with three events.
 async fn filled(file: &File) -> Journal {
     let (journal, _) = Journal::open(Place::File(file.path().into()), Retention::default()).unwrap();
     keep(&journal, 1000, None, started()).await;
@@ -57,7 +57,7 @@ async fn filled(file: &File) -> Journal {
     journal
 }
 
-/// A gateway with a simulated device and this journal, homed.
+/// Starts a gateway with a simulated device and this journal, and homes the gripper.
 async fn gateway(device: &Simulator, file: &File, on_failure: &str) -> Gateway {
     let config = file.0.join("gateway.toml");
     std::fs::write(&config, format!("on_journal_failure = \"{on_failure}\"\n")).unwrap();
@@ -70,7 +70,7 @@ async fn gateway(device: &Simulator, file: &File, on_failure: &str) -> Gateway {
 }
 
 #[tokio::test]
-async fn removed_or_replaced_journal_refuses_motions_and_is_said() {
+async fn removed_or_replaced_journal_is_reported_and_blocks_motion() {
     for is_replaced in [false, true] {
         let (file, device) = (File::new(&format!("lost-{is_replaced}")), Simulator::start(&[]).await);
         let gateway = gateway(&device, &file, "refuse").await;
@@ -80,7 +80,8 @@ async fn removed_or_replaced_journal_refuses_motions_and_is_said() {
         }
         let a_move = json!({"width_mm": 50, "speed_mm_s": 200});
         gateway.post("move", &a_move).await.problem(503, "journal_down");
-        let state = gateway.until("the state says it", |state| state["journal_cause"].is_string()).await;
+        let state =
+            gateway.until("the state reports the journal failure", |state| state["journal_cause"].is_string()).await;
         assert!(state["journal_cause"].as_str().unwrap().contains("restart the gateway"), "{state}");
         let refused = gateway.post("move", &a_move).await.problem(503, "journal_down");
         assert!(refused["detail"].as_str().unwrap().contains("journal.db was re"), "{refused}");
@@ -98,28 +99,28 @@ async fn removed_or_replaced_journal_refuses_motions_and_is_said() {
 }
 
 #[tokio::test]
-async fn motions_go_on_without_a_removed_journal_where_the_configuration_says_so() {
+async fn motions_continue_without_a_journal_if_configured() {
     let (file, device) = (File::new("lost-continue"), Simulator::start(&[]).await);
     let gateway = gateway(&device, &file, "continue").await;
     std::fs::remove_file(file.path()).unwrap();
-    gateway.until("it is noticed", |state| state["journal_cause"].is_string()).await;
+    gateway.until("the failure is reported", |state| state["journal_cause"].is_string()).await;
     gateway.post("move", &json!({"width_mm": 50, "speed_mm_s": 200})).await.outcome("SUCCESS");
     assert_eq!(gateway.get("/readyz").await.status, 503);
 }
 
-/// What a subcommand says of the journal.
-async fn said(file: &File, arguments: &[&str]) -> Vec<String> {
+/// Output lines of a journal subcommand.
+async fn output(file: &File, arguments: &[&str]) -> Vec<String> {
     let ended = run(&[&["journal", "--journal", &file.path()], arguments].concat()).await;
     assert!(ended.status.success(), "{arguments:?}: {ended:?}");
     ended.stdout.lines().map(str::to_owned).collect()
 }
 
 #[tokio::test]
-async fn list_prints_what_the_filters_ask_for() {
+async fn list_applies_its_filters() {
     let file = File::new("list");
     let _journal = filled(&file).await;
     assert_eq!(
-        said(&file, &["list"]).await,
+        output(&file, &["list"]).await,
         [
             "1970-01-01T00:16:42Z            3  right      -                      link reconnecting        reset, by \"peer\"",
             "1970-01-01T00:16:41Z            2  left       -                      link connected",
@@ -135,7 +136,7 @@ async fn list_prints_what_the_filters_ask_for() {
         (&["--part-id", "P-1", "--kind", "link"], &[]),
         (&["--grips"], &[]),
     ] {
-        let lines = said(&file, &[&["list"], arguments].concat()).await;
+        let lines = output(&file, &[&["list"], arguments].concat()).await;
         let seqs: Vec<_> = lines.iter().filter_map(|line| line.split_whitespace().nth(1)).collect();
         assert_eq!(seqs, expected, "{arguments:?}");
     }
@@ -145,35 +146,35 @@ async fn list_prints_what_the_filters_ask_for() {
 async fn export_writes_json_and_csv() {
     let file = File::new("export");
     let _journal = filled(&file).await;
-    let json = said(&file, &["export"]).await;
+    let json = output(&file, &["export"]).await;
     assert_eq!(json.len(), 3);
     assert!(json[1].starts_with(r#"{"seq":2,"at":"1970-01-01T00:16:41Z","gripper":"left""#), "{json:?}");
-    let csv = said(&file, &["export", "--format", "csv"]).await;
+    let csv = output(&file, &["export", "--format", "csv"]).await;
     assert!(csv[0].starts_with("seq,at,kind,gripper,subject,door,command_id,phase,"), "{csv:?}");
     assert!(csv[3].contains("\"reset, by \"\"peer\"\"\""), "{csv:?}");
     assert_eq!(csv.len(), 4);
-    assert_eq!(said(&file, &["export", "--grips", "--format", "csv"]).await.len(), 1);
+    assert_eq!(output(&file, &["export", "--grips", "--format", "csv"]).await.len(), 1);
 }
 
 #[tokio::test]
-async fn follow_prints_what_comes_and_what_was_since() {
+async fn follow_prints_stored_and_new_events() {
     let file = File::new("follow");
     let journal = filled(&file).await;
     let since = Process::start(&["journal", "--journal", &file.path(), "follow", "--after", "1"]);
     let left = Process::start(&["journal", "--journal", &file.path(), "follow", "--after", "0", "--gripper", "left"]);
-    eventually("both follow", async || (since.lines() == 2 && left.lines() == 1).then_some(())).await;
+    eventually("both print the stored events", async || (since.lines() == 2 && left.lines() == 1).then_some(())).await;
     keep(&journal, 1003, Some("right"), link(Link::Connected, None)).await;
     keep(&journal, 1004, Some("left"), link(Link::Unresponsive, Some("silent"))).await;
-    eventually("both are told", async || (since.lines() == 4 && left.lines() == 2).then_some(())).await;
+    eventually("both print the new events", async || (since.lines() == 4 && left.lines() == 2).then_some(())).await;
     assert!(left.stdout().ends_with("link unresponsive        silent"), "{}", left.stdout());
 }
 
 #[tokio::test]
-async fn verify_says_that_all_is_as_it_was_written_or_what_is_not() {
+async fn verify_finds_a_changed_event() {
     let file = File::new("verify");
     let journal = filled(&file).await;
     let expected = ["3 events, 0 grip records, 0 remembered values: all intact"];
-    assert_eq!(said(&file, &["verify"]).await, expected);
+    assert_eq!(output(&file, &["verify"]).await, expected);
     journal.close().await.unwrap();
     let path = file.path();
     let mut bytes = std::fs::read(&path).unwrap();
@@ -187,7 +188,7 @@ async fn verify_says_that_all_is_as_it_was_written_or_what_is_not() {
 }
 
 #[tokio::test]
-async fn a_mistake_is_named_with_its_remedy() {
+async fn wrong_argument_is_named_with_a_remedy() {
     let file = File::new("mistakes");
     let _journal = filled(&file).await;
     let path = file.path();

@@ -1,4 +1,4 @@
-//! The lease over HTTP: PLCs that wait, clients that are killed, frozen or gone in order, and a gateway that restarts.
+//! The lease over HTTP: waiting PLCs, lost and frozen clients, hand-over, and a restart of the gateway.
 
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
@@ -24,7 +24,7 @@ async fn moved(gateway: &Gateway, token: &str, body: &Value) -> crate::harness::
     gateway.send(gateway.request("POST", "move?wait_ms=20000").header("Wsg-Lease", token).json(body)).await
 }
 
-/// A client that asks for a motion on a connection of its own, and waits for its end.
+/// Opens a connection that starts a motion and waits for its end.
 async fn client(gateway: &Gateway, token: &str) -> TcpStream {
     let url = gateway.url("move?wait_ms=20000");
     let (host, path) = url.strip_prefix("http://").unwrap().split_once('/').unwrap();
@@ -40,7 +40,7 @@ async fn client(gateway: &Gateway, token: &str) -> TcpStream {
 }
 
 #[tokio::test]
-async fn a_holder_that_is_killed_while_the_gripper_moves_is_a_fast_stop() {
+async fn holder_killed_during_a_motion_is_a_fast_stop() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
     let gateway = Gateway::homed_at(proxy.address).await;
@@ -58,11 +58,11 @@ async fn a_holder_that_is_killed_while_the_gripper_moves_is_a_fast_stop() {
     let events = gateway.events("kind=lease&order=oldest", 2).await;
     let steps: Vec<_> = events.iter().map(|event| &event["event"]).collect();
     assert_eq!(steps, ["taken", "lost"]);
-    assert_eq!(proxy.frames.count(FAST_STOP), sent, "only until it is confirmed");
+    assert_eq!(proxy.frames.count(FAST_STOP), sent, "no repeat after the confirmation");
 }
 
 #[tokio::test]
-async fn a_holder_that_is_killed_while_a_part_is_held_leaves_it_held() {
+async fn holder_killed_with_a_part_leaves_it_held() {
     let device = Simulator::with_part().await;
     let proxy = Proxy::to(device.address);
     let gateway = Gateway::homed_at(proxy.address).await;
@@ -75,15 +75,15 @@ async fn a_holder_that_is_killed_while_a_part_is_held_leaves_it_held() {
     assert_eq!((&refused["holder"], refused.get("expires_in_ms")), (&json!("robot"), None), "{refused}");
     let state = gateway.state().await;
     assert_eq!((&state["state"], &state["fast_stop"]), (&json!("HOLDING"), &json!(false)));
-    assert!(proxy.frames.since(sent).iter().all(crate::harness::Frame::is_upkeep), "nothing is sent");
-    // The same holder gets it again, and may open.
+    assert!(proxy.frames.since(sent).iter().all(crate::harness::Frame::is_upkeep), "no command is sent");
+    // The same holder can take the lease again, and open the gripper.
     let token = take(&gateway, "robot", 3000).await;
     let release = json!({"width_mm": 50, "speed_mm_s": 100, "lease": token});
     gateway.post("release", &release).await.outcome("SUCCESS");
 }
 
 #[tokio::test]
-async fn a_holder_that_releases_first_stops_the_motion_and_latches_nothing() {
+async fn release_stops_the_motion_without_a_latch() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
     let gateway = Gateway::homed_at(proxy.address).await;
@@ -97,14 +97,14 @@ async fn a_holder_that_releases_first_stops_the_motion_and_latches_nothing() {
 }
 
 #[tokio::test]
-async fn a_plc_that_waits_for_its_own_slow_move_keeps_a_lease_of_500_ms() {
+async fn waiting_for_a_slow_move_keeps_a_lease_of_500_ms() {
     let device = Simulator::start(&[]).await;
     let gateway = Gateway::homed_at(device.address).await;
     let token = take(&gateway, "plc", 500).await;
     let command = moved(&gateway, &token, &json!({"width_mm": 60, "speed_mm_s": 10})).await.outcome("SUCCESS");
     assert!(command["duration_ms"].as_u64() >= Some(4500), "{command}");
     assert_eq!(gateway.state().await["lease_holder"], "plc");
-    // One that was told 202 asks for its end, and that keeps it too.
+    // Waiting for the end of a command that returned 202 keeps the lease too.
     let begun = gateway.request("POST", "move?wait_ms=0").header("Wsg-Lease", &token);
     let begun = gateway.send(begun.json(&json!({"width_mm": 70, "speed_mm_s": 5}))).await.text("id");
     let path = format!("commands/{begun}?wait_ms=20000");
@@ -112,12 +112,12 @@ async fn a_plc_that_waits_for_its_own_slow_move_keeps_a_lease_of_500_ms() {
 }
 
 #[tokio::test]
-async fn a_client_that_was_frozen_past_its_lease_moves_nothing() {
+async fn client_frozen_past_its_lease_moves_nothing() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
     let gateway = Gateway::homed_at(proxy.address).await;
     let a = take(&gateway, "a", 100).await;
-    gateway.until("it ran out", |state| state["lease_holder"] == Value::Null).await;
+    gateway.until("the lease has expired", |state| state["lease_holder"] == Value::Null).await;
     let b = take(&gateway, "b", 5000).await;
     moved(&gateway, &b, &json!({"width_mm": 90, "speed_mm_s": 200})).await.outcome("SUCCESS");
     let motions = proxy.frames.motions();
@@ -129,13 +129,13 @@ async fn a_client_that_was_frozen_past_its_lease_moves_nothing() {
     assert!(held.problem(409, "lease_held")["expires_in_ms"].as_u64() <= Some(5000));
     gateway.post("tare", &json!({})).await.problem(409, "lease_held");
     assert_eq!(proxy.frames.motions(), motions);
-    // Who reads, and who stops, needs none.
+    // Reads and Stops need no lease.
     gateway.get("settings/acceleration").await.ok();
     gateway.post("stop", &json!({})).await.outcome("SUCCESS");
 }
 
 #[tokio::test]
-async fn a_gateway_that_had_no_processor_time_loses_nobody_who_was_there() {
+async fn frozen_gateway_keeps_the_lease_of_an_active_holder() {
     const TTL: Duration = Duration::from_secs(3);
     let device = Simulator::start(&[]).await;
     let gateway = Gateway::homed_at(device.address).await;
@@ -144,7 +144,7 @@ async fn a_gateway_that_had_no_processor_time_loses_nobody_who_was_there() {
     gateway.until_moving().await;
     gateway.freeze();
     let lease = json!({"lease": token});
-    // Its renewal waits in the socket.
+    // The renewal waits in the socket.
     let renewed = gateway.put("lease", &lease);
     let thawed = async {
         tokio::time::sleep(TTL).await;
@@ -154,7 +154,7 @@ async fn a_gateway_that_had_no_processor_time_loses_nobody_who_was_there() {
     renewed.ok();
     let state = gateway.state().await;
     assert_eq!((&state["fast_stop"], &state["lease_holder"]), (&json!(false), &json!("robot")), "{state}");
-    // One who is gone is lost all the same.
+    // A holder that stays silent is lost all the same.
     gateway.freeze();
     tokio::time::sleep(TTL).await;
     gateway.thaw();
@@ -163,7 +163,7 @@ async fn a_gateway_that_had_no_processor_time_loses_nobody_who_was_there() {
 }
 
 #[tokio::test]
-async fn a_lease_is_asked_for_and_handed_over() {
+async fn lease_is_requested_and_handed_over() {
     let device = Simulator::start(&[]).await;
     let gateway = Gateway::homed_at(device.address).await;
     let a = take(&gateway, "a", 5000).await;
@@ -171,7 +171,7 @@ async fn a_lease_is_asked_for_and_handed_over() {
     let refused = gateway.post("lease", &asks).await.problem(409, "lease_held");
     assert_eq!(refused["holder"], "a", "{refused}");
     let renewed = gateway.put("lease", &json!({"lease": a})).await.ok();
-    assert_eq!((&renewed["requested_by"], &renewed["token"]), (&json!("b"), &json!(a)), "its holder is told");
+    assert_eq!((&renewed["requested_by"], &renewed["token"]), (&json!("b"), &json!(a)), "the holder sees the request");
     gateway.post("lease/hand-over", &json!({"to": "c", "lease": a})).await.problem(400, "malformed");
     let given = gateway.post("lease/hand-over", &json!({"to": "b", "lease": a})).await.ok();
     assert_eq!((&given["holder"], &given["epoch"], given.get("token")), (&json!("b"), &json!(2), None));
@@ -179,12 +179,12 @@ async fn a_lease_is_asked_for_and_handed_over() {
     assert_eq!(taken["epoch"], 2);
     gateway.put("lease", &json!({"lease": a})).await.problem(409, "stale_lease");
     gateway.put("lease", &json!({"lease": taken["token"]})).await.ok();
-    let told = gateway.get("lease").await.ok();
-    assert_eq!((&told["holder"], told.get("token")), (&json!("b"), None), "{told}");
+    let current = gateway.get("lease").await.ok();
+    assert_eq!((&current["holder"], current.get("token")), (&json!("b"), None), "{current}");
 }
 
 #[tokio::test]
-async fn a_latch_and_an_epoch_outlive_a_restart_of_the_gateway() {
+async fn latch_and_epoch_survive_a_gateway_restart() {
     let device = Simulator::start(&[]).await;
     let folder = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{}-leases", std::process::id()));
     std::fs::create_dir_all(&folder).unwrap();
@@ -204,7 +204,7 @@ async fn a_latch_and_an_epoch_outlive_a_restart_of_the_gateway() {
     gateway.post("acknowledge", &json!({"fast_stop_id": first})).await.problem(409, "stale_fast_stop");
     gateway.post("acknowledge", &json!({"fast_stop_id": stopped})).await.ok();
     assert_eq!(gateway.post("lease", &json!({})).await.ok()["epoch"], 2);
-    // Killed, it may have forgotten the newest.
+    // After a kill, the newest epoch may be missing from the journal.
     gateway.kill().await;
     let gateway = Gateway::start(&arguments).await;
     gateway.until_link("connected").await;

@@ -1,4 +1,4 @@
-//! Links that break, stall and come back, and devices that forget or are others.
+//! Links that break, stall and recover, and devices that restart or are replaced.
 
 use std::time::{Duration, Instant};
 
@@ -7,7 +7,7 @@ use serde_json::{Value, json};
 use crate::harness::{Gateway, Proxy, Simulator};
 
 #[tokio::test]
-async fn a_device_gone_in_the_middle_of_a_move_and_back_leaves_an_unknown_outcome_and_moves_nothing() {
+async fn device_lost_during_a_move_leaves_an_unknown_outcome() {
     let device = Simulator::start(&[]).await;
     let mut proxy = Proxy::to(device.address);
     let gateway = Gateway::homed_at(proxy.address).await;
@@ -21,19 +21,19 @@ async fn a_device_gone_in_the_middle_of_a_move_and_back_leaves_an_unknown_outcom
     let state = gateway.until_link("reconnecting").await;
     assert!(!state["link_cause"].as_str().unwrap().is_empty(), "{state}");
     gateway.post("move", &json!({"width_mm": 40, "speed_mm_s": 100})).await.problem(503, "link_down");
-    gateway.until("two seconds without it", |state| state["age_ms"].as_u64() > Some(2000)).await;
+    gateway.until("two seconds without the device", |state| state["age_ms"].as_u64() > Some(2000)).await;
 
     proxy.accept();
     let state = gateway.until_link("connected").await;
     assert_eq!(state["link_cause"], Value::Null, "{state}");
     let state = gateway.until("the device's FAST STOP", |state| state["fast_stop"] == true).await;
     assert_eq!(state["fast_stop_cause"], "unannounced_disconnect", "{state}");
-    assert_eq!(proxy.frames.motions(), motions, "it was not sent again");
+    assert_eq!(proxy.frames.motions(), motions, "the motion was not sent again");
     assert_eq!(proxy.frames.count(0x24), 0, "nothing was acknowledged");
 }
 
 #[tokio::test]
-async fn a_motion_whose_client_still_waits_when_the_link_goes_is_unknown_with_200() {
+async fn waiting_client_gets_unknown_with_200_on_a_lost_link() {
     let device = Simulator::start(&[]).await;
     let mut proxy = Proxy::to(device.address);
     let gateway = Gateway::homed_at(proxy.address).await;
@@ -56,14 +56,14 @@ async fn make_settings(gateway: &Gateway) {
 async fn settings(gateway: &Gateway) -> Vec<Value> {
     let mut settings = Vec::new();
     for setting in ["acceleration", "force-limit", "soft-limits"] {
-        let mut told = gateway.get(&format!("settings/{setting}")).await.ok();
-        told.as_object_mut().unwrap().remove("gripper");
-        settings.push(told);
+        let mut value = gateway.get(&format!("settings/{setting}")).await.ok();
+        value.as_object_mut().unwrap().remove("gripper");
+        settings.push(value);
     }
     settings
 }
 
-/// Exchanges the device behind the proxy while the link is down.
+/// Replaces the device behind the proxy while the link is down, and returns the number of frames before.
 async fn replace(gateway: &Gateway, proxy: &mut Proxy, device: &Simulator) -> usize {
     proxy.go_away().await;
     gateway.until_link("reconnecting").await;
@@ -75,7 +75,7 @@ async fn replace(gateway: &Gateway, proxy: &mut Proxy, device: &Simulator) -> us
 }
 
 #[tokio::test]
-async fn a_restarted_device_gets_the_settings_that_clients_made_again() {
+async fn restarted_device_gets_its_settings_again() {
     let device = Simulator::start(&[]).await;
     let mut proxy = Proxy::to(device.address);
     let gateway = Gateway::connected_to(proxy.address).await;
@@ -89,11 +89,11 @@ async fn a_restarted_device_gets_the_settings_that_clients_made_again() {
     assert_eq!(settings(&gateway).await, made);
     assert_eq!(proxy.frames.since(before).iter().filter(|frame| frame.is_motion()).count(), 0);
     let state = gateway.state().await;
-    assert_eq!(state["referenced"], false, "it is not homed unasked: {state}");
+    assert_eq!(state["referenced"], false, "no homing without a request: {state}");
 }
 
 #[tokio::test]
-async fn another_device_in_its_place_gets_no_settings() {
+async fn replaced_device_gets_no_settings() {
     let device = Simulator::start(&[]).await;
     let mut proxy = Proxy::to(device.address);
     let gateway = Gateway::connected_to(proxy.address).await;
@@ -110,11 +110,11 @@ async fn another_device_in_its_place_gets_no_settings() {
 }
 
 #[tokio::test]
-async fn a_device_that_is_absent_at_the_start_is_connected_to_when_it_comes() {
+async fn device_absent_at_the_start_is_connected_later() {
     let device = Simulator::start(&[]).await;
     let mut proxy = Proxy::refusing(device.address);
     let gateway = Gateway::of(proxy.address).await;
-    let state = gateway.until("the cause is told", |state| state["link_cause"].is_string()).await;
+    let state = gateway.until("the state has a link cause", |state| state["link_cause"].is_string()).await;
     assert_eq!((&state["link"], &state["fast_stop"]), (&json!("connecting"), &json!(null)), "{state}");
     assert_eq!((&state["state"], &state["age_ms"]), (&json!(null), &json!(null)), "{state}");
     gateway.post("home", &json!({})).await.problem(503, "link_down");
@@ -125,7 +125,7 @@ async fn a_device_that_is_absent_at_the_start_is_connected_to_when_it_comes() {
 }
 
 #[tokio::test]
-async fn a_half_open_link_is_noticed_refuses_motions_and_recovers_without_a_reconnect() {
+async fn half_open_link_blocks_motion_and_recovers() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
     let gateway = Gateway::homed_at(proxy.address).await;
@@ -142,14 +142,14 @@ async fn a_half_open_link_is_noticed_refuses_motions_and_recovers_without_a_reco
     proxy.stall(false);
     gateway.until_link("connected").await;
     assert_eq!(proxy.frames.motions(), motions);
-    assert!(proxy.frames.all().iter().all(|frame| frame.connection == 0), "the link was kept");
+    assert!(proxy.frames.all().iter().all(|frame| frame.connection == 0), "the connection was kept");
     let state = gateway.state().await;
     assert_eq!(state["fast_stop"], false, "{state}");
     gateway.post("move", &json!({"width_mm": 40, "speed_mm_s": 100})).await.outcome("SUCCESS");
 }
 
 #[tokio::test]
-async fn a_half_open_link_that_stays_so_is_given_up_with_an_announcement() {
+async fn persistent_half_open_link_is_closed_with_an_announcement() {
     let device = Simulator::start(&[]).await;
     let mut proxy = Proxy::to(device.address);
     let gateway = Gateway::connected_to(proxy.address).await;
@@ -158,7 +158,7 @@ async fn a_half_open_link_that_stays_so_is_given_up_with_an_announcement() {
     proxy.refuse().await;
     let state = gateway.until_link("reconnecting").await;
     assert!(!state["link_cause"].as_str().unwrap().is_empty(), "{state}");
-    // What was on its way arrives now: the device hears the announcement before the end, and does not stop.
+    // Bytes in transit arrive now: the device sees the announcement before the close, and does not stop.
     proxy.stall(false);
     proxy.accept();
     gateway.until_link("connected").await;
@@ -169,7 +169,7 @@ async fn a_half_open_link_that_stays_so_is_given_up_with_an_announcement() {
 }
 
 #[tokio::test]
-async fn a_thousand_reads_of_the_state_cost_the_device_no_frame() {
+async fn thousand_state_reads_cost_the_device_no_frame() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
     let gateway = Gateway::homed_at(proxy.address).await;
@@ -180,6 +180,6 @@ async fn a_thousand_reads_of_the_state_cost_the_device_no_frame() {
     }
     let caused: Vec<_> = proxy.frames.since(before).into_iter().filter(|frame| !frame.is_upkeep()).collect();
     assert_eq!(caused, []);
-    // Upkeep goes on by time, not by reads: a temperature in 5 s, and nothing else while updates come.
+    // Upkeep follows the clock, not the reads: one temperature in 5 s, and nothing else while updates arrive.
     assert!(proxy.frames.len() - before < 100, "{:?}", proxy.frames.since(before));
 }

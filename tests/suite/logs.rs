@@ -1,11 +1,11 @@
-//! One command is found by one id: in its answer, in the journal and in the log.
+//! Command ids across the answer, the journal and the log.
 
 use serde_json::{Value, json};
 
 use crate::harness::{Gateway, Simulator};
 
 #[tokio::test]
-async fn one_command_id_is_in_the_answer_the_journal_and_the_log() {
+async fn answer_journal_and_log_share_the_command_id() {
     let device = Simulator::start(&[]).await;
     let gripper = format!("g=tcp://{}", device.address);
     let gateway = Gateway::start(&["--log-format", "json", "--gripper", &gripper]).await;
@@ -24,7 +24,7 @@ async fn one_command_id_is_in_the_answer_the_journal_and_the_log() {
         .map(|line| serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}")))
         .collect();
     let said = |message: &str| lines.iter().filter(|line| line["message"] == message).collect::<Vec<_>>();
-    // What the actor says of it, and what the door does.
+    // Lines of the actor and of the HTTP interface.
     assert_eq!(said("command admitted").iter().map(|line| &line["command"]).collect::<Vec<_>>(), [&id]);
     let ended = said("command ended");
     assert_eq!(

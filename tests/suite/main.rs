@@ -1,4 +1,4 @@
-//! The integration tests: one binary, each room of it a module.
+//! Integration tests, built as one binary. See `tests/README.md`.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
@@ -12,12 +12,11 @@ mod control;
 mod defaults;
 mod deploy;
 mod device;
-mod door;
-mod ends;
 mod fast_stop;
 mod first_grip;
-mod grips;
+mod grip_records;
 mod harness;
+mod host_and_origin;
 mod invariants;
 mod journal_files;
 mod kills;
@@ -29,9 +28,10 @@ mod noisy_udp;
 mod recordings;
 mod replay;
 mod seeds;
+mod shutdown;
 mod slow_line;
+mod transports;
 mod websocket;
-mod wires;
 mod without_connection;
 mod wsg_port;
 mod zenoh;

@@ -1,4 +1,4 @@
-//! `/metrics` and `/readyz`: what whoever is called at night looks at first.
+//! `/metrics` and `/readyz`.
 
 #![allow(clippy::float_cmp, reason = "counts are whole")]
 
@@ -8,19 +8,19 @@ use serde_json::json;
 
 use crate::harness::{Gateway, Proxy, Simulator, eventually};
 
-/// The figure of this series.
+/// Value of this series.
 #[track_caller]
 fn of(figures: &BTreeMap<String, f64>, series: &str) -> f64 {
     *figures.get(series).unwrap_or_else(|| panic!("no {series} among {figures:#?}"))
 }
 
-/// The gripper's own series of this name, with these labels behind its own.
+/// Series of this name for gripper `g`, with further labels.
 fn g(name: &str, labels: &str) -> String {
     format!("{name}{{gripper=\"g\"{labels}}}")
 }
 
 #[tokio::test]
-async fn the_figures_tell_what_was_done() {
+async fn metrics_count_commands_and_stops() {
     let device = Simulator::with_part().await;
     let gateway = Gateway::homed_at(device.address).await;
     let figures = gateway.figures().await;
@@ -65,7 +65,7 @@ async fn the_figures_tell_what_was_done() {
     let sent = of(&figures, &g("wsg_fast_stop_sent_seconds_sum", ""));
     let confirmed = of(&figures, &g("wsg_fast_stop_confirmed_seconds_sum", ""));
     assert!(sent <= confirmed && confirmed > 0.0, "{sent} s until it was sent, {confirmed} s until it was confirmed");
-    // Fractions of a second, and no milliseconds.
+    // Seconds, not milliseconds.
     let homing = of(&figures, &g("wsg_motion_duration_seconds_sum", ",kind=\"home\""));
     assert!(homing > 0.05 && homing < 60.0, "{homing}");
     for series in [
@@ -88,11 +88,11 @@ async fn the_figures_tell_what_was_done() {
 }
 
 #[tokio::test]
-async fn a_gateway_is_ready_while_its_device_is_there_and_counts_how_often_it_came_back() {
+async fn readiness_follows_the_device_and_reconnects_are_counted() {
     let device = Simulator::start(&[]).await;
     let mut proxy = Proxy::refusing(device.address);
     let gateway = Gateway::of(proxy.address).await;
-    // While it connects to what does not listen.
+    // Nothing listens at the device's address yet.
     let not_ready = gateway.get("/readyz").await;
     assert_eq!((not_ready.status, not_ready.field("ready")), (503, &json!(false)), "{not_ready:?}");
     let named = |body: &serde_json::Value| body["not_ready"][0].as_str().is_some_and(|name| name.starts_with("g: "));
@@ -101,7 +101,8 @@ async fn a_gateway_is_ready_while_its_device_is_there_and_counts_how_often_it_ca
     assert_eq!(gateway.get("/healthz").await.ok()["status"], "ok");
 
     proxy.accept();
-    let ready = eventually("it is ready", async || Some(gateway.get("/readyz").await).filter(|it| it.status == 200));
+    let ready =
+        eventually("the gateway is ready", async || Some(gateway.get("/readyz").await).filter(|it| it.status == 200));
     assert_eq!(
         ready.await.body,
         json!({"gateway": "gateway", "ready": true, "journal_cause": null, "journal_damage": null, "zenoh_cause": null, "not_ready": []})
@@ -110,7 +111,10 @@ async fn a_gateway_is_ready_while_its_device_is_there_and_counts_how_often_it_ca
     assert_eq!((of(&figures, &g("wsg_link_up", "")), of(&figures, &g("wsg_reconnects_total", ""))), (1.0, 0.0));
 
     proxy.go_away().await;
-    let lost = eventually("it is not", async || Some(gateway.get("/readyz").await).filter(|it| it.status == 503)).await;
+    let lost = eventually("the gateway is not ready", async || {
+        Some(gateway.get("/readyz").await).filter(|it| it.status == 503)
+    })
+    .await;
     assert!(named(&lost.body), "{lost:?}");
     proxy.accept();
     gateway.until_link("connected").await;

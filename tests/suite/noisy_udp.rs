@@ -1,4 +1,4 @@
-//! Datagrams that are lost, come twice or in another order cost at most the command that they hit.
+//! Lost, duplicated and reordered datagrams affect at most the command that they belong to.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
@@ -11,9 +11,9 @@ use wsg_gateway::transport::{Address, UdpAddress};
 use wsg_gateway::wsg::{Command, Data, LoopData};
 
 use crate::conformance::rig::{Rig, SOON, served, spawn};
-use crate::wires::free_udp_port;
+use crate::transports::free_udp_port;
 
-/// What the network does, and how often it did.
+/// Faults of the network, with counters.
 #[derive(Default)]
 struct Network {
     is_bad: AtomicBool,
@@ -23,7 +23,7 @@ struct Network {
 }
 
 impl Network {
-    /// What arrives instead of a datagram.
+    /// Returns the datagrams that arrive in place of this one.
     fn pass(&self, rng: &mut SmallRng, held: &mut Option<Vec<u8>>, datagram: Vec<u8>) -> Vec<Vec<u8>> {
         let mut arriving = vec![datagram];
         if self.is_bad.load(Ordering::Relaxed) {
@@ -49,7 +49,7 @@ impl Network {
     }
 }
 
-/// Carries datagrams from one socket to where another sends them.
+/// Forwards datagrams from one socket to an address.
 async fn carry(network: Arc<Network>, from: UdpSocket, to: (&'static str, u16), seed: u64) {
     let sender = UdpSocket::bind("127.0.0.1:0").await.unwrap();
     let mut rng = SmallRng::seed_from_u64(seed);
@@ -62,11 +62,11 @@ async fn carry(network: Arc<Network>, from: UdpSocket, to: (&'static str, u16), 
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_bad_network_costs_at_most_the_commands_that_it_hits() {
+async fn bad_network_affects_only_the_commands_that_it_hits() {
     let requests = UdpSocket::bind("127.0.0.1:0").await.unwrap();
     let replies = UdpSocket::bind("127.0.0.1:0").await.unwrap();
     let device = served(&format!("udp://127.0.0.1:0?reply_port={}", replies.local_addr().unwrap().port())).await;
-    let Address::Udp(UdpAddress { port: device_port, .. }) = device.address else { panic!("it is on UDP") };
+    let Address::Udp(UdpAddress { port: device_port, .. }) = device.address else { panic!("the device is on UDP") };
     let (port, local_port) = (requests.local_addr().unwrap().port(), free_udp_port());
     let network = Arc::new(Network::default());
     tokio::spawn(carry(network.clone(), requests, ("127.0.0.1", device_port), 1));
@@ -80,22 +80,22 @@ async fn a_bad_network_costs_at_most_the_commands_that_it_hits() {
     for n in 0..60u8 {
         let data = vec![n; 10];
         match rig.exchange(Command::Loop(LoopData::new(data.clone()).unwrap())).await {
-            Ok(answer) => assert_eq!(answer, Data::Loop(data), "another command's answer"),
+            Ok(answer) => assert_eq!(answer, Data::Loop(data), "reply of another command"),
             Err(_) => unanswered += 1,
         }
     }
-    assert_eq!(rig.handle.state().link, Link::Connected, "the link outlives it");
+    assert_eq!(rig.handle.state().link, Link::Connected, "the link stays up");
     for (what, happened) in [("lost", &network.lost), ("doubled", &network.doubled), ("swapped", &network.swapped)] {
-        assert!(happened.load(Ordering::Relaxed) > 0, "nothing was {what}");
+        assert!(happened.load(Ordering::Relaxed) > 0, "no datagram was {what}");
     }
     let lost = network.lost.load(Ordering::Relaxed) + network.swapped.load(Ordering::Relaxed);
-    assert!(unanswered <= lost, "{unanswered} were not answered, though only {lost} datagrams were lost or late");
+    assert!(unanswered <= lost, "{unanswered} requests failed, but only {lost} datagrams were lost or late");
 
     network.is_bad.store(false, Ordering::Relaxed);
     for n in 60..80u8 {
         let data = vec![n; 10];
         let answer = rig.exchange(Command::Loop(LoopData::new(data.clone()).unwrap())).await;
-        // The first may meet an id that is closed until a late answer can't come any more.
+        // The first can meet an id that stays closed until a late reply is impossible.
         assert!(answer == Ok(Data::Loop(data)) || n == 60, "{answer:?}");
     }
     rig.drain().await;

@@ -1,4 +1,4 @@
-//! The recordings are what a device says today, and what the transports put on the wire and take off it, byte for byte.
+//! Recordings match the simulated device, and the transports reproduce them byte for byte.
 
 use std::io;
 use std::os::fd::OwnedFd;
@@ -12,10 +12,10 @@ use wsg_gateway::transport::{Address, Pipe};
 
 use crate::conformance::rig::SOON;
 use crate::recordings::{self, Exchange, TRANSPORTS};
-use crate::wires::free_udp_port;
+use crate::transports::free_udp_port;
 
 #[test]
-fn every_command_is_said_and_answered_as_recorded() {
+fn every_command_and_reply_is_as_recorded() {
     for (transport, interface) in TRANSPORTS {
         recordings::compare(transport, interface);
     }
@@ -77,7 +77,7 @@ fn pty() -> (std::fs::File, String) {
 }
 
 #[tokio::test]
-async fn a_serial_line_has_the_recorded_stream() {
+async fn serial_line_has_the_recorded_stream() {
     let (mut device, path) = pty();
     let mut pipe = connect(&format!("serial://{path}?baud=460800")).await;
     for exchange in recordings::read("serial") {
@@ -90,7 +90,7 @@ async fn a_serial_line_has_the_recorded_stream() {
     }
 }
 
-/// Without a bus: the slices, both ways. On a real one it is a test of the `can` tests.
+/// Segmentation in both directions, without a bus. The `can` tests use a real one.
 #[test]
 fn can_has_the_recorded_frames() {
     let mut reassembler = Reassembler::default();

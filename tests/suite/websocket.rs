@@ -1,4 +1,4 @@
-//! WebSocket: requests and their answers, updates, and clients that are slow or gone.
+//! WebSocket: requests and answers, updates, and slow or lost clients.
 
 use serde_json::{Value, json};
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
@@ -15,13 +15,13 @@ async fn connected() -> (Simulator, Gateway) {
 }
 
 #[tokio::test]
-async fn a_command_is_answered_when_admitted_and_its_end_is_told() {
+async fn command_is_answered_on_admission_and_notified_at_its_end() {
     let (_device, gateway) = connected().await;
     let mut socket = Socket::open(&gateway).await;
     let running = socket.call("home", json!({"gripper": "g"})).await;
     assert_eq!((&running["phase"], &running["kind"]), (&json!("running"), &json!("home")));
     assert_eq!(running["client"], "ws:127.0.0.1");
-    let done = socket.told("command", |_| true).await;
+    let done = socket.notification("command", |_| true).await;
     assert_eq!((&done["id"], &done["outcome"]), (&running["id"], &json!("SUCCESS")), "{done}");
     let again = socket.call("command", json!({"gripper": "g", "command": running["id"]})).await;
     assert_eq!(again, done);
@@ -30,18 +30,24 @@ async fn a_command_is_answered_when_admitted_and_its_end_is_told() {
 }
 
 #[tokio::test]
-async fn a_subscription_begins_with_the_states_and_goes_on_with_what_changes() {
+async fn subscription_starts_with_states_and_continues_with_changes() {
     let (_device, gateway) = connected().await;
     let mut socket = Socket::open(&gateway).await;
-    let told = socket.call("subscribe", json!({"topics": ["state", "telemetry", "events"], "max_hz": 50})).await;
-    assert_eq!((&told["max_hz"], &told["states"][0]["gripper"]), (&json!(50), &json!("g")), "{told}");
-    let (mut state_seq, mut event_seq) = (told["states"][0]["seq"].as_u64(), told["event_seq"].as_i64().unwrap());
+    let subscription =
+        socket.call("subscribe", json!({"topics": ["state", "telemetry", "events"], "max_hz": 50})).await;
+    assert_eq!(
+        (&subscription["max_hz"], &subscription["states"][0]["gripper"]),
+        (&json!(50), &json!("g")),
+        "{subscription}"
+    );
+    let (mut state_seq, mut event_seq) =
+        (subscription["states"][0]["seq"].as_u64(), subscription["event_seq"].as_i64().unwrap());
     socket.call("home", json!({"gripper": "g"})).await;
-    let (mut has_moved, mut telemetry, mut has_ended, mut is_told) = (false, 0, false, false);
-    while !(has_moved && telemetry > 3 && has_ended && is_told) {
-        let told = socket.next().await.expect("an update");
-        let body = &told["params"];
-        match told["method"].as_str().unwrap() {
+    let (mut has_moved, mut telemetry, mut has_ended, mut has_notification) = (false, 0, false, false);
+    while !(has_moved && telemetry > 3 && has_ended && has_notification) {
+        let message = socket.next().await.expect("an update");
+        let body = &message["params"];
+        match message["method"].as_str().unwrap() {
             "state" => {
                 assert!(body["seq"].as_u64() > state_seq, "{body} after {state_seq:?}");
                 state_seq = body["seq"].as_u64();
@@ -53,17 +59,17 @@ async fn a_subscription_begins_with_the_states_and_goes_on_with_what_changes() {
                 event_seq += 1;
                 has_ended |= body["kind"] == "command" && body["phase"] == "done";
             }
-            "command" => is_told = true,
+            "command" => has_notification = true,
             other => panic!("{other}"),
         }
     }
     socket.call("subscribe", json!({"topics": []})).await;
-    socket.forget();
+    socket.drop_queued();
     assert!(socket.is_silent_for(std::time::Duration::from_millis(300)).await);
 }
 
 #[tokio::test]
-async fn what_is_wrong_is_a_json_rpc_error_with_the_problem() {
+async fn wrong_request_is_a_json_rpc_error_with_the_problem() {
     let (_device, gateway) = connected().await;
     let mut socket = Socket::open(&gateway).await;
     let grip = |width: Value| json!({"gripper": "g", "width_mm": width, "speed_mm_s": 50});
@@ -91,7 +97,7 @@ async fn what_is_wrong_is_a_json_rpc_error_with_the_problem() {
 }
 
 #[tokio::test]
-async fn a_batch_is_answered_as_one_and_a_notification_not_at_all() {
+async fn batch_gets_one_answer_and_a_notification_none() {
     let (_device, gateway) = connected().await;
     let mut socket = Socket::open(&gateway).await;
     let batch = json!([
@@ -105,14 +111,14 @@ async fn a_batch_is_answered_as_one_and_a_notification_not_at_all() {
     let ids: Vec<_> = answer.as_array().unwrap().iter().map(|answer| answer["id"].clone()).collect();
     assert_eq!(ids, [json!("a"), json!(2), Value::Null]);
     assert_eq!(answer[2]["error"]["code"], -32600);
-    gateway.until("it is homed", |state| state["referenced"] == true).await;
+    gateway.until("the gripper is homed", |state| state["referenced"] == true).await;
     socket.send(json!([{"jsonrpc": "2.0", "method": "stop", "params": {"gripper": "g"}}]).to_string()).await;
     let id = socket.begin("grippers", json!({})).await;
-    assert_eq!(socket.next().await.unwrap()["id"], id, "nothing was told of notifications");
+    assert_eq!(socket.next().await.unwrap()["id"], id, "a JSON-RPC notification gets no answer");
 }
 
 #[tokio::test]
-async fn a_fast_stop_stops_whatever_comes_with_it() {
+async fn fast_stop_accepts_malformed_requests() {
     let (_device, gateway) = connected().await;
     let mut socket = Socket::open(&gateway).await;
     let stopped = socket.call("fast-stop", json!({"gripper": "g", "reason": "test"})).await;
@@ -129,7 +135,7 @@ async fn a_fast_stop_stops_whatever_comes_with_it() {
     ] {
         socket.send(text).await;
         let stopped = |state: &Value| state["fast_stop_confirmed"] == true;
-        let state = gateway.until("it is stopped", stopped).await;
+        let state = gateway.until("the gripper is stopped", stopped).await;
         assert_eq!(state["fast_stop_by"], "ws:127.0.0.1");
         assert_eq!(state["fast_stop_reason"] == "hand", text.contains("hand"), "{state}");
         let acknowledge = json!({"gripper": "g", "fast_stop_id": state["fast_stop_id"]});
@@ -138,32 +144,32 @@ async fn a_fast_stop_stops_whatever_comes_with_it() {
 }
 
 #[tokio::test]
-async fn a_fast_stop_behind_requests_whose_answers_are_not_read_stops() {
+async fn fast_stop_passes_unread_answers() {
     let (_device, gateway) = connected().await;
     let mut socket = Socket::open(&gateway).await;
     for _ in 0..400 {
         socket.begin("info", json!({"gripper": "g"})).await;
     }
     socket.begin("fast-stop", json!({"gripper": "g"})).await;
-    gateway.until("it is stopped", |state| state["fast_stop_confirmed"] == true).await;
+    gateway.until("the gripper is stopped", |state| state["fast_stop_confirmed"] == true).await;
 }
 
 #[tokio::test]
-async fn who_reads_slowly_and_answers_pings_is_not_closed() {
+async fn slow_reader_that_answers_pings_stays_open() {
     let (_device, gateway) = connected().await;
     let mut socket = Socket::open(&gateway).await;
     let topics = json!({"topics": ["state", "telemetry", "frames"], "max_hz": 100});
     let begun = socket.call("subscribe", topics).await["states"][0]["seq"].as_u64().unwrap();
-    // Longer than a client without an answer stays, and less than a tenth of what is told.
+    // Longer than the ping time-out, while the client reads less than a tenth of the updates.
     let mut between = tokio::time::interval(std::time::Duration::from_millis(30));
     while gateway.state().await["seq"].as_u64().unwrap() < begun + 450 {
         between.tick().await;
-        socket.read().await.expect("it stays");
+        socket.read().await.expect("the socket stays open");
     }
 }
 
 #[tokio::test]
-async fn what_is_said_twice_is_refused() {
+async fn duplicate_field_is_refused() {
     let (_device, gateway) = connected().await;
     let mut socket = Socket::open(&gateway).await;
     let params = r#"{"gripper": "g", "width_mm": 50, "width_mm": 60, "speed_mm_s": 50}"#;
@@ -173,7 +179,7 @@ async fn what_is_said_twice_is_refused() {
 }
 
 #[tokio::test]
-async fn a_lease_whose_token_nobody_hears_is_not_taken() {
+async fn lease_taken_by_a_notification_is_ignored() {
     let (_device, gateway) = connected().await;
     let mut socket = Socket::open(&gateway).await;
     socket.send(r#"{"jsonrpc": "2.0", "method": "lease.take", "params": {"gripper": "g"}}"#).await;
@@ -182,7 +188,7 @@ async fn a_lease_whose_token_nobody_hears_is_not_taken() {
 }
 
 #[tokio::test]
-async fn who_is_foreign_or_speaks_something_else_gets_no_socket() {
+async fn foreign_origin_or_other_subprotocol_is_refused() {
     let (_device, gateway) = connected().await;
     let with = |name: &'static str, value: &'static str| {
         let mut request = socket_request(&gateway);
@@ -206,7 +212,7 @@ async fn who_is_foreign_or_speaks_something_else_gets_no_socket() {
 }
 
 #[tokio::test]
-async fn who_answers_no_ping_is_closed_and_who_does_is_not() {
+async fn unanswered_pings_close_the_socket() {
     let (_device, gateway) = connected().await;
     let mut lively = Socket::open(&gateway).await;
     let address = gateway.url("/").trim_start_matches("http://").trim_end_matches('/').to_owned();
@@ -220,8 +226,8 @@ async fn who_answers_no_ping_is_closed_and_who_does_is_not() {
     let mut bytes = Vec::new();
     let reading = dead.read_to_end(&mut bytes);
     tokio::select! {
-        end = tokio::time::timeout(crate::harness::DEADLINE, reading) => drop(end.expect("it is closed").unwrap()),
-        told = lively.next() => panic!("{told:?}"),
+        end = tokio::time::timeout(crate::harness::DEADLINE, reading) => drop(end.expect("a close").unwrap()),
+        message = lively.next() => panic!("{message:?}"),
     }
     let text = String::from_utf8_lossy(&bytes);
     assert!(text.starts_with("HTTP/1.1 101 ") && text.contains("sec-websocket-protocol: wsg.v1"), "{text}");
@@ -238,23 +244,23 @@ async fn observers_never_block() {
     let topics = json!({"topics": ["state", "telemetry", "frames"], "max_hz": 100});
     let begun = socket.call("subscribe", topics).await["states"][0]["seq"].as_u64().unwrap();
     let reached = |seq: u64| move |state: &Value| state["seq"].as_u64().unwrap() >= seq;
-    // About two seconds, in which much more is told than finds room on the way.
-    let stalled = gateway.until("much has happened", reached(begun + 200)).await["seq"].as_u64().unwrap();
+    // About two seconds, with many more updates than fit into the buffers.
+    let stalled = gateway.until("200 updates", reached(begun + 200)).await["seq"].as_u64().unwrap();
     let id = socket.begin("fast-stop", json!({})).await;
     eventually("the device is stopped", async || (proxy.frames.count(0x23) > 0).then_some(())).await;
     assert!(socket.answer(id).await["result"]["fast_stop_confirmed"] == true);
     let (mut last, mut jump) = (begun, 0);
     while last < stalled {
-        let seq = socket.told("state", |_| true).await["seq"].as_u64().unwrap();
+        let seq = socket.notification("state", |_| true).await["seq"].as_u64().unwrap();
         jump = jump.max(seq - last);
         last = seq;
     }
-    // The device tells its state 100 times a second, as often as this client is told at most.
-    assert!(jump > 50, "nothing was left out: the largest step is {jump}");
+    // The device updates its state 100 times a second, which is also this client's limit.
+    assert!(jump > 50, "no update was skipped: the largest step is {jump}");
 }
 
 #[tokio::test]
-async fn the_wire_log_has_the_bytes_that_the_device_got() {
+async fn wire_log_has_the_bytes_on_the_wire() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
     let gateway = Gateway::connected_to(proxy.address).await;
@@ -262,27 +268,27 @@ async fn the_wire_log_has_the_bytes_that_the_device_got() {
     socket.call("subscribe", json!({"topics": ["frames"], "grippers": ["g"]})).await;
     let before = proxy.frames.len();
     socket.call("home", json!({"gripper": "g"})).await;
-    let pending = socket.told("frame", |frame| frame["text"] == "Homing -> E_CMD_PENDING").await;
+    let pending = socket.notification("frame", |frame| frame["text"] == "Homing -> E_CMD_PENDING").await;
     let hex = |id: u8, payload: &[u8]| {
         let mut bytes = Vec::new();
         wsg_gateway::wsg::frame::encode(id, payload, &mut bytes);
         json!(hex::encode(bytes))
     };
     assert_eq!((&pending["direction"], &pending["hex"]), (&json!("received"), &hex(0x20, &[26, 0])));
-    let ended = socket.told("frame", |frame| frame["text"] == "Homing -> E_SUCCESS").await;
+    let ended = socket.notification("frame", |frame| frame["text"] == "Homing -> E_SUCCESS").await;
     assert!(ended["seq"].as_u64() > pending["seq"].as_u64());
     socket.call("stop", json!({"gripper": "g"})).await;
-    let sent = socket.told("frame", |frame| frame["direction"] == "sent" && frame["id"] == 0x22).await;
+    let sent = socket.notification("frame", |frame| frame["direction"] == "sent" && frame["id"] == 0x22).await;
     assert_eq!((&sent["name"], &sent["text"], &sent["gripper"]), (&json!("Stop"), &json!("Stop"), &json!("g")));
     let stop = proxy.frames.since(before).into_iter().find(|frame| frame.id == 0x22).unwrap();
     assert_eq!(sent["hex"], hex(stop.id, &stop.payload));
 }
 
 #[tokio::test]
-async fn decode_follows_the_wire_and_says_when_it_ends() {
+async fn decode_follows_the_wire_until_the_gateway_ends() {
     let (_device, gateway) = connected().await;
     let mut following = Process::start(&["decode", "--follow", &gateway.url("/api/v1/grippers/g")]);
-    eventually("the wire is followed", async || (following.lines() > 0).then_some(())).await;
+    eventually("decode prints frames", async || (following.lines() > 0).then_some(())).await;
     gateway.post("home", &json!({})).await.outcome("SUCCESS");
     following.word_after(" g < Homing -> E_CMD_").await;
     assert_eq!(following.word_after(" g > Homing ").await, "direction=default");
@@ -292,7 +298,7 @@ async fn decode_follows_the_wire_and_says_when_it_ends() {
 }
 
 #[tokio::test]
-async fn decode_says_why_it_can_follow_nothing() {
+async fn decode_names_an_unknown_gripper_or_gateway() {
     let (_device, gateway) = connected().await;
     let said = run(&["decode", "--follow", &gateway.url("/api/v1/grippers/h")]).await.stderr;
     assert!(said.contains("there is no gripper of this name"), "{said}");
@@ -301,7 +307,7 @@ async fn decode_says_why_it_can_follow_nothing() {
 }
 
 #[tokio::test]
-async fn every_method_answers_as_it_is_described() {
+async fn every_answer_matches_its_description() {
     let (_device, gateway) = connected().await;
     let mut socket = Socket::open(&gateway).await;
     socket.call("subscribe", json!({"topics": ["state", "telemetry", "events", "frames"]})).await;
@@ -340,7 +346,7 @@ async fn every_method_answers_as_it_is_described() {
         }
         let answer = socket.call(method, params).await;
         if answer["phase"] == "running" {
-            socket.told("command", |command| command["id"] == answer["id"]).await;
+            socket.notification("command", |command| command["id"] == answer["id"]).await;
         }
     }
     let all = socket.call("fast-stop", json!({})).await;
@@ -353,7 +359,7 @@ async fn every_method_answers_as_it_is_described() {
     assert_eq!(served.body.as_str(), Some(wsg_gateway::interfaces::http::asyncapi().unwrap().as_str()));
 }
 
-/// A socket that holds the lease of a homed gripper, and has begun a slow motion.
+/// Opens a socket that holds the lease of a homed gripper and has started a slow motion.
 async fn moving_holder(gateway: &Gateway, terms: Value) -> Socket {
     gateway.post("home", &json!({"direction": "outer"})).await.outcome("SUCCESS");
     let mut socket = Socket::open(gateway).await;
@@ -366,11 +372,15 @@ async fn moving_holder(gateway: &Gateway, terms: Value) -> Socket {
 }
 
 #[tokio::test]
-async fn a_lease_without_a_time_lives_as_long_as_its_socket_whose_end_is_a_loss() {
+async fn lease_without_a_ttl_lives_as_long_as_its_socket() {
     let (_device, gateway) = connected().await;
     let mut socket = moving_holder(&gateway, json!({"gripper": "g", "holder": "robot"})).await;
     let lease = socket.call("lease", json!({"gripper": "g"})).await;
-    assert_eq!((&lease["holder"], &lease["expires_in_ms"]), (&json!("robot"), &lease["ttl_ms"]), "it is kept");
+    assert_eq!(
+        (&lease["holder"], &lease["expires_in_ms"]),
+        (&json!("robot"), &lease["ttl_ms"]),
+        "the socket keeps the lease"
+    );
     gateway.post("move", &json!({"width_mm": 50, "speed_mm_s": 50})).await.problem(409, "lease_held");
     drop(socket);
     let state = gateway.until("the loss is a FAST STOP", |state| state["fast_stop"] == true).await;
@@ -378,7 +388,7 @@ async fn a_lease_without_a_time_lives_as_long_as_its_socket_whose_end_is_a_loss(
 }
 
 #[tokio::test]
-async fn a_lease_that_was_taken_again_is_not_lost_with_the_socket_before() {
+async fn lease_retaken_on_another_socket_survives_the_first() {
     let (_device, gateway) = connected().await;
     let mut before = Socket::open(&gateway).await;
     let lease = before.call("lease.take", json!({"gripper": "g", "holder": "robot"})).await;
@@ -387,15 +397,15 @@ async fn a_lease_that_was_taken_again_is_not_lost_with_the_socket_before() {
     assert_eq!((&again["token"], &again["epoch"]), (&lease["token"], &lease["epoch"]));
     let homed = socket.call("home", json!({"gripper": "g", "lease": lease["token"]})).await;
     drop(before);
-    let done = socket.told("command", |_| true).await;
+    let done = socket.notification("command", |_| true).await;
     assert_eq!((&done["id"], &done["outcome"]), (&homed["id"], &json!("SUCCESS")), "{done}");
     assert_eq!(gateway.state().await["lease_holder"], "robot");
     drop(socket);
-    gateway.until("nobody holds it", |state| state["lease_holder"].is_null()).await;
+    gateway.until("the lease is free", |state| state["lease_holder"].is_null()).await;
 }
 
 #[tokio::test]
-async fn a_lease_that_was_released_is_not_lost_with_its_socket() {
+async fn released_lease_is_not_lost_with_its_socket() {
     let (_device, gateway) = connected().await;
     let mut socket = Socket::open(&gateway).await;
     let lease = socket.call("lease.take", json!({"gripper": "g"})).await;

@@ -1,5 +1,5 @@
-//! Links without connections (UDP, RS-232, CAN): nothing tells that the other end is gone, so silence and lost references
-//! have to. On a virtual clock, and checked on the frames that the device received.
+//! Links without connections (UDP, RS-232, CAN): nothing reports a lost peer, so silence and lost references have to.
+//! The tests run on a virtual clock and check the frames that the device received.
 
 use std::time::Duration;
 
@@ -25,7 +25,7 @@ fn reboot(ready_after_ms: u32) -> Change {
 }
 
 #[test]
-fn a_restart_is_noticed_by_the_lost_reference_and_settings_are_restored_before_any_motion() {
+fn lost_reference_reveals_a_restart_and_settings_are_restored() {
     let mut world = homed();
     let acceleration = Acceleration::new(500.0).unwrap();
     drop(exchange(&mut world, wsg::Command::SetAcceleration(acceleration)));
@@ -34,7 +34,7 @@ fn a_restart_is_noticed_by_the_lost_reference_and_settings_are_restored_before_a
     world.advance(Duration::from_millis(200));
     let from = mark(&world);
     world.device.apply(world.now, reboot(300));
-    // Its automatic updates are asked for again within a second, and then tell.
+    // The gateway renews the automatic updates within a second, and they show the restart.
     world.advance(Duration::from_secs(3));
     assert_eq!(finish(&mut world, &running).outcome, Some(Outcome::Unknown));
     assert_eq!((state(&world).link, state(&world).referenced), (Link::Connected, Some(false)));
@@ -46,7 +46,7 @@ fn a_restart_is_noticed_by_the_lost_reference_and_settings_are_restored_before_a
 }
 
 #[test]
-fn a_restart_of_a_device_that_was_never_referenced_is_noticed_by_its_updates() {
+fn lost_updates_reveal_a_restart_of_an_unreferenced_device() {
     let mut world = World::calm_on(Interface::Serial, device(), Some(11_520));
     let acceleration = Acceleration::new(500.0).unwrap();
     drop(exchange(&mut world, wsg::Command::SetAcceleration(acceleration)));
@@ -60,7 +60,7 @@ fn a_restart_of_a_device_that_was_never_referenced_is_noticed_by_its_updates() {
 }
 
 #[test]
-fn a_restart_in_a_homing_ends_it_as_unknown_long_before_its_deadline() {
+fn restart_during_a_homing_ends_it_as_unknown_early() {
     let mut world = homed();
     let acceleration = Acceleration::new(500.0).unwrap();
     drop(exchange(&mut world, wsg::Command::SetAcceleration(acceleration)));
@@ -77,14 +77,14 @@ fn a_restart_in_a_homing_ends_it_as_unknown_long_before_its_deadline() {
 }
 
 #[test]
-fn a_motion_asked_for_after_a_restart_waits_until_the_settings_are_known() {
+fn motion_after_a_restart_waits_for_the_settings() {
     let mut world = homed();
     let acceleration = Acceleration::new(500.0).unwrap();
     drop(exchange(&mut world, wsg::Command::SetAcceleration(acceleration)));
     world.advance(Duration::from_millis(200));
     world.device.apply(world.now, reboot(200));
     world.advance(Duration::from_millis(900));
-    // Nothing tells of the restart yet; its homing hides the lost reference.
+    // The gateway has not noticed the restart yet, and the homing hides the lost reference.
     let homing = start(&mut world, home());
     finish(&mut world, &homing);
     world.advance(Duration::from_secs(2));
@@ -93,7 +93,7 @@ fn a_motion_asked_for_after_a_restart_waits_until_the_settings_are_known() {
 }
 
 #[test]
-fn a_long_reply_on_the_slowest_line_is_no_silence() {
+fn long_reply_on_the_slowest_line_is_not_silence() {
     let mut world = World::calm_on(Interface::Serial, device(), Some(120));
     world.advance(Duration::from_secs(10));
     assert_eq!(state(&world).link, Link::Connected, "{}", world.tail());
@@ -107,7 +107,7 @@ fn a_long_reply_on_the_slowest_line_is_no_silence() {
 }
 
 #[test]
-fn a_homing_is_no_restart_whoever_asked_for_it() {
+fn homing_is_not_taken_for_a_restart() {
     let mut world = homed();
     assert_eq!(run(&mut world, home()).outcome, Some(Outcome::Success));
     let mut foreign = Vec::new();
@@ -125,22 +125,22 @@ fn a_homing_is_no_restart_whoever_asked_for_it() {
 }
 
 #[test]
-fn silence_is_noticed_within_a_second_and_a_half_and_the_link_is_made_again() {
+fn silence_is_noticed_within_1500_ms_and_the_link_is_reopened() {
     let mut world = homed();
     world.device.apply(world.now, Change::HalfOpen { on: true });
     world.advance(Duration::from_millis(1450));
     assert_eq!(state(&world).link, Link::Connected);
     world.advance(Duration::from_millis(100));
     assert_eq!(state(&world).link, Link::Unresponsive);
-    // The simulated device's wires are whole again once its link is made anew.
+    // The simulated device ends the fault when the link is reopened.
     world.advance(Duration::from_secs(6));
     assert!(world.log.iter().any(|line| line.contains("closing: nothing was heard")), "{}", world.tail());
     assert_eq!(state(&world).link, Link::Connected);
-    assert!(state(&world).latch.is_none(), "no connection has ended, so the device did not stop");
+    assert!(state(&world).latch.is_none(), "without a connection to end, the device did not stop");
 }
 
 #[test]
-fn the_orderly_end_is_a_stop_if_it_moves_and_never_an_announcement() {
+fn orderly_end_is_a_stop_without_an_announcement() {
     let mut world = homed();
     let slow = start(&mut world, move_to(10.0, 5.0));
     world.advance(Duration::from_millis(500));
@@ -156,7 +156,7 @@ fn the_orderly_end_is_a_stop_if_it_moves_and_never_an_announcement() {
 }
 
 #[test]
-fn a_latch_outlives_a_restart_that_nothing_but_the_lost_reference_tells() {
+fn latch_survives_a_restart_without_a_disconnect() {
     let mut world = homed();
     let id = fast_stop(&mut world);
     world.advance(Duration::from_millis(200));

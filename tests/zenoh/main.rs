@@ -1,10 +1,11 @@
-//! The examples for users of Zenoh, in Python. Not a part of plain `cargo test`, so that a machine without the package
-//! never counts them as passed: `WSG_TEST_PYTHON=…/bin/python cargo test --test zenoh`, with `eclipse-zenoh` there.
+//! The Python examples for Zenoh users. They are excluded from plain `cargo test`, so that a machine without the
+//! package does not count them as passed. Run them with `WSG_TEST_PYTHON=…/bin/python cargo test --test zenoh`, with
+//! `eclipse-zenoh` installed there.
 
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "tests")]
 
 #[path = "../suite/harness/mod.rs"]
-#[allow(dead_code, unused_imports, reason = "the other doubles are for the other tests")]
+#[allow(dead_code, unused_imports, reason = "parts used only by other tests")]
 mod harness;
 
 use std::process::Stdio;
@@ -20,7 +21,7 @@ use harness::{DEADLINE, Gateway, Proxy, Simulator, eventually};
 const FAST_STOP: u8 = 0x23;
 const DISCONNECT_ANNOUNCEMENT: u8 = 0x07;
 
-/// A gripper with a part of 20 mm in reach, and what goes over its wire.
+/// A gripper with a part of 20 mm in reach, behind a recording proxy.
 struct Rig {
     _device: Simulator,
     proxy: Proxy,
@@ -46,40 +47,40 @@ impl Rig {
         command.stdout(Stdio::piped()).stderr(Stdio::inherit()).kill_on_drop(true).spawn().unwrap()
     }
 
-    /// Runs it to its end, and returns what it has said.
-    async fn said(&self, name: &str, arguments: &[&str]) -> String {
+    /// Runs an example until it exits, and returns its output.
+    async fn output(&self, name: &str, arguments: &[&str]) -> String {
         let ended = timeout(DEADLINE * 2, self.example(name, arguments).wait_with_output()).await;
-        let ended = ended.expect("it ends").unwrap();
-        let said = String::from_utf8(ended.stdout).unwrap();
-        assert!(ended.status.success(), "{name}: {said}");
-        said
+        let ended = ended.expect("the example exits").unwrap();
+        let output = String::from_utf8(ended.stdout).unwrap();
+        assert!(ended.status.success(), "{name}: {output}");
+        output
     }
 }
 
 #[tokio::test]
-async fn the_example_watches_and_grips() {
+async fn example_watches_and_grips() {
     let rig = Rig::start().await;
-    let said = rig.said("watch_and_grip.py", &["--speed-mm-s", "100"]).await;
-    assert!(said.contains("grip: PART_HELD, "), "{said}");
-    assert!(said.lines().filter(|line| line.contains(" mm ")).count() > 3, "it watches: {said}");
+    let output = rig.output("watch_and_grip.py", &["--speed-mm-s", "100"]).await;
+    assert!(output.contains("grip: PART_HELD, "), "{output}");
+    assert!(output.lines().filter(|line| line.contains(" mm ")).count() > 3, "the example prints updates: {output}");
     let state = rig.gateway.state().await;
     assert_eq!((&state["state"], &state["lease_holder"]), (&json!("HOLDING"), &Value::Null));
     assert_eq!(rig.proxy.frames.count(FAST_STOP), 0);
 }
 
 #[tokio::test]
-async fn the_example_that_is_killed_while_it_grips_leaves_a_fast_stop() {
+async fn killed_example_leaves_a_fast_stop() {
     let rig = Rig::start().await;
     rig.gateway.post("home", &json!({"direction": "outer"})).await.outcome("SUCCESS");
     let mut example = rig.example("watch_and_grip.py", &["--speed-mm-s", "5"]);
     let mut lines = BufReader::new(example.stdout.take().unwrap()).lines();
-    let line = timeout(DEADLINE, lines.next_line()).await.expect("it grips").unwrap();
-    assert!(line.is_some(), "it watches what moves");
+    let line = timeout(DEADLINE, lines.next_line()).await.expect("the example grips").unwrap();
+    assert!(line.is_some(), "the example prints updates");
     rig.gateway.until_moving().await;
     let killed = Instant::now();
     example.kill().await.unwrap();
     eventually("23h", async || rig.proxy.frames.first_since(FAST_STOP, killed)).await;
-    let state = rig.gateway.until("it is confirmed", |state| state["fast_stop_confirmed"] == true).await;
+    let state = rig.gateway.until("the FAST STOP is confirmed", |state| state["fast_stop_confirmed"] == true).await;
     assert_eq!((&state["fast_stop_cause"], &state["lease_holder"]), (&json!("client_lost"), &Value::Null), "{state}");
     let event = rig.gateway.get("/api/v1/events?kind=lease&limit=1").await.ok()["events"][0].clone();
     assert_eq!(
@@ -90,10 +91,10 @@ async fn the_example_that_is_killed_while_it_grips_leaves_a_fast_stop() {
 }
 
 #[tokio::test]
-async fn a_gripper_command_has_the_result_that_ros_2_knows() {
+async fn gripper_command_has_a_ros_2_result() {
     let rig = Rig::start().await;
     let result = async |position: &str, effort: &str| -> Value {
-        serde_json::from_str(&rig.said("gripper_command.py", &[position, effort]).await).unwrap()
+        serde_json::from_str(&rig.output("gripper_command.py", &[position, effort]).await).unwrap()
     };
     let held = result("0.020", "30.0").await;
     assert_eq!((&held["stalled"], &held["reached_goal"]), (&json!(true), &json!(true)), "{held}");
@@ -107,15 +108,15 @@ async fn a_gripper_command_has_the_result_that_ros_2_knows() {
 }
 
 #[tokio::test]
-async fn a_gripper_command_whose_end_is_not_known_has_a_result_without_values() {
+async fn unknown_gripper_command_has_a_result_without_values() {
     let mut rig = Rig::start().await;
     rig.gateway.post("home", &json!({"direction": "outer"})).await.outcome("SUCCESS");
     let command = rig.example("gripper_command.py", &["0.005", "0.0"]);
     rig.gateway.until_moving().await;
     rig.proxy.go_away().await;
-    let ended = timeout(DEADLINE * 2, command.wait_with_output()).await.expect("it ends").unwrap();
-    let said = String::from_utf8(ended.stdout).unwrap();
-    assert!(ended.status.success(), "{said}");
-    let result: Value = serde_json::from_str(&said).unwrap();
+    let ended = timeout(DEADLINE * 2, command.wait_with_output()).await.expect("the example exits").unwrap();
+    let output = String::from_utf8(ended.stdout).unwrap();
+    assert!(ended.status.success(), "{output}");
+    let result: Value = serde_json::from_str(&output).unwrap();
     assert_eq!((&result["position"], &result["reached_goal"]), (&Value::Null, &json!(false)), "{result}");
 }

@@ -1,4 +1,4 @@
-//! Requests whose bodies never come.
+//! Requests with unfinished bodies.
 
 use std::io;
 use std::sync::Arc;
@@ -11,10 +11,10 @@ use crate::attacker::{Attacker, Crowd};
 use crate::device::Device;
 use crate::gateway::{Gateway, Limits};
 
-/// The connections that the gateway admits at a time.
-const ALL_PLACES: usize = 1024;
+/// Maximum number of connections in the gateway.
+const ALL_SLOTS: usize = 1024;
 
-/// Sends a whole head and one byte of its body, and waits for the end of the connection.
+/// Sends a whole head and one byte of the body, and waits for the end of the connection.
 pub async fn half_sent_body(crowd: Arc<Crowd>, index: usize, mut stream: TcpStream) -> io::Result<()> {
     let (method, host) = match index % 4 {
         0 => ("POST", "localhost"),
@@ -35,15 +35,15 @@ fn attacked_by(count: usize) {
     let (g, h) = (Device::start(), Device::start());
     let gateway = Gateway::start(&g, &h, Limits::Inherited);
     let begin = || Attacker::start("half_sent_bodies", count, gateway.address);
-    attack::run(&format!("{count} half-sent bodies"), MANY, (&gateway, &g), begin, |_, _| {}).keeps_nobody_out();
+    attack::run(&format!("{count} half-sent bodies"), MANY, (&gateway, &g), begin, |_, _| {}).blocks_no_client();
 }
 
 #[test]
-fn half_sent_bodies_keep_nobody_out() {
-    attacked_by(ALL_PLACES);
+fn half_sent_bodies_block_no_client() {
+    attacked_by(ALL_SLOTS);
 }
 
 #[test]
-fn more_half_sent_bodies_than_places_keep_nobody_out() {
+fn excess_half_sent_bodies_block_no_client() {
     attacked_by(3500);
 }

@@ -1,4 +1,4 @@
-//! A gateway that may have few file descriptors.
+//! A gateway with few file descriptors.
 
 use std::time::Duration;
 
@@ -7,16 +7,16 @@ use crate::attacker::Attacker;
 use crate::device::Device;
 use crate::gateway::{Gateway, Limits};
 
-/// The default limits of a service.
+/// Default limits of a service.
 const USUAL: Limits = Limits::Descriptors { soft: 1024, hard: 20_000 };
 
-/// All but a few of the WebSockets that the usual soft limit has room for.
+/// Slightly fewer WebSockets than the soft limit allows.
 const SOCKETS: usize = 988;
 
 const RECONNECTS_WITHIN: Duration = Duration::from_secs(3);
 
 #[test]
-fn the_usual_soft_limit_of_descriptors_keeps_nobody_out() {
+fn default_descriptor_limit_blocks_no_client() {
     let (g, h) = (Device::start(), Device::start());
     let gateway = Gateway::start(&g, &h, USUAL);
     let begin = || Attacker::start("healthy_sockets", SOCKETS, gateway.address);
@@ -24,15 +24,15 @@ fn the_usual_soft_limit_of_descriptors_keeps_nobody_out() {
     let row = attack::run("988 WebSockets, soft limit 1024", SOME, (&gateway, &g), begin, |_, _| {
         reconnected_after = g.reconnect_time(3 * RECONNECTS_WITHIN);
     });
-    println!("the device was connected again after {reconnected_after:?}");
+    println!("the device was reconnected after {reconnected_after:?}");
     let is_soon = reconnected_after.is_some_and(|after| after <= RECONNECTS_WITHIN);
-    assert!(is_soon, "the device was connected again after {reconnected_after:?}");
-    row.keeps_nobody_out();
+    assert!(is_soon, "the device was reconnected after {reconnected_after:?}");
+    row.blocks_no_client();
 }
 
 /// With one gripper, since each device takes a descriptor.
 #[test]
-fn a_hard_limit_of_64_descriptors_keeps_nobody_out() {
+fn hard_limit_of_64_descriptors_blocks_no_client() {
     let g = Device::start();
     let gateway = Gateway::of(&g, Limits::Descriptors { soft: 64, hard: 64 });
     let begin = || Attacker::start("half_sent_bodies", 200, gateway.address);
@@ -40,7 +40,7 @@ fn a_hard_limit_of_64_descriptors_keeps_nobody_out() {
     let row = attack::run("200 half-sent bodies, hard limit 64", SOME, (&gateway, &g), begin, |_, _| {
         reconnected_after = g.reconnect_time(3 * RECONNECTS_WITHIN);
     });
-    println!("the device was connected again after {reconnected_after:?}");
+    println!("the device was reconnected after {reconnected_after:?}");
     assert!(reconnected_after.is_some_and(|after| after <= RECONNECTS_WITHIN), "{reconnected_after:?}");
-    row.keeps_nobody_out();
+    row.blocks_no_client();
 }

@@ -1,4 +1,4 @@
-//! The attacks that each run of the tests makes.
+//! Attacks in every run of the tests.
 
 mod bodies;
 mod descriptors;
@@ -11,7 +11,7 @@ use crate::attacker::Crowd;
 
 pub use sockets::{healthy_socket, subscribed};
 
-/// Begins an attack of this name, if it is one of these.
+/// Starts the attack of this name, if it is defined here.
 pub fn attack(name: &str, crowd: &Arc<Crowd>, count: usize) {
     match name {
         "half_sent_bodies" => crowd.each(count, bodies::half_sent_body),

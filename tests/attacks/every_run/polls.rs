@@ -1,4 +1,4 @@
-//! Requests that wait for the end of a motion that does not end.
+//! Requests that wait for a motion that never ends.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -14,15 +14,15 @@ use crate::http;
 
 const POLLS: usize = 1100;
 
-/// The pause between an answer and the next request.
+/// Pause between an answer and the next request.
 const AGAIN_AFTER: Duration = Duration::from_millis(100);
 
-/// The motion that all of them wait for: of the other gripper, which no FAST STOP but the last ones stops.
+/// The motion that all of them wait for. It runs on the other gripper, which only the last FAST STOPs affect.
 const MOVE: &str = r#"{"width_mm": 20, "speed_mm_s": 50, "request_id": "the only one"}"#;
 
-/// Begins one motion, and waits for it by the same request and by its id.
+/// Starts one motion, and waits for it by the same request and by its id.
 pub fn begin(crowd: &Arc<Crowd>, count: usize) {
-    let begun = http::post(crowd.address, "/api/v1/grippers/h/move?wait_ms=0", MOVE).expect("it is answered");
+    let begun = http::post(crowd.address, "/api/v1/grippers/h/move?wait_ms=0", MOVE).expect("an answer");
     let body: serde_json::Value = serde_json::from_str(&begun.body).unwrap();
     let id = body["id"].as_str().unwrap_or_else(|| panic!("no command: {body}")).to_owned();
     let wait = move |crowd: Arc<Crowd>, index: usize, mut stream: tokio::net::TcpStream| {
@@ -45,9 +45,9 @@ pub fn begin(crowd: &Arc<Crowd>, count: usize) {
 }
 
 #[test]
-fn long_polls_keep_nobody_out() {
+fn long_polls_block_no_client() {
     let (g, h) = (Device::start(), Device::start());
     let gateway = Gateway::start(&g, &h, Limits::Inherited);
     let begin = || Attacker::start("long_polls", POLLS, gateway.address);
-    attack::run("1100 long polls", MANY, (&gateway, &g), begin, |_, _| {}).keeps_nobody_out();
+    attack::run("1100 long polls", MANY, (&gateway, &g), begin, |_, _| {}).blocks_no_client();
 }

@@ -1,4 +1,4 @@
-//! As many well-behaved WebSockets as the gateway takes, and a few requests whose bodies never come.
+//! As many well-behaved WebSockets as the gateway accepts, and a few requests with unfinished bodies.
 
 use std::io;
 use std::sync::Arc;
@@ -17,12 +17,12 @@ use crate::gateway::{Gateway, Limits};
 
 const SOCKETS: usize = 1008;
 const HALF_SENT: usize = 20;
-/// Subscribes to what happens and to the state, reads all of it, and answers pings.
+/// Subscribes to events and states, reads everything, and answers pings.
 pub async fn healthy_socket(crowd: Arc<Crowd>, _: usize, stream: TcpStream) -> io::Result<()> {
     subscribed(crowd, stream, r#"{"topics": ["state", "events"], "max_hz": 2}"#).await
 }
 
-/// Opens a WebSocket with these parameters of `subscribe`, and reads all that it is told.
+/// Opens a WebSocket with these `subscribe` parameters, and reads all messages.
 pub async fn subscribed(crowd: Arc<Crowd>, stream: TcpStream, params: &str) -> io::Result<()> {
     stream.set_nodelay(true)?;
     let url = format!("ws://{}/api/v1/ws", crowd.address);
@@ -39,12 +39,12 @@ pub async fn subscribed(crowd: Arc<Crowd>, stream: TcpStream, params: &str) -> i
 }
 
 #[test]
-fn healthy_sockets_and_a_few_half_sent_bodies_keep_nobody_out() {
+fn healthy_sockets_and_half_sent_bodies_block_no_client() {
     let (g, h) = (Device::start(), Device::start());
     let gateway = Gateway::start(&g, &h, Limits::Inherited);
     let begin = || {
         let sockets = Attacker::start("healthy_sockets", SOCKETS, gateway.address);
         (sockets, Attacker::start("half_sent_bodies", HALF_SENT, gateway.address))
     };
-    attack::run("1008 WebSockets, 20 half-sent bodies", MANY, (&gateway, &g), begin, |_, _| {}).keeps_nobody_out();
+    attack::run("1008 WebSockets, 20 half-sent bodies", MANY, (&gateway, &g), begin, |_, _| {}).blocks_no_client();
 }

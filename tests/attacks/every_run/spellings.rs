@@ -1,4 +1,4 @@
-//! FAST STOPs, and requests, that are not written as the API has them.
+//! Unusual spellings of FAST STOPs and other requests.
 
 use std::io::Write as _;
 
@@ -37,7 +37,7 @@ fn fast_stop_with_a_trailing_slash_stops() {
 }
 
 #[test]
-fn empty_host_is_an_absent_host() {
+fn empty_host_counts_as_absent() {
     with_probe(|gateway, _| {
         for head in ["GET /api/v1/grippers HTTP/1.0\r\n\r\n", "GET /api/v1/grippers HTTP/1.1\r\nHost: \r\n\r\n"] {
             let answer = http::ask(&mut gateway.connect().unwrap(), head).unwrap();

@@ -10,16 +10,16 @@ use crate::device::Device;
 use crate::gateway::{Gateway, Limits};
 use crate::probe::{Stops, Way};
 
-/// The connections under way at a time, of those that are closed at once.
+/// Simultaneous connection attempts of the attack that closes at once.
 const UNDER_WAY: usize = 32;
 
-/// The FAST STOPs of clients that say nothing at first.
+/// Number of FAST STOPs from clients that pause before their first byte.
 const HESITANT: usize = 60;
 
-/// The connections that are held: of more, the oldest is closed.
+/// Number of connections kept open; beyond it, the oldest is closed.
 const HELD: usize = 4000;
 
-/// Connects and closes at once, as fast as one thread can. Closes with a reset, which leaves no used port behind.
+/// Connects and closes as fast as one thread can. Closes with a reset, which leaves no port in TIME_WAIT.
 pub fn close(crowd: &Arc<Crowd>, count: usize) {
     for index in 0..UNDER_WAY {
         let crowd = crowd.clone();
@@ -35,7 +35,7 @@ pub fn close(crowd: &Arc<Crowd>, count: usize) {
     }
 }
 
-/// Connects and holds, as fast as one thread can.
+/// Connects and keeps the connections open, as fast as one thread can.
 pub fn hold(crowd: &Arc<Crowd>, count: usize) {
     let crowd = crowd.clone();
     tokio::spawn(async move {
@@ -65,19 +65,17 @@ fn attacked_by(attack: &str) {
         println!("{attack}: {} connections were opened", attacker.done().opened);
     });
     let (reached, slowest) = (hesitant.reached(), hesitant.percentile(100));
-    println!(
-        "{attack}: {reached} of {HESITANT} hesitant FAST STOPs have reached the device, the last after {slowest:?}"
-    );
-    row.keeps_nobody_out();
-    assert_eq!(reached, HESITANT, "hesitant FAST STOPs have reached the device");
+    println!("{attack}: {reached} of {HESITANT} hesitant FAST STOPs reached the device, the last after {slowest:?}");
+    row.blocks_no_client();
+    assert_eq!(reached, HESITANT, "hesitant FAST STOPs that reached the device");
 }
 
 #[test]
-fn connections_that_close_at_once_keep_nobody_out() {
+fn closed_connections_block_no_client() {
     attacked_by("connect_and_close");
 }
 
 #[test]
-fn connections_that_are_held_keep_nobody_out() {
+fn held_connections_block_no_client() {
     attacked_by("connect_and_hold");
 }

@@ -1,4 +1,4 @@
-//! Attacks on a gateway that may have few file descriptors, and no more: it must never want another one.
+//! Attacks on a gateway with few file descriptors: it must never exceed its limit.
 
 use std::time::Duration;
 
@@ -19,10 +19,10 @@ fn attacked_by(attack: &str, count: usize) {
     let row = attack::run(&format!("{attack}, limit 600"), SOME, (&gateway, &g), begin, |_, _| {
         reconnected_after = g.reconnect_time(3 * RECONNECTS_WITHIN);
     });
-    println!("the device was connected again after {reconnected_after:?}");
-    assert!(!gateway.log().contains("os error 24"), "the gateway has wanted more descriptors than it may have");
+    println!("the device was reconnected after {reconnected_after:?}");
+    assert!(!gateway.log().contains("os error 24"), "the gateway ran out of descriptors");
     assert!(reconnected_after.is_some_and(|after| after <= RECONNECTS_WITHIN), "{reconnected_after:?}");
-    // So few descriptors leave no poller its connection beside a thousand others.
+    // With this few descriptors, a poller can lose its connection among a thousand others.
     row.reaches_the_device();
 }
 

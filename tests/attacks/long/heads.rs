@@ -1,4 +1,4 @@
-//! Requests whose heads never end.
+//! Requests with unfinished heads.
 
 use std::io;
 use std::sync::Arc;
@@ -11,7 +11,7 @@ use crate::attacker::{Attacker, Crowd};
 use crate::device::Device;
 use crate::gateway::{Gateway, Limits};
 
-/// Sends the beginning of a head, a third of them that of a FAST STOP, and waits for the end of the connection.
+/// Sends the beginning of a head, every third one of a FAST STOP, and waits for the end of the connection.
 pub async fn half_head(crowd: Arc<Crowd>, index: usize, mut stream: TcpStream) -> io::Result<()> {
     let head = ["POST /api/v1/fast-stop HTTP/1.1\r\nHost: loc", "POST /api/v1/grippers/g/fast-st", "G"][index % 3];
     stream.write_all(head.as_bytes()).await?;
@@ -22,9 +22,9 @@ pub async fn half_head(crowd: Arc<Crowd>, index: usize, mut stream: TcpStream) -
 }
 
 #[test]
-fn half_heads_keep_nobody_out() {
+fn half_heads_block_no_client() {
     let (g, h) = (Device::start(), Device::start());
     let gateway = Gateway::start(&g, &h, Limits::Inherited);
     let begin = || Attacker::start("half_heads", 2000, gateway.address);
-    attack::run("2000 half heads", MANY, (&gateway, &g), begin, |_, _| {}).keeps_nobody_out();
+    attack::run("2000 half heads", MANY, (&gateway, &g), begin, |_, _| {}).blocks_no_client();
 }

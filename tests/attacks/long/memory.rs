@@ -1,4 +1,4 @@
-//! WebSockets that ask for much, and read nothing.
+//! WebSockets that send expensive requests and read nothing.
 
 use std::io;
 use std::sync::Arc;
@@ -14,24 +14,24 @@ use crate::device::Device;
 use crate::gateway::{Gateway, Limits};
 use crate::websocket::{KEY, PONG, Socket, TEXT, frame, upgrade};
 
-/// The bound on the gateway's memory.
+/// Limit on the gateway's memory.
 const MOST_MB: usize = 300;
 
-/// The bound on its address space, at which it ends: this machine has other things to do.
+/// Limit on the gateway's address space, which protects the machine.
 const ENDS_AT_MB: u32 = 4096;
 
-/// The payload of the longest message that the gateway takes.
+/// Payload of the longest message that the gateway accepts.
 const LONGEST: usize = 64 * 1024;
 
-/// The least time between two messages of all together: the senders must not starve the probe.
+/// Minimum time between two messages of the whole crowd, so that the senders do not starve the probe.
 const SENDS_EVERY: Duration = Duration::from_micros(125);
 
-/// The least time from the start to the end of the attack.
+/// Minimum duration of the attack.
 const LASTS: Duration = Duration::from_secs(30);
 
 const LIVES_EVERY: Duration = Duration::from_millis(500);
 
-/// Sends what costs the gateway most, again and again, and reads nothing but the answer to the upgrade.
+/// Repeats the most expensive messages, and reads only the answer to the upgrade.
 pub async fn greedy_socket(crowd: Arc<Crowd>, index: usize, mut stream: TcpStream) -> io::Result<()> {
     stream.set_zero_linger()?;
     stream.write_all(upgrade(KEY).as_bytes()).await?;
@@ -52,7 +52,7 @@ pub async fn greedy_socket(crowd: Arc<Crowd>, index: usize, mut stream: TcpStrea
     }
 }
 
-/// A long id of a method that is there or is not, a long payload, or a batch of long ids.
+/// A long id with a known or unknown method, a long payload, or a batch of long ids.
 fn message(index: usize) -> String {
     let id = "i".repeat(60 * 1000);
     match index % 5 {
@@ -69,7 +69,7 @@ fn message(index: usize) -> String {
     }
 }
 
-/// A message that goes on: its frame is whole, and is not the last of it.
+/// Sends all of a fragmented message except its last fragment.
 async fn all_but_the_last_byte(stream: &mut TcpStream) -> io::Result<()> {
     let mut begin = frame(TEXT, &vec![b' '; LONGEST - 1]);
     begin[0] &= 0x7F;
@@ -92,8 +92,8 @@ fn attacked_by(count: usize) {
         println!("greedy_sockets: {:?}", attacker.done());
     });
     row.memory_stays_below(MOST_MB);
-    assert!(has_opened || count > 1000, "another WebSocket opens beside them");
-    row.keeps_nobody_out();
+    assert!(has_opened || count > 1000, "another WebSocket can still be opened");
+    row.blocks_no_client();
 }
 
 #[test]
@@ -102,6 +102,6 @@ fn greedy_sockets_take_little_memory() {
 }
 
 #[test]
-fn as_many_greedy_sockets_as_are_admitted_take_little_memory() {
+fn maximum_greedy_sockets_take_little_memory() {
     attacked_by(1008);
 }

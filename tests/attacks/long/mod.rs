@@ -1,4 +1,4 @@
-//! The attacks that take minutes.
+//! Attacks that take minutes.
 
 mod busy;
 mod connects;
@@ -15,7 +15,7 @@ use std::sync::Arc;
 
 use crate::attacker::Crowd;
 
-/// Begins an attack of this name, if it is one of these.
+/// Starts the attack of this name, if it is defined here.
 pub fn attack(name: &str, crowd: &Arc<Crowd>, count: usize) {
     match name {
         "busy_observers" => busy::begin(crowd, count),

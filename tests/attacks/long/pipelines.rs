@@ -1,4 +1,4 @@
-//! Requests that do not wait for the answers before them.
+//! Pipelined requests.
 
 use std::io;
 use std::sync::Arc;
@@ -15,7 +15,7 @@ use crate::http;
 const CONNECTIONS: usize = 64;
 const IN_A_ROW: usize = 500;
 
-/// Asks for the state many times at once, again and again, and reads the answers.
+/// Sends batches of state requests without waiting for answers, and reads the answers.
 pub async fn pipeline(crowd: Arc<Crowd>, _: usize, stream: TcpStream) -> io::Result<()> {
     let requests = http::request("GET", "/api/v1/grippers/g/state", "").repeat(IN_A_ROW);
     let (mut reader, mut writer) = stream.into_split();
@@ -38,12 +38,12 @@ pub async fn pipeline(crowd: Arc<Crowd>, _: usize, stream: TcpStream) -> io::Res
 }
 
 #[test]
-fn pipelined_requests_keep_nobody_out() {
+fn pipelined_requests_block_no_client() {
     let (g, h) = (Device::start(), Device::start());
     let gateway = Gateway::start(&g, &h, Limits::Inherited);
     let begin = || Attacker::start("pipelines", CONNECTIONS, gateway.address);
     let row = attack::run("64 x 500 pipelined GETs", MANY, (&gateway, &g), begin, |attacker, _| {
         println!("pipelines: {:?}", attacker.done());
     });
-    row.keeps_nobody_out();
+    row.blocks_no_client();
 }

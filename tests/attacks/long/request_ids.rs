@@ -1,4 +1,4 @@
-//! Stops with an id each, of a client without the lease.
+//! Stops with a unique request id each, from a client without the lease.
 
 use std::net::SocketAddr;
 use std::sync::Arc;
@@ -17,13 +17,13 @@ use crate::http;
 /// More ids than the gateway remembers.
 const IDS: usize = 70_000;
 
-/// The time that the ids have to be sent.
+/// Time to send the ids.
 const SENT_WITHIN: Duration = Duration::from_mins(2);
 
 const CONNECTIONS: usize = 8;
 const IN_A_ROW: usize = 50;
 
-/// The attackers' address: another client than the holder.
+/// Address of the attackers, which makes them a different client from the holder.
 const ELSEWHERE: &str = "127.0.0.2:0";
 
 const REACHES_WITHIN: Duration = Duration::from_secs(1);
@@ -34,7 +34,7 @@ pub fn begin(crowd: &Arc<Crowd>, count: usize) {
         let crowd = crowd.clone();
         tokio::spawn(async move {
             for round in 0.. {
-                // However it ends, the next connection goes on.
+                // Reconnect however the connection ended.
                 let _ = Box::pin(stops(&crowd, &format!("{index}-{round}"))).await;
             }
         });
@@ -61,7 +61,7 @@ async fn stops(crowd: &Crowd, prefix: &str) -> std::io::Result<()> {
             if read == 0 {
                 return Ok(());
             }
-            // A status line that two reads share is one too few; the next row makes up for it.
+            // A status line split across two reads is not counted; the next batch compensates.
             answers += buffer[..read].windows(9).filter(|bytes| bytes == b"HTTP/1.1 ").count();
             if read < 200 {
                 break;
@@ -72,14 +72,14 @@ async fn stops(crowd: &Crowd, prefix: &str) -> std::io::Result<()> {
     Ok(())
 }
 
-/// The body of an answer, and its status.
+/// Sends a request, and returns status and body of the answer.
 fn post(address: SocketAddr, path: &str, body: &Value) -> (u16, Value) {
     let path = format!("/api/v1/grippers/h/{path}");
-    let answer = http::post(address, &path, &body.to_string()).expect("it is answered");
+    let answer = http::post(address, &path, &body.to_string()).expect("an answer");
     (answer.status, serde_json::from_str(&answer.body).unwrap())
 }
 
-/// Asks for a motion of the holder and for its Stop, after another client has used up its ids.
+/// Starts and stops a motion as the holder, after another client has used up its ids.
 fn holder_moves_and_stops(gateway: &Gateway, h: &Device) {
     let (status, lease) = post(gateway.address, "lease", &json!({"holder": "the holder", "ttl_ms": 60_000}));
     assert_eq!(status, 200, "{lease}");
@@ -97,7 +97,7 @@ fn holder_moves_and_stops(gateway: &Gateway, h: &Device) {
 }
 
 #[test]
-fn ids_of_one_client_leave_places_for_the_holder() {
+fn request_ids_of_one_client_leave_room_for_the_holder() {
     let (g, h) = (Device::start(), Device::start());
     let gateway = Gateway::start(&g, &h, Limits::Inherited);
     let begin = || Attacker::start("stops_with_ids", CONNECTIONS, gateway.address);
@@ -109,5 +109,5 @@ fn ids_of_one_client_leave_places_for_the_holder() {
         println!("stops_with_ids: {:?}, {} frames 22h", attacker.done(), h.count(STOP));
     });
     holder_moves_and_stops(&gateway, &h);
-    row.keeps_nobody_out();
+    row.blocks_no_client();
 }

@@ -1,4 +1,4 @@
-//! Clients that send and read a byte a second.
+//! Clients that send or read one byte a second.
 
 use std::io;
 use std::sync::Arc;
@@ -16,14 +16,14 @@ use crate::http;
 
 const A_BYTE_EVERY: Duration = Duration::from_secs(1);
 
-/// The kernel's buffer of one that reads slowly.
+/// Kernel receive buffer of a slow reader.
 const BUFFER: usize = 2048;
 
-/// More than the gateway admits at a time, an eighth of which read.
+/// More clients than the gateway admits at a time; one in eight reads.
 const TRICKLERS: usize = 1300;
 const READS_EACH: usize = 8;
 
-/// Sends a body, or reads a long answer, a byte a second.
+/// Sends a body or reads a long answer, one byte a second.
 pub async fn trickler(crowd: Arc<Crowd>, index: usize, mut stream: TcpStream) -> io::Result<()> {
     socket2::SockRef::from(&stream).set_recv_buffer_size(BUFFER)?;
     let _inside = crowd.inside();
@@ -44,9 +44,9 @@ pub async fn trickler(crowd: Arc<Crowd>, index: usize, mut stream: TcpStream) ->
 }
 
 #[test]
-fn tricklers_keep_nobody_out() {
+fn tricklers_block_no_client() {
     let (g, h) = (Device::start(), Device::start());
     let gateway = Gateway::start(&g, &h, Limits::Inherited);
     let begin = || Attacker::start("tricklers", TRICKLERS, gateway.address);
-    attack::run("1300 tricklers", MANY, (&gateway, &g), begin, |_, _| {}).keeps_nobody_out();
+    attack::run("1300 tricklers", MANY, (&gateway, &g), begin, |_, _| {}).blocks_no_client();
 }

@@ -1,4 +1,4 @@
-//! Observers of all topics at the highest rate, by server-sent events and by WebSocket.
+//! Observers of all topics at the highest rate, over server-sent events and over WebSocket.
 
 use std::io;
 use std::sync::Arc;
@@ -17,10 +17,10 @@ use crate::probe::Way;
 
 const OBSERVERS: usize = 900;
 
-/// Below it the noise of a shared machine is all that is compared.
+/// Noise of a shared machine: lower times are not compared.
 const NOISE: Duration = Duration::from_millis(10);
 
-/// Reads a stream.
+/// Reads an event stream.
 pub async fn by_stream(crowd: Arc<Crowd>, _: usize, mut stream: TcpStream) -> io::Result<()> {
     let path = "/api/v1/stream?topics=events,state,telemetry,frames,fleet&max_hz=100";
     stream.write_all(http::request("GET", path, "").as_bytes()).await?;
@@ -40,7 +40,7 @@ pub async fn by_socket(crowd: Arc<Crowd>, _: usize, stream: TcpStream) -> io::Re
     subscribed(crowd, stream, params).await
 }
 
-/// The other gripper moves, so that each of its updates is a change.
+/// Runs observers while the other gripper moves, so that each of its updates is a change.
 fn observed_by(attack: &str) -> Row {
     let (g, h) = (Device::start(), Device::start());
     let gateway = Gateway::start(&g, &h, Limits::Inherited);
@@ -58,9 +58,12 @@ fn observed_by(attack: &str) -> Row {
 #[test]
 fn streams_cost_no_more_than_sockets() {
     let (sockets, streams) = (observed_by("all_by_socket"), observed_by("all_by_stream"));
-    let slowest = |row: &Row| row.by(Way::FreshHttp).percentile(99).expect("one has reached the device");
+    let slowest = |row: &Row| row.by(Way::FreshHttp).percentile(99).expect("a FAST STOP reached the device");
     let (by_socket, by_stream) = (slowest(&sockets), slowest(&streams));
-    assert!(by_stream <= (2 * by_socket).max(NOISE), "the p99 is {by_stream:?}, beside WebSockets {by_socket:?}");
+    assert!(
+        by_stream <= (2 * by_socket).max(NOISE),
+        "p99 with event streams {by_stream:?}, with WebSockets {by_socket:?}"
+    );
     for row in [sockets, streams] {
         let http = row.by(Way::FreshHttp);
         assert_eq!((http.reached(), row.polls.lost), (http.wanted, 0));

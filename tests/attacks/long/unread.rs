@@ -1,4 +1,4 @@
-//! Long answers that are never read.
+//! Long answers that the client never reads.
 
 use std::io;
 use std::sync::Arc;
@@ -16,16 +16,16 @@ use crate::http;
 
 const CONNECTIONS: usize = 2000;
 
-/// The bound on what their answers may take.
+/// Memory limit of the unread answers.
 const MOST_MB: usize = 100;
 
-/// The kernel's buffer of one that reads nothing.
+/// Kernel receive buffer of a client that reads nothing.
 const BUFFER: usize = 2048;
 
-/// The interval at which one that reads nothing looks whether its connection has ended.
+/// Interval at which such a client checks its connection.
 const LOOKS_EVERY: Duration = Duration::from_secs(1);
 
-/// Asks for the document of the API, and reads nothing.
+/// Requests the OpenAPI document, and reads nothing.
 pub async fn unread(crowd: Arc<Crowd>, _: usize, mut stream: TcpStream) -> io::Result<()> {
     socket2::SockRef::from(&stream).set_recv_buffer_size(BUFFER)?;
     stream.set_zero_linger()?;
@@ -36,7 +36,7 @@ pub async fn unread(crowd: Arc<Crowd>, _: usize, mut stream: TcpStream) -> io::R
         if let Some(error) = stream.take_error()? {
             return Err(error);
         }
-        // An end that is not read is noticed by the next request.
+        // The next write detects a close that was not read.
         stream.write_all(b"\r\n").await?;
     }
 }
@@ -48,5 +48,5 @@ fn unread_answers_take_little_memory() {
     let begin = || Attacker::start("unread_answers", CONNECTIONS, gateway.address);
     let row = attack::run("2000 unread answers", MANY, (&gateway, &g), begin, |_, _| {});
     row.memory_stays_below(row.before.rss_mb + MOST_MB);
-    row.keeps_nobody_out();
+    row.blocks_no_client();
 }

@@ -21,16 +21,16 @@ type Socket = WebSocketStream<TcpStream>;
 /// A telemetry notification, as long as the gateway's.
 const PAYLOAD: &str = r#"{"jsonrpc":"2.0","method":"telemetry","params":{"gripper":"g","seq":12345,"at":"2026-11-21T16:00:00.123Z","width_mm":null,"speed_mm_s":0.0,"force_n":0.0,"state":"IDLE","flags_raw":262144}}"#;
 
-/// Requests of the flood that are under way.
+/// Requests of the flood in flight.
 const UNDER_WAY: usize = 8;
 
-/// How long one that reads nothing stays: as long as the gateway lets it.
+/// Time that a stalled observer stays, which is the gateway's limit.
 const STALLS_FOR: Duration = Duration::from_secs(3);
 
-/// When one that found no place tries again.
+/// Pause before a rejected observer retries.
 const AGAIN_AFTER: Duration = Duration::from_millis(100);
 
-/// What the system has room for of its own: so little that the gateway can't get rid of what it has to tell.
+/// Receive buffer of a stalled observer, small enough to block the gateway's writes.
 const STALLED_BYTES: u32 = 4096;
 
 #[derive(Default)]
@@ -38,13 +38,13 @@ struct Seen {
     ready: AtomicU64,
     delivered: AtomicU64,
     refused: AtomicU64,
-    /// The newest event that anybody has.
+    /// Newest event that any observer has.
     newest: AtomicI64,
-    /// Of each observer, the newest event up to which it has all.
+    /// For each observer, the newest event without a gap before it.
     all_until: Vec<AtomicI64>,
 }
 
-/// Observes, and reports a line for each line of input. The first one comes when all are there.
+/// Runs the observers, and prints one report per input line, starting once all are connected.
 pub fn run(what: &str, address: &str) -> Result<(), Error> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let (observers, stalled) = (number("OBSERVERS", 1000), number("STALLED", 100));
@@ -56,7 +56,7 @@ pub fn run(what: &str, address: &str) -> Result<(), Error> {
             "mqtt" => drop(runtime.spawn(async move { tell("subscriber", &subscriber(index, &address, &seen).await) })),
             _ => drop(runtime.spawn(async move { tell("observer", &observer(index, &address, &seen).await) })),
         }
-        // Not so fast that the listener's backlog overflows.
+        // Slowly enough for the listener's backlog.
         std::thread::sleep(Duration::from_millis(2));
     }
     if what == "mqtt" {
@@ -65,7 +65,7 @@ pub fn run(what: &str, address: &str) -> Result<(), Error> {
     } else {
         for _ in 0..stalled {
             let address = address.to_owned();
-            runtime.spawn(async move { tell("one that stalls", &staller(&address).await) });
+            runtime.spawn(async move { tell("stalled observer", &staller(&address).await) });
         }
         let (seen, address) = (seen.clone(), address.to_owned());
         runtime.spawn(async move { tell("flood", &flood(&address, &seen).await) });
@@ -87,8 +87,8 @@ pub fn run(what: &str, address: &str) -> Result<(), Error> {
     Ok(())
 }
 
-fn tell(who: &str, ended: &Result<(), Error>) {
-    eprintln!("{who} has ended: {ended:?}");
+fn tell(role: &str, ended: &Result<(), Error>) {
+    eprintln!("{role} ended: {ended:?}");
 }
 
 async fn connect(address: &str, buffer: Option<u32>) -> Result<Socket, Error> {
@@ -115,7 +115,7 @@ async fn subscribe(socket: &mut Socket) -> Result<i64, Error> {
 async fn observer(index: usize, address: &str, seen: &Seen) -> Result<(), Error> {
     let mut socket = connect(address, None).await?;
     let mut last = loop {
-        // A ping may come first.
+        // A ping can come first.
         let seq = subscribe(&mut socket).await?;
         if seq > 0 {
             break seq;
@@ -142,7 +142,7 @@ async fn observer(index: usize, address: &str, seen: &Seen) -> Result<(), Error>
 
 async fn staller(address: &str) -> Result<(), Error> {
     loop {
-        // While the one before is seen off, all places may be taken.
+        // All slots can be taken until the gateway has closed the previous connection.
         let Ok(mut socket) = connect(address, Some(STALLED_BYTES)).await else {
             tokio::time::sleep(AGAIN_AFTER).await;
             continue;

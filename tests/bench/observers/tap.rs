@@ -1,4 +1,4 @@
-//! Between gateway and device: when a FAST STOP's frame came by.
+//! A relay between gateway and device that notes the time of each FAST STOP frame.
 
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
@@ -10,7 +10,7 @@ use wsg_gateway::wsg::{ChecksumEvaluation, Decoded, Decoder, id};
 
 use super::Error;
 
-/// Passes on what goes between one gateway and a device.
+/// Relays between one gateway and a device.
 pub fn start(device: String) -> Result<(SocketAddr, Receiver<Instant>), Error> {
     let listener = TcpListener::bind("127.0.0.1:0")?;
     let (address, (stops, stopped)) = (listener.local_addr()?, channel());

@@ -1,4 +1,4 @@
-//! The subscribers, which count what comes, and how late.
+//! Subscribers that count messages and measure their delay.
 
 use std::sync::{Arc, Mutex};
 use std::time::{SystemTime, UNIX_EPOCH};
@@ -15,42 +15,42 @@ use zenoh::Wait as _;
 
 use super::{Error, HZ, config};
 
-/// What they have seen since they were told to begin: of each message how late it was, in ms.
+/// Delays of the messages since the start of a measurement, in ms.
 #[derive(Default)]
 pub struct Seen(Mutex<Vec<i64>>);
 
-/// What the part of a telemetry's body says that is looked at.
+/// Part of a telemetry body.
 #[derive(Deserialize)]
-struct Told {
+struct Telemetry {
     at: jiff::Timestamp,
 }
 
 #[derive(Deserialize)]
 struct Notification {
-    params: Told,
+    params: Telemetry,
 }
 
-/// The wall's clock, in ms.
+/// Wall clock, in ms.
 pub fn now_ms() -> i64 {
     SystemTime::now().duration_since(UNIX_EPOCH).map_or(0, |since| since.as_millis() as i64)
 }
 
 impl Seen {
-    fn take(&self, told: Option<&Told>) {
-        if let (Some(told), Ok(mut late)) = (told, self.0.lock()) {
-            late.push(now_ms() - told.at.as_millisecond());
+    fn take(&self, notification: Option<&Telemetry>) {
+        if let (Some(notification), Ok(mut late)) = (notification, self.0.lock()) {
+            late.push(now_ms() - notification.at.as_millisecond());
         }
     }
 
-    /// Forgets what was.
+    /// Drops earlier delays.
     pub fn begin(&self) {
         if let Ok(mut late) = self.0.lock() {
             late.clear();
         }
     }
 
-    /// How many there were, how late on average and at the 99th percentile, in ms. Both times are cut to milliseconds, so
-    /// that what they differ by is right on average.
+    /// Returns the number of messages, their mean delay and its 99th percentile, in ms. Both clocks are truncated to
+    /// milliseconds, so that the mean difference is right.
     pub fn end(&self) -> (usize, f64, i64) {
         let mut late = self.0.lock().map(|late| late.clone()).unwrap_or_default();
         late.sort_unstable();
@@ -60,13 +60,13 @@ impl Seen {
     }
 }
 
-/// So many clients on a Zenoh network, each with a connection of its own.
+/// Starts Zenoh subscribers, each with its own connection.
 pub fn zenoh(count: usize, endpoint: &str, key: &str) -> Result<(Arc<Seen>, Vec<zenoh::Session>), Error> {
     let seen = Arc::new(Seen::default());
     let mut sessions = Vec::new();
     for _ in 0..count {
         let session = loop {
-            // It may not listen yet.
+            // The publisher may not listen yet.
             if let Ok(session) = zenoh::open(config("client", &[], &[endpoint])?).wait() {
                 break session;
             }
@@ -81,7 +81,7 @@ pub fn zenoh(count: usize, endpoint: &str, key: &str) -> Result<(Arc<Seen>, Vec<
     Ok((seen, sessions))
 }
 
-/// So many WebSockets.
+/// Starts WebSocket subscribers.
 pub fn websocket(count: usize, address: &str) -> Result<(Arc<Seen>, Runtime), Error> {
     let runtime = tokio::runtime::Builder::new_multi_thread().enable_all().build()?;
     let seen = Arc::new(Seen::default());
@@ -89,7 +89,7 @@ pub fn websocket(count: usize, address: &str) -> Result<(Arc<Seen>, Runtime), Er
         let (seen, address) = (seen.clone(), address.to_owned());
         runtime.spawn(async move {
             let ended = observe(&address, &seen).await;
-            eprintln!("a WebSocket has ended: {ended:?}");
+            eprintln!("a WebSocket ended: {ended:?}");
         });
     }
     Ok((seen, runtime))
@@ -104,8 +104,8 @@ async fn observe(address: &str, seen: &Seen) -> Result<(), Error> {
     socket.send(Message::text(subscribe.to_string())).await?;
     while let Some(message) = socket.next().await {
         if let Message::Text(text) = message? {
-            let told: Option<Notification> = serde_json::from_str(&text).ok();
-            seen.take(told.as_ref().map(|told| &told.params));
+            let notification: Option<Notification> = serde_json::from_str(&text).ok();
+            seen.take(notification.as_ref().map(|notification| &notification.params));
         }
     }
     Ok(())

@@ -1,4 +1,4 @@
-//! What the files of `src` name of each other, apart from what only tests compile. Files are written without `.rs`.
+//! Names that the files of `src` use of each other, except in test code. File names omit `.rs`.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::mem;
@@ -10,10 +10,10 @@ use syn::{Arm, Attribute, Block, ExprCall, ImplItem, Item, ItemMod, ItemStatic, 
 
 use super::is_in;
 
-/// E.g. `["wsg", "frame", "encode"]`.
+/// For example `["wsg", "frame", "encode"]`.
 type Path = Vec<String>;
 
-/// Constructors of queues, which take the limit first.
+/// Constructors of queues, which take the capacity as first argument.
 const QUEUES: &[&str] = &["mpsc::channel", "broadcast::channel", "broadcast::Sender::new", "sync_channel"];
 
 #[derive(Debug, Default)]
@@ -25,9 +25,9 @@ pub struct Code {
     aliases: BTreeMap<Path, Path>,
     /// File, full path, and path as written.
     names: BTreeSet<(String, Path, String)>,
-    /// Statics, and queues whose limit has no name.
+    /// Statics, and queues with an unnamed capacity.
     pub breaches: Vec<String>,
-    // The reader's position.
+    // Position of the reader.
     file: String,
     module: Path,
     is_in_block: bool,
@@ -49,7 +49,7 @@ impl Code {
         let parsed = syn::parse_file(&self.texts[&file]).unwrap();
         self.files.insert(self.module.clone(), file.clone());
         let outer = mem::replace(&mut self.file, file);
-        // A file that names nothing belongs to a room too.
+        // A file without any names still belongs to a room.
         self.name(&["Self".to_owned()]);
         self.visit_file(&parsed);
         self.file = outer;
@@ -57,13 +57,13 @@ impl Code {
 
     /// Returns each path that a file names: the file, the file that defines the item, and the path as written.
     pub fn names(&self) -> impl Iterator<Item = (&str, &str, &str)> {
-        // One word alone is a variable, even where a module of that name is near.
+        // A single word is a variable, even if a nearby module has the same name.
         let items =
             self.names.iter().filter(|(_, path, written)| written.contains("::") || !self.files.contains_key(path));
         items.map(|(file, path, written)| (&**file, self.definer(path), &**written))
     }
 
-    /// Follows re-exports. What the crate does not define counts as the naming file's own.
+    /// Follows re-exports. Items from other crates count as defined in the naming file.
     fn definer(&self, path: &[String]) -> &str {
         let depth = (0..=path.len()).rev().find(|depth| self.files.contains_key(&path[..*depth])).unwrap();
         let item = &path[..path.len().min(depth + 1)];
@@ -73,7 +73,7 @@ impl Code {
         }
     }
 
-    /// Takes note of a path, and returns it from the crate's root.
+    /// Records a path, and returns it relative to the crate root.
     fn name(&mut self, path: &[String]) -> Path {
         let mut full = self.module.clone();
         for part in path {
@@ -84,7 +84,7 @@ impl Code {
                 part => full.push(part.to_owned()),
             }
         }
-        // A visibility names a module above and no item: `pub(super)`.
+        // A visibility names a parent module rather than an item: `pub(super)`.
         if !self.is_ignored && !self.module.starts_with(&full) {
             self.names.insert((self.file.clone(), full.clone(), path.join("::")));
         }
@@ -117,7 +117,7 @@ impl Code {
     }
 }
 
-/// Implements visits of what may be for tests alone.
+/// Implements visits of nodes that can carry `#[cfg(test)]`.
 macro_rules! scoped {
     ($($visit:ident: $node:ty),*) => {$(
         fn $visit(&mut self, node: &$node) {
@@ -156,7 +156,7 @@ impl Visit<'_> for Code {
     fn visit_item_use(&mut self, item: &ItemUse) {
         visit::visit_item_use(self, item);
         let (tree, root) = (written(&item.tree), written(&item.leading_colon));
-        // A module that passes on what a module below it defines does not use that itself.
+        // A module that re-exports from its own submodule does not itself use the item.
         let first = tree.trim_start_matches("self::").split("::").next().unwrap_or_default().to_owned();
         let below = [&*self.module, &[first]].concat().join("/");
         self.is_ignored |= !written(&item.vis).is_empty() && self.texts.keys().any(|file| is_in(file, &below));
@@ -170,7 +170,7 @@ impl Visit<'_> for Code {
         visit::visit_path(self, path);
     }
 
-    // A macro's tokens follow no grammar.
+    // Tokens of a macro follow no grammar.
     fn visit_token_stream(&mut self, tokens: &TokenStream) {
         let (mut path, mut colons) = (Path::new(), 0);
         for token in tokens.clone() {
@@ -192,7 +192,7 @@ impl Visit<'_> for Code {
     fn visit_item_static(&mut self, item: &ItemStatic) {
         visit::visit_item_static(self, item);
         if !item.attrs.iter().any(|attribute| attribute.path().is_ident("global_allocator")) {
-            self.breach(&format!("static {}: state has an owner", item.ident));
+            self.breach(&format!("static {}: state needs an owner", item.ident));
         }
     }
 
@@ -203,7 +203,7 @@ impl Visit<'_> for Code {
         let is_named = |term: &str| term == "1" || term.rsplit("::").next().is_some_and(is_constant);
         let is_queue = |queue: &&str| function.split("::<").next().is_some_and(|function| function.ends_with(queue));
         if QUEUES.iter().any(is_queue) && !written(&limit).split('+').all(is_named) {
-            self.breach(&format!("{function}: a queue has a limit, and the limit a name"));
+            self.breach(&format!("{function}: a queue needs a named limit"));
         }
     }
 }

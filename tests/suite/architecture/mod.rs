@@ -1,4 +1,4 @@
-//! The rooms of `src`, what each may use of the others, and what no file may have.
+//! Architecture test: which room of `src` can use which, and house rules for every file.
 
 mod code;
 
@@ -12,8 +12,8 @@ use walkdir::WalkDir;
 
 use code::Code;
 
-/// Every room, and the other rooms that it uses. A room is a folder, or a file without `.rs`, below `src`; a file belongs
-/// to the room with the longest name.
+/// Every room, and the rooms that it uses. A room is a folder, or a file without `.rs`, below `src`. A file belongs to
+/// the room with the longest matching name.
 const ROOMS: &str = "
     lib:
     main: cli
@@ -48,21 +48,21 @@ const ROOMS: &str = "
     wsg/session: wsg wsg/frame
 ";
 
-/// Rooms whose files do not import each other in a circle, within a room or across these rooms.
+/// Rooms without import cycles, neither within a room nor across these rooms.
 const WITHOUT_CIRCLES: &str = "
     lib main cli logging operations fleet
     interfaces interfaces/dashboard interfaces/http interfaces/websocket interfaces/wsg_port interfaces/zenoh
     gripper gripper/latch gripper/recorder gripper/setup transport wsg wsg/crc wsg/frame
 ";
 
-/// Rooms that get bytes and `now` from outside, and what they must not use.
+/// Rooms that get bytes and `now` from outside, and the names that they must not use.
 const MACHINES: &[&str] = &["wsg", "sim"];
 const WORLD: &[&str] = &["Instant::now", "SystemTime", "tokio", "rand::", "std::net", "std::fs", "std::env"];
 
-/// The longest file that a reader is asked to read.
+/// Maximum lines of a file.
 const MAX_LINES: usize = 500;
 
-/// Returns each room of a table with itself, and with every room that it uses.
+/// Returns each room of a table paired with itself, and with every room that it uses.
 fn arrows(table: &str) -> BTreeSet<(&str, &str)> {
     let (mut arrows, mut room) = (BTreeSet::new(), "");
     for word in table.split_whitespace() {
@@ -91,15 +91,15 @@ fn against_rooms(code: &Code, table: &str) -> Vec<String> {
             found.push(format!("src/{file}.rs: room {from} must not use {to}: {name}"));
         }
     }
-    found.extend(unused.iter().map(|(room, used)| format!("remove it from ROOMS, src has none: {room} → {used}")));
+    found.extend(unused.iter().map(|(room, used)| format!("unused, remove it from ROOMS: {room} → {used}")));
     found
 }
 
-/// Returns the shortest circle of imports among the files of some rooms.
+/// Returns the shortest import cycle among the files of some rooms.
 fn circle(code: &Code, table: &str, of: &str) -> Option<String> {
     let arrows = arrows(table);
     let unknown: Vec<_> = of.split_whitespace().filter(|name| !arrows.contains(&(*name, *name))).collect();
-    assert!(unknown.is_empty(), "no rooms: {unknown:?}");
+    assert!(unknown.is_empty(), "unknown rooms: {unknown:?}");
     let is_of = |file| of.split_whitespace().any(|name| name == room(&arrows, file));
     let names = code.names().filter(|(file, definer, _)| file != definer && is_of(file) && is_of(definer));
     let imports: DiGraphMap<_, _> = names.collect();
@@ -115,10 +115,10 @@ fn against_house_rules(code: &Code) -> Vec<String> {
     for (file, _, name) in code.names() {
         let has = |part: &&str| format!("::{name}::").contains(&format!("::{part}"));
         if has(&"unbounded") {
-            found.push(format!("src/{file}.rs: {name}: a queue has a limit"));
+            found.push(format!("src/{file}.rs: {name}: a queue needs a limit"));
         }
         if MACHINES.iter().any(|machine| is_in(file, machine)) && WORLD.iter().any(has) {
-            found.push(format!("src/{file}.rs: {name}: a machine has no clock, no runtime, no chance and no files"));
+            found.push(format!("src/{file}.rs: {name}: a state machine has no clock, runtime, randomness or files"));
         }
     }
     found
@@ -138,7 +138,7 @@ fn code_keeps_its_rules() {
     let found = [against_rooms(&code, ROOMS), against_house_rules(&code)].concat();
     assert!(found.is_empty(), "{found:#?}");
     assert_eq!(circle(&code, ROOMS, WITHOUT_CIRCLES), None);
-    // rustc and clippy hold two more.
+    // rustc and clippy enforce two more rules.
     let lints = include_str!("../../../Cargo.toml");
     assert!(lints.contains("unsafe_code = \"forbid\"") && lints.contains("unwrap_used = \"warn\""));
 }
@@ -147,11 +147,11 @@ fn code_keeps_its_rules() {
 fn no_file_is_too_long() {
     for (file, text) in ["src", "tests"].into_iter().flat_map(texts) {
         let lines = text.lines().count();
-        assert!(lines <= MAX_LINES, "{file}.rs has {lines} lines, and {MAX_LINES} are the limit: split it");
+        assert!(lines <= MAX_LINES, "{file}.rs has {lines} lines; the limit is {MAX_LINES}: split it");
     }
 }
 
-/// Returns a crate of two rooms, with these texts of a file in each.
+/// Returns a crate of two rooms, with these file contents.
 fn planted(model: &str, wsg: &str) -> Code {
     let lib = ("lib", "mod gripper; mod wsg;");
     let files = [
@@ -189,7 +189,7 @@ fn wrong_table_of_rooms_is_found() {
 }
 
 #[test]
-fn circle_is_found() {
+fn cycle_is_found() {
     let found =
         |wsg| circle(&planted("fn g() { super::super::wsg::f() }", wsg), "lib: main: gripper: wsg:", "gripper wsg");
     let chain = "wsg → gripper/model (crate::gripper::Model), gripper/model → wsg (super::super::wsg::f)";
@@ -213,7 +213,7 @@ fn breach_of_a_house_rule_is_found() {
 }
 
 #[test]
-fn test_code_is_left_alone() {
+fn test_code_is_ignored() {
     let tests = "fn f() { crate::gripper::f(tokio::spawn()); mpsc::channel(64) }";
     let code = planted(
         "fn f() { sync_channel(super::QUEUE + ENDS + 1); }",

@@ -1,5 +1,4 @@
-//! The conformance suite: written once, run over every transport, against the simulated device behind a real socket,
-//! pty or bus.
+//! Conformance suite, run over every transport against the simulated device behind a real socket, pty or bus.
 
 pub mod rig;
 
@@ -16,13 +15,13 @@ use wsg_gateway::wsg::{
 
 use rig::{Rig, SOON, client, home, move_to};
 
-/// The suite, as tests of one transport: an expression for the URL of a simulated device, of another one each time.
+/// Expands to the suite for one transport. `$url` is an expression for the URL of a new simulated device.
 #[macro_export]
 macro_rules! conformance {
     ($transport:ident, $url:expr) => {
         $crate::conformance!($transport, $url,
-            every_command updates_without_asking a_fast_stop_in_the_middle_of_a_motion a_reboot silence_and_recovery
-            a_pulled_wire_and_recovery an_orderly_end);
+            every_command automatic_updates fast_stop_during_a_motion reboot_during_a_motion silence_and_recovery
+            pulled_wire_and_recovery orderly_end);
     };
     ($transport:ident, $url:expr, $($test:ident)*) => {
         mod $transport {
@@ -36,7 +35,7 @@ macro_rules! conformance {
     };
 }
 
-/// What moves nothing, and what it returns.
+/// Commands without motion, and their expected results.
 fn exchanges() -> Vec<(Command, Data)> {
     let width = |mm| Width::new(mm).unwrap();
     let limits = SoftLimits::new(width(5.0), width(100.0)).unwrap();
@@ -62,7 +61,7 @@ fn exchanges() -> Vec<(Command, Data)> {
     ]
 }
 
-/// What moves nothing, and whose result is the device's own.
+/// Commands without motion whose result depends on the device.
 fn getters() -> Vec<Command> {
     let mut getters = vec![
         Command::GetSystemState(Updates::Off),
@@ -86,7 +85,7 @@ fn getters() -> Vec<Command> {
     getters
 }
 
-/// Every command that the manuals know, and one of a script, once at least; two-step commands to their results.
+/// Every command in the manuals and one script command, each at least once; two-step commands run to their results.
 pub async fn every_command(url: &str) {
     let rig = Rig::homed(url).await;
     for (command, expected) in exchanges() {
@@ -109,7 +108,7 @@ pub async fn every_command(url: &str) {
     let stopped = rig.handle.fast_stop(FastStopId::generate(), client(), Reason::truncated("test")).await;
     rig.until("stopped", SOON, |state| state.latch.as_ref().is_some_and(|latch| latch.fast_stop_confirmed)).await;
     rig.handle.acknowledge(stopped.id, client()).await.unwrap();
-    // A force finger's power is always on, and a finger without electronics has no data.
+    // A force finger is always powered, and a finger without electronics has no data.
     for command in [Command::FingerPower { finger: Finger::One, on: true }, Command::GetFingerData(Finger::Two)] {
         let refusal = rig.exchange(command).await.unwrap_err();
         let status = if let Rejection::Device(DeviceRefusal { status, .. }) = refusal { Some(status) } else { None };
@@ -125,33 +124,33 @@ pub async fn every_command(url: &str) {
     rig.drain().await;
 }
 
-/// Values come by themselves, at a period that leaves half of the line free; a reader costs the device nothing.
-pub async fn updates_without_asking(url: &str) {
+/// Automatic updates arrive and take at most half of the line; readers cost the device nothing.
+pub async fn automatic_updates(url: &str) {
     let rig = Rig::homed(url).await;
     let mut slow = rig.start(move_to(20.0, 40.0)).await;
     let received = rig.switch.snapshot().await.unwrap().received_frames;
     let mut states = rig.handle.states();
     let mut widths = Vec::new();
     while slow.now().phase != Phase::Done {
-        tokio::time::timeout(SOON, states.changed()).await.expect("values come").unwrap();
+        tokio::time::timeout(SOON, states.changed()).await.expect("values arrive").unwrap();
         widths.extend(rig.handle.state().width_mm);
     }
     assert_eq!(slow.wait(SOON).await.outcome, Some(Outcome::Success));
     widths.dedup();
-    // Two seconds' way: at the slowest period of these lines that would be a hundred and more.
-    assert!(widths.len() > 40, "{} widths came", widths.len());
+    // The motion takes two seconds: at the slowest update period of these lines, a hundred values and more.
+    assert!(widths.len() > 40, "{} widths arrived", widths.len());
     assert!(widths.windows(2).all(|pair| pair[0] >= pair[1] - 0.1), "in order: {widths:?}");
     let asked = rig.switch.snapshot().await.unwrap().received_frames - received;
     assert!(asked < 20, "the device was asked {asked} times");
     rig.drain().await;
 }
 
-/// It is confirmed at once, the motion ends aborted and names it, and nothing moves until it is acknowledged.
-pub async fn a_fast_stop_in_the_middle_of_a_motion(url: &str) {
+/// A FAST STOP is confirmed at once, aborts the motion with its id, and blocks motion until it is acknowledged.
+pub async fn fast_stop_during_a_motion(url: &str) {
     let rig = Rig::homed(url).await;
     let mut running = rig.start(move_to(10.0, 20.0)).await;
     rig.until("moving", SOON, |state| state.moving == Some(true)).await;
-    // Another command is answered meanwhile.
+    // Another command still gets an answer.
     rig.exchange(Command::GetAcceleration).await.unwrap();
     let stopped = rig.handle.fast_stop(FastStopId::generate(), client(), Reason::truncated("light curtain")).await;
     assert!(stopped.confirmed, "within 250 ms");
@@ -164,8 +163,8 @@ pub async fn a_fast_stop_in_the_middle_of_a_motion(url: &str) {
     rig.drain().await;
 }
 
-/// The device restarts while it moves: the motion's outcome is unknown, nothing moves by itself, settings come back.
-pub async fn a_reboot(url: &str) {
+/// The device restarts during a motion: the outcome is unknown, nothing moves by itself, and settings are restored.
+pub async fn reboot_during_a_motion(url: &str) {
     let rig = Rig::homed(url).await;
     rig.exchange(Command::SetAcceleration(Acceleration::new(700.0).unwrap())).await.unwrap();
     let mut running = rig.start(move_to(10.0, 10.0)).await;
@@ -181,11 +180,11 @@ pub async fn a_reboot(url: &str) {
     rig.drain().await;
 }
 
-/// A device that says nothing is noticed within 1.5 s, motions are refused meanwhile, and then it is as before.
+/// A silent device is noticed within 1.5 s; motions are refused until it answers again.
 pub async fn silence_and_recovery(url: &str) {
     let rig = Rig::homed(url).await;
     rig.apply(Change::Silent { on: true }).await;
-    // Beside another wait, and not by the clock: an emulated machine may stand still for a second.
+    // A competing timer instead of a clock reading: an emulated machine can stand still for a second.
     tokio::select! {
         biased;
         _ = rig.link(Link::Unresponsive, SOON) => {}
@@ -198,8 +197,7 @@ pub async fn silence_and_recovery(url: &str) {
     rig.drain().await;
 }
 
-/// The wire is pulled, and comes back.
-pub async fn a_pulled_wire_and_recovery(url: &str) {
+pub async fn pulled_wire_and_recovery(url: &str) {
     let rig = Rig::homed(url).await;
     rig.apply(Change::RefuseConnections { on: true }).await;
     rig.apply(Change::CutConnection).await;
@@ -209,15 +207,15 @@ pub async fn a_pulled_wire_and_recovery(url: &str) {
     rig.apply(Change::RefuseConnections { on: false }).await;
     rig.link(Link::Connected, SOON).await;
     if let Some(latch) = rig.handle.state().latch.clone() {
-        assert!(rig.is_tcp, "only on TCP an end is a FAST STOP");
+        assert!(rig.is_tcp, "only a TCP disconnect is a FAST STOP");
         rig.handle.acknowledge(latch.fast_stop_id, client()).await.unwrap();
     }
     assert_eq!(rig.run(move_to(50.0, 200.0)).await.outcome, Some(Outcome::Success));
     rig.drain().await;
 }
 
-/// A cut alone is a loss that is seen, on links that have no connection either; what was sent into it is lost for good.
-pub async fn a_cut_without_a_connection(url: &str) {
+/// A cut without a close is noticed on connectionless links too; a request sent into it stays lost.
+pub async fn cut_without_a_connection(url: &str) {
     let rig = Rig::homed(url).await;
     rig.apply(Change::CutConnection).await;
     let lost = Acceleration::new(700.0).unwrap();
@@ -225,12 +223,12 @@ pub async fn a_cut_without_a_connection(url: &str) {
     rig.link(Link::Unresponsive, SOON).await;
     rig.link(Link::Connected, SOON).await;
     assert_eq!(rig.run(move_to(50.0, 200.0)).await.outcome, Some(Outcome::Success));
-    assert!(!rig.received().await.contains(&id::SET_ACCELERATION), "it was delivered later");
+    assert!(!rig.received().await.contains(&id::SET_ACCELERATION), "delivered late");
     rig.drain().await;
 }
 
-/// Given up while it moves: stopped in time, and announced where that is known.
-pub async fn an_orderly_end(url: &str) {
+/// Draining during a motion: the motion is stopped in time, and the disconnect is announced on TCP.
+pub async fn orderly_end(url: &str) {
     let rig = Rig::homed(url).await;
     let mut running = rig.start(move_to(10.0, 5.0)).await;
     rig.until("moving", SOON, |state| state.moving == Some(true)).await;

@@ -1,4 +1,4 @@
-//! A gripper and its simulated device, with a real transport between them.
+//! A gripper and its simulated device, with a real transport in between.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -10,7 +10,7 @@ use wsg_gateway::gripper::{self, Connector, Handle, Metrics, Rejection, Ticket};
 use wsg_gateway::sim::{Change, DeviceConfig, FingerConfig, Part, Script, ScriptAnswer};
 use wsg_gateway::wsg::{self, Data, HomingDirection, MoveFlags, Speed, Width};
 
-/// How long anything may take that is not a motion; far more than it does.
+/// Generous deadline for everything except motions.
 pub const SOON: Duration = Duration::from_secs(5);
 
 pub struct Rig {
@@ -27,7 +27,7 @@ pub fn client() -> Client {
 pub fn device() -> DeviceConfig {
     let mut device = DeviceConfig::wsg50().with_part(Part::outside(20.0));
     device.fingers = [FingerConfig::Fmf, FingerConfig::Generic];
-    // Not far from where homing ends.
+    // Close to where homing ends.
     device.start_width_mm = 100.0;
     device.scripts.push(Script { id: 0xB0, answer: ScriptAnswer::Echo });
     device
@@ -37,7 +37,7 @@ pub async fn served(url: &str) -> Served {
     serve_device(&url.parse().unwrap(), SimulatedDevice::new(device())).await.unwrap()
 }
 
-/// A gripper at this address, which nobody has to be at.
+/// Starts a gripper for this address, even if no device is there.
 pub fn spawn(connector: impl Connector) -> Handle {
     let config = gripper::actor::Config {
         name: "g".parse().unwrap(),
@@ -68,7 +68,7 @@ pub fn move_to(mm: f32, mm_s: f32) -> Motion {
 }
 
 impl Rig {
-    /// Connected, and not referenced.
+    /// Connected, but not referenced.
     pub async fn new(url: &str) -> Self {
         let Served { address, switch, .. } = served(url).await;
         let is_tcp = address.properties().connection_oriented;
@@ -88,7 +88,7 @@ impl Rig {
         self.switch.apply(change).await.unwrap();
     }
 
-    /// Waits for a state.
+    /// Waits until `is_so` accepts the state, and returns how long it took.
     pub async fn until(&self, what: &str, within: Duration, is_so: impl Fn(&State) -> bool) -> Duration {
         let begun = Instant::now();
         let mut states = self.handle.states();
@@ -117,7 +117,7 @@ impl Rig {
         self.handle.exchange(command, client(), None).await
     }
 
-    /// The ids of all that the device received.
+    /// Ids of all frames that the device received.
     pub async fn received(&self) -> Vec<u8> {
         self.switch.received().await.unwrap().iter().map(|frame| frame.id).collect()
     }

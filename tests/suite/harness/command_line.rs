@@ -1,8 +1,8 @@
-//! Commands that say something and end.
+//! Commands that print something and exit.
 
 use super::process::{Ended, Process};
 
-/// Runs the binary with these arguments to its end.
+/// Runs the binary with these arguments until it exits.
 pub async fn run(arguments: &[&str]) -> Ended {
     Process::start(arguments).ended().await
 }

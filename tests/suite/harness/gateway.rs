@@ -1,4 +1,4 @@
-//! The gateway, in a process of its own, and its HTTP door.
+//! A gateway process and its HTTP interface.
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
@@ -9,7 +9,7 @@ use serde_json::{Value, json};
 use super::eventually;
 use super::process::{Ended, Process};
 
-/// A gateway. Paths are those of its gripper `g`, unless they begin with a slash.
+/// A gateway. Paths are relative to its gripper `g`, unless they begin with a slash.
 #[derive(Debug)]
 pub struct Gateway {
     process: Process,
@@ -17,7 +17,7 @@ pub struct Gateway {
     http: reqwest::Client,
 }
 
-/// What it answered.
+/// An HTTP response.
 #[derive(Debug, Clone)]
 pub struct Answer {
     pub status: u16,
@@ -34,32 +34,31 @@ impl Answer {
         Self { status, location, body }
     }
 
-    /// The field of this name.
     pub fn field(&self, name: &str) -> &Value {
         &self.body[name]
     }
 
-    /// The field of this name, which is a text.
+    /// Returns a string field.
     #[track_caller]
     pub fn text(&self, name: &str) -> String {
         self.body[name].as_str().unwrap_or_else(|| panic!("no text {name} in {self:?}")).to_owned()
     }
 
-    /// The body of a 200.
+    /// Asserts status 200, and returns the body.
     #[track_caller]
     pub fn ok(self) -> Value {
         assert_eq!(self.status, 200, "{}", self.body);
         self.body
     }
 
-    /// Asserts a problem of this status and code, and returns its members.
+    /// Asserts a problem of this status and code, and returns its body.
     #[track_caller]
     pub fn problem(self, status: u16, code: &str) -> Value {
         assert_eq!((self.status, self.body["code"].as_str()), (status, Some(code)), "{}", self.body);
         self.body
     }
 
-    /// Asserts a command that ended this way.
+    /// Asserts that the command ended with this outcome.
     #[track_caller]
     pub fn outcome(self, outcome: &str) -> Value {
         let body = self.ok();
@@ -88,7 +87,7 @@ impl Gateway {
         gateway
     }
 
-    /// Serves the device at `device` as `g`, connected, with a WSG port and these arguments.
+    /// Serves the device at `device` as `g`, connected, with a WSG port and these extra arguments.
     pub async fn with_port(device: SocketAddr, arguments: &[&str]) -> (Self, SocketAddr) {
         let gripper = format!("g=tcp://{device}");
         let own = ["--gripper", &gripper, "--wsg-port", "g=127.0.0.1:0"];
@@ -98,32 +97,31 @@ impl Gateway {
         (gateway, port)
     }
 
-    /// The word that it said behind this one.
+    /// Returns the word after `before` on standard output.
     pub async fn word_after(&self, before: &str) -> String {
         self.process.word_after(before).await
     }
 
-    /// Starts it with these arguments, on ports that the operating system chooses.
+    /// Starts a gateway with these arguments, on ports that the operating system chooses.
     pub async fn start(arguments: &[&str]) -> Self {
         let listens = arguments.iter().any(|argument| argument.starts_with("--zenoh"));
         let zenoh: &[&str] = if listens { &[] } else { &["--zenoh-listen", "tcp/127.0.0.1:0"] };
-        Self::start_as_told(&[zenoh, arguments].concat()).await
+        Self::start_without_zenoh_defaults(&[zenoh, arguments].concat()).await
     }
 
-    /// The same, with Zenoh as a file says.
-    pub async fn start_as_told(arguments: &[&str]) -> Self {
+    /// Starts a gateway without a default Zenoh endpoint, which a configuration file sets instead.
+    pub async fn start_without_zenoh_defaults(arguments: &[&str]) -> Self {
         let process = Process::start(&[&["--listen", "127.0.0.1:0"], arguments].concat());
         let base = process.word_after(" at http://").await;
         let base = format!("http://{}", base.trim_end_matches('/'));
         Self { process, base, http: reqwest::Client::new() }
     }
 
-    /// What it said when it started.
+    /// Standard output so far.
     pub fn stdout(&self) -> String {
         self.process.stdout()
     }
 
-    /// The URL of a path.
     pub fn url(&self, path: &str) -> String {
         if path.starts_with('/') {
             format!("{}{path}", self.base)
@@ -132,55 +130,49 @@ impl Gateway {
         }
     }
 
-    /// A request that the test completes itself.
+    /// Returns a request for the test to complete and send.
     pub fn request(&self, method: &str, path: &str) -> RequestBuilder {
         self.http.request(Method::from_bytes(method.as_bytes()).unwrap(), self.url(path))
     }
 
-    /// Sends a request.
     pub async fn send(&self, request: RequestBuilder) -> Answer {
         let sent = request.send().await;
         Answer::of(sent.unwrap_or_else(|error| panic!("no answer: {error:?}"))).await
     }
 
-    /// GET.
     pub async fn get(&self, path: &str) -> Answer {
         self.send(self.request("GET", path)).await
     }
 
-    /// POST.
     pub async fn post(&self, path: &str, body: &Value) -> Answer {
         self.send(self.request("POST", path).json(body)).await
     }
 
-    /// PUT.
     pub async fn put(&self, path: &str, body: &Value) -> Answer {
         self.send(self.request("PUT", path).json(body)).await
     }
 
-    /// DELETE.
     pub async fn delete(&self, path: &str) -> Answer {
         self.send(self.request("DELETE", path)).await
     }
 
-    /// Begins a command, and doesn't wait for its end. Returns its id.
+    /// Starts a command without waiting for its end, and returns its id.
     pub async fn begin(&self, kind: &str, body: &Value) -> String {
         let answer = self.post(&format!("{kind}?wait_ms=0"), body).await;
         assert_eq!(answer.status, 202, "{}", answer.body);
         answer.text("id")
     }
 
-    /// Waits for a command's end.
+    /// Waits for the end of a command.
     pub async fn command(&self, id: &str) -> Answer {
         self.get(&format!("commands/{id}?wait_ms=20000")).await
     }
 
-    /// The newest state.
     pub async fn state(&self) -> Value {
         self.get("state").await.ok()
     }
 
-    /// The figures of `/metrics`, each by its name and labels as they are written there.
+    /// Samples of `/metrics`, keyed by name and labels as printed.
     pub async fn figures(&self) -> BTreeMap<String, f64> {
         let text = self.get("/metrics").await.ok();
         let samples = text.as_str().unwrap().lines().filter(|line| !line.starts_with('#'));
@@ -191,12 +183,12 @@ impl Gateway {
         samples.map(figure).collect()
     }
 
-    /// Waits until the state is as `wanted` has it.
+    /// Waits until `wanted` accepts the state.
     pub async fn until(&self, what: &str, wanted: impl Fn(&Value) -> bool) -> Value {
         eventually(what, async || Some(self.state().await).filter(&wanted)).await
     }
 
-    /// The journal's events that this query finds, once there are so many: what is told may be written down after.
+    /// Waits until the query finds `count` journal events. The journal can be later than the answer to a client.
     pub async fn events(&self, query: &str, count: usize) -> Vec<Value> {
         let path = format!("/api/v1/events?{query}");
         eventually(&format!("{count} events: {query}"), async || {
@@ -206,43 +198,41 @@ impl Gateway {
         .await
     }
 
-    /// Waits until the fingers move.
     pub async fn until_moving(&self) {
-        self.until("it moves", |state| state["moving"] == true).await;
+        self.until("moving", |state| state["moving"] == true).await;
     }
 
-    /// Waits until the fingers stand and no command runs: only then is the next motion taken.
+    /// Waits until the fingers stand still and no command runs; the gripper accepts the next motion only then.
     pub async fn until_standing(&self) -> Value {
-        self.until("it stands", |state| state["moving"] == false && state["command"].is_null()).await
+        self.until("standing still", |state| state["moving"] == false && state["command"].is_null()).await
     }
 
-    /// Waits until the link is so.
+    /// Waits until the link has this state.
     pub async fn until_link(&self, link: &str) -> Value {
         self.until(link, |state| state["link"] == link).await
     }
 
-    /// Waits until it has logged this.
-    pub async fn until_said(&self, what: &str) {
-        self.process.until_said(what).await;
+    /// Waits until the log contains this text.
+    pub async fn until_logged(&self, what: &str) {
+        self.process.until_logged(what).await;
     }
 
-    /// Takes its processor time away until [`Gateway::thaw`].
+    /// Suspends the process until [`Gateway::thaw`].
     pub fn freeze(&self) {
         self.process.signal("STOP");
     }
 
-    /// Gives it processor time again.
     pub fn thaw(&self) {
         self.process.signal("CONT");
     }
 
-    /// Sends SIGTERM, and waits for the end.
+    /// Sends SIGTERM, and waits for the exit.
     pub async fn terminate(mut self) -> Ended {
         self.process.terminate();
         self.process.ended().await
     }
 
-    /// Sends SIGKILL, and waits for the end.
+    /// Sends SIGKILL, and waits for the exit.
     pub async fn kill(mut self) {
         self.process.kill();
         self.process.ended().await;

@@ -1,6 +1,6 @@
-//! What the end-to-end tests stand on: the real binary in processes of its own, a recording proxy between gateway and
-//! device, and a device of the tests' own. All ports are chosen by the operating system; every wait is for a value, and
-//! has a deadline.
+//! Support for the end-to-end tests: the real binary in its own process, a recording proxy between gateway and device,
+//! and an independent scripted device. The operating system chooses all ports; every wait is for a value and has a
+//! deadline.
 
 mod command_line;
 mod frames;
@@ -25,16 +25,16 @@ pub use simulator::Simulator;
 pub use socket::{Socket, request as socket_request};
 pub use zenoh::ZenohClient;
 
-/// How long anything may take that has no time of its own: a busy machine is slow, and still right.
+/// Deadline for anything without a time limit of its own. A busy machine is slow but still correct.
 pub const DEADLINE: Duration = Duration::from_secs(20);
 
-/// How often a value that is waited for is looked at.
+/// Polling interval of [`eventually`].
 const LOOK_EVERY: Duration = Duration::from_millis(5);
 
-/// The ids of frames that move the fingers.
+/// Ids of frames that move the fingers.
 pub const MOTIONS: [u8; 4] = [0x20, 0x21, 0x25, 0x26];
 
-/// Waits until `look` finds something.
+/// Waits until `look` returns a value.
 pub async fn eventually<T>(what: &str, mut look: impl AsyncFnMut() -> Option<T>) -> T {
     let until = Instant::now() + DEADLINE;
     loop {

@@ -1,4 +1,4 @@
-//! The binary, running: what it says is kept, and it ends with the test.
+//! A running process of the binary, with its output. The process ends with the test.
 
 use std::process::{ExitStatus, Stdio};
 use std::sync::{Arc, Mutex};
@@ -9,7 +9,7 @@ use tokio::sync::watch;
 
 use super::{DEADLINE, eventually};
 
-/// A line of output is looked for in what was said so far, and in what comes.
+/// Lines that a process has printed so far.
 #[derive(Debug)]
 struct Output {
     lines: Arc<Mutex<Vec<String>>>,
@@ -41,7 +41,7 @@ impl Output {
     }
 }
 
-/// What a process said, and how it ended.
+/// Exit status and output of a process.
 #[derive(Debug)]
 pub struct Ended {
     pub status: ExitStatus,
@@ -49,14 +49,13 @@ pub struct Ended {
     pub stderr: String,
 }
 
-/// Sends a signal to a process.
 pub fn signal(pid: u32, name: &str) {
     let sent =
         std::process::Command::new("sh").args(["-c", "kill -\"$1\" \"$2\"", "sh", name, &pid.to_string()]).status();
     assert!(sent.unwrap().success(), "SIG{name} to {pid}");
 }
 
-/// A process of the binary. It is killed, by its own id, when this is dropped.
+/// A process of the binary, killed by its own id on drop.
 #[derive(Debug)]
 pub struct Process {
     child: Child,
@@ -65,13 +64,13 @@ pub struct Process {
 }
 
 impl Process {
-    /// Starts the binary with these arguments, and with no environment that could configure it.
+    /// Starts the binary with these arguments and without environment variables that configure it.
     pub fn start(arguments: &[&str]) -> Self {
         let mut command = Command::new(env!("CARGO_BIN_EXE_wsg-gateway"));
         for (name, _) in std::env::vars_os().filter(|(name, _)| name.to_string_lossy().starts_with("WSG_GATEWAY")) {
             command.env_remove(name);
         }
-        // What tests start leaves nothing behind, unless they say where.
+        // No files stay behind, unless a test sets a path.
         command.env("WSG_GATEWAY_JOURNAL", ":memory:");
         command.args(arguments).stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped()).kill_on_drop(true);
         let mut child = command.spawn().expect("the binary starts");
@@ -80,7 +79,7 @@ impl Process {
         Self { child, stdout, stderr }
     }
 
-    /// Waits for a line that has `before` in it, and returns the word behind.
+    /// Waits for a line that contains `before`, and returns the word after it.
     pub async fn word_after(&self, before: &str) -> String {
         eventually(&format!("{before:?} on standard output; standard error has {}", self.stderr.text()), async || {
             let text = self.stdout.text();
@@ -90,40 +89,37 @@ impl Process {
         .await
     }
 
-    /// What it said on standard output so far.
+    /// Standard output so far.
     pub fn stdout(&self) -> String {
         self.stdout.text()
     }
 
-    /// How many lines it said on standard output so far.
+    /// Number of lines on standard output so far.
     pub fn lines(&self) -> usize {
         self.stdout.lines.lock().unwrap().len()
     }
 
-    /// Waits until standard error has this.
-    pub async fn until_said(&self, what: &str) {
+    /// Waits until standard error contains this text.
+    pub async fn until_logged(&self, what: &str) {
         eventually(what, async || self.stderr.text().contains(what).then_some(())).await;
     }
 
-    /// Sends SIGTERM.
     pub fn terminate(&self) {
         self.signal("TERM");
     }
 
-    /// Sends a signal by its name.
     pub fn signal(&self, name: &str) {
-        signal(self.child.id().expect("it runs"), name);
+        signal(self.child.id().expect("the process runs"), name);
     }
 
-    /// Sends SIGKILL.
     pub fn kill(&mut self) {
-        self.child.start_kill().expect("it runs");
+        self.child.start_kill().expect("the process runs");
     }
 
-    /// Waits until it has ended.
+    /// Waits for the exit.
     pub async fn ended(&mut self) -> Ended {
         let ended = tokio::time::timeout(DEADLINE, self.child.wait()).await;
-        let status = ended.unwrap_or_else(|_| panic!("it does not end: {}", self.stderr.text())).unwrap();
+        let status = ended.unwrap_or_else(|_| panic!("the process does not exit: {}", self.stderr.text())).unwrap();
         Ended { status, stdout: self.stdout.all().await, stderr: self.stderr.all().await }
     }
 }

@@ -1,4 +1,4 @@
-//! A proxy between gateway and device that records the requests, and breaks the link in every way a network can.
+//! A proxy between gateway and device that records requests and simulates network failures.
 
 use std::net::SocketAddr;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -11,15 +11,14 @@ use tokio::task::JoinHandle;
 
 use super::frames::{Frames, Recorder};
 
-/// Room for what is read at once.
 const READ_BYTES: usize = 4096;
 
-/// It listens at one address for as long as it lives.
+/// A proxy that keeps one address for its whole life.
 #[derive(Debug)]
 pub struct Proxy {
-    /// What the gateway connects to.
+    /// Address for the gateway to connect to.
     pub address: SocketAddr,
-    /// What the gateway has sent.
+    /// Frames that the gateway sent.
     pub frames: Frames,
     shared: Arc<Shared>,
     accepting: Option<JoinHandle<()>>,
@@ -36,14 +35,14 @@ struct Shared {
 }
 
 impl Proxy {
-    /// To the device at `target`.
+    /// A proxy to the device at `target`.
     pub fn to(target: SocketAddr) -> Self {
         let mut proxy = Self::refusing(target);
         proxy.accept();
         proxy
     }
 
-    /// To the device at `target`, but nothing listens yet.
+    /// A proxy to the device at `target` that does not listen yet.
     pub fn refusing(target: SocketAddr) -> Self {
         let reservation = reusing(SocketAddr::from(([127, 0, 0, 1], 0)));
         let address = reservation.local_addr().unwrap();
@@ -57,18 +56,18 @@ impl Proxy {
         Self { address, frames, shared, accepting: None, _reservation: reservation }
     }
 
-    /// Accepts connections, from now on.
+    /// Accepts connections from now on.
     pub fn accept(&mut self) {
         let listener = reusing(self.address).listen(16).expect("the port is reserved");
         self.accepting = Some(tokio::spawn(accept(listener, self.shared.clone(), self.frames.clone())));
     }
 
-    /// Refuses connections, from now on.
+    /// Refuses connections from now on.
     pub async fn refuse(&mut self) {
         end(self.accepting.take()).await;
     }
 
-    /// Ends all connections, on both sides.
+    /// Closes all connections on both sides.
     pub async fn cut(&self) {
         let connections = std::mem::take(&mut *self.shared.connections.lock().unwrap());
         for connection in connections {
@@ -76,18 +75,18 @@ impl Proxy {
         }
     }
 
-    /// The device is gone: no connection, and none to be had.
+    /// Simulates a device that is gone: closes all connections and refuses new ones.
     pub async fn go_away(&mut self) {
         self.refuse().await;
         self.cut().await;
     }
 
-    /// Half-open: the connections stay, and nothing goes through, until it is set to `false` again.
+    /// Simulates a half-open link: connections stay, but no bytes pass until `false` is set.
     pub fn stall(&self, is_stalled: bool) {
         self.shared.is_stalled.send_replace(is_stalled);
     }
 
-    /// New connections go to another device.
+    /// Sends new connections to another device.
     pub fn retarget(&self, target: SocketAddr) {
         *self.shared.target.lock().unwrap() = target;
     }
@@ -105,7 +104,7 @@ impl Drop for Proxy {
 async fn end(task: Option<JoinHandle<()>>) {
     if let Some(task) = task {
         task.abort();
-        // Its sockets are closed once it is gone.
+        // The task closes its sockets only once it has ended.
         let _ = task.await;
     }
 }
@@ -140,8 +139,8 @@ async fn pump(gateway: TcpStream, shared: Arc<Shared>, recorder: Recorder) {
     );
 }
 
-/// Passes bytes on until the sender has closed, and closes the receiver's side then. What comes while the link stalls
-/// is on its way: it arrives when the link works again.
+/// Forwards bytes until the sender closes, then closes the receiver's side. Bytes that arrive during a stall are
+/// delivered when it ends.
 async fn forward(
     mut from: impl AsyncReadExt + Unpin,
     mut to: impl AsyncWriteExt + Unpin,
@@ -168,11 +167,11 @@ async fn forward(
             }
         }
     }
-    // A close is no faster than the bytes before it.
+    // A close must not overtake the bytes before it.
     flowing(&mut is_stalled).await;
 }
 
 async fn flowing(is_stalled: &mut watch::Receiver<bool>) {
-    // An error means that the proxy is gone, and with it this task.
+    // An error means that the proxy is gone, so this task ends too.
     let _ = is_stalled.wait_for(|stalled| !stalled).await;
 }

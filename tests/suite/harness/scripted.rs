@@ -1,5 +1,5 @@
-//! Another implementation of the device than the simulated one: it shares no code with the crate, and answers every
-//! request from a table.
+//! A second device implementation beside the simulator. It shares no code with the crate, and answers every request
+//! from a table.
 
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
@@ -12,29 +12,29 @@ use tokio::task::JoinHandle;
 
 use super::frames::Frames;
 
-/// How often it sends updates, once any were switched on.
+/// Period of updates once any are on.
 const UPDATE_EVERY: Duration = Duration::from_millis(10);
 
-/// The payloads that answer an id, one frame each. Nothing: silence.
+/// Payloads that answer each id, one frame each. An empty list is silence.
 pub type Table = BTreeMap<u8, Vec<Vec<u8>>>;
 
-/// The payload of a reply with `E_SUCCESS`.
+/// Payload of a reply with `E_SUCCESS`.
 pub fn success(data: &[u8]) -> Vec<u8> {
     [&[0, 0], data].concat()
 }
 
-/// It serves one client after the other.
+/// A scripted device that serves one client at a time.
 #[derive(Debug)]
 pub struct Scripted {
     pub address: SocketAddr,
-    /// What it received.
+    /// Frames that the device received.
     pub frames: Frames,
     table: Arc<Mutex<Table>>,
     serving: JoinHandle<()>,
 }
 
 impl Scripted {
-    /// An idle, referenced WSG 50 at 50 mm, except for what `table` has.
+    /// Starts an idle, referenced WSG 50 at 50 mm; entries of `table` override its answers.
     pub async fn start(table: Table) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
@@ -44,12 +44,12 @@ impl Scripted {
         Self { address, frames, table, serving }
     }
 
-    /// Answers this id so, from now on.
+    /// Answers this id with these payloads from now on.
     pub fn answer(&self, id: u8, payloads: Vec<Vec<u8>>) {
         self.table.lock().unwrap().insert(id, payloads);
     }
 
-    /// Has these system state flags, from now on.
+    /// Reports these system state flags from now on.
     pub fn flags(&self, flags: u32) {
         self.answer(0x40, vec![success(&flags.to_le_bytes())]);
     }
@@ -86,7 +86,7 @@ async fn serve(listener: TcpListener, table: Arc<Mutex<Table>>, frames: Frames) 
     for connection in 0.. {
         let (stream, _) = listener.accept().await.unwrap();
         stream.set_nodelay(true).unwrap();
-        // However it ends, the next client is served.
+        // Serve the next client however this connection ends.
         let _ = serve_one(stream, &table, &frames, connection).await;
     }
 }
@@ -149,13 +149,13 @@ pub fn frame(id: u8, payload: &[u8], out: &mut Vec<u8>) {
     out.extend(checksum.to_le_bytes());
 }
 
-/// The entry of the manual's table, from its polynomial.
+/// Entry of the manual's CRC table, computed from its polynomial.
 fn table_entry(index: u8) -> u16 {
     (0..8).fold(u16::from(index) << 8, |entry, _| if entry & 0x8000 == 0 { entry << 1 } else { (entry << 1) ^ 0x1021 })
 }
 
 #[test]
-fn its_frames_are_those_that_the_manual_prints() {
+fn frame_matches_the_example_in_the_manual() {
     let mut out = Vec::new();
     frame(0x31, &[0, 0, 0, 0, 0x16, 0x43], &mut out);
     assert_eq!(hex::encode_upper(out), "AAAAAA3106000000000016431CAF");

@@ -1,4 +1,4 @@
-//! The simulated device, in a process of its own.
+//! The simulated device in its own process.
 
 use std::net::SocketAddr;
 
@@ -13,25 +13,25 @@ pub struct Simulator {
 }
 
 impl Simulator {
-    /// One device, with these options besides its URL, e.g. `--part-mm 20`.
+    /// Starts one device with these options besides its URL, for example `--part-mm 20`.
     pub async fn start(options: &[&str]) -> Self {
         Self::start_last_of(1, options).await
     }
 
-    /// One with a part of 20 mm in reach.
+    /// Starts one device with a part of 20 mm in reach.
     pub async fn with_part() -> Self {
         Self::start(&["--part-mm", "20"]).await
     }
 
-    /// One with another serial number than all others have.
+    /// Starts one device with a serial number that no other simulator has.
     pub async fn with_another_serial_number() -> Self {
         Self::start_last_of(2, &[]).await
     }
 
-    /// Devices of one process are told apart by their serial numbers; this is the last of them.
+    /// Starts several devices in one process, which differ in serial number, and uses the last.
     async fn start_last_of(devices: usize, options: &[&str]) -> Self {
         let process = Process::start(&[&["sim"], &vec!["tcp://127.0.0.1:0"; devices][..], options].concat());
-        let address = eventually("where it listens", async || {
+        let address = eventually("the simulator's address", async || {
             let said = process.stdout();
             said.split_whitespace().filter_map(|word| word.strip_prefix("tcp://")?.parse().ok()).nth(devices - 1)
         })
@@ -39,13 +39,13 @@ impl Simulator {
         Self { process, address }
     }
 
-    /// Sends SIGTERM, and waits for its end.
+    /// Sends SIGTERM, and waits for the exit.
     pub async fn terminate(mut self) -> Ended {
         self.process.terminate();
         self.process.ended().await
     }
 
-    /// What it said when it started.
+    /// Standard output so far.
     pub fn stdout(&self) -> String {
         self.process.stdout()
     }

@@ -1,4 +1,4 @@
-//! A client's WebSocket.
+//! A WebSocket client.
 
 use std::collections::{HashMap, VecDeque};
 use std::time::Duration;
@@ -16,22 +16,23 @@ use tokio_tungstenite::{WebSocketStream, client_async};
 
 use super::{DEADLINE, Gateway};
 
-/// What a client that is slow to read has of its own.
+/// Receive buffer of a client that is slow to read.
 const SMALL_BUFFER: u32 = 4096;
 
-/// It. What it is told while an answer is awaited is kept.
+/// A client that checks every message against the AsyncAPI document, and queues notifications that arrive while it
+/// waits for an answer.
 #[derive(Debug)]
 pub struct Socket {
     stream: WebSocketStream<TcpStream>,
     last_id: u64,
-    /// The methods of the requests, by their ids.
+    /// Methods of the requests, by id.
     asked: HashMap<u64, String>,
-    told: VecDeque<Value>,
+    queued: VecDeque<Value>,
     description: Description,
 }
 
-/// What the AsyncAPI document says of messages: all that is read is checked against it, and all that is sent and is not
-/// refused.
+/// Message schemas of the AsyncAPI document. They apply to all messages read, and to all messages sent through
+/// [`Socket::call`].
 #[derive(Debug)]
 struct Description(HashMap<String, Validator>);
 
@@ -54,13 +55,13 @@ impl Description {
 
     #[track_caller]
     fn check(&self, name: &str, message: &Value) {
-        let validator = self.0.get(name).unwrap_or_else(|| panic!("{name} is not described: {message}"));
+        let validator = self.0.get(name).unwrap_or_else(|| panic!("{name} has no schema: {message}"));
         let errors: Vec<_> = validator.iter_errors(message).map(|error| error.to_string()).collect();
-        assert!(errors.is_empty(), "{name} is not as described: {errors:?}: {message}");
+        assert!(errors.is_empty(), "{name} does not match its schema: {errors:?}: {message}");
     }
 }
 
-/// A request for a WebSocket, with the right subprotocol.
+/// Returns a WebSocket upgrade request with the right subprotocol.
 pub fn request(gateway: &Gateway) -> Request {
     let url = gateway.url("/api/v1/ws").replacen("http", "ws", 1);
     let mut request = url.into_client_request().unwrap();
@@ -69,31 +70,29 @@ pub fn request(gateway: &Gateway) -> Request {
 }
 
 impl Socket {
-    /// Opens one.
     pub async fn open(gateway: &Gateway) -> Self {
         Self::with(request(gateway)).await.unwrap()
     }
 
-    /// Opens one by this request.
+    /// Opens a WebSocket with this request.
     pub async fn with(request: Request) -> Result<Self, Error> {
-        // It takes a while, in which no ping would be answered.
+        // Reading the document takes a while, during which no ping would be answered.
         let description = Description::read();
         let address = request.uri().authority().unwrap().as_str().parse().unwrap();
         let socket = TcpSocket::new_v4().unwrap();
-        // Small, so that a test that doesn't read needn't wait for megabytes.
+        // Small, so that a test of a stalled reader fills the buffer quickly.
         socket.set_recv_buffer_size(SMALL_BUFFER).unwrap();
         let connected = socket.connect(address).await.unwrap();
         let (stream, _) = client_async(request, connected).await?;
-        let (asked, told) = (HashMap::new(), VecDeque::new());
-        Ok(Self { stream, last_id: 0, asked, told, description })
+        let (asked, queued) = (HashMap::new(), VecDeque::new());
+        Ok(Self { stream, last_id: 0, asked, queued, description })
     }
 
-    /// Sends a text.
     pub async fn send(&mut self, text: impl Into<String>) {
         self.stream.send(Message::text(text.into())).await.unwrap();
     }
 
-    /// Sends a request, and doesn't wait for its answer. Returns its id.
+    /// Sends a request without waiting for its answer, and returns its id.
     pub async fn begin(&mut self, method: &str, params: Value) -> u64 {
         self.last_id += 1;
         let request = json!({"jsonrpc": "2.0", "id": self.last_id, "method": method, "params": params});
@@ -102,30 +101,30 @@ impl Socket {
         self.last_id
     }
 
-    /// The next message, whatever it is; none at the end.
+    /// Returns the next message, queued ones first, or `None` at the end.
     pub async fn next(&mut self) -> Option<Value> {
-        if let Some(told) = self.told.pop_front() {
-            return Some(told);
+        if let Some(queued) = self.queued.pop_front() {
+            return Some(queued);
         }
         self.read().await
     }
 
-    /// The next message off the wire.
+    /// Returns the next message off the wire.
     pub async fn read(&mut self) -> Option<Value> {
         let text = async {
             loop {
                 match self.stream.next().await {
                     Some(Ok(Message::Text(text))) => return Some(text),
                     end @ (Some(Ok(Message::Close(_)) | Err(_)) | None) => {
-                        eprintln!("the socket has ended: {end:?}");
+                        eprintln!("the socket closed: {end:?}");
                         return None;
                     }
-                    // Pings come all the time.
+                    // Pings arrive all the time.
                     Some(Ok(_)) => {}
                 }
             }
         };
-        let text = timeout(DEADLINE, text).await.expect("something comes")?;
+        let text = timeout(DEADLINE, text).await.expect("a message arrives")?;
         let message: Value = serde_json::from_str(&text).unwrap();
         for message in message.as_array().map_or(std::slice::from_ref(&message), Vec::as_slice) {
             let asked = message["id"].as_u64().and_then(|id| self.asked.get(&id));
@@ -140,19 +139,19 @@ impl Socket {
         Some(message)
     }
 
-    /// The answer to this request.
+    /// Waits for the answer to this request.
     pub async fn answer(&mut self, id: u64) -> Value {
         loop {
-            let read = self.read().await.expect("an answer comes");
+            let read = self.read().await.expect("an answer arrives");
             if read["id"] == id {
                 assert_eq!(read["jsonrpc"], "2.0");
                 return read;
             }
-            self.told.push_back(read);
+            self.queued.push_back(read);
         }
     }
 
-    /// What a request was answered.
+    /// Sends a request, and returns its result.
     pub async fn call(&mut self, method: &str, params: Value) -> Value {
         let request = json!({"jsonrpc": "2.0", "id": 1, "method": method, "params": params});
         self.description.check(method, &request);
@@ -162,7 +161,7 @@ impl Socket {
         answer["result"].clone()
     }
 
-    /// What a request was refused with.
+    /// Sends a request that must be refused, and returns the error.
     pub async fn refused(&mut self, method: &str, params: Value) -> Value {
         let id = self.begin(method, params).await;
         let answer = self.answer(id).await;
@@ -170,12 +169,12 @@ impl Socket {
         answer["error"].clone()
     }
 
-    /// The next notification of this method that is as wanted. Others are left out.
-    pub async fn told(&mut self, method: &str, wanted: impl Fn(&Value) -> bool) -> Value {
+    /// Returns the next notification of this method that `wanted` accepts, and drops others.
+    pub async fn notification(&mut self, method: &str, wanted: impl Fn(&Value) -> bool) -> Value {
         loop {
-            let told = self.next().await.unwrap_or_else(|| panic!("no {method} comes before the end"));
-            if told["method"] == method && wanted(&told["params"]) {
-                return told["params"].clone();
+            let notification = self.next().await.unwrap_or_else(|| panic!("no {method} arrives before the end"));
+            if notification["method"] == method && wanted(&notification["params"]) {
+                return notification["params"].clone();
             }
         }
     }
@@ -185,13 +184,13 @@ impl Socket {
         self.description.allows(name, message)
     }
 
-    /// Forgets what it was told and has not looked at.
-    pub fn forget(&mut self) {
-        self.told.clear();
+    /// Drops queued messages.
+    pub fn drop_queued(&mut self) {
+        self.queued.clear();
     }
 
-    /// Whether nothing comes for so long.
+    /// Whether no message arrives for this time.
     pub async fn is_silent_for(&mut self, time: Duration) -> bool {
-        self.told.is_empty() && timeout(time, self.read()).await.is_err()
+        self.queued.is_empty() && timeout(time, self.read()).await.is_err()
     }
 }

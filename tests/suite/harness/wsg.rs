@@ -1,4 +1,4 @@
-//! A client of the WSG port, by TCP. It reads as drivers do, and holds the port to what they need: whole frames.
+//! A TCP client of the WSG port. Like real drivers, it requires whole frames in each read.
 
 use std::collections::VecDeque;
 use std::net::SocketAddr;
@@ -13,7 +13,6 @@ use super::DEADLINE;
 /// `E_CMD_PENDING`
 pub const PENDING: u16 = 26;
 
-/// A frame from the port.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Reply {
     pub id: u8,
@@ -29,19 +28,19 @@ pub struct Driver {
     waiting: VecDeque<Reply>,
 }
 
-/// A request as it is sent.
+/// Encodes a request.
 pub fn request(id: u8, payload: &[u8]) -> Vec<u8> {
     let mut bytes = Vec::new();
     frame::encode(id, payload, &mut bytes);
     bytes
 }
 
-/// The parameters of these numbers.
+/// Encodes parameters.
 pub fn floats(values: &[f32]) -> Vec<u8> {
     values.iter().flat_map(|value| value.to_le_bytes()).collect()
 }
 
-/// The parameters of 21h: absolute, stop on block.
+/// Parameters of 21h: absolute, stop on block.
 pub fn move_to(width_mm: f32, speed_mm_s: f32) -> Vec<u8> {
     [&[2], floats(&[width_mm, speed_mm_s]).as_slice()].concat()
 }
@@ -51,29 +50,25 @@ impl Driver {
         Self::over(TcpStream::connect(port).await.unwrap())
     }
 
-    /// On this connection.
     pub fn over(stream: TcpStream) -> Self {
         stream.set_nodelay(true).unwrap();
         let decoder = Decoder::new(id::max_reply_bytes, ChecksumEvaluation::On);
         Self { stream, decoder, waiting: VecDeque::new() }
     }
 
-    /// Sends a request.
     pub async fn send(&mut self, id: u8, payload: &[u8]) {
         self.send_raw(&request(id, payload)).await;
     }
 
-    /// Sends bytes.
     pub async fn send_raw(&mut self, bytes: &[u8]) {
         self.stream.write_all(bytes).await.unwrap();
     }
 
-    /// The next frame, whatever it is.
     pub async fn next(&mut self) -> Reply {
         self.next_within(DEADLINE).await.expect("a frame")
     }
 
-    /// The next frame, if one comes in time.
+    /// Returns the next frame, if one arrives in time.
     pub async fn next_within(&mut self, limit: Duration) -> Option<Reply> {
         let reading = async {
             while self.waiting.is_empty() {
@@ -87,28 +82,28 @@ impl Driver {
                     let status = u16::from_le_bytes(*status);
                     self.waiting.push_back(Reply { id: frame.id, status, data: data.to_vec() });
                 }
-                assert!(!self.decoder.is_partial(), "half a frame was sent by itself");
-                assert_eq!(self.decoder.counters().skipped_bytes, 0, "what is no frame was sent");
+                assert!(!self.decoder.is_partial(), "half a frame was sent");
+                assert_eq!(self.decoder.counters().skipped_bytes, 0, "bytes outside a frame were sent");
             }
             self.waiting.pop_front()
         };
         tokio::time::timeout(limit, reading).await.ok().flatten()
     }
 
-    /// Asks, and takes the next frame, which has to be the answer.
+    /// Sends a request, and takes the next frame, which must be its reply.
     pub async fn ask(&mut self, id: u8, payload: &[u8]) -> Reply {
         self.send(id, payload).await;
         let reply = self.next().await;
-        assert_eq!(reply.id, id, "not what was asked for: {reply:?}");
+        assert_eq!(reply.id, id, "wrong id: {reply:?}");
         reply
     }
 
-    /// The status that a request gets.
+    /// Sends a request, and returns the status of its reply.
     pub async fn status(&mut self, id: u8, payload: &[u8]) -> u16 {
         self.ask(id, payload).await.status
     }
 
-    /// The status that a request gets, whose answer may come behind updates of others.
+    /// Like [`Driver::status`], but skips updates of other ids before the reply.
     pub async fn status_among_updates(&mut self, id: u8, payload: &[u8]) -> u16 {
         self.send(id, payload).await;
         loop {
@@ -116,43 +111,42 @@ impl Driver {
             if reply.id == id {
                 return reply.status;
             }
-            assert!(id::has_updates(reply.id), "not what was asked for: {reply:?}");
+            assert!(id::has_updates(reply.id), "wrong id: {reply:?}");
         }
     }
 
-    /// Runs a motion to its end: both its frames, and then its status.
+    /// Runs a motion to its end: pending frame, then the returned status.
     pub async fn run(&mut self, id: u8, payload: &[u8]) -> u16 {
         assert_eq!(self.status(id, payload).await, PENDING);
         self.end_of(id).await
     }
 
-    /// The second frame of a motion.
+    /// Waits for the second frame of a motion, and returns its status.
     pub async fn end_of(&mut self, id: u8) -> u16 {
         let reply = self.next().await;
-        assert_eq!(reply.id, id, "not what was asked for: {reply:?}");
+        assert_eq!(reply.id, id, "wrong id: {reply:?}");
         assert!(reply.status != PENDING && reply.data.is_empty(), "{reply:?}");
         reply.status
     }
 
-    /// The system state flags.
     pub async fn flags(&mut self) -> u32 {
         let reply = self.ask(0x40, &[0; 3]).await;
         assert_eq!(reply.status, 0, "{reply:?}");
         u32::from_le_bytes(reply.data.try_into().unwrap())
     }
 
-    /// Announces the end, and leaves.
+    /// Announces the disconnect (07h), and closes.
     pub async fn leave(mut self) {
         assert_eq!(self.status(0x07, &[]).await, 0);
     }
 
-    /// Whether the port ends the connection, with nothing left to read.
+    /// Whether the port closes the connection without further bytes.
     pub async fn has_ended(&mut self) -> bool {
         let read = tokio::time::timeout(DEADLINE, self.stream.read(&mut [0; 16])).await.expect("an end");
         matches!(read, Ok(0) | Err(_))
     }
 
-    /// Leaves so that unread bytes don't matter: with a reset.
+    /// Closes with a TCP reset, so that unread bytes do not matter.
     pub fn reset(self) {
         self.stream.set_zero_linger().unwrap();
     }

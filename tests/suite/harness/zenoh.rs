@@ -10,17 +10,16 @@ use zenoh::sample::{Sample, SampleKind};
 
 use super::{DEADLINE, Gateway, eventually};
 
-/// It.
 #[derive(Debug)]
 pub struct ZenohClient {
     pub session: zenoh::Session,
 }
 
-/// What it was told, in order: the key and the body.
+/// Received samples in order, as key and body.
 #[derive(Debug, Clone, Default)]
-pub struct Told(Arc<Mutex<Vec<(String, Value)>>>);
+pub struct Samples(Arc<Mutex<Vec<(String, Value)>>>);
 
-impl Told {
+impl Samples {
     fn take(&self, sample: &Sample) {
         let text = sample.payload().try_to_string().unwrap();
         let body = match sample.kind() {
@@ -30,23 +29,22 @@ impl Told {
         self.0.lock().unwrap().push((sample.key_expr().to_string(), body));
     }
 
-    /// All so far.
     pub fn all(&self) -> Vec<(String, Value)> {
         self.0.lock().unwrap().clone()
     }
 
-    /// The bodies of a key so far.
+    /// Bodies received under a key so far.
     pub fn of(&self, key: &str) -> Vec<Value> {
         self.all().into_iter().filter(|(of, _)| of == key).map(|(_, body)| body).collect()
     }
 
-    /// Waits for a body of this key.
+    /// Waits for a body under this key that `wanted` accepts.
     pub async fn until(&self, key: &str, wanted: impl Fn(&Value) -> bool) -> Value {
         eventually(key, async || self.of(key).into_iter().find(&wanted)).await
     }
 }
 
-/// Zenoh's configuration of one that does only what it is told.
+/// Zenoh configuration without scouting or automatic connections.
 pub fn config(mode: &str, listen: &[&str], connect: &[&str]) -> zenoh::Config {
     let mut config = zenoh::Config::default();
     for (key, value) in [
@@ -62,23 +60,23 @@ pub fn config(mode: &str, listen: &[&str], connect: &[&str]) -> zenoh::Config {
 }
 
 impl ZenohClient {
-    /// Connected to this gateway.
+    /// Connects to this gateway.
     pub async fn of(gateway: &Gateway) -> Self {
         Self::at(&gateway.word_after("Zenoh: ").await).await
     }
 
-    /// Connected to this endpoint.
+    /// Connects to this endpoint.
     pub async fn at(endpoint: &str) -> Self {
         Self::with(config("client", &[], &[endpoint])).await
     }
 
-    /// By this configuration.
+    /// Opens a session with this configuration.
     pub async fn with(config: zenoh::Config) -> Self {
         let opened = tokio::time::timeout(DEADLINE, zenoh::open(config)).await;
         Self { session: opened.expect("a router or a gateway answers").unwrap() }
     }
 
-    /// All that is answered, each with its key; problems are errors.
+    /// Returns all replies, each with its key; problems are errors.
     pub async fn all(&self, selector: &str, payload: impl Into<ZBytes>) -> Vec<(String, Result<Value, Value>)> {
         let json = |payload: &ZBytes| {
             let text = payload.try_to_string().unwrap();
@@ -95,43 +93,42 @@ impl ZenohClient {
         all
     }
 
-    /// The one answer to a query.
+    /// Returns the only reply to a query.
     pub async fn ask(&self, selector: &str, payload: &Value) -> Result<Value, Value> {
         let mut all = self.all(selector, payload.to_string()).await;
         assert_eq!(all.len(), 1, "{selector}: {all:?}");
         all.remove(0).1
     }
 
-    /// Asks for a command of gripper `g` of the gateway.
+    /// Sends a command to gripper `g` of the gateway.
     pub async fn command(&self, name: &str, payload: &Value) -> Result<Value, Value> {
         self.ask(&format!("wsg/v1/gateway/g/command/{name}"), payload).await
     }
 
-    /// Puts, as nothing else is put before.
     pub async fn put(&self, key: &str, payload: impl Into<ZBytes>) {
         self.session.put(key, payload).await.unwrap();
     }
 
-    /// What is published under this key expression from now on.
-    pub async fn subscribe(&self, key: &str) -> Told {
-        let told = Told::default();
-        let taking = told.clone();
+    /// Collects publications under this key expression from now on.
+    pub async fn subscribe(&self, key: &str) -> Samples {
+        let samples = Samples::default();
+        let taking = samples.clone();
         let subscriber = self.session.declare_subscriber(key).callback(move |sample| taking.take(&sample));
         subscriber.background().await.unwrap();
-        told
+        samples
     }
 
-    /// Which liveliness tokens come and go, those that are there first.
-    pub async fn tokens(&self, key: &str) -> Told {
-        let told = Told::default();
-        let taking = told.clone();
+    /// Collects liveliness tokens that appear and disappear, starting with existing ones.
+    pub async fn tokens(&self, key: &str) -> Samples {
+        let samples = Samples::default();
+        let taking = samples.clone();
         let liveliness = self.session.liveliness();
         let subscriber = liveliness.declare_subscriber(key).history(true).callback(move |token| taking.take(&token));
         subscriber.background().await.unwrap();
-        told
+        samples
     }
 
-    /// Declares that a client of this name lives, and waits until others see it.
+    /// Declares a liveliness token at `key`, and waits until `other` sees it.
     pub async fn live(&self, other: &Self, key: &str) -> LivelinessToken {
         let seen = other.tokens(key).await;
         let token = self.session.liveliness().declare_token(key.to_owned()).await.unwrap();
@@ -139,7 +136,6 @@ impl ZenohClient {
         token
     }
 
-    /// Ends in order.
     pub async fn close(self) {
         tokio::time::timeout(Duration::from_secs(5), self.session.close()).await.unwrap().unwrap();
     }

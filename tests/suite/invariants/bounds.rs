@@ -1,6 +1,6 @@
-//! What waits is bounded, and who comes too much is told by which limit. Other limits are filled where they are: of the
-//! queue to the actor at its handle, of commands and request ids at their book, of connections and sockets at their doors,
-//! of records at the journal.
+//! Bounded queues: an overload error names the limit. Other limits are tested next to their owners: the actor queue at
+//! its handle, commands and request ids in their registry, connections and sockets at their interfaces, records at the
+//! journal.
 
 use std::time::Duration;
 
@@ -23,20 +23,20 @@ fn bounded() {
     let mut world = homed();
     world.device.apply(world.now, Change::Silent { on: true });
     let from = mark(&world);
-    // One is on its way, and so many wait for their turn.
+    // One request is in flight, and `MAX_WAITING` more wait for their turn.
     let ask = || wsg::Command::Loop(LoopData::new(vec![1]).unwrap());
     let mut asked: Vec<_> = (0..=MAX_WAITING).map(|_| exchange(&mut world, ask())).collect();
-    assert!(asked.iter_mut().all(|asked| asked.try_recv().is_err()), "none is answered");
+    assert!(asked.iter_mut().all(|asked| asked.try_recv().is_err()), "no request is answered yet");
     assert_eq!(exchange(&mut world, ask()).try_recv().unwrap(), Err(overloaded(MAX_WAITING)));
     // Stops have a lane of their own.
     let stop = |world: &mut _, n: usize| submit(world, Action::Stop, Some(&format!("stop {n}")));
     let stops: Vec<_> = (0..=MAX_WAITING).map(|n| stop(&mut world, n)).collect();
     let newest = stops.last().unwrap().as_ref().unwrap().id();
     assert!(stops.iter().all(Result::is_ok));
-    // None is refused: further ones join the newest that waits.
+    // Further Stops join the newest one in the queue instead of failing.
     let joined = stop(&mut world, stops.len()).unwrap();
     assert_eq!((joined.id(), joined.now().replayed), (newest, true));
-    // And nothing is in the way of a FAST STOP, however many come.
+    // Any number of FAST STOPs is accepted.
     for _ in 0..1000 {
         fast_stop(&mut world);
     }
@@ -45,14 +45,14 @@ fn bounded() {
 }
 
 #[test]
-fn stop_is_sent_however_many_wait() {
+fn stop_is_sent_under_a_flood_of_stops() {
     let mut world = homed();
     let running = start(&mut world, move_to(5.0, 5.0));
     world.advance(Duration::from_millis(200));
     world.device.apply(world.now, Change::Silent { on: true });
     let from = mark(&world);
     for _ in 0..10 * MAX_WAITING {
-        // The gateway's own Stop, which a cancel sends, leaves the lane to the clients'.
+        // A cancel makes the gateway send its own Stop, which takes no slot from client Stops.
         drop(request(&mut world, |answer| Request::Cancel { id: running.id(), client: client(), answer }));
     }
     for n in 0..10 * MAX_WAITING {
@@ -63,7 +63,7 @@ fn stop_is_sent_however_many_wait() {
 }
 
 #[test]
-fn readers_that_wait_are_bounded() {
+fn waiting_reads_are_bounded() {
     let mut world = homed();
     world.device.apply(world.now, Change::Silent { on: true });
     let mut waiting = Vec::new();
@@ -75,5 +75,5 @@ fn readers_that_wait_are_bounded() {
             Err(_) => waiting.push(asked),
         }
     };
-    assert_eq!(waiting.len(), limit, "as many as it says");
+    assert_eq!(waiting.len(), limit, "the error names the limit");
 }

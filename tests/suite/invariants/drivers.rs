@@ -1,4 +1,4 @@
-//! Clients that speak the device's own protocol: they take the lease by moving, and are clamped as the device clamps.
+//! Clients that speak the device's own protocol: a motion takes the lease, and values are clamped as on the device.
 
 use std::time::Duration;
 
@@ -21,7 +21,7 @@ fn moves(world: &mut World, driver: &(Client, LeaseToken), motion: Motion) -> Re
     moves_as(world, driver, motion, frame)
 }
 
-/// A motion that the device is to get as this frame.
+/// Submits a motion that must reach the device as `frame`.
 fn moves_as(
     world: &mut World,
     (client, token): &(Client, LeaseToken),
@@ -58,7 +58,7 @@ fn holder(world: &World) -> Option<String> {
 }
 
 #[test]
-fn a_driver_takes_the_free_lease_by_moving_and_not_by_setting_or_by_what_is_refused() {
+fn driver_takes_the_free_lease_only_by_an_admitted_motion() {
     let mut world = world();
     let (one, other) = (driver("10.0.0.1"), driver("10.0.0.2"));
     assert_eq!(moves(&mut world, &one, move_to(50.0, 50.0)).unwrap_err(), Conflict::NotReferenced.into());
@@ -67,7 +67,7 @@ fn a_driver_takes_the_free_lease_by_moving_and_not_by_setting_or_by_what_is_refu
     let homing = moves(&mut world, &one, home()).unwrap();
     assert_eq!(holder(&world).as_deref(), Some("wsg:10.0.0.1"));
     let held = |rejection: Rejection| matches!(rejection, Rejection::Conflict(Conflict::LeaseHeld { .. }));
-    assert!(held(moves(&mut world, &other, home()).unwrap_err()), "rather than that one is running");
+    assert!(held(moves(&mut world, &other, home()).unwrap_err()), "LEASE_HELD comes before ALREADY_RUNNING");
     let set = wsg::Command::SetAcceleration(Acceleration::new(500.0).unwrap());
     assert!(held(sets(&mut world, &other, set).unwrap_err()));
     assert_eq!(finish(&mut world, &homing).outcome, Some(Outcome::Success));
@@ -77,19 +77,19 @@ fn a_driver_takes_the_free_lease_by_moving_and_not_by_setting_or_by_what_is_refu
 }
 
 #[test]
-fn what_a_script_moves_takes_the_lease_and_what_only_reads_does_not() {
+fn motion_script_takes_the_lease_and_read_script_does_not() {
     let mut world = homed();
     let one = driver("10.0.0.1");
     let custom = |id| wsg::Command::parse(id, &[1]).unwrap();
     let _ = sets(&mut world, &one, custom(0xB0));
-    assert_eq!(holder(&world), None, "the configuration says that it reads");
+    assert_eq!(holder(&world), None, "configured as a read");
     let Some(wsg::Command::Custom(script)) = Some(custom(0xB1)) else { panic!("no script") };
     let _ = moves(&mut world, &one, Motion::Custom(script));
     assert_eq!(holder(&world).as_deref(), Some("wsg:10.0.0.1"));
 }
 
 #[test]
-fn a_driver_that_was_lost_comes_back_from_the_same_host_with_another_token() {
+fn lost_driver_returns_from_the_same_host_with_a_new_token() {
     let mut world = homed();
     let (one, other) = (driver("10.0.0.1"), driver("10.0.0.2"));
     let held = moves(&mut world, &one, grip(None)).unwrap();
@@ -107,7 +107,7 @@ fn a_driver_that_was_lost_comes_back_from_the_same_host_with_another_token() {
 }
 
 #[test]
-fn a_driver_is_clamped_as_the_device_clamps_and_everyone_else_is_refused() {
+fn driver_is_clamped_and_other_clients_are_refused() {
     let mut world = homed();
     let one = driver("10.0.0.1");
     assert!(matches!(refused(&mut world, move_to(5000.0, 1e6)), Rejection::Invalid(Invalid::OutOfRange { .. })));
@@ -121,8 +121,8 @@ fn a_driver_is_clamped_as_the_device_clamps_and_everyone_else_is_refused() {
     assert_eq!(sets(&mut world, &one, acceleration), Ok(Data::Acceleration(Acceleration::new(5000.0).unwrap())));
     let width = |mm| Width::new(mm).unwrap();
     let limits = SoftLimits::new(width(-5.0), width(60.0)).unwrap();
-    let told = sets(&mut world, &one, wsg::Command::SetSoftLimits(limits));
-    assert_eq!(told, Ok(Data::SoftLimits(SoftLimits::new(width(0.0), width(60.0)).unwrap())));
+    let limits_set = sets(&mut world, &one, wsg::Command::SetSoftLimits(limits));
+    assert_eq!(limits_set, Ok(Data::SoftLimits(SoftLimits::new(width(0.0), width(60.0)).unwrap())));
     let forbidden = moves(&mut world, &one, move_to(70.0, 50.0)).unwrap_err();
     assert!(matches!(forbidden, Rejection::Invalid(Invalid::OutOfRange { field: "width_mm", .. })));
 }

@@ -1,4 +1,4 @@
-//! The lease: who may move the gripper, and what becomes of it when that client is lost.
+//! The lease: the right to move the gripper, and the effects of losing its holder.
 
 use std::time::Duration;
 
@@ -31,7 +31,7 @@ fn wish(holder: &str) -> TakeLease {
     }
 }
 
-/// Lost while the fingers move, they may finish.
+/// Lets a motion finish when the holder is lost.
 fn finish_moving(wish: TakeLease) -> TakeLease {
     TakeLease { on_loss_moving: Some(OnLossMoving::Finish), ..wish }
 }
@@ -41,14 +41,14 @@ fn take(world: &mut World, take: TakeLease) -> Result<AcquiredLease, Rejection> 
     request(world, |answer| Request::TakeLease { take, token, answer }).try_recv().unwrap()
 }
 
-/// Takes the lease without a request that stays open.
+/// Takes the lease and closes the request, so that only the time to live keeps it.
 fn token(world: &mut World, wish: TakeLease) -> Option<LeaseToken> {
     let granted = take(world, wish).unwrap();
     close(world, granted.keep);
     granted.lease.token
 }
 
-/// A request that kept a lease ends.
+/// Closes a request that kept the lease.
 fn close<T>(world: &mut World, open: T) {
     drop(open);
     let now = world.clock();
@@ -82,7 +82,7 @@ fn release(world: &mut World, token: Option<LeaseToken>) -> Lease {
     request(world, |answer| Request::ReleaseLease { token, answer }).try_recv().unwrap()
 }
 
-/// A holder grips the part, and is lost.
+/// Lets a holder grip the part, then loses the holder.
 fn lose_while_holding(world: &mut World, wish: TakeLease) {
     let token = token(world, wish);
     let held = submit_with(world, grip(None), token).unwrap();
@@ -118,18 +118,18 @@ fn stale_lease_moves_nothing() {
 }
 
 #[test]
-fn who_holds_no_lease_is_told_who_does_and_for_how_long() {
+fn lease_held_names_the_holder_and_its_remaining_time() {
     let mut world = homed();
     let a = token(&mut world, wish("a"));
     world.advance(Duration::from_millis(100));
     let held = Conflict::LeaseHeld { holder: "a".into(), expires_in_ms: Some(400) };
     assert_eq!(refused(&mut world, move_to(50.0, 50.0)), held.clone().into());
     assert_eq!(take(&mut world, wish("b")).unwrap_err(), held.into());
-    let told = lease(&mut world);
-    assert_eq!((told.held, told.holder.as_deref(), told.epoch, told.token), (true, Some("a"), 1, None));
-    assert_eq!((told.ttl_ms, told.expires_in_ms), (Some(500), Some(400)));
+    let current = lease(&mut world);
+    assert_eq!((current.held, current.holder.as_deref(), current.epoch, current.token), (true, Some("a"), 1, None));
+    assert_eq!((current.ttl_ms, current.expires_in_ms), (Some(500), Some(400)));
     assert_eq!((state(&world).lease_holder.as_deref(), state(&world).lease_epoch), (Some("a"), 1));
-    // Readers need none.
+    // Reads need no lease.
     let mut read = exchange(&mut world, wsg::Command::GetAcceleration);
     world.advance(Duration::from_millis(100));
     assert!(read.try_recv().unwrap().is_ok());
@@ -137,7 +137,7 @@ fn who_holds_no_lease_is_told_who_does_and_for_how_long() {
 }
 
 #[test]
-fn a_holder_that_is_lost_while_the_fingers_move_is_a_fast_stop_within_the_time_to_live() {
+fn holder_lost_during_a_motion_is_a_fast_stop_within_the_ttl() {
     let mut world = homed();
     let a = token(&mut world, wish("a"));
     let running = submit_with(&mut world, move_to(5.0, 10.0), a).unwrap();
@@ -149,7 +149,7 @@ fn a_holder_that_is_lost_while_the_fingers_move_is_a_fast_stop_within_the_time_t
     world.advance(Duration::from_millis(60));
     let sent = world.device.received()[from..].iter().find(|frame| frame.id == id::FAST_STOP).unwrap().at;
     assert!(sent <= lost + TTL + Duration::from_millis(50), "{:?}", sent - lost);
-    assert_eq!(fast_stops(&world, from), 1, "it was confirmed");
+    assert_eq!(fast_stops(&world, from), 1, "no repeat after the confirmation");
     let latch = latch(&world);
     assert_eq!((latch.fast_stop_cause, &*latch.fast_stop_by), (FastStopCause::ClientLost, "http:a"));
     assert_eq!(latch.fast_stop_reason.as_str(), "a was lost");
@@ -157,7 +157,7 @@ fn a_holder_that_is_lost_while_the_fingers_move_is_a_fast_stop_within_the_time_t
 }
 
 #[test]
-fn a_holder_that_is_lost_while_a_part_is_held_leaves_it_held_and_reserved() {
+fn holder_lost_with_a_part_leaves_it_held_and_reserved() {
     let mut world = homed();
     let a = token(&mut world, wish("a"));
     let held = submit_with(&mut world, grip(None), a).unwrap();
@@ -166,26 +166,26 @@ fn a_holder_that_is_lost_while_a_part_is_held_leaves_it_held_and_reserved() {
     let from = mark(&world);
     world.advance(TTL * 4);
     assert_eq!((received(&world, from), state(&world).fast_stop), (NOTHING.to_vec(), Some(false)));
-    let told = lease(&mut world);
-    assert_eq!((told.held, told.reserved_for.as_deref()), (false, Some("a")));
+    let current = lease(&mut world);
+    assert_eq!((current.held, current.reserved_for.as_deref()), (false, Some("a")));
     let reserved = Conflict::LeaseHeld { holder: "a".into(), expires_in_ms: None };
     assert_eq!(refused(&mut world, move_to(50.0, 50.0)), reserved.clone().into());
     assert_eq!(take(&mut world, wish("b")).unwrap_err(), reserved.into());
-    // The same name from elsewhere is somebody else.
+    // The same holder name from another peer is a different client.
     let elsewhere = TakeLease { client: client(), ..wish("a") };
     assert!(take(&mut world, elsewhere).is_err());
     assert!(take(&mut world, wish("a")).is_ok());
 }
 
 #[test]
-fn a_supervisor_may_take_a_gripper_that_is_reserved() {
+fn supervisor_can_take_a_reserved_gripper() {
     let mut world = homed();
     lose_while_holding(&mut world, wish("a"));
     assert!(take(&mut world, TakeLease { force: true, ..wish("b") }).is_ok());
 }
 
 #[test]
-fn a_part_that_is_gone_reserves_nothing() {
+fn removed_part_ends_the_reservation() {
     let mut world = homed();
     lose_while_holding(&mut world, wish("a"));
     world.device.apply(world.now, Change::TakePart);
@@ -195,7 +195,7 @@ fn a_part_that_is_gone_reserves_nothing() {
 }
 
 #[test]
-fn a_fast_stop_takes_no_reservation_away_from_a_part_that_is_held() {
+fn fast_stop_keeps_the_reservation_of_a_held_part() {
     for (device, stopped_first) in
         [(device(), true), (device(), false), (device().fw2(), true), (device().fw2(), false)]
     {
@@ -236,19 +236,19 @@ fn a_fast_stop_takes_no_reservation_away_from_a_part_that_is_held() {
         assert_eq!(finish(&mut world, &opened).outcome, Some(Outcome::Success));
         let token = again.unwrap();
         drop(request(&mut world, |_: oneshot::Sender<()>| Request::LoseLease { token, times_taken: None }));
-        assert_eq!(lease(&mut world).reserved_for, None, "it was released");
+        assert_eq!(lease(&mut world).reserved_for, None, "the part was released");
     }
 }
 
 #[test]
-fn a_release_stops_a_running_motion_and_latches_nothing() {
+fn release_stops_a_running_motion_and_latches_nothing() {
     let mut world = homed();
     let a = token(&mut world, wish("a"));
     let running = submit_with(&mut world, move_to(5.0, 10.0), a.clone()).unwrap();
     world.advance(Duration::from_millis(300));
     let from = mark(&world);
     let stale = release(&mut world, Some("another".into()));
-    assert!(stale.held, "what isn't its any more stays as it is");
+    assert!(stale.held, "a stale token releases nothing");
     assert!(!release(&mut world, a.clone()).held);
     assert_eq!(finish(&mut world, &running).outcome, Some(Outcome::Aborted));
     world.advance(TTL * 2);
@@ -257,7 +257,7 @@ fn a_release_stops_a_running_motion_and_latches_nothing() {
 }
 
 #[test]
-fn an_open_request_keeps_the_lease_for_as_long_as_the_motion_takes() {
+fn open_request_keeps_the_lease_during_a_long_motion() {
     let mut world = homed();
     let a = token(&mut world, wish("plc"));
     let running = submit_with(&mut world, move_to(85.0, 5.0), a).unwrap();
@@ -265,7 +265,7 @@ fn an_open_request_keeps_the_lease_for_as_long_as_the_motion_takes() {
     assert_eq!(lease(&mut world).expires_in_ms, Some(500));
     assert_eq!(finish(&mut world, &running).outcome, Some(Outcome::Success));
     assert!(running.now().duration_ms.unwrap() > 4000);
-    // From the answer on its time runs.
+    // The time to live runs from the answer.
     close(&mut world, running);
     world.advance(Duration::from_millis(480));
     assert!(lease(&mut world).held);
@@ -275,7 +275,7 @@ fn an_open_request_keeps_the_lease_for_as_long_as_the_motion_takes() {
 }
 
 #[test]
-fn a_holder_has_a_little_time_where_the_gateway_had_none_and_once() {
+fn stall_of_the_gateway_extends_the_lease_once() {
     let mut world = homed();
     token(&mut world, wish("a"));
     let oversleep = |world: &mut World| {
@@ -285,14 +285,14 @@ fn a_holder_has_a_little_time_where_the_gateway_had_none_and_once() {
     world.advance(TTL * 9 / 10);
     oversleep(&mut world);
     world.advance(Duration::from_millis(190));
-    assert!(lease(&mut world).held, "it may be on its way");
+    assert!(lease(&mut world).held, "a renewal may be on its way");
     oversleep(&mut world);
     world.advance(Duration::from_millis(20));
-    assert!(!lease(&mut world).held, "it was not");
+    assert!(!lease(&mut world).held, "the grace applies once");
 }
 
 #[test]
-fn what_becomes_of_a_motion_is_the_holders_choice() {
+fn holder_chooses_the_fate_of_its_motion() {
     for (choice, sent, outcome) in [
         (OnLossMoving::Stop, vec![id::STOP], Outcome::Aborted),
         (OnLossMoving::Finish, NOTHING.to_vec(), Outcome::Success),
@@ -313,7 +313,7 @@ fn what_becomes_of_a_motion_is_the_holders_choice() {
 }
 
 #[test]
-fn what_becomes_of_a_held_part_is_the_holders_choice_too() {
+fn holder_chooses_the_fate_of_a_held_part() {
     let mut world = homed();
     lose_while_holding(&mut world, TakeLease { on_loss_holding: Some(OnLossHolding::FastStop), ..wish("a") });
     assert_eq!(latch(&world).fast_stop_cause, FastStopCause::ClientLost);
@@ -321,12 +321,12 @@ fn what_becomes_of_a_held_part_is_the_holders_choice_too() {
 }
 
 #[test]
-fn a_lease_is_handed_over_to_who_asks() {
+fn lease_is_handed_over_to_the_first_requester() {
     let mut world = homed();
     let a = token(&mut world, wish("a"));
     assert!(take(&mut world, TakeLease { request: true, ..wish("b") }).is_err());
     assert!(take(&mut world, TakeLease { request: true, ..wish("c") }).is_err());
-    assert_eq!(lease(&mut world).requested_by.as_deref(), Some("b"), "who came first");
+    assert_eq!(lease(&mut world).requested_by.as_deref(), Some("b"), "the first request wins");
     let hand_over = |to: &str, token: Option<LeaseToken>| {
         let to = to.to_owned();
         move |answer| Request::HandOver { token, to, new: LeaseToken::generate(), answer }
@@ -334,8 +334,8 @@ fn a_lease_is_handed_over_to_who_asks() {
     let mut wrong = request(&mut world, hand_over("c", a.clone()));
     assert!(matches!(wrong.try_recv().unwrap(), Err(Rejection::Invalid(_))));
     let mut right = request(&mut world, hand_over("b", a.clone()));
-    let told = right.try_recv().unwrap().unwrap();
-    assert_eq!((told.holder.as_deref(), told.epoch, told.token), (Some("b"), 2, None));
+    let current = right.try_recv().unwrap().unwrap();
+    assert_eq!((current.holder.as_deref(), current.epoch, current.token), (Some("b"), 2, None));
     assert!(submit_with(&mut world, move_to(50.0, 50.0), a).is_err());
     assert!(take(&mut world, wish("c")).is_err());
     let b = token(&mut world, TakeLease { request: true, ..wish("b") });
@@ -344,12 +344,12 @@ fn a_lease_is_handed_over_to_who_asks() {
 }
 
 #[test]
-fn a_motion_that_waits_when_its_lease_is_handed_over_never_leaves() {
+fn hand_over_aborts_a_waiting_motion() {
     let mut world = homed();
     let a = token(&mut world, wish("a"));
     let first = submit_with(&mut world, move_to(80.0, 200.0), a.clone()).unwrap();
     finish(&mut world, &first);
-    // In the pause after the first one it waits.
+    // A motion waits in the pause after the one before.
     let waiting = submit_with(&mut world, move_to(5.0, 10.0), a.clone()).unwrap();
     assert!(take(&mut world, TakeLease { request: true, ..wish("b") }).is_err());
     let from = mark(&world);
@@ -362,13 +362,13 @@ fn a_motion_that_waits_when_its_lease_is_handed_over_never_leaves() {
 }
 
 #[test]
-fn a_holder_that_is_lost_while_the_fingers_move_on_after_an_unknown_is_a_fast_stop() {
+fn holder_lost_during_an_unknown_motion_is_a_fast_stop() {
     let mut world = World::calm_on(Interface::Udp, device(), None);
     run(&mut world, home());
     let a = token(&mut world, TakeLease { ttl: Some(Duration::from_mins(1)), ..wish("a") });
     let running = submit_with(&mut world, move_to(5.0, 5.0), a.clone()).unwrap();
     world.advance(Duration::from_millis(300));
-    // No connection ends there: the fingers move on.
+    // UDP has no connection to end, so the fingers keep moving.
     world.disconnected("unplugged");
     assert_eq!(finish(&mut world, &running).outcome, Some(Outcome::Unknown));
     world.advance(Duration::from_secs(1));
@@ -382,7 +382,7 @@ fn a_holder_that_is_lost_while_the_fingers_move_on_after_an_unknown_is_a_fast_st
 }
 
 #[test]
-fn a_part_that_a_lost_holder_was_about_to_grip_is_reserved_for_it() {
+fn grip_that_ends_after_the_loss_reserves_the_part() {
     let mut world = homed();
     let a = token(&mut world, finish_moving(wish("a")));
     let gripping = submit_with(&mut world, grip(None), a.clone()).unwrap();
@@ -396,7 +396,7 @@ fn a_part_that_a_lost_holder_was_about_to_grip_is_reserved_for_it() {
 }
 
 #[test]
-fn a_lease_that_is_forced_stops_the_motion_of_who_held_it() {
+fn forced_take_stops_the_motion_of_the_old_holder() {
     let mut world = homed();
     let a = token(&mut world, wish("a"));
     let running = submit_with(&mut world, move_to(5.0, 10.0), a.clone()).unwrap();
@@ -409,7 +409,7 @@ fn a_lease_that_is_forced_stops_the_motion_of_who_held_it() {
 }
 
 #[test]
-fn force_stops_what_moves_where_nobody_holds_the_lease_too() {
+fn forced_take_stops_a_motion_without_a_holder() {
     for with_holder in [true, false] {
         let mut world = homed();
         let lost = with_holder.then(|| token(&mut world, finish_moving(wish("a"))).unwrap());
@@ -427,10 +427,10 @@ fn force_stops_what_moves_where_nobody_holds_the_lease_too() {
 }
 
 #[test]
-fn a_motion_that_waits_when_its_holder_is_lost_never_leaves() {
+fn loss_of_the_holder_aborts_a_waiting_motion() {
     let mut world = homed();
     let a = token(&mut world, TakeLease { on_loss_moving: Some(OnLossMoving::Stop), ..wish("a") });
-    // In the pause after the homing it waits.
+    // A motion waits in the pause after the one before.
     let first = submit_with(&mut world, move_to(80.0, 200.0), a.clone()).unwrap();
     finish(&mut world, &first);
     let from = mark(&world);
@@ -443,7 +443,7 @@ fn a_motion_that_waits_when_its_holder_is_lost_never_leaves() {
 }
 
 #[test]
-fn an_epoch_and_a_latch_outlive_a_restart_of_the_gateway() {
+fn epoch_and_latch_survive_a_gateway_restart() {
     let mut world = homed();
     let a = token(&mut world, wish("a"));
     let running = submit_with(&mut world, move_to(5.0, 10.0), a.clone()).unwrap();
@@ -456,7 +456,7 @@ fn an_epoch_and_a_latch_outlive_a_restart_of_the_gateway() {
     assert_eq!(lease(&mut world).epoch, 1);
     let from = mark(&world);
     world.advance(Duration::from_secs(1));
-    assert_eq!(received(&world, from).first(), Some(&id::FAST_STOP), "the device may have forgotten it");
+    assert_eq!(received(&world, from).first(), Some(&id::FAST_STOP), "the device may have lost its latch");
     let again = latch(&world);
     assert_eq!((again.fast_stop_id, again.fast_stop_cause), (stopped.fast_stop_id, FastStopCause::ClientLost));
     assert!(again.fast_stop_confirmed);

@@ -1,5 +1,5 @@
-//! The invariants of the gripper, each by its name, and what else the actor promises: on a virtual clock, and checked on
-//! the frames that the device received.
+//! Tests of the gripper's invariants, each under the invariant's name, and of the actor's other promises. They run on a
+//! virtual clock and check the frames that the device received.
 
 mod bounds;
 mod drivers;
@@ -60,13 +60,13 @@ fn fast_stop_overtakes() {
     fast_stop(&mut world);
     world.advance(Duration::from_millis(300));
     let all: Vec<_> = world.device.received()[from..].iter().map(|frame| frame.id).collect();
-    assert_eq!(all[1], id::FAST_STOP, "behind the frame that was being written, and before all others: {all:02X?}");
+    assert_eq!(all[1], id::FAST_STOP, "after the frame in progress, before all others: {all:02X?}");
 }
 
 #[test]
 fn latch_blocks_motion() {
     let mut world = homed();
-    // In the pause after the homing it waits.
+    // A motion waits in the pause after the homing.
     let waiting = start(&mut world, move_to(50.0, 50.0));
     let from = mark(&world);
     let id = fast_stop(&mut world);
@@ -79,7 +79,7 @@ fn latch_blocks_motion() {
 }
 
 #[test]
-fn a_fast_stop_aborts_a_running_motion_which_names_it() {
+fn fast_stop_aborts_a_running_motion_with_its_id() {
     let mut world = homed();
     let running = start(&mut world, move_to(10.0, 20.0));
     world.advance(Duration::from_millis(500));
@@ -113,7 +113,7 @@ fn acknowledge_names_its_latch() {
 const NOTHING: [u8; 0] = [];
 
 #[test]
-fn ruling_an_acknowledge_counts_when_the_flag_is_gone() {
+fn acknowledge_counts_only_once_the_flag_is_clear() {
     let mut world = homed();
     world.device.apply(world.now, Change::Overheat { temperature_c: 120.0 });
     world.advance(Duration::from_millis(200));
@@ -132,7 +132,7 @@ fn ruling_an_acknowledge_counts_when_the_flag_is_gone() {
 }
 
 #[test]
-fn a_latch_outlives_a_device_that_forgot_its_own() {
+fn latch_survives_a_device_reboot() {
     let mut world = homed();
     let id = fast_stop(&mut world);
     world.advance(Duration::from_millis(100));
@@ -146,7 +146,7 @@ fn a_latch_outlives_a_device_that_forgot_its_own() {
 }
 
 #[test]
-fn a_fast_stop_without_a_link_is_the_first_thing_after_it() {
+fn fast_stop_without_a_link_is_sent_first_after_reconnect() {
     let mut world = homed();
     world.device.apply(world.now, Change::RefuseConnections { on: true });
     world.device.apply(world.now, Change::CutConnection);
@@ -175,9 +175,9 @@ fn unknown_is_said() {
 }
 
 #[test]
-fn what_was_never_sent_is_refused_and_not_unknown() {
+fn unsent_motion_is_refused_rather_than_unknown() {
     let mut world = homed();
-    // In the pause after the homing it waits.
+    // A motion waits in the pause after the homing.
     let waiting = start(&mut world, move_to(50.0, 50.0));
     world.device.apply(world.now, Change::CutConnection);
     let command = finish(&mut world, &waiting);
@@ -194,7 +194,7 @@ fn announce_before_close() {
     let mut drained = request(&mut world, |answer| Request::Drain { answer });
     assert_eq!(refused(&mut world, home()), Failure::Draining.into());
     let command = finish(&mut world, &slow);
-    assert_eq!(command.outcome, Some(Outcome::Aborted), "it was given 2 s");
+    assert_eq!(command.outcome, Some(Outcome::Aborted), "drain_ms is over");
     world.advance(Duration::from_secs(2));
     assert_eq!(received(&world, from), [id::STOP, id::DISCONNECT_ANNOUNCEMENT]);
     assert_eq!(world.device.received().last().unwrap().id, id::DISCONNECT_ANNOUNCEMENT);
@@ -214,14 +214,14 @@ fn device_refusal_is_not_our_error() {
     assert_eq!((command.outcome, command.status_code), (Some(Outcome::Refused), Some(4711)));
     let Some(Rejection::Device(refusal)) = command.rejection else { panic!("{:?}", command.rejection) };
     assert_eq!((refusal.command, refusal.status), ("Grip", Status::from_code(4711)));
-    // A refused request binds nothing.
+    // A refused request does not bind its request id.
     let again = submit(&mut world, Action::Motion(grip(None)), Some("r1")).unwrap();
     assert!(!again.now().replayed);
     assert_eq!(finish(&mut world, &again).outcome, Some(Outcome::PartHeld));
 }
 
 #[test]
-fn the_same_request_is_one_motion() {
+fn repeated_request_id_is_one_motion() {
     let mut world = homed();
     let from = mark(&world);
     let first = submit(&mut world, Action::Motion(grip(None)), Some("r1")).unwrap();
@@ -234,7 +234,7 @@ fn the_same_request_is_one_motion() {
 }
 
 #[test]
-fn a_grip_whose_force_is_refused_moves_nothing() {
+fn grip_with_a_refused_force_moves_nothing() {
     let mut world = homed();
     let status = FaultKind::Status { code: Status::E_ACCESS_DENIED.code() };
     world.device.apply(world.now, Change::Fault { kind: status, id: Some(id::SET_FORCE_LIMIT), times: 1 });
@@ -247,7 +247,7 @@ fn a_grip_whose_force_is_refused_moves_nothing() {
 }
 
 #[test]
-fn between_two_motions_there_are_50_ms() {
+fn motions_are_50_ms_apart() {
     let mut world = homed();
     run(&mut world, move_to(50.0, 200.0));
     let from = mark(&world);
@@ -255,14 +255,14 @@ fn between_two_motions_there_are_50_ms() {
     start(&mut world, move_to(60.0, 200.0));
     world.advance(Duration::from_millis(200));
     let next = world.device.received()[from..].iter().find(|frame| frame.id == id::PRE_POSITION).unwrap();
-    // The command's end waits for fresh values, so a part of the pause is over already.
+    // The end of a command waits for fresh values, so part of the pause is already over.
     assert!(next.at >= ended + Duration::from_millis(35), "{:?}", next.at - ended);
 }
 
 #[test]
-fn a_commands_end_tells_the_values_of_after_it() {
+fn result_has_the_values_after_the_motion() {
     let mut world = homed();
-    assert_eq!(state(&world).width_mm.map(f32::round), Some(109.0), "of after the homing");
+    assert_eq!(state(&world).width_mm.map(f32::round), Some(109.0), "value after homing");
     let held = run(&mut world, grip(Some(30.0)));
     assert_eq!(held.outcome, Some(Outcome::PartHeld));
     assert_eq!(state(&world).state, Some("HOLDING"));
@@ -270,12 +270,12 @@ fn a_commands_end_tells_the_values_of_after_it() {
 }
 
 #[test]
-fn a_restarted_device_gets_its_settings_again_before_any_motion() {
+fn restarted_device_gets_its_settings_before_any_motion() {
     let mut world = homed();
     let acceleration = Acceleration::new(2000.0).unwrap();
     let mut set = exchange(&mut world, wsg::Command::SetAcceleration(acceleration));
     world.advance(Duration::from_millis(100));
-    assert_eq!(set.try_recv().unwrap(), Ok(wsg::Data::Acceleration(acceleration)), "as it was read back");
+    assert_eq!(set.try_recv().unwrap(), Ok(wsg::Data::Acceleration(acceleration)), "the value read back");
     assert_eq!(run(&mut world, grip(Some(30.0))).outcome, Some(Outcome::PartHeld));
     world.device.apply(world.now, Change::Reboot { ready_after_ms: 500, mid_frame: false });
     world.advance(Duration::from_secs(5));
@@ -283,12 +283,12 @@ fn a_restarted_device_gets_its_settings_again_before_any_motion() {
     assert!((snapshot.acceleration_mm_s2 - 2000.0).abs() < 0.1, "{snapshot:?}");
     assert!((snapshot.force_limit_n - 30.0).abs() < 0.1, "{snapshot:?}");
     assert_eq!((state(&world).link, state(&world).referenced), (Link::Connected, Some(false)));
-    assert_eq!(state(&world).width_mm, None, "null until it is referenced");
+    assert_eq!(state(&world).width_mm, None, "null until referenced");
     assert_eq!(refused(&mut world, grip(None)), Conflict::NotReferenced.into());
 }
 
 #[test]
-fn silence_is_noticed_within_1500_ms_and_ends_the_link_after_5_s_more() {
+fn silence_is_noticed_within_1500_ms_and_closes_the_link_5_s_later() {
     let mut world = homed();
     world.device.apply(world.now, Change::Silent { on: true });
     world.advance(Duration::from_millis(1400));
@@ -306,7 +306,7 @@ fn silence_is_noticed_within_1500_ms_and_ends_the_link_after_5_s_more() {
 }
 
 #[test]
-fn a_thousand_readers_cost_the_device_a_frame() {
+fn thousand_reads_cost_the_device_one_frame() {
     let mut world = homed();
     let from = mark(&world);
     let mut answers: Vec<_> =
@@ -319,11 +319,11 @@ fn a_thousand_readers_cost_the_device_a_frame() {
     let mut after = exchange(&mut world, wsg::Command::GetStatistics { reset: false });
     world.advance(Duration::from_millis(100));
     let Ok(wsg::Data::Statistics(statistics)) = after.try_recv().unwrap() else { panic!() };
-    assert_eq!(statistics.total, 1, "a motion makes what was read before old");
+    assert_eq!(statistics.total, 1, "a motion invalidates earlier readings");
 }
 
 #[test]
-fn a_stop_ends_a_motion_and_latches_nothing() {
+fn stop_ends_a_motion_and_latches_nothing() {
     let mut world = homed();
     let running = start(&mut world, move_to(10.0, 20.0));
     world.advance(Duration::from_millis(500));
@@ -335,7 +335,7 @@ fn a_stop_ends_a_motion_and_latches_nothing() {
 }
 
 #[test]
-fn an_unannounced_end_of_ours_is_told_as_the_cause() {
+fn unannounced_disconnect_is_the_cause_of_the_latch() {
     let mut world = homed();
     world.disconnected("pulled");
     world.advance(Duration::from_secs(3));
@@ -347,8 +347,8 @@ fn an_unannounced_end_of_ours_is_told_as_the_cause() {
 fn every_command_ends_once() {
     let mut world = homed();
     let mut ticket = start(&mut world, move_to(10.0, 20.0));
-    let mut times_told = 0;
-    // A cancel, a Stop, a FAST STOP and the end of the link at once: each would end it.
+    let mut times_reported = 0;
+    // A cancel, a Stop, a FAST STOP and a lost link, each of which would end the command.
     let id = ticket.now().id;
     drop(request(&mut world, |answer| Request::Cancel { id, client: client(), answer }));
     submit(&mut world, Action::Stop, None).unwrap();
@@ -356,17 +356,17 @@ fn every_command_ends_once() {
     for _ in 0..2000 {
         world.advance(Duration::from_millis(1));
         if ticket.has_changed() {
-            times_told += 1;
+            times_reported += 1;
         }
         if world.now > world.start + Duration::from_secs(4) {
             world.disconnected("pulled");
         }
     }
-    assert_eq!((times_told, ticket.now().outcome), (1, Some(Outcome::Aborted)));
+    assert_eq!((times_reported, ticket.now().outcome), (1, Some(Outcome::Aborted)));
 }
 
 #[test]
-fn nothing_moves_while_a_setting_of_a_client_is_lost() {
+fn lost_setting_blocks_motion() {
     let mut world = homed();
     drop(exchange(&mut world, wsg::Command::SetForceLimit(Force::new(10.0).unwrap())));
     world.advance(Duration::from_millis(100));
@@ -383,7 +383,7 @@ fn nothing_moves_while_a_setting_of_a_client_is_lost() {
 }
 
 #[test]
-fn a_stop_whose_link_goes_is_unknown() {
+fn stop_on_a_lost_link_is_unknown() {
     let mut world = homed();
     world.device.apply(world.now, Change::Silent { on: true });
     let stop = submit(&mut world, Action::Stop, None).unwrap();
@@ -393,7 +393,7 @@ fn a_stop_whose_link_goes_is_unknown() {
 }
 
 #[test]
-fn the_flags_confirm_a_fast_stop_whose_answers_are_lost() {
+fn flags_confirm_a_fast_stop_without_replies() {
     let mut world = homed();
     world.device.apply(world.now, Change::SetFastStop);
     world.device.apply(world.now, Change::Fault { kind: FaultKind::NoReply, id: Some(id::FAST_STOP), times: 200 });
@@ -404,7 +404,7 @@ fn the_flags_confirm_a_fast_stop_whose_answers_are_lost() {
 }
 
 #[test]
-fn updates_that_were_refused_at_first_are_switched_on_again() {
+fn refused_updates_are_switched_on_later() {
     let mut world = World::calm(device(), None);
     let refusal = FaultKind::Status { code: Status::E_NOT_AVAILABLE.code() };
     world.device.apply(world.now, Change::Fault { kind: refusal, id: Some(id::GET_WIDTH), times: 2 });
@@ -416,14 +416,14 @@ fn updates_that_were_refused_at_first_are_switched_on_again() {
 }
 
 #[test]
-fn a_stop_before_homing_tells_no_width() {
+fn stop_before_homing_has_no_width() {
     let mut world = world();
     let stop = submit(&mut world, Action::Stop, None).unwrap();
     assert_eq!(finish(&mut world, &stop).width_mm, None);
 }
 
 #[test]
-fn a_cancelled_grip_leaves_its_force_limit_noted() {
+fn cancelled_grip_keeps_its_force_limit() {
     let mut world = World::calm(device(), Some(960));
     run(&mut world, home());
     world.advance(Duration::from_millis(100));
@@ -440,7 +440,7 @@ fn a_cancelled_grip_leaves_its_force_limit_noted() {
 }
 
 #[test]
-fn foreign_motion_is_noticed_once_and_our_own_is_none() {
+fn foreign_motion_is_noticed_once() {
     let mut world = homed();
     run(&mut world, move_to(60.0, 200.0));
     world.advance(Duration::from_secs(1));
@@ -451,7 +451,7 @@ fn foreign_motion_is_noticed_once_and_our_own_is_none() {
 }
 
 #[test]
-fn a_stop_needs_no_lease_not_even_a_valid_one() {
+fn stop_ignores_a_stale_lease() {
     let mut world = homed();
     let running = start(&mut world, move_to(10.0, 20.0));
     world.advance(Duration::from_millis(300));
@@ -464,8 +464,8 @@ fn a_stop_needs_no_lease_not_even_a_valid_one() {
 }
 
 #[test]
-fn a_part_that_is_lost_belongs_to_its_grip_whatever_was_refused_since_and_after_a_restart() {
-    // A gripper on TCP would stop when the gateway is killed.
+fn lost_part_names_its_grip_after_a_refusal_and_a_restart() {
+    // Over TCP, killing the gateway would be a FAST STOP.
     let mut world = World::calm_on(Interface::Udp, device(), None);
     run(&mut world, home());
     let grip = run(&mut world, grip(None));
@@ -479,14 +479,14 @@ fn a_part_that_is_lost_belongs_to_its_grip_whatever_was_refused_since_and_after_
     world.device.apply(world.now, Change::SlipPart);
     world.advance(Duration::from_secs(1));
     assert_eq!(world.journal.lost_parts, [Some(grip.id)]);
-    // What is known already is no news to the next run.
+    // The next run does not report a known loss again.
     world.restart();
     world.advance(Duration::from_secs(2));
     assert_eq!((state(&world).state, world.journal.lost_parts.len()), (Some("PART_LOST"), 1));
 }
 
 #[test]
-fn a_cancelled_command_names_who_cancelled_it() {
+fn cancelled_command_names_the_canceller() {
     let mut world = homed();
     let running = start(&mut world, move_to(10.0, 20.0));
     world.advance(Duration::from_millis(300));

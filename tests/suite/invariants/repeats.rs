@@ -1,4 +1,4 @@
-//! What comes right behind another: the next motion, and what a client repeats.
+//! Requests in quick succession: the next motion after one, and repeated requests and faults.
 
 use std::time::Duration;
 
@@ -11,8 +11,8 @@ use super::steps::*;
 use crate::seeds::world::World;
 
 #[test]
-fn a_motion_whose_end_is_known_is_not_in_the_way_of_the_next() {
-    // Updates are so slow here that its end is told 50 ms later.
+fn finished_motion_does_not_block_the_next() {
+    // At this rate the update with the end of the motion is 50 ms late.
     let mut world = World::calm(device(), Some(960));
     run(&mut world, home());
     let from = mark(&world);
@@ -20,7 +20,7 @@ fn a_motion_whose_end_is_known_is_not_in_the_way_of_the_next() {
     let next = loop {
         world.advance(Duration::from_millis(1));
         let before = first.now();
-        assert_eq!(before.phase, Phase::Running, "the next one is taken before that");
+        assert_eq!(before.phase, Phase::Running, "still running");
         match submit(&mut world, Action::Motion(move_to(60.0, 100.0)), None) {
             Ok(next) => break next,
             Err(rejection) => assert_eq!(rejection, Conflict::AlreadyRunning { id: before.id }.into()),
@@ -31,11 +31,11 @@ fn a_motion_whose_end_is_known_is_not_in_the_way_of_the_next() {
     assert_eq!(finish(&mut world, &next).outcome, Some(Outcome::Success));
     let motions: Vec<_> = world.device.received()[from..].iter().filter(|frame| frame.id == id::PRE_POSITION).collect();
     assert_eq!(motions.len(), 2);
-    assert!(motions[1].at >= taken + Duration::from_millis(45), "it waits for its pause");
+    assert!(motions[1].at >= taken + Duration::from_millis(45), "the pause is kept");
 }
 
 #[test]
-fn what_is_repeated_is_written_down_by_the_second() {
+fn repeated_fast_stops_are_journaled_once_a_second() {
     let mut world = homed();
     let (events, from) = (world.journal.events.len(), mark(&world));
     let mut newest = None;
@@ -46,8 +46,8 @@ fn what_is_repeated_is_written_down_by_the_second() {
     }
     world.advance(Duration::from_secs(2));
     let newest = newest.unwrap();
-    assert!(received(&world, from).len() > 500, "all the same each is sent");
-    assert_eq!(latch(&world).fast_stop_id, newest, "and each has an id of its own");
+    assert!(received(&world, from).len() > 500, "each is still sent");
+    assert_eq!(latch(&world).fast_stop_id, newest, "each has its own id");
     let mut cleared = acknowledge(&mut world, newest);
     world.advance(Duration::from_millis(200));
     assert_eq!(cleared.try_recv().unwrap(), Ok(()));
@@ -60,21 +60,21 @@ fn what_is_repeated_is_written_down_by_the_second() {
     let latched: Vec<_> = latched.collect();
     assert_eq!(latched.iter().map(|fast_stop| fast_stop.count).sum::<u64>(), 500);
     assert_eq!(latched.last().unwrap().fast_stop_id, newest);
-    let confirmed = |detail: &&Detail| matches!(detail, Detail::FastStop(told) if told.event == FastStopStep::Confirmed && told.fast_stop_id == newest);
+    let confirmed = |detail: &&Detail| matches!(detail, Detail::FastStop(step) if step.event == FastStopStep::Confirmed && step.fast_stop_id == newest);
     assert_eq!(events.iter().filter(confirmed).count(), 1);
-    // After an acknowledge it is another one.
+    // After an acknowledge a FAST STOP gets its own event.
     let again = fast_stop(&mut world);
-    assert!(matches!(world.journal.events.last(), Some(Detail::FastStop(told)) if told.fast_stop_id == again));
+    assert!(matches!(world.journal.events.last(), Some(Detail::FastStop(step)) if step.fast_stop_id == again));
 }
 
 #[test]
-fn a_stop_that_has_something_to_stop_is_none_that_is_repeated() {
+fn stop_of_a_running_motion_is_a_new_command() {
     let mut world = homed();
     let first = submit(&mut world, Action::Stop, None).unwrap();
     world.advance(Duration::from_millis(100));
     let repeated = submit(&mut world, Action::Stop, None).unwrap();
     assert_eq!((repeated.id(), repeated.now().replayed), (first.id(), true));
-    // However many they are, they take nobody's place.
+    // Repeats take no slot from other clients.
     let from = mark(&world);
     for _ in 0..1000 {
         assert!(submit(&mut world, Action::Stop, None).is_ok());
@@ -90,11 +90,11 @@ fn a_stop_that_has_something_to_stop_is_none_that_is_repeated() {
 }
 
 #[test]
-fn flickering_faults_are_written_down_by_the_second() {
+fn flickering_faults_are_journaled_once_a_second() {
     let mut world = homed();
     let events = world.journal.events.len();
     let flags = world.device.snapshot().flags;
-    let mut told = 0;
+    let mut changes = 0;
     for _ in 0..250 {
         for flags in [flags | SystemState::FINGER_FAULT, flags] {
             let mut update = vec![0, 0];
@@ -104,7 +104,7 @@ fn flickering_faults_are_written_down_by_the_second() {
             let now = world.clock();
             world.actor.receive(now, &frame);
             world.settle();
-            told += 1;
+            changes += 1;
         }
         world.advance(Duration::from_millis(20));
     }
@@ -116,9 +116,9 @@ fn flickering_faults_are_written_down_by_the_second() {
         Detail::Device(DeviceEvent::Flickering { count, .. }) => *count,
         other => panic!("{other:?}"),
     };
-    assert_eq!(events.iter().map(count).sum::<u64>(), told, "none is lost");
+    assert_eq!(events.iter().map(count).sum::<u64>(), changes, "every change is counted");
     assert_eq!(events.last(), Some(&Detail::Device(DeviceEvent::FaultCleared { flags: vec!["FINGER_FAULT"] })));
-    // After a quiet second the next is written down at once.
+    // After a quiet second the next fault gets its own event.
     world.device.apply(world.now, Change::PowerFault { on: true });
     world.advance(Duration::from_millis(50));
     let is_fault = |detail: &&Detail| matches!(detail, Detail::Device(DeviceEvent::Fault { .. }));
@@ -126,7 +126,7 @@ fn flickering_faults_are_written_down_by_the_second() {
 }
 
 #[test]
-fn flickering_link_is_written_down_by_the_second() {
+fn flickering_link_is_journaled_once_a_second() {
     let mut world = homed();
     let events = world.journal.events.len();
     for _ in 0..100 {
@@ -141,7 +141,7 @@ fn flickering_link_is_written_down_by_the_second() {
         Detail::Link(link) => Some(link.link),
         _ => None,
     });
-    assert_eq!(newest, Some(Link::Connected), "the last word is how it is");
-    let latched = |detail: &&Detail| matches!(detail, Detail::FastStop(told) if told.event == FastStopStep::Latched);
+    assert_eq!(newest, Some(Link::Connected), "the last event is the final state");
+    let latched = |detail: &&Detail| matches!(detail, Detail::FastStop(step) if step.event == FastStopStep::Latched);
     assert_eq!(events.iter().filter(latched).count(), 1, "the connection's end is a FAST STOP");
 }

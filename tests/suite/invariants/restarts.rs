@@ -1,4 +1,4 @@
-//! What has to outlive a restart of the gateway, beside its leases.
+//! State besides leases that survives a gateway restart.
 
 use std::time::Duration;
 
@@ -18,7 +18,7 @@ fn latch_epochs_grow_across_restarts() {
         assert_eq!(state(&world).fast_stop, Some(false));
         world.restart();
         world.advance(Duration::from_secs(1));
-        // The end of the connection was unannounced.
+        // The restart closed the connection without an announcement.
         let seen = latch(&world);
         assert!(seen.epoch > epoch, "{} after {epoch}", seen.epoch);
         before = seen.epoch;

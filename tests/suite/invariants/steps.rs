@@ -1,4 +1,4 @@
-//! What the tests of the invariants do with a gripper: its clients' requests, and looks at what came of them.
+//! Steps of the invariant tests: client requests, and views of their effects.
 
 use std::time::Duration;
 
@@ -80,7 +80,6 @@ pub fn refused(world: &mut World, motion: Motion) -> Rejection {
     submit(world, Action::Motion(motion), None).unwrap_err()
 }
 
-/// Runs a motion to its end.
 pub fn run(world: &mut World, motion: Motion) -> Command {
     let ticket = start(world, motion);
     finish(world, &ticket)
@@ -93,7 +92,7 @@ pub fn finish(world: &mut World, ticket: &Ticket) -> Command {
         }
         world.advance(Duration::from_millis(10));
     }
-    panic!("it does not end: {:#?}", ticket.now());
+    panic!("the command does not end: {:#?}", ticket.now());
 }
 
 pub fn fast_stop(world: &mut World) -> FastStopId {
@@ -115,7 +114,7 @@ pub fn fast_stop(world: &mut World) -> FastStopId {
 }
 
 pub fn acknowledge(world: &mut World, id: FastStopId) -> oneshot::Receiver<Result<(), Rejection>> {
-    // The only place of these tests that acknowledges: nothing else may.
+    // The only acknowledge in these tests; any other is a violation.
     world.invariants.acknowledge_taken();
     request(world, |answer: Answer<()>| Request::Acknowledge { id, client: client(), answer })
 }
@@ -132,7 +131,7 @@ pub fn latch(world: &World) -> LatchFields {
     state(world).latch.unwrap()
 }
 
-/// The ids of what the device has received since `from`, without updates, Loops and temperatures.
+/// Ids of the frames that the device received since `from`, except updates, Loops and temperatures.
 pub fn received(world: &World, from: usize) -> Vec<u8> {
     let upkeep = [id::LOOP, id::GET_TEMPERATURE];
     let ids = world.device.received()[from..].iter().map(|frame| frame.id);

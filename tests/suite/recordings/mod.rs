@@ -1,7 +1,8 @@
-//! A recorded conversation of every command on each transport, as it is on the wire, in `tests/recordings/`: `>` goes to
-//! the device, `<` comes from it. A line is a datagram on UDP, a CAN frame as `candump` has it, and a frame elsewhere.
+//! Recordings in `tests/recordings/` of every command on each transport, as sent on the wire. `>` goes to the device,
+//! `<` comes from the device. A line is a datagram on UDP, a CAN frame in `candump` format, and a protocol frame
+//! elsewhere.
 //!
-//! `RECORD=1 cargo test --test suite as_recorded` writes them anew: the difference is for a review.
+//! `RECORD=1 cargo test --test suite as_recorded` rewrites them; review the difference.
 
 use std::fmt::Write;
 use std::path::PathBuf;
@@ -19,7 +20,7 @@ use crate::conformance::rig;
 pub const TRANSPORTS: [(&str, Interface); 4] =
     [("tcp", Interface::Tcp), ("udp", Interface::Udp), ("serial", Interface::Serial), ("can", Interface::Can)];
 
-/// A request and its replies, each a line of the recording.
+/// A request and its replies, as lines of the recording.
 #[derive(Debug, Default)]
 pub struct Exchange {
     pub requests: Vec<String>,
@@ -36,24 +37,24 @@ impl Exchange {
     }
 }
 
-/// What of a line is the frame's own: all but a CAN frame's id.
+/// Bytes of a line, without the id of a CAN frame.
 pub fn bytes(line: &str) -> Vec<u8> {
     hex::decode(line.rsplit('#').next().unwrap()).unwrap()
 }
 
-/// The id and the data of a CAN frame.
+/// Id and data of a CAN frame.
 pub fn can_frame(line: &str) -> (&str, Vec<u8>) {
     (line.split('#').next().unwrap(), bytes(line))
 }
 
 fn path(transport: &str) -> PathBuf {
-    // A binary that runs elsewhere brings them with it.
+    // A test binary on another machine brings the recordings along.
     let folder = std::env::var_os("WSG_TEST_RECORDINGS").map(PathBuf::from);
     let folder = folder.unwrap_or_else(|| concat!(env!("CARGO_MANIFEST_DIR"), "/tests/recordings").into());
     folder.join(format!("{transport}.txt"))
 }
 
-/// A recording's exchanges.
+/// Reads the exchanges of a recording.
 pub fn read(transport: &str) -> Vec<Exchange> {
     let text = std::fs::read_to_string(path(transport)).unwrap();
     let mut exchanges: Vec<Exchange> = Vec::new();
@@ -125,7 +126,7 @@ fn write_frame(out: &mut String, mark: char, interface: Interface, id: &str, fra
     }
 }
 
-/// The conversation with a device on this interface, on a virtual clock.
+/// Records the exchanges with a device on this interface, on a virtual clock.
 pub fn record(interface: Interface) -> String {
     let mut now = Instant::now();
     let mut device = Device::new(rig::device(), now);
@@ -137,7 +138,7 @@ pub fn record(interface: Interface) -> String {
         command.encode(&mut frame);
         write_frame(&mut text, '>', interface, "064", &frame);
         device.receive(now, &frame);
-        // Longer than any of these motions takes.
+        // Longer than any of these motions.
         for _ in 0..3000 {
             now += Duration::from_millis(1);
             device.handle_timeout(now);
@@ -151,7 +152,7 @@ pub fn record(interface: Interface) -> String {
     text
 }
 
-/// Compares a recording with what is recorded now, or writes it.
+/// Compares a recording with the current behaviour, or rewrites it.
 pub fn compare(transport: &str, interface: Interface) {
     let recorded = record(interface);
     if std::env::var_os("RECORD").is_some() {
@@ -160,6 +161,6 @@ pub fn compare(transport: &str, interface: Interface) {
     let expected = std::fs::read_to_string(path(transport)).unwrap();
     assert!(
         recorded == expected,
-        "{transport} differs from its recording: RECORD=1 writes it anew, git shows what is new"
+        "{transport} differs from its recording: RECORD=1 rewrites it, git shows the difference"
     );
 }

@@ -1,4 +1,4 @@
-//! The clients: what they ask, and what they were told.
+//! The simulated clients: their requests, and checks of the answers.
 
 use rand::RngExt;
 use tokio::sync::oneshot;
@@ -15,15 +15,15 @@ use super::leases::Leases;
 use super::schedule::Ask;
 use super::world::{READ_ID, SCRIPT_ID, STREAM_ID, World};
 
-/// An admitted motion, and the request that it may become.
+/// An admitted command. `motion` is the only motion frame that it can cause.
 pub struct Admitted {
     pub ticket: Ticket,
     pub motion: Option<Command>,
-    /// The lease that it was admitted with.
+    /// Lease token of the request.
     pub lease: Option<LeaseToken>,
 }
 
-/// A request that moves nothing, and the data that it must bring back, where that is known.
+/// A request without motion, and the data that must come back, if known.
 struct Exchange {
     answered: oneshot::Receiver<Result<Data, Rejection>>,
     expected: Option<Data>,
@@ -109,13 +109,13 @@ impl Clients {
         }
     }
 
-    /// A script's command that is like no other.
+    /// Returns a script command with a unique payload.
     fn next_custom(world: &mut World, id: u8) -> CustomCommand {
         world.clients.submitted += 1;
         CustomCommand::new(id, world.clients.submitted.to_le_bytes().to_vec()).unwrap()
     }
 
-    /// A speed that no other motion has, so that a frame tells which request it came from.
+    /// Returns a unique speed, so that a frame identifies its request.
     fn next_speed(world: &mut World) -> Speed {
         world.clients.submitted += 1;
         Speed::new(30.0 + world.clients.submitted as f32 / 8.0).unwrap()
@@ -146,18 +146,18 @@ impl Clients {
         let now = world.clock();
         let id = world.ids.command_id(now.wall);
         world.actor.request(now, Request::Submit { submission, id, answer });
-        let result = answered.try_recv().expect("admission is decided at once");
+        let result = answered.try_recv().expect("admission takes no time");
         world.note(&format!("  {:?}", result.as_ref().map(|ticket| ticket.now().id)));
         if motion.is_some() {
             Leases::asked(world, door, lease.as_ref(), result.as_ref());
         }
         if let Ok(ticket) = result {
             let replayed = ticket.now().replayed;
-            world.count("a request was replayed", replayed);
+            world.count("command: replayed", replayed);
             if !replayed {
-                assert!(!latched || motion.is_none(), "no motion is admitted while a latch holds\n{}", world.tail());
+                assert!(!latched || motion.is_none(), "a latch blocks admission\n{}", world.tail());
                 let is_streamed = motion.as_ref().is_some_and(is_streamed);
-                world.count("a stream went on", is_streamed);
+                world.count("command: streamed", is_streamed);
                 if is_streamed {
                     Leases::streamed(world);
                 }
@@ -177,7 +177,7 @@ impl Clients {
 
     fn fast_stop(world: &mut World) {
         if world.rng.random_bool(0.5) {
-            // On a slow line these wait, and have to be overtaken.
+            // On a slow line these wait, and the FAST STOP must overtake them.
             Self::exchange(world, Command::GetForceLimit);
             Self::exchange(world, Command::GetSystemLimits);
             Self::exchange(world, Command::GetDeviceTag);
@@ -207,7 +207,7 @@ impl Clients {
         let now = world.clock();
         world.actor.request(now, Request::Acknowledge { id, client: client(), answer });
         if let Ok(result) = answered.try_recv() {
-            assert!(result.is_err(), "nothing is acknowledged without the device");
+            assert!(result.is_err(), "an acknowledge needs the device");
         } else {
             assert_eq!(Some(id), current, "acknowledge_names_its_latch\n{}", world.tail());
             world.invariants.acknowledge_taken();
@@ -218,7 +218,7 @@ impl Clients {
     fn exchange(world: &mut World, command: Command) {
         let expected = match &command {
             Command::Loop(data) => Some(Data::Loop(data.as_bytes().to_vec())),
-            // Its script echoes.
+            // The script echoes its payload.
             Command::Custom(custom) => Some(Data::Custom(custom.payload().to_vec())),
             _ => None,
         };
@@ -228,7 +228,7 @@ impl Clients {
         world.clients.exchanges.push(Exchange { answered, expected });
     }
 
-    /// Takes the answers that have come.
+    /// Collects the answers that have arrived.
     pub fn collect(world: &mut World) {
         let mut cleared = 0;
         world.clients.acknowledges.retain_mut(|answered| match answered.try_recv() {
@@ -238,11 +238,11 @@ impl Clients {
             }
             Err(_) => true,
         });
-        *world.counts.entry("a FAST STOP was acknowledged".to_owned()).or_default() += cleared;
+        *world.counts.entry("FAST STOP: acknowledged".to_owned()).or_default() += cleared;
         let (mut wrong, mut late) = (None, 0);
         world.clients.exchanges.retain_mut(|exchange| match (exchange.answered.try_recv(), &exchange.expected) {
             (Err(oneshot::error::TryRecvError::Empty), _) => true,
-            // A device that says E_SUCCESS and nothing else, as a fault has it, tells nobody's data.
+            // An injected fault can make the device answer a bare E_SUCCESS without data.
             (Ok(Ok(Data::Custom(nothing))), Some(_)) if nothing.is_empty() => false,
             (Ok(Ok(data)), Some(expected)) if data != *expected => {
                 wrong = Some((data, expected.clone()));
@@ -254,11 +254,11 @@ impl Clients {
             }
             _ => false,
         });
-        *world.counts.entry("a request timed out".to_owned()).or_default() += late;
+        *world.counts.entry("request: timed out".to_owned()).or_default() += late;
         assert_eq!(wrong, None, "a late reply must not answer the next request\n{}", world.tail());
     }
 
-    /// Whether everyone has been answered.
+    /// Whether every request has its answer.
     pub fn all_answered(&self) -> bool {
         self.exchanges.is_empty() && self.acknowledges.is_empty()
     }
@@ -271,12 +271,12 @@ impl Clients {
     }
 }
 
-/// Whether it is one of many that steer the fingers.
+/// Whether the request belongs to a stream of custom commands that steers the fingers.
 pub fn is_streamed(motion: &Command) -> bool {
     motion.id() == STREAM_ID
 }
 
-/// Whether it is within the limits of every model, so that a driver's frame is the one that it asked for.
+/// Whether the motion is within the limits of every model, so that the frame is sent unclamped.
 fn is_never_clamped(motion: &Motion) -> bool {
     match motion {
         Motion::Home(_) | Motion::Custom(_) | Motion::Release { .. } => true,

@@ -1,4 +1,4 @@
-//! The invariants, checked on the frames: those that leave the gateway, and those that the device received.
+//! Invariant checks on the frames that leave the gateway and on those that the device received.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -11,14 +11,14 @@ use super::client::{Admitted, is_streamed};
 use super::leases::Leases;
 use super::world::{SCRIPT_ID, STREAM_ID, World};
 
-/// What was seen so far.
+/// Observations so far.
 #[derive(Default)]
 pub struct Invariants {
-    /// Motion frames that left, by their bytes.
+    /// Number of times that each motion frame left, by its bytes.
     motions: BTreeMap<Vec<u8>, usize>,
     acknowledges_taken: usize,
     acknowledges_sent: usize,
-    /// A FAST STOP was asked for, and nothing has left since.
+    /// Whether a FAST STOP was requested and no frame has left since.
     fast_stop_is_next: bool,
     fast_stop_sent: Option<Instant>,
     outcomes: BTreeMap<usize, Outcome>,
@@ -33,14 +33,14 @@ impl Invariants {
         self.acknowledges_taken += 1;
     }
 
-    /// A frame leaves the gateway.
+    /// Checks a frame that leaves the gateway.
     pub fn sent(world: &mut World, frame: &[u8]) {
         let frame_id = frame[3];
         world.note(&format!("> {}", hex::encode(frame)));
         let latched = world.watches.state.borrow().latch.is_some();
         let unconfirmed = world.watches.state.borrow().latch.as_ref().is_some_and(|latch| !latch.fast_stop_confirmed);
         if std::mem::take(&mut world.invariants.fast_stop_is_next) && unconfirmed {
-            // Unless one is under way already, whose answer is awaited for 100 ms.
+            // An earlier FAST STOP whose reply is awaited for up to 100 ms also satisfies the rule.
             let under_way =
                 world.invariants.fast_stop_sent.is_some_and(|at| world.now < at + Duration::from_millis(100));
             assert!(frame_id == id::FAST_STOP || under_way, "fast_stop_overtakes\n{}", world.tail());
@@ -57,7 +57,7 @@ impl Invariants {
                 let running = admitted.clone().filter(|admitted| admitted.ticket.now().phase == Phase::Running);
                 let mut may_leave = running.map(|admitted| Leases::may_leave(world, admitted.lease.as_ref()));
                 assert!(may_leave.any(|may| may), "stale_lease_moves_nothing\n{}", world.tail());
-                // What is not written down does not move: only a stream waits for no disk.
+                // A motion waits until its command is durable; only streams are exempt.
                 let may_move = |admitted: &&Admitted| {
                     admitted.motion.as_ref().is_some_and(is_streamed)
                         || world.journal.is_durable(admitted.ticket.now().id)
@@ -78,51 +78,51 @@ impl Invariants {
         }
     }
 
-    /// After every step.
+    /// Checks the commands after every step.
     pub fn check(world: &mut World) {
         for (index, admitted) in world.clients.admitted.iter().enumerate() {
             let Some(outcome) = admitted.ticket.now().outcome else { continue };
             let first = *world.invariants.outcomes.entry(index).or_insert(outcome);
             assert_eq!(first, outcome, "every_command_ends_once\n{}", world.log.join("\n"));
             if let (Some(Command::Custom(custom)), Outcome::Success) = (&admitted.motion, outcome) {
-                // Its script echoes.
+                // The script echoes its payload.
                 let payload = admitted.ticket.now().payload;
                 let echo = hex::encode(custom.payload());
                 let is_bare = payload.as_deref() == Some("");
                 let is_its_own = payload.as_deref() == Some(&*echo);
-                assert!(is_bare || is_its_own, "another command's answer\n{}", world.log.join("\n"));
+                assert!(is_bare || is_its_own, "reply of another command\n{}", world.log.join("\n"));
             }
         }
     }
 
-    /// Whether nothing is under way any more.
+    /// Whether all work is finished.
     pub fn is_at_rest(world: &World, since: Instant) -> bool {
         let state = world.watches.state.borrow();
         let unconfirmed = state.latch.as_ref().is_some_and(|latch| !latch.fast_stop_confirmed);
         let ended = world.clients.tickets().all(|ticket| ticket.now().phase == Phase::Done);
-        // An update was heard after all faults had ended: the link isn't half-open.
+        // An update since the faults ended shows that the link is not half-open.
         let heard = state.updated_at.is_some_and(|at| at > since + Duration::from_secs(1));
         let heard = heard && state.flags_raw == Some(world.device.snapshot().flags.bits());
         state.link == Link::Connected && heard && !unconfirmed && ended && world.clients.all_answered()
     }
 
-    /// When no fault is left, and everything had its time.
+    /// Checks the final state, once all faults have ended.
     pub fn at_rest(world: &mut World) {
         let state = world.watches.state.borrow().clone();
-        assert_eq!(state.link, Link::Connected, "the link comes back: {:?}\n{}", state.link_cause, world.tail());
-        assert!(world.clients.all_answered(), "everyone is answered\n{}", world.tail());
+        assert_eq!(state.link, Link::Connected, "the link is not restored: {:?}\n{}", state.link_cause, world.tail());
+        assert!(world.clients.all_answered(), "a request has no answer\n{}", world.tail());
         assert_eq!(state.command, None, "{}", world.tail());
         let unconfirmed = state.latch.as_ref().is_some_and(|latch| !latch.fast_stop_confirmed);
-        assert!(!unconfirmed, "a FAST STOP is repeated until it is confirmed\n{}", world.tail());
+        assert!(!unconfirmed, "unconfirmed FAST STOP\n{}", world.tail());
         let device_stopped = world.device.snapshot().fast_stop;
-        assert!(!device_stopped || state.latch.is_some(), "a FAST STOP that is seen is a latch\n{}", world.tail());
-        world.count("a FAST STOP held at the end", state.latch.is_some());
+        assert!(!device_stopped || state.latch.is_some(), "device FAST STOP without a latch\n{}", world.tail());
+        world.count("FAST STOP: latched at the end", state.latch.is_some());
         let received: Vec<_> =
             world.device.received().iter().map(|frame| encode_raw(frame.id, &frame.payload)).collect();
         let mut outcomes = BTreeMap::new();
         for admitted in &world.clients.admitted {
             let command = admitted.ticket.now();
-            let outcome = command.outcome.expect("it has ended");
+            let outcome = command.outcome.expect("the command has ended");
             *outcomes.entry(format!("outcome: {outcome:?}")).or_insert(0) += 1;
             let Some(motion) = &admitted.motion else { continue };
             if motion.id() == id::HOMING {
@@ -131,12 +131,12 @@ impl Invariants {
             let frame = encode(motion);
             let sent = world.invariants.motions.contains_key(&frame);
             match outcome {
-                // What the device is said to have ended, it must have been given.
+                // A result of the device requires that the device received the frame.
                 Outcome::Success | Outcome::PartHeld | Outcome::NoPart | Outcome::Blocked | Outcome::Range => {
                     assert!(received.contains(&frame), "unknown_is_said: {command:#?}\n{}", world.tail());
                 }
                 Outcome::Refused if command.status_code.is_none() => {
-                    // A refused request that is repeated is another command, with the same frame.
+                    // A retried request is a new command with the same frame.
                     let others = world.clients.admitted.iter().filter(|other| {
                         let other_command = other.ticket.now();
                         let unsent =
@@ -145,18 +145,18 @@ impl Invariants {
                     });
                     let times = world.invariants.motions.get(&frame).copied().unwrap_or_default();
                     let excused = others.count();
-                    assert!(times <= excused, "unknown_is_said: refused, and yet sent: {command:#?}\n{}", world.tail());
+                    assert!(times <= excused, "unknown_is_said: refused, but sent: {command:#?}\n{}", world.tail());
                 }
-                Outcome::Unknown => assert!(sent, "unknown_is_said: it was never sent: {command:#?}\n{}", world.tail()),
+                Outcome::Unknown => assert!(sent, "unknown_is_said: never sent: {command:#?}\n{}", world.tail()),
                 _ => {}
             }
         }
         super::journal::Journal::check(world);
-        world.count("a foreign motion was noticed", world.journal.foreign_motions > 0);
-        world.count("a grip record was kept", world.journal.grips > 0);
+        world.count("device: foreign motion", world.journal.foreign_motions > 0);
+        world.count("journal: grip record", world.journal.grips > 0);
         let is_script = |admitted: &&Admitted| admitted.ticket.now().kind == Kind::Custom;
         let scripts = world.clients.admitted.iter().filter(is_script).count();
-        world.count("a custom command was kept", scripts > 0);
+        world.count("command: custom", scripts > 0);
         for (name, count) in outcomes {
             *world.counts.entry(name).or_default() += count;
         }
@@ -165,7 +165,7 @@ impl Invariants {
         }
     }
 
-    /// After the orderly end.
+    /// Checks the frames of an orderly disconnect.
     pub fn drained(world: &mut World, received_before: u64) {
         let new = (world.device.snapshot().received_frames - received_before) as usize;
         let all = world.device.received();

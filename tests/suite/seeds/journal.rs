@@ -1,4 +1,4 @@
-//! A journal that takes its time, and sometimes does not take a record at all.
+//! A journal that is slow, and sometimes fails to store a record.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
@@ -13,25 +13,24 @@ use super::client::{Admitted, is_streamed};
 use super::leases::Leases;
 use super::world::World;
 
-/// What was recorded.
+/// Records of the actor.
 #[derive(Default)]
 pub struct Journal {
-    /// The commands whose records will be durable, or not, and when.
+    /// Pending writes: when each ends, its command, and whether it succeeds.
     writing: Vec<(Instant, CommandId, bool)>,
     durable: BTreeSet<CommandId>,
     admitted: BTreeMap<CommandId, usize>,
     done: BTreeMap<CommandId, Vec<Outcome>>,
     pub grips: usize,
     pub foreign_motions: usize,
-    /// The grips of the parts that were lost.
+    /// Grip commands of lost parts.
     pub lost_parts: Vec<Option<CommandId>>,
-    /// All that was written down.
     pub events: Vec<Detail>,
     memory: BTreeMap<PersistedKey, Option<String>>,
 }
 
 impl Journal {
-    /// What a gateway that starts again knows of this one.
+    /// Returns the state that a restarted gateway restores.
     pub fn restored(&self) -> RestoredState {
         let remembered = |key| self.memory.get(&key).cloned().flatten();
         RestoredState {
@@ -52,7 +51,7 @@ impl Journal {
         self.durable.contains(&id)
     }
 
-    /// Takes what the actor records, and tells it what has become durable.
+    /// Takes the actor's records, and reports finished writes to the actor.
     pub fn keep(world: &mut World) {
         loop {
             while let Some((record, awaited_by)) = world.actor.poll_record() {
@@ -84,7 +83,7 @@ impl Journal {
             return;
         }
         let [fails, stalls] = [0.01, 0.01].map(|chance| world.rng.random_bool(chance));
-        world.count("journal: a record was not taken", fails);
+        world.count("journal: a write failed", fails);
         world.count("journal: the disk stalled", stalls);
         let longest_ms = if stalls { 2000 } else { 10 };
         let time = Duration::from_millis(world.rng.random_range(0..longest_ms));
@@ -113,14 +112,15 @@ impl Journal {
         }
     }
 
-    /// Two records of each command, the second with the outcome that its client was told. Those of streams are counted.
+    /// Checks for two records per command, the second with the outcome that the client saw. Stream requests are counted
+    /// instead.
     pub fn check(world: &World) {
         let has_records = |admitted: &&Admitted| !admitted.motion.as_ref().is_some_and(is_streamed);
         let (recorded, streamed): (Vec<_>, Vec<_>) = world.clients.admitted.iter().partition(has_records);
         for admitted in &recorded {
             let command = admitted.ticket.now();
             let records = (world.journal.admitted.get(&command.id), world.journal.done.get(&command.id));
-            let outcome = command.outcome.expect("it has ended");
+            let outcome = command.outcome.expect("the command has ended");
             assert_eq!(records, (Some(&1), Some(&vec![outcome])), "every_command_ends_once\n{}", world.tail());
         }
         assert_eq!(world.journal.admitted.len(), recorded.len(), "{}", world.tail());
@@ -129,12 +129,12 @@ impl Journal {
             _ => 0,
         };
         let counted: u64 = world.journal.events.iter().map(count).sum();
-        assert_eq!(counted, streamed.len() as u64, "each request of a stream is counted once\n{}", world.tail());
+        assert_eq!(counted, streamed.len() as u64, "stream requests are counted once\n{}", world.tail());
     }
 }
 
 impl World {
-    /// The gateway is killed, and starts again.
+    /// Kills the gateway, and starts a new one.
     pub fn restart(&mut self) {
         self.disconnected("killed");
         Journal::keep(self);

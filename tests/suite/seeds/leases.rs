@@ -1,4 +1,4 @@
-//! Clients that take the lease, use it, lose it and use old ones: what they may do is known here independently.
+//! Clients that take, use and lose the lease or use stale tokens, with an independent model of their rights.
 
 use std::collections::BTreeMap;
 use std::time::{Duration, Instant};
@@ -17,7 +17,7 @@ use wsg_gateway::gripper::model::lease::DEFAULT_TTL;
 
 use super::world::World;
 
-/// What a client does about the lease.
+/// A client's action on the lease.
 #[derive(Debug, Clone, Copy)]
 pub enum LeaseAsk {
     Take {
@@ -28,49 +28,48 @@ pub enum LeaseAsk {
     Release {
         stale: bool,
     },
-    /// Its connection ends.
+    /// The client's connection ends.
     Lose,
 }
 
-/// How late a lease may run out.
+/// Longest delay until an expired lease is reported.
 const LATE: Duration = Duration::from_millis(50);
 
-/// How long the device has to move, or to stand, until the gateway must know.
+/// Time that the device must have moved or stood still before the gateway has to know.
 const KNOWN_AFTER: Duration = Duration::from_secs(2);
 
-/// And how lately it must have been heard.
+/// Maximum age of the last update for the device to count as heard.
 const HEARD_WITHIN: Duration = Duration::from_millis(300);
 
-/// How long after a request of a stream somebody may be lost while steering the fingers: within a second of it, and
-/// whose lease runs out was lost when it was heard last.
+/// Time after a stream request during which a lost holder may count as steering. A stream is live for 1 s after its
+/// last request, and a lease that expires counts as lost at its last use.
 const STREAM_LASTS: Duration = Duration::from_secs(1).saturating_add(DEFAULT_TTL);
 
-/// Who speaks the device's protocol.
+/// Subject of the client that speaks the device's protocol.
 const DRIVER: &str = "wsg:10.0.0.1";
 
-/// What is known of the leases.
+/// Independent model of the leases.
 #[derive(Default)]
 pub struct Leases {
-    /// All that were ever given.
+    /// All tokens ever given.
     given: Vec<LeaseToken>,
     current: Option<Current>,
-    /// The open requests of its holder.
+    /// Open requests of the holder.
     open: Vec<Ticket>,
-    /// How many drivers there were.
+    /// Number of driver connections so far.
     drivers: usize,
-    /// What was agreed on for fingers that move, by epoch.
+    /// `on_loss_moving` of each lease, by epoch.
     on_loss_moving: BTreeMap<u64, OnLossMoving>,
-    /// What was seen of the fingers.
     fingers: Fingers,
 }
 
-/// Since when the device moves, or stands, and what the gateway knew of that after the last step.
+/// Movement of the device, and the gateway's view after the last step.
 #[derive(Default)]
 struct Fingers {
     since: Option<(bool, Instant)>,
-    told_moving: Option<bool>,
+    reported_moving: Option<bool>,
     runs: bool,
-    /// When they were steered last.
+    /// Time of the last stream request.
     streamed: Option<Instant>,
 }
 
@@ -128,21 +127,21 @@ impl Leases {
         let (now, take) = (world.clock(), wish.clone());
         let epoch = world.watches.state.borrow().lease_epoch;
         world.actor.request(now, Request::TakeLease { take, token, answer });
-        let result = answered.try_recv().expect("it is decided at once");
+        let result = answered.try_recv().expect("the decision takes no time");
         world.note(&format!("  {holder} takes the lease: {:?}", result.as_ref().map(|granted| &granted.lease)));
         let Ok(granted) = result else {
-            assert!(!free || !wish.force, "a supervisor takes any\n{}", world.tail());
+            assert!(!free || !wish.force, "force takes any free lease\n{}", world.tail());
             return;
         };
         let waited = world.leases.current.as_ref().is_some_and(|current| current.holder == holder);
-        assert!(free || wish.force || waited, "it was held by somebody else\n{}", world.tail());
-        assert!(granted.lease.epoch >= epoch, "epochs only grow\n{}", world.tail());
+        assert!(free || wish.force || waited, "held by another client\n{}", world.tail());
+        assert!(granted.lease.epoch >= epoch, "the epoch decreased\n{}", world.tail());
         world.count("lease: taken", !wish.force);
         world.count("lease: forced", wish.force && !free);
-        let terms = granted.lease.on_loss_moving.expect("it is held");
+        let terms = granted.lease.on_loss_moving.expect("the lease is held");
         assert!(wish.on_loss_moving.is_none_or(|wished| wished == terms), "{}", world.tail());
         world.leases.on_loss_moving.insert(granted.lease.epoch, terms);
-        let token = granted.lease.token.clone().expect("its taker is told");
+        let token = granted.lease.token.clone().expect("the taker gets the token");
         world.leases.given.push(token.clone());
         world.leases.open.clear();
         world.leases.current = Some(Current { token, holder, ttl, used: world.now });
@@ -163,8 +162,8 @@ impl Leases {
         let (answer, mut answered) = oneshot::channel();
         let request = Request::HandOver { token: Some(token), to: to.to_owned(), new: new.clone(), answer };
         world.actor.request(now, request);
-        if answered.try_recv().expect("it is decided at once").is_err() {
-            // It was a use all the same.
+        if answered.try_recv().expect("the decision takes no time").is_err() {
+            // A failed hand-over still renews the lease.
             if let Some(current) = &mut world.leases.current {
                 current.used = world.now;
             }
@@ -184,8 +183,8 @@ impl Leases {
         let (answer, mut answered) = oneshot::channel();
         let now = world.clock();
         world.actor.request(now, Request::RenewLease { token, answer });
-        let renewed = answered.try_recv().expect("it is decided at once").is_ok();
-        assert_eq!(renewed, alive, "a lease is renewed for as long as it lives\n{}", world.tail());
+        let renewed = answered.try_recv().expect("the decision takes no time").is_ok();
+        assert_eq!(renewed, alive, "renewal does not match the lease's life\n{}", world.tail());
         if let Some(current) = world.leases.current.as_mut().filter(|_| renewed) {
             current.used = world.now;
         }
@@ -198,23 +197,23 @@ impl Leases {
         let (answer, mut answered) = oneshot::channel();
         let now = world.clock();
         world.actor.request(now, Request::ReleaseLease { token: token.clone(), answer });
-        let lease = answered.try_recv().expect("it is decided at once");
+        let lease = answered.try_recv().expect("the decision takes no time");
         if token.is_some() && token == current {
             assert!(!lease.held, "{}", world.tail());
             (world.leases.current, world.leases.open) = (None, Vec::new());
             world.count("lease: released", held.is_some());
         } else {
-            assert_eq!(lease.holder, held, "releasing what isn't its any more does nothing\n{}", world.tail());
+            assert_eq!(lease.holder, held, "a stale release changed the lease\n{}", world.tail());
         }
     }
 
-    /// Whether the lease must be held still.
+    /// Whether the lease must still be held.
     fn is_alive(world: &World) -> bool {
         let alive = |current: &Current| !world.leases.open.is_empty() || world.now < current.used + current.ttl;
         world.leases.current.as_ref().is_some_and(alive)
     }
 
-    /// The token that a request for a motion comes with: none, the right one, or an old one.
+    /// Returns a token for a motion request: none, the current one or an old one.
     pub fn any_token(world: &mut World) -> Option<LeaseToken> {
         let current = world.leases.current.as_ref().map(|current| current.token.clone());
         match world.rng.random_range(0..10) {
@@ -227,8 +226,7 @@ impl Leases {
         }
     }
 
-    /// A client that speaks the device's protocol, and its connection's token: of the one that holds the lease, or of one
-    /// that has just connected.
+    /// Returns a driver client with its connection's token: the current holder's, or a new connection's.
     pub fn driver(world: &mut World) -> (Client, LeaseToken) {
         let holder = world.leases.current.as_ref().filter(|current| current.holder == DRIVER);
         let token = holder.map_or_else(
@@ -239,7 +237,7 @@ impl Leases {
         (Client { subject: DRIVER.into(), door: Door::Wsg }, token)
     }
 
-    /// A driver's motion was admitted while nobody held the lease: it has taken it.
+    /// Records that a driver's motion took the free lease.
     fn claimed(world: &mut World, token: &LeaseToken) {
         world.count("lease: taken by a motion", true);
         let epoch = world.watches.state.borrow().lease_epoch;
@@ -250,7 +248,7 @@ impl Leases {
         world.leases.current = Some(Current { token, holder: DRIVER, ttl, used: world.now });
     }
 
-    /// A request for a motion was admitted, or not.
+    /// Checks the answer to a motion request.
     pub fn asked(world: &mut World, door: Door, token: Option<&LeaseToken>, result: Result<&Ticket, &Rejection>) {
         let is_new = result.is_ok_and(|ticket| !ticket.now().replayed);
         if let (Door::Wsg, Some(token), true) = (door, token, is_new && !Self::is_alive(world)) {
@@ -264,13 +262,15 @@ impl Leases {
                 assert!(right, "stale_lease_moves_nothing: {token:?} is not {current:?}\n{}", world.tail());
             }
             Err(Rejection::Conflict(Conflict::StaleLease { .. })) => {
-                assert!(!right, "{token:?} is the newest\n{}", world.tail());
-                world.count("lease: a stale one was refused", true);
+                assert!(!right, "current token refused: {token:?}\n{}", world.tail());
+                world.count("lease: stale token refused", true);
             }
             Err(Rejection::Conflict(Conflict::LeaseHeld { expires_in_ms: None, .. })) => {
                 world.count("lease: reserved", true);
             }
-            Err(Rejection::Conflict(Conflict::LeaseHeld { .. })) => assert!(alive, "nobody does\n{}", world.tail()),
+            Err(Rejection::Conflict(Conflict::LeaseHeld { .. })) => {
+                assert!(alive, "LEASE_HELD without a holder\n{}", world.tail())
+            }
             _ => {}
         }
         if let (Some(used), true) = (world.leases.current.as_mut(), right && token.is_some()) {
@@ -283,7 +283,7 @@ impl Leases {
         }
     }
 
-    /// Whether a motion that was admitted with this token may leave: nobody else has the lease.
+    /// Whether a motion admitted with this token can still be sent, because no other client holds the lease.
     pub fn may_leave(world: &World, token: Option<&LeaseToken>) -> bool {
         match (token, &world.leases.current) {
             (Some(token), Some(current)) => current.token == *token,
@@ -291,7 +291,7 @@ impl Leases {
         }
     }
 
-    /// After every step: requests end, and leases run out.
+    /// Ends open requests and expired leases; runs after every step.
     pub fn check(world: &mut World) {
         let before = world.leases.open.len();
         world.leases.open.retain(|ticket| ticket.now().phase == Phase::Running);
@@ -306,34 +306,38 @@ impl Leases {
             && world.now >= current.used + current.ttl + LATE
         {
             let holder = world.watches.state.borrow().lease_holder.clone();
-            assert_eq!(holder, None, "a lease runs out\n{}", world.tail());
+            assert_eq!(holder, None, "expired lease still held\n{}", world.tail());
             world.leases.current = None;
         }
     }
 
-    /// What kept a lease is gone.
+    /// Reports the end of a request that kept the lease.
     fn closed<T>(world: &mut World, open: T) {
         drop(open);
         let now = world.clock();
         world.actor.lease_request_closed(now);
     }
 
-    /// A lease's change was written down.
+    /// Checks a lease event in the journal.
     pub fn recorded(world: &mut World, event: &LeaseEvent) {
         if event.event != LeaseStep::Lost {
             return;
         }
         for (name, effect) in [
-            ("a FAST STOP", LossEffect::FastStop),
-            ("a Stop", LossEffect::Stop),
-            ("a motion that goes on", LossEffect::Finish),
-            ("a part that is kept", LossEffect::Keep),
-            ("nothing", LossEffect::None),
+            ("FAST STOP", LossEffect::FastStop),
+            ("Stop", LossEffect::Stop),
+            ("motion finishes", LossEffect::Finish),
+            ("part kept", LossEffect::Keep),
+            ("no effect", LossEffect::None),
         ] {
-            world.count(&format!("lease: a lost holder is {name}"), event.effect == Some(effect));
+            world.count(&format!("lease: holder lost, {name}"), event.effect == Some(effect));
         }
         if event.effect == Some(LossEffect::FastStop) {
-            assert!(world.watches.state.borrow().latch.is_some(), "a lost holder is a FAST STOP\n{}", world.tail());
+            assert!(
+                world.watches.state.borrow().latch.is_some(),
+                "no latch after the loss of a holder\n{}",
+                world.tail()
+            );
         }
         let chosen = match world.leases.on_loss_moving.get(&event.epoch) {
             Some(OnLossMoving::FastStop) => LossEffect::FastStop,
@@ -343,29 +347,29 @@ impl Leases {
         };
         let moved = Self::moved(world);
         if moved == Some(true) {
-            assert_eq!(event.effect, Some(chosen), "the fingers moved when the holder was lost\n{}", world.tail());
+            assert_eq!(event.effect, Some(chosen), "wrong effect for moving fingers\n{}", world.tail());
         }
         if moved == Some(false) {
-            // A part that is held may be a FAST STOP.
+            // A held part can still mean a FAST STOP.
             let moving = matches!(event.effect, Some(LossEffect::Stop | LossEffect::Finish));
-            assert!(!moving, "they stood: {:?}\n{}", event.effect, world.tail());
+            assert!(!moving, "wrong effect for standing fingers: {:?}\n{}", event.effect, world.tail());
         }
-        world.count("lease: a holder is lost while the fingers move", moved == Some(true));
-        world.count("lease: a holder is lost while they stand", moved == Some(false));
+        world.count("lease: holder lost, fingers moving", moved == Some(true));
+        world.count("lease: holder lost, fingers standing", moved == Some(false));
     }
 
-    /// Whether the fingers move, where the gateway must know: by the device itself, which has done so for long and is
-    /// heard, or by what the gateway has told before and after.
+    /// Whether the fingers move, if the gateway must know: from the device, if it has moved for long and is heard, or
+    /// from equal gateway reports before and after. `None` if unclear.
     fn moved(world: &World) -> Option<bool> {
         let state = world.watches.state.borrow();
         let fingers = &world.leases.fingers;
         let (moves, since) = fingers.since?;
         let is_long = world.now >= since + KNOWN_AFTER;
         let is_heard = state.updated_at.is_some_and(|at| world.now < at + HEARD_WITHIN);
-        let told = state.moving.filter(|_| state.moving == fingers.told_moving);
+        let reported = state.moving.filter(|_| state.moving == fingers.reported_moving);
         let stands = !fingers.runs && state.command.is_none();
         let is_steered = fingers.streamed.is_some_and(|at| world.now < at + STREAM_LASTS);
-        match (moves && is_long && is_heard, told) {
+        match (moves && is_long && is_heard, reported) {
             _ if is_steered && !moves => None,
             (true, _) | (_, Some(true)) => Some(true),
             (_, Some(false)) if stands => Some(false),
@@ -373,17 +377,17 @@ impl Leases {
         }
     }
 
-    /// A request of a stream was admitted: whoever is lost now may be lost while steering.
+    /// Records a stream request: a holder lost from now on may count as steering.
     pub fn streamed(world: &mut World) {
         world.leases.fingers.streamed = Some(world.now);
     }
 
-    /// Looks at the fingers, after each step.
+    /// Updates the view of the fingers; runs after every step.
     pub fn look(world: &mut World) {
         let moves = world.device.flags().contains(SystemState::MOVING);
         let state = world.watches.state.borrow();
         let fingers = &mut world.leases.fingers;
-        fingers.told_moving = state.moving;
+        fingers.reported_moving = state.moving;
         fingers.runs = state.command.is_some();
         if fingers.since.is_none_or(|(before, _)| before != moves) {
             fingers.since = Some((moves, world.now));

@@ -1,7 +1,7 @@
-//! Seeded schedules of clients, device and faults on a virtual clock: the actor and its session against the simulated
-//! device, with every invariant checked on the frames that leave and on those that the device received.
+//! Seeded schedules of clients, device and faults on a virtual clock. The actor and its session run against the
+//! simulated device. Every invariant is checked on the frames that leave and on those that the device received.
 //!
-//! `SEEDS=1000000 cargo test --release seeds` runs more of them; `SEED=4711` runs that one, with its log.
+//! `SEEDS=1000000 cargo test --release seeds` runs more seeds; `SEED=4711` runs only that one, and prints its log.
 
 pub mod client;
 mod invariants;
@@ -15,7 +15,7 @@ use std::collections::BTreeMap;
 
 use world::World;
 
-/// Seeds in an ordinary run.
+/// Number of seeds without `SEEDS`.
 const DEFAULT_SEEDS: u64 = 1000;
 
 fn variable(name: &str) -> Option<u64> {
@@ -23,7 +23,7 @@ fn variable(name: &str) -> Option<u64> {
 }
 
 #[test]
-fn no_schedule_violates_an_invariant_and_each_fault_happened() {
+fn no_schedule_violates_an_invariant() {
     if let Some(seed) = variable("SEED") {
         let world = World::run(seed);
         println!("{}", world.log.join("\n"));
@@ -37,7 +37,7 @@ fn no_schedule_violates_an_invariant_and_each_fault_happened() {
                 let mut counts = BTreeMap::new();
                 for seed in (first..seeds).step_by(threads) {
                     let ran = std::panic::catch_unwind(|| World::run(seed).counts());
-                    let ran = ran.unwrap_or_else(|_| panic!("seed {seed} fails: SEED={seed} shows its log"));
+                    let ran = ran.unwrap_or_else(|_| panic!("seed {seed} fails: run with SEED={seed} for its log"));
                     for (name, count) in ran {
                         *counts.entry(name).or_insert(0) += count;
                     }
@@ -52,13 +52,13 @@ fn no_schedule_violates_an_invariant_and_each_fault_happened() {
     for (name, count) in counts.into_iter().flatten() {
         *total.entry(name).or_default() += count;
     }
-    println!("{seeds} seeds, no violation found; what happened: {total:#?}");
+    println!("{seeds} seeds, no violation found; events: {total:#?}");
     let missing: Vec<_> = total.iter().filter(|&(_, &count)| count == 0).map(|(name, _)| name).collect();
-    assert!(missing.is_empty(), "these never happened, so nothing was shown about them: {missing:?}");
+    assert!(missing.is_empty(), "events that never happened, so remain untested: {missing:?}");
 }
 
 #[test]
-fn the_same_seed_gives_the_same_log() {
+fn same_seed_gives_the_same_log() {
     for seed in 0..20 {
         assert_eq!(World::run(seed).log, World::run(seed).log, "seed {seed}");
     }

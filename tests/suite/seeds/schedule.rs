@@ -1,4 +1,4 @@
-//! What happens when: drawn from the seed beforehand.
+//! The schedule of a seed: all steps are drawn in advance.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -10,18 +10,17 @@ use wsg_gateway::wsg::id;
 
 use super::leases::LeaseAsk;
 
-/// Something that happens.
 #[derive(Debug, Clone)]
 pub enum Step {
-    /// To the device, or around it.
+    /// A change of the device or its surroundings.
     Change(Change),
-    /// A client asks for something.
+    /// A client request.
     Client(Ask),
-    /// What the device sends is held up until so much later, all of it in order.
+    /// Delays everything that the device sends by this much, in order.
     Stall(Duration),
 }
 
-/// What a client asks for.
+/// A client request.
 #[derive(Debug, Clone, Copy)]
 pub enum Ask {
     Home,
@@ -42,12 +41,12 @@ pub enum Ask {
     Lease(LeaseAsk),
 }
 
-/// The steps of one seed, in order.
+/// Steps of one seed, in order.
 pub struct Schedule(VecDeque<(Duration, Step)>);
 
 impl Schedule {
     pub fn new(rng: &mut SmallRng, length: Duration) -> Self {
-        // Every schedule begins as users do: most of them home first.
+        // Most users home first.
         let mut steps = vec![(Duration::from_millis(300), Step::Client(Ask::Home))];
         let at = |rng: &mut SmallRng| Duration::from_micros(rng.random_range(0..length.as_micros() as u64));
         for _ in 0..rng.random_range(10..40) {
@@ -68,7 +67,7 @@ impl Schedule {
             steps.push((at(rng), fault));
         }
         if rng.random_bool(0.2) {
-            // The answer to the first one comes after its time-out, and must not be taken for the second one's.
+            // The reply to the first command comes after its time-out, and must not answer the second.
             let begins = at(rng);
             let lasts = Duration::from_millis(rng.random_range(1100..1450));
             steps.push((begins, Step::Stall(lasts)));
@@ -85,22 +84,20 @@ impl Schedule {
         Self(steps.into())
     }
 
-    /// Any one thing that can happen to a device.
+    /// Returns a random change of the device.
     pub fn any_change(rng: &mut SmallRng) -> Change {
         change(rng).0
     }
 
-    /// When the next step is due.
     pub fn next_at(&self, start: Instant) -> Option<Instant> {
         self.0.front().map(|(at, _)| start + *at)
     }
 
-    /// The next step, if it is due.
     pub fn pop(&mut self, elapsed: Duration) -> Option<Step> {
         (self.0.front()?.0 <= elapsed).then(|| self.0.pop_front().map(|(_, step)| step))?
     }
 
-    /// What ends all faults.
+    /// Changes that end all faults.
     pub fn healing() -> impl Iterator<Item = Change> {
         [
             Change::DisarmFaults,
@@ -141,7 +138,7 @@ fn ask(rng: &mut SmallRng) -> Ask {
     }
 }
 
-/// A change, and what undoes it.
+/// Returns a change, and its reversal, if it has one.
 fn change(rng: &mut SmallRng) -> (Change, Option<Change>) {
     match rng.random_range(0..18) {
         0 => (Change::PlacePart(Part::outside(rng.random_range(5.0..40.0))), None),
@@ -194,7 +191,7 @@ fn fault(rng: &mut SmallRng) -> Change {
     ];
     let kind = kinds[rng.random_range(0..kinds.len())];
     let targets = [id::HOMING, id::PRE_POSITION, id::GRIP, id::RELEASE, id::STOP, id::FAST_STOP, id::GET_SYSTEM_STATE];
-    // Those that strike a result need a command that has one; others may strike anything.
+    // Faults in a result need a command with a result; others can affect any command.
     let target = rng.random_bool(0.8).then(|| targets[rng.random_range(0..targets.len())]);
     Change::Fault { kind, id: target, times: rng.random_range(1..4) }
 }

@@ -1,25 +1,26 @@
-//! What is on its way between the gateway and the device.
+//! Bytes in transit between the gateway and the device.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
 
-/// How long after the first a datagram may come again.
+/// Maximum time between a datagram and its duplicate, and maximum reordering.
 pub const AGAIN_WITHIN: Duration = Duration::from_millis(3);
 
-/// One direction of the wire: in order, with a delay.
+/// One direction of the wire, in order, with a delay.
 #[derive(Default)]
 pub struct Wire(pub VecDeque<(Instant, Vec<u8>)>);
 
 impl Wire {
     pub fn send(&mut self, at: Instant, bytes: Vec<u8>) {
-        // Nothing overtakes on a wire.
+        // A wire keeps the order.
         let at = self.0.back().map_or(at, |(last, _)| at.max(*last));
         self.0.push_back((at, bytes));
     }
 
-    /// Datagrams do overtake.
+    /// Sends a datagram, which can overtake others.
     pub fn send_datagram(&mut self, at: Instant, bytes: Vec<u8>) {
-        // It overtakes others by as little: of a network that shuffles seconds no protocol without numbers makes sense.
+        // Reordering is limited: without sequence numbers, no protocol survives datagrams that are seconds out of
+        // order.
         let last = self.0.back().map_or(at, |(last, _)| *last);
         let at = at.max(last.checked_sub(AGAIN_WITHIN).unwrap_or(last));
         let index = self.0.partition_point(|(other, _)| *other <= at);

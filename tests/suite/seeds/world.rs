@@ -21,21 +21,21 @@ use super::leases::Leases;
 use super::schedule::{Schedule, Step};
 use super::wire::{self, Wire};
 
-/// A script that only reads, one that counts as motion, and one that clients steer the fingers with.
+/// Ids of a script that only reads, one that counts as motion, and one that streams motion.
 pub const READ_ID: u8 = 0xB0;
 pub const SCRIPT_ID: u8 = 0xB1;
 pub const STREAM_ID: u8 = 0xB2;
 
-/// How long a schedule goes on.
+/// Length of a schedule.
 const SCHEDULE: Duration = Duration::from_secs(8);
 
-/// How long everything may take to come to rest afterwards: longer than the longest deadline.
+/// Time for everything to come to rest afterwards: longer than the longest deadline.
 const REST: Duration = Duration::from_secs(150);
 
-/// How often something may fall due in one world: far more than in any that ends.
+/// Maximum number of due events in one world, far above any real run.
 const MAX_STEPS: u64 = 5_000_000;
 
-/// One seed's world.
+/// The world of one seed.
 pub struct World {
     pub rng: SmallRng,
     pub ids: IdSource,
@@ -53,23 +53,23 @@ pub struct World {
     pub counts: BTreeMap<String, u64>,
     connected: bool,
     pub interface: Interface,
-    /// How often anything fell due.
+    /// Number of due events so far.
     steps: u64,
     reconnect_at: Option<Instant>,
     bytes_per_second: Option<u32>,
     longest_delay: Duration,
-    /// Until when the line is busy with the last frame: the next one waits, and may be overtaken.
+    /// End of the current frame on the line. Later frames wait, and can be overtaken.
     busy_until: Option<Instant>,
     to_device: Wire,
     to_gateway: Wire,
-    /// Until when what the device sends is held up.
+    /// End of the current stall of the device's output.
     stalled_until: Option<Instant>,
-    /// Whether the wire still damages what passes.
+    /// Whether the wire still damages bytes.
     pub noisy: bool,
 }
 
 impl World {
-    /// Runs a seed's schedule to its end, and checks everything on the way.
+    /// Runs the schedule of a seed to its end, and checks the invariants after every step.
     pub fn run(seed: u64) -> Self {
         let mut world = Self::new(seed);
         let mut schedule = Schedule::new(&mut world.rng, SCHEDULE);
@@ -86,7 +86,7 @@ impl World {
         world
     }
 
-    /// What happened, by name.
+    /// Number of events by name.
     pub fn counts(&self) -> BTreeMap<String, u64> {
         let mut counts = self.counts.clone();
         for (name, count) in self.device.fault_counts().iter() {
@@ -99,12 +99,12 @@ impl World {
         *self.counts.entry(name.to_owned()).or_default() += u64::from(happened);
     }
 
-    /// A world without faults, whose device is ready.
+    /// Returns a world without faults, with a ready device.
     pub fn calm(device: DeviceConfig, bytes_per_second: Option<u32>) -> Self {
         Self::calm_on(Interface::Tcp, device, bytes_per_second)
     }
 
-    /// The same, on another interface.
+    /// Returns a world without faults on another interface.
     pub fn calm_on(interface: Interface, device: DeviceConfig, bytes_per_second: Option<u32>) -> Self {
         let mut world = Self::with(0, interface, SmallRng::seed_from_u64(0), device, bytes_per_second);
         world.noisy = false;
@@ -112,7 +112,7 @@ impl World {
         world
     }
 
-    /// Lets time pass.
+    /// Advances the clock.
     pub fn advance(&mut self, time: Duration) {
         self.settle();
         self.advance_to(self.now + time);
@@ -130,7 +130,7 @@ impl World {
             device = device.with_part(Part::outside(20.0));
         }
         device.scripts.extend([READ_ID, SCRIPT_ID, STREAM_ID].map(|id| Script { id, answer: ScriptAnswer::Echo }));
-        // A slow line has fewer updates, so that its schedules run faster; some are at full rate.
+        // A slow line carries fewer updates, so its schedules run faster; some run at full rate.
         let bytes_per_second = [None, Some(11_520), Some(960), Some(960), Some(960)][rng.random_range(0..5)];
         let interfaces = [Interface::Tcp, Interface::Tcp, Interface::Udp, Interface::Serial, Interface::Can];
         let interface = interfaces[rng.random_range(0..interfaces.len())];
@@ -141,7 +141,7 @@ impl World {
             world.longest_delay = Duration::from_millis(world.rng.random_range(10..400));
         }
         if world.rng.random_bool(0.3) {
-            // Something is wrong before the first connect already.
+            // A problem exists before the first connect.
             let change = Schedule::any_change(&mut world.rng);
             world.note(&format!("at the start {change:?}"));
             world.device.apply(world.now, change);
@@ -216,7 +216,7 @@ impl World {
         self.log.push(format!("{:>10}.{:03} {text}", at / 1000, at % 1000));
     }
 
-    /// Lets time pass until `until`, doing what falls due on the way.
+    /// Advances the clock to `until`, and handles everything that falls due.
     pub fn advance_to(&mut self, until: Instant) {
         loop {
             let due = [
@@ -235,7 +235,7 @@ impl World {
             };
             self.now = self.now.max(next);
             self.steps += 1;
-            assert!(self.steps < MAX_STEPS, "it comes to no end\n{}", self.tail());
+            assert!(self.steps < MAX_STEPS, "the schedule does not end\n{}", self.tail());
             self.step();
         }
     }
@@ -275,7 +275,7 @@ impl World {
         }
     }
 
-    /// Moves everything that is ready, and checks what follows from it.
+    /// Delivers everything that is ready, and runs the checks.
     pub fn settle(&mut self) {
         Journal::keep(self);
         self.move_to_device();
@@ -307,7 +307,7 @@ impl World {
             self.busy_until = line_time.map(|time| self.now + time);
             let at = self.now + self.delay() + line_time.unwrap_or_default();
             let damaged = self.noisy && self.rng.random_bool(0.003);
-            self.count("wire: a request was damaged", damaged);
+            self.count("wire: request damaged", damaged);
             if damaged {
                 let index = self.rng.random_range(0..frame.len());
                 frame[index] ^= 1 << self.rng.random_range(0..8);
@@ -349,8 +349,8 @@ impl World {
             return;
         }
         let [damaged, split, garbage] = [0.002, 0.02, 0.002].map(|chance| self.rng.random_bool(chance));
-        self.count("wire: a reply was damaged", damaged);
-        self.count("wire: a reply was split at every byte", split);
+        self.count("wire: reply damaged", damaged);
+        self.count("wire: reply split at every byte", split);
         self.count("wire: garbage between frames", garbage);
         if damaged {
             let index = self.rng.random_range(0..bytes.len());
@@ -369,11 +369,11 @@ impl World {
         }
     }
 
-    /// When a datagram arrives: once, not at all, or twice.
+    /// Returns arrival times of a datagram: one, none or two.
     fn arrivals(&mut self, what: &str, at: Instant) -> Vec<Instant> {
         let [lost, twice] = [0.003, 0.01].map(|chance| self.noisy && self.rng.random_bool(chance));
-        self.count(&format!("wire: a {what}'s datagram was lost"), lost);
-        self.count(&format!("wire: a {what}'s datagram came twice"), twice);
+        self.count(&format!("wire: {what} datagram lost"), lost);
+        self.count(&format!("wire: {what} datagram duplicated"), twice);
         let again = at + Duration::from_micros(self.rng.random_range(0..wire::AGAIN_WITHIN.as_micros() as u64));
         match (lost, twice) {
             (true, _) => Vec::new(),
@@ -386,7 +386,7 @@ impl World {
         Duration::from_micros(self.rng.random_range(50..self.longest_delay.as_micros() as u64))
     }
 
-    /// What the driver does when the actor wants its link closed.
+    /// Closes the link as the driver does when the actor asks for it.
     fn close(&mut self, close: Close) {
         self.note(&format!("closing: {close}"));
         if close != Close::Drained && self.interface == Interface::Tcp {
@@ -404,7 +404,7 @@ impl World {
         }
     }
 
-    /// The connection ends: what was on its way still arrives, or not.
+    /// Ends the connection. Bytes in transit may still arrive.
     pub fn disconnected(&mut self, cause: &str) {
         if !self.connected {
             return;
@@ -431,15 +431,15 @@ impl World {
             }
             Step::Client(request) => Clients::act(self, request),
             Step::Stall(time) => {
-                self.note(&format!("held up for {time:?}"));
+                self.note(&format!("stalled for {time:?}"));
                 self.stalled_until = Some(self.now + time);
-                self.count("wire: the device was held up", true);
+                self.count("wire: device stalled", true);
             }
         }
         self.settle();
     }
 
-    /// Without further faults every command has to end, and the link to come back.
+    /// Ends all faults; every command must then end and the link must recover.
     fn come_to_rest(&mut self) {
         self.note("coming to rest");
         self.noisy = false;
@@ -452,7 +452,7 @@ impl World {
             self.advance_to(self.now + Duration::from_millis(100));
         }
         for ticket in self.clients.tickets() {
-            assert_eq!(ticket.now().phase, Phase::Done, "every command ends: {:#?}\n{}", ticket.now(), self.tail());
+            assert_eq!(ticket.now().phase, Phase::Done, "command does not end: {:#?}\n{}", ticket.now(), self.tail());
         }
         Invariants::at_rest(self);
     }
@@ -465,7 +465,7 @@ impl World {
         while self.now < latest && self.connected {
             self.advance_to(self.now + Duration::from_millis(10));
         }
-        assert!(!self.connected, "given up in order");
+        assert!(!self.connected, "the link did not close in order");
         Invariants::drained(self, before);
     }
 

@@ -1,4 +1,4 @@
-//! Who may connect, and where it is listened.
+//! Allowed client addresses and listen addresses.
 
 use tokio::io::AsyncReadExt;
 use tokio::net::{TcpListener, TcpSocket, UdpSocket};
@@ -8,7 +8,7 @@ use crate::harness::wsg::request;
 use crate::harness::{DEADLINE, run};
 
 #[tokio::test]
-async fn only_the_addresses_that_are_named_may_connect() {
+async fn only_allowed_addresses_can_connect() {
     let text = "[grippers.g]\nurl = \"sim://wsg50\"\nwsg_port = [\"127.0.0.1:0\", \"udp://127.0.0.1:0\"]\n\
         wsg_port_allow = [\"127.0.0.2\", \"10.0.0.0/8\"]\n";
     let gateway = configured("allowed.toml", text).await;
@@ -16,7 +16,7 @@ async fn only_the_addresses_that_are_named_may_connect() {
     let udp: std::net::SocketAddr = gateway.word_after("WSG port of g: udp://").await.parse().unwrap();
 
     let mut other = tokio::net::TcpStream::connect(tcp).await.unwrap();
-    let end = tokio::time::timeout(DEADLINE, other.read(&mut [0; 16])).await.expect("it is sent away");
+    let end = tokio::time::timeout(DEADLINE, other.read(&mut [0; 16])).await.expect("the connection is closed");
     assert!(matches!(end, Ok(0) | Err(_)), "{end:?}");
     let socket = TcpSocket::new_v4().unwrap();
     socket.bind("127.0.0.2:0".parse().unwrap()).unwrap();
@@ -29,11 +29,11 @@ async fn only_the_addresses_that_are_named_may_connect() {
     let mut answer = [0; 64];
     let read = tokio::time::timeout(DEADLINE, named.recv(&mut answer)).await.expect("an answer").unwrap();
     assert!(read > 8 && answer[3] == 0x50, "{answer:?}");
-    assert!(other.try_recv(&mut answer).is_err(), "it was asked first, and is not answered");
+    assert!(other.try_recv(&mut answer).is_err(), "a client outside the list gets no answer");
 }
 
 #[tokio::test]
-async fn a_taken_port_ends_the_start_and_is_named() {
+async fn occupied_port_is_a_startup_error() {
     let taken = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = taken.local_addr().unwrap().to_string();
     let port = format!("left={address}");
@@ -45,7 +45,7 @@ async fn a_taken_port_ends_the_start_and_is_named() {
 }
 
 #[tokio::test]
-async fn drivers_connect_to_other_addresses_where_they_are_named() {
+async fn allowed_drivers_connect_to_non_loopback_addresses() {
     let text = "[grippers.g]\nurl = \"sim://wsg50\"\nwsg_port = \"0.0.0.0:0\"\n\
         wsg_port_allow = [\"127.0.0.0/8\"]\n";
     let gateway = configured("everywhere.toml", text).await;

@@ -1,4 +1,4 @@
-//! Stand-ins for whole drivers, each with its habits.
+//! Stand-ins for real drivers, each with its habits.
 
 use std::collections::BTreeMap;
 use std::time::Duration;
@@ -6,10 +6,10 @@ use std::time::Duration;
 use super::{CMD_FAILED, Cell, GRIP, MOVE, SUCCESS};
 use crate::harness::wsg::{PENDING, floats, move_to, request};
 
-/// A simple blocking driver: a blind acknowledge, then each request waits for its answer; a motion until its status is
-/// not pending. It never announces its end.
+/// A simple blocking driver: a blind acknowledge, then one request at a time; a motion ends with a status other than
+/// pending. It never announces its disconnect.
 #[tokio::test]
-async fn a_simple_blocking_driver_works() {
+async fn blocking_driver_works() {
     let cell = Cell::new().await;
     let mut driver = cell.driver().await;
     assert_eq!(driver.status(0x24, b"ack").await, SUCCESS);
@@ -28,15 +28,15 @@ async fn a_simple_blocking_driver_works() {
         assert_eq!(status, SUCCESS, "{id:02X}h");
     }
     assert_eq!(driver.status(GRIP, &floats(&[90.0, 200.0])).await, PENDING);
-    assert_eq!(driver.end_of(GRIP).await, CMD_FAILED, "no part is found by opening");
+    assert_eq!(driver.end_of(GRIP).await, CMD_FAILED, "opening finds no part");
     drop(driver);
-    let state = cell.gateway.until("nobody holds it", |state| state["lease_holder"].is_null()).await;
-    assert_eq!(state["fast_stop"], false, "it left while nothing moved");
+    let state = cell.gateway.until("the lease is free", |state| state["lease_holder"].is_null()).await;
+    assert_eq!(state["fast_stop"], false, "the driver left while the gripper stood");
 }
 
-/// A driver that has all updates sent, and finds the answers among them by their ids.
+/// A driver that enables all updates, and finds its replies among them by id.
 #[tokio::test]
-async fn a_driver_that_lives_on_updates_works() {
+async fn driver_with_updates_works() {
     let cell = Cell::homed().await;
     let mut driver = cell.driver().await;
     for id in [0x40, 0x41, 0x43, 0x44, 0x45] {
@@ -54,7 +54,7 @@ async fn a_driver_that_lives_on_updates_works() {
     assert_eq!(steps, [PENDING, SUCCESS]);
     assert_eq!(updates.keys().copied().collect::<Vec<_>>(), [0x40, 0x41, 0x43, 0x44, 0x45]);
     assert!(updates.values().all(|&count| count >= 5), "{updates:?}");
-    // One is switched off by asking once.
+    // A single query switches the updates of an id off.
     for id in [0x40, 0x41, 0x44, 0x45] {
         driver.send(id, &[0; 3]).await;
     }
@@ -68,9 +68,9 @@ async fn a_driver_that_lives_on_updates_works() {
     driver.reset();
 }
 
-/// A driver that sends all it has to say at once, and takes the answers as they come.
+/// A driver that sends all its requests at once.
 #[tokio::test]
-async fn a_driver_that_pipelines_gets_its_answers_in_order() {
+async fn pipelined_requests_are_answered_in_order() {
     let cell = Cell::homed().await;
     let mut driver = cell.driver().await;
     let all = [
@@ -108,13 +108,13 @@ async fn a_driver_that_pipelines_gets_its_answers_in_order() {
     assert_eq!(answers, expected);
     let ids: Vec<_> =
         cell.proxy.frames.all().iter().map(|frame| frame.id).filter(|id| [0x25, 0x32].contains(id)).collect();
-    assert_eq!(ids, [0x32, 0x25], "the gripper gets them in this order, too");
+    assert_eq!(ids, [0x32, 0x25], "the device gets them in the same order");
 }
 
-/// A driver that lives on updates and has a thread that writes without ever waiting: to move on, it sends a Stop and the
-/// next motion in two writes, one right behind the other.
+/// A driver with updates and a thread that writes without waiting. For each new target it sends a Stop and the next
+/// motion in two consecutive writes.
 #[tokio::test]
-async fn a_driver_that_stops_and_moves_on_in_one_breath_works() {
+async fn stop_directly_followed_by_a_motion_works() {
     let cell = Cell::homed().await;
     let mut driver = cell.driver().await;
     for id in [0x43, 0x44, 0x45] {
@@ -143,14 +143,14 @@ async fn a_driver_that_stops_and_moves_on_in_one_breath_works() {
             _ => {}
         }
     }
-    assert_eq!(moved, [super::ABORTED, super::ABORTED, SUCCESS], "each motion is told, and none is refused");
+    assert_eq!(moved, [super::ABORTED, super::ABORTED, SUCCESS], "each motion is reported, and none is refused");
     assert!(widths > 0);
     driver.reset();
 }
 
-/// A driver that has its target and its force limit sent again 50 times a second, and waits for no answer.
+/// A driver that repeats its target and force limit 50 times a second, without waiting for replies.
 #[tokio::test]
-async fn a_driver_that_commands_the_same_again_and_again_is_answered_each_time() {
+async fn repeated_commands_are_each_answered() {
     const ROUNDS: usize = 60;
     let cell = Cell::homed().await;
     let mut driver = cell.driver().await;
@@ -171,16 +171,16 @@ async fn a_driver_that_commands_the_same_again_and_again_is_answered_each_time()
         }
     }
     let (begun, ended) = (of(&moved, PENDING), of(&moved, SUCCESS));
-    assert!(begun > 0 && begun == ended, "what is begun ends: {moved:?}");
+    assert!(begun > 0 && begun == ended, "each started motion ends: {moved:?}");
     let width = driver.ask(0x43, &[0; 3]).await.data;
     assert_eq!(width, floats(&[60.0]));
     driver.leave().await;
     assert_eq!(cell.gateway.state().await["fast_stop"], false);
 }
 
-/// A Stop that comes right behind a motion stops that motion, however little of it has happened.
+/// A Stop directly after a motion stops that motion, even before the fingers move.
 #[tokio::test]
-async fn a_stop_in_the_same_write_as_its_motion_stops_it() {
+async fn stop_in_the_same_write_stops_the_motion() {
     let cell = Cell::homed().await;
     let mut driver = cell.driver().await;
     driver.send_raw(&[request(MOVE, &move_to(5.0, 5.0)), request(0x22, &[])].concat()).await;

@@ -1,4 +1,4 @@
-//! What is known of the clients that will connect, line by line.
+//! Habits of known clients, quoted from the field notes.
 
 use std::time::{Duration, Instant};
 
@@ -8,17 +8,17 @@ use crate::harness::{Gateway, Scripted, Simulator, Table, success};
 
 /// "Many acknowledge (24h) as their first act, whether or not anything is latched. … One sends 24h with no key."
 #[tokio::test]
-async fn many_acknowledge_as_their_first_act_and_one_with_no_key() {
+async fn acknowledge_as_the_first_request_is_harmless() {
     let cell = Cell::new().await;
     let mut driver = cell.driver().await;
     assert_eq!(driver.status(0x24, b"ack").await, SUCCESS);
-    assert_eq!(driver.status(0x24, &[]).await, FORMAT_ERROR, "as the manual has it");
+    assert_eq!(driver.status(0x24, &[]).await, FORMAT_ERROR, "as in the manual");
     assert_eq!(cell.proxy.frames.count(0x24), 0, "there is nothing to acknowledge");
 }
 
-/// "Many read one frame a recv, and break when a frame arrives in two pieces": the driver asserts that none does.
+/// "Many read one frame a recv, and break when a frame arrives in two pieces": [`Driver`] checks for whole frames.
 #[tokio::test]
-async fn many_read_one_frame_a_recv() {
+async fn frames_are_never_split() {
     let cell = Cell::homed().await;
     let mut driver = cell.driver().await;
     for id in [0x40, 0x41, 0x43, 0x44, 0x45] {
@@ -35,11 +35,11 @@ async fn many_read_one_frame_a_recv() {
     assert_eq!((echo.id, echo.data), (0x06, vec![0xAA; 256]));
 }
 
-/// "Many spin for ever when the server closes": a lost device closes nothing, see `link`.
+/// "Many spin for ever when the server closes": a lost device closes no client connection, see `link`.
 ///
-/// "Many send 07h and close without reading the answer": also with updates that they have not read.
+/// "Many send 07h and close without reading the answer", also with unread updates.
 #[tokio::test]
-async fn many_announce_and_close_without_reading() {
+async fn announcement_counts_without_reading_the_reply() {
     let cell = Cell::homed().await;
     for reads_updates in [false, true] {
         let mut driver = cell.driver().await;
@@ -61,7 +61,7 @@ async fn many_announce_and_close_without_reading() {
 
 /// "one sends it with a one-byte size field"
 #[tokio::test]
-async fn one_announces_with_a_one_byte_size_field() {
+async fn announcement_with_a_one_byte_size_field_counts() {
     let cell = Cell::homed().await;
     let mut driver = cell.driver().await;
     assert_eq!(driver.status(MOVE, &move_to(5.0, 5.0)).await, PENDING);
@@ -75,7 +75,7 @@ async fn one_announces_with_a_one_byte_size_field() {
 
 /// "Getters 40h to 45h come with three parameter bytes, and from some with none; 31h and 33h with none."
 #[tokio::test]
-async fn getters_come_with_three_parameter_bytes_and_from_some_with_none() {
+async fn getters_accept_three_parameter_bytes_or_none() {
     let cell = Cell::homed().await;
     let mut driver = cell.driver().await;
     for (id, bytes) in [(0x40, 4), (0x41, 1), (0x43, 4), (0x44, 4), (0x45, 4)] {
@@ -92,7 +92,7 @@ async fn getters_come_with_three_parameter_bytes_and_from_some_with_none() {
 
 /// "21h's flags are sent wrong by several (D0 and D1 swapped; 04h): pass what is valid through unchanged."
 #[tokio::test]
-async fn flags_that_are_sent_wrong_pass_as_far_as_they_are_valid() {
+async fn valid_move_flags_pass_unchanged() {
     let cell = Cell::homed().await;
     let mut driver = cell.driver().await;
     for (given, passed) in [(0x00, 0x00), (0x02, 0x02), (0x04, 0x00), (0x06, 0x02)] {
@@ -111,7 +111,7 @@ async fn flags_that_are_sent_wrong_pass_as_far_as_they_are_valid() {
 /// "Time-outs are short: 100 ms for 30h, 32h, 50h and 53h; 250 ms for switching updates on … also while another
 /// client's motion runs."
 #[tokio::test]
-async fn time_outs_are_short_and_kept_while_anothers_motion_runs() {
+async fn replies_are_fast_during_another_clients_motion() {
     let cell = Cell::homed().await;
     let (mut holder, mut other) = (cell.driver().await, cell.driver().await);
     assert_eq!(holder.status(MOVE, &move_to(5.0, 5.0)).await, PENDING);
@@ -127,7 +127,7 @@ async fn time_outs_are_short_and_kept_while_anothers_motion_runs() {
     assert_eq!(quickest(&mut other, 0x41, &[1, 0xE8, 3], 250).await, SUCCESS);
 }
 
-/// The status that a request gets, the quickest of three times within so many ms.
+/// Returns the status of a request, and asserts that the fastest of three tries is within the limit.
 async fn quickest(driver: &mut Driver, id: u8, parameters: &[u8], limit_ms: u64) -> u16 {
     let mut best = (Duration::MAX, 0);
     for _ in 0..3 {
@@ -142,28 +142,28 @@ async fn quickest(driver: &mut Driver, id: u8, parameters: &[u8], limit_ms: u64)
 /// "A motion's client loops until the status is not E_CMD_PENDING; some wait for exactly two frames; some read the first
 /// only, and find the second in front of a later answer."
 #[tokio::test]
-async fn a_motion_has_exactly_two_frames() {
+async fn motion_has_exactly_two_frames() {
     let cell = Cell::new().await;
     let mut driver = cell.driver().await;
-    // Two, and no third.
+    // Two frames, and no third.
     for (id, parameters) in [(0x20, vec![0]), (MOVE, move_to(60.0, 200.0)), (GRIP, floats(&[20.0, 100.0]))] {
         assert_eq!(driver.run(id, &parameters).await, SUCCESS);
         assert_eq!(driver.next_within(Duration::from_millis(100)).await, None);
     }
-    // The second one of a Release is found in front of the width.
+    // The second frame of a Release arrives before the width.
     assert_eq!(driver.status(0x26, &floats(&[60.0, 200.0])).await, PENDING);
-    cell.gateway.until("it is done", |state| state["command"].is_null()).await;
+    cell.gateway.until("the motion is done", |state| state["command"].is_null()).await;
     driver.send(0x43, &[0; 3]).await;
     let ids = [driver.next().await.id, driver.next().await.id];
     assert_eq!(ids, [0x26, 0x43]);
-    // A refused one has one.
+    // A refused motion has one frame.
     assert_eq!(driver.status(MOVE, &[1, 2, 3]).await, FORMAT_ERROR);
     assert_eq!(driver.next_within(Duration::from_millis(100)).await, None);
 }
 
-/// The manual has two for a finger that is powered up, and a script may take its time, too.
+/// The manual has two frames for a finger that is switched on, and a script can take its time too.
 #[tokio::test]
-async fn what_moves_nothing_and_takes_its_time_has_two_frames_too() {
+async fn slow_command_without_motion_has_two_frames() {
     let cell = Cell::new().await;
     let mut driver = cell.driver().await;
     assert_eq!(driver.run(0x62, &[1]).await, SUCCESS);
@@ -182,7 +182,7 @@ async fn what_moves_nothing_and_takes_its_time_has_two_frames_too() {
 
 /// "Checksum evaluation is switched off at some sites; such clients send any two bytes."
 #[tokio::test]
-async fn checksums_can_be_any_two_bytes_at_sites_that_say_so() {
+async fn checksum_evaluation_can_be_off() {
     let device = Simulator::start(&[]).await;
     let text = format!(
         "[grippers.g]\nurl = \"tcp://{}\"\nwsg_port = \"127.0.0.1:0\"\nwsg_port_checksum_evaluation = false\n",
@@ -200,7 +200,7 @@ async fn checksums_can_be_any_two_bytes_at_sites_that_say_so() {
 
 /// "Custom scripts on the device add ids B0h..B2h, BBh and others. … carry them opaque, in both directions."
 #[tokio::test]
-async fn custom_ids_are_carried_opaque_in_both_directions() {
+async fn custom_ids_pass_unchanged_in_both_directions() {
     let device = Scripted::start(Table::new()).await;
     let answer: Vec<u8> = (0..=255).collect();
     device.answer(0xB0, vec![success(&answer)]);
@@ -213,18 +213,18 @@ async fn custom_ids_are_carried_opaque_in_both_directions() {
     }
     let sent: Vec<_> = device.frames.all().into_iter().filter(|frame| frame.id == 0xB0).collect();
     assert_eq!((sent.len(), sent[7].payload.as_slice()), (50, &[0xAA, 0xAA, 0xAA, 7][..]));
-    assert_eq!(driver.status(0xBB, &[]).await, 0x1267, "also a status that no manual has");
-    assert_eq!(driver.status(0xB7, &[]).await, 14, "the device knows none");
-    // What may move takes the lease, and its client keeps it.
+    assert_eq!(driver.status(0xBB, &[]).await, 0x1267, "unknown statuses pass unchanged");
+    assert_eq!(driver.status(0xB7, &[]).await, 14, "unknown to the device");
+    // A custom command that can move takes the lease, and its client keeps it.
     let mut other = Driver::connect(port).await;
     assert_eq!(other.status(0xB0, &[]).await, ACCESS_DENIED);
     assert_eq!(gateway.state().await["lease_holder"], "wsg:127.0.0.1");
 }
 
-/// "Force carries no sign"; "Opening-width updates often don't come until the gripper is referenced": a width is 0 until
-/// then, and no update of it is a change.
+/// "Force carries no sign"; "Opening-width updates often don't come until the gripper is referenced": until then the
+/// width is 0, and no update counts as a change.
 #[tokio::test]
-async fn a_width_is_zero_until_the_gripper_is_referenced() {
+async fn width_is_zero_until_referenced() {
     let cell = Cell::new().await;
     let mut driver = cell.driver().await;
     let reply = driver.ask(0x43, &[3, 10, 0]).await;

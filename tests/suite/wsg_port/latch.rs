@@ -1,4 +1,4 @@
-//! Who may acknowledge a FAST STOP by 24h.
+//! Permission to acknowledge a FAST STOP with 24h.
 
 use serde_json::json;
 
@@ -9,16 +9,16 @@ use crate::harness::{Gateway, Simulator};
 const FAST_STOP: u32 = 1 << 12;
 
 #[tokio::test]
-async fn a_blind_acknowledge_does_not_wipe_out_what_happened() {
-    // A gateway that dies leaves its device in FAST STOP.
+async fn blind_acknowledge_is_refused() {
+    // Killing a gateway leaves its device in FAST STOP.
     let device = Simulator::start(&[]).await;
     Gateway::connected_to(device.address).await.kill().await;
     let (gateway, port) = Gateway::with_port(device.address, &[]).await;
     let latched = gateway.until("the FAST STOP", |state| state["fast_stop"] == true).await;
     let mut driver = crate::harness::wsg::Driver::connect(port).await;
-    assert_eq!(driver.status(0x24, b"ack").await, ACCESS_DENIED, "it knows of none");
+    assert_eq!(driver.status(0x24, b"ack").await, ACCESS_DENIED, "the driver has not seen the FAST STOP");
     assert_eq!(gateway.state().await["fast_stop_id"], latched["fast_stop_id"]);
-    // Told of it, and the device has caused it.
+    // Once the driver has seen the flag, it can acknowledge a FAST STOP that the device caused.
     assert_eq!(driver.flags().await & FAST_STOP, FAST_STOP);
     assert_eq!(driver.status(0x24, b"ack").await, SUCCESS);
     assert_eq!(driver.flags().await & FAST_STOP, 0);
@@ -26,7 +26,7 @@ async fn a_blind_acknowledge_does_not_wipe_out_what_happened() {
 }
 
 #[tokio::test]
-async fn a_refused_motion_tells_of_it_too() {
+async fn refused_motion_counts_as_seen() {
     let device = Simulator::start(&[]).await;
     Gateway::connected_to(device.address).await.kill().await;
     let (_gateway, port) = Gateway::with_port(device.address, &[]).await;
@@ -37,35 +37,35 @@ async fn a_refused_motion_tells_of_it_too() {
 }
 
 #[tokio::test]
-async fn a_fast_stop_is_acknowledged_by_who_caused_it_and_by_no_other_driver() {
+async fn fast_stop_is_acknowledged_only_by_its_driver() {
     let cell = Cell::homed().await;
     let (mut one, mut other) = (cell.driver().await, cell.driver().await);
     assert_eq!(one.status(MOVE, &move_to(10.0, 5.0)).await, PENDING);
-    // Who doesn't hold the lease stops all the same.
+    // A Stop or FAST STOP needs no lease.
     assert_eq!(other.status(0x23, &[]).await, SUCCESS);
     assert_eq!(one.end_of(MOVE).await, super::ABORTED);
     assert_eq!(one.flags().await & FAST_STOP, FAST_STOP);
     assert_eq!(one.status(0x24, b"ack").await, ACCESS_DENIED);
     assert_eq!(other.status(0x24, b"ack").await, SUCCESS);
-    assert_eq!(one.run(MOVE, &move_to(20.0, 200.0)).await, SUCCESS, "it holds the lease still");
+    assert_eq!(one.run(MOVE, &move_to(20.0, 200.0)).await, SUCCESS, "the driver still holds the lease");
 }
 
 #[tokio::test]
-async fn a_fast_stop_of_http_is_acknowledged_there() {
+async fn fast_stop_over_http_is_acknowledged_over_http() {
     let cell = Cell::homed().await;
     let mut driver = cell.driver().await;
     let stopped = cell.gateway.post("fast-stop", &json!({"reason": "light curtain"})).await.ok();
     assert_eq!(driver.flags().await & FAST_STOP, FAST_STOP);
     assert_eq!(driver.status(0x24, b"ack").await, ACCESS_DENIED);
     let refused = cell.gateway.events("kind=refused", 1).await.remove(0);
-    let told = ["door", "subject", "command", "code"].map(|field| refused[field].as_str().unwrap());
-    assert_eq!(told, ["wsg", "wsg:127.0.0.1", "AcknowledgeFastStop", "E_ACCESS_DENIED"], "{refused}");
+    let fields = ["door", "subject", "command", "code"].map(|field| refused[field].as_str().unwrap());
+    assert_eq!(fields, ["wsg", "wsg:127.0.0.1", "AcknowledgeFastStop", "E_ACCESS_DENIED"], "{refused}");
     cell.gateway.post("acknowledge", &json!({"fast_stop_id": stopped["fast_stop_id"]})).await.ok();
     assert_eq!(driver.status(0x24, b"ack").await, SUCCESS, "nothing is latched");
 }
 
 #[tokio::test]
-async fn with_any_everyone_may() {
+async fn acknowledge_any_allows_every_driver() {
     let device = Simulator::start(&[]).await;
     let text = format!(
         "[grippers.g]\nurl = \"tcp://{}\"\nwsg_port = \"127.0.0.1:0\"\nwsg_port_acknowledge = \"any\"\n",
@@ -79,7 +79,7 @@ async fn with_any_everyone_may() {
 }
 
 #[tokio::test]
-async fn a_latch_of_a_lost_driver_is_not_for_the_next_one() {
+async fn next_driver_cannot_acknowledge_a_lost_clients_latch() {
     let cell = Cell::homed().await;
     let mut driver = cell.driver().await;
     assert_eq!(driver.status(MOVE, &move_to(10.0, 5.0)).await, PENDING);
@@ -92,7 +92,7 @@ async fn a_latch_of_a_lost_driver_is_not_for_the_next_one() {
 }
 
 #[tokio::test]
-async fn a_fast_stop_and_its_acknowledge_in_one_write_are_done_in_order() {
+async fn fast_stop_and_acknowledge_in_one_write_keep_their_order() {
     let cell = Cell::homed().await;
     let mut driver = cell.driver().await;
     let both = [crate::harness::wsg::request(0x23, &[]), crate::harness::wsg::request(0x24, b"ack")].concat();

@@ -1,4 +1,4 @@
-//! A device that is out of reach: its clients are told so, and stay connected.
+//! An unreachable device: clients get a status, and stay connected.
 
 use super::{Cell, IO_ERROR, MOVE, SUCCESS};
 use crate::harness::eventually;
@@ -7,13 +7,13 @@ use crate::harness::wsg::{PENDING, move_to};
 const TIMEOUT: u16 = 7;
 
 #[tokio::test]
-async fn on_a_lost_link_requests_get_a_status_and_no_client_is_sent_away() {
+async fn lost_link_is_a_status_and_keeps_clients_connected() {
     let mut cell = Cell::homed().await;
     let (mut driver, mut reader) = (cell.driver().await, cell.driver().await);
     assert_eq!(driver.status(MOVE, &move_to(5.0, 5.0)).await, PENDING);
     cell.gateway.until_moving().await;
     cell.proxy.go_away().await;
-    assert_eq!(driver.end_of(MOVE).await, TIMEOUT, "what became of it is not known");
+    assert_eq!(driver.end_of(MOVE).await, TIMEOUT, "unknown outcome");
     cell.gateway.until_link("reconnecting").await;
     for client in [&mut driver, &mut reader] {
         for (id, parameters) in
@@ -26,12 +26,12 @@ async fn on_a_lost_link_requests_get_a_status_and_no_client_is_sent_away() {
     }
     cell.proxy.accept();
     cell.gateway.until_link("connected").await;
-    eventually("it answers again", async || (reader.status(0x06, b"x").await == SUCCESS).then_some(())).await;
+    eventually("the device answers again", async || (reader.status(0x06, b"x").await == SUCCESS).then_some(())).await;
     assert_eq!(reader.status(0x41, &[0; 3]).await, SUCCESS);
 }
 
 #[tokio::test]
-async fn updates_go_on_after_the_link_was_lost_and_nothing_stale_comes_meanwhile() {
+async fn updates_resume_after_a_lost_link() {
     let mut cell = Cell::homed().await;
     let mut reader = cell.driver().await;
     assert_eq!(reader.status(0x43, &[1, 20, 0]).await, SUCCESS);
@@ -44,7 +44,7 @@ async fn updates_go_on_after_the_link_was_lost_and_nothing_stale_comes_meanwhile
 }
 
 #[tokio::test]
-async fn a_fast_stop_without_a_link_is_latched_and_said_to_be_unconfirmed() {
+async fn fast_stop_without_a_link_latches_unconfirmed() {
     let mut cell = Cell::homed().await;
     let mut driver = cell.driver().await;
     cell.proxy.go_away().await;
@@ -53,7 +53,7 @@ async fn a_fast_stop_without_a_link_is_latched_and_said_to_be_unconfirmed() {
     let from = cell.proxy.frames.len();
     cell.proxy.accept();
     cell.gateway.until("confirmed", |state| state["fast_stop_confirmed"] == true).await;
-    assert_eq!(cell.proxy.frames.since(from)[0].id, 0x23, "it is the first thing sent");
+    assert_eq!(cell.proxy.frames.since(from)[0].id, 0x23, "FAST STOP is sent first");
     cell.gateway.until_link("connected").await;
     assert_eq!(driver.status(0x24, b"ack").await, SUCCESS);
 }

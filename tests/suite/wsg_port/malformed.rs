@@ -1,4 +1,4 @@
-//! Wrong requests: the port answers as the device does.
+//! Malformed requests: the port answers like the device.
 
 use std::time::Duration;
 
@@ -9,7 +9,7 @@ use crate::harness::Simulator;
 use crate::harness::wsg::{Driver, PENDING, floats, move_to, request};
 
 #[tokio::test]
-async fn wrong_requests_get_the_devices_answers() {
+async fn malformed_requests_get_the_devices_replies() {
     let cell = Cell::new().await;
     let device = Simulator::start(&[]).await;
     let (mut port, mut device) = (cell.driver().await, Driver::connect(device.address).await);
@@ -43,19 +43,19 @@ async fn wrong_requests_get_the_devices_answers() {
         (0x62, &[2]),
     ];
     for (id, parameters) in wrong {
-        let (told, expected) = (port.ask(id, parameters).await, device.ask(id, parameters).await);
-        assert_eq!(told, expected, "{id:02X}h with {} bytes", parameters.len());
+        let (answered, expected) = (port.ask(id, parameters).await, device.ask(id, parameters).await);
+        assert_eq!(answered, expected, "{id:02X}h with {} bytes", parameters.len());
     }
     for number in [f32::NAN, f32::INFINITY] {
         let parameters = floats(&[number]);
         assert_eq!(port.ask(0x30, &parameters).await, device.ask(0x30, &parameters).await);
     }
-    assert_eq!(port.ask(0xB0, &[1]).await, device.ask(0xB0, &[1]).await, "an id that nobody knows");
+    assert_eq!(port.ask(0xB0, &[1]).await, device.ask(0xB0, &[1]).await, "an unknown id");
 }
 
-/// Without a damaged frame the device's own port stays as it is.
+/// A damaged frame gets a status; other garbage is ignored.
 #[tokio::test]
-async fn damage_costs_a_status_or_nothing_and_the_next_request_is_answered() {
+async fn damaged_frames_do_not_affect_the_next_request() {
     let cell = Cell::new().await;
     let mut driver = cell.driver().await;
     let mut damaged = request(0x50, &[]);
@@ -69,7 +69,7 @@ async fn damage_costs_a_status_or_nothing_and_the_next_request_is_answered() {
         let reply = driver.next().await;
         assert_eq!((reply.id, reply.status), (0x50, SUCCESS), "{garbage:x?}");
     }
-    // Half a frame, and then silence: what comes later is no part of it.
+    // Half a frame followed by silence is dropped.
     driver.send_raw(&request(MOVE, &move_to(10.0, 10.0))[..9]).await;
     assert_eq!(driver.next_within(Duration::from_millis(700)).await, None);
     assert_eq!(driver.status(0x50, &[]).await, SUCCESS);
@@ -77,7 +77,7 @@ async fn damage_costs_a_status_or_nothing_and_the_next_request_is_answered() {
 }
 
 #[tokio::test]
-async fn a_request_split_at_every_byte_is_one_request() {
+async fn request_split_at_every_byte_is_one_request() {
     let cell = Cell::new().await;
     let mut driver = cell.driver().await;
     for byte in request(0x06, b"hello") {
@@ -87,7 +87,7 @@ async fn a_request_split_at_every_byte_is_one_request() {
 }
 
 #[tokio::test]
-async fn what_is_in_a_motions_way_is_said_before_what_is_wrong_with_it() {
+async fn state_errors_come_before_format_errors() {
     let cell = Cell::new().await;
     let mut driver = cell.driver().await;
     assert_eq!(driver.status(MOVE, &move_to(10.0, 10.0)).await, NOT_INITIALIZED);
@@ -107,12 +107,12 @@ async fn what_is_in_a_motions_way_is_said_before_what_is_wrong_with_it() {
 }
 
 #[tokio::test]
-async fn what_a_device_clamps_is_clamped_and_what_the_soft_limits_forbid_is_refused() {
+async fn values_are_clamped_and_soft_limits_refuse() {
     let cell = Cell::homed().await;
     let mut driver = cell.driver().await;
     assert_eq!(driver.run(MOVE, &move_to(5000.0, 100_000.0)).await, SUCCESS);
     let sent = cell.proxy.frames.all().into_iter().rfind(|frame| frame.id == MOVE).unwrap();
-    assert_eq!(sent.payload, move_to(110.0, 420.0), "the stroke, and the highest speed");
+    assert_eq!(sent.payload, move_to(110.0, 420.0), "the stroke and the maximum speed");
     for (set, get, given, taken) in [(0x30, 0x31, 1e9, 5000.0), (0x32, 0x33, 0.0, 5.0), (0x32, 0x33, 1e9, 80.0)] {
         assert_eq!(driver.status(set, &floats(&[given])).await, SUCCESS);
         assert_eq!(driver.ask(get, &[]).await.data, floats(&[taken]));
@@ -125,7 +125,7 @@ async fn what_a_device_clamps_is_clamped_and_what_the_soft_limits_forbid_is_refu
 }
 
 #[tokio::test]
-async fn too_many_requests_at_once_are_an_overrun_and_the_rest_is_answered() {
+async fn too_many_requests_are_an_overrun() {
     let cell = Cell::new().await;
     let mut driver = cell.driver().await;
     let many = request(0x06, b"x").repeat(100);

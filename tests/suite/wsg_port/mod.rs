@@ -1,8 +1,8 @@
-//! The WSG port, with stand-ins for the drivers that will connect.
+//! The WSG port, with stand-ins for real drivers.
 
 mod allowed;
+mod disconnects;
 mod drivers;
-mod ends;
 mod field_notes;
 mod latch;
 mod link;
@@ -30,7 +30,7 @@ const RANGE_ERROR: u16 = 28;
 const MOVE: u8 = 0x21;
 const GRIP: u8 = 0x25;
 
-/// A gripper with a part of 20 mm behind a gateway with a WSG port.
+/// A gripper with a part of 20 mm, behind a gateway with a WSG port.
 struct Cell {
     _device: Simulator,
     proxy: Proxy,
@@ -50,7 +50,7 @@ impl Cell {
         Self { _device: device, proxy, gateway, port }
     }
 
-    /// The same, homed over HTTP.
+    /// A cell whose gripper was homed over HTTP.
     async fn homed() -> Self {
         let cell = Self::new().await;
         cell.home().await;
@@ -66,7 +66,7 @@ impl Cell {
     }
 }
 
-/// A gateway with this configuration, connected.
+/// Starts a gateway with this configuration, and waits for the link.
 async fn configured(name: &str, text: &str) -> Gateway {
     let path = std::path::PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{}-{name}", std::process::id()));
     std::fs::write(&path, text).unwrap();
@@ -75,7 +75,7 @@ async fn configured(name: &str, text: &str) -> Gateway {
     gateway
 }
 
-/// A driver of its WSG port.
+/// Connects a driver to the gateway's WSG port.
 async fn connect(gateway: &Gateway) -> Driver {
     Driver::connect(gateway.word_after("WSG port of g: tcp://").await.parse().unwrap()).await
 }

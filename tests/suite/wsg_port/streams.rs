@@ -1,4 +1,4 @@
-//! Clients that steer a script on the gripper, many times a second.
+//! Clients that steer a script on the gripper many times a second.
 
 use std::time::{Duration, Instant};
 
@@ -9,12 +9,12 @@ use super::{ACCESS_DENIED, SUCCESS, configured, connect};
 use crate::harness::wsg::Driver;
 use crate::harness::{Gateway, Scripted, Table, eventually, success};
 
-/// The script that is steered, one that is a motion like others, and one that only reads.
+/// Ids of a streamed script, an ordinary motion script, and a script that only reads.
 const STREAM: u8 = 0xB1;
 const MOTION: u8 = 0xB0;
 const READ: u8 = 0xB2;
 
-/// As research users run them.
+/// Usual period of research users.
 const EVERY: Duration = Duration::from_millis(20);
 
 const REQUESTS: u32 = 100;
@@ -35,7 +35,7 @@ async fn stream(driver: &mut Driver) {
     assert_eq!((reply.status, reply.data), (SUCCESS, vec![STREAM]));
 }
 
-/// How many requests of the stream the journal has, and in how many records.
+/// Number of streamed requests in the journal, and of records that hold them.
 async fn counted(gateway: &Gateway) -> (u64, usize) {
     let events = gateway.events("kind=device&order=oldest&limit=1000", 1).await;
     let streamed: Vec<_> = events.iter().filter(|event| event["event"] == "streamed").collect();
@@ -44,11 +44,11 @@ async fn counted(gateway: &Gateway) -> (u64, usize) {
 }
 
 #[tokio::test]
-async fn a_stream_keeps_its_rate_and_costs_the_journal_a_record_a_second() {
+async fn stream_keeps_its_rate_with_one_journal_record_a_second() {
     let (device, gateway) = cell("stream.toml").await;
     let mut driver = connect(&gateway).await;
     let mut due = interval(EVERY);
-    // One that was late is not made up for.
+    // Late requests are not caught up.
     due.set_missed_tick_behavior(MissedTickBehavior::Delay);
     let mut slowest = Vec::new();
     for _ in 0..REQUESTS {
@@ -59,9 +59,9 @@ async fn a_stream_keeps_its_rate_and_costs_the_journal_a_record_a_second() {
     }
     slowest.sort();
     let median = slowest[slowest.len() / 2];
-    assert!(median < EVERY, "it could not keep its rate: {median:?}");
+    assert!(median < EVERY, "the stream could not keep its rate: {median:?}");
     assert_eq!(device.frames.count(STREAM), REQUESTS as usize);
-    assert_eq!(gateway.state().await["lease_holder"], "wsg:127.0.0.1", "it has taken the lease, as motions do");
+    assert_eq!(gateway.state().await["lease_holder"], "wsg:127.0.0.1", "a stream takes the lease like a motion");
     let (count, records) = eventually("all are counted", async || {
         let counted = counted(&gateway).await;
         (counted.0 == u64::from(REQUESTS)).then_some(counted)
@@ -69,7 +69,7 @@ async fn a_stream_keeps_its_rate_and_costs_the_journal_a_record_a_second() {
     .await;
     assert!(records <= REQUESTS as usize / 10, "{count} in {records} records");
     assert!(gateway.events("kind=command", 0).await.is_empty());
-    // Another motion right behind it is held to its pause, and to nothing else.
+    // A motion right after a stream only has to keep its pause.
     assert_eq!(driver.status(MOTION, &[]).await, SUCCESS);
     stream(&mut driver).await;
     driver.leave().await;
@@ -77,7 +77,7 @@ async fn a_stream_keeps_its_rate_and_costs_the_journal_a_record_a_second() {
 }
 
 #[tokio::test]
-async fn many_requests_of_a_stream_at_once_wait_for_one_another() {
+async fn simultaneous_stream_requests_are_queued() {
     let (_device, gateway) = cell("stream-at-once.toml").await;
     let mut driver = connect(&gateway).await;
     for _ in 0..20 {
@@ -89,7 +89,7 @@ async fn many_requests_of_a_stream_at_once_wait_for_one_another() {
 }
 
 #[tokio::test]
-async fn a_stream_is_refused_in_fast_stop_and_while_another_holds_the_lease() {
+async fn stream_is_refused_in_fast_stop_and_without_the_lease() {
     let (device, gateway) = cell("stream-refused.toml").await;
     let raw = json!({"id": STREAM, "payload": "00"});
     let answer = gateway.post("raw", &raw).await.ok();
@@ -100,7 +100,7 @@ async fn a_stream_is_refused_in_fast_stop_and_while_another_holds_the_lease() {
     let mut driver = connect(&gateway).await;
     assert_eq!(driver.status(STREAM, &[]).await, ACCESS_DENIED);
     gateway.post("raw", &raw).await.problem(409, "lease_held");
-    assert_eq!(driver.status(READ, &[]).await, SUCCESS, "who only reads may");
+    assert_eq!(driver.status(READ, &[]).await, SUCCESS, "reads need no lease");
     assert_eq!(device.frames.count(STREAM), sent);
     for _ in 0..50 {
         let streamed = gateway.request("POST", "raw").header("Wsg-Lease", lease["token"].as_str().unwrap()).json(&raw);
@@ -116,7 +116,7 @@ async fn a_stream_is_refused_in_fast_stop_and_while_another_holds_the_lease() {
 }
 
 #[tokio::test]
-async fn who_is_lost_while_it_streams_is_a_fast_stop_and_who_announces_its_end_a_stop() {
+async fn client_lost_while_streaming_is_a_fast_stop() {
     let (device, gateway) = cell("stream-lost.toml").await;
     let mut driver = connect(&gateway).await;
     stream(&mut driver).await;
@@ -126,17 +126,17 @@ async fn who_is_lost_while_it_streams_is_a_fast_stop_and_who_announces_its_end_a
     let mut driver = connect(&gateway).await;
     stream(&mut driver).await;
     driver.reset();
-    gateway.until("it is lost", |state| state["fast_stop_cause"] == "client_lost").await;
+    gateway.until("the loss is reported", |state| state["fast_stop_cause"] == "client_lost").await;
 }
 
 #[tokio::test]
-async fn who_is_lost_long_after_it_has_streamed_is_none() {
+async fn client_lost_after_its_stream_stops_nothing() {
     let (device, gateway) = cell("stream-over.toml").await;
     let mut driver = connect(&gateway).await;
     stream(&mut driver).await;
     let until = Instant::now() + Duration::from_millis(1200);
-    eventually("longer than a stream lasts", async || (Instant::now() > until).then_some(())).await;
+    eventually("the stream is over", async || (Instant::now() > until).then_some(())).await;
     driver.reset();
-    let state = gateway.until("nobody holds it", |state| state["lease_holder"].is_null()).await;
+    let state = gateway.until("the lease is free", |state| state["lease_holder"].is_null()).await;
     assert_eq!((&state["fast_stop"], device.frames.count(0x23)), (&json!(false), 0));
 }

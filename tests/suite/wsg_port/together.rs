@@ -1,4 +1,4 @@
-//! Drivers side by side, with a REST client and an observer: all work, and none sees a frame that isn't its own.
+//! Several drivers with a REST client and an observer: all work, and each sees only its own frames.
 
 use std::time::Duration;
 
@@ -14,9 +14,9 @@ async fn two_drivers_a_rest_client_and_an_observer_share_one_gripper() {
     let mut observer = Socket::open(&cell.gateway).await;
     observer.call("subscribe", json!({"topics": ["events", "telemetry"]})).await;
     let (mut one, mut two) = (cell.driver().await, cell.driver().await);
-    // The first motion takes the lease, so that the other driver's are refused.
+    // The first motion takes the lease, so the other driver's motions are refused.
     assert_eq!(one.run(0x20, &[0]).await, SUCCESS);
-    // The other's updates are its own.
+    // Each driver gets only its own updates.
     assert_eq!(two.status(0x43, &[1, 10, 0]).await, SUCCESS);
     let reading = async {
         let (mut widths, mut denied) = (0, 0);
@@ -56,20 +56,20 @@ async fn two_drivers_a_rest_client_and_an_observer_share_one_gripper() {
     };
     let (denied, (), ()) = tokio::join!(reading, moving, asking);
     assert!(denied >= 3, "{denied}");
-    assert_eq!(one.next_within(Duration::from_millis(100)).await, None, "nothing that it did not ask for");
+    assert_eq!(one.next_within(Duration::from_millis(100)).await, None, "only requested frames");
     let rest = cell.gateway.post("move", &json!({"width_mm": 40, "speed_mm_s": 100})).await;
     assert_eq!(rest.problem(409, "lease_held")["holder"], "wsg:127.0.0.1");
     let held = |event: &serde_json::Value| event["door"] == "wsg" && event["outcome"] == "PART_HELD";
-    assert_eq!(observer.told("event", held).await["kind"], "command");
+    assert_eq!(observer.notification("event", held).await["kind"], "command");
 
-    // Its end gives the gripper to the next.
+    // The announced disconnect frees the gripper.
     one.leave().await;
     cell.gateway.post("move", &json!({"width_mm": 40, "speed_mm_s": 200})).await.outcome("SUCCESS");
     assert_eq!(two.run(MOVE, &move_to(50.0, 200.0)).await, SUCCESS);
 }
 
 #[tokio::test]
-async fn a_rest_client_with_the_lease_keeps_drivers_from_moving_and_not_from_reading() {
+async fn rest_lease_blocks_driver_motions_but_not_reads() {
     let cell = Cell::homed().await;
     let lease = cell.gateway.post("lease", &json!({"holder": "robot-1", "ttl_ms": 60000})).await.ok();
     let mut driver = cell.driver().await;
@@ -88,29 +88,29 @@ async fn a_rest_client_with_the_lease_keeps_drivers_from_moving_and_not_from_rea
 }
 
 #[tokio::test]
-async fn the_journal_knows_what_drivers_did() {
+async fn journal_records_driver_commands() {
     let cell = Cell::homed().await;
     let mut driver = cell.driver().await;
     assert_eq!(driver.run(GRIP, &floats(&[20.0, 100.0])).await, SUCCESS);
-    // The first two are of the homing.
+    // The first two events belong to the homing.
     for event in cell.gateway.events("kind=command&order=oldest", 4).await.split_off(2) {
         assert_eq!((&event["door"], &event["subject"]), (&json!("wsg"), &json!("wsg:127.0.0.1")), "{event}");
     }
-    eventually("its grip record", async || {
+    eventually("the grip record", async || {
         let grips = cell.gateway.get("/api/v1/grips").await.ok();
         (grips["grips"][0]["outcome"] == "PART_HELD").then_some(())
     })
     .await;
 }
 
-/// Drivers that leave their connections open and say nothing take no place from who wants to stop.
+/// Silent drivers with open connections do not block a FAST STOP.
 #[tokio::test]
-async fn a_fast_stop_finds_a_place_and_the_holder_keeps_its_own() {
+async fn fast_stop_gets_a_connection_and_the_holder_keeps_its_own() {
     let cell = Cell::homed().await;
     let mut holder = cell.driver().await;
     assert_eq!(holder.run(MOVE, &move_to(60.0, 300.0)).await, SUCCESS);
     let mut others = Vec::new();
-    // A port on a machine with enough descriptors keeps 128.
+    // A port keeps 128 connections if the machine has enough descriptors.
     for _ in 0..140 {
         let mut other = cell.driver().await;
         assert_eq!(other.status(0x50, &[]).await, SUCCESS);
@@ -118,7 +118,11 @@ async fn a_fast_stop_finds_a_place_and_the_holder_keeps_its_own() {
     }
     assert_eq!(others[139].status(0x23, &[]).await, SUCCESS);
     assert_eq!(cell.gateway.state().await["fast_stop_cause"], "requested");
-    assert_eq!(holder.status(MOVE, &move_to(50.0, 300.0)).await, ACCESS_DENIED, "it is there still, and is told");
-    assert!(others[0].has_ended().await, "it was silent for longer than all others");
+    assert_eq!(
+        holder.status(MOVE, &move_to(50.0, 300.0)).await,
+        ACCESS_DENIED,
+        "the holder stays connected, and gets a status"
+    );
+    assert!(others[0].has_ended().await, "the longest silent driver is disconnected");
     assert_eq!(cell.gateway.state().await["lease_holder"], "wsg:127.0.0.1");
 }

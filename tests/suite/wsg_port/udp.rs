@@ -1,4 +1,4 @@
-//! Clients by UDP: each is the address that it is answered at.
+//! UDP clients, each identified by its reply address.
 
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
@@ -39,25 +39,25 @@ async fn ask(socket: &UdpSocket, port: SocketAddr, id: u8, payload: &[u8]) -> u1
 }
 
 #[tokio::test]
-async fn a_client_that_is_silent_for_three_seconds_is_lost() {
+async fn client_silent_for_three_seconds_is_lost() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
     let (gateway, port) = port(&proxy, "").await;
     let (one, two) = (client().await, client().await);
     assert_eq!(ask(&one, port, MOVE, &move_to(5.0, 5.0)).await, PENDING);
     let silent = Instant::now();
-    assert_eq!(ask(&two, port, MOVE, &move_to(50.0, 50.0)).await, ACCESS_DENIED, "another address is somebody else");
+    assert_eq!(ask(&two, port, MOVE, &move_to(50.0, 50.0)).await, ACCESS_DENIED, "another address is another client");
     assert_eq!(ask(&two, port, 0x40, &[0; 3]).await, SUCCESS);
-    let state = gateway.until("it is lost", |state| state["fast_stop_cause"] == "client_lost").await;
+    let state = gateway.until("the client is lost", |state| state["fast_stop_cause"] == "client_lost").await;
     let lost = silent.elapsed();
     assert!(lost > Duration::from_millis(2900) && lost < Duration::from_secs(6), "{lost:?}");
     assert_eq!((&state["lease_holder"], proxy.frames.count(0x23)), (&json!(null), 1), "{state}");
-    assert_eq!(next(&one).await, (MOVE, ABORTED), "it may be there, and wait for ever");
+    assert_eq!(next(&one).await, (MOVE, ABORTED), "the silent client still gets its status");
 }
 
-/// Drivers that wait for the end of a motion and have no time-out send nothing meanwhile.
+/// Drivers without a time-out that wait for the end of a motion send nothing in the meantime.
 #[tokio::test]
-async fn how_long_a_client_may_be_silent_can_be_said() {
+async fn silence_limit_is_configurable() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
     let (gateway, port) = port(&proxy, "?lost_after_ms=20000").await;
@@ -66,19 +66,19 @@ async fn how_long_a_client_may_be_silent_can_be_said() {
     // 85 mm or more at 20 mm/s.
     assert_eq!(ask(&socket, port, MOVE, &move_to(5.0, 20.0)).await, PENDING);
     assert_eq!(next(&socket).await, (MOVE, SUCCESS));
-    assert!(begun.elapsed() > Duration::from_secs(3), "it was silent for longer than is usual");
+    assert!(begun.elapsed() > Duration::from_secs(3), "silent for longer than the default");
     assert_eq!(gateway.state().await["lease_holder"], "wsg:127.0.0.1");
 }
 
 #[tokio::test]
-async fn a_client_that_goes_on_asking_is_there() {
+async fn client_that_polls_stays_connected() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
     let (gateway, port) = port(&proxy, "").await;
     let socket = client().await;
     assert_eq!(ask(&socket, port, MOVE, &move_to(5.0, 20.0)).await, PENDING);
     let begun = Instant::now();
-    // 85 mm or more at 20 mm/s take longer than a silent client has.
+    // At 20 mm/s, 85 mm or more take longer than the silence limit.
     let ended = loop {
         socket.send_to(&request(0x43, &[0; 3]), port).await.unwrap();
         if let (MOVE, status) = next(&socket).await {
@@ -91,7 +91,7 @@ async fn a_client_that_goes_on_asking_is_there() {
 }
 
 #[tokio::test]
-async fn an_announced_end_stops_in_order() {
+async fn announced_disconnect_stops_the_motion() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
     let (gateway, port) = port(&proxy, "").await;
@@ -105,7 +105,7 @@ async fn an_announced_end_stops_in_order() {
 }
 
 #[tokio::test]
-async fn answers_go_to_a_configured_port_where_one_is_given() {
+async fn replies_go_to_the_configured_port() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
     let (sender, receiver) = (client().await, client().await);
@@ -115,9 +115,10 @@ async fn answers_go_to_a_configured_port_where_one_is_given() {
     assert_eq!(next(&receiver).await, (0x50, SUCCESS));
 }
 
-/// Two of them could not tell their answers apart: a driver with a new socket for each request is one client.
+/// Clients that share a reply port cannot tell their replies apart, so they count as one. A driver with a new socket
+/// for each request is one client.
 #[tokio::test]
-async fn who_is_answered_at_one_port_is_one_client() {
+async fn clients_with_one_reply_port_are_one_client() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
     let receiver = client().await;
@@ -128,7 +129,7 @@ async fn who_is_answered_at_one_port_is_one_client() {
         assert_eq!(next(&receiver).await, (MOVE, expected));
         assert_eq!(next(&receiver).await, (MOVE, SUCCESS));
     }
-    // More than there can be clients, and each is answered.
+    // More sources than the client limit, and each is answered.
     for _ in 0..40 {
         client().await.send_to(&request(0x06, b"x"), port).await.unwrap();
         assert_eq!(next(&receiver).await, (0x06, SUCCESS));
@@ -136,7 +137,7 @@ async fn who_is_answered_at_one_port_is_one_client() {
 }
 
 #[tokio::test]
-async fn a_fast_stop_finds_a_place_among_datagrams() {
+async fn fast_stop_passes_the_client_limit() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
     let (gateway, port) = port(&proxy, "").await;

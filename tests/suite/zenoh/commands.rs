@@ -1,4 +1,4 @@
-//! Commands over Zenoh are those of HTTP: what they do, what they are refused with, and what is written down of them.
+//! Commands over Zenoh have the same effects, problems and records as over HTTP.
 
 use std::time::Instant;
 
@@ -9,13 +9,13 @@ use crate::harness::{Gateway, MOTIONS, ZenohClient, eventually};
 
 const FAST_STOP: u8 = 0x23;
 
-/// The records of a command, without what no two commands share.
+/// Returns the journal records of a command, without the members that differ between any two commands.
 async fn records(gateway: &Gateway, id: &Value) -> Vec<Map<String, Value>> {
     let both = async || {
         let events = gateway.get("/api/v1/events?kind=command&order=oldest&limit=500").await.ok();
         let events = events["events"].as_array().unwrap().clone();
-        let of_it: Vec<_> = events.into_iter().filter(|event| event["command_id"] == *id).collect();
-        (of_it.len() == 2).then_some(of_it)
+        let own_events: Vec<_> = events.into_iter().filter(|event| event["command_id"] == *id).collect();
+        (own_events.len() == 2).then_some(own_events)
     };
     let events = eventually("two records", both).await;
     let own = ["seq", "at", "command_id", "started_at", "duration_ms"];
@@ -28,7 +28,7 @@ async fn records(gateway: &Gateway, id: &Value) -> Vec<Map<String, Value>> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_command_leaves_the_same_records_as_over_http_but_for_the_door() {
+async fn command_leaves_the_same_records_as_over_http() {
     let rig = Rig::start(&["--part-mm", "20"]).await;
     rig.gateway.post("home", &json!({})).await.outcome("SUCCESS");
     let open = json!({"width_mm": 60, "speed_mm_s": 400});
@@ -45,7 +45,7 @@ async fn a_command_leaves_the_same_records_as_over_http_but_for_the_door() {
         let by = |record: &mut Map<String, Value>| (record.remove("door").unwrap(), record.remove("subject").unwrap());
         assert_eq!(by(http), (json!("http"), json!("http:127.0.0.1")));
         assert_eq!(by(zenoh), (json!("zenoh"), json!("zenoh:robot-1")));
-        // What the device measured.
+        // Values that the device measured.
         let measured: &[&str] = if http["phase"] == "done" { &["width_mm", "force_n"] } else { &[] };
         for &measured in measured {
             let (one, other) = (http.remove(measured), zenoh.remove(measured));
@@ -64,7 +64,7 @@ async fn a_command_leaves_the_same_records_as_over_http_but_for_the_door() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_refused_is_the_problem_that_http_has() {
+async fn refusals_are_the_same_problems_as_over_http() {
     let rig = Rig::start(&[]).await;
     let before = rig.proxy.frames.len();
     for (command, body) in [
@@ -96,11 +96,11 @@ async fn what_is_refused_is_the_problem_that_http_has() {
     assert_eq!((&unseen["code"], &unseen["field"]), (&json!("malformed"), &json!("client")), "{unseen}");
     assert_eq!(rig.client.command("leap", &json!({})).await.unwrap_err()["code"], "not_found");
     assert_eq!(rig.client.command("home", &json!({"gripper": "h"})).await.unwrap_err()["field"], "gripper");
-    assert!(rig.proxy.frames.since(before).iter().all(|frame| !MOTIONS.contains(&frame.id)), "nothing moves");
+    assert!(rig.proxy.frames.since(before).iter().all(|frame| !MOTIONS.contains(&frame.id)), "no motion is sent");
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn one_query_moves_one_gripper_and_a_wildcard_none() {
+async fn wildcard_query_moves_no_gripper() {
     let rig = Rig::start(&[]).await;
     let before = rig.proxy.frames.len();
     for key in ["wsg/v1/*/*/command/home", "wsg/v1/gateway/*/command/home", "wsg/v1/gateway/g/command/*", "wsg/v1/**"] {
@@ -109,18 +109,18 @@ async fn one_query_moves_one_gripper_and_a_wildcard_none() {
             assert_eq!((&problem["code"], &problem["field"]), (&json!("malformed"), &json!("key")), "{problem}");
         }
     }
-    assert!(rig.proxy.frames.since(before).iter().all(|frame| !MOTIONS.contains(&frame.id)), "nothing moves");
+    assert!(rig.proxy.frames.since(before).iter().all(|frame| !MOTIONS.contains(&frame.id)), "no motion is sent");
     let begun = rig.client.command("home?wait_ms=0", &json!({})).await.unwrap();
     assert_eq!(begun["phase"], "running");
     let command = json!({"command": begun["id"]});
     let ended = rig.client.command("command?wait_ms=20000", &command).await.unwrap();
     assert_eq!((&ended["phase"], &ended["outcome"]), (&json!("done"), &json!("SUCCESS")));
-    let stopped = rig.client.all("wsg/v1/*/*/command/fast-stop", "no JSON").await;
+    let stopped = rig.client.all("wsg/v1/*/*/command/fast-stop", "not JSON").await;
     assert_eq!(stopped[0].1.as_ref().unwrap()["fast_stop_confirmed"], true);
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_put_stops_one_gateway_or_all_whatever_it_carries() {
+async fn put_with_any_payload_stops_one_gateway_or_all() {
     let rig = Rig::start(&[]).await;
     rig.gateway.post("home", &json!({"direction": "outer"})).await.outcome("SUCCESS");
     for (key, payload, reason) in [
@@ -134,7 +134,7 @@ async fn a_put_stops_one_gateway_or_all_whatever_it_carries() {
         let put = Instant::now();
         rig.client.put(key, payload).await;
         eventually("23h", async || rig.proxy.frames.first_since(FAST_STOP, put)).await;
-        let state = rig.gateway.until("it is confirmed", |state| state["fast_stop_confirmed"] == true).await;
+        let state = rig.gateway.until("the FAST STOP is confirmed", |state| state["fast_stop_confirmed"] == true).await;
         assert_eq!((&state["fast_stop_reason"], &state["fast_stop_by"]), (&json!(reason), &json!("zenoh:unknown")));
         let acknowledge = json!({"fast_stop_id": state["fast_stop_id"]});
         let acknowledged = rig.client.command("acknowledge", &acknowledge).await.unwrap();
@@ -146,7 +146,7 @@ async fn a_put_stops_one_gateway_or_all_whatever_it_carries() {
     assert_eq!(state["fast_stop"], false);
 }
 
-/// Whether it is ready, why Zenoh is not, and the figure of that.
+/// Returns readiness, the Zenoh cause, and the `wsg_zenoh_up` metric.
 pub async fn readiness(gateway: &Gateway) -> (Value, String, f64) {
     let ready = gateway.get("/readyz").await.body;
     let up = gateway.figures().await["wsg_zenoh_up"];
@@ -154,23 +154,25 @@ pub async fn readiness(gateway: &Gateway) -> (Value, String, f64) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_taken_port_is_told_and_tried_again_and_the_gripper_is_served() {
+async fn occupied_port_is_reported_and_retried() {
     let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
     let endpoint = format!("tcp/{}", taken.local_addr().unwrap());
     let gateway = Gateway::start(&["--gripper", "g=sim://wsg50", "--zenoh-listen", &endpoint]).await;
     gateway.until_link("connected").await;
     gateway.post("home", &json!({})).await.outcome("SUCCESS");
-    let cause = eventually("it is told", async || {
+    let cause = eventually("the occupied port is reported", async || {
         let (ready, cause, up) = readiness(&gateway).await;
         assert_eq!((ready, up), (json!(false), 0.0));
         cause.contains(&endpoint).then_some(cause)
     })
     .await;
     assert!(cause.contains("end what listens there") && cause.contains("--zenoh-listen"), "{cause}");
-    gateway.until_said(&cause).await;
+    gateway.until_logged(&cause).await;
     drop(taken);
-    eventually("it is ready", async || (readiness(&gateway).await == (json!(true), String::new(), 1.0)).then_some(()))
-        .await;
+    eventually("the gateway is ready", async || {
+        (readiness(&gateway).await == (json!(true), String::new(), 1.0)).then_some(())
+    })
+    .await;
     assert_eq!(gateway.word_after("Zenoh: ").await, endpoint);
     let client = ZenohClient::of(&gateway).await;
     assert_eq!(client.command("stop", &json!({})).await.unwrap()["outcome"], "SUCCESS");
@@ -178,9 +180,9 @@ async fn a_taken_port_is_told_and_tried_again_and_the_gripper_is_served() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_router_that_is_not_there_delays_nothing_and_no_end() {
+async fn missing_router_delays_neither_commands_nor_shutdown() {
     let nobody = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
-    // It takes connections, and says nothing.
+    // The listener accepts connections, and stays silent.
     let endpoint = format!("tcp/{}", nobody.local_addr().unwrap());
     let zenoh = ["--zenoh-mode", "client", "--zenoh-connect", &endpoint];
     let gateway = Gateway::start(&[&["--gripper", "g=sim://wsg50"], &zenoh[..]].concat()).await;
@@ -189,7 +191,7 @@ async fn a_router_that_is_not_there_delays_nothing_and_no_end() {
     assert_eq!(gateway.get("/api/v1/fleet").await.ok()["grippers"].as_array().unwrap().len(), 1);
     let stopped = gateway.post("/api/v1/fleet/fast-stop", &json!({})).await.ok();
     assert_eq!(stopped["confirmed"], json!(["gateway/g"]));
-    eventually("it is told", async || {
+    eventually("the missing router is reported", async || {
         let (_, cause, _) = readiness(&gateway).await;
         cause.contains(&format!("not connected to {endpoint}")).then_some(())
     })
@@ -199,7 +201,7 @@ async fn a_router_that_is_not_there_delays_nothing_and_no_end() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_asked_is_counted_by_its_door() {
+async fn requests_are_counted_by_interface() {
     let rig = Rig::start(&[]).await;
     rig.client.command("home", &json!({})).await.unwrap();
     rig.client.command("grip", &json!({})).await.unwrap_err();

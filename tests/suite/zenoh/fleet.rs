@@ -1,4 +1,4 @@
-//! Three gateways and one router: one fleet, which the router's death does not end.
+//! A fleet of gateways with one router, including outages of the router and of gateways.
 
 use std::collections::BTreeSet;
 use std::time::{Duration, Instant};
@@ -11,10 +11,10 @@ use crate::harness::{DEADLINE, Gateway, Proxy, Simulator, Socket, ZenohClient, e
 
 const FAST_STOP: u8 = 0x23;
 
-/// Within which a gateway that has vanished is told as gone.
+/// Time within which a vanished gateway is reported as gone.
 const GONE_WITHIN: Duration = Duration::from_secs(2);
 
-/// A gateway that is connected to the router, with so many simulated grippers, besides these.
+/// Starts a gateway that is connected to the router, with a number of simulated grippers and these further ones.
 pub async fn gateway(name: &str, router: &str, simulated: usize, others: &[String]) -> Gateway {
     let simulated = (0..simulated).map(|index| format!("g{index}=sim://wsg50"));
     let grippers: Vec<_> = simulated.chain(others.iter().cloned()).collect();
@@ -41,7 +41,7 @@ pub async fn until_whole(gateway: &Gateway, count: usize) -> Vec<Value> {
 
 async fn until_gone(gateway: &Gateway, of: &str) -> Duration {
     let since = Instant::now();
-    eventually("it is gone", async || {
+    eventually("the gateway is gone", async || {
         let grippers = fleet(gateway).await;
         grippers.iter().filter(|gripper| gripper["gateway"] == of).all(|gripper| gripper["gone"] == true).then_some(())
     })
@@ -50,7 +50,7 @@ async fn until_gone(gateway: &Gateway, of: &str) -> Duration {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn thirty_grippers_of_three_gateways_are_one_fleet_also_after_the_routers_death() {
+async fn thirty_grippers_are_one_fleet_again_after_a_router_restart() {
     let router = Router::start();
     let names = ["cell-1", "cell-2", "cell-3"];
     let [one, two, three] = names.map(|name| gateway(name, router.endpoint(), 10, &[]));
@@ -97,7 +97,7 @@ fn gateway_name(gateway: &Gateway) -> String {
     said.split_once(" serves ").unwrap().1.split_whitespace().next().unwrap().to_owned()
 }
 
-/// Two gateways, the second one with a gripper `g` whose wire is seen.
+/// Two gateways; the second has a gripper `g` with a recording proxy.
 pub struct Pair {
     pub router: Router,
     _device: Simulator,
@@ -125,7 +125,7 @@ fn far(path: &str) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn another_gateways_gripper_answers_as_over_there() {
+async fn remote_gripper_answers_like_a_local_one() {
     let pair = Pair::start().await;
     for path in ["", "/lease", "/settings/acceleration"] {
         let (here, there) = (pair.near.get(&far(path)).await, pair.far.get(path.trim_start_matches('/')).await);
@@ -171,14 +171,14 @@ async fn another_gateways_gripper_answers_as_over_there() {
     for wait_ms in ["soon", "60001"] {
         let (read, moved) = (format!("/state?wait_ms={wait_ms}"), format!("/move?wait_ms={wait_ms}"));
         let (here, there) = (pair.near.get(&far(&read)).await, pair.far.get(&read[1..]).await);
-        assert_eq!((here.status, there.status), (200, 200), "what doesn't wait doesn't look at it");
+        assert_eq!((here.status, there.status), (200, 200), "reads ignore wait_ms");
         let (here, there) = (pair.near.post(&far(&moved), &grip).await, pair.far.post(&moved[1..], &grip).await);
         assert_eq!((here.status, &here.body), (there.status, &there.body), "{wait_ms}");
     }
     let refused = pair.near.post("/api/v1/fleet/near/grippers/g0/move", &json!({})).await;
     refused.problem(400, "malformed");
     let refusals = pair.near.events("kind=refused&gripper=g0", 1).await;
-    assert_eq!(refusals.len(), 1, "once: {refusals:?}");
+    assert_eq!(refusals.len(), 1, "recorded once: {refusals:?}");
     let again = |lease: &str| {
         let request = pair.near.request("POST", &far("/stop")).header("Idempotency-Key", "a;b=c&d");
         request.header("Wsg-Lease", lease.to_owned())
@@ -193,7 +193,7 @@ async fn another_gateways_gripper_answers_as_over_there() {
     assert_eq!((&event["door"], &event["subject"]), (&json!("zenoh"), &json!("zenoh:near/http:127.0.0.1")));
 }
 
-/// Moves the far gripper slowly, by a lease of so many ms that was taken through the near gateway.
+/// Returns a slow move of the far gripper, under a lease of this time to live taken through the near gateway.
 async fn slow_move(pair: &Pair, ttl_ms: u64, body: &Value) -> reqwest::RequestBuilder {
     pair.near.post(&far("/home"), &json!({"direction": "outer"})).await.outcome("SUCCESS");
     let lease = pair.near.post(&far("/lease"), &json!({"holder": "plc", "ttl_ms": ttl_ms})).await;
@@ -201,7 +201,7 @@ async fn slow_move(pair: &Pair, ttl_ms: u64, body: &Value) -> reqwest::RequestBu
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_plc_that_waits_for_its_own_slow_move_over_there_keeps_a_lease_of_500_ms() {
+async fn waiting_for_a_remote_move_keeps_a_lease_of_500_ms() {
     let pair = Pair::start().await;
     let slow = slow_move(&pair, 500, &json!({"width_mm": 60, "speed_mm_s": 10})).await;
     let command = pair.near.send(slow).await.outcome("SUCCESS");
@@ -211,7 +211,7 @@ async fn a_plc_that_waits_for_its_own_slow_move_over_there_keeps_a_lease_of_500_
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn who_is_gone_that_waits_for_a_move_over_there_is_lost_when_its_time_has_run() {
+async fn client_lost_during_a_remote_move_is_noticed_after_its_ttl() {
     const TTL: Duration = Duration::from_secs(1);
     let pair = Pair::start().await;
     let slow = slow_move(&pair, TTL.as_millis() as u64, &json!({"width_mm": 5, "speed_mm_s": 5})).await;
@@ -219,17 +219,17 @@ async fn who_is_gone_that_waits_for_a_move_over_there_is_lost_when_its_time_has_
     pair.far.until_moving().await;
     let begun = Instant::now();
     while begun.elapsed() < TTL * 2 {
-        assert_eq!(pair.far.state().await["moving"], true, "it is kept while somebody waits");
+        assert_eq!(pair.far.state().await["moving"], true, "the lease is kept while a client waits");
     }
     let gone = Instant::now();
     waiting.abort();
     let stopped = eventually("23h", async || pair.proxy.frames.first_since(FAST_STOP, gone)).await;
-    println!("23h {} ms after the client's end, by a ttl_ms of {}", (stopped - gone).as_millis(), TTL.as_millis());
+    println!("23h {} ms after the client's end, with a ttl_ms of {}", (stopped - gone).as_millis(), TTL.as_millis());
     assert!(stopped - gone < TTL + DEADLINE / 10, "{:?}", stopped - gone);
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_fast_stop_of_the_fleet_stops_everyone() {
+async fn fleet_fast_stop_stops_all_grippers() {
     let pair = Pair::start().await;
     pair.near.post(&far("/home"), &json!({"direction": "outer"})).await.outcome("SUCCESS");
     pair.near.post(&far("/move?wait_ms=0"), &json!({"width_mm": 5, "speed_mm_s": 5})).await;
@@ -238,9 +238,9 @@ async fn a_fast_stop_of_the_fleet_stops_everyone() {
     let stopped = pair.near.post("/api/v1/fleet/fast-stop", &json!({"reason": "light curtain"})).await.ok();
     eventually("23h", async || pair.proxy.frames.first_since(FAST_STOP, begun)).await;
     let named = |key: &str| stopped[key].as_array().unwrap().iter().map(|name| name.as_str().unwrap().to_owned());
-    let told: BTreeSet<_> = named("confirmed").chain(named("unconfirmed")).collect();
-    assert_eq!(told, ["far/g", "near/g0"].map(str::to_owned).into(), "{stopped}");
-    let state = pair.far.until("it is confirmed", |state| state["fast_stop_confirmed"] == true).await;
+    let named_grippers: BTreeSet<_> = named("confirmed").chain(named("unconfirmed")).collect();
+    assert_eq!(named_grippers, ["far/g", "near/g0"].map(str::to_owned).into(), "{stopped}");
+    let state = pair.far.until("the FAST STOP is confirmed", |state| state["fast_stop_confirmed"] == true).await;
     assert_eq!(state["fast_stop_reason"], "light curtain");
     let grippers = eventually("the fleet shows it", async || {
         let grippers = fleet(&pair.near).await;
@@ -256,7 +256,7 @@ async fn a_fast_stop_of_the_fleet_stops_everyone() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_gateway_that_vanishes_is_gone_within_two_seconds() {
+async fn killed_gateway_is_gone_within_two_seconds() {
     let Pair { router: _router, _device, proxy, near, far } = Pair::start().await;
     far.kill().await;
     let took = until_gone(&near, "far").await;
@@ -266,26 +266,26 @@ async fn a_gateway_that_vanishes_is_gone_within_two_seconds() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_fleet_is_followed_live_on_a_websocket() {
+async fn websocket_follows_the_fleet() {
     let pair = Pair::start().await;
     let mut socket = Socket::open(&pair.near).await;
     socket.call("subscribe", json!({"topics": ["fleet"]})).await;
     let mut of = async |name: &str, wanted: &dyn Fn(&Value) -> bool| {
-        timeout(DEADLINE, socket.told("fleet", |told| told["gripper"] == name && wanted(told)))
+        timeout(DEADLINE, socket.notification("fleet", |gripper| gripper["gripper"] == name && wanted(gripper)))
             .await
-            .expect("it is told")
+            .expect("a fleet notification")
     };
-    assert_eq!(of("g", &|_| true).await["gateway"], "far", "all are told first");
+    assert_eq!(of("g", &|_| true).await["gateway"], "far", "all grippers come first");
     pair.near.post(&far("/home"), &json!({})).await.outcome("SUCCESS");
-    of("g", &|told| told["state"] == "HOMING" || told["moving"] == true).await;
+    of("g", &|gripper| gripper["state"] == "HOMING" || gripper["moving"] == true).await;
     pair.near.post(&far("/fast-stop"), &json!({})).await.ok();
-    of("g", &|told| told["fast_stop_confirmed"] == true).await;
+    of("g", &|gripper| gripper["fast_stop_confirmed"] == true).await;
     pair.far.kill().await;
-    of("g", &|told| told["gone"] == true).await;
+    of("g", &|gripper| gripper["gone"] == true).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_gateway_that_is_frozen_is_gone_within_two_seconds() {
+async fn frozen_gateway_is_gone_within_two_seconds() {
     let pair = Pair::start().await;
     pair.far.freeze();
     let took = until_gone(&pair.near, "far").await;
@@ -295,7 +295,7 @@ async fn a_gateway_that_is_frozen_is_gone_within_two_seconds() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_told_as_gone_behind_a_frozen_router_is_asked_for_nothing() {
+async fn gone_gateway_behind_a_frozen_router_gets_no_request() {
     let pair = Pair::start().await;
     pair.router.freeze();
     let took = until_gone(&pair.near, "far").await;
@@ -306,30 +306,30 @@ async fn what_is_told_as_gone_behind_a_frozen_router_is_asked_for_nothing() {
     }
     pair.router.thaw();
     until_whole(&pair.near, 2).await;
-    assert_eq!(pair.proxy.frames.motions(), before, "nothing has waited for a way there");
+    assert_eq!(pair.proxy.frames.motions(), before, "no request was delivered late");
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_fast_stop_of_the_fleet_while_the_router_is_away_is_told_again_when_it_is_back() {
+async fn fleet_fast_stop_is_repeated_after_a_router_outage() {
     let pair = Pair::start().await;
     pair.near.post(&far("/home"), &json!({"direction": "outer"})).await.outcome("SUCCESS");
     let Pair { router, _device, proxy, near, far: there } = pair;
     let endpoint = router.kill();
     until_gone(&near, "far").await;
     let stopped = near.post("/api/v1/fleet/fast-stop", &json!({"reason": "light curtain"})).await.ok();
-    assert_eq!(stopped["fast_stop_confirmed"], false, "it may move on: {stopped}");
+    assert_eq!(stopped["fast_stop_confirmed"], false, "the gripper may still move: {stopped}");
     assert!(stopped["unconfirmed"].as_array().unwrap().contains(&json!("far/g")), "{stopped}");
     assert_eq!(proxy.frames.count(FAST_STOP), 0);
     there.begin("move", &json!({"width_mm": 5, "speed_mm_s": 5})).await;
     let back = Instant::now();
     let _router = Router::at(endpoint);
     eventually("23h", async || proxy.frames.first_since(FAST_STOP, back)).await;
-    let state = there.until("it is stopped", |state| state["fast_stop_confirmed"] == true).await;
+    let state = there.until("the gripper is stopped", |state| state["fast_stop_confirmed"] == true).await;
     assert_eq!(state["fast_stop_reason"], "light curtain");
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_lease_that_lasts_longer_than_the_routers_outage_is_kept_and_a_shorter_one_is_lost() {
+async fn lease_survives_a_router_outage_within_its_ttl() {
     let mut pair = Pair::start().await;
     let lease = pair.near.post(&far("/lease"), &json!({"holder": "plc", "ttl_ms": 60000})).await.text("token");
     let endpoint = pair.router.kill();
@@ -347,22 +347,22 @@ async fn a_lease_that_lasts_longer_than_the_routers_outage_is_kept_and_a_shorter
     let away = Instant::now();
     let _endpoint = pair.router.kill();
     let stopped = eventually("23h", async || pair.proxy.frames.first_since(FAST_STOP, away)).await;
-    println!("23h {} ms after the router's end, by a ttl_ms of 1000", (stopped - away).as_millis());
-    let state = pair.far.until("it is confirmed", |state| state["fast_stop_confirmed"] == true).await;
+    println!("23h {} ms after the router's end, with a ttl_ms of 1000", (stopped - away).as_millis());
+    let state = pair.far.until("the FAST STOP is confirmed", |state| state["fast_stop_confirmed"] == true).await;
     assert_eq!(state["fast_stop_reason"], "plc was lost");
     waiting.abort();
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_fast_stop_of_the_fleet_is_told_again_to_who_was_away() {
+async fn fleet_fast_stop_is_repeated_to_a_returning_gateway() {
     let pair = Pair::start().await;
     pair.far.freeze();
     until_gone(&pair.near, "far").await;
     let stopped = pair.near.post("/api/v1/fleet/fast-stop", &json!({"reason": "light curtain"})).await.ok();
-    assert_eq!(stopped["fast_stop_confirmed"], false, "it may move on: {stopped}");
+    assert_eq!(stopped["fast_stop_confirmed"], false, "the gripper may still move: {stopped}");
     assert!(stopped["unconfirmed"].as_array().unwrap().contains(&json!("far/g")), "{stopped}");
     pair.far.thaw();
-    let state = pair.far.until("it is stopped", |state| state["fast_stop_confirmed"] == true).await;
+    let state = pair.far.until("the gripper is stopped", |state| state["fast_stop_confirmed"] == true).await;
     assert_eq!(
         (&state["fast_stop_reason"], &state["fast_stop_by"]),
         (&json!("light curtain"), &json!("zenoh:http:127.0.0.1"))
@@ -370,15 +370,15 @@ async fn a_fast_stop_of_the_fleet_is_told_again_to_who_was_away() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn who_has_the_name_of_another_is_told_so_and_is_stopped_and_kept_all_the_same() {
+async fn gateways_with_one_name_refuse_motion_but_stop() {
     let router = Router::start();
     let (one, other, near) = tokio::join!(
         gateway("twin", router.endpoint(), 1, &[]),
         gateway("twin", router.endpoint(), 1, &[]),
         gateway("near", router.endpoint(), 1, &[])
     );
-    one.until_said("give each its own --name").await;
-    other.until_said("give each its own --name").await;
+    one.until_logged("give each its own --name").await;
+    other.until_logged("give each its own --name").await;
     until_whole(&near, 2).await;
     let client = ZenohClient::at(router.endpoint()).await;
     let codes = async |command: &str, body: &str| -> Vec<Value> {
@@ -387,7 +387,7 @@ async fn who_has_the_name_of_another_is_told_so_and_is_stopped_and_kept_all_the_
         let code =
             |answer: Result<Value, Value>| answer.map_or_else(|problem| problem["code"].clone(), |_| json!("OK"));
         let mut codes: Vec<_> = answers.into_iter().map(|(_, answer)| code(answer)).collect();
-        // Of answers with the same key Zenoh tells one.
+        // Zenoh reports only one of several answers with the same key.
         codes.dedup();
         codes
     };
@@ -399,11 +399,11 @@ async fn who_has_the_name_of_another_is_told_so_and_is_stopped_and_kept_all_the_
     assert_eq!(codes("lease.renew", r#"{"lease": "stale"}"#).await, ["stale_lease"]);
     let lease = one.post("/api/v1/grippers/g0/lease", &json!({"holder": "plc"})).await.text("token");
     let renew = near.request("PUT", "/api/v1/fleet/twin/grippers/g0/lease").header("Wsg-Lease", lease);
-    assert_eq!(near.send(renew).await.ok()["holder"], "plc", "it counts who has it");
+    assert_eq!(near.send(renew).await.ok()["holder"], "plc", "the holder can renew");
     one.post("/api/v1/grippers/g0/home", &json!({})).await;
 
     for (gateway, sure) in [(&near, json!(["near/g0"])), (&one, json!(["near/g0"]))] {
-        let stopped = eventually("who is one has confirmed", async || {
+        let stopped = eventually("the gripper with a unique name is confirmed", async || {
             let stopped = gateway.post("/api/v1/fleet/fast-stop", &json!({})).await.ok();
             (stopped["confirmed"] == sure).then_some(stopped)
         })
@@ -413,10 +413,10 @@ async fn who_has_the_name_of_another_is_told_so_and_is_stopped_and_kept_all_the_
     for twin in [&one, &other] {
         let state = twin.get("/api/v1/grippers/g0").await.ok();
         assert_eq!(state["gripper"], "g0");
-        assert_eq!(twin.get("/api/v1/grippers/g0/state").await.ok()["fast_stop"], true, "both are told");
+        assert_eq!(twin.get("/api/v1/grippers/g0/state").await.ok()["fast_stop"], true, "both are stopped");
     }
     other.terminate().await;
-    eventually("it is alone", async || {
+    eventually("the other twin is gone", async || {
         let answers = client.all("wsg/v1/twin/g0/command/lease", "{}").await;
         matches!(&answers[..], [(_, Ok(_))]).then_some(())
     })
@@ -424,7 +424,7 @@ async fn who_has_the_name_of_another_is_told_so_and_is_stopped_and_kept_all_the_
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_put_to_a_gateways_own_state_is_no_twin() {
+async fn put_to_a_gateways_key_is_not_a_twin() {
     let pair = Pair::start().await;
     let client = ZenohClient::at(pair.router.endpoint()).await;
     let state = pair.far.state().await.to_string();

@@ -1,4 +1,4 @@
-//! Leases that are bound to a client's liveliness token.
+//! Leases bound to a client's liveliness token.
 
 use std::time::{Duration, Instant};
 
@@ -20,7 +20,7 @@ async fn homed() -> Rig {
     rig
 }
 
-/// How often a holder was lost, and why.
+/// Returns the cause of each loss of a holder.
 async fn losses(rig: &Rig) -> Vec<Value> {
     let events = rig.gateway.get("/api/v1/events?kind=lease&order=oldest").await.ok();
     let events = events["events"].as_array().unwrap().clone();
@@ -28,13 +28,17 @@ async fn losses(rig: &Rig) -> Vec<Value> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_lease_lives_as_long_as_its_holders_token_and_its_end_is_a_loss() {
+async fn lease_lives_as_long_as_its_holders_token() {
     let rig = homed().await;
     let robot = ZenohClient::of(&rig.gateway).await;
     let _token = robot.live(&rig.client, TOKEN).await;
     let lease = robot.command("lease.take", &json!({"holder": "robot-1"})).await.unwrap();
     let held = rig.client.command("lease", &json!({})).await.unwrap();
-    assert_eq!((&held["holder"], &held["expires_in_ms"]), (&json!("robot-1"), &held["ttl_ms"]), "it is kept");
+    assert_eq!(
+        (&held["holder"], &held["expires_in_ms"]),
+        (&json!("robot-1"), &held["ttl_ms"]),
+        "the token keeps the lease"
+    );
     let refused = rig.client.command("move", &json!({"width_mm": 50, "speed_mm_s": 50})).await.unwrap_err();
     assert_eq!((&refused["code"], &refused["holder"]), (&json!("lease_held"), &json!("robot-1")));
     robot.command("move?wait_ms=0", &slowly(&lease)).await.unwrap();
@@ -48,7 +52,7 @@ async fn a_lease_lives_as_long_as_its_holders_token_and_its_end_is_a_loss() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_part_that_a_lost_client_held_stays_held_for_it_alone() {
+async fn part_of_a_lost_client_stays_reserved_for_it() {
     let rig = homed().await;
     let robot = ZenohClient::of(&rig.gateway).await;
     let token = robot.live(&rig.client, TOKEN).await;
@@ -57,7 +61,7 @@ async fn a_part_that_a_lost_client_held_stays_held_for_it_alone() {
     let held = robot.command("grip?client=robot-1", &grip).await.unwrap();
     assert_eq!(held["outcome"], "PART_HELD");
     token.undeclare().await.unwrap();
-    rig.gateway.until("it is lost", |state| state["lease_holder"] == Value::Null).await;
+    rig.gateway.until("the holder is lost", |state| state["lease_holder"] == Value::Null).await;
     let state = rig.gateway.state().await;
     assert_eq!((&state["state"], &state["fast_stop"]), (&json!("HOLDING"), &json!(false)));
     let open = json!({"width_mm": 60, "speed_mm_s": 400});
@@ -67,26 +71,26 @@ async fn a_part_that_a_lost_client_held_stays_held_for_it_alone() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_lease_without_a_token_and_one_with_a_time_run_out() {
+async fn leases_without_a_token_or_with_a_ttl_expire() {
     let rig = homed().await;
     let unbound = rig.client.command("lease.take", &json!({"holder": "robot-2", "ttl_ms": 200})).await.unwrap();
     assert_eq!(unbound["held"], true);
-    rig.gateway.until("it has run out", |state| state["lease_holder"] == Value::Null).await;
+    rig.gateway.until("the lease has expired", |state| state["lease_holder"] == Value::Null).await;
     let other = ZenohClient::of(&rig.gateway).await;
     let _token = rig.client.live(&other, TOKEN).await;
     rig.client.command("lease.take", &json!({"holder": "robot-1", "ttl_ms": 200})).await.unwrap();
-    rig.gateway.until("it has run out", |state| state["lease_holder"] == Value::Null).await;
-    // Without a token, a lease is not kept by being taken.
+    rig.gateway.until("the lease has expired", |state| state["lease_holder"] == Value::Null).await;
+    // Without a token, taking a lease does not keep it.
     let unbound = rig.client.command("lease.take", &json!({"holder": "robot-2"})).await.unwrap();
     assert_eq!(unbound["held"], true);
-    rig.gateway.until("it has run out", |state| state["lease_holder"] == Value::Null).await;
-    // What the state shows is written down soon after.
+    rig.gateway.until("the lease has expired", |state| state["lease_holder"] == Value::Null).await;
+    // The journal is written shortly after the state changes.
     let written = eventually("three losses", async || Some(losses(&rig).await).filter(|losses| losses.len() >= 3));
     assert_eq!(written.await, ["expired", "expired", "expired"]);
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_was_released_is_not_lost_with_the_token() {
+async fn released_lease_is_not_lost_with_the_token() {
     let rig = homed().await;
     let robot = ZenohClient::of(&rig.gateway).await;
     let _token = robot.live(&rig.client, TOKEN).await;
@@ -100,7 +104,7 @@ async fn what_was_released_is_not_lost_with_the_token() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn who_is_gone_while_its_query_is_open_is_lost_when_its_time_has_run() {
+async fn client_lost_during_a_query_is_noticed_after_its_ttl() {
     const TTL: Duration = Duration::from_secs(2);
     let rig = homed().await;
     let robot = ZenohClient::of(&rig.gateway).await;
@@ -113,13 +117,13 @@ async fn who_is_gone_while_its_query_is_open_is_lost_when_its_time_has_run() {
     robot.close().await;
     let stopped = eventually("23h", async || rig.proxy.frames.first_since(FAST_STOP, gone)).await;
     let took = stopped - gone;
-    println!("23h {} ms after the client's end, by a ttl_ms of {}", took.as_millis(), TTL.as_millis());
+    println!("23h {} ms after the client's end, with a ttl_ms of {}", took.as_millis(), TTL.as_millis());
     assert!(took < TTL + DEADLINE / 10, "{took:?}");
     assert_eq!(losses(&rig).await, ["expired"]);
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_open_query_keeps_the_lease_of_who_is_known_to_live() {
+async fn open_query_keeps_the_lease_of_a_live_client() {
     let rig = homed().await;
     let robot = ZenohClient::of(&rig.gateway).await;
     let _token = robot.live(&rig.client, TOKEN).await;
@@ -127,6 +131,6 @@ async fn an_open_query_keeps_the_lease_of_who_is_known_to_live() {
     let slow = json!({"width_mm": 70, "speed_mm_s": 15, "lease": lease["token"]});
     let moved = robot.command("move?wait_ms=60000", &slow).await.unwrap();
     assert_eq!(moved["outcome"], "SUCCESS", "{moved}");
-    assert!(moved["duration_ms"].as_u64() > Some(1500), "longer than its time: {moved}");
+    assert!(moved["duration_ms"].as_u64() > Some(1500), "longer than the time to live: {moved}");
     assert_eq!(losses(&rig).await, [] as [&str; 0]);
 }

@@ -1,4 +1,4 @@
-//! The Zenoh door, by clients on a network of their own.
+//! The Zenoh interface, with clients on a network of their own.
 
 mod commands;
 mod fleet;
@@ -10,7 +10,7 @@ mod tls;
 
 use crate::harness::{Gateway, Proxy, Simulator, ZenohClient};
 
-/// A connected gripper `g`, with what went over its wire, and a client.
+/// A connected gripper `g` behind a recording proxy, and a client.
 struct Rig {
     _device: Simulator,
     proxy: Proxy,

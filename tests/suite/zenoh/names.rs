@@ -1,4 +1,4 @@
-//! Sessions that use names of others: a holder's, a gateway's, a gripper's.
+//! Sessions that use the names of a holder, a gateway or a gripper of others.
 
 use std::time::{Duration, Instant};
 
@@ -13,10 +13,10 @@ use crate::harness::{ZenohClient, eventually};
 const FAST_STOP: u8 = 0x23;
 const TOKEN: &str = "wsg/v1/gateway/client/robot-1";
 
-/// Client tokens that a gateway keeps.
+/// Maximum number of client tokens that a gateway keeps.
 const MAX_TOKENS: usize = 1024;
 
-/// Queries of one kind that a gateway works on at a time.
+/// Maximum number of simultaneous queries of one kind in a gateway.
 const MAX_QUERIES: usize = 64;
 
 async fn homed() -> Rig {
@@ -34,7 +34,7 @@ fn slowly(lease: &Value) -> Value {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_foreign_token_does_not_outlive_the_holder() {
+async fn foreign_token_does_not_keep_a_lost_holders_lease() {
     let rig = homed().await;
     let (robot, stranger) = (ZenohClient::of(&rig.gateway).await, ZenohClient::of(&rig.gateway).await);
     let _token = robot.live(&rig.client, TOKEN).await;
@@ -42,7 +42,7 @@ async fn a_foreign_token_does_not_outlive_the_holder() {
     let _same_id = stranger.live(&rig.client, &format!("{TOKEN}/{}", robot.session.zid())).await;
     let lease = robot.command(&take(&robot), &json!({"holder": "robot-1"})).await.unwrap();
     let held = rig.client.command("lease", &json!({})).await.unwrap();
-    assert_eq!(held["expires_in_ms"], held["ttl_ms"], "it is kept");
+    assert_eq!(held["expires_in_ms"], held["ttl_ms"], "the session keeps the lease");
     robot.command("move?wait_ms=0", &slowly(&lease)).await.unwrap();
     rig.gateway.until_moving().await;
     let gone = Instant::now();
@@ -54,7 +54,7 @@ async fn a_foreign_token_does_not_outlive_the_holder() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_foreign_tokens_end_does_not_end_a_lease() {
+async fn end_of_a_foreign_token_does_not_end_a_lease() {
     let rig = homed().await;
     let (robot, stranger) = (ZenohClient::of(&rig.gateway).await, ZenohClient::of(&rig.gateway).await);
     let foreign = stranger.live(&rig.client, TOKEN).await;
@@ -68,7 +68,7 @@ async fn a_foreign_tokens_end_does_not_end_a_lease() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn foreign_tokens_leave_room_for_a_holders() {
+async fn foreign_tokens_leave_room_for_a_holders_token() {
     let rig = homed().await;
     let stranger = ZenohClient::of(&rig.gateway).await;
     let mut foreign = Vec::new();
@@ -85,26 +85,30 @@ async fn foreign_tokens_leave_room_for_a_holders() {
     let _token = robot.live(&rig.client, TOKEN).await;
     let lease = robot.command("lease.take", &json!({"holder": "robot-1"})).await.unwrap();
     let held = rig.client.command("lease", &json!({})).await.unwrap();
-    assert_eq!(held["expires_in_ms"], held["ttl_ms"], "it is kept");
+    assert_eq!(held["expires_in_ms"], held["ttl_ms"], "the token keeps the lease");
     assert_eq!(lease["bound_to"], "token");
     robot.command("lease.release", &json!({"lease": lease["token"]})).await.unwrap();
     let unbound = robot.command("lease.take", &json!({"holder": "robot-2"})).await.unwrap();
-    assert_eq!((&unbound["bound_to"], unbound.get("bound_to").is_some()), (&Value::Null, true), "and it says so");
+    assert_eq!(
+        (&unbound["bound_to"], unbound.get("bound_to").is_some()),
+        (&Value::Null, true),
+        "the answer reports the missing binding"
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_session_id_that_is_none_is_refused() {
+async fn malformed_session_id_is_refused() {
     let rig = Rig::start(&[]).await;
     for zid in ["robot-1", "0", "123456789012345678901234567890123"] {
         let refused = rig.client.command(&format!("lease.take?zid={zid}"), &json!({})).await.unwrap_err();
         assert_eq!((&refused["code"], &refused["field"]), (&json!("malformed"), &json!("zid")), "{zid}");
     }
     let unknown = rig.client.command("lease.take?zid=1234", &json!({"holder": "robot-1"})).await.unwrap();
-    assert_eq!(unknown["bound_to"], Value::Null, "a session that is not connected here");
+    assert_eq!(unknown["bound_to"], Value::Null, "no connected session has this id");
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn strangers_leave_the_holder_its_places() {
+async fn strangers_leave_query_slots_for_the_holder() {
     let rig = homed().await;
     let (robot, stranger) = (ZenohClient::of(&rig.gateway).await, ZenohClient::of(&rig.gateway).await);
     let lease = robot.command(&take(&robot), &json!({"holder": "robot-1"})).await.unwrap();
@@ -117,7 +121,7 @@ async fn strangers_leave_the_holder_its_places() {
         let waiting = waiting.callback(move |reply| refused.send(reply.result().is_err()).unwrap_or_default());
         waiting.timeout(Duration::from_mins(1)).await.unwrap();
     }
-    assert_eq!(refusals.recv().await, Some(true), "all places for strangers are taken");
+    assert_eq!(refusals.recv().await, Some(true), "all slots for strangers are taken");
     let body = json!({"command": moving["id"]});
     let waited = format!("command?wait_ms=100;lease={}", lease["token"].as_str().unwrap());
     assert_eq!(robot.command(&waited, &body).await.unwrap()["phase"], "running");
@@ -125,14 +129,14 @@ async fn strangers_leave_the_holder_its_places() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_foreign_instance_token_blocks_no_motion() {
+async fn foreign_instance_token_does_not_block_motion() {
     let rig = homed().await;
     let stranger = ZenohClient::of(&rig.gateway).await;
     let key = "wsg/v1/gateway/instance/1234";
     let answer = move |query: Query| query.reply(key, "").wait().unwrap();
     stranger.session.declare_queryable(key).callback(answer).background().await.unwrap();
     let _token = stranger.live(&rig.client, key).await;
-    rig.gateway.until_said("a session that is no gateway").await;
+    rig.gateway.until_logged("a session that is no gateway").await;
     let moved = rig.client.command("move", &json!({"width_mm": 50, "speed_mm_s": 400})).await.unwrap();
     assert_eq!(moved["outcome"], "SUCCESS");
     rig.client.command("lease.take", &json!({"holder": "robot-1"})).await.unwrap();
@@ -140,7 +144,7 @@ async fn a_foreign_instance_token_blocks_no_motion() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_spoofed_state_confirms_no_fast_stop() {
+async fn spoofed_state_does_not_confirm_a_fast_stop() {
     let pair = Pair::start().await;
     let stranger = ZenohClient::at(pair.router.endpoint()).await;
     let key = "wsg/v1/far/g/state";
@@ -159,16 +163,16 @@ async fn a_spoofed_state_confirms_no_fast_stop() {
     let stop = pair.near.request("POST", "/api/v1/fleet/fast-stop").json(&json!({}));
     let stopped = tokio::select! {
         answer = pair.near.send(stop) => answer.ok(),
-        () = spoof => unreachable!("it spoofs until the answer has come"),
+        () = spoof => unreachable!("spoofing continues until the answer"),
     };
     assert_eq!((&stopped["confirmed"], &stopped["unconfirmed"]), (&json!(["near/g0"]), &json!(["far/g"])), "{stopped}");
     pair.far.thaw();
-    let state = pair.far.until("it is stopped", |state| state["fast_stop_confirmed"] == true).await;
+    let state = pair.far.until("the gripper is stopped", |state| state["fast_stop_confirmed"] == true).await;
     assert_eq!(state["fast_stop"], true);
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_stranger_answers_for_no_gateway() {
+async fn strangers_answer_for_a_gateway_is_ignored() {
     let pair = Pair::start().await;
     let stranger = ZenohClient::at(pair.router.endpoint()).await;
     let key = "wsg/v1/far/g/command/fast-stop";
@@ -182,7 +186,7 @@ async fn a_stranger_answers_for_no_gateway() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_owner_confirms_a_fast_stop_beside_spoofed_states() {
+async fn owner_confirms_a_fast_stop_despite_spoofed_states() {
     let pair = Pair::start().await;
     let stranger = ZenohClient::at(pair.router.endpoint()).await;
     let running = json!({"link": "connected", "age_ms": 1, "fast_stop": false}).to_string();
@@ -196,12 +200,12 @@ async fn the_owner_confirms_a_fast_stop_beside_spoofed_states() {
     let stop = pair.near.request("POST", "/api/v1/fleet/fast-stop").json(&json!({}));
     let stopped = tokio::select! {
         answer = pair.near.send(stop) => answer.ok(),
-        () = spoof => unreachable!("it spoofs until the answer has come"),
+        () = spoof => unreachable!("spoofing continues until the answer"),
     };
     assert_eq!(stopped["fast_stop_confirmed"], true, "{stopped}");
 }
 
-/// The sessions that answer at this key.
+/// Returns the number of sessions that answer at this key.
 async fn answering(client: &ZenohClient, key: &str) -> usize {
     let get = client.session.get(key).target(zenoh::query::QueryTarget::All);
     let replies = get.consolidation(zenoh::query::ConsolidationMode::None).await.unwrap();

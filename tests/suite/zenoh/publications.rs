@@ -1,4 +1,4 @@
-//! What is published is what HTTP says, and a late joiner has it at once.
+//! Publications have the same bodies as HTTP, and late joiners can query them at once.
 
 use std::collections::BTreeSet;
 
@@ -10,38 +10,38 @@ use super::Rig;
 use crate::harness::{Gateway, Simulator, ZenohClient, eventually};
 
 fn keys(body: &Value) -> BTreeSet<String> {
-    body.as_object().unwrap_or_else(|| panic!("no object: {body}")).keys().cloned().collect()
+    body.as_object().unwrap_or_else(|| panic!("not an object: {body}")).keys().cloned().collect()
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn states_telemetry_and_events_have_the_bodies_of_http() {
     let rig = Rig::start(&["--part-mm", "20"]).await;
-    let told = rig.client.subscribe("wsg/v1/gateway/**").await;
-    told.until("wsg/v1/gateway/g/state", |_| true).await;
+    let received = rig.client.subscribe("wsg/v1/gateway/**").await;
+    received.until("wsg/v1/gateway/g/state", |_| true).await;
     rig.gateway.post("home", &json!({})).await.outcome("SUCCESS");
     let grip = json!({"width_mm": 20, "speed_mm_s": 400});
     rig.gateway.post("grip", &grip).await.outcome("PART_HELD");
 
-    let state = told.until("wsg/v1/gateway/g/state", |state| state["state"] == "HOLDING").await;
+    let state = received.until("wsg/v1/gateway/g/state", |state| state["state"] == "HOLDING").await;
     assert_eq!(keys(&state), keys(&rig.gateway.state().await));
-    let telemetry = told.until("wsg/v1/gateway/g/telemetry", |told| told["state"] == "HOLDING").await;
+    let telemetry = received.until("wsg/v1/gateway/g/telemetry", |received| received["state"] == "HOLDING").await;
     let fields = ["gripper", "seq", "at", "width_mm", "speed_mm_s", "force_n", "state", "flags_raw"];
     assert_eq!(keys(&telemetry), fields.map(str::to_owned).into());
 
     let is_done = |event: &Value| event["kind"] == "command" && event["outcome"] == "PART_HELD";
     let events = eventually("all events", async || {
-        let events = told.of("wsg/v1/gateway/g/event");
+        let events = received.of("wsg/v1/gateway/g/event");
         events.iter().any(is_done).then_some(events)
     })
     .await;
     let stored = rig.gateway.get("/api/v1/events?gripper=g&order=oldest&limit=500").await.ok();
     let stored = stored["events"].as_array().unwrap();
-    let first = stored.iter().position(|event| *event == events[0]).expect("it is stored");
-    assert_eq!(stored[first..first + events.len()], events, "each once, in order, none left out");
+    let first = stored.iter().position(|event| *event == events[0]).expect("the event is stored");
+    assert_eq!(stored[first..first + events.len()], events, "each event once and in order");
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_late_joiner_asks_and_has_all_at_once() {
+async fn late_joiner_queries_everything() {
     let rig = Rig::start(&[]).await;
     let info = rig.client.ask("wsg/v1/gateway/g/info", &Value::Null).await.unwrap();
     assert_eq!(info, rig.gateway.get("/api/v1/grippers/g").await.ok());
@@ -51,7 +51,7 @@ async fn a_late_joiner_asks_and_has_all_at_once() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_gripper_is_alive_while_its_link_is_up_and_a_gateway_while_it_runs() {
+async fn liveliness_follows_the_link_and_the_gateway() {
     let rig = Rig::start(&[]).await;
     let tokens = rig.client.tokens("wsg/v1/**").await;
     tokens.until("wsg/v1/gateway/g/alive", |body| *body == "").await;
@@ -63,14 +63,14 @@ async fn a_gripper_is_alive_while_its_link_is_up_and_a_gateway_while_it_runs() {
     tokens.until("wsg/v1/gateway/alive", Value::is_null).await;
 }
 
-/// A client that reads nothing any more, and what is on its way to it, so that nothing else finds a place.
+/// A client that stops reading, with its buffers filled by a flood of other messages.
 async fn stalled(endpoint: &str) -> (ZenohClient, std::sync::mpsc::Sender<()>) {
     let client = ZenohClient::at(&format!("{endpoint}#so_rcvbuf=4096")).await;
-    let (go_on, goes_on) = std::sync::mpsc::channel();
-    let (goes_on, (stalls, mut has_stalled)) = (std::sync::Mutex::new(goes_on), tokio::sync::mpsc::channel(1));
+    let (resume, resumed) = std::sync::mpsc::channel();
+    let (resumed, (stalls, mut has_stalled)) = (std::sync::Mutex::new(resumed), tokio::sync::mpsc::channel(1));
     let wait = move |_| {
         let _ = stalls.try_send(());
-        let _ = goes_on.lock().unwrap().recv();
+        let _ = resumed.lock().unwrap().recv();
     };
     client.session.declare_subscriber("wsg/v1/**").callback(wait).background().await.unwrap();
     has_stalled.recv().await.unwrap();
@@ -79,19 +79,19 @@ async fn stalled(endpoint: &str) -> (ZenohClient, std::sync::mpsc::Sender<()>) {
         let put = flood.session.put("wsg/v1/flood", vec![0; 1000]).priority(Priority::DataHigh);
         put.congestion_control(CongestionControl::Drop).await.unwrap();
     }
-    (client, go_on)
+    (client, resume)
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_client_that_reads_nothing_delays_no_one() {
+async fn stalled_client_delays_no_one() {
     let device = Simulator::start(&[]).await;
     let gripper = format!("g=tcp://{}", device.address);
     let gateway = Gateway::start(&["--gripper", &gripper, "--zenoh-listen", "tcp/127.0.0.1:0#so_sndbuf=4096"]).await;
     gateway.until_link("connected").await;
     let endpoint = gateway.word_after("Zenoh: ").await;
     let client = ZenohClient::at(&endpoint).await;
-    let told = client.subscribe("wsg/v1/gateway/g/*").await;
-    let (_stalled, _go_on) = stalled(&endpoint).await;
+    let received = client.subscribe("wsg/v1/gateway/g/*").await;
+    let (_stalled, _resume) = stalled(&endpoint).await;
     gateway.post("home", &json!({})).await.outcome("SUCCESS");
     for round in 0..5 {
         let width_mm = if round % 2 == 0 { 50 } else { 60 };
@@ -99,10 +99,10 @@ async fn a_client_that_reads_nothing_delays_no_one() {
         assert_eq!(answer["outcome"], "SUCCESS", "{answer}");
     }
     client.put("wsg/v1/fast-stop", "now").await;
-    gateway.until("it stops", |state| state["fast_stop_confirmed"] == true).await;
+    gateway.until("the gripper stops", |state| state["fast_stop_confirmed"] == true).await;
     let is_done = |event: &&Value| event["kind"] == "command" && event["phase"] == "done";
-    eventually("all ends", async || {
-        (told.of("wsg/v1/gateway/g/event").iter().filter(is_done).count() == 6).then_some(())
+    eventually("the ends of all commands", async || {
+        (received.of("wsg/v1/gateway/g/event").iter().filter(is_done).count() == 6).then_some(())
     })
     .await;
 }

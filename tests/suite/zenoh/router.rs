@@ -1,4 +1,4 @@
-//! Zenoh's router, which may die and come back.
+//! A Zenoh router that can be killed and restarted.
 
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
@@ -10,28 +10,27 @@ use super::fleet::gateway;
 use crate::harness::process::signal;
 use crate::harness::{eventually, zenoh::config};
 
-/// The environment variable that makes the test below a router.
+/// Environment variable that turns [`router_process`] into a router.
 const ROUTER_AT: &str = "WSG_TEST_ZENOH_ROUTER_AT";
 
-/// Zenoh's router, in a process of its own: what `zenohd` runs, without its plug-ins.
+/// A Zenoh router in its own process: what `zenohd` runs, without its plug-ins.
 pub struct Router {
     child: Child,
     endpoint: String,
 }
 
 impl Router {
-    /// On a free port.
+    /// Starts a router on a free port.
     pub fn start() -> Self {
         let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
         Self::at(format!("tcp/127.0.0.1:{port}"))
     }
 
-    /// Where it listens.
     pub fn endpoint(&self) -> &str {
         &self.endpoint
     }
 
-    /// There.
+    /// Starts a router at this endpoint.
     pub fn at(endpoint: String) -> Self {
         let mut command = Command::new(std::env::current_exe().unwrap());
         command.args(["--exact", "zenoh::router::router_process"]).env(ROUTER_AT, &endpoint);
@@ -39,17 +38,16 @@ impl Router {
         Self { child, endpoint }
     }
 
-    /// Takes its processor time away until it is thawed.
+    /// Suspends the process until [`Router::thaw`].
     pub fn freeze(&self) {
         signal(self.child.id(), "STOP");
     }
 
-    /// Gives it back.
     pub fn thaw(&self) {
         signal(self.child.id(), "CONT");
     }
 
-    /// It dies, and says nothing.
+    /// Kills the router without notice, and returns its endpoint.
     pub fn kill(mut self) -> String {
         self.child.kill().unwrap();
         self.child.wait().unwrap();
@@ -64,7 +62,7 @@ impl Drop for Router {
     }
 }
 
-/// What a [`Router`] runs; without its variable it does nothing.
+/// Body of a [`Router`] process; does nothing without the variable.
 #[tokio::test(flavor = "multi_thread")]
 async fn router_process() {
     let Ok(endpoint) = std::env::var(ROUTER_AT) else { return };
@@ -76,25 +74,25 @@ async fn router_process() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_router_that_is_away_is_told_for_as_long_as_it_is() {
+async fn readiness_reports_a_router_outage_until_it_ends() {
     let router = Router::start();
     let gateway = gateway("cell", router.endpoint(), 1, &[]).await;
     let until_ready = async || {
-        eventually("it is ready", async || {
+        eventually("the gateway is ready", async || {
             (readiness(&gateway).await == (json!(true), String::new(), 1.0)).then_some(())
         })
         .await;
     };
     until_ready().await;
-    // Who connects to it is not what it is to connect to.
+    // `other` connects to this gateway, which affects only its own readiness.
     let other = super::fleet::gateway("other", &gateway.word_after("Zenoh: ").await, 1, &[]).await;
-    eventually("it is ready, too", async || (readiness(&other).await.0 == true).then_some(())).await;
+    eventually("the other gateway is ready", async || (readiness(&other).await.0 == true).then_some(())).await;
     let endpoint = router.kill();
-    let told = eventually("it is told", async || {
+    let not_ready = eventually("the missing router is reported", async || {
         let (ready, cause, up) = readiness(&gateway).await;
         (ready == false && up == 0.0).then_some(cause)
     });
-    let cause = told.await;
+    let cause = not_ready.await;
     assert!(cause.contains(&format!("not connected to {endpoint}")) && cause.contains("--zenoh-connect"), "{cause}");
     assert_eq!(readiness(&other).await.1, "");
     let _router = Router::at(endpoint);

@@ -1,4 +1,4 @@
-//! The configuration that is shipped for a network: an observer's certificate reads and stops, and moves nothing.
+//! The shipped network configuration: an observer's certificate permits reads and stops, but no motion.
 
 use std::path::PathBuf;
 
@@ -9,7 +9,7 @@ use crate::harness::{Gateway, MOTIONS, Proxy, Simulator, ZenohClient, eventually
 
 const SHIPPED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/deploy/zenoh/gateway.json5");
 
-/// A directory with certificates of one authority, which is gone with the test.
+/// A temporary directory with certificates from one authority.
 struct Certificates {
     directory: PathBuf,
     authority: Issuer<'static, KeyPair>,
@@ -37,7 +37,7 @@ impl Certificates {
         self.directory.join(name)
     }
 
-    /// Who brings the certificate of this name.
+    /// Connects a client with a certificate for this name.
     async fn client(&self, name: &str, endpoint: &str) -> ZenohClient {
         self.issue(name);
         let mut client = config("client", &[], &[endpoint]);
@@ -66,7 +66,7 @@ fn named(name: &str) -> CertificateParams {
     params
 }
 
-/// The shipped file, with these certificates and on a free port of loopback.
+/// The shipped file, with these certificates and a free loopback port.
 fn shipped(certificates: &Certificates) -> String {
     let text = std::fs::read_to_string(SHIPPED).unwrap();
     let text = text.replace("/etc/wsg-gateway", certificates.directory.to_str().unwrap());
@@ -80,7 +80,7 @@ async fn moves_nothing(client: &ZenohClient, command: &str, payload: &Value) -> 
     client.all(&key, payload.to_string()).await.iter().all(|(_, answer)| answer.is_err())
 }
 
-/// A gateway by the shipped file, its gripper's wire, and where it is reached by these certificates.
+/// Starts a gateway with the shipped file, and returns it with its proxy, its device and its endpoint.
 async fn served(certificates: &Certificates) -> (Gateway, Proxy, Simulator, String) {
     certificates.issue("gateway");
     let own = certificates.path("zenoh.json5");
@@ -90,7 +90,8 @@ async fn served(certificates: &Certificates) -> (Gateway, Proxy, Simulator, Stri
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
     let gripper = format!("g=tcp://{}", proxy.address);
-    let gateway = Gateway::start_as_told(&["--gripper", &gripper, "--config", toml.to_str().unwrap()]).await;
+    let gateway =
+        Gateway::start_without_zenoh_defaults(&["--gripper", &gripper, "--config", toml.to_str().unwrap()]).await;
     gateway.until_link("connected").await;
     let endpoint = gateway.word_after("Zenoh: ").await;
     let port = endpoint.rsplit(':').next().unwrap();
@@ -99,12 +100,12 @@ async fn served(certificates: &Certificates) -> (Gateway, Proxy, Simulator, Stri
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_observer_reads_and_stops_and_moves_nothing() {
+async fn observer_reads_and_stops_but_moves_nothing() {
     let certificates = Certificates::new("observer");
     let (gateway, proxy, _device, endpoint) = served(&certificates).await;
     let observer = certificates.client("observer", &endpoint).await;
-    let told = observer.subscribe("wsg/v1/gateway/g/*").await;
-    told.until("wsg/v1/gateway/g/state", |state| state["link"] == "connected").await;
+    let received = observer.subscribe("wsg/v1/gateway/g/*").await;
+    received.until("wsg/v1/gateway/g/state", |state| state["link"] == "connected").await;
     assert_eq!(observer.ask("wsg/v1/gateway/g/state", &Value::Null).await.unwrap()["gripper"], "g");
     assert_eq!(observer.ask("wsg/v1/gateway/fleet", &Value::Null).await.unwrap()["grippers"][0]["gripper"], "g");
     observer.tokens("wsg/v1/**").await.until("wsg/v1/gateway/g/alive", |body| *body == "").await;
@@ -113,13 +114,13 @@ async fn an_observer_reads_and_stops_and_moves_nothing() {
         assert!(moves_nothing(&observer, command, &json!({})).await, "{command}");
     }
     assert!(moves_nothing(&observer, "*", &json!({})).await);
-    assert!(proxy.frames.since(before).iter().all(|frame| !MOTIONS.contains(&frame.id)), "nothing moves");
+    assert!(proxy.frames.since(before).iter().all(|frame| !MOTIONS.contains(&frame.id)), "no motion is sent");
     assert_eq!(gateway.state().await["lease_holder"], Value::Null);
 
     let operator = certificates.client("robot-1", &endpoint).await;
     assert_eq!(operator.command("home", &json!({})).await.unwrap()["outcome"], "SUCCESS");
     observer.put("wsg/v1/fast-stop", "an observer").await;
-    let state = gateway.until("it stops", |state| state["fast_stop_confirmed"] == true).await;
+    let state = gateway.until("the gripper stops", |state| state["fast_stop_confirmed"] == true).await;
     assert_eq!(state["fast_stop_reason"], "an observer");
     let acknowledge = json!({"fast_stop_id": state["fast_stop_id"]});
     assert!(moves_nothing(&observer, "acknowledge", &acknowledge).await);
@@ -128,24 +129,25 @@ async fn an_observer_reads_and_stops_and_moves_nothing() {
 
     let stranger = certificates.client("stranger", &endpoint).await;
     assert!(moves_nothing(&stranger, "home", &json!({})).await);
-    assert!(stranger.all("wsg/v1/gateway/g/state", "").await.is_empty(), "who is not named reads nothing");
-    eventually("it is told", async || (!told.of("wsg/v1/gateway/g/event").is_empty()).then_some(())).await;
+    assert!(stranger.all("wsg/v1/gateway/g/state", "").await.is_empty(), "an unknown name reads nothing");
+    eventually("the observer gets events", async || (!received.of("wsg/v1/gateway/g/event").is_empty()).then_some(()))
+        .await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_robot_commands_and_uses_no_name_but_its_own() {
+async fn robot_commands_only_under_its_own_name() {
     let certificates = Certificates::new("robot");
     let (gateway, _proxy, _device, endpoint) = served(&certificates).await;
     let robot = certificates.client("robot-1", &endpoint).await;
     let other = certificates.client("cell-8", &endpoint).await;
-    let (tokens, told) = (other.tokens("wsg/v1/**").await, other.subscribe("wsg/v1/gateway/**").await);
+    let (tokens, received) = (other.tokens("wsg/v1/**").await, other.subscribe("wsg/v1/gateway/**").await);
 
     let mut declared = Vec::new();
     for key in ["client/robot-2", "instance/1234", "alive", "client/robot-1"] {
         let token = robot.session.liveliness().declare_token(format!("wsg/v1/gateway/{key}"));
         declared.push(token.await.unwrap());
     }
-    // What was declared before is there by then, if it is let in.
+    // Permitted tokens declared earlier are visible by then.
     tokens.until("wsg/v1/gateway/client/robot-1", |body| *body == "").await;
     let own: Vec<_> = tokens.all().into_iter().map(|(key, _)| key).collect();
     for foreign in ["client/robot-2", "instance/1234"] {
@@ -158,8 +160,8 @@ async fn a_robot_commands_and_uses_no_name_but_its_own() {
     assert_eq!(lease["bound_to"], "token");
     let home = robot.command("home", &json!({"lease": lease["token"]})).await.unwrap();
     assert_eq!(home["outcome"], "SUCCESS");
-    assert!(other.all("wsg/v1/gateway/h/command/home", "").await.is_empty(), "a robot answers nothing");
-    told.until("wsg/v1/gateway/g/event", |event| event["phase"] == "done").await;
-    assert_eq!(told.of("wsg/v1/gateway/h/state"), [] as [Value; 0], "a robot publishes nothing");
+    assert!(other.all("wsg/v1/gateway/h/command/home", "").await.is_empty(), "a robot's queryable is rejected");
+    received.until("wsg/v1/gateway/g/event", |event| event["phase"] == "done").await;
+    assert_eq!(received.of("wsg/v1/gateway/h/state"), [] as [Value; 0], "a robot's publication is rejected");
     drop(gateway);
 }

@@ -1,4 +1,4 @@
-//! The conformance suite on the transports that every machine has, and what is particular to each.
+//! The conformance suite over TCP, UDP and pty, and tests of single transports.
 
 use std::net::UdpSocket;
 
@@ -18,23 +18,23 @@ fn udp() -> String {
     format!("udp://127.0.0.1:0?reply_port={}", free_udp_port())
 }
 
-/// A pty under a name that stays, as a USB adapter's does.
+/// A pty with a stable name, like that of a USB adapter.
 fn serial() -> String {
     let link = std::env::temp_dir().join(format!("wsg-port-{}-{}", std::process::id(), free_udp_port()));
     format!("serial://pty?link={}", link.display())
 }
 
-conformance!(on_tcp, crate::wires::tcp());
-conformance!(on_udp, crate::wires::udp());
-conformance!(on_serial, crate::wires::serial());
+conformance!(on_tcp, crate::transports::tcp());
+conformance!(on_udp, crate::transports::udp());
+conformance!(on_serial, crate::transports::serial());
 
 #[tokio::test]
-async fn a_cut_on_udp_is_seen_and_what_was_sent_into_it_is_lost() {
-    conformance::a_cut_without_a_connection(&udp()).await;
+async fn cut_on_udp_is_noticed() {
+    conformance::cut_without_a_connection(&udp()).await;
 }
 
 #[tokio::test]
-async fn a_device_that_listens_on_all_addresses_says_one_that_a_gateway_can_use() {
+async fn device_on_all_addresses_prints_a_usable_one() {
     let served = served(&format!("udp://0.0.0.0:0?reply_port={}", free_udp_port())).await;
     assert!(served.address.to_string().starts_with("udp://127.0.0.1:"), "{}", served.address);
 }

@@ -1,4 +1,4 @@
-// What the page tells: of now, of what was asked last, and of what can be read in one way only.
+// Displayed values: current settings and results, late answers, and ambiguous input.
 
 import assert from 'node:assert/strict';
 import { after, test } from 'node:test';
@@ -8,7 +8,7 @@ import { assertClean, browser, endAll, gateway, homed, named, until, visit } fro
 after(endAll);
 const launched = await browser();
 
-test('a setting that somebody else changes is told, and overwrites nothing that is being typed', async () => {
+test('another client’s change of a setting is shown, and keeps typed input', async () => {
   const served = await gateway();
   const visitor = await visit(launched, served, { path: '/#/left/device' });
   const { page } = visitor;
@@ -23,7 +23,7 @@ test('a setting that somebody else changes is told, and overwrites nothing that 
   await page.fill(acceleration, '1600');
   await page.locator(`form:has(${acceleration}) button[type=submit]`).click();
   await page.waitForSelector('.settings-panel:has-text("Set.")');
-  assert.match(await page.locator('.meanwhile').innerText(), /by http:/, 'who sets another setting has not set this one');
+  assert.match(await page.locator('.meanwhile').innerText(), /by http:/, 'another setting leaves this note alone');
   assert.equal(await page.inputValue(force), '33');
   await page.click('.meanwhile button');
   await shows(force, '44');
@@ -32,8 +32,8 @@ test('a setting that somebody else changes is told, and overwrites nothing that 
   await page.locator(`form:has(${force}) button[type=submit]`).click();
   await page.waitForSelector('.settings-panel:has-text("Set.")');
   assert.equal((await served.ask('GET', 'grippers/left/settings/force-limit')).force_n, 30);
-  assert.equal(await page.locator('.meanwhile').count(), 0, 'what was set here is no news');
-  // What a grip without a force would hold with is told beside its field, also when a grip has changed it.
+  assert.equal(await page.locator('.meanwhile').count(), 0, 'the user’s own change is not reported');
+  // The force hint shows the limit for a grip without a force, also after a grip changed it.
   await page.click('[data-view=operate]');
   await page.fill('#force', '');
   await page.waitForSelector('#force-hint:has-text("30 N")');
@@ -47,7 +47,7 @@ test('a setting that somebody else changes is told, and overwrites nothing that 
   await visitor.close();
 });
 
-test('a force limit that goes down with overdrive is told, though no event tells of it', async () => {
+test('a force limit lowered by overdrive is shown without an event', async () => {
   const served = await gateway();
   const { page, close } = await visit(launched, served, { path: '/#/left/device' });
   const force = '#force-limit-force_n';
@@ -64,7 +64,7 @@ test('a force limit that goes down with overdrive is told, though no event tells
   await close();
 });
 
-test('an older answer does not overwrite that to a newer filter', async () => {
+test('a late answer does not overwrite that of a newer filter', async () => {
   const served = await gateway();
   await served.ask('POST', 'grippers/left/home');
   await served.ask('POST', 'grippers/left/move', { width_mm: 50, speed_mm_s: 300 });
@@ -77,7 +77,7 @@ test('an older answer does not overwrite that to a newer filter', async () => {
     await held;
     await route.fulfill({ response });
   });
-  // What happens is looked at a little later, when another filter may hold.
+  // The page reloads the history shortly after an event, possibly with another filter.
   await served.ask('POST', 'grippers/left/lease', { holder: 'Cleo', ttl_ms: 60_000 });
   await page.waitForSelector('.bar:has-text("Cleo")');
   const asked = page.waitForRequest('**/grips?**kind=move**');
@@ -91,7 +91,7 @@ test('an older answer does not overwrite that to a newer filter', async () => {
     return rows.length === 1 && rows[0].innerText.includes(wanted);
   }, word);
   await only('Home');
-  await until('what has happened is looked at', () => looks.length >= 2);
+  await until('the event causes a reload', () => looks.length >= 2);
   await only('Home');
   letGo();
   await (await late.response()).finished();
@@ -100,7 +100,7 @@ test('an older answer does not overwrite that to a newer filter', async () => {
   await close();
 });
 
-test('what is seen first comes with all else missing, says so, and stops', async () => {
+test('the first screen works without the other modules, and STOP too', async () => {
   const served = await gateway();
   const { page, close } = await visit(launched, served);
   await page.route('**/views/**', (route) => route.abort());
@@ -117,7 +117,7 @@ test('what is seen first comes with all else missing, says so, and stops', async
   await close();
 });
 
-test('what was told before the page was there is known to it, and was asked for once', async () => {
+test('updates before the page is ready are kept, from one subscription', async () => {
   const served = await gateway();
   const visitor = await visit(launched, served);
   const { page } = visitor;
@@ -134,20 +134,20 @@ test('what was told before the page was there is known to it, and was asked for 
     await route.continue();
   });
   await page.goto(served.url, { waitUntil: 'commit' });
-  await until('it is asked for', () => asked.length === 1);
+  await until('the page has subscribed', () => asked.length === 1);
   await served.ask('POST', 'grippers/left/home');
   await served.ask('POST', 'grippers/left/move', { width_mm: 50, speed_mm_s: 300 });
-  await until('its end is told', () => heard.some(({ params }) => params?.command === 'move' && params.outcome === 'SUCCESS'));
+  await until('the end of the move is notified', () => heard.some(({ params }) => params?.command === 'move' && params.outcome === 'SUCCESS'));
   assert.deepEqual(asked, ['subscribe']);
   letGo();
   await page.waitForSelector('.last[data-outcome=SUCCESS]:has-text("Move")');
   await page.waitForSelector('.figure-main:has-text("50.00")');
   assert.equal(asked.filter((method) => method === 'subscribe').length, 1);
-  assert.equal(await page.locator('.alarm').count(), 0, 'nothing was silent');
+  assert.equal(await page.locator('.alarm').count(), 0, 'no alarm for silence');
   assertClean(visitor);
 });
 
-test('a first connection that fails while the page comes is made again', async () => {
+test('a failed first connection is retried', async () => {
   const served = await gateway();
   const visitor = await visit(launched, served);
   const { page } = visitor;
@@ -167,11 +167,11 @@ test('a first connection that fails while the page comes is made again', async (
   assertClean(visitor);
 });
 
-test('charts follow the colours of the room', async () => {
+test('charts follow the colour scheme', async () => {
   const served = await gateway();
   const { page, close } = await visit(launched, served, { colorScheme: 'light' });
   await homed(page);
-  /** The lightest of what is drawn, which is the trace where it is dark, and the grid where it is light. */
+  /** Darkest and lightest pixel of the chart: on a dark page the trace is the lightest, on a light page the grid. */
   const trace = () => page.evaluate(() => {
     const canvas = document.querySelector('.chart canvas');
     if (!canvas || canvas.width === 0) return null;
@@ -184,17 +184,17 @@ test('charts follow the colours of the room', async () => {
     }
     return { dark, light };
   });
-  // --trace is #24364a in the light, and #c3d4e6 in the dark.
-  await until('it is drawn dark', async () => ((await trace())?.dark ?? 255) < 0x40);
+  // --trace is #24364a on the light page, and #c3d4e6 on the dark one.
+  await until('the trace is dark', async () => ((await trace())?.dark ?? 255) < 0x40);
   await page.emulateMedia({ colorScheme: 'dark' });
-  await until('it is drawn light', async () => {
+  await until('the trace is light', async () => {
     const { light, dark } = await trace();
     return light >= 0xa9 && dark >= 0x28;
   });
   await close();
 });
 
-test('texts end where the gateway ends them, and a number that is another one elsewhere is not sent', async () => {
+test('texts are cut like in the gateway, and ambiguous numbers are not sent', async () => {
   const served = await gateway();
   const visitor = await visit(launched, served);
   const { page } = visitor;
@@ -220,7 +220,7 @@ test('texts end where the gateway ends them, and a number that is another one el
   await visitor.close();
 });
 
-test('words that miss what they are about are the gateway’s own', async () => {
+test('a problem with missing values is shown in the gateway’s words', async () => {
   const served = await gateway();
   const { page, close } = await visit(launched, served);
   await page.waitForSelector('#take-control');

@@ -1,4 +1,4 @@
-//! How a gateway ends: in order, the device being told; or not, the device stopping by itself.
+//! End of a gateway: orderly with an announcement, or abrupt with a FAST STOP by the device.
 
 use std::path::PathBuf;
 
@@ -11,7 +11,7 @@ fn ids(frames: &[Frame]) -> Vec<u8> {
     frames.iter().map(|frame| frame.id).collect()
 }
 
-async fn assert_no_fast_stop_holds(device: &Simulator) {
+async fn assert_no_fast_stop(device: &Simulator) {
     let next = Gateway::connected_to(device.address).await;
     let state = next.state().await;
     assert_eq!(state["fast_stop"], false, "{state}");
@@ -29,11 +29,11 @@ async fn sigterm_announces_the_disconnect_once_last_and_leaves_no_fast_stop() {
     assert_eq!(ids.last(), Some(&0x07));
     assert_eq!(proxy.frames.count(0x07), 1);
     assert!(!ids.contains(&0x23) && !ids.contains(&0x24) && !ids.contains(&0x22), "{ids:x?}");
-    assert_no_fast_stop_holds(&device).await;
+    assert_no_fast_stop(&device).await;
 }
 
 #[tokio::test]
-async fn a_simulated_device_ends_in_order_on_sigterm_also_while_it_is_connected() {
+async fn simulated_device_exits_cleanly_on_sigterm() {
     for is_connected in [false, true] {
         let device = Simulator::start(&[]).await;
         let gateway = Gateway::of(device.address).await;
@@ -53,9 +53,9 @@ async fn sigterm_lets_a_short_motion_finish() {
     gateway.begin("move", &json!({"width_mm": 80, "speed_mm_s": 50})).await;
     gateway.until_moving().await;
     assert!(gateway.terminate().await.status.success());
-    assert_eq!(proxy.frames.count(0x22), 0, "it was not stopped");
+    assert_eq!(proxy.frames.count(0x22), 0, "the motion was not stopped");
     assert_eq!(proxy.frames.all().last().map(|frame| frame.id), Some(0x07));
-    assert_no_fast_stop_holds(&device).await;
+    assert_no_fast_stop(&device).await;
 }
 
 #[tokio::test]
@@ -68,7 +68,7 @@ async fn sigterm_stops_a_long_motion_before_the_announcement() {
     assert!(gateway.terminate().await.status.success());
     let ids = ids(&proxy.frames.all());
     assert!(ids.ends_with(&[0x22, 0x07]), "{ids:x?}");
-    assert_no_fast_stop_holds(&device).await;
+    assert_no_fast_stop(&device).await;
 }
 
 #[tokio::test]
@@ -79,7 +79,7 @@ async fn sigterm_without_a_device_ends_at_once() {
 }
 
 #[tokio::test]
-async fn after_sigkill_the_device_stops_and_the_next_gateway_says_so_and_moves_nothing() {
+async fn next_gateway_after_sigkill_reports_the_fast_stop() {
     let device = Simulator::start(&[]).await;
     let gateway = Gateway::homed_at(device.address).await;
     gateway.begin("move", &json!({"width_mm": 10, "speed_mm_s": 5})).await;
@@ -88,7 +88,7 @@ async fn after_sigkill_the_device_stops_and_the_next_gateway_says_so_and_moves_n
 
     let proxy = Proxy::to(device.address);
     let next = Gateway::connected_to(proxy.address).await;
-    let state = next.until("the FAST STOP is told", |state| state["fast_stop"] == true).await;
+    let state = next.until("the FAST STOP is reported", |state| state["fast_stop"] == true).await;
     assert!(matches!(state["fast_stop_cause"].as_str(), Some("unknown" | "unannounced_disconnect")), "{state}");
     assert_eq!((&state["fast_stop_by"], &state["moving"]), (&json!("device"), &json!(false)), "{state}");
     let id = &state["fast_stop_id"];
@@ -102,7 +102,7 @@ async fn after_sigkill_the_device_stops_and_the_next_gateway_says_so_and_moves_n
 }
 
 #[tokio::test]
-async fn what_happened_just_before_the_end_is_in_the_journal() {
+async fn last_events_before_the_exit_are_in_the_journal() {
     let directory = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{}-ends", std::process::id()));
     let path = directory.join("journal.db");
     let arguments = ["--gripper", "g=sim://wsg50?part_mm=20", "--journal", path.to_str().unwrap()];

@@ -1,11 +1,11 @@
-//! Who may ask at all: `Host` and `Origin`; and what is served beside the grippers.
+//! Checks of `Host` and `Origin`; documentation and health endpoints.
 
 use serde_json::json;
 
 use crate::harness::{Gateway, Proxy, Simulator};
 
 #[tokio::test]
-async fn a_foreign_host_or_origin_is_refused_and_moves_nothing() {
+async fn foreign_host_or_origin_is_refused() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
     let gateway = Gateway::connected_to(proxy.address).await;
@@ -20,7 +20,7 @@ async fn a_foreign_host_or_origin_is_refused_and_moves_nothing() {
 }
 
 #[tokio::test]
-async fn the_document_its_page_and_the_health_are_served_without_the_internet() {
+async fn documentation_and_health_need_no_internet() {
     let device = Simulator::start(&[]).await;
     let gateway = Gateway::of(device.address).await;
     assert_eq!(gateway.get("/healthz").await.ok(), json!({"gateway": "gateway", "status": "ok"}));

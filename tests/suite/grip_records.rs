@@ -1,4 +1,4 @@
-//! What is written down of a grip: its curve shows what the fingers met, as the simulated device made it.
+//! Grip records: the curve shows the approach, the contact and the force, as the simulated device produced them.
 
 use serde::Deserialize;
 use serde_json::json;
@@ -9,11 +9,11 @@ use crate::harness::{Gateway, Simulator, eventually};
 const SPEED_MM_S: f64 = 50.0;
 const FORCE_N: f64 = 80.0;
 
-/// Of what passes between two steps of the stored values.
+/// Rounding of the stored values.
 const ROUNDING_N: f64 = 0.5;
 const ROUNDING_MM: f64 = 0.01;
 
-/// How far the machine may delay an update on its way.
+/// Allowed delay of an update on a busy machine.
 const DELAY_MS: f64 = 100.0;
 
 /// A line of the CSV.
@@ -26,7 +26,7 @@ struct Sample {
 }
 
 #[tokio::test]
-async fn a_grip_s_curve_shows_the_way_the_contact_and_the_rise_of_the_force() {
+async fn grip_curve_shows_approach_contact_and_force() {
     let part = Part::outside(20.0);
     let device = Simulator::with_part().await;
     let gateway = Gateway::homed_at(device.address).await;
@@ -35,7 +35,7 @@ async fn a_grip_s_curve_shows_the_way_the_contact_and_the_rise_of_the_force() {
     let held = gateway.post("grip", &grip).await.outcome("PART_HELD");
     let path = format!("/api/v1/grips/{}", held["id"].as_str().unwrap());
     let record =
-        eventually("its curve is over", async || Some(gateway.get(&path).await).filter(|answer| answer.status == 200));
+        eventually("the grip record", async || Some(gateway.get(&path).await).filter(|answer| answer.status == 200));
     let record = record.await.ok();
     let csv = gateway.request("GET", &format!("{path}/curve")).header("Accept", "text/csv");
     let csv = gateway.send(csv).await.ok();
@@ -44,9 +44,9 @@ async fn a_grip_s_curve_shows_the_way_the_contact_and_the_rise_of_the_force() {
     assert_eq!(record["samples"], json!(samples.len()));
     assert!(samples.is_sorted_by_key(|sample| sample.t_ms), "{samples:?}");
 
-    let contact = samples.iter().position(|sample| sample.width_mm < part.width_mm).expect("the part is met");
+    let contact = samples.iter().position(|sample| sample.width_mm < part.width_mm).expect("the part is touched");
     let (way, pressing) = samples.split_at(contact);
-    // On the way there is no force, and once it has begun the speed is the one that was asked for.
+    // On the approach the force is zero, and after the start the speed is the requested one.
     assert!(way.iter().all(|sample| sample.force_n.abs() <= ROUNDING_N), "{way:?}");
     let (begun, met) = (way.iter().position(|sample| sample.width_mm < 39.0).unwrap(), &pressing[0]);
     let steady = &way[begun..];
@@ -55,7 +55,7 @@ async fn a_grip_s_curve_shows_the_way_the_contact_and_the_rise_of_the_force() {
     let expected_ms = (steady[0].width_mm - met.width_mm) / SPEED_MM_S * 1000.0;
     assert!((met.t_ms - steady[0].t_ms - expected_ms).abs() < DELAY_MS, "{steady:?} {met:?}");
 
-    // From the contact on the part is pressed together, as hard as it is, until the force is there; and it stays so.
+    // After contact, the part is compressed according to its stiffness until the force is reached and held.
     let deepest_mm = FORCE_N / part.stiffness_n_mm;
     for sample in pressing {
         let depth_mm = part.width_mm - sample.width_mm;
@@ -64,15 +64,15 @@ async fn a_grip_s_curve_shows_the_way_the_contact_and_the_rise_of_the_force() {
     }
     assert!(pressing.is_sorted_by_key(|sample| sample.force_n), "{pressing:?}");
     let rising = pressing.iter().take_while(|sample| sample.force_n < FORCE_N - ROUNDING_N).count();
-    assert!(rising > 1, "the rise is seen: {pressing:?}");
+    assert!(rising > 1, "the rise has samples: {pressing:?}");
     let held_for_ms = samples[samples.len() - 1].t_ms - pressing[rising].t_ms;
-    assert!(held_for_ms > 800.0, "it goes on for a second: {held_for_ms} ms");
+    assert!(held_for_ms > 800.0, "the curve covers a second after the rise: {held_for_ms} ms");
 
-    // The record says the same, without the curve.
+    // The record agrees with the curve.
     let figure = |name: &str| record[name].as_f64().unwrap_or_else(|| panic!("no {name} in {record}"));
     assert!((figure("peak_force_n") - FORCE_N).abs() <= ROUNDING_N, "{record}");
     assert!((figure("contact_width_mm") - part.width_mm).abs() <= deepest_mm, "{record}");
     assert!((figure("time_to_contact_ms") - met.t_ms).abs() <= DELAY_MS, "{record} {met:?}");
-    let told = samples.iter().find(|sample| sample.t_ms >= figure("time_to_contact_ms")).unwrap();
-    assert!((told.width_mm - figure("contact_width_mm")).abs() <= ROUNDING_MM, "{told:?} {record}");
+    let at_contact = samples.iter().find(|sample| sample.t_ms >= figure("time_to_contact_ms")).unwrap();
+    assert!((at_contact.width_mm - figure("contact_width_mm")).abs() <= ROUNDING_MM, "{at_contact:?} {record}");
 }

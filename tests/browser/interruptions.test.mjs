@@ -1,4 +1,4 @@
-// Control and commands across what interrupts them: another view, another's force, a connection that is lost, another tab.
+// Control and commands across a change of view, forced control, a lost connection and a second tab.
 
 import assert from 'node:assert/strict';
 import { after, test } from 'node:test';
@@ -8,7 +8,7 @@ import { assertClean, browser, controlled, endAll, gateway, homed, named, simula
 after(endAll);
 const launched = await browser();
 
-test('control that is handed over is fetched from whatever view', async () => {
+test('handed-over control is taken from any view', async () => {
   const served = await gateway();
   const [anna, ben] = [await visit(launched, served), await visit(launched, served)];
   await named(ben.page, 'Ben');
@@ -25,10 +25,10 @@ test('control that is handed over is fetched from whatever view', async () => {
   await Promise.all([anna.close(), ben.close()]);
 });
 
-test('control that is handed over at once is fetched, too', async () => {
+test('control handed over at once is taken too', async () => {
   const served = await gateway();
   const [anna, ben] = [await visit(launched, served), await visit(launched, served)];
-  // Whoever asks is not told yet how the lease stands when it is handed over.
+  // Ben's page gets no answer about the lease before the hand-over.
   await ben.page.routeWebSocket('**/api/v1/ws', (socket) => {
     const server = socket.connectToServer();
     const unanswered = new Set();
@@ -47,7 +47,7 @@ test('control that is handed over at once is fetched, too', async () => {
   await Promise.all([anna.close(), ben.close()]);
 });
 
-test('only who asks first is told that control comes', async () => {
+test('only the first request for control is confirmed', async () => {
   const served = await gateway();
   const [anna, ben, cleo] = [await visit(launched, served), await visit(launched, served), await visit(launched, served)];
   await named(ben.page, 'Ben');
@@ -60,7 +60,7 @@ test('only who asks first is told that control comes', async () => {
   await Promise.all([anna, ben, cleo].map((one) => one.close()));
 });
 
-test('who lets go of a jog after another took control by force does not stop the other', async () => {
+test('releasing a jog after a forced take does not stop the new holder', async () => {
   const served = await gateway();
   const { page } = await visit(launched, served);
   await homed(page);
@@ -68,9 +68,9 @@ test('who lets go of a jog after another took control by force does not stop the
   const state = () => served.ask('GET', 'grippers/left/state');
   const from = (await state()).width_mm;
   await page.mouse.down();
-  await until('it is jogged', async () => (await state()).width_mm < from - 1);
+  await until('the jog moves the fingers', async () => (await state()).width_mm < from - 1);
   const { token } = await served.ask('POST', 'grippers/left/lease', { holder: 'robot', ttl_ms: 60_000, force: true });
-  const runs = await until('the robot moves it', async () => {
+  const runs = await until('the robot moves the fingers', async () => {
     const { id } = await served.ask('POST', 'grippers/left/move?wait_ms=0', { width_mm: 60, speed_mm_s: 20, lease: token });
     return id;
   });
@@ -79,7 +79,7 @@ test('who lets go of a jog after another took control by force does not stop the
   assert.equal((await served.ask('GET', `grippers/left/commands/${runs}?wait_ms=20000`)).outcome, 'SUCCESS');
 });
 
-test('who lets go of a jog stops it, though its answer was lost', async () => {
+test('releasing a jog stops it even if its answer was lost', async () => {
   const device = await simulator();
   const served = await gateway({ more: ['--gripper', `left=${device.url}`] });
   const { page, close } = await visit(launched, served);
@@ -89,18 +89,18 @@ test('who lets go of a jog stops it, though its answer was lost', async () => {
   await device.happens({ fault: { kind: 'corrupt_checksum', id: 0x21, times: 1 } });
   await page.mouse.down();
   const state = () => served.ask('GET', 'grippers/left/state');
-  await until('its command is over, and it moves', async () => {
+  await until('the command ended as UNKNOWN', async () => {
     const { events } = await served.ask('GET', 'events?kind=command&outcome=UNKNOWN');
     return events.length > 0;
   });
   assert.equal((await state()).moving, true);
   await page.mouse.up();
-  await until('it stands', async () => (await state()).moving === false);
-  assert.ok((await state()).width_mm > 5, 'it was stopped on its way');
+  await until('the fingers stand', async () => (await state()).moving === false);
+  assert.ok((await state()).width_mm > 5, 'stopped on its way');
   await close();
 });
 
-/** Two of whom one has asked the other for control, who jogs; `toAnna` and `toGateway` let messages through, or don't. */
+/** Starts a jog by Anna, with a request for control by Ben. `toAnna` and `toGateway` filter the messages. */
 async function jogging({ toAnna = () => true, toGateway = () => true }) {
   const served = await gateway();
   const [anna, ben] = [await visit(launched, served), await visit(launched, served)];
@@ -118,18 +118,18 @@ async function jogging({ toAnna = () => true, toGateway = () => true }) {
   const from = (await state()).width_mm;
   await anna.page.locator('#jog-close').hover();
   await anna.page.mouse.down();
-  await until('it is jogged', async () => (await state()).width_mm < from - 1);
-  // By another finger.
+  await until('the jog moves the fingers', async () => (await state()).width_mm < from - 1);
+  // With another finger.
   await anna.page.evaluate(() => document.querySelector('#hand-over').click());
   await ben.page.waitForSelector('.status.tone-mine');
-  const stopped = () => until('it is stopped on its way', async () => {
+  const stopped = () => until('the jog is aborted', async () => {
     const { events } = await served.ask('GET', 'events?kind=command&outcome=ABORTED');
     return events.length > 0 && (await state()).moving === false;
   });
   return { state, stopped, page: anna.page, close: () => Promise.all([anna.close(), ben.close()]) };
 }
 
-test('a jog that was handed over is ended by its name, again and again', async () => {
+test('the cancel of a handed-over jog is repeated', async () => {
   let lost = 0;
   const toGateway = ({ method }) => {
     if (method !== 'cancel' || lost === 2) return true;
@@ -143,7 +143,7 @@ test('a jog that was handed over is ended by its name, again and again', async (
   await close();
 });
 
-test('a jog that was handed over is ended as soon as its name is known', async () => {
+test('a handed-over jog is cancelled as soon as its id is known', async () => {
   let named = null;
   let asked = null;
   const toGateway = ({ method, params, id }) => {
@@ -163,7 +163,7 @@ test('a jog that was handed over is ended as soon as its name is known', async (
   await close();
 });
 
-test('a command that ended while the gateway was away runs no more', async () => {
+test('a command lost with the gateway is not shown as running', async () => {
   const first = await gateway();
   const { page, allowed, close } = await visit(launched, first);
   await homed(page);
@@ -184,7 +184,7 @@ test('a command that ended while the gateway was away runs no more', async () =>
   await close();
 });
 
-test('two tabs are two clients, and keep each other’s presets', async () => {
+test('two tabs are two clients and share presets', async () => {
   const served = await gateway();
   const one = await visit(launched, served);
   const name = (page) => page.inputValue('#my-name');
@@ -193,7 +193,7 @@ test('two tabs are two clients, and keep each other’s presets', async () => {
   const other = await one.context.newPage();
   await other.goto(served.url);
   await other.waitForFunction((taken) => document.querySelector('#my-name')?.value === `${taken} (2)`, first);
-  assert.equal(await name(one.page), first, 'who was first keeps the name');
+  assert.equal(await name(one.page), first, 'the first tab keeps the name');
   await named(other, first);
   await other.waitForFunction((taken) => document.querySelector('#my-name').value === `${taken} (2)`, first);
   await other.reload();

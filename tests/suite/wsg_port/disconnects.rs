@@ -1,4 +1,4 @@
-//! How a client ends, and what becomes of what it moves or holds.
+//! Disconnects of a client, and the effect on its motion and held part.
 
 use std::time::{Duration, Instant};
 
@@ -8,11 +8,11 @@ use super::{ABORTED, ACCESS_DENIED, Cell, GRIP, MOVE, SUCCESS};
 use crate::harness::eventually;
 use crate::harness::wsg::{PENDING, floats, move_to};
 
-/// How long after its connection has ended a holder's motion may go on, where the machine is not busy.
+/// Longest delay from the end of a holder's connection to the FAST STOP, on an idle machine.
 const STOPPED_WITHIN: Duration = Duration::from_millis(50);
 
 #[tokio::test]
-async fn a_holder_that_is_killed_while_it_moves_is_a_fast_stop_at_once() {
+async fn holder_killed_during_a_motion_is_an_immediate_fast_stop() {
     let cell = Cell::homed().await;
     let mut fastest = Duration::MAX;
     for round in 1..=3 {
@@ -32,7 +32,7 @@ async fn a_holder_that_is_killed_while_it_moves_is_a_fast_stop_at_once() {
 }
 
 #[tokio::test]
-async fn a_holder_that_announces_its_end_while_it_moves_is_a_stop_and_nothing_is_latched() {
+async fn announced_disconnect_during_a_motion_is_a_stop() {
     let cell = Cell::homed().await;
     let mut driver = cell.driver().await;
     assert_eq!(driver.status(MOVE, &move_to(10.0, 5.0)).await, PENDING);
@@ -41,24 +41,24 @@ async fn a_holder_that_announces_its_end_while_it_moves_is_a_stop_and_nothing_is
     let mut replies = [driver.next().await, driver.next().await];
     replies.sort_by_key(|reply| reply.id);
     assert_eq!(replies.map(|reply| (reply.id, reply.status)), [(0x07, SUCCESS), (MOVE, ABORTED)]);
-    assert_eq!(driver.status(0x31, &[]).await, ACCESS_DENIED, "nothing more is taken");
+    assert_eq!(driver.status(0x31, &[]).await, ACCESS_DENIED, "no request is accepted after 07h");
     drop(driver);
     let state = cell.gateway.until_standing().await;
     assert!(state["fast_stop"] == false && state["lease_holder"].is_null(), "{state}");
     assert_eq!((cell.proxy.frames.count(0x22), cell.proxy.frames.count(0x23)), (1, 0));
-    assert_eq!(cell.proxy.frames.count(0x07), 0, "the gripper's own session goes on");
+    assert_eq!(cell.proxy.frames.count(0x07), 0, "the gateway's own session stays open");
 }
 
 #[tokio::test]
-async fn a_holder_that_is_killed_while_it_holds_a_part_drops_nothing_and_may_come_back() {
+async fn holder_killed_with_a_part_keeps_it_and_can_return() {
     let cell = Cell::homed().await;
     let mut driver = cell.driver().await;
     assert_eq!(driver.run(GRIP, &floats(&[20.0, 100.0])).await, SUCCESS);
     let sent = cell.proxy.frames.all().into_iter().filter(|frame| !frame.is_upkeep()).count();
     driver.reset();
-    cell.gateway.until("nobody holds it", |state| state["lease_holder"].is_null()).await;
+    cell.gateway.until("the lease is free", |state| state["lease_holder"].is_null()).await;
     let others = cell.gateway.post("release", &json!({"width_mm": 60, "speed_mm_s": 100})).await;
-    assert_eq!(others.problem(409, "lease_held")["holder"], "wsg:127.0.0.1", "it is reserved");
+    assert_eq!(others.problem(409, "lease_held")["holder"], "wsg:127.0.0.1", "the gripper is reserved");
     let state = cell.gateway.state().await;
     assert_eq!((&state["state"], &state["fast_stop"]), (&json!("HOLDING"), &json!(false)), "{state}");
     assert_eq!(cell.proxy.frames.all().into_iter().filter(|frame| !frame.is_upkeep()).count(), sent);
@@ -70,7 +70,7 @@ async fn a_holder_that_is_killed_while_it_holds_a_part_drops_nothing_and_may_com
 }
 
 #[tokio::test]
-async fn who_only_reads_takes_no_lease_and_its_end_stops_nobody() {
+async fn reader_takes_no_lease_and_its_disconnect_stops_nothing() {
     let cell = Cell::homed().await;
     let mut reader = cell.driver().await;
     assert_eq!(reader.status(0x31, &[]).await, SUCCESS);
@@ -82,14 +82,14 @@ async fn who_only_reads_takes_no_lease_and_its_end_stops_nobody() {
 }
 
 #[tokio::test]
-async fn a_client_keeps_the_lease_for_as_long_as_it_is_connected() {
+async fn driver_keeps_the_lease_while_connected() {
     let cell = Cell::homed().await;
     let mut driver = cell.driver().await;
     assert_eq!(driver.run(MOVE, &move_to(50.0, 200.0)).await, SUCCESS);
-    // Longer than a lease lives without use.
+    // Longer than the time to live of an unused lease.
     let lease = cell.gateway.get("lease").await.ok();
     let until = Instant::now() + Duration::from_millis(lease["ttl_ms"].as_u64().unwrap() + 500);
-    eventually("longer than its time to live", async || (Instant::now() > until).then_some(())).await;
+    eventually("the time to live is over", async || (Instant::now() > until).then_some(())).await;
     let lease = cell.gateway.get("lease").await.ok();
     assert_eq!((&lease["held"], &lease["holder"]), (&json!(true), &json!("wsg:127.0.0.1")), "{lease}");
     cell.gateway.post("move", &json!({"width_mm": 40, "speed_mm_s": 200})).await.problem(409, "lease_held");
@@ -98,7 +98,7 @@ async fn a_client_keeps_the_lease_for_as_long_as_it_is_connected() {
 }
 
 #[tokio::test]
-async fn a_lease_that_was_forced_away_is_not_taken_back_by_moving() {
+async fn forced_lease_is_not_retaken_by_a_motion() {
     let cell = Cell::homed().await;
     let mut driver = cell.driver().await;
     assert_eq!(driver.run(MOVE, &move_to(50.0, 200.0)).await, SUCCESS);
@@ -106,14 +106,14 @@ async fn a_lease_that_was_forced_away_is_not_taken_back_by_moving() {
     assert_eq!(driver.status(MOVE, &move_to(60.0, 200.0)).await, ACCESS_DENIED);
     let release = cell.gateway.request("DELETE", "lease").header("Wsg-Lease", lease["token"].as_str().unwrap());
     cell.gateway.send(release).await.ok();
-    assert_eq!(driver.run(MOVE, &move_to(60.0, 200.0)).await, SUCCESS, "it is free again");
+    assert_eq!(driver.run(MOVE, &move_to(60.0, 200.0)).await, SUCCESS, "the lease is free again");
     driver.reset();
-    let state = cell.gateway.until("nobody holds it", |state| state["lease_holder"].is_null()).await;
-    assert_eq!(state["fast_stop"], false, "nothing moved");
+    let state = cell.gateway.until("the lease is free", |state| state["lease_holder"].is_null()).await;
+    assert_eq!(state["fast_stop"], false, "the gripper stood");
 }
 
 #[tokio::test]
-async fn the_gateways_end_is_told_and_announced() {
+async fn gateway_shutdown_aborts_and_announces() {
     let cell = Cell::homed().await;
     let mut driver = cell.driver().await;
     assert_eq!(driver.status(MOVE, &move_to(5.0, 5.0)).await, PENDING);
@@ -121,7 +121,7 @@ async fn the_gateways_end_is_told_and_announced() {
     let ended = cell.gateway.terminate();
     let (ended, status) = tokio::join!(ended, driver.end_of(MOVE));
     assert!(ended.status.success(), "{ended:?}");
-    assert_eq!(status, ABORTED, "it was stopped");
+    assert_eq!(status, ABORTED, "the motion was stopped");
     assert_eq!(cell.proxy.frames.all().last().map(|frame| frame.id), Some(0x07));
     assert_eq!(cell.proxy.frames.count(0x23), 0, "no client was lost");
 }
