@@ -104,8 +104,8 @@ impl WsgPort {
             if !address.ip().is_loopback() && self.allow.is_empty() && !insecure {
                 let detail = format!(
                     "{address} is not a loopback address, and the WSG protocol has no credentials: any client that \
-                     reaches it can move the gripper. List the allowed networks in wsg_port_allow, or pass --insecure if \
-                     the network is yours alone"
+                     reaches it can move the gripper. List the allowed networks in wsg_port_allow, or pass --insecure \
+                     if the network is yours alone"
                 );
                 return Err(ConfigError::at(place, detail));
             }

@@ -194,9 +194,9 @@ impl Zenoh {
             exposed.map(|(endpoint, place)| (endpoint.as_str(), place)).find(|(endpoint, _)| !is_loopback(endpoint));
         let Some((what, place)) = exposed.or_else(|| Some((self.looks_for()?, place))) else { return Ok(()) };
         let detail = format!(
-            "{what} reaches beyond loopback, and clients need no credentials: any client on that Zenoh network can move \
-             the grippers. Set [zenoh] config to a Zenoh configuration with mutual TLS, or with access_control that denies \
-             by default, or pass --insecure if the network is yours alone"
+            "{what} reaches beyond loopback, and clients need no credentials: any client on that Zenoh network can \
+             move the grippers. Set [zenoh] config to a Zenoh configuration with mutual TLS, or with access_control that \
+             denies by default, or pass --insecure if the network is yours alone"
         );
         Err(ConfigError::at(place, detail))
     }
