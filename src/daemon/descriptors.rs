@@ -1,4 +1,4 @@
-//! File descriptors: the limit of the process, and the shares of it, so that no client can take the descriptors that a
+//! File descriptors: the limit of the process and its shares, so that no client can take the descriptors that a
 //! device, the journal or a FAST STOP needs.
 
 use rustix::process::{Resource, getrlimit, setrlimit};

@@ -21,7 +21,7 @@ pub const COUNTED_FOR: Duration = Duration::from_secs(1);
 /// Kinds of refusals that are counted separately within a second. The rest are counted together.
 const MAX_KINDS: usize = 256;
 
-/// Refusals of a kind that are answered at once within a second. A PLC that retries every cycle stays below.
+/// Refusals of a kind that are answered at once within a second. A PLC that retries every cycle has fewer.
 const MAX_PROMPT: u64 = 100;
 
 /// Delay of each further answer.

@@ -49,7 +49,7 @@ impl Operation {
         Self { name, verb: &Verb::GET, path, role, urgency, starts_command: false, waits: false, run }
     }
 
-    /// Declares an operation that may change something.
+    /// Declares an operation that can change something.
     pub(super) const fn change(name: &'static str, verb: &'static Verb, path: &'static str, run: Run) -> Self {
         let (role, urgency) = (Role::Operator, Urgency::None);
         Self { name, verb, path, role, urgency, starts_command: false, waits: false, run }
@@ -76,7 +76,7 @@ impl Operation {
         (self.run)(call)
     }
 
-    /// Whether the operation may change something.
+    /// Whether the operation can change something.
     #[must_use]
     pub fn changes_something(&self) -> bool {
         self.verb != Verb::GET
