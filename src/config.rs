@@ -1,5 +1,7 @@
-//! The configuration: a flag beats the environment beats the file. Validated once, here; nothing else reads flags, the
-//! environment or the file. A mistake is named with its place and its remedy.
+//! The configuration. A flag overrides the environment, which overrides the file.
+//!
+//! Everything is validated once, here; nothing else reads flags, the environment or the file. An error names its place
+//! and its remedy.
 
 use std::collections::BTreeSet;
 use std::fmt;
@@ -23,94 +25,86 @@ pub use journal::{Journal, JournalFlags, JournalPlace, OnJournalFailure};
 pub use wsg_port::{Acknowledge, WsgAddress, WsgPort};
 pub use zenoh::{Zenoh, ZenohFlags, ZenohMode};
 
-/// Where the daemon listens unless it is told otherwise.
+/// Default address of HTTP.
 const DEFAULT_LISTEN: &str = "127.0.0.1:8080";
 
-/// The gateway's name unless it is told otherwise.
 const DEFAULT_NAME: &str = "gateway";
 
-/// How long a running command may take to finish at the orderly end.
+/// Default time for a running command to finish at shutdown.
 const DEFAULT_DRAIN: Duration = Duration::from_secs(2);
 
-/// And at most: whoever ends the gateway waits for it.
+/// Longest configurable drain, since the shutdown waits for it.
 const LONGEST_DRAIN: Duration = Duration::from_mins(1);
 
-/// What is served when nothing is configured: two simulated grippers, a part in reach of one.
+/// Default grippers: two simulated ones, one with a part in reach.
 const DEFAULT_GRIPPERS: [&str; 2] = ["left=sim://wsg50?part_mm=20", "right=sim://wsg50"];
 
-/// What `serve` takes from the command line and the environment.
+/// Flags and environment variables of `serve`.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct Flags {
-    /// A gripper and where it is, e.g. left=tcp://192.168.1.20:1000 or right=sim://wsg50 (repeatable)
+    /// Name and address of a gripper, e.g. left=tcp://192.168.1.20:1000 or right=sim://wsg50 (repeatable)
     #[arg(long = "gripper", value_name = "NAME=URL", env = "WSG_GATEWAY_GRIPPERS", value_delimiter = ',')]
     pub grippers: Vec<String>,
-    /// Where to serve HTTP [default: 127.0.0.1:8080]
+    /// Address to serve HTTP on [default: 127.0.0.1:8080]
     #[arg(long, value_name = "ADDR", env = "WSG_GATEWAY_LISTEN")]
     pub listen: Option<String>,
-    /// The gateway's name [default: gateway]
+    /// Name of the gateway [default: gateway]
     #[arg(long, value_name = "NAME", env = "WSG_GATEWAY_NAME")]
     pub name: Option<String>,
-    /// Where to keep the journal: a file, or :memory: [default: NAME.db in $STATE_DIRECTORY or
-    /// ~/.local/state/wsg-gateway]; of a file the newest 4096 MB are kept, or journal_max_size_mb of the --config file
+    /// Journal file, or :memory: [default: NAME.db in $STATE_DIRECTORY or ~/.local/state/wsg-gateway]. A file keeps
+    /// the newest 4096 MB, or journal_max_size_mb of the --config file
     #[arg(long, value_name = "PATH", env = "WSG_GATEWAY_JOURNAL")]
     pub journal: Option<String>,
-    /// Serve a gripper by the WSG protocol itself, e.g. left=127.0.0.1:1000 or left=udp://127.0.0.1:1500 (repeatable)
+    /// Serve a gripper over the WSG protocol, e.g. left=127.0.0.1:1000 or left=udp://127.0.0.1:1500 (repeatable)
     #[arg(long = "wsg-port", value_name = "NAME=ADDR", env = "WSG_GATEWAY_WSG_PORTS", value_delimiter = ',')]
     pub wsg_ports: Vec<String>,
-    /// Zenoh.
     #[command(flatten)]
     pub zenoh: ZenohFlags,
-    /// A TOML file, for these and all other settings
+    /// TOML file with these and all other settings
     #[arg(long, value_name = "FILE", env = "WSG_GATEWAY_CONFIG")]
     pub config: Option<PathBuf>,
-    /// Listen on other addresses than loopback although there are no credentials yet: whoever reaches them can move the
-    /// grippers
+    /// Allow addresses other than loopback, although clients need no credentials yet: any client that reaches them can
+    /// move the grippers
     #[arg(long, env = "WSG_GATEWAY_INSECURE")]
     pub insecure: bool,
 }
 
-/// A valid configuration.
+/// A validated configuration.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Config {
-    /// The gateway's name.
     pub name: Name,
-    /// Where HTTP is served.
+    /// Address that HTTP is served on.
     pub listen: SocketAddr,
-    /// What `Host` may be, besides addresses and `localhost`.
+    /// Allowed values of `Host`, besides addresses and `localhost`.
     pub hosts: Vec<String>,
-    /// The grippers.
     pub grippers: Vec<Gripper>,
-    /// How long a running command may take to finish at the orderly end.
+    /// Time for a running command to finish at shutdown.
     pub drain: Duration,
-    /// The journal.
     pub journal: Journal,
-    /// Zenoh, unless it is off.
+    /// `None` if Zenoh is off.
     pub zenoh: Option<Zenoh>,
 }
 
 /// One gripper.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Gripper {
-    /// Its name.
     pub name: Name,
-    /// Where it is.
     pub device: Device,
-    /// What the ids of its scripts mean.
+    /// Meaning of the ids of the gripper's scripts.
     pub custom_ids: CustomIds,
-    /// What may be asked for of its lease.
+    /// Lease terms that clients can choose.
     pub lease: LeaseRules,
-    /// Its WSG port.
     pub wsg_port: WsgPort,
-    /// Where that is said.
+    /// Place of the gripper's configuration.
     pub place: Place,
 }
 
-/// Where a gripper is.
+/// The device of a gripper.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Device {
-    /// At an address.
+    /// A device at an address.
     At(Address),
-    /// In this process: `sim://…`, which the daemon reads.
+    /// A device simulated in this process: `sim://…`, which the daemon parses.
     Simulated(url::Url),
 }
 
@@ -123,19 +117,18 @@ impl fmt::Display for Device {
     }
 }
 
-/// Where something is configured.
+/// Place of a setting, as errors name it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Place {
-    /// By a flag or its environment variable.
+    /// A flag or its environment variable.
     Flag(&'static str),
-    /// In a file.
+    /// A line of a file.
     File {
-        /// Its path.
         path: PathBuf,
         /// Counted from 1.
         line: usize,
     },
-    /// Nowhere: the default.
+    /// No place: the default applies.
     Default,
 }
 
@@ -149,31 +142,29 @@ impl fmt::Display for Place {
     }
 }
 
-/// A mistake in a configuration: where, what, and what to do about it.
+/// An error in a configuration, with its place and remedy.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{place}: {detail}")]
 pub struct ConfigError {
-    /// Where it is.
     pub place: Place,
-    /// What it is, with its remedy.
+    /// Description with the remedy.
     pub detail: String,
 }
 
 impl ConfigError {
-    /// At a place.
     pub fn at(place: &Place, detail: impl fmt::Display) -> Self {
         Self { place: place.clone(), detail: detail.to_string() }
     }
 }
 
-/// A value and where it was said.
+/// A value with its place.
 struct Placed<T> {
     value: T,
     place: Place,
 }
 
 impl Config {
-    /// From the flags (which clap has merged with the environment) and the file that they name.
+    /// Merges the flags, which include the environment, with the file that they name.
     ///
     /// # Errors
     /// The first [`ConfigError`].
@@ -216,13 +207,13 @@ impl Config {
 
 fn parse_listen(listen: &Placed<String>, insecure: bool) -> Result<SocketAddr, ConfigError> {
     let address: SocketAddr = listen.value.parse().map_err(|_| {
-        let detail = format!("{:?} is no address to listen on: write it as 127.0.0.1:8080 or [::1]:8080", listen.value);
+        let detail = format!("{:?} is not an address to listen on: write 127.0.0.1:8080 or [::1]:8080", listen.value);
         ConfigError::at(&listen.place, detail)
     })?;
     if !address.ip().is_loopback() && !insecure {
         let detail = format!(
-            "{address} is not a loopback address, and there are no credentials yet: whoever reaches it can move the \
-             grippers. Listen on 127.0.0.1, or say --insecure if the network is yours alone"
+            "{address} is not a loopback address, and clients need no credentials yet: any client that reaches it can \
+             move the grippers. Listen on 127.0.0.1, or pass --insecure if the network is yours alone"
         );
         return Err(ConfigError::at(&listen.place, detail));
     }
@@ -235,7 +226,7 @@ fn drain(file: Option<&File>) -> Result<Duration, ConfigError> {
     };
     let drain = Duration::from_millis(*drain_ms.get_ref());
     if drain > LONGEST_DRAIN {
-        let detail = format!("drain_ms is {}, and may be {} at most", drain.as_millis(), LONGEST_DRAIN.as_millis());
+        let detail = format!("drain_ms is {}; at most {} is allowed", drain.as_millis(), LONGEST_DRAIN.as_millis());
         return Err(ConfigError::at(&file.place(drain_ms.span().start), detail));
     }
     Ok(drain)
@@ -262,19 +253,19 @@ fn grippers(flags: &Flags, file: Option<&File>, insecure: bool) -> Result<Vec<Gr
     Ok(configured)
 }
 
-/// Why two grippers can't both be served.
+/// Returns why two grippers cannot both be served, if so.
 fn conflict(one: &Gripper, other: &Gripper) -> Option<String> {
     if one.name == other.name {
-        return Some(format!("the name {:?} is given to two grippers: each needs its own", one.name.as_str()));
+        return Some(format!("two grippers are named {:?}: give each its own name", one.name.as_str()));
     }
     let (Device::At(address), Device::At(other_address)) = (&one.device, &other.device) else { return None };
     let why = address.conflict_with(other_address)?;
-    Some(format!("{} and {} exclude each other: {why}", one.name, other.name))
+    Some(format!("{} and {} cannot both be served: {why}", one.name, other.name))
 }
 
 fn parse_gripper(text: &str, place: &Place) -> Result<Gripper, ConfigError> {
     let (name, url) = text.split_once('=').ok_or_else(|| {
-        ConfigError::at(place, format!("{text:?} is no gripper: write it as left=tcp://192.168.1.20:1000"))
+        ConfigError::at(place, format!("{text:?} is not a gripper: write left=tcp://192.168.1.20:1000"))
     })?;
     Ok(Gripper {
         name: name.parse().map_err(|error| ConfigError::at(place, error))?,
@@ -291,12 +282,11 @@ fn parse_device(url: &str, place: &Place) -> Result<Device, ConfigError> {
         return url
             .parse()
             .map(Device::Simulated)
-            .map_err(|error| ConfigError::at(place, format!("{url:?} is no URL ({error}): write it as sim://wsg50")));
+            .map_err(|error| ConfigError::at(place, format!("{url:?} is not a URL ({error}): write sim://wsg50")));
     }
     url.parse().map(Device::At).map_err(|error| ConfigError::at(place, error))
 }
 
-/// The path of a file, as mistakes name it.
 fn owned(path: &Path) -> PathBuf {
     path.to_owned()
 }

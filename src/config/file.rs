@@ -10,7 +10,7 @@ use super::{ConfigError, Content, Gripper, GripperContent, Place, WsgPort, owned
 use crate::gripper::model::lease::{MAX_TTL, MIN_TTL};
 use crate::gripper::model::{CustomIds, LeaseRules};
 
-/// A file that was read, with what is needed to name its lines.
+/// A parsed file, with its text for finding line numbers.
 #[derive(Debug)]
 pub struct File {
     path: PathBuf,
@@ -19,10 +19,8 @@ pub struct File {
 }
 
 impl File {
-    /// Reads it.
-    ///
     /// # Errors
-    /// [`ConfigError`], where it can't be read, or is no such TOML.
+    /// [`ConfigError`] if the file cannot be read or its content is invalid.
     pub fn read(path: &Path) -> Result<Self, ConfigError> {
         let place = Place::File { path: owned(path), line: 1 };
         let text = std::fs::read_to_string(path).map_err(|error| ConfigError::at(&place, error))?;
@@ -32,7 +30,7 @@ impl File {
     /// Parses a file's text.
     ///
     /// # Errors
-    /// [`ConfigError`], where it is no such TOML.
+    /// [`ConfigError`] if the content is invalid.
     pub fn parse(path: &Path, text: String) -> Result<Self, ConfigError> {
         let content = toml::from_str(&text).map_err(|error: toml::de::Error| {
             let line = line_of(&text, error.span().map_or(0, |span| span.start));
@@ -41,12 +39,12 @@ impl File {
         Ok(Self { path: owned(path), text, content })
     }
 
-    /// What a path in it means: beside it, unless it is absolute.
+    /// Resolves a path in the file relative to the file's directory.
     pub(super) fn beside(&self, path: &Path) -> PathBuf {
         self.path.parent().map_or_else(|| path.to_owned(), |directory| directory.join(path))
     }
 
-    /// The place of this byte.
+    /// Place of the byte at `offset`.
     pub(super) fn place(&self, offset: usize) -> Place {
         Place::File { path: self.path.clone(), line: line_of(&self.text, offset) }
     }
@@ -72,19 +70,18 @@ impl File {
         let read = self.script_ids("read_ids", gripper.read_ids.as_ref())?;
         let stream = self.script_ids("stream_ids", gripper.stream_ids.as_ref())?;
         if let (Some(both), Some(place)) = (stream.intersection(&read).next(), &gripper.stream_ids) {
-            let detail = format!("{both} is among read_ids and stream_ids: it moves the fingers, or it doesn't");
+            let detail = format!("{both} is in read_ids and stream_ids: keep it in one of them");
             return Err(ConfigError::at(&self.place(place.span().start), detail));
         }
         Ok(CustomIds { read, stream })
     }
 
-    /// Ids of scripts on the gripper. What the manual's ids do is known, and can't be declared.
+    /// Parses ids of scripts on the gripper. The effect of the manual's ids is known, so they cannot be declared.
     fn script_ids(&self, field: &str, ids: Option<&Spanned<BTreeSet<u8>>>) -> Result<BTreeSet<u8>, ConfigError> {
         let Some(ids) = ids else { return Ok(BTreeSet::new()) };
         if let Some((id, name)) = ids.get_ref().iter().find_map(|&id| Some((id, CustomIds::name_in_manual(id)?))) {
-            let detail = format!(
-                "{field} has {id} ({id:02X}h), which the manual knows as {name}: list only ids of scripts on the gripper"
-            );
+            let detail =
+                format!("{field} contains {id} ({id:02X}h), which is {name} in the manual: list only ids of scripts");
             return Err(ConfigError::at(&self.place(ids.span().start), detail));
         }
         Ok(ids.get_ref().clone())
@@ -128,7 +125,7 @@ impl File {
         match given {
             None => Ok(default),
             Some(words) if words.get_ref().is_empty() => {
-                let detail = format!("{key} is empty: name what clients may choose, what counts by default first");
+                let detail = format!("{key} is empty: list what clients can choose, the default first");
                 Err(ConfigError::at(&self.place(words.span().start), detail))
             }
             Some(words) => Ok(words.get_ref().clone()),

@@ -1,4 +1,4 @@
-//! Where the journal is kept, for how long, and what happens while it can't be written.
+//! Settings of the journal: place, retention, and the treatment of motions while it cannot be written.
 
 use std::ffi::OsString;
 use std::ops::RangeInclusive;
@@ -11,72 +11,71 @@ use toml::Spanned;
 use super::{ConfigError, DEFAULT_NAME, File, Flags, Place};
 use crate::gripper::model::Name;
 
-/// How old records may be told to get at most, in days: a century.
+/// Highest configurable age of records, in days: a century.
 const MAX_AGE_DAYS: u64 = 36_525;
 
-/// How large a file may be told to get at most, in MB: what SQLite can address with pages of 4 KiB.
+/// Highest configurable file size, in MB: what SQLite can address with pages of 4 KiB.
 const MAX_SIZE_MB: u64 = 16_000_000;
 
-/// How large a file gets where nothing is said, in MB: millions of records, and no disk full of those of a client that
-/// asks without end.
+/// Default limit of the file size, in MB. It holds millions of records, and keeps a client that floods the gateway
+/// from filling the disk.
 const DEFAULT_SIZE_MB: u64 = 4096;
 
-/// The journal.
+/// Settings of the journal.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Journal {
-    /// Where it is kept.
     pub place: JournalPlace,
-    /// What happens to motions while it can't be written.
+    /// Treatment of motions while the journal cannot be written.
     pub on_failure: OnJournalFailure,
-    /// How old its records get; for ever where there is none.
+    /// Age at which records are removed; `None` keeps them for ever.
     pub max_age: Option<Duration>,
-    /// How large its file gets, in bytes; without an end where there is none.
+    /// Size limit of the file in bytes; `None` means unlimited.
     pub max_bytes: Option<u64>,
 }
 
-/// Where the journal is kept.
+/// Place of the journal.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum JournalPlace {
-    /// In a file.
+    /// A file.
     File(PathBuf),
-    /// In memory, until the gateway ends.
+    /// Memory, until the gateway ends.
     Memory,
 }
 
-/// What happens to motions while the journal can't be written.
+/// Treatment of motions while the journal cannot be written.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum OnJournalFailure {
-    /// They are refused.
+    /// Motions are refused.
     #[default]
     Refuse,
-    /// They go on, without a durable record.
+    /// Motions go on without a durable record.
     Continue,
 }
 
-/// Which gateway's journal a subcommand reads.
+/// Flags that select the journal that a subcommand reads.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct JournalFlags {
-    /// The journal's file [default: that of the gateway with this --name]
+    /// Journal file [default: the file of the gateway named by --name]
     #[arg(long, value_name = "PATH", env = "WSG_GATEWAY_JOURNAL", global = true)]
     pub journal: Option<String>,
-    /// The gateway's name [default: gateway]
+    /// Name of the gateway [default: gateway]
     #[arg(long, value_name = "NAME", env = "WSG_GATEWAY_NAME", global = true)]
     pub name: Option<String>,
 }
 
 impl JournalFlags {
-    /// The file.
+    /// Returns the journal's file.
     ///
     /// # Errors
-    /// [`ConfigError`], where there can be none.
+    /// [`ConfigError`] if the journal has no file.
     pub fn path(&self) -> Result<PathBuf, ConfigError> {
         let name = self.name.as_deref().unwrap_or(DEFAULT_NAME);
         let name = name.parse().map_err(|error| ConfigError::at(&Place::Flag("--name"), error))?;
         match place(self.journal.as_deref(), &Place::Flag("--journal"), &name)? {
             JournalPlace::File(path) => Ok(path),
             JournalPlace::Memory => {
-                let detail = "a journal in memory can be read over the gateway's HTTP alone: name a file";
+                let detail = "a journal in memory can be read over HTTP only: name a file";
                 Err(ConfigError::at(&Place::Flag("--journal"), detail))
             }
         }
@@ -96,9 +95,9 @@ impl Journal {
         let max_size_mb = content.and_then(|content| content.journal_max_size_mb.as_ref());
         let max_age_days =
             bounded(file, "journal_max_age_days", max_age_days, 1..=MAX_AGE_DAYS, "leave it out to keep everything")?;
-        let remedy = "0 is without limit";
+        let remedy = "0 means unlimited";
         let max_size_mb = bounded(file, "journal_max_size_mb", max_size_mb, 0..=MAX_SIZE_MB, remedy)?;
-        // What one in memory gets is the journal's to say.
+        // A journal in memory has a limit of its own.
         let default = matches!(place, JournalPlace::File(_)).then_some(DEFAULT_SIZE_MB);
         let max_size_mb = max_size_mb.or(default).filter(|megabytes| *megabytes > 0);
         Ok(Self {
@@ -129,18 +128,18 @@ fn bounded(
 fn place(journal: Option<&str>, said: &Place, name: &Name) -> Result<JournalPlace, ConfigError> {
     match journal {
         Some(":memory:") => Ok(JournalPlace::Memory),
-        Some("") => Err(ConfigError::at(said, "the journal has no name: write a path, or :memory:")),
+        Some("") => Err(ConfigError::at(said, "the journal's path is empty: write a path, or :memory:")),
         Some(path) => Ok(JournalPlace::File(path.into())),
         None => {
             let home = etcetera::base_strategy::Xdg::new().ok().and_then(|directories| directories.state_dir());
             let path = default_path(std::env::var_os("STATE_DIRECTORY"), home.as_deref(), name);
-            let none = "there is no directory for the journal, as HOME is not set: say --journal PATH or :memory:";
+            let none = "HOME is not set, so the journal has no directory: pass --journal PATH or --journal :memory:";
             path.map(JournalPlace::File).ok_or_else(|| ConfigError::at(said, none))
         }
     }
 }
 
-/// In the directory that systemd gives a service (the first, where it gives several), else in the user's own.
+/// Returns the path in the service's directory from systemd (the first of several), or else in the user's directory.
 fn default_path(service: Option<OsString>, user: Option<&Path>, name: &Name) -> Option<PathBuf> {
     let service = service
         .filter(|directories| !directories.is_empty())
@@ -154,7 +153,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_default_is_the_service_s_directory_or_the_user_s() {
+    fn default_is_in_service_or_user_directory() {
         let name: Name = "cell-7".parse().unwrap();
         let path = |service: Option<&str>, user: Option<&str>| {
             default_path(service.map(OsString::from), user.map(Path::new), &name)
@@ -170,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn a_subcommand_reads_a_file_and_no_memory() {
+    fn subcommand_reads_only_a_file() {
         let flags = |journal: &str| JournalFlags { journal: Some(journal.to_owned()), name: None };
         assert_eq!(flags("j.db").path(), Ok("j.db".into()));
         assert!(flags(":memory:").path().unwrap_err().to_string().contains("name a file"));

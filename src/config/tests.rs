@@ -9,7 +9,7 @@ fn file(text: &str) -> Result<Config, ConfigError> {
 }
 
 #[test]
-fn without_a_word_two_simulated_grippers_are_served_on_loopback() {
+fn defaults_are_two_simulated_grippers_on_loopback() {
     let config = Config::load(&flags()).unwrap();
     let names: Vec<_> = config.grippers.iter().map(|gripper| gripper.name.as_str()).collect();
     assert_eq!(names, ["left", "right"]);
@@ -17,7 +17,7 @@ fn without_a_word_two_simulated_grippers_are_served_on_loopback() {
 }
 
 #[test]
-fn a_flag_beats_the_file() {
+fn flag_overrides_file() {
     let text = "name = \"cell-7\"\nlisten = \"127.0.0.1:9000\"\n[grippers.g]\nurl = \"tcp://10.0.0.1:1000\"\n";
     let config = file(text).unwrap();
     assert_eq!((config.name.as_str(), config.listen.port()), ("cell-7", 9000));
@@ -29,40 +29,39 @@ fn a_flag_beats_the_file() {
 }
 
 #[test]
-fn a_mistake_in_a_file_is_named_with_its_line_and_remedy() {
+fn file_error_names_line_and_remedy() {
     let mistake = |text: &str| file(text).unwrap_err().to_string();
     assert!(mistake("name = \"Cell 7\"").starts_with("gateway.toml:1: \"Cell 7\" is not a valid name"));
-    assert!(mistake("\n\nlisten = \"8080\"").starts_with("gateway.toml:3: \"8080\" is no address"));
+    assert!(mistake("\n\nlisten = \"8080\"").starts_with("gateway.toml:3: \"8080\" is not an address"));
     assert!(
         mistake("[grippers.g]\n\nurl = \"can://can0?tx=9999\"").starts_with("gateway.toml:3: \"can://can0?tx=9999\": ")
     );
     assert!(mistake("name = \"a\"\nlistne = 1").starts_with("gateway.toml:2: unknown field `listne`"));
     assert!(mistake("[grippers.Left]\nurl = \"sim://wsg50\"").starts_with("gateway.toml:1: \"Left\" is not a valid name"));
-    assert!(mistake("journal = \"\"").starts_with("gateway.toml:1: the journal has no name"));
+    assert!(mistake("journal = \"\"").starts_with("gateway.toml:1: the journal's path is empty"));
     assert!(
-        mistake("\njournal_max_size_mb = 20000000").starts_with(
-            "gateway.toml:2: journal_max_size_mb is 20000000, and must be from 0 to 16000000: 0 is without"
-        )
+        mistake("\njournal_max_size_mb = 20000000")
+            .starts_with("gateway.toml:2: journal_max_size_mb is 20000000, and must be from 0 to 16000000: 0 means")
     );
     assert!(mistake("journal_max_age_days = 40000").contains("from 1 to 36525"));
     assert!(mistake("on_journal_failure = \"stop\"").contains("expected `refuse` or `continue`"));
     assert!(mistake("[grippers.g]\nurl = \"sim://wsg50\"\nread_ids = [256]").starts_with("gateway.toml:3: "));
     assert!(
         mistake("[grippers.g]\nurl = \"sim://wsg50\"\nread_ids = [176]\nstream_ids = [177, 176]")
-            .starts_with("gateway.toml:4: 176 is among read_ids and stream_ids")
+            .starts_with("gateway.toml:4: 176 is in read_ids and stream_ids")
     );
     for field in ["read_ids", "stream_ids"] {
         let known = mistake(&format!("[grippers.g]\nurl = \"sim://wsg50\"\n{field} = [176, 33]"));
         let expected =
-            format!("gateway.toml:3: {field} has 33 (21h), which the manual knows as PrePosition: list only");
+            format!("gateway.toml:3: {field} contains 33 (21h), which is PrePosition in the manual: list only");
         assert!(known.starts_with(&expected), "{known}");
     }
     assert!(mistake("[grippers.g]\n").contains("missing field `url`"));
-    assert!(mistake("\ndrain_ms = 60001").starts_with("gateway.toml:2: drain_ms is 60001, and may be 60000 at most"));
+    assert!(mistake("\ndrain_ms = 60001").starts_with("gateway.toml:2: drain_ms is 60001; at most 60000 is allowed"));
 }
 
 #[test]
-fn a_mistake_in_a_flag_is_named_with_its_remedy() {
+fn flag_error_names_remedy() {
     let mistake = |flags: Flags| Config::load(&flags).unwrap_err().to_string();
     let gripper = |text: &str| Flags { grippers: vec![text.to_owned()], ..flags() };
     assert!(mistake(gripper("left")).contains("left=tcp://192.168.1.20:1000"));
@@ -76,17 +75,17 @@ fn a_mistake_in_a_flag_is_named_with_its_remedy() {
 }
 
 #[test]
-fn two_grippers_that_exclude_each_other_are_named_with_the_line_and_the_remedy() {
+fn conflicting_grippers_are_named_with_line_and_remedy() {
     let text = "[grippers.a]\nurl = \"udp://10.0.0.5\"\n[grippers.b]\nurl = \"udp://10.0.0.6?local_port=1501\"\n";
     let mistake = file(text).unwrap_err().to_string();
-    assert!(mistake.starts_with("gateway.toml:4: a and b exclude each other: "), "{mistake}");
+    assert!(mistake.starts_with("gateway.toml:4: a and b cannot both be served: "), "{mistake}");
     assert!(mistake.contains("UDP port 1501") && mistake.contains("a local_port of its own"), "{mistake}");
     assert!(file(&text.replace("=1501", "=1502")).is_ok());
     assert!(file(&text.replace("udp://10.0.0.5", "sim://wsg50")).is_ok());
 }
 
 #[test]
-fn other_addresses_than_loopback_need_insecure() {
+fn non_loopback_address_needs_insecure() {
     let open = Flags { listen: Some("0.0.0.0:8080".to_owned()), ..flags() };
     assert!(Config::load(&open).unwrap_err().to_string().contains("--insecure"));
     assert!(Config::load(&Flags { insecure: true, ..open }).is_ok());
@@ -95,7 +94,7 @@ fn other_addresses_than_loopback_need_insecure() {
 }
 
 #[test]
-fn the_journal_is_kept_where_and_for_as_long_as_is_said() {
+fn journal_settings_are_applied() {
     let text =
         "journal = \"a.db\"\non_journal_failure = \"continue\"\njournal_max_age_days = 90\njournal_max_size_mb = 500";
     let parsed = File::parse(Path::new("gateway.toml"), text.to_owned()).unwrap();
@@ -115,7 +114,7 @@ fn the_journal_is_kept_where_and_for_as_long_as_is_said() {
 }
 
 #[test]
-fn a_wsg_port_is_where_the_flag_says_or_else_the_file() {
+fn wsg_port_flag_overrides_file() {
     let text = "[grippers.g]\nurl = \"sim://wsg50\"\nwsg_port = [\"127.0.0.1:1000\", \
                 \"udp://127.0.0.1?reply_port=1501&lost_after_ms=10000\"]\nwsg_port_acknowledge = \"any\"\n";
     let of = |config: Config| config.grippers.into_iter().next().unwrap().wsg_port;
@@ -137,7 +136,7 @@ fn a_wsg_port_is_where_the_flag_says_or_else_the_file() {
 }
 
 #[test]
-fn a_wsg_port_beyond_loopback_needs_a_list_or_a_word() {
+fn non_loopback_wsg_port_needs_allow_list_or_insecure() {
     let text = |more: &str| format!("[grippers.g]\nurl = \"sim://wsg50\"\nwsg_port = \"0.0.0.0:1000\"\n{more}");
     let mistake = file(&text("")).unwrap_err().to_string();
     assert!(mistake.starts_with("gateway.toml:3: 0.0.0.0:1000 is not a loopback address"), "{mistake}");
@@ -150,11 +149,11 @@ fn a_wsg_port_beyond_loopback_needs_a_list_or_a_word() {
             .is_ok()
     );
     let mistake = file(&text("wsg_port_allow = [\"192.168.1\"]")).unwrap_err().to_string();
-    assert!(mistake.starts_with("gateway.toml:4: \"192.168.1\" is no address and no network"), "{mistake}");
+    assert!(mistake.starts_with("gateway.toml:4: \"192.168.1\" is neither an address nor a network"), "{mistake}");
 }
 
 #[test]
-fn a_wrong_wsg_port_is_named_with_its_remedy() {
+fn wsg_port_error_names_remedy() {
     let mistake = |text: &str| {
         let flags = Flags { wsg_ports: vec![text.to_owned()], ..flags() };
         Config::load(&flags).unwrap_err().to_string()
@@ -164,5 +163,5 @@ fn a_wrong_wsg_port_is_named_with_its_remedy() {
     assert!(mistake("left=can://can0").contains("127.0.0.1:1000"));
     assert!(mistake("left=udp://127.0.0.1:1500?local_port=1").contains("reply_port"));
     assert!(mistake("left=udp://127.0.0.1?lost_after_ms=1").contains("a number from 100 to 60000"));
-    assert!(mistake("middle=127.0.0.1:1000").contains("there are: left, right"));
+    assert!(mistake("middle=127.0.0.1:1000").contains("the grippers are: left, right"));
 }

@@ -1,4 +1,4 @@
-//! Where a gripper is served by the WSG protocol itself, and to whom.
+//! Settings of a WSG port, which serves a gripper over the WSG protocol itself.
 
 use std::net::SocketAddr;
 use std::ops::RangeInclusive;
@@ -11,24 +11,24 @@ use url::Url;
 use super::{ConfigError, File, Gripper, GripperContent, Place};
 use crate::transport::Options;
 
-/// The ports that devices listen on (field practice).
+/// TCP port that devices listen on (field practice).
 const DEFAULT_TCP_PORT: u16 = 1000;
-/// And on UDP.
+/// UDP port that devices listen on (field practice).
 const DEFAULT_UDP_PORT: u16 = 1500;
 
-/// What can be said of how long a client may be silent, in ms: as long as a lease may live.
+/// Configurable silence after which a UDP client is lost, in ms: the range of a lease's time to live.
 const LOST_AFTER_MS: RangeInclusive<u32> = 100..=60_000;
 
 /// The WSG port of one gripper.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct WsgPort {
-    /// Where it is served, and where that is said.
+    /// Addresses that the port is served on, with their places in the configuration.
     pub addresses: Vec<(WsgAddress, Place)>,
-    /// Who may connect; none is everyone.
+    /// Networks that may connect; empty means all.
     pub allow: Vec<IpNet>,
-    /// Who may acknowledge which FAST STOP.
+    /// FAST STOPs that a client may acknowledge.
     pub acknowledge: Acknowledge,
-    /// Whether the checksums of requests count.
+    /// Whether the checksums of requests are checked.
     pub checksum_evaluation: bool,
 }
 
@@ -46,27 +46,25 @@ impl Default for WsgPort {
 /// An address of a WSG port.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum WsgAddress {
-    /// TCP.
     Tcp(SocketAddr),
-    /// UDP.
     Udp {
-        /// Where requests come to.
+        /// Address that receives requests.
         address: SocketAddr,
-        /// Where answers go instead of to the sender's port.
+        /// Port that replies go to, instead of the sender's.
         reply_port: Option<u16>,
-        /// How long a client may be silent, where that is said.
+        /// Silence after which a client is lost, if configured.
         lost_after: Option<Duration>,
     },
 }
 
-/// Who may acknowledge a FAST STOP by 24h.
+/// FAST STOPs that a client may acknowledge with 24h.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Acknowledge {
-    /// Who was told of it, if it has caused it, or the device has.
+    /// A FAST STOP that the client has seen, and that the client or the device caused.
     #[default]
     Own,
-    /// Everyone, always.
+    /// Any FAST STOP.
     Any,
 }
 
@@ -79,7 +77,7 @@ pub(super) enum OneOrMore {
 }
 
 impl WsgPort {
-    /// As a file has it.
+    /// Parses the settings of a gripper in a file.
     pub(super) fn of_file(file: &File, gripper: &GripperContent) -> Result<Self, ConfigError> {
         let texts = match gripper.wsg_port.as_ref().map(|texts| (texts.span(), texts.get_ref())) {
             None => Vec::new(),
@@ -99,14 +97,15 @@ impl WsgPort {
         })
     }
 
-    /// Another address than loopback needs a list of who may connect, or a word that everyone may.
+    /// Checks that an address other than loopback comes with a list of allowed networks, or `--insecure`.
     pub(super) fn check(&self, insecure: bool) -> Result<(), ConfigError> {
         for (address, place) in &self.addresses {
             let (WsgAddress::Tcp(address) | WsgAddress::Udp { address, .. }) = address;
             if !address.ip().is_loopback() && self.allow.is_empty() && !insecure {
                 let detail = format!(
-                    "{address} is not a loopback address, and the WSG protocol knows no credentials: whoever reaches it \
-                     can move the gripper. Name who may in wsg_port_allow, or say --insecure if the network is yours alone"
+                    "{address} is not a loopback address, and the WSG protocol has no credentials: any client that \
+                     reaches it can move the gripper. List the allowed networks in wsg_port_allow, or pass --insecure \
+                     if the network is yours alone"
                 );
                 return Err(ConfigError::at(place, detail));
             }
@@ -115,24 +114,24 @@ impl WsgPort {
     }
 }
 
-/// What `--wsg-port` says beats the file, gripper by gripper.
+/// Overrides the file's ports with those of `--wsg-port`, gripper by gripper.
 pub(super) fn take_flags(grippers: &mut [Gripper], texts: &[String]) -> Result<(), ConfigError> {
     let place = Place::Flag("--wsg-port");
     let mut given: Vec<(&str, WsgAddress)> = Vec::new();
     for text in texts {
-        let (name, address) = text.split_once('=').ok_or_else(|| {
-            ConfigError::at(&place, format!("{text:?} is no WSG port: write it as left=127.0.0.1:1000"))
-        })?;
+        let (name, address) = text
+            .split_once('=')
+            .ok_or_else(|| ConfigError::at(&place, format!("{text:?} is not a WSG port: write left=127.0.0.1:1000")))?;
         given.push((name, parse(address, &place)?));
         if !grippers.iter().any(|gripper| gripper.name.as_str() == name) {
             let names: Vec<_> = grippers.iter().map(|gripper| gripper.name.as_str()).collect();
-            let detail = format!("there is no gripper {name:?} to serve; there are: {}", names.join(", "));
+            let detail = format!("no gripper is named {name:?}; the grippers are: {}", names.join(", "));
             return Err(ConfigError::at(&place, detail));
         }
     }
     for gripper in grippers {
-        let of_it = given.iter().filter(|(name, _)| *name == gripper.name.as_str());
-        let addresses: Vec<_> = of_it.map(|(_, address)| (*address, place.clone())).collect();
+        let own = given.iter().filter(|(name, _)| *name == gripper.name.as_str());
+        let addresses: Vec<_> = own.map(|(_, address)| (*address, place.clone())).collect();
         if !addresses.is_empty() {
             gripper.wsg_port.addresses = addresses;
         }
@@ -150,7 +149,7 @@ fn parse_address(text: &str) -> Result<WsgAddress, String> {
     }
     let wrong = || {
         format!(
-            "{text:?} is no address of a WSG port: write it as 127.0.0.1:1000, or, for UDP, as \
+            "{text:?} is not an address of a WSG port: write 127.0.0.1:1000, or for UDP \
              udp://127.0.0.1:1500?reply_port=1501"
         )
     };
@@ -178,14 +177,13 @@ fn parse_address(text: &str) -> Result<WsgAddress, String> {
 
 fn parse_nets(texts: &[String], place: &Place) -> Result<Vec<IpNet>, ConfigError> {
     if texts.is_empty() {
-        let detail =
-            "wsg_port_allow is empty: name who may connect, or leave it out where only loopback is listened on";
+        let detail = "wsg_port_allow is empty: list the allowed networks, or remove it if the port is on loopback";
         return Err(ConfigError::at(place, detail));
     }
     let parse = |text: &String| {
         let one = || text.parse().map(|ip: std::net::IpAddr| IpNet::from(ip));
         text.parse::<IpNet>().or_else(|_| one()).map_err(|_| {
-            let detail = format!("{text:?} is no address and no network: write it as 192.168.1.0/24 or 192.168.1.7");
+            let detail = format!("{text:?} is neither an address nor a network: write 192.168.1.7 or 192.168.1.0/24");
             ConfigError::at(place, detail)
         })
     };

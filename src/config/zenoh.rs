@@ -1,5 +1,5 @@
-//! How the gateway is on a Zenoh network: by Zenoh's own configuration where a file is given, with what is said here on
-//! top. Where neither says anything it is on loopback alone, and looks for nobody.
+//! Settings of Zenoh. They override Zenoh's own configuration file, if one is given. By default the gateway stays on
+//! loopback and scouts for nothing.
 
 use std::path::PathBuf;
 
@@ -10,49 +10,50 @@ use zenoh::config::{EndPoint, WhatAmI};
 
 use super::{ConfigError, File, Flags, Place};
 
-/// Where it listens unless it is told otherwise.
+/// Default endpoint to listen on.
 const DEFAULT_LISTEN: &str = "tcp/127.0.0.1:7447";
 
-/// How often states and telemetry are published at most, a second and gripper, unless it is told otherwise.
+/// Default limit of published states and telemetry, per second and gripper.
 const DEFAULT_HZ: u64 = 50;
 
-/// And at most: as often as devices tell.
+/// Highest configurable limit: the rate of the devices' updates.
 const MAX_HZ: u64 = 100;
 
-/// The largest message that is taken in, in bytes. Requests have 64 KiB at most, and what is larger is refused by name
-/// while it is below this: 2 MiB as over HTTP, and what stands around it. Zenoh tells nobody of a larger one.
+/// Largest message that Zenoh accepts, in bytes: 2 MiB as over HTTP, and the rest of the message around them. Requests
+/// have 64 KiB at most, and a larger one within this limit is refused with a problem. Zenoh drops a still larger one
+/// silently.
 const MAX_MESSAGE_BYTES: u64 = (2048 + 64) * 1024;
 
-/// After how long without a sign of life others count this gateway as gone, in ms: a fleet shows it within 2 s.
+/// Silence after which others count this gateway as gone, in ms: a fleet shows the loss within 2 s.
 const LEASE_MS: u64 = 1500;
 
-/// How long a message that may be dropped waits for its place, in µs: not at all, since newer ones come.
+/// Time that a droppable message waits for a place in the queue, in µs: none, since newer messages follow.
 const DROPPED_AFTER_US: u64 = 0;
 
-/// How long one that may not be dropped waits before its receiver counts as gone, in µs.
+/// Time that any other message waits for a place before its receiver counts as gone, in µs.
 const CLOSED_AFTER_US: u64 = 1_000_000;
 
-/// What may wait in the system's buffers of a connection, in each direction: what is there goes before a FAST STOP,
-/// whatever its priority.
+/// Size of a connection's socket buffer in each direction, in bytes. Its content leaves before a FAST STOP, whatever
+/// the priority.
 const SOCKET_BYTES: u64 = 64 * 1024;
 
-/// Clients and routers that may be connected at a time.
+/// Clients and routers connected at a time.
 const MAX_SESSIONS: u64 = 256;
 
-/// The protocols that this build speaks.
+/// Protocols that this build supports.
 const PROTOCOLS: &[&str] = &["tcp", "tls"];
 
-/// What the gateway is on a Zenoh network.
+/// Role of the gateway on a Zenoh network.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize, clap::ValueEnum)]
 #[serde(rename_all = "lowercase")]
 pub enum ZenohMode {
-    /// On none
+    /// No Zenoh
     Off,
-    /// Clients connect to it
+    /// Clients connect to the gateway
     Peer,
-    /// It connects to a router, and nobody to it
+    /// The gateway connects to a router, and accepts no connections
     Client,
-    /// Clients and routers connect to it, and it to routers: all of them reach each other
+    /// Clients and routers connect to the gateway, and the gateway to routers: all of them reach each other
     Router,
 }
 
@@ -67,16 +68,16 @@ impl ZenohMode {
     }
 }
 
-/// What is said of Zenoh on the command line and in the environment.
+/// Flags and environment variables for Zenoh.
 #[derive(Debug, Clone, Default, clap::Args)]
 pub struct ZenohFlags {
-    /// What to be on a Zenoh network [default: peer, or router where it connects to others]
+    /// Role on the Zenoh network [default: peer, or router if the gateway connects to others]
     #[arg(long, value_name = "MODE", env = "WSG_GATEWAY_ZENOH_MODE", value_enum)]
     pub zenoh_mode: Option<ZenohMode>,
-    /// A Zenoh endpoint to listen on (repeatable) [default: tcp/127.0.0.1:7447]
+    /// Zenoh endpoint to listen on (repeatable) [default: tcp/127.0.0.1:7447]
     #[arg(long, value_name = "ENDPOINT", env = "WSG_GATEWAY_ZENOH_LISTEN", value_delimiter = ',')]
     pub zenoh_listen: Vec<String>,
-    /// A Zenoh endpoint to connect to, e.g. tcp/127.0.0.1:7448 (repeatable)
+    /// Zenoh endpoint to connect to, e.g. tcp/127.0.0.1:7448 (repeatable)
     #[arg(long, value_name = "ENDPOINT", env = "WSG_GATEWAY_ZENOH_CONNECT", value_delimiter = ',')]
     pub zenoh_connect: Vec<String>,
 }
@@ -92,16 +93,16 @@ pub(super) struct Content {
     max_hz: Option<Spanned<u64>>,
 }
 
-/// How the gateway is on a Zenoh network.
+/// Settings of Zenoh.
 #[derive(Debug, Clone)]
 pub struct Zenoh {
     /// Zenoh's own configuration.
     pub settings: zenoh::Config,
-    /// Where it listens.
+    /// Endpoints to listen on.
     pub listen: Vec<String>,
-    /// Where it connects to.
+    /// Endpoints to connect to.
     pub connect: Vec<String>,
-    /// How often states and telemetry are published at most, a second and gripper.
+    /// Limit of published states and telemetry, per second and gripper.
     pub max_hz: u32,
 }
 
@@ -113,7 +114,7 @@ impl PartialEq for Zenoh {
 }
 
 impl Zenoh {
-    /// None where it is off.
+    /// Returns `None` if Zenoh is off.
     pub(super) fn merge(flags: &Flags, file: Option<&File>, insecure: bool) -> Result<Option<Self>, ConfigError> {
         let content = file.map(|file| (file, &file.content.zenoh));
         let flags = &flags.zenoh;
@@ -129,7 +130,7 @@ impl Zenoh {
         };
         let listen = given("--zenoh-listen", &flags.zenoh_listen, of_file(|content| &content.listen));
         let connect = given("--zenoh-connect", &flags.zenoh_connect, of_file(|content| &content.connect));
-        // Peers pass nothing on between each other, so who connects to others does it as a router.
+        // Peers forward nothing between each other, so a gateway that connects to others is a router by default.
         let default = if connect.is_some() { WhatAmI::Router } else { WhatAmI::Peer };
         let mode = match flags.zenoh_mode.or_else(|| content.and_then(|(_, content)| content.mode)) {
             Some(mode) => mode.role(),
@@ -169,7 +170,7 @@ impl Zenoh {
         setting(&self.settings, key)
     }
 
-    /// Whether those that it is exposed to have to show who they are, and are told apart.
+    /// Whether access control denies by default, or mutual TLS protects all exposed endpoints.
     fn asks_for_credentials(&self) -> bool {
         let mut exposed = self.listen.iter().chain(&self.connect).filter(|endpoint| !is_loopback(endpoint));
         let mutual_tls = self.setting("transport/link/tls/enable_mtls") == true;
@@ -178,7 +179,7 @@ impl Zenoh {
             || (mutual_tls && exposed.all(|endpoint| endpoint.starts_with("tls/")) && self.looks_for().is_none())
     }
 
-    /// By what it finds others whose addresses nobody has named.
+    /// Returns the setting by which Zenoh finds others whose addresses are not configured, if one is on.
     fn looks_for(&self) -> Option<&'static str> {
         let (multicast, gossip) = ("scouting/multicast/enabled", "scouting/gossip/autoconnect");
         if self.setting(multicast) == true {
@@ -193,15 +194,15 @@ impl Zenoh {
             exposed.map(|(endpoint, place)| (endpoint.as_str(), place)).find(|(endpoint, _)| !is_loopback(endpoint));
         let Some((what, place)) = exposed.or_else(|| Some((self.looks_for()?, place))) else { return Ok(()) };
         let detail = format!(
-            "{what} reaches beyond loopback, and there are no credentials yet: whoever is on that Zenoh network can move \
-             the grippers. Give a Zenoh configuration with mutual TLS, or with access_control that denies what no rule allows, in [zenoh] config, or say \
-             --insecure if the network is yours alone"
+            "{what} reaches beyond loopback, and clients need no credentials: any client on that Zenoh network can \
+             move the grippers. Set [zenoh] config to a Zenoh configuration with mutual TLS, or with access_control that \
+             denies by default, or pass --insecure if the network is yours alone"
         );
         Err(ConfigError::at(place, detail))
     }
 }
 
-/// Zenoh's own file, or nothing.
+/// Zenoh's own configuration file, or Zenoh's defaults.
 struct Base {
     settings: zenoh::Config,
     place: Place,
@@ -216,7 +217,7 @@ impl Base {
         let place = file.place(path.span().start);
         let path = file.beside(path.get_ref());
         let settings = zenoh::Config::from_file(&path).map_err(|error| {
-            ConfigError::at(&place, format!("{} is no Zenoh configuration: {error}", path.display()))
+            ConfigError::at(&place, format!("{} is not a valid Zenoh configuration: {error}", path.display()))
         })?;
         Ok(Self { settings, place })
     }
@@ -225,15 +226,15 @@ impl Base {
         setting(&self.settings, "mode").as_str()?.parse().ok()
     }
 
-    /// Whether it says nothing of this, or what Zenoh has by default.
+    /// Whether the file leaves the key out, or sets it to Zenoh's default.
     fn leaves_out(&self, key: &str) -> bool {
         let here = setting(&self.settings, key);
         here.is_null() || here == setting(&zenoh::Config::default(), key)
     }
 }
 
-/// What Zenoh has otherwise: it would look for others, take in 1 GiB at once, not start where a port is taken, and
-/// notice after 10 s that a gateway is gone.
+/// The gateway's own defaults. With Zenoh's, it would scout for others, accept messages of 1 GiB, fail to start if a
+/// port is taken, and notice only after 10 s that a gateway is gone.
 fn defaults() -> [(&'static str, Value); 16] {
     [
         ("scouting/multicast/enabled", json!(false)),
@@ -255,7 +256,7 @@ fn defaults() -> [(&'static str, Value); 16] {
     ]
 }
 
-/// A FAST STOP that comes by, to this gateway or another, goes on before all else, whatever its sender has said.
+/// Rule that puts any FAST STOP, for this gateway or another, before all else, whatever priority its sender chose.
 fn fast_stops_first() -> Value {
     json!({
         "messages": ["put", "query"],
@@ -269,7 +270,7 @@ fn setting(settings: &zenoh::Config, key: &str) -> Value {
     settings.get_json(key).ok().and_then(|json| serde_json::from_str(&json).ok()).unwrap_or_default()
 }
 
-/// Those that are given, or those of Zenoh's own file, or else these; and where they are said.
+/// Returns the given endpoints, or those of Zenoh's own file, or else the default ones; and their place.
 fn endpoints(
     given: Option<(Vec<String>, Place)>,
     base: &Base,
@@ -283,7 +284,7 @@ fn endpoints(
         None => {
             let all = setting(&base.settings, key);
             let of_mode = all.get(mode.to_str()).unwrap_or(&all);
-            // Beside endpoints a group of them has the name of a strategy.
+            // A group of endpoints also contains the name of a strategy.
             (texts(of_mode).into_iter().filter(|text| text.contains('/')).collect(), base.place.clone())
         }
     };
@@ -291,14 +292,14 @@ fn endpoints(
         let parsed = endpoint.parse::<EndPoint>();
         if !parsed.as_ref().is_ok_and(|parsed| PROTOCOLS.contains(&parsed.protocol().as_str())) {
             let detail =
-                format!("{endpoint:?} is no Zenoh endpoint: write it as {DEFAULT_LISTEN} or tls/cell-7.example:7447");
+                format!("{endpoint:?} is not a Zenoh endpoint: write {DEFAULT_LISTEN} or tls/cell-7.example:7447");
             return Err(ConfigError::at(&place, detail));
         }
     }
     Ok((endpoints, place))
 }
 
-/// All texts in a list, and in the lists and groups in it.
+/// All strings in a value, at any depth.
 fn texts(value: &Value) -> Vec<String> {
     match value {
         Value::String(text) => vec![text.clone()],

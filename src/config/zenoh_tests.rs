@@ -12,30 +12,30 @@ fn listening(endpoint: &str) -> Flags {
 }
 
 fn load(flags: &Flags) -> Result<Zenoh, String> {
-    Config::load(flags).map(|config| config.zenoh.unwrap()).map_err(|mistake| mistake.to_string())
+    Config::load(flags).map(|config| config.zenoh.unwrap()).map_err(|error| error.to_string())
 }
 
-/// With this as Zenoh's own file, and this in the gateway's.
+/// Loads `own` as Zenoh's own file, and `section` in the gateway's file.
 fn of_files(name: &str, own: &str, section: &str, flags: &Flags) -> Result<Zenoh, String> {
     let directory = std::env::temp_dir().join(format!("wsg-gateway-{}-{name}", std::process::id()));
     std::fs::create_dir_all(&directory).unwrap();
     let path = directory.join("zenoh.json5");
     std::fs::write(&path, own).unwrap();
     let text = format!("[zenoh]\nconfig = {:?}\n{section}", path.display().to_string());
-    let file = File::parse(Path::new("gateway.toml"), text).map_err(|mistake| mistake.to_string());
-    let config = file.and_then(|file| Config::merge(flags, Some(&file)).map_err(|mistake| mistake.to_string()));
+    let file = File::parse(Path::new("gateway.toml"), text).map_err(|error| error.to_string());
+    let config = file.and_then(|file| Config::merge(flags, Some(&file)).map_err(|error| error.to_string()));
     std::fs::remove_dir_all(directory).unwrap();
     config.map(|config| config.zenoh.unwrap())
 }
 
 #[test]
-fn without_a_word_it_is_a_peer_on_loopback_that_looks_for_nobody() {
+fn default_is_a_peer_on_loopback_without_scouting() {
     let zenoh = load(&flags()).unwrap();
     assert_eq!((zenoh.listen.as_slice(), zenoh.connect.len(), zenoh.max_hz), (&[DEFAULT_LISTEN.to_owned()][..], 0, 50));
     assert_eq!(zenoh.setting("mode"), "peer");
     assert_eq!(zenoh.setting("listen/endpoints"), json!([DEFAULT_LISTEN]));
     assert_eq!(zenoh.looks_for(), None);
-    // Of these Zenoh tells more than was said.
+    // Zenoh reports more members of these than were set.
     let longer = ["scouting/gossip/autoconnect", "listen/retry", "connect/retry", "qos/network"];
     for (key, value) in defaults().into_iter().filter(|(key, _)| !longer.contains(key)) {
         assert_eq!(zenoh.setting(key), value, "{key}");
@@ -44,7 +44,7 @@ fn without_a_word_it_is_a_peer_on_loopback_that_looks_for_nobody() {
 }
 
 #[test]
-fn it_can_be_off_and_a_client_needs_somebody() {
+fn zenoh_can_be_off_and_client_needs_an_endpoint() {
     let mode = |mode| Flags { zenoh: ZenohFlags { zenoh_mode: Some(mode), ..ZenohFlags::default() }, ..flags() };
     assert_eq!(Config::load(&mode(ZenohMode::Off)).unwrap().zenoh, None);
     assert!(load(&mode(ZenohMode::Client)).unwrap_err().contains("--zenoh-connect"));
@@ -56,22 +56,22 @@ fn it_can_be_off_and_a_client_needs_somebody() {
 }
 
 #[test]
-fn what_reaches_beyond_loopback_needs_credentials_or_insecure() {
+fn non_loopback_endpoint_needs_credentials_or_insecure() {
     for endpoint in ["tcp/127.0.0.1:7447", "tcp/[::1]:0", "tcp/localhost:7447", "tls/127.1.2.3:7447"] {
         assert!(load(&listening(endpoint)).is_ok(), "{endpoint}");
     }
     for endpoint in ["tcp/0.0.0.0:7447", "tcp/[::]:7447", "tcp/192.168.1.5:7447", "tcp/cell-7.example:7447"] {
-        let mistake = load(&listening(endpoint)).unwrap_err();
-        assert!(mistake.starts_with("--zenoh-listen: ") && mistake.contains("--insecure"), "{mistake}");
+        let error = load(&listening(endpoint)).unwrap_err();
+        assert!(error.starts_with("--zenoh-listen: ") && error.contains("--insecure"), "{error}");
         assert!(load(&Flags { insecure: true, ..listening(endpoint) }).is_ok());
     }
     for endpoint in ["", "7447", "127.0.0.1:7447", "udp/127.0.0.1:7447"] {
-        assert!(load(&listening(endpoint)).unwrap_err().contains("no Zenoh endpoint"), "{endpoint}");
+        assert!(load(&listening(endpoint)).unwrap_err().contains("not a Zenoh endpoint"), "{endpoint}");
     }
 }
 
 #[test]
-fn zenohs_own_file_counts_and_what_it_leaves_out_is_as_without_it() {
+fn zenoh_file_overrides_only_what_it_sets() {
     let file = "{mode: 'router', listen: {endpoints: {router: ['tcp/127.0.0.1:7450']}}, transport: {link: {tx: {lease: 5000}}}}";
     let zenoh = of_files("counts", file, "max_hz = 20\nconnect = ['tcp/127.0.0.1:7451']", &flags()).unwrap();
     assert_eq!(
@@ -87,7 +87,7 @@ fn zenohs_own_file_counts_and_what_it_leaves_out_is_as_without_it() {
 }
 
 #[test]
-fn zenohs_own_file_is_looked_for_beside_the_gateways() {
+fn zenoh_file_path_is_relative_to_gateway_file() {
     let directory = std::env::temp_dir().join(format!("wsg-gateway-{}-beside", std::process::id()));
     std::fs::create_dir_all(directory.join("network")).unwrap();
     std::fs::write(directory.join("network/own.json5"), "{mode: 'router'}").unwrap();
@@ -99,15 +99,15 @@ fn zenohs_own_file_is_looked_for_beside_the_gateways() {
 }
 
 #[test]
-fn access_control_that_allows_what_no_rule_denies_is_no_credential() {
+fn access_control_must_deny_by_default() {
     let file = |permission: &str| {
         format!(
             "{{listen: {{endpoints: ['tcp/0.0.0.0:7447']}}, access_control: {{enabled: true, \
              default_permission: '{permission}', rules: [], subjects: [], policies: []}}}}"
         )
     };
-    let mistake = of_files("allows", &file("allow"), "", &flags()).unwrap_err();
-    assert!(mistake.contains("access_control that denies what no rule allows"), "{mistake}");
+    let error = of_files("allows", &file("allow"), "", &flags()).unwrap_err();
+    assert!(error.contains("access_control that denies by default"), "{error}");
     of_files("denies", &file("deny"), "", &flags()).unwrap();
     let off = file("deny").replace("enabled: true", "enabled: false");
     assert!(of_files("off", &off, "", &flags()).is_err());
@@ -118,10 +118,10 @@ fn access_control_that_allows_what_no_rule_denies_is_no_credential() {
 }
 
 #[test]
-fn a_file_that_exposes_the_grippers_asks_for_credentials() {
+fn zenoh_file_beyond_loopback_needs_credentials() {
     let refused = |name, file| of_files(name, file, "", &flags()).unwrap_err();
-    let mistake = refused("open", "{listen: {endpoints: ['tcp/0.0.0.0:7447']}}");
-    assert!(mistake.starts_with("gateway.toml:2: tcp/0.0.0.0:7447 reaches beyond loopback"), "{mistake}");
+    let error = refused("open", "{listen: {endpoints: ['tcp/0.0.0.0:7447']}}");
+    assert!(error.starts_with("gateway.toml:2: tcp/0.0.0.0:7447 reaches beyond loopback"), "{error}");
     assert!(refused("scouts", "{scouting: {multicast: {enabled: true}}}").contains("scouting/multicast/enabled"));
     assert!(refused("gossips", "{scouting: {gossip: {autoconnect: {peer: ['peer']}}}}").contains("gossip"));
     assert!(refused("no", "{mode: 'leader'}").starts_with("gateway.toml:2: "));
@@ -136,13 +136,13 @@ fn a_file_that_exposes_the_grippers_asks_for_credentials() {
 }
 
 #[test]
-fn a_mistake_in_the_section_is_named_with_its_line() {
-    let mistake = |text: &str| {
+fn section_error_names_its_line() {
+    let error = |text: &str| {
         let file = File::parse(Path::new("gateway.toml"), text.to_owned());
         file.and_then(|file| Config::merge(&flags(), Some(&file))).unwrap_err().to_string()
     };
-    assert!(mistake("[zenoh]\nmax_hz = 0").starts_with("gateway.toml:2: max_hz is 0, and must be from 1 to 100"));
-    assert!(mistake("[zenoh]\nlisten = ['nowhere']").starts_with("gateway.toml:2: \"nowhere\" is no Zenoh endpoint"));
-    assert!(mistake("[zenoh]\nconfig = 'none.json5'").contains("none.json5"));
-    assert!(mistake("[zenoh]\nmode = 'leader'").starts_with("gateway.toml:2: "));
+    assert!(error("[zenoh]\nmax_hz = 0").starts_with("gateway.toml:2: max_hz is 0, and must be from 1 to 100"));
+    assert!(error("[zenoh]\nlisten = ['nowhere']").starts_with("gateway.toml:2: \"nowhere\" is not a Zenoh endpoint"));
+    assert!(error("[zenoh]\nconfig = 'none.json5'").contains("none.json5"));
+    assert!(error("[zenoh]\nmode = 'leader'").starts_with("gateway.toml:2: "));
 }

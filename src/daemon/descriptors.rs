@@ -1,4 +1,4 @@
-//! File descriptors: how many the process may have, and how they are shared out, so that no client can take those that a
+//! File descriptors: the limit of the process and its shares, so that no client can take the descriptors that a
 //! device, the journal or a FAST STOP needs.
 
 use rustix::process::{Resource, getrlimit, setrlimit};
@@ -7,19 +7,20 @@ use crate::config::{Config, Device, WsgAddress};
 use crate::interfaces::Bounds;
 use crate::interfaces::wsg_port;
 
-/// Five runtimes (20), the listener, standard input and output, the journal with its readers (8), and some to spare.
+/// The gateway itself: five runtimes (20), the listener, standard input and output, the journal with its readers (8),
+/// and some to spare.
 const OWN: usize = 34;
 
-/// The link of a gripper, and the one that replaces it. A simulated gripper has none.
+/// A gripper's link, and the link that replaces it. A simulated gripper has none.
 const OF_A_LINK: usize = 2;
 
 /// Zenoh's runtimes and its listener.
 const OF_ZENOH: usize = 13;
 
-/// The soft limit is raised to this at most: more are of no use, and some systems have no hard limit.
+/// Highest soft limit that is requested: more would be useless, and some systems have no hard limit.
 const MOST: u64 = 65_536;
 
-/// How the descriptors for clients are shared out.
+/// Shares of the descriptors for clients.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Shares {
     /// The limit of the process.
@@ -33,20 +34,20 @@ pub(super) struct Shares {
 /// The descriptor limit is below what the configuration needs.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "too few file descriptors: the limit is {limit}, and this configuration needs {needed}: raise it with `ulimit -n` or \
-     LimitNOFILE= in the systemd unit"
+    "too few file descriptors: the limit is {limit}, but this configuration needs {needed}: raise the limit with \
+     `ulimit -n` or LimitNOFILE= in the systemd unit"
 )]
 pub(super) struct TooFew {
     limit: usize,
     needed: usize,
 }
 
-/// Raises the soft limit of the process as far as it may, and shares the descriptors out.
+/// Raises the soft limit of the process as far as possible, and shares out the descriptors.
 pub(super) fn share_out(config: &Config) -> Result<Shares, TooFew> {
     Shares::of(config, raise_limit())
 }
 
-/// The limit after the attempt to raise it.
+/// Tries to raise the limit, and returns the resulting one.
 fn raise_limit() -> usize {
     let before = getrlimit(Resource::Nofile);
     let wanted = before.maximum.unwrap_or(MOST).min(MOST);
@@ -101,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn limit_below_what_is_needed_is_named_with_its_remedy() {
+    fn too_low_limit_names_its_remedy() {
         let error = Shares::of(&config(&[], &[]), 32).unwrap_err().to_string();
         assert!(error.contains("the limit is 32") && error.contains("ulimit -n"), "{error}");
     }

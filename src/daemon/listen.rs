@@ -1,11 +1,11 @@
-//! What helps where an address can't be listened on.
+//! Errors of addresses that the gateway cannot listen on.
 
 use std::fmt::Display;
 use std::io;
 
 use crate::interfaces::sockets::remedy;
 
-/// Says what could not be listened on, and the remedy.
+/// Adds to an error what could not be listened on, and the remedy.
 pub(super) fn failed(what: impl Display, error: io::Error) -> anyhow::Error {
     let remedy = remedy(error.kind());
     anyhow::Error::new(error).context(format!("{what}: {remedy}"))
@@ -18,7 +18,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_remedy_is_for_what_was_wrong() {
+    fn remedy_matches_the_error() {
         for (kind, remedy, wrong) in [
             (ErrorKind::AddrInUse, "end what listens there", "privilege"),
             (ErrorKind::PermissionDenied, "CAP_NET_BIND_SERVICE", "end what listens"),

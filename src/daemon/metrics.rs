@@ -1,4 +1,4 @@
-//! The registry of all figures, and those that are the gateway's own.
+//! The registry of all metrics, and the metrics of the gateway itself.
 
 use std::sync::{Mutex, PoisonError};
 
@@ -14,7 +14,7 @@ use crate::gripper::model::Name;
 use crate::gripper::recorder::Health;
 use crate::journal::Journal;
 
-/// A registry with the figures of the process, of the gateway and of its journal.
+/// Returns a registry with the metrics of the process, the gateway and its journal.
 pub(super) fn registry(gateway: &Name, journal: &Journal) -> Result<Registry> {
     let registry = Registry::new();
     registry.register(Box::new(ProcessCollector::for_self()))?;
@@ -26,19 +26,22 @@ pub(super) fn registry(gateway: &Name, journal: &Journal) -> Result<Registry> {
     registry.register(Box::new(info))?;
     registry.register(Box::new(JournalHealth {
         health: journal.health(),
-        told: Mutex::default(),
-        up: IntGauge::new("wsg_journal_up", "Whether the journal takes records.")?,
+        counted: Mutex::default(),
+        up: IntGauge::new("wsg_journal_up", "Whether the journal accepts records.")?,
         damaged: IntGauge::new("wsg_journal_damaged", "Whether earlier records in the journal were found damaged.")?,
-        lost: IntCounter::new("wsg_journal_records_lost_total", "Records that found no place in the journal.")?,
+        lost: IntCounter::new(
+            "wsg_journal_records_lost_total",
+            "Records lost because the journal could not take them.",
+        )?,
     }))?;
     Ok(registry)
 }
 
-/// How the journal is, taken when it is asked for.
+/// Health of the journal, read at each scrape.
 struct JournalHealth {
     health: watch::Receiver<Health>,
-    /// How many lost records were counted.
-    told: Mutex<u64>,
+    /// Lost records that the counter includes.
+    counted: Mutex<u64>,
     up: IntGauge,
     damaged: IntGauge,
     lost: IntCounter,
@@ -51,23 +54,22 @@ impl Collector for JournalHealth {
 
     fn collect(&self) -> Vec<MetricFamily> {
         let Health { failure, lost, damage } = self.health.borrow().clone();
-        let mut told = self.told.lock().unwrap_or_else(PoisonError::into_inner);
-        self.lost.inc_by(lost.saturating_sub(*told));
-        *told = lost.max(*told);
+        let mut counted = self.counted.lock().unwrap_or_else(PoisonError::into_inner);
+        self.lost.inc_by(lost.saturating_sub(*counted));
+        *counted = lost.max(*counted);
         self.up.set(failure.is_none().into());
         self.damaged.set(damage.is_some().into());
         [self.up.collect(), self.damaged.collect(), self.lost.collect()].concat()
     }
 }
 
-/// Adds whether the gateway is on Zenoh as it is to be.
+/// Adds whether Zenoh is connected as configured.
 pub(super) fn register_zenoh(registry: &Registry, network: &Peers) -> Result<()> {
-    let up =
-        IntGauge::new("wsg_zenoh_up", "Whether Zenoh listens wherever it is to, and is connected where it is to be.")?;
+    let up = IntGauge::new("wsg_zenoh_up", "Whether Zenoh listens and is connected as configured.")?;
     registry.register(Box::new(ZenohHealth { cause: network.cause(), up }))
 }
 
-/// How Zenoh is, taken when it is asked for.
+/// Health of Zenoh, read at each scrape.
 struct ZenohHealth {
     cause: watch::Receiver<Option<String>>,
     up: IntGauge,

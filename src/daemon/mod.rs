@@ -1,4 +1,4 @@
-//! The composition root: builds everything, runs it, and ends it in order.
+//! The composition root: builds everything, runs it, and shuts it down in order.
 
 mod descriptors;
 mod listen;
@@ -35,13 +35,13 @@ use crate::operations::audit::Audit;
 use descriptors::Shares;
 pub use simulation::{Served, SimulatedDevice, Switch, serve as serve_device};
 
-/// How long a start waits for the journal: as long as a motion does.
+/// Longest wait of a start for the journal: as long as that of a motion.
 const START_WRITTEN_WITHIN: Duration = Duration::from_millis(500);
 
 /// Runs the gateway until SIGTERM or SIGINT.
 ///
 /// # Errors
-/// Where it can't start: each says what is wrong, and what to do.
+/// The reason why the gateway cannot start, and the remedy.
 pub fn run(config: &Config) -> anyhow::Result<()> {
     check(config)?;
     let shares = descriptors::share_out(config)?;
@@ -51,10 +51,10 @@ pub fn run(config: &Config) -> anyhow::Result<()> {
     Ok(())
 }
 
-/// Serves a simulated device on each of these URLs, and their faults on the control port, until SIGTERM or SIGINT.
+/// Serves a simulated device on each URL, and the control port for their faults, until SIGTERM or SIGINT.
 ///
 /// # Errors
-/// Where a URL can't be served: which, and why.
+/// The URL that cannot be served, and the reason.
 pub fn run_simulated(urls: &[Url], device: &SimulatedDevice, control: Option<SocketAddr>) -> anyhow::Result<()> {
     let runtime = runtime()?;
     let served = runtime.block_on(async {
@@ -68,15 +68,15 @@ pub fn run_simulated(urls: &[Url], device: &SimulatedDevice, control: Option<Soc
     served
 }
 
-/// A runtime for everything but devices.
+/// Returns a runtime for everything except devices.
 ///
 /// # Errors
-/// As the operating system says.
+/// The operating system's error.
 pub fn runtime() -> std::io::Result<Runtime> {
     Builder::new_multi_thread().enable_all().build()
 }
 
-/// Checks what only the daemon can: the simulated devices of the configuration.
+/// Checks the simulated devices of the configuration, which only the daemon can.
 ///
 /// # Errors
 /// The first [`ConfigError`].
@@ -91,7 +91,7 @@ pub fn check(config: &Config) -> Result<(), ConfigError> {
 
 async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares) -> anyhow::Result<()> {
     let stop = stop_signal()?;
-    // Before any gripper is connected: a port that is taken must not cost a connect and a disconnect.
+    // Bound before any gripper is connected, so a taken port does not cost a connect and a disconnect.
     let clients = runtimes.of_clients();
     let listener = {
         let _inside = clients.accept.enter();
@@ -101,8 +101,8 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     let address = listener.local_addr()?;
     let ports = ports::bind(config, shares.wsg_port)?;
     let (journal, recovered) = open_journal(config)?;
-    tell_of_last_run(&recovered);
-    write_down_start(config, &journal).await;
+    log_unclean_end(&recovered);
+    record_start(config, &journal).await;
     let (draining, shutdown) = (CancellationToken::new(), CancellationToken::new());
     let registry = metrics::registry(&config.name, &journal)?;
     let grippers = spawn_all(config, &runtimes.devices, &journal, &recovered, &registry)?;
@@ -130,14 +130,14 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     let limits = http::Limits::within(Bounds::of(shares.http));
     let server = clients.accept.spawn(http::serve(listener, context.clone(), limits, shutdown.clone()));
     announce(config, address, &ports)?;
-    // Of its own: whatever becomes of it, the rest goes on.
+    // Zenoh has a task of its own, so the rest goes on whatever happens to it.
     let zenoh = on_zenoh.map(|(settings, context)| tokio::spawn(zenoh::serve(settings, context, announce_zenoh)));
     let ports = ports::serve(&runtimes.devices, ports, &grippers, &audit, &draining, &shutdown);
     tokio::select! {
         () = stop => {}
         () = audit.count() => {}
     }
-    tracing::info!("ending: the grippers first");
+    tracing::info!("shutting down: draining grippers");
     draining.cancel();
     grippers.drain().await;
     shutdown.cancel();
@@ -159,17 +159,21 @@ fn open_journal(config: &Config) -> Result<(Journal, Recovered), journal::OpenEr
     Journal::open(place, journal::Retention { max_age: *max_age, max_bytes: *max_bytes })
 }
 
-/// Says what a run that has not ended in order left behind.
-fn tell_of_last_run(recovered: &Recovered) {
+/// Logs the commands that a previous run left behind without an orderly shutdown.
+fn log_unclean_end(recovered: &Recovered) {
     if recovered.unclean {
         let running: Vec<_> = recovered.running.iter().map(ToString::to_string).collect();
-        tracing::warn!(running = running.join(", "), "the last run has not ended in order: what ran then is UNKNOWN");
+        tracing::warn!(
+            running = running.join(", "),
+            "previous run did not shut down in order: its running commands have the outcome UNKNOWN"
+        );
     }
 }
 
-/// Says that this run has begun, and waits until that is durable: by that the next run knows that leases were given which
-/// it may not know of, if this one is killed. A disk that doesn't take it is said to be so elsewhere, and ends no start.
-async fn write_down_start(config: &Config, journal: &Journal) {
+/// Records the start of this run, and waits until the record is durable. If this run is killed, the record tells the
+/// next run that leases may have been granted without its knowledge. A failing disk is reported elsewhere, and does
+/// not prevent the start.
+async fn record_start(config: &Config, journal: &Journal) {
     let (written, is_written) = oneshot::channel();
     let record = |event, waiter| {
         journal.record(Record::Event(Event::new(Now::read().wall, None, Detail::Gateway(event)), waiter));
@@ -201,18 +205,18 @@ fn spawn_all(
     Ok(Grippers::new(handles?))
 }
 
-/// What the journal knows of a gripper from earlier runs.
+/// Returns the journal's knowledge of a gripper from earlier runs.
 fn restored(recovered: &Recovered, gripper: &Gripper) -> RestoredState {
-    let remembered = |key| {
+    let persisted = |key| {
         let memory = recovered.memory.iter().find(|memory| memory.gripper == gripper.name && memory.key == key);
         memory.and_then(|memory| memory.value.clone())
     };
     let requests = recovered.requests.iter().filter(|request| request.command.gripper == gripper.name);
     RestoredState {
-        settings: remembered(PersistedKey::Settings),
-        latch: remembered(PersistedKey::Latch),
-        lease: remembered(PersistedKey::Lease),
-        holding: remembered(PersistedKey::Holding),
+        settings: persisted(PersistedKey::Settings),
+        latch: persisted(PersistedKey::Latch),
+        lease: persisted(PersistedKey::Lease),
+        holding: persisted(PersistedKey::Holding),
         requests: requests.cloned().collect(),
         unclean: recovered.unclean,
     }
@@ -252,7 +256,7 @@ fn spawn(
     Ok(handle)
 }
 
-/// Comes when the process is asked to end. SIGHUP does nothing yet, and must not be the process's unannounced end.
+/// Completes on SIGTERM or SIGINT. SIGHUP has no function yet, but must not kill the process without a shutdown.
 fn stop_signal() -> std::io::Result<impl Future<Output = ()>> {
     let mut terminate = signal(SignalKind::terminate())?;
     let mut interrupt = signal(SignalKind::interrupt())?;
@@ -262,13 +266,13 @@ fn stop_signal() -> std::io::Result<impl Future<Output = ()>> {
             tokio::select! {
                 _ = terminate.recv() => return,
                 _ = interrupt.recv() => return,
-                _ = hang_up.recv() => tracing::warn!("SIGHUP: reloading is not supported yet, nothing was changed"),
+                _ = hang_up.recv() => tracing::warn!("SIGHUP ignored: reloading is not supported yet"),
             }
         }
     })
 }
 
-/// Says on standard output what is served, where, and what to try. Nobody may be reading it.
+/// Prints what is served, where, and what to try. Ignores write errors, since nobody may be reading.
 fn announce(config: &Config, address: SocketAddr, ports: &[ports::Bound]) -> std::io::Result<()> {
     let urls =
         ports.iter().map(|port| Ok((&port.gripper, port.listener.url()?))).collect::<std::io::Result<Vec<_>>>()?;
@@ -285,13 +289,13 @@ fn zenoh_settings(
     metrics::register_zenoh(&context.registry, network)?;
     let (config, listen, connect) = (zenoh.settings.clone(), zenoh.listen.clone(), zenoh.connect.clone());
     let connectivity = zenoh::Connectivity { config, listen, connect };
-    // A client's Zenoh waits until it is connected.
+    // In client mode, opening Zenoh waits for a connection.
     network.set_cause(Some(connectivity.awaited().unwrap_or_else(|| "Zenoh is not open yet".to_owned())));
     let figures = interfaces::metrics::Metrics::register(&context.registry, "zenoh")?;
     Ok((zenoh::Settings { connectivity, max_hz: zenoh.max_hz }, context.of_interface(figures)))
 }
 
-/// Says where Zenoh is, which may be later than all else.
+/// Prints the addresses of Zenoh, which can be known later than the rest.
 fn announce_zenoh(locators: &[String]) {
     let mut out = std::io::stdout().lock();
     for locator in locators {

@@ -1,4 +1,4 @@
-//! The WSG ports: bound before any gripper is connected, served until the grippers are given up.
+//! The WSG ports: bound before any gripper is connected, and served until the grippers are released.
 
 use std::sync::Arc;
 
@@ -13,16 +13,16 @@ use crate::gripper::model::Name;
 use crate::interfaces::wsg_port::{self, Address, Datagrams, LOST_AFTER, Listener, Port, Rules};
 use crate::operations::audit::Audit;
 
-/// A port that is not served yet.
+/// A bound port that is not served yet.
 pub(super) struct Bound {
     pub(super) gripper: Name,
     pub(super) listener: Listener,
     rules: Rules,
-    /// Descriptors of its TCP clients.
+    /// Descriptors for the port's TCP clients.
     descriptors: usize,
 }
 
-/// Binds all ports. The TCP clients of each may take so many descriptors.
+/// Binds all ports. `descriptors` is the share of each port's TCP clients.
 pub(super) fn bind(config: &Config, descriptors: usize) -> anyhow::Result<Vec<Bound>> {
     let mut ports = Vec::new();
     for gripper in &config.grippers {
@@ -43,8 +43,8 @@ pub(super) fn bind(config: &Config, descriptors: usize) -> anyhow::Result<Vec<Bo
     Ok(ports)
 }
 
-/// Serves them where the grippers are: a Loop's way to a gripper and back costs no change of threads. Their clients are
-/// few, and what each does in its turn is bounded.
+/// Serves the ports on the grippers' runtime, so that a Loop to a gripper and back needs no change of threads. The
+/// ports have few clients, and the work of each turn is bounded.
 pub(super) fn serve(
     devices: &Runtime,
     ports: Vec<Bound>,

@@ -1,4 +1,4 @@
-//! The runtimes: one for the devices, and those that clients are served on, each with threads of its own.
+//! The runtimes: one for the devices and several for clients, each with threads of its own.
 
 use std::io;
 
@@ -6,13 +6,13 @@ use tokio::runtime::{Builder, Runtime};
 
 use crate::interfaces::Runtimes;
 
-/// How much the observers' thread yields to others (`nice`, 0 to 19): enough that the kernel prefers any of those.
+/// Niceness of the observers' thread (`nice`, 0 to 19): enough that the kernel prefers any other thread.
 const NICE: i32 = 10;
 
-/// How many tasks a thread runs before it looks for new events, among which may be a FAST STOP. Tokio's default is 61.
+/// Tasks that a thread runs before it looks for new events, such as a FAST STOP. Tokio's default is 61.
 const EVENT_INTERVAL: u32 = 16;
 
-/// All of them. They end with the process.
+/// All runtimes. They end with the process.
 pub(super) struct Owned {
     /// The device side has a runtime of its own, so that no number of clients delays a FAST STOP.
     pub(super) devices: Runtime,
@@ -27,7 +27,7 @@ impl Owned {
         Ok(Self {
             devices: single("device").build()?,
             requests: Builder::new_multi_thread().event_interval(EVENT_INTERVAL).enable_all().build()?,
-            // One thread accepts while the other looks at what has come.
+            // One thread accepts connections while the other inspects those that have come.
             accept: single("accept").worker_threads(2).build()?,
             sockets: single("sockets").event_interval(EVENT_INTERVAL).build()?,
             // Updates for a thousand observers must not delay a request.
@@ -58,6 +58,6 @@ fn single(name: &str) -> Builder {
 }
 
 fn yield_to_others() {
-    // A system without such priorities goes on without them.
+    // On a system without such priorities, the thread keeps its own.
     let _ = rustix::process::setpriority_process(None, NICE);
 }

@@ -1,4 +1,4 @@
-//! Asking another gateway: one of its operations on one of its grippers, and its answer as it is.
+//! Requests to other gateways: run an operation on one of their grippers, and return the answer unchanged.
 
 use std::convert::Infallible;
 use std::future::pending;
@@ -22,51 +22,48 @@ use crate::gripper::Now;
 use crate::gripper::model::lease::MIN_TTL;
 use crate::gripper::model::{Client, Name, Urgency};
 
-/// How long an answer may take on its way, beside what its operation may take.
+/// Time that an answer may spend on the network, in addition to the operation's own time.
 const ON_ITS_WAY: Duration = Duration::from_secs(5);
 
-/// How often a lease is used that is kept: two may be lost on their way, and the third take its time.
+/// Uses of a kept lease per time to live: two can get lost, and the third can be late.
 const USES_A_TTL: u32 = 4;
 
-/// How many uses of a lease may wait for their answers: each may have a thread of its own for as long as Zenoh has no way
-/// for it.
+/// Uses of a lease that wait for their answers at a time. Each can occupy a thread for as long as Zenoh has no room
+/// for the message.
 const MAX_USES_UNDER_WAY: usize = 2;
 
-/// How long the answer to a use may take at least.
+/// Shortest time allowed for the answer to a use.
 const MIN_ANSWERED_WITHIN: Duration = Duration::from_millis(250);
 
-/// How often, and in which steps, the token of a session that answers is looked for.
+/// Number of attempts to find the token of a replying session, and the interval between them.
 const PROOFS: u32 = 10;
 const PROVES_EVERY: Duration = Duration::from_millis(100);
 
-/// Replies of sessions that may be looked at at a time: one gateway is asked, and sends one.
+/// Replies whose sessions are checked at a time. Only one gateway is asked, and it sends one reply.
 const MAX_PROOFS: usize = 16;
 
-/// What asks for a lease itself, and keeps none.
+/// Prefix of the methods that manage a lease themselves. No lease is kept for them.
 const LEASE_METHODS: &str = "lease.";
 
-/// The field that names a lease, and how it is refused that it is nobody's any more.
+/// The field with a lease token, and the HTTP status that refuses the token of an ended lease.
 const LEASE: &str = "lease";
 const CONFLICT: u16 = 409;
 
-/// What is asked.
+/// A request to another gateway.
 #[derive(Debug, Clone)]
 pub struct Ask {
-    /// Whom.
     pub gateway: Name,
-    /// About which of its grippers.
     pub gripper: Name,
-    /// The operation, by its method's name.
+    /// Method name of the operation.
     pub method: &'static str,
-    /// Its parameters.
     pub params: Value,
-    /// How long it may take there; as long as that says where nothing is said.
+    /// Time that the operation may take there; `None` leaves it to the other gateway.
     pub wait: Option<Duration>,
-    /// What goes with them: `lease`, `request_id`.
+    /// Values beside the parameters: `lease`, `request_id`.
     pub aside: Vec<(&'static str, String)>,
-    /// Who asks here.
+    /// The client of this gateway that makes the request.
     pub client: Client,
-    /// Before what it goes.
+    /// Precedence over other requests.
     pub urgency: Urgency,
 }
 
@@ -79,32 +76,32 @@ fn priority(urgency: Urgency) -> Priority {
     }
 }
 
-/// What was answered: a body, or a problem with its status.
+/// The answer: a body, or a problem with its status.
 pub type Asked = Result<Box<RawValue>, (u16, Box<RawValue>)>;
 
-/// Why nothing was.
+/// Reason for a missing answer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum NoAnswer {
-    /// There is no gateway of this name.
+    /// No gateway has this name.
     Unknown,
-    /// It is gone: nothing was sent.
+    /// The gateway is gone; nothing was sent.
     Gone,
-    /// Too much is being asked already: nothing was sent.
+    /// Too many requests are under way; nothing was sent.
     TooMany,
-    /// What became of it isn't known.
+    /// No answer came; the result is unknown.
     None,
 }
 
 impl Peers {
-    /// Asks the gateway that owns a gripper, and waits for its answer. For as long as that is waited for, and no longer, the
-    /// lease that is named is kept.
+    /// Sends a request to the gateway that owns a gripper, and waits for its answer. Keeps the named lease during the
+    /// wait, and no longer.
     ///
     /// # Errors
     /// [`NoAnswer`], which says whether anything was sent.
     pub async fn ask(&self, ask: Ask) -> Result<Asked, NoAnswer> {
         match self.others().has_lost(&ask.gateway, &ask.gripper, Now::read().instant) {
             None => return Err(NoAnswer::Unknown),
-            // What waits for a way there must not move later; what stops is worth the attempt, and so is a lease.
+            // A motion must not wait for the gateway to come back. A stop is worth the attempt, and so is a lease.
             Some(true) if ask.urgency == Urgency::None => return Err(NoAnswer::Gone),
             Some(_) => {}
         }
@@ -129,11 +126,12 @@ impl Peers {
         }
     }
 
-    /// A reply that comes from a session of this gateway. After an outage it may come before the session's token.
+    /// Returns a reply that comes from a session of this gateway. After an outage, the reply can come before the
+    /// session's token.
     async fn of_owner(&self, gateway: &Name, reply: Reply) -> Option<Reply> {
         let (session, replier) = (self.session.get()?, reply.replier_id()?.zid().to_string());
         for _ in 0..PROOFS {
-            // Not in one condition, whose lock would be held meanwhile.
+            // In a single condition, the lock would be held across the await.
             let is_known = self.others().is_instance(gateway, &replier);
             if is_known || has_token(session, &Keys::of(gateway), &replier).await {
                 return Some(reply);
@@ -152,11 +150,11 @@ impl Peers {
         let parameters: Vec<_> = parameters.map(|(key, value)| format!("{key}={}", keys::encoded(&value))).collect();
         let within = ask.wait.unwrap_or_default() + ON_ITS_WAY;
         let (payload, urgency) = (ask.params.to_string(), ask.urgency);
-        // It may wait for a place, and nobody else does there.
+        // The send can block, so it gets a thread on which nothing else waits.
         let sent = tokio::task::spawn_blocking(move || {
             let get = session.get(format!("{key}?{}", parameters.join(";"))).payload(payload).timeout(within);
             let get = get.encoding(Encoding::APPLICATION_JSON).allowed_destination(Locality::Remote);
-            // Of replies with the same key each comes: a stranger's takes the place of none.
+            // Without consolidation, a stranger's reply cannot replace another one with the same key.
             let get = get.target(QueryTarget::All).consolidation(ConsolidationMode::None);
             get.express(urgency == Urgency::FastStop).priority(priority(urgency)).wait()
         });
@@ -171,24 +169,24 @@ impl Peers {
                 }
                 else => break,
             };
-            // Where several gateways of that name answer, it counts which of them has done it.
-            match reply.as_ref().and_then(told) {
+            // If several gateways with that name answer, the one that carried out the request counts.
+            match reply.as_ref().and_then(parse_reply) {
                 Some(Ok(answer)) => return Ok(Ok(answer)),
-                told => refused = told.or(refused),
+                other => refused = other.or(refused),
             }
         }
         refused.ok_or(NoAnswer::None)
     }
 }
 
-/// Uses a lease as often as it needs, for as long as this is polled: the gateway that owns it does not see whether who
-/// asks here is still there. Each use goes out in its time, whatever became of the one before.
+/// Uses a lease often enough to keep it, for as long as this is polled. The owning gateway cannot see whether the
+/// client is still connected here. Each use is sent on time, whatever became of the one before.
 async fn keep_lease<Sent: Future<Output = Result<Asked, NoAnswer>>>(send_use: impl Fn() -> Sent) -> Infallible {
     #[derive(Deserialize)]
     struct Renewed {
         ttl_ms: u64,
     }
-    // Until it is known how long it lives.
+    // Applies until the lease's time to live is known.
     let mut every = MIN_TTL / USES_A_TTL;
     let mut next = Instant::now() + every;
     let mut under_way = FuturesUnordered::new();
@@ -206,7 +204,7 @@ async fn keep_lease<Sent: Future<Output = Result<Asked, NoAnswer>>>(send_use: im
                     next = next - every + known;
                     every = known;
                 }
-                // It is nobody's any more.
+                // The lease has ended.
                 Ok(Ok(Err((CONFLICT, _)))) => return pending().await,
                 _ => {}
             }
@@ -215,7 +213,8 @@ async fn keep_lease<Sent: Future<Output = Result<Asked, NoAnswer>>>(send_use: im
 }
 
 impl Ask {
-    /// What keeps the lease that this names, where that is asked to be used and not to be changed.
+    /// Returns the request that keeps the named lease. `None` if no lease is named, or if this is a FAST STOP or
+    /// manages a lease itself.
     fn renewal(&self) -> Option<Self> {
         if self.urgency == Urgency::FastStop || self.method.starts_with(LEASE_METHODS) {
             return None;
@@ -235,8 +234,8 @@ impl Ask {
     }
 }
 
-/// What a reply has; none where it is none of a gateway's: Zenoh's own say that the time is over.
-fn told(reply: &Reply) -> Option<Asked> {
+/// Parses a gateway's reply. Returns `None` for Zenoh's own replies, which report a time-out.
+fn parse_reply(reply: &Reply) -> Option<Asked> {
     #[derive(Deserialize)]
     struct Status {
         status: u16,
@@ -263,11 +262,11 @@ mod tests {
 
     type Sent = LocalBoxFuture<'static, Result<Asked, NoAnswer>>;
 
-    fn told(answer: &str) -> Box<RawValue> {
+    fn json_text(answer: &str) -> Box<RawValue> {
         RawValue::from_string(answer.to_owned()).unwrap()
     }
 
-    /// How long after the one before each use goes out, within this time; what becomes of the first is said.
+    /// Returns the gaps between the uses sent within this time. `first` is the result of the first use.
     async fn gaps(within: Duration, first: Sent) -> Vec<Duration> {
         let (first, sent_at) = (RefCell::new(Some(first)), RefCell::new(vec![Instant::now()]));
         let send_use = || {
@@ -280,14 +279,14 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn a_lease_is_used_in_its_time_whatever_becomes_of_a_use() {
+    async fn lease_is_used_on_time_whatever_the_answers() {
         let ttl = Duration::from_secs(8);
         let every = ttl / USES_A_TTL;
-        let answered = || async { Ok(Ok(told(r#"{"ttl_ms": 8000}"#))) }.boxed_local();
+        let answered = || async { Ok(Ok(json_text(r#"{"ttl_ms": 8000}"#))) }.boxed_local();
         let used = gaps(Duration::from_mins(1), answered()).await;
-        assert_eq!(used[0], MIN_TTL / USES_A_TTL, "it is not known yet how long it lives");
+        assert_eq!(used[0], MIN_TTL / USES_A_TTL, "its time to live is not known yet");
         assert!(used.len() > 20 && used[1..].iter().all(|gap| *gap == every), "{used:?}");
-        // Of the shortest none is lost between two of which nothing is heard.
+        // Without answers, uses go on at the shortest interval.
         for first in [pending().boxed_local(), async { Err(NoAnswer::None) }.boxed_local()] {
             let used = gaps(Duration::from_secs(10), first).await;
             assert!(used.len() > 50 && used.iter().all(|gap| *gap <= MIN_ANSWERED_WITHIN), "{used:?}");
@@ -295,13 +294,13 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn a_lease_that_is_nobodys_any_more_is_not_used() {
-        let refused = async { Ok(Err((CONFLICT, told(r#"{"code": "stale_lease"}"#)))) };
+    async fn ended_lease_is_not_used_again() {
+        let refused = async { Ok(Err((CONFLICT, json_text(r#"{"code": "stale_lease"}"#)))) };
         assert_eq!(gaps(Duration::from_mins(1), refused.boxed_local()).await.len(), 1);
     }
 
     #[tokio::test]
-    async fn of_who_is_told_as_gone_only_what_stops_and_what_keeps_a_lease_is_asked() {
+    async fn gone_gateway_gets_only_stops_and_lease_uses() {
         let name = |text: &str| text.parse::<Name>().unwrap();
         let network = Peers::new(name("cell-0"), crate::gripper::Grippers::default());
         network.take_token("wsg/v1/cell-1/alive", true);
@@ -319,7 +318,7 @@ mod tests {
                 Ask { gateway, gripper, method, params: json!({}), wait: None, aside: Vec::new(), client, urgency };
             network.ask(ask)
         };
-        // There is no Zenoh to ask over, which is seen by who tries.
+        // An attempt to send fails with this error, since Zenoh is off.
         let tried = Some(NoAnswer::Unknown);
         assert_eq!(ask("move").await.err(), tried);
         network.take_token("wsg/v1/cell-1/alive", false);

@@ -1,33 +1,32 @@
-//! The keys under which gateways are found.
+//! The Zenoh keys of gateways and grippers.
 
 use crate::gripper::model::Name;
 
-/// Where they all begin, with the version of what stands there.
+/// Prefix of all keys, with the version of their contents.
 pub const ROOT: &str = "wsg/v1";
 
-/// A put there stops the grippers of all gateways.
+/// Key at which a put stops the grippers of all gateways.
 pub const FAST_STOP_OF_ALL: &str = "wsg/v1/fast-stop";
 
-/// Those of one gateway.
+/// The keys of one gateway.
 #[derive(Debug, Clone)]
 pub struct Keys {
     gateway: Name,
 }
 
 impl Keys {
-    /// Of the gateway of this name.
     #[must_use]
     pub fn of(gateway: &Name) -> Self {
         Self { gateway: gateway.clone() }
     }
 
-    /// What is its own: `fast-stop`, `fleet`, `event`, `alive`, `instance/…`, `client/…`.
+    /// Returns a key of the gateway itself: `fast-stop`, `fleet`, `event`, `alive`, `instance/…`, `client/…`.
     #[must_use]
     pub fn own(&self, what: &str) -> String {
         format!("{ROOT}/{}/{what}", self.gateway)
     }
 
-    /// What is one gripper's: `state`, `telemetry`, `event`, `info`, `alive`, `command/…`.
+    /// Returns a key of one gripper: `state`, `telemetry`, `event`, `info`, `alive`, `command/…`.
     #[must_use]
     pub fn gripper(&self, gripper: &Name, what: &str) -> String {
         format!("{ROOT}/{}/{gripper}/{what}", self.gateway)
@@ -40,7 +39,7 @@ pub fn last_part(key: &str) -> &str {
     key.rsplit('/').next().unwrap_or_default()
 }
 
-/// The gateway that a key of its own names.
+/// The gateway that a key names.
 #[must_use]
 pub fn of_gateway(key: &str) -> Option<Name> {
     let (gateway, _) = key.strip_prefix(ROOT)?.strip_prefix('/')?.split_once('/')?;
@@ -55,13 +54,13 @@ pub fn of_gripper(key: &str) -> Option<(Name, Name)> {
     Some((gateway.parse().ok()?, gripper.parse().ok()?))
 }
 
-/// A parameter's value as a selector has it: percent-encoded.
+/// Percent-encodes a parameter's value for a selector.
 #[must_use]
 pub fn encoded(value: &str) -> String {
     url::form_urlencoded::byte_serialize(value.as_bytes()).collect()
 }
 
-/// The same, decoded. What needs no encoding may come without.
+/// Decodes a parameter's value from a selector. Characters that need no encoding can come unencoded.
 #[must_use]
 pub fn decoded(value: &str) -> String {
     let (key, rest) = url::form_urlencoded::parse(value.as_bytes()).next().unwrap_or_default();
@@ -73,7 +72,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_parameter_travels_encoded_and_may_come_without() {
+    fn parameter_is_decoded_with_and_without_encoding() {
         for value in ["robot-1", "near/http:127.0.0.1", "a;b=c|d&e+f%20 g", "\u{f6}", ""] {
             assert_eq!(decoded(&encoded(value)), value);
         }
@@ -81,7 +80,7 @@ mod tests {
     }
 
     #[test]
-    fn a_key_names_what_it_was_made_of() {
+    fn key_names_its_gateway_and_gripper() {
         let keys = Keys::of(&"cell-7".parse().unwrap());
         let (left, cell) = ("left".parse().unwrap(), "cell-7".parse().unwrap());
         assert_eq!(keys.gripper(&left, "command/grip"), "wsg/v1/cell-7/left/command/grip");

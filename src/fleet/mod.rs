@@ -1,7 +1,8 @@
-//! The gateways of one Zenoh network, as this one sees them: their grippers' newest states, and a way to ask them.
+//! The gateways of one Zenoh network, as this one sees them: the newest states of their grippers, and requests to
+//! them.
 //!
-//! Architecture invariant: nothing here decides about another gateway's gripper. What is asked of it goes to the gateway
-//! that owns it, and what that answers comes back as it is.
+//! Architecture invariant: nothing here decides about another gateway's gripper. A request goes to the gateway that
+//! owns the gripper, and the answer comes back unchanged.
 
 mod ask;
 pub mod keys;
@@ -30,57 +31,57 @@ use crate::gripper::{Grippers, Now};
 pub use ask::{Ask, Asked, NoAnswer};
 pub use report::FleetGripper;
 
-/// Requests to other gateways that may be under way, of those that only stop, of those that keep or end a lease, and of all
-/// others.
+/// Requests to other gateways under way at a time. The limit applies separately to stops, to lease requests, and to
+/// all others.
 const MAX_ASKS: usize = 64;
 
-/// How long the confirmations of other gateways' grippers are waited for: as long as for one's own, and as long again for
+/// Longest wait for the confirmations of other gateways' grippers: as long as for own grippers, and as long again for
 /// the network.
 const FAST_STOP_WAIT: Duration = crate::gripper::handle::FAST_STOP_WAIT.saturating_mul(2);
 
-/// How often the other gateways are asked at most whether they have confirmed, by all FAST STOPs together.
+/// Shortest interval between queries for confirmations, shared by all FAST STOPs.
 const ASKS_EVERY: Duration = Duration::from_millis(25);
 
-/// How often, and for how long, a gateway is told again of a FAST STOP that it has missed: it was frozen, or its router was
-/// away. Later than that somebody may work there again, and has not heard of it.
+/// Interval and duration of repeating a FAST STOP to a gateway that missed it, because it was frozen or its router was
+/// away. Any later, somebody could be working there again without knowing of the FAST STOP.
 const INSISTS_EVERY: Duration = Duration::from_millis(250);
 const INSISTS_FOR: Duration = Duration::from_mins(1);
 
-/// The largest state of another gateway that is looked at, in bytes.
+/// Largest accepted state of another gateway, in bytes.
 const MAX_STATE_BYTES: usize = 16 * 1024;
 
-/// The network, from one gateway's place.
+/// The network, as seen by one gateway.
 #[derive(Debug)]
 pub struct Peers {
     gateway: Name,
     own: Grippers,
     session: OnceLock<zenoh::Session>,
-    /// Why it is not on it as it should be.
+    /// Why the gateway is not connected to the network as configured; `None` if it is.
     cause: watch::Sender<Option<String>>,
     others: Mutex<Others>,
     twins: Arc<Twins>,
     /// Notified when another gateway has answered.
     news: Notify,
-    /// When the other gateways were asked for their states last.
+    /// When the other gateways were last asked for their states.
     asked_at: Mutex<Option<Instant>>,
     asks: Arc<Semaphore>,
     stops: Arc<Semaphore>,
     leases: Arc<Semaphore>,
-    /// Who tells gateways again that have missed the newest FAST STOP of all.
+    /// Task that repeats the newest FAST STOP of all gateways to those that missed it.
     insisting: Mutex<Option<AbortHandle>>,
 }
 
 /// A FAST STOP of all gateways.
 #[derive(Debug)]
 pub struct FleetStop {
-    /// What an acknowledge of this gateway's own grippers has to name.
+    /// Id to name in the acknowledgement of this gateway's own grippers.
     pub id: FastStopId,
-    /// By gateway and gripper, whether it has confirmed.
+    /// Each gripper, as gateway/gripper, and whether it has confirmed.
     pub stops: Vec<(String, bool)>,
 }
 
 impl Peers {
-    /// Of the gateway of this name with these grippers, which is on no network yet.
+    /// Returns the peers of a gateway that has not joined a network yet.
     #[must_use]
     pub fn new(gateway: Name, own: Grippers) -> Self {
         let (session, others, news) = (OnceLock::new(), Mutex::default(), Notify::new());
@@ -90,15 +91,15 @@ impl Peers {
         Self { gateway, own, session, cause, others, twins, news, asked_at, asks, stops, leases, insisting }
     }
 
-    /// Goes on the network of this session, for as long as what is returned lives.
+    /// Joins the network of this session, until the returned token is dropped.
     ///
     /// # Errors
-    /// As Zenoh says.
+    /// Zenoh's error.
     pub async fn join(self: &Arc<Self>, session: &zenoh::Session) -> zenoh::Result<LivelinessToken> {
         let network = self.clone();
-        let told = move |state: Sample| network.take_state(state.key_expr().as_str(), &state.payload().to_bytes());
+        let on_state = move |state: Sample| network.take_state(state.key_expr().as_str(), &state.payload().to_bytes());
         let states = session.declare_subscriber(format!("{ROOT}/*/*/state")).allowed_origin(Locality::Remote);
-        states.callback(told).background().await?;
+        states.callback(on_state).background().await?;
         let network = self.clone();
         let lives = move |token: Sample| network.take_token(token.key_expr().as_str(), token.kind() == SampleKind::Put);
         let gateways = session.liveliness().declare_subscriber(format!("{ROOT}/*/alive")).history(true);
@@ -116,22 +117,22 @@ impl Peers {
         Twins::answer(session, &keys).await?;
         let instance = keys.own(&format!("instance/{}", session.zid()));
         let token = session.liveliness().declare_token(instance).await?;
-        // Who is on one already stays there.
+        // A gateway that has joined before keeps its session.
         let _ = self.session.set(session.clone());
         Ok(token)
     }
 
-    /// Looks for other gateways of this one's name, for as long as it is polled.
+    /// Looks for other gateways with this one's name, for as long as it is polled.
     pub fn watch_twins(&self, session: &zenoh::Session) -> impl Future<Output = ()> + use<> {
         self.twins.clone().watch(session.clone(), Keys::of(&self.gateway))
     }
 
-    /// Says why it is not on the network as it should be; none where it is.
+    /// Sets why the gateway is not connected as configured; `None` if it is.
     pub fn set_cause(&self, cause: Option<String>) {
         self.cause.send_replace(cause);
     }
 
-    /// Why it is not on the network as it should be; none where it is, or is to be on none.
+    /// Why the gateway is not connected as configured; `None` if it is, or if Zenoh is off.
     #[must_use]
     pub fn cause(&self) -> watch::Receiver<Option<String>> {
         self.cause.subscribe()
@@ -152,27 +153,27 @@ impl Peers {
         self.gateway == *gateway
     }
 
-    /// Whether another gateway has the name of this one: what is asked of either goes to both.
+    /// Whether another gateway has the same name, so that a request to either reaches both.
     #[must_use]
     pub fn has_twin(&self) -> bool {
         self.twins.any()
     }
 
-    /// Why motions that are asked by Zenoh are refused; none where they are not.
+    /// Why motions over Zenoh are refused; `None` if they are not.
     #[must_use]
     pub fn why_no_motions(&self) -> Option<String> {
-        const WHY: &str = "another gateway on the Zenoh network has the same name, so motions by Zenoh are refused: give each \
-                           its own --name";
+        const WHY: &str = "another gateway on the Zenoh network has the same name, so motions over Zenoh are refused: \
+                           give each gateway its own --name";
         self.has_twin().then(|| WHY.to_owned())
     }
 
-    /// Stops the grippers of all gateways. Its own don't wait for the others, nor for Zenoh. A gateway that was not reached
-    /// is told again, for a minute.
+    /// Stops the grippers of all gateways. This gateway's own grippers wait neither for the others nor for Zenoh. For
+    /// a minute, the FAST STOP is repeated to gateways that missed it.
     pub async fn fast_stop(self: &Arc<Self>, client: &Client, reason: &Reason) -> FleetStop {
         let begun = Now::read().instant;
-        let told = serde_json::json!({"reason": reason.as_str(), "client": &*client.subject}).to_string();
-        let ((id, own), ()) = tokio::join!(self.own.fast_stop(client, reason), self.stop_others(begun, &told));
-        // Of several gateways of one name it isn't known which of them has confirmed.
+        let payload = serde_json::json!({"reason": reason.as_str(), "client": &*client.subject}).to_string();
+        let ((id, own), ()) = tokio::join!(self.own.fast_stop(client, reason), self.stop_others(begun, &payload));
+        // If several gateways share this name, it is unknown which of them has confirmed.
         let is_one = !self.has_twin();
         let own = own.into_iter();
         let own = own.map(|(gripper, confirmed)| (format!("{}/{gripper}", self.gateway), confirmed && is_one));
@@ -180,8 +181,8 @@ impl Peers {
         let is_open = |stop: &Stop| matches!(stop, Stop::Unknown { .. } | Stop::Gone);
         let open: BTreeSet<_> = others.iter().filter(|(_, stop)| is_open(stop)).map(|(name, _)| name.clone()).collect();
         if !open.is_empty() {
-            let insisting = tokio::spawn(self.clone().insist(begun, told, open));
-            // The newest is for all that are open.
+            let insisting = tokio::spawn(self.clone().insist(begun, payload, open));
+            // The newest task covers all open grippers.
             if let Some(before) = self.insisting().replace(insisting.abort_handle()) {
                 before.abort();
             }
@@ -190,9 +191,9 @@ impl Peers {
         FleetStop { id, stops: own.chain(others.into_iter().map(confirmed)).collect() }
     }
 
-    /// Tells the others, and asks until all of them that live have confirmed.
-    async fn stop_others(self: &Arc<Self>, begun: Instant, told: &str) {
-        self.put_fast_stop(FAST_STOP_OF_ALL.to_owned(), told.to_owned());
+    /// Sends the FAST STOP to the others, and queries them until all that are alive have confirmed.
+    async fn stop_others(self: &Arc<Self>, begun: Instant, payload: &str) {
+        self.put_fast_stop(FAST_STOP_OF_ALL.to_owned(), payload.to_owned());
         let confirmed = async {
             loop {
                 let news = self.news.notified();
@@ -200,16 +201,17 @@ impl Peers {
                     return;
                 }
                 self.ask_states();
-                // Without an answer it is asked again.
+                // Without an answer, the query is repeated.
                 let _ = tokio::time::timeout(ASKS_EVERY, news).await;
             }
         };
-        // Who has not confirmed by then is told as that.
+        // Grippers that have not confirmed by then are reported as unconfirmed.
         let _ = tokio::time::timeout(FAST_STOP_WAIT, confirmed).await;
     }
 
-    /// Tells gateways of a FAST STOP again that come back and know of none, until all these grippers' do.
-    async fn insist(self: Arc<Self>, begun: Instant, told: String, mut open: BTreeSet<(Name, Name)>) {
+    /// Repeats a FAST STOP to gateways that come back without knowing of it, until the gateways of all `open` grippers
+    /// do.
+    async fn insist(self: Arc<Self>, begun: Instant, payload: String, mut open: BTreeSet<(Name, Name)>) {
         let insisted = async {
             let mut ticks = tokio::time::interval(INSISTS_EVERY);
             while !open.is_empty() {
@@ -220,18 +222,21 @@ impl Peers {
                 let is_missed = |name: &&(Name, Name)| stops.get(name) == Some(&Stop::Unknown { is_missed: true });
                 let gateways: BTreeSet<_> = open.iter().filter(is_missed).map(|(gateway, _)| gateway).collect();
                 for gateway in gateways {
-                    tracing::warn!(%gateway, "a gateway has missed a FAST STOP, and is told again");
-                    self.put_fast_stop(Keys::of(gateway).own("fast-stop"), told.clone());
+                    tracing::warn!(%gateway, "gateway missed a FAST STOP: sending it again");
+                    self.put_fast_stop(Keys::of(gateway).own("fast-stop"), payload.clone());
                 }
             }
         };
         if tokio::time::timeout(INSISTS_FOR, insisted).await.is_err() {
-            tracing::error!(?open, "a FAST STOP of all gateways has not reached these grippers'");
+            tracing::error!(
+                ?open,
+                "FAST STOP of all gateways not known to have reached these grippers: check them on site"
+            );
         }
     }
 
-    /// Asks all other gateways for their grippers' states, unless they were just asked. A published state may be anyone's; an
-    /// answer is bound to the session that it comes from.
+    /// Queries all other gateways for their grippers' states, unless a query was just sent. Anyone can publish a
+    /// state, but an answer is bound to the session that sent it.
     fn ask_states(self: &Arc<Self>) {
         let Some(session) = self.session.get().cloned() else { return };
         let now = Now::read().instant;
@@ -248,7 +253,7 @@ impl Peers {
             let get = get.consolidation(ConsolidationMode::None).allowed_destination(Locality::Remote);
             let get = get.express(true).priority(Priority::RealTime);
             if let Err(error) = get.callback(move |reply| network.take_answer(&reply, now)).wait() {
-                tracing::error!(%error, "the other gateways are not asked whether a FAST STOP is confirmed");
+                tracing::error!(%error, "FAST STOP confirmations not requested from other gateways");
             }
         });
     }
@@ -259,20 +264,20 @@ impl Peers {
             return;
         };
         let is_bounded = state.payload().len() <= MAX_STATE_BYTES;
-        if let Some(told) = is_bounded.then(|| report::PeerReport::of(&state.payload().to_bytes())).flatten() {
-            self.others().take_answer(&name, &told, &replier.zid().to_string(), asked_at);
+        if let Some(report) = is_bounded.then(|| report::PeerReport::of(&state.payload().to_bytes())).flatten() {
+            self.others().take_answer(&name, &report, &replier.zid().to_string(), asked_at);
             self.news.notify_waiters();
         }
     }
 
-    /// Puts one, from where it may wait for a place.
-    fn put_fast_stop(&self, key: String, told: String) {
+    /// Publishes a FAST STOP, on a thread that can wait for a place in the queue.
+    fn put_fast_stop(&self, key: String, payload: String) {
         let Some(session) = self.session.get().cloned() else { return };
         tokio::task::spawn_blocking(move || {
-            let put = session.put(key, told).allowed_destination(Locality::Remote).express(true);
+            let put = session.put(key, payload).allowed_destination(Locality::Remote).express(true);
             let put = put.priority(Priority::RealTime).congestion_control(CongestionControl::Block);
             if let Err(error) = put.wait() {
-                tracing::error!(%error, "the other gateways are not told of a FAST STOP");
+                tracing::error!(%error, "FAST STOP not sent to other gateways");
             }
         });
     }
@@ -282,23 +287,23 @@ impl Peers {
     }
 
     fn of_own(&self, state: &State) -> Option<FleetGripper> {
-        let told = report::PeerReport::of(&serde_json::to_vec(state).ok()?)?;
-        Some(told.of_gripper(&self.gateway, &state.gripper, Duration::ZERO, false))
+        let report = report::PeerReport::of(&serde_json::to_vec(state).ok()?)?;
+        Some(report.of_gripper(&self.gateway, &state.gripper, Duration::ZERO, false))
     }
 
     fn take_state(&self, key: &str, state: &[u8]) {
         let Some((gateway, gripper)) = keys::of_gripper(key) else { return };
         if gateway != self.gateway
             && state.len() <= MAX_STATE_BYTES
-            && let Some(told) = report::PeerReport::of(state)
+            && let Some(report) = report::PeerReport::of(state)
         {
-            self.others().take_state(gateway, gripper, told);
+            self.others().take_state(gateway, gripper, report);
         }
     }
 
     fn take_token(&self, key: &str, is_alive: bool) {
         if let Some(gateway) = keys::of_gateway(key).filter(|gateway| *gateway != self.gateway) {
-            tracing::info!(%gateway, is_alive, "another gateway");
+            tracing::info!(%gateway, is_alive, "presence of another gateway changed");
             self.others().take_token(gateway, is_alive);
         }
     }

@@ -1,4 +1,4 @@
-//! What is known of the other gateways' grippers.
+//! The known grippers of other gateways.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::{Duration, Instant};
@@ -7,105 +7,105 @@ use super::report::{FleetGripper, PeerReport};
 use crate::gripper::Now;
 use crate::gripper::model::Name;
 
-/// Grippers of other gateways that are known at a time: a hundred cells, and more. Those that are gone make room.
+/// Known grippers of other gateways at a time: enough for more than a hundred cells. Gone ones make room.
 const MAX_GRIPPERS: usize = 4096;
 
-/// Grippers that are known of one gateway. Whoever publishes under one gateway's name leaves room for the others.
+/// Known grippers of one gateway. A flood of states under one gateway's name leaves room for the others.
 const MAX_GRIPPERS_OF_ONE: usize = 256;
 
-/// Gateways that are known to live at a time.
+/// Gateways known to be alive at a time.
 const MAX_GATEWAYS: usize = 1024;
 
-/// Sessions that are known as the gateway of one name. From two on it is ambiguous which of them answers; the others leave
-/// room for the true one.
+/// Sessions known under one gateway's name. From two on, it is ambiguous which of them answers; the others leave room
+/// for the true one.
 const MAX_INSTANCES_OF_ONE: usize = 16;
 
-/// The most bytes of what tells gateways apart that have one name.
+/// Longest session id that distinguishes gateways with one name, in bytes.
 const MAX_INSTANCE_BYTES: usize = 32;
 
-/// A gateway tells each state twice a second at least: one that has said nothing for so long is gone, whatever its
-/// liveliness token says.
+/// Silence after which a gateway is gone, whatever its liveliness token says. A gateway publishes each state at least
+/// twice a second.
 const GONE_AFTER: Duration = Duration::from_millis(1900);
 
-/// How long a gripper whose gateway is gone is still told of.
+/// Time for which a gripper is still listed after its gateway is gone.
 const KEPT_FOR: Duration = Duration::from_hours(1);
 
-/// What a gripper's gateway told last, and when.
+/// The last report on a gripper, and its time.
 #[derive(Debug)]
 struct Known {
-    told: PeerReport,
+    report: PeerReport,
     at: Instant,
     answer: Option<OwnersAnswer>,
 }
 
-/// What was answered to this gateway's newest query for a gripper's state. Anybody can publish a state; an answer names the
-/// session that it comes from.
+/// The answer to this gateway's newest query for a gripper's state. Anyone can publish a state, but an answer names
+/// the session that sent it.
 #[derive(Debug, Clone, Copy)]
 struct OwnersAnswer {
-    /// When the query went out.
+    /// When the query was sent.
     asked_at: Instant,
     is_latched: bool,
     is_stopped: bool,
-    /// Whether it comes from the one session that is known as this gateway.
+    /// Whether the answer comes from the only session known as that gateway.
     is_owners: bool,
 }
 
-/// What is known of a FAST STOP of one gripper.
+/// Known state of a FAST STOP of one gripper.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum Stop {
-    /// Its gateway has answered that the gripper's flags have shown it.
+    /// The gripper's gateway has answered that the device's flags show the FAST STOP.
     Confirmed,
-    /// Its gateway has answered that it repeats it until they do.
+    /// The gripper's gateway has answered that it repeats the FAST STOP until the flags show it.
     Latched,
-    /// Its gateway has not answered since; or has answered that there is none.
+    /// The gripper's gateway has not answered since, or has answered that nothing is latched.
     Unknown {
-        /// Whether it has answered that there is none.
+        /// Whether the gateway has answered that nothing is latched.
         is_missed: bool,
     },
-    /// Its gateway is gone.
+    /// The gripper's gateway is gone.
     Gone,
 }
 
-/// All of it.
+/// Everything known of the other gateways.
 #[derive(Debug, Default)]
 pub(super) struct Others {
     grippers: BTreeMap<(Name, Name), Known>,
     alive: BTreeSet<Name>,
-    /// The sessions that declare themselves to be a gateway, by its name; those of this one's name left out.
+    /// Sessions that declare themselves to be a gateway, with its name. Those with this gateway's name are left out.
     instances: BTreeSet<(Name, String)>,
 }
 
 impl Others {
-    pub(super) fn take_state(&mut self, gateway: Name, gripper: Name, told: PeerReport) {
+    pub(super) fn take_state(&mut self, gateway: Name, gripper: Name, report: PeerReport) {
         let at = Now::read().instant;
         let name = (gateway, gripper);
         if self.grippers.len() >= MAX_GRIPPERS && !self.grippers.contains_key(&name) && !self.make_room(at) {
-            tracing::warn!(gateway = %name.0, gripper = %name.1, MAX_GRIPPERS, "too many grippers on the network");
+            tracing::warn!(gateway = %name.0, gripper = %name.1, MAX_GRIPPERS, "too many grippers: ignored");
             return;
         }
         if let Some(known) = self.grippers.get_mut(&name) {
-            (known.told, known.at) = (told, at);
+            (known.report, known.at) = (report, at);
         } else if self.count_of(&name) < MAX_GRIPPERS_OF_ONE {
-            self.grippers.insert(name, Known { told, at, answer: None });
+            self.grippers.insert(name, Known { report, at, answer: None });
         }
     }
 
-    /// How many grippers are known of the gateway that this name begins with: they stand side by side.
+    /// Counts the known grippers of the gateway in `name`, which are adjacent in the map.
     fn count_of(&self, name: &(Name, Name)) -> usize {
         let is_same = |known: &(&(Name, Name), &Known)| known.0.0 == name.0;
         let before = self.grippers.range(..name).rev().take_while(is_same).count();
         before + self.grippers.range(name..).take_while(is_same).count()
     }
 
-    /// Takes the state of a known gripper with which this session has answered a query that went out at `asked_at`.
-    pub(super) fn take_answer(&mut self, name: &(Name, Name), told: &PeerReport, session: &str, asked_at: Instant) {
+    /// Takes a known gripper's state, with which this session answered a query sent at `asked_at`.
+    pub(super) fn take_answer(&mut self, name: &(Name, Name), report: &PeerReport, session: &str, asked_at: Instant) {
         let is_owners = self.instances_of(&name.0).eq([session]);
         let Some(known) = self.grippers.get_mut(name) else { return };
         let mut answer =
-            OwnersAnswer { asked_at, is_latched: told.is_latched(), is_stopped: told.is_stopped(), is_owners };
+            OwnersAnswer { asked_at, is_latched: report.is_latched(), is_stopped: report.is_stopped(), is_owners };
         match known.answer {
             Some(newer) if newer.asked_at > asked_at => return,
-            // Of several that answer one query, all have to be stopped.
+            // If several sessions answer one query, all of them have to report the stop.
             Some(other) if other.asked_at == asked_at => {
                 answer.is_latched &= other.is_latched;
                 answer.is_stopped &= other.is_stopped;
@@ -124,7 +124,7 @@ impl Others {
         }
     }
 
-    /// A session that declares itself to be the gateway of this name.
+    /// Takes the token of a session that declares itself to be the gateway with this name.
     pub(super) fn take_instance(&mut self, gateway: Name, instance: &str, is_alive: bool) {
         let has_room = self.instances.len() < MAX_GATEWAYS && instance.len() <= MAX_INSTANCE_BYTES;
         if is_alive && has_room && self.instances_of(&gateway).count() < MAX_INSTANCES_OF_ONE {
@@ -134,17 +134,17 @@ impl Others {
         }
     }
 
-    /// Whether a session is known as the gateway of this name.
+    /// Whether a session is known as the gateway with this name.
     pub(super) fn is_instance(&self, gateway: &Name, session: &str) -> bool {
         self.instances_of(gateway).any(|instance| instance == session)
     }
 
-    /// The sessions that are known as the gateway of this name: one of an honest network.
+    /// Sessions known as the gateway with this name: one, on an honest network.
     fn instances_of(&self, gateway: &Name) -> impl Iterator<Item = &str> {
         self.instances.iter().filter(move |(name, _)| name == gateway).map(|(_, instance)| instance.as_str())
     }
 
-    /// Whether the gateway is gone that has this gripper, or would have it; none where it isn't known.
+    /// Whether the gateway that owns this gripper, or would own it, is gone; `None` if the gateway is unknown.
     pub(super) fn has_lost(&self, gateway: &Name, gripper: &Name, now: Instant) -> Option<bool> {
         let mut known =
             self.grippers.iter().filter(|((name, _), _)| name == gateway).map(|(_, known)| known).peekable();
@@ -156,15 +156,15 @@ impl Others {
     }
 
     pub(super) fn grippers(&self, now: Instant) -> Vec<FleetGripper> {
-        let tell = |((gateway, gripper), known): (&(Name, Name), &Known)| {
+        let listed = |((gateway, gripper), known): (&(Name, Name), &Known)| {
             let since = now.saturating_duration_since(known.at);
             let gone = self.is_gone(gateway, known, now);
-            (since < KEPT_FOR).then(|| known.told.of_gripper(gateway, gripper, since, gone))
+            (since < KEPT_FOR).then(|| known.report.of_gripper(gateway, gripper, since, gone))
         };
-        self.grippers.iter().filter_map(tell).collect()
+        self.grippers.iter().filter_map(listed).collect()
     }
 
-    /// What is known of each gripper's FAST STOP since then, also of those whose gateway is gone: they may move on.
+    /// State of each gripper's FAST STOP since `begun`. Grippers of gone gateways are included: they could still move.
     pub(super) fn stops_since(&self, begun: Instant) -> BTreeMap<(Name, Name), Stop> {
         let now = Now::read().instant;
         let known = self.grippers.iter().filter(|(_, known)| now.saturating_duration_since(known.at) < KEPT_FOR);
@@ -185,7 +185,7 @@ impl Others {
         !self.alive.contains(gateway) || now.saturating_duration_since(known.at) >= GONE_AFTER
     }
 
-    /// Forgets the gripper that was not heard of for longest, if its gateway is gone.
+    /// Forgets the gripper with the oldest report, among those whose gateway is gone.
     fn make_room(&mut self, now: Instant) -> bool {
         let gone = self.grippers.iter().filter(|((gateway, _), known)| self.is_gone(gateway, known, now));
         let oldest = gone.min_by_key(|(_, known)| known.at).map(|(name, _)| name.clone());
@@ -197,7 +197,7 @@ impl Others {
 mod tests {
     use super::*;
 
-    fn told(fast_stop: bool) -> PeerReport {
+    fn report(fast_stop: bool) -> PeerReport {
         let state = serde_json::json!({"link": "connected", "age_ms": 5, "fast_stop": fast_stop, "fast_stop_confirmed": fast_stop});
         PeerReport::of(state.to_string().as_bytes()).unwrap()
     }
@@ -211,54 +211,54 @@ mod tests {
     }
 
     #[test]
-    fn a_gateway_is_gone_with_its_token_and_when_it_is_silent() {
+    fn gateway_is_gone_without_its_token_or_after_silence() {
         let mut others = Others::default();
         others.take_token(name("cell-1"), true);
-        others.take_state(name("cell-1"), name("left"), told(false));
+        others.take_state(name("cell-1"), name("left"), report(false));
         let now = Instant::now();
         let lost = |others: &Others, gateway, gripper, now| others.has_lost(&name(gateway), &name(gripper), now);
         assert_eq!(gone(&others, now), [false]);
         assert_eq!(gone(&others, now + GONE_AFTER), [true]);
         for gripper in ["left", "right"] {
             assert_eq!(lost(&others, "cell-1", gripper, now), Some(false));
-            assert_eq!(lost(&others, "cell-1", gripper, now + GONE_AFTER), Some(true), "as it is told");
+            assert_eq!(lost(&others, "cell-1", gripper, now + GONE_AFTER), Some(true), "as in the list");
         }
         others.take_token(name("cell-1"), false);
         assert_eq!(gone(&others, now), [true]);
         assert_eq!(lost(&others, "cell-1", "left", now), Some(true));
         assert_eq!(lost(&others, "cell-2", "left", now), None);
         others.take_token(name("cell-2"), true);
-        assert_eq!(lost(&others, "cell-2", "left", now), Some(false), "it has not told of it yet");
+        assert_eq!(lost(&others, "cell-2", "left", now), Some(false), "its grippers are not known yet");
         assert_eq!(gone(&others, now + KEPT_FOR), [] as [bool; 0]);
     }
 
     #[test]
-    fn only_the_owners_answer_since_the_stop_confirms_it() {
+    fn only_an_owners_answer_since_the_stop_confirms_it() {
         let (mut others, left) = (Others::default(), (name("cell-1"), name("left")));
         others.take_token(name("cell-1"), true);
         others.take_instance(name("cell-1"), "1", true);
-        others.take_state(left.0.clone(), left.1.clone(), told(true));
+        others.take_state(left.0.clone(), left.1.clone(), report(true));
         let begun = Instant::now();
         let later = |ms| begun + Duration::from_millis(ms);
         let stop = |others: &Others| others.stops_since(begun)[&left];
-        assert_eq!(stop(&others), Stop::Unknown { is_missed: false }, "anybody can publish a state");
-        others.take_answer(&left, &told(true), "1", begun.checked_sub(Duration::from_millis(1)).unwrap());
-        assert_eq!(stop(&others), Stop::Unknown { is_missed: false }, "it was asked before");
-        others.take_answer(&left, &told(true), "2", later(1));
+        assert_eq!(stop(&others), Stop::Unknown { is_missed: false }, "anyone can publish a state");
+        others.take_answer(&left, &report(true), "1", begun.checked_sub(Duration::from_millis(1)).unwrap());
+        assert_eq!(stop(&others), Stop::Unknown { is_missed: false }, "the query was sent before");
+        others.take_answer(&left, &report(true), "2", later(1));
         assert_eq!(stop(&others), Stop::Unknown { is_missed: false }, "another session answers");
-        others.take_answer(&left, &told(false), "1", later(2));
+        others.take_answer(&left, &report(false), "1", later(2));
         assert_eq!(stop(&others), Stop::Unknown { is_missed: true });
-        others.take_answer(&left, &told(true), "1", later(3));
+        others.take_answer(&left, &report(true), "1", later(3));
         assert_eq!(stop(&others), Stop::Confirmed);
-        others.take_answer(&left, &told(false), "1", later(2));
+        others.take_answer(&left, &report(false), "1", later(2));
         assert_eq!(stop(&others), Stop::Confirmed, "an answer to an older question");
-        others.take_answer(&left, &told(true), "2", later(3));
+        others.take_answer(&left, &report(true), "2", later(3));
         assert_eq!(stop(&others), Stop::Unknown { is_missed: false }, "two answer the same question");
         others.take_instance(name("cell-1"), "2", true);
-        others.take_answer(&left, &told(true), "1", later(4));
+        others.take_answer(&left, &report(true), "1", later(4));
         assert_eq!(stop(&others), Stop::Unknown { is_missed: false }, "two sessions are known as the gateway");
         others.take_instance(name("cell-1"), "2", false);
-        others.take_answer(&left, &told(true), "1", later(5));
+        others.take_answer(&left, &report(true), "1", later(5));
         others.take_token(name("cell-1"), false);
         assert_eq!(stop(&others), Stop::Confirmed);
     }
@@ -267,7 +267,7 @@ mod tests {
     fn one_gateway_leaves_room_for_the_others() {
         let mut others = Others::default();
         for index in 0..=MAX_GRIPPERS_OF_ONE {
-            others.take_state(name("cell-1"), name(&format!("g{index}")), told(false));
+            others.take_state(name("cell-1"), name(&format!("g{index}")), report(false));
         }
         assert_eq!(others.grippers.len(), MAX_GRIPPERS_OF_ONE);
         for index in 0..=MAX_INSTANCES_OF_ONE {
@@ -277,21 +277,21 @@ mod tests {
     }
 
     #[test]
-    fn who_is_gone_makes_room_and_who_lives_does_not() {
+    fn only_gone_gateways_make_room() {
         let mut others = Others::default();
         let cells = MAX_GRIPPERS / MAX_GRIPPERS_OF_ONE;
         for cell in 0..cells {
             others.take_token(name(&format!("full-{cell}")), true);
             for index in 0..MAX_GRIPPERS_OF_ONE {
-                others.take_state(name(&format!("full-{cell}")), name(&format!("g{index}")), told(false));
+                others.take_state(name(&format!("full-{cell}")), name(&format!("g{index}")), report(false));
             }
         }
         others.take_token(name("cell-2"), true);
-        others.take_state(name("cell-2"), name("left"), told(false));
+        others.take_state(name("cell-2"), name("left"), report(false));
         assert_eq!(others.grippers.len(), MAX_GRIPPERS);
         assert!(!others.grippers.contains_key(&(name("cell-2"), name("left"))));
         others.take_token(name("full-0"), false);
-        others.take_state(name("cell-2"), name("left"), told(false));
+        others.take_state(name("cell-2"), name("left"), report(false));
         assert_eq!(others.grippers.len(), MAX_GRIPPERS);
         assert!(others.grippers.contains_key(&(name("cell-2"), name("left"))));
     }

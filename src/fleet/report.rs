@@ -1,4 +1,4 @@
-//! What is told of a gripper in the fleet: the part of its state that says whether it can be worked with.
+//! The part of a gripper's state that the fleet lists: enough to see whether the gripper can be used.
 
 use std::time::Duration;
 
@@ -7,7 +7,7 @@ use utoipa::ToSchema;
 
 use crate::gripper::model::{FastStopId, Name, Text};
 
-/// That part, as the gateway that owns the gripper has published it. What it calls things is bounded here.
+/// A gripper's state as published by the gateway that owns it. The lengths of its texts are bounded here.
 #[derive(Debug, Clone, PartialEq, Deserialize)]
 pub(super) struct PeerReport {
     link: Text<32>,
@@ -23,12 +23,12 @@ pub(super) struct PeerReport {
 }
 
 impl PeerReport {
-    /// Of a state's JSON; none where it is no state.
+    /// Parses a state's JSON; returns `None` if it is not a state.
     pub(super) fn of(state: &[u8]) -> Option<Self> {
         serde_json::from_slice(state).ok()
     }
 
-    /// Whether its gateway knows of a FAST STOP, which it repeats until the gripper has confirmed it.
+    /// Whether the gateway knows of a FAST STOP, which it repeats until the gripper has confirmed it.
     pub(super) fn is_latched(&self) -> bool {
         self.fast_stop == Some(true)
     }
@@ -37,7 +37,7 @@ impl PeerReport {
         self.fast_stop == Some(true) && self.fast_stop_confirmed == Some(true)
     }
 
-    /// As clients are told, so long after it came.
+    /// Returns the list entry for clients. `since` is the time since the report arrived.
     pub(super) fn of_gripper(&self, gateway: &Name, gripper: &Name, since: Duration, gone: bool) -> FleetGripper {
         let text = |text: &Option<Text<64>>| text.as_ref().map(|text| text.as_str().to_owned());
         FleetGripper {
@@ -65,56 +65,56 @@ impl PeerReport {
     "moving": false, "width_mm": 20.0, "force_n": 40.0, "fast_stop": false, "lease_holder": "robot-1"
 }))]
 pub struct FleetGripper {
-    /// The gateway that owns it.
+    /// Gateway that owns the gripper.
     #[schema(max_length = 32)]
     gateway: String,
-    /// Its name there.
+    /// Name of the gripper at that gateway.
     #[schema(max_length = 32)]
     gripper: String,
-    /// Whether its gateway is gone: what is told here is what it told last.
+    /// Whether that gateway is gone. If so, the other fields have its last report.
     gone: bool,
-    /// How the link to the device is: `connecting`, `connected`, `unresponsive` or `reconnecting`.
+    /// State of the link to the device: `connecting`, `connected`, `unresponsive` or `reconnecting`.
     #[schema(max_length = 32)]
     link: String,
-    /// The age of the newest update from the device; null before the first.
+    /// Age of the newest update from the device, in ms; null before the first.
     #[schema(required, minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     age_ms: Option<u64>,
-    /// The gripper state, by the manual's noun; null before the first update.
+    /// Gripper state, as the manual names it; null before the first update.
     #[schema(required, max_length = 32)]
     state: Option<String>,
     /// Whether the fingers are moving; null before the first update.
     #[schema(required)]
     moving: Option<bool>,
-    /// The opening width in mm; null until referenced.
+    /// Opening width in mm; null until referenced.
     #[schema(required, minimum = -1000, maximum = 1000)]
     width_mm: Option<f32>,
-    /// The gripping force in N.
+    /// Gripping force in N.
     #[schema(required, minimum = -10000, maximum = 10000)]
     force_n: Option<f32>,
-    /// Whether a FAST STOP holds; null until the first connect.
+    /// Whether a FAST STOP is latched; null until the first connect.
     #[schema(required)]
     fast_stop: Option<bool>,
-    /// What an acknowledge has to name; only while one holds.
+    /// Id to name in the acknowledgement; only while a FAST STOP is latched.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<uuid::Uuid>, nullable = false)]
     fast_stop_id: Option<FastStopId>,
-    /// Whether the device's flags showed it; only while one holds.
+    /// Whether the device's flags showed the FAST STOP; only while one is latched.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
     fast_stop_confirmed: Option<bool>,
-    /// Who holds the lease; null while nobody does.
+    /// Holder of the lease; null while the gripper is not leased.
     #[schema(required, max_length = 64)]
     lease_holder: Option<String>,
 }
 
 impl FleetGripper {
-    /// By which it is found: its gateway, and its name there.
+    /// The names of the gateway and the gripper.
     #[must_use]
     pub fn name(&self) -> (String, String) {
         (self.gateway.clone(), self.gripper.clone())
     }
 
-    /// What is told without what changes all the time.
+    /// Returns a copy without the age, which changes all the time.
     #[must_use]
     pub fn lasting(&self) -> Self {
         Self { age_ms: None, ..self.clone() }

@@ -1,6 +1,6 @@
-//! Other gateways of this one's name. What is asked of the name would be done by each of them.
+//! Other gateways with this one's name. Each of them would carry out a request to that name.
 //!
-//! Any session may declare an `instance` token, so a token alone counts for nothing: a twin is a session that answers at
+//! Any session can declare an `instance` token, so a token alone proves nothing: a twin is a session that answers at
 //! its own instance key, as a gateway does.
 
 use std::collections::BTreeSet;
@@ -16,19 +16,19 @@ use zenoh::{Session, Wait as _};
 
 use super::keys::{Keys, last_part};
 
-/// Time between two looks for twins. A new token is followed by a look of its own.
+/// Interval between searches for twins. A new token starts a search of its own.
 const LOOKS_EVERY: Duration = Duration::from_secs(2);
 
-/// Time between two looks at least, however many tokens come and go.
+/// Shortest interval between searches, however many tokens come and go.
 const LOOKS_AT_MOST_EVERY: Duration = Duration::from_millis(250);
 
-/// How long twins have to answer.
+/// Time for twins to answer.
 const ANSWERS_WITHIN: Duration = Duration::from_secs(1);
 
-/// Twins that are told apart: one is one too many already.
+/// Twins that are distinguished. One is already too many.
 const MAX_TWINS: usize = 16;
 
-/// Time between two log lines about tokens without a gateway.
+/// Shortest interval between log lines about tokens without a gateway.
 const SAID_EVERY: Duration = Duration::from_mins(1);
 
 /// The twins of one gateway.
@@ -39,12 +39,12 @@ pub(super) struct Twins {
 }
 
 impl Twins {
-    /// Whether there is one.
+    /// Whether this gateway has a twin.
     pub(super) fn any(&self) -> bool {
         !self.found.lock().unwrap_or_else(PoisonError::into_inner).is_empty()
     }
 
-    /// Looks soon: a session has declared or withdrawn an `instance` token of this name.
+    /// Starts a search soon, after a session has declared or withdrawn an `instance` token with this name.
     pub(super) fn look(&self) {
         self.claims.notify_one();
     }
@@ -56,7 +56,7 @@ impl Twins {
         let answer = move |query: Query| {
             let Ok(place) = places.clone().try_acquire_owned() else { return };
             let key = answered.clone();
-            // A reply may wait for a client that takes none, so it is sent from where nobody else waits.
+            // A reply can wait for a client that takes none, so it gets a thread on which nothing else waits.
             runtime.spawn_blocking(move || {
                 if let Err(error) = query.reply(key, "").wait() {
                     tracing::debug!(%error, "instance query not answered");
@@ -78,14 +78,15 @@ impl Twins {
             *self.found.lock().unwrap_or_else(PoisonError::into_inner) = found;
             match (was_alone, is_alone) {
                 (true, false) => tracing::error!(
-                    "another gateway on this Zenoh network has the same name: give each its own --name; motions by Zenoh are refused meanwhile"
+                    "another gateway on this Zenoh network has the same name, so motions over Zenoh are refused: give \
+                     each gateway its own --name"
                 ),
-                (false, true) => tracing::info!("no other gateway has the name of this one any more"),
+                (false, true) => tracing::info!("no other gateway has this gateway's name any more"),
                 (true, true) if is_claimed && said_at.is_none_or(|at| at.elapsed() >= SAID_EVERY) => {
                     said_at = Some(Instant::now());
                     tracing::warn!(
-                        "a session that is no gateway declares or withdraws this gateway's instance token: let access control \
-                         allow it to gateways alone (deploy/zenoh/README.md)"
+                        "a session that is not a gateway declares or withdraws this gateway's instance token: restrict \
+                         the token to gateways by access control (deploy/zenoh/README.md)"
                     );
                 }
                 _ => {}
@@ -94,7 +95,8 @@ impl Twins {
         }
     }
 
-    /// Those that answer, and those that have answered before and still have their token: a frozen one may go on.
+    /// Returns the twins that answer, and those that answered before and still have their token. A frozen one could
+    /// resume.
     async fn round(&self, session: &Session, keys: &Keys) -> BTreeSet<String> {
         let mut candidates = answering(session, keys).await;
         candidates.extend(self.found.lock().unwrap_or_else(PoisonError::into_inner).iter().cloned());
@@ -116,7 +118,7 @@ async fn answering(session: &Session, keys: &Keys) -> BTreeSet<String> {
         return BTreeSet::new();
     };
     let mut found = BTreeSet::new();
-    // The query's time-out ends it, whatever comes until then.
+    // The query's time-out ends the loop, whatever arrives until then.
     while found.len() < MAX_TWINS
         && let Ok(reply) = replies.recv_async().await
     {
@@ -125,13 +127,13 @@ async fn answering(session: &Session, keys: &Keys) -> BTreeSet<String> {
     found
 }
 
-/// The id of the instance that a reply comes from; none where another session answers at its key.
+/// The id of the instance that a reply comes from; `None` if another session answers at its key.
 fn instance(reply: &Reply) -> Option<String> {
     let id = last_part(reply.result().ok()?.key_expr().as_str()).to_owned();
     (reply.replier_id()?.zid().to_string() == id).then_some(id)
 }
 
-/// Whether the session of this id declares itself to be the gateway with these keys.
+/// Whether the session with this id declares itself to be the gateway with these keys.
 pub(super) async fn has_token(session: &Session, keys: &Keys, id: &str) -> bool {
     let key = keys.own(&format!("instance/{id}"));
     let Ok(tokens) = session.liveliness().get(key).timeout(ANSWERS_WITHIN).await else { return false };

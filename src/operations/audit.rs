@@ -1,5 +1,7 @@
-//! Refused requests, written down: the first of a kind at once, and those that repeat counted by the second, so that a
-//! client that floods the gateway fills no disk; and held back, so that it takes no processor time from a FAST STOP.
+//! Audit of refused requests.
+//!
+//! The first refusal of a kind is recorded at once; repeats are counted and recorded once a second, so a client that
+//! floods the gateway does not fill the disk. Its answers are delayed, so it takes no processor time from a FAST STOP.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -13,52 +15,49 @@ use crate::gripper::model::{Client, Detail, Event, Name, RefusedEvent, Urgency};
 use crate::gripper::recorder::{Record, Recorder as _};
 use crate::journal::Journal;
 
-/// How often what was counted is written down.
+/// Interval at which counted repeats are recorded.
 pub const COUNTED_FOR: Duration = Duration::from_secs(1);
 
-/// Kinds of refusals that are told apart within a second. The rest is counted together.
+/// Kinds of refusals that are counted separately within a second. The rest are counted together.
 const MAX_KINDS: usize = 256;
 
-/// How many refusals of a kind are answered at once within a second: who tries again each cycle of a PLC has fewer.
+/// Refusals of a kind that are answered at once within a second. A PLC that retries every cycle has fewer.
 const MAX_PROMPT: u64 = 100;
 
-/// How long the answer to each further one waits.
+/// Delay of each further answer.
 const HELD_BACK_FOR: Duration = Duration::from_millis(50);
 
-/// And how many wait at a time: they keep connections busy, of which a FAST STOP needs one. More are answered at once.
+/// Answers that are delayed at a time; further ones are sent at once. A delayed answer keeps a connection busy, and a
+/// FAST STOP needs one.
 const MAX_HELD_BACK: usize = 64;
 
 /// A kind of refused request.
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct RefusedRequest {
-    /// The gripper, where the request names one.
+    /// The gripper, if the request names one.
     pub gripper: Option<Name>,
-    /// The client.
     pub client: Client,
-    /// For what.
     pub command: String,
-    /// The problem's code.
     pub code: String,
 }
 
-/// The refusals of the running second.
+/// Counts the refusals of the current second.
 #[derive(Debug)]
 pub struct Audit {
     journal: Journal,
-    /// With the newest words, and how many came after the first.
+    /// Newest cause of each kind, and the number of repeats after the first.
     counted: Mutex<HashMap<RefusedRequest, (String, u64)>>,
     held_back: Semaphore,
 }
 
 impl Audit {
-    /// Returns an audit that writes into this journal.
     #[must_use]
     pub fn new(journal: Journal) -> Self {
         Self { journal, counted: Mutex::default(), held_back: Semaphore::new(MAX_HELD_BACK) }
     }
 
-    /// Records a refused request. The answer to a client that is refused all the time is delayed here, unless the request
-    /// is urgent.
+    /// Records a refused request. Delays the answer to a client that is refused all the time, unless the request is
+    /// urgent.
     pub async fn record(&self, request: RefusedRequest, cause: &str, urgency: Urgency) {
         let delay = self.take(request, cause.to_owned());
         if let Some(time) = delay.filter(|_| urgency == Urgency::None) {
@@ -66,7 +65,7 @@ impl Audit {
         }
     }
 
-    /// Takes one, and says how long its answer is to be held back, if it is.
+    /// Counts a refused request, and returns the delay of its answer, if any.
     pub fn take(&self, mut refusal: RefusedRequest, cause: String) -> Option<Duration> {
         let mut counted = self.counted.lock().unwrap_or_else(PoisonError::into_inner);
         if counted.len() >= MAX_KINDS && !counted.contains_key(&refusal) {
@@ -87,14 +86,14 @@ impl Audit {
         }
     }
 
-    /// Waits before an answer that is to be held back.
+    /// Delays an answer, unless `MAX_HELD_BACK` others are delayed.
     pub async fn hold_back(&self, time: Duration) {
         if let Ok(_place) = self.held_back.try_acquire() {
             tokio::time::sleep(time).await;
         }
     }
 
-    /// Writes down what was counted, second by second, for as long as it is polled.
+    /// Records the counted repeats once a second, for as long as it is polled.
     pub async fn count(&self) {
         loop {
             tokio::time::sleep(COUNTED_FOR).await;
@@ -102,7 +101,7 @@ impl Audit {
         }
     }
 
-    /// Writes down what was counted until now.
+    /// Records the repeats counted so far.
     pub fn write_down(&self) {
         let counted = std::mem::take(&mut *self.counted.lock().unwrap_or_else(PoisonError::into_inner));
         for (refusal, (cause, count)) in counted.into_iter().filter(|(_, (_, count))| *count > 0) {

@@ -23,16 +23,16 @@ use crate::wsg::{self, Finger};
 pub struct Params {
     /// Parameters that the operation's path names.
     pub path: BTreeMap<&'static str, String>,
-    /// All others.
+    /// All other parameters.
     pub fields: Fields,
 }
 
-/// Parameters as an interface has them.
+/// Parameters in the form that an interface received.
 #[derive(Debug)]
 pub enum Fields {
     /// The text of a JSON object; an empty text stands for an empty object.
     Text(Bytes),
-    /// A JSON object in which no key stands twice.
+    /// A JSON object without duplicate keys.
     Object(Map<String, Value>),
 }
 
@@ -45,31 +45,28 @@ impl Default for Fields {
 /// A request for an operation.
 #[derive(Debug)]
 pub struct Call {
-    /// The gateway that is asked.
     pub gateway: Arc<Gateway>,
-    /// The client that asks.
     pub caller: Caller,
-    /// Parameters of the request.
     pub params: Params,
 }
 
-/// Parameters of an operation that takes none but a lease token.
+/// Parameters of an operation that takes only a lease token.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 #[schema(example = json!({}))]
 pub struct Leased {
-    /// The lease's token of at most 64 bytes, while somebody holds one; empty is none.
+    /// Token of the current lease, if the gripper is leased. At most 64 bytes; empty means none.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     pub lease: Option<String>,
 }
 
-/// Parameters of an operation that takes none.
+/// Parameters of an operation without any.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct NoFields {}
 
 impl Params {
-    /// Returns the name of the gripper that the parameters name.
+    /// Returns the gripper's name, if the parameters have a valid one.
     pub fn gripper(&self) -> Option<Name> {
         self.path.get("gripper")?.parse().ok()
     }
@@ -80,13 +77,13 @@ impl Params {
 }
 
 impl Call {
-    /// Returns the gripper, and uses the lease whose token stands beside the parameters.
+    /// Returns the gripper, and uses the lease whose token came beside the parameters.
     pub fn gripper(&self) -> Result<Gripper, Problem> {
         let unknown = || Problem::not_found("gripper of this name");
         let name = self.params.part("gripper")?.parse().map_err(|_| unknown())?;
         let handle = self.gateway.grippers.get(&name).ok_or_else(unknown)?.clone();
         let Caller { client, lease, request_id, presence, .. } = self.caller.clone();
-        // An invalid request id is refused by operations that do not need one, too.
+        // Operations that need no request id refuse an invalid one, too.
         let lease = lease.and_then(|lease| request_id.map(|_| lease));
         let used = lease.as_ref().ok().and_then(Option::as_ref).map(|lease| LeaseUse::begin(&handle, lease, presence));
         Ok(Gripper { handle, client, lease, used, presence })
@@ -100,7 +97,7 @@ impl Call {
         }
     }
 
-    /// Returns a text among the parameters; none where they can't be parsed.
+    /// Returns a text parameter, or `None` if the parameters cannot be parsed.
     pub fn lenient_text(&self, key: &str) -> Option<String> {
         match &self.params.fields {
             Fields::Text(text) => json::text_member(text, key),
@@ -139,7 +136,7 @@ impl Call {
         match self.params.part("finger")? {
             "1" => Ok(Finger::One),
             "2" => Ok(Finger::Two),
-            _ => Err(Problem::not_found("such finger: they are 1 and 2")),
+            _ => Err(Problem::not_found("such finger: use 1 or 2")),
         }
     }
 }
@@ -147,9 +144,7 @@ impl Call {
 /// A gripper with the client and the lease of a request.
 #[derive(Debug)]
 pub struct Gripper {
-    /// The gripper.
     pub handle: Handle,
-    /// The client.
     pub client: Client,
     lease: Result<Option<LeaseToken>, Problem>,
     used: Option<LeaseUse>,
@@ -159,9 +154,9 @@ pub struct Gripper {
 /// A request's use of a lease.
 #[derive(Debug)]
 enum LeaseUse {
-    /// While the request is open.
+    /// Uses the lease for as long as the request is open.
     WhileOpen { _open: Using },
-    /// When the request came, and when it is answered.
+    /// Uses the lease when the request arrives, and again when it is answered.
     AtBothEnds { _renewal: RenewalAtEnd },
 }
 
@@ -191,7 +186,6 @@ impl LeaseUse {
 }
 
 impl Gripper {
-    /// Returns the gripper's name.
     pub fn name(&self) -> String {
         self.handle.name().to_string()
     }
@@ -227,7 +221,7 @@ mod tests {
     use crate::operations::{Wait, call};
 
     #[tokio::test(start_paused = true)]
-    async fn lease_time_runs_from_the_answer_and_earlier_where_the_client_is_unseen() {
+    async fn open_request_keeps_the_lease_only_if_its_client_is_seen() {
         let gateway = Gateway::of([fake::gripper("left", Script { fate: Fate::Runs, ..Script::default() }).0]);
         let caller = Caller::new(Client { subject: "test".into(), door: Door::Zenoh });
         let ask = async |caller: &Caller, name: &str, fields: Value| -> Value {

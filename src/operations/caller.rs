@@ -1,4 +1,4 @@
-//! The client behind a request, and what the request says beside its parameters.
+//! The client behind a request, with the lease token, request id and wait that come beside the parameters.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -10,13 +10,13 @@ use super::values::{integer, text};
 use crate::gripper::Ticket;
 use crate::gripper::model::{Client, Command, LeaseToken, RequestId};
 
-/// Longest wait for a command's end. Proxies and clients give up after a minute.
+/// Longest wait for a command's end, in ms. Proxies and clients give up after a minute.
 pub const MAX_WAIT_MS: u64 = 60_000;
 
-/// Wait for a command's end where the request names none: longer than most motions.
+/// Default wait for a command's end, in ms: longer than most motions.
 pub const DEFAULT_WAIT_MS: u64 = 5_000;
 
-/// Longest lease token that is looked at, in bytes. The gateway's own are shorter.
+/// Longest accepted lease token, in bytes. The gateway's own tokens are shorter.
 pub const MAX_LEASE_BYTES: usize = 64;
 
 /// A client with one request.
@@ -24,11 +24,10 @@ pub const MAX_LEASE_BYTES: usize = 64;
 pub struct Caller {
     /// The identity of the client, and the interface that it uses.
     pub client: Client,
-    /// Lease token beside the parameters. A FAST STOP needs none, and must not fail for an invalid one.
+    /// Lease token beside the parameters. A FAST STOP needs none, and must not fail because of an invalid one.
     pub lease: Result<Option<LeaseToken>, Problem>,
     /// Request id beside the parameters.
     pub request_id: Result<Option<RequestId>, Problem>,
-    /// Whether the end of the client shows while the request is open.
     pub presence: Presence,
     /// How long the caller waits for the end of a command.
     pub wait: Wait,
@@ -47,13 +46,13 @@ pub enum Presence {
 /// How long a caller waits for the end of a command.
 #[derive(Debug, Clone)]
 pub enum Wait {
-    /// Not at all: the reply comes when the command was admitted.
+    /// No wait: the reply comes as soon as the command is admitted.
     No,
-    /// As long as the request says, in ms, or the operation's default.
+    /// A wait as long as the request says, or else the operation's default.
     Ms {
-        /// The request's `wait_ms`.
+        /// The request's `wait_ms`, unparsed.
         given: Option<String>,
-        /// Cuts waits short where too many requests wait.
+        /// Cuts waits short while too many requests wait.
         limiter: Option<Arc<dyn WaitLimiter>>,
     },
 }
@@ -83,7 +82,7 @@ impl Wait {
     /// Parses the wait of a request for a command; `None` in `given` stands for `default_ms`.
     ///
     /// # Errors
-    /// A problem where `wait_ms` is not a whole number from 0 to 60000.
+    /// A problem if `wait_ms` is not a whole number from 0 to 60000.
     pub fn parse(&self, default_ms: u64) -> Result<CommandWait, Problem> {
         let Self::Ms { given, limiter } = self else {
             return Ok(CommandWait { limit: Duration::ZERO, limiter: None });
@@ -96,9 +95,9 @@ impl Wait {
 /// Parses `wait_ms`.
 ///
 /// # Errors
-/// A problem where the text is not a whole number from 0 to 60000.
+/// A problem if the text is not a whole number from 0 to 60000.
 pub fn wait_ms(given: &str) -> Result<u64, Problem> {
-    let wrong = || Problem::malformed("wait_ms", "wait_ms must be a number of ms").value(Some(given.into()));
+    let wrong = || Problem::malformed("wait_ms", "wait_ms must be a number of milliseconds").value(Some(given.into()));
     integer("wait_ms", given.parse().map_err(|_| wrong())?, 0..=MAX_WAIT_MS)
 }
 
@@ -112,7 +111,7 @@ impl CommandWait {
     }
 }
 
-/// Makes a request repeatable (request id), and entitles to it (lease).
+/// The request id, which makes a request safe to repeat, and the lease token, which authorises it.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct Keys {
     pub request_id: Option<RequestId>,
@@ -125,7 +124,7 @@ impl Keys {
         Ok(Self { lease: caller.lease.clone()?, request_id: caller.request_id.clone()? })
     }
 
-    /// Adds the keys among the parameters. An empty text counts as none: clients with fixed fields send that.
+    /// Adds the keys among the parameters. An empty text means none: clients with fixed fields send it.
     pub fn or_fields(self, request_id: Option<&str>, lease: Option<&str>) -> Result<Self, Problem> {
         let given = |text: &&str| !text.is_empty();
         let request_id = request_id.filter(given).map(|given| text("request_id", given)).transpose()?;
@@ -137,11 +136,11 @@ impl Keys {
     }
 }
 
-/// Returns a value that may stand in a header and in the body.
+/// Merges a value that a client can send in a header and in the body.
 fn one_of<T: PartialEq>(field: &str, header: Option<T>, body: Option<T>) -> Result<Option<T>, Problem> {
     match (header, body) {
         (Some(header), Some(body)) if header != body => {
-            Err(Problem::malformed(field, format!("{field} is given in a header and in the body, and differs")))
+            Err(Problem::malformed(field, format!("{field} differs between the header and the body: send it once")))
         }
         (header, body) => Ok(header.or(body)),
     }

@@ -17,8 +17,8 @@ pub const CANCEL: Operation =
     Operation::command("cancel", "/grippers/{gripper}/commands/{command}/cancel", |call| reply(cancel(call)))
         .urgent(Urgency::Stop);
 
-/// Submits a command, and waits for its end. What the device refused meanwhile is a problem, since its client still
-/// listens.
+/// Submits a command, and waits for its end. A refusal by the device during the wait becomes a problem, since the
+/// client still expects an answer.
 pub(super) async fn submit(
     gripper: Gripper,
     keys: Keys,
@@ -28,7 +28,7 @@ pub(super) async fn submit(
     let Keys { request_id, lease } = keys;
     let gripper = gripper.with_lease(lease.as_ref().map(LeaseToken::as_str))?;
     let submission = Submission { client: gripper.client.clone(), action, request_id, lease };
-    // The request keeps the lease meanwhile, not the ticket.
+    // The request keeps the lease during the wait, not the ticket.
     let mut ticket = gripper.handle.submit(submission).await?.watched();
     Span::current().record("command", display(ticket.id()));
     let mut command = wait.until_ended(&mut ticket).await;

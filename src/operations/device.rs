@@ -1,4 +1,4 @@
-//! What the manual has beside motions, settings and fingers: statistics, tare, Loop.
+//! The manual's commands beside motions, settings and fingers: statistics, tare, Loop.
 
 use http::Method as Verb;
 use serde::{Deserialize, Serialize};
@@ -24,7 +24,7 @@ pub const TARE: Operation =
 pub const LOOP: Operation =
     Operation::change("loop", &Verb::POST, "/grippers/{gripper}/loop", |call| reply(loop_back(call)));
 
-/// A function that takes one variant's value.
+/// A function that returns the value of one variant.
 macro_rules! only {
     ($variant:path) => {
         |data| if let $variant(value) = data { Some(value) } else { None }
@@ -32,25 +32,25 @@ macro_rules! only {
 }
 pub(super) use only;
 
-/// Asks the device, and takes from its data what belongs to the question.
+/// Sends a request to the device, and extracts the expected data from the reply.
 pub(super) async fn ask<T>(
     gripper: &Gripper,
     command: wsg::Command,
     take: impl FnOnce(Data) -> Option<T>,
 ) -> Result<T, Rejection> {
     let name = wsg::id::name(command.id()).unwrap_or("a custom command");
-    let other = || Failure::DeviceProtocol { command: name, detail: "it belongs to another command".to_owned() };
+    let other = || Failure::DeviceProtocol { command: name, detail: "the reply belongs to another command".to_owned() };
     take(gripper.exchange(command).await?).ok_or_else(|| other().into())
 }
 
-/// Grips, counted by the device.
+/// Grip statistics, counted by the device.
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(example = json!({"gripper": "left", "total": 1520, "no_part": 12, "lost_part": 1}))]
 pub struct StatisticsAnswer {
     /// The gripper's name.
     #[schema(max_length = 32)]
     gripper: String,
-    /// Executed grips.
+    /// Grips executed.
     #[schema(minimum = 0, maximum = 4_294_967_295_u64)]
     total: u32,
     /// Grips that found no part.
@@ -76,14 +76,14 @@ async fn reset_statistics(call: Call) -> Result<Json<StatisticsAnswer>, Problem>
     count(call.leased()?, true).await
 }
 
-/// A force sensor, tared.
+/// Result of a tare of the force sensor.
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(example = json!({"gripper": "left", "tared": true}))]
 pub struct Tared {
     /// The gripper's name.
     #[schema(max_length = 32)]
     gripper: String,
-    /// That it was done.
+    /// Always true: a failure is reported as a problem.
     tared: bool,
 }
 

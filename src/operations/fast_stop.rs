@@ -1,6 +1,6 @@
-//! FAST STOP and its acknowledge.
+//! FAST STOP and its acknowledgement.
 //!
-//! A client that asks for a FAST STOP gets it, whatever its parameters: they only give a reason.
+//! A FAST STOP request always stops, even with invalid parameters: they only give a reason.
 
 use http::Method as Verb;
 use serde::{Deserialize, Serialize};
@@ -28,17 +28,17 @@ pub const ALL: Operation = Operation::change("fast-stop", &Verb::POST, "/fast-st
 pub const ACKNOWLEDGE: Operation =
     Operation::change("acknowledge", &Verb::POST, "/grippers/{gripper}/acknowledge", |call| reply(acknowledge(call)));
 
-/// Why. Anything is taken, and stops: nothing, and what is no JSON, is no reason.
+/// Body of a FAST STOP request: an optional reason. Any body stops, also an empty or invalid one.
 pub struct FastStopBody;
 
 impl PartialSchema for FastStopBody {
     fn schema() -> RefOr<Schema> {
         let reason = ObjectBuilder::new().schema_type(SchemaType::AnyValue).description(Some(
-            "Why, for the records. Of a text the first 64 bytes are kept; of anything else nothing.",
+            "Reason for the records. The first 64 bytes of a string are kept; other values are ignored.",
         ));
         ObjectBuilder::new()
             .schema_type(SchemaType::AnyValue)
-            .description(Some("Anything is taken, and stops: what is no object, or no JSON, has no reason."))
+            .description(Some("Optional reason. Any body stops; a body that is not a JSON object has no reason."))
             .property("reason", reason)
             .examples([json!({"reason": "light curtain"})])
             .into()
@@ -47,7 +47,7 @@ impl PartialSchema for FastStopBody {
 
 impl ToSchema for FastStopBody {}
 
-/// A gripper's FAST STOP.
+/// Result of a FAST STOP of one gripper.
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(example = json!({
     "gripper": "left", "fast_stop_id": "019aa5c8-5a70-7c31-9f3f-4a3b7c1d2e4f", "fast_stop_confirmed": true
@@ -56,42 +56,42 @@ pub struct FastStopAnswer {
     /// The gripper's name.
     #[schema(max_length = 32)]
     gripper: String,
-    /// What an acknowledge has to name.
+    /// Id to name in the acknowledgement.
     #[schema(value_type = uuid::Uuid)]
     fast_stop_id: FastStopId,
-    /// Whether the device's flags have shown it. Where they haven't within 250 ms, it is being repeated.
+    /// Whether the device's flags showed the FAST STOP within 250 ms. If not, the gateway keeps repeating it.
     fast_stop_confirmed: bool,
 }
 
-/// All grippers' FAST STOP.
+/// Result of a FAST STOP of all grippers of this gateway.
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(example = json!({
     "fast_stop_id": "019aa5c8-5a70-7c31-9f3f-4a3b7c1d2e4f", "fast_stop_confirmed": false,
     "confirmed": ["left"], "unconfirmed": ["right"]
 }))]
 pub struct AllFastStopAnswer {
-    /// What the acknowledges have to name: one id for all.
+    /// Id to name in the acknowledgements: one for all grippers.
     #[schema(value_type = uuid::Uuid)]
     fast_stop_id: FastStopId,
-    /// Whether the flags of all of them have shown it.
+    /// Whether the flags of all grippers have shown the FAST STOP.
     fast_stop_confirmed: bool,
-    /// The grippers whose flags have shown it.
+    /// Grippers whose flags have shown the FAST STOP.
     confirmed: Vec<String>,
-    /// The grippers whose flags haven't yet: to them it is being repeated.
+    /// Grippers whose flags have not shown the FAST STOP yet. The gateway keeps repeating it to them.
     unconfirmed: Vec<String>,
 }
 
-/// Returns the reason of a FAST STOP; none where the parameters can't be parsed.
+/// Returns the reason of a FAST STOP, or an empty one if the parameters cannot be parsed.
 pub(super) fn reason(call: &Call) -> Reason {
     Reason::truncated(&call.lenient_text("reason").unwrap_or_default())
 }
 
-/// Notes the id of a FAST STOP in the log of its request.
+/// Adds the id of a FAST STOP to the log of its request.
 pub(super) fn log(id: FastStopId) {
     Span::current().record("fast_stop", display(id));
 }
 
-/// Divides grippers into those that have confirmed and those that have not.
+/// Splits grippers into confirmed and unconfirmed ones.
 pub(super) fn by_confirmation(stops: Vec<(impl ToString, bool)>) -> (Vec<String>, Vec<String>) {
     let (confirmed, unconfirmed): (Vec<_>, Vec<_>) = stops.into_iter().partition(|(_, confirmed)| *confirmed);
     let names = |stops: Vec<(_, bool)>| stops.into_iter().map(|(name, _)| ToString::to_string(&name)).collect();
@@ -118,15 +118,15 @@ async fn all(call: Call) -> Result<Json<AllFastStopAnswer>, Problem> {
     }))
 }
 
-/// What is acknowledged.
+/// The FAST STOP to acknowledge.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 #[schema(example = json!({"fast_stop_id": "019aa5c8-5a70-7c31-9f3f-4a3b7c1d2e4f"}))]
 pub struct Acknowledge {
-    /// The FAST STOP's id, as the state tells it.
+    /// Id of the FAST STOP, as in the gripper's state.
     #[schema(value_type = uuid::Uuid)]
     fast_stop_id: String,
-    /// The lease's token, which is used by this as by any request; empty is none.
+    /// Lease token, which this request uses as any other does; empty means none.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     lease: Option<String>,
 }
@@ -140,17 +140,17 @@ pub struct Acknowledged {
     /// The gripper's name.
     #[schema(max_length = 32)]
     gripper: String,
-    /// What was acknowledged.
+    /// Id of the acknowledged FAST STOP.
     #[schema(value_type = uuid::Uuid)]
     fast_stop_id: FastStopId,
-    /// Whether a FAST STOP holds: no longer.
+    /// Whether a FAST STOP is latched: always false after an acknowledgement.
     fast_stop: bool,
 }
 
 async fn acknowledge(call: Call) -> Result<Json<Acknowledged>, Problem> {
     let (gripper, body): (_, Acknowledge) = call.open()?;
     let id: FastStopId = body.fast_stop_id.parse().map_err(|error| {
-        Problem::malformed("fast_stop_id", format!("fast_stop_id is no UUID: {error}"))
+        Problem::malformed("fast_stop_id", format!("fast_stop_id is not a UUID: {error}"))
             .value(Some(body.fast_stop_id.clone().into()))
     })?;
     let gripper = gripper.with_lease(body.lease.as_deref())?;

@@ -1,4 +1,4 @@
-//! The fingers' interface (firmware 4 and up).
+//! Operations on fingers (firmware 4 and up).
 
 use http::Method as Verb;
 use serde::{Deserialize, Serialize};
@@ -20,7 +20,7 @@ pub const POWER: Operation =
         reply(power(call))
     });
 
-/// A finger.
+/// Type and flags of a finger.
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(example = json!({
     "gripper": "left", "finger": 1, "type": "WSG-FMF", "type_code": 1, "data_bytes": 4,
@@ -30,21 +30,22 @@ pub struct FingerAnswer {
     /// The gripper's name.
     #[schema(max_length = 32)]
     gripper: String,
-    /// 1 or 2.
+    /// Finger number.
     #[schema(minimum = 1, maximum = 2)]
     finger: u8,
-    /// The finger's type: `generic` (or none), `WSG-FMF` (force measurement), `WSG-DSA` (tactile), `type` and a number.
+    /// Finger type: `generic` (or no finger), `WSG-FMF` (force measurement), `WSG-DSA` (tactile), or `type` and a
+    /// number.
     #[serde(rename = "type")]
     finger_type: String,
-    /// The same, by its number.
+    /// Finger type as a number.
     #[schema(minimum = 0, maximum = 255)]
     type_code: u8,
-    /// The bytes of one data frame; 0 where the finger has none.
+    /// Size of one data frame in bytes; 0 if the finger sends no data.
     #[schema(minimum = 0, maximum = 65535)]
     data_bytes: u16,
-    /// The flags that are set.
+    /// Names of the flags that are set.
     flags: Vec<&'static str>,
-    /// All 16 of them as a number.
+    /// All 16 flags as a number.
     #[schema(minimum = 0, maximum = 65535)]
     flags_raw: u16,
 }
@@ -74,17 +75,17 @@ const fn number(finger: Finger) -> u8 {
     }
 }
 
-/// A finger's data.
+/// Data of a finger.
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(example = json!({"gripper": "left", "finger": 1, "data": "0000a041"}))]
 pub struct FingerDataAnswer {
     /// The gripper's name.
     #[schema(max_length = 32)]
     gripper: String,
-    /// 1 or 2.
+    /// Finger number.
     #[schema(minimum = 1, maximum = 2)]
     finger: u8,
-    /// One data frame, as hex: what it means depends on the finger.
+    /// One data frame, as hex. Its meaning depends on the finger.
     #[schema(max_length = 8192)]
     data: String,
 }
@@ -97,29 +98,29 @@ async fn data(call: Call) -> Result<Json<FingerDataAnswer>, Problem> {
     Ok(Json(FingerDataAnswer { gripper: gripper.name(), finger: number(finger), data: hex::encode(data) }))
 }
 
-/// A finger's power.
+/// Power of a finger, to switch.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 #[schema(example = json!({"enabled": true}))]
 pub struct Power {
-    /// On or off.
+    /// Whether the power is on.
     enabled: bool,
-    /// The lease's token of at most 64 bytes, while somebody holds one; empty is none.
+    /// Token of the current lease, if the gripper is leased. At most 64 bytes; empty means none.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     lease: Option<String>,
 }
 
-/// A finger's power, switched.
+/// Power of a finger.
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(example = json!({"gripper": "left", "finger": 1, "enabled": true}))]
 pub struct PowerAnswer {
     /// The gripper's name.
     #[schema(max_length = 32)]
     gripper: String,
-    /// 1 or 2.
+    /// Finger number.
     #[schema(minimum = 1, maximum = 2)]
     finger: u8,
-    /// On or off.
+    /// Whether the power is on.
     enabled: bool,
 }
 

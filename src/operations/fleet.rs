@@ -21,26 +21,26 @@ pub const FAST_STOP: Operation =
 /// The grippers of all gateways.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct FleetList {
-    /// By gateway and name.
+    /// The grippers, sorted by gateway and name.
     grippers: Vec<FleetGripper>,
 }
 
-/// All gateways' FAST STOP.
+/// Result of a FAST STOP of all gateways.
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(example = json!({
     "fast_stop_id": "019aa5c8-5a70-7c31-9f3f-4a3b7c1d2e4f", "fast_stop_confirmed": false,
     "confirmed": ["cell-7/left"], "unconfirmed": ["cell-8/left"]
 }))]
 pub struct FleetFastStopAnswer {
-    /// What the acknowledges of this gateway's own grippers have to name; the fleet has those of the others.
+    /// Id to name in the acknowledgements of this gateway's own grippers. The fleet's list has the ids of the others.
     #[schema(value_type = uuid::Uuid)]
     fast_stop_id: FastStopId,
-    /// Whether all of them have confirmed.
+    /// Whether all grippers have confirmed.
     fast_stop_confirmed: bool,
-    /// The grippers whose flags have shown it, as gateway/gripper.
+    /// Grippers whose flags have shown the FAST STOP, as gateway/gripper.
     confirmed: Vec<String>,
-    /// The grippers of which that isn't known yet. Their gateways repeat it until it is; one that is gone, and comes back
-    /// within a minute without knowing of it, is told again.
+    /// Grippers that are not known to have stopped yet. Their gateways repeat the FAST STOP until it is confirmed. A
+    /// gateway that was gone, and comes back within a minute without knowing of the FAST STOP, is sent it again.
     unconfirmed: Vec<String>,
 }
 

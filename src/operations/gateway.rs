@@ -12,7 +12,6 @@ use crate::journal::Journal;
 /// State that operations work on.
 #[derive(Debug, Clone)]
 pub struct Gateway {
-    /// The gateway's name.
     pub name: Name,
     /// The gateway's own grippers.
     pub grippers: Grippers,

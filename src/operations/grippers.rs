@@ -1,4 +1,4 @@
-//! What the gateway knows of its grippers: no request here costs a device anything.
+//! The gateway's own knowledge of its grippers. None of these operations sends a device anything.
 
 use std::sync::Arc;
 
@@ -20,7 +20,7 @@ pub const STATE: Operation = Operation::read("state", "/grippers/{gripper}/state
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(as = Grippers)]
 pub struct GripperList {
-    /// By name.
+    /// The grippers, sorted by name.
     #[schema(value_type = Vec<Info>)]
     grippers: Vec<Arc<Info>>,
 }

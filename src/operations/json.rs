@@ -1,4 +1,4 @@
-//! JSON from clients: objects, parsed into parameters, and values in which no key stands twice.
+//! JSON from clients: objects parsed into parameters, and values without duplicate keys.
 
 use std::fmt;
 
@@ -7,32 +7,32 @@ use serde_json::{Map, Value};
 
 use super::problem::{Code, Problem};
 
-/// The largest body, message or payload that is taken. The largest that any request needs is a `raw` one of 8 KiB.
+/// Largest accepted body, message or payload, in bytes. The largest that any request needs is a `raw` one of 8 KiB.
 pub const MAX_BODY_BYTES: usize = 64 * 1024;
 
-/// Parses the JSON object in `bytes`. No bytes stand for an empty object.
+/// Parses the JSON object in `bytes`. Empty input stands for an empty object.
 ///
 /// # Errors
-/// A problem that names the field, where one is wrong.
+/// A problem that names the wrong field, if there is one.
 pub fn parse<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
     let bytes = match bytes.trim_ascii_start() {
         [] => b"{}",
-        // A struct could be read from an array too, by position: nobody means that.
+        // serde would also read a struct from an array, by position, which no client means.
         object @ [b'{', ..] => object,
         _ => return Err(Problem::new(Code::Malformed, "the body must be a JSON object")),
     };
     let mut json = serde_json::Deserializer::from_slice(bytes);
     let value = |field: &str| serde_json::from_slice::<Value>(bytes).ok()?.get(field).cloned();
     let parsed = serde_path_to_error::deserialize(&mut json).map_err(|error| problem(&error, value))?;
-    json.end().map_err(|error| Problem::new(Code::Malformed, format!("the body goes on after its end: {error}")))?;
+    json.end().map_err(|error| Problem::new(Code::Malformed, format!("invalid JSON body: {error}")))?;
     Ok(parsed)
 }
 
-/// The longest text that is searched for a member whatever else it has. All FAST STOPs are served on one runtime, and a
-/// large text takes time.
+/// Largest text that [`text_member`] parses, in bytes. All FAST STOPs are served on one runtime, and a large text
+/// takes time.
 const MAX_SEARCHED_BYTES: usize = 4 * 1024;
 
-/// Returns a text among the members of an object; none where `bytes` are not JSON, or too many.
+/// Returns a string member of a JSON object, or `None` if `bytes` are not JSON or exceed 4 KiB.
 #[must_use]
 pub fn text_member(bytes: &[u8], key: &str) -> Option<String> {
     if bytes.len() > MAX_SEARCHED_BYTES {
@@ -59,11 +59,11 @@ fn problem(
             let value = value(&field);
             Problem::malformed(&field, format!("{field}: {detail}")).value(value)
         }
-        None => Problem::new(Code::Malformed, format!("the body is no JSON that is understood: {detail}")),
+        None => Problem::new(Code::Malformed, format!("invalid JSON body: {detail}")),
     }
 }
 
-/// Describes an error. Where the JSON itself is correct, the field says where the error is, and not a line.
+/// Describes an error. If the JSON itself is valid, the field locates the error, so line and column are left out.
 fn detail(error: &serde_json::Error) -> String {
     let mut text = error.to_string();
     let position = format!(" at line {} column {}", error.line(), error.column());
@@ -73,7 +73,8 @@ fn detail(error: &serde_json::Error) -> String {
     text
 }
 
-/// The field that an error is about. The parser's path has none where the name itself is the mistake, whose words do, and a `?` where the JSON breaks off.
+/// Returns the field that an error is about. If its name is the mistake, only the error's text has it. The path has a
+/// `?` if the JSON is cut short.
 fn field(path: &str, detail: &str) -> Option<String> {
     let named = ["missing field `", "unknown field `", "duplicate field `"]
         .iter()
@@ -84,11 +85,11 @@ fn field(path: &str, detail: &str) -> Option<String> {
         .map(|field| field.chars().take(MAX_FIELD_CHARS).collect())
 }
 
-/// How much of an unknown field's name is repeated to its sender.
+/// Characters of an unknown field's name that are repeated to its sender.
 const MAX_FIELD_CHARS: usize = 32;
 
-/// A JSON value in which no key stands twice. Of two, serde_json's own value keeps the last, and other parsers the first:
-/// what was checked would not be what is done.
+/// A JSON value without duplicate keys. serde_json's own value keeps the last of two, other parsers the first: a check
+/// and the execution could see different values.
 #[derive(Debug)]
 pub struct StrictJson(pub Value);
 
@@ -172,7 +173,7 @@ mod tests {
     }
 
     #[test]
-    fn an_object_is_read() {
+    fn object_is_parsed() {
         assert_eq!(parse::<Move>(br#" {"width_mm": 96.0} "#).unwrap(), Move { width_mm: 96.0, relative: false });
         assert_eq!(
             parse::<Move>(br#"{"width_mm":96,"relative":true}"#).unwrap(),
@@ -181,7 +182,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_an_empty_object() {
+    fn empty_body_is_an_empty_object() {
         #[derive(Deserialize)]
         struct Nothing {}
         for nothing in [&b""[..], b" \r\n", b"{}"] {
@@ -191,7 +192,7 @@ mod tests {
     }
 
     #[test]
-    fn the_field_that_is_wrong_is_named() {
+    fn wrong_field_is_named() {
         let wrong_type = problem(br#"{"width_mm": "20"}"#);
         assert_eq!((&wrong_type["code"], &wrong_type["field"]), (&"malformed".into(), &"width_mm".into()));
         assert_eq!(wrong_type["value"], "20");
@@ -202,14 +203,14 @@ mod tests {
     }
 
     #[test]
-    fn json_that_breaks_off_names_no_field() {
+    fn truncated_json_names_no_field() {
         for body in [&br#"{"width_mm": 20"#[..], b"{", b"{\"width_mm\": 20,, \"relative\": true}"] {
             assert_eq!(problem(body)["field"], Value::Null, "{}", String::from_utf8_lossy(body));
         }
     }
 
     #[test]
-    fn what_is_no_object_is_malformed() {
+    fn anything_but_an_object_is_malformed() {
         let bodies: [&[u8]; 10] = [
             b"[20, true]",
             b"20",
@@ -228,14 +229,14 @@ mod tests {
     }
 
     #[test]
-    fn a_long_value_is_not_repeated() {
+    fn long_value_is_not_repeated() {
         let body = format!("{{\"width_mm\": \"{}\"}}", "x".repeat(1000));
         let problem = problem(body.as_bytes());
         assert_eq!((problem["field"].as_str(), problem.get("value")), (Some("width_mm"), None));
     }
 
     #[test]
-    fn it_is_the_same_json_unless_a_key_stands_twice() {
+    fn strict_json_rejects_only_duplicate_keys() {
         let text = r#"{"a": [1, -2, 0.5, "b", null, true, {"a": {}}], "b": 18446744073709551615}"#;
         assert_eq!(from_str::<StrictJson>(text).unwrap().0, from_str::<Value>(text).unwrap());
         assert_eq!(from_str::<StrictJson>("7").unwrap().0, json!(7));

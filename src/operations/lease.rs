@@ -1,4 +1,4 @@
-//! The lease: who may move the gripper.
+//! The lease, which entitles one client to move the gripper.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -37,33 +37,33 @@ async fn get(call: Call) -> Answer {
     Ok(Json(gripper.with_lease(None)?.handle.lease().await?))
 }
 
-/// A wish to hold the lease.
+/// A request for the lease.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 #[schema(example = json!({"holder": "robot-1", "ttl_ms": 3000}))]
 pub struct Take {
-    /// The name to be known by; the peer's address where there is none. At most 32 bytes in UTF-8: printable ASCII, or
-    /// letters, marks and digits of one script, composed (NFC). Invisible and look-alike characters are refused.
+    /// Name of the holder; the peer's address by default. At most 32 bytes in UTF-8: printable ASCII, or letters,
+    /// marks and digits of one script, composed (NFC). Invisible and look-alike characters are refused.
     #[schema(max_length = 32, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     holder: Option<String>,
-    /// How long the lease lives without use, in ms: 3000 if it isn't said.
+    /// Time until the lease expires without use, in ms; 3000 by default.
     #[schema(value_type = Option<u64>, minimum = 100, maximum = 60000)]
     ttl_ms: Option<f64>,
-    /// What becomes of fingers that move when the holder is lost: `fast_stop` if it isn't said and the configuration
-    /// has no other.
+    /// Reaction to the holder's loss while the fingers move. The default is `fast_stop`, unless the configuration has
+    /// another.
     on_loss_moving: Option<OnLossMoving>,
-    /// What becomes of a part that is held then: `keep` if it isn't said and the configuration has no other.
+    /// Reaction to the holder's loss while a part is held. The default is `keep`, unless the configuration has
+    /// another.
     on_loss_holding: Option<OnLossHolding>,
-    /// Take it from whoever holds it, as a supervisor does: a running motion is stopped.
+    /// Takes the lease away from its current holder, as a supervisor does. A running motion is stopped.
     #[serde(default)]
     #[schema(default = false)]
     force: bool,
-    /// Where somebody else holds it, tell that holder who asks. Ask again to get it once it was handed over.
+    /// Asks the current holder to hand the lease over. After the hand-over, request the lease again to get it.
     #[serde(default)]
     #[schema(default = false)]
     request: bool,
-    /// The token of the lease that is held already, whose terms are to change: at most 64 bytes;
-    /// empty is none.
+    /// Token of the lease, if the client holds it already and changes its terms. At most 64 bytes; empty means none.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     lease: Option<String>,
 }
@@ -100,16 +100,15 @@ async fn release(call: Call) -> Answer {
     Ok(Json(gripper.handle.release_lease(gripper.token()).await?))
 }
 
-/// To whom the lease goes.
+/// The client that the lease goes to.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 #[schema(example = json!({"to": "robot-2"}))]
 pub struct HandOver {
-    /// Who has asked for it: `requested_by`. A name or an address, of at most 64 bytes
-    /// in UTF-8.
+    /// Client in the lease's `requested_by`: a name or an address of at most 64 bytes in UTF-8.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     to: String,
-    /// The lease's token of at most 64 bytes; empty is none.
+    /// Token of the lease. At most 64 bytes; empty means none.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     lease: Option<String>,
 }

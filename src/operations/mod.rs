@@ -1,11 +1,11 @@
-//! Everything that a client may ask for, once, whichever interface it uses.
+//! Everything that a client can ask for, once for all interfaces.
 //!
-//! An [`Operation`] has a name, a path, the role that it needs, an urgency, and a function. [`OPERATIONS`] lists them all;
-//! HTTP's paths, WebSocket's methods and Zenoh's command keys come from that table. `run` performs an operation for a
-//! `Caller`, and is the one place that records refused requests.
+//! An [`Operation`] has a name, a path, a required role, an urgency, and a function. The table [`OPERATIONS`] lists
+//! them all; HTTP's paths, WebSocket's methods and Zenoh's command keys come from it. `run` performs an operation for
+//! a `Caller`, and is the one place that records refused requests.
 //!
-//! Architecture invariant: an operation decides nothing about a gripper. It parses parameters into domain types and hands
-//! them to the gripper's handle. The actor refuses what a lease, a latch or a device's limit forbids.
+//! Architecture invariant: an operation decides nothing about a gripper. It parses parameters into domain types and
+//! hands them to the gripper's handle. The actor refuses what a lease, a latch or a device's limit forbids.
 
 pub mod audit;
 mod call;

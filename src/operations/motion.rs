@@ -29,13 +29,13 @@ trait ActionFields {
     fn action(self) -> Result<Action, Problem>;
 }
 
-/// Parameters that every motion has.
+/// Parameters that every motion shares.
 trait KeyFields {
     /// Returns the request id and the lease token.
     fn keys(&self) -> (Option<&str>, Option<&str>);
 }
 
-/// Declares a command's body: its own fields, and those that all of them have.
+/// Declares a command's body: its own fields, and those that all commands share.
 macro_rules! command_body {
     ($(#[$meta:meta])* $name:ident { $($fields:tt)* }) => {
         #[derive(Debug, Deserialize, ToSchema)]
@@ -43,11 +43,11 @@ macro_rules! command_body {
         $(#[$meta])*
         pub struct $name {
             $($fields)*
-            /// Makes the request safe to repeat: the same id gives the same command for 10 minutes. At most 64 bytes;
-            /// empty is none.
+            /// Id that makes the request safe to repeat: for 10 minutes, the same id returns the same command. At most
+            /// 64 bytes; empty means none.
             #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
             request_id: Option<String>,
-            /// The lease's token of at most 64 bytes, while somebody holds one; empty is none.
+            /// Token of the current lease, if the gripper is leased. At most 64 bytes; empty means none.
             #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
             lease: Option<String>,
         }
@@ -61,10 +61,10 @@ macro_rules! command_body {
 }
 
 command_body! {
-    /// A homing.
+    /// Parameters of a homing run.
     #[schema(example = json!({"direction": "default"}))]
     Home {
-        /// To which end stop.
+        /// End stop to home to.
         #[serde(default)]
         #[schema(default = "default")]
         direction: Direction,
@@ -72,20 +72,20 @@ command_body! {
 }
 
 command_body! {
-    /// A positioning of the fingers.
+    /// Parameters of a move.
     #[schema(example = json!({"width_mm": 40.0, "speed_mm_s": 100.0}))]
     Move {
-        /// The opening width to move to, or the change of it, in mm.
+        /// Opening width to move to, or its change if `relative` is set, in mm.
         #[schema(minimum = -1000, maximum = 1000)]
         width_mm: f64,
-        /// The speed of the fingers relative to each other, in mm/s.
+        /// Speed of the fingers relative to each other, in mm/s.
         #[schema(minimum = 0, maximum = 10000)]
         speed_mm_s: f64,
-        /// Whether the width is a change of the current one.
+        /// Whether `width_mm` is a change of the current width.
         #[serde(default)]
         #[schema(default = false)]
         relative: bool,
-        /// What happens when the fingers meet an obstacle.
+        /// Reaction of the fingers to an obstacle.
         #[serde(default)]
         #[schema(default = "stop")]
         on_block: OnBlock,
@@ -93,39 +93,39 @@ command_body! {
 }
 
 command_body! {
-    /// A grip.
+    /// Parameters of a grip.
     #[schema(example = json!({"width_mm": 20.0, "speed_mm_s": 50.0, "force_n": 40.0, "part_id": "A-1047"}))]
     Grip {
-        /// The part's nominal width in mm.
+        /// Nominal width of the part, in mm.
         #[schema(minimum = 0, maximum = 1000)]
         width_mm: f64,
-        /// The speed of the fingers relative to each other, in mm/s.
+        /// Speed of the fingers relative to each other, in mm/s.
         #[schema(minimum = 0, maximum = 10000)]
         speed_mm_s: f64,
-        /// The force limit to set first, in N; it stays set. Where there is none, the limit that is set counts.
+        /// Force limit in N. It is set before the grip and stays set; without it, the current limit applies.
         #[schema(minimum = 0, maximum = 10000)]
         force_n: Option<f64>,
-        /// The part's name, for the records. At most 48 bytes.
+        /// Name of the part, for the records. At most 48 bytes.
         #[schema(max_length = 48, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
         part_id: Option<String>,
     }
 }
 
 command_body! {
-    /// A release.
+    /// Parameters of a release.
     #[schema(example = json!({"width_mm": 60.0, "speed_mm_s": 100.0}))]
     Release {
-        /// The opening width to open to, in mm.
+        /// Opening width to open to, in mm.
         #[schema(minimum = 0, maximum = 1000)]
         width_mm: f64,
-        /// The speed of the fingers relative to each other, in mm/s.
+        /// Speed of the fingers relative to each other, in mm/s.
         #[schema(minimum = 0, maximum = 10000)]
         speed_mm_s: f64,
     }
 }
 
 command_body! {
-    /// A stop.
+    /// Parameters of a stop.
     #[schema(example = json!({}))]
     Stop {}
 }

@@ -8,7 +8,6 @@ use super::problem::Problem;
 use super::reply::{IntoReply, Reply};
 use crate::gripper::model::Urgency;
 
-/// An operation.
 #[derive(Debug, Clone, Copy)]
 pub struct Operation {
     /// Name: WebSocket's method, and the last part of Zenoh's command key.
@@ -17,29 +16,29 @@ pub struct Operation {
     pub verb: &'static Verb,
     /// HTTP's path, below the API's. The other interfaces have its variables among the parameters.
     pub path: &'static str,
-    /// The role that it needs.
+    /// Least role that a caller needs.
     pub role: Role,
-    /// Requests that it may wait behind.
+    /// Precedence over other requests.
     pub urgency: Urgency,
-    /// Whether it starts a command, whose end is reported later.
+    /// Whether the operation starts a command, whose end is reported later.
     pub starts_command: bool,
-    /// Whether it may wait for a command's end.
+    /// Whether the operation can wait for a command's end.
     pub waits: bool,
     run: Run,
 }
 
 type Run = fn(Call) -> BoxFuture<'static, Result<Reply, Problem>>;
 
-/// Operations that a client is entitled to.
+/// The operations that a client is entitled to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Role {
-    /// Stops only: a light curtain's box.
+    /// Only stops, e.g. for the controller of a light curtain.
     Stop,
     /// Reads.
     Observer,
     /// Moves the gripper, holds its lease, changes its settings, acknowledges.
     Operator,
-    /// Sends requests of the device's own protocol.
+    /// Sends raw requests of the device's protocol.
     Supervisor,
 }
 
@@ -50,7 +49,7 @@ impl Operation {
         Self { name, verb: &Verb::GET, path, role, urgency, starts_command: false, waits: false, run }
     }
 
-    /// Declares an operation that may change something.
+    /// Declares an operation that can change something.
     pub(super) const fn change(name: &'static str, verb: &'static Verb, path: &'static str, run: Run) -> Self {
         let (role, urgency) = (Role::Operator, Urgency::None);
         Self { name, verb, path, role, urgency, starts_command: false, waits: false, run }
@@ -73,24 +72,23 @@ impl Operation {
         Self { urgency, ..self }
     }
 
-    /// Starts the operation.
     pub(super) fn start(&self, call: Call) -> BoxFuture<'static, Result<Reply, Problem>> {
         (self.run)(call)
     }
 
-    /// Whether the operation may change something.
+    /// Whether the operation can change something.
     #[must_use]
     pub fn changes_something(&self) -> bool {
         self.verb != Verb::GET
     }
 
-    /// Whether the operation is one on a gripper.
+    /// Whether the operation acts on one gripper.
     #[must_use]
     pub fn is_of_gripper(&self) -> bool {
         self.path_parameters().any(|key| key == "gripper")
     }
 
-    /// The parameters that the path names, in their order.
+    /// Names of the path's parameters, in order.
     pub fn path_parameters(&self) -> impl Iterator<Item = &'static str> + use<> {
         self.path.split('/').filter_map(|part| part.strip_prefix('{')?.strip_suffix('}'))
     }

@@ -1,4 +1,4 @@
-//! Problems (RFC 9457): everything that is refused or fails, in one form, with a code that programs can rely on.
+//! Problems (RFC 9457): every refusal and failure in one form, with a stable code.
 
 use std::sync::Arc;
 
@@ -12,15 +12,42 @@ use crate::gripper::{Conflict, DeviceRefusal, Failure, Invalid, Rejection};
 use crate::journal::ReadError;
 use crate::wsg::Status;
 
-/// The most bytes of a wrong value that are repeated to its sender: an answer has to fit a small client's buffer.
+/// Longest wrong value that an answer repeats, in bytes: the answer has to fit a small client's buffer.
 const MAX_VALUE_BYTES: usize = 64;
 
 macro_rules! codes {
-    ($($(#[$doc:meta])* $name:ident $status:ident;)*) => {
-        /// What is wrong, for programs: these words never change.
+    ($($name:ident $status:ident;)*) => {
+        /// Machine-readable cause of a problem. The codes never change:
+        ///
+        /// - `malformed`: the request cannot be parsed, or a field has the wrong form.
+        /// - `foreign_host`: the `Host` header is neither an address nor `localhost` nor a configured name.
+        /// - `foreign_origin`: the request comes from a web page of another origin.
+        /// - `not_found`: no such path, gripper or command.
+        /// - `method_not_allowed`: the path does not support this method.
+        /// - `request_timeout`: the body did not arrive in time.
+        /// - `too_large`: the body is too large.
+        /// - `fast_stop`: a FAST STOP is latched; acknowledge it once its cause is gone.
+        /// - `not_referenced`: the fingers are not referenced; home the gripper first.
+        /// - `already_running`: a command is running; wait for its end or stop it.
+        /// - `lease_held`: another client holds the lease, or the gripper is reserved.
+        /// - `stale_lease`: the lease token is not the token of the current lease.
+        /// - `stale_fast_stop`: the acknowledgement names a FAST STOP that is not the newest.
+        /// - `fast_stop_unconfirmed`: the device has not confirmed the FAST STOP yet.
+        /// - `request_id_reused`: the request id was used for another request.
+        /// - `name_taken`: another gateway on the Zenoh network has the same name.
+        /// - `out_of_range`: a value is beyond its limits.
+        /// - `device_refused`: the device refused the request with a status that has no code of its own.
+        /// - `overloaded`: too many requests, or the device tag was written too often; try again later.
+        /// - `internal`: internal error of the gateway.
+        /// - `device_protocol`: the device sent an invalid reply.
+        /// - `link_down`: the link to the device does not work.
+        /// - `journal_down`: the journal cannot be written or read.
+        /// - `device_timeout`: the device did not answer in time.
+        /// - `gateway_gone`: the gateway that owns the gripper is gone; nothing was sent to it.
+        /// - `gateway_timeout`: the gateway that owns the gripper did not answer; the result is unknown.
         #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ToSchema)]
         #[serde(rename_all = "snake_case")]
-        pub enum Code { $($(#[$doc])* $name),* }
+        pub enum Code { $($name),* }
 
         impl Code {
             const fn status(self) -> StatusCode {
@@ -36,66 +63,40 @@ macro_rules! codes {
 }
 
 codes! {
-    /// The request can't be understood.
     Malformed BAD_REQUEST;
-    /// The Host header names neither an address, nor localhost, nor a configured name.
     ForeignHost FORBIDDEN;
-    /// A web page of another origin asks.
     ForeignOrigin FORBIDDEN;
-    /// There is no such path, gripper or command.
     NotFound NOT_FOUND;
-    /// The path is there, and does not take this method.
     MethodNotAllowed METHOD_NOT_ALLOWED;
-    /// The body did not arrive in time.
     RequestTimeout REQUEST_TIMEOUT;
-    /// The body is too large.
     TooLarge PAYLOAD_TOO_LARGE;
-    /// A FAST STOP holds.
     FastStop CONFLICT;
-    /// The fingers are not referenced.
     NotReferenced CONFLICT;
-    /// A command is running.
     AlreadyRunning CONFLICT;
-    /// Somebody else holds the lease, or the gripper is reserved.
     LeaseHeld CONFLICT;
-    /// The lease token isn't that of the lease.
     StaleLease CONFLICT;
-    /// The acknowledge names a FAST STOP that isn't the newest.
     StaleFastStop CONFLICT;
-    /// The device has not confirmed the FAST STOP yet.
     FastStopUnconfirmed CONFLICT;
-    /// The request id was used for another request.
     RequestIdReused CONFLICT;
-    /// Another gateway on the Zenoh network has the same name.
     NameTaken CONFLICT;
-    /// A value is beyond its limits.
     OutOfRange UNPROCESSABLE_ENTITY;
-    /// The device refused, with a status that has no code of its own here.
     DeviceRefused UNPROCESSABLE_ENTITY;
-    /// Too many requests wait for this gripper.
     Overloaded TOO_MANY_REQUESTS;
-    /// A mistake of the gateway's own.
     Internal INTERNAL_SERVER_ERROR;
-    /// The device's answer can't be one.
     DeviceProtocol BAD_GATEWAY;
-    /// There is no working link to the device.
     LinkDown SERVICE_UNAVAILABLE;
-    /// Nothing can be written down in the journal.
     JournalDown SERVICE_UNAVAILABLE;
-    /// The device did not answer in time.
     DeviceTimeout GATEWAY_TIMEOUT;
-    /// The gateway that owns the gripper is gone: nothing was sent to it.
     GatewayGone SERVICE_UNAVAILABLE;
-    /// The gateway that owns the gripper did not answer: whether it was done isn't known.
     GatewayTimeout GATEWAY_TIMEOUT;
 }
 
-/// A problem, as RFC 9457 has it. Boxed: it is the rare case of every handler's result.
+/// A problem (RFC 9457). Boxed, since it is the rare case of every handler's result.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 #[serde(transparent)]
 pub struct Problem(Box<Members>);
 
-/// What was refused, and why (RFC 9457).
+/// Description of a refused or failed request (RFC 9457).
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 #[schema(as = Problem, example = json!({
     "type": "about:blank", "title": "Unprocessable Entity", "status": 422, "code": "out_of_range",
@@ -103,73 +104,71 @@ pub struct Problem(Box<Members>);
     "field": "width_mm", "value": 300.0, "min": 0.0, "max": 110.0
 }))]
 pub struct Members {
-    /// Always `about:blank`: the code says what it is.
+    /// Always `about:blank`: `code` identifies the problem.
     #[serde(rename = "type")]
     kind: &'static str,
-    /// The HTTP status in words.
+    /// HTTP status in words.
     title: &'static str,
-    /// The HTTP status.
+    /// HTTP status.
     #[schema(minimum = 400, maximum = 599)]
     status: u16,
-    /// What is wrong, for programs.
+    /// Machine-readable cause.
     code: Code,
-    /// What is wrong, for people, and what can be done.
+    /// Description for people, with the remedy if there is one.
     detail: String,
-    /// The field that is wrong; only where one is.
+    /// Name of the wrong field, if a field is wrong.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
     field: Option<String>,
-    /// What it was; only where it is short.
+    /// Value of that field, if it is short.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
     value: Option<Value>,
-    /// The lowest allowed value; only where there is one.
+    /// Lowest allowed value, if there is one.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<f64>, nullable = false, minimum = -1e300, maximum = 1e300)]
     min: Option<Number>,
-    /// The highest allowed value, or the most bytes; only where there is one.
+    /// Highest allowed value, or largest allowed size in bytes, if there is one.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<f64>, nullable = false, minimum = -1e300, maximum = 1e300)]
     max: Option<Number>,
-    /// The device's status, by its symbol; only where it refused.
+    /// Status symbol that the device refused the request with, if it did.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
     device_status: Option<String>,
-    /// The same, by its number.
+    /// The same status as a number.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false, minimum = 0, maximum = 65535)]
     device_status_code: Option<u16>,
-    /// The FAST STOP that an acknowledge has to name; only where one holds.
+    /// Id of the latched FAST STOP, which an acknowledgement has to name; only if one is latched.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<uuid::Uuid>, nullable = false)]
     fast_stop_id: Option<FastStopId>,
-    /// The running command's id; only where one is in the way.
+    /// Id of the running command that prevents the request, if one does.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<uuid::Uuid>, nullable = false)]
     command: Option<CommandId>,
-    /// Who holds the lease; only where that is in the way.
+    /// Holder of the lease, if the lease prevents the request.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<String>, nullable = false)]
     holder: Option<Arc<str>>,
-    /// How long its lease lives without use; only where somebody holds it.
+    /// Time in ms until that lease expires without use; only with `lease_held`, and not for a reserved gripper.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false, minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     expires_in_ms: Option<u64>,
-    /// Whether the journal has it already, as a command's end.
+    /// Whether the journal already has a record of the problem, e.g. as a command's end.
     #[serde(skip)]
     #[schema(ignore)]
     is_recorded: bool,
 }
 
 impl Members {
-    /// The HTTP status.
     pub fn status(&self) -> StatusCode {
         self.code.status()
     }
 }
 
 impl Problem {
-    /// With this code, and these words for people.
     pub fn new(code: Code, detail: impl Into<String>) -> Self {
         let status = code.status();
         Self(Box::new(Members {
@@ -192,12 +191,12 @@ impl Problem {
         }))
     }
 
-    /// A field of the wrong form.
+    /// Reports a field of the wrong form.
     pub fn malformed(field: impl Into<String>, detail: impl Into<String>) -> Self {
         Self::new(Code::Malformed, detail).field(field)
     }
 
-    /// A number beyond its limits.
+    /// Reports a number beyond its limits.
     pub fn out_of_range(field: &str, value: f64, min: f64, max: f64) -> Self {
         Self::new(Code::OutOfRange, format!("{field} is {value}, and must be from {min} to {max}"))
             .field(field)
@@ -205,25 +204,25 @@ impl Problem {
             .limits(Number::from_f64(min), Number::from_f64(max))
     }
 
-    /// Text that is longer than a field takes.
+    /// Reports a text that is too long for its field.
     pub fn too_long(field: &str, bytes: usize, max: usize) -> Self {
-        Self::new(Code::OutOfRange, format!("{field} has {bytes} bytes, and may have {max} at most"))
+        Self::new(Code::OutOfRange, format!("{field} has {bytes} bytes; at most {max} are allowed"))
             .field(field)
             .limits(None, Some(max.into()))
     }
 
-    /// There is no such thing.
+    /// Reports a missing thing. `what` completes the sentence "no …".
     pub fn not_found(what: impl std::fmt::Display) -> Self {
-        Self::new(Code::NotFound, format!("there is no {what}"))
+        Self::new(Code::NotFound, format!("no {what}"))
     }
 
-    /// Names the field that is wrong.
+    /// Names the wrong field.
     pub fn field(mut self, field: impl Into<String>) -> Self {
         self.0.field = Some(field.into());
         self
     }
 
-    /// Repeats what it was, where it is short.
+    /// Repeats the wrong value, if it is short.
     pub fn value(mut self, value: Option<Value>) -> Self {
         let short = |value: &Value| {
             !value.is_array() && !value.is_object() && !value.is_null() && value.to_string().len() <= MAX_VALUE_BYTES
@@ -232,7 +231,7 @@ impl Problem {
         self
     }
 
-    /// Says between what it must be.
+    /// Adds the allowed range.
     pub fn limits(mut self, min: Option<Number>, max: Option<Number>) -> Self {
         (self.0.min, self.0.max) = (min, max);
         self
@@ -244,7 +243,6 @@ impl Problem {
         self
     }
 
-    /// The same, in place.
     pub fn mark_recorded(&mut self) {
         self.0.is_recorded = true;
     }
@@ -255,7 +253,6 @@ impl Problem {
         self.0.is_recorded
     }
 
-    /// The code for programs.
     #[must_use]
     pub fn code(&self) -> Code {
         self.0.code
@@ -267,24 +264,21 @@ impl Problem {
         self.0.code.word()
     }
 
-    /// The description for people.
     #[must_use]
     pub fn detail(&self) -> &str {
         &self.0.detail
     }
 
-    /// A panic: an error of the gateway's own, which ends one request and not the gateway.
+    /// Reports a panic, which ends one request but not the gateway.
     pub fn internal() -> Self {
-        Self::new(Code::Internal, "the gateway made a mistake: its log says more")
+        Self::new(Code::Internal, "internal error; see the gateway's log")
     }
 
-    /// The HTTP status.
     #[must_use]
     pub fn status(&self) -> StatusCode {
         self.0.status()
     }
 
-    /// What is sent.
     pub fn members(&self) -> &Members {
         &self.0
     }
@@ -391,7 +385,7 @@ impl From<Failure> for Problem {
     }
 }
 
-/// A single by its shortest decimal digits: 96.3, where its exact value as a double is 96.30000305175781.
+/// Converts an `f32` by its shortest decimal digits: 96.3, rather than its exact value as a double, 96.30000305175781.
 fn decimal(value: f32) -> Option<Number> {
     value.to_string().parse().ok().and_then(Number::from_f64)
 }

@@ -1,4 +1,5 @@
-//! A request of the protocol, by its id and bytes. What the manuals know takes the typed path, with all its checks.
+//! Raw requests of the device's protocol, given by id and bytes. Commands in the manuals take the typed path, with all
+//! its checks.
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
@@ -18,28 +19,28 @@ use crate::wsg::{self, Status, Updates};
 pub const RAW: Operation =
     Operation::command("raw", "/grippers/{gripper}/raw", |call| reply(raw(call))).needs(Role::Supervisor);
 
-/// A request of the protocol.
+/// A raw request of the device's protocol.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 #[schema(example = json!({"id": 83}))]
 pub struct Raw {
-    /// The command's id.
+    /// Command id.
     #[schema(value_type = u8, minimum = 0, maximum = 255)]
     id: f64,
-    /// Its parameters as hex: at most 4096 bytes.
+    /// Parameters as hex: at most 4096 bytes.
     #[serde(default)]
     #[schema(default = "", max_length = 8192, pattern = "^([0-9a-fA-F]{2})*$")]
     payload: String,
-    /// Makes a motion safe to repeat: the same id gives the same command for 10 minutes. At most 64 bytes; empty
-    /// is none.
+    /// Id that makes a motion safe to repeat: for 10 minutes, the same id returns the same command. At most 64 bytes;
+    /// empty means none.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     request_id: Option<String>,
-    /// The lease's token of at most 64 bytes, while somebody holds one; empty is none.
+    /// Token of the current lease, if the gripper is leased. At most 64 bytes; empty means none.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     lease: Option<String>,
 }
 
-/// The device's answer to it.
+/// The device's reply to a raw request.
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(example = json!({
     "gripper": "left", "id": 49, "name": "GetAcceleration", "status": "E_SUCCESS", "status_code": 0,
@@ -49,28 +50,28 @@ pub struct RawAnswer {
     /// The gripper's name.
     #[schema(max_length = 32)]
     gripper: String,
-    /// The command's id.
+    /// Command id.
     #[schema(minimum = 0, maximum = 255)]
     id: u8,
-    /// The manual's name for it; null for a custom command.
+    /// Name of the command in the manual; null for a custom command.
     #[schema(required)]
     name: Option<&'static str>,
-    /// The device's last status, by its symbol; null where it gave none.
+    /// Symbol of the device's last status; null if the device sent none.
     #[schema(required)]
     status: Option<String>,
-    /// The same, by its number.
+    /// The same status as a number.
     #[schema(required, minimum = 0, maximum = 65535)]
     status_code: Option<u16>,
-    /// What came with the status, as hex.
+    /// Data that came with the status, as hex.
     #[schema(max_length = 8192)]
     payload: String,
-    /// The command that it became; null unless it moves the fingers, may move them, or stops them.
+    /// Id of the resulting command; null if the request neither stops the fingers nor could move them.
     #[schema(value_type = Option<uuid::Uuid>, required)]
     command_id: Option<CommandId>,
-    /// How that ended.
+    /// Outcome of that command.
     #[schema(required)]
     outcome: Option<Outcome>,
-    /// What an acknowledge has to name; only of a FAST STOP.
+    /// Id to name in the acknowledgement; only for a FAST STOP.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<uuid::Uuid>, nullable = false)]
     fast_stop_id: Option<FastStopId>,
@@ -92,7 +93,7 @@ impl RawAnswer {
     }
 }
 
-/// What becomes of a request.
+/// The way in which a raw request is carried out.
 enum RawPath {
     Command(Action),
     FastStop,
@@ -102,7 +103,7 @@ enum RawPath {
 async fn raw(call: Call) -> Result<Reply, Problem> {
     let (gripper, wait, keys) = (call.gripper()?, call.wait(DEFAULT_WAIT_MS)?, call.keys()?);
     let body: Raw = call.fields()?;
-    // At most 255, so nothing is lost.
+    // At most 255, so the cast loses nothing.
     let id = integer("id", body.id, 0..=u64::from(u8::MAX))? as u8;
     let keys = keys.or_fields(body.request_id.as_deref(), body.lease.as_deref())?;
     let payload = bytes("payload", &body.payload, MAX_OPAQUE_BYTES)?;
@@ -154,18 +155,19 @@ fn path(command: wsg::Command, gripper: &Handle) -> Result<RawPath, Problem> {
     if let Some(action) = Action::of(&command) {
         return Ok(RawPath::Command(action));
     }
-    // What moves or stops would be refused on the path of exchanges.
+    // An exchange would refuse commands that move or stop.
     Ok(match command {
         C::Custom(custom) if !gripper.only_reads(custom.id()) => {
             RawPath::Command(Action::Motion(Motion::Custom(custom)))
         }
         C::FastStop => RawPath::FastStop,
         C::DisconnectAnnouncement => {
-            let detail = "07h would end the gateway's own session: leave the gripper out of its configuration instead";
+            let detail = "07h would end the gateway's session: remove the gripper from the configuration instead";
             return Err(Problem::malformed("id", detail));
         }
         C::AcknowledgeFastStop => {
-            let detail = "24h can't say which FAST STOP it means: POST to acknowledge with its fast_stop_id instead";
+            let detail =
+                "24h cannot name the FAST STOP that it acknowledges: POST its fast_stop_id to acknowledge instead";
             return Err(Problem::malformed("id", detail));
         }
         C::GetSystemState(Updates::On { .. })
@@ -173,7 +175,7 @@ fn path(command: wsg::Command, gripper: &Handle) -> Result<RawPath, Problem> {
         | C::GetWidth(Updates::On { .. })
         | C::GetSpeed(Updates::On { .. })
         | C::GetForce(Updates::On { .. }) => {
-            let detail = "automatic updates are the gateway's own: GET state instead, or send 000000";
+            let detail = "the gateway controls automatic updates: GET state instead, or send payload 000000";
             return Err(Problem::malformed("payload", detail));
         }
         command => RawPath::Exchange(command),

@@ -15,20 +15,17 @@ use crate::gripper::model::Name;
 pub struct Reply {
     /// The result as JSON.
     pub body: Box<RawValue>,
-    /// Command or lease that outlives the reply.
+    /// The command or lease that outlives the reply, if any.
     pub effect: Effect,
 }
 
 /// A command or lease that outlives a reply.
 #[derive(Debug)]
 pub enum Effect {
-    /// Nothing.
     None,
     /// A command that has not ended.
     Running {
-        /// The gripper that it runs on.
         gripper: Name,
-        /// The command.
         ticket: Ticket,
     },
     /// A lease that was acquired.
@@ -39,7 +36,7 @@ pub enum Effect {
 #[derive(Debug)]
 pub struct Json<T>(pub T);
 
-/// A result that the function of an operation may return.
+/// A result that the function of an operation can return.
 pub(super) trait IntoReply {
     fn into_reply(self) -> Result<Reply, Problem>;
 }

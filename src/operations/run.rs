@@ -20,7 +20,7 @@ use crate::gripper::model::Urgency;
 
 /// Runs an operation for a caller, and records a refusal.
 ///
-/// A FAST STOP runs to its end although its caller is gone. The answer to a client that is refused all the time is
+/// A FAST STOP runs to its end even if its caller is gone. The answer to a client that is refused all the time is
 /// delayed, unless the operation is urgent.
 ///
 /// # Errors
@@ -55,7 +55,7 @@ pub async fn run(
     result
 }
 
-/// Runs the operation of this name. A FAST STOP whose parameters are wrong stops all grippers: the one that is meant is
+/// Runs the operation with this name. A FAST STOP with wrong parameters stops all grippers, since the intended one is
 /// among them.
 ///
 /// # Errors
@@ -76,8 +76,8 @@ pub async fn call(gateway: &Arc<Gateway>, caller: Caller, name: &str, params: Va
     run(gateway, operation.unwrap_or(&fast_stop::ALL), caller, Params { fields, ..Params::default() }).await
 }
 
-/// Finds the operation of a name, and divides its parameters. The first operation counts whose path's
-/// parameters are all given.
+/// Finds the operation with this name, and splits the parameters into path and fields. The first operation whose
+/// path parameters are all given is chosen.
 fn resolve(name: &str, params: Value) -> Result<(&'static Operation, Params), Problem> {
     let first = named(name).next().ok_or_else(|| Problem::not_found(format!("method {:?}", shortened(name))))?;
     let mut object = match params {
@@ -93,12 +93,12 @@ fn resolve(name: &str, params: Value) -> Result<(&'static Operation, Params), Pr
     Ok((operation, Params { path, fields: Fields::Object(object) }))
 }
 
-/// Returns a parameter that the path names. A value that can't be part of a path names nothing.
+/// Returns a path parameter. A value that cannot be part of a path is reported as not found.
 fn path_part(key: &str, value: Option<Value>) -> Result<String, Problem> {
     let part = match value {
         Some(Value::String(text)) => text,
         Some(Value::Number(number)) => number.to_string(),
-        Some(_) => return Err(Problem::malformed(key, format!("{key} must be a text or a number"))),
+        Some(_) => return Err(Problem::malformed(key, format!("{key} must be a string or a number"))),
         None => return Err(Problem::malformed(key, format!("missing field `{key}`"))),
     };
     let is_name = |byte: u8| byte.is_ascii_alphanumeric() || matches!(byte, b'-' | b'_');
@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn parameters_are_divided_between_path_and_fields() {
+    fn parameters_are_split_into_path_and_fields() {
         let (path, params) = resolved("fingers.data", json!({"gripper": "left", "finger": 2, "lease": "t"}));
         assert_eq!(path, "/grippers/{gripper}/fingers/{finger}/data");
         assert_eq!(params.path["gripper"], "left");
@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn fast_stop_is_of_one_gripper_or_of_all() {
+    fn fast_stop_without_gripper_stops_all() {
         assert_eq!(resolved("fast-stop", json!({"gripper": "left"})).0, "/grippers/{gripper}/fast-stop");
         for params in [json!({}), Value::Null, json!([1, 2]), json!("now"), json!({"reason": 7})] {
             assert_eq!(resolved("fast-stop", params).0, "/fast-stop");
@@ -141,7 +141,7 @@ mod tests {
     }
 
     #[test]
-    fn missing_and_impossible_path_parameters_are_named() {
+    fn missing_or_invalid_path_parameter_is_named() {
         assert_eq!(refused("grip", json!({"width_mm": 20}))["field"], "gripper");
         assert_eq!(refused("grip", json!(["left", 20]))["field"], "params");
         for name in ["", "../left", "left/grip", "left?x=1", "l\u{f6}ft"] {

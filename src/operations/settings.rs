@@ -1,5 +1,5 @@
-//! The device's settings. Each is read and written in one shape, and a write answers with what the device made of it:
-//! it clamps what it can't do.
+//! The device's settings. Each has one shape for reading and writing. A write returns the value that the device
+//! applied, since the device clamps values beyond its limits.
 
 use http::Method as Verb;
 use serde::{Deserialize, Serialize};
@@ -44,11 +44,11 @@ pub const SET_TAG: Operation =
 
 type Answer<T> = Result<Json<T>, Problem>;
 
-/// What `optional` is where the device has none set.
+/// Turns `E_NOT_AVAILABLE` into `None`: the device has no value set.
 fn none_if_not_available<T>(optional: Result<Option<T>, Rejection>) -> Result<Option<T>, Rejection> {
     match optional {
         Err(Rejection::Device(refusal)) if refusal.status == Status::E_NOT_AVAILABLE => Ok(None),
-        told => told,
+        other => other,
     }
 }
 
@@ -59,7 +59,7 @@ pub struct AccelerationAnswer {
     /// The gripper's name.
     #[schema(max_length = 32)]
     gripper: String,
-    /// In mm/s².
+    /// Acceleration in mm/s².
     #[schema(minimum = 0, maximum = 1_000_000)]
     acceleration_mm_s2: f32,
 }
@@ -69,29 +69,29 @@ pub struct AccelerationAnswer {
 #[serde(deny_unknown_fields)]
 #[schema(example = json!({"acceleration_mm_s2": 2000.0}))]
 pub struct AccelerationSetting {
-    /// In mm/s².
+    /// Acceleration in mm/s².
     #[schema(minimum = 0, maximum = 1_000_000)]
     acceleration_mm_s2: f64,
-    /// The lease's token of at most 64 bytes, while somebody holds one; empty is none.
+    /// Token of the current lease, if the gripper is leased. At most 64 bytes; empty means none.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     lease: Option<String>,
 }
 
-async fn tell_acceleration(gripper: Gripper, command: wsg::Command) -> Answer<AccelerationAnswer> {
-    let told = ask(&gripper, command, only!(Data::Acceleration)).await?;
-    Ok(Json(AccelerationAnswer { gripper: gripper.name(), acceleration_mm_s2: told.mm_s2() }))
+async fn exchange_acceleration(gripper: Gripper, command: wsg::Command) -> Answer<AccelerationAnswer> {
+    let value = ask(&gripper, command, only!(Data::Acceleration)).await?;
+    Ok(Json(AccelerationAnswer { gripper: gripper.name(), acceleration_mm_s2: value.mm_s2() }))
 }
 
 async fn get_acceleration(call: Call) -> Answer<AccelerationAnswer> {
     let (gripper, NoFields {}) = call.open()?;
-    tell_acceleration(gripper, wsg::Command::GetAcceleration).await
+    exchange_acceleration(gripper, wsg::Command::GetAcceleration).await
 }
 
 async fn set_acceleration(call: Call) -> Answer<AccelerationAnswer> {
     let (gripper, body): (_, AccelerationSetting) = call.open()?;
     let gripper = gripper.with_lease(body.lease.as_deref())?;
     let acceleration = acceleration("acceleration_mm_s2", body.acceleration_mm_s2)?;
-    tell_acceleration(gripper, wsg::Command::SetAcceleration(acceleration)).await
+    exchange_acceleration(gripper, wsg::Command::SetAcceleration(acceleration)).await
 }
 
 /// The force limit.
@@ -101,7 +101,7 @@ pub struct ForceLimitAnswer {
     /// The gripper's name.
     #[schema(max_length = 32)]
     gripper: String,
-    /// In N, the sum over the fingers.
+    /// Force limit in N, the sum over the fingers.
     #[schema(minimum = 0, maximum = 10000)]
     force_n: f32,
 }
@@ -111,28 +111,28 @@ pub struct ForceLimitAnswer {
 #[serde(deny_unknown_fields)]
 #[schema(example = json!({"force_n": 40.0}))]
 pub struct ForceLimitSetting {
-    /// In N, the sum over the fingers.
+    /// Force limit in N, the sum over the fingers.
     #[schema(minimum = 0, maximum = 10000)]
     force_n: f64,
-    /// The lease's token of at most 64 bytes, while somebody holds one; empty is none.
+    /// Token of the current lease, if the gripper is leased. At most 64 bytes; empty means none.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     lease: Option<String>,
 }
 
-async fn tell_force_limit(gripper: Gripper, command: wsg::Command) -> Answer<ForceLimitAnswer> {
-    let told = ask(&gripper, command, only!(Data::ForceLimit)).await?;
-    Ok(Json(ForceLimitAnswer { gripper: gripper.name(), force_n: told.n() }))
+async fn exchange_force_limit(gripper: Gripper, command: wsg::Command) -> Answer<ForceLimitAnswer> {
+    let value = ask(&gripper, command, only!(Data::ForceLimit)).await?;
+    Ok(Json(ForceLimitAnswer { gripper: gripper.name(), force_n: value.n() }))
 }
 
 async fn get_force_limit(call: Call) -> Answer<ForceLimitAnswer> {
     let (gripper, NoFields {}) = call.open()?;
-    tell_force_limit(gripper, wsg::Command::GetForceLimit).await
+    exchange_force_limit(gripper, wsg::Command::GetForceLimit).await
 }
 
 async fn set_force_limit(call: Call) -> Answer<ForceLimitAnswer> {
     let (gripper, body): (_, ForceLimitSetting) = call.open()?;
     let gripper = gripper.with_lease(body.lease.as_deref())?;
-    tell_force_limit(gripper, wsg::Command::SetForceLimit(force("force_n", body.force_n)?)).await
+    exchange_force_limit(gripper, wsg::Command::SetForceLimit(force("force_n", body.force_n)?)).await
 }
 
 /// The soft limits.
@@ -142,10 +142,10 @@ pub struct SoftLimitsAnswer {
     /// The gripper's name.
     #[schema(max_length = 32)]
     gripper: String,
-    /// The smallest allowed width; null where none is set.
+    /// Smallest allowed width in mm; null if none is set.
     #[schema(required, minimum = -1000, maximum = 1000)]
     minus_mm: Option<f32>,
-    /// The largest allowed width; null where none is set.
+    /// Largest allowed width in mm; null if none is set.
     #[schema(required, minimum = -1000, maximum = 1000)]
     plus_mm: Option<f32>,
 }
@@ -155,34 +155,34 @@ pub struct SoftLimitsAnswer {
 #[serde(deny_unknown_fields)]
 #[schema(example = json!({"minus_mm": 10.0, "plus_mm": 60.0}))]
 pub struct SoftLimitsSetting {
-    /// The smallest allowed width.
+    /// Smallest allowed width in mm.
     #[schema(minimum = 0, maximum = 1000)]
     minus_mm: f64,
-    /// The largest allowed width.
+    /// Largest allowed width in mm.
     #[schema(minimum = 0, maximum = 1000)]
     plus_mm: f64,
-    /// The lease's token of at most 64 bytes, while somebody holds one; empty is none.
+    /// Token of the current lease, if the gripper is leased. At most 64 bytes; empty means none.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     lease: Option<String>,
 }
 
-async fn tell_soft_limits(gripper: Gripper, command: wsg::Command) -> Answer<SoftLimitsAnswer> {
+async fn exchange_soft_limits(gripper: Gripper, command: wsg::Command) -> Answer<SoftLimitsAnswer> {
     let take = |data| match data {
-        Data::SoftLimits(told) => Some(Some(told)),
+        Data::SoftLimits(value) => Some(Some(value)),
         Data::None => Some(None),
         _ => None,
     };
-    let told = none_if_not_available(ask(&gripper, command, take).await)?;
+    let value = none_if_not_available(ask(&gripper, command, take).await)?;
     Ok(Json(SoftLimitsAnswer {
         gripper: gripper.name(),
-        minus_mm: told.map(|limits| limits.minus().mm()),
-        plus_mm: told.map(|limits| limits.plus().mm()),
+        minus_mm: value.map(|limits| limits.minus().mm()),
+        plus_mm: value.map(|limits| limits.plus().mm()),
     }))
 }
 
 async fn get_soft_limits(call: Call) -> Answer<SoftLimitsAnswer> {
     let (gripper, NoFields {}) = call.open()?;
-    tell_soft_limits(gripper, wsg::Command::GetSoftLimits).await
+    exchange_soft_limits(gripper, wsg::Command::GetSoftLimits).await
 }
 
 async fn set_soft_limits(call: Call) -> Answer<SoftLimitsAnswer> {
@@ -191,13 +191,13 @@ async fn set_soft_limits(call: Call) -> Answer<SoftLimitsAnswer> {
     let (minus, plus) = (width("minus_mm", body.minus_mm)?, width("plus_mm", body.plus_mm)?);
     let limits = SoftLimits::new(minus, plus)
         .ok_or_else(|| Problem::out_of_range("minus_mm", body.minus_mm, 0.0, body.plus_mm))?;
-    tell_soft_limits(gripper, wsg::Command::SetSoftLimits(limits)).await
+    exchange_soft_limits(gripper, wsg::Command::SetSoftLimits(limits)).await
 }
 
 async fn clear_soft_limits(call: Call) -> Answer<SoftLimitsAnswer> {
     // HTTP's DELETE has no parameters, and ignores a body.
     let gripper = call.gripper()?.with_lease(call.lenient_text("lease").as_deref())?;
-    tell_soft_limits(gripper, wsg::Command::ClearSoftLimits).await
+    exchange_soft_limits(gripper, wsg::Command::ClearSoftLimits).await
 }
 
 /// Overdrive Mode.
@@ -211,14 +211,14 @@ pub struct OverdriveAnswer {
     enabled: bool,
 }
 
-/// Overdrive Mode, to switch.
+/// Overdrive Mode to set.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 #[schema(example = json!({"enabled": false}))]
 pub struct OverdriveSetting {
     /// Whether the force limit may go up to the overdrive force.
     enabled: bool,
-    /// The lease's token of at most 64 bytes, while somebody holds one; empty is none.
+    /// Token of the current lease, if the gripper is leased. At most 64 bytes; empty means none.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     lease: Option<String>,
 }
@@ -232,7 +232,7 @@ fn get_overdrive(call: &Call) -> Answer<OverdriveAnswer> {
     let state = gripper.handle.state();
     let never_heard = || Failure::LinkDown {
         link: state.link,
-        cause: state.link_cause.clone().unwrap_or_else(|| "the device has not told its flags yet".to_owned()),
+        cause: state.link_cause.clone().unwrap_or_else(|| "the device has not reported its flags yet".to_owned()),
     };
     let flags = state.flags_raw.ok_or_else(never_heard)?;
     Ok(overdrive_of(&gripper, SystemState::from_bits_retain(flags)))
@@ -252,7 +252,7 @@ pub struct TagAnswer {
     /// The gripper's name.
     #[schema(max_length = 32)]
     gripper: String,
-    /// The tag; null where none is set.
+    /// The tag; null if none is set.
     #[schema(required, max_length = 64)]
     tag: Option<String>,
 }
@@ -262,15 +262,15 @@ pub struct TagAnswer {
 #[serde(deny_unknown_fields)]
 #[schema(example = json!({"tag": "cell 7"}))]
 pub struct TagSetting {
-    /// At most 64 printable ASCII characters.
+    /// The tag: at most 64 printable ASCII characters.
     #[schema(max_length = 64, pattern = "^[ -~]*$")]
     tag: String,
-    /// The lease's token of at most 64 bytes, while somebody holds one; empty is none.
+    /// Token of the current lease, if the gripper is leased. At most 64 bytes; empty means none.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     lease: Option<String>,
 }
 
-async fn tell_tag(gripper: Gripper, command: wsg::Command) -> Answer<TagAnswer> {
+async fn exchange_tag(gripper: Gripper, command: wsg::Command) -> Answer<TagAnswer> {
     let take = |data| match data {
         Data::DeviceTag(tag) => Some(Some(tag)),
         Data::None => Some(None),
@@ -282,7 +282,7 @@ async fn tell_tag(gripper: Gripper, command: wsg::Command) -> Answer<TagAnswer> 
 
 async fn get_tag(call: Call) -> Answer<TagAnswer> {
     let (gripper, NoFields {}) = call.open()?;
-    tell_tag(gripper, wsg::Command::GetDeviceTag).await
+    exchange_tag(gripper, wsg::Command::GetDeviceTag).await
 }
 
 async fn set_tag(call: Call) -> Answer<TagAnswer> {
@@ -294,8 +294,8 @@ async fn set_tag(call: Call) -> Answer<TagAnswer> {
             Problem::new(Code::Malformed, error.to_string()).field("tag").value(Some(tag.clone().into()))
         }
     };
-    // The device strips trailing NULs; a client that sends them gets to know that they aren't kept.
+    // The device strips trailing NULs, so a tag that ends in them is refused rather than changed.
     let tag =
         if tag.ends_with('\0') { Err(InvalidDeviceTag::IllegalCharacter) } else { DeviceTag::new(tag.as_bytes()) };
-    tell_tag(gripper, wsg::Command::SetDeviceTag(tag.map_err(refused)?)).await
+    exchange_tag(gripper, wsg::Command::SetDeviceTag(tag.map_err(refused)?)).await
 }

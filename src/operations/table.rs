@@ -6,7 +6,7 @@ use super::operation::Operation;
 use super::{commands, device, fast_stop, fingers, fleet, grippers, lease, motion, raw, settings};
 use crate::gripper::model::Urgency;
 
-/// All operations. Several may share a name: the first counts whose path's parameters are all given.
+/// All operations. If several share a name, the first whose path parameters are all given is chosen.
 pub const OPERATIONS: &[Operation] = &[
     motion::HOME,
     motion::MOVE,
@@ -49,30 +49,30 @@ pub const OPERATIONS: &[Operation] = &[
     fleet::FAST_STOP,
 ];
 
-/// The operations of a name.
+/// Operations with this name.
 pub fn named(name: &str) -> impl Iterator<Item = &'static Operation> {
     OPERATIONS.iter().filter(move |operation| operation.name == name)
 }
 
-/// The operation of a method and a path's template below the API's.
+/// The operation with this method and path template, which is relative to the API's path.
 #[must_use]
 pub fn find(verb: &Verb, path: &str) -> Option<&'static Operation> {
     OPERATIONS.iter().find(|operation| operation.verb == verb && operation.path == path)
 }
 
-/// Whether a name is that of a FAST STOP.
+/// Whether this is the name of a FAST STOP.
 #[must_use]
 pub fn is_fast_stop(name: &str) -> bool {
     urgency(name) == Urgency::FastStop
 }
 
-/// The urgency of the operations of a name.
+/// Urgency of the operations with this name.
 #[must_use]
 pub fn urgency(name: &str) -> Urgency {
     named(name).next().map_or(Urgency::None, |operation| operation.urgency)
 }
 
-/// Returns as much of a client's text as an answer repeats.
+/// Cuts a client's text to the 32 characters that an answer repeats.
 pub(super) fn shortened(text: &str) -> String {
     text.chars().take(32).collect()
 }
@@ -83,21 +83,21 @@ mod tests {
     use super::*;
 
     #[test]
-    fn operations_of_one_name_have_one_urgency() {
+    fn operations_with_one_name_have_one_urgency() {
         for operation in OPERATIONS {
             assert_eq!(urgency(operation.name), operation.urgency, "{}", operation.name);
         }
     }
 
     #[test]
-    fn subject_is_last_part_that_is_no_parameter() {
+    fn subject_is_last_fixed_part() {
         assert_eq!(settings::SET_ACCELERATION.subject(), "acceleration");
         assert_eq!(subject("/grippers/{g}/custom/{id}"), "custom");
         assert_eq!(commands::CANCEL.subject(), "cancel");
     }
 
     #[test]
-    fn whatever_stops_is_urgent() {
+    fn stops_and_lease_renewals_are_urgent() {
         let urgent: Vec<_> =
             OPERATIONS.iter().filter(|operation| operation.urgency != Urgency::None).map(|one| one.name).collect();
         let expected = ["stop", "fast-stop", "fast-stop", "lease.renew", "lease.release", "cancel", "fleet.fast-stop"];

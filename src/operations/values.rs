@@ -1,7 +1,7 @@
-//! Numbers and texts from clients: within bounds, and as the wire's quantities.
+//! Numbers and texts from clients, checked and converted to the wire's quantities.
 //!
-//! What a number may be, the gripper knows: here it only has to be a number that the wire can carry. The bounds of the
-//! document are what no gripper goes beyond.
+//! A number only has to fit the wire here; the gripper checks its own limits. The bounds in the OpenAPI document are
+//! those that no gripper exceeds.
 
 use std::ops::RangeInclusive;
 
@@ -34,7 +34,7 @@ fn not_finite(field: &str, error: NotFinite) -> Problem {
     Problem::malformed(field, format!("{field}: {error}"))
 }
 
-/// A JSON number that must be whole, which 96.0 is.
+/// A JSON number that must be whole; 96.0 counts as whole.
 pub fn integer(field: &str, number: f64, range: RangeInclusive<u64>) -> Result<u64, Problem> {
     if !number.is_finite() || number.fract() != 0.0 {
         let value = serde_json::Number::from_f64(number).map(serde_json::Value::Number);
@@ -42,14 +42,14 @@ pub fn integer(field: &str, number: f64, range: RangeInclusive<u64>) -> Result<u
     }
     let (min, max) = (*range.start() as f64, *range.end() as f64);
     if (min..=max).contains(&number) {
-        // Inside the range, so nothing is lost.
+        // Inside the range, so the cast loses nothing.
         Ok(number as u64)
     } else {
         Err(Problem::out_of_range(field, number, min, max))
     }
 }
 
-/// A JSON number as a single. One that is too large for that is beyond all limits.
+/// A JSON number in single precision. A number too large for it is beyond all limits.
 fn single(field: &str, number: f64, max: f32) -> Result<f32, Problem> {
     let single = number as f32;
     if single.is_finite() { Ok(single) } else { Err(Problem::out_of_range(field, number, 0.0, f64::from(max))) }
@@ -60,10 +60,10 @@ pub fn text<const MAX: usize>(field: &str, given: &str) -> Result<Text<MAX>, Pro
     if given.len() > MAX {
         return Err(Problem::too_long(field, given.len(), MAX));
     }
-    Text::new(given).ok_or_else(|| Problem::malformed(field, format!("{field} must have no control characters")))
+    Text::new(given).ok_or_else(|| Problem::malformed(field, format!("{field} must not contain control characters")))
 }
 
-/// A name that people tell clients apart by, within its field's bounds.
+/// Name by which people distinguish clients, within its field's bounds.
 ///
 /// # Errors
 /// A problem that names the field, what is wrong and the remedy.
@@ -76,7 +76,8 @@ pub fn name<const MAX: usize>(field: &str, given: &str) -> Result<ShownName<MAX>
 
 /// Bytes in hexadecimal digits.
 pub fn bytes(field: &str, given: &str, max: usize) -> Result<Vec<u8>, Problem> {
-    let bytes = hex::decode(given).map_err(|error| Problem::malformed(field, format!("{field} is no hex: {error}")))?;
+    let bytes =
+        hex::decode(given).map_err(|error| Problem::malformed(field, format!("{field} is not valid hex: {error}")))?;
     if bytes.len() <= max { Ok(bytes) } else { Err(Problem::too_long(field, bytes.len(), max)) }
 }
 
@@ -85,7 +86,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_number_that_the_wire_cannot_carry_is_out_of_range() {
+    fn number_that_does_not_fit_the_wire_is_out_of_range() {
         assert!(width("width_mm", 96.0).is_ok());
         for beyond in [1e39, f64::INFINITY, f64::NAN] {
             assert_eq!(width("width_mm", beyond).unwrap_err().status().as_u16(), 422, "{beyond}");
@@ -102,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn the_document_states_the_bounds_that_hold() {
+    fn openapi_document_states_the_enforced_bounds() {
         let document = serde_json::to_value(crate::interfaces::http::openapi()).unwrap();
         let stated = |schema: &str, field: &str| {
             let field = &document["components"]["schemas"][schema]["properties"][field];

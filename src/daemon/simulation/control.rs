@@ -1,5 +1,5 @@
-//! The control port: what happens to simulated devices, over HTTP, for whoever tries a gateway against a gripper that
-//! misbehaves.
+//! The control port, which injects faults into simulated devices over HTTP, to test a gateway against a misbehaving
+//! gripper.
 
 use std::io::ErrorKind;
 use std::net::SocketAddr;
@@ -17,7 +17,7 @@ use tokio::net::TcpListener;
 use super::Served;
 use crate::sim::{Change, Part, Snapshot};
 
-/// A device as it is: the truth, and not only what it says.
+/// The true state of a device, which can differ from the state that it reports.
 #[derive(Debug, Serialize)]
 #[allow(clippy::struct_excessive_bools, reason = "a snapshot of states that are independent")]
 struct Shown {
@@ -71,11 +71,11 @@ impl Shown {
 type Devices = State<Arc<Vec<Served>>>;
 type Refusal = (StatusCode, String);
 
-/// Listens, on a loopback address: there are no credentials.
+/// Listens on a loopback address, since the port has no credentials.
 pub(super) async fn listen(address: SocketAddr) -> anyhow::Result<TcpListener> {
-    ensure!(address.ip().is_loopback(), "--control {address}: it has no credentials, so it must be a loopback address");
+    ensure!(address.ip().is_loopback(), "--control {address} must be a loopback address: the port has no credentials");
     let listener = TcpListener::bind(address).await;
-    listener.with_context(|| format!("--control: cannot listen on {address}, choose another port"))
+    listener.with_context(|| format!("--control: cannot listen on {address}: choose another port"))
 }
 
 /// Serves until it is cancelled.
@@ -99,7 +99,7 @@ async fn show(State(devices): Devices, Path(index): Path<usize>) -> Result<Json<
     shown(find(&devices, index)?).await.map(Json)
 }
 
-/// Any content type will do: it is typed by hand.
+/// Accepts any content type, since requests are typed by hand.
 async fn change(State(devices): Devices, Path(index): Path<usize>, body: Bytes) -> Result<Json<Shown>, Refusal> {
     let served = find(&devices, index)?;
     let change: Change = serde_json::from_slice(&body).map_err(|error| {
@@ -113,7 +113,7 @@ async fn change(State(devices): Devices, Path(index): Path<usize>, body: Bytes) 
 }
 
 fn find(devices: &[Served], index: usize) -> Result<&Served, Refusal> {
-    let there_are = || format!("there is no device {index}; there are {}, counted from 0\n", devices.len());
+    let there_are = || format!("no device {index}: there are {}, counted from 0\n", devices.len());
     devices.get(index).ok_or_else(|| (StatusCode::NOT_FOUND, there_are()))
 }
 

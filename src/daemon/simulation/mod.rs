@@ -1,7 +1,8 @@
-//! Simulated devices, pumped: over a pipe in this process for `sim://`, over every transport for `wsg-gateway sim`.
+//! Simulated devices in real time: over a pipe in this process for `sim://`, over every transport for `wsg-gateway
+//! sim`.
 //!
-//! A `wire` is the device's end of a transport; the `pump` runs a device over it, and does what its [`Switch`] says;
-//! `control` has the switches of all of them, over HTTP.
+//! A `wire` is the device's end of a transport. The `pump` runs a device over it, controlled by a [`Switch`].
+//! `control` serves the switches of all devices over HTTP.
 
 mod control;
 mod pty;
@@ -25,13 +26,13 @@ pub use pump::Switch;
 pub use serve::{Served, serve, serve_simulated};
 use wire::Wire;
 
-/// What is in flight in one direction of a pipe in this process: about what a socket would hold of small frames.
+/// Capacity of a pipe in this process, in bytes and each direction: about what a socket would hold of small frames.
 const PIPE_BYTES: usize = 4096;
 
-/// The models, as URLs name them.
+/// Names of the models in URLs.
 const MODELS: &str = "wsg25, wsg32, wsg50, wsg70";
 
-/// What a pipe in this process means for the protocol: it stands for a device on TCP.
+/// Properties of a pipe in this process, which stands for a device on TCP.
 const PROPERTIES: LinkProperties = LinkProperties {
     name: "sim",
     connection_oriented: true,
@@ -45,11 +46,11 @@ const PROPERTIES: LinkProperties = LinkProperties {
 pub struct SimulatedDevice(DeviceConfig);
 
 impl SimulatedDevice {
-    /// Of a model, with what options its URL has: `part_mm`, the width of a part in reach; `firmware`, `fw2` or `fw4`;
+    /// Parses a URL with a model and options: `part_mm`, the width of a part in reach; `firmware`, `fw2` or `fw4`;
     /// `serial_number`.
     ///
     /// # Errors
-    /// What is wrong with the URL, and what is allowed.
+    /// The mistake in the URL, and the allowed values.
     pub fn from_url(url: &Url) -> Result<Self, String> {
         let model = url.host_str().unwrap_or_default();
         let mut device = Self::of_model(model).map_err(|error| format!("{url}: {error}"))?;
@@ -59,25 +60,24 @@ impl SimulatedDevice {
         Ok(device)
     }
 
-    /// Of a model, without a part.
+    /// Returns a device of a model, without a part.
     ///
     /// # Errors
-    /// Which models there are.
+    /// The names of the models.
     pub fn of_model(model: &str) -> Result<Self, String> {
         let config = DeviceConfig::from_model(model);
-        config.map(Self).ok_or_else(|| format!("there is no model {model:?}; there are {MODELS}"))
+        config.map(Self).ok_or_else(|| format!("unknown model {model:?}: use one of {MODELS}"))
     }
 
-    /// Built and set up like this.
     #[must_use]
     pub const fn new(config: DeviceConfig) -> Self {
         Self(config)
     }
 
-    /// With one option more.
+    /// Adds an option.
     ///
     /// # Errors
-    /// Which options there are, and what they may be.
+    /// The options and their allowed values.
     pub fn with(mut self, option: &str, value: &str) -> Result<Self, String> {
         let stroke_mm = f64::from(self.0.limits.stroke.mm());
         match option {
@@ -96,19 +96,19 @@ impl SimulatedDevice {
                 let wrong = |error| format!("serial_number={value}: {error}");
                 self.0.serial_number = value.parse().map_err(wrong)?;
             }
-            _ => return Err(format!("there is no option {option}; there are part_mm, firmware, serial_number")),
+            _ => return Err(format!("unknown option {option}: use part_mm, firmware or serial_number")),
         }
         Ok(self)
     }
 
-    /// Switches it on in this process, on the current runtime.
+    /// Switches the device on in this process, on the current runtime.
     pub(super) fn start(self, url: &str) -> InProcess {
         let (pipes, queue) = mpsc::channel(1);
         let switch = pump::start(Device::new(self.0, clock::instant()), Wire::InProcess(queue));
         InProcess { url: url.to_owned(), pipes, _switch: switch }
     }
 
-    /// The same, with another serial number: two devices are told apart by it.
+    /// Changes the serial number, which distinguishes devices.
     fn numbered(mut self, index: usize) -> Self {
         self.0.serial_number = self.0.serial_number.wrapping_add(index as u32);
         self
@@ -120,7 +120,7 @@ impl SimulatedDevice {
 pub(super) struct InProcess {
     url: String,
     pipes: mpsc::Sender<Pipe>,
-    /// Keeps it switched on.
+    /// Keeps the device switched on.
     _switch: Switch,
 }
 

@@ -1,4 +1,4 @@
-//! The device's end of a serial line: a pty, whose bytes are paced here, since a pty itself has no speed.
+//! The device's end of a serial line: a pty. Its bytes are paced here, since a pty itself has no speed.
 
 use std::fs;
 use std::io;
@@ -23,29 +23,29 @@ use crate::transport::{Options, Pacer, Pipe, SerialAddress};
 
 const DEFAULT_BAUD: u32 = 115_200;
 
-/// Where the names of ptys are.
+/// Directory of ptys.
 const PTYS: &str = "/dev/pts";
 
-/// So many bytes that nobody reads are given up together, as a real port loses what comes while it is closed.
+/// Unread bytes at which all of them are discarded, as a real port loses what comes while it is closed.
 const OVERRUN_BYTES: u64 = 2048;
 
-/// How often the port is opened to others again: a client that was killed leaves it closed to them.
+/// Interval of lifting exclusive access to the port, which a killed client leaves in place.
 const FREE_EVERY: Duration = Duration::from_millis(500);
 
-/// Where ptys come from, one at a time: an adapter that is pulled and comes back is another pty under the same link.
+/// Source of ptys, one at a time. An adapter that is pulled and comes back is another pty under the same link.
 pub(super) struct Socket {
     baud: u32,
     link: Option<PathBuf>,
-    /// What the next client gets.
+    /// The pty for the next client.
     next: Option<Pty>,
-    /// The name of the newest.
+    /// Name of the newest pty.
     name: String,
 }
 
 impl Socket {
-    /// `serial://pty?baud=115200&link=/tmp/gripper`
+    /// Opens a pty as in `serial://pty?baud=115200&link=/tmp/gripper`.
     pub(super) fn new(url: &Url) -> anyhow::Result<Self> {
-        ensure!(url.host_str() == Some("pty"), "a simulated device is at the other end: write serial://pty");
+        ensure!(url.host_str() == Some("pty"), "a simulated device can only be on a pty: write serial://pty");
         let options = Options::of(url, &["baud", "link"]).map_err(anyhow::Error::msg)?;
         let baud = options.number("baud", 1200..=460_800).map_err(anyhow::Error::msg)?.unwrap_or(DEFAULT_BAUD);
         let link = options.text("link").map(PathBuf::from);
@@ -70,10 +70,11 @@ impl Socket {
     }
 
     fn make(&mut self) -> anyhow::Result<()> {
-        let (pty, name) = Pty::new().context("no pty can be had")?;
+        let (pty, name) = Pty::new().context("cannot open a pty")?;
         if let Some(link) = &self.link {
             make_room(link)?;
-            std::os::unix::fs::symlink(&name, link).with_context(|| format!("no link at {}", link.display()))?;
+            std::os::unix::fs::symlink(&name, link)
+                .with_context(|| format!("cannot create the link {}", link.display()))?;
         }
         (self.next, self.name) = (Some(pty), name);
         Ok(())
@@ -89,20 +90,20 @@ impl Drop for Socket {
     }
 }
 
-/// Removes a link to a pty: one of ours, or one that a simulator left that was killed. Whatever else is there stays.
+/// Removes a link to a pty: one of ours, or one left by a killed simulator. Anything else stays.
 fn make_room(link: &Path) -> anyhow::Result<()> {
     let (shown, remedy) = (link.display(), "remove it, or choose another link=");
     match fs::read_link(link) {
         Ok(target) if target.starts_with(PTYS) => Ok(fs::remove_file(link)?),
-        Ok(target) => bail!("{shown} is a link to {}, which is no pty: {remedy}", target.display()),
-        Err(_) if link.exists() => bail!("{shown} is there, and no link to a pty: {remedy}"),
+        Ok(target) => bail!("{shown} is a link to {}, which is not a pty: {remedy}", target.display()),
+        Err(_) if link.exists() => bail!("{shown} exists and is not a link to a pty: {remedy}"),
         Err(_) => Ok(()),
     }
 }
 
 struct Pty {
     master: AsyncFd<OwnedFd>,
-    /// Held open, so that the master outlives its clients, and nothing is echoed before they set it up.
+    /// Kept open, so that the master outlives its clients, and nothing is echoed before they set it up.
     slave: OwnedFd,
 }
 
@@ -118,13 +119,13 @@ impl Pty {
         settings.make_raw();
         tcsetattr(&slave, OptionalActions::Now, &settings)?;
         let name = name.into_string().map_err(io::Error::other)?;
-        // The replacement is `unsafe` for those who replace or close the descriptor, which nobody can here.
-        #[allow(deprecated, reason = "there is no safe replacement")]
+        // The replacement is `unsafe`, since the descriptor could be replaced or closed. That cannot happen here.
+        #[allow(deprecated, reason = "no safe replacement exists")]
         let master = AsyncFd::new(master)?;
         Ok((Self { master, slave }, name))
     }
 
-    /// Whether so much waits that nobody can be reading.
+    /// Whether so many bytes wait that nobody can be reading.
     fn is_overrun(&self) -> bool {
         ioctl_fionread(&self.slave).is_ok_and(|waiting| waiting >= OVERRUN_BYTES)
     }
@@ -139,7 +140,7 @@ impl AsyncRead for Reader {
     fn poll_read(self: Pin<&mut Self>, cx: &mut Context<'_>, out: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
         let this = self.get_mut();
         while this.free.poll_tick(cx).is_ready() {
-            // Two clients at once are kept apart by their file locks all the same.
+            // Their file locks still keep two clients apart.
             let _ = ioctl_tiocnxcl(&this.pty.slave);
         }
         loop {
@@ -163,7 +164,7 @@ struct Writer {
 }
 
 impl AsyncWrite for Writer {
-    /// Never waits for a client: a line doesn't.
+    /// Never waits for a client, like a real line.
     fn poll_write(mut self: Pin<&mut Self>, _cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
         self.pacer.wrote(bytes.len());
         if self.pty.is_overrun() {
@@ -191,13 +192,13 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn a_link_is_only_made_where_nothing_is_but_a_link_to_a_pty() {
+    async fn link_replaces_nothing_but_a_link_to_a_pty() {
         let link = std::env::temp_dir().join(format!("wsg-link-{}", std::process::id()));
         let url = Url::parse(&format!("serial://pty?link={}", link.display())).unwrap();
         let refused = || Socket::new(&url).err().map(|error| error.to_string()).unwrap_or_default();
 
         symlink("/dev/ttyUSB0", &link).unwrap();
-        assert!(refused().contains("is a link to /dev/ttyUSB0, which is no pty: remove it"), "{}", refused());
+        assert!(refused().contains("is a link to /dev/ttyUSB0, which is not a pty: remove it"), "{}", refused());
         assert_eq!(fs::read_link(&link).unwrap(), Path::new("/dev/ttyUSB0"), "it is left alone");
         fs::remove_file(&link).unwrap();
 

@@ -1,4 +1,4 @@
-//! The pump: a device, its wire, and the time.
+//! The pump, which runs a device over its wire in real time.
 
 use std::io;
 use std::time::{Duration, Instant};
@@ -11,24 +11,24 @@ use crate::gripper::clock;
 use crate::sim::{Change, Device, ImpossibleChange, Interface, LinkAction, ReceivedFrame, Snapshot};
 use crate::transport::Pipe;
 
-/// What is read at once.
+/// Bytes read at once.
 const READ_BYTES: usize = 4096;
 
-/// Orders that may wait: each is done at once, so nobody waits long.
+/// Orders that can wait. Each is carried out at once, so none waits long.
 const MAX_WAITING_ORDERS: usize = 16;
 
-/// How long a wire that has no connection is pulled for: a gateway calls it unresponsive after 1.5 s, and whoever looks
-/// once a second sees that.
+/// Time for which a wire without connections is pulled. A gateway calls the link unresponsive after 1.5 s, so a client
+/// that polls once a second sees that.
 const PULLED_FOR: Duration = Duration::from_millis(2500);
 
-/// What a device can be asked besides its protocol.
+/// A request to a device outside its protocol.
 enum Order {
     Apply(Change, oneshot::Sender<Result<(), ImpossibleChange>>),
     Look(oneshot::Sender<(Snapshot, Vec<ReceivedFrame>)>),
 }
 
-/// The switch of a simulated device: makes things happen to it, and shows what it is really like. Without any, the
-/// device is switched off.
+/// The switch of a simulated device, which changes the device and shows its true state. When the last switch is
+/// dropped, the device is switched off.
 #[derive(Debug, Clone)]
 pub struct Switch(mpsc::Sender<Order>);
 
@@ -42,19 +42,19 @@ impl std::fmt::Debug for Order {
 }
 
 impl Switch {
-    /// Lets something happen. Without a connection that could be cut, [`Change::CutConnection`] pulls the wire: a pty
-    /// ends and another one comes; on UDP and CAN, what is sent either way within some seconds is lost. It stays pulled
-    /// for as long as connections are refused.
+    /// Applies a change to the device. Without a connection that could be cut, [`Change::CutConnection`] pulls the
+    /// wire: a pty ends and another one comes; on UDP and CAN, what is sent either way within some seconds is lost.
+    /// The wire stays pulled for as long as connections are refused.
     ///
     /// # Errors
-    /// It can't happen ([`io::ErrorKind::InvalidInput`]), or the device is gone.
+    /// The change is impossible ([`io::ErrorKind::InvalidInput`]), or the device is gone.
     pub async fn apply(&self, change: Change) -> io::Result<()> {
         let (done, wait) = oneshot::channel();
         let applied = self.order(Order::Apply(change, done), wait).await?;
         applied.map_err(|impossible| io::Error::new(io::ErrorKind::InvalidInput, impossible))
     }
 
-    /// Everything about it at this moment.
+    /// Returns the full state of the device at this moment.
     ///
     /// # Errors
     /// The device is gone.
@@ -62,7 +62,7 @@ impl Switch {
         Ok(self.look().await?.0)
     }
 
-    /// The newest frames that it received, the oldest first.
+    /// Returns the newest frames that the device received, the oldest first.
     ///
     /// # Errors
     /// The device is gone.
@@ -94,21 +94,21 @@ struct Pump {
     wire: Wire,
     orders: mpsc::Receiver<Order>,
     connection: Option<Connection>,
-    /// Until when the wire is pulled, at least: what comes is read and dropped, lest it be acted on later.
+    /// Earliest end of a pulled wire. Bytes that come meanwhile are read and dropped, so they have no effect later.
     pulled_until: Option<Instant>,
 }
 
-/// A pipe with what is on its way through it.
+/// A pipe with the bytes on their way through it.
 struct Connection {
     pipe: Pipe,
     outgoing: Vec<u8>,
     written: usize,
-    /// Whether all of it was written, and the wire is still busy with it.
+    /// Whether all bytes are written, but the wire is still busy with them.
     is_leaving: bool,
     incoming: Vec<u8>,
 }
 
-/// What a wait has brought.
+/// The result of a wait.
 enum Input {
     Written(io::Result<()>),
     Read(io::Result<usize>),
@@ -132,7 +132,7 @@ impl Connection {
         self.is_leaving = device.poll_transmit(&mut self.outgoing) && !self.outgoing.is_empty();
     }
 
-    /// Whatever of both comes first. Cancelled without loss.
+    /// Writes or reads, whichever is ready first. Cancellation loses nothing.
     async fn transfer(&mut self) -> Input {
         let is_writing = !self.is_written();
         let Self { pipe, outgoing, written, is_leaving, incoming } = self;
@@ -156,8 +156,8 @@ impl Connection {
 }
 
 impl Pump {
-    /// Runs until nobody has its switch, or no connection can come any more. One connection at a time: a second client
-    /// is turned away, as a device does.
+    /// Runs until all switches are dropped, or no connection can come any more. Rejects a second client, as a device
+    /// does.
     async fn run(mut self) {
         loop {
             self.plug_in();
@@ -179,7 +179,7 @@ impl Pump {
         }
     }
 
-    /// Ends what [`PULLED_FOR`] has begun, once it is over.
+    /// Plugs a pulled wire in again, once [`PULLED_FOR`] is over.
     fn plug_in(&mut self) {
         let is_over = self.pulled_until.is_some_and(|until| until <= clock::instant());
         if is_over && self.device.accepts_connections() {
@@ -192,7 +192,7 @@ impl Pump {
         match self.connection.as_mut().filter(|_| self.pulled_until.is_none()) {
             Some(connection) if connection.is_written() => connection.refill(&mut self.device),
             Some(_) => {}
-            // Nobody is on the wire: what is sent is lost.
+            // Without a client on the wire, sent bytes are lost.
             None => while self.device.poll_transmit(&mut Vec::new()) {},
         }
         let all_written = self.connection.as_ref().is_none_or(Connection::is_written);
@@ -234,7 +234,7 @@ impl Pump {
     }
 
     fn apply(&mut self, change: Change) {
-        tracing::info!(?change, "happens to the device");
+        tracing::info!(?change, "change applied to the simulated device");
         match self.wire.interface() {
             _ if change != Change::CutConnection => {}
             Interface::Tcp => {}

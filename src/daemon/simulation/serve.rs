@@ -1,4 +1,4 @@
-//! `wsg-gateway sim`.
+//! The `wsg-gateway sim` command.
 
 use std::io::Write;
 use std::net::SocketAddr;
@@ -15,19 +15,20 @@ use crate::transport::Address;
 /// A simulated device that is served.
 #[derive(Debug, Clone)]
 pub struct Served {
-    /// Where a gateway finds it.
+    /// Address for a gateway to connect to.
     pub address: Address,
-    /// What it is, as people call it.
+    /// Name of the model.
     pub model: &'static str,
-    /// What happens to it. When the last copy is dropped, it is switched off.
+    /// Switch of the device. When the last copy is dropped, the device is switched off.
     pub switch: Switch,
 }
 
-/// Serves a simulated device, on the current runtime: on `tcp://127.0.0.1:1000`, `udp://127.0.0.1:1500?reply_port=1501`,
-/// `serial://pty?baud=115200&link=/tmp/gripper`, or `can://vcan0?rx=0x64&tx=0x65`, where rx is what the device listens to.
+/// Serves a simulated device, on the current runtime: on `tcp://127.0.0.1:1000`,
+/// `udp://127.0.0.1:1500?reply_port=1501`, `serial://pty?baud=115200&link=/tmp/gripper`, or
+/// `can://vcan0?rx=0x64&tx=0x65`, where rx is what the device listens to.
 ///
 /// # Errors
-/// Where the URL can't be served: what is wrong with it, and what is allowed.
+/// The reason why the URL cannot be served, and the allowed values.
 pub async fn serve(url: &Url, device: SimulatedDevice) -> anyhow::Result<Served> {
     let wire = Wire::new(url).await?;
     let address = wire.address()?.with_context(|| format!("{url} has no address"))?;
@@ -36,11 +37,11 @@ pub async fn serve(url: &Url, device: SimulatedDevice) -> anyhow::Result<Served>
     Ok(Served { address, model, switch })
 }
 
-/// Serves a simulated device on each of these URLs, and their faults on the control port, and says on standard output
-/// where, until it is cancelled.
+/// Serves a simulated device on each URL, and the control port for their faults, until it is cancelled. Prints the
+/// addresses.
 ///
 /// # Errors
-/// Where a URL can't be served: which, and why.
+/// The URL that cannot be served, and the reason.
 pub async fn serve_simulated(
     urls: &[Url],
     device: &SimulatedDevice,
@@ -55,14 +56,14 @@ pub async fn serve_simulated(
     match control {
         Some(address) => {
             let listener = control::listen(address).await?;
-            say(&format!("their faults at http://{}/devices", listener.local_addr()?));
+            say(&format!("control of faults at http://{}/devices", listener.local_addr()?));
             control::serve(listener, devices).await
         }
         None => std::future::pending().await,
     }
 }
 
-/// On standard output, which nobody may be reading.
+/// Prints a line. Ignores errors, since nobody may be reading.
 fn say(line: &str) {
     let _ = writeln!(std::io::stdout(), "{line}");
 }

@@ -1,5 +1,5 @@
-//! The device's end of UDP: it answers to a configured port of whoever sent last, whatever the sender's port was (field
-//! practice).
+//! The device's end of UDP. It replies to a configured port of the last sender's host, whatever the sender's port was
+//! (field practice).
 
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr};
@@ -14,18 +14,18 @@ use url::Url;
 
 use crate::transport::{Options, Pipe, UdpAddress};
 
-/// The port that devices listen on, and the one that they answer to (field practice).
+/// The port that devices listen on, and the port that they reply to (field practice).
 const DEFAULT_PORT: u16 = 1500;
 const DEFAULT_REPLY_PORT: u16 = 1501;
 
-/// Where the device listens.
+/// The socket that the device listens on.
 pub(super) struct Endpoint {
     socket: Arc<UdpSocket>,
     reply_port: u16,
 }
 
 impl Endpoint {
-    /// `udp://127.0.0.1:1500?reply_port=1501`
+    /// Binds the socket of `udp://127.0.0.1:1500?reply_port=1501`.
     pub(super) async fn new(url: &Url) -> anyhow::Result<Self> {
         let options = Options::of(url, &["reply_port"]).map_err(anyhow::Error::msg)?;
         let reply_port = options.port("reply_port").map_err(anyhow::Error::msg)?.unwrap_or(DEFAULT_REPLY_PORT);
@@ -37,7 +37,7 @@ impl Endpoint {
     pub(super) fn address(&self) -> io::Result<UdpAddress> {
         let address = self.socket.local_addr()?;
         let loopback = if address.is_ipv4() { Ipv4Addr::LOCALHOST.into() } else { Ipv6Addr::LOCALHOST.into() };
-        // What listens on all addresses is found at this one, by a gateway on the same machine.
+        // A gateway on the same machine reaches a socket on all addresses at loopback.
         let host: IpAddr = if address.ip().is_unspecified() { loopback } else { address.ip() };
         Ok(UdpAddress::new(host.to_string(), address.port(), self.reply_port))
     }
@@ -49,7 +49,7 @@ impl Endpoint {
     }
 }
 
-/// Where the newest request came from, with the port that answers go to.
+/// Address for replies: the host of the newest request, with the reply port.
 type Client = Arc<Mutex<Option<SocketAddr>>>;
 
 struct Receiver {
@@ -65,7 +65,7 @@ impl AsyncRead for Receiver {
             let sender = ready!(self.socket.poll_recv_from(cx, out))?;
             let client = SocketAddr::new(sender.ip(), self.reply_port);
             *self.client.lock().unwrap_or_else(PoisonError::into_inner) = Some(client);
-            // An empty datagram is no end of file.
+            // An empty datagram does not mean end of file.
             if out.filled().len() > before {
                 return Poll::Ready(Ok(()));
             }
@@ -83,7 +83,7 @@ impl AsyncWrite for Sender {
         let client = *self.client.lock().unwrap_or_else(PoisonError::into_inner);
         match client {
             Some(client) => self.socket.poll_send_to(cx, frame, client),
-            // Nobody has asked for it.
+            // No client has sent a request yet.
             None => Poll::Ready(Ok(frame.len())),
         }
     }

@@ -15,10 +15,10 @@ use crate::transport::{Address, CanAddress, Pipe, TcpAddress};
 /// The port that devices listen on (field practice).
 const DEFAULT_TCP_PORT: u16 = 1000;
 
-/// How long a listener rests that could not accept, and a wire that could not be made.
+/// Pause after a failed accept, or a wire that could not be made.
 const REST: Duration = Duration::from_millis(500);
 
-/// Where the bytes of a device come from and go to.
+/// Source and destination of a device's bytes.
 pub(super) enum Wire {
     /// Pipes in this process, for `sim://`, which stand for connections.
     InProcess(mpsc::Receiver<Pipe>),
@@ -29,20 +29,20 @@ pub(super) enum Wire {
 }
 
 impl Wire {
-    /// What a URL of `wsg-gateway sim` asks for.
+    /// Creates the wire for a URL of `wsg-gateway sim`.
     pub(super) async fn new(url: &Url) -> anyhow::Result<Self> {
         let wire = match url.scheme() {
             "tcp" => listen(url).await,
             "udp" => udp::Endpoint::new(url).await.map(Self::Udp),
             "serial" => pty::Socket::new(url).map(Self::Pty),
             "can" => match url.as_str().parse()? {
-                // Whether there is such an interface is better said now than in the log.
+                // A missing interface is reported better here than in the log.
                 Address::Can(address) => {
                     Address::Can(address.clone()).connect().await.map(|_| Self::Can(address)).map_err(Into::into)
                 }
-                other => Err(anyhow!("{other} is not on CAN")),
+                other => Err(anyhow!("{other} is not a CAN address")),
             },
-            scheme => Err(anyhow!("there is no transport {scheme:?}; there are tcp, udp, serial, can")),
+            scheme => Err(anyhow!("unknown transport {scheme:?}: use tcp, udp, serial or can")),
         };
         wire.with_context(|| format!("{url} cannot be served"))
     }
@@ -56,7 +56,7 @@ impl Wire {
         }
     }
 
-    /// Where a gateway finds it; of no use to one in the same process.
+    /// Address for a gateway to connect to; `None` within the same process.
     pub(super) fn address(&self) -> io::Result<Option<Address>> {
         Ok(match self {
             Self::InProcess(_) => None,
@@ -67,14 +67,14 @@ impl Wire {
             Self::Udp(endpoint) => Some(Address::Udp(endpoint.address()?)),
             Self::Pty(socket) => Some(Address::Serial(socket.address())),
             Self::Can(CanAddress { interface, tx, rx, bitrate }) => {
-                // Whoever talks to it sends what it receives.
+                // A gateway sends with the id that the device receives.
                 let (interface, bitrate) = (interface.clone(), *bitrate);
                 Some(Address::Can(CanAddress { interface, tx: *rx, rx: *tx, bitrate }))
             }
         })
     }
 
-    /// The next connection, or what stands for one. `None` when there can't be any more. Cancelled without loss.
+    /// The next connection or its equivalent; `None` if no more can come. Cancellation loses nothing.
     pub(super) async fn next(&mut self) -> Option<Pipe> {
         loop {
             let next = match self {
@@ -87,7 +87,7 @@ impl Wire {
             match next {
                 Ok(pipe) => return Some(pipe),
                 Err(error) => {
-                    tracing::warn!(%error, "the device has no wire");
+                    tracing::warn!(%error, "wire of the simulated device failed: retrying");
                     tokio::time::sleep(REST).await;
                 }
             }
@@ -102,13 +102,13 @@ async fn listen(url: &Url) -> anyhow::Result<Wire> {
 
 async fn accept(listener: &TcpListener) -> io::Result<Pipe> {
     let (stream, peer) = listener.accept().await?;
-    tracing::info!(%peer, "a client connects");
-    // Frames are small, and each is a write of its own.
+    tracing::info!(%peer, "client connected");
+    // Frames are small, and each is written separately.
     let _ = stream.set_nodelay(true);
     Ok(pipe(stream))
 }
 
-/// A stream as a pipe.
+/// Turns a stream into a pipe.
 pub(super) fn pipe(stream: impl tokio::io::AsyncRead + tokio::io::AsyncWrite + Send + 'static) -> Pipe {
     let (reader, writer) = tokio::io::split(stream);
     Pipe { reader: Box::new(reader), writer: Box::new(writer) }

@@ -1,15 +1,15 @@
 use super::*;
 use crate::gripper::model::Link;
 
-fn told(rejection: impl Into<Rejection>) -> (u16, Value) {
+fn members(rejection: impl Into<Rejection>) -> (u16, Value) {
     let problem = Problem::from(rejection.into());
     (problem.status().as_u16(), serde_json::to_value(problem.members()).unwrap())
 }
 
 #[test]
-fn a_value_out_of_range_is_told_with_its_limits() {
+fn value_out_of_range_names_its_limits() {
     let (field, limit) = ("width_mm", "the device's stroke");
-    let (status, problem) = told(Invalid::OutOfRange { field, value: 96.3, min: 0.0, max: 68.1, limit });
+    let (status, problem) = members(Invalid::OutOfRange { field, value: 96.3, min: 0.0, max: 68.1, limit });
     assert_eq!(status, 422);
     let expected = serde_json::json!({
         "type": "about:blank", "title": "Unprocessable Entity", "status": 422, "code": "out_of_range",
@@ -20,15 +20,15 @@ fn a_value_out_of_range_is_told_with_its_limits() {
 }
 
 #[test]
-fn a_conflict_names_what_is_in_the_way() {
+fn conflict_names_its_cause() {
     let id = FastStopId::generate();
-    let (status, problem) = told(Conflict::FastStop { id });
+    let (status, problem) = members(Conflict::FastStop { id });
     assert_eq!(
         (status, &problem["code"], &problem["fast_stop_id"]),
         (409, &"fast_stop".into(), &id.to_string().into())
     );
     let id = CommandId::generate();
-    let (status, problem) = told(Conflict::AlreadyRunning { id });
+    let (status, problem) = members(Conflict::AlreadyRunning { id });
     assert_eq!(
         (status, &problem["code"], &problem["command"]),
         (409, &"already_running".into(), &id.to_string().into())
@@ -38,7 +38,7 @@ fn a_conflict_names_what_is_in_the_way() {
 #[test]
 fn device_refusal_is_not_our_error() {
     let refused = |status, fast_stop| {
-        let (http, problem) = told(DeviceRefusal { command: "Grip", status, fast_stop });
+        let (http, problem) = members(DeviceRefusal { command: "Grip", status, fast_stop });
         let code = problem["code"].as_str().unwrap().to_owned();
         (http, code, problem["device_status"].as_str().unwrap().to_owned(), problem["device_status_code"].clone())
     };
@@ -54,9 +54,9 @@ fn device_refusal_is_not_our_error() {
 }
 
 #[test]
-fn a_failure_is_the_gateways() {
+fn failure_has_status_and_code() {
     let code = |failure: Failure| {
-        let (status, problem) = told(failure);
+        let (status, problem) = members(failure);
         (status, problem["code"].as_str().unwrap().to_owned())
     };
     let cause = "no route to host".to_owned();
