@@ -166,7 +166,7 @@ async fn a_taken_port_is_told_and_tried_again_and_the_gripper_is_served() {
         cause.contains(&endpoint).then_some(cause)
     })
     .await;
-    assert!(cause.contains("end what listens there") && cause.contains("--zenoh-listen"), "{cause}");
+    assert!(cause.contains("stop the program that listens there") && cause.contains("--zenoh-listen"), "{cause}");
     gateway.until_said(&cause).await;
     drop(taken);
     eventually("it is ready", async || (readiness(&gateway).await == (json!(true), String::new(), 1.0)).then_some(()))
