@@ -23,7 +23,8 @@ impl Metrics {
         let opts = |name: &str, help: &str| Opts::new(name, help).const_label("door", door);
         let clients = opts("wsg_clients_connected", "Open client connections.");
         let requests = opts("wsg_requests_total", "Answered requests by route, method and status.");
-        let dropped = opts("wsg_updates_dropped_total", "Updates that slow clients skipped because newer ones arrived.");
+        let dropped =
+            opts("wsg_updates_dropped_total", "Updates that slow clients skipped because newer ones arrived.");
         Ok(Self {
             clients: register_in(registry, IntGauge::with_opts(clients)?)?,
             requests: register_in(registry, IntCounterVec::new(requests, &["route", "method", "status"])?)?,
