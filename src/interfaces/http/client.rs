@@ -7,7 +7,7 @@ use axum::http::Extensions;
 
 use crate::gripper::model::{Client, Door};
 
-/// Returns the client of a request. Without credentials, the peer's address identifies the client.
+/// Returns the client of a request. Without authentication, the peer's address identifies the client.
 pub fn client(extensions: &Extensions) -> Client {
     client_of(Door::Http, "http", extensions)
 }

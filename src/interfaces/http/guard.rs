@@ -1,4 +1,4 @@
-//! Checks of Host and Origin, which protect the gateway while there are no credentials: web pages of other origins and
+//! Checks of Host and Origin, which protect a gateway without authentication: web pages of other origins and
 //! foreign DNS names that point here are refused. Also adds the security headers of every response.
 
 use std::net::{Ipv4Addr, Ipv6Addr};

@@ -318,11 +318,7 @@ fn too_many_waiting_requests_are_an_overrun() {
     bench.send(id::LOOP, b"x");
     assert_eq!(bench.sent(), [(id::LOOP, Status::E_OVERRUN)]);
     bench.send(id::FAST_STOP, &[]);
-    assert_eq!(
-        (bench.order().ask.id, bench.order().order),
-        (id::LOOP, PortOrder::FastStop),
-        "a FAST STOP always fits"
-    );
+    assert_eq!((bench.order().ask.id, bench.order().order), (id::LOOP, PortOrder::FastStop), "a FAST STOP always fits");
 }
 
 #[test]

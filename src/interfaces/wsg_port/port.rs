@@ -72,7 +72,7 @@ impl Port {
         self.rules.allow.is_empty() || self.rules.allow.iter().any(|net| net.contains(&peer))
     }
 
-    /// Returns a client identified by its IP address, since there are no credentials. A restarted driver is the same
+    /// Returns a client identified by its IP address, for lack of authentication. A restarted driver is the same
     /// client, although its port differs.
     pub(super) fn client(peer: SocketAddr) -> Client {
         Client { subject: format!("wsg:{}", peer.ip().to_canonical()).into(), door: Door::Wsg }

@@ -39,7 +39,10 @@ paths! {
         post, path = "/grippers/{gripper}/acknowledge", operation_id = "acknowledge", tag = "fast stop",
         params(GripperPath, LeaseHeader),
         request_body = Acknowledge,
-        responses((status = 200, description = "The device's flags confirm that the FAST STOP is cleared", body = Acknowledged), DeviceProblem)
+        responses(
+            (status = 200, description = "The device's flags confirm that the FAST STOP is cleared", body = Acknowledged),
+            DeviceProblem,
+        )
     )]
     acknowledge => fast_stop::ACKNOWLEDGE;
 }

@@ -41,9 +41,9 @@ macro_rules! forwarded {
                 $($body = $of,)?
                 responses(
                     (status = 200, description = "The operation's own response", body = Value),
-                    (status = 202, description = "The operation's own response while a command is running", body = Value,
+                    (status = 202, description = "The operation's own response while a command runs", body = Value,
                         headers(("Location" = String, description = "Path of the command"))),
-                    (status = 405, description = "`method_not_allowed`: the operation has other methods; see the Allow header",
+                    (status = 405, description = "`method_not_allowed`: see the Allow header for the operation's methods",
                         body = Members, content_type = "application/problem+json"),
                     DeviceProblem,
                 )

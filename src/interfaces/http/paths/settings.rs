@@ -21,7 +21,7 @@ paths! {
         put, path = "/grippers/{gripper}/settings/acceleration", operation_id = "set_acceleration", tag = "settings",
         params(GripperPath, LeaseHeader),
         request_body = AccelerationSetting,
-        responses((status = 200, description = "The acceleration that the device now uses", body = AccelerationAnswer), DeviceProblem)
+        responses((status = 200, description = "The acceleration now in use", body = AccelerationAnswer), DeviceProblem)
     )]
     set_acceleration => settings::SET_ACCELERATION;
     /// Get the force limit
@@ -36,7 +36,7 @@ paths! {
         put, path = "/grippers/{gripper}/settings/force-limit", operation_id = "set_force_limit", tag = "settings",
         params(GripperPath, LeaseHeader),
         request_body = ForceLimitSetting,
-        responses((status = 200, description = "The force limit that the device now uses", body = ForceLimitAnswer), DeviceProblem)
+        responses((status = 200, description = "The force limit now in use", body = ForceLimitAnswer), DeviceProblem)
     )]
     set_force_limit => settings::SET_FORCE_LIMIT;
     /// Get the soft limits
@@ -54,7 +54,7 @@ paths! {
         put, path = "/grippers/{gripper}/settings/soft-limits", operation_id = "set_soft_limits", tag = "settings",
         params(GripperPath, LeaseHeader),
         request_body = SoftLimitsSetting,
-        responses((status = 200, description = "The soft limits that the device now uses", body = SoftLimitsAnswer), DeviceProblem)
+        responses((status = 200, description = "The soft limits now in use", body = SoftLimitsAnswer), DeviceProblem)
     )]
     set_soft_limits => settings::SET_SOFT_LIMITS;
     /// Clear the soft limits
@@ -79,7 +79,7 @@ paths! {
         put, path = "/grippers/{gripper}/settings/overdrive", operation_id = "set_overdrive", tag = "settings",
         params(GripperPath, LeaseHeader),
         request_body = OverdriveSetting,
-        responses((status = 200, description = "Whether Overdrive Mode is now on", body = OverdriveAnswer), DeviceProblem)
+        responses((status = 200, description = "Overdrive Mode as now set", body = OverdriveAnswer), DeviceProblem)
     )]
     set_overdrive => settings::SET_OVERDRIVE;
     /// Get the device tag
