@@ -23,9 +23,8 @@ use crate::operations::{Members, Problem};
         title = "WSG Gateway",
         description = "Lets many clients share Weiss/SCHUNK WSG grippers.\n\n\
             Bodies are read as JSON whatever their Content-Type; an empty body means `{}`. Field names include their \
-            units. A request that the gateway or the device refuses returns a problem (RFC 9457) with a stable `code`; \
-            an accepted request returns a command with an `outcome`. FAST STOP is not a safety function in the sense \
-            of ISO 13850.",
+            units. A refused request returns a problem (RFC 9457) with a stable `code`; a motion that the device \
+            accepts returns a command with an `outcome`. FAST STOP is not a safety function in the sense of ISO 13850.",
         license(name = "MIT", identifier = "MIT"),
         contact(),
     ),
