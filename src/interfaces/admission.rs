@@ -91,7 +91,6 @@ impl Admission {
         self.table().evict_unclaimed();
     }
 
-    /// Waits until all connections have ended.
     pub async fn all_ended(&self) {
         self.tracker.close();
         self.tracker.wait().await;

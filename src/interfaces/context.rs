@@ -8,13 +8,11 @@ use super::metrics::Metrics;
 use super::runtimes::Runtimes;
 use crate::operations::Gateway;
 
-/// The gateway that an interface serves, with its runtimes.
 #[derive(Debug, Clone)]
 pub struct Context {
     pub gateway: Arc<Gateway>,
     /// Ends the interface on shutdown.
     pub closing: CancellationToken,
     pub runtimes: Runtimes,
-    /// Metrics of the interface.
     pub metrics: Metrics,
 }

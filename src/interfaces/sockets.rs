@@ -14,9 +14,6 @@ const PROBE_EVERY: Duration = Duration::from_secs(1);
 
 /// Makes written data leave at once, and detects a vanished peer within [`LOST_AFTER`] if no data is in flight to it.
 /// Data in flight to a peer that does not read can keep waiting.
-///
-/// # Errors
-/// If the connection has just ended.
 pub fn prepare(stream: &TcpStream) -> io::Result<()> {
     stream.set_nodelay(true)?;
     let keepalive = TcpKeepalive::new().with_time(PROBE_EVERY).with_interval(PROBE_EVERY).with_retries(2);

@@ -130,7 +130,6 @@ impl Bounds {
         Self { classes, leaving: (descriptors / 4).max(1), reserved: 0, held_bytes: HELD_BYTES }
     }
 
-    /// Replaces the bound of one class.
     #[cfg(test)]
     #[must_use]
     pub fn with(mut self, class: Class, most: usize) -> Self {
@@ -138,7 +137,6 @@ impl Bounds {
         self
     }
 
-    /// Returns the maximum number of connections of a class.
     #[must_use]
     pub fn of_class(&self, class: Class) -> usize {
         self.classes[class as usize]

@@ -31,9 +31,6 @@ pub struct Usage {
 
 impl Usage {
     /// Registers the metrics of an interface's connections.
-    ///
-    /// # Errors
-    /// If the registry already has metrics of this interface.
     pub fn register(registry: &Registry, interface: &str, admission: &Arc<Admission>) -> Result<()> {
         let opts = |name: &str, help: &str| Opts::new(name, help).const_label("door", interface);
         let used = opts("wsg_connection_slots_used", "Open connections in each class.");

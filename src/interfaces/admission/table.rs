@@ -25,7 +25,6 @@ pub(super) struct Table {
     leaving: usize,
     /// Bytes held for the connections that are not leaving.
     held_bytes: usize,
-    /// Number of evictions so far.
     evicted: u64,
 }
 
@@ -43,7 +42,6 @@ struct Entry {
     base: Class,
     /// Whether the client exceeded its share: without a claim its connection is [`Class::Incoming`], even when idle.
     is_demoted: bool,
-    /// Number of claims of each class.
     claims: [u32; CLASSES],
     since: Instant,
     evicted: CancellationToken,

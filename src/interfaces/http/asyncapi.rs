@@ -33,7 +33,6 @@ const NOTIFICATIONS: &[(&str, &str, &str)] = &[
 #[openapi(components(schemas(Command, Frame, Gap, Members, State, Subscribe, Subscribed, Telemetry)))]
 struct OwnSchemas;
 
-/// The document.
 #[must_use]
 pub fn document(openapi: &OpenApi) -> Value {
     let openapi = serde_json::to_value(openapi).unwrap_or_default();
@@ -96,14 +95,10 @@ pub fn document(openapi: &OpenApi) -> Value {
 }
 
 /// Returns the document as YAML.
-///
-/// # Errors
-/// If the document can't be serialised as YAML.
 pub fn yaml(openapi: &OpenApi) -> Result<String, serde_saphyr::ser::Error> {
     serde_saphyr::to_string(&document(openapi))
 }
 
-/// A reference into this document.
 fn reference(place: &str, name: &str) -> Value {
     json!({"$ref": format!("#/{place}/{name}")})
 }

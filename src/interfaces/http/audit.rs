@@ -33,13 +33,11 @@ pub async fn record(State(context): State<Arc<Context>>, request: Request, next:
     response
 }
 
-/// Returns the gripper that a path names.
 fn gripper(path: &str) -> Option<Name> {
     let below = path.strip_prefix(API).and_then(|path| path.strip_prefix("/grippers/"));
     below.and_then(|below| below.split('/').next()).and_then(|name| name.parse().ok())
 }
 
-/// Returns the urgency of a request for a route.
 pub fn urgency(verb: &Verb, route: &str) -> Urgency {
     let operation = route.strip_prefix(API).and_then(|path| find(verb, path));
     operation.map_or(Urgency::None, |operation| operation.urgency)

@@ -12,7 +12,6 @@ pub fn client(extensions: &Extensions) -> Client {
     client_of(Door::Http, "http", extensions)
 }
 
-/// Returns the client of a WebSocket's handshake.
 pub fn websocket_client(extensions: &Extensions) -> Client {
     client_of(Door::Ws, "ws", extensions)
 }

@@ -9,21 +9,16 @@ use crate::interfaces::metrics::Metrics;
 use crate::interfaces::{self, Runtimes};
 use crate::operations::Gateway;
 
-/// Path prefix of the API.
 pub const API: &str = "/api/v1";
 
-/// State that the handlers share.
 #[derive(Debug, Clone)]
 pub struct Context {
     pub gateway: Arc<Gateway>,
     /// Ends the streams on shutdown.
     pub closing: CancellationToken,
     pub runtimes: Runtimes,
-    /// Metrics of HTTP.
     pub metrics: Metrics,
-    /// Metrics of WebSocket.
     pub ws_metrics: Metrics,
-    /// Registry of all metrics.
     pub registry: Registry,
     /// Host names that requests may use besides addresses and `localhost`, without ports.
     pub allowed_hosts: Vec<String>,

@@ -27,9 +27,6 @@ const FAST_STOP: &str = "/fast-stop";
 
 /// Stops with the body's reason, if it arrives in time. The rest of the body is read meanwhile, so that the client sees
 /// the response. Runs on its own task, since a handler ends with its client's connection.
-///
-/// # Errors
-/// A problem if the task panicked.
 pub async fn with_reason<T, S, F>(mut stream: Body, stop: S) -> Result<T, Problem>
 where
     T: Send + 'static,

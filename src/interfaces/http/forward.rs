@@ -108,7 +108,6 @@ pub async fn forward(
     }
 }
 
-/// Returns the parameters of a path and of a body.
 async fn fields(stream: Stream, path: BTreeMap<&'static str, String>) -> Result<Map<String, Value>, Problem> {
     let mut fields: Map<String, Value> = parse(&body::bytes(stream).await?)?;
     // Like the gateway's own paths: path parameters must not appear in the body.
@@ -126,7 +125,6 @@ fn aside(parts: &Parts) -> Vec<(&'static str, String)> {
     HEADER_PARAMS.into_iter().filter_map(given).collect()
 }
 
-/// The urgency of a request for an operation on a gripper of any gateway.
 pub fn forwarded_urgency(verb: &Verb, path: &str) -> Urgency {
     let below = path.strip_prefix(API).and_then(|path| path.strip_prefix("/fleet/"));
     let operation = below.and_then(|below| below.splitn(4, '/').nth(3)).map(|operation| format!("/{operation}"));

@@ -34,14 +34,10 @@ pub use router::openapi;
 pub use server::{Limits, listen, serve};
 
 /// The AsyncAPI document as YAML.
-///
-/// # Errors
-/// If the document can't be serialised as YAML.
 pub fn asyncapi() -> Result<String, serde_saphyr::ser::Error> {
     asyncapi::yaml(&openapi())
 }
 
-/// The AsyncAPI document.
 #[must_use]
 pub fn asyncapi_document() -> serde_json::Value {
     asyncapi::document(&openapi())

@@ -22,7 +22,6 @@ use crate::operations::{
     Caller, Effect, Fields, MAX_LEASE_BYTES, Operation, Params, Presence, Problem, Reply, Wait, run,
 };
 
-/// Performs an operation for a request.
 pub async fn serve(
     context: &Arc<Context>,
     operation: &'static Operation,
@@ -66,7 +65,6 @@ async fn path(parts: &mut Parts, operation: &Operation) -> Result<BTreeMap<&'sta
     operation.path_parameters().map(part).collect()
 }
 
-/// Returns the caller of a request.
 fn caller(parts: &Parts, operation: &Operation) -> Result<Caller, Problem> {
     let wait = if operation.waits {
         let given = Query::of(&parts.uri)?.one("wait_ms")?.map(ToOwned::to_owned);

@@ -6,7 +6,6 @@ use axum::response::{IntoResponse, Response};
 
 use crate::operations::{Code, Problem};
 
-/// Content-Type of a problem.
 pub const PROBLEM_JSON: &str = "application/problem+json";
 
 /// Retry-After of an overload. The actor empties a full queue within milliseconds; this is the header's shortest time.

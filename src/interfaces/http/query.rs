@@ -8,7 +8,6 @@ use serde_json::Value;
 
 use crate::operations::Problem;
 
-/// The parameters of one request.
 #[derive(Debug)]
 pub struct Query(Vec<(String, String)>);
 
@@ -32,7 +31,6 @@ impl Query {
         }
     }
 
-    /// Returns a parameter, if it is given.
     pub fn one(&self, name: &str) -> Result<Option<&str>, Problem> {
         let mut given = self.0.iter().filter(|(key, _)| key == name).map(|(_, value)| value.as_str());
         match (given.next(), given.next()) {

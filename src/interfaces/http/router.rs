@@ -22,7 +22,6 @@ use super::{access_log, audit, docs, forward, gateway, guard, journal, large, pa
 use crate::interfaces::dashboard;
 use crate::operations::{Code, Problem};
 
-/// Returns the router of the whole HTTP interface.
 pub fn router(context: &Arc<Context>) -> Router {
     served()
         .layer(middleware::from_fn_with_state(context.clone(), guard::refuse_foreigners))

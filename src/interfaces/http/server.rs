@@ -42,7 +42,6 @@ use crate::interfaces::pace::RequestPace;
 use crate::interfaces::quick_ack::QuickAckStream;
 use crate::interfaces::sockets;
 
-/// Bounds of the server.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
     /// Connections at a time, by class.
@@ -102,9 +101,6 @@ impl Default for Limits {
 }
 
 /// Returns a listener on this address, on the caller's runtime.
-///
-/// # Errors
-/// The operating system's error.
 pub fn listen(address: SocketAddr) -> io::Result<TcpListener> {
     let socket = if address.is_ipv4() { TcpSocket::new_v4() } else { TcpSocket::new_v6() }?;
     // A restarted gateway must not wait for the connections of its last run to time out.

@@ -29,7 +29,6 @@ use crate::operations::{Code, Problem};
 /// Interval of keep-alive comments on an idle stream, so that proxies keep the connection open.
 const KEPT_ALIVE_EVERY: Duration = Duration::from_secs(15);
 
-/// Pause of a stream after the journal could not be read.
 const READ_RETRY_PAUSE: Duration = Duration::from_secs(1);
 
 #[derive(IntoParams)]

@@ -15,9 +15,6 @@ use super::outbox::Outbox;
 use crate::interfaces::admission::HeldBytes;
 
 /// Splits a connection into a half for reading and a half for writing, each on its own runtime.
-///
-/// # Errors
-/// The operating system's error.
 pub fn split(stream: TcpStream, reader: &Handle, writer: &Handle) -> io::Result<(TcpStream, TcpStream)> {
     let stream = stream.into_std()?;
     let clone = stream.try_clone()?;

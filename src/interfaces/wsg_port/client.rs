@@ -72,7 +72,6 @@ enum Step {
     Answered(PortRequest, PortReply),
     /// The device has accepted a request that moves nothing, and is still working on it.
     Begun(PortRequest, BoxFuture<'static, Step>),
-    /// A command was admitted.
     Admitted(PortRequest, Ticket),
     /// A command was accepted by the device, or ended before that.
     Accepted(PortRequest, Ticket, Box<Command>),
@@ -81,7 +80,6 @@ enum Step {
     Kept(Option<AcquiredLease>),
 }
 
-/// Why serving a client ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum End {
     /// The client has disconnected or is lost.
@@ -213,7 +211,6 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
         }
     }
 
-    /// Waits for all replies and writes them.
     async fn finish(&mut self) {
         while let Some(step) = self.under_way.next().await {
             self.take(step);

@@ -38,7 +38,6 @@ pub(super) const MAX_WAITING_FRAMES: usize = 256;
 /// Number of unread frames from which automatic updates are skipped, since the next update is newer.
 const MAX_FRAMES_BEFORE_UPDATES: usize = 16;
 
-/// An order for the gripper.
 #[derive(Debug, PartialEq)]
 pub(super) enum PortOrder {
     Command(Action),
@@ -99,7 +98,6 @@ pub(super) struct VirtualDevice {
     waiting: VecDeque<Request>,
     /// Number of replies that the next request waits for.
     awaited: usize,
-    /// Number of unanswered Stops.
     stops: usize,
     /// Number of motions that have not ended. A Stop ends motions, but not scripts.
     motions: usize,

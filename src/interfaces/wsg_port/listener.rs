@@ -11,7 +11,6 @@ use super::port::Port;
 use super::udp::Datagrams;
 use super::{tcp, udp};
 
-/// Address of a WSG port.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Address {
     Tcp(SocketAddr),
@@ -36,9 +35,6 @@ pub enum Listener {
 
 impl Listener {
     /// Binds a listener to this address.
-    ///
-    /// # Errors
-    /// The operating system's error.
     pub fn bind(address: Address) -> io::Result<Self> {
         Ok(match address {
             Address::Tcp(address) => {
@@ -55,9 +51,6 @@ impl Listener {
     }
 
     /// Returns the URL of the listener.
-    ///
-    /// # Errors
-    /// The operating system's error.
     pub fn url(&self) -> io::Result<String> {
         Ok(match self {
             Self::Tcp(listener) => format!("tcp://{}", listener.local_addr()?),
@@ -67,9 +60,6 @@ impl Listener {
 }
 
 /// Serves clients: accepts new ones until `draining`, and serves all until `closing`.
-///
-/// # Errors
-/// The operating system's error.
 pub async fn serve(
     port: Arc<Port>,
     listener: Listener,

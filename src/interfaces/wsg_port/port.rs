@@ -38,7 +38,6 @@ pub struct Rules {
     pub allow: Vec<IpNet>,
 }
 
-/// One gripper's ports.
 #[derive(Debug)]
 pub struct Port {
     pub(super) gripper: Handle,

@@ -27,7 +27,6 @@ pub struct Datagrams {
     pub lost_after: Duration,
 }
 
-/// Maximum size of a UDP datagram.
 const MAX_DATAGRAM_BYTES: usize = 65_535;
 
 /// Maximum number of unread datagrams of one client. More are dropped, as UDP allows.

@@ -23,9 +23,7 @@ const FILES: [&str; 5] =
 /// Endpoints and configuration of the gateway's Zenoh session.
 #[derive(Debug, Clone)]
 pub struct Connectivity {
-    /// Zenoh's own configuration.
     pub config: zenoh::Config,
-    /// Endpoints to listen on.
     pub listen: Vec<String>,
     /// Endpoints to connect to; one connection is enough.
     pub connect: Vec<String>,
@@ -115,7 +113,6 @@ fn missing<'a>(listen: &'a [String], locators: &[String]) -> Vec<&'a str> {
     wanted.into_iter().map(|(endpoint, _)| endpoint).collect()
 }
 
-/// Location of an endpoint.
 #[derive(Debug)]
 struct Place {
     protocol: String,

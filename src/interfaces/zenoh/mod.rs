@@ -47,7 +47,6 @@ const OPENED_AGAIN_AT_LEAST_EVERY: Duration = Duration::from_secs(30);
 /// Time limit for closing the session.
 const FAREWELL_WITHIN: Duration = Duration::from_secs(1);
 
-/// Settings of the gateway's Zenoh session.
 #[derive(Debug, Clone)]
 pub struct Settings {
     pub connectivity: Connectivity,

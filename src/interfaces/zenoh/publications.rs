@@ -22,10 +22,8 @@ use crate::journal::{Filter, Stored, StreamItem};
 /// dropped state is replaced.
 const TOLD_EVERY: Duration = Duration::from_millis(500);
 
-/// Pause after the journal could not be read.
 const READ_RETRY_PAUSE: Duration = Duration::from_secs(1);
 
-/// The publications of one gripper.
 pub struct Publications {
     session: zenoh::Session,
     handle: Handle,
@@ -38,7 +36,6 @@ pub struct Publications {
 }
 
 impl Publications {
-    /// Declares the publications of this gripper.
     pub async fn declare(session: &zenoh::Session, keys: &Keys, handle: &Handle) -> zenoh::Result<Self> {
         let publisher = |what, priority| {
             let publisher = session.declare_publisher(keys.gripper(handle.name(), what));

@@ -66,7 +66,6 @@ pub struct Queries {
     fast_stop_places: BTreeMap<Name, Arc<Semaphore>>,
 }
 
-/// A parsed query.
 #[derive(Debug)]
 struct Asked {
     /// Key of the reply.
@@ -298,7 +297,6 @@ fn problem_json(problem: &Problem) -> String {
 }
 
 impl Asked {
-    /// Returns the lease token of the query.
     fn lease(&self) -> Option<&str> {
         let field = self.params.get(LEASE).and_then(Value::as_str);
         field.or(self.lease.as_deref())
