@@ -15,7 +15,6 @@ pub struct Metrics {
 }
 
 impl Metrics {
-    /// Registers the metrics of an interface.
     pub fn register(registry: &Registry, door: &str) -> Result<Self> {
         let opts = |name: &str, help: &str| Opts::new(name, help).const_label("door", door);
         let clients = opts("wsg_clients_connected", "Open client connections.");

@@ -79,7 +79,7 @@ const FIRST_BYTES: usize = 256;
 /// Time that accepting waits for evicted connections to end.
 const ROOM_WITHIN: Duration = Duration::from_millis(10);
 
-/// Time without such a wait after one that freed nothing.
+/// Pause after a wait for evicted connections that freed nothing.
 const STALLED_FOR: Duration = Duration::from_millis(200);
 
 /// Time for the rest of a first line to arrive after its beginning.
@@ -293,7 +293,6 @@ impl Connection {
     }
 }
 
-/// The requests of one connection.
 #[derive(Clone)]
 struct Requests {
     server: Arc<Server>,

@@ -77,7 +77,6 @@ pub struct Message {
     data: String,
 }
 
-/// One client's stream.
 struct Stream {
     events: Option<EventStream>,
     updates: Subscription,

@@ -49,7 +49,6 @@ pub struct Following {
     pub max_hz: u64,
 }
 
-/// Subscribes as requested.
 pub fn subscribe(gateway: &Gateway, params: &Value) -> Result<(Subscribed, Following), Problem> {
     let Subscribe { grippers, topics, max_hz } = json::parse(params.to_string().as_bytes())?;
     let names = grippers.map(|names| names.iter().map(|name| known(gateway, name)).collect()).transpose()?;

@@ -13,5 +13,4 @@ mod writer;
 pub use bodies::{Subscribe, Subscribed};
 pub use socket::{Connection, serve};
 
-/// The WebSocket subprotocol.
 pub const SUBPROTOCOL: &str = "wsg.v1";

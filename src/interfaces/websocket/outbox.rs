@@ -35,7 +35,6 @@ struct Queue {
     is_closed: bool,
 }
 
-/// One item for the writer.
 pub enum Item {
     /// Complete WebSocket frames.
     Frames(Bytes),
@@ -66,7 +65,6 @@ impl Outbox {
         self.news.notify_one();
     }
 
-    /// Queues a new subscription.
     pub fn follow(&self, following: Following) {
         self.queue().items.push_back(Item::Follow(following));
         self.news.notify_one();
@@ -113,7 +111,6 @@ impl Outbox {
         }
     }
 
-    /// Marks frames as written.
     pub fn written(&self, frames: &Bytes) {
         self.queue().count(0, frames.len() + ENTRY_BYTES);
     }

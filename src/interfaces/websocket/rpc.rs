@@ -24,7 +24,6 @@ const INTERNAL_ERROR: i32 = -32603;
 /// Code of all other refusals; the problem's `code` says why.
 const REFUSED: i32 = -32000;
 
-/// One request.
 #[derive(Debug, PartialEq)]
 pub struct RpcCall {
     /// Id of the request; `None` for a notification, which gets no response.
@@ -33,7 +32,6 @@ pub struct RpcCall {
     pub params: Value,
 }
 
-/// A parsed message.
 #[derive(Debug)]
 pub enum Incoming {
     /// A request, or the response that refuses it.
@@ -41,7 +39,6 @@ pub enum Incoming {
     Batch(Vec<Result<RpcCall, RpcResponse>>),
 }
 
-/// The error of a request.
 #[derive(Debug, Serialize)]
 pub struct RpcError {
     code: i32,
@@ -49,7 +46,6 @@ pub struct RpcError {
     data: Problem,
 }
 
-/// The response to a request.
 #[derive(Debug, Serialize)]
 pub struct RpcResponse {
     jsonrpc: &'static str,
@@ -66,7 +62,6 @@ enum Outcome {
 }
 
 impl RpcResponse {
-    /// Returns the response to the request with this id.
     pub fn new(id: Value, outcome: Result<Box<RawValue>, RpcError>) -> Self {
         let outcome = match outcome {
             Ok(result) => Outcome::Result(result),
@@ -81,7 +76,6 @@ impl RpcResponse {
 }
 
 impl RpcError {
-    /// Returns the error of an unknown method.
     pub fn no_method(problem: Problem) -> Self {
         Self::with_code(METHOD_NOT_FOUND, problem)
     }

@@ -39,7 +39,6 @@ use crate::interfaces::pace::RequestPace;
 use crate::operations::json::MAX_BODY_BYTES;
 use crate::operations::{Caller, Code, ConnectionLease, Effect, Problem, Reply, is_fast_stop, lease, named, urgency};
 
-/// Period of the pings.
 const PINGED_EVERY: Duration = Duration::from_secs(1);
 
 /// Unanswered pings after which a client is lost. Counting pings instead of time keeps clients when the gateway itself
@@ -70,11 +69,9 @@ pub struct Connection {
     pub stream: TcpStream,
     /// Bytes that arrived directly after the handshake.
     pub early: Bytes,
-    /// The connection's slot.
     pub permit: Option<Arc<ConnectionPermit>>,
 }
 
-/// A client's socket.
 pub struct Socket {
     client: Client,
     context: Context,
@@ -139,7 +136,6 @@ impl Answered {
     }
 }
 
-/// Why a socket ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum End {
     /// The gateway shuts down.
@@ -150,13 +146,11 @@ enum End {
     Unwritable,
     /// The client stopped answering pings.
     Lost,
-    /// The connection was evicted.
     Evicted,
     /// The client violated the protocol or its limits.
     Violation(CloseCode, &'static str),
 }
 
-/// Serves a client until its end.
 pub async fn serve(connection: Connection, client: Client, context: Context) {
     match Socket::new(connection, client, context).await {
         Ok(socket) => socket.run().await,
@@ -329,7 +323,6 @@ impl Socket {
         }
     }
 
-    /// Starts a request.
     fn answered(&self, call: Result<RpcCall, RpcResponse>) -> BoxFuture<'static, Answered> {
         let ready = |answered| std::future::ready(answered).boxed();
         let RpcCall { id, method, params } = match call {

@@ -17,7 +17,6 @@ use crate::interfaces::metrics::Metrics;
 /// Maximum number of frames in one write.
 const MAX_GATHERED: usize = 64;
 
-/// The writer of one client.
 pub struct Writer {
     half: TcpStream,
     outbox: Arc<Outbox>,
