@@ -20,7 +20,7 @@ use crate::interfaces::admission::{Class, ConnectionPermit};
 use crate::interfaces::pace::RequestPace;
 use crate::operations::{Code, Problem};
 
-/// Time that a complete request waits for its turn. Others are answered within milliseconds, unless a device is slow.
+/// Time that a complete request waits for its turn. Requests take milliseconds, unless a device is slow.
 const TURN_TIME: Duration = Duration::from_secs(2);
 
 /// Middleware that reads the body before the handlers see the request. The connection claims its slot only after the
