@@ -20,9 +20,9 @@ mod tests {
     #[test]
     fn remedy_matches_the_error() {
         for (kind, remedy, wrong) in [
-            (ErrorKind::AddrInUse, "end what listens there", "privilege"),
-            (ErrorKind::PermissionDenied, "CAP_NET_BIND_SERVICE", "end what listens"),
-            (ErrorKind::AddrNotAvailable, "no such address", "end what listens"),
+            (ErrorKind::AddrInUse, "stop the program that listens there", "privilege"),
+            (ErrorKind::PermissionDenied, "CAP_NET_BIND_SERVICE", "stop the program"),
+            (ErrorKind::AddrNotAvailable, "does not have that address", "stop the program"),
         ] {
             let error = format!("{:#}", failed("cannot listen on 127.0.0.1:80", kind.into()));
             assert!(error.starts_with("cannot listen on 127.0.0.1:80: ") && error.contains(remedy), "{error}");

@@ -1,12 +1,12 @@
-//! Admission: which of a listener's connections are kept, and which give way to others.
+//! Admission: decides which of a listener's connections are kept and which give way to others.
 //!
-//! A connection is in one [`Class`] at a time, and each class has a bound of its own, so that no kind of traffic can use
-//! up the slots of another. A connection that has not sent a complete request has no claim: where its class is full, the
-//! oldest one gives way to the newest, so that a FAST STOP finds a slot whatever else is open. The peer with the
-//! most connections in that class loses one, so that one address cannot shut out the others.
+//! A connection is in one [`Class`] at a time, and each class has its own bound, so that no kind of traffic can use up
+//! the slots of another. A connection that has not sent a complete request has no claim. If its class is full, the
+//! oldest such connection gives way to the newest, so that a FAST STOP always finds a slot. The peer with the most
+//! connections in that class loses one, so that one address cannot shut out the others.
 //!
-//! The bytes that connections make the gateway hold are bounded in all, too: beyond [`Bounds::held_bytes`] the connection
-//! that holds the most is closed first.
+//! The total bytes held for connections are bounded, too: beyond [`Bounds::held_bytes`] the connection that holds the
+//! most is closed first.
 
 mod bounds;
 mod metrics;
@@ -26,11 +26,11 @@ pub use bounds::{Bounds, Class};
 pub use metrics::Usage;
 use table::{Id, Table};
 
-/// How long an evicted connection may take to deliver an answer, and to have a FAST STOP answered whose first bytes came
-/// before its eviction.
+/// Time for an evicted connection to deliver its response, also to a FAST STOP whose first bytes arrived before the
+/// eviction.
 const LINGER: Duration = Duration::from_millis(100);
 
-/// Places beside the reserved ones for connections whose first line is there. They leave it within microseconds, so their
+/// Extra slots for connections whose first line has arrived. They leave their slot within microseconds, so their
 /// descriptors are among those that the gateway keeps for itself.
 const FOR_COMPLETE_LINES: usize = 4;
 
@@ -43,12 +43,11 @@ pub struct Admission {
     /// Notified when a claim was dropped.
     released: Notify,
     tracker: TaskTracker,
-    /// Connections that may be looked at while too many are leaving.
+    /// Slots for inspecting connections while too many others are leaving.
     reserve: Arc<Semaphore>,
 }
 
 impl Admission {
-    /// Admission within these bounds.
     #[must_use]
     pub fn new(bounds: Bounds) -> Arc<Self> {
         let (table, tracker) = (Mutex::new(Table::new(bounds)), TaskTracker::new());
@@ -56,7 +55,7 @@ impl Admission {
         Arc::new(Self { table, ended: Notify::new(), released: Notify::new(), tracker, reserve })
     }
 
-    /// Admits a connection as [`Class::Incoming`]. It is asked to end on `closing`, too.
+    /// Admits a connection as [`Class::Incoming`]. Cancelling `closing` evicts the connection, too.
     pub fn admit(self: &Arc<Self>, peer: IpAddr, closing: &CancellationToken) -> ConnectionPermit {
         let evicted = closing.child_token();
         let id = self.table().admit(peer, Instant::now(), evicted.clone());
@@ -64,7 +63,7 @@ impl Admission {
         ConnectionPermit { id, evicted, has_served: AtomicBool::new(false), admission: self.clone(), _tracked: tracked }
     }
 
-    /// Waits until few enough evicted connections are still ending, each of which has its descriptor until then.
+    /// Waits until few enough evicted connections are still ending. Each keeps its descriptor until it has ended.
     pub async fn has_room(&self) {
         loop {
             let ended = self.ended.notified();
@@ -75,36 +74,35 @@ impl Admission {
         }
     }
 
-    /// Whether so many evicted connections are still ending that no further one may be admitted.
+    /// Whether so many evicted connections are still ending that no further connection is admitted.
     pub fn is_crowded(&self) -> bool {
         self.table().is_crowded()
     }
 
-    /// A place to look at a connection while too many are leaving, if there is one. Some are only for connections whose first
-    /// line is there, and which leave their place within microseconds: others may take as long as a line may.
+    /// Returns a slot for inspecting a connection while too many others are leaving. Some slots are reserved for
+    /// connections whose first line has arrived, which need them for microseconds only.
     pub fn reserved(&self, has_line: bool) -> Option<OwnedSemaphorePermit> {
         let has_room = has_line || self.reserve.available_permits() > FOR_COMPLETE_LINES;
         has_room.then(|| self.reserve.clone().try_acquire_owned().ok()).flatten()
     }
 
-    /// Closes the oldest connection that has no claim, where the process is out of descriptors.
+    /// Closes the oldest connection without a claim, because the process is out of descriptors.
     pub fn evict_one(&self) {
         self.table().evict_unclaimed();
     }
 
-    /// Waits until all connections have ended.
     pub async fn all_ended(&self) {
         self.tracker.close();
         self.tracker.wait().await;
     }
 
-    /// A panic while the lock was held has left nothing half done.
+    /// Locks the table. A poisoned lock is safe to use: a panic leaves no operation half done.
     fn table(&self) -> MutexGuard<'_, Table> {
         self.table.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-/// A connection's slot, until it is dropped.
+/// A connection's slot, held until the permit is dropped.
 #[derive(Debug)]
 pub struct ConnectionPermit {
     id: Id,
@@ -120,34 +118,34 @@ impl ConnectionPermit {
         self.evicted.cancelled().await;
     }
 
-    /// Whether no complete request has come yet.
+    /// Whether no complete request has arrived yet.
     pub fn is_unused(&self) -> bool {
         !self.has_served.load(Ordering::Relaxed)
     }
 
-    /// How long an evicted connection may take to deliver an answer: no time where many are ending.
+    /// Returns the time for an evicted connection to deliver its response; zero while many others are ending.
     pub fn linger(&self) -> Duration {
         if self.admission.table().is_half_crowded() { Duration::ZERO } else { LINGER }
     }
 
-    /// Marks that the client was heard, which makes this connection the newest idle one.
+    /// Marks this connection as the newest idle one, because its client sent something.
     pub fn heard(&self) {
         self.admission.table().heard(self.id, Instant::now());
     }
 
-    /// Marks that a request has begun to come: until all of it is there, the connection has no claim.
+    /// Marks that a request has begun to arrive. The connection has no claim until the request is complete.
     pub fn receiving(&self) {
         self.admission.table().receiving(self.id, Instant::now());
     }
 
-    /// Marks that the client asks for more than there is: until its next request is answered, the connection gives way as
-    /// one that says nothing.
+    /// Marks that the client exceeded its share. Until its next request is answered, the connection gives way like a
+    /// silent one.
     pub fn demote(&self) {
         self.admission.table().demote(self.id);
     }
 
-    /// Puts the connection into a class until the claim is dropped; afterwards it is idle. `None` where the class is full
-    /// and nobody in it has to give way.
+    /// Puts the connection into a class until the claim is dropped; afterwards it is idle. Returns `None` if the class
+    /// is full and none of its connections has to give way.
     pub fn claim(self: &Arc<Self>, class: Class) -> Option<Claim> {
         self.has_served.store(true, Ordering::Relaxed);
         let yielded = CancellationToken::new();
@@ -159,12 +157,12 @@ impl ConnectionPermit {
         Some(Claim { permit: self.clone(), class, yielded })
     }
 
-    /// The same, once the class has room.
+    /// Claims a slot like [`Self::claim`], waiting until the class has room.
     pub async fn turn(self: &Arc<Self>, class: Class) -> Claim {
         loop {
             let released = self.admission.released.notified();
             tokio::pin!(released);
-            // Registered before the look, so that a slot that is freed in between is noticed.
+            // Registered before the check, so that a slot freed in between is noticed.
             released.as_mut().enable();
             if let Some(claim) = self.claim(class) {
                 return claim;
@@ -173,7 +171,7 @@ impl ConnectionPermit {
         }
     }
 
-    /// Counts bytes that the gateway holds for this connection: none yet.
+    /// Returns a counter, initially zero, of bytes that the gateway holds for this connection.
     pub fn held(self: &Arc<Self>) -> HeldBytes {
         HeldBytes { permit: self.clone(), bytes: 0 }
     }
@@ -186,7 +184,7 @@ impl Drop for ConnectionPermit {
     }
 }
 
-/// A connection's place in a class, until it is dropped.
+/// A connection's slot in a class, held until the claim is dropped.
 #[derive(Debug)]
 pub struct Claim {
     permit: Arc<ConnectionPermit>,
@@ -195,8 +193,8 @@ pub struct Claim {
 }
 
 impl Claim {
-    /// Completes when this claim has to give way to another peer's. Only claims of [`Class::Waiting`] ever have to: where
-    /// one of another class gives way, its connection is evicted.
+    /// Completes when this claim has to give way to another peer's. Only claims of [`Class::Waiting`] yield; in other
+    /// classes the whole connection is evicted.
     pub async fn yielded(&self) {
         self.yielded.cancelled().await;
     }
@@ -209,7 +207,7 @@ impl Drop for Claim {
     }
 }
 
-/// How many bytes the gateway holds for a connection in one place: requests under way, or answers not yet taken.
+/// Count of bytes that the gateway holds for a connection: requests in progress, or responses not yet received.
 #[derive(Debug)]
 pub struct HeldBytes {
     permit: Arc<ConnectionPermit>,
@@ -217,12 +215,10 @@ pub struct HeldBytes {
 }
 
 impl HeldBytes {
-    /// The count.
     pub fn bytes(&self) -> usize {
         self.bytes
     }
 
-    /// Corrects the count.
     pub fn set(&mut self, bytes: usize) {
         self.permit.admission.table().hold(self.permit.id, self.bytes, bytes);
         self.bytes = bytes;

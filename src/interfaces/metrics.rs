@@ -1,12 +1,12 @@
-//! What is counted at a door, for Prometheus.
+//! Prometheus metrics of an interface.
 
 use prometheus::core::Collector;
 use prometheus::{IntCounter, IntCounterVec, IntGauge, Opts, Registry, Result};
 
-/// The route of what no route was found for: paths are the clients', and there is no end of them.
+/// Route label of requests without a route. Clients can invent paths without end, so the path itself is no label.
 pub(super) const NO_ROUTE: &str = "none";
 
-/// One door's figures. There is a series for each route, method and status that was answered, and two more.
+/// Metrics of one interface: a series for each route, method and status, and two more.
 #[derive(Debug, Clone)]
 pub struct Metrics {
     clients: IntGauge,
@@ -15,15 +15,12 @@ pub struct Metrics {
 }
 
 impl Metrics {
-    /// Of the door of this name.
-    ///
-    /// # Errors
-    /// Where the registry has one of this name already.
     pub fn register(registry: &Registry, door: &str) -> Result<Self> {
         let opts = |name: &str, help: &str| Opts::new(name, help).const_label("door", door);
-        let clients = opts("wsg_clients_connected", "Connections of clients that are open.");
-        let requests = opts("wsg_requests_total", "Requests that were answered, by route, method and status.");
-        let dropped = opts("wsg_updates_dropped_total", "Updates that slow clients didn't get, since newer ones came.");
+        let clients = opts("wsg_clients_connected", "Open client connections.");
+        let requests = opts("wsg_requests_total", "Answered requests by route, method and status.");
+        let dropped =
+            opts("wsg_updates_dropped_total", "Updates that slow clients skipped because newer ones arrived.");
         Ok(Self {
             clients: register_in(registry, IntGauge::with_opts(clients)?)?,
             requests: register_in(registry, IntCounterVec::new(requests, &["route", "method", "status"])?)?,
@@ -31,19 +28,19 @@ impl Metrics {
         })
     }
 
-    /// Counts a client that is connected, until it is dropped.
+    /// Counts a connected client until the returned guard is dropped.
     #[must_use]
     pub fn connected(&self) -> Connected {
         self.clients.inc();
         Connected(self.clients.clone())
     }
 
-    /// Counts an answer. The route is its template, not a path, and the method one of a few.
+    /// Counts a response. The route must be a template, not a path, and the method one of a bounded set.
     pub fn answered(&self, route: Option<&str>, method: &str, status: u16) {
         self.requests.with_label_values(&[route.unwrap_or(NO_ROUTE), method, &status.to_string()]).inc();
     }
 
-    /// Counts updates that a slow client didn't get.
+    /// Counts updates that a slow client skipped.
     pub fn dropped(&self, updates: u64) {
         self.updates_dropped.inc_by(updates);
     }
@@ -54,7 +51,7 @@ fn register_in<T: Collector + Clone + 'static>(registry: &Registry, metric: T) -
     Ok(metric)
 }
 
-/// A client that is connected.
+/// Guard of a connected client.
 #[derive(Debug)]
 pub struct Connected(IntGauge);
 

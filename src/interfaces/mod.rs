@@ -1,7 +1,7 @@
-//! The doors: each parses once, admits nothing, and hands what clients ask for to a gripper's handle.
+//! The interfaces: each parses requests once and passes them to operations or to a gripper's handle.
 //!
-//! Architecture invariant: a door decides nothing about a gripper. What is refused because of a lease, a latch or a
-//! device's limits is refused by the gripper's actor, so all doors refuse the same.
+//! Architecture invariant: an interface decides nothing about a gripper. The gripper's actor refuses requests because
+//! of a lease, a latch or a device's limits, so all interfaces refuse the same requests.
 
 mod admission;
 mod context;

@@ -1,38 +1,37 @@
-//! The pace of one connection's requests.
+//! Rate limit of one connection's requests.
 
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use tokio::time::{Instant, sleep_until};
 
-/// Time of one request: a thousand a second are ten times what a 10 ms cycle needs.
+/// Interval of requests: a thousand a second are ten times the need of a 10 ms cycle.
 const INTERVAL: Duration = Duration::from_millis(1);
 
-/// How many requests may come at once before the pace counts: a page with all its parts, and a burst of a script.
+/// Requests that can arrive at once before the limit applies: a page with all its assets, and a script's burst.
 const BURST: u32 = 128;
 
-/// Delays the requests of a client that sends them faster than the pace, so that it takes its turn with the others. This
-/// is the generic cell rate algorithm, which needs one instant.
+/// Delays the requests of a client that exceeds the rate limit, so that others get their turn. Uses the generic cell
+/// rate algorithm, which stores one instant.
 #[derive(Debug, Default)]
 pub struct RequestPace(Mutex<State>);
 
-/// Time of one FAST STOP of a connection, and how many may come at once. Each stops all that it names, so more are of no
-/// use.
+/// Interval and burst of a connection's FAST STOPs. Each one stops all grippers that it names, so more have no effect.
 const FAST_STOP_INTERVAL: Duration = Duration::from_millis(10);
 const FAST_STOP_BURST: u32 = 16;
 
 #[derive(Debug, Default)]
 struct State {
-    /// The same for FAST STOPs.
+    /// Like `arrival`, for FAST STOPs.
     fast_stop_arrival: Option<Instant>,
-    /// When the requests that have come would have ended at the pace.
+    /// Time by which all requests so far would have been served at the limit.
     arrival: Option<Instant>,
-    /// Before this time only urgent requests are served.
+    /// Time before which only urgent requests are served.
     delayed_until: Option<Instant>,
 }
 
 impl RequestPace {
-    /// Waits until the next request may be served. Always yields, so that other connections get a turn.
+    /// Waits until the next request is due. Always yields, so that other connections get a turn.
     pub async fn next(&self, is_urgent: bool) {
         match self.due(Instant::now(), is_urgent) {
             Some(at) => sleep_until(at).await,
@@ -40,7 +39,7 @@ impl RequestPace {
         }
     }
 
-    /// The same for a FAST STOP.
+    /// Waits until the next FAST STOP is due.
     pub async fn next_fast_stop(&self) {
         let due = advance(&mut self.state().fast_stop_arrival, Instant::now(), FAST_STOP_INTERVAL, FAST_STOP_BURST);
         if let Some(at) = due {
@@ -53,7 +52,7 @@ impl RequestPace {
         self.state().delayed_until = Some(Instant::now() + time);
     }
 
-    /// When the request that has come now may be served; `None` where it may be served at once.
+    /// Counts a request and returns when it is due, or `None` if it is due at once.
     pub fn due(&self, now: Instant, is_urgent: bool) -> Option<Instant> {
         let mut state = self.state();
         let at_pace = advance(&mut state.arrival, now, INTERVAL, BURST);
@@ -65,7 +64,7 @@ impl RequestPace {
     }
 }
 
-/// Counts one more request, and returns when it may be served, if not at once.
+/// Counts one more request and returns when it is due, or `None` if it is due at once.
 fn advance(arrival: &mut Option<Instant>, now: Instant, interval: Duration, burst: u32) -> Option<Instant> {
     let next = arrival.map_or(now, |at| at.max(now)) + interval;
     *arrival = Some(next);

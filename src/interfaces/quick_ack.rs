@@ -1,11 +1,11 @@
-//! A connection whose data are acknowledged at once, and that follows the runtime that serves it.
+//! A TCP stream that acknowledges data at once and moves to the runtime that serves it.
 //!
-//! Many clients send a request's header and its body in two packets, and hold the second back until the first one is
-//! acknowledged, which the kernel delays by 40 ms. Each such request on a kept connection would lose that time, a FAST
-//! STOP's reason among them.
+//! Many clients send a request's header and body in two packets and hold the second back until the first is
+//! acknowledged, which the kernel delays by 40 ms. Each such request on a kept connection would lose that time,
+//! including the reason of a FAST STOP.
 //!
-//! A connection may move to another runtime: the thread of the old one must not be woken by the traffic of a
-//! thousand observers.
+//! A connection can move to another runtime, so that the traffic of a thousand observers does not wake the thread of
+//! the old one.
 
 use std::io::{self, IoSlice};
 use std::pin::Pin;
@@ -15,22 +15,22 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
 use tokio::runtime::{self, Handle};
 
-/// The stream of one connection.
+/// A TCP stream that acknowledges data at once and can change its runtime.
 #[derive(Debug)]
 pub struct QuickAckStream {
-    /// `None` after a move that failed, which ends the connection.
+    /// `None` after a failed move, which ends the connection.
     stream: Option<TcpStream>,
-    /// The runtime that the stream is registered with.
+    /// Runtime that the stream is registered with.
     home: runtime::Id,
 }
 
 impl QuickAckStream {
-    /// A connection that the caller's runtime has accepted.
+    /// Wraps a stream that is registered with the caller's runtime.
     pub fn new(stream: TcpStream) -> Self {
         Self { stream: Some(stream), home: Handle::current().id() }
     }
 
-    /// The stream, registered with the caller's runtime.
+    /// Returns the stream, registered with the caller's runtime.
     fn stream(&mut self) -> io::Result<Pin<&mut TcpStream>> {
         let here = Handle::current().id();
         if self.home != here {
@@ -42,15 +42,15 @@ impl QuickAckStream {
     }
 }
 
-/// Sets the option that the kernel resets by itself, so after each read. Without it answers are later.
-#[cfg_attr(not(target_os = "linux"), expect(unused_variables, reason = "Linux alone has this option"))]
+/// Requests an immediate acknowledgement. The kernel resets this option by itself, so it is set after each read.
+#[cfg_attr(not(target_os = "linux"), expect(unused_variables, reason = "only Linux has this option"))]
 fn acknowledge(stream: &TcpStream) {
     #[cfg(target_os = "linux")]
     let _ = socket2::SockRef::from(stream).set_tcp_quickack(true);
 }
 
 impl QuickAckStream {
-    /// The stream itself; an error where a move has failed.
+    /// Returns the inner stream, or an error if a move has failed.
     pub fn into_inner(self) -> io::Result<TcpStream> {
         self.stream.ok_or_else(|| io::ErrorKind::NotConnected.into())
     }

@@ -1,22 +1,22 @@
-//! The runtimes that clients are served on, apart from each other so that no kind of traffic delays a FAST STOP.
+//! The runtimes that serve clients, separate so that no kind of traffic delays a FAST STOP.
 
 use tokio::runtime::Handle;
 
-/// The runtime of each kind of work for clients. The devices have a runtime of their own, which is not among them.
+/// The runtime of each kind of work for clients. The devices have a separate runtime, which is not listed here.
 #[derive(Debug, Clone)]
 pub struct Runtimes {
-    /// Accepts HTTP connections, looks at their first bytes, and serves those that begin with a FAST STOP.
+    /// Accepts HTTP connections, inspects their first bytes, and serves those that begin with a FAST STOP.
     pub accept: Handle,
     /// Serves all other HTTP requests.
     pub requests: Handle,
-    /// Reads WebSockets, whose next request may be a FAST STOP.
+    /// Reads WebSockets, whose next request can be a FAST STOP.
     pub sockets: Handle,
     /// Writes updates to observers. Its thread yields to all others.
     pub observers: Handle,
 }
 
 impl Runtimes {
-    /// All on the runtime of the caller.
+    /// Returns the caller's runtime for all kinds of work.
     #[cfg(test)]
     #[must_use]
     pub fn current() -> Self {

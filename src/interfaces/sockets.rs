@@ -1,4 +1,4 @@
-//! Clients' TCP connections, at whichever door, and what helps where they can't come in.
+//! Options of clients' TCP connections, and remedies for listeners that fail.
 
 use std::io::{self, ErrorKind};
 use std::time::Duration;
@@ -6,32 +6,29 @@ use std::time::Duration;
 use socket2::{SockRef, TcpKeepalive};
 use tokio::net::TcpStream;
 
-/// A client that doesn't acknowledge its TCP segments for so long is lost.
+/// Time without TCP acknowledgements after which a client is lost.
 pub const LOST_AFTER: Duration = Duration::from_secs(3);
 
-/// How often a silent peer is asked whether it is still there.
+/// Interval of keep-alive probes to a silent peer.
 const PROBE_EVERY: Duration = Duration::from_secs(1);
 
-/// What is written leaves at once, and a peer that is gone without a word while nothing is on its way to it is noticed
-/// within [`LOST_AFTER`]. What is on its way to one that doesn't read may go on waiting.
-///
-/// # Errors
-/// Where the connection has just ended.
+/// Makes written data leave at once, and detects a vanished peer within [`LOST_AFTER`] if no data is in flight to it.
+/// Data in flight to a peer that does not read can keep waiting.
 pub fn prepare(stream: &TcpStream) -> io::Result<()> {
     stream.set_nodelay(true)?;
     let keepalive = TcpKeepalive::new().with_time(PROBE_EVERY).with_interval(PROBE_EVERY).with_retries(2);
     SockRef::from(stream).set_tcp_keepalive(&keepalive)
 }
 
-/// What helps where an address can't be listened on.
+/// Returns the remedy for an address that can't be listened on.
 #[must_use]
 pub fn remedy(error: ErrorKind) -> &'static str {
     match error {
-        ErrorKind::AddrInUse => "choose another address, or end what listens there",
+        ErrorKind::AddrInUse => "choose another address, or stop the program that listens there",
         ErrorKind::PermissionDenied => {
-            "a port below 1024 needs a privilege: choose a higher one, or give the program CAP_NET_BIND_SERVICE"
+            "ports below 1024 need a privilege: choose a higher port, or give the program CAP_NET_BIND_SERVICE"
         }
-        ErrorKind::AddrNotAvailable => "this machine has no such address: choose one that it has",
+        ErrorKind::AddrNotAvailable => "this machine does not have that address: choose one of its own",
         _ => "choose another address",
     }
 }
@@ -43,7 +40,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn a_dead_peer_is_found_within_three_seconds() {
+    async fn dead_peer_is_detected_within_three_seconds() {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let client = TcpStream::connect(listener.local_addr().unwrap());
         let (client, accepted) = tokio::join!(client, listener.accept());

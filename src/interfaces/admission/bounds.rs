@@ -1,15 +1,15 @@
-//! The classes of connections, and how many connections each may have.
+//! Classes of connections and their bounds.
 
 /// Activity of a connection, which decides its claim to a slot. Later classes take precedence.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Class {
-    /// A fresh connection, or one whose request is still coming.
+    /// A new connection, or one whose request is incomplete.
     Incoming,
-    /// A connection between two requests, or whose answer is on its way.
+    /// A connection between two requests, or whose response is being sent.
     Idle,
     /// A complete request is being answered.
     Answering,
-    /// A FAST STOP is under way. It is done whatever becomes of its connection.
+    /// A FAST STOP is in progress. It completes even if its connection ends.
     Urgent,
     /// A request waits for the end of a command (`wait_ms`).
     Waiting,
@@ -19,17 +19,17 @@ pub enum Class {
     Pinned,
 }
 
-/// How many classes there are.
 pub(super) const CLASSES: usize = 7;
 
 /// Response to one more connection in a class that is full.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum WhenFull {
-    /// The oldest connection of the peer that has the most gives way.
+    /// The oldest connection of the peer with the most connections gives way.
     Evict,
-    /// The same, but only where that peer has at least two more than the newcomer's; otherwise the newcomer is refused.
+    /// As `Evict`, if that peer has at least two connections more than the newcomer's peer; else the newcomer is
+    /// refused.
     Share,
-    /// The newcomer is refused, and so is one whose peer has three quarters of the class.
+    /// The newcomer is refused. A peer that has three quarters of the class is refused even before the class is full.
     Refuse,
 }
 
@@ -43,14 +43,14 @@ impl Class {
     }
 }
 
-/// How many connections and bytes a listener's clients may take.
+/// Maximum numbers of connections and bytes of a listener's clients.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Bounds {
-    /// Connections of each class.
+    /// Maximum number of connections of each class.
     pub(super) classes: [usize; CLASSES],
-    /// Evicted connections that may still be ending.
+    /// Maximum number of evicted connections that are still ending.
     pub(super) leaving: usize,
-    /// Connections that are looked at while too many are leaving.
+    /// Connections that are inspected while too many others are leaving.
     pub(super) reserved: usize,
     /// Bytes held for all clients together.
     pub held_bytes: usize,
@@ -59,43 +59,44 @@ pub struct Bounds {
 /// Bytes held for all clients together: 64 KiB, the largest message, for each of a thousand clients.
 const HELD_BYTES: usize = 64 << 20;
 
-/// Connections on the way in: enough that a flood of 10,000 connects a second leaves each of them 90 ms to speak.
+/// Incoming connections: enough that a flood of 10,000 connects a second leaves each of them 90 ms to send its request.
 const INCOMING: usize = 896;
-/// Keep-alive connections: a PLC or a browser has a few. A thousand long polls that are answered early find room, too.
+/// Keep-alive connections: a PLC or a browser has a few. A thousand long polls that are answered early also fit.
 const IDLE: usize = 1024;
 /// Requests being answered, each within milliseconds unless a device or a disk is slow.
 const ANSWERING: usize = 256;
-/// FAST STOPs under way: each takes 250 ms at most.
+/// FAST STOPs in progress: each takes 250 ms at most.
 const URGENT: usize = 128;
-/// Long polls: there is one motion a gripper, and few wait for it.
+/// Long polls: each gripper has one motion, and few clients wait for it.
 const WAITING: usize = 256;
 /// WebSockets and event streams: a thousand observers.
 const STREAMING: usize = 1024;
-/// Connections that were evicted and still deliver an answer.
+/// Evicted connections that still deliver a response.
 const LEAVING: usize = 128;
-/// Connections that are looked at while too many are leaving. Only those that begin with a FAST STOP are admitted then.
+/// Connections that are inspected while too many others are leaving. Only those that begin with a FAST STOP are then
+/// admitted.
 const RESERVED: usize = 64;
 
-/// Holders of leases, at most. A gripper has one; the rest have lost theirs within the last second.
+/// Lease holders. A gripper has one; the others have lost theirs within the last second.
 const PINNED: usize = 16;
 
 /// Descriptors of a stream: a WebSocket's reader and writer have one each.
 const STREAMING_DESCRIPTORS: usize = 2;
 
 impl Bounds {
-    /// Connections that may be pinned: a quarter of the streams, which most of them are.
+    /// Returns the maximum number of pinned connections: a quarter of the streams, since most pinned ones are streams.
     pub(super) fn pinned(&self) -> usize {
         (self.of_class(Class::Streaming) / 4).clamp(1, PINNED)
     }
 
-    /// The most descriptors that a listener's connections ever take, those that are still ending among them.
+    /// Maximum number of descriptors that a listener's connections use, including those that are still ending.
     pub const MAX_DESCRIPTORS: usize =
         INCOMING + IDLE + ANSWERING + URGENT + WAITING + STREAMING * STREAMING_DESCRIPTORS + LEAVING + RESERVED;
 
-    /// The fewest descriptors, which leave each class one slot.
+    /// Minimum number of descriptors, which leaves each class one slot.
     pub const MIN_DESCRIPTORS: usize = 9;
 
-    /// Shares out this many descriptors: [`Bounds::MAX_DESCRIPTORS`] or fewer.
+    /// Distributes this many descriptors, at most [`Bounds::MAX_DESCRIPTORS`], among the classes.
     #[must_use]
     pub fn of(descriptors: usize) -> Self {
         let descriptors = descriptors.min(Self::MAX_DESCRIPTORS);
@@ -119,8 +120,8 @@ impl Bounds {
         Self { classes, leaving, reserved, held_bytes: HELD_BYTES }
     }
 
-    /// Bounds of a listener whose clients are all alike. Half of the descriptors are for clients that were heard, a quarter
-    /// for those that have said nothing yet, and a quarter for evicted ones.
+    /// Returns the bounds of a listener whose clients are all alike. Half of the descriptors are for clients that have
+    /// sent something, a quarter for silent ones, and a quarter for evicted ones.
     #[must_use]
     pub fn alike(descriptors: usize) -> Self {
         let mut classes = [usize::MAX; CLASSES];
@@ -129,7 +130,6 @@ impl Bounds {
         Self { classes, leaving: (descriptors / 4).max(1), reserved: 0, held_bytes: HELD_BYTES }
     }
 
-    /// The same with another bound of one class.
     #[cfg(test)]
     #[must_use]
     pub fn with(mut self, class: Class, most: usize) -> Self {
@@ -137,7 +137,6 @@ impl Bounds {
         self
     }
 
-    /// The most connections of a class.
     #[must_use]
     pub fn of_class(&self, class: Class) -> usize {
         self.classes[class as usize]

@@ -1,4 +1,4 @@
-//! The figures of a listener's connections, read from its table when they are asked for.
+//! Metrics of a listener's connections, read from its table on each scrape.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -8,7 +8,7 @@ use prometheus::{IntCounter, IntGauge, IntGaugeVec, Opts, Registry, Result};
 
 use super::{Admission, Class};
 
-/// The classes that have a bound, by their names.
+/// Classes with a bound, and their names.
 const BOUNDED: [(Class, &str); 6] = [
     (Class::Incoming, "incoming"),
     (Class::Idle, "idle"),
@@ -18,28 +18,25 @@ const BOUNDED: [(Class, &str); 6] = [
     (Class::Streaming, "streaming"),
 ];
 
-/// How many connections of each class there are, and may be.
+/// Collector of the connections of each class and their limits.
 pub struct Usage {
     admission: Arc<Admission>,
     used: IntGaugeVec,
     limit: IntGaugeVec,
     held: IntGauge,
     evicted: IntCounter,
-    /// How many evictions were counted.
+    /// Number of evictions already added to the counter.
     counted: Mutex<u64>,
 }
 
 impl Usage {
-    /// Adds the figures of an interface's connections to a registry.
-    ///
-    /// # Errors
-    /// Where the registry has figures of this interface already.
+    /// Registers the metrics of an interface's connections.
     pub fn register(registry: &Registry, interface: &str, admission: &Arc<Admission>) -> Result<()> {
         let opts = |name: &str, help: &str| Opts::new(name, help).const_label("door", interface);
-        let used = opts("wsg_connection_slots_used", "Connections of each class.");
+        let used = opts("wsg_connection_slots_used", "Open connections in each class.");
         let limit =
-            opts("wsg_connection_slots", "Limit of connections in each class; beyond it, one is evicted or refused.");
-        let held = opts("wsg_connections_held_bytes", "Bytes of requests under way and of answers not yet taken.");
+            opts("wsg_connection_slots", "Maximum connections in each class; beyond it, one is evicted or refused.");
+        let held = opts("wsg_connections_held_bytes", "Bytes held for requests in progress and undelivered responses.");
         let evicted = opts("wsg_connections_evicted_total", "Connections closed to make room for others.");
         registry.register(Box::new(Self {
             admission: admission.clone(),

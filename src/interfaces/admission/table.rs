@@ -1,5 +1,5 @@
-//! The table behind [`super::Admission`]: who is in which class, since when, and who gives way. A pure machine: the time
-//! comes from outside, and a cancellation token tells the evicted connection.
+//! The table behind [`super::Admission`]: each connection's class and age, and which connection gives way. A pure
+//! machine: the caller passes the time, and a cancellation token notifies the evicted connection.
 
 use std::collections::{BTreeSet, HashMap};
 use std::net::{IpAddr, Ipv6Addr};
@@ -9,10 +9,10 @@ use tokio_util::sync::CancellationToken;
 
 use super::bounds::{Bounds, CLASSES, Class, WhenFull};
 
-/// A connection's number. It is never used again.
+/// A connection's number, never reused.
 pub(super) type Id = u64;
 
-/// One peer: an IPv4 address, or an IPv6 network of 64 bits, which one machine has all of.
+/// One peer: an IPv4 address, or an IPv6 /64 network, since one machine can use all of its addresses.
 type Peer = IpAddr;
 
 #[derive(Debug)]
@@ -23,9 +23,8 @@ pub(super) struct Table {
     classes: [Members; CLASSES],
     /// Evicted connections that have not ended.
     leaving: usize,
-    /// Bytes held for all others.
+    /// Bytes held for the connections that are not leaving.
     held_bytes: usize,
-    /// How many connections have been evicted.
     evicted: u64,
 }
 
@@ -39,16 +38,14 @@ struct Members {
 #[derive(Debug)]
 struct Entry {
     peer: Peer,
-    /// [`Class::Incoming`] or [`Class::Idle`]: the class without a claim.
+    /// Class of the connection while it has no claim: [`Class::Incoming`] or [`Class::Idle`].
     base: Class,
-    /// Whether the connection asks for more than there is: without a claim it is [`Class::Incoming`], also where it is
-    /// idle.
+    /// Whether the client exceeded its share: without a claim its connection is [`Class::Incoming`], even when idle.
     is_demoted: bool,
-    /// How many claims of each class there are.
     claims: [u32; CLASSES],
     since: Instant,
     evicted: CancellationToken,
-    /// Token of the claim of [`Class::Waiting`].
+    /// Cancels the claim of [`Class::Waiting`].
     yielded: Option<CancellationToken>,
     held_bytes: usize,
     is_leaving: bool,
@@ -93,7 +90,7 @@ impl Table {
         self.change(id, |entry| (entry.base, entry.since) = (Class::Idle, now));
     }
 
-    /// Takes the connection's claim on a slot between requests, until its next request is answered.
+    /// Treats the connection as incoming between requests, until its next request is answered.
     pub(super) fn demote(&mut self, id: Id) {
         self.change(id, |entry| entry.is_demoted = true);
     }
@@ -102,15 +99,15 @@ impl Table {
         self.change(id, |entry| (entry.base, entry.since) = (Class::Incoming, now));
     }
 
-    /// Adds a claim; none where the class is full and stays so.
+    /// Adds a claim. Returns `None` if the class stays full.
     pub(super) fn claim(&mut self, id: Id, class: Class, now: Instant, yielded: &CancellationToken) -> Option<()> {
-        // An evicted connection may finish what it has begun, but begins nothing that lasts.
+        // An evicted connection can finish its request, but can't start a wait or a stream.
         let Entry { peer, is_leaving, claims, .. } = self.entries.get(&id)?;
         let (peer, lasts) = (*peer, matches!(class, Class::Waiting | Class::Streaming));
         if *is_leaving {
             return (!lasts).then_some(());
         }
-        // A request that is handed on within the gateway has its place.
+        // A request that is passed on within the gateway already has its slot.
         if claims[class as usize] == 0 && !self.make_room(class, peer) {
             return None;
         }
@@ -149,7 +146,7 @@ impl Table {
         }
     }
 
-    /// How many connections a class has, and may have.
+    /// Returns the number of connections of a class and its bound.
     pub(super) fn usage(&self, class: Class) -> (usize, usize) {
         (self.classes[class as usize].count, self.bounds.of_class(class))
     }
@@ -158,17 +155,16 @@ impl Table {
         self.held_bytes
     }
 
-    /// How many connections have been evicted.
     pub(super) fn evicted(&self) -> u64 {
         self.evicted
     }
 
-    /// Whether so many evicted connections are still ending that no new one may come.
+    /// Whether so many evicted connections are still ending that no new one is admitted.
     pub(super) fn is_crowded(&self) -> bool {
         self.leaving >= self.bounds.leaving
     }
 
-    /// Whether there are so many that none of them may take its time.
+    /// Whether so many evicted connections are still ending that none gets time to linger.
     pub(super) fn is_half_crowded(&self) -> bool {
         self.leaving * 2 > self.bounds.leaving
     }
@@ -193,7 +189,7 @@ impl Table {
         }
     }
 
-    /// Makes room for one more of this peer's in a class. Returns whether there is some.
+    /// Makes room for one more connection of this peer in a class. Returns whether there is room.
     fn make_room(&mut self, class: Class, newcomer: Peer) -> bool {
         let (members, most) = (&self.classes[class as usize], self.bounds.of_class(class));
         let has = |peer: &Peer| members.peers.get(peer).map_or(0, BTreeSet::len);
@@ -218,7 +214,7 @@ impl Table {
         gives_way
     }
 
-    /// The oldest connection of the peer that has the most of this class.
+    /// Returns the oldest connection of the peer with the most connections in this class.
     fn greediest(&self, class: Class) -> Option<Id> {
         let peers = self.classes[class as usize].peers.values();
         let oldest = peers.filter_map(|ids| Some((ids.len(), std::cmp::Reverse(*ids.first()?))));
@@ -229,7 +225,7 @@ impl Table {
         if class != Class::Waiting {
             return self.evict(id);
         }
-        // A long poll is answered early, and its connection goes on.
+        // A long poll is answered early, and its connection stays open.
         self.change(id, |entry| {
             entry.claims[class as usize] = 0;
             if let Some(yielded) = entry.yielded.take() {
@@ -242,7 +238,7 @@ impl Table {
         if let Some(entry) = self.entries.get_mut(&id).filter(|entry| !entry.is_leaving) {
             self.classes[entry.class() as usize].remove(entry.peer, entry.since, id);
             entry.is_leaving = true;
-            // They are free within milliseconds. Counted on, they would evict connections that hold little.
+            // These bytes are freed within milliseconds. Counting them on would evict connections that hold little.
             self.held_bytes -= entry.held_bytes;
             entry.evicted.cancel();
             self.leaving += 1;
@@ -250,7 +246,7 @@ impl Table {
         }
     }
 
-    /// Changes an entry, and puts it where it then belongs. An idle connection beyond the bound evicts another.
+    /// Changes an entry and moves it to its new class. An idle connection beyond the bound evicts another.
     fn change(&mut self, id: Id, change: impl FnOnce(&mut Entry)) {
         let Some(entry) = self.entries.get_mut(&id) else { return };
         let (class, since) = (entry.class(), entry.since);

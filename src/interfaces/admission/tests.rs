@@ -5,7 +5,7 @@ use super::*;
 const HERE: IpAddr = IpAddr::V4(Ipv4Addr::LOCALHOST);
 const ELSEWHERE: IpAddr = IpAddr::V4(Ipv4Addr::new(10, 0, 0, 7));
 
-/// One connection of each class, two that are coming, and two that stream.
+/// Returns an admission with one connection of each class, but two incoming and three streaming ones.
 fn small() -> Arc<Admission> {
     let bounds = Bounds::of(1).with(Class::Incoming, 2).with(Class::Streaming, 3);
     Admission::new(bounds)
@@ -43,7 +43,7 @@ fn request_being_answered_is_kept_and_idle_again_afterwards() {
 }
 
 #[test]
-fn full_class_refuses_requests_but_no_fast_stop() {
+fn full_class_refuses_requests_but_not_fast_stop() {
     let admission = small();
     let permits: Vec<_> = (0..3).map(|_| admit(&admission, HERE)).collect();
     let _answering = permits[1].claim(Class::Answering).unwrap();
@@ -51,7 +51,7 @@ fn full_class_refuses_requests_but_no_fast_stop() {
     let _stopping = permits[2].claim(Class::Urgent).unwrap();
     let other = admit(&admission, HERE);
     assert!(other.claim(Class::Urgent).is_some());
-    assert!(is_evicted(&permits[2]), "its FAST STOP goes on without it");
+    assert!(is_evicted(&permits[2]), "its FAST STOP continues without the connection");
 }
 
 #[test]
@@ -65,7 +65,7 @@ fn peer_with_most_streams_gives_way_to_others() {
     assert!(stream(HERE).is_none());
     let _first = stream(ELSEWHERE).unwrap();
     assert!(is_evicted(&here[0].0) && !is_evicted(&here[1].0));
-    // Two here and one elsewhere is as even as three can be.
+    // Two here and one elsewhere is the most even split of three.
     assert!(stream(ELSEWHERE).is_none() && stream(HERE).is_none());
 }
 
@@ -121,7 +121,7 @@ fn largest_holder_of_bytes_is_evicted_first() {
     of_small.set(301);
     assert!(is_evicted(&large) && !is_evicted(&small));
     of_small.set(1000);
-    assert!(!is_evicted(&small), "the bytes of the evicted one count no more");
+    assert!(!is_evicted(&small), "bytes of an evicted connection no longer count");
     drop((of_large, large));
     of_small.set(1000);
     assert!(!is_evicted(&small));

@@ -1,4 +1,4 @@
-//! What is counted and logged of each request.
+//! Access log and request metrics.
 
 use std::sync::Arc;
 use std::time::Instant;
@@ -14,7 +14,7 @@ use super::client::client;
 use super::context::Context;
 use super::problem::RefusedMark;
 
-/// The middleware that counts and logs. What may have changed something is INFO, and what only reads DEBUG.
+/// Middleware that counts and logs requests: reads at DEBUG, all others at INFO.
 pub async fn watch(State(context): State<Arc<Context>>, request: Request, next: Next) -> Response {
     let method = request.method().clone();
     let route = request.extensions().get::<MatchedPath>().cloned();
@@ -33,7 +33,7 @@ pub async fn watch(State(context): State<Arc<Context>>, request: Request, next: 
     response
 }
 
-/// A client may call its method anything.
+/// Returns the metric label of a method. Clients can invent methods, so unknown ones share one label.
 fn bounded(method: &Method) -> &str {
     match *method {
         Method::GET | Method::HEAD | Method::POST | Method::PUT | Method::DELETE | Method::OPTIONS | Method::PATCH => {

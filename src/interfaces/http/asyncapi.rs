@@ -1,4 +1,5 @@
-//! The AsyncAPI document: the WebSocket, described by the schemas of the HTTP API, whose operations its methods are.
+//! The AsyncAPI document of the WebSocket, built from the HTTP API: its operations are the methods, with the same
+//! schemas.
 
 use std::collections::BTreeSet;
 
@@ -12,31 +13,26 @@ use crate::gripper::model::{Command, Frame, State, Telemetry};
 use crate::interfaces::websocket::{SUBPROTOCOL, Subscribe, Subscribed};
 use crate::operations::{Members, OPERATIONS as METHODS, Operation as Method};
 
-/// What is told without having been asked for each time.
+/// Notifications: name, schema and summary.
 const NOTIFICATIONS: &[(&str, &str, &str)] = &[
+    ("state", "State", "The newest state of a gripper (topic `state`). A slow client skips intermediate states"),
     (
-        "state",
-        "State",
-        "A gripper's newest state, of topic `state`: what a client is too slow for is replaced by newer",
+        "telemetry",
+        "Telemetry",
+        "The newest measured values of a gripper (topic `telemetry`). A slow client skips intermediate values",
     ),
-    ("telemetry", "Telemetry", "Its measured values alone, of topic `telemetry`: likewise"),
-    ("event", "StoredEvent", "What has happened, of topic `events`, once it is durable: one by one, in order"),
-    ("frame", "Frame", "A frame on the wire, of topic `frames`: one by one, in order"),
-    (
-        "fleet",
-        "FleetGripper",
-        "A gripper of any gateway, of topic `fleet`: all of them first, and then what has changed",
-    ),
-    ("gap", "Gap", "Events or frames that are missing here, since the client was too slow"),
-    ("command", "Command", "The end of a command that this socket began, and whose answer was that it runs"),
+    ("event", "StoredEvent", "An event (topic `events`), sent in order once it is stored durably"),
+    ("frame", "Frame", "A frame on the wire (topic `frames`), sent in order"),
+    ("fleet", "FleetGripper", "A gripper of any gateway (topic `fleet`): first all grippers, then each change"),
+    ("gap", "Gap", "A gap in the events or frames, because the client was too slow"),
+    ("command", "Command", "The end of a command that this socket started and that was still running when answered"),
 ];
 
-/// What no HTTP operation has.
+/// Schemas that no HTTP operation refers to.
 #[derive(utoipa::OpenApi)]
 #[openapi(components(schemas(Command, Frame, Gap, Members, State, Subscribe, Subscribed, Telemetry)))]
 struct OwnSchemas;
 
-/// The document.
 #[must_use]
 pub fn document(openapi: &OpenApi) -> Value {
     let openapi = serde_json::to_value(openapi).unwrap_or_default();
@@ -50,7 +46,7 @@ pub fn document(openapi: &OpenApi) -> Value {
         messages.insert(name.to_owned(), json!({"name": name, "payload": request(name, &params)}));
         messages.insert(answer.clone(), json!({"name": answer, "payload": answered("result", result)}));
     };
-    let follow = "Follow states, telemetry, events, frames or the fleet. It replaces what was followed before";
+    let follow = "Subscribe to states, telemetry, events, frames or the fleet. Replaces the previous subscription";
     add_method(
         "subscribe",
         follow,
@@ -65,7 +61,7 @@ pub fn document(openapi: &OpenApi) -> Value {
     }
     for (name, schema, summary) in NOTIFICATIONS {
         let params = reference("components/schemas", schema);
-        // `command` is a method, too.
+        // The suffix avoids a clash with the method `command`.
         let message = format!("{name}.notification");
         messages.insert(message.clone(), json!({"name": message, "payload": notification(name, &params)}));
         operations.insert(message.clone(), operation("send", &message, summary, None));
@@ -82,10 +78,10 @@ pub fn document(openapi: &OpenApi) -> Value {
             "license": {"name": "MIT"},
             "description": format!(
                 "JSON-RPC 2.0 over WebSocket, with the subprotocol {SUBPROTOCOL}. The methods are the operations of the \
-                 HTTP API, with the same fields, and their errors' `data` are its problems. A command is answered when \
-                 it was admitted; the notification `command` tells its end. Batches have 32 requests at most, messages \
-                 64 KiB. Pings come every second; who has not answered any for 3 seconds is closed. FAST STOP is not a \
-                 safety function in the sense of ISO 13850."
+                 HTTP API with the same fields, and the `data` of an error is the API's problem. A command is answered \
+                 once it is admitted; the notification `command` reports its end. A batch has at most 32 requests, a \
+                 message at most 64 KiB. The gateway sends a ping every second and closes a socket that has answered \
+                 none for 3 seconds. FAST STOP is not a safety function in the sense of ISO 13850."
             ),
         },
         "defaultContentType": "application/json",
@@ -98,15 +94,11 @@ pub fn document(openapi: &OpenApi) -> Value {
     document
 }
 
-/// The document, as it is served.
-///
-/// # Errors
-/// Where it has no YAML.
+/// Returns the document as YAML.
 pub fn yaml(openapi: &OpenApi) -> Result<String, serde_saphyr::ser::Error> {
     serde_saphyr::to_string(&document(openapi))
 }
 
-/// A reference into this document.
 fn reference(place: &str, name: &str) -> Value {
     json!({"$ref": format!("#/{place}/{name}")})
 }
@@ -129,7 +121,7 @@ fn notification(method: &str, params: &Value) -> Value {
     json!({"type": "object", "required": ["jsonrpc", "method", "params"], "properties": properties})
 }
 
-/// A request. Without an `id` it is not answered.
+/// Returns the schema of a request. A request without an `id` gets no response.
 fn request(method: &str, params: &Value) -> Value {
     let needs_params = params["required"].as_array().is_some_and(|required| !required.is_empty());
     let mut request = notification(method, params);
@@ -151,9 +143,9 @@ fn error() -> Value {
         "properties": {
             "code": {
                 "enum": [-32700, -32600, -32601, -32602, -32603, -32000],
-                "description": "As JSON-RPC has them; -32000 where the API refuses, and `data.code` says why",
+                "description": "JSON-RPC error code; -32000 if the API refused the request, see `data.code`",
             },
-            "message": {"type": "string", "description": "What is wrong, for people"},
+            "message": {"type": "string", "description": "Human-readable description of the error"},
             "data": reference("components/schemas", "Problem"),
         },
     })
@@ -163,7 +155,7 @@ fn operation_of<'a>(openapi: &'a Value, method: &Method) -> &'a Value {
     &openapi["paths"][format!("{API}{}", method.path)][method.verb.as_str().to_lowercase()]
 }
 
-/// The body's fields, and what the path names.
+/// Returns the schema of a method's parameters: the body's fields and the path's parameters.
 fn params(openapi: &Value, rows: &[&Method]) -> Value {
     let mut params = json!({"type": "object", "properties": {}, "additionalProperties": false});
     let mut required = BTreeSet::new();
@@ -184,7 +176,7 @@ fn params(openapi: &Value, rows: &[&Method]) -> Value {
         for parameter in parameters.filter(|parameter| parameter["in"] == "path") {
             let name = word(parameter["name"].clone());
             params["properties"][&name] = parameter["schema"].clone();
-            // What one operation of the name goes without, may be left out.
+            // A parameter that one of the operations lacks is optional.
             if rows.iter().all(|row| row.path_parameters().any(|key| key == name)) {
                 required.insert(name);
             }
@@ -200,7 +192,7 @@ fn word(value: Value) -> String {
     if let Value::String(word) = value { word } else { String::new() }
 }
 
-/// Whatever an operation answers that does it.
+/// Returns the schema of a method's result: any of the successful responses of its operations.
 fn result(openapi: &Value, rows: &[&Method]) -> Value {
     let mut all = Vec::new();
     for method in rows {
@@ -217,7 +209,7 @@ fn result(openapi: &Value, rows: &[&Method]) -> Value {
     }
 }
 
-/// The schemas that are referred to, and those that they refer to.
+/// Returns all schemas that are referenced, directly or through other schemas.
 fn reachable(from: &Value, documents: &[&Value]) -> Map<String, Value> {
     let mut found = Map::new();
     let mut wanted = references(from);
@@ -249,7 +241,7 @@ fn references(value: &Value) -> Vec<String> {
     }
 }
 
-/// JSON Schema has `examples`, where OpenAPI has `example`, too.
+/// Turns OpenAPI's `example` into JSON Schema's `examples`.
 fn with_examples(value: &mut Value) {
     match value {
         Value::Object(members) => {
@@ -266,7 +258,7 @@ fn with_examples(value: &mut Value) {
 #[cfg(test)]
 mod tests {
     #[test]
-    fn the_checked_in_document_is_what_is_served() {
+    fn checked_in_document_is_current() {
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/openapi/asyncapi.yaml");
         assert!(
             std::fs::read_to_string(path).unwrap_or_default()

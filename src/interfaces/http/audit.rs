@@ -1,4 +1,4 @@
-//! The audit of requests that are refused before an operation runs: by the guard, for their body, for their path.
+//! Audit of requests that are refused before an operation runs, because of their host, origin, body or path.
 
 use std::sync::Arc;
 
@@ -15,7 +15,7 @@ use crate::interfaces::metrics::NO_ROUTE;
 use crate::operations::audit::RefusedRequest;
 use crate::operations::{find, subject};
 
-/// The middleware. Requests that only read leave no trace.
+/// Middleware that records refused requests. Requests that only read are not recorded.
 pub async fn record(State(context): State<Arc<Context>>, request: Request, next: Next) -> Response {
     if matches!(*request.method(), Verb::GET | Verb::HEAD | Verb::OPTIONS) {
         return next.run(request).await;
@@ -33,13 +33,11 @@ pub async fn record(State(context): State<Arc<Context>>, request: Request, next:
     response
 }
 
-/// The gripper that a path names.
 fn gripper(path: &str) -> Option<Name> {
     let below = path.strip_prefix(API).and_then(|path| path.strip_prefix("/grippers/"));
     below.and_then(|below| below.split('/').next()).and_then(|name| name.parse().ok())
 }
 
-/// The urgency of a request for a route.
 pub fn urgency(verb: &Verb, route: &str) -> Urgency {
     let operation = route.strip_prefix(API).and_then(|path| find(verb, path));
     operation.map_or(Urgency::None, |operation| operation.urgency)

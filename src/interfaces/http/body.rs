@@ -1,5 +1,5 @@
-//! Request bodies: read within bounds before anything else is done, so that even a refused client gets to see its
-//! answer; then parsed as JSON, whatever the Content-Type says.
+//! Request bodies: read within bounds before anything else, so that even a refused client sees its response, then
+//! parsed as JSON whatever the Content-Type.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -12,14 +12,14 @@ use crate::interfaces::admission::{ConnectionPermit, HeldBytes};
 use crate::operations::json::MAX_BODY_BYTES;
 use crate::operations::{Code, Problem};
 
-/// How much of a larger body is read all the same, and thrown away. A client that is still sending when the
-/// connection closes sees a reset, and never the answer that says why.
+/// Bytes of an oversized body that are read and discarded. A client that is still sending when the connection closes
+/// sees a reset instead of the response that says why.
 pub const MAX_DISCARDED_BYTES: usize = 2 * 1024 * 1024;
 
-/// How long a body may take: [`MAX_BODY_BYTES`] at 64 kbit/s, and a little more.
+/// Time in which a body must arrive: [`MAX_BODY_BYTES`] at 64 kbit/s, and a little more.
 pub const BODY_TIME: Duration = Duration::from_secs(10);
 
-/// A body, and the count of its bytes as held for its connection.
+/// A body, and the count of the bytes it holds for its connection.
 pub type Held = (Bytes, Option<HeldBytes>);
 
 /// Reads a body, within the bounds above.
@@ -49,12 +49,12 @@ async fn collect(mut stream: Stream, permit: Option<&Arc<ConnectionPermit>>) -> 
     }
 }
 
-/// The bytes of a body that was read before, or that is read now.
+/// Returns the bytes of a body, which may have been read already.
 pub async fn bytes(stream: Stream) -> Result<Bytes, Problem> {
     read(stream, None).await.map(|(bytes, _)| bytes)
 }
 
-/// Reads what is left of a body, within the bounds above, and throws it away.
+/// Reads and discards the rest of a body, within the bounds above.
 pub async fn drain(mut stream: Stream) {
     let read = async {
         let mut bytes = 0;
@@ -65,6 +65,6 @@ pub async fn drain(mut stream: Stream) {
             }
         }
     };
-    // Out of time or not, the answer is the same.
+    // A timeout does not change the response.
     let _ = timeout(BODY_TIME, read).await;
 }

@@ -7,12 +7,11 @@ use axum::http::Extensions;
 
 use crate::gripper::model::{Client, Door};
 
-/// Returns the client of a request. Before there are credentials, the peer's address identifies it.
+/// Returns the client of a request. Without authentication, the peer's address identifies the client.
 pub fn client(extensions: &Extensions) -> Client {
     client_of(Door::Http, "http", extensions)
 }
 
-/// Returns the client of a WebSocket's handshake.
 pub fn websocket_client(extensions: &Extensions) -> Client {
     client_of(Door::Ws, "ws", extensions)
 }

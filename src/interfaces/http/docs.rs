@@ -1,4 +1,4 @@
-//! The OpenAPI document, and the page that shows it: all of it from this program, for cells without internet.
+//! The OpenAPI document and the page that shows it, all served from this program for sites without internet access.
 
 use std::sync::{Arc, OnceLock};
 
@@ -16,42 +16,42 @@ use super::paths::responses;
 use crate::journal::{EventKind, Order};
 use crate::operations::{Members, Problem};
 
-/// What the document says before its operations.
+/// Head of the OpenAPI document: title, description and tags.
 #[derive(utoipa::OpenApi)]
 #[openapi(
     info(
         title = "WSG Gateway",
         description = "Lets many clients share Weiss/SCHUNK WSG grippers.\n\n\
-            Bodies are read as JSON whatever their Content-Type; nothing at all is `{}`. Units are in the names. \
-            What the device refuses is a problem (RFC 9457) with a stable `code`; what it accepted is a command with \
-            an `outcome`. FAST STOP is not a safety function in the sense of ISO 13850.",
+            Bodies are read as JSON whatever their Content-Type; an empty body means `{}`. Field names include their \
+            units. A refused request returns a problem (RFC 9457) with a stable `code`; a motion that the device \
+            accepts returns a command with an `outcome`. FAST STOP is not a safety function in the sense of ISO 13850.",
         license(name = "MIT", identifier = "MIT"),
         contact(),
     ),
     tags(
-        (name = "grippers", description = "What the gateway knows: costs the device nothing"),
-        (name = "motion", description = "What moves the fingers, and what stops them"),
-        (name = "fast stop", description = "The stop that holds until it is acknowledged by its id"),
-        (name = "commands", description = "What became of a request"),
-        (name = "lease", description = "Who may move a gripper, and what becomes of it when that client is lost"),
+        (name = "grippers", description = "Grippers and their states, served without asking the device"),
+        (name = "motion", description = "Move the fingers, and stop them"),
+        (name = "fast stop", description = "A stop that blocks all motion until it is acknowledged by its id"),
+        (name = "commands", description = "Progress and outcome of commands"),
+        (name = "lease", description = "The right to move a gripper, and the reaction to the loss of its holder"),
         (name = "fleet", description = "All grippers of all gateways on the Zenoh network"),
-        (name = "settings", description = "What the device keeps until it restarts, and its tag"),
-        (name = "device", description = "What else the manual has"),
-        (name = "journal", description = "What happened, and how parts were held"),
-        (name = "gateway", description = "The gateway itself"),
+        (name = "settings", description = "Settings that the device keeps until it restarts, and its permanent tag"),
+        (name = "device", description = "Other device commands: statistics, fingers, tare, Loop, raw requests"),
+        (name = "journal", description = "Events and grip records, stored and live"),
+        (name = "gateway", description = "Health, metrics and API documents of the gateway itself"),
     ),
     components(schemas(Members, EventKind, Order)),
 )]
 struct Document;
 
-/// The document without its operations.
+/// Returns the document without its operations.
 pub fn base() -> OpenApi {
     let mut document = Document::openapi();
     responses::describe(document.components.get_or_insert_default());
     document
 }
 
-/// Says of optional bodies that they may be left out, not that they may be `null`.
+/// Marks optional bodies as omittable instead of nullable.
 pub fn without_null_bodies(document: &mut OpenApi) {
     let bodies = document.paths.paths.values_mut().flat_map(|item| [&mut item.put, &mut item.post, &mut item.delete]);
     for body in bodies.flatten().filter_map(|operation| operation.request_body.as_mut()) {
@@ -65,7 +65,7 @@ pub fn without_null_bodies(document: &mut OpenApi) {
     }
 }
 
-/// The OpenAPI document
+/// Get the OpenAPI document
 #[utoipa::path(
     get, path = "/openapi.json", operation_id = "openapi", tag = "gateway",
     responses((status = 200, description = "This document", body = serde_json::Value), responses::AnyProblem)
@@ -74,9 +74,9 @@ pub async fn openapi(Extension(documents): Extension<Arc<Documents>>) -> impl In
     ([(CONTENT_TYPE, "application/json")], documents.openapi())
 }
 
-/// The AsyncAPI document
+/// Get the AsyncAPI document
 ///
-/// Of the WebSocket.
+/// Describes the WebSocket interface.
 #[utoipa::path(
     get, path = "/asyncapi.yaml", operation_id = "asyncapi", tag = "gateway",
     responses((status = 200, description = "The document", body = serde_json::Value, content_type = "application/yaml"), responses::AnyProblem)
@@ -85,7 +85,7 @@ pub async fn asyncapi(Extension(documents): Extension<Arc<Documents>>) -> impl I
     ([(CONTENT_TYPE, "application/yaml")], documents.asyncapi())
 }
 
-/// The API's documents, made once: all who ask for one share its bytes.
+/// The API's documents, encoded once and shared by all responses.
 pub struct Documents {
     openapi: OpenApi,
     openapi_json: OnceLock<Bytes>,
@@ -93,7 +93,6 @@ pub struct Documents {
 }
 
 impl Documents {
-    /// The documents, of which this is one.
     pub fn new(openapi: OpenApi) -> Self {
         Self { openapi, openapi_json: OnceLock::new(), asyncapi_yaml: OnceLock::new() }
     }
@@ -103,13 +102,12 @@ impl Documents {
         self.openapi_json.get_or_init(json).clone()
     }
 
-    /// The AsyncAPI document as YAML.
     fn asyncapi(&self) -> Bytes {
         self.asyncapi_yaml.get_or_init(|| websocket::yaml(&self.openapi).unwrap_or_default().into()).clone()
     }
 }
 
-/// The page. Its addresses are absolute, since there is no redirect that would add a slash to its own.
+/// The API page. Its links are absolute, since nothing redirects `/docs` to `/docs/`.
 const PAGE: &str = r#"<!doctype html>
 <html lang="en">
 <head>
@@ -136,13 +134,13 @@ const START: &str = r##"window.ui = SwaggerUIBundle({
 });
 "##;
 
-/// Everything from here and nowhere else. The styles are the exception: Swagger UI sets some on its elements.
+/// Policy that allows content from this gateway only. Inline styles are allowed because Swagger UI sets them.
 const POLICY: HeaderValue = HeaderValue::from_static(
     "default-src 'none'; script-src 'self'; style-src 'self' 'unsafe-inline'; img-src 'self' data:; font-src 'self' \
      data:; connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
 );
 
-/// The page and its parts.
+/// Returns the routes of the page and its assets.
 pub fn page<S: Clone + Send + Sync + 'static>() -> Router<S> {
     Router::new()
         .route("/docs", routing::get(async || ([(CONTENT_SECURITY_POLICY, POLICY)], Html(PAGE))))
@@ -152,7 +150,7 @@ pub fn page<S: Clone + Send + Sync + 'static>() -> Router<S> {
 
 async fn part(Path(file): Path<String>, _: Request) -> Response {
     let config = Arc::new(utoipa_swagger_ui::Config::default());
-    // Those that the page needs; the rest of the distribution is of no use here.
+    // Only the files that the page needs, out of the whole distribution.
     let served = matches!(file.as_str(), "swagger-ui.css" | "swagger-ui-bundle.js" | "favicon-32x32.png");
     match served.then(|| utoipa_swagger_ui::serve(&file, config)) {
         Some(Ok(Some(file))) => {
@@ -173,7 +171,7 @@ mod tests {
     use std::fs;
 
     #[test]
-    fn the_checked_in_document_is_what_is_served() {
+    fn checked_in_document_is_current() {
         let path = concat!(env!("CARGO_MANIFEST_DIR"), "/openapi/openapi.json");
         let served = serde_json::to_string_pretty(&crate::interfaces::http::openapi()).unwrap() + "\n";
         assert!(

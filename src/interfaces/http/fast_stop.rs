@@ -1,7 +1,7 @@
 //! FAST STOP over HTTP.
 //!
-//! A FAST STOP is done whatever its body says and however long the body takes: it is only a reason. So the body is read here,
-//! within [`REASON_TIME`], and a client that is gone before has stopped its gripper all the same.
+//! A FAST STOP happens whatever its body says and however long the body takes, since the body is only a reason. So the
+//! body is read here, within [`REASON_TIME`]. A client that disconnects earlier still stops its gripper.
 
 use std::time::Duration;
 
@@ -15,21 +15,18 @@ use super::body;
 use crate::operations::json::MAX_BODY_BYTES;
 use crate::operations::{Code, Problem};
 
-/// Time that a FAST STOP waits for its reason. A client's header and body come in one packet or in two right after each
-/// other, so it is there already; if it isn't, stopping is worth more than knowing why.
+/// Time that a FAST STOP waits for its reason. Header and body usually arrive in one packet or in two directly after
+/// each other. If the body is late, stopping is worth more than knowing why.
 pub(super) const REASON_TIME: Duration = Duration::from_millis(20);
 
-/// Time that the rest of a body is read while the FAST STOP is on its way: no longer than that takes.
+/// Time to read the rest of a body while the FAST STOP is in progress: no longer than the FAST STOP takes.
 const REST_TIME: Duration = crate::gripper::handle::FAST_STOP_WAIT;
 
 /// The end of a FAST STOP's path.
 const FAST_STOP: &str = "/fast-stop";
 
-/// Stops with the body's reason, if there is one by now. The rest of the body is read meanwhile, so that the client sees
-/// its answer. Runs on a task of its own, since a handler ends with its client's connection.
-///
-/// # Errors
-/// A problem where the task panicked.
+/// Stops with the body's reason, if it arrives in time. The rest of the body is read meanwhile, so that the client sees
+/// the response. Runs on its own task, since a handler ends with its client's connection.
 pub async fn with_reason<T, S, F>(mut stream: Body, stop: S) -> Result<T, Problem>
 where
     T: Send + 'static,
@@ -46,15 +43,15 @@ where
     };
     tokio::spawn(stopping.in_current_span())
         .await
-        .map_err(|error| Problem::new(Code::Internal, format!("the FAST STOP was not answered: {error}")))
+        .map_err(|error| Problem::new(Code::Internal, format!("result of the FAST STOP unknown: {error}")))
 }
 
-/// Whether a request is a FAST STOP, by its path.
+/// Whether a request is a FAST STOP, judged by its path.
 pub fn is_fast_stop<B>(request: &axum::http::Request<B>) -> bool {
     request.method() == Method::POST && request.uri().path().trim_end_matches('/').ends_with(FAST_STOP)
 }
 
-/// Whether a request's first bytes may be those of a FAST STOP.
+/// Whether a request that begins with these bytes can be a FAST STOP.
 pub fn may_be_fast_stop(first: &[u8]) -> bool {
     let line = first.split(|byte| *byte == b'\n').next().unwrap_or_default();
     line.windows(FAST_STOP.len()).any(|part| part == FAST_STOP.as_bytes())

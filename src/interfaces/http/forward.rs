@@ -1,5 +1,5 @@
-//! Requests for a gripper of any gateway. What is asked about another gateway's gripper goes to the gateway that owns it,
-//! which decides; its answers and problems come back as they are.
+//! Requests for a gripper of any gateway. A request for another gateway's gripper goes to the gateway that owns it,
+//! which decides. Its responses and problems are returned unchanged.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -30,15 +30,15 @@ use crate::operations::{Code, DEFAULT_WAIT_MS, OPERATIONS, Operation, Problem, w
 pub const PATHS: [&str; 2] =
     ["/fleet/{gateway}/grippers/{gripper}", "/fleet/{gateway}/grippers/{gripper}/{*operation}"];
 
-/// Headers that travel beside the parameters, with their names there.
+/// Headers that are forwarded beside the parameters, and their parameter names.
 const HEADER_PARAMS: [(HeaderName, &str); 2] =
     [(HeaderName::from_static("wsg-lease"), "lease"), (HeaderName::from_static("idempotency-key"), "request_id")];
 
-/// What a path below a gripper of the fleet names.
+/// The parts of a path below a gripper of the fleet.
 struct Target {
     gateway: Name,
     gripper: String,
-    /// What follows the gripper, with the slash before it.
+    /// Rest of the path after the gripper, with its leading slash.
     operation: String,
 }
 
@@ -62,7 +62,7 @@ impl Target {
     }
 }
 
-/// Serves any operation on a gripper of any gateway.
+/// Performs any operation on a gripper of any gateway.
 pub async fn forward(
     Shared(context): Shared<Arc<Context>>,
     parameters: RawPathParams,
@@ -108,12 +108,11 @@ pub async fn forward(
     }
 }
 
-/// Returns the parameters of a path and of a body.
 async fn fields(stream: Stream, path: BTreeMap<&'static str, String>) -> Result<Map<String, Value>, Problem> {
     let mut fields: Map<String, Value> = parse(&body::bytes(stream).await?)?;
-    // As below a gripper of one's own, where the path alone says which it is.
+    // Like the gateway's own paths: path parameters must not appear in the body.
     if let Some(field) = fields.keys().find(|key| path.contains_key(key.as_str()) || *key == "gripper") {
-        return Err(Problem::malformed(field, format!("unknown field `{field}`: the path says which")));
+        return Err(Problem::malformed(field, format!("unknown field `{field}`: the path already names it")));
     }
     fields.extend(path.into_iter().map(|(key, value)| (key.to_owned(), value.into())));
     Ok(fields)
@@ -126,7 +125,6 @@ fn aside(parts: &Parts) -> Vec<(&'static str, String)> {
     HEADER_PARAMS.into_iter().filter_map(given).collect()
 }
 
-/// The urgency of a request for an operation on a gripper of any gateway.
 pub fn forwarded_urgency(verb: &Verb, path: &str) -> Urgency {
     let below = path.strip_prefix(API).and_then(|path| path.strip_prefix("/fleet/"));
     let operation = below.and_then(|below| below.splitn(4, '/').nth(3)).map(|operation| format!("/{operation}"));
@@ -139,7 +137,7 @@ pub fn forwarded_urgency(verb: &Verb, path: &str) -> Urgency {
 /// An operation, and the parameters in its path.
 type Found = (&'static Operation, BTreeMap<&'static str, String>);
 
-/// Finds the operation of a path below a gripper; none where the path exists and does not take the method.
+/// Finds the operation of a path below a gripper. Returns `None` if the path exists but does not take the method.
 fn operation(parts: &Parts, path: &str) -> Result<Option<Found>, Problem> {
     let mut of_path =
         OPERATIONS.iter().filter_map(|operation| Some((operation, parameters_of(operation, path)?))).peekable();
@@ -151,7 +149,7 @@ fn operation(parts: &Parts, path: &str) -> Result<Option<Found>, Problem> {
 fn not_allowed(parts: &Parts, path: &str) -> Response {
     let of_path = OPERATIONS.iter().filter(|operation| parameters_of(operation, path).is_some());
     let allowed: Vec<_> = of_path.map(|operation| operation.verb.as_str()).collect();
-    let detail = format!("{} is not among the methods of this path, which Allow lists", parts.method);
+    let detail = format!("method {} is not allowed here; see the Allow header", parts.method);
     ([(header::ALLOW, allowed.join(","))], Problem::new(Code::MethodNotAllowed, detail)).into_response()
 }
 
@@ -171,7 +169,7 @@ fn parameters_of(operation: &Operation, path: &str) -> Option<BTreeMap<&'static 
     Some(parameters)
 }
 
-/// How long the operation may take; none where it takes no time of its own.
+/// Returns the time that the operation may wait; `None` if it does not wait.
 fn wait(parts: &Parts, operation: &Operation) -> Result<Option<Duration>, Problem> {
     if !operation.waits {
         return Ok(None);
@@ -180,7 +178,7 @@ fn wait(parts: &Parts, operation: &Operation) -> Result<Option<Duration>, Proble
     Ok(given.or(operation.starts_command.then_some(DEFAULT_WAIT_MS)).map(Duration::from_millis))
 }
 
-/// As over there: 202 and where to ask where a command runs.
+/// Builds the response that the owner would send: 202 with a Location while a command is running.
 fn answered(gateway: &Name, answer: &RawValue) -> Response {
     let command: Value = serde_json::from_str(answer.get()).unwrap_or_default();
     let json = [(header::CONTENT_TYPE, "application/json".to_owned())];
@@ -201,18 +199,18 @@ fn refused(status: u16, problem: &RawValue) -> Response {
 
 fn no_answer(gateway: &Name, why: NoAnswer) -> Problem {
     match why {
-        NoAnswer::Unknown => Problem::not_found(format!("gateway {gateway} on the Zenoh network: /fleet has them all")),
+        NoAnswer::Unknown => Problem::not_found(format!("gateway {gateway} on the Zenoh network: /fleet lists all")),
         NoAnswer::Gone => {
-            Problem::new(Code::GatewayGone, format!("{gateway} is gone from the Zenoh network: nothing was sent"))
+            let detail = format!("gateway {gateway} is gone from the Zenoh network: nothing was sent to it");
+            Problem::new(Code::GatewayGone, detail)
         }
-        NoAnswer::TooMany => Problem::new(
-            Code::Overloaded,
-            "too many requests to other gateways are under way: await their answers first",
-        ),
+        NoAnswer::TooMany => {
+            Problem::new(Code::Overloaded, "too many requests to other gateways are in progress: try again later")
+        }
         NoAnswer::None => {
             let detail = format!(
-                "{gateway} has not answered: whether it has done it is unknown. Look at the gripper's state; the same \
-                 request_id asks again, and moves nothing twice"
+                "gateway {gateway} did not answer: the outcome is unknown. Check the gripper's state, or repeat the \
+                 request with the same request_id, which moves nothing twice"
             );
             Problem::new(Code::GatewayTimeout, detail)
         }

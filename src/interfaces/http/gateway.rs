@@ -1,4 +1,4 @@
-//! The gateway itself: whether it answers, whether it is ready, and its figures.
+//! The gateway's health, readiness and metrics.
 
 use std::sync::Arc;
 
@@ -16,7 +16,7 @@ use crate::gripper::model::Link;
 use crate::gripper::{Handle, Recorder as _};
 use crate::operations::{Code, Problem};
 
-/// A gateway that answers.
+/// Liveness of the gateway.
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(example = json!({"gateway": "wsg", "status": "ok"}))]
 pub struct Health {
@@ -27,50 +27,53 @@ pub struct Health {
     status: &'static str,
 }
 
-/// Whether the gateway answers
+/// Check liveness
 ///
-/// Says nothing about its grippers.
+/// Succeeds whenever the gateway answers, whatever the state of its grippers.
 #[utoipa::path(
     get, path = "/healthz", operation_id = "healthz", tag = "gateway",
-    responses((status = 200, description = "It does", body = Health), AnyProblem)
+    responses((status = 200, description = "The gateway answers", body = Health), AnyProblem)
 )]
 pub async fn health(Shared(context): Shared<Arc<Context>>) -> Json<Health> {
     Json(Health { gateway: context.gateway.name.to_string(), status: "ok" })
 }
 
-/// Whether the gateway can do what it is for.
+/// Readiness of the gateway.
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(example = json!({
-    "gateway": "wsg", "ready": false, "journal_cause": null, "journal_damage": null, "zenoh_cause": null, "not_ready": ["left: reconnecting: connection refused"]
+    "gateway": "wsg", "ready": false, "journal_cause": null, "journal_damage": null, "zenoh_cause": null,
+    "not_ready": ["left: reconnecting: connection refused"]
 }))]
 pub struct Readiness {
     /// The gateway's name.
     #[schema(max_length = 32)]
     gateway: String,
-    /// Whether every gripper is connected, the journal takes records and is undamaged, and the gateway is on Zenoh as it is to be.
+    /// Whether every gripper is connected, the journal is writable and undamaged, and Zenoh is connected as configured.
     ready: bool,
-    /// Why the journal takes no records; null while it does.
+    /// Why the journal can't be written; null while it can.
     #[schema(required)]
     journal_cause: Option<String>,
-    /// Damage of earlier records in the journal, and the remedy; null where none was found. New records are still written, and motions go on.
+    /// Damage to earlier records of the journal, and the remedy; null if none was found. New records are still written,
+    /// and motions continue.
     #[schema(required)]
     journal_damage: Option<String>,
-    /// Why the gateway is not on Zenoh wherever it is to be, or refuses motions there; null while all is well, and where
-    /// Zenoh is off.
+    /// Why Zenoh is not connected as configured, or why motions over Zenoh are refused; null if all is well or Zenoh is
+    /// off.
     #[schema(required)]
     zenoh_cause: Option<String>,
-    /// The grippers that aren't connected: name, link and cause.
+    /// Grippers that are not connected: name, link state and cause.
     not_ready: Vec<String>,
 }
 
-/// Whether the gateway is ready
+/// Check readiness
 ///
-/// It is when every gripper's link is connected, the journal takes records and is undamaged, and Zenoh listens wherever it is to and is connected where it is to be. A FAST STOP that holds doesn't count.
+/// The gateway is ready when every gripper's link is connected, the journal is writable and undamaged, and Zenoh
+/// listens and is connected at all configured endpoints. A latched FAST STOP does not affect readiness.
 #[utoipa::path(
     get, path = "/readyz", operation_id = "readyz", tag = "gateway",
     responses(
-        (status = 200, description = "It is", body = Readiness),
-        (status = 503, description = "It is not", body = Readiness),
+        (status = 200, description = "The gateway is ready", body = Readiness),
+        (status = 503, description = "The gateway is not ready", body = Readiness),
         AnyProblem,
     )
 )]
@@ -92,15 +95,15 @@ fn why_not_ready(handle: &Handle) -> Option<String> {
     (state.link != Link::Connected).then(|| format!("{}: {}{cause}", state.gripper, state.link))
 }
 
-/// The gateway's figures
+/// Get metrics
 ///
-/// In Prometheus' text format.
+/// Returns all metrics in the Prometheus text format.
 #[utoipa::path(
     get, path = "/metrics", operation_id = "metrics", tag = "gateway",
-    responses((status = 200, description = "The figures", body = String, content_type = "text/plain"), AnyProblem)
+    responses((status = 200, description = "The metrics", body = String, content_type = "text/plain"), AnyProblem)
 )]
 pub async fn metrics(Shared(context): Shared<Arc<Context>>) -> Result<Response, Problem> {
     let text = TextEncoder::new().encode_to_string(&context.registry.gather());
-    let text = text.map_err(|error| Problem::new(Code::Internal, format!("the figures can't be told: {error}")))?;
+    let text = text.map_err(|error| Problem::new(Code::Internal, format!("metrics could not be encoded: {error}")))?;
     Ok(([(header::CONTENT_TYPE, TEXT_FORMAT)], text).into_response())
 }

@@ -1,5 +1,5 @@
-//! Who may ask at all, while there are no credentials: no web page of another origin, and no name that somebody else's
-//! DNS points here. And what every answer carries, so that a browser does nothing with it that it shouldn't.
+//! Checks of Host and Origin, which protect a gateway without authentication: web pages of other origins and
+//! foreign DNS names that point here are refused. Also adds the security headers of every response.
 
 use std::net::{Ipv4Addr, Ipv6Addr};
 use std::sync::Arc;
@@ -17,8 +17,8 @@ use super::body;
 use super::context::Context;
 use crate::operations::{Code, Problem};
 
-/// The middleware that refuses foreign hosts and origins, whatever the method: any Content-Type is read as JSON, so a
-/// plain form of another page could move a gripper.
+/// Middleware that refuses foreign hosts and origins, whatever the method. Any Content-Type is read as JSON, so without
+/// this check a plain form on another site could move a gripper.
 pub async fn refuse_foreigners(State(context): State<Arc<Context>>, request: Request, next: Next) -> Response {
     match check(&request, &context.allowed_hosts) {
         Ok(()) => next.run(request).await,
@@ -33,7 +33,7 @@ fn check(request: &Request, allowed: &[String]) -> Result<(), Problem> {
     let host = authority(request)?;
     match &host {
         Some(host) if !is_ours(host, allowed) => {
-            let detail = "the Host header must be an address, localhost, or a name that the gateway is configured for";
+            let detail = "the Host header must be an IP address, localhost or a configured host name";
             return Err(Problem::new(Code::ForeignHost, detail));
         }
         _ => {}
@@ -41,14 +41,14 @@ fn check(request: &Request, allowed: &[String]) -> Result<(), Problem> {
     for origin in request.headers().get_all(ORIGIN) {
         let same = origin.to_str().ok().zip(host.as_deref()).is_some_and(|(origin, host)| is_same(origin, host));
         if !same {
-            let detail = "the request comes from a web page of another origin, which may not use this gateway";
+            let detail = "the Origin header is foreign: web pages of other origins can't use this gateway";
             return Err(Problem::new(Code::ForeignOrigin, detail));
         }
     }
     Ok(())
 }
 
-/// The authority that the request names, in lower case; none in HTTP/1.0 alone.
+/// Returns the request's authority in lower case. Only HTTP/1.0 may omit it.
 fn authority(request: &Request) -> Result<Option<String>, Problem> {
     let malformed = |detail: &str| Problem::malformed("Host", detail);
     let lower = |value: &HeaderValue| value.to_str().map(str::to_ascii_lowercase);
@@ -59,11 +59,11 @@ fn authority(request: &Request) -> Result<Option<String>, Problem> {
         [host] => Some(lower(host).map_err(|_| malformed("the Host header is not valid text"))?),
         _ => return Err(malformed("there is more than one Host header")),
     };
-    // In the absolute form the request's target counts, and the header must not be something else (RFC 9112, 3.2.2).
+    // In the absolute form the request's target counts, and the Host header must not differ from it (RFC 9112, 3.2.2).
     let target = request.uri().authority().map(|authority| authority.as_str().to_ascii_lowercase());
     match (header, target) {
-        (Some(header), Some(target)) if header != target => Err(malformed("the Host header is not the target's")),
-        (None, None) if request.version() > Version::HTTP_10 => Err(malformed("there is no Host header")),
+        (Some(header), Some(target)) if header != target => Err(malformed("the Host header differs from the target")),
+        (None, None) if request.version() > Version::HTTP_10 => Err(malformed("the Host header is missing")),
         (header, target) => Ok(header.or(target)),
     }
 }
@@ -99,10 +99,10 @@ fn is_same(origin: &str, host: &str) -> bool {
     without_scheme == Some(host)
 }
 
-/// What every answer may do in a browser that has no policy of its own: nothing.
+/// Policy of responses without their own policy: a browser must not load or run anything.
 const NO_CONTENT: HeaderValue = HeaderValue::from_static("default-src 'none'; frame-ancestors 'none'");
 
-/// Adds the headers that keep browsers from guessing, keeping and embedding.
+/// Adds the headers that keep browsers from sniffing, caching and embedding responses.
 pub async fn harden(mut response: Response) -> Response {
     let headers = response.headers_mut();
     headers.insert(X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn addresses_localhost_configured_names_and_nothing_are_hosts() {
+    fn addresses_localhost_and_configured_names_are_accepted() {
         for host in ["", "127.0.0.1", "10.0.0.7:8080", "[::1]", "[fe80::1]:80", "localhost", "LocalHost:8080"] {
             assert_eq!(answer(Version::HTTP_11, &[(HOST, host)]), None, "{host}");
         }
@@ -147,14 +147,14 @@ mod tests {
     }
 
     #[test]
-    fn only_http_1_0_may_leave_the_host_out() {
+    fn host_is_optional_in_http_1_0_only() {
         assert_eq!(answer(Version::HTTP_10, &[]), None);
         assert_eq!(answer(Version::HTTP_11, &[]), Some(400));
         assert_eq!(answer(Version::HTTP_11, &[(HOST, "localhost"), (HOST, "localhost")]), Some(400));
     }
 
     #[test]
-    fn a_page_of_another_origin_is_refused() {
+    fn foreign_origin_is_refused() {
         let from = |origin| answer(Version::HTTP_11, &[(HOST, "localhost:8080"), (ORIGIN, origin)]);
         assert_eq!(from("http://localhost:8080"), None);
         assert_eq!(from("https://localhost:8080"), None);
@@ -165,7 +165,7 @@ mod tests {
     }
 
     #[test]
-    fn an_absolute_target_counts_as_the_host() {
+    fn absolute_target_is_the_host() {
         let request = |uri: &str, host: &str| {
             let request = http::Request::get(uri).header(HOST, host).body(Body::empty()).unwrap();
             check(&request, &[]).err().map(|problem| problem.status().as_u16())

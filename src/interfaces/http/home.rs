@@ -5,12 +5,12 @@ use std::sync::Arc;
 use tokio::runtime::Handle;
 use tokio::sync::watch;
 
-/// Asks for a connection's move to another runtime. Handlers find it in a request's extensions.
+/// Moves a connection to another runtime. Handlers find it in a request's extensions.
 #[derive(Debug, Clone)]
 pub struct Home(Arc<watch::Sender<Handle>>);
 
 impl Home {
-    /// Returns what moves a connection that watches this channel.
+    /// Returns the mover of a connection that watches this channel.
     pub fn new(moves: watch::Sender<Handle>) -> Self {
         Self(Arc::new(moves))
     }

@@ -1,4 +1,4 @@
-//! What happened: events, grip records and their curves, as JSON or CSV.
+//! The journal over HTTP: events, grip records and their curves, as JSON or CSV.
 
 use std::sync::Arc;
 
@@ -22,36 +22,36 @@ use crate::journal::{Cursor, EventKind, Filter, Limit, Page, Query};
 use crate::operations::values::{integer, text};
 use crate::operations::{Code, Problem};
 
-/// The kinds of events, as a mistake names them.
+/// Kinds of events, as listed in problems.
 const EVENT_KINDS: &str = "command, fast_stop, acknowledge, lease, link, device, settings, refused, gateway";
 const GRIP_KINDS: &str = "home, move, grip, release";
 const OUTCOMES: &str = "SUCCESS, PART_HELD, NO_PART, BLOCKED, ABORTED, RANGE, TIMEOUT, FAILED, REFUSED, UNKNOWN";
-/// A sequence number of a journal that outlives the gateway's hardware.
+/// Digits of the largest accepted cursor, beyond the events that any journal will have.
 const MAX_CURSOR_DIGITS: usize = 18;
 const CSV: &str = "text/csv; charset=utf-8";
 
 #[derive(IntoParams)]
 #[into_params(parameter_in = Query)]
-#[allow(dead_code, reason = "the document's words on what query takes from the address")]
+#[allow(dead_code, reason = "only describes the parameters that `query` reads")]
 pub struct RecordsQuery {
-    /// Only of this gripper.
+    /// Only records of this gripper.
     #[param(max_length = 32, pattern = "^[a-z0-9][a-z0-9_-]{0,31}$", example = "left")]
     gripper: Option<String>,
-    /// Only of this part, whose name has at most 48 bytes.
+    /// Only records of this part. At most 48 bytes.
     #[param(max_length = 48, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$", example = "4711")]
     part_id: Option<String>,
-    /// Only commands that ended like this.
+    /// Only commands that ended with this outcome.
     outcome: Option<crate::gripper::model::Outcome>,
-    /// Not before this time.
+    /// Only records from this time on.
     #[param(value_type = Option<String>, format = DateTime, example = "2026-11-21T09:00:00Z")]
     from: Option<String>,
-    /// Before this time.
+    /// Only records before this time.
     #[param(value_type = Option<String>, format = DateTime, example = "2026-11-22T09:00:00Z")]
     to: Option<String>,
-    /// How many at most. 100 by default.
+    /// Maximum number of records a page. 100 by default.
     #[param(minimum = 1, maximum = 1000, default = 100)]
     limit: Option<u64>,
-    /// `next_cursor` of the page before.
+    /// `next_cursor` of the previous page.
     #[param(pattern = "^[0-9]{1,18}$")]
     cursor: Option<String>,
     /// `newest` (default) or `oldest` first.
@@ -60,28 +60,28 @@ pub struct RecordsQuery {
 
 #[derive(IntoParams)]
 #[into_params(parameter_in = Query)]
-#[allow(dead_code, reason = "the document's words on what query takes from the address")]
+#[allow(dead_code, reason = "only describes the parameters that `query` reads")]
 pub struct EventsQuery {
-    /// Only of this kind.
+    /// Only events of this kind.
     kind: Option<EventKind>,
-    /// Only of this command.
+    /// Only events of this command.
     command_id: Option<uuid::Uuid>,
 }
 
 #[derive(IntoParams)]
 #[into_params(parameter_in = Query)]
-#[allow(dead_code, reason = "the document's words on what query takes from the address")]
+#[allow(dead_code, reason = "only describes the parameters that `query` reads")]
 pub struct GripsQuery {
-    /// Only of this kind: `home`, `move`, `grip` or `release`.
+    /// Only records of this kind: `home`, `move`, `grip` or `release`.
     kind: Option<crate::gripper::model::Kind>,
 }
 
-/// An event: its kind's fields stand beside the common ones.
+/// An event, with the common fields and those of its kind.
 #[derive(Serialize, ToSchema)]
 #[schema(as = StoredEvent)]
-#[allow(dead_code, reason = "the document's words on what the journal has as JSON already")]
+#[allow(dead_code, reason = "only describes the JSON that the journal stores")]
 pub struct EventBody {
-    /// Its place in the order of all events.
+    /// Sequence number of the event.
     #[schema(minimum = 1)]
     seq: i64,
     #[serde(flatten)]
@@ -91,14 +91,14 @@ pub struct EventBody {
 /// A motion's measurements, without the curve.
 #[derive(Serialize, ToSchema)]
 #[schema(as = StoredGripRecord)]
-#[allow(dead_code, reason = "the document's words on what the journal has as JSON already")]
+#[allow(dead_code, reason = "only describes the JSON that the journal stores")]
 pub struct GripBody {
-    /// Its place in the order of all grip records.
+    /// Sequence number of the grip record.
     #[schema(minimum = 1)]
     seq: i64,
     #[serde(flatten)]
     record: GripRecord,
-    /// When the part was lost that this grip held; null where it was not.
+    /// Time at which the gripped part was lost; null if it was not lost.
     #[schema(value_type = Option<String>, required, format = DateTime)]
     part_lost_at: Option<String>,
 }
@@ -108,7 +108,7 @@ pub struct GripBody {
 pub struct Events<'a> {
     #[schema(value_type = Vec<EventBody>)]
     events: Vec<&'a RawValue>,
-    /// For the page behind this one; null where this is the last.
+    /// Cursor of the next page; null on the last page.
     #[schema(required)]
     next_cursor: Option<&'a str>,
 }
@@ -118,7 +118,7 @@ pub struct Events<'a> {
 pub struct Grips<'a> {
     #[schema(value_type = Vec<GripBody>)]
     grips: Vec<&'a RawValue>,
-    /// For the page behind this one; null where this is the last.
+    /// Cursor of the next page; null on the last page.
     #[schema(required)]
     next_cursor: Option<&'a str>,
 }
@@ -131,7 +131,7 @@ pub struct Curve {
     /// The command's id.
     #[schema(value_type = uuid::Uuid)]
     id: CommandId,
-    /// Since the first sample, in ms.
+    /// Time since the first sample, in ms.
     t_ms: Vec<u32>,
     /// The opening width in mm.
     width_mm: Vec<f32>,
@@ -141,16 +141,16 @@ pub struct Curve {
     force_n: Vec<f32>,
 }
 
-/// In which forms pages are told; JSON where a client has no preference.
+/// Media types of pages; JSON if a client has no preference.
 const OFFERED: [MediaType<'static>; 2] =
     [MediaType::new(names::APPLICATION, names::JSON), MediaType::new(names::TEXT, names::CSV)];
 
-/// What a request's address asks for.
+/// Parses a request's query.
 fn query<K: serde::de::DeserializeOwned>(uri: &Uri, kinds: &str, more: &[&str]) -> Result<Query<K>, Problem> {
     let known = ["gripper", "kind", "part_id", "outcome", "from", "to", "limit", "cursor", "order"];
     let given = Parameters::of(uri)?.only(&[&known, more].concat())?;
     let limit = match given.parsed("limit", "a whole number", |text| text.parse::<f64>().ok())? {
-        // In range, which is all that a limit asks for.
+        // `integer` has checked the range, so `Limit::new` succeeds.
         Some(number) => Limit::new(integer("limit", number, 1..=1000)?).unwrap_or_default(),
         None => Limit::default(),
     };
@@ -166,7 +166,7 @@ fn query<K: serde::de::DeserializeOwned>(uri: &Uri, kinds: &str, more: &[&str]) 
         from: given.time("from")?,
         to: given.time("to")?,
         limit,
-        cursor: given.parsed("cursor", "next_cursor of the page before", cursor)?,
+        cursor: given.parsed("cursor", "next_cursor of the previous page", cursor)?,
         order: given.word("order", "newest, oldest")?.unwrap_or_default(),
     })
 }
@@ -176,7 +176,7 @@ fn cursor(text: &str) -> Option<Cursor> {
     is_ours.then(|| text.parse().ok()).flatten()
 }
 
-/// Whether a client prefers CSV to JSON (RFC 9110 12.5.1). An Accept that can't be read is none.
+/// Whether a client prefers CSV to JSON (RFC 9110 12.5.1). An invalid Accept header is ignored.
 fn wants_csv(headers: &HeaderMap) -> bool {
     let values = headers.get_all(header::ACCEPT).iter().filter_map(|value| value.to_str().ok());
     let accepted = values.collect::<Vec<_>>().join(",").parse::<Accept>();
@@ -188,7 +188,7 @@ fn raw(page: &Page) -> Result<Vec<&RawValue>, Problem> {
     page.bodies.iter().map(|body| serde_json::from_str(body).map_err(damaged)).collect()
 }
 
-/// A page as a table, with where the next one begins.
+/// Returns a page as CSV, with the next cursor as a header.
 fn table(columns: &[&str], page: &Page) -> Response {
     let rows = csv::header(columns) + &csv::lines(columns, page.bodies.iter().map(|body| &**body));
     let mut response = ([(header::CONTENT_TYPE, CSV)], rows).into_response();
@@ -198,10 +198,11 @@ fn table(columns: &[&str], page: &Page) -> Response {
     response
 }
 
-/// Events
+/// List events
 ///
-/// What happened, page by page. With `Accept: text/csv` as a table, whose next page the header `Next-Cursor` names. A text
-/// in it that a spreadsheet would run as a formula (it begins with `=`, `+`, `-`, `@`, a tab or a line break) is prefixed with a single quote.
+/// Returns one page of events. With `Accept: text/csv` the page is a table, and the header `Next-Cursor` has the cursor
+/// of the next page. In a table, text that a spreadsheet would run as a formula (it begins with `=`, `+`, `-`, `@`, a
+/// tab or a line break) is prefixed with a single quote.
 #[utoipa::path(
     get, path = "/events", operation_id = "list_events", tag = "journal",
     params(RecordsQuery, EventsQuery),
@@ -216,11 +217,12 @@ pub async fn events(Shared(context): Shared<Arc<Context>>, headers: HeaderMap, u
     Ok(Json(Events { events: raw(&page)?, next_cursor }).into_response())
 }
 
-/// Grip records
+/// List grip records
 ///
-/// Every homing, move, grip and release, with what was measured. With `Accept: text/csv` as a table, whose next page
-/// the header `Next-Cursor` names. A text in it that a spreadsheet would run as a formula (it begins with `=`, `+`, `-`, `@`,
-/// a tab or a line break) is prefixed with a single quote.
+/// Returns one page of grip records: every homing, move, grip and release, with its measurements. With `Accept:
+/// text/csv` the page is a table, and the header `Next-Cursor` has the cursor of the next page. In a table, text that a
+/// spreadsheet would run as a formula (it begins with `=`, `+`, `-`, `@`, a tab or a line break) is prefixed with a
+/// single quote.
 #[utoipa::path(
     get, path = "/grips", operation_id = "list_grips", tag = "journal",
     params(RecordsQuery, GripsQuery),
@@ -240,10 +242,10 @@ fn command_id(text: &str) -> Result<CommandId, Problem> {
 }
 
 fn no_such_grip() -> Problem {
-    Problem::not_found("grip record of this id: a command's record comes when it has ended, a grip's a second later")
+    Problem::not_found("grip record with this id: a record appears when its command has ended, a grip's a second later")
 }
 
-/// A grip record
+/// Get a grip record
 #[utoipa::path(
     get, path = "/grips/{command}", operation_id = "get_grip", tag = "journal",
     params(CommandPath),
@@ -254,10 +256,10 @@ pub async fn grip(Shared(context): Shared<Arc<Context>>, Path(id): Path<String>)
     Ok(([(header::CONTENT_TYPE, "application/json")], body.to_string()).into_response())
 }
 
-/// A grip's curve
+/// Get a grip's curve
 ///
-/// Width, speed and force from the motion's start to its end, and a second after a grip. With `Accept: text/csv` as a
-/// table.
+/// Returns width, speed and force from the motion's start to its end, and for one more second after a grip. With
+/// `Accept: text/csv` the curve is a table.
 #[utoipa::path(
     get, path = "/grips/{command}/curve", operation_id = "get_curve", tag = "journal",
     params(CommandPath),

@@ -1,5 +1,5 @@
-//! Large answers: pages of the journal, which are made for one client. Their bytes count as held for its connection until
-//! the client has taken them, so that clients that ask for many and read none are disconnected.
+//! Large responses: pages of the journal, each made for one client. Their bytes count as held for its connection until
+//! the client has received them, so that clients that request many pages and read none are disconnected.
 
 use std::convert::Infallible;
 use std::sync::Arc;
@@ -18,23 +18,23 @@ use tokio::time::timeout;
 use crate::interfaces::admission::ConnectionPermit;
 use crate::operations::{Code, Problem};
 
-/// Answers from this size on are counted. Smaller ones fit the buffers that every connection has.
+/// Size from which a response is counted. Smaller ones fit the buffers that every connection has.
 const COUNTED_FROM: u64 = 16 * 1024;
 
-/// Bytes of an answer that are handed over at once.
+/// Bytes of a response that are passed to the connection at once.
 const PART_BYTES: usize = 16 * 1024;
 
-/// Reads of the journal that may be under way: each holds up to a thousand records, which are counted only once the answer
-/// is made.
+/// Maximum number of concurrent journal reads. Each holds up to a thousand records, which are counted only once the
+/// response is complete.
 pub const MAX_READS: usize = 8;
 
-/// Time that a read waits for its place.
+/// Time that a read waits for a free slot.
 const PLACE_TIME: Duration = Duration::from_secs(2);
 
-/// The middleware, with the places for reads.
+/// Middleware that bounds concurrent reads and counts the bytes of their responses.
 pub async fn count(State(places): State<Arc<Semaphore>>, request: Request, next: Next) -> Response {
     let Ok(Ok(_place)) = timeout(PLACE_TIME, places.acquire()).await else {
-        let detail = format!("{MAX_READS} requests read the journal already: try again when some have been answered");
+        let detail = format!("too many journal reads ({MAX_READS} in progress): try again later");
         return Problem::new(Code::Overloaded, detail).into_response();
     };
     let permit: Option<Arc<ConnectionPermit>> = request.extensions().get().cloned();

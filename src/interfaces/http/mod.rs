@@ -1,8 +1,8 @@
 //! HTTP: REST under `/api/v1`, its OpenAPI document, and the page that shows it.
 //!
-//! `server` accepts connections, `router` has the paths, `paths` documents those of operations, and `operation` translates.
-//! `journal`, `stream`, `gateway` and `docs` are HTTP's own; `upgrade` begins a WebSocket, and `forward` passes requests on
-//! to the gateway that owns a gripper.
+//! `server` accepts connections, `router` has the paths, `paths` documents those of operations, and `operation`
+//! translates. `journal`, `stream`, `gateway` and `docs` are HTTP's own; `upgrade` begins a WebSocket, and `forward`
+//! passes requests on to the gateway that owns a gripper.
 
 mod access_log;
 mod asyncapi;
@@ -34,14 +34,10 @@ pub use router::openapi;
 pub use server::{Limits, listen, serve};
 
 /// The AsyncAPI document as YAML.
-///
-/// # Errors
-/// Where it can't be written as YAML.
 pub fn asyncapi() -> Result<String, serde_saphyr::ser::Error> {
     asyncapi::yaml(&openapi())
 }
 
-/// The AsyncAPI document.
 #[must_use]
 pub fn asyncapi_document() -> serde_json::Value {
     asyncapi::document(&openapi())

@@ -1,4 +1,4 @@
-//! Translation between HTTP and operations: path, query, headers and body to parameters, and the reply to a response.
+//! Translation between HTTP and operations: path, query, headers and body to parameters, and replies to responses.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -22,7 +22,6 @@ use crate::operations::{
     Caller, Effect, Fields, MAX_LEASE_BYTES, Operation, Params, Presence, Problem, Reply, Wait, run,
 };
 
-/// Serves a request for an operation.
 pub async fn serve(
     context: &Arc<Context>,
     operation: &'static Operation,
@@ -33,7 +32,7 @@ pub async fn serve(
     serve_below(context, operation, path, &parts, stream).await
 }
 
-/// Serves a request for an operation whose path was taken apart.
+/// Performs an operation whose path has already been parsed.
 pub async fn serve_below(
     context: &Arc<Context>,
     operation: &'static Operation,
@@ -47,7 +46,7 @@ pub async fn serve_below(
     let reply = if operation.urgency == Urgency::FastStop {
         with_reason(stream, run).await??
     } else if *operation.verb == Method::GET {
-        // The body of a GET says nothing (RFC 9110, 9.3.1).
+        // The body of a GET has no meaning (RFC 9110, 9.3.1).
         run(Bytes::new()).await?
     } else {
         run(body::bytes(stream).await?).await?
@@ -55,7 +54,7 @@ pub async fn serve_below(
     Ok(response(reply))
 }
 
-/// Returns the parameters that the path names. A path that is not even text names nothing.
+/// Returns the path's parameters. A path that is not valid text is not found.
 async fn path(parts: &mut Parts, operation: &Operation) -> Result<BTreeMap<&'static str, String>, Problem> {
     let unknown = || Problem::not_found("such path");
     let given: RawPathParams = parts.extract().await.map_err(|_| unknown())?;
@@ -66,7 +65,6 @@ async fn path(parts: &mut Parts, operation: &Operation) -> Result<BTreeMap<&'sta
     operation.path_parameters().map(part).collect()
 }
 
-/// Returns the caller of a request.
 fn caller(parts: &Parts, operation: &Operation) -> Result<Caller, Problem> {
     let wait = if operation.waits {
         let given = Query::of(&parts.uri)?.one("wait_ms")?.map(ToOwned::to_owned);
@@ -95,7 +93,7 @@ fn key<const MAX: usize>(headers: &HeaderMap, name: &'static str) -> Result<Opti
     text(name, given).map(Some)
 }
 
-/// Returns 200 with the result, or 202 and where to ask for a command that still runs.
+/// Returns 200 with the result, or 202 with the Location of a command that is still running.
 fn response(Reply { body, effect }: Reply) -> Response {
     let json = [(header::CONTENT_TYPE, "application/json")];
     let body = String::from(Box::<str>::from(body));

@@ -6,21 +6,18 @@ use axum::response::{IntoResponse, Response};
 
 use crate::operations::{Code, Problem};
 
-/// Content-Type of a problem.
 pub const PROBLEM_JSON: &str = "application/problem+json";
 
-/// When to try again what was too much. The actor works a full queue off within milliseconds, and this is the shortest
-/// time that the header can say.
+/// Retry-After of an overload. The actor empties a full queue within milliseconds; this is the header's shortest time.
 const RETRY_AFTER_S: HeaderValue = HeaderValue::from_static("1");
 
-/// A mark at the response to a refused request, for the access log and the audit.
+/// Mark on the response to a refused request, for the access log and the audit.
 #[derive(Debug, Clone)]
 pub struct RefusedMark {
-    /// The problem's code.
     pub code: String,
-    /// The problem's text for people.
+    /// The problem's detail.
     pub cause: String,
-    /// Whether the journal has a record of it.
+    /// Whether the journal already has a record of the refusal.
     pub is_recorded: bool,
 }
 
@@ -44,7 +41,7 @@ mod tests {
     use crate::gripper::Failure;
 
     #[test]
-    fn problem_is_marked_in_its_headers() {
+    fn problem_sets_headers() {
         let response = Problem::from(Failure::Overloaded { limit: 64 }).into_response();
         assert_eq!(response.headers()[header::CONTENT_TYPE], PROBLEM_JSON);
         assert_eq!(response.headers()[header::RETRY_AFTER], "1");

@@ -1,4 +1,4 @@
-//! A request's query: each parameter known, given once, and of its form, or named in the problem.
+//! Query parameters of a request. Unknown, repeated and invalid parameters are named in the problem.
 
 use axum::extract::Query as Pairs;
 use axum::http::Uri;
@@ -8,31 +8,29 @@ use serde_json::Value;
 
 use crate::operations::Problem;
 
-/// The parameters of one request.
 #[derive(Debug)]
 pub struct Query(Vec<(String, String)>);
 
 impl Query {
-    /// Of this address. Which there are is for [`Query::only`] to say.
+    /// Parses the query of a URI. [`Query::only`] checks the names.
     pub fn of(uri: &Uri) -> Result<Self, Problem> {
-        let Pairs(pairs) = Pairs::try_from_uri(uri)
-            .map_err(|error| Problem::malformed("query", format!("the query can't be read: {error}")))?;
+        let Pairs(pairs) =
+            Pairs::try_from_uri(uri).map_err(|error| Problem::malformed("query", format!("invalid query: {error}")))?;
         Ok(Self(pairs))
     }
 
-    /// Refuses those that are not `known`: a filter with a slip of the pen would be none.
+    /// Refuses parameters that are not `known`, since a misspelt filter would have no effect.
     pub fn only(self, known: &[&str]) -> Result<Self, Problem> {
         match self.0.iter().find(|(name, _)| !known.contains(&name.as_str())) {
             Some((name, _)) => {
                 let name: String = name.chars().take(32).collect();
-                let detail = format!("there is no parameter {name:?} here; there are: {}", known.join(", "));
+                let detail = format!("unknown query parameter {name:?}; known: {}", known.join(", "));
                 Err(Problem::malformed(name, detail))
             }
             None => Ok(self),
         }
     }
 
-    /// A parameter, where it is given.
     pub fn one(&self, name: &str) -> Result<Option<&str>, Problem> {
         let mut given = self.0.iter().filter(|(key, _)| key == name).map(|(_, value)| value.as_str());
         match (given.next(), given.next()) {
@@ -41,7 +39,7 @@ impl Query {
         }
     }
 
-    /// A parameter that `parse` understands; otherwise it must be `what`.
+    /// Parses a parameter; the problem says that it must be `what`.
     pub fn parsed<T>(
         &self,
         name: &str,
@@ -53,17 +51,16 @@ impl Query {
         parse(text).map(Some).ok_or_else(wrong)
     }
 
-    /// One of an enumeration's words.
+    /// Parses one of an enumeration's words.
     pub fn word<T: DeserializeOwned>(&self, name: &str, words: &str) -> Result<Option<T>, Problem> {
         let parse = |text: &str| serde_json::from_value(Value::from(text)).ok();
         self.parsed(name, &format!("one of {words}"), parse)
     }
 
-    /// A time.
     pub fn time(&self, name: &str) -> Result<Option<Timestamp>, Problem> {
         self.parsed(
             name,
-            "a time like 2026-11-21T09:00:00Z (RFC 3339), before 9999-12-30; in an address + is written %2B",
+            "a time like 2026-11-21T09:00:00Z (RFC 3339), before 9999-12-30; write + as %2B in a URL",
             |text| text.parse().ok(),
         )
     }
@@ -78,7 +75,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_not_known_or_given_twice_is_named() {
+    fn unknown_or_repeated_parameter_is_named() {
         let unknown = parameters("griper=left").only(&["gripper"]).unwrap_err();
         assert_eq!(serde_json::to_value(unknown.members()).unwrap()["field"], "griper");
         assert!(parameters("kind=a&kind=b").one("kind").is_err());
@@ -86,7 +83,7 @@ mod tests {
     }
 
     #[test]
-    fn a_time_is_rfc_3339() {
+    fn times_are_rfc_3339() {
         assert!(parameters("from=2026-11-21T09:00:00Z").time("from").unwrap().is_some());
         assert!(parameters("from=2026-11-21T10:00:00%2B01:00").time("from").unwrap().is_some());
         assert!(parameters("from=yesterday").time("from").is_err());

@@ -1,7 +1,7 @@
-//! The router: paths, and what each request passes, from the outside in.
+//! The router: paths and the middleware of each request, from the outside in.
 //!
-//! `access_log` counts and logs, `guard` refuses foreign hosts and origins, and `turn` reads bodies within bounds, except for FAST
-//! STOP, which waits for nothing. `audit` records what is refused before an operation runs.
+//! `access_log` counts and logs, `guard` refuses foreign hosts and origins, and `turn` reads bodies within bounds,
+//! except for FAST STOP, which waits for nothing. `audit` records what is refused before an operation runs.
 
 use std::any::Any;
 use std::sync::Arc;
@@ -22,7 +22,6 @@ use super::{access_log, audit, docs, forward, gateway, guard, journal, large, pa
 use crate::interfaces::dashboard;
 use crate::operations::{Code, Problem};
 
-/// The whole of the HTTP interface.
 pub fn router(context: &Arc<Context>) -> Router {
     served()
         .layer(middleware::from_fn_with_state(context.clone(), guard::refuse_foreigners))
@@ -37,7 +36,7 @@ fn served() -> Router<Arc<Context>> {
     routes.layer(Extension(Arc::new(docs::Documents::new(document)))).layer(CatchPanicLayer::custom(panicked))
 }
 
-/// The document of what `router` serves.
+/// Returns the OpenAPI document of the router.
 #[must_use]
 pub fn openapi() -> OpenApi {
     routes().into_openapi()
@@ -131,10 +130,10 @@ async fn not_found() -> Problem {
 }
 
 async fn method_not_allowed(method: Verb) -> Problem {
-    Problem::new(Code::MethodNotAllowed, format!("{method} is not among the methods of this path, which Allow lists"))
+    Problem::new(Code::MethodNotAllowed, format!("method {method} is not allowed here; see the Allow header"))
 }
 
-/// A panic is a mistake of ours, and ends one request, not the gateway.
+/// Answers a request whose handler panicked, so that a bug ends one request and not the gateway.
 fn panicked(_: Box<dyn Any + Send>) -> Response {
     tracing::error!("a request handler panicked");
     Problem::internal().into_response()

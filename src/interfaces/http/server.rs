@@ -1,9 +1,9 @@
 //! The accept loop, and the life of a connection: its first bytes, its requests, its end.
 //!
-//! `axum::serve` bounds neither connections nor the time that a request's header may take, so this builds on hyper.
-//! Connections are admitted by [`Admission`]. Each is looked at before anything is decided about it: one that begins with
-//! a FAST STOP is served on the runtime that accepts, where nothing else is done, and all others move on to
-//! [`Runtimes::requests`]. A connection that follows updates moves to [`Runtimes::observers`].
+//! `axum::serve` bounds neither connections nor the time for a request's header, so this builds on hyper. [`Admission`]
+//! admits connections. The server inspects the first bytes of each. A connection that begins with a FAST STOP is served
+//! on the accepting runtime, which does nothing else; all others move to [`Runtimes::requests`]. A connection that
+//! streams updates moves to [`Runtimes::observers`].
 
 use std::convert::Infallible;
 use std::io;
@@ -42,56 +42,54 @@ use crate::interfaces::pace::RequestPace;
 use crate::interfaces::quick_ack::QuickAckStream;
 use crate::interfaces::sockets;
 
-/// Bounds of the server.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Limits {
     /// Connections at a time, by class.
     pub bounds: Bounds,
-    /// How long a request's header may take, and how long a connection may be idle: until the next request's header
-    /// is there.
+    /// Time for a request's header to arrive. It also bounds the time that a connection can be idle between requests.
     pub header_time: Duration,
-    /// How long requests may go on after a shutdown was asked for.
+    /// Time that running requests get to finish after a shutdown began.
     pub shutdown_time: Duration,
 }
 
-/// Headers of a request, in all. This API needs some hundred bytes; browsers add a few thousand.
+/// Maximum size of all headers of a request. This API needs some hundred bytes; browsers add a few thousand.
 const MAX_HEADER_BYTES: usize = 16 * 1024;
 
-/// Bytes that hyper buffers for a connection in each direction, beside what a body holds by itself.
+/// Bytes that hyper buffers for a connection in each direction, apart from the bodies.
 const MAX_BUFFER_BYTES: usize = 32 * 1024;
 
-/// Bytes that may wait in the kernel for a client that takes no more: some dozens of updates.
+/// Unsent bytes that the kernel queues for a slow client: some dozens of updates.
 #[cfg(target_os = "linux")]
 const MAX_UNSENT_BYTES: u32 = 16 * 1024;
 
-/// Connections that the kernel keeps until they are accepted. In a flood of connects this is the queue that a FAST STOP
-/// waits in: more slots make it longer.
+/// Connections that the kernel queues until they are accepted. A FAST STOP waits in this queue during a flood of
+/// connects, so a larger backlog delays it longer.
 const BACKLOG: u32 = 2048;
 
 /// Pause after a failed accept: long enough not to spin while the process is out of file descriptors, short enough not
 /// to be noticed.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(5);
 
-/// How much longer than its connections the server waits for their end.
+/// Extra time that the server waits for its connections beyond their own shutdown time.
 const SHUTDOWN_SLACK: Duration = Duration::from_millis(100);
 
-/// Bytes of a request that are searched for a FAST STOP. The longest path of one has 111 bytes.
+/// Bytes of a request that are searched for a FAST STOP, whose longest path has 111 bytes.
 const FIRST_BYTES: usize = 256;
 
-/// How long accepting waits for evicted connections to end.
+/// Time that accepting waits for evicted connections to end.
 const ROOM_WITHIN: Duration = Duration::from_millis(10);
 
-/// How long accepting does not wait again after that was in vain.
+/// Pause after a wait for evicted connections that freed nothing.
 const STALLED_FOR: Duration = Duration::from_millis(200);
 
-/// How long the rest of a first line may take, where its beginning is there.
+/// Time for the rest of a first line to arrive after its beginning.
 const FIRST_LINE_WITHIN: Duration = Duration::from_millis(20);
 
 impl Limits {
-    /// The usual times, within these bounds.
+    /// Returns the default times with these bounds.
     #[must_use]
     pub fn within(bounds: Bounds) -> Self {
-        // The grippers get 2 s to end their motions, whose answers have to go out.
+        // The grippers get 2 s to end their motions, and the responses must still be sent after that.
         Self { bounds, header_time: Duration::from_secs(10), shutdown_time: Duration::from_secs(3) }
     }
 }
@@ -102,23 +100,20 @@ impl Default for Limits {
     }
 }
 
-/// A listener at this address, on the runtime of the caller.
-///
-/// # Errors
-/// As the operating system says.
+/// Returns a listener on this address, on the caller's runtime.
 pub fn listen(address: SocketAddr) -> io::Result<TcpListener> {
     let socket = if address.is_ipv4() { TcpSocket::new_v4() } else { TcpSocket::new_v6() }?;
-    // A gateway that is started again must not wait for the connections of its last run to time out.
+    // A restarted gateway must not wait for the connections of its last run to time out.
     socket.set_reuseaddr(true)?;
     socket.bind(address)?;
     socket.listen(BACKLOG)
 }
 
-/// Serves until `shutdown`, and then what is being answered already.
+/// Serves until `shutdown`, then finishes the running requests.
 pub async fn serve(listener: TcpListener, context: Arc<Context>, limits: Limits, shutdown: CancellationToken) {
     let admission = Admission::new(limits.bounds);
     if let Err(error) = Usage::register(&context.registry, "http", &admission) {
-        tracing::warn!(%error, "connections are not counted");
+        tracing::warn!(%error, "connection metrics unavailable");
     }
     let server =
         Arc::new(Server { router: router(&context), admission, closing: shutdown.child_token(), context, limits });
@@ -146,14 +141,15 @@ impl Server {
     async fn accept_all(self: &Arc<Self>, listener: &TcpListener) {
         let mut stalled_at: Option<Instant> = None;
         loop {
-            // Evicted connections mostly end at once.
+            // Evicted connections usually end at once.
             if self.admission.is_crowded() && stalled_at.is_none_or(|at| at.elapsed() > STALLED_FOR) {
                 let has_room = timeout(ROOM_WITHIN, self.admission.has_room()).await.is_ok();
                 stalled_at = (!has_room).then(Instant::now);
             }
             match listener.accept().await {
                 Ok((stream, peer)) if self.admission.is_crowded() => {
-                    // They end where others are served, which may be busy. A FAST STOP waits for none of them.
+                    // Evicted connections end on the request runtimes, which can be busy. A FAST STOP must not wait for
+                    // them.
                     if let Some(place) = self.reserved_for(&stream) {
                         tokio::spawn(self.clone().admit_fast_stop(stream, peer, place));
                     }
@@ -172,7 +168,8 @@ impl Server {
         }
     }
 
-    /// A place to look at a connection in a crowd. A FAST STOP whose first line is there finds one where others don't.
+    /// Returns a slot for inspecting a connection when all others are taken. A connection whose first line is already a
+    /// FAST STOP can use slots that others can't.
     fn reserved_for(&self, stream: &TcpStream) -> Option<OwnedSemaphorePermit> {
         let mut first = [0; FIRST_BYTES];
         let seen = peek_now(stream, &mut first);
@@ -180,7 +177,7 @@ impl Server {
         self.admission.reserved(first.contains(&b'\n') && may_be_fast_stop(first))
     }
 
-    /// Admits a connection only where it begins with a FAST STOP.
+    /// Admits a connection only if it begins with a FAST STOP.
     async fn admit_fast_stop(self: Arc<Self>, stream: TcpStream, peer: SocketAddr, place: OwnedSemaphorePermit) {
         let mut first = [0; FIRST_BYTES];
         let seen = timeout(FIRST_LINE_WITHIN, stream.peek(&mut first)).await.map_or(0, Result::unwrap_or_default);
@@ -192,7 +189,7 @@ impl Server {
         drop(place);
     }
 
-    /// Looks at a connection's first bytes, and has it served where it belongs.
+    /// Inspects a connection's first bytes and serves it on the matching runtime.
     async fn begin(
         self: Arc<Self>,
         stream: TcpStream,
@@ -212,14 +209,14 @@ impl Server {
             return;
         }
         if !first.contains(&b'\n') && seen < FIRST_BYTES {
-            // The first line may come in two packets.
+            // The first line can arrive in two packets.
             sleep(FIRST_LINE_WITHIN).await;
             seen = peek_now(&stream, &mut first);
         }
-        // Answers are small, and awaited. An open request keeps a lease, so a machine that vanishes has to be noticed.
-        // A connection that says nothing costs no such call.
+        // Responses are small and awaited. An open request keeps a lease, so a vanished client must be noticed. A
+        // connection that sends nothing never gets here and costs no call.
         if let Err(error) = sockets::prepare(&stream) {
-            return tracing::debug!(%peer, %error, "connection refused: its options could not be set");
+            return tracing::debug!(%peer, %error, "connection refused: socket options could not be set");
         }
         set_unsent_limit(&stream);
         let is_fast_stop = may_be_fast_stop(first.get(..seen).unwrap_or_default());
@@ -247,12 +244,12 @@ impl Server {
     }
 }
 
-/// A connection that is served by hyper, on one runtime at a time.
+/// A connection served by hyper, on one runtime at a time.
 struct Connection {
     server: Arc<Server>,
     peer: SocketAddr,
     permit: Arc<ConnectionPermit>,
-    /// Whether it has begun with a FAST STOP.
+    /// Whether the connection began with a FAST STOP.
     is_fast_stop: bool,
     http: Pin<Box<http1::UpgradeableConnection<TokioIo<QuickAckStream>, Requests>>>,
     home: watch::Receiver<Handle>,
@@ -260,7 +257,7 @@ struct Connection {
 }
 
 impl Connection {
-    /// Serves it until its end, or until it moves on.
+    /// Serves the connection until it ends or moves to another runtime.
     fn run(mut self) -> BoxFuture<'static, ()> {
         let run = async move {
             let ended = tokio::select! {
@@ -280,7 +277,7 @@ impl Connection {
         run.boxed()
     }
 
-    /// Ends it: at once where no request is there, else with its answer.
+    /// Ends the connection: at once if it has no request, else after the response.
     async fn leave(&mut self) -> hyper::Result<()> {
         let limit = if self.server.closing.is_cancelled() {
             self.server.limits.shutdown_time
@@ -296,7 +293,6 @@ impl Connection {
     }
 }
 
-/// The requests of one connection.
 #[derive(Clone)]
 struct Requests {
     server: Arc<Server>,
@@ -304,7 +300,7 @@ struct Requests {
     permit: Arc<ConnectionPermit>,
     home: Home,
     pace: Arc<RequestPace>,
-    /// Whether a request has come.
+    /// Whether a request has arrived.
     has_served: Arc<AtomicBool>,
 }
 
@@ -314,7 +310,7 @@ impl Service<Request<Incoming>> for Requests {
     type Future = BoxFuture<'static, Result<Response, Infallible>>;
 
     fn call(&self, mut request: Request<Incoming>) -> Self::Future {
-        // A connection that goes on after its first FAST STOP is like all others.
+        // A connection that continues after its first FAST STOP is treated like all others.
         if self.has_served.swap(true, Ordering::Relaxed) || !is_fast_stop(&request) {
             self.home.leave(&self.server.context.runtimes.accept, &self.server.context.runtimes.requests);
         }
@@ -335,7 +331,7 @@ fn peek_now(stream: &TcpStream, buffer: &mut [u8]) -> usize {
     rustix::net::recv(stream, buffer, RecvFlags::PEEK | RecvFlags::DONTWAIT).map_or(0, |(_, bytes)| bytes)
 }
 
-/// Bytes queued in the kernel are stale before the client reads them, which would defeat newest-wins.
+/// Limits the unsent bytes in the kernel, which would be stale before the client reads them and defeat newest-wins.
 fn set_unsent_limit(stream: &TcpStream) {
     #[cfg(target_os = "linux")]
     if let Err(error) = SockRef::from(stream).set_tcp_notsent_lowat(MAX_UNSENT_BYTES) {

@@ -1,4 +1,4 @@
-//! The server on a socket, spoken to in bytes.
+//! The server on a socket, tested with raw bytes.
 
 use std::time::Instant;
 
@@ -32,7 +32,7 @@ impl Server {
         TcpStream::connect(self.address).await.unwrap()
     }
 
-    /// What comes back until the server closes, for a request that asks it to.
+    /// Sends a request and returns all bytes until the server closes the connection.
     async fn exchange(&self, request: &[u8]) -> String {
         let mut stream = self.connect().await;
         stream.write_all(request).await.unwrap();
@@ -46,7 +46,7 @@ async fn rest(stream: &mut TcpStream) -> String {
     String::from_utf8(bytes).unwrap()
 }
 
-/// One answer of a connection that stays open.
+/// Reads one response of a connection that stays open.
 async fn answer(stream: &mut TcpStream) -> String {
     let mut answer = String::new();
     let mut buffer = [0; 4096];
@@ -66,7 +66,7 @@ async fn answer(stream: &mut TcpStream) -> String {
 const HEALTH: &[u8] = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n";
 
 #[tokio::test]
-async fn a_connection_is_kept_for_the_next_request() {
+async fn connection_is_reused() {
     let server = start(Limits::default(), Script::default()).await;
     let mut stream = server.connect().await;
     for _ in 0..3 {
@@ -84,7 +84,7 @@ async fn http_1_0_without_a_host_is_served() {
 }
 
 #[tokio::test]
-async fn half_a_header_is_dropped_after_its_time() {
+async fn incomplete_header_times_out() {
     let limits = Limits { header_time: Duration::from_millis(50), ..Limits::default() };
     let server = start(limits, Script::default()).await;
     let start = Instant::now();
@@ -93,7 +93,7 @@ async fn half_a_header_is_dropped_after_its_time() {
 }
 
 #[tokio::test]
-async fn a_body_that_is_too_large_is_read_and_answered() {
+async fn oversized_body_is_read_and_answered() {
     let server = start(Limits::default(), Script::default()).await;
     let body = vec![b' '; 1024 * 1024];
     for path in ["/api/v1/grippers/left/home", "/nowhere"] {
@@ -105,7 +105,7 @@ async fn a_body_that_is_too_large_is_read_and_answered() {
 }
 
 #[tokio::test]
-async fn a_large_body_that_is_announced_first_is_answered_too() {
+async fn oversized_body_after_100_continue_is_answered() {
     let server = start(Limits::default(), Script::default()).await;
     let mut stream = server.connect().await;
     let head = "POST /api/v1/grippers/left/home HTTP/1.1\r\nHost: localhost\r\nExpect: 100-continue\r\n\
@@ -118,7 +118,7 @@ async fn a_large_body_that_is_announced_first_is_answered_too() {
     assert!(rest(&mut stream).await.starts_with("HTTP/1.1 413 "));
 }
 
-/// Bounds of one connection a class.
+/// Limits with one connection for each class.
 fn narrow() -> Limits {
     Limits::within(Bounds::of(1))
 }
@@ -139,7 +139,7 @@ async fn longest_idle_connection_gives_way() {
 async fn half_sent_body_gives_way() {
     let server = start(narrow(), Script::default()).await;
     let mut first = server.connect().await;
-    // Its 100 Continue shows that the request is there, and waits for its body.
+    // The 100 Continue shows that the request has arrived and waits for its body.
     let head = "POST /api/v1/grippers/left/home HTTP/1.1\r\nHost: localhost\r\nExpect: 100-continue\r\n\
                 Content-Length: 2\r\n\r\n";
     first.write_all(head.as_bytes()).await.unwrap();
@@ -160,7 +160,7 @@ async fn long_poll_beyond_the_bound_is_answered_at_once() {
     let waiting = async {
         let mut second = server.connect().await;
         loop {
-            // Which of the two waits, the kernel decides.
+            // The kernel decides which of the two waits.
             second.write_all(home.as_bytes()).await.unwrap();
             let answer = answer(&mut second).await;
             if answer.starts_with("HTTP/1.1 202 ") {
@@ -176,7 +176,7 @@ async fn long_poll_beyond_the_bound_is_answered_at_once() {
 }
 
 #[tokio::test]
-async fn a_shutdown_ends_idle_connections_and_awaits_answers() {
+async fn shutdown_ends_idle_connections_and_finishes_requests() {
     let server = start(Limits::default(), Script::default()).await;
     let mut idle = server.connect().await;
     idle.write_all(HEALTH).await.unwrap();
@@ -195,7 +195,7 @@ async fn a_shutdown_ends_idle_connections_and_awaits_answers() {
 }
 
 #[tokio::test]
-async fn a_shutdown_does_not_wait_for_ever() {
+async fn shutdown_is_bounded() {
     let limits = Limits { shutdown_time: Duration::from_millis(50), ..Limits::default() };
     let server = start(limits, Script { fate: Fate::Runs, ..Script::default() }).await;
     let mut busy = server.connect().await;
@@ -209,7 +209,7 @@ async fn a_shutdown_does_not_wait_for_ever() {
 }
 
 #[tokio::test]
-async fn a_fast_stop_whose_client_is_gone_stops_all_the_same() {
+async fn fast_stop_survives_client_disconnect() {
     let mut server = start(Limits::default(), Script::default()).await;
     let mut client = server.connect().await;
     let head = b"POST /api/v1/fast-stop HTTP/1.1\r\nHost: localhost\r\nContent-Length: 20\r\n\r\n{\"rea";
@@ -219,7 +219,7 @@ async fn a_fast_stop_whose_client_is_gone_stops_all_the_same() {
 }
 
 #[tokio::test]
-async fn a_fast_stop_with_a_huge_body_is_answered() {
+async fn fast_stop_with_oversized_body_is_answered() {
     let server = start(Limits::default(), Script::default()).await;
     let body = vec![b' '; 1024 * 1024];
     let head =

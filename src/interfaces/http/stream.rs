@@ -1,5 +1,4 @@
-//! Live updates as server-sent events: what happens, from a given event on without a gap, the newest states, and the
-//! frames on the wire.
+//! Live updates as server-sent events: events without a gap from a given one on, the newest states, and frames.
 
 use std::collections::{BTreeSet, VecDeque};
 use std::convert::Infallible;
@@ -27,39 +26,38 @@ use crate::journal::{EventStream, Filter, StreamItem};
 use crate::operations::values::integer;
 use crate::operations::{Code, Problem};
 
-/// How often a stream on which nothing happens says that it is still there, so that proxies keep it.
+/// Interval of keep-alive comments on an idle stream, so that proxies keep the connection open.
 const KEPT_ALIVE_EVERY: Duration = Duration::from_secs(15);
 
-/// How long a stream rests whose journal can't be read.
 const READ_RETRY_PAUSE: Duration = Duration::from_secs(1);
 
 #[derive(IntoParams)]
 #[into_params(parameter_in = Query)]
-#[allow(dead_code, reason = "the document's words on what stream takes from the address")]
+#[allow(dead_code, reason = "only describes the parameters that `Stream::new` reads")]
 pub struct StreamQuery {
-    /// `events` (default), `state`, `telemetry`, `frames`, `fleet`, or several of them with commas between.
+    /// `events` (default), `state`, `telemetry`, `frames`, `fleet`, or several of them separated by commas.
     #[param(
         pattern = "^(events|state|telemetry|frames|fleet)(,(events|state|telemetry|frames|fleet))*$",
         example = "events,state"
     )]
     topics: Option<String>,
-    /// Only of this gripper.
+    /// Only updates of this gripper.
     #[param(max_length = 32, pattern = "^[a-z0-9][a-z0-9_-]{0,31}$", example = "left")]
     gripper: Option<String>,
-    /// How many states and telemetry a second at most, of each gripper. 10 by default.
+    /// Maximum rate of states and telemetry for each gripper, per second. 10 by default.
     #[param(minimum = 1, maximum = 100, default = 10)]
     max_hz: Option<u64>,
-    /// The same as `Last-Event-ID`, for clients that can't set a header: events begin behind this one.
+    /// Same as `Last-Event-ID`, for clients that can't set a header: events start after this one.
     #[param(minimum = 0, maximum = 999_999_999_999_999_999_i64)]
     after: Option<i64>,
 }
 
 #[derive(IntoParams)]
 #[into_params(parameter_in = Header)]
-#[allow(dead_code, reason = "the document's words on what stream takes from the headers")]
+#[allow(dead_code, reason = "only describes the headers that `Stream::new` reads")]
 pub struct StreamHeaders {
-    /// The `seq` of the last event that was seen: events begin behind it, and a `gap` says how many are too old to be there.
-    /// Without it they begin now.
+    /// The `seq` of the last event that the client has seen. Events start after it, and a `gap` gives the number of
+    /// events that are no longer stored. Without this header, events start now.
     #[param(rename = "Last-Event-ID", nullable = false, pattern = "^([0-9]{1,18})?$")]
     last_event_id: Option<String>,
 }
@@ -67,37 +65,39 @@ pub struct StreamHeaders {
 /// One server-sent event.
 #[derive(ToSchema)]
 #[schema(as = StreamMessage)]
-#[allow(dead_code, reason = "the document's words on what stream sends")]
+#[allow(dead_code, reason = "only describes the messages of a stream")]
 pub struct Message {
     /// `event`, `state`, `telemetry`, `frame`, `fleet` or `gap`.
     #[schema(nullable = false)]
     event: Option<String>,
-    /// An event's `seq`; of a `gap` of events that of the last one that is missing.
+    /// The `seq` of an event, or of the last event missing in a `gap` of events.
     #[schema(nullable = false)]
     id: Option<String>,
     /// The body, as JSON.
     data: String,
 }
 
-/// One client's stream.
 struct Stream {
     events: Option<EventStream>,
     updates: Subscription,
     pace: Pace,
     metrics: Metrics,
-    /// What is to be told, at most a message a topic and gripper.
+    /// Messages to send next, at most one for each topic and gripper.
     ready: VecDeque<Notification>,
     closing: CancellationToken,
     _claim: Option<Claim>,
 }
 
-/// Live updates
+/// Stream live updates
 ///
-/// Server-sent events: `event` with its `seq` as id, `state`, `telemetry`, `frame`, `fleet`. Events come without a gap from
-/// `Last-Event-ID` on, or from now on. A `gap` says how many behind it are too old to be there, of all grippers together.
-/// Where the journal was replaced meanwhile, and has no event of that number yet, they come from its first on. Of states and
-/// telemetry the newest comes, and what a slow client misses is never queued; frames come one by one, and where a client
-/// was too slow for some a `gap` says for how many.
+/// Sends server-sent events: `event` with its `seq` as id, `state`, `telemetry`, `frame` and `fleet`.
+///
+/// Events come without a gap after `Last-Event-ID`, or from now on. A `gap` gives the number of events after that id
+/// that are no longer stored, for all grippers together. If the journal was replaced and has not reached that id yet,
+/// events start from its first.
+///
+/// For states and telemetry only the newest value is sent: values that a slow client misses are not queued. Frames are
+/// sent in order, and a `gap` gives the number of frames that a slow client missed.
 #[utoipa::path(
     get, path = "/stream", operation_id = "stream", tag = "journal",
     params(StreamQuery, StreamHeaders),
@@ -113,19 +113,19 @@ pub async fn stream(
     let permit = extensions.get::<Arc<ConnectionPermit>>();
     let claim = permit.map(|permit| permit.claim(Class::Streaming).ok_or_else(too_many)).transpose()?;
     let stream = Stream { _claim: claim, ..stream };
-    // What a thousand observers are sent must not delay a request.
+    // Sending to a thousand observers must not delay requests.
     if let Some(home) = extensions.get::<Home>() {
         home.move_to(&context.runtimes.observers);
     }
-    let told = unfold(stream, |mut stream| async { stream.next().await.map(|event| (Ok(event), stream)) });
-    Ok(Sse::new(told).keep_alive(KeepAlive::new().interval(KEPT_ALIVE_EVERY)))
+    let messages = unfold(stream, |mut stream| async { stream.next().await.map(|event| (Ok(event), stream)) });
+    Ok(Sse::new(messages).keep_alive(KeepAlive::new().interval(KEPT_ALIVE_EVERY)))
 }
 
 impl Stream {
     fn new(context: &Context, headers: &HeaderMap, uri: &Uri) -> Result<Self, Problem> {
         let given = Query::of(uri)?.only(&["topics", "gripper", "max_hz", "after"])?;
         let mut topics = given
-            .parsed("topics", &format!("{TOPICS}, with commas between"), topics)?
+            .parsed("topics", &format!("{TOPICS}, separated by commas"), topics)?
             .unwrap_or_else(|| BTreeSet::from([Topic::Events]));
         let name: Option<Name> = given.parsed("gripper", "a gripper's name", |text| text.parse().ok())?;
         if let Some(name) = &name {
@@ -142,7 +142,7 @@ impl Stream {
         };
         let only = name.iter().cloned().collect();
         let filter = Filter { gripper: name.clone(), ..Filter::default() };
-        // The journal itself tells of events without a gap.
+        // Events come from the journal itself, so they have no gap.
         let events = topics.remove(&Topic::Events).then(|| context.gateway.journal.follow(after, filter));
         let mut updates = context.gateway.updates.subscribe(name.as_ref().map(|_| &only), topics.iter().copied());
         let mut ready = VecDeque::new();
@@ -156,11 +156,11 @@ impl Stream {
         Ok(Self { events, updates, pace: Pace::new(max_hz as u32), metrics, ready, closing, _claim: None })
     }
 
-    /// The next message; none when the gateway ends.
+    /// Returns the next message, or `None` when the gateway shuts down.
     async fn next(&mut self) -> Option<sse::Event> {
         loop {
-            if let Some(told) = self.ready.pop_front() {
-                return Some(message(&told));
+            if let Some(notification) = self.ready.pop_front() {
+                return Some(message(&notification));
             }
             tokio::select! {
                 biased;
@@ -172,8 +172,8 @@ impl Stream {
                 },
                 Some(frame) = self.updates.next() => self.ready.push_back(frame),
                 missed = self.pace.next(), if self.updates.has_states() => {
-                    let (told, dropped) = self.updates.newest(missed);
-                    self.ready.extend(told);
+                    let (newest, dropped) = self.updates.newest(missed);
+                    self.ready.extend(newest);
                     self.metrics.dropped(dropped);
                 }
             }
@@ -181,16 +181,16 @@ impl Stream {
     }
 }
 
-/// Says that no further WebSocket or stream may be opened.
+/// Problem of a WebSocket or stream beyond the limit.
 pub fn too_many() -> Problem {
     Problem::new(Code::Overloaded, "too many WebSockets and streams are open: close some, or poll the state")
 }
 
-fn message(told: &Notification) -> sse::Event {
-    sse::Event::default().event(told.method()).data(told.body())
+fn message(notification: &Notification) -> sse::Event {
+    sse::Event::default().event(notification.method()).data(notification.body())
 }
 
-/// The next event, or what is missing before it; none after the journal was closed.
+/// Returns the next event or the gap before it, or `None` after the journal was closed.
 async fn next_event(events: &mut Option<EventStream>) -> Result<Option<sse::Event>, ()> {
     let Some(events) = events else { return std::future::pending().await };
     match events.next().await {
@@ -203,19 +203,19 @@ async fn next_event(events: &mut Option<EventStream>) -> Result<Option<sse::Even
             Ok(Some(message(&gap).id((behind + missed).to_string())))
         }
         Err(error) => {
-            tracing::warn!(%error, "a stream's events can't be read");
+            tracing::warn!(%error, "stream events could not be read; retrying");
             Err(())
         }
     }
 }
 
-/// Each once, however often it is named.
+/// Parses topics, without duplicates.
 fn topics(text: &str) -> Option<BTreeSet<Topic>> {
     text.split(',').map(|topic| serde_json::from_value(topic.into()).ok()).collect()
 }
 
 fn seq(text: &str) -> Option<i64> {
-    // Of more digits there is none.
+    // No event has a longer number.
     let digits = text.len() <= 18 && text.bytes().all(|byte| byte.is_ascii_digit());
     text.parse().ok().filter(|_| digits)
 }
@@ -233,12 +233,12 @@ mod tests {
     use crate::gripper::model::{Client, Door, FastStopId, Reason};
 
     #[tokio::test(start_paused = true)]
-    async fn states_that_a_slow_client_misses_are_counted_and_those_beyond_its_rate_are_not() {
+    async fn missed_states_are_counted_unless_rate_limited() {
         let (handle, _seen) = fake::gripper("left", Script::default());
         let context = Context::of([handle.clone()]);
         let uri = Uri::from_static("/stream?topics=state,telemetry&max_hz=10");
         let mut stream = Stream::new(&context, &HeaderMap::new(), &uri).unwrap();
-        // Between the changes no time passes; each is told as a state and as telemetry.
+        // No time passes between the changes; each is sent as a state and as telemetry.
         for (changes, later_ms, expected) in [(0, 0, 0), (3, 0, 0), (3, 350, 4), (1, 350, 4), (10, 100, 4)] {
             for _ in 0..changes {
                 let client = Client { subject: "test".into(), door: Door::Http };

@@ -1,4 +1,4 @@
-//! The turn of a request: its pace, its body, and its claim on the connection's slot.
+//! Middleware that paces a request, reads its body and claims its connection's slot.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -20,11 +20,11 @@ use crate::interfaces::admission::{Class, ConnectionPermit};
 use crate::interfaces::pace::RequestPace;
 use crate::operations::{Code, Problem};
 
-/// How long a complete request waits for its turn: a request is answered within milliseconds, unless a device is slow.
+/// Time that a complete request waits for its turn. Requests take milliseconds, unless a device is slow.
 const TURN_TIME: Duration = Duration::from_secs(2);
 
-/// The middleware that reads the body before the handlers see the request. Only then has the connection a claim on its
-/// slot. A FAST STOP waits for nothing, and has one at once.
+/// Middleware that reads the body before the handlers see the request. The connection claims its slot only after the
+/// body has arrived. A FAST STOP waits for nothing and claims a slot at once.
 pub async fn read_first(request: Request, next: Next) -> Response {
     let permit: Option<Arc<ConnectionPermit>> = request.extensions().get().cloned();
     let pace: Option<Arc<RequestPace>> = request.extensions().get().cloned();
@@ -49,7 +49,7 @@ pub async fn read_first(request: Request, next: Next) -> Response {
         Some(permit) if is_urgent => permit.claim(Class::Answering).or_else(|| permit.claim(Class::Urgent)),
         Some(permit) => {
             let Ok(claim) = timeout(TURN_TIME, permit.turn(Class::Answering)).await else {
-                let detail = "too many requests are being answered: try again later";
+                let detail = "too many requests are in progress: try again later";
                 return Problem::new(Code::Overloaded, detail).into_response();
             };
             Some(claim)
@@ -59,8 +59,8 @@ pub async fn read_first(request: Request, next: Next) -> Response {
     next.run(Request::from_parts(parts, Stream::from(bytes))).await
 }
 
-/// Whether a request only stops, or keeps or ends a lease, on a gripper of any gateway. Such a request is never refused
-/// for the sake of others.
+/// Whether a request only stops a gripper, or keeps or ends a lease, on any gateway. An urgent request is never refused
+/// in favour of others.
 fn is_urgent(parts: &Parts) -> bool {
     let route = parts.extensions.get().map(MatchedPath::as_str);
     route.is_some_and(|route| urgency(&parts.method, route) != Urgency::None)

@@ -22,31 +22,30 @@ use crate::interfaces::quick_ack::QuickAckStream;
 use crate::interfaces::websocket::{self, Connection, SUBPROTOCOL};
 use crate::operations::Problem;
 
-/// How many bytes a `Sec-WebSocket-Key` has, decoded (RFC 6455, 4.1).
+/// Length of a decoded `Sec-WebSocket-Key` (RFC 6455, 4.1).
 const KEY_BYTES: usize = 16;
 
-/// WebSocket
+/// Open a WebSocket
 ///
-/// JSON-RPC 2.0 by the subprotocol `wsg.v1`: the operations of this API as methods, and updates as notifications.
-/// `/api/v1/asyncapi.yaml` describes it.
+/// The WebSocket speaks JSON-RPC 2.0 with the subprotocol `wsg.v1`: the operations of this API are methods, and updates
+/// are notifications. `/api/v1/asyncapi.yaml` describes it.
 #[utoipa::path(
     get, path = "/ws", operation_id = "websocket", tag = "journal",
-    responses((status = 101, description = "From here on it is a WebSocket"), SocketProblem)
+    responses((status = 101, description = "The connection is now a WebSocket"), SocketProblem)
 )]
 pub async fn open(Shared(context): Shared<Arc<Context>>, mut request: Request) -> Result<Response, Problem> {
     let mut response = create_response_with_body(&request, Body::empty).map_err(|error| {
-        let detail =
-            format!("not a WebSocket handshake: {error}. Connect by WebSocket, with the subprotocol {SUBPROTOCOL}");
+        let detail = format!("invalid WebSocket handshake: {error}; connect with the subprotocol {SUBPROTOCOL}");
         Problem::malformed("Upgrade", detail)
     })?;
     check_key(request.headers())?;
     if !offers_subprotocol(request.headers()) {
-        let detail = format!("the subprotocol {SUBPROTOCOL} is not offered: it is the only one here");
+        let detail = format!("missing subprotocol: the client must offer {SUBPROTOCOL}");
         return Err(Problem::malformed("Sec-WebSocket-Protocol", detail));
     }
     response.headers_mut().insert(SEC_WEBSOCKET_PROTOCOL, HeaderValue::from_static(SUBPROTOCOL));
     let permit: Option<Arc<ConnectionPermit>> = request.extensions().get().cloned();
-    // Until the socket has ended, also where the connection it came by has ended before.
+    // Held until the socket has ended, even if the HTTP connection ends earlier.
     let claim = permit.as_ref().map(|permit| permit.claim(Class::Streaming).ok_or_else(too_many)).transpose()?;
     let client = websocket_client(request.extensions());
     let upgrade = hyper::upgrade::on(&mut request);
@@ -62,14 +61,14 @@ pub async fn open(Shared(context): Shared<Arc<Context>>, mut request: Request) -
     Ok(response)
 }
 
-/// Serves an upgraded connection, on the runtimes that it is for, until its end.
+/// Serves an upgraded connection on the sockets' runtimes until its end.
 async fn begin(upgraded: Upgraded, client: Client, permit: Option<Arc<ConnectionPermit>>, context: &Arc<Context>) {
     let Ok(parts) = upgraded.downcast::<TokioIo<QuickAckStream>>() else {
         return tracing::error!("WebSocket upgrade failed: the connection is not TCP");
     };
     let stream = match parts.io.into_inner().into_inner() {
         Ok(stream) => stream,
-        Err(error) => return tracing::debug!(%error, "WebSocket lost in its handshake"),
+        Err(error) => return tracing::debug!(%error, "WebSocket lost during the handshake"),
     };
     let connection = Connection { stream, early: parts.read_buf, permit };
     let serving = context.of_interface(context.ws_metrics.clone());

@@ -1,4 +1,4 @@
-//! Waits for commands, bounded by the connection that they come by.
+//! Waits for commands, bounded per connection.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -15,8 +15,8 @@ use crate::operations::WaitLimiter;
 /// Delay of a connection's next request after its wait was cut short.
 const CUT_SHORT_DELAY: Duration = Duration::from_secs(1);
 
-/// The bound that a connection sets on waits. A wait is cut short where more requests wait than the gateway allows, or
-/// where this client has more than its share of them: the answer is the same as after `wait_ms`.
+/// The bound that a connection sets on waits. A wait is cut short if more requests wait than the gateway allows, or if
+/// this client has more than its share of them. The response is then the same as after `wait_ms`.
 #[derive(Debug)]
 pub struct ConnectionWaits {
     permit: Arc<ConnectionPermit>,
@@ -24,7 +24,6 @@ pub struct ConnectionWaits {
 }
 
 impl ConnectionWaits {
-    /// Returns the bound of a request's connection.
     pub fn of(extensions: &Extensions) -> Option<Arc<dyn WaitLimiter>> {
         let permit: Arc<ConnectionPermit> = extensions.get().cloned()?;
         Some(Arc::new(Self { permit, pace: extensions.get().cloned() }))
@@ -39,7 +38,7 @@ impl ConnectionWaits {
             }
         }
         self.permit.demote();
-        // A client that repeats its request at once would take the time that others need.
+        // A client that repeats its request at once would starve others.
         if let Some(pace) = &self.pace {
             pace.delay(CUT_SHORT_DELAY);
         }

@@ -1,4 +1,4 @@
-//! What `subscribe` takes, and what it answers.
+//! Parameters and result of `subscribe`.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -12,44 +12,43 @@ use crate::gripper::model::{Name, State};
 use crate::operations::values::integer;
 use crate::operations::{Gateway, Problem, json};
 
-/// What to follow. It replaces what was followed before; no topic ends it.
+/// A subscription, which replaces the previous one. Without topics it ends all updates.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 #[schema(example = json!({"grippers": ["left"], "topics": ["state", "events"], "max_hz": 20}))]
 pub struct Subscribe {
-    /// Their names; all of them where it is left out. Events that concern no gripper come only then.
+    /// Names of the grippers; all grippers if omitted. Events that concern no gripper are sent only if this is omitted.
     #[schema(nullable = false)]
     grippers: Option<Vec<String>>,
-    /// What to be told of.
+    /// Topics to subscribe to.
     topics: BTreeSet<Topic>,
-    /// How many states and telemetry a second at most, of each gripper; of the fleet 10 in any case.
+    /// Maximum rate of states and telemetry for each gripper, per second. The fleet's rate is always 10.
     #[schema(value_type = Option<u64>, nullable = false, minimum = 1, maximum = 100, default = 10)]
     max_hz: Option<f64>,
 }
 
-/// How things are, from where the notifications go on.
+/// The accepted subscription and the current states, from which the notifications continue.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct Subscribed {
-    /// What is followed.
+    /// The subscribed topics.
     topics: BTreeSet<Topic>,
-    /// How many states and telemetry a second come at most, of each gripper.
+    /// Maximum rate of states and telemetry for each gripper, per second.
     #[schema(minimum = 1, maximum = 100)]
     max_hz: u64,
-    /// The newest event: notifications begin behind it.
+    /// `seq` of the newest event; notifications start after it.
     #[schema(minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     event_seq: i64,
-    /// The grippers' states now.
+    /// Current states of the grippers.
     #[schema(value_type = Vec<State>)]
     states: Vec<Arc<State>>,
 }
 
-/// A subscription, and how often its states are told.
+/// A subscription and the rate of its states.
 pub struct Following {
     pub updates: Subscription,
     pub max_hz: u64,
 }
 
-/// Follows what is asked for.
 pub fn subscribe(gateway: &Gateway, params: &Value) -> Result<(Subscribed, Following), Problem> {
     let Subscribe { grippers, topics, max_hz } = json::parse(params.to_string().as_bytes())?;
     let names = grippers.map(|names| names.iter().map(|name| known(gateway, name)).collect()).transpose()?;

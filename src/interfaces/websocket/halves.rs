@@ -1,5 +1,5 @@
-//! The two halves of a client's TCP connection, each registered with a runtime of its own: reading, which may bring a FAST
-//! STOP, must not wait for the thread that writes to a thousand observers. That takes a second descriptor.
+//! The two halves of a client's TCP connection, each registered with its own runtime. Reading can bring a FAST STOP, so
+//! it must not wait for the thread that writes to a thousand observers. The second half takes a second descriptor.
 
 use std::io;
 use std::pin::Pin;
@@ -14,10 +14,7 @@ use tokio::runtime::Handle;
 use super::outbox::Outbox;
 use crate::interfaces::admission::HeldBytes;
 
-/// Splits a connection into what is read on the one runtime and written on the other.
-///
-/// # Errors
-/// As the operating system says.
+/// Splits a connection into a half for reading and a half for writing, each on its own runtime.
 pub fn split(stream: TcpStream, reader: &Handle, writer: &Handle) -> io::Result<(TcpStream, TcpStream)> {
     let stream = stream.into_std()?;
     let clone = stream.try_clone()?;
@@ -29,24 +26,26 @@ fn registered(stream: std::net::TcpStream, runtime: &Handle) -> io::Result<TcpSt
     TcpStream::from_std(stream)
 }
 
-/// The stream below the WebSocket protocol: reads come from the reading half, and its own frames (pongs) go to the outbox.
+/// The stream below the WebSocket protocol: reads come from the reading half, and its own frames (pongs) go to the
+/// outbox.
 #[derive(Debug)]
 pub struct Inbound {
-    /// Bytes that came in the handshake's last packet.
+    /// Bytes that arrived in the handshake's last packet.
     early: io::Cursor<Bytes>,
     half: TcpStream,
     outbox: Arc<Outbox>,
-    /// Bytes of the message that is not complete yet.
+    /// Bytes of the incomplete message.
     incomplete: usize,
-    /// Reads since others had a turn.
+    /// Reads since other clients had a turn.
     reads: u8,
     held: Option<HeldBytes>,
 }
 
-/// Reads until it is another client's turn. One that sends nothing but small frames would hold up the FAST STOPs of others.
+/// Reads before another client's turn, so that a client that sends only small frames can't delay the FAST STOPs of
+/// others.
 const READS_A_TURN: u8 = 2;
 
-/// How exact the count of held bytes is: messages below this are not worth counting.
+/// Granularity of the count of held bytes; smaller messages are not counted.
 const COUNTED_FROM: usize = 8 * 1024;
 
 impl Inbound {
@@ -54,7 +53,7 @@ impl Inbound {
         Self { early: io::Cursor::new(early), half, outbox, incomplete: 0, reads: 0, held }
     }
 
-    /// Marks that a message has been taken, with all that it held.
+    /// Marks a message as processed, so that its bytes no longer count.
     pub fn taken(&mut self) {
         self.incomplete = 0;
         self.count();

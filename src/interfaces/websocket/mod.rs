@@ -1,7 +1,7 @@
-//! WebSocket: JSON-RPC 2.0, with operations as methods, and updates as notifications.
+//! WebSocket: JSON-RPC 2.0 with operations as methods and updates as notifications.
 //!
-//! A client's `socket` reads and answers requests; its `writer` writes answers and updates on another runtime, from an
-//! `outbox` whose bytes are bounded.
+//! A client's `socket` reads and answers requests. Its `writer` sends responses and updates on another runtime, from an
+//! `outbox` with bounded bytes.
 
 mod bodies;
 mod halves;
@@ -13,5 +13,4 @@ mod writer;
 pub use bodies::{Subscribe, Subscribed};
 pub use socket::{Connection, serve};
 
-/// The subprotocol.
 pub const SUBPROTOCOL: &str = "wsg.v1";

@@ -9,17 +9,17 @@ use tokio::sync::Notify;
 use super::bodies::Following;
 use crate::interfaces::admission::HeldBytes;
 
-/// Bytes that may wait for a client to read them. A client that goes on asking beyond is disconnected.
+/// Maximum number of unread bytes of a client. A client that exceeds it is disconnected.
 pub const MAX_WAITING_BYTES: usize = 256 * 1024;
 
-/// Answers, and bytes of them, that may wait before further requests are refused as `overloaded`, FAST STOPs apart.
+/// Unread responses, and their bytes, from which requests are refused as `overloaded`, except FAST STOPs.
 const MAX_UNREAD: usize = 64;
 const MAX_UNREAD_BYTES: usize = MAX_WAITING_BYTES / 2;
 
 /// Overhead of an entry in the queue.
 const ENTRY_BYTES: usize = 64;
 
-/// The queue of one client: its reader fills it, and its writer empties it.
+/// The queue of one client, filled by its reader and emptied by its writer.
 #[derive(Debug)]
 pub struct Outbox {
     queue: Mutex<Queue>,
@@ -29,17 +29,16 @@ pub struct Outbox {
 #[derive(Debug)]
 struct Queue {
     items: VecDeque<Item>,
-    /// Bytes of the waiting frames, and of those being written.
+    /// Bytes of the queued frames and of those being written.
     bytes: usize,
     held: Option<HeldBytes>,
     is_closed: bool,
 }
 
-/// One thing for the writer.
 pub enum Item {
-    /// Whole WebSocket frames.
+    /// Complete WebSocket frames.
     Frames(Bytes),
-    /// From here on these updates are followed.
+    /// A new subscription, which replaces the previous one.
     Follow(Following),
 }
 
@@ -58,7 +57,6 @@ impl Outbox {
         Self { queue: Mutex::new(queue), news: Notify::new() }
     }
 
-    /// Queues frames.
     pub fn push(&self, frames: Bytes) {
         let mut queue = self.queue();
         queue.count(frames.len() + ENTRY_BYTES, 0);
@@ -67,19 +65,18 @@ impl Outbox {
         self.news.notify_one();
     }
 
-    /// Queues what is followed from here on.
     pub fn follow(&self, following: Following) {
         self.queue().items.push_back(Item::Follow(following));
         self.news.notify_one();
     }
 
-    /// Ends the writer once all is written.
+    /// Ends the writer once everything is written.
     pub fn close(&self) {
         self.queue().is_closed = true;
         self.news.notify_one();
     }
 
-    /// Whether the client reads so little that it may ask for nothing more.
+    /// Whether so much is unread that further requests are refused.
     pub fn is_unread(&self) -> bool {
         let queue = self.queue();
         queue.items.len() >= MAX_UNREAD || queue.bytes >= MAX_UNREAD_BYTES
@@ -90,7 +87,7 @@ impl Outbox {
         self.queue().bytes > MAX_WAITING_BYTES
     }
 
-    /// The next item; none once the outbox is closed and empty.
+    /// Returns the next item, or `None` once the outbox is closed and empty.
     pub async fn next(&self) -> Option<Item> {
         loop {
             let news = self.news.notified();
@@ -106,7 +103,7 @@ impl Outbox {
         }
     }
 
-    /// The next frames, where some wait already.
+    /// Returns the next frames, if the next item is already queued and has frames.
     pub fn next_frames(&self) -> Option<Bytes> {
         match self.queue().items.pop_front_if(|item| matches!(item, Item::Frames(_))) {
             Some(Item::Frames(frames)) => Some(frames),
@@ -114,7 +111,6 @@ impl Outbox {
         }
     }
 
-    /// Marks frames as written.
     pub fn written(&self, frames: &Bytes) {
         self.queue().count(0, frames.len() + ENTRY_BYTES);
     }

@@ -1,4 +1,4 @@
-//! JSON-RPC 2.0: requests taken apart, answers put together.
+//! JSON-RPC 2.0: parses requests and builds responses.
 
 use http::StatusCode;
 use serde::Serialize;
@@ -8,10 +8,10 @@ use serde_json::value::RawValue;
 use crate::operations::json::StrictJson;
 use crate::operations::{Code, OPERATIONS, Problem, is_fast_stop};
 
-/// The requests of one batch at most.
+/// Maximum number of requests in a batch.
 pub const MAX_BATCH: usize = 32;
 
-/// The longest id of a request, in bytes.
+/// Maximum length of a request's id, in bytes.
 const MAX_ID_BYTES: usize = 64;
 
 const VERSION: &str = "2.0";
@@ -21,30 +21,24 @@ const INVALID_REQUEST: i32 = -32600;
 const METHOD_NOT_FOUND: i32 = -32601;
 const INVALID_PARAMS: i32 = -32602;
 const INTERNAL_ERROR: i32 = -32603;
-/// Of all that the API refuses for another reason: the problem's `code` says which.
+/// Code of all other refusals; the problem's `code` says why.
 const REFUSED: i32 = -32000;
 
-/// One request.
 #[derive(Debug, PartialEq)]
 pub struct RpcCall {
-    /// Under which it is answered; none where it is a notification, which is not answered.
+    /// Id of the request; `None` for a notification, which gets no response.
     pub id: Option<Value>,
-    /// What to do.
     pub method: String,
-    /// With what.
     pub params: Value,
 }
 
-/// What one message has.
 #[derive(Debug)]
 pub enum Incoming {
-    /// A request, or what is wrong with it.
+    /// A request, or the response that refuses it.
     One(Result<RpcCall, RpcResponse>),
-    /// Several.
     Batch(Vec<Result<RpcCall, RpcResponse>>),
 }
 
-/// What went wrong with a request.
 #[derive(Debug, Serialize)]
 pub struct RpcError {
     code: i32,
@@ -52,7 +46,6 @@ pub struct RpcError {
     data: Problem,
 }
 
-/// An answer.
 #[derive(Debug, Serialize)]
 pub struct RpcResponse {
     jsonrpc: &'static str,
@@ -69,7 +62,6 @@ enum Outcome {
 }
 
 impl RpcResponse {
-    /// To the request of this id.
     pub fn new(id: Value, outcome: Result<Box<RawValue>, RpcError>) -> Self {
         let outcome = match outcome {
             Ok(result) => Outcome::Result(result),
@@ -84,7 +76,6 @@ impl RpcResponse {
 }
 
 impl RpcError {
-    /// Returns the error of an unknown method.
     pub fn no_method(problem: Problem) -> Self {
         Self::with_code(METHOD_NOT_FOUND, problem)
     }
@@ -105,18 +96,18 @@ impl From<Problem> for RpcError {
     }
 }
 
-/// Returns the FAST STOP that a text names which is not a request.
+/// Returns the FAST STOP method that an invalid message names.
 fn fast_stop_in(text: &str) -> Option<&'static str> {
     let names = OPERATIONS.iter().map(|operation| operation.name).filter(|name| is_fast_stop(name));
     names.into_iter().find(|name| text.contains(&format!("\"{name}\"")))
 }
 
-/// Whether a text names a FAST STOP, well put or not.
+/// Whether a text names a FAST STOP, well-formed or not.
 pub fn has_fast_stop(text: &str) -> bool {
     fast_stop_in(text).is_some()
 }
 
-/// Takes a message apart. One that can't be, and names a FAST STOP, is one for all grippers.
+/// Parses a message. An invalid message that names a FAST STOP is a FAST STOP of all grippers.
 pub fn parse(text: &str) -> Incoming {
     let invalid = |code, detail: String| {
         Incoming::One(match fast_stop_in(text) {
@@ -125,11 +116,11 @@ pub fn parse(text: &str) -> Incoming {
         })
     };
     match serde_json::from_str(text).map(|StrictJson(message)| message) {
-        Err(error) if error.is_data() => invalid(INVALID_REQUEST, format!("the message is no request: {error}")),
-        Err(error) => invalid(PARSE_ERROR, format!("the message is no JSON: {error}")),
+        Err(error) if error.is_data() => invalid(INVALID_REQUEST, format!("invalid JSON-RPC request: {error}")),
+        Err(error) => invalid(PARSE_ERROR, format!("invalid JSON: {error}")),
         Ok(Value::Array(batch)) if batch.is_empty() => invalid(INVALID_REQUEST, "the batch is empty".to_owned()),
         Ok(Value::Array(batch)) if batch.len() > MAX_BATCH => {
-            let detail = format!("the batch has {} requests, and may have {MAX_BATCH} at most", batch.len());
+            let detail = format!("the batch has {} requests; at most {MAX_BATCH} are allowed", batch.len());
             invalid(INVALID_REQUEST, detail)
         }
         Ok(Value::Array(batch)) => Incoming::Batch(batch.into_iter().map(call).collect()),
@@ -137,12 +128,13 @@ pub fn parse(text: &str) -> Incoming {
     }
 }
 
-/// A request. One for a FAST STOP is one however it is put.
+/// Parses a request. A request for a FAST STOP is accepted even if malformed.
 fn call(mut request: Value) -> Result<RpcCall, RpcResponse> {
     let mut take = |key: &str| request.get_mut(key).map(Value::take);
     let (version, id, method, params) = (take("jsonrpc"), take("id"), take("method"), take("params"));
     let params = params.unwrap_or_default();
-    // A number that can't be repeated exactly identifies nothing, and a long text would be kept until its answer is read.
+    // A number that can't be repeated exactly identifies nothing, and a long string would be kept until the response is
+    // read.
     let is_id = |id: &Value| match id {
         Value::String(text) => text.len() <= MAX_ID_BYTES,
         id => id.is_i64() || id.is_u64() || id.is_null(),
@@ -155,14 +147,14 @@ fn call(mut request: Value) -> Result<RpcCall, RpcResponse> {
         Err(RpcResponse::invalid(known_id.clone().unwrap_or_default(), INVALID_REQUEST, malformed(detail.to_owned())))
     };
     if version.as_ref().and_then(Value::as_str) != Some(VERSION) {
-        return invalid("a request has \"jsonrpc\": \"2.0\"");
+        return invalid("jsonrpc must be \"2.0\"");
     }
     if known_id.is_none() && id.is_some() {
-        return invalid("id must be a string of at most 64 bytes, or a whole number below 2^64");
+        return invalid("id must be a string of at most 64 bytes or an integer below 2^64");
     }
     match method {
         Some(Value::String(method)) => Ok(RpcCall { id, method, params }),
-        _ => invalid("a request has a \"method\", which is a text"),
+        _ => invalid("method must be a string"),
     }
 }
 
@@ -184,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn a_request_has_an_id_and_a_notification_has_none() {
+    fn notification_has_no_id() {
         let request = one(&json!({"jsonrpc": "2.0", "id": "a", "method": "state", "params": {"gripper": "left"}}));
         let expected = RpcCall { id: Some("a".into()), method: "state".to_owned(), params: json!({"gripper": "left"}) };
         assert_eq!(request, Ok(expected));
@@ -192,7 +184,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_request_is_told_so_under_its_id_where_it_has_one() {
+    fn invalid_request_is_refused_with_its_id() {
         for (request, id) in [
             (json!({"id": 7, "method": "state"}), json!(7)),
             (json!({"jsonrpc": "1.0", "id": 7, "method": "state"}), json!(7)),
@@ -219,7 +211,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fast_stop_is_one_however_it_is_put() {
+    fn malformed_fast_stop_is_accepted() {
         for request in [json!({"method": "fast-stop"}), json!({"jsonrpc": 2, "id": [], "method": "fast-stop"})] {
             assert_eq!(one(&request).unwrap().method, "fast-stop");
         }

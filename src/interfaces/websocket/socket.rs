@@ -1,8 +1,8 @@
-//! One client's socket: its requests, its leases, and whether it is still there.
+//! One client's socket: its requests, its leases and its liveness.
 //!
-//! Nothing here waits for the client. Answers wait for it in the [`Outbox`], whose bytes are bounded. Requests are read
-//! meanwhile, so that a FAST STOP stops although its client reads nothing. Urgent calls run here; all others run on the
-//! observers' runtime.
+//! Nothing here waits for the client. Responses queue in the [`Outbox`], whose bytes are bounded. Requests are still
+//! read meanwhile, so that a FAST STOP works even if its client reads nothing. Urgent calls run here; all others run on
+//! the observers' runtime.
 
 use std::collections::HashMap;
 use std::io;
@@ -39,42 +39,39 @@ use crate::interfaces::pace::RequestPace;
 use crate::operations::json::MAX_BODY_BYTES;
 use crate::operations::{Caller, Code, ConnectionLease, Effect, Problem, Reply, is_fast_stop, lease, named, urgency};
 
-/// Period of the pings.
 const PINGED_EVERY: Duration = Duration::from_secs(1);
 
-/// Unanswered pings after which a client is lost. Pings are counted rather than time, so that no client is lost because the
-/// gateway itself got no processor time.
+/// Unanswered pings after which a client is lost. Counting pings instead of time keeps clients when the gateway itself
+/// was starved of processor time.
 const MAX_UNANSWERED: u32 = 3;
 
-/// Requests of one client that may be under way. Further ones are refused as `overloaded`, FAST STOPs apart.
+/// Maximum number of concurrent requests of one client. More are refused as `overloaded`, except FAST STOPs.
 const MAX_CALLS: usize = 32;
 
-/// The same with FAST STOPs. Each ends within 250 ms, and the socket is read on then: the grippers are being stopped.
+/// Maximum number of concurrent requests including FAST STOPs. At this limit the socket is not read. Each FAST STOP
+/// ends within 250 ms, and the grippers are already being stopped.
 const MAX_CALLS_AND_FAST_STOPS: usize = 36;
 
-/// What a request under way costs beside its text.
+/// Memory cost of a running request besides its text.
 const CALL_BYTES: usize = 4 * 1024;
 
-/// Commands of one client whose end is waited for. The end of a further one is not reported, and has to be asked for.
+/// Maximum number of commands of one client whose end is reported. The client must ask for the end of further ones.
 const MAX_COMMANDS: usize = 64;
 
-/// Bytes that are read at once: requests are small, and there may be a thousand clients.
+/// Read buffer size: requests are small, and there can be a thousand clients.
 const READ_BYTES: usize = 4 * 1024;
 
-/// How long the closing handshake may take.
+/// Time limit of the closing handshake.
 const FAREWELL_WITHIN: Duration = Duration::from_secs(1);
 
-/// A connection that has become a WebSocket.
+/// A connection after its upgrade to a WebSocket.
 pub struct Connection {
-    /// The TCP connection.
     pub stream: TcpStream,
-    /// Bytes that came right behind the handshake.
+    /// Bytes that arrived directly after the handshake.
     pub early: Bytes,
-    /// The slot of the connection.
     pub permit: Option<Arc<ConnectionPermit>>,
 }
 
-/// A client's socket.
 pub struct Socket {
     client: Client,
     context: Context,
@@ -83,26 +80,26 @@ pub struct Socket {
     writer: AbortOnDropHandle<io::Result<()>>,
     incoming: WebSocketStream<Inbound>,
     calls: FuturesUnordered<BoxFuture<'static, Done>>,
-    /// How many requests `calls` are: a batch is one of them.
+    /// Number of requests in `calls`, where a batch is one call with several requests.
     under_way: usize,
-    /// Bytes of the requests under way.
+    /// Bytes of the running requests.
     request_bytes: usize,
     held: Option<HeldBytes>,
-    /// Commands that were answered, and have not ended.
+    /// Commands that were answered but have not ended.
     running: FuturesUnordered<BoxFuture<'static, Command>>,
-    /// The newest lease of each gripper that was taken here. It is lost with the socket, unless it was released. A
-    /// connection with a lease is not evicted.
+    /// The newest lease of each gripper that was taken on this socket. Unless released, a lease is lost with the
+    /// socket. A connection with a lease is not evicted.
     leases: HashMap<Name, (Arc<ConnectionLease>, Option<Claim>)>,
     pings: Interval,
-    /// Pings since anything came from the client.
+    /// Pings since the client last sent anything.
     unanswered: u32,
     pace: Arc<RequestPace>,
-    /// Until then the socket is not read, where it sends faster than the pace.
+    /// Time until which the socket is not read, because its client exceeded the rate limit.
     paused_until: Option<Instant>,
     _connected: Connected,
 }
 
-/// A message that was worked off.
+/// The result of a message.
 #[derive(Default)]
 struct Done {
     requests: usize,
@@ -113,7 +110,7 @@ struct Done {
     following: Option<Following>,
 }
 
-/// One request of it.
+/// The result of one request.
 #[derive(Default)]
 struct Answered {
     answer: Option<RpcResponse>,
@@ -130,7 +127,7 @@ impl Answered {
             Err(problem) => (Err(problem.into()), Effect::None),
         };
         let (running, lease) = match effect {
-            // A client that does not hear of a command's beginning hears nothing of its end.
+            // The end of a command is reported only if its start was.
             Effect::Running { ticket, .. } => (Some(ticket).filter(|_| has_id), None),
             Effect::Leased(lease) => (None, Some(lease)),
             Effect::None => (None, None),
@@ -139,28 +136,25 @@ impl Answered {
     }
 }
 
-/// Why a socket ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum End {
-    /// The gateway ends.
+    /// The gateway shuts down.
     Closing,
-    /// The client has closed it, or is gone.
+    /// The client closed the socket or vanished.
     Closed,
-    /// The client takes nothing any more: its connection has ended.
+    /// Writing failed because the connection has ended.
     Unwritable,
-    /// The client answers no ping.
+    /// The client stopped answering pings.
     Lost,
-    /// The connection was evicted.
     Evicted,
-    /// The client breaks the protocol or its bounds.
+    /// The client violated the protocol or its limits.
     Violation(CloseCode, &'static str),
 }
 
-/// Serves a client until its end.
 pub async fn serve(connection: Connection, client: Client, context: Context) {
     match Socket::new(connection, client, context).await {
         Ok(socket) => socket.run().await,
-        Err(error) => tracing::debug!(%error, "WebSocket could not be begun"),
+        Err(error) => tracing::debug!(%error, "WebSocket could not be started"),
     }
 }
 
@@ -208,7 +202,7 @@ impl Socket {
     async fn run(mut self) {
         let end = self.read().await;
         tracing::debug!(client = %self.client.subject, ?end, "WebSocket ended");
-        // A gateway that ends has given its grippers up already.
+        // On shutdown the gateway has already released its grippers.
         for (lease, _) in self.leases.values().filter(|_| end != End::Closing) {
             lease.lose().await;
         }
@@ -225,7 +219,7 @@ impl Socket {
         }
         self.outbox.close();
         let farewell = async {
-            // A client that is gone reads nothing of it.
+            // A vanished client does not read the farewell.
             if matches!((&mut self.writer).await, Ok(Ok(()))) {
                 while let Some(Ok(_)) = self.incoming.next().await {
                     self.incoming.get_mut().taken();
@@ -268,7 +262,7 @@ impl Socket {
                 },
                 () = sleep_until(paused_until), if self.paused_until.is_some() => self.paused_until = None,
                 _ = self.pings.tick() => {
-                    // A connection whose lease another client has is evicted like all others.
+                    // A connection that has lost its lease to another client can be evicted again.
                     self.leases.retain(|_, (lease, _)| lease.is_held());
                     if self.unanswered >= MAX_UNANSWERED {
                         return End::Lost;
@@ -283,7 +277,7 @@ impl Socket {
         }
     }
 
-    /// Takes what came from the client, unless that ends the socket.
+    /// Processes a message from the client. Returns the reason if the message ends the socket.
     fn take_message(&mut self, message: Option<Result<Message, WsError>>) -> Option<End> {
         self.unanswered = 0;
         self.paused_until = self.pace.due(Instant::now(), false);
@@ -322,14 +316,13 @@ impl Socket {
         self.calls.push(done.boxed());
     }
 
-    /// Counts what the requests under way hold.
+    /// Updates the count of bytes held by running requests.
     fn count(&mut self) {
         if let Some(held) = &mut self.held {
             held.set(self.request_bytes + self.under_way * CALL_BYTES);
         }
     }
 
-    /// Begins a request.
     fn answered(&self, call: Result<RpcCall, RpcResponse>) -> BoxFuture<'static, Answered> {
         let ready = |answered| std::future::ready(answered).boxed();
         let RpcCall { id, method, params } = match call {
@@ -343,10 +336,10 @@ impl Socket {
         }
         if method == "subscribe" {
             return ready(
-                match bodies::subscribe(&self.context.gateway, &params).map(|(told, following)| (raw(&told), following))
+                match bodies::subscribe(&self.context.gateway, &params).map(|(body, following)| (raw(&body), following))
                 {
-                    Ok((told, following)) => Answered {
-                        answer: id.map(|id| RpcResponse::new(id, told)),
+                    Ok((body, following)) => Answered {
+                        answer: id.map(|id| RpcResponse::new(id, body)),
                         following: Some(following),
                         lease: None,
                         running: None,
@@ -358,19 +351,19 @@ impl Socket {
             );
         }
         if named(&method).next().is_none() {
-            let names = "there is no such method: the API's description has them all";
-            let error = RpcError::no_method(Problem::new(Code::NotFound, names));
+            let detail = "there is no such method; /api/v1/asyncapi.yaml lists all methods";
+            let error = RpcError::no_method(Problem::new(Code::NotFound, detail));
             return ready(Answered { answer: id.map(|id| RpcResponse::new(id, Err(error))), ..Answered::default() });
         }
         if method == lease::TAKE.name && id.is_none() {
-            // Nobody would hear its token.
+            // Without an id there is no response, so nobody would get the token.
             return ready(Answered::default());
         }
         let (gateway, client, metrics) =
             (self.context.gateway.clone(), self.client.clone(), self.context.metrics.clone());
         let (is_urgent, pace) = (urgency(&method) != Urgency::None, self.pace.clone());
         let answered = async move {
-            // Those of a batch come at once.
+            // The FAST STOPs of a batch arrive all at once.
             if is_fast_stop(&method) {
                 pace.next_fast_stop().await;
             }
@@ -382,18 +375,18 @@ impl Socket {
         if is_urgent {
             return answered.boxed();
         }
-        // A call that has panicked has no answer.
+        // A call that panicked gets no response.
         let answered = AbortOnDropHandle::new(self.context.runtimes.observers.spawn(answered));
         answered.map(Result::unwrap_or_default).boxed()
     }
 
-    /// Why this client may begin nothing more for now, if so.
+    /// Returns why this client can't start another request now, if it can't.
     fn overload(&self) -> Option<String> {
         if self.outbox.is_unread() {
-            return Some("too many answers of this socket wait to be read: read them first".to_owned());
+            return Some("too many unread responses on this socket: read them first".to_owned());
         }
         (self.under_way > MAX_CALLS)
-            .then(|| format!("{MAX_CALLS} requests of this socket are under way already: await their answers first"))
+            .then(|| format!("too many requests on this socket ({MAX_CALLS} in progress): wait for their responses"))
     }
 
     fn take_done(&mut self, done: Done) {
@@ -433,22 +426,22 @@ impl Done {
             [answer] if !is_batch => serde_json::to_string(answer),
             answers => serde_json::to_string(answers),
         };
-        done.answer = json.inspect_err(|error| tracing::error!(%error, "an answer has no JSON")).ok();
+        done.answer = json.inspect_err(|error| tracing::error!(%error, "response could not be serialised")).ok();
         done
     }
 }
 
-fn raw(told: &impl serde::Serialize) -> Result<Box<RawValue>, RpcError> {
-    let problem = |error| Problem::new(Code::Internal, format!("the answer has no JSON: {error}"));
-    to_raw_value(told).map_err(|error| problem(error).into())
+fn raw(body: &impl serde::Serialize) -> Result<Box<RawValue>, RpcError> {
+    let problem = |error| Problem::new(Code::Internal, format!("response could not be serialised: {error}"));
+    to_raw_value(body).map_err(|error| problem(error).into())
 }
 
 fn end_of(error: &WsError) -> End {
     match error {
-        WsError::Capacity(_) => End::Violation(CloseCode::Size, "a message has 64 KiB at most"),
-        WsError::Utf8(_) => End::Violation(CloseCode::Invalid, "a text is not UTF-8"),
+        WsError::Capacity(_) => End::Violation(CloseCode::Size, "message exceeds 64 KiB"),
+        WsError::Utf8(_) => End::Violation(CloseCode::Invalid, "text message is not valid UTF-8"),
         WsError::Protocol(ProtocolError::ResetWithoutClosingHandshake) => End::Closed,
-        WsError::Protocol(_) => End::Violation(CloseCode::Protocol, "not a WebSocket frame (RFC 6455)"),
+        WsError::Protocol(_) => End::Violation(CloseCode::Protocol, "invalid WebSocket frame (RFC 6455)"),
         _ => End::Closed,
     }
 }

@@ -1,6 +1,5 @@
-//! The writing half of a client's socket: answers first, then updates. While the client does not read, updates stay
-//! where they are: newer states and telemetry replace older ones there, and events and frames fall behind and become a
-//! gap.
+//! The writing half of a client's socket: responses first, then updates. Updates stay in the subscription while the
+//! client does not read: newer states and telemetry replace older ones, and missed events and frames become a gap.
 
 use std::io::IoSlice;
 use std::sync::Arc;
@@ -15,10 +14,9 @@ use super::outbox::{Item, Outbox};
 use crate::events::{Notification, Pace, Subscription};
 use crate::interfaces::metrics::Metrics;
 
-/// Frames that are gathered for one write.
+/// Maximum number of frames in one write.
 const MAX_GATHERED: usize = 64;
 
-/// The writer of one client.
 pub struct Writer {
     half: TcpStream,
     outbox: Arc<Outbox>,
@@ -31,7 +29,7 @@ impl Writer {
         Self { half, outbox, following: None, metrics }
     }
 
-    /// Writes until the outbox is closed and empty, or the client takes no more.
+    /// Writes until the outbox is closed and empty, or writing fails.
     pub async fn run(mut self) -> std::io::Result<()> {
         loop {
             let frames = tokio::select! {
@@ -59,8 +57,8 @@ impl Writer {
             };
             let frames: Vec<_> = frames.iter().map(Notification::frame).collect();
             write(&mut self.half, &frames).await?;
-            // A kernel lets a thread run on for some milliseconds although others that matter more have woken: among a
-            // thousand observers it is asked after each of them.
+            // The kernel can let this thread run on for some milliseconds although more important ones have woken, so
+            // this thread yields after each of a thousand observers.
             std::thread::yield_now();
         }
     }
@@ -79,8 +77,8 @@ async fn write(half: &mut TcpStream, frames: &[Bytes]) -> std::io::Result<()> {
     Ok(())
 }
 
-/// The next updates: the newest states and telemetry when their time has come, or events and frames, with what else of
-/// them is there already; and how many were dropped for newer ones. Cancelled without loss.
+/// Returns the next updates: the newest states and telemetry when they are due, or all events and frames that are
+/// ready. Also returns the number of updates that newer ones replaced. Cancellation-safe.
 async fn updates(following: &mut Option<(Subscription, Pace)>) -> (Vec<Notification>, u64) {
     let Some((updates, pace)) = following else { return std::future::pending().await };
     let has_states = updates.has_states();

@@ -1,4 +1,4 @@
-//! The I/O around one client's virtual device, and what it asks of the gripper on that client's behalf.
+//! The I/O around one client's virtual device, and its requests to the gripper on behalf of that client.
 
 use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -22,70 +22,69 @@ use crate::interfaces::admission::{Claim, Class, ConnectionPermit};
 use crate::operations::audit::RefusedRequest;
 use crate::wsg::{self, Data, Reply, Status, id};
 
-/// What is read at once: the answers to as many requests have a place before any of them is written.
+/// Read buffer size. The replies to all requests that fit into it can be queued before any of them is written.
 const READ_BYTES: usize = 1024;
 
-/// So many things are done for one client before it is another one's turn: none of them can hold up a gripper.
+/// Steps for one client before another client's turn, so that no client can delay a gripper.
 const TURN: u32 = 16;
 
-/// How long an evicted client may take to say its first words.
+/// Time in which the first bytes of an evicted client must arrive.
 const FIRST_WORDS_WITHIN: Duration = Duration::from_millis(10);
 
-/// How long a client may take to read what it is still told when the gateway ends, and how long its last FAST STOPs may
-/// take to be passed on when it is gone.
+/// Time for a client to read its last replies at shutdown, and for its last FAST STOPs to be passed on after it has
+/// disconnected.
 const LAST_WORDS_WITHIN: Duration = Duration::from_millis(500);
 
-/// One client, until it ends.
+/// One client and its connection.
 pub(super) struct Served<R, W> {
     port: Arc<Port>,
     client: Client,
-    /// What its motions bring as their lease.
+    /// Lease token of the client's motions.
     token: LeaseToken,
     device: VirtualDevice,
     under_way: FuturesUnordered<BoxFuture<'static, Step>>,
-    /// Keeps the lease for as long as the client is there.
+    /// Keeps the lease alive while the client is connected.
     kept: Option<Kept>,
     permit: Arc<ConnectionPermit>,
     reader: R,
     writer: W,
     outgoing: Vec<u8>,
     written: usize,
-    /// How long it may be silent, where that is its end.
+    /// Silence after which the client is lost; `None` if silence is allowed.
     silence: Option<Duration>,
     heard: Instant,
-    /// Whether nothing has come from the client.
+    /// Whether the client has sent nothing yet.
     is_fresh: bool,
-    /// It was silent for too long. What it still waits for is told all the same: many wait for ever.
+    /// Whether the client was silent for too long. It still gets its outstanding replies, since many clients wait for
+    /// them forever.
     is_lost: bool,
 }
 
-/// The lease for as long as its client is there, who is not sent away meanwhile.
+/// A lease kept alive for its client, which is not evicted meanwhile.
 struct Kept {
     epoch: u64,
     _keep: LeaseKeepAlive,
     _pin: Option<Claim>,
 }
 
-/// How far an order has come.
+/// Progress of an order.
 enum Step {
     Answered(PortRequest, PortReply),
-    /// The device has accepted what moves nothing, and takes its time for it.
+    /// The device has accepted a request that moves nothing, and is still working on it.
     Begun(PortRequest, BoxFuture<'static, Step>),
-    /// A command was admitted.
     Admitted(PortRequest, Ticket),
-    /// It was accepted, or has ended before.
+    /// A command was accepted by the device, or ended before that.
     Accepted(PortRequest, Ticket, Box<Command>),
-    /// Whether a refusal is to be written down.
+    /// A request was refused; the flag says whether the refusal is recorded.
     Rejected(PortRequest, Rejection, bool),
     Kept(Option<AcquiredLease>),
 }
 
-/// Why a client is not served any longer.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum End {
-    /// It is gone.
+    /// The client has disconnected or is lost.
     Gone,
-    /// The gateway ends.
+    /// The gateway shuts down.
     Closing,
 }
 
@@ -117,35 +116,36 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
         }
     }
 
-    /// Serves it until it is gone, or `closing`.
+    /// Serves the client until it is gone, or until `closing`.
     pub(super) async fn run(mut self, closing: CancellationToken) {
         if self.serve(&closing).await == End::Closing {
-            // Its gripper was given up in order. What became of the last motion has still to be told.
+            // The gripper was released in order. The client must still learn the end of its last motion.
             let _ = tokio::time::timeout(LAST_WORDS_WITHIN, self.finish()).await;
             return;
         }
         if self.is_fresh {
-            // The runtime has not heard yet of what an evicted client sent right after it connected: perhaps a FAST STOP.
+            // The runtime may not have seen yet what an evicted client sent right after it connected, perhaps a FAST
+            // STOP.
             let mut incoming = vec![0; READ_BYTES];
             if let Ok(Ok(bytes)) = tokio::time::timeout(FIRST_WORDS_WITHIN, self.reader.read(&mut incoming)).await {
                 self.receive(incoming.get(..bytes).unwrap_or_default());
             }
         }
-        // What it has sent before it left counts: many announce and leave.
+        // Requests sent before the disconnect count: many clients send 07h and disconnect at once.
         while let Some(Ok(bytes)) = self.read_now().filter(|read| !matches!(read, Ok(0))) {
             tracing::trace!(bytes, "read after the end");
-            // The grippers' actors run on the same thread.
+            // Yields, since the grippers' actors run on the same thread.
             tokio::task::yield_now().await;
         }
         self.start_orders();
         if self.device.has_announced() {
-            // An actor that is gone has given its device up.
+            // An error means that the actor has ended and released its device.
             let _ = self.port.gripper.release_lease(Some(self.token.clone())).await;
             self.device.forget_waiting();
         } else {
             self.lose().await;
         }
-        // Its FAST STOPs may still wait for a place.
+        // FAST STOPs of the client may still be waiting for their turn.
         let _ = tokio::time::timeout(LAST_WORDS_WITHIN, self.finish_fast_stops()).await;
     }
 
@@ -179,7 +179,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
                         return End::Gone;
                     }
                     tracing::warn!(gripper = %self.port.gripper.name(), client = %self.client.subject,
-                        "client evicted: it was silent for longest, and a new client needs its slot");
+                        "client evicted: silent longest, and a new client needs its slot");
                     return End::Gone;
                 }
                 written = self.writer.write(self.outgoing.get(self.written..).unwrap_or_default()), if is_writing => {
@@ -211,7 +211,6 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
         }
     }
 
-    /// Waits for all answers, and writes them.
     async fn finish(&mut self) {
         while let Some(step) = self.under_way.next().await {
             self.take(step);
@@ -235,25 +234,25 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
         }
     }
 
-    /// It is lost, and its lease with it. What it has asked for and was not begun will not be.
+    /// Marks the client and its lease as lost. Requests that have not started are discarded.
     async fn lose(&mut self) {
         self.is_lost = true;
         self.device.forget_waiting();
-        // Its token is its connection's own, however often it was taken.
+        // The token belongs to this connection alone, however often the lease was taken.
         self.port.gripper.lose_lease(self.token.clone(), None).await;
     }
 
-    /// Where nothing else ends it, a client that has announced its end is gone once it was told so.
+    /// Whether a client without a connection (UDP) has announced its disconnect and got all replies.
     fn has_left(&self) -> bool {
-        self.silence.is_some() && self.device.has_announced() && self.is_told()
+        self.silence.is_some() && self.device.has_announced() && self.is_answered()
     }
 
-    fn is_told(&self) -> bool {
+    fn is_answered(&self) -> bool {
         self.device.is_idle() && self.written == self.outgoing.len()
     }
 
     fn is_owed_nothing(&self) -> bool {
-        self.under_way.is_empty() && self.is_told()
+        self.under_way.is_empty() && self.is_answered()
     }
 
     fn receive(&mut self, bytes: &[u8]) {
@@ -264,7 +263,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
         self.device.receive(self.heard, bytes, &self.port.gripper.state());
     }
 
-    /// Reads what is there already.
+    /// Reads bytes that have already arrived.
     fn read_now(&mut self) -> Option<std::io::Result<usize>> {
         let mut incoming = vec![0; READ_BYTES];
         let read = self.reader.read(&mut incoming).now_or_never()?;
@@ -274,7 +273,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
         Some(read)
     }
 
-    /// Each order is begun before the next one, so that the gripper gets them in this order.
+    /// Starts all orders one after the other, so that the gripper gets them in this order.
     fn start_orders(&mut self) {
         while let Some(refused) = self.device.poll_refused() {
             self.record(refused.id, refused.status, refused.cause.to_owned());
@@ -328,7 +327,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             PortOrder::Exchange(command) => {
                 let (accepted, is_accepted) = oneshot::channel();
                 let mut exchanged = async move {
-                    // Who only reads changes nothing, and leaves no trace.
+                    // Refused reads are not recorded.
                     let changes = !command.is_read();
                     match gripper.exchange_in_steps(command, client, Some(token), accepted).await {
                         Ok(data) => Step::Answered(ask, PortReply::Reply(Reply::Success(data.of_reply(ask.id)))),
@@ -357,7 +356,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
         match step {
             Step::Answered(ask, answer) => self.answer(ask, answer),
             Step::Begun(ask, rest) => {
-                // Where the next request waits for the last reply, that is all that its client expects.
+                // If the next request waits for the final reply, the client expects no other reply.
                 if !ask.is_awaited {
                     self.answer(ask, PortReply::Accepted);
                 }
@@ -393,9 +392,9 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
         }
     }
 
-    /// A command was accepted, or has ended without.
+    /// Handles a command that was accepted, or that ended before that.
     fn accepted(&mut self, ask: PortRequest, mut ticket: Ticket, command: &Command) {
-        // What was admitted and stopped before it was sent looks like what was stopped right after.
+        // A motion that was stopped before it was sent gets the same replies as one stopped right after.
         let was_stopped = id::is_motion(ask.id) && command.outcome == Some(Outcome::Aborted);
         let is_two_step = command.accepted || was_stopped;
         let mut end = ask;
@@ -418,12 +417,12 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
     fn keep(&mut self) {
         let take = TakeLease { token: Some(self.token.clone()), ..TakeLease::by(self.client.clone()) };
         let gripper: Handle = self.port.gripper.clone();
-        // It may have been forced away just now.
+        // Fails if another client has just forced the lease away.
         let kept = async move { Step::Kept(gripper.take_lease(take).await.ok()) };
         self.begin(kept.boxed());
     }
 
-    /// Whose lease was forced away, or given back, is a client like others.
+    /// Stops keeping a lease that was forced away or released, so that the client can be evicted again.
     fn forget_lost_lease(&mut self, state: &State) {
         let is_held = |kept: &Kept| state.lease_holder.is_some() && state.lease_epoch == kept.epoch;
         self.kept.take_if(|kept| !is_held(kept));
@@ -436,7 +435,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
     }
 }
 
-/// How a command's last reply looks.
+/// Returns a command's final reply.
 fn ended(command: &Command) -> PortReply {
     if let Some(rejection) = &command.rejection {
         return PortReply::Refused(rejection.into());

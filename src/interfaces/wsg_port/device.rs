@@ -1,4 +1,4 @@
-//! One client's virtual device: bytes, answers and `now` go in; frames, and orders for the gripper, come out. Sans-IO.
+//! One client's virtual device, sans-IO: takes bytes, replies and `now`; produces frames and orders for the gripper.
 //!
 //! # How it is driven
 //!
@@ -7,9 +7,9 @@
 //! - Outputs, to be drained after each input: [`VirtualDevice::poll_order`], [`VirtualDevice::poll_refused`];
 //!   [`VirtualDevice::poll_frame`] whenever the client can take one; [`VirtualDevice::poll_timeout`].
 //!
-//! Requests are taken up in order, each when the one before it was answered; only Stop and FAST STOP overtake. What a
-//! device takes its time for (a motion once it is accepted, a Stop, a script) holds up nothing, but for a motion behind a
-//! Stop: many stop and move on in one breath.
+//! Requests are executed in order, each after the previous one was answered; only Stop and FAST STOP overtake. Slow
+//! requests (an accepted motion, a Stop, a script) do not block later ones. The exception is a motion after a Stop,
+//! which waits, since many clients send a Stop and a motion together.
 
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -25,20 +25,19 @@ use crate::wsg::{
     Width, id,
 };
 
-/// Requests of one client that may wait for their turn. Further ones are answered E_OVERRUN.
+/// Maximum number of waiting requests of one client. More are answered with E_OVERRUN.
 pub(super) const MAX_WAITING_REQUESTS: usize = 64;
 
-/// Stops of one client that may be under way. A further one is answered E_OVERRUN: all but one of these are written
-/// behind whatever it was to stop.
+/// Maximum number of unanswered Stops of one client. More are answered with E_OVERRUN: all but one of the accepted
+/// Stops are written after anything that a further Stop could end.
 pub(super) const MAX_STOPS: usize = 16;
 
-/// Frames that may wait for a client to read. With more it reads nothing any more, and is given up.
+/// Maximum number of unread frames of a client. A client that exceeds it no longer reads and is disconnected.
 pub(super) const MAX_WAITING_FRAMES: usize = 256;
 
-/// With so many frames waiting, automatic updates are left out: the next one is newer.
+/// Number of unread frames from which automatic updates are skipped, since the next update is newer.
 const MAX_FRAMES_BEFORE_UPDATES: usize = 16;
 
-/// What is to be asked of the gripper.
 #[derive(Debug, PartialEq)]
 pub(super) enum PortOrder {
     Command(Action),
@@ -48,32 +47,32 @@ pub(super) enum PortOrder {
     Release,
 }
 
-/// An order, and the request that it is for.
+/// An order and its request.
 #[derive(Debug, PartialEq)]
 pub(super) struct PortOrdered {
     pub ask: PortRequest,
     pub order: PortOrder,
 }
 
-/// A request that was taken up.
+/// A request that is being executed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct PortRequest {
     pub id: u8,
-    /// Whether the next request waits for its answer.
+    /// Whether the next request waits for the reply.
     pub is_awaited: bool,
 }
 
-/// What became of an order.
+/// The gripper's reply to an order.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum PortReply {
-    /// The device has accepted a motion: its result follows.
+    /// The device has accepted a motion; the result follows.
     Accepted,
     Reply(Reply),
     Refused(RefusedStatus),
     FastStopped(FastStop),
 }
 
-/// A request that was refused here and is to be written down.
+/// A request that was refused here, for the audit.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) struct Refused {
     pub id: u8,
@@ -81,11 +80,11 @@ pub(super) struct Refused {
     pub cause: &'static str,
 }
 
-/// The FAST STOPs of one client. Those that come before one is answered become one more when it is: so many at a time
-/// cost no more than two, and none is lost if that one is acknowledged meanwhile.
+/// The FAST STOPs of one client. All that arrive while one is unanswered are combined into one more. So any number
+/// costs two at a time, and none is lost if the first is acknowledged meanwhile.
 #[derive(Debug, Default)]
 struct FastStops {
-    /// The requests that are answered with the one under way: none where none is.
+    /// Number of requests that the running FAST STOP answers; 0 if none is running.
     under_way: usize,
     waiting: usize,
 }
@@ -97,13 +96,12 @@ pub(super) struct VirtualDevice {
     shortest_period_ms: u16,
     input: Input,
     waiting: VecDeque<Request>,
-    /// Answers that the next request waits for.
+    /// Number of replies that the next request waits for.
     awaited: usize,
-    /// Stops that were not answered yet.
     stops: usize,
-    /// Motions that were ordered, and have not ended. A Stop ends them; it ends no script.
+    /// Number of motions that have not ended. A Stop ends motions, but not scripts.
     motions: usize,
-    /// Whether a Stop came while something of this client moved, which has not ended since.
+    /// Whether a Stop arrived during a motion of this client that has not ended yet.
     motions_are_stopping: bool,
     fast_stops: FastStops,
     subscriptions: Subscriptions,
@@ -112,14 +110,14 @@ pub(super) struct VirtualDevice {
     frames: VecDeque<Vec<u8>>,
     announced: bool,
     overflown: bool,
-    /// The FAST STOP that this client has caused last.
+    /// The last FAST STOP that this client caused.
     caused: Option<FastStopId>,
-    /// The one that it was told of last.
+    /// The last FAST STOP that this client has seen.
     seen: Option<FastStopId>,
 }
 
 impl VirtualDevice {
-    /// With automatic updates no faster than this.
+    /// Returns a device whose automatic updates have at least this period.
     pub(super) fn new(rules: Arc<Rules>, custom_ids: Arc<CustomIds>, shortest_period_ms: u16) -> Self {
         Self {
             input: Input::new(if rules.checksum_evaluation { ChecksumEvaluation::On } else { ChecksumEvaluation::Off }),
@@ -153,15 +151,15 @@ impl VirtualDevice {
         self.take_requests(now, state);
         self.take_up(now, state);
         let due = self.subscriptions.take_due(now, |id| value(id, state));
-        // What is not known any more is no news.
+        // Without a link the values are stale.
         if state.link == Link::Connected && self.frames.len() < MAX_FRAMES_BEFORE_UPDATES {
             for (id, data) in due {
-                self.tell(id, data, state);
+                self.report(id, data, state);
             }
         }
     }
 
-    /// What became of an order.
+    /// Handles the gripper's reply to an order.
     pub(super) fn answer(&mut self, now: Instant, ask: PortRequest, answer: PortReply, state: &State) {
         let is_last = answer != PortReply::Accepted;
         match answer {
@@ -208,35 +206,35 @@ impl VirtualDevice {
         self.input.deadline().into_iter().chain(self.subscriptions.due(|id| value(id, state))).min()
     }
 
-    /// Whether some updates wait for a change, or a motion for the fingers to stand, which a FAST STOP must not outlast: then
-    /// every new state may matter.
+    /// Whether every new state matters: for updates on change, or because a motion waits for a Stop and a FAST STOP has
+    /// to discard it.
     pub(super) fn watches(&self) -> bool {
         self.subscriptions.watch() || self.holds_a_motion_back()
     }
 
-    /// Whether its client has announced the end, also in a request that waits.
+    /// Whether the client has announced its disconnect, including in a waiting request.
     pub(super) fn has_announced(&self) -> bool {
         let announces = |request: &Request| matches!(request.command, Ok(Command::DisconnectAnnouncement));
         self.announced || self.waiting.iter().any(announces)
     }
 
-    /// Whether nothing is under way or waits to be sent.
+    /// Whether no request is running or waiting, and no frame waits to be sent.
     pub(super) fn is_idle(&self) -> bool {
         self.awaited == 0 && self.waiting.is_empty() && self.orders.is_empty() && self.frames.is_empty()
     }
 
-    /// Its client is gone: what was not begun will not be, but for its FAST STOPs.
+    /// Discards the waiting requests of a client that is gone, except FAST STOPs.
     pub(super) fn forget_waiting(&mut self) {
         self.waiting.clear();
         self.subscriptions.clear();
     }
 
-    /// Whether a FAST STOP was not answered yet.
+    /// Whether a FAST STOP is unanswered.
     pub(super) fn is_stopping(&self) -> bool {
         self.fast_stops.under_way > 0
     }
 
-    /// Whether its client doesn't read what it asks for.
+    /// Whether the client does not read its replies, or sends garbage.
     pub(super) fn has_overflown(&self) -> bool {
         self.overflown || self.input.is_garbage()
     }
@@ -265,12 +263,12 @@ impl VirtualDevice {
                 _ if self.waiting.len() >= MAX_WAITING_REQUESTS => self.status(id, Status::E_OVERRUN),
                 _ => self.waiting.push_back(request),
             }
-            // What can be begun is, before what comes behind it.
+            // Start what can be started before parsing the next request.
             self.take_up(now, state);
         }
     }
 
-    /// All those that wait are one, when there is none before it.
+    /// Combines all waiting FAST STOPs into one, unless one is running.
     fn begin_fast_stop(&mut self) {
         if self.fast_stops.under_way == 0 && self.fast_stops.waiting > 0 {
             self.fast_stops.under_way = std::mem::take(&mut self.fast_stops.waiting);
@@ -278,7 +276,7 @@ impl VirtualDevice {
         }
     }
 
-    /// A Stop also stops what came before it and was not begun.
+    /// Aborts the motions that wait before a Stop.
     fn abort_waiting_motions(&mut self) {
         let mut waiting = std::mem::take(&mut self.waiting);
         for request in waiting.iter_mut().filter(|request| self.moves(request.id)) {
@@ -287,20 +285,20 @@ impl VirtualDevice {
         self.waiting = waiting;
     }
 
-    /// Whether this may move the fingers: a motion, or a script that doesn't only read.
+    /// Whether this id can move the fingers: a motion, or a script that is not listed as read-only.
     fn moves(&self, id: u8) -> bool {
         id::is_motion(id) || (id::describe(id).is_none() && !self.custom_ids.read.contains(&id))
     }
 
-    /// Until it is known that the fingers stand, a motion behind a Stop would be refused for the one that is being
-    /// stopped.
+    /// Whether a motion has to wait for a Stop to finish. Sent earlier, it would be refused because of the motion that
+    /// is being stopped.
     fn holds_a_motion_back(&self) -> bool {
         let is_stopping = self.stops > 0 || self.motions_are_stopping;
         is_stopping && self.waiting.front().is_some_and(|next| next.command.is_ok() && self.moves(next.id))
     }
 
     fn take_up(&mut self, now: Instant, state: &State) {
-        // Nothing moves after an acknowledge that was asked for before the FAST STOP.
+        // A motion requested before a FAST STOP must not run after its acknowledgement.
         if state.latch.is_some() && self.holds_a_motion_back() {
             self.abort_waiting_motions();
         }
@@ -308,7 +306,7 @@ impl VirtualDevice {
             && let Some(Request { id, command }) = self.next_request()
         {
             match command {
-                // fw4-en 3.1.2: until the connection has ended.
+                // fw4-en 3.1.2: refused until the connection has ended.
                 _ if self.announced => self.status(id, Status::E_ACCESS_DENIED),
                 Ok(command) => self.execute(now, command, state),
                 Err(status) => self.refuse_malformed(id, status, state),
@@ -335,7 +333,7 @@ impl VirtualDevice {
                 self.order(id, true, PortOrder::Release);
             }
             command @ (Command::Custom(_) | Command::FingerPower { .. }) => {
-                // Those that follow one another wait for one another.
+                // Streamed requests wait for one another.
                 self.order(id, self.custom_ids.stream.contains(&id), PortOrder::Exchange(command));
             }
             command => {
@@ -345,7 +343,8 @@ impl VirtualDevice {
         }
     }
 
-    /// A motion is checked in the order in which the manual lists the statuses: its form comes behind what is in its way.
+    /// Refuses a malformed request. Motions are checked in the order of the manual's statuses: a FAST STOP or a running
+    /// command is reported before a format error.
     fn refuse_malformed(&mut self, id: u8, status: Status, state: &State) {
         let status = match &state.latch {
             Some(latch) if id::is_motion(id) => {
@@ -358,7 +357,7 @@ impl VirtualDevice {
         self.status(id, status);
     }
 
-    /// Switching updates on is answered, too: some wait for that.
+    /// Answers a query. Switching updates on is answered, too, since some clients wait for the reply.
     fn query(&mut self, now: Instant, id: u8, updates: Updates, state: &State) {
         let updates = match updates {
             Updates::Off => Updates::Off,
@@ -369,21 +368,21 @@ impl VirtualDevice {
         let data = value(id, state);
         self.subscriptions.set(id, updates, data.clone(), now);
         if state.link == Link::Connected {
-            self.tell(id, data, state);
+            self.report(id, data, state);
         } else {
             self.status(id, Status::E_IO_ERROR);
         }
     }
 
-    fn tell(&mut self, id: u8, data: Data, state: &State) {
+    fn report(&mut self, id: u8, data: Data, state: &State) {
         if let (id::GET_SYSTEM_STATE, Some(latch)) = (id, &state.latch) {
             self.seen = Some(latch.fast_stop_id);
         }
         self.reply(id, &Reply::Success(data));
     }
 
-    /// A FAST STOP is acknowledged by who knows of it and may: many send 24h first of all, and would wipe out what
-    /// happened.
+    /// Acknowledges a FAST STOP if this client has seen it and may clear it. Many clients send a blind 24h first, which
+    /// would erase a FAST STOP that nobody noticed.
     fn acknowledge(&mut self, state: &State) {
         let id = id::ACKNOWLEDGE_FAST_STOP;
         match &state.latch {
@@ -391,8 +390,8 @@ impl VirtualDevice {
                 self.order(id, true, PortOrder::Acknowledge(latch.fast_stop_id));
             }
             Some(_) => {
-                let cause = "a FAST STOP is acknowledged on a connection that was told of it, if that connection or \
-                             the device has caused it";
+                let cause = "a FAST STOP can only be acknowledged on a connection that has seen it, and only if that \
+                             connection or the device caused it";
                 self.refused.push_back(Refused { id, status: Status::E_ACCESS_DENIED, cause });
                 self.status(id, Status::E_ACCESS_DENIED);
             }
@@ -437,12 +436,12 @@ impl VirtualDevice {
     }
 }
 
-/// The newest value of a getter with automatic updates, as a device tells it.
+/// Returns the newest value of a getter with automatic updates, as a device would report it.
 fn value(id: u8, state: &State) -> Data {
     match id {
         id::GET_SYSTEM_STATE => {
             let flags = SystemState::from_bits_retain(state.flags_raw.unwrap_or_default());
-            // It holds for clients, though the device may have forgotten it, or not have heard of it yet.
+            // The latch holds for clients even if the device has forgotten the FAST STOP or has not received it yet.
             let latched = if state.latch.is_some() { SystemState::FAST_STOP } else { SystemState::empty() };
             Data::SystemState(flags | latched)
         }

@@ -8,7 +8,7 @@ fn rules() -> Rules {
     Rules { checksum_evaluation: true, acknowledge_any: false, allow: Vec::new() }
 }
 
-/// A script that reads, and one that is steered; all others are motions.
+/// One script that only reads and one that is streamed; all others are motions.
 fn custom_ids() -> CustomIds {
     CustomIds { read: [0xB2].into(), stream: [0xB1].into() }
 }
@@ -38,7 +38,7 @@ fn latched(id: FastStopId, cause: FastStopCause) -> State {
     State { latch: Some(latch), ..state() }
 }
 
-/// A virtual device, and the time.
+/// A virtual device with its clock and state.
 struct Bench {
     device: VirtualDevice,
     now: Instant,
@@ -72,7 +72,7 @@ impl Bench {
         self.device.answer(self.now, ask, answer, &self.state);
     }
 
-    /// Lets time pass, as its driver would.
+    /// Lets time pass and handles timeouts, as the client's I/O would.
     fn pass(&mut self, time: Duration) {
         let until = self.now + time;
         while let Some(at) = self.device.poll_timeout(&self.state).filter(|at| *at <= until) {
@@ -82,7 +82,7 @@ impl Bench {
         self.now = until;
     }
 
-    /// What was sent: ids and statuses.
+    /// Returns the ids and statuses of all sent frames.
     fn sent(&mut self) -> Vec<(u8, Status)> {
         let mut sent = Vec::new();
         while let Some(frame) = self.device.poll_frame() {
@@ -99,7 +99,7 @@ impl Bench {
 const NOTHING: PortReply = PortReply::Reply(Reply::Success(Data::None));
 
 #[test]
-fn requests_are_taken_up_in_order_and_stops_overtake() {
+fn requests_run_in_order_and_stops_overtake() {
     let mut bench = Bench::new();
     bench.send(id::HOMING, &[0]);
     bench.send(id::GET_FORCE_LIMIT, &[]);
@@ -111,7 +111,7 @@ fn requests_are_taken_up_in_order_and_stops_overtake() {
     let fast_stop = bench.order();
     assert_eq!((fast_stop.order, bench.device.poll_order()), (PortOrder::FastStop, None));
     bench.answer(homing.ask, PortReply::Accepted);
-    assert_eq!(bench.device.poll_order(), None, "a FAST STOP is waited for");
+    assert_eq!(bench.device.poll_order(), None, "the request waits for the FAST STOP");
     let id = FastStopId::generate();
     bench.answer(fast_stop.ask, PortReply::FastStopped(FastStop { id, confirmed: true }));
     assert_eq!(bench.order().order, PortOrder::Exchange(Command::GetForceLimit));
@@ -119,7 +119,7 @@ fn requests_are_taken_up_in_order_and_stops_overtake() {
 }
 
 #[test]
-fn a_stop_ends_what_came_before_it_also_what_was_not_begun() {
+fn stop_aborts_waiting_motions() {
     let mut bench = Bench::new();
     let mut bytes = Vec::new();
     for (id, payload) in [(id::LOOP, &b"x"[..]), (id::HOMING, &[0]), (id::STOP, &[])] {
@@ -129,12 +129,12 @@ fn a_stop_ends_what_came_before_it_also_what_was_not_begun() {
     let (first, stop) = (bench.order(), bench.order());
     assert_eq!((first.ask.id, stop.order), (id::LOOP, PortOrder::Command(Action::Stop)));
     bench.answer(first.ask, NOTHING);
-    assert_eq!(bench.device.poll_order(), None, "no motion behind the Stop");
+    assert_eq!(bench.device.poll_order(), None, "no motion after the Stop");
     assert_eq!(bench.sent(), [(id::LOOP, Status::E_SUCCESS), (id::HOMING, Status::E_CMD_ABORTED)]);
 }
 
 #[test]
-fn a_motion_is_begun_before_the_stop_behind_it() {
+fn motion_starts_before_a_later_stop() {
     let mut bench = Bench::new();
     let mut bytes = Vec::new();
     crate::wsg::frame::encode(id::HOMING, &[0], &mut bytes);
@@ -144,19 +144,19 @@ fn a_motion_is_begun_before_the_stop_behind_it() {
 }
 
 #[test]
-fn a_motion_behind_a_stop_waits_until_it_is_known_that_the_fingers_stand() {
+fn motion_after_stop_waits_for_standstill() {
     let mut bench = Bench::new();
     bench.send(id::HOMING, &[0]);
     let homing = bench.order();
     bench.answer(homing.ask, PortReply::Accepted);
     let homing = PortRequest { is_awaited: false, ..homing.ask };
-    // Devices tell the end of a Stop and of what it stopped in either order.
+    // Devices report the end of a Stop and of the stopped motion in either order.
     for stop_is_answered_first in [true, false] {
         bench.send(id::STOP, &[]);
         let stop = bench.order();
         bench.send(id::HOMING, &[1]);
         bench.send(id::GET_FORCE_LIMIT, &[]);
-        assert_eq!(bench.device.poll_order(), None, "nor does what is behind it overtake");
+        assert_eq!(bench.device.poll_order(), None, "later requests do not overtake");
         let mut ends = [(stop.ask, NOTHING), (homing, PortReply::Reply(Reply::Status(Status::E_CMD_ABORTED)))];
         if !stop_is_answered_first {
             ends.reverse();
@@ -171,7 +171,7 @@ fn a_motion_behind_a_stop_waits_until_it_is_known_that_the_fingers_stand() {
         let setting = bench.order();
         bench.answer(setting.ask, NOTHING);
     }
-    // Where nothing moves, the Stop alone is waited for, and another one ends what waits.
+    // If nothing moves, a motion waits for the Stop alone, and another Stop aborts waiting motions.
     bench.answer(homing, PortReply::Reply(Reply::Status(Status::E_SUCCESS)));
     bench.send(id::STOP, &[]);
     bench.send(id::HOMING, &[0]);
@@ -186,15 +186,15 @@ fn a_motion_behind_a_stop_waits_until_it_is_known_that_the_fingers_stand() {
 }
 
 #[test]
-fn a_motion_behind_a_stop_does_not_outlast_a_fast_stop() {
+fn fast_stop_aborts_motion_waiting_after_stop() {
     let mut bench = Bench::new();
     bench.send(id::STOP, &[]);
     let stop = bench.order();
     bench.send(id::HOMING, &[0]);
-    assert!(bench.device.watches(), "each new state is looked at");
+    assert!(bench.device.watches(), "each new state is checked");
     bench.state = latched(FastStopId::generate(), FastStopCause::Requested);
     bench.device.handle_timeout(bench.now, &bench.state);
-    // And it was acknowledged before the Stop had its answer.
+    // The FAST STOP is acknowledged before the Stop is answered.
     bench.state = state();
     bench.answer(stop.ask, NOTHING);
     assert_eq!(bench.device.poll_order(), None);
@@ -202,13 +202,13 @@ fn a_motion_behind_a_stop_does_not_outlast_a_fast_stop() {
 }
 
 #[test]
-fn a_script_holds_up_nothing() {
+fn script_blocks_nothing() {
     let mut bench = Bench::new();
     bench.send(0xB0, &[1]);
     bench.send(id::GET_SYSTEM_STATE, &[0; 3]);
     assert!(matches!(bench.order().order, PortOrder::Exchange(Command::Custom(_))));
     assert_eq!(bench.sent(), [(id::GET_SYSTEM_STATE, Status::E_SUCCESS)]);
-    // Nor what is behind a Stop, which ends no script.
+    // A motion after a Stop does not wait for the script either, since a Stop does not end scripts.
     bench.send(id::STOP, &[]);
     let stop = bench.order();
     bench.send(id::HOMING, &[0]);
@@ -217,7 +217,7 @@ fn a_script_holds_up_nothing() {
 }
 
 #[test]
-fn requests_of_a_stream_wait_for_one_another_and_a_stop_ends_those_that_wait() {
+fn streamed_requests_are_serialised_and_aborted_by_stop() {
     let mut bench = Bench::new();
     for id in [0xB1, 0xB1, 0xB0, 0xB2] {
         bench.send(id, &[1]);
@@ -227,13 +227,13 @@ fn requests_of_a_stream_wait_for_one_another_and_a_stop_ends_those_that_wait() {
     bench.send(id::STOP, &[]);
     assert_eq!(bench.order().order, PortOrder::Command(Action::Stop));
     bench.answer(first.ask, NOTHING);
-    assert_eq!(bench.order().ask.id, 0xB2, "what only reads is no motion");
+    assert_eq!(bench.order().ask.id, 0xB2, "a read-only script is not a motion");
     let aborted = Status::E_CMD_ABORTED;
     assert_eq!(bench.sent(), [(0xB1, Status::E_SUCCESS), (0xB1, aborted), (0xB0, aborted)]);
 }
 
 #[test]
-fn after_the_announcement_stops_alone_are_taken() {
+fn only_stops_are_accepted_after_the_announcement() {
     let mut bench = Bench::new();
     bench.send(id::GET_GRIPPER_STATE, &[1, 10, 0]);
     bench.send(id::DISCONNECT_ANNOUNCEMENT, &[]);
@@ -248,11 +248,11 @@ fn after_the_announcement_stops_alone_are_taken() {
     let denied = (id::GRIP, Status::E_ACCESS_DENIED);
     let expected =
         [(id::GET_GRIPPER_STATE, Status::E_SUCCESS), (id::DISCONNECT_ANNOUNCEMENT, Status::E_SUCCESS), denied];
-    assert_eq!(bench.sent(), expected, "and no update");
+    assert_eq!(bench.sent(), expected, "no more updates");
 }
 
 #[test]
-fn an_announcement_that_waits_counts() {
+fn waiting_announcement_counts() {
     let mut bench = Bench::new();
     bench.send(id::HOMING, &[0]);
     bench.send(id::DISCONNECT_ANNOUNCEMENT, &[]);
@@ -260,7 +260,7 @@ fn an_announcement_that_waits_counts() {
 }
 
 #[test]
-fn updates_come_at_their_own_period_and_no_faster_than_the_links() {
+fn updates_keep_their_period_but_not_below_the_minimum() {
     let mut bench = Bench { device: VirtualDevice::new(Arc::new(rules()), Arc::new(custom_ids()), 50), ..Bench::new() };
     bench.send(id::GET_WIDTH, &[1, 10, 0]);
     bench.send(id::GET_FORCE, &[1, 100, 0]);
@@ -271,11 +271,11 @@ fn updates_come_at_their_own_period_and_no_faster_than_the_links() {
     assert_eq!((of(id::GET_WIDTH), of(id::GET_FORCE)), (10, 5));
     bench.send(id::GET_WIDTH, &[0; 3]);
     bench.pass(Duration::from_millis(100));
-    assert_eq!(bench.sent().iter().filter(|(sent, _)| *sent == id::GET_WIDTH).count(), 1, "off, and one answer");
+    assert_eq!(bench.sent().iter().filter(|(sent, _)| *sent == id::GET_WIDTH).count(), 1, "updates are off, one reply");
 }
 
 #[test]
-fn updates_on_change_come_with_a_change() {
+fn updates_on_change_follow_a_change() {
     let mut bench = Bench::new();
     bench.send(id::GET_GRIPPER_STATE, &[3, 10, 0]);
     assert!(bench.device.watches());
@@ -287,7 +287,7 @@ fn updates_on_change_come_with_a_change() {
 }
 
 #[test]
-fn updates_that_nobody_reads_are_left_out_and_what_is_asked_for_is_not() {
+fn unread_updates_are_skipped_but_replies_are_not() {
     let mut bench = Bench::new();
     bench.send(id::GET_FORCE, &[1, 10, 0]);
     bench.pass(Duration::from_secs(10));
@@ -298,7 +298,7 @@ fn updates_that_nobody_reads_are_left_out_and_what_is_asked_for_is_not() {
 }
 
 #[test]
-fn a_client_that_asks_and_never_reads_is_given_up() {
+fn client_that_never_reads_overflows() {
     let mut bench = Bench::new();
     for _ in 0..MAX_WAITING_FRAMES {
         bench.send(id::GET_SPEED, &[0; 3]);
@@ -309,7 +309,7 @@ fn a_client_that_asks_and_never_reads_is_given_up() {
 }
 
 #[test]
-fn more_requests_than_may_wait_are_an_overrun() {
+fn too_many_waiting_requests_are_an_overrun() {
     let mut bench = Bench::new();
     for _ in 0..=MAX_WAITING_REQUESTS {
         bench.send(id::LOOP, b"x");
@@ -318,15 +318,11 @@ fn more_requests_than_may_wait_are_an_overrun() {
     bench.send(id::LOOP, b"x");
     assert_eq!(bench.sent(), [(id::LOOP, Status::E_OVERRUN)]);
     bench.send(id::FAST_STOP, &[]);
-    assert_eq!(
-        (bench.order().ask.id, bench.order().order),
-        (id::LOOP, PortOrder::FastStop),
-        "which finds a place always"
-    );
+    assert_eq!((bench.order().ask.id, bench.order().order), (id::LOOP, PortOrder::FastStop), "a FAST STOP always fits");
 }
 
 #[test]
-fn many_fast_stops_at_once_are_one_and_those_that_come_before_its_answer_one_more() {
+fn concurrent_fast_stops_are_combined() {
     let mut bench = Bench::new();
     for _ in 0..=MAX_WAITING_REQUESTS {
         bench.send(id::FAST_STOP, &[]);
@@ -334,7 +330,7 @@ fn many_fast_stops_at_once_are_one_and_those_that_come_before_its_answer_one_mor
     let first = bench.order();
     assert_eq!((first.order, bench.device.poll_order()), (PortOrder::FastStop, None));
     bench.send(id::FAST_STOP, &[]);
-    assert_eq!(bench.sent(), [(id::FAST_STOP, Status::E_OVERRUN)], "those before it stop as well");
+    assert_eq!(bench.sent(), [(id::FAST_STOP, Status::E_OVERRUN)], "the earlier ones stop the gripper anyway");
     let stopped = |confirmed| PortReply::FastStopped(FastStop { id: FastStopId::generate(), confirmed });
     bench.answer(first.ask, stopped(true));
     assert_eq!(bench.sent(), [(id::FAST_STOP, Status::E_SUCCESS)]);
@@ -349,7 +345,7 @@ fn many_fast_stops_at_once_are_one_and_those_that_come_before_its_answer_one_mor
 }
 
 #[test]
-fn a_stop_beyond_those_under_way_is_an_overrun_and_stops_what_waits_all_the_same() {
+fn excess_stop_is_an_overrun_but_aborts_waiting_motions() {
     let mut bench = Bench::new();
     bench.send(id::LOOP, b"x");
     bench.send(id::HOMING, &[0]);
@@ -361,14 +357,14 @@ fn a_stop_beyond_those_under_way_is_an_overrun_and_stops_what_waits_all_the_same
     bench.send(id::STOP, &[]);
     assert_eq!((bench.device.poll_order(), bench.sent()), (None, vec![(id::STOP, Status::E_OVERRUN)]));
     bench.answer(looped.ask, NOTHING);
-    assert_eq!(bench.device.poll_order(), None, "no motion behind the Stops");
+    assert_eq!(bench.device.poll_order(), None, "no motion after the Stops");
     bench.answer(first.ask, NOTHING);
     bench.send(id::STOP, &[]);
     assert_eq!(bench.order().ask.id, id::STOP);
 }
 
 #[test]
-fn of_a_client_that_is_gone_nothing_is_begun_but_its_fast_stops() {
+fn only_fast_stops_start_after_the_client_is_gone() {
     let mut bench = Bench::new();
     bench.send(id::LOOP, b"x");
     bench.send(id::HOMING, &[0]);
@@ -401,7 +397,7 @@ fn acknowledges(bench: &mut Bench) -> bool {
 }
 
 #[test]
-fn a_latch_is_acknowledged_by_who_has_seen_it_and_where_its_client_or_the_device_has_caused_it() {
+fn acknowledge_needs_a_seen_latch_of_own_or_device_cause() {
     let id = FastStopId::generate();
     let refusal = PortReply::Refused(RefusedStatus { status: Status::E_ACCESS_DENIED, fast_stop: Some(id) });
     for (cause, by_device) in [
@@ -420,29 +416,29 @@ fn a_latch_is_acknowledged_by_who_has_seen_it_and_where_its_client_or_the_device
         refused.send(id::HOMING, &[0]);
         let ask = refused.order().ask;
         refused.answer(ask, refusal.clone());
-        assert_eq!(acknowledges(&mut refused), by_device, "by a refused motion: {cause:?}");
+        assert_eq!(acknowledges(&mut refused), by_device, "seen in a refused motion: {cause:?}");
 
         let mut malformed = Bench { state: latched(id, cause), ..Bench::new() };
         malformed.send(id::HOMING, &[]);
         assert_eq!(malformed.sent(), [(id::HOMING, Status::E_ACCESS_DENIED)]);
-        assert_eq!(acknowledges(&mut malformed), by_device, "by a malformed one: {cause:?}");
+        assert_eq!(acknowledges(&mut malformed), by_device, "seen in a malformed motion: {cause:?}");
 
         let mut any = Bench::with(Rules { acknowledge_any: true, ..rules() });
         any.state = latched(id, cause);
-        assert!(acknowledges(&mut any), "with any: {cause:?}");
+        assert!(acknowledges(&mut any), "acknowledge_any: {cause:?}");
     }
     let mut own = Bench { state: latched(id, FastStopCause::Requested), ..Bench::new() };
     own.send(id::FAST_STOP, &[]);
     let ask = own.order().ask;
     own.answer(ask, PortReply::FastStopped(FastStop { id, confirmed: true }));
     assert!(acknowledges(&mut own), "its own");
-    // A further one by somebody else is another.
+    // A later FAST STOP of another client is a different one.
     own.state = latched(FastStopId::generate(), FastStopCause::Requested);
     assert!(!acknowledges(&mut own));
 }
 
 #[test]
-fn a_latch_is_shown_in_the_flags_also_where_the_device_has_forgotten_it() {
+fn latch_is_in_the_flags_even_if_the_device_forgot_it() {
     let mut bench = Bench { state: latched(FastStopId::generate(), FastStopCause::Requested), ..Bench::new() };
     bench.send(id::GET_SYSTEM_STATE, &[0; 3]);
     let frame = bench.device.poll_frame().unwrap();
@@ -450,7 +446,7 @@ fn a_latch_is_shown_in_the_flags_also_where_the_device_has_forgotten_it() {
 }
 
 #[test]
-fn without_a_link_nothing_stale_is_told() {
+fn no_stale_values_without_a_link() {
     let mut bench = Bench::new();
     bench.send(id::GET_WIDTH, &[1, 10, 0]);
     bench.state.link = Link::Reconnecting;
@@ -462,5 +458,5 @@ fn without_a_link_nothing_stale_is_told() {
     assert_eq!(bench.sent(), [(id::GET_SPEED, io), (id::ACKNOWLEDGE_FAST_STOP, io)]);
     bench.state.link = Link::Connected;
     bench.pass(Duration::from_millis(100));
-    assert!((9..=11).contains(&bench.sent().len()), "and what was missed does not come later");
+    assert!((9..=11).contains(&bench.sent().len()), "missed updates are not sent later");
 }

@@ -1,4 +1,4 @@
-//! The requests in a client's bytes.
+//! Parser of the requests in a client's bytes.
 
 use std::time::{Duration, Instant};
 
@@ -6,21 +6,21 @@ use crate::wsg::crc;
 use crate::wsg::id::{self, Parameters};
 use crate::wsg::{ChecksumEvaluation, Command, Decoded, Decoder, InvalidRequest, Status};
 
-/// How long the rest of a frame is waited for: longer than a lost segment takes to be repeated.
+/// Time limit for the rest of a frame: longer than TCP takes to retransmit a lost segment.
 const PARTIAL_WITHIN: Duration = Duration::from_millis(500);
 
-/// How a 07h begins.
+/// First bytes of a 07h.
 const ANNOUNCEMENT: [u8; 4] = [0xAA, 0xAA, 0xAA, id::DISCONNECT_ANNOUNCEMENT];
 
-/// A 07h whose size field has one byte, with its checksum. Read as a whole frame it would announce hundreds of
-/// parameter bytes, and swallow what comes behind it.
+/// Length of a 07h with a one-byte size field, checksum included. Parsed as a regular frame, it would announce hundreds
+/// of parameter bytes and swallow the following frames.
 const SHORT_ANNOUNCEMENT_BYTES: usize = 7;
 
-/// A request as it came.
+/// A request as received.
 #[derive(Debug)]
 pub(super) struct Request {
     pub id: u8,
-    /// What it asks for, or a device's answer to it as it is.
+    /// The requested command, or the status with which a device would refuse the request.
     pub command: Result<Command, Status>,
 }
 
@@ -33,7 +33,7 @@ pub(super) struct Input {
     damaged: u32,
 }
 
-/// Damaged frames in a row after which a client's bytes are not read any more. Each may cost the checksum of 4 KiB.
+/// Consecutive damaged frames after which a client's bytes are no longer read. Each can cost a checksum over 4 KiB.
 const MAX_DAMAGED: u32 = 64;
 
 impl Input {
@@ -41,7 +41,7 @@ impl Input {
         Self { decoder: Decoder::new(max_request_bytes, evaluation), evaluation, partial_until: None, damaged: 0 }
     }
 
-    /// Whether the bytes make so little sense that no more are read.
+    /// Whether too many consecutive frames were damaged, so that no more bytes are read.
     pub(super) fn is_garbage(&self) -> bool {
         self.damaged >= MAX_DAMAGED
     }
@@ -64,7 +64,7 @@ impl Input {
         }
         let Some(decoded) = self.decoder.next() else {
             self.partial_until = self.partial_until.filter(|_| self.decoder.is_partial());
-            // It may stand behind garbage.
+            // A short announcement can follow garbage.
             return self.short_announcement();
         };
         self.damaged = if matches!(decoded, Decoded::Damaged { .. }) { self.damaged + 1 } else { 0 };
@@ -74,12 +74,12 @@ impl Input {
         })
     }
 
-    /// When the rest of a frame counts as lost.
+    /// Returns the time at which the rest of a frame counts as lost.
     pub(super) fn deadline(&self) -> Option<Instant> {
         self.partial_until
     }
 
-    /// Gives up a frame whose rest is overdue.
+    /// Discards a frame whose rest is overdue.
     pub(super) fn handle_timeout(&mut self, now: Instant) {
         if self.partial_until.is_some_and(|until| until <= now) {
             self.partial_until = Some(now + PARTIAL_WITHIN);
@@ -87,12 +87,13 @@ impl Input {
         }
     }
 
-    /// One client writes 07h so. Not to understand it would stop the gripper when that client leaves. What looks like
-    /// one and isn't is damaged, and a FAST STOP behind it doesn't wait for its rest.
+    /// Returns a 07h with a one-byte size field, which one existing client sends. If it were not understood, the
+    /// gripper would stop when that client disconnects. A frame that only looks like one counts as damaged, so that a
+    /// FAST STOP behind it does not wait for its rest.
     fn short_announcement(&mut self) -> Option<Request> {
         let waiting = self.decoder.partial();
         let short = waiting.get(..SHORT_ANNOUNCEMENT_BYTES).filter(|short| short.starts_with(&ANNOUNCEMENT))?;
-        // The second byte of a size field is a zero.
+        // The second byte of a regular size field is zero.
         let (size, begins_checksum) = (short.get(4)?, short.get(5)? != &0);
         if !begins_checksum {
             return None;
@@ -111,7 +112,7 @@ impl Input {
     }
 }
 
-/// Some ask for a state without the three bytes that the manual wants, and mean zeros.
+/// Parses a command. Some clients omit the three parameter bytes of a state query, which then count as zeros.
 fn parse(id: u8, payload: &[u8]) -> Result<Command, Status> {
     let zeros = [0; 3];
     let payload = match id::describe(id).map(|description| description.parameters) {
@@ -125,7 +126,7 @@ fn is_query(id: u8) -> bool {
     id::has_updates(id) || id == id::GET_STATISTICS
 }
 
-/// A 07h is read on, however long it says it is: it may be one with a short size field.
+/// Returns the maximum size of a request. A 07h can have any announced size, since its size field can be short.
 fn max_request_bytes(id: u8) -> usize {
     if id == id::DISCONNECT_ANNOUNCEMENT { u16::MAX.into() } else { id::max_request_bytes(id) }
 }
@@ -157,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn a_fast_stop_behind_a_short_announcement_is_found() {
+    fn fast_stop_after_short_announcement_is_found() {
         let announced = (id::DISCONNECT_ANNOUNCEMENT, Ok(Command::DisconnectAnnouncement));
         let damaged = (id::DISCONNECT_ANNOUNCEMENT, Err(Status::E_CHECKSUM_ERROR));
         let fast_stop = (id::FAST_STOP, Ok(Command::FastStop));
@@ -167,7 +168,7 @@ mod tests {
         for (evaluation, short, expected) in
             [(on, SHORT, &announced), (off, SHORT, &announced), (off, wrong, &announced), (on, wrong, &damaged)]
         {
-            // With so much behind it, that it could be a whole frame.
+            // Enough bytes follow to complete the frame that the size field would announce.
             let bytes = [&short[..], &frame(id::FAST_STOP, &[]), &[0; 300]].concat();
             for in_pieces_of in [1, 5, 8, bytes.len()] {
                 let found = requests(evaluation, &bytes, in_pieces_of);
@@ -181,14 +182,14 @@ mod tests {
     }
 
     #[test]
-    fn an_impossible_size_of_an_announcement_swallows_nothing() {
+    fn announcement_with_impossible_size_swallows_nothing() {
         let bytes = [&[0xAA, 0xAA, 0xAA, 0x07, 0xFF, 0xFF][..], &frame(id::FAST_STOP, &[])].concat();
         let found = requests(ChecksumEvaluation::On, &bytes, bytes.len());
         assert_eq!(found.last(), Some(&(id::FAST_STOP, Ok(Command::FastStop))));
     }
 
     #[test]
-    fn garbage_is_read_within_a_bound() {
+    fn garbage_is_bounded() {
         let mut input = Input::new(ChecksumEvaluation::On);
         let header = [0xAA, 0xAA, 0xAA, 0xB5, 0x00, 0x10];
         input.push(Instant::now(), &header.repeat(4000));

@@ -11,12 +11,9 @@ use super::port::Port;
 use super::udp::Datagrams;
 use super::{tcp, udp};
 
-/// Address of a gripper's port.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Address {
-    /// Connections.
     Tcp(SocketAddr),
-    /// Datagrams.
     Udp(SocketAddr, Datagrams),
 }
 
@@ -29,20 +26,15 @@ impl fmt::Display for Address {
     }
 }
 
-/// A port that clients can reach, and that is not served yet: by whichever runtime will do so.
+/// A bound port that is not served yet, and not registered with a runtime.
 #[derive(Debug)]
 pub enum Listener {
-    /// Connections.
     Tcp(TcpListener),
-    /// Datagrams.
     Udp(UdpSocket, Datagrams),
 }
 
 impl Listener {
-    /// At this address.
-    ///
-    /// # Errors
-    /// As the operating system says.
+    /// Binds a listener to this address.
     pub fn bind(address: Address) -> io::Result<Self> {
         Ok(match address {
             Address::Tcp(address) => {
@@ -58,10 +50,7 @@ impl Listener {
         })
     }
 
-    /// URL of the listener.
-    ///
-    /// # Errors
-    /// As the operating system says.
+    /// Returns the URL of the listener.
     pub fn url(&self) -> io::Result<String> {
         Ok(match self {
             Self::Tcp(listener) => format!("tcp://{}", listener.local_addr()?),
@@ -70,10 +59,7 @@ impl Listener {
     }
 }
 
-/// Serves clients: new ones until `draining`, and all until `closing`.
-///
-/// # Errors
-/// As the operating system says.
+/// Serves clients: accepts new ones until `draining`, and serves all until `closing`.
 pub async fn serve(
     port: Arc<Port>,
     listener: Listener,

@@ -1,11 +1,10 @@
-//! The WSG port: a gripper that speaks the manual's own protocol, to several clients at a time, each with a virtual
-//! device of its own.
+//! The WSG port: the manual's own protocol for several clients at a time, each with its own virtual device.
 //!
-//! `device` is that device, a pure machine, with `input` (requests in bytes) and `status` (what was not done, as a
-//! status); `client` is the I/O around it, and `tcp` and `udp` bring clients in.
+//! `device` is the virtual device, a pure machine, with `input` (parses requests) and `status` (maps refusals to
+//! statuses). `client` is the I/O around the device; `tcp` and `udp` accept clients.
 //!
-//! A motion takes the lease where it is free, and the client keeps it until it announces its end (07h), or is lost. No
-//! client gets a frame that it has not asked for.
+//! A motion takes a free lease, and the client keeps the lease until it announces its disconnect (07h) or is lost. No
+//! client gets a frame that it has not requested.
 
 mod client;
 mod device;

@@ -1,4 +1,4 @@
-//! One gripper's ports: their rules, and the admission of their clients.
+//! One gripper's ports: rules and admission of clients.
 
 use std::net::{IpAddr, SocketAddr};
 use std::sync::Arc;
@@ -13,60 +13,56 @@ use crate::interfaces::admission::{Admission, Bounds, ConnectionPermit};
 use crate::interfaces::sockets;
 use crate::operations::audit::Audit;
 
-/// Clients of one port at a time. One of them moves the gripper, so there are seldom more than a few.
+/// Maximum number of clients of one port. Only one of them moves the gripper, so there are seldom more than a few.
 const MAX_CLIENTS: usize = 128;
 
-/// Clients that have said nothing yet, and as many evicted ones that are still ending, which takes milliseconds: a new
-/// client's FAST STOP must not wait for them.
+/// Slots for clients that have sent nothing yet, and for evicted clients, which end within milliseconds. A new client's
+/// FAST STOP must not wait for them.
 const OTHER_CLIENTS: usize = 128;
 
-/// Descriptors of one port's TCP clients, at the most and at the least.
+/// Maximum number of descriptors for one port's TCP clients.
 pub const MAX_DESCRIPTORS: usize = MAX_CLIENTS + OTHER_CLIENTS;
-/// See [`MAX_DESCRIPTORS`].
+/// Minimum number of descriptors for one port's TCP clients.
 pub const MIN_DESCRIPTORS: usize = 4;
 
-/// A client that has been silent for so long is lost: one that doesn't acknowledge its TCP segments, or that sends no
-/// datagram where nothing else is said.
+/// Silence after which a client is lost: no TCP acknowledgements, or no datagrams unless configured otherwise.
 pub const LOST_AFTER: Duration = sockets::LOST_AFTER;
 
-/// Rights of a port's clients.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Rules {
-    /// Whether checksums of requests count.
+    /// Whether the checksums of requests are checked.
     pub checksum_evaluation: bool,
-    /// Whether everyone may acknowledge every FAST STOP.
+    /// Whether every client may acknowledge every FAST STOP.
     pub acknowledge_any: bool,
-    /// Networks of the clients that may connect; all where the list is empty.
+    /// Networks whose clients may connect; all if empty.
     pub allow: Vec<IpNet>,
 }
 
-/// One gripper's ports.
 #[derive(Debug)]
 pub struct Port {
     pub(super) gripper: Handle,
     pub(super) rules: Arc<Rules>,
-    /// Descriptors of its TCP clients.
+    /// Maximum number of descriptors for TCP clients.
     descriptors: usize,
     pub(super) audit: Arc<Audit>,
 }
 
 impl Port {
-    /// The port of this gripper, whose TCP clients may take so many descriptors.
+    /// Returns the port of this gripper, whose TCP clients can use this many descriptors.
     #[must_use]
     pub fn new(gripper: Handle, rules: Rules, descriptors: usize, audit: Arc<Audit>) -> Arc<Self> {
         let descriptors = descriptors.clamp(MIN_DESCRIPTORS, MAX_DESCRIPTORS);
         Arc::new(Self { gripper, rules: Arc::new(rules), descriptors, audit })
     }
 
-    /// Admission of its clients.
     pub(super) fn admission(&self) -> Arc<Admission> {
         Admission::new(Bounds::alike(self.descriptors))
     }
 
-    /// Admits a client. Where there are as many as may be, the client that was silent for longest gives way, unless it
-    /// holds the lease.
+    /// Admits a client. If all slots are taken, the client that has been silent longest gives way, unless it holds the
+    /// lease.
     pub(super) fn admit(admission: &Arc<Admission>, peer: SocketAddr) -> Arc<ConnectionPermit> {
-        // Clients learn of the gateway's end in another way.
+        // Clients have their own shutdown signal.
         Arc::new(admission.admit(peer.ip(), &CancellationToken::new()))
     }
 
@@ -75,8 +71,8 @@ impl Port {
         self.rules.allow.is_empty() || self.rules.allow.iter().any(|net| net.contains(&peer))
     }
 
-    /// Before there are credentials, a client is its address: a driver that was restarted is the same again, though
-    /// its port is another.
+    /// Returns a client identified by its IP address, for lack of authentication. A restarted driver is the same
+    /// client, although its port differs.
     pub(super) fn client(peer: SocketAddr) -> Client {
         Client { subject: format!("wsg:{}", peer.ip().to_canonical()).into(), door: Door::Wsg }
     }

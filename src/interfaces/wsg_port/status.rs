@@ -1,14 +1,14 @@
-//! What a client is answered when its request was not done: every [`Rejection`] as a status of the manual.
+//! Statuses of refused requests: every [`Rejection`] as a status of the manual.
 
 use crate::gripper::model::{Command, FastStopId, Outcome};
 use crate::gripper::{Conflict, DeviceRefusal, Failure, Invalid, Rejection};
 use crate::wsg::Status;
 
-/// Why a request was not done, as the protocol has it.
+/// Status of a refused request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct RefusedStatus {
     pub status: Status,
-    /// The FAST STOP that was in the way.
+    /// The FAST STOP that caused the refusal.
     pub fast_stop: Option<FastStopId>,
 }
 
@@ -23,7 +23,7 @@ impl From<&Rejection> for RefusedStatus {
     }
 }
 
-/// One exhaustive match, so that a new reason can't go without its status.
+/// Returns the status of a rejection. The match is exhaustive, so that every new reason gets a status.
 fn status_of(rejection: &Rejection) -> Status {
     match rejection {
         Rejection::Invalid(Invalid::OutOfRange { .. }) => Status::E_RANGE_ERROR,
@@ -44,7 +44,7 @@ fn status_of(rejection: &Rejection) -> Status {
             Failure::Draining => Status::E_ACCESS_DENIED,
             Failure::DeviceTimeout { .. } => Status::E_TIMEOUT,
             Failure::DeviceProtocol { .. } => Status::E_INCONSISTENT_DATA,
-            // E_ACCESS_DENIED would say that another client or a FAST STOP has to go first.
+            // E_ACCESS_DENIED would mean that another client or a FAST STOP blocks the request.
             Failure::Overloaded { .. }
             | Failure::RequestIds { .. }
             | Failure::FlashWear { .. }
@@ -54,7 +54,7 @@ fn status_of(rejection: &Rejection) -> Status {
     }
 }
 
-/// What the last reply to a command says: the device's own status, where it gave one.
+/// Returns the status of a command's final reply: the device's own status, if it gave one.
 pub(super) fn status_of_end(command: &Command) -> Status {
     if let Some(rejection) = &command.rejection {
         return status_of(rejection);
@@ -62,7 +62,7 @@ pub(super) fn status_of_end(command: &Command) -> Status {
     match (command.status_code, command.outcome) {
         (Some(code), _) => Status::from_code(code),
         (None, Some(Outcome::Aborted)) => Status::E_CMD_ABORTED,
-        // It may have happened: neither a success nor a failure is said.
+        // The motion may have happened, so report neither success nor failure.
         (None, _) => Status::E_TIMEOUT,
     }
 }

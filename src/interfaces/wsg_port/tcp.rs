@@ -1,4 +1,4 @@
-//! Clients by TCP: a connection each.
+//! TCP clients, one connection each.
 
 use std::io;
 use std::net::SocketAddr;
@@ -16,8 +16,8 @@ use super::port::{LOST_AFTER, Port};
 use crate::interfaces::admission::Admission;
 use crate::interfaces::sockets;
 
-/// How long no connection is accepted after that failed: long enough not to spin while the process is out of file
-/// descriptors, short enough not to be noticed.
+/// Pause after a failed accept: long enough not to spin while the process is out of file descriptors, short enough not
+/// to be noticed.
 const ACCEPT_PAUSE: Duration = Duration::from_millis(100);
 
 pub(super) async fn serve(
@@ -61,22 +61,22 @@ type Connection = Served<tokio::net::tcp::OwnedReadHalf, tokio::net::tcp::OwnedW
 fn admit(port: &Arc<Port>, stream: TcpStream, peer: SocketAddr, admission: &Arc<Admission>) -> Option<Connection> {
     let gripper = port.gripper.name();
     if !port.allows(peer.ip()) {
-        tracing::warn!(%gripper, %peer, "connection refused: wsg_port_allow does not name its address");
+        tracing::warn!(%gripper, %peer, "connection refused: address not in wsg_port_allow");
         return None;
     }
     if let Err(error) = prepare(&stream) {
-        // It has just ended.
-        tracing::debug!(%gripper, %peer, %error, "connection refused: its options could not be set");
+        // The connection has just ended.
+        tracing::debug!(%gripper, %peer, %error, "connection refused: socket options could not be set");
         return None;
     }
     let permit = Port::admit(admission, peer);
-    tracing::info!(%gripper, %peer, "connected to the WSG port");
+    tracing::info!(%gripper, %peer, "WSG port client connected via TCP");
     let (reader, writer) = stream.into_split();
     Some(Served::new(port.clone(), Port::client(peer), permit, (reader, writer), None))
 }
 
-/// Each frame leaves at once and by itself, and a peer that is gone without a word is noticed within [`LOST_AFTER`]:
-/// also one to which frames are on their way, as automatic updates always are.
+/// Makes each frame leave at once and on its own, and detects a vanished peer within [`LOST_AFTER`], even while frames
+/// such as automatic updates are in flight to it.
 fn prepare(stream: &TcpStream) -> io::Result<()> {
     sockets::prepare(stream)?;
     SockRef::from(stream).set_tcp_user_timeout(Some(LOST_AFTER))
@@ -87,14 +87,14 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn a_dead_peer_is_found_within_three_seconds() {
+    async fn dead_peer_is_detected_within_three_seconds() {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let client = TcpStream::connect(listener.local_addr().unwrap());
         let (client, accepted) = tokio::join!(client, listener.accept());
         let (stream, _) = accepted.unwrap();
         prepare(&stream).unwrap();
         let socket = SockRef::from(&stream);
-        assert_eq!(socket.tcp_user_timeout().unwrap(), Some(LOST_AFTER), "of what was sent and not acknowledged");
+        assert_eq!(socket.tcp_user_timeout().unwrap(), Some(LOST_AFTER), "limit for unacknowledged data");
         assert!(socket.keepalive().unwrap() && socket.tcp_nodelay().unwrap());
         drop(client);
     }

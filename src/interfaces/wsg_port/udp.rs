@@ -1,4 +1,5 @@
-//! Clients by UDP: each is the address that it is answered at, and is lost when it has been silent for too long.
+//! UDP clients. A client is identified by the address that its replies go to, and is lost when it is silent for too
+//! long.
 
 use std::collections::HashMap;
 use std::io;
@@ -17,19 +18,18 @@ use tokio_util::sync::CancellationToken;
 use super::client::Served;
 use super::port::Port;
 
-/// How clients that send datagrams are served.
+/// Settings for UDP clients.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Datagrams {
-    /// Answers go to this port, as those of devices do, and otherwise to the sender's.
+    /// Port that replies go to, like those of devices; the sender's port if `None`.
     pub reply_port: Option<u16>,
-    /// How long a client may be silent.
+    /// Silence after which a client is lost.
     pub lost_after: Duration,
 }
 
-/// The longest datagram there can be.
 const MAX_DATAGRAM_BYTES: usize = 65_535;
 
-/// Datagrams of one client that may wait to be read; further ones are lost, as datagrams are.
+/// Maximum number of unread datagrams of one client. More are dropped, as UDP allows.
 const MAX_WAITING_DATAGRAMS: usize = 32;
 
 pub(super) async fn serve(
@@ -52,24 +52,25 @@ pub(super) async fn serve(
             }
             received = socket.recv_from(&mut datagram) => received,
         };
-        // An error is of something that was sent before: its client will be silent.
+        // An error refers to an earlier reply, whose client will be silent.
         let Ok((bytes, peer)) = received else { continue };
         let bytes = datagram.get(..bytes).unwrap_or_default().to_vec();
-        // Who is answered at one place is one client: its answers could not be told from those of another.
+        // All senders with the same reply address are one client, since their replies could not be distinguished.
         let answered_at = SocketAddr::new(peer.ip(), reply_port.unwrap_or(peer.port()));
         let client = known.get(&answered_at).filter(|client| !client.is_closed()).cloned();
         let client = match client {
             Some(client) => client,
             None if draining.is_cancelled() => continue,
             None if !port.allows(peer.ip()) => {
-                tracing::debug!(gripper = %port.gripper.name(), %peer, "datagram ignored: wsg_port_allow does not name its address");
+                let gripper = port.gripper.name();
+                tracing::debug!(%gripper, %peer, "datagram ignored: address not in wsg_port_allow");
                 continue;
             }
-            // Evicted clients end within milliseconds; a datagram that is lost meanwhile is sent again.
+            // Evicted clients end within milliseconds; the sender repeats a datagram that is lost meanwhile.
             None if admission.is_crowded() => continue,
             None => {
                 let permit = Port::admit(&admission, peer);
-                tracing::info!(gripper = %port.gripper.name(), %peer, "a client of the WSG port, by UDP");
+                tracing::info!(gripper = %port.gripper.name(), %peer, "WSG port client connected via UDP");
                 let (sender, datagrams) = mpsc::channel(MAX_WAITING_DATAGRAMS);
                 let writer = Writer { socket: socket.clone(), peer: answered_at };
                 let reader = Reader { datagrams, rest: Vec::new() };
@@ -80,13 +81,13 @@ pub(super) async fn serve(
                 sender
             }
         };
-        // It comes too fast.
+        // A full queue means that the client sends too fast: drop the datagram.
         let _ = client.try_send(bytes);
     }
     while clients.join_next().await.is_some() {}
 }
 
-/// One client's datagrams.
+/// Reads one client's datagrams as a stream.
 struct Reader {
     datagrams: mpsc::Receiver<Vec<u8>>,
     rest: Vec<u8>,
@@ -94,7 +95,7 @@ struct Reader {
 
 impl AsyncRead for Reader {
     fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, out: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
-        // An empty one is no end.
+        // Skip empty datagrams: an empty read would mean the end of the stream.
         while self.rest.is_empty() {
             match ready!(self.datagrams.poll_recv(cx)) {
                 Some(datagram) => self.rest = datagram,
@@ -108,7 +109,7 @@ impl AsyncRead for Reader {
     }
 }
 
-/// Sends one client its frames, a datagram each.
+/// Sends one client its frames, one datagram each.
 struct Writer {
     socket: Arc<UdpSocket>,
     peer: SocketAddr,
@@ -116,7 +117,7 @@ struct Writer {
 
 impl AsyncWrite for Writer {
     fn poll_write(self: Pin<&mut Self>, cx: &mut Context<'_>, frame: &[u8]) -> Poll<io::Result<usize>> {
-        // What can't be sent is lost, as datagrams are; a client that is gone is silent.
+        // A failed send is a lost datagram; a vanished client is detected by its silence.
         let _ = ready!(self.socket.poll_send_to(cx, frame, self.peer));
         Poll::Ready(Ok(frame.len()))
     }

@@ -1,11 +1,13 @@
-//! Leases that end with their client: bound to its Zenoh session, or to its liveliness token.
+//! Leases that end with their client, bound to its Zenoh session or to its liveliness token.
 //!
-//! - `lease.take?zid=ID` binds a lease to the session of that Zenoh id, where this session is connected to the gateway
-//!   itself. Zenoh reports the end of such a connection, and no other client can delay or cause that report.
-//! - Otherwise the token `wsg/v1/{gateway}/client/{holder}` binds the lease. Zenoh does not tell which session has declared
-//!   a token, and reports its end only after the last session of that key is gone. Access control has to say who may declare it.
+//! - `lease.take?zid=ID` binds a lease to the session with that Zenoh id, if the session is connected to the gateway
+//!   directly. Zenoh reports the end of that connection, and no other client can delay or cause the report.
+//! - Otherwise the token `wsg/v1/{gateway}/client/{holder}` binds the lease. Zenoh does not reveal which session
+//!   declared a token, and reports its end only after the last session with that key is gone. Use Zenoh's access control
+//!   to restrict who may declare it.
 //!
-//! A bound lease that was taken without a `ttl_ms` needs no use. The answer to `lease.take` says what the lease is bound to.
+//! A bound lease taken without a `ttl_ms` does not expire without use. The reply to `lease.take` says what the lease is
+//! bound to.
 
 use std::collections::hash_map::Entry;
 use std::collections::{HashMap, HashSet};
@@ -22,21 +24,21 @@ use crate::gripper::model::Name;
 use crate::interfaces::metrics::{Connected, Metrics};
 use crate::operations::ConnectionLease;
 
-/// Queries that may be under way, of those that may take their time, of those that don't, of those that only stop, and of
-/// those that keep or end a lease. More are refused as `overloaded`, but for FAST STOPs.
+/// Maximum number of concurrent queries of each kind: waiting, not waiting, stopping, and keeping or ending a lease.
+/// More are refused as `overloaded`; FAST STOPs have their own limit.
 pub(super) const MAX_QUERIES: usize = 64;
 
-/// Client tokens that are kept. Any session on the network may declare any number of tokens, so this list may be full of
-/// foreign ones: the token of a client that takes a lease is looked up in Zenoh then.
+/// Maximum number of known client tokens. Any session on the network can declare any number of tokens and fill this
+/// list. The token of a client that takes a lease is then looked up in Zenoh.
 const MAX_TOKENS: usize = 1024;
 
-/// The longest name of a token that is kept, in bytes: a lease's holder has no more.
+/// Maximum length of a token's name, in bytes: that of a lease holder.
 const MAX_NAME_BYTES: usize = 32;
 
-/// How long Zenoh may take to look up a token.
+/// Time limit for looking up a token in Zenoh.
 const LOOKED_UP_WITHIN: Duration = Duration::from_millis(500);
 
-/// The clients of one gateway.
+/// The Zenoh clients of one gateway and their leases.
 #[derive(Debug)]
 pub struct Clients {
     keys: Keys,
@@ -49,9 +51,10 @@ pub struct Clients {
 #[derive(Debug, Default)]
 struct Known {
     tokens: HashMap<String, Connected>,
-    /// The sessions that are connected to the gateway itself. Zenoh bounds their number: `transport/unicast/max_sessions`.
+    /// Sessions that are directly connected to the gateway. Zenoh's `transport/unicast/max_sessions` bounds their
+    /// number.
     sessions: HashSet<ZenohId>,
-    /// The newest lease of each gripper that was taken through Zenoh.
+    /// The newest lease of each gripper that was taken via Zenoh.
     leases: HashMap<Name, Bound>,
 }
 
@@ -62,8 +65,8 @@ struct Bound {
     places: Places,
 }
 
-/// Places of one lease's queries, apart from everybody else's: of those that wait for a command's end, of those that only
-/// stop, and of all others.
+/// Separate slots for one lease holder's queries: those that wait for a command's end, those that only stop, and
+/// others.
 #[derive(Debug, Clone, Default)]
 pub struct Places {
     pub waiting: Option<Arc<Semaphore>>,
@@ -71,7 +74,7 @@ pub struct Places {
     pub others: Option<Arc<Semaphore>>,
 }
 
-/// What ends a lease with its end.
+/// The session or token that a lease is bound to. The lease is lost when it ends.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Bond {
     /// The client's connection to the gateway.
@@ -81,7 +84,7 @@ pub enum Bond {
 }
 
 impl Bond {
-    /// The word for it in the answer to `lease.take`.
+    /// Returns the name used in the reply to `lease.take`.
     pub fn name(&self) -> &'static str {
         match self {
             Self::Session(_) => "session",
@@ -103,7 +106,7 @@ impl Known {
         bound.taken.is(token).then_some(bound)
     }
 
-    /// Makes room for the token of a client that takes a lease, in place of one that holds none.
+    /// Makes room for the token of a client that takes a lease, by dropping a token without a lease.
     fn make_room(&mut self) {
         if self.tokens.len() >= MAX_TOKENS {
             let holds = |name: &String| self.leases.values().any(|bound| bound.bond == Some(Bond::Token(name.clone())));
@@ -114,12 +117,11 @@ impl Known {
 }
 
 impl Clients {
-    /// No clients yet, of the gateway with these keys.
     pub fn new(keys: Keys, runtime: Handle, metrics: Metrics) -> Self {
         Self { keys, runtime, metrics, session: OnceLock::new(), known: Mutex::default() }
     }
 
-    /// Watches client tokens and connections, present ones included.
+    /// Watches client tokens and connections, including existing ones.
     pub async fn declare(self: &Arc<Self>, session: &zenoh::Session) -> zenoh::Result<()> {
         let clients = self.clone();
         let watch = move |event: TransportEvent| clients.connection(*event.transport().zid(), event.kind());
@@ -128,12 +130,12 @@ impl Clients {
         let watch = move |token: Sample| clients.token(last_part(token.key_expr().as_str()), token.kind());
         let tokens = session.liveliness().declare_subscriber(self.keys.own("client/*")).history(true);
         tokens.callback(watch).background().await?;
-        // A second session would be that of a second gateway.
+        // Each gateway has one session, so this is the first call.
         let _ = self.session.set(session.clone());
         Ok(())
     }
 
-    /// What a lease of this holder can be bound to: its session, if that is connected here, or else its token.
+    /// Returns what a lease of this holder can be bound to: its session if that is connected here, else its token.
     pub async fn bond(&self, holder: Option<String>, zid: Option<ZenohId>) -> Option<Bond> {
         let (session, token) = (zid.map(Bond::Session), holder.clone().map(Bond::Token));
         let is_full = {
@@ -152,7 +154,7 @@ impl Clients {
             known.make_room();
             known.tokens.insert(holder.clone(), self.metrics.connected());
         }
-        // The token's end may have come in between, when it was not known here.
+        // The token can have ended in between, while it was not in the list.
         if self.is_declared(&holder).await {
             return token;
         }
@@ -160,20 +162,20 @@ impl Clients {
         None
     }
 
-    /// Whether this token is that of a lease whose end comes with its holder's: its open queries keep it until then.
+    /// Whether this token belongs to a bound lease. Open queries keep a bound lease alive until its bond ends.
     pub fn has_bound(&self, gripper: &str, token: &str) -> bool {
         let known = self.known();
         let is_bound = |bound: &Bound| bound.bond.as_ref().is_some_and(|bond| known.has(bond));
         known.lease(gripper, token).is_some_and(is_bound)
     }
 
-    /// The places of the lease with this token, if it is the newest one of a gripper that was taken through Zenoh.
+    /// Returns the slots of the lease with this token, if it is the gripper's newest lease taken via Zenoh.
     pub fn places_of(&self, gripper: &str, token: &str) -> Option<Places> {
         self.known().lease(gripper, token).map(|bound| bound.places.clone())
     }
 
-    /// Keeps track of a lease that was just taken. Without a bond it runs out without use; one whose bond has ended
-    /// since the client asked is lost.
+    /// Tracks a lease that was just taken. Without a bond, the lease expires without use. If its bond has ended since
+    /// the request, the lease is lost.
     pub fn bind(&self, bond: Option<Bond>, taken: Arc<ConnectionLease>) {
         let mut known = self.known();
         if bond.as_ref().is_some_and(|bond| !known.has(bond)) {
@@ -216,7 +218,7 @@ impl Clients {
         }
     }
 
-    /// Whether Zenoh knows the token of this client now.
+    /// Whether the token of this client is declared now, according to Zenoh.
     async fn is_declared(&self, name: &str) -> bool {
         let Some(session) = self.session.get() else { return false };
         let key = self.keys.own(&format!("client/{name}"));

@@ -1,4 +1,4 @@
-//! FAST STOP by a put: whatever it carries, it stops. It passes no queue that anything else passes.
+//! FAST STOP via a put: any payload stops. A FAST STOP shares no queue with other traffic.
 
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -11,11 +11,11 @@ use crate::fleet::keys::{FAST_STOP_OF_ALL, Keys};
 use crate::gripper::Grippers;
 use crate::gripper::model::{Client, Reason, ShownName};
 
-/// FAST STOPs that may be under way. Each ends within 250 ms; of those that come meanwhile the newest begins when one
-/// has ended, since one that is under way stops the grippers already.
+/// Maximum number of concurrent FAST STOPs, each of which ends within 250 ms. Beyond it only the newest is kept, which
+/// starts when one has ended: the grippers are already being stopped.
 const MAX_UNDER_WAY: usize = 64;
 
-/// The most bytes of a payload that are looked at for a reason.
+/// Bytes of a payload that are searched for a reason.
 const MAX_REASON_BYTES: usize = 1024;
 
 /// The FAST STOPs of one gateway.
@@ -33,12 +33,12 @@ struct UnderWay {
 }
 
 impl FastStops {
-    /// Of these grippers, on the runtime of the doors.
+    /// Returns the FAST STOPs of these grippers, on the interfaces' runtime.
     pub fn new(fleet: Grippers, clients: Handle) -> Self {
         Self { fleet, clients, under_way: Arc::default() }
     }
 
-    /// Takes puts for this gateway, and for all of them.
+    /// Subscribes to puts for this gateway and for all gateways.
     pub async fn declare(self, session: &zenoh::Session, keys: &Keys) -> zenoh::Result<()> {
         for key in [keys.own("fast-stop"), FAST_STOP_OF_ALL.to_owned()] {
             let stops = self.clone();
@@ -51,7 +51,7 @@ impl FastStops {
         Ok(())
     }
 
-    /// Stops all grippers. Waits for nothing.
+    /// Stops all grippers without waiting.
     fn begin(&self, client: Client, reason: Reason) {
         {
             let mut under_way = self.under_way.lock().unwrap_or_else(PoisonError::into_inner);
@@ -66,13 +66,13 @@ impl FastStops {
             let mut next = Some((client, reason));
             while let Some((client, reason)) = next {
                 let (id, _) = stops.fleet.fast_stop(&client, &reason).await;
-                tracing::info!(fast_stop = %id, reason = reason.as_str(), "FAST STOP by Zenoh");
+                tracing::info!(fast_stop = %id, reason = reason.as_str(), "FAST STOP via Zenoh");
                 next = stops.ended();
             }
         });
     }
 
-    /// What is to be done next by whoever has ended one; none where it is not to go on.
+    /// Returns the FAST STOP that the calling task runs next; `None` ends the task.
     fn ended(&self) -> Option<(Client, Reason)> {
         let mut under_way = self.under_way.lock().unwrap_or_else(PoisonError::into_inner);
         let next = under_way.next.take();
@@ -81,7 +81,7 @@ impl FastStops {
     }
 }
 
-/// Who puts, by the name that it gives, and why: the fields `client` and `reason` of an object, or a text, which is why.
+/// Returns client and reason of a payload: the fields `client` and `reason` of an object, or plain text as the reason.
 fn asked(payload: &[u8]) -> (Client, Reason) {
     let payload = payload.get(..MAX_REASON_BYTES).unwrap_or(payload);
     let text = String::from_utf8_lossy(payload);
@@ -103,7 +103,7 @@ mod tests {
     use crate::gripper::fake::{self, Script, Seen};
 
     #[test]
-    fn a_reason_is_an_objects_or_a_text_and_anything_else_is_one_too() {
+    fn any_payload_gives_a_reason() {
         for (payload, expected) in [
             (&br#"{"reason": "light curtain"}"#[..], "light curtain"),
             (br#""light curtain""#, "light curtain"),
@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn of_more_than_can_be_under_way_the_newest_stops_too() {
+    async fn newest_fast_stop_beyond_the_limit_runs() {
         let (handle, mut seen) = fake::gripper("left", Script::default());
         let stops = FastStops::new(Grippers::new([handle]), Handle::current());
         for index in 0..=2 * MAX_UNDER_WAY {
@@ -129,8 +129,8 @@ mod tests {
         }
         let newest = (2 * MAX_UNDER_WAY).to_string();
         let mut count = 0;
-        while let Some(told) = seen.recv().await {
-            let Seen::FastStop(reason) = told else { continue };
+        while let Some(request) = seen.recv().await {
+            let Seen::FastStop(reason) = request else { continue };
             count += 1;
             if reason.as_str() == newest {
                 break;

@@ -1,19 +1,19 @@
 //! Zenoh: states, telemetry and events as publications, commands as queries, FAST STOP as a put, and the fleet.
 //!
-//! | key, below `wsg/v1/{gateway}` | what it is |
+//! | key below `wsg/v1/{gateway}` | use |
 //! | --- | --- |
-//! | `/{gripper}/state`, `/telemetry`, `/event` | publications of what HTTP and WebSocket tell; `/event` without a gripper, too |
+//! | `/{gripper}/state`, `/telemetry`, `/event` | publications; also `/event` without a gripper |
 //! | `/{gripper}/state`, `/info` | queries |
-//! | `/{gripper}/command/{name}` | queries, by the names that WebSocket has: `grip`, `lease.take` |
-//! | `/{gripper}/alive` | a liveliness token while the gripper's link is up; `/alive` while the gateway is |
-//! | `/instance/{id}` | a liveliness token of the gateway that is this one's alone: two of them are two gateways of one name |
-//! | `/client/{name}` | a liveliness token of a client, which a lease is bound to where its session can't be seen |
-//! | `/fast-stop` | a put stops all grippers of the gateway; one to `wsg/v1/fast-stop` those of all gateways |
+//! | `/{gripper}/command/{name}` | queries, named like WebSocket methods: `grip`, `lease.take` |
+//! | `/{gripper}/alive` | a liveliness token while the gripper's link is up; `/alive` while the gateway runs |
+//! | `/instance/{id}` | a unique liveliness token of this gateway: two of them mean two gateways of one name |
+//! | `/client/{name}` | a liveliness token of a client, which binds a lease if the client's session is not visible |
+//! | `/fast-stop` | a put stops all grippers of the gateway; a put to `wsg/v1/fast-stop` those of all gateways |
 //! | `/fleet` | a query: all grippers of all gateways |
 //!
-//! Zenoh may wait for a client that takes nothing, for as long as its configuration says. So nothing here runs where
-//! somebody else waits: commands are worked off where those of HTTP are, but replies and publications are sent from
-//! elsewhere. A FAST STOP passes none of that.
+//! Zenoh can block on a client that reads nothing, for as long as its configuration allows. So no call into Zenoh runs
+//! on a thread that others wait for: commands run where those of HTTP do, but replies and publications are sent from
+//! other threads. A FAST STOP passes through none of these queues.
 
 mod client;
 mod clients;
@@ -40,24 +40,22 @@ use crate::fleet::Peers;
 use crate::fleet::keys::Keys;
 use crate::interfaces::Context;
 
-/// After how long Zenoh is opened again that could not be, at first and at most.
+/// First and longest pause before Zenoh is opened again after a failure.
 const OPENED_AGAIN_AFTER: Duration = Duration::from_millis(250);
 const OPENED_AGAIN_AT_LEAST_EVERY: Duration = Duration::from_secs(30);
 
-/// How long a farewell may take.
+/// Time limit for closing the session.
 const FAREWELL_WITHIN: Duration = Duration::from_secs(1);
 
-/// How the gateway is on a Zenoh network.
 #[derive(Debug, Clone)]
 pub struct Settings {
-    /// Where it is to be reached.
     pub connectivity: Connectivity,
-    /// How often states and telemetry are published at most, a second and gripper.
+    /// Maximum rate of states and telemetry for each gripper, per second.
     pub max_hz: u32,
 }
 
-/// Serves until the gateway closes. Where Zenoh can't be had, the gateway is served without until it can; `opened` is told
-/// where others find it.
+/// Serves Zenoh until the gateway closes, retrying until a session opens. The other interfaces run meanwhile. Calls
+/// `opened` with the addresses that Zenoh listens on.
 pub async fn serve(settings: Settings, context: Context, opened: impl FnMut(&[String])) {
     let Settings { connectivity, max_hz } = settings;
     let session = tokio::select! {
@@ -71,7 +69,7 @@ pub async fn serve(settings: Settings, context: Context, opened: impl FnMut(&[St
         declared = declare(&session, &context, max_hz) => declared,
     };
     match declared {
-        Ok((_alive, _told)) => {
+        Ok((_alive, _publishers)) => {
             tokio::select! {
                 biased;
                 () = context.closing.cancelled() => {}
@@ -79,40 +77,40 @@ pub async fn serve(settings: Settings, context: Context, opened: impl FnMut(&[St
             }
         }
         Err(error) => {
-            tracing::error!(%error, "Zenoh declares nothing: the grippers are served without it");
-            context.gateway.peers.set_cause(Some(format!("Zenoh declares nothing: {error}")));
+            tracing::error!(%error, "Zenoh declarations failed: the gateway runs without Zenoh");
+            context.gateway.peers.set_cause(Some(format!("Zenoh declarations failed: {error}")));
         }
     }
     if tokio::time::timeout(FAREWELL_WITHIN, session.close()).await.is_err() {
-        tracing::warn!("Zenoh did not end within {FAREWELL_WITHIN:?}");
+        tracing::warn!("Zenoh session did not close within {FAREWELL_WITHIN:?}");
     }
 }
 
-/// Opens a session, and tries again where that fails.
+/// Opens a session, retrying until it succeeds.
 async fn open_at_last(connectivity: &Connectivity, network: &Peers) -> zenoh::Session {
     let mut again_after = OPENED_AGAIN_AFTER;
     loop {
         match open(connectivity.config.clone()).await {
             Ok(session) => return session,
-            Err(error) => connectivity::say(network, Some(format!("Zenoh can't be opened: {error}"))),
+            Err(error) => connectivity::say(network, Some(format!("Zenoh could not be opened: {error}"))),
         }
         tokio::time::sleep(again_after).await;
         again_after = (again_after * 2).min(OPENED_AGAIN_AT_LEAST_EVERY);
     }
 }
 
-/// Opens a session. It may wait for a router for ever, and not as futures do: so it has a thread of its own, which nobody
-/// waits for when the gateway ends.
+/// Opens a session on its own thread. Zenoh can block forever while it waits for a router, so shutdown does not wait
+/// for this thread.
 async fn open(config: zenoh::Config) -> zenoh::Result<zenoh::Session> {
     let (send, opened) = oneshot::channel();
     std::thread::Builder::new().name("zenoh-open".to_owned()).spawn(move || {
-        // Whoever asked may have ended meanwhile.
+        // The receiver may be gone by now.
         let _ = send.send(zenoh::open(config).wait());
     })?;
     opened.await?
 }
 
-/// Everything that the gateway is to others; it ends with what is returned.
+/// Declares all keys of the gateway. The declarations end when the returned values are dropped.
 async fn declare(
     session: &zenoh::Session,
     context: &Context,
@@ -120,19 +118,19 @@ async fn declare(
 ) -> zenoh::Result<([LivelinessToken; 2], JoinSet<()>)> {
     let Context { gateway, runtimes, metrics, .. } = context;
     let keys = Keys::of(&gateway.name);
-    // First: it stops what may be moving already.
+    // FAST STOP comes first, since fingers can already be moving.
     FastStops::new(gateway.grippers.clone(), runtimes.accept.clone()).declare(session, &keys).await?;
     let clients = Arc::new(Clients::new(keys.clone(), Handle::current(), metrics.clone()));
     clients.declare(session).await?;
     let instance = gateway.peers.join(session).await?;
     let queries = Queries::new(keys.clone(), gateway, clients, metrics.clone());
     Arc::new(queries).declare(session, &gateway.grippers).await?;
-    let mut told = JoinSet::new();
-    told.spawn(gateway.peers.watch_twins(session));
+    let mut publishers = JoinSet::new();
+    publishers.spawn(gateway.peers.watch_twins(session));
     for handle in gateway.grippers.iter() {
         let publications = Publications::declare(session, &keys, handle).await?;
-        told.spawn_on(publications.tell(context.clone(), max_hz), &runtimes.observers);
+        publishers.spawn_on(publications.tell(context.clone(), max_hz), &runtimes.observers);
     }
-    told.spawn_on(publications::tell_events(session.clone(), keys.clone(), context.clone()), &runtimes.observers);
-    Ok(([instance, session.liveliness().declare_token(keys.own("alive")).await?], told))
+    publishers.spawn_on(publications::tell_events(session.clone(), keys.clone(), context.clone()), &runtimes.observers);
+    Ok(([instance, session.liveliness().declare_token(keys.own("alive")).await?], publishers))
 }

@@ -1,4 +1,4 @@
-//! Publications: states and telemetry, of which the newest counts, and events, none of which is left out.
+//! Publications: the newest states and telemetry, and every event.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -18,14 +18,12 @@ use crate::gripper::model::{Link, State};
 use crate::interfaces::Context;
 use crate::journal::{Filter, Stored, StreamItem};
 
-/// How often a state is told that has not changed: who counts on it sees by its silence that the gateway is gone, and
-/// one that was dropped on its way is made up for.
+/// Interval at which an unchanged state is repeated. Subscribers can detect a lost gateway by its silence, and a
+/// dropped state is replaced.
 const TOLD_EVERY: Duration = Duration::from_millis(500);
 
-/// How long events rest whose journal can't be read.
 const READ_RETRY_PAUSE: Duration = Duration::from_secs(1);
 
-/// What one gripper publishes.
 pub struct Publications {
     session: zenoh::Session,
     handle: Handle,
@@ -33,12 +31,11 @@ pub struct Publications {
     state: Publisher<'static>,
     telemetry: Publisher<'static>,
     alive: Option<LivelinessToken>,
-    /// What was told last, without what changes all the time.
-    told: Option<State>,
+    /// The last published state, without the fields that always change.
+    published: Option<State>,
 }
 
 impl Publications {
-    /// Of this gripper.
     pub async fn declare(session: &zenoh::Session, keys: &Keys, handle: &Handle) -> zenoh::Result<Self> {
         let publisher = |what, priority| {
             let publisher = session.declare_publisher(keys.gripper(handle.name(), what));
@@ -54,11 +51,11 @@ impl Publications {
             state: publisher("state", Priority::Data).await?,
             telemetry: publisher("telemetry", Priority::DataLow).await?,
             alive: None,
-            told: None,
+            published: None,
         })
     }
 
-    /// Tells states and telemetry, so often a second at most, until the gateway closes.
+    /// Publishes states and telemetry at `max_hz` at most, until the gateway closes.
     pub async fn tell(mut self, context: Context, max_hz: u32) {
         let only = BTreeSet::from([self.handle.name().clone()]);
         let mut updates = context.gateway.updates.subscribe(Some(&only), [Topic::Telemetry]);
@@ -70,59 +67,61 @@ impl Publications {
                 biased;
                 () = context.closing.cancelled() => return,
                 missed = pace.next() => {
-                    let (told, dropped) = updates.newest(missed);
+                    let (newest, dropped) = updates.newest(missed);
                     context.metrics.dropped(dropped);
-                    for told in told {
-                        publish(&self.telemetry, &told);
+                    for telemetry in newest {
+                        publish(&self.telemetry, &telemetry);
                     }
-                    if let Some(told) = self.news() {
-                        publish(&self.state, &told);
+                    if let Some(state) = self.news() {
+                        publish(&self.state, &state);
                         unchanged.reset();
                     }
                     self.keep_token();
                 }
                 _ = unchanged.tick() => {
-                    if let Some(told) = Notification::new("state", &*self.handle.state()) {
-                        publish(&self.state, &told);
+                    if let Some(state) = Notification::new("state", &*self.handle.state()) {
+                        publish(&self.state, &state);
                     }
                 }
             }
         }
     }
 
-    /// The state, where it says more than that the device is still there: all gateways of a fleet are told each that does.
+    /// Returns the state if more than its age has changed, since each published state goes to all gateways of the
+    /// fleet.
     fn news(&mut self) -> Option<Notification> {
         let state = self.handle.state();
         let lasting = State { seq: 0, updated_at: None, ..State::clone(&state) };
-        if self.told.as_ref() == Some(&lasting) {
+        if self.published.as_ref() == Some(&lasting) {
             return None;
         }
-        self.told = Some(lasting);
+        self.published = Some(lasting);
         Notification::new("state", &*state)
     }
 
-    /// Declares the gripper alive while its link is up.
+    /// Keeps the gripper's liveliness token declared while its link is up.
     fn keep_token(&mut self) {
         let is_up = self.handle.state().link == Link::Connected;
         match (is_up, &self.alive) {
             (true, None) => {
                 let token = self.session.liveliness().declare_token(self.alive_key.clone()).wait();
-                self.alive = token.inspect_err(|error| tracing::warn!(%error, "no liveliness token")).ok();
+                self.alive =
+                    token.inspect_err(|error| tracing::warn!(%error, "liveliness token could not be declared")).ok();
             }
-            // Its end is its withdrawal.
+            // Dropping the token withdraws it.
             (false, Some(_)) => self.alive = None,
             _ => {}
         }
     }
 }
 
-fn publish(publisher: &Publisher<'_>, told: &Notification) {
-    if let Err(error) = publisher.put(told.body()).wait() {
-        tracing::debug!(%error, "a state is not published");
+fn publish(publisher: &Publisher<'_>, notification: &Notification) {
+    if let Err(error) = publisher.put(notification.body()).wait() {
+        tracing::debug!(%error, "state not published");
     }
 }
 
-/// Publishes all events from now on, in order, once they are durable, until the gateway closes.
+/// Publishes all events from now on, in order and once they are durable, until the gateway closes.
 pub async fn tell_events(session: zenoh::Session, keys: Keys, context: Context) {
     let mut events = context.gateway.journal.follow(None, Filter::default());
     loop {
@@ -134,19 +133,19 @@ pub async fn tell_events(session: zenoh::Session, keys: Keys, context: Context) 
         match event {
             Ok(Some(StreamItem::Event(event))) => publish_event(&session, &keys, event).await,
             Ok(Some(StreamItem::Removed { missed, .. })) => {
-                tracing::warn!(missed, "events were too old before Zenoh had taken them");
+                tracing::warn!(missed, "events lost: removed from the journal before Zenoh published them");
             }
             Ok(None) => return,
             Err(error) => {
-                tracing::warn!(%error, "Zenoh's events can't be read");
+                tracing::warn!(%error, "Zenoh events could not be read; retrying");
                 tokio::time::sleep(READ_RETRY_PAUSE).await;
             }
         }
     }
 }
 
-/// None is dropped for a slow client; one that takes nothing at all is disconnected after a while, which is waited for
-/// where nobody else waits.
+/// Publishes an event. No event is dropped for a slow client. A client that reads nothing is disconnected after a
+/// while; the blocking thread waits for that.
 async fn publish_event(session: &zenoh::Session, keys: &Keys, event: Arc<Stored>) {
     let key = event.gripper.as_ref().map_or_else(|| keys.own("event"), |gripper| keys.gripper(gripper, "event"));
     let session = session.clone();
@@ -155,6 +154,6 @@ async fn publish_event(session: &zenoh::Session, keys: &Keys, event: Arc<Stored>
         put.priority(Priority::DataHigh).congestion_control(CongestionControl::Block).wait()
     });
     if let Ok(Err(error)) = published.await {
-        tracing::debug!(%error, "an event is not published");
+        tracing::debug!(%error, "event not published");
     }
 }

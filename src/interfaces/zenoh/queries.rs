@@ -1,7 +1,7 @@
-//! Queries: a gripper's `state` and `info`, its commands, and the fleet. All of them are operations of the API, so what is
-//! refused there is refused here, in the same words.
+//! Queries: a gripper's `state` and `info`, its commands, and the fleet. All are operations of the API, so they are
+//! refused for the same reasons and in the same words.
 //!
-//! A reply may wait for a client that takes none, so each is sent from a thread where nobody else waits.
+//! Sending a reply can block on a client that reads nothing, so each reply is sent from a thread that nobody waits for.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -29,7 +29,8 @@ use crate::operations::{
     urgency,
 };
 
-/// And FAST STOPs of one gripper among the queries, each of which ends within 250 ms: one more is under way already.
+/// Maximum number of concurrent FAST STOP queries of one gripper, each of which ends within 250 ms. More are refused,
+/// since the gripper is already being stopped.
 const MAX_FAST_STOPS: usize = 64;
 
 /// The parameters of a query's selector.
@@ -37,17 +38,17 @@ const WAIT_MS: &str = "wait_ms";
 const CLIENT: &str = "client";
 /// The Zenoh id of the client's session, to which `lease.take` binds the lease.
 const ZID: &str = "zid";
-/// Those that are headers over HTTP.
+/// Parameters that are headers over HTTP.
 const LEASE: &str = "lease";
 const REQUEST_ID: &str = "request_id";
 
-/// The field that names the gripper, as the key does.
+/// Field that names the gripper, like the key.
 const GRIPPER: &str = "gripper";
 
-/// The field of its answer that says what the lease is bound to.
+/// Field of the reply to `lease.take` that says what binds the lease.
 const BOUND_TO: &str = "bound_to";
 
-/// Who answers.
+/// The queryables of one gateway.
 #[derive(Debug)]
 pub struct Queries {
     keys: Keys,
@@ -56,34 +57,32 @@ pub struct Queries {
     metrics: Metrics,
     runtime: Handle,
     places: Arc<Semaphore>,
-    /// Of those that may wait for a command's end.
+    /// Slots of queries that can wait for a command's end.
     waiting_places: Arc<Semaphore>,
-    /// Of those that only stop, and may wait until the fingers stand.
+    /// Slots of queries that only stop, and can wait for a standstill.
     stop_places: Arc<Semaphore>,
-    /// Of those that keep or end a lease, and wait for nobody.
+    /// Slots of queries that keep or end a lease, and wait for nothing.
     lease_places: Arc<Semaphore>,
     fast_stop_places: BTreeMap<Name, Arc<Semaphore>>,
 }
 
-/// What a query asks for.
 #[derive(Debug)]
 struct Asked {
-    /// Under which key it is answered.
+    /// Key of the reply.
     key: String,
-    /// The operation.
     method: String,
     params: Map<String, Value>,
     wait_ms: Option<String>,
-    /// The lease token and the request id of the selector.
+    /// Lease token from the selector.
     lease: Option<String>,
     request_id: Option<String>,
-    /// The session that asks for a lease, as it says itself.
+    /// Session that takes a lease, as claimed by the client.
     zid: Option<ZenohId>,
     client: Client,
 }
 
 impl Queries {
-    /// On the runtime that this is called on.
+    /// Returns queryables that run on the caller's runtime.
     pub fn new(keys: Keys, gateway: &Arc<Gateway>, clients: Arc<Clients>, metrics: Metrics) -> Self {
         let runtime = Handle::current();
         let semaphore = |places| Arc::new(Semaphore::new(places));
@@ -104,7 +103,7 @@ impl Queries {
         }
     }
 
-    /// Takes queries for these grippers.
+    /// Declares the queryables of these grippers and of the fleet.
     pub async fn declare(self: &Arc<Self>, session: &zenoh::Session, fleet: &Grippers) -> zenoh::Result<()> {
         for gripper in fleet.iter().map(crate::gripper::Handle::name) {
             for what in ["state", "info"] {
@@ -142,21 +141,21 @@ impl Queries {
         self.answer(query, asked);
     }
 
-    /// What a query for a command asks for. One for a FAST STOP is one whatever comes with it.
+    /// Parses a query for a command. A FAST STOP is accepted whatever its parameters.
     fn asked(&self, query: &Query, gripper: &Name) -> Result<Asked, Problem> {
         let method = last_part(query.key_expr().as_str()).to_owned();
         let is_fast_stop = is_fast_stop(&method);
         let key = self.keys.gripper(gripper, &format!("command/{method}"));
         if (key != query.key_expr().as_str() || method.contains('*')) && !is_fast_stop {
-            let detail =
-                "a command is asked of one gripper, by its name: only FAST STOPs may have wildcards in their key";
+            let detail = "the key of a command must name one gripper: only FAST STOPs can have wildcards";
             return Err(Problem::malformed("key", detail));
         }
         if !named(&method).any(operations::Operation::is_of_gripper) {
-            return Err(Problem::not_found("such command: the API's description has them all"));
+            return Err(Problem::not_found("such command; /api/v1/asyncapi.yaml lists all commands"));
         }
         if self.gateway.peers.has_twin() && urgency(&method) == Urgency::None {
-            let detail = "another gateway on the Zenoh network has the name of this one, and would do it, too: give each its own";
+            let detail = "another gateway on the Zenoh network has the same name and would also run this command: give \
+                          each its own --name";
             return Err(Problem::new(Code::NameTaken, detail));
         }
         let payload = query.payload().map(zenoh::bytes::ZBytes::to_bytes).unwrap_or_default();
@@ -169,7 +168,7 @@ impl Queries {
         };
         let other = params.insert("gripper".to_owned(), gripper.as_str().into());
         if !is_fast_stop && other.is_some_and(|other| other != gripper.as_str()) {
-            return Err(Problem::malformed("gripper", "gripper is another one than that of the key"));
+            return Err(Problem::malformed("gripper", "gripper differs from the gripper in the key"));
         }
         let zid = given(ZID).filter(|_| method == lease::TAKE.name).map(|zid| session_id(&zid)).transpose()?;
         Ok(Asked {
@@ -184,27 +183,27 @@ impl Queries {
         })
     }
 
-    /// Answers in its turn; refuses where too many are under way.
+    /// Answers a query, or refuses it if too many are in progress.
     fn answer(self: &Arc<Self>, query: Query, asked: Result<Asked, Problem>) {
         let places = asked.as_ref().map_or_else(|_| self.places.clone(), |asked| self.places_for(asked));
         let Ok(place) = places.try_acquire_owned() else {
-            tracing::warn!(key = %query.key_expr(), "too many Zenoh queries are under way");
-            let detail = format!("{MAX_QUERIES} Zenoh queries are under way already: await their answers first");
+            tracing::warn!(key = %query.key_expr(), "Zenoh query refused: too many in progress");
+            let detail = format!("too many Zenoh queries ({MAX_QUERIES} in progress): wait for their replies");
             self.reply(query, None, Err(Problem::new(Code::Overloaded, detail)), None);
             return;
         };
         let queries = self.clone();
         self.runtime.spawn(async move {
-            let (key, told) = match asked {
+            let (key, result) = match asked {
                 Ok(asked) => (Some(asked.key.clone()), queries.call(asked).await),
                 Err(problem) => (None, Err(problem)),
             };
-            queries.reply(query, key, told, Some(place));
+            queries.reply(query, key, result, Some(place));
         });
     }
 
-    /// A query that waits takes no place of one that doesn't, and none takes a place of a FAST STOP. The holder of a lease
-    /// that was taken through Zenoh has places of its own.
+    /// Returns the slots for a query. Queries that wait, queries that don't, and FAST STOPs have separate slots. The
+    /// holder of a lease that was taken via Zenoh has slots of its own.
     fn places_for(&self, asked: &Asked) -> Arc<Semaphore> {
         let gripper = asked.params.get(GRIPPER).and_then(Value::as_str).unwrap_or_default();
         let holders = asked.lease().and_then(|lease| self.clients.places_of(gripper, lease)).unwrap_or_default();
@@ -248,46 +247,47 @@ impl Queries {
         }
     }
 
-    /// Zenoh reports the end of a client's session or token alone, and not that the client of an open query is gone.
+    /// Returns whether the client's loss would be noticed. Zenoh reports only the end of a client's session or token,
+    /// not that the client of an open query is gone.
     fn presence(&self, asked: &Asked) -> Presence {
         let gripper = asked.params.get(GRIPPER).and_then(Value::as_str);
         let is_seen = gripper.zip(asked.lease()).is_some_and(|(gripper, lease)| self.clients.has_bound(gripper, lease));
         if is_seen { Presence::Seen } else { Presence::Unseen }
     }
 
-    /// Sends a reply from where it may wait.
+    /// Sends a reply from a thread that can block.
     fn reply(
         &self,
         query: Query,
         key: Option<String>,
-        told: Result<Box<RawValue>, Problem>,
+        result: Result<Box<RawValue>, Problem>,
         place: Option<OwnedSemaphorePermit>,
     ) {
         self.runtime.spawn_blocking(move || {
             let json = Encoding::APPLICATION_JSON;
-            let sent = match (key, told) {
+            let sent = match (key, result) {
                 (Some(key), Ok(body)) => query.reply(key, body.get()).encoding(json).wait(),
                 (None, Ok(body)) => query.reply(query.key_expr(), body.get()).encoding(json).wait(),
                 (_, Err(problem)) => query.reply_err(problem_json(&problem)).encoding(json).wait(),
             };
             if let Err(error) = sent {
-                tracing::debug!(%error, "a Zenoh reply is not sent: who asked is gone");
+                tracing::debug!(%error, "Zenoh reply not sent: the client is gone");
             }
             drop((query, place));
         });
     }
 }
 
-/// A query's payload, within the bounds of a request's body.
+/// Parses a query's payload, within the bounds of a request's body.
 fn body(payload: &[u8]) -> Result<Map<String, Value>, Problem> {
     if payload.len() > MAX_BODY_BYTES {
         let (bytes, max) = (payload.len(), MAX_BODY_BYTES);
-        let detail = format!("the payload has {bytes} bytes, and may have {max} at most");
+        let detail = format!("the payload has {bytes} bytes; at most {max} are allowed");
         return Err(Problem::new(Code::TooLarge, detail).value(Some(bytes.into())).limits(None, Some(max.into())));
     }
     match json::parse(payload)? {
         StrictJson(Value::Object(params)) => Ok(params),
-        // Nothing else is a body.
+        // Any other JSON value counts as an empty body.
         StrictJson(_) => Ok(Map::new()),
     }
 }
@@ -297,14 +297,13 @@ fn problem_json(problem: &Problem) -> String {
 }
 
 impl Asked {
-    /// The lease that the query names.
     fn lease(&self) -> Option<&str> {
         let field = self.params.get(LEASE).and_then(Value::as_str);
         field.or(self.lease.as_deref())
     }
 }
 
-/// The answer to `lease.take`, with what the lease is bound to.
+/// Adds to the reply to `lease.take` what the lease is bound to.
 fn with_bond(lease: &RawValue, bond: Option<&Bond>) -> Option<Box<RawValue>> {
     let mut lease: Map<String, Value> = serde_json::from_str(lease.get()).ok()?;
     lease.insert(BOUND_TO.to_owned(), bond.map(Bond::name).into());
@@ -313,11 +312,11 @@ fn with_bond(lease: &RawValue, bond: Option<&Bond>) -> Option<Box<RawValue>> {
 
 fn session_id(zid: &str) -> Result<ZenohId, Problem> {
     zid.parse().map_err(|_| {
-        Problem::malformed(ZID, "zid must be a Zenoh id: that of the client's own session, in hexadecimal digits")
+        Problem::malformed(ZID, "zid must be the Zenoh id of the client's own session, in hexadecimal digits")
     })
 }
 
-/// By which name a lease is asked for.
+/// Returns the holder's name in a request for a lease.
 fn holder(params: &Map<String, Value>) -> Option<String> {
     #[derive(Deserialize)]
     struct Take {
@@ -347,7 +346,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn nobody_takes_the_place_of_who_waits_less_nor_one_of_a_fast_stop() {
+    async fn each_lane_has_its_own_slots() {
         let grippers = ["left", "right"].map(|name| fake::gripper(name, Script::default()).0);
         let gateway = Gateway::of(grippers);
         let metrics = Metrics::register(&Registry::new(), "zenoh").unwrap();
@@ -364,7 +363,7 @@ mod tests {
             asked("left", "fast-stop", None),
             asked("right", "fast-stop", Some("60000")),
         ];
-        // Those of one lane stand behind each other.
+        // Queries of one lane share slots.
         let lane_of = [0, 0, 1, 2, 2, 3, 4, 5];
         for (asked, lane) in lanes.iter().zip(lane_of) {
             let places = queries.places_for(asked);

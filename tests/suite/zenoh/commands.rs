@@ -166,7 +166,7 @@ async fn occupied_port_is_reported_and_retried() {
         cause.contains(&endpoint).then_some(cause)
     })
     .await;
-    assert!(cause.contains("end what listens there") && cause.contains("--zenoh-listen"), "{cause}");
+    assert!(cause.contains("stop the program that listens there") && cause.contains("--zenoh-listen"), "{cause}");
     gateway.until_logged(&cause).await;
     drop(taken);
     eventually("the gateway is ready", async || {

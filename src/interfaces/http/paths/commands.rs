@@ -1,4 +1,4 @@
-//! Commands: looked up, cancelled.
+//! Paths that look up and cancel commands.
 
 use super::parameters::CommandReply;
 use super::parameters::{CommandPath, GripperPath, LeaseHeader, NoWaitQuery, WaitQuery};
@@ -9,9 +9,9 @@ use crate::operations::Leased;
 use crate::operations::commands;
 
 paths! {
-    /// A command
+    /// Get a command
     ///
-    /// As it is now, or when it has ended, if that is sooner than `wait_ms`.
+    /// Waits up to `wait_ms` for the command to end, then returns it as it is.
     #[utoipa::path(
         get,
         path = "/grippers/{gripper}/commands/{command}",
@@ -23,14 +23,14 @@ paths! {
     get => commands::GET;
     /// Cancel a command
     ///
-    /// Stops it if it still runs; one that has ended stays as it is.
+    /// Stops the command if it is still running. A command that has ended is returned unchanged.
     #[utoipa::path(
         post,
         path = "/grippers/{gripper}/commands/{command}/cancel",
         operation_id = "cancel_command",
         tag = "commands",
         params(GripperPath, CommandPath, WaitQuery, LeaseHeader),
-        request_body(content = Option<Leased>, description = "Nothing, or the lease's token"),
+        request_body(content = Option<Leased>, description = "The lease token; optional"),
         responses(CommandReply, CommandProblem)
     )]
     cancel => commands::CANCEL;

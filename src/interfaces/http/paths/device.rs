@@ -1,4 +1,4 @@
-//! The rest of the manual: statistics, tare, Loop.
+//! Paths of the remaining device commands: statistics, tare, Loop.
 
 use super::parameters::{GripperPath, LeaseHeader};
 use super::paths;
@@ -7,7 +7,7 @@ use crate::operations::Leased;
 use crate::operations::device::{self, Loop, LoopAnswer, StatisticsAnswer, Tared};
 
 paths! {
-    /// The gripping statistics
+    /// Get the gripping statistics
     #[utoipa::path(
         get, path = "/grippers/{gripper}/statistics", operation_id = "get_statistics", tag = "device",
         params(GripperPath),
@@ -16,32 +16,32 @@ paths! {
     statistics => device::STATISTICS;
     /// Reset the gripping statistics
     ///
-    /// Answers with what they were.
+    /// Returns the statistics from before the reset.
     #[utoipa::path(
         post, path = "/grippers/{gripper}/statistics/reset", operation_id = "reset_statistics", tag = "device",
         params(GripperPath, LeaseHeader),
-        request_body(content = Option<Leased>, description = "Nothing, or the lease's token"),
+        request_body(content = Option<Leased>, description = "The lease token; optional"),
         responses((status = 200, description = "The statistics before the reset", body = StatisticsAnswer), DeviceProblem)
     )]
     reset_statistics => device::RESET_STATISTICS;
     /// Tare the force sensor
     ///
-    /// Needs a force measurement finger, and is refused while a part is held.
+    /// Requires a force measurement finger. Refused while a part is held.
     #[utoipa::path(
         post, path = "/grippers/{gripper}/tare", operation_id = "tare", tag = "device",
         params(GripperPath, LeaseHeader),
-        request_body(content = Option<Leased>, description = "Nothing, or the lease's token"),
-        responses((status = 200, description = "The sensor is tared", body = Tared), DeviceProblem)
+        request_body(content = Option<Leased>, description = "The lease token; optional"),
+        responses((status = 200, description = "The sensor was tared", body = Tared), DeviceProblem)
     )]
     tare => device::TARE;
-    /// Loop
+    /// Test the link (Loop)
     ///
-    /// The device sends back what it gets: a check of the link, and of its speed.
+    /// The device echoes the bytes of the request. Use it to check the link and measure its speed.
     #[utoipa::path(
         post, path = "/grippers/{gripper}/loop", operation_id = "loop", tag = "device",
         params(GripperPath),
         request_body = Option<Loop>,
-        responses((status = 200, description = "The same bytes", body = LoopAnswer), DeviceProblem)
+        responses((status = 200, description = "The echoed bytes", body = LoopAnswer), DeviceProblem)
     )]
     loop_back => device::LOOP;
 }

@@ -1,4 +1,4 @@
-//! FAST STOP and its acknowledge.
+//! Paths of FAST STOP and its acknowledgement.
 
 use super::parameters::{GripperPath, LeaseHeader};
 use super::paths;
@@ -6,25 +6,27 @@ use super::responses::{AnyProblem, DeviceProblem, GripperProblem};
 use crate::operations::fast_stop::{self, Acknowledge, Acknowledged, AllFastStopAnswer, FastStopAnswer, FastStopBody};
 
 paths! {
-    /// FAST STOP
+    /// FAST STOP a gripper
     ///
-    /// Stops the fastest way, needs no lease, and holds until it is acknowledged by its id: no motion until then. Answers
-    /// once the device's flags show it, or after 250 ms, also when the link is down; it is repeated until they do. It is
-    /// not a safety function in the sense of ISO 13850.
+    /// Stops the gripper as fast as the device can and blocks all motion until the FAST STOP is acknowledged by its id.
+    /// Needs no lease. The response comes once the device's flags confirm the FAST STOP, or after 250 ms, even when the
+    /// link is down. The gateway repeats it until the device confirms it. FAST STOP is not a safety function in the
+    /// sense of ISO 13850.
     #[utoipa::path(
         post, path = "/grippers/{gripper}/fast-stop", operation_id = "fast_stop", tag = "fast stop",
         params(GripperPath),
         request_body = Option<FastStopBody>,
-        responses((status = 200, description = "It is latched", body = FastStopAnswer), GripperProblem)
+        responses((status = 200, description = "The FAST STOP is latched", body = FastStopAnswer), GripperProblem)
     )]
     one => fast_stop::ONE;
-    /// FAST STOP of all grippers
+    /// FAST STOP all grippers
     ///
-    /// The same for all grippers of this gateway at once.
+    /// Sends a FAST STOP to all grippers of this gateway at once. FAST STOP is not a safety function in the sense of
+    /// ISO 13850.
     #[utoipa::path(
         post, path = "/fast-stop", operation_id = "fast_stop_all", tag = "fast stop",
         request_body = Option<FastStopBody>,
-        responses((status = 200, description = "All are latched", body = AllFastStopAnswer), AnyProblem)
+        responses((status = 200, description = "All grippers are latched", body = AllFastStopAnswer), AnyProblem)
     )]
     all => fast_stop::ALL;
 }
@@ -32,12 +34,15 @@ paths! {
 paths! {
     /// Acknowledge a FAST STOP
     ///
-    /// Clears the FAST STOP of this id, if it is the newest, and confirmed by the device. Nothing moves.
+    /// Clears the FAST STOP with this id if it is the newest one and the device has confirmed it. Nothing moves.
     #[utoipa::path(
         post, path = "/grippers/{gripper}/acknowledge", operation_id = "acknowledge", tag = "fast stop",
         params(GripperPath, LeaseHeader),
         request_body = Acknowledge,
-        responses((status = 200, description = "The device's flags show that it is gone", body = Acknowledged), DeviceProblem)
+        responses(
+            (status = 200, description = "The device's flags confirm that the FAST STOP is cleared", body = Acknowledged),
+            DeviceProblem,
+        )
     )]
     acknowledge => fast_stop::ACKNOWLEDGE;
 }

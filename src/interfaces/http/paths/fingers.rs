@@ -1,4 +1,4 @@
-//! The fingers' interface (firmware 4 and up).
+//! Paths of the fingers' interface (firmware 4 and up).
 
 use super::parameters::{FingerPath, GripperPath, LeaseHeader};
 use super::paths;
@@ -6,18 +6,18 @@ use super::responses::DeviceProblem;
 use crate::operations::fingers::{self, FingerAnswer, FingerDataAnswer, Power, PowerAnswer};
 
 paths! {
-    /// A finger
+    /// Get a finger
     ///
-    /// Its type and its flags (firmware 4 and up).
+    /// Returns the finger's type and flags (firmware 4 and up).
     #[utoipa::path(
         get, path = "/grippers/{gripper}/fingers/{finger}", operation_id = "get_finger", tag = "device",
         params(GripperPath, FingerPath),
         responses((status = 200, description = "The finger", body = FingerAnswer), DeviceProblem)
     )]
     one => fingers::INFO;
-    /// A finger's data
+    /// Get a finger's data
     ///
-    /// One frame of what the finger measures (firmware 4 and up).
+    /// Returns one frame of the finger's measured data (firmware 4 and up).
     #[utoipa::path(
         get, path = "/grippers/{gripper}/fingers/{finger}/data", operation_id = "get_finger_data", tag = "device",
         params(GripperPath, FingerPath),
@@ -26,12 +26,12 @@ paths! {
     data => fingers::DATA;
     /// Switch a finger's power
     ///
-    /// Generic fingers only (firmware 4 and up). On takes about half a second.
+    /// Supported by generic fingers only (firmware 4 and up). Switching on takes about half a second.
     #[utoipa::path(
         put, path = "/grippers/{gripper}/fingers/{finger}/power", operation_id = "set_finger_power", tag = "device",
         params(GripperPath, FingerPath, LeaseHeader),
         request_body = Power,
-        responses((status = 200, description = "It is switched", body = PowerAnswer), DeviceProblem)
+        responses((status = 200, description = "The power was switched", body = PowerAnswer), DeviceProblem)
     )]
     power => fingers::POWER;
 }

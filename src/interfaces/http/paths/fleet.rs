@@ -1,4 +1,4 @@
-//! The grippers of all gateways.
+//! Paths of the fleet: the grippers of all gateways.
 
 use super::paths;
 use super::responses::AnyProblem;
@@ -6,12 +6,15 @@ use crate::operations::fast_stop::FastStopBody;
 use crate::operations::fleet::{self, FleetFastStopAnswer, FleetList};
 
 paths! {
-    /// The fleet
+    /// List the fleet
     ///
-    /// All grippers of all gateways on the Zenoh network, its own among them. `gone` says that a gateway has vanished, within
-    /// 2 s. Each operation on a gripper is there as `/fleet/{gateway}/grippers/{gripper}/…`, too, with the same fields,
-    /// answers and problems: the gateway that owns the gripper decides. `gateway_gone` says that nothing was sent there, and
-    /// `gateway_timeout` that nobody knows whether it was done: ask again with the same `request_id`.
+    /// Lists all grippers of all gateways on the Zenoh network, including this gateway's own. `gone` marks a gateway
+    /// that has vanished, within 2 s. Each gripper operation is also available below
+    /// `/fleet/{gateway}/grippers/{gripper}/…`, with the same fields, responses and problems. The gateway that owns the
+    /// gripper decides.
+    ///
+    /// `gateway_gone` means that nothing was sent to that gateway. `gateway_timeout` means that the outcome is unknown:
+    /// repeat the request with the same `request_id`.
     #[utoipa::path(
         get, path = "/fleet", operation_id = "fleet", tag = "fleet",
         responses((status = 200, description = "All grippers of all gateways", body = FleetList), AnyProblem)
@@ -20,14 +23,14 @@ paths! {
 }
 
 paths! {
-    /// FAST STOP of the fleet
+    /// FAST STOP the fleet
     ///
-    /// Stops all grippers of all gateways. Answers once all whose gateways live have confirmed, or after 500 ms. It is not a safety
-    /// function in the sense of ISO 13850.
+    /// Sends a FAST STOP to all grippers of all gateways. The response comes once all grippers of live gateways have
+    /// confirmed it, or after 500 ms. FAST STOP is not a safety function in the sense of ISO 13850.
     #[utoipa::path(
         post, path = "/fleet/fast-stop", operation_id = "fleet_fast_stop", tag = "fleet",
         request_body = Option<FastStopBody>,
-        responses((status = 200, description = "All are told", body = FleetFastStopAnswer), AnyProblem)
+        responses((status = 200, description = "The FAST STOP was sent to the fleet", body = FleetFastStopAnswer), AnyProblem)
     )]
     fast_stop => fleet::FAST_STOP;
 }

@@ -1,4 +1,5 @@
-//! What the document says of the paths below a gripper of the fleet: each is any operation below `/grippers/{gripper}`.
+//! OpenAPI description of the paths below a gripper of the fleet, which forward any operation below
+//! `/grippers/{gripper}`.
 
 use utoipa::{IntoParams, OpenApi};
 
@@ -8,24 +9,24 @@ use crate::operations::Members;
 
 #[derive(IntoParams)]
 #[into_params(parameter_in = Path)]
-#[allow(dead_code, reason = "the document's words on what the path names")]
+#[allow(dead_code, reason = "only describes the path's parameters")]
 struct ForwardedPath {
-    /// The gateway that owns the gripper.
+    /// Name of the gateway that owns the gripper.
     #[param(min_length = 1, max_length = 32, pattern = "^[a-z0-9][a-z0-9_-]{0,31}$", example = "gateway")]
     gateway: String,
-    /// The gripper's name there.
+    /// The gripper's name on that gateway.
     #[param(min_length = 1, max_length = 32, pattern = "^[a-z0-9][a-z0-9_-]{0,31}$", example = "left")]
     gripper: String,
-    /// What follows the gripper in the operation's own path, slashes among it: `state`, `move`, `settings/acceleration`.
+    /// The rest of the operation's path after the gripper, slashes included: `state`, `move`, `settings/acceleration`.
     #[param(min_length = 1, max_length = 64, pattern = "^[a-z0-9-]{1,64}(/[a-z0-9-]{1,64})*$", example = "state")]
     operation: String,
 }
 
 #[derive(IntoParams)]
 #[into_params(parameter_in = Query)]
-#[allow(dead_code, reason = "the document's words on what the query may have")]
+#[allow(dead_code, reason = "only describes the query")]
 struct ForwardedQuery {
-    /// How long to wait, in ms, where the operation has such a parameter: within its own limits. Others don't look at it.
+    /// Maximum wait in ms, within the operation's own limits. Ignored by operations without this parameter.
     #[param(example = "5000")]
     wait_ms: Option<String>,
 }
@@ -39,19 +40,19 @@ macro_rules! forwarded {
                 params(ForwardedPath, ForwardedQuery, KeyHeaders),
                 $($body = $of,)?
                 responses(
-                    (status = 200, description = "The operation's own answer", body = Value),
-                    (status = 202, description = "The operation's own answer, while a command runs", body = Value,
-                        headers(("Location" = String, description = "Where to ask for it"))),
-                    (status = 405, description = "`method_not_allowed`: the operation has other methods, which Allow lists",
+                    (status = 200, description = "The operation's own response", body = Value),
+                    (status = 202, description = "The operation's own response while a command runs", body = Value,
+                        headers(("Location" = String, description = "Path of the command"))),
+                    (status = 405, description = "`method_not_allowed`: see the Allow header for the operation's methods",
                         body = Members, content_type = "application/problem+json"),
                     DeviceProblem,
                 )
             )]
-            #[allow(dead_code, reason = "the document's words on what fleet::forward serves")]
+            #[allow(dead_code, reason = "only describes what `forward` serves")]
             fn $name() {}
         )*
 
-        /// All of them.
+        /// The OpenAPI document of all forwarded paths.
         #[derive(OpenApi)]
         #[openapi(paths($($name),*))]
         pub struct Forwarded;
@@ -59,21 +60,24 @@ macro_rules! forwarded {
 }
 
 forwarded! {
-    /// Read of a gripper of the fleet
+    /// Read from a gripper of the fleet
     ///
-    /// Any GET below `/grippers/{gripper}`, of a gripper of any gateway: with its parameters, answers and problems.
+    /// Performs any GET below `/grippers/{gripper}` on a gripper of any gateway, with the same parameters, responses
+    /// and problems.
     get: get "fleet_get";
     /// Command a gripper of the fleet
     ///
-    /// Any POST below `/grippers/{gripper}`, of a gripper of any gateway, which decides: with its fields, answers and
-    /// problems. While the request is open, the lease doesn't run out.
+    /// Performs any POST below `/grippers/{gripper}` on a gripper of any gateway, with the same fields, responses and
+    /// problems. The gateway that owns the gripper decides. The lease does not expire while the request is open.
     post: post "fleet_post", request_body = Option<Value>;
-    /// Set something of a gripper of the fleet
+    /// Change a setting of a gripper of the fleet
     ///
-    /// Any PUT below `/grippers/{gripper}`, of a gripper of any gateway: with its fields, answers and problems.
+    /// Performs any PUT below `/grippers/{gripper}` on a gripper of any gateway, with the same fields, responses and
+    /// problems.
     put: put "fleet_put", request_body = Option<Value>;
-    /// Clear something of a gripper of the fleet
+    /// Clear a setting of a gripper of the fleet
     ///
-    /// Any DELETE below `/grippers/{gripper}`, of a gripper of any gateway: with its fields, answers and problems.
+    /// Performs any DELETE below `/grippers/{gripper}` on a gripper of any gateway, with the same fields, responses and
+    /// problems.
     delete: delete "fleet_delete", request_body = Option<Value>;
 }

@@ -1,4 +1,4 @@
-//! What the gateway knows of its grippers.
+//! Paths that list and describe the gateway's grippers.
 
 use super::parameters::{GripperPath, LeaseHeader};
 use super::paths;
@@ -8,24 +8,24 @@ use crate::gripper::model::State;
 use crate::operations::grippers::{self, GripperList};
 
 paths! {
-    /// All grippers
+    /// List all grippers
     #[utoipa::path(
         get, path = "/grippers", operation_id = "list_grippers", tag = "grippers",
         responses((status = 200, description = "All grippers of this gateway", body = GripperList), AnyProblem)
     )]
     list => grippers::LIST;
-    /// A gripper
+    /// Get a gripper
     ///
-    /// Its device, limits, capabilities and link.
+    /// Returns the gripper's device, limits, capabilities and link.
     #[utoipa::path(
         get, path = "/grippers/{gripper}", operation_id = "get_gripper", tag = "grippers",
         params(GripperPath, LeaseHeader),
         responses((status = 200, description = "The gripper", body = Info), GripperProblem)
     )]
     info => grippers::INFO;
-    /// A gripper's state
+    /// Get a gripper's state
     ///
-    /// The newest; `age_ms` says how old it is.
+    /// Returns the newest state; `age_ms` is its age.
     #[utoipa::path(
         get, path = "/grippers/{gripper}/state", operation_id = "get_state", tag = "grippers",
         params(GripperPath, LeaseHeader),

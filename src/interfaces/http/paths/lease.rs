@@ -1,4 +1,4 @@
-//! The lease: who may move the gripper.
+//! Paths of the lease, the right to move a gripper.
 
 use super::parameters::{GripperPath, LeaseHeader};
 use super::paths;
@@ -8,9 +8,10 @@ use crate::operations::Leased;
 use crate::operations::lease::{self, HandOver, Take};
 
 paths! {
-    /// The lease
+    /// Get the lease
     ///
-    /// Who holds it, and for how long. While nobody does, anybody may move the gripper, one command at a time.
+    /// Returns the lease holder and the remaining time. While nobody holds the lease, any client may move the gripper,
+    /// one command at a time.
     #[utoipa::path(
         get, path = "/grippers/{gripper}/lease", operation_id = "get_lease", tag = "lease",
         params(GripperPath, LeaseHeader),
@@ -19,8 +20,9 @@ paths! {
     get => lease::GET;
     /// Take the lease
     ///
-    /// Its token goes with each command from now on, and each use renews the lease; an open request keeps it. A holder that
-    /// is not heard from for `ttl_ms` is lost: what becomes of the gripper then is said here.
+    /// Returns a token; send it with every further command. Each use of the token renews the lease, and an open request
+    /// with it keeps the lease alive. A holder that stays silent for `ttl_ms` is lost; `on_loss_moving` and
+    /// `on_loss_holding` say what the gripper does then.
     #[utoipa::path(
         post, path = "/grippers/{gripper}/lease", operation_id = "take_lease", tag = "lease",
         params(GripperPath, LeaseHeader),
@@ -38,7 +40,7 @@ paths! {
     renew => lease::RENEW;
     /// Release the lease
     ///
-    /// A running motion stops, and nothing is latched. What isn't its caller's any more stays as it is.
+    /// Stops a running motion and latches nothing. A lease that the caller no longer holds is left unchanged.
     #[utoipa::path(
         delete, path = "/grippers/{gripper}/lease", operation_id = "release_lease", tag = "lease",
         params(GripperPath, LeaseHeader),
@@ -48,7 +50,8 @@ paths! {
     release => lease::RELEASE;
     /// Hand the lease over
     ///
-    /// To who has asked for it, and gets a token of its own when it asks again. A running motion goes on.
+    /// Passes the lease to the client in `requested_by`, which gets its own token when it requests the lease again. A
+    /// running motion continues.
     #[utoipa::path(
         post, path = "/grippers/{gripper}/lease/hand-over", operation_id = "hand_over_lease", tag = "lease",
         params(GripperPath, LeaseHeader),

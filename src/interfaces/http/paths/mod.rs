@@ -1,6 +1,6 @@
-//! HTTP's paths: each operation with its part of the OpenAPI document.
+//! HTTP paths: each operation with its part of the OpenAPI document.
 //!
-//! The line that mounts a path names its operation and documents it, so the document can't fall behind.
+//! The router mounts the documented handlers themselves, so the document can't fall behind.
 
 pub mod commands;
 pub mod device;

@@ -1,4 +1,4 @@
-//! Home, move, grip, release, stop.
+//! Paths of the motions: home, move, grip, release, stop.
 
 use super::parameters::CommandReply;
 use super::parameters::{GripperPath, KeyHeaders, WaitQuery};
@@ -9,8 +9,8 @@ use crate::operations::motion::{self, Grip, Home, Move, Release, Stop};
 paths! {
     /// Home the fingers
     ///
-    /// References the gripper at an end stop. It has to be done once after the device was switched on, and before any
-    /// other motion. Nothing may be in the way: an obstacle gives a wrong origin.
+    /// References the gripper at an end stop. Required once after the device was switched on, before any other motion.
+    /// Keep the path of the fingers clear: an obstacle gives a wrong origin.
     #[utoipa::path(
         post, path = "/grippers/{gripper}/home", operation_id = "home", tag = "motion",
         params(GripperPath, WaitQuery, KeyHeaders),
@@ -20,8 +20,8 @@ paths! {
     home => motion::HOME;
     /// Move the fingers
     ///
-    /// A width or a speed beyond the device's limits is refused, though the device itself would clamp it; so is a target
-    /// that the soft limits forbid.
+    /// The gateway refuses a width or speed beyond the device's limits, which the device itself would clamp. It also
+    /// refuses a target outside the soft limits.
     #[utoipa::path(
         post, path = "/grippers/{gripper}/move", operation_id = "move", tag = "motion",
         params(GripperPath, WaitQuery, KeyHeaders),
@@ -31,7 +31,7 @@ paths! {
     move_fingers => motion::MOVE;
     /// Grip a part
     ///
-    /// Ends with `PART_HELD`, or with `NO_PART` where the fingers found none: that is an answer, not an error.
+    /// Ends with `PART_HELD`, or with `NO_PART` if the fingers found no part. `NO_PART` is a result, not an error.
     #[utoipa::path(
         post, path = "/grippers/{gripper}/grip", operation_id = "grip", tag = "motion",
         params(GripperPath, WaitQuery, KeyHeaders),
@@ -41,7 +41,7 @@ paths! {
     grip => motion::GRIP;
     /// Release a part
     ///
-    /// Opens the fingers to a width.
+    /// Opens the fingers to `width_mm`.
     #[utoipa::path(
         post, path = "/grippers/{gripper}/release", operation_id = "release", tag = "motion",
         params(GripperPath, WaitQuery, KeyHeaders),
@@ -51,8 +51,8 @@ paths! {
     release => motion::RELEASE;
     /// Stop
     ///
-    /// Ends a running motion; its command ends with `ABORTED`. Needs no lease, and latches nothing. One that its client
-    /// repeats within a second, while there is nothing to stop, is the same command, `replayed`.
+    /// Ends a running motion, whose command ends with `ABORTED`. Needs no lease and latches nothing. A stop that the
+    /// same client repeats within a second, while nothing runs, returns the same command with `replayed`.
     #[utoipa::path(
         post, path = "/grippers/{gripper}/stop", operation_id = "stop", tag = "motion",
         params(GripperPath, WaitQuery, KeyHeaders),

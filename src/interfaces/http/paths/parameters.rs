@@ -17,7 +17,7 @@ pub struct GripperPath {
 #[into_params(parameter_in = Path)]
 #[allow(dead_code, reason = "only described here")]
 pub struct CommandPath {
-    /// The command's id, as its answer had it.
+    /// The command's id, as returned when the command was started.
     #[param(example = "019aa5c8-5a70-7c31-9f3f-4a3b7c1d2e4f")]
     command: uuid::Uuid,
 }
@@ -26,7 +26,7 @@ pub struct CommandPath {
 #[into_params(parameter_in = Path)]
 #[allow(dead_code, reason = "only described here")]
 pub struct FingerPath {
-    /// The finger: 1 or 2.
+    /// Number of the finger: 1 or 2.
     #[param(minimum = 1, maximum = 2, example = 1)]
     finger: u8,
 }
@@ -35,7 +35,7 @@ pub struct FingerPath {
 #[into_params(parameter_in = Query)]
 #[allow(dead_code, reason = "only described here")]
 pub struct WaitQuery {
-    /// How long to wait for the command's end, in ms; 0 doesn't wait. 5000 by default.
+    /// Maximum time to wait for the command to end, in ms. 0 returns at once; the default is 5000.
     #[param(minimum = 0, maximum = 60000, default = 5000, example = 5000)]
     wait_ms: Option<u64>,
 }
@@ -44,7 +44,7 @@ pub struct WaitQuery {
 #[into_params(parameter_in = Query)]
 #[allow(dead_code, reason = "only described here")]
 pub struct NoWaitQuery {
-    /// How long to wait for the command's end, in ms. 0 by default: it is told as it is.
+    /// Maximum time to wait for the command to end, in ms. The default is 0: the command is returned at once.
     #[param(minimum = 0, maximum = 60000, default = 0, example = 5000)]
     wait_ms: Option<u64>,
 }
@@ -53,7 +53,7 @@ pub struct NoWaitQuery {
 #[into_params(parameter_in = Header)]
 #[allow(dead_code, reason = "only described here")]
 pub struct LeaseHeader {
-    /// The lease's token, while somebody holds one. While the request is open, the lease doesn't run out.
+    /// The lease token, if the client holds the lease. The lease does not expire while the request is open.
     #[param(rename = "Wsg-Lease", nullable = false, max_length = 64, pattern = "^([!-~]([ -~]*[!-~])?)?$")]
     wsg_lease: Option<String>,
 }
@@ -62,10 +62,10 @@ pub struct LeaseHeader {
 #[into_params(parameter_in = Header)]
 #[allow(dead_code, reason = "only described here")]
 pub struct KeyHeaders {
-    /// The same as `request_id` in the body, for clients that have it as a header.
+    /// Same as `request_id` in the body, for clients that send it as a header.
     #[param(rename = "Idempotency-Key", nullable = false, max_length = 64, pattern = "^([!-~]([ -~]*[!-~])?)?$")]
     idempotency_key: Option<String>,
-    /// The same as `lease` in the body.
+    /// Same as `lease` in the body.
     #[param(rename = "Wsg-Lease", nullable = false, max_length = 64, pattern = "^([!-~]([ -~]*[!-~])?)?$")]
     wsg_lease: Option<String>,
 }
@@ -74,10 +74,10 @@ pub struct KeyHeaders {
 #[derive(IntoResponses)]
 #[allow(dead_code, reason = "only described here")]
 pub enum CommandReply {
-    /// The command, ended: `outcome` says how
+    /// The ended command, with its `outcome`
     #[response(status = 200)]
     Ended(Command),
     /// The command, still running after `wait_ms`
-    #[response(status = 202, headers(("Location" = String, description = "Where to ask for it")))]
+    #[response(status = 202, headers(("Location" = String, description = "Path of the command")))]
     Running(Command),
 }

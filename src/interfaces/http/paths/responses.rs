@@ -1,4 +1,4 @@
-//! Which problems an operation can answer with, for the OpenAPI document: each described once, and referred to.
+//! Problem responses of the operations, for the OpenAPI document: each described once and referenced.
 
 use std::collections::BTreeMap;
 
@@ -7,44 +7,45 @@ use utoipa::{IntoResponses, ToSchema};
 
 use crate::operations::Members;
 
-/// Every status that a problem can have: its name in the document, and the codes that come with it.
+/// Statuses of problems: status, name in the document, and description with the codes.
 const PROBLEMS: &[(&str, &str, &str)] = &[
-    ("400", "Malformed", "`malformed`: the request can't be understood; `field` says where"),
-    ("403", "Forbidden", "`foreign_host`, `foreign_origin`: the request comes from where it must not"),
+    ("400", "Malformed", "`malformed`: the request is invalid; `field` names the faulty field"),
+    ("403", "Forbidden", "`foreign_host`, `foreign_origin`: the request's Host or Origin is not allowed"),
     ("404", "NotFound", "`not_found`: there is no such path, gripper or command"),
     ("408", "RequestTimeout", "`request_timeout`: the body did not arrive in time"),
     (
         "409",
         "Conflict",
         "`fast_stop`, `not_referenced`, `already_running`, `lease_held`, `stale_lease`, `stale_fast_stop`, \
-         `fast_stop_unconfirmed`, `request_id_reused`, `name_taken`: not now; the members say what is in the way",
+         `fast_stop_unconfirmed`, `request_id_reused`, `name_taken`: not possible in the current state; the problem's \
+         members name the cause",
     ),
     ("413", "TooLarge", "`too_large`: the body is larger than `max` bytes"),
     (
         "422",
         "Unprocessable",
-        "`out_of_range`: a value is beyond its limits, which `min` and `max` say; `device_refused`: the device \
-         refused, and `device_status` says how",
+        "`out_of_range`: a value is outside `min` to `max`; `device_refused`: the device refused the request with \
+         `device_status`",
     ),
     (
         "429",
         "Overloaded",
         "`overloaded`: too many requests wait for this gripper, too many WebSockets are open, or the device tag was \
-         written less than a second ago",
+         written less than a second ago. Try again later",
     ),
-    ("500", "Internal", "`internal`: a mistake of the gateway's own"),
-    ("502", "DeviceProtocol", "`device_protocol`: the device's answer can't be one"),
+    ("500", "Internal", "`internal`: internal error; see the gateway's log"),
+    ("502", "DeviceProtocol", "`device_protocol`: the device's reply is invalid"),
     (
         "503",
         "LinkDown",
-        "`link_down`: there is no working link to the device; `journal_down`: the journal takes no records, or can't \
-         be read; `gateway_gone`: the gateway that owns the gripper is gone, and nothing was sent to it",
+        "`link_down`: there is no working link to the device; `journal_down`: the journal can't be written or read; \
+         `gateway_gone`: the gateway that owns the gripper is gone, and nothing was sent to it",
     ),
     (
         "504",
         "DeviceTimeout",
-        "`device_timeout`: the device did not answer in time; `gateway_timeout`: the gateway that owns the gripper did \
-         not, and whether it was done isn't known",
+        "`device_timeout`: the device did not reply in time; `gateway_timeout`: the gateway that owns the gripper did \
+         not reply in time, and the outcome is unknown",
     ),
 ];
 
@@ -62,19 +63,19 @@ macro_rules! sets {
 }
 
 sets! {
-    /// Of what every operation can answer.
+    /// Problems of every operation.
     AnyProblem ["400" "403" "500"];
-    /// Of what reads the gateway's own knowledge of a gripper.
+    /// Problems of operations that read the gateway's own knowledge of a gripper.
     GripperProblem ["400" "403" "404" "422" "500"];
-    /// Of what asks a gripper's actor about its commands.
+    /// Problems of operations that ask a gripper's actor about its commands.
     CommandProblem ["400" "403" "404" "408" "413" "422" "429" "500" "503"];
-    /// Of what asks for the lease.
+    /// Problems of operations that request the lease.
     LeaseProblem ["400" "403" "404" "408" "409" "413" "422" "429" "500" "503"];
-    /// Of what opens a WebSocket.
+    /// Problems of opening a WebSocket.
     SocketProblem ["400" "403" "429" "500"];
-    /// Of what reads the journal.
+    /// Problems of reading the journal.
     JournalProblem ["400" "403" "404" "422" "500" "503"];
-    /// Of what asks the device.
+    /// Problems of operations that send requests to the device.
     DeviceProblem ["400" "403" "404" "408" "409" "413" "422" "429" "500" "502" "503" "504"];
 }
 
@@ -86,7 +87,7 @@ fn references(statuses: &[&str]) -> BTreeMap<String, RefOr<Response>> {
         .collect()
 }
 
-/// Adds the descriptions that the operations refer to.
+/// Adds the responses that the operations refer to.
 pub fn describe(components: &mut Components) {
     let schema = Ref::from_schema_name(Members::name());
     for (_, name, description) in PROBLEMS {

@@ -6,7 +6,7 @@ use super::*;
 use crate::gripper::Failure;
 
 #[tokio::test]
-async fn what_the_manual_returns_is_told_by_its_names() {
+async fn device_replies_use_names_of_the_manual() {
     let gateway = with_exchange(|command| match command {
         wsg::Command::GetStatistics { .. } => {
             Ok(Data::Statistics(wsg::Statistics { total: 1520, no_part: 12, lost_part: 1 }))
@@ -38,7 +38,7 @@ async fn what_the_manual_returns_is_told_by_its_names() {
 }
 
 #[tokio::test]
-async fn a_link_that_is_down_is_503() {
+async fn link_down_is_503() {
     let gateway = with_exchange(|_| Err(Failure::Draining.into()));
     let answer = gateway.left("GET", "statistics", Value::Null).await;
     assert_eq!((answer.status, &answer.body["code"]), (503, &"link_down".into()));

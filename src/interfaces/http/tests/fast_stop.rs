@@ -1,4 +1,4 @@
-//! FAST STOP and its acknowledge, through the router.
+//! FAST STOP and its acknowledgement, through the router.
 
 use serde_json::json;
 
@@ -6,7 +6,7 @@ use super::*;
 use crate::gripper::Conflict;
 
 #[tokio::test]
-async fn a_fast_stop_needs_no_proper_body() {
+async fn fast_stop_ignores_invalid_bodies() {
     let mut gateway = Gateway::new(Script::default());
     let huge = "x".repeat(1024 * 1024);
     let long = json!({"reason": "é".repeat(100)}).to_string();
@@ -26,7 +26,7 @@ async fn a_fast_stop_needs_no_proper_body() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_fast_stop_does_not_wait_for_a_body_that_does_not_come() {
+async fn fast_stop_does_not_wait_for_its_body() {
     let gateway = Gateway::new(Script::default());
     let never = Body::from_stream(futures_util::stream::pending::<Result<&[u8], std::io::Error>>());
     let start = tokio::time::Instant::now();
@@ -36,7 +36,7 @@ async fn a_fast_stop_does_not_wait_for_a_body_that_does_not_come() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn an_unconfirmed_fast_stop_is_told_as_such() {
+async fn unconfirmed_fast_stop_is_reported() {
     let gateway = Gateway::new(Script { confirms: false, ..Script::default() });
     let answer = gateway.ask("POST", "/api/v1/fast-stop", "").await;
     assert_eq!((answer.status, &answer.body["fast_stop_confirmed"]), (200, &false.into()));
@@ -44,7 +44,7 @@ async fn an_unconfirmed_fast_stop_is_told_as_such() {
 }
 
 #[tokio::test]
-async fn an_acknowledge_names_its_fast_stop() {
+async fn acknowledge_names_its_fast_stop() {
     let mut gateway = Gateway::new(Script::default());
     let id = "019aa5c8-5a70-7c31-9f3f-4a3b7c1d2e4f";
     let answer = gateway.left("POST", "acknowledge", json!({"fast_stop_id": id})).await;
@@ -62,7 +62,7 @@ async fn an_acknowledge_names_its_fast_stop() {
 }
 
 #[tokio::test]
-async fn a_foreign_page_can_not_even_stop() {
+async fn foreign_page_cannot_fast_stop() {
     let mut gateway = Gateway::new(Script::default());
     for (header, value, code) in
         [(header::HOST, "evil.example", "foreign_host"), (header::ORIGIN, "null", "foreign_origin")]

@@ -7,7 +7,7 @@ use crate::gripper::model::{Detail, Event, GatewayEvent};
 use crate::gripper::recorder::Record;
 
 #[tokio::test]
-async fn a_gateway_is_ready_when_its_grippers_and_its_journal_are_and_says_which_is_not() {
+async fn readiness_names_its_causes() {
     let (gateway, journal) = Gateway::with_journal(Script::default());
     let answer = gateway.ask("GET", "/readyz", "").await;
     assert_eq!(answer.status, 503);
@@ -25,7 +25,7 @@ async fn a_gateway_is_ready_when_its_grippers_and_its_journal_are_and_says_which
         let ended = Event::new(Now::read().wall, None, Detail::Gateway(GatewayEvent::Ended));
         let (told, durable) = tokio::sync::oneshot::channel();
         journal.record(Record::Event(ended, Some(told)));
-        // Its channel ends where it is not kept.
+        // The channel closes without a reply if the event is not stored.
         let _ = durable.await;
     }
     let answer = gateway.ask("GET", "/readyz", "").await;
@@ -34,7 +34,7 @@ async fn a_gateway_is_ready_when_its_grippers_and_its_journal_are_and_says_which
 }
 
 #[tokio::test]
-async fn requests_are_counted_by_their_route_and_never_by_what_clients_make_up() {
+async fn request_metrics_have_bounded_labels() {
     let gateway = Gateway::new(Script::default());
     gateway.left("POST", "home", json!({})).await;
     gateway.left("POST", "home", json!({"direction": "up"})).await;

@@ -1,4 +1,4 @@
-//! What uses the lease, through the router.
+//! Uses of the lease, through the router.
 
 use std::time::Duration;
 
@@ -7,7 +7,7 @@ use serde_json::json;
 use super::*;
 
 #[tokio::test(start_paused = true)]
-async fn each_use_renews_the_lease_whatever_is_asked_for() {
+async fn each_use_renews_the_lease() {
     let gateway = with_fate(Fate::Runs);
     let token = gateway.left("POST", "lease", json!({"ttl_ms": 60_000})).await.body["token"].clone();
     let token = token.as_str().unwrap();
@@ -26,7 +26,7 @@ async fn each_use_renews_the_lease_whatever_is_asked_for() {
         ("POST", "acknowledge", Some(acknowledge)),
         ("GET", "statistics", None),
     ] {
-        // A FAST STOP's body is only a reason.
+        // The body of a FAST STOP is only a reason and carries no token.
         let places = if body.is_some() { vec![true, false] } else { vec![true] };
         for in_header in places {
             tokio::time::sleep(Duration::from_secs(1)).await;
@@ -47,7 +47,7 @@ async fn each_use_renews_the_lease_whatever_is_asked_for() {
 }
 
 #[tokio::test]
-async fn a_fast_stop_is_refused_for_no_token() {
+async fn fast_stop_ignores_invalid_tokens() {
     let mut gateway = Gateway::new(Script::default());
     for token in ["stale", "x y", &"x".repeat(1000)] {
         let request = Request::builder().method("POST").uri("/api/v1/grippers/left/fast-stop");
@@ -58,7 +58,7 @@ async fn a_fast_stop_is_refused_for_no_token() {
 }
 
 #[tokio::test]
-async fn a_holder_that_cannot_be_told_apart_is_refused() {
+async fn ambiguous_holder_name_is_refused() {
     let gateway = with_fate(Fate::Runs);
     for (holder, remedy) in
         [("\u{202E}tobor", "U+202E"), ("ro\u{200B}bot", "U+200B"), ("r\u{43E}bot", "use one"), ("Mu\u{308}ller", "NFC")]

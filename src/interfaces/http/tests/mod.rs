@@ -1,4 +1,4 @@
-//! The router against a gripper that follows a script.
+//! Tests of the router with a scripted gripper.
 
 mod device;
 mod fast_stop;
@@ -67,7 +67,7 @@ impl Gateway {
         self.send(request.body(body.into()).unwrap()).await
     }
 
-    /// Of the gripper `left`.
+    /// Sends a request for the gripper `left`.
     async fn left(&self, method: &str, path: &str, body: Value) -> Answer {
         self.ask(method, &format!("/api/v1/grippers/left/{path}"), body.to_string()).await
     }
@@ -96,7 +96,7 @@ fn with_exchange(exchange: fn(&wsg::Command) -> Result<Data, Rejection>) -> Gate
 }
 
 #[tokio::test]
-async fn what_is_not_there_is_a_problem_too() {
+async fn unknown_path_is_a_problem() {
     let gateway = Gateway::new(Script::default());
     let command = format!("/api/v1/grippers/left/commands/{}", CommandId::generate());
     let paths = [
@@ -118,7 +118,7 @@ async fn what_is_not_there_is_a_problem_too() {
 }
 
 #[tokio::test]
-async fn a_wrong_method_is_told_the_right_ones() {
+async fn wrong_method_lists_the_allowed_ones() {
     let gateway = Gateway::new(Script::default());
     let cases = [
         ("DELETE", "/api/v1/grippers", "GET,HEAD"),
@@ -135,7 +135,7 @@ async fn a_wrong_method_is_told_the_right_ones() {
 }
 
 #[tokio::test]
-async fn reading_costs_the_device_nothing() {
+async fn reads_do_not_reach_the_device() {
     let mut gateway = Gateway::new(Script::default());
     let list = gateway.ask("GET", "/api/v1/grippers", "").await;
     assert_eq!(list.body["grippers"][0]["gripper"], "left");
@@ -154,7 +154,7 @@ async fn head_is_get_without_a_body() {
 }
 
 #[tokio::test]
-async fn the_documentation_needs_nothing_from_elsewhere() {
+async fn documentation_is_self_contained() {
     let gateway = Gateway::new(Script::default());
     for path in ["/docs", "/docs/start.js", "/docs/swagger-ui.css", "/docs/swagger-ui-bundle.js"] {
         let answer = gateway.ask("GET", path, "").await;
@@ -167,7 +167,7 @@ async fn the_documentation_needs_nothing_from_elsewhere() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn a_body_that_does_not_come_is_408() {
+async fn missing_body_is_408() {
     let gateway = Gateway::new(Script::default());
     let never = Body::from_stream(futures_util::stream::pending::<Result<&[u8], std::io::Error>>());
     let answer = gateway.ask("POST", "/api/v1/grippers/left/home", never).await;
@@ -175,7 +175,7 @@ async fn a_body_that_does_not_come_is_408() {
 }
 
 #[tokio::test(start_paused = true)]
-async fn who_is_refused_without_end_hears_of_it_later_and_a_fast_stop_at_once() {
+async fn repeated_refusals_are_delayed_except_for_fast_stop() {
     let gateway = Gateway::new(Script::default());
     let begun = tokio::time::Instant::now();
     for _ in 0..100 {
@@ -186,12 +186,12 @@ async fn who_is_refused_without_end_hears_of_it_later_and_a_fast_stop_at_once() 
     assert_eq!(gateway.left("POST", "move", json!({"width_mm": "wide"})).await.status, 400);
     let held_back_for = begun.elapsed();
     assert!(held_back_for >= Duration::from_millis(50), "{held_back_for:?}");
-    // Others are not, nor what is not refused.
+    // Other operations and accepted requests are not delayed.
     assert_eq!(gateway.left("POST", "grip", json!({"force_n": "much"})).await.status, 400);
     assert_eq!(gateway.ask("POST", "/api/v1/grippers/right/fast-stop", "").await.status, 404);
     assert_eq!(gateway.left("POST", "move", json!({"width_mm": 20, "speed_mm_s": 50})).await.status, 200);
     assert_eq!(begun.elapsed(), held_back_for);
-    // And not more of them at a time than leave connections to others.
+    // At most 64 refusals are delayed at a time, so that connections remain for others.
     let begun = tokio::time::Instant::now();
     let refused = join_all((0..70).map(async |_| {
         assert_eq!(gateway.left("POST", "move", json!({"width_mm": "wide"})).await.status, 400);

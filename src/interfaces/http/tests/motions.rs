@@ -8,7 +8,7 @@ use crate::gripper::{Conflict, DeviceRefusal, Invalid};
 use crate::wsg::{Speed, Status, Width};
 
 #[tokio::test]
-async fn a_command_that_ended_is_200_with_its_outcome() {
+async fn ended_command_is_200_with_its_outcome() {
     let mut gateway = with_fate(Fate::Ends(Outcome::NoPart));
     let body = json!({"width_mm": 20, "speed_mm_s": 50.5, "force_n": 40, "part_id": "A-1", "request_id": "7"});
     let answer = gateway.left("POST", "grip", body).await;
@@ -22,7 +22,7 @@ async fn a_command_that_ended_is_200_with_its_outcome() {
 }
 
 #[tokio::test]
-async fn a_command_that_runs_is_202_and_can_be_looked_up_and_cancelled() {
+async fn running_command_is_202_and_can_be_cancelled() {
     let gateway = with_fate(Fate::Runs);
     let answer = gateway.left("POST", "home?wait_ms=0", json!({})).await;
     assert_eq!((answer.status, &answer.body["phase"]), (202, &"running".into()));
@@ -51,7 +51,7 @@ async fn every_motion_becomes_its_action() {
 }
 
 #[tokio::test]
-async fn what_the_device_refused_while_its_client_waits_is_a_problem() {
+async fn device_refusal_is_a_problem() {
     let refusal = DeviceRefusal { command: "Grip", status: Status::E_NOT_INITIALIZED, fast_stop: None };
     let gateway = with_fate(Fate::Refused(refusal.into()));
     let answer = gateway.left("POST", "grip", json!({"width_mm": 20, "speed_mm_s": 50})).await;
@@ -60,7 +60,7 @@ async fn what_the_device_refused_while_its_client_waits_is_a_problem() {
 }
 
 #[tokio::test]
-async fn what_was_not_admitted_is_a_problem() {
+async fn rejected_submission_is_a_problem() {
     let id = CommandId::generate();
     let gateway = with_fate(Fate::Rejected(Conflict::AlreadyRunning { id }.into()));
     let answer = gateway.left("POST", "home", json!({})).await;
@@ -74,7 +74,7 @@ async fn what_was_not_admitted_is_a_problem() {
 }
 
 #[tokio::test]
-async fn values_that_can_not_be_never_reach_the_gripper() {
+async fn invalid_values_never_reach_the_gripper() {
     let mut gateway = Gateway::new(Script::default());
     let cases = [
         (json!({"width_mm": 1e39, "speed_mm_s": 50}), 422, "width_mm"),

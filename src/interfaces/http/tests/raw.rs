@@ -7,7 +7,7 @@ use crate::gripper::model::Motion;
 use crate::wsg::Acceleration;
 
 #[tokio::test]
-async fn a_raw_id_that_the_manuals_know_takes_the_typed_path() {
+async fn known_raw_id_takes_the_typed_path() {
     let mut gateway = Gateway::new(Script::default());
     let answer = gateway.left("POST", "raw", json!({"id": 0x20, "payload": "02"})).await;
     assert_eq!(
@@ -25,14 +25,14 @@ async fn a_raw_id_that_the_manuals_know_takes_the_typed_path() {
 }
 
 #[tokio::test]
-async fn a_raw_answer_has_the_bytes_of_the_wire() {
+async fn raw_reply_has_the_wire_bytes() {
     let gateway = with_exchange(|command| match command {
         wsg::Command::Custom(custom) => Ok(Data::Custom(custom.payload().to_vec())),
         _ => Ok(Data::Acceleration(Acceleration::new(150.0).unwrap())),
     });
     let answer = gateway.left("POST", "raw", json!({"id": 0x31})).await;
     assert_eq!((&answer.body["payload"], &answer.body["status_code"]), (&"00001643".into(), &0.into()));
-    // What was read back after it is no part of Set Acceleration's own reply.
+    // The value that is read back afterwards is not part of Set Acceleration's own reply.
     let answer = gateway.left("POST", "raw", json!({"id": 0x30, "payload": "00001643"})).await;
     assert_eq!(answer.body["payload"], "");
     let answer = gateway.left("POST", "raw", json!({"id": 0xB0, "payload": "aaaaaa"})).await;
@@ -40,7 +40,7 @@ async fn a_raw_answer_has_the_bytes_of_the_wire() {
 }
 
 #[tokio::test]
-async fn a_custom_command_is_a_motion_unless_it_is_known_to_read() {
+async fn custom_command_is_a_motion_unless_listed_as_read() {
     let mut gateway = Gateway::new(Script::default());
     let answer = gateway.left("POST", "raw", json!({"id": 0xB1, "payload": "00ff"})).await;
     assert_eq!((answer.status, &answer.body["outcome"]), (200, &"SUCCESS".into()));
@@ -53,7 +53,7 @@ async fn a_custom_command_is_a_motion_unless_it_is_known_to_read() {
 }
 
 #[tokio::test]
-async fn what_is_the_gateways_own_is_no_raw_request() {
+async fn reserved_raw_requests_are_refused() {
     let mut gateway = Gateway::new(Script::default());
     let cases = [
         (json!({"id": 0x07}), 400, "id"),

@@ -7,7 +7,7 @@ use crate::gripper::DeviceRefusal;
 use crate::wsg::{Acceleration, SoftLimits, Status, Width};
 
 #[tokio::test]
-async fn a_setting_is_told_as_the_device_made_it() {
+async fn setting_is_read_back_from_the_device() {
     let mut gateway = with_exchange(|_| Ok(Data::Acceleration(Acceleration::new(5000.0).unwrap())));
     let answer = gateway.left("PUT", "settings/acceleration", json!({"acceleration_mm_s2": 6000})).await;
     assert_eq!(answer.body, json!({"gripper": "left", "acceleration_mm_s2": 5000.0}));
@@ -17,7 +17,7 @@ async fn a_setting_is_told_as_the_device_made_it() {
 }
 
 #[tokio::test]
-async fn settings_that_are_not_set_are_null() {
+async fn unset_settings_are_null() {
     let gateway = with_exchange(|command| match command {
         wsg::Command::ClearSoftLimits => Ok(Data::None),
         _ => Err(DeviceRefusal { command: "", status: Status::E_NOT_AVAILABLE, fast_stop: None }.into()),
@@ -32,7 +32,7 @@ async fn settings_that_are_not_set_are_null() {
 }
 
 #[tokio::test]
-async fn soft_limits_the_wrong_way_round_are_out_of_range() {
+async fn swapped_soft_limits_are_out_of_range() {
     let gateway = with_exchange(|command| match command {
         wsg::Command::SetSoftLimits(limits) => Ok(Data::SoftLimits(*limits)),
         _ => Ok(Data::SoftLimits(SoftLimits::new(Width::ZERO, Width::ZERO).unwrap())),
@@ -44,7 +44,7 @@ async fn soft_limits_the_wrong_way_round_are_out_of_range() {
 }
 
 #[tokio::test]
-async fn a_tag_is_64_printable_ascii_characters_at_most() {
+async fn tag_has_at_most_64_printable_ascii_characters() {
     let mut gateway = Gateway::new(Script::default());
     for (tag, status) in
         [("x".repeat(65), 422), ("ü".to_owned(), 400), ("a\n".to_owned(), 400), ("a\0".to_owned(), 400)]

@@ -1,10 +1,10 @@
-//! The paths against the table of operations.
+//! Consistency of the paths with the table of operations.
 
 use crate::interfaces::http::{API, openapi};
 use crate::operations::OPERATIONS;
 
 #[test]
-fn every_operation_has_a_path_and_every_path_of_a_gripper_is_an_operation() {
+fn paths_and_operations_match() {
     let document = serde_json::to_value(openapi()).unwrap();
     let paths = document["paths"].as_object().unwrap();
     for operation in OPERATIONS {
