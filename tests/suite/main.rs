@@ -17,6 +17,7 @@ mod ends;
 mod fast_stop;
 mod first_grip;
 mod grips;
+mod guides;
 mod harness;
 mod invariants;
 mod journal_files;
