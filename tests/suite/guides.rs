@@ -22,7 +22,8 @@ fn read(path: &str) -> String {
 /// The guides, and the README files that link to them.
 fn documents() -> Vec<PathBuf> {
     let guides = fs::read_dir(root().join("deploy/guide")).unwrap().map(|entry| entry.unwrap().path());
-    let others = ["README.md", "src/README.md", "tests/README.md", "deploy/zenoh/README.md"].map(|path| root().join(path));
+    let others =
+        ["README.md", "src/README.md", "tests/README.md", "deploy/zenoh/README.md"].map(|path| root().join(path));
     guides.filter(|path| path.extension().is_some_and(|extension| extension == "md")).chain(others).collect()
 }
 
@@ -127,7 +128,9 @@ fn configuration_keys() -> BTreeSet<String> {
             let Item::Struct(item) = item else { continue };
             let is_content = item.ident.to_string().ends_with("Content");
             let Fields::Named(fields) = item.fields else { continue };
-            keys.extend(fields.named.iter().filter(|_| is_content).map(|field| field.ident.as_ref().unwrap().to_string()));
+            keys.extend(
+                fields.named.iter().filter(|_| is_content).map(|field| field.ident.as_ref().unwrap().to_string()),
+            );
         }
     }
     keys
@@ -141,7 +144,9 @@ async fn flags() -> BTreeSet<String> {
         let is_part = |character: char| character.is_ascii_alphanumeric() || matches!(character, '-' | '_');
         words.extend(help.split(|character| !is_part(character)).map(str::to_owned));
     }
-    words.retain(|word| word.starts_with("WSG_GATEWAY_") || word.strip_prefix("--").is_some_and(|word| !word.is_empty()));
+    words.retain(|word| {
+        word.starts_with("WSG_GATEWAY_") || word.strip_prefix("--").is_some_and(|word| !word.is_empty())
+    });
     words
 }
 
