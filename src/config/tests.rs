@@ -37,7 +37,9 @@ fn file_error_names_line_and_remedy() {
         mistake("[grippers.g]\n\nurl = \"can://can0?tx=9999\"").starts_with("gateway.toml:3: \"can://can0?tx=9999\": ")
     );
     assert!(mistake("name = \"a\"\nlistne = 1").starts_with("gateway.toml:2: unknown field `listne`"));
-    assert!(mistake("[grippers.Left]\nurl = \"sim://wsg50\"").starts_with("gateway.toml:1: \"Left\" is not a valid name"));
+    assert!(
+        mistake("[grippers.Left]\nurl = \"sim://wsg50\"").starts_with("gateway.toml:1: \"Left\" is not a valid name")
+    );
     assert!(mistake("journal = \"\"").starts_with("gateway.toml:1: the journal's path is empty"));
     assert!(
         mistake("\njournal_max_size_mb = 20000000")

@@ -7,6 +7,8 @@
 //!
 //! Architecture invariant: nothing here imports anything else of this crate.
 
+#![warn(missing_docs)]
+
 pub mod command;
 pub mod crc;
 pub mod device;

@@ -15,6 +15,7 @@ mod device;
 mod fast_stop;
 mod first_grip;
 mod grip_records;
+mod guides;
 mod harness;
 mod host_and_origin;
 mod invariants;

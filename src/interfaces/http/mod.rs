@@ -15,6 +15,7 @@ mod fast_stop;
 mod forward;
 mod gateway;
 mod guard;
+mod guide;
 mod home;
 mod journal;
 mod large;

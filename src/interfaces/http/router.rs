@@ -18,7 +18,7 @@ use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use super::context::{API, Context};
-use super::{access_log, audit, docs, forward, gateway, guard, journal, large, paths, stream, turn, upgrade};
+use super::{access_log, audit, docs, forward, gateway, guard, guide, journal, large, paths, stream, turn, upgrade};
 use crate::interfaces::dashboard;
 use crate::operations::{Code, Problem};
 
@@ -56,6 +56,7 @@ fn routes() -> Routes {
     docs::without_null_bodies(&mut document);
     let router = router
         .merge(docs::page())
+        .merge(guide::pages())
         .merge(dashboard::page())
         .method_not_allowed_fallback(method_not_allowed)
         .layer(middleware::from_fn(turn::read_first));

@@ -1,0 +1,118 @@
+//! The guides of `deploy/guide`, rendered as pages below `/docs/guide`.
+//!
+//! The pages are part of the program, because a cell may have no internet. A page is rendered when it is first asked for.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, OnceLock};
+
+use axum::body::Bytes;
+use axum::extract::Path;
+use axum::http::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderValue};
+use axum::response::{Html, IntoResponse, Response};
+use axum::{Router, routing};
+use comrak::Options;
+use rust_embed::Embed;
+
+use crate::operations::Problem;
+
+/// The guides, and the files next to them that the guides link to.
+#[derive(Embed)]
+#[folder = "deploy"]
+struct Files;
+
+/// The page that lists the others.
+const INDEX: &str = "README";
+
+const STYLE: &str = include_str!("style.css");
+
+/// The pages load their style from here and nothing else from anywhere.
+const POLICY: HeaderValue = HeaderValue::from_static(
+    "default-src 'none'; style-src 'self'; img-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
+);
+
+/// Returns the routes of the guides.
+pub fn pages<S: Clone + Send + Sync + 'static>() -> Router<S> {
+    let guides = Arc::new(Guides::default());
+    let index = guides.clone();
+    Router::new()
+        .route("/docs/guide", routing::get(async move || index.page(INDEX)))
+        .route("/docs/guide/style.css", routing::get(async || ([(CONTENT_TYPE, "text/css")], STYLE)))
+        .route("/docs/guide/{name}", routing::get(async move |Path(name): Path<String>| guides.page(&name)))
+        .route("/docs/files/{*path}", routing::get(async |Path(path): Path<String>| file(&path)))
+}
+
+/// The rendered pages by name, without `.md`.
+struct Guides(BTreeMap<String, OnceLock<Bytes>>);
+
+impl Default for Guides {
+    fn default() -> Self {
+        let names = Files::iter().filter_map(|path| Some(path.strip_prefix("guide/")?.strip_suffix(".md")?.to_owned()));
+        Self(names.map(|name| (name, OnceLock::new())).collect())
+    }
+}
+
+impl Guides {
+    fn page(&self, name: &str) -> Response {
+        let Some(page) = self.0.get(name) else { return Problem::not_found("such guide").into_response() };
+        let html = page.get_or_init(|| rendered(name).into()).clone();
+        ([(CONTENT_SECURITY_POLICY, POLICY), (CACHE_CONTROL, HeaderValue::from_static("no-cache"))], Html(html))
+            .into_response()
+    }
+}
+
+fn rendered(name: &str) -> String {
+    let markdown = text(&format!("guide/{name}.md")).unwrap_or_default();
+    let title = markdown.lines().next().unwrap_or_default().trim_start_matches('#').trim();
+    let body = comrak::markdown_to_html(&markdown, &options());
+    format!(
+        r#"<!doctype html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{title} · WSG Gateway</title>
+<link rel="stylesheet" href="/docs/guide/style.css">
+</head>
+<body>
+<nav><a href="/docs/guide">Guides</a> <a href="/docs">HTTP API</a> <a href="/">Dashboard</a></nav>
+<main>
+{body}</main>
+</body>
+</html>
+"#
+    )
+}
+
+/// Returns the extensions that the guides use, with anchors as GitHub makes them.
+fn options() -> Options<'static> {
+    let mut options = Options::default();
+    options.extension.table = true;
+    options.extension.header_id_prefix = Some(String::new());
+    options.extension.link_url_rewriter = Some(Arc::new(|link: &str| served_at(link)));
+    options
+}
+
+/// Returns where the target of a link between the files of `deploy` is served.
+fn served_at(link: &str) -> String {
+    let (path, anchor) = link.split_at(link.find('#').unwrap_or(link.len()));
+    if let Some(file) = path.strip_prefix("../") {
+        return format!("/docs/files/{file}");
+    }
+    match path.strip_suffix(".md") {
+        Some(INDEX) => format!("/docs/guide{anchor}"),
+        Some(name) if !name.contains('/') => format!("/docs/guide/{name}{anchor}"),
+        _ => link.to_owned(),
+    }
+}
+
+/// Serves a file that a guide links to. Text is shown as it is, never run.
+fn file(path: &str) -> Response {
+    match text(path) {
+        Some(text) => ([(CONTENT_TYPE, "text/plain; charset=utf-8")], text).into_response(),
+        None => Problem::not_found("such file").into_response(),
+    }
+}
+
+fn text(path: &str) -> Option<String> {
+    Files::get(path).map(|file| String::from_utf8_lossy(&file.data).into_owned())
+}

@@ -1,0 +1,193 @@
+//! The guides: complete, linked correctly, and served by the gateway.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use comrak::nodes::NodeValue;
+use comrak::{Anchorizer, Arena, Options};
+use serde_json::Value;
+use syn::{Fields, Item};
+
+use crate::harness::{Gateway, Simulator, run};
+
+fn root() -> &'static Path {
+    Path::new(env!("CARGO_MANIFEST_DIR"))
+}
+
+fn read(path: &str) -> String {
+    fs::read_to_string(root().join(path)).unwrap()
+}
+
+/// The guides, and the README files that link to them.
+fn documents() -> Vec<PathBuf> {
+    let guides = fs::read_dir(root().join("deploy/guide")).unwrap().map(|entry| entry.unwrap().path());
+    let others =
+        ["README.md", "src/README.md", "tests/README.md", "deploy/zenoh/README.md"].map(|path| root().join(path));
+    guides.filter(|path| path.extension().is_some_and(|extension| extension == "md")).chain(others).collect()
+}
+
+/// The links and the anchors of a document.
+fn links_and_anchors(markdown: &str) -> (Vec<String>, BTreeSet<String>) {
+    let (arena, mut options, mut anchorizer) = (Arena::new(), Options::default(), Anchorizer::new());
+    options.extension.table = true;
+    let (mut links, mut anchors) = (Vec::new(), BTreeSet::new());
+    for node in comrak::parse_document(&arena, markdown, &options).descendants() {
+        match &node.data.borrow().value {
+            NodeValue::Link(link) | NodeValue::Image(link) => links.push(link.url.clone()),
+            NodeValue::Heading(_) => {
+                let text: String = node.descendants().filter_map(|node| text(&node.data.borrow().value)).collect();
+                anchors.insert(anchorizer.anchorize(&text));
+            }
+            _ => {}
+        }
+    }
+    (links, anchors)
+}
+
+fn text(value: &NodeValue) -> Option<String> {
+    match value {
+        NodeValue::Text(text) => Some(text.to_string()),
+        NodeValue::Code(code) => Some(code.literal.clone()),
+        _ => None,
+    }
+}
+
+#[tokio::test]
+async fn links_lead_to_files_and_anchors() {
+    let device = Simulator::start(&[]).await;
+    let gateway = Gateway::of(device.address).await;
+    let read: BTreeMap<_, _> = documents()
+        .into_iter()
+        .map(|path| (path.canonicalize().unwrap(), links_and_anchors(&fs::read_to_string(&path).unwrap())))
+        .collect();
+    let mut wrong = Vec::new();
+    for (path, (links, anchors)) in &read {
+        for link in links.iter().filter(|link| !link.contains("://") && !link.starts_with("mailto:")) {
+            let (target, anchor) = link.split_once('#').unwrap_or((link, ""));
+            let is_right = if target.starts_with('/') {
+                gateway.get(target).await.status == 200
+            } else if target.is_empty() {
+                anchors.contains(anchor)
+            } else {
+                path.parent().unwrap().join(target).canonicalize().is_ok_and(|target| {
+                    anchor.is_empty() || read.get(&target).is_some_and(|(_, anchors)| anchors.contains(anchor))
+                })
+            };
+            if !is_right {
+                wrong.push(format!("{}: {link}", path.display()));
+            }
+        }
+    }
+    assert!(wrong.is_empty(), "{}", wrong.join("\n"));
+}
+
+/// The values of an attribute in a page.
+fn values<'a>(page: &'a str, attribute: &str) -> Vec<&'a str> {
+    let begin = format!("{attribute}=\"");
+    page.split(&begin).skip(1).filter_map(|rest| rest.split('"').next()).collect()
+}
+
+#[tokio::test]
+async fn guides_are_served_with_their_links() {
+    let device = Simulator::start(&[]).await;
+    let gateway = Gateway::of(device.address).await;
+    let mut pages = BTreeMap::new();
+    let mut open = vec!["/docs/guide".to_owned()];
+    while let Some(path) = open.pop() {
+        if pages.contains_key(&path) {
+            continue;
+        }
+        let answer = gateway.get(&path).await;
+        assert_eq!(answer.status, 200, "{path}");
+        let page = answer.body.as_str().unwrap_or_default().to_owned();
+        let links = values(&page, "href").into_iter().map(|link| link.split('#').next().unwrap_or_default());
+        open.extend(links.filter(|link| link.starts_with("/docs/")).map(str::to_owned));
+        pages.insert(path, page);
+    }
+    for (path, page) in &pages {
+        for link in values(page, "href") {
+            let (target, anchor) = link.split_once('#').unwrap_or((link, ""));
+            let target = if target.is_empty() { path } else { target };
+            let Some(linked) = pages.get(target) else { continue };
+            assert!(anchor.is_empty() || values(linked, "id").contains(&anchor), "{path}: {link}");
+        }
+    }
+    let served: BTreeSet<_> = pages.keys().filter_map(|path| path.strip_prefix("/docs/guide/")).collect();
+    for file in fs::read_dir(root().join("deploy/guide")).unwrap() {
+        let name = file.unwrap().file_name().into_string().unwrap().replace(".md", "");
+        assert!(name == "README" || served.contains(name.as_str()), "no page links to {name}");
+    }
+}
+
+/// The names of the configuration file's keys.
+fn configuration_keys() -> BTreeSet<String> {
+    let mut keys = BTreeSet::new();
+    for path in ["src/config.rs", "src/config/zenoh.rs"] {
+        for item in syn::parse_file(&read(path)).unwrap().items {
+            let Item::Struct(item) = item else { continue };
+            let is_content = item.ident.to_string().ends_with("Content");
+            let Fields::Named(fields) = item.fields else { continue };
+            keys.extend(
+                fields.named.iter().filter(|_| is_content).map(|field| field.ident.as_ref().unwrap().to_string()),
+            );
+        }
+    }
+    keys
+}
+
+/// The flags and variables of the command line.
+async fn flags() -> BTreeSet<String> {
+    let mut words = BTreeSet::new();
+    for command in [&["--help"][..], &["sim", "--help"], &["decode", "--help"], &["journal", "list", "--help"]] {
+        let help = run(command).await.stdout;
+        let is_part = |character: char| character.is_ascii_alphanumeric() || matches!(character, '-' | '_');
+        words.extend(help.split(|character| !is_part(character)).map(str::to_owned));
+    }
+    words.retain(|word| {
+        word.starts_with("WSG_GATEWAY_") || word.strip_prefix("--").is_some_and(|word| !word.is_empty())
+    });
+    words
+}
+
+fn values_of(schema: &str) -> BTreeSet<String> {
+    let document: Value = serde_json::from_str(&read("openapi/openapi.json")).unwrap();
+    let values = document["components"]["schemas"][schema]["enum"].as_array().unwrap();
+    values.iter().map(|value| value.as_str().unwrap().to_owned()).collect()
+}
+
+async fn metrics() -> BTreeSet<String> {
+    let device = Simulator::start(&[]).await;
+    let gateway = Gateway::homed_at(device.address).await;
+    gateway.post("fast-stop", &Value::default()).await.ok();
+    let text = gateway.get("/metrics").await.ok();
+    let help = text.as_str().unwrap().lines().filter_map(|line| line.strip_prefix("# HELP "));
+    help.filter_map(|line| line.split(' ').next()).filter(|name| name.starts_with("wsg_")).map(str::to_owned).collect()
+}
+
+fn alerts() -> BTreeSet<String> {
+    let text = read("deploy/prometheus/alerts.yml");
+    text.lines().filter_map(|line| line.trim().strip_prefix("- alert: ")).map(str::to_owned).collect()
+}
+
+#[tokio::test]
+async fn guides_name_all_that_a_user_can_set_or_see() {
+    let guides: String = documents().iter().map(|path| fs::read_to_string(path).unwrap()).collect();
+    for (kind, names) in [
+        ("configuration key", configuration_keys()),
+        ("flag or variable", flags().await),
+        ("metric", metrics().await),
+        ("alert", alerts()),
+        ("kind of event", values_of("EventKind")),
+        ("problem code", values_of("Code")),
+        ("outcome", values_of("Outcome")),
+    ] {
+        assert!(names.len() > 3, "{kind}: {names:?}");
+        let is_code = |name: &&String| {
+            ["`", "\"", " "].iter().any(|end| guides.contains(&format!("`{name}{end}")))
+                || guides.contains(&format!("{name} = "))
+        };
+        let missing: Vec<_> = names.iter().filter(|name| !is_code(name)).collect();
+        assert!(missing.is_empty(), "no guide names {kind} {missing:?}");
+    }
+}
