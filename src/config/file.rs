@@ -95,7 +95,7 @@ impl File {
                 let ttl = Duration::from_millis(*ms.get_ref());
                 if !(MIN_TTL..=MAX_TTL).contains(&ttl) {
                     let (min, max) = (MIN_TTL.as_millis(), MAX_TTL.as_millis());
-                    let detail = format!("lease_max_ttl_ms is {}, and must be from {min} to {max}", ms.get_ref());
+                    let detail = format!("lease_max_ttl_ms is {}; it must be from {min} to {max}", ms.get_ref());
                     return Err(ConfigError::at(&self.place(ms.span().start), detail));
                 }
                 ttl

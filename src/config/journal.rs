@@ -121,7 +121,7 @@ fn bounded(
         return Ok(Some(*value.get_ref()));
     }
     let (least, most) = allowed.into_inner();
-    let detail = format!("{key} is {}, and must be from {least} to {most}: {remedy}", value.get_ref());
+    let detail = format!("{key} is {}; it must be from {least} to {most}: {remedy}", value.get_ref());
     Err(ConfigError::at(&file.place(value.span().start), detail))
 }
 

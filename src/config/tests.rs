@@ -43,7 +43,7 @@ fn file_error_names_line_and_remedy() {
     assert!(mistake("journal = \"\"").starts_with("gateway.toml:1: the journal's path is empty"));
     assert!(
         mistake("\njournal_max_size_mb = 20000000")
-            .starts_with("gateway.toml:2: journal_max_size_mb is 20000000, and must be from 0 to 16000000: 0 means")
+            .starts_with("gateway.toml:2: journal_max_size_mb is 20000000; it must be from 0 to 16000000: 0 means")
     );
     assert!(mistake("journal_max_age_days = 40000").contains("from 1 to 36525"));
     assert!(mistake("on_journal_failure = \"stop\"").contains("expected `refuse` or `continue`"));
@@ -81,7 +81,7 @@ fn conflicting_grippers_are_named_with_line_and_remedy() {
     let text = "[grippers.a]\nurl = \"udp://10.0.0.5\"\n[grippers.b]\nurl = \"udp://10.0.0.6?local_port=1501\"\n";
     let mistake = file(text).unwrap_err().to_string();
     assert!(mistake.starts_with("gateway.toml:4: a and b cannot both be served: "), "{mistake}");
-    assert!(mistake.contains("UDP port 1501") && mistake.contains("a local_port of its own"), "{mistake}");
+    assert!(mistake.contains("UDP port 1501") && mistake.contains("a separate local_port"), "{mistake}");
     assert!(file(&text.replace("=1501", "=1502")).is_ok());
     assert!(file(&text.replace("udp://10.0.0.5", "sim://wsg50")).is_ok());
 }

@@ -324,7 +324,7 @@ fn max_hz(content: Option<(&File, &Content)>) -> Result<u32, ConfigError> {
     if (1..=MAX_HZ).contains(max_hz.get_ref()) {
         return Ok(*max_hz.get_ref() as u32);
     }
-    let detail = format!("max_hz is {}, and must be from 1 to {MAX_HZ}", max_hz.get_ref());
+    let detail = format!("max_hz is {}; it must be from 1 to {MAX_HZ}", max_hz.get_ref());
     Err(ConfigError::at(&file.place(max_hz.span().start), detail))
 }
 

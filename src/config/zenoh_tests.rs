@@ -141,7 +141,7 @@ fn section_error_names_its_line() {
         let file = File::parse(Path::new("gateway.toml"), text.to_owned());
         file.and_then(|file| Config::merge(&flags(), Some(&file))).unwrap_err().to_string()
     };
-    assert!(error("[zenoh]\nmax_hz = 0").starts_with("gateway.toml:2: max_hz is 0, and must be from 1 to 100"));
+    assert!(error("[zenoh]\nmax_hz = 0").starts_with("gateway.toml:2: max_hz is 0; it must be from 1 to 100"));
     assert!(error("[zenoh]\nlisten = ['nowhere']").starts_with("gateway.toml:2: \"nowhere\" is not a Zenoh endpoint"));
     assert!(error("[zenoh]\nconfig = 'none.json5'").contains("none.json5"));
     assert!(error("[zenoh]\nmode = 'leader'").starts_with("gateway.toml:2: "));

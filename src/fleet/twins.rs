@@ -86,7 +86,7 @@ impl Twins {
                     said_at = Some(Instant::now());
                     tracing::warn!(
                         "a session that is not a gateway declares or withdraws this gateway's instance token: restrict \
-                         the token to gateways by access control (deploy/zenoh/README.md)"
+                         the token to gateways by access control (deploy/guide/zenoh.md)"
                     );
                 }
                 _ => {}

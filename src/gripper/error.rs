@@ -29,7 +29,7 @@ pub enum Rejection {
 #[allow(missing_docs, reason = "the messages name the fields")]
 pub enum Invalid {
     /// Outside the device's limits, or the soft limits.
-    #[error("{field} is {value}; it must be between {min} and {max} ({limit})")]
+    #[error("{field} is {value}; it must be from {min} to {max} ({limit})")]
     OutOfRange {
         field: &'static str,
         value: f32,

@@ -107,7 +107,7 @@ impl Default for Limit {
 
 /// Error of a number that is not a [`Limit`].
 #[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
-#[error("limit is {0} but must be from 1 to 1000: use the cursor to get more records")]
+#[error("limit is {0}; it must be from 1 to 1000: use the cursor to get more records")]
 pub struct InvalidLimit(u64);
 
 /// Position where the next page begins. Clients send it back unchanged.

@@ -100,7 +100,7 @@ pub struct Problem(Box<Members>);
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 #[schema(as = Problem, example = json!({
     "type": "about:blank", "title": "Unprocessable Entity", "status": 422, "code": "out_of_range",
-    "detail": "width_mm is 300, and must be from 0 to 110 (the device's stroke)",
+    "detail": "width_mm is 300; it must be from 0 to 110 (the device's stroke)",
     "field": "width_mm", "value": 300.0, "min": 0.0, "max": 110.0
 }))]
 pub struct Members {
@@ -198,7 +198,7 @@ impl Problem {
 
     /// Reports a number beyond its limits.
     pub fn out_of_range(field: &str, value: f64, min: f64, max: f64) -> Self {
-        Self::new(Code::OutOfRange, format!("{field} is {value}, and must be from {min} to {max}"))
+        Self::new(Code::OutOfRange, format!("{field} is {value}; it must be from {min} to {max}"))
             .field(field)
             .value(Number::from_f64(value).map(Value::Number))
             .limits(Number::from_f64(min), Number::from_f64(max))

@@ -10,7 +10,7 @@ const TEMPERATURES_C: [f64; 2] = [-273.1, i16::MAX as f64 / 10.0];
 
 /// A change with a value outside the possible range.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
-#[error("{field} is {value}, and must be from {min} to {max}")]
+#[error("{field} is {value}; it must be from {min} to {max}")]
 pub struct ImpossibleChange {
     pub field: &'static str,
     pub value: f64,
@@ -61,18 +61,18 @@ mod tests {
         let limits = DeviceConfig::wsg50().limits;
         let soft = Part { stiffness_n_mm: 0.0, ..Part::outside(20.0) };
         for (change, expected) in [
-            (Change::PlacePart(Part::outside(-1.0)), "width_mm is -1, and must be from 0 to 110"),
-            (Change::PlacePart(Part::inside(f64::NAN)), "width_mm is NaN, and must be from 0 to 110"),
-            (Change::PlacePart(soft), "stiffness_n_mm is 0, and must be from 0.1 to 2000"),
-            (Change::ResizePart { width_mm: 110.1 }, "width_mm is 110.1, and must be from 0 to 110"),
-            (Change::PlaceObstacle { width_mm: f64::INFINITY }, "width_mm is inf, and must be from 0 to 110"),
-            (Change::Overheat { temperature_c: 3276.8 }, "temperature_c is 3276.8, and must be from -273.1 to 3276.7"),
-            (Change::FingerOverCurrent { finger: 0, on: true }, "finger is 0, and must be from 1 to 2"),
-            (Change::FingerCommunicationFault { finger: 3, on: true }, "finger is 3, and must be from 1 to 2"),
-            (Change::MoveBySomebody { width_mm: 20.0, speed_mm_s: 0.0 }, "speed_mm_s is 0, and must be from 5 to 420"),
+            (Change::PlacePart(Part::outside(-1.0)), "width_mm is -1; it must be from 0 to 110"),
+            (Change::PlacePart(Part::inside(f64::NAN)), "width_mm is NaN; it must be from 0 to 110"),
+            (Change::PlacePart(soft), "stiffness_n_mm is 0; it must be from 0.1 to 2000"),
+            (Change::ResizePart { width_mm: 110.1 }, "width_mm is 110.1; it must be from 0 to 110"),
+            (Change::PlaceObstacle { width_mm: f64::INFINITY }, "width_mm is inf; it must be from 0 to 110"),
+            (Change::Overheat { temperature_c: 3276.8 }, "temperature_c is 3276.8; it must be from -273.1 to 3276.7"),
+            (Change::FingerOverCurrent { finger: 0, on: true }, "finger is 0; it must be from 1 to 2"),
+            (Change::FingerCommunicationFault { finger: 3, on: true }, "finger is 3; it must be from 1 to 2"),
+            (Change::MoveBySomebody { width_mm: 20.0, speed_mm_s: 0.0 }, "speed_mm_s is 0; it must be from 5 to 420"),
             (
                 Change::Fault { kind: FaultKind::NoReply, id: None, times: 0 },
-                "times is 0, and must be from 1 to 4294967295",
+                "times is 0; it must be from 1 to 4294967295",
             ),
         ] {
             assert_eq!(change.check(&limits).unwrap_err().to_string(), expected);

@@ -56,7 +56,7 @@ async fn wrong_argument_is_named_with_a_remedy() {
         (&["sim", "udp://127.0.0.1:0?reply_port=0"], "1 to 65535"),
         (&["sim", "tcp://127.0.0.1:0", "--control", "0.0.0.0:0"], "loopback"),
         (&["--gripper", "Left=sim://wsg50"], "a-z"),
-        (&["--gripper", "a=sim://wsg50", "--gripper", "a=sim://wsg50"], "each needs its own"),
+        (&["--gripper", "a=sim://wsg50", "--gripper", "a=sim://wsg50"], "give each its own"),
         (&["--gripper", "g=sim://wsg99"], "wsg50"),
         (&["--gripper", "g=sim://wsg50?part_mm=500"], "110"),
         (&["--config", "no-such-file.toml"], "no-such-file.toml"),

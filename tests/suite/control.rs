@@ -17,11 +17,11 @@ async fn impossible_change_is_refused_with_its_limits() {
         (answer.status().as_u16(), answer.text().await.unwrap())
     };
     for (body, status, expected) in [
-        (r#"{"place_part": {"width_mm": -5}}"#, 422, "width_mm is -5, and must be from 0 to 110"),
+        (r#"{"place_part": {"width_mm": -5}}"#, 422, "width_mm is -5; it must be from 0 to 110"),
         (
             r#"{"overheat": {"temperature_c": 1e9}}"#,
             422,
-            "temperature_c is 1000000000, and must be from -273.1 to 3276.7",
+            "temperature_c is 1000000000; it must be from -273.1 to 3276.7",
         ),
         (r#"{"place_obstacle": {"width_mm": NaN}}"#, 400, "write it as"),
         (r#""no_such_thing""#, 400, "unknown variant"),

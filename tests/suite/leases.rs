@@ -53,7 +53,7 @@ async fn holder_killed_during_a_motion_is_a_fast_stop() {
     assert!(after >= Duration::from_millis(400) && after <= Duration::from_millis(550), "{after:?}");
     let state = gateway.until("the latch", |state| state["fast_stop_confirmed"] == true).await;
     assert_eq!((&state["fast_stop_cause"], &state["lease_holder"]), (&json!("client_lost"), &Value::Null), "{state}");
-    assert_eq!(state["fast_stop_reason"], "robot was lost");
+    assert_eq!(state["fast_stop_reason"], "lease holder robot lost");
     let sent = proxy.frames.count(FAST_STOP);
     let events = gateway.events("kind=lease&order=oldest", 2).await;
     let steps: Vec<_> = events.iter().map(|event| &event["event"]).collect();

@@ -162,7 +162,7 @@ fn latch_survives_a_restart_without_a_disconnect() {
     world.advance(Duration::from_millis(200));
     world.device.apply(world.now, reboot(300));
     world.advance(Duration::from_secs(3));
-    assert!(world.log.iter().any(|line| line.contains("closing: the device has restarted")), "{}", world.tail());
+    assert!(world.log.iter().any(|line| line.contains("closing: the device restarted")), "{}", world.tail());
     assert_eq!((state(&world).link, latch(&world).fast_stop_id), (Link::Connected, id));
     assert_eq!(refused(&mut world, home()), Conflict::FastStop { id }.into());
 }

@@ -106,7 +106,7 @@ impl Actor {
         if is_streamed {
             self.streaming.count(now, submission, &mut self.recording);
         } else {
-            tracing::info!(gripper = %self.config.name, command = %id, %kind, client = %submission.client.subject, "admitted");
+            tracing::info!(gripper = %self.config.name, command = %id, %kind, client = %submission.client.subject, "command admitted");
             self.recording.admitted(now, id, submission);
         }
         let record = Record::admitted(id, self.config.name.clone(), submission, now.wall);

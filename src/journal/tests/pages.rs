@@ -192,7 +192,7 @@ fn slowest<K: ChainKind + std::fmt::Debug>(store: &Store, known: &[Known<K>], ki
 fn invalid_limits_and_cursors_name_the_remedy() {
     assert_eq!(
         Limit::new(0).unwrap_err().to_string(),
-        "limit is 0 but must be from 1 to 1000: use the cursor to get more records"
+        "limit is 0; it must be from 1 to 1000: use the cursor to get more records"
     );
     assert!(Limit::new(1001).is_err() && Limit::new(u64::MAX).is_err());
     assert!("x".parse::<Cursor>().unwrap_err().to_string().contains("next_cursor"));

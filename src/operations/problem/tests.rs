@@ -13,7 +13,7 @@ fn value_out_of_range_names_its_limits() {
     assert_eq!(status, 422);
     let expected = serde_json::json!({
         "type": "about:blank", "title": "Unprocessable Entity", "status": 422, "code": "out_of_range",
-        "detail": "width_mm is 96.3, and must be from 0 to 68.1 (the device's stroke)",
+        "detail": "width_mm is 96.3; it must be from 0 to 68.1 (the device's stroke)",
         "field": "width_mm", "value": 96.3, "min": 0.0, "max": 68.1
     });
     assert_eq!(problem, expected);

@@ -152,7 +152,7 @@ fn holder_lost_during_a_motion_is_a_fast_stop_within_the_ttl() {
     assert_eq!(fast_stops(&world, from), 1, "no repeat after the confirmation");
     let latch = latch(&world);
     assert_eq!((latch.fast_stop_cause, &*latch.fast_stop_by), (FastStopCause::ClientLost, "http:a"));
-    assert_eq!(latch.fast_stop_reason.as_str(), "a was lost");
+    assert_eq!(latch.fast_stop_reason.as_str(), "lease holder a lost");
     assert!(latch.fast_stop_confirmed && !lease(&mut world).held);
 }
 

@@ -349,7 +349,7 @@ async fn lease_survives_a_router_outage_within_its_ttl() {
     let stopped = eventually("23h", async || pair.proxy.frames.first_since(FAST_STOP, away)).await;
     println!("23h {} ms after the router's end, with a ttl_ms of 1000", (stopped - away).as_millis());
     let state = pair.far.until("the FAST STOP is confirmed", |state| state["fast_stop_confirmed"] == true).await;
-    assert_eq!(state["fast_stop_reason"], "plc was lost");
+    assert_eq!(state["fast_stop_reason"], "lease holder plc lost");
     waiting.abort();
 }
 
@@ -377,8 +377,8 @@ async fn gateways_with_one_name_refuse_motion_but_stop() {
         gateway("twin", router.endpoint(), 1, &[]),
         gateway("near", router.endpoint(), 1, &[])
     );
-    one.until_logged("give each its own --name").await;
-    other.until_logged("give each its own --name").await;
+    one.until_logged("each its own --name").await;
+    other.until_logged("each its own --name").await;
     until_whole(&near, 2).await;
     let client = ZenohClient::at(router.endpoint()).await;
     let codes = async |command: &str, body: &str| -> Vec<Value> {

@@ -47,7 +47,7 @@ async fn lease_lives_as_long_as_its_holders_token() {
     robot.close().await;
     eventually("23h", async || rig.proxy.frames.first_since(FAST_STOP, gone)).await;
     let state = rig.gateway.until("the loss is a FAST STOP", |state| state["fast_stop_confirmed"] == true).await;
-    assert_eq!(state["fast_stop_reason"], "robot-1 was lost");
+    assert_eq!(state["fast_stop_reason"], "lease holder robot-1 lost");
     assert_eq!(losses(&rig).await, ["disconnected"]);
 }
 

@@ -136,7 +136,7 @@ async fn foreign_instance_token_does_not_block_motion() {
     let answer = move |query: Query| query.reply(key, "").wait().unwrap();
     stranger.session.declare_queryable(key).callback(answer).background().await.unwrap();
     let _token = stranger.live(&rig.client, key).await;
-    rig.gateway.until_logged("a session that is no gateway").await;
+    rig.gateway.until_logged("a session that is not a gateway").await;
     let moved = rig.client.command("move", &json!({"width_mm": 50, "speed_mm_s": 400})).await.unwrap();
     assert_eq!(moved["outcome"], "SUCCESS");
     rig.client.command("lease.take", &json!({"holder": "robot-1"})).await.unwrap();
