@@ -113,11 +113,12 @@ async fn check_prints_a_summary_or_the_wrong_line() {
 }
 
 #[tokio::test]
-async fn configuration_in_the_readme_is_valid() {
-    let readme = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/README.md")).unwrap();
-    let (_, example) = readme.split_once("```toml\n").expect("a TOML example");
+async fn configuration_guide_has_a_valid_file() {
+    let guide = concat!(env!("CARGO_MANIFEST_DIR"), "/deploy/guide/configuration.md");
+    let guide = std::fs::read_to_string(guide).unwrap();
+    let (_, example) = guide.split_once("```toml\n").expect("an example in TOML");
     let (example, _) = example.split_once("```").unwrap();
-    let ended = run(&["check", "--config", file("readme.toml", example).to_str().unwrap()]).await;
+    let ended = run(&["check", "--config", file("guide.toml", example).to_str().unwrap()]).await;
     assert!(ended.status.success(), "{ended:?}");
 }
 

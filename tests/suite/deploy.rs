@@ -10,7 +10,9 @@ use crate::harness::{Gateway, Simulator};
 /// Metrics named in a text.
 fn named(text: &str) -> BTreeSet<&str> {
     let words = text.split(|character: char| !character.is_ascii_alphanumeric() && character != '_');
-    words.filter(|word| word.starts_with("wsg_")).collect()
+    // The program, and the keys of its configuration, are not metrics.
+    let is_metric = |word: &&str| word.starts_with("wsg_") && !word.starts_with("wsg_port") && *word != "wsg_gateway";
+    words.filter(is_metric).collect()
 }
 
 /// All files below a directory.

@@ -377,8 +377,8 @@ async fn gateways_with_one_name_refuse_motion_but_stop() {
         gateway("twin", router.endpoint(), 1, &[]),
         gateway("near", router.endpoint(), 1, &[])
     );
-    one.until_logged("each its own --name").await;
-    other.until_logged("each its own --name").await;
+    one.until_logged("its own --name").await;
+    other.until_logged("its own --name").await;
     until_whole(&near, 2).await;
     let client = ZenohClient::at(router.endpoint()).await;
     let codes = async |command: &str, body: &str| -> Vec<Value> {
