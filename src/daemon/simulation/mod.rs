@@ -84,7 +84,8 @@ impl SimulatedDevice {
             "part_mm" => {
                 let fits = |mm: &f64| (0.0..=stroke_mm).contains(mm);
                 let width_mm = value.parse().ok().filter(fits);
-                let width_mm = width_mm.ok_or_else(|| format!("part_mm is {value}; it must be from 0 to {stroke_mm}"))?;
+                let width_mm =
+                    width_mm.ok_or_else(|| format!("part_mm is {value}; it must be from 0 to {stroke_mm}"))?;
                 self.0 = self.0.with_part(Part::outside(width_mm));
             }
             "firmware" => match value {

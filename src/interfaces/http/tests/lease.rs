@@ -60,9 +60,12 @@ async fn fast_stop_ignores_invalid_tokens() {
 #[tokio::test]
 async fn ambiguous_holder_name_is_refused() {
     let gateway = with_fate(Fate::Runs);
-    for (holder, remedy) in
-        [("\u{202E}tobor", "U+202E"), ("ro\u{200B}bot", "U+200B"), ("r\u{43E}bot", "use only one"), ("Mu\u{308}ller", "NFC")]
-    {
+    for (holder, remedy) in [
+        ("\u{202E}tobor", "U+202E"),
+        ("ro\u{200B}bot", "U+200B"),
+        ("r\u{43E}bot", "use only one"),
+        ("Mu\u{308}ller", "NFC"),
+    ] {
         let answer = gateway.left("POST", "lease", json!({"holder": holder})).await;
         assert_eq!(answer.status, 400, "{holder:?}");
         assert_eq!((&answer.body["code"], &answer.body["field"]), (&json!("malformed"), &json!("holder")));
