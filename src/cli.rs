@@ -78,7 +78,7 @@ enum Command {
         follow: Option<Url>,
     },
     /// List, follow, export or verify the journal, even while the gateway runs
-    Journal(journal::Journal),
+    Journal(journal::JournalArgs),
     /// Create a token (not yet supported)
     Token(NotYet),
 }

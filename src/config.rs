@@ -12,7 +12,7 @@ use std::time::Duration;
 use serde::Deserialize;
 use toml::Spanned;
 
-use crate::gripper::model::{CustomIds, LeaseRules, Name, OnLossHolding, OnLossMoving};
+use crate::gripper::model::{CustomIds, LeaseRules, Name, OnJournalFailure, OnLossHolding, OnLossMoving};
 use crate::transport::Address;
 
 mod file;
@@ -21,8 +21,8 @@ mod wsg_port;
 mod zenoh;
 
 pub use file::File;
-pub use journal::{Journal, JournalFlags, JournalPlace, OnJournalFailure};
-pub use wsg_port::{Acknowledge, WsgAddress, WsgPort};
+pub use journal::{JournalConfig, JournalFlags, JournalPlace};
+pub use wsg_port::{AcknowledgePolicy, WsgAddress, WsgPort};
 pub use zenoh::{Zenoh, ZenohFlags, ZenohMode};
 
 /// Default address of HTTP.
@@ -77,38 +77,38 @@ pub struct Config {
     pub listen: SocketAddr,
     /// Allowed values of `Host`, besides addresses and `localhost`.
     pub hosts: Vec<String>,
-    pub grippers: Vec<Gripper>,
+    pub grippers: Vec<GripperConfig>,
     /// Time for a running command to finish at shutdown.
     pub drain: Duration,
-    pub journal: Journal,
+    pub journal: JournalConfig,
     /// `None` if Zenoh is off.
     pub zenoh: Option<Zenoh>,
 }
 
 /// One gripper.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Gripper {
+pub struct GripperConfig {
     pub name: Name,
-    pub device: Device,
+    pub device: DeviceSource,
     /// Meaning of the ids of the gripper's scripts.
     pub custom_ids: CustomIds,
     /// Lease terms that clients can choose.
     pub lease: LeaseRules,
     pub wsg_port: WsgPort,
     /// Place of the gripper's configuration.
-    pub place: Place,
+    pub place: ConfigPlace,
 }
 
 /// The device of a gripper.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Device {
+pub enum DeviceSource {
     /// A device at an address.
     At(Address),
     /// A device simulated in this process: `sim://…`, which the daemon parses.
     Simulated(url::Url),
 }
 
-impl fmt::Display for Device {
+impl fmt::Display for DeviceSource {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::At(address) => address.fmt(f),
@@ -119,7 +119,7 @@ impl fmt::Display for Device {
 
 /// Place of a setting, as errors name it.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Place {
+pub enum ConfigPlace {
     /// A flag or its environment variable.
     Flag(&'static str),
     /// A line of a file.
@@ -132,7 +132,7 @@ pub enum Place {
     Default,
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for ConfigPlace {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Flag(flag) => f.write_str(flag),
@@ -146,13 +146,13 @@ impl fmt::Display for Place {
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error("{place}: {detail}")]
 pub struct ConfigError {
-    pub place: Place,
+    pub place: ConfigPlace,
     /// Description with the remedy.
     pub detail: String,
 }
 
 impl ConfigError {
-    pub fn at(place: &Place, detail: impl fmt::Display) -> Self {
+    pub fn at(place: &ConfigPlace, detail: impl fmt::Display) -> Self {
         Self { place: place.clone(), detail: detail.to_string() }
     }
 }
@@ -160,7 +160,7 @@ impl ConfigError {
 /// A value with its place.
 struct Placed<T> {
     value: T,
-    place: Place,
+    place: ConfigPlace,
 }
 
 impl Config {
@@ -181,11 +181,11 @@ impl Config {
         let pick = |flag: &Option<String>, name: &'static str, in_file: Option<&Spanned<String>>, default: &str| match (
             flag, file, in_file,
         ) {
-            (Some(value), ..) => Placed { value: value.clone(), place: Place::Flag(name) },
+            (Some(value), ..) => Placed { value: value.clone(), place: ConfigPlace::Flag(name) },
             (None, Some(file), Some(value)) => {
                 Placed { value: value.get_ref().clone(), place: file.place(value.span().start) }
             }
-            _ => Placed { value: default.to_owned(), place: Place::Default },
+            _ => Placed { value: default.to_owned(), place: ConfigPlace::Default },
         };
         let name = pick(&flags.name, "--name", content.and_then(|content| content.name.as_ref()), DEFAULT_NAME);
         let name: Name = name.value.parse().map_err(|error| ConfigError::at(&name.place, error))?;
@@ -193,7 +193,7 @@ impl Config {
             pick(&flags.listen, "--listen", content.and_then(|content| content.listen.as_ref()), DEFAULT_LISTEN);
         let insecure = flags.insecure || content.is_some_and(|content| content.insecure);
         let config = Self {
-            journal: Journal::merge(flags, file, &name)?,
+            journal: JournalConfig::merge(flags, file, &name)?,
             name,
             listen: parse_listen(&listen, insecure)?,
             hosts: content.map(|content| content.hosts.clone()).unwrap_or_default(),
@@ -232,14 +232,14 @@ fn drain(file: Option<&File>) -> Result<Duration, ConfigError> {
     Ok(drain)
 }
 
-fn grippers(flags: &Flags, file: Option<&File>, insecure: bool) -> Result<Vec<Gripper>, ConfigError> {
-    let by_text = |texts: &[String], place: Place| -> Result<Vec<Gripper>, ConfigError> {
+fn grippers(flags: &Flags, file: Option<&File>, insecure: bool) -> Result<Vec<GripperConfig>, ConfigError> {
+    let by_text = |texts: &[String], place: ConfigPlace| -> Result<Vec<GripperConfig>, ConfigError> {
         texts.iter().map(|text| parse_gripper(text, &place)).collect()
     };
     let mut configured = match file {
-        _ if !flags.grippers.is_empty() => by_text(&flags.grippers, Place::Flag("--gripper"))?,
+        _ if !flags.grippers.is_empty() => by_text(&flags.grippers, ConfigPlace::Flag("--gripper"))?,
         Some(file) if !file.content.grippers.is_empty() => file.grippers()?,
-        _ => by_text(&DEFAULT_GRIPPERS.map(str::to_owned), Place::Default)?,
+        _ => by_text(&DEFAULT_GRIPPERS.map(str::to_owned), ConfigPlace::Default)?,
     };
     wsg_port::take_flags(&mut configured, &flags.wsg_ports)?;
     for gripper in &configured {
@@ -254,20 +254,22 @@ fn grippers(flags: &Flags, file: Option<&File>, insecure: bool) -> Result<Vec<Gr
 }
 
 /// Returns why two grippers cannot both be served, if so.
-fn conflict(one: &Gripper, other: &Gripper) -> Option<String> {
+fn conflict(one: &GripperConfig, other: &GripperConfig) -> Option<String> {
     if one.name == other.name {
         return Some(format!("two grippers are named {:?}: give each its own name", one.name.as_str()));
     }
-    let (Device::At(address), Device::At(other_address)) = (&one.device, &other.device) else { return None };
+    let (DeviceSource::At(address), DeviceSource::At(other_address)) = (&one.device, &other.device) else {
+        return None;
+    };
     let why = address.conflict_with(other_address)?;
     Some(format!("{} and {} cannot both be served: {why}", one.name, other.name))
 }
 
-fn parse_gripper(text: &str, place: &Place) -> Result<Gripper, ConfigError> {
+fn parse_gripper(text: &str, place: &ConfigPlace) -> Result<GripperConfig, ConfigError> {
     let (name, url) = text.split_once('=').ok_or_else(|| {
         ConfigError::at(place, format!("{text:?} is not a gripper: write left=tcp://192.168.1.20:1000"))
     })?;
-    Ok(Gripper {
+    Ok(GripperConfig {
         name: name.parse().map_err(|error| ConfigError::at(place, error))?,
         device: parse_device(url, place)?,
         custom_ids: CustomIds::default(),
@@ -277,14 +279,14 @@ fn parse_gripper(text: &str, place: &Place) -> Result<Gripper, ConfigError> {
     })
 }
 
-fn parse_device(url: &str, place: &Place) -> Result<Device, ConfigError> {
+fn parse_device(url: &str, place: &ConfigPlace) -> Result<DeviceSource, ConfigError> {
     if url.starts_with("sim:") {
         return url
             .parse()
-            .map(Device::Simulated)
+            .map(DeviceSource::Simulated)
             .map_err(|error| ConfigError::at(place, format!("{url:?} is not a URL ({error}): write sim://wsg50")));
     }
-    url.parse().map(Device::At).map_err(|error| ConfigError::at(place, error))
+    url.parse().map(DeviceSource::At).map_err(|error| ConfigError::at(place, error))
 }
 
 fn owned(path: &Path) -> PathBuf {
@@ -303,7 +305,7 @@ struct Content {
     journal_max_age_days: Option<Spanned<u64>>,
     journal_max_size_mb: Option<Spanned<u64>>,
     drain_ms: Option<Spanned<u64>>,
-    zenoh: zenoh::Content,
+    zenoh: zenoh::ZenohContent,
     grippers: std::collections::BTreeMap<Spanned<String>, GripperContent>,
 }
 
@@ -319,7 +321,7 @@ struct GripperContent {
     wsg_port: Option<Spanned<wsg_port::OneOrMore>>,
     wsg_port_allow: Option<Spanned<Vec<String>>>,
     #[serde(default)]
-    wsg_port_acknowledge: Acknowledge,
+    wsg_port_acknowledge: AcknowledgePolicy,
     wsg_port_checksum_evaluation: Option<bool>,
 }
 

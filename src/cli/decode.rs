@@ -8,7 +8,7 @@ mod follow;
 use std::io::{self, BufRead, Write};
 
 use crate::wsg::frame::PREAMBLE;
-use crate::wsg::text::{Direction, describe};
+use crate::wsg::text::{WireDirection, describe};
 use crate::wsg::{ChecksumEvaluation, Command, Decoded, Decoder, id};
 
 pub(super) use follow::follow;
@@ -31,7 +31,7 @@ pub(super) fn encode(text: &str) -> anyhow::Result<String> {
 /// # Errors
 /// Any read or write error.
 pub(super) fn decode(input: impl BufRead, output: &mut impl Write) -> io::Result<usize> {
-    let mut streams = [Direction::Request, Direction::Reply, Direction::Unknown].map(Stream::new);
+    let mut streams = [WireDirection::Request, WireDirection::Reply, WireDirection::Unknown].map(Stream::new);
     let mut wrong = 0;
     for (index, line) in input.split(b'\n').enumerate() {
         let line = line?;
@@ -62,7 +62,7 @@ pub(super) fn decode(input: impl BufRead, output: &mut impl Write) -> io::Result
 
 struct Line<'a> {
     time: &'a str,
-    direction: Direction,
+    direction: WireDirection,
     bytes: Vec<u8>,
 }
 
@@ -71,13 +71,13 @@ impl<'a> Line<'a> {
         let (time, direction, digits) = if let Some(at) = text.find(['>', '<']) {
             let (before, behind) = (&text[..at], &text[at + 1..]);
             if text[at..].starts_with('>') {
-                (before.strip_suffix('-').unwrap_or(before), Direction::Request, behind)
+                (before.strip_suffix('-').unwrap_or(before), WireDirection::Request, behind)
             } else {
-                (before, Direction::Reply, behind.strip_prefix('-').unwrap_or(behind))
+                (before, WireDirection::Reply, behind.strip_prefix('-').unwrap_or(behind))
             }
         } else {
             let at = text.len() - without_time(text).len();
-            (&text[..at], Direction::Unknown, &text[at..])
+            (&text[..at], WireDirection::Unknown, &text[at..])
         };
         Ok(Self { time: time.trim(), direction, bytes: all_bytes(digits)? })
     }
@@ -113,22 +113,22 @@ fn bytes(word: &str) -> Result<Vec<u8>, String> {
 
 /// The bytes of one direction.
 struct Stream {
-    direction: Direction,
+    direction: WireDirection,
     decoder: Decoder,
     skipped: u64,
 }
 
 impl Stream {
-    fn new(direction: Direction) -> Self {
+    fn new(direction: WireDirection) -> Self {
         let decoder = Decoder::new(id::max_request_bytes, ChecksumEvaluation::On);
         Self { direction, decoder, skipped: 0 }
     }
 
     fn mark(&self) -> &'static str {
         match self.direction {
-            Direction::Request => "> ",
-            Direction::Reply => "< ",
-            Direction::Unknown => "",
+            WireDirection::Request => "> ",
+            WireDirection::Reply => "< ",
+            WireDirection::Unknown => "",
         }
     }
 

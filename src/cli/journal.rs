@@ -27,7 +27,7 @@ const LISTED: u64 = 100;
 const PAGE: u64 = 1000;
 
 #[derive(Debug, Args)]
-pub(super) struct Journal {
+pub(super) struct JournalArgs {
     #[command(flatten)]
     flags: JournalFlags,
     #[command(subcommand)]
@@ -130,7 +130,7 @@ fn value<T: DeserializeOwned>(flag: &str, text: Option<&String>) -> anyhow::Resu
     text.map(parse).transpose()
 }
 
-pub(super) fn run(journal: &Journal, out: impl Write) -> anyhow::Result<()> {
+pub(super) fn run(journal: &JournalArgs, out: impl Write) -> anyhow::Result<()> {
     let path = journal.flags.path()?;
     let mut out = BufWriter::new(out);
     let result = match &journal.command {

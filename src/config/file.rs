@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use toml::Spanned;
 
-use super::{ConfigError, Content, Gripper, GripperContent, Place, WsgPort, owned, parse_device};
+use super::{ConfigError, ConfigPlace, Content, GripperConfig, GripperContent, WsgPort, owned, parse_device};
 use crate::gripper::model::lease::{MAX_TTL, MIN_TTL};
 use crate::gripper::model::{CustomIds, LeaseRules};
 
@@ -22,7 +22,7 @@ impl File {
     /// # Errors
     /// [`ConfigError`] if the file cannot be read or its content is invalid.
     pub fn read(path: &Path) -> Result<Self, ConfigError> {
-        let place = Place::File { path: owned(path), line: 1 };
+        let place = ConfigPlace::File { path: owned(path), line: 1 };
         let text = std::fs::read_to_string(path).map_err(|error| ConfigError::at(&place, error))?;
         Self::parse(path, text)
     }
@@ -34,7 +34,7 @@ impl File {
     pub fn parse(path: &Path, text: String) -> Result<Self, ConfigError> {
         let content = toml::from_str(&text).map_err(|error: toml::de::Error| {
             let line = line_of(&text, error.span().map_or(0, |span| span.start));
-            ConfigError::at(&Place::File { path: owned(path), line }, error.message())
+            ConfigError::at(&ConfigPlace::File { path: owned(path), line }, error.message())
         })?;
         Ok(Self { path: owned(path), text, content })
     }
@@ -45,14 +45,14 @@ impl File {
     }
 
     /// Place of the byte at `offset`.
-    pub(super) fn place(&self, offset: usize) -> Place {
-        Place::File { path: self.path.clone(), line: line_of(&self.text, offset) }
+    pub(super) fn place(&self, offset: usize) -> ConfigPlace {
+        ConfigPlace::File { path: self.path.clone(), line: line_of(&self.text, offset) }
     }
 
-    pub(super) fn grippers(&self) -> Result<Vec<Gripper>, ConfigError> {
+    pub(super) fn grippers(&self) -> Result<Vec<GripperConfig>, ConfigError> {
         let parse = |(name, gripper): (&toml::Spanned<String>, &super::GripperContent)| {
             let place = self.place(gripper.url.span().start);
-            Ok(Gripper {
+            Ok(GripperConfig {
                 name: name.get_ref().parse().map_err(|error| ConfigError::at(&self.place(name.span().start), error))?,
                 device: parse_device(gripper.url.get_ref(), &place)?,
                 custom_ids: self.custom_ids(gripper)?,

@@ -8,8 +8,8 @@ use std::time::Duration;
 use etcetera::BaseStrategy;
 use toml::Spanned;
 
-use super::{ConfigError, DEFAULT_NAME, File, Flags, Place};
-use crate::gripper::model::Name;
+use super::{ConfigError, ConfigPlace, DEFAULT_NAME, File, Flags};
+use crate::gripper::model::{Name, OnJournalFailure};
 
 /// Highest configurable age of records, in days: a century.
 const MAX_AGE_DAYS: u64 = 36_525;
@@ -23,7 +23,7 @@ const DEFAULT_SIZE_MB: u64 = 4096;
 
 /// Settings of the journal.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Journal {
+pub struct JournalConfig {
     pub place: JournalPlace,
     /// Treatment of motions while the journal cannot be written.
     pub on_failure: OnJournalFailure,
@@ -40,17 +40,6 @@ pub enum JournalPlace {
     File(PathBuf),
     /// Memory, until the gateway ends.
     Memory,
-}
-
-/// Treatment of motions while the journal cannot be written.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, serde::Deserialize)]
-#[serde(rename_all = "lowercase")]
-pub enum OnJournalFailure {
-    /// Motions are refused.
-    #[default]
-    Refuse,
-    /// Motions go on without a durable record.
-    Continue,
 }
 
 /// Flags that select the journal that a subcommand reads.
@@ -71,24 +60,24 @@ impl JournalFlags {
     /// [`ConfigError`] if the journal has no file.
     pub fn path(&self) -> Result<PathBuf, ConfigError> {
         let name = self.name.as_deref().unwrap_or(DEFAULT_NAME);
-        let name = name.parse().map_err(|error| ConfigError::at(&Place::Flag("--name"), error))?;
-        match place(self.journal.as_deref(), &Place::Flag("--journal"), &name)? {
+        let name = name.parse().map_err(|error| ConfigError::at(&ConfigPlace::Flag("--name"), error))?;
+        match place(self.journal.as_deref(), &ConfigPlace::Flag("--journal"), &name)? {
             JournalPlace::File(path) => Ok(path),
             JournalPlace::Memory => {
                 let detail = "a journal in memory can be read over HTTP only: name a file";
-                Err(ConfigError::at(&Place::Flag("--journal"), detail))
+                Err(ConfigError::at(&ConfigPlace::Flag("--journal"), detail))
             }
         }
     }
 }
 
-impl Journal {
+impl JournalConfig {
     pub(super) fn merge(flags: &Flags, file: Option<&File>, name: &Name) -> Result<Self, ConfigError> {
         let in_file = file.and_then(|file| Some((file, file.content.journal.as_ref()?)));
         let place = match (&flags.journal, in_file) {
-            (Some(path), _) => place(Some(path), &Place::Flag("--journal"), name)?,
+            (Some(path), _) => place(Some(path), &ConfigPlace::Flag("--journal"), name)?,
             (None, Some((file, path))) => place(Some(path.get_ref()), &file.place(path.span().start), name)?,
-            (None, None) => place(None, &Place::Default, name)?,
+            (None, None) => place(None, &ConfigPlace::Default, name)?,
         };
         let content = file.map(|file| &file.content);
         let max_age_days = content.and_then(|content| content.journal_max_age_days.as_ref());
@@ -125,7 +114,7 @@ fn bounded(
     Err(ConfigError::at(&file.place(value.span().start), detail))
 }
 
-fn place(journal: Option<&str>, said: &Place, name: &Name) -> Result<JournalPlace, ConfigError> {
+fn place(journal: Option<&str>, said: &ConfigPlace, name: &Name) -> Result<JournalPlace, ConfigError> {
     match journal {
         Some(":memory:") => Ok(JournalPlace::Memory),
         Some("") => Err(ConfigError::at(said, "the journal's path is empty: write a path, or :memory:")),

@@ -21,7 +21,7 @@ fn flag_overrides_file() {
     let text = "name = \"cell-7\"\nlisten = \"127.0.0.1:9000\"\n[grippers.g]\nurl = \"tcp://10.0.0.1:1000\"\n";
     let config = file(text).unwrap();
     assert_eq!((config.name.as_str(), config.listen.port()), ("cell-7", 9000));
-    assert_eq!(config.grippers[0].device, Device::At("tcp://10.0.0.1:1000".parse().unwrap()));
+    assert_eq!(config.grippers[0].device, DeviceSource::At("tcp://10.0.0.1:1000".parse().unwrap()));
 
     let parsed = File::parse(Path::new("gateway.toml"), text.to_owned()).unwrap();
     let flags = Flags { listen: Some("127.0.0.1:9001".to_owned()), ..flags() };
@@ -129,12 +129,12 @@ fn wsg_port_flag_overrides_file() {
         lost_after: Some(Duration::from_secs(10)),
     };
     assert_eq!(addresses(&port), [tcp("127.0.0.1:1000"), udp]);
-    assert_eq!((port.acknowledge, port.checksum_evaluation), (Acknowledge::Any, true));
+    assert_eq!((port.acknowledge, port.checksum_evaluation), (AcknowledgePolicy::Any, true));
 
     let parsed = File::parse(Path::new("gateway.toml"), text.to_owned()).unwrap();
     let flags = Flags { wsg_ports: vec!["g=[::1]:1001".to_owned()], ..flags() };
     let port = of(Config::merge(&flags, Some(&parsed)).unwrap());
-    assert_eq!((addresses(&port), port.acknowledge), (vec![tcp("[::1]:1001")], Acknowledge::Any));
+    assert_eq!((addresses(&port), port.acknowledge), (vec![tcp("[::1]:1001")], AcknowledgePolicy::Any));
 }
 
 #[test]

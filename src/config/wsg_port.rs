@@ -8,7 +8,7 @@ use ipnet::IpNet;
 use serde::Deserialize;
 use url::Url;
 
-use super::{ConfigError, File, Gripper, GripperContent, Place};
+use super::{ConfigError, ConfigPlace, File, GripperConfig, GripperContent};
 use crate::transport::Options;
 
 /// TCP port that devices listen on (field practice).
@@ -23,11 +23,11 @@ const LOST_AFTER_MS: RangeInclusive<u32> = 100..=60_000;
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct WsgPort {
     /// Addresses that the port is served on, with their places in the configuration.
-    pub addresses: Vec<(WsgAddress, Place)>,
+    pub addresses: Vec<(WsgAddress, ConfigPlace)>,
     /// Networks that may connect; empty means all.
     pub allow: Vec<IpNet>,
     /// FAST STOPs that a client may acknowledge.
-    pub acknowledge: Acknowledge,
+    pub acknowledge: AcknowledgePolicy,
     /// Whether the checksums of requests are checked.
     pub checksum_evaluation: bool,
 }
@@ -37,7 +37,7 @@ impl Default for WsgPort {
         Self {
             addresses: Vec::new(),
             allow: Vec::new(),
-            acknowledge: Acknowledge::default(),
+            acknowledge: AcknowledgePolicy::default(),
             checksum_evaluation: true,
         }
     }
@@ -60,7 +60,7 @@ pub enum WsgAddress {
 /// FAST STOPs that a client may acknowledge with 24h.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Acknowledge {
+pub enum AcknowledgePolicy {
     /// A FAST STOP that the client has seen, and that the client or the device caused.
     #[default]
     Own,
@@ -115,8 +115,8 @@ impl WsgPort {
 }
 
 /// Overrides the file's ports with those of `--wsg-port`, gripper by gripper.
-pub(super) fn take_flags(grippers: &mut [Gripper], texts: &[String]) -> Result<(), ConfigError> {
-    let place = Place::Flag("--wsg-port");
+pub(super) fn take_flags(grippers: &mut [GripperConfig], texts: &[String]) -> Result<(), ConfigError> {
+    let place = ConfigPlace::Flag("--wsg-port");
     let mut given: Vec<(&str, WsgAddress)> = Vec::new();
     for text in texts {
         let (name, address) = text
@@ -139,7 +139,7 @@ pub(super) fn take_flags(grippers: &mut [Gripper], texts: &[String]) -> Result<(
     Ok(())
 }
 
-fn parse(text: &str, place: &Place) -> Result<WsgAddress, ConfigError> {
+fn parse(text: &str, place: &ConfigPlace) -> Result<WsgAddress, ConfigError> {
     parse_address(text).map_err(|detail| ConfigError::at(place, detail))
 }
 
@@ -175,7 +175,7 @@ fn parse_address(text: &str) -> Result<WsgAddress, String> {
     }
 }
 
-fn parse_nets(texts: &[String], place: &Place) -> Result<Vec<IpNet>, ConfigError> {
+fn parse_nets(texts: &[String], place: &ConfigPlace) -> Result<Vec<IpNet>, ConfigError> {
     if texts.is_empty() {
         let detail = "wsg_port_allow is empty: list the allowed networks, or remove it if the port is on loopback";
         return Err(ConfigError::at(place, detail));

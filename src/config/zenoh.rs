@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 use toml::Spanned;
 use zenoh::config::{EndPoint, WhatAmI};
 
-use super::{ConfigError, File, Flags, Place};
+use super::{ConfigError, ConfigPlace, File, Flags};
 
 /// Default endpoint to listen on.
 const DEFAULT_LISTEN: &str = "tcp/127.0.0.1:7447";
@@ -85,7 +85,7 @@ pub struct ZenohFlags {
 /// The `[zenoh]` section of a file.
 #[derive(Debug, Default, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub(super) struct Content {
+pub(super) struct ZenohContent {
     mode: Option<ZenohMode>,
     listen: Option<Spanned<Vec<String>>>,
     connect: Option<Spanned<Vec<String>>>,
@@ -119,14 +119,14 @@ impl Zenoh {
         let content = file.map(|file| (file, &file.content.zenoh));
         let flags = &flags.zenoh;
         let base = Base::read(content)?;
-        let of_file = |pick: fn(&Content) -> &Option<Spanned<Vec<String>>>| {
+        let of_file = |pick: fn(&ZenohContent) -> &Option<Spanned<Vec<String>>>| {
             let (file, content) = content?;
             let endpoints = pick(content).as_ref()?;
             Some((endpoints.get_ref().clone(), file.place(endpoints.span().start)))
         };
         let given = |flag: &'static str, given: &[String], in_file| match given {
             [] => in_file,
-            given => Some((given.to_vec(), Place::Flag(flag))),
+            given => Some((given.to_vec(), ConfigPlace::Flag(flag))),
         };
         let listen = given("--zenoh-listen", &flags.zenoh_listen, of_file(|content| &content.listen));
         let connect = given("--zenoh-connect", &flags.zenoh_connect, of_file(|content| &content.connect));
@@ -188,7 +188,11 @@ impl Zenoh {
         (!texts(&self.setting(gossip)).concat().is_empty()).then_some(gossip)
     }
 
-    fn check_loopback(&self, endpoints: [&(Vec<String>, Place); 2], place: &Place) -> Result<(), ConfigError> {
+    fn check_loopback(
+        &self,
+        endpoints: [&(Vec<String>, ConfigPlace); 2],
+        place: &ConfigPlace,
+    ) -> Result<(), ConfigError> {
         let exposed = endpoints.into_iter().flat_map(|(endpoints, place)| endpoints.iter().map(move |e| (e, place)));
         let exposed =
             exposed.map(|(endpoint, place)| (endpoint.as_str(), place)).find(|(endpoint, _)| !is_loopback(endpoint));
@@ -205,14 +209,14 @@ impl Zenoh {
 /// Zenoh's own configuration file, or Zenoh's defaults.
 struct Base {
     settings: zenoh::Config,
-    place: Place,
+    place: ConfigPlace,
 }
 
 impl Base {
-    fn read(content: Option<(&File, &Content)>) -> Result<Self, ConfigError> {
+    fn read(content: Option<(&File, &ZenohContent)>) -> Result<Self, ConfigError> {
         let given = content.and_then(|(file, content)| Some((file, content.config.as_ref()?)));
         let Some((file, path)) = given else {
-            return Ok(Self { settings: zenoh::Config::default(), place: Place::Flag("--zenoh-mode") });
+            return Ok(Self { settings: zenoh::Config::default(), place: ConfigPlace::Flag("--zenoh-mode") });
         };
         let place = file.place(path.span().start);
         let path = file.beside(path.get_ref());
@@ -272,12 +276,12 @@ fn setting(settings: &zenoh::Config, key: &str) -> Value {
 
 /// Returns the given endpoints, or those of Zenoh's own file, or else the default ones; and their place.
 fn endpoints(
-    given: Option<(Vec<String>, Place)>,
+    given: Option<(Vec<String>, ConfigPlace)>,
     base: &Base,
     key: &str,
     mode: WhatAmI,
     default: Vec<String>,
-) -> Result<(Vec<String>, Place), ConfigError> {
+) -> Result<(Vec<String>, ConfigPlace), ConfigError> {
     let (endpoints, place) = match given {
         Some(given) => given,
         None if base.leaves_out(key) => (default, base.place.clone()),
@@ -318,7 +322,7 @@ fn is_loopback(endpoint: &str) -> bool {
     }
 }
 
-fn max_hz(content: Option<(&File, &Content)>) -> Result<u32, ConfigError> {
+fn max_hz(content: Option<(&File, &ZenohContent)>) -> Result<u32, ConfigError> {
     let given = content.and_then(|(file, content)| Some((file, content.max_hz.as_ref()?)));
     let Some((file, max_hz)) = given else { return Ok(DEFAULT_HZ as u32) };
     if (1..=MAX_HZ).contains(max_hz.get_ref()) {

@@ -3,7 +3,7 @@
 
 use rustix::process::{Resource, getrlimit, setrlimit};
 
-use crate::config::{Config, Device, WsgAddress};
+use crate::config::{Config, DeviceSource, WsgAddress};
 use crate::interfaces::Bounds;
 use crate::interfaces::wsg_port;
 
@@ -69,7 +69,7 @@ impl Shares {
         let addresses = config.grippers.iter().flat_map(|gripper| &gripper.wsg_port.addresses);
         let ports = addresses.filter(|(address, _)| matches!(address, WsgAddress::Tcp(_))).count();
         let zenoh = if config.zenoh.is_some() { OF_ZENOH } else { 0 };
-        let links = config.grippers.iter().filter(|gripper| matches!(gripper.device, Device::At(_))).count();
+        let links = config.grippers.iter().filter(|gripper| matches!(gripper.device, DeviceSource::At(_))).count();
         let own = OWN + OF_A_LINK * links + zenoh;
         let needed = own + Bounds::MIN_DESCRIPTORS + ports * wsg_port::MIN_DESCRIPTORS;
         let spare = limit.checked_sub(needed).ok_or(TooFew { limit, needed })?;

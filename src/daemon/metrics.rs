@@ -11,7 +11,7 @@ use tokio::sync::watch;
 use crate::fleet::Peers;
 use crate::gripper::Recorder as _;
 use crate::gripper::model::Name;
-use crate::gripper::recorder::Health;
+use crate::gripper::recorder::JournalHealth;
 use crate::journal::Journal;
 
 /// Returns a registry with the metrics of the process, the gateway and its journal.
@@ -24,7 +24,7 @@ pub(super) fn registry(gateway: &Name, journal: &Journal) -> Result<Registry> {
     let info = IntGauge::with_opts(info)?;
     info.set(1);
     registry.register(Box::new(info))?;
-    registry.register(Box::new(JournalHealth {
+    registry.register(Box::new(HealthCollector {
         health: journal.health(),
         counted: Mutex::default(),
         up: IntGauge::new("wsg_journal_up", "Whether the journal accepts records.")?,
@@ -38,8 +38,8 @@ pub(super) fn registry(gateway: &Name, journal: &Journal) -> Result<Registry> {
 }
 
 /// Health of the journal, read at each scrape.
-struct JournalHealth {
-    health: watch::Receiver<Health>,
+struct HealthCollector {
+    health: watch::Receiver<JournalHealth>,
     /// Lost records that the counter includes.
     counted: Mutex<u64>,
     up: IntGauge,
@@ -47,13 +47,13 @@ struct JournalHealth {
     lost: IntCounter,
 }
 
-impl Collector for JournalHealth {
+impl Collector for HealthCollector {
     fn desc(&self) -> Vec<&Desc> {
         [self.up.desc(), self.damaged.desc(), self.lost.desc()].concat()
     }
 
     fn collect(&self) -> Vec<MetricFamily> {
-        let Health { failure, lost, damage } = self.health.borrow().clone();
+        let JournalHealth { failure, lost, damage } = self.health.borrow().clone();
         let mut counted = self.counted.lock().unwrap_or_else(PoisonError::into_inner);
         self.lost.inc_by(lost.saturating_sub(*counted));
         *counted = lost.max(*counted);

@@ -22,8 +22,8 @@ use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 use url::Url;
 
-use crate::config::{self, Config, ConfigError, Device, Gripper};
-use crate::events::Updates;
+use crate::config::{self, Config, ConfigError, DeviceSource, GripperConfig};
+use crate::events::LiveUpdates;
 use crate::fleet::Peers;
 use crate::gripper::model::{Detail, Event, GatewayEvent, Name, PersistedKey};
 use crate::gripper::recorder::{Record, Recorder as _, RestoredState};
@@ -33,7 +33,7 @@ use crate::journal::{self, Journal, Recovered};
 use crate::operations::Gateway;
 use crate::operations::audit::Audit;
 use descriptors::Shares;
-pub use simulation::{Served, SimulatedDevice, Switch, serve as serve_device};
+pub use simulation::{ServedDevice, SimulatedDevice, Switch, serve as serve_device};
 
 /// Longest wait of a start for the journal: as long as that of a motion.
 const START_WRITTEN_WITHIN: Duration = Duration::from_millis(500);
@@ -82,7 +82,7 @@ pub fn runtime() -> std::io::Result<Runtime> {
 /// The first [`ConfigError`].
 pub fn check(config: &Config) -> Result<(), ConfigError> {
     for gripper in &config.grippers {
-        if let Device::Simulated(url) = &gripper.device {
+        if let DeviceSource::Simulated(url) = &gripper.device {
             SimulatedDevice::from_url(url).map_err(|detail| ConfigError::at(&gripper.place, detail))?;
         }
     }
@@ -114,20 +114,20 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
         journal: journal.clone(),
         audit: audit.clone(),
         peers: peers.clone(),
-        updates: Arc::new(Updates::new(&grippers, journal.clone(), peers)),
+        updates: Arc::new(LiveUpdates::new(&grippers, journal.clone(), peers)),
     });
-    let context = Arc::new(http::Context {
+    let context = Arc::new(http::HttpContext {
         gateway,
         closing: shutdown.child_token(),
         runtimes: clients.clone(),
-        metrics: interfaces::metrics::Metrics::register(&registry, "http")?,
-        ws_metrics: interfaces::metrics::Metrics::register(&registry, "ws")?,
+        metrics: interfaces::metrics::InterfaceMetrics::register(&registry, "http")?,
+        ws_metrics: interfaces::metrics::InterfaceMetrics::register(&registry, "ws")?,
         registry,
         allowed_hosts: config.hosts.clone(),
     });
     let on_zenoh = config.zenoh.as_ref().map(|zenoh| zenoh_settings(zenoh, &context)).transpose()?;
     tracing::info!(limit = shares.limit, http = shares.http, wsg_port = shares.wsg_port, "file descriptors shared out");
-    let limits = http::Limits::within(Bounds::of(shares.http));
+    let limits = http::ServerLimits::within(Bounds::of(shares.http));
     let server = clients.accept.spawn(http::serve(listener, context.clone(), limits, shutdown.clone()));
     announce(config, address, &ports)?;
     // Zenoh has a task of its own, so the rest goes on whatever happens to it.
@@ -151,10 +151,10 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
 }
 
 fn open_journal(config: &Config) -> Result<(Journal, Recovered), journal::OpenError> {
-    let config::Journal { place, max_age, max_bytes, .. } = &config.journal;
+    let config::JournalConfig { place, max_age, max_bytes, .. } = &config.journal;
     let place = match place {
-        config::JournalPlace::File(path) => journal::Place::File(path.clone()),
-        config::JournalPlace::Memory => journal::Place::Memory,
+        config::JournalPlace::File(path) => journal::JournalLocation::File(path.clone()),
+        config::JournalPlace::Memory => journal::JournalLocation::Memory,
     };
     Journal::open(place, journal::Retention { max_age: *max_age, max_bytes: *max_bytes })
 }
@@ -206,7 +206,7 @@ fn spawn_all(
 }
 
 /// Returns the journal's knowledge of a gripper from earlier runs.
-fn restored(recovered: &Recovered, gripper: &Gripper) -> RestoredState {
+fn restored(recovered: &Recovered, gripper: &GripperConfig) -> RestoredState {
     let persisted = |key| {
         let memory = recovered.memory.iter().find(|memory| memory.gripper == gripper.name && memory.key == key);
         memory.and_then(|memory| memory.value.clone())
@@ -224,32 +224,28 @@ fn restored(recovered: &Recovered, gripper: &Gripper) -> RestoredState {
 
 fn spawn(
     config: &Config,
-    gripper: &Gripper,
+    gripper: &GripperConfig,
     journal: &Journal,
     restored: RestoredState,
     registry: &Registry,
 ) -> anyhow::Result<Handle> {
     let connector: Arc<dyn Connector> = match &gripper.device {
-        Device::At(address) => Arc::new(address.clone()),
-        Device::Simulated(url) => {
+        DeviceSource::At(address) => Arc::new(address.clone()),
+        DeviceSource::Simulated(url) => {
             let device = SimulatedDevice::from_url(url).map_err(|detail| ConfigError::at(&gripper.place, detail))?;
             Arc::new(device.start(url.as_str()))
         }
     };
-    let on_journal_failure = match config.journal.on_failure {
-        config::OnJournalFailure::Refuse => gripper::actor::OnJournalFailure::Refuse,
-        config::OnJournalFailure::Continue => gripper::actor::OnJournalFailure::Continue,
-    };
-    let config = gripper::actor::Config {
+    let config = gripper::actor::ActorConfig {
         name: gripper.name.clone(),
         url: connector.url(),
         properties: connector.properties(),
         custom_ids: gripper.custom_ids.clone(),
         drain: config.drain,
-        on_journal_failure,
+        on_journal_failure: config.journal.on_failure,
         lease: gripper.lease.clone(),
         seed: rand::rng().random(),
-        metrics: gripper::Metrics::register(registry, &gripper.name)?,
+        metrics: gripper::GripperMetrics::register(registry, &gripper.name)?,
     };
     let handle = gripper::spawn(config, connector, Arc::new(journal.clone()), restored);
     gripper::metrics::Newest::register(registry, &handle)?;
@@ -283,16 +279,16 @@ fn announce(config: &Config, address: SocketAddr, ports: &[ports::Bound]) -> std
 
 fn zenoh_settings(
     zenoh: &config::Zenoh,
-    context: &http::Context,
-) -> anyhow::Result<(zenoh::Settings, interfaces::Context)> {
+    context: &http::HttpContext,
+) -> anyhow::Result<(zenoh::ZenohSettings, interfaces::Context)> {
     let network = &context.gateway.peers;
     metrics::register_zenoh(&context.registry, network)?;
     let (config, listen, connect) = (zenoh.settings.clone(), zenoh.listen.clone(), zenoh.connect.clone());
     let connectivity = zenoh::Connectivity { config, listen, connect };
     // In client mode, opening Zenoh waits for a connection.
     network.set_cause(Some(connectivity.awaited().unwrap_or_else(|| "Zenoh is not open yet".to_owned())));
-    let figures = interfaces::metrics::Metrics::register(&context.registry, "zenoh")?;
-    Ok((zenoh::Settings { connectivity, max_hz: zenoh.max_hz }, context.of_interface(figures)))
+    let figures = interfaces::metrics::InterfaceMetrics::register(&context.registry, "zenoh")?;
+    Ok((zenoh::ZenohSettings { connectivity, max_hz: zenoh.max_hz }, context.of_interface(figures)))
 }
 
 /// Prints the addresses of Zenoh, which can be known later than the rest.

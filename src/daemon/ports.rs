@@ -7,10 +7,10 @@ use tokio::task::JoinSet;
 use tokio_util::sync::CancellationToken;
 
 use super::listen;
-use crate::config::{Acknowledge, Config, WsgAddress, WsgPort};
+use crate::config::{AcknowledgePolicy, Config, WsgAddress, WsgPort};
 use crate::gripper::Grippers;
 use crate::gripper::model::Name;
-use crate::interfaces::wsg_port::{self, Address, Datagrams, LOST_AFTER, Listener, Port, Rules};
+use crate::interfaces::wsg_port::{self, Datagrams, LOST_AFTER, ListenAddress, Listener, Port, Rules};
 use crate::operations::audit::Audit;
 
 /// A bound port that is not served yet.
@@ -28,9 +28,9 @@ pub(super) fn bind(config: &Config, descriptors: usize) -> anyhow::Result<Vec<Bo
     for gripper in &config.grippers {
         for (address, place) in &gripper.wsg_port.addresses {
             let address = match *address {
-                WsgAddress::Tcp(address) => Address::Tcp(address),
+                WsgAddress::Tcp(address) => ListenAddress::Tcp(address),
                 WsgAddress::Udp { address, reply_port, lost_after } => {
-                    Address::Udp(address, Datagrams { reply_port, lost_after: lost_after.unwrap_or(LOST_AFTER) })
+                    ListenAddress::Udp(address, Datagrams { reply_port, lost_after: lost_after.unwrap_or(LOST_AFTER) })
                 }
             };
             let listener = Listener::bind(address).map_err(|error| {
@@ -65,7 +65,7 @@ pub(super) fn serve(
 fn rules(configured: &WsgPort) -> Rules {
     Rules {
         checksum_evaluation: configured.checksum_evaluation,
-        acknowledge_any: configured.acknowledge == Acknowledge::Any,
+        acknowledge_any: configured.acknowledge == AcknowledgePolicy::Any,
         allow: configured.allow.clone(),
     }
 }

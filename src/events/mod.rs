@@ -19,7 +19,7 @@ use tokio::sync::watch;
 use utoipa::ToSchema;
 
 use crate::fleet::Peers;
-use crate::gripper::model::{Frame, Name, State};
+use crate::gripper::model::{FrameRecord, Name, State};
 use crate::gripper::{Grippers, Handle, Now};
 use crate::journal::{Journal, Stored};
 use fleet::FleetNews;
@@ -63,7 +63,7 @@ const RECENT_FRAMES: usize = 64;
 
 /// The sources of all topics.
 #[derive(Debug)]
-pub struct Updates {
+pub struct LiveUpdates {
     journal: Journal,
     events: Recent,
     grippers: Vec<Arc<Source>>,
@@ -79,7 +79,7 @@ struct Source {
     frames: Recent,
 }
 
-impl Updates {
+impl LiveUpdates {
     /// Collects the updates of this gateway's grippers, of the journal, and of the fleet's grippers.
     #[must_use]
     pub fn new(fleet: &Grippers, journal: Journal, network: Arc<Peers>) -> Self {
@@ -129,7 +129,7 @@ impl Source {
         self.telemetry.get(state.seq, || Notification::new("telemetry", &state.telemetry(Now::read().wall)))
     }
 
-    fn frame(&self, frame: &Frame) -> Option<Notification> {
+    fn frame(&self, frame: &FrameRecord) -> Option<Notification> {
         self.frames.get(frame.seq, || Notification::new("frame", frame))
     }
 }
@@ -145,7 +145,7 @@ struct Watched {
 
 /// The topics and grippers of one client.
 pub struct Subscription {
-    updates: Arc<Updates>,
+    updates: Arc<LiveUpdates>,
     watched: Vec<Watched>,
     /// Number of the fleet's change that was sent last.
     fleet_seq: u64,

@@ -8,7 +8,7 @@ use serde::Serialize;
 use tokio::sync::broadcast::{Receiver, error::RecvError};
 use utoipa::ToSchema;
 
-use super::{Notification, Source, Topic, Updates};
+use super::{LiveUpdates, Notification, Source, Topic};
 use crate::gripper::model::Name;
 
 /// Sent in place of events or frames that a slow client missed, or that are no longer in the journal.
@@ -48,7 +48,7 @@ async fn next<T: Clone>(receiver: &mut Receiver<T>) -> Option<Result<T, u64>> {
 
 /// Streams the events of some grippers, or of all, from now on.
 pub(super) fn events(
-    updates: Arc<Updates>,
+    updates: Arc<LiveUpdates>,
     only: Option<BTreeSet<Name>>,
 ) -> impl Stream<Item = Notification> + Send + 'static {
     // Subscribes before it reads the newest number: events between the two are skipped below, not lost.

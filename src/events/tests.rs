@@ -4,17 +4,19 @@ use futures_util::FutureExt as _;
 use serde_json::Value;
 
 use super::*;
-use crate::gripper::fake::{self, Script};
+use crate::gripper::fake::{self, FakeScript};
 use crate::gripper::model::{Client, Detail, Door, Event, FastStopId, Reason, RefusedEvent};
 use crate::gripper::recorder::{Record, Recorder as _};
-use crate::journal::{Place, Retention};
+use crate::journal::{JournalLocation, Retention};
 
-fn updates() -> (Arc<Updates>, Journal) {
-    let (journal, _) = Journal::open(Place::Memory, Retention::default()).unwrap();
-    let fleet =
-        Grippers::new([fake::gripper("left", Script::default()).0, fake::gripper("right", Script::default()).0]);
+fn updates() -> (Arc<LiveUpdates>, Journal) {
+    let (journal, _) = Journal::open(JournalLocation::Memory, Retention::default()).unwrap();
+    let fleet = Grippers::new([
+        fake::gripper("left", FakeScript::default()).0,
+        fake::gripper("right", FakeScript::default()).0,
+    ]);
     let network = Arc::new(Peers::new("wsg".parse().unwrap(), fleet.clone()));
-    (Arc::new(Updates::new(&fleet, journal.clone(), network)), journal)
+    (Arc::new(LiveUpdates::new(&fleet, journal.clone(), network)), journal)
 }
 
 fn record(journal: &Journal, gripper: Option<&str>) {

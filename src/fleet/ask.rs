@@ -16,7 +16,7 @@ use zenoh::query::{ConsolidationMode, QueryTarget, Reply};
 use zenoh::sample::Locality;
 
 use super::Peers;
-use super::keys::{self, Keys};
+use super::keys::{self, ZenohKeys};
 use super::twins::has_token;
 use crate::gripper::Now;
 use crate::gripper::model::lease::MIN_TTL;
@@ -133,7 +133,7 @@ impl Peers {
         for _ in 0..PROOFS {
             // In a single condition, the lock would be held across the await.
             let is_known = self.others().is_instance(gateway, &replier);
-            if is_known || has_token(session, &Keys::of(gateway), &replier).await {
+            if is_known || has_token(session, &ZenohKeys::of(gateway), &replier).await {
                 return Some(reply);
             }
             sleep(PROVES_EVERY).await;
@@ -143,7 +143,7 @@ impl Peers {
 
     async fn send(&self, ask: Ask) -> Result<Asked, NoAnswer> {
         let session = self.session.get().cloned().ok_or(NoAnswer::Unknown)?;
-        let key = Keys::of(&ask.gateway).gripper(&ask.gripper, &format!("command/{}", ask.method));
+        let key = ZenohKeys::of(&ask.gateway).gripper(&ask.gripper, &format!("command/{}", ask.method));
         let subject = ("client", format!("{}/{}", self.gateway, ask.client.subject));
         let wait_ms = ask.wait.map(|wait| ("wait_ms", wait.as_millis().to_string()));
         let parameters = [subject].into_iter().chain(wait_ms).chain(ask.aside);

@@ -10,11 +10,11 @@ pub const FAST_STOP_OF_ALL: &str = "wsg/v1/fast-stop";
 
 /// The keys of one gateway.
 #[derive(Debug, Clone)]
-pub struct Keys {
+pub struct ZenohKeys {
     gateway: Name,
 }
 
-impl Keys {
+impl ZenohKeys {
     #[must_use]
     pub fn of(gateway: &Name) -> Self {
         Self { gateway: gateway.clone() }
@@ -81,7 +81,7 @@ mod tests {
 
     #[test]
     fn key_names_its_gateway_and_gripper() {
-        let keys = Keys::of(&"cell-7".parse().unwrap());
+        let keys = ZenohKeys::of(&"cell-7".parse().unwrap());
         let (left, cell) = ("left".parse().unwrap(), "cell-7".parse().unwrap());
         assert_eq!(keys.gripper(&left, "command/grip"), "wsg/v1/cell-7/left/command/grip");
         assert_eq!(of_gripper(&keys.gripper(&left, "state")), Some((cell, left)));

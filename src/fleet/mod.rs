@@ -22,7 +22,7 @@ use zenoh::qos::{CongestionControl, Priority};
 use zenoh::query::{ConsolidationMode, QueryTarget, Reply};
 use zenoh::sample::{Locality, Sample, SampleKind};
 
-use self::keys::{FAST_STOP_OF_ALL, Keys, ROOT, last_part};
+use self::keys::{FAST_STOP_OF_ALL, ROOT, ZenohKeys, last_part};
 use self::others::{Others, Stop};
 use self::twins::Twins;
 use crate::gripper::model::{Client, FastStopId, Name, Reason, State};
@@ -113,7 +113,7 @@ impl Peers {
         };
         let instances = session.liveliness().declare_subscriber(format!("{ROOT}/*/instance/*")).history(true);
         instances.callback(is_one).background().await?;
-        let keys = Keys::of(&self.gateway);
+        let keys = ZenohKeys::of(&self.gateway);
         Twins::answer(session, &keys).await?;
         let instance = keys.own(&format!("instance/{}", session.zid()));
         let token = session.liveliness().declare_token(instance).await?;
@@ -124,7 +124,7 @@ impl Peers {
 
     /// Looks for other gateways with this one's name, for as long as it is polled.
     pub fn watch_twins(&self, session: &zenoh::Session) -> impl Future<Output = ()> + use<> {
-        self.twins.clone().watch(session.clone(), Keys::of(&self.gateway))
+        self.twins.clone().watch(session.clone(), ZenohKeys::of(&self.gateway))
     }
 
     /// Sets why the gateway is not connected as configured; `None` if it is.
@@ -223,7 +223,7 @@ impl Peers {
                 let gateways: BTreeSet<_> = open.iter().filter(is_missed).map(|(gateway, _)| gateway).collect();
                 for gateway in gateways {
                     tracing::warn!(%gateway, "gateway missed a FAST STOP: sending it again");
-                    self.put_fast_stop(Keys::of(gateway).own("fast-stop"), payload.clone());
+                    self.put_fast_stop(ZenohKeys::of(gateway).own("fast-stop"), payload.clone());
                 }
             }
         };

@@ -14,7 +14,7 @@ use zenoh::query::{ConsolidationMode, Query, QueryTarget, Reply};
 use zenoh::sample::Locality;
 use zenoh::{Session, Wait as _};
 
-use super::keys::{Keys, last_part};
+use super::keys::{ZenohKeys, last_part};
 
 /// Interval between searches for twins. A new token starts a search of its own.
 const LOOKS_EVERY: Duration = Duration::from_secs(2);
@@ -50,7 +50,7 @@ impl Twins {
     }
 
     /// Answers at this gateway's own instance key.
-    pub(super) async fn answer(session: &Session, keys: &Keys) -> zenoh::Result<()> {
+    pub(super) async fn answer(session: &Session, keys: &ZenohKeys) -> zenoh::Result<()> {
         let key = keys.own(&format!("instance/{}", session.zid()));
         let (answered, runtime, places) = (key.clone(), Handle::current(), Arc::new(Semaphore::new(MAX_TWINS)));
         let answer = move |query: Query| {
@@ -68,7 +68,7 @@ impl Twins {
     }
 
     /// Looks for twins for as long as it is polled.
-    pub(super) async fn watch(self: Arc<Self>, session: Session, keys: Keys) {
+    pub(super) async fn watch(self: Arc<Self>, session: Session, keys: ZenohKeys) {
         let mut said_at: Option<Instant> = None;
         loop {
             let is_claimed = timeout(LOOKS_EVERY, self.claims.notified()).await.is_ok();
@@ -97,7 +97,7 @@ impl Twins {
 
     /// Returns the twins that answer, and those that answered before and still have their token. A frozen one could
     /// resume.
-    async fn round(&self, session: &Session, keys: &Keys) -> BTreeSet<String> {
+    async fn round(&self, session: &Session, keys: &ZenohKeys) -> BTreeSet<String> {
         let mut candidates = answering(session, keys).await;
         candidates.extend(self.found.lock().unwrap_or_else(PoisonError::into_inner).iter().cloned());
         let mut found = BTreeSet::new();
@@ -111,7 +111,7 @@ impl Twins {
 }
 
 /// The ids of the other gateways that answer as this name's instances.
-async fn answering(session: &Session, keys: &Keys) -> BTreeSet<String> {
+async fn answering(session: &Session, keys: &ZenohKeys) -> BTreeSet<String> {
     let own = session.zid().to_string();
     let get = session.get(keys.own("instance/*")).target(QueryTarget::All).consolidation(ConsolidationMode::None);
     let Ok(replies) = get.allowed_destination(Locality::Remote).timeout(ANSWERS_WITHIN).await else {
@@ -134,7 +134,7 @@ fn instance(reply: &Reply) -> Option<String> {
 }
 
 /// Whether the session with this id declares itself to be the gateway with these keys.
-pub(super) async fn has_token(session: &Session, keys: &Keys, id: &str) -> bool {
+pub(super) async fn has_token(session: &Session, keys: &ZenohKeys, id: &str) -> bool {
     let key = keys.own(&format!("instance/{id}"));
     let Ok(tokens) = session.liveliness().get(key).timeout(ANSWERS_WITHIN).await else { return false };
     tokens.recv_async().await.is_ok_and(|reply| reply.result().is_ok())

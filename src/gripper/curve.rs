@@ -15,7 +15,7 @@ const CONTACT_SHARE: f32 = 0.1;
 
 /// Curve of a motion under way.
 #[derive(Debug, Default)]
-pub(super) struct Curve {
+pub(super) struct MotionCurve {
     since: Option<Instant>,
     samples: Vec<Sample>,
 }
@@ -27,7 +27,7 @@ pub(super) struct Contact {
     pub after_ms: u64,
 }
 
-impl Curve {
+impl MotionCurve {
     /// Adds a sample.
     pub(super) fn take(&mut self, now: Instant, width_mm: f32, speed_mm_s: f32, force_n: f32) {
         if self.samples.len() >= MAX_SAMPLES {
@@ -62,7 +62,7 @@ mod tests {
 
     #[test]
     fn contact_is_where_the_force_begins_to_rise() {
-        let (mut curve, start) = (Curve::default(), Instant::now());
+        let (mut curve, start) = (MotionCurve::default(), Instant::now());
         for (index, (width, force)) in [(30.0, 0.0), (25.0, 0.5), (20.0, 8.0), (19.9, 40.0)].into_iter().enumerate() {
             curve.take(start + Duration::from_millis(10 * index as u64), width, 50.0, force);
         }
@@ -73,7 +73,7 @@ mod tests {
 
     #[test]
     fn no_force_is_no_contact() {
-        let mut curve = Curve::default();
+        let mut curve = MotionCurve::default();
         assert_eq!(curve.contact(), None);
         curve.take(Instant::now(), 30.0, 50.0, 0.0);
         assert_eq!((curve.contact(), curve.peak_force_n()), (None, Some(0.0)));

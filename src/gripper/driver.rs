@@ -14,13 +14,13 @@ use rand::RngExt;
 use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
 use tokio::sync::{Notify, mpsc, oneshot, watch};
 
-use super::actor::{Actor, Config};
+use super::actor::{Actor, ActorConfig};
 use super::clock::{Now, sleep_until};
 use super::connector::Connector;
-use super::handle::{FastStopRequest, Handle, MAX_WAITING_FAST_STOPS, MAX_WAITING_REQUESTS, Request};
+use super::handle::{ActorRequest, FastStopRequest, Handle, MAX_WAITING_FAST_STOPS, MAX_WAITING_REQUESTS};
 use super::model::CommandId;
 use super::observed;
-use super::recorder::{Health, Record, Recorder, RestoredState};
+use super::recorder::{JournalHealth, Record, Recorder, RestoredState};
 use crate::transport::Pipe;
 use crate::wsg::Command;
 
@@ -46,7 +46,7 @@ const STALLED_AFTER: Duration = Duration::from_millis(50);
 
 /// Starts a gripper on the current runtime. It ends when drained, or when all its handles are gone.
 pub fn spawn(
-    config: Config,
+    config: ActorConfig,
     connector: Arc<dyn Connector>,
     recorder: Arc<dyn Recorder>,
     restored: RestoredState,
@@ -78,10 +78,10 @@ struct Driver {
     actor: Actor,
     connector: Arc<dyn Connector>,
     recorder: Arc<dyn Recorder>,
-    health: watch::Receiver<Health>,
+    health: watch::Receiver<JournalHealth>,
     /// Records that commands wait for: at most one for each running command.
     awaited: FuturesUnordered<Awaited>,
-    requests: mpsc::Receiver<Request>,
+    requests: mpsc::Receiver<ActorRequest>,
     fast_stops: mpsc::Receiver<FastStopRequest>,
     /// Notified when a request of the lease's holder ends.
     lease_requests: Arc<Notify>,
@@ -116,8 +116,8 @@ enum Input {
     Deadline,
     LeaseRequestClosed,
     Recorded(CommandId, bool),
-    Health(Health),
-    Request(Option<Request>),
+    Health(JournalHealth),
+    Request(Option<ActorRequest>),
     Written(io::Result<()>),
     Read(io::Result<usize>),
 }

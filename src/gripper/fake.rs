@@ -8,11 +8,11 @@ use tokio::sync::{broadcast, mpsc, watch};
 
 use super::clock;
 use super::error::Rejection;
-use super::handle::{AcquiredLease, FastStopRequest, Handle, Request, Ticket};
+use super::handle::{AcquiredLease, ActorRequest, FastStopRequest, Handle, Ticket};
 use super::info::Info;
 use super::lease::{LeaseState, Terms};
 use super::model::{
-    Command, CommandId, CustomIds, FastStopCause, FastStopId, LatchFields, LeaseRules, LeaseToken, Name, Outcome,
+    CommandId, CommandReport, CustomIds, FastStopCause, FastStopId, LatchFields, LeaseRules, LeaseToken, Name, Outcome,
     Phase, Reason, State, Submission, TakeLease,
 };
 use crate::wsg::{self, Data};
@@ -43,7 +43,7 @@ pub enum Fate {
 }
 
 /// Replies of the actor.
-pub struct Script {
+pub struct FakeScript {
     pub fate: Fate,
     pub exchange: fn(&wsg::Command) -> Result<Data, Rejection>,
     /// Whether the device's flags show a FAST STOP.
@@ -51,14 +51,14 @@ pub struct Script {
     pub acknowledge: Result<(), Rejection>,
 }
 
-impl Default for Script {
+impl Default for FakeScript {
     fn default() -> Self {
         Self { fate: Fate::Ends(Outcome::Success), exchange: |_| Ok(Data::None), confirms: true, acknowledge: Ok(()) }
     }
 }
 
 /// The handle of a gripper that follows a script, and the requests that it receives.
-pub fn gripper(name: &str, script: Script) -> (Handle, mpsc::UnboundedReceiver<Seen>) {
+pub fn gripper(name: &str, script: FakeScript) -> (Handle, mpsc::UnboundedReceiver<Seen>) {
     let name: Name = name.parse().unwrap();
     let (requests, asked) = mpsc::channel(64);
     let (fast_stops, stopped) = mpsc::channel(64);
@@ -77,15 +77,15 @@ pub fn gripper(name: &str, script: Script) -> (Handle, mpsc::UnboundedReceiver<S
 
 struct Actor {
     name: Name,
-    script: Script,
+    script: FakeScript,
     seen: mpsc::UnboundedSender<Seen>,
     states: watch::Sender<Arc<State>>,
-    commands: HashMap<CommandId, watch::Sender<Arc<Command>>>,
+    commands: HashMap<CommandId, watch::Sender<Arc<CommandReport>>>,
     lease: LeaseState,
 }
 
 impl Actor {
-    async fn run(mut self, mut asked: mpsc::Receiver<Request>, mut stopped: mpsc::Receiver<FastStopRequest>) {
+    async fn run(mut self, mut asked: mpsc::Receiver<ActorRequest>, mut stopped: mpsc::Receiver<FastStopRequest>) {
         let closed = self.lease.closed();
         loop {
             tokio::select! {
@@ -123,55 +123,55 @@ impl Actor {
         self.see(Seen::FastStop(stop.reason));
     }
 
-    fn answer(&mut self, request: Request) {
+    fn answer(&mut self, request: ActorRequest) {
         match request {
-            Request::Submit { submission, id, answer } => {
+            ActorRequest::Submit { submission, id, answer } => {
                 let _ = answer.send(self.submit(&submission, id));
                 self.see(Seen::Submission(submission));
             }
-            Request::Find { id, answer } => {
+            ActorRequest::Find { id, answer } => {
                 let _ = answer.send(self.ticket(id));
             }
-            Request::Cancel { id, answer, .. } => {
+            ActorRequest::Cancel { id, answer, .. } => {
                 if let Some(command) = self.commands.get(&id) {
                     command.send_modify(|command| end(Arc::make_mut(command), Outcome::Aborted));
                 }
                 let _ = answer.send(self.ticket(id));
             }
-            Request::Exchange { command, answer: (_, answer), .. } => {
+            ActorRequest::Exchange { command, answer: (_, answer), .. } => {
                 let _ = answer.send((self.script.exchange)(&command));
                 self.see(Seen::Exchange(command));
             }
-            Request::Acknowledge { id, answer, .. } => {
+            ActorRequest::Acknowledge { id, answer, .. } => {
                 let _ = answer.send(self.script.acknowledge.clone());
                 self.see(Seen::Acknowledge(id));
             }
-            Request::Lease { answer } => {
+            ActorRequest::Lease { answer } => {
                 let _ = answer.send(self.lease.view(clock::instant(), None));
             }
-            Request::TakeLease { take, token, answer } => {
+            ActorRequest::TakeLease { take, token, answer } => {
                 let _ = answer.send(self.take(&take, token));
             }
-            Request::UseLease { token, answer } => {
+            ActorRequest::UseLease { token, answer } => {
                 let _ = answer.send(self.lease.keep(clock::instant(), Some(&token)));
             }
-            Request::RenewLease { token, answer } => {
+            ActorRequest::RenewLease { token, answer } => {
                 let renewed = self.lease.renew(clock::instant(), token.as_ref());
                 let _ = answer
                     .send(renewed.map(|()| self.lease.view(clock::instant(), token.as_ref())).map_err(Into::into));
             }
-            Request::HandOver { token, to, new, answer } => {
+            ActorRequest::HandOver { token, to, new, answer } => {
                 let given = self.lease.hand_over(clock::instant(), token.as_ref(), &to, new);
                 let _ = answer.send(given.map(|_| self.lease.view(clock::instant(), None)));
             }
-            Request::ReleaseLease { token, answer } => {
+            ActorRequest::ReleaseLease { token, answer } => {
                 self.lease.end(token.as_ref());
                 let _ = answer.send(self.lease.view(clock::instant(), None));
             }
-            Request::LoseLease { token, times_taken } => {
+            ActorRequest::LoseLease { token, times_taken } => {
                 self.lease.lose(&token, times_taken);
             }
-            Request::Drain { answer } => {
+            ActorRequest::Drain { answer } => {
                 let _ = answer.send(());
             }
         }
@@ -207,14 +207,14 @@ impl Actor {
     }
 }
 
-fn end(command: &mut Command, outcome: Outcome) {
+fn end(command: &mut CommandReport, outcome: Outcome) {
     command.phase = Phase::Done;
     command.outcome = Some(outcome);
     command.set_status(wsg::Status::E_SUCCESS);
 }
 
-fn running(gripper: Name, id: CommandId, submission: &Submission) -> Command {
-    Command::admitted(id, gripper, submission, Timestamp::UNIX_EPOCH)
+fn running(gripper: Name, id: CommandId, submission: &Submission) -> CommandReport {
+    CommandReport::admitted(id, gripper, submission, Timestamp::UNIX_EPOCH)
 }
 
 fn unheard(gripper: Name) -> State {

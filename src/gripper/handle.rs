@@ -10,8 +10,8 @@ use super::error::{Failure, Rejection};
 use super::info::Info;
 use super::lease::LeaseKeepAlive;
 use super::model::{
-    Action, Client, Command, CommandId, CustomIds, FastStopCause, FastStopId, Frame, Lease, LeaseToken, Link, Name,
-    Phase, Reason, State, Submission, TakeLease,
+    Action, Client, CommandId, CommandReport, CustomIds, FastStopCause, FastStopId, FrameRecord, Lease, LeaseToken,
+    Link, Name, Phase, Reason, State, Submission, TakeLease,
 };
 use crate::wsg;
 
@@ -30,7 +30,7 @@ pub const FAST_STOP_WAIT: Duration = Duration::from_millis(250);
 /// A request to the actor, with the channel for its reply. [`Handle`] has a method for each.
 #[derive(Debug)]
 #[allow(missing_docs, reason = "documented at the handle's methods")]
-pub enum Request {
+pub enum ActorRequest {
     Submit { submission: Submission, id: CommandId, answer: Answer<Ticket> },
     Find { id: CommandId, answer: oneshot::Sender<Option<Ticket>> },
     Cancel { id: CommandId, client: Client, answer: oneshot::Sender<Option<Ticket>> },
@@ -96,7 +96,7 @@ pub struct Using {
 /// An admitted command, whose end can be awaited. Its client's lease does not run out meanwhile.
 #[derive(Debug, Clone)]
 pub struct Ticket {
-    pub(super) record: watch::Receiver<Arc<Command>>,
+    pub(super) record: watch::Receiver<Arc<CommandReport>>,
     pub(super) replayed: bool,
     pub(super) _keep: Option<Arc<LeaseKeepAlive>>,
 }
@@ -104,9 +104,9 @@ pub struct Ticket {
 impl Ticket {
     /// The command as it is now.
     #[must_use]
-    pub fn now(&self) -> Command {
-        let record = Command::clone(&self.record.borrow());
-        Command { replayed: self.replayed, ..record }
+    pub fn now(&self) -> CommandReport {
+        let record = CommandReport::clone(&self.record.borrow());
+        CommandReport { replayed: self.replayed, ..record }
     }
 
     /// A ticket for observers, which does not keep the client's lease.
@@ -134,21 +134,21 @@ impl Ticket {
     }
 
     /// Waits until the device has accepted the command or the command has ended.
-    pub async fn accepted(&mut self) -> Command {
+    pub async fn accepted(&mut self) -> CommandReport {
         // The actor's end is not an error here: the record shows how far the command came.
         let _ = self.record.wait_for(|command| command.accepted || command.phase == Phase::Done).await;
         self.now()
     }
 
     /// Waits until the command has ended or the gripper is disconnected.
-    pub async fn ended(&mut self) -> Command {
+    pub async fn ended(&mut self) -> CommandReport {
         // The actor's end is not an error here: the record shows how far the command came.
         let _ = self.record.wait_for(|command| command.phase == Phase::Done).await;
         self.now()
     }
 
     /// Waits until the command has ended, but no longer than `limit`.
-    pub async fn wait(&mut self, limit: Duration) -> Command {
+    pub async fn wait(&mut self, limit: Duration) -> CommandReport {
         // Neither a time-out nor the actor's end is an error here: the record shows how far the command came.
         let _ = tokio::time::timeout(limit, self.ended()).await;
         self.now()
@@ -159,12 +159,12 @@ impl Ticket {
 #[derive(Debug, Clone)]
 pub struct Handle {
     pub(super) name: Name,
-    pub(super) requests: mpsc::Sender<Request>,
+    pub(super) requests: mpsc::Sender<ActorRequest>,
     pub(super) fast_stops: mpsc::Sender<FastStopRequest>,
     pub(super) state: watch::Receiver<Arc<State>>,
     pub(super) info: watch::Receiver<Arc<Info>>,
     pub(super) custom_ids: Arc<CustomIds>,
-    pub(super) frames: broadcast::Sender<Arc<Frame>>,
+    pub(super) frames: broadcast::Sender<Arc<FrameRecord>>,
     pub(super) update_period_ms: u16,
 }
 
@@ -194,7 +194,7 @@ impl Handle {
 
     /// Subscribes to frames in both directions. A slow receiver misses frames and learns how many.
     #[must_use]
-    pub fn frames(&self) -> broadcast::Receiver<Arc<Frame>> {
+    pub fn frames(&self) -> broadcast::Receiver<Arc<FrameRecord>> {
         self.frames.subscribe()
     }
 
@@ -225,7 +225,7 @@ impl Handle {
     pub async fn submit(&self, submission: Submission) -> Result<Ticket, Rejection> {
         let id = CommandId::generate();
         let is_stop = matches!(submission.action, Action::Stop);
-        let request = |answer| Request::Submit { submission, id, answer };
+        let request = |answer| ActorRequest::Submit { submission, id, answer };
         let mut ticket = if is_stop { self.request_reserved(request).await } else { self.try_request(request).await }??;
         ticket.recorded().await;
         Ok(ticket)
@@ -233,12 +233,12 @@ impl Handle {
 
     /// Finds a command of the last hour.
     pub async fn find(&self, id: CommandId) -> Result<Option<Ticket>, Failure> {
-        self.try_request(|answer| Request::Find { id, answer }).await
+        self.try_request(|answer| ActorRequest::Find { id, answer }).await
     }
 
     /// Stops a command if it is still running.
     pub async fn cancel(&self, id: CommandId, client: Client) -> Result<Option<Ticket>, Failure> {
-        self.request_reserved(|answer| Request::Cancel { id, client, answer }).await
+        self.request_reserved(|answer| ActorRequest::Cancel { id, client, answer }).await
     }
 
     /// Sends one request that moves nothing, and returns the data of its reply. After a setter, the value is read back,
@@ -249,7 +249,7 @@ impl Handle {
         client: Client,
         lease: Option<LeaseToken>,
     ) -> Result<wsg::Data, Rejection> {
-        self.try_request(|answer| Request::Exchange { command, client, lease, answer: (None, answer) }).await?
+        self.try_request(|answer| ActorRequest::Exchange { command, client, lease, answer: (None, answer) }).await?
     }
 
     /// Works like [`Handle::exchange`], and signals `accepted` when the device has answered `E_CMD_PENDING`.
@@ -260,19 +260,19 @@ impl Handle {
         lease: Option<LeaseToken>,
         accepted: oneshot::Sender<()>,
     ) -> Result<wsg::Data, Rejection> {
-        self.try_request(|answer| Request::Exchange { command, client, lease, answer: (Some(accepted), answer) })
+        self.try_request(|answer| ActorRequest::Exchange { command, client, lease, answer: (Some(accepted), answer) })
             .await?
     }
 
     /// The current lease.
     pub async fn lease(&self) -> Result<Lease, Failure> {
-        self.try_request(|answer| Request::Lease { answer }).await
+        self.try_request(|answer| ActorRequest::Lease { answer }).await
     }
 
     /// Takes the lease, or changes the terms of a lease that the client holds already.
     pub async fn take_lease(&self, take: TakeLease) -> Result<AcquiredLease, Rejection> {
         let token = LeaseToken::generate();
-        self.request_reserved(|answer| Request::TakeLease { take, token, answer }).await?
+        self.request_reserved(|answer| ActorRequest::TakeLease { take, token, answer }).await?
     }
 
     /// Marks the lease of this token as in use, if there is one, without waiting for the actor.
@@ -280,7 +280,7 @@ impl Handle {
     pub fn use_lease(&self, token: LeaseToken) -> Using {
         let (answer, keep) = oneshot::channel();
         if let Err(mpsc::error::TrySendError::Full(request)) =
-            self.requests.try_send(Request::UseLease { token, answer })
+            self.requests.try_send(ActorRequest::UseLease { token, answer })
         {
             let requests = self.requests.clone();
             // Waits for a free slot. An actor that has ended has no lease.
@@ -291,25 +291,25 @@ impl Handle {
 
     /// Renews the lease of this token.
     pub async fn renew_lease(&self, token: Option<LeaseToken>) -> Result<Lease, Rejection> {
-        self.request_reserved(|answer| Request::RenewLease { token, answer }).await?
+        self.request_reserved(|answer| ActorRequest::RenewLease { token, answer }).await?
     }
 
     /// Gives the lease of this token to the client that has requested it.
     pub async fn hand_over(&self, token: Option<LeaseToken>, to: String) -> Result<Lease, Rejection> {
         let new = LeaseToken::generate();
-        self.request_reserved(|answer| Request::HandOver { token, to, new, answer }).await?
+        self.request_reserved(|answer| ActorRequest::HandOver { token, to, new, answer }).await?
     }
 
     /// Releases the lease of this token and stops a running motion. A token without a lease does nothing.
     pub async fn release_lease(&self, token: Option<LeaseToken>) -> Result<Lease, Failure> {
-        self.request_reserved(|answer| Request::ReleaseLease { token, answer }).await
+        self.request_reserved(|answer| ActorRequest::ReleaseLease { token, answer }).await
     }
 
     /// Reports that the holder of this token was lost. With `times_taken`, the report counts only if the lease was not
     /// taken again since.
     pub async fn lose_lease(&self, token: LeaseToken, times_taken: Option<u64>) {
         // An actor that has ended has disconnected from its device.
-        let _ = self.requests.send(Request::LoseLease { token, times_taken }).await;
+        let _ = self.requests.send(ActorRequest::LoseLease { token, times_taken }).await;
     }
 
     /// Requests a FAST STOP. Waits only for the device's confirmation, and at most [`FAST_STOP_WAIT`].
@@ -339,21 +339,21 @@ impl Handle {
 
     /// Acknowledges the FAST STOP of this id, and returns when the device's flags show that it is cleared.
     pub async fn acknowledge(&self, id: FastStopId, client: Client) -> Result<(), Rejection> {
-        self.request_reserved(|answer| Request::Acknowledge { id, client, answer }).await?
+        self.request_reserved(|answer| ActorRequest::Acknowledge { id, client, answer }).await?
     }
 
     /// Disconnects from the gripper in order: rejects new commands, lets a running one finish, announces the disconnect
     /// and closes the link.
     pub async fn drain(&self) {
         // If the actor has ended, there is nothing left to disconnect.
-        if self.request_reserved(|answer| Request::Drain { answer }).await.is_ok() {
+        if self.request_reserved(|answer| ActorRequest::Drain { answer }).await.is_ok() {
             // The last records follow the reply, so wait for the actor's end.
             self.requests.closed().await;
         }
     }
 
     /// Sends a request, or fails if too many are waiting.
-    async fn try_request<T>(&self, request: impl FnOnce(oneshot::Sender<T>) -> Request) -> Result<T, Failure> {
+    async fn try_request<T>(&self, request: impl FnOnce(oneshot::Sender<T>) -> ActorRequest) -> Result<T, Failure> {
         let (answer, answered) = oneshot::channel();
         self.requests.try_send(request(answer)).map_err(|error| match error {
             mpsc::error::TrySendError::Full(_) => Failure::Overloaded { limit: MAX_WAITING_REQUESTS },
@@ -363,7 +363,10 @@ impl Handle {
     }
 
     /// Sends a request that must get through: waits for a free slot, ahead of later calls of [`Handle::try_request`].
-    async fn request_reserved<T>(&self, request: impl FnOnce(oneshot::Sender<T>) -> Request) -> Result<T, Failure> {
+    async fn request_reserved<T>(
+        &self,
+        request: impl FnOnce(oneshot::Sender<T>) -> ActorRequest,
+    ) -> Result<T, Failure> {
         let (answer, answered) = oneshot::channel();
         self.requests.send(request(answer)).await.map_err(|_| Failure::Draining)?;
         answered.await.map_err(|_| Failure::Draining)
@@ -379,9 +382,9 @@ mod tests {
     use crate::gripper::model::Door;
 
     /// A handle whose requests stay in the queue.
-    fn idle() -> (Handle, mpsc::Receiver<Request>) {
+    fn idle() -> (Handle, mpsc::Receiver<ActorRequest>) {
         let (requests, queue) = mpsc::channel(MAX_WAITING_REQUESTS);
-        let (handle, _) = fake::gripper("left", fake::Script::default());
+        let (handle, _) = fake::gripper("left", fake::FakeScript::default());
         (Handle { requests, ..handle }, queue)
     }
 
@@ -412,7 +415,7 @@ mod tests {
         for _ in 0..asked.len() {
             // Renews the task's budget, so that each future can be polled.
             tokio::task::yield_now().await;
-            assert!(matches!(queue.try_recv(), Ok(Request::Lease { .. })));
+            assert!(matches!(queue.try_recv(), Ok(ActorRequest::Lease { .. })));
             let refused = handle.lease().now_or_never();
             assert_eq!(refused, Some(Err(Failure::Overloaded { limit: MAX_WAITING_REQUESTS })), "waiters go first");
             for asked in &mut asked {
@@ -420,16 +423,16 @@ mod tests {
             }
         }
         for _ in asked.len()..MAX_WAITING_REQUESTS {
-            assert!(matches!(queue.try_recv(), Ok(Request::Lease { .. })));
+            assert!(matches!(queue.try_recv(), Ok(ActorRequest::Lease { .. })));
         }
         reads.clear();
         let mut next = || queue.try_recv().unwrap();
-        assert!(matches!(next(), Request::Submit { .. }));
-        assert!(matches!(next(), Request::ReleaseLease { .. }));
-        assert!(matches!(next(), Request::RenewLease { .. }));
-        assert!(matches!(next(), Request::TakeLease { .. }));
-        assert!(matches!(next(), Request::HandOver { .. }));
-        assert!(matches!(next(), Request::Acknowledge { .. }));
-        assert!(matches!(next(), Request::Cancel { .. }));
+        assert!(matches!(next(), ActorRequest::Submit { .. }));
+        assert!(matches!(next(), ActorRequest::ReleaseLease { .. }));
+        assert!(matches!(next(), ActorRequest::RenewLease { .. }));
+        assert!(matches!(next(), ActorRequest::TakeLease { .. }));
+        assert!(matches!(next(), ActorRequest::HandOver { .. }));
+        assert!(matches!(next(), ActorRequest::Acknowledge { .. }));
+        assert!(matches!(next(), ActorRequest::Cancel { .. }));
     }
 }

@@ -42,12 +42,12 @@ pub(super) struct LatchState {
     repeat_at: Option<Instant>,
     acknowledging: Option<Acknowledging>,
     /// Ended acknowledges whose clients have not been answered yet.
-    untold: Vec<Acknowledged>,
+    untold: Vec<EndedAcknowledge>,
 }
 
 /// An acknowledge that has ended.
 #[derive(Debug)]
-pub(super) struct Acknowledged {
+pub(super) struct EndedAcknowledge {
     pub id: FastStopId,
     pub client: Client,
     pub answer: Answer<()>,
@@ -90,7 +90,7 @@ pub(super) struct Origin<'a> {
 
 /// Change of the latch after an update of the flags.
 #[derive(Debug, PartialEq, Eq)]
-pub(super) enum Change {
+pub(super) enum LatchChange {
     /// The device is in a FAST STOP that no client requested.
     Seen,
     /// The flags confirm the latch.
@@ -132,7 +132,7 @@ impl LatchState {
         let overtaken = self.acknowledging.take().and_then(|acknowledging| {
             let stale = Conflict::StaleFastStop { given: acknowledging.id, current: Some(request.id) };
             let Acknowledging { id, client, answer, progress } = acknowledging;
-            self.untold.push(Acknowledged { id, client, answer, result: Err(stale.into()) });
+            self.untold.push(EndedAcknowledge { id, client, answer, result: Err(stale.into()) });
             match progress {
                 Progress::Sent(token) => Some(token),
                 Progress::Watching { .. } => None,
@@ -173,7 +173,7 @@ impl LatchState {
     }
 
     /// Takes in the device's flags.
-    pub(super) fn take_flags(&mut self, now: Now, flags: SystemState, origin: &mut Origin<'_>) -> Option<Change> {
+    pub(super) fn take_flags(&mut self, now: Now, flags: SystemState, origin: &mut Origin<'_>) -> Option<LatchChange> {
         let stopped = flags.contains(SystemState::FAST_STOP);
         let watching = self.is_watching();
         let flags_count = self.flags_count_from.is_some_and(|from| from <= now.instant);
@@ -188,16 +188,16 @@ impl LatchState {
                     at: now.wall,
                     confirmed: true,
                 });
-                Some(Change::Seen)
+                Some(LatchChange::Seen)
             }
             (Some(latch), true) if !latch.confirmed && (self.answered || flags_count) => {
                 latch.confirmed = true;
-                Some(Change::Confirmed)
+                Some(LatchChange::Confirmed)
             }
             (Some(_), false) if watching => {
                 self.latch = None;
                 self.finish_acknowledge(Ok(()));
-                Some(Change::Cleared)
+                Some(LatchChange::Cleared)
             }
             (Some(_), true) => {
                 if let Some(Acknowledging { progress: Progress::Watching { shown, .. }, .. }) = &mut self.acknowledging
@@ -276,12 +276,12 @@ impl LatchState {
 
     fn finish_acknowledge(&mut self, result: Result<(), Rejection>) {
         if let Some(Acknowledging { id, client, answer, .. }) = self.acknowledging.take() {
-            self.untold.push(Acknowledged { id, client, answer, result });
+            self.untold.push(EndedAcknowledge { id, client, answer, result });
         }
     }
 
     /// Takes the ended acknowledges, to answer their clients after the state was published.
-    pub(super) fn take_acknowledged(&mut self) -> Vec<Acknowledged> {
+    pub(super) fn take_acknowledged(&mut self) -> Vec<EndedAcknowledge> {
         std::mem::take(&mut self.untold)
     }
 }
@@ -308,11 +308,11 @@ mod tests {
     use super::*;
     use crate::gripper::model::Door;
     use crate::wsg::Command;
-    use crate::wsg::session::{Config, Request, Session};
+    use crate::wsg::session::{Request, Session, SessionConfig};
 
     fn acknowledge_frame(now: Instant) -> Token {
         let frame_gap = Duration::from_millis(100);
-        let config = Config { bytes_per_second: None, frame_gap, may_duplicate: false, nonce_seed: 1 };
+        let config = SessionConfig { bytes_per_second: None, frame_gap, may_duplicate: false, nonce_seed: 1 };
         let [reply_within, result_within] = [Duration::from_secs(1); 2];
         let request = Request { command: Command::AcknowledgeFastStop, reply_within, result_within };
         Session::new(config, now).submit(now, request).unwrap()
@@ -328,7 +328,7 @@ mod tests {
             let mut take_flags = |latch: &mut LatchState, now, flags| {
                 latch.take_flags(now, flags, &mut Origin { ids: &mut ids, unannounced: false })
             };
-            assert_eq!(take_flags(&mut latch, answered, SystemState::FAST_STOP), Some(Change::Seen));
+            assert_eq!(take_flags(&mut latch, answered, SystemState::FAST_STOP), Some(LatchChange::Seen));
             let id = latch.id().unwrap();
             let client = Client { subject: "test".into(), door: Door::Http };
             let token = acknowledge_frame(answered.instant);
@@ -337,7 +337,7 @@ mod tests {
             // The gateway was stalled, so it still has the flags from before the reply.
             latch.handle_timeout(later.instant, Some(SystemState::FAST_STOP));
             assert!(latch.take_acknowledged().is_empty());
-            assert_eq!(take_flags(&mut latch, later, flags), cleared.then_some(Change::Cleared));
+            assert_eq!(take_flags(&mut latch, later, flags), cleared.then_some(LatchChange::Cleared));
             latch.handle_timeout(later.instant, Some(flags));
             let told = latch.take_acknowledged().pop().unwrap().result;
             assert_eq!(told.is_ok(), cleared, "{told:?}");

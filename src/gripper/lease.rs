@@ -77,7 +77,7 @@ fn chosen<T: Copy + PartialEq + Serialize>(field: &'static str, given: Option<T>
 
 /// A lease that is held, or was.
 #[derive(Debug)]
-pub(super) struct Held {
+pub(super) struct HeldLease {
     pub holder: Holder,
     pub terms: Terms,
     token: LeaseToken,
@@ -102,7 +102,7 @@ enum Usage {
     Open,
 }
 
-impl Held {
+impl HeldLease {
     fn is_open(&self) -> bool {
         Arc::strong_count(&self.open) > 1
     }
@@ -143,7 +143,7 @@ struct Asking {
 #[derive(Debug, Default)]
 pub(super) struct LeaseState {
     epoch: u64,
-    held: Option<Held>,
+    held: Option<HeldLease>,
     asking: Option<Asking>,
     /// Holder that was lost while a part was held; only this client can take the lease.
     reserved: Option<Holder>,
@@ -274,7 +274,8 @@ impl LeaseState {
         self.reserved = None;
         self.asking = None;
         let (open, expires_at) = (Arc::new(()), now + terms.ttl);
-        self.held = Some(Held { holder, terms, token, times_taken: 1, expires_at, open, usage, is_extended: false });
+        self.held =
+            Some(HeldLease { holder, terms, token, times_taken: 1, expires_at, open, usage, is_extended: false });
     }
 
     /// Notes the first client that requests the lease, until its request is no longer repeated. The holder sees it.
@@ -317,7 +318,7 @@ impl LeaseState {
     }
 
     /// Ends the lease of this token, if it is current. A held part does not reserve the gripper then.
-    pub(super) fn end(&mut self, token: Option<&LeaseToken>) -> Option<Held> {
+    pub(super) fn end(&mut self, token: Option<&LeaseToken>) -> Option<HeldLease> {
         let ended = self.held.take_if(|held| Some(&held.token) == token);
         self.asking.take_if(|_| ended.is_some());
         ended
@@ -329,7 +330,7 @@ impl LeaseState {
     }
 
     /// Ends the lease of this token; with `times_taken`, only if the lease was not taken again since.
-    pub(super) fn lose(&mut self, token: &LeaseToken, times_taken: Option<u64>) -> Option<Held> {
+    pub(super) fn lose(&mut self, token: &LeaseToken, times_taken: Option<u64>) -> Option<HeldLease> {
         let is_newest = times_taken.is_none_or(|times_taken| times_taken == self.times_taken());
         is_newest.then(|| self.end(Some(token))).flatten()
     }
@@ -342,7 +343,7 @@ impl LeaseState {
     }
 
     /// Ends the lease that has run out.
-    pub(super) fn expire(&mut self, now: Instant) -> Option<Held> {
+    pub(super) fn expire(&mut self, now: Instant) -> Option<HeldLease> {
         let ended = self.held.take_if(|held| !held.is_open() && held.expires_at <= now);
         self.asking.take_if(|_| ended.is_some());
         ended

@@ -27,7 +27,7 @@ const DURATIONS: [f64; 10] = [0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0, 30.0, 6
 
 /// Counters and histograms of the actor. They continue across sessions of the link.
 #[derive(Debug, Clone)]
-pub struct Metrics {
+pub struct GripperMetrics {
     pub(super) reconnects: IntCounter,
     pub(super) round_trip: Histogram,
     pub(super) frames_sent: IntCounter,
@@ -49,7 +49,7 @@ pub struct Metrics {
     pub(super) parts_lost: IntCounter,
 }
 
-impl Metrics {
+impl GripperMetrics {
     /// Registers the metrics of one gripper.
     ///
     /// # Errors
@@ -203,15 +203,15 @@ impl Of<'_> {
 mod tests {
     use strum::VariantArray as _;
 
-    use super::super::fake::{self, Script};
+    use super::super::fake::{self, FakeScript};
     use super::super::model::{FastStopCause, Kind, Outcome};
     use super::*;
 
     #[tokio::test]
     async fn series_of_a_gripper_are_bounded() {
         let registry = Registry::new();
-        let (handle, _seen) = fake::gripper("left", Script::default());
-        let metrics = Metrics::register(&registry, handle.name()).unwrap();
+        let (handle, _seen) = fake::gripper("left", FakeScript::default());
+        let metrics = GripperMetrics::register(&registry, handle.name()).unwrap();
         for kind in Kind::VARIANTS {
             for outcome in Outcome::VARIANTS {
                 metrics.commands.with_label_values(&[kind.name(), outcome.name()]).inc();
@@ -236,7 +236,7 @@ mod tests {
         for name in
             (0..500).flat_map(|index| [format!("gripper{index}"), format!("station-{index}"), format!("g{index}")])
         {
-            let (handle, _seen) = fake::gripper(&name, Script::default());
+            let (handle, _seen) = fake::gripper(&name, FakeScript::default());
             Newest::register(&registry, &handle).unwrap_or_else(|error| panic!("{name}: {error}"));
         }
     }
@@ -245,8 +245,8 @@ mod tests {
     fn grippers_share_families_and_a_name_registers_once() {
         let registry = Registry::new();
         for name in ["left", "right"] {
-            Metrics::register(&registry, &name.parse().unwrap()).unwrap();
+            GripperMetrics::register(&registry, &name.parse().unwrap()).unwrap();
         }
-        assert!(Metrics::register(&registry, &"left".parse().unwrap()).is_err());
+        assert!(GripperMetrics::register(&registry, &"left".parse().unwrap()).is_err());
     }
 }

@@ -34,5 +34,5 @@ pub use grippers::Grippers;
 pub use handle::{AcquiredLease, FastStop, Handle, Ticket};
 pub use info::Info;
 pub use lease::LeaseKeepAlive;
-pub use metrics::Metrics;
-pub use recorder::{Health, NullRecorder, Record, Recorder};
+pub use metrics::GripperMetrics;
+pub use recorder::{JournalHealth, NullRecorder, Record, Recorder};

@@ -31,14 +31,14 @@ pub use event::{
     AcknowledgeEvent, Admitted, CommandEvent, Detail, DeviceEvent, Done, Event, FastStopEvent, FastStopStep,
     GatewayEvent, LinkEvent, RefusedEvent, SettingChange, SettingsEvent,
 };
-pub use frame::{Frame, FrameDirection};
+pub use frame::{FrameDirection, FrameRecord};
 pub use ids::{CommandId, FastStopId, IdSource};
 pub use lease::{
     HolderName, Lease, LeaseEvent, LeaseRules, LeaseStep, LeaseToken, LossCause, LossEffect, OnLossHolding,
     OnLossMoving, TakeLease,
 };
 pub use parameters::{Direction, OnBlock, Parameters};
-pub use record::{GripRecord, PersistedKey, PersistedState, Sample};
+pub use record::{GripRecord, OnJournalFailure, PersistedKey, PersistedState, Sample};
 pub use state::{FastStopCause, Latch, LatchFields, Link, State, Telemetry};
 pub use text::{InvalidShownName, PartId, Reason, RequestId, ShownName, Text};
 pub use urgency::Urgency;
@@ -263,13 +263,13 @@ pub enum Outcome {
 
 /// A command, running or ended.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
-#[schema(example = json!({
+#[schema(as = Command, example = json!({
     "id": "019aa5c8-5a70-7c31-9f3f-4a3b7c1d2e4f", "gripper": "left", "kind": "grip", "phase": "done",
     "outcome": "PART_HELD", "status": "E_SUCCESS", "status_code": 0, "reached_goal": true, "stalled": true,
     "width_mm": 20.0, "force_n": 40.0, "started_at": "2026-11-21T09:00:00Z", "duration_ms": 412,
     "client": "http:127.0.0.1", "replayed": false
 }))]
-pub struct Command {
+pub struct CommandReport {
     /// Id of the command, a version 7 UUID.
     #[schema(value_type = Uuid)]
     pub id: CommandId,
@@ -334,7 +334,7 @@ pub struct Command {
     pub accepted: bool,
 }
 
-impl Command {
+impl CommandReport {
     #[must_use]
     pub fn admitted(id: CommandId, gripper: Name, submission: &Submission, at: Timestamp) -> Self {
         Self {

@@ -2,7 +2,7 @@
 
 use tokio::sync::{oneshot, watch};
 
-use super::model::{Command, Event, GripRecord, Parameters, PersistedState, RequestId};
+use super::model::{CommandReport, Event, GripRecord, Parameters, PersistedState, RequestId};
 
 /// Stores records without ever blocking a gripper. Records that do not fit into its buffer are lost, counted and
 /// reported.
@@ -10,7 +10,7 @@ pub trait Recorder: Send + Sync + 'static {
     /// Accepts a record; records keep their order.
     fn record(&self, record: Record);
 
-    fn health(&self) -> watch::Receiver<Health>;
+    fn health(&self) -> watch::Receiver<JournalHealth>;
 }
 
 #[derive(Debug)]
@@ -48,12 +48,12 @@ pub struct PastRequest {
     /// Parameters of the request, besides the command's kind.
     pub parameters: Parameters,
     /// Command of the request, which has ended.
-    pub command: Command,
+    pub command: CommandReport,
 }
 
 /// Whether records become durable.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
-pub struct Health {
+pub struct JournalHealth {
     /// Reason that records do not become durable; `None` while they do.
     pub failure: Option<String>,
     /// Number of records lost since the start.
@@ -74,7 +74,7 @@ impl Recorder for NullRecorder {
         }
     }
 
-    fn health(&self) -> watch::Receiver<Health> {
-        watch::channel(Health::default()).1
+    fn health(&self) -> watch::Receiver<JournalHealth> {
+        watch::channel(JournalHealth::default()).1
     }
 }

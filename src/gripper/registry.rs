@@ -9,9 +9,9 @@ use tokio::sync::watch;
 use super::Now;
 use super::error::{Conflict, Failure};
 use super::handle::Ticket;
-use super::model::{Client, Command, CommandId, Kind, Outcome, Parameters, Phase, Submission};
+use super::model::{Client, CommandId, CommandReport, Kind, Outcome, Parameters, Phase, Submission};
 use super::recorder::PastRequest;
-use super::request_ids::{Bounds, Key, REPLAYED_FOR, RequestIds};
+use super::request_ids::{Key, REPLAYED_FOR, RequestIds, SlotBounds};
 
 /// Time for which a command can be looked up.
 const KEPT_FOR: Duration = Duration::from_hours(1);
@@ -28,11 +28,11 @@ const MAX_STREAMED: usize = 64;
 /// Slots for the request ids of motions: 64 MiB in all. One subject has enough for 27 a second over ten minutes, more
 /// than the pause between motions allows. A subject beyond its bound is refused, since a forgotten id would let its
 /// request move the gripper twice.
-const MOTION_IDS: Bounds = Bounds { per_subject: 16_384, whole: 32_768 };
+const MOTION_IDS: SlotBounds = SlotBounds { per_subject: 16_384, whole: 32_768 };
 
 /// Slots for the request ids of Stops and streamed commands: 8 MiB in all. The oldest ids are dropped first: a Stop is
 /// never refused for lack of a slot, and its repetition is harmless. Streamed commands are repeated within a second.
-const FREQUENT_IDS: Bounds = Bounds { per_subject: 512, whole: 4096 };
+const FREQUENT_IDS: SlotBounds = SlotBounds { per_subject: 512, whole: 4096 };
 
 #[derive(Debug)]
 pub(super) struct CommandRegistry {
@@ -43,12 +43,12 @@ pub(super) struct CommandRegistry {
     motion_ids: RequestIds,
     frequent_ids: RequestIds,
     /// Ended commands whose clients have not been notified yet.
-    untold: Vec<Arc<Command>>,
+    untold: Vec<Arc<CommandReport>>,
 }
 
 #[derive(Debug)]
 struct Entry {
-    record: watch::Sender<Arc<Command>>,
+    record: watch::Sender<Arc<CommandReport>>,
     client: Client,
     admitted_at: Instant,
     key: Option<Key>,
@@ -124,7 +124,7 @@ impl CommandRegistry {
     pub(super) fn enter(
         &mut self,
         now: Instant,
-        command: Command,
+        command: CommandReport,
         submission: &Submission,
         is_streamed: bool,
     ) -> Ticket {
@@ -163,10 +163,10 @@ impl CommandRegistry {
         &mut self,
         now: Instant,
         id: CommandId,
-        fill_in: impl FnOnce(&mut Command),
-    ) -> Option<(Client, Arc<Command>)> {
+        fill_in: impl FnOnce(&mut CommandReport),
+    ) -> Option<(Client, Arc<CommandReport>)> {
         let entry = self.commands.get(&id)?;
-        let mut command = Command::clone(&entry.record.borrow());
+        let mut command = CommandReport::clone(&entry.record.borrow());
         if command.phase == Phase::Done || self.untold.iter().any(|ended| ended.id == id) {
             return None;
         }
@@ -193,7 +193,7 @@ impl CommandRegistry {
         }
         let (key, asked) = ((command.client.clone(), request_id), (command.kind, parameters));
         let ids = self.ids_of(command.kind, false);
-        let command = Arc::new(Command { recorded: true, ..command });
+        let command = Arc::new(CommandReport { recorded: true, ..command });
         ids.bind(since, key, asked, Ticket { record: watch::channel(command).1, replayed: false, _keep: None });
     }
 
@@ -218,7 +218,9 @@ impl CommandRegistry {
         for command in untold {
             match self.commands.get(&command.id) {
                 Some(entry) if entry.record.borrow().recorded => {
-                    entry.record.send_replace(Arc::new(Command { recorded: true, ..Command::clone(&command) }));
+                    entry
+                        .record
+                        .send_replace(Arc::new(CommandReport { recorded: true, ..CommandReport::clone(&command) }));
                 }
                 Some(_) => self.untold.push(command),
                 None => {}

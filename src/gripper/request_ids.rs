@@ -9,7 +9,7 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::handle::Ticket;
-use super::model::{Command, Kind, Outcome, Parameters, RequestId};
+use super::model::{CommandReport, Kind, Outcome, Parameters, RequestId};
 
 /// Time for which a request id stands for its command.
 pub(super) const REPLAYED_FOR: Duration = Duration::from_mins(10);
@@ -23,7 +23,7 @@ pub(super) type Key = (Arc<str>, RequestId);
 
 /// Bounds of one table, in slots.
 #[derive(Debug, Clone, Copy, Default)]
-pub(super) struct Bounds {
+pub(super) struct SlotBounds {
     /// Slots of one subject.
     pub per_subject: usize,
     /// Slots of all subjects together.
@@ -33,7 +33,7 @@ pub(super) struct Bounds {
 /// The request ids of one gripper.
 #[derive(Debug, Default)]
 pub(super) struct RequestIds {
-    bounds: Bounds,
+    bounds: SlotBounds,
     ids: HashMap<Key, Bound>,
     /// All ids, oldest first.
     by_age: BTreeMap<u64, Key>,
@@ -64,7 +64,7 @@ struct Bound {
 }
 
 impl RequestIds {
-    pub(super) fn new(bounds: Bounds) -> Self {
+    pub(super) fn new(bounds: SlotBounds) -> Self {
         Self { bounds, ..Self::default() }
     }
 
@@ -105,7 +105,7 @@ impl RequestIds {
     }
 
     /// Updates the slots after a command's end: a refused command frees its id, and a script's reply takes slots.
-    pub(super) fn ended(&mut self, key: &Key, command: &Command) {
+    pub(super) fn ended(&mut self, key: &Key, command: &CommandReport) {
         let Some(bound) = self.ids.get_mut(key).filter(|bound| bound.ticket.id() == command.id) else { return };
         let more = slots_of(command.payload.as_deref());
         if command.outcome == Some(Outcome::Refused) {

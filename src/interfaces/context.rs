@@ -4,7 +4,7 @@ use std::sync::Arc;
 
 use tokio_util::sync::CancellationToken;
 
-use super::metrics::Metrics;
+use super::metrics::InterfaceMetrics;
 use super::runtimes::Runtimes;
 use crate::operations::Gateway;
 
@@ -14,5 +14,5 @@ pub struct Context {
     /// Ends the interface on shutdown.
     pub closing: CancellationToken,
     pub runtimes: Runtimes,
-    pub metrics: Metrics,
+    pub metrics: InterfaceMetrics,
 }

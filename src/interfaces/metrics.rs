@@ -8,13 +8,13 @@ pub(super) const NO_ROUTE: &str = "none";
 
 /// Metrics of one interface: a series for each route, method and status, and two more.
 #[derive(Debug, Clone)]
-pub struct Metrics {
+pub struct InterfaceMetrics {
     clients: IntGauge,
     requests: IntCounterVec,
     updates_dropped: IntCounter,
 }
 
-impl Metrics {
+impl InterfaceMetrics {
     pub fn register(registry: &Registry, door: &str) -> Result<Self> {
         let opts = |name: &str, help: &str| Opts::new(name, help).const_label("door", door);
         let clients = opts("wsg_clients_connected", "Open client connections.");

@@ -9,7 +9,7 @@ use rusqlite::{Connection, InterruptHandle};
 
 use super::reader::Reader;
 use super::shared::Shared;
-use super::source::{Place, Source};
+use super::source::{JournalLocation, Source};
 use super::spawn;
 use super::store::OpenError;
 use super::verify::{Report, verify_in_parts, verify_newest};
@@ -64,7 +64,7 @@ impl Stop {
 impl Check {
     /// Starts the check of a file; a journal in memory needs none.
     pub(super) fn start(source: &Source, shared: Arc<Shared>) -> Result<Option<Self>, OpenError> {
-        if source.place == Place::Memory {
+        if source.place == JournalLocation::Memory {
             return Ok(None);
         }
         let reader = Reader::connect(source).map_err(|error| OpenError::Unusable(error.to_string()))?;
@@ -94,11 +94,11 @@ impl Check {
 }
 
 /// Checks the newest records before the first write.
-pub(super) fn check_newest(place: &Place, connection: &Connection, shared: &Shared) {
+pub(super) fn check_newest(place: &JournalLocation, connection: &Connection, shared: &Shared) {
     report_damage(place, &verify_newest(connection, NEWEST), shared);
 }
 
-fn report_damage(place: &Place, report: &Report, shared: &Shared) {
+fn report_damage(place: &JournalLocation, report: &Report, shared: &Shared) {
     let Some(first) = report.findings.first() else { return };
     let count = report.findings.len() as u64 + report.more;
     let damage = format!(

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use jiff::Timestamp;
 use serde::Deserialize;
 
-use crate::gripper::model::{Command, CommandEvent, CommandId, Done, Door, Name, Phase};
+use crate::gripper::model::{CommandEvent, CommandId, CommandReport, Done, Door, Name, Phase};
 
 /// The parts of a `command` event that describe the command.
 #[derive(Debug, Deserialize)]
@@ -20,8 +20,8 @@ pub(super) struct CommandBody {
 }
 
 impl CommandBody {
-    pub(super) fn command(self) -> Command {
-        let running = Command {
+    pub(super) fn command(self) -> CommandReport {
+        let running = CommandReport {
             id: self.command_id,
             gripper: self.gripper,
             kind: match &self.event {
@@ -54,8 +54,8 @@ impl CommandBody {
     }
 }
 
-fn ended(running: Command, done: Done) -> Command {
-    Command {
+fn ended(running: CommandReport, done: Done) -> CommandReport {
+    CommandReport {
         phase: Phase::Done,
         outcome: Some(done.outcome),
         status: done.status,
@@ -74,6 +74,6 @@ fn ended(running: Command, done: Done) -> Command {
 /// Returns the command of a `command` event: running after the first record, with its outcome after the second.
 /// Returns `None` for any other body.
 #[must_use]
-pub fn command_of(body: &str) -> Option<Command> {
+pub fn command_of(body: &str) -> Option<CommandReport> {
     serde_json::from_str(body).ok().map(CommandBody::command)
 }

@@ -34,13 +34,13 @@ use std::time::{Duration, Instant};
 
 use tokio::sync::{broadcast, watch};
 
-use crate::gripper::model::{Command, CommandEvent, CommandId, Detail, Event, Name, PersistedState, Sample};
-use crate::gripper::recorder::{Health, Record, Recorder};
+use crate::gripper::model::{CommandEvent, CommandId, CommandReport, Detail, Event, Name, PersistedState, Sample};
+use crate::gripper::recorder::{JournalHealth, Record, Recorder};
 use check::Check;
 use reader::Pool;
 use shared::Shared;
 use store::Store;
-use writer::{Input, Writer};
+use writer::{JournalWriter, WriterInput};
 
 pub use commands::command_of;
 pub use event_stream::{EventStream, StreamItem};
@@ -48,7 +48,7 @@ pub use query::{Cursor, EventQuery, Filter, GripQuery, InvalidCursor, InvalidLim
 pub use reader::Reader;
 pub use recovery::Recovered;
 pub use row::{EventKind, Stored};
-pub use source::{Place, ReadError};
+pub use source::{JournalLocation, ReadError};
 pub use store::OpenError;
 pub use verify::{Finding, Report, verify};
 
@@ -82,7 +82,7 @@ pub struct Journal {
 /// Handle of the writing thread, which ends with the last [`Journal`].
 #[derive(Debug)]
 struct Writing {
-    inputs: SyncSender<Input>,
+    inputs: SyncSender<WriterInput>,
     check: Mutex<Option<Check>>,
     thread: Mutex<Option<JoinHandle<Result<(), String>>>>,
 }
@@ -98,14 +98,14 @@ impl Journal {
     ///
     /// # Errors
     /// [`OpenError`], if another gateway uses the journal, or the file is not a journal or cannot be created or read.
-    pub fn open(place: Place, retention: Retention) -> Result<(Self, Recovered), OpenError> {
-        let in_memory = place == Place::Memory;
+    pub fn open(place: JournalLocation, retention: Retention) -> Result<(Self, Recovered), OpenError> {
+        let in_memory = place == JournalLocation::Memory;
         let max_bytes = retention.max_bytes.or(in_memory.then_some(MEMORY_BYTES));
         let store = Store::open(place)?;
         let source = store.source.clone();
         let unusable = |error| OpenError::Unusable(source.describe(&error));
         let (recovered, events) = recovery::recover(&store.connection).map_err(unusable)?;
-        let writer = Writer::new(store, Retention { max_bytes, ..retention }, events).map_err(unusable)?;
+        let writer = JournalWriter::new(store, Retention { max_bytes, ..retention }, events).map_err(unusable)?;
         let shared = writer.shared();
         let check = Check::start(&source, shared.clone())?;
         let (inputs, queue) = sync_channel(QUEUE + ENDS);
@@ -182,7 +182,7 @@ impl Journal {
     ///
     /// # Errors
     /// [`ReadError`], if the journal cannot be read.
-    pub async fn command(&self, gripper: Name, id: CommandId) -> Result<Option<Command>, ReadError> {
+    pub async fn command(&self, gripper: Name, id: CommandId) -> Result<Option<CommandReport>, ReadError> {
         self.pool.read(move |reader| reader.command(&gripper, id)).await
     }
 }
@@ -208,7 +208,7 @@ impl Recorder for Journal {
             record @ Record::Grip(_) => record,
         };
         let has_place = self.shared.waits(places(&record, QUEUE));
-        if has_place && self.writing.inputs.try_send(Input::Record(Box::new(record))).is_ok() {
+        if has_place && self.writing.inputs.try_send(WriterInput::Record(Box::new(record))).is_ok() {
             return;
         }
         if has_place {
@@ -217,7 +217,7 @@ impl Recorder for Journal {
         self.shared.lose();
     }
 
-    fn health(&self) -> watch::Receiver<Health> {
+    fn health(&self) -> watch::Receiver<JournalHealth> {
         self.shared.health.subscribe()
     }
 }
@@ -227,7 +227,7 @@ impl Journal {
     fn remember(&self, memory: PersistedState) {
         self.shared.remember(memory);
         // With a full queue the thread is awake anyway, and takes the value with its next batch.
-        if let Err(TrySendError::Disconnected(_)) = self.writing.inputs.try_send(Input::Memories) {
+        if let Err(TrySendError::Disconnected(_)) = self.writing.inputs.try_send(WriterInput::Memories) {
             self.shared.lose();
         }
     }
@@ -248,7 +248,7 @@ impl Writing {
             check.end();
         }
         // A thread that has gone reported the cause.
-        let _ = self.inputs.send(Input::End { orderly });
+        let _ = self.inputs.send(WriterInput::End { orderly });
         thread.join().unwrap_or_else(|_| Err("the journal thread panicked".to_owned()))
     }
 }

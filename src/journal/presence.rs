@@ -10,14 +10,14 @@ use std::time::Duration;
 
 use rusqlite::Connection;
 
-use super::source::Place;
+use super::source::JournalLocation;
 
 /// Time between two checks of an idle journal. Each commit also checks, which takes three `stat` calls, about 3 µs.
 pub(super) const CHECK_EVERY: Duration = Duration::from_secs(1);
 
 /// The files of an open journal: the database, its write-ahead log and the log's index.
 #[derive(Debug)]
-pub(super) struct Presence {
+pub(super) struct FilePresence {
     files: Vec<OpenFile>,
     /// The error after a truncation. It stays until the process ends, because the lost pages do not come back.
     truncated: Option<String>,
@@ -46,14 +46,14 @@ impl OpenFile {
     }
 }
 
-impl Presence {
+impl FilePresence {
     /// Notes the files that a connection has opened, by path: closing a second descriptor of a database would drop
     /// SQLite's own locks.
     ///
     /// # Errors
     /// Any file whose metadata cannot be read.
-    pub(super) fn new(place: &Place, connection: &Connection) -> io::Result<Option<Self>> {
-        let Place::File(path) = place else { return Ok(None) };
+    pub(super) fn new(place: &JournalLocation, connection: &Connection) -> io::Result<Option<Self>> {
+        let JournalLocation::File(path) = place else { return Ok(None) };
         // SQLite follows links to the database, and keeps the other two files beside it.
         let beside = connection.path().into_iter().flat_map(|real| ["-wal", "-shm"].map(|end| format!("{real}{end}")));
         let files = std::iter::once(path.clone()).chain(beside.map(PathBuf::from)).map(OpenFile::new);

@@ -11,8 +11,8 @@ use super::commands::command_of;
 use super::curve;
 use super::query::{EventQuery, Filter, GripQuery, Page, page};
 use super::schema::{Content, content};
-use super::source::{Place, ReadError, Source, no_file};
-use crate::gripper::model::{Command, CommandId, Name, Sample};
+use super::source::{JournalLocation, ReadError, Source, no_file};
+use crate::gripper::model::{CommandId, CommandReport, Name, Sample};
 
 /// Maximum number of concurrent reads. More than there are cores would only wait longer.
 const READERS: usize = 4;
@@ -37,7 +37,7 @@ impl Reader {
         if let Some(no_file) = no_file(path) {
             return Err(ReadError(no_file));
         }
-        let reader = Self::connect(&Source::new(Place::File(path.to_owned())))?;
+        let reader = Self::connect(&Source::new(JournalLocation::File(path.to_owned())))?;
         match reader.with(content)? {
             Content::Journal => Ok(reader),
             other => Err(ReadError(other.describe(path))),
@@ -121,7 +121,7 @@ impl Reader {
     ///
     /// # Errors
     /// [`ReadError`], if the journal cannot be read.
-    pub fn command(&self, gripper: &Name, id: CommandId) -> Result<Option<Command>, ReadError> {
+    pub fn command(&self, gripper: &Name, id: CommandId) -> Result<Option<CommandReport>, ReadError> {
         let body: Option<String> = self.with(|connection| {
             let mut statement = connection.prepare_cached(
                 "SELECT body FROM events INDEXED BY events_command_id

@@ -10,7 +10,7 @@ use super::commands::CommandBody;
 use super::query::{Cursor, EventQuery, Filter, Limit, Order, page};
 use super::row::{EventKind, now};
 use crate::gripper::model::{
-    Command, CommandEvent, CommandId, Detail, Done, Event, GatewayEvent, Outcome, PersistedState, Phase,
+    CommandEvent, CommandId, CommandReport, Detail, Done, Event, GatewayEvent, Outcome, PersistedState, Phase,
 };
 use crate::gripper::recorder::PastRequest;
 
@@ -66,8 +66,8 @@ fn parsed(body: &str) -> Option<CommandBody> {
 }
 
 /// Ends a command as `UNKNOWN`.
-fn unknown_command(running: Command) -> Command {
-    Command { phase: Phase::Done, outcome: Some(Outcome::Unknown), ..running }
+fn unknown_command(running: CommandReport) -> CommandReport {
+    CommandReport { phase: Phase::Done, outcome: Some(Outcome::Unknown), ..running }
 }
 
 /// Makes the second record of a command that has only the first.

@@ -8,10 +8,10 @@ use tokio::sync::{broadcast, watch};
 
 use super::rates::Rates;
 use super::row::Stored;
-use super::source::Place;
+use super::source::JournalLocation;
 use super::store::Memories;
 use crate::gripper::model::PersistedState;
-use crate::gripper::recorder::Health;
+use crate::gripper::recorder::JournalHealth;
 
 /// Events by which a follower can lag before it reads them from the file.
 const BROADCAST: usize = 1024;
@@ -32,7 +32,7 @@ enum Work {
 /// The shared state.
 #[derive(Debug)]
 pub(super) struct Shared {
-    pub(super) health: watch::Sender<Health>,
+    pub(super) health: watch::Sender<JournalHealth>,
     pub(super) rates: Rates,
     /// Broadcast of the writing thread, whose end ends all receivers.
     events: broadcast::WeakSender<Arc<Stored>>,
@@ -138,7 +138,7 @@ impl Shared {
     }
 
     /// Reports each slow write while it lasts. The writing thread cannot, because it waits for the disk.
-    pub(super) fn watch(&self, place: &Place) {
+    pub(super) fn watch(&self, place: &JournalLocation) {
         let mut work = self.work();
         let mut reported = None;
         while *work != Work::Over {

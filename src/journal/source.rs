@@ -15,14 +15,14 @@ const STATEMENTS: usize = 64;
 
 /// Location of a journal.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Place {
+pub enum JournalLocation {
     /// In a file. A missing file and its directories are created.
     File(PathBuf),
     /// In memory, until the gateway ends.
     Memory,
 }
 
-impl fmt::Display for Place {
+impl fmt::Display for JournalLocation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::File(path) => write!(f, "{}", path.display()),
@@ -34,15 +34,15 @@ impl fmt::Display for Place {
 /// Parameters that all connections to a journal share.
 #[derive(Debug, Clone)]
 pub(super) struct Source {
-    pub(super) place: Place,
+    pub(super) place: JournalLocation,
     name: PathBuf,
 }
 
 impl Source {
-    pub(super) fn new(place: Place) -> Self {
+    pub(super) fn new(place: JournalLocation) -> Self {
         let name = match &place {
-            Place::File(path) => path.clone(),
-            Place::Memory => format!("file:/wsg-gateway-{}?vfs=memdb", Uuid::now_v7()).into(),
+            JournalLocation::File(path) => path.clone(),
+            JournalLocation::Memory => format!("file:/wsg-gateway-{}?vfs=memdb", Uuid::now_v7()).into(),
         };
         Self { place, name }
     }
@@ -57,8 +57,8 @@ impl Source {
 
     fn connect(&self, mode: OpenFlags) -> rusqlite::Result<Connection> {
         let uri = match self.place {
-            Place::File(_) => OpenFlags::empty(),
-            Place::Memory => OpenFlags::SQLITE_OPEN_URI,
+            JournalLocation::File(_) => OpenFlags::empty(),
+            JournalLocation::Memory => OpenFlags::SQLITE_OPEN_URI,
         };
         let connection = Connection::open_with_flags(&self.name, mode | uri | OpenFlags::SQLITE_OPEN_NO_MUTEX)?;
         connection.busy_timeout(BUSY_TIMEOUT)?;

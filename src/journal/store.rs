@@ -10,10 +10,10 @@ use std::time::Duration;
 use rusqlite::{Connection, OptionalExtension, Transaction, TransactionBehavior, params};
 
 use super::chain::{Chain, Tip, memory_hash};
-use super::presence::Presence;
+use super::presence::FilePresence;
 use super::row::{EventKind, Row, word};
 use super::schema::{self, APPLICATION_ID, Content, SPAN_BITS, VERSION, content};
-use super::source::{BUSY_TIMEOUT, Place, Source, no_file};
+use super::source::{BUSY_TIMEOUT, JournalLocation, Source, no_file};
 use crate::gripper::model::{Name, PersistedKey};
 
 /// Size limit of the write-ahead log in bytes, while no reader needs more of it.
@@ -72,19 +72,19 @@ pub(super) struct Store {
     pub(super) source: Source,
     pub(super) connection: Connection,
     /// Open files; none for a journal in memory.
-    presence: Option<Presence>,
+    presence: Option<FilePresence>,
     /// Lock that is held while the journal is open.
     _lock: Option<File>,
 }
 
 impl Store {
-    pub(super) fn open(place: Place) -> Result<Self, OpenError> {
+    pub(super) fn open(place: JournalLocation) -> Result<Self, OpenError> {
         let lock = match &place {
-            Place::File(path) => match no_file(path) {
+            JournalLocation::File(path) => match no_file(path) {
                 Some(no_file) => return Err(OpenError::NoJournal(no_file)),
                 None => Some(lock(path)?),
             },
-            Place::Memory => None,
+            JournalLocation::Memory => None,
         };
         let source = Source::new(place);
         let unusable = |error: rusqlite::Error| OpenError::Unusable(source.describe(&error));
@@ -102,7 +102,7 @@ impl Store {
         write_ahead(&connection).map_err(unusable)?;
         // Makes SQLite create the write-ahead log and its index now.
         content(&connection).map_err(unusable)?;
-        let presence = Presence::new(&source.place, &connection);
+        let presence = FilePresence::new(&source.place, &connection);
         let presence =
             presence.map_err(|error| OpenError::Unusable(format!("the journal {}: {error}", source.place)))?;
         Ok(Self { source, connection, presence, _lock: lock })
@@ -113,7 +113,7 @@ impl Store {
     /// # Errors
     /// The lost file, and the remedy.
     pub(super) fn check_files(&mut self) -> Result<(), String> {
-        self.presence.as_mut().map_or(Ok(()), Presence::check)
+        self.presence.as_mut().map_or(Ok(()), FilePresence::check)
     }
 
     /// Checks the same after a write, which can change the files' sizes.
@@ -121,7 +121,7 @@ impl Store {
     /// # Errors
     /// As [`Store::check_files`].
     pub(super) fn check_written(&mut self) -> Result<(), String> {
-        self.presence.as_mut().map_or(Ok(()), Presence::wrote)
+        self.presence.as_mut().map_or(Ok(()), FilePresence::wrote)
     }
 
     /// Copies records from a lost write-ahead log into the database, which may still be in its place.

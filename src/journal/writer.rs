@@ -35,7 +35,7 @@ const CLOSE_WITHIN: Duration = Duration::from_secs(3);
 
 /// Input of the writing thread.
 #[derive(Debug)]
-pub(super) enum Input {
+pub(super) enum WriterInput {
     Record(Box<Record>),
     /// Persisted values wait in [`Shared`].
     Memories,
@@ -81,7 +81,7 @@ impl Batch {
 
 /// State of the writing thread.
 #[derive(Debug)]
-pub(super) struct Writer {
+pub(super) struct JournalWriter {
     store: Store,
     shared: Arc<Shared>,
     events: broadcast::Sender<Arc<Stored>>,
@@ -99,7 +99,7 @@ pub(super) struct Writer {
     pruning: Pruning,
 }
 
-impl Writer {
+impl JournalWriter {
     /// Writes the events that complete the last run. If the disk fails, they wait for the next attempt.
     pub(super) fn new(store: Store, retention: Retention, last_run: Vec<Event>) -> rusqlite::Result<Self> {
         let ends = store.ends()?;
@@ -132,25 +132,25 @@ impl Writer {
     ///
     /// # Errors
     /// The number of unwritten records, and the cause.
-    pub(super) fn run(mut self, inputs: &Receiver<Input>) -> Result<(), String> {
+    pub(super) fn run(mut self, inputs: &Receiver<WriterInput>) -> Result<(), String> {
         loop {
             let due = self.empty_log_at.into_iter().chain([self.check_at]).fold(self.pruning.due(), Instant::min);
             let wake = self.retry_at.unwrap_or(due);
             let mut input = match inputs.recv_timeout(wake.saturating_duration_since(Instant::now())) {
                 Ok(input) => Some(input),
                 Err(RecvTimeoutError::Timeout) => None,
-                Err(RecvTimeoutError::Disconnected) => Some(Input::End { orderly: false }),
+                Err(RecvTimeoutError::Disconnected) => Some(WriterInput::End { orderly: false }),
             };
             while let Some(next) = input {
                 match next {
-                    Input::Record(record) => {
+                    WriterInput::Record(record) => {
                         self.shared.waits_no_more();
                         self.take(*record);
                     }
-                    Input::Memories => {}
-                    Input::End { orderly } => return self.end(orderly),
+                    WriterInput::Memories => {}
+                    WriterInput::End { orderly } => return self.end(orderly),
                     #[cfg(test)]
-                    Input::MaxPages(pages) => self.store.limit_pages(pages),
+                    WriterInput::MaxPages(pages) => self.store.limit_pages(pages),
                 }
                 let room = self.retry_at.is_none() && self.batch.records.len() < MAX_BATCH;
                 input = if room { inputs.try_recv().ok() } else { None };
@@ -366,7 +366,7 @@ impl Writer {
     }
 }
 
-impl Drop for Writer {
+impl Drop for JournalWriter {
     fn drop(&mut self) {
         self.shared.over();
     }

@@ -9,7 +9,7 @@ use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 use utoipa::ToSchema;
 
-use super::caller::{Caller, CommandWait, Keys, Presence};
+use super::caller::{Caller, CommandWait, Presence, RequestKeys};
 use super::gateway::Gateway;
 use super::json;
 use super::problem::Problem;
@@ -117,8 +117,8 @@ impl Call {
     }
 
     /// Returns the keys beside the parameters.
-    pub fn keys(&self) -> Result<Keys, Problem> {
-        Keys::of(&self.caller)
+    pub fn keys(&self) -> Result<RequestKeys, Problem> {
+        RequestKeys::of(&self.caller)
     }
 
     /// Returns how long the caller waits for a command.
@@ -192,7 +192,7 @@ impl Gripper {
 
     /// Adds the lease token among the parameters, and uses that lease.
     pub fn with_lease(self, field: Option<&str>) -> Result<Self, Problem> {
-        let Keys { lease, .. } = Keys { lease: self.lease?, request_id: None }.or_fields(None, field)?;
+        let RequestKeys { lease, .. } = RequestKeys { lease: self.lease?, request_id: None }.or_fields(None, field)?;
         let begin = || lease.as_ref().map(|lease| LeaseUse::begin(&self.handle, lease, self.presence));
         let used = self.used.or_else(begin);
         Ok(Self { lease: Ok(lease), used, ..self })
@@ -216,13 +216,13 @@ mod tests {
     use serde_json::json;
 
     use super::*;
-    use crate::gripper::fake::{self, Fate, Script};
+    use crate::gripper::fake::{self, FakeScript, Fate};
     use crate::gripper::model::{Client, Door};
     use crate::operations::{Wait, call};
 
     #[tokio::test(start_paused = true)]
     async fn open_request_keeps_the_lease_only_if_its_client_is_seen() {
-        let gateway = Gateway::of([fake::gripper("left", Script { fate: Fate::Runs, ..Script::default() }).0]);
+        let gateway = Gateway::of([fake::gripper("left", FakeScript { fate: Fate::Runs, ..FakeScript::default() }).0]);
         let caller = Caller::new(Client { subject: "test".into(), door: Door::Zenoh });
         let ask = async |caller: &Caller, name: &str, fields: Value| -> Value {
             let mut params = json!({"gripper": "left"});
@@ -251,7 +251,7 @@ mod tests {
 
     #[tokio::test]
     async fn invalid_request_id_is_refused_by_a_read() {
-        let gateway = Gateway::of([fake::gripper("left", Script::default()).0]);
+        let gateway = Gateway::of([fake::gripper("left", FakeScript::default()).0]);
         let client = Client { subject: "test".into(), door: Door::Http };
         let request_id = Err(Problem::malformed("Idempotency-Key", "invalid"));
         let caller = Caller { request_id, ..Caller::new(client) };

@@ -8,7 +8,7 @@ use futures_util::future::BoxFuture;
 use super::problem::Problem;
 use super::values::{integer, text};
 use crate::gripper::Ticket;
-use crate::gripper::model::{Client, Command, LeaseToken, RequestId};
+use crate::gripper::model::{Client, CommandReport, LeaseToken, RequestId};
 
 /// Longest wait for a command's end, in ms. Proxies and clients give up after a minute.
 pub const MAX_WAIT_MS: u64 = 60_000;
@@ -60,7 +60,7 @@ pub enum Wait {
 /// A bound on waits that an interface sets.
 pub trait WaitLimiter: std::fmt::Debug + Send + Sync {
     /// Returns the command when it has ended, or as it is after `limit` or when the wait is cut short.
-    fn until_ended<'a>(&'a self, ticket: &'a mut Ticket, limit: Duration) -> BoxFuture<'a, Command>;
+    fn until_ended<'a>(&'a self, ticket: &'a mut Ticket, limit: Duration) -> BoxFuture<'a, CommandReport>;
 }
 
 /// A validated wait.
@@ -103,7 +103,7 @@ pub fn wait_ms(given: &str) -> Result<u64, Problem> {
 
 impl CommandWait {
     /// Returns the command when it has ended, or as it is after the wait.
-    pub async fn until_ended(&self, ticket: &mut Ticket) -> Command {
+    pub async fn until_ended(&self, ticket: &mut Ticket) -> CommandReport {
         match &self.limiter {
             Some(limiter) if !self.limit.is_zero() => limiter.until_ended(ticket, self.limit).await,
             _ => ticket.wait(self.limit).await,
@@ -113,12 +113,12 @@ impl CommandWait {
 
 /// The request id, which makes a request safe to repeat, and the lease token, which authorises it.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Keys {
+pub struct RequestKeys {
     pub request_id: Option<RequestId>,
     pub lease: Option<LeaseToken>,
 }
 
-impl Keys {
+impl RequestKeys {
     /// Returns the keys beside the parameters.
     pub fn of(caller: &Caller) -> Result<Self, Problem> {
         Ok(Self { lease: caller.lease.clone()?, request_id: caller.request_id.clone()? })
@@ -172,11 +172,11 @@ mod tests {
 
     #[test]
     fn keys_come_from_headers_or_fields() {
-        let keys = Keys::default().or_fields(Some("job 7"), Some("token")).unwrap();
+        let keys = RequestKeys::default().or_fields(Some("job 7"), Some("token")).unwrap();
         assert_eq!(keys.clone().or_fields(Some("job 7"), None).unwrap(), keys);
         assert_eq!(keys.clone().or_fields(Some(""), Some("")).unwrap(), keys);
         assert_eq!(keys.or_fields(Some("job 8"), None).unwrap_err().status().as_u16(), 400);
-        assert_eq!(Keys::default().or_fields(Some(""), Some("")).unwrap(), Keys::default());
-        assert_eq!(Keys::default().or_fields(Some("a\nb"), None).unwrap_err().status().as_u16(), 400);
+        assert_eq!(RequestKeys::default().or_fields(Some(""), Some("")).unwrap(), RequestKeys::default());
+        assert_eq!(RequestKeys::default().or_fields(Some("a\nb"), None).unwrap_err().status().as_u16(), 400);
     }
 }

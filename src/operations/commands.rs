@@ -4,12 +4,12 @@ use tracing::Span;
 use tracing::field::display;
 
 use super::call::{Call, Gripper, Leased, NoFields};
-use super::caller::{CommandWait, DEFAULT_WAIT_MS, Keys};
+use super::caller::{CommandWait, DEFAULT_WAIT_MS, RequestKeys};
 use super::operation::{Operation, reply};
 use super::problem::Problem;
-use super::reply::{Effect, Json, Reply};
+use super::reply::{Effect, Json, OperationReply};
 use crate::gripper::Ticket;
-use crate::gripper::model::{Action, Command, LeaseToken, Phase, Submission, Urgency};
+use crate::gripper::model::{Action, CommandReport, LeaseToken, Phase, Submission, Urgency};
 
 pub const GET: Operation =
     Operation::read("command", "/grippers/{gripper}/commands/{command}", |call| reply(get(call))).waiting();
@@ -21,11 +21,11 @@ pub const CANCEL: Operation =
 /// client still expects an answer.
 pub(super) async fn submit(
     gripper: Gripper,
-    keys: Keys,
+    keys: RequestKeys,
     action: Action,
     wait: &CommandWait,
-) -> Result<(Command, Ticket), Problem> {
-    let Keys { request_id, lease } = keys;
+) -> Result<(CommandReport, Ticket), Problem> {
+    let RequestKeys { request_id, lease } = keys;
     let gripper = gripper.with_lease(lease.as_ref().map(LeaseToken::as_str))?;
     let submission = Submission { client: gripper.client.clone(), action, request_id, lease };
     // The request keeps the lease during the wait, not the ticket.
@@ -39,15 +39,15 @@ pub(super) async fn submit(
 }
 
 /// Returns the reply of a command that may still run.
-pub(super) fn reply_with(command: &Command, ticket: Ticket) -> Result<Reply, Problem> {
+pub(super) fn reply_with(command: &CommandReport, ticket: Ticket) -> Result<OperationReply, Problem> {
     let effect = match command.phase {
         Phase::Done => Effect::None,
         Phase::Running => Effect::Running { gripper: command.gripper.clone(), ticket },
     };
-    Reply::new(command, effect)
+    OperationReply::new(command, effect)
 }
 
-async fn get(call: Call) -> Result<Json<Command>, Problem> {
+async fn get(call: Call) -> Result<Json<CommandReport>, Problem> {
     let (gripper, id, wait) = (call.gripper()?, call.command_id()?, call.wait(0)?);
     let NoFields {} = call.fields()?;
     let gripper = gripper.with_lease(None)?;
@@ -58,7 +58,7 @@ async fn get(call: Call) -> Result<Json<Command>, Problem> {
     stored.map(Json).ok_or_else(|| Problem::not_found("command of this id"))
 }
 
-async fn cancel(call: Call) -> Result<Reply, Problem> {
+async fn cancel(call: Call) -> Result<OperationReply, Problem> {
     let (gripper, id, wait) = (call.gripper()?, call.command_id()?, call.wait(DEFAULT_WAIT_MS)?);
     let Leased { lease } = call.fields()?;
     let gripper = gripper.with_lease(lease.as_deref())?;

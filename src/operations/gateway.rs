@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use super::audit::Audit;
-use crate::events::Updates;
+use crate::events::LiveUpdates;
 use crate::fleet::Peers;
 use crate::gripper::Grippers;
 use crate::gripper::model::Name;
@@ -22,18 +22,19 @@ pub struct Gateway {
     /// The other gateways.
     pub peers: Arc<Peers>,
     /// Live updates.
-    pub updates: Arc<Updates>,
+    pub updates: Arc<LiveUpdates>,
 }
 
 #[cfg(test)]
 impl Gateway {
     /// Returns a gateway with these grippers and a journal in memory.
     pub(crate) fn of(grippers: impl IntoIterator<Item = crate::gripper::Handle>) -> Arc<Self> {
-        let (journal, _) = Journal::open(crate::journal::Place::Memory, crate::journal::Retention::default()).unwrap();
+        let (journal, _) =
+            Journal::open(crate::journal::JournalLocation::Memory, crate::journal::Retention::default()).unwrap();
         let (name, grippers): (Name, _) = ("wsg".parse().unwrap(), Grippers::new(grippers));
         let audit = Arc::new(Audit::new(journal.clone()));
         let peers = Arc::new(Peers::new(name.clone(), grippers.clone()));
-        let updates = Arc::new(Updates::new(&grippers, journal.clone(), peers.clone()));
+        let updates = Arc::new(LiveUpdates::new(&grippers, journal.clone(), peers.clone()));
         Arc::new(Self { name, grippers, journal, audit, peers, updates })
     }
 }

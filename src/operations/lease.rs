@@ -11,7 +11,7 @@ use super::call::{Call, NoFields};
 use super::connection_lease::ConnectionLease;
 use super::operation::{Operation, reply};
 use super::problem::Problem;
-use super::reply::{Effect, Json, Reply};
+use super::reply::{Effect, Json, OperationReply};
 use super::values::{integer, name, text};
 use crate::gripper::AcquiredLease;
 use crate::gripper::model::lease::{MAX_TTL, MIN_TTL};
@@ -68,7 +68,7 @@ pub struct Take {
     lease: Option<String>,
 }
 
-async fn take(call: Call) -> Result<Reply, Problem> {
+async fn take(call: Call) -> Result<OperationReply, Problem> {
     let (gripper, body): (_, Take) = call.open()?;
     let gripper = gripper.with_lease(body.lease.as_deref())?;
     let ttl = |ttl_ms| integer("ttl_ms", ttl_ms, MIN_TTL.as_millis() as u64..=MAX_TTL.as_millis() as u64);
@@ -87,7 +87,7 @@ async fn take(call: Call) -> Result<Reply, Problem> {
     let AcquiredLease { lease, times_taken, keep } = handle.take_lease(take).await?;
     let keep = keep.filter(|_| !has_ttl);
     let leased = ConnectionLease::new(handle, &lease, times_taken, keep);
-    Reply::new(&lease, leased.map_or(Effect::None, |lease| Effect::Leased(Arc::new(lease))))
+    OperationReply::new(&lease, leased.map_or(Effect::None, |lease| Effect::Leased(Arc::new(lease))))
 }
 
 async fn renew(call: Call) -> Answer {

@@ -37,7 +37,7 @@ pub use gateway::Gateway;
 pub(crate) use operation::subject;
 pub use operation::{Operation, Role};
 pub(crate) use problem::{Code, Members, Problem};
-pub(crate) use reply::{Effect, Reply};
+pub(crate) use reply::{Effect, OperationReply};
 pub(crate) use run::{call, run};
 pub use table::OPERATIONS;
 pub(crate) use table::{find, is_fast_stop, named, urgency};

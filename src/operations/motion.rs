@@ -5,11 +5,11 @@ use serde::de::DeserializeOwned;
 use utoipa::ToSchema;
 
 use super::call::Call;
-use super::caller::{DEFAULT_WAIT_MS, Keys};
+use super::caller::{DEFAULT_WAIT_MS, RequestKeys};
 use super::commands;
 use super::operation::{Operation, Role, reply};
 use super::problem::Problem;
-use super::reply::Reply;
+use super::reply::OperationReply;
 use super::values::{force, speed, text, width};
 use crate::gripper::model::{Action, Direction, Motion, OnBlock, Urgency};
 use crate::wsg::MoveFlags;
@@ -170,11 +170,11 @@ impl ActionFields for Stop {
     }
 }
 
-async fn submit<P: ActionFields + KeyFields + DeserializeOwned>(call: Call) -> Result<Reply, Problem> {
+async fn submit<P: ActionFields + KeyFields + DeserializeOwned>(call: Call) -> Result<OperationReply, Problem> {
     let (gripper, wait, keys) = (call.gripper()?, call.wait(DEFAULT_WAIT_MS)?, call.keys()?);
     let fields: P = call.fields()?;
     let (request_id, lease) = fields.keys();
-    let keys: Keys = keys.or_fields(request_id, lease)?;
+    let keys: RequestKeys = keys.or_fields(request_id, lease)?;
     let (command, ticket) = commands::submit(gripper, keys, fields.action()?, &wait).await?;
     commands::reply_with(&command, ticket)
 }

@@ -5,7 +5,7 @@ use http::Method as Verb;
 
 use super::call::Call;
 use super::problem::Problem;
-use super::reply::{IntoReply, Reply};
+use super::reply::{IntoReply, OperationReply};
 use crate::gripper::model::Urgency;
 
 #[derive(Debug, Clone, Copy)]
@@ -27,7 +27,7 @@ pub struct Operation {
     run: Run,
 }
 
-type Run = fn(Call) -> BoxFuture<'static, Result<Reply, Problem>>;
+type Run = fn(Call) -> BoxFuture<'static, Result<OperationReply, Problem>>;
 
 /// The operations that a client is entitled to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -72,7 +72,7 @@ impl Operation {
         Self { urgency, ..self }
     }
 
-    pub(super) fn start(&self, call: Call) -> BoxFuture<'static, Result<Reply, Problem>> {
+    pub(super) fn start(&self, call: Call) -> BoxFuture<'static, Result<OperationReply, Problem>> {
         (self.run)(call)
     }
 
@@ -109,11 +109,11 @@ pub fn subject(template: &str) -> &str {
 /// Runs an operation's function to its reply.
 pub(super) fn reply<R: IntoReply>(
     running: impl Future<Output = Result<R, Problem>> + Send + 'static,
-) -> BoxFuture<'static, Result<Reply, Problem>> {
+) -> BoxFuture<'static, Result<OperationReply, Problem>> {
     async move { running.await?.into_reply() }.boxed()
 }
 
 /// Returns the reply of an operation that waits for nothing.
-pub(super) fn ready<R: IntoReply>(result: Result<R, Problem>) -> BoxFuture<'static, Result<Reply, Problem>> {
+pub(super) fn ready<R: IntoReply>(result: Result<R, Problem>) -> BoxFuture<'static, Result<OperationReply, Problem>> {
     std::future::ready(result.and_then(IntoReply::into_reply)).boxed()
 }

@@ -9,9 +9,9 @@ use super::caller::DEFAULT_WAIT_MS;
 use super::commands;
 use super::operation::{Operation, Role, reply};
 use super::problem::Problem;
-use super::reply::{Effect, Reply};
+use super::reply::{Effect, OperationReply};
 use super::values::{bytes, integer};
-use crate::gripper::model::{Action, Command, CommandId, FastStopId, Motion, Outcome, Phase, Reason};
+use crate::gripper::model::{Action, CommandId, CommandReport, FastStopId, Motion, Outcome, Phase, Reason};
 use crate::gripper::{FastStop, Handle};
 use crate::wsg::id::MAX_OPAQUE_BYTES;
 use crate::wsg::{self, Status, Updates};
@@ -100,7 +100,7 @@ enum RawPath {
     Exchange(wsg::Command),
 }
 
-async fn raw(call: Call) -> Result<Reply, Problem> {
+async fn raw(call: Call) -> Result<OperationReply, Problem> {
     let (gripper, wait, keys) = (call.gripper()?, call.wait(DEFAULT_WAIT_MS)?, call.keys()?);
     let body: Raw = call.fields()?;
     // At most 255, so the cast loses nothing.
@@ -125,7 +125,7 @@ async fn raw(call: Call) -> Result<Reply, Problem> {
                 gripper.handle.fast_stop(FastStopId::generate(), gripper.client, Reason::truncated("raw")).await;
             let status = confirmed.then_some(Status::E_SUCCESS);
             let answer = RawAnswer { fast_stop_id: Some(fast_stop_id), ..RawAnswer::new(name, id, status) };
-            Reply::new(&answer, Effect::None)
+            OperationReply::new(&answer, Effect::None)
         }
         RawPath::Exchange(command) => {
             let gripper = gripper.with_lease(body.lease.as_deref())?;
@@ -133,12 +133,12 @@ async fn raw(call: Call) -> Result<Reply, Problem> {
             gripper.exchange(command).await?.of_reply(id).write(&mut payload);
             let payload = hex::encode(payload);
             let answer = RawAnswer { payload, ..RawAnswer::new(name, id, Some(Status::E_SUCCESS)) };
-            Reply::new(&answer, Effect::None)
+            OperationReply::new(&answer, Effect::None)
         }
     }
 }
 
-fn of_command(id: u8, command: Command) -> Result<Reply, Problem> {
+fn of_command(id: u8, command: CommandReport) -> Result<OperationReply, Problem> {
     let answer = RawAnswer {
         status: command.status,
         status_code: command.status_code,
@@ -147,7 +147,7 @@ fn of_command(id: u8, command: Command) -> Result<Reply, Problem> {
         payload: command.payload.as_deref().unwrap_or_default().to_owned(),
         ..RawAnswer::new(command.gripper.to_string(), id, None)
     };
-    Reply::new(&answer, Effect::None)
+    OperationReply::new(&answer, Effect::None)
 }
 
 fn path(command: wsg::Command, gripper: &Handle) -> Result<RawPath, Problem> {

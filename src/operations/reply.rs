@@ -12,7 +12,7 @@ use crate::gripper::model::Name;
 
 /// The successful result of an operation.
 #[derive(Debug)]
-pub struct Reply {
+pub struct OperationReply {
     /// The result as JSON.
     pub body: Box<RawValue>,
     /// The command or lease that outlives the reply, if any.
@@ -38,22 +38,22 @@ pub struct Json<T>(pub T);
 
 /// A result that the function of an operation can return.
 pub(super) trait IntoReply {
-    fn into_reply(self) -> Result<Reply, Problem>;
+    fn into_reply(self) -> Result<OperationReply, Problem>;
 }
 
-impl IntoReply for Reply {
-    fn into_reply(self) -> Result<Reply, Problem> {
+impl IntoReply for OperationReply {
+    fn into_reply(self) -> Result<OperationReply, Problem> {
         Ok(self)
     }
 }
 
 impl<T: Serialize> IntoReply for Json<T> {
-    fn into_reply(self) -> Result<Reply, Problem> {
-        Reply::new(&self.0, Effect::None)
+    fn into_reply(self) -> Result<OperationReply, Problem> {
+        OperationReply::new(&self.0, Effect::None)
     }
 }
 
-impl Reply {
+impl OperationReply {
     /// Serialises a result.
     pub(super) fn new(result: &impl Serialize, effect: Effect) -> Result<Self, Problem> {
         let body = to_raw_value(result)

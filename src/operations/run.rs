@@ -14,7 +14,7 @@ use super::fast_stop;
 use super::gateway::Gateway;
 use super::operation::Operation;
 use super::problem::Problem;
-use super::reply::Reply;
+use super::reply::OperationReply;
 use super::table::{is_fast_stop, named, shortened};
 use crate::gripper::model::Urgency;
 
@@ -30,7 +30,7 @@ pub async fn run(
     operation: &'static Operation,
     caller: Caller,
     params: Params,
-) -> Result<Reply, Problem> {
+) -> Result<OperationReply, Problem> {
     let (client, gripper) = (caller.client.clone(), params.gripper());
     let running = operation.start(Call { gateway: gateway.clone(), caller, params });
     let running = AssertUnwindSafe(running).catch_unwind();
@@ -60,7 +60,12 @@ pub async fn run(
 ///
 /// # Errors
 /// The problem for the caller.
-pub async fn call(gateway: &Arc<Gateway>, caller: Caller, name: &str, params: Value) -> Result<Reply, Problem> {
+pub async fn call(
+    gateway: &Arc<Gateway>,
+    caller: Caller,
+    name: &str,
+    params: Value,
+) -> Result<OperationReply, Problem> {
     if !is_fast_stop(name) {
         let (operation, params) = resolve(name, params)?;
         return run(gateway, operation, caller, params).await;
@@ -152,9 +157,9 @@ mod tests {
 
     #[tokio::test]
     async fn unknown_field_is_named() {
-        use crate::gripper::fake::{self, Script};
+        use crate::gripper::fake::{self, FakeScript};
         use crate::gripper::model::{Client, Door};
-        let gateway = Gateway::of([fake::gripper("left", Script::default()).0]);
+        let gateway = Gateway::of([fake::gripper("left", FakeScript::default()).0]);
         let caller = Caller::new(Client { subject: "test".into(), door: Door::Ws });
         let params = json!({"gripper": "left", "width_mm": 20});
         let problem = call(&gateway, caller, "state", params).await.unwrap_err();

@@ -18,14 +18,14 @@ const CONTACT_SPEED_MM_S: f64 = 10.0;
 /// Direction of a finger motion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Direction {
+pub enum AxisDirection {
     /// Negative, to the inner end stop.
     Closing,
     /// Positive, to the outer end stop.
     Opening,
 }
 
-impl Direction {
+impl AxisDirection {
     pub(super) const fn sign(self) -> f64 {
         match self {
             Self::Closing => -1.0,
@@ -62,7 +62,7 @@ pub(super) enum Progress {
     /// The fingers are at the target.
     Reached,
     /// The fingers press on a surface with the force limit.
-    Pressing(Direction),
+    Pressing(AxisDirection),
 }
 
 #[derive(Debug)]
@@ -85,7 +85,7 @@ impl Axis {
 
     /// Moves by one step towards the drive's target.
     pub fn step(&mut self, drive: &Drive, surfaces: &Surfaces) -> Progress {
-        let direction = Direction::towards(self.position_mm, drive.target_mm);
+        let direction = AxisDirection::towards(self.position_mm, drive.target_mm);
         let remaining_mm = (drive.target_mm - self.position_mm).abs();
         let depth_mm = surfaces.depth_mm(direction, self.position_mm);
         let deepest_mm = drive.force_limit_n / surfaces.against(direction).stiffness_n_mm;
@@ -118,7 +118,7 @@ impl Axis {
 
     /// Brakes for one step.
     pub fn brake(&mut self, deceleration_mm_s2: f64, surfaces: &Surfaces) {
-        let direction = if self.speed_mm_s > 0.0 { Direction::Opening } else { Direction::Closing };
+        let direction = if self.speed_mm_s > 0.0 { AxisDirection::Opening } else { AxisDirection::Closing };
         let speed_mm_s = (self.speed_mm_s.abs() - deceleration_mm_s2 * STEP_S).max(0.0);
         self.speed_mm_s = speed_mm_s * direction.sign();
         self.position_mm += self.speed_mm_s * STEP_S;
@@ -129,7 +129,7 @@ impl Axis {
 
     /// Switches the motor off: pressed surfaces spring back, and the force drops to 0.
     pub fn relax(&mut self, surfaces: &Surfaces) {
-        for direction in [Direction::Closing, Direction::Opening] {
+        for direction in [AxisDirection::Closing, AxisDirection::Opening] {
             if surfaces.depth_mm(direction, self.position_mm) > 0.0 {
                 self.position_mm = surfaces.against(direction).at_mm;
             }

@@ -55,7 +55,7 @@ fn part_is_pressed_up_to_the_force_limit() {
     world.place_part(Part::outside(50.0), 100.0);
     let mut axis = Axis::new(100.0);
     let (.., progress) = run(&mut axis, &drive(20.0), &world);
-    assert_eq!(progress, Progress::Pressing(Direction::Closing));
+    assert_eq!(progress, Progress::Pressing(AxisDirection::Closing));
     assert!((axis.force_n - 40.0).abs() < 1e-6);
     assert!((axis.position_mm - 49.8).abs() < 1e-6, "40 N at 200 N/mm");
     axis.relax(&world.surfaces());
@@ -70,5 +70,5 @@ fn too_wide_part_is_not_between_fingers() {
     assert_eq!(run(&mut axis, &drive(10.0), &world).2, Progress::Reached);
     world.step(60.0);
     let mut axis = Axis::new(60.0);
-    assert_eq!(run(&mut axis, &drive(10.0), &world).2, Progress::Pressing(Direction::Closing));
+    assert_eq!(run(&mut axis, &drive(10.0), &world).2, Progress::Pressing(AxisDirection::Closing));
 }

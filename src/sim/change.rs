@@ -9,7 +9,7 @@ use crate::wsg::id;
 use crate::wsg::{Data, Reply};
 
 use super::faults::{FaultKind, FaultName};
-use super::process::Kind;
+use super::process::MotionKind;
 use super::world::Part;
 use super::{Device, LinkAction};
 
@@ -204,7 +204,7 @@ impl Device {
         if allowed && !self.is_running() && self.booting_until.is_none() {
             self.faults.counts.add(FaultName::ForeignMotion);
             let plan = self.plan_move(width_mm, speed_mm_s, false);
-            self.start(None, Kind::Move, plan);
+            self.start(None, MotionKind::Move, plan);
         }
     }
 

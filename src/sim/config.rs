@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use crate::wsg::{ChecksumEvaluation, DeviceTag, Firmware, SoftLimits, Status, SystemLimits};
 
-use super::axis::Direction;
+use super::axis::AxisDirection;
 use super::models::Model;
 use super::world::Part;
 
@@ -81,7 +81,7 @@ pub struct DeviceConfig {
     /// True width in mm at power-on, unknown to the device.
     pub start_width_mm: f64,
     /// Homing direction for "default" in 20h.
-    pub homing: Direction,
+    pub homing: AxisDirection,
     /// Travel in mm beyond a part's nominal width to build up force (`fw4-en 3.2.6`).
     pub clamping_travel_mm: f64,
     /// Tolerance in mm for contact with a part before its nominal width.
@@ -148,7 +148,7 @@ impl DeviceConfig {
             serial_number: 1001,
             limits,
             start_width_mm: f64::from(limits.stroke.mm()) / 2.0,
-            homing: Direction::Opening,
+            homing: AxisDirection::Opening,
             clamping_travel_mm: 3.0,
             part_width_tolerance_mm: 1.0,
             acceleration_mm_s2: f64::from(limits.max_acceleration.mm_s2()) / 2.0,

@@ -103,24 +103,24 @@ impl FaultKind {
         }
     }
 
-    pub(super) const fn stage(self) -> Stage {
+    pub(super) const fn stage(self) -> FaultStage {
         match self {
-            Self::NoReply | Self::Status { .. } => Stage::Request,
-            Self::FinalWithoutPending | Self::FinalBeforePending => Stage::Pending,
+            Self::NoReply | Self::Status { .. } => FaultStage::Request,
+            Self::FinalWithoutPending | Self::FinalBeforePending => FaultStage::Pending,
             Self::FinalStatus { .. }
             | Self::FinalTwice
             | Self::FinalLate { .. }
             | Self::PendingWithoutFinal
-            | Self::SilenceAfterAccept => Stage::Result,
-            Self::JoinFrames => Stage::Join,
-            _ => Stage::Wire,
+            | Self::SilenceAfterAccept => FaultStage::Result,
+            Self::JoinFrames => FaultStage::Join,
+            _ => FaultStage::Wire,
         }
     }
 }
 
 /// Stage in the handling of a frame at which a fault strikes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Stage {
+pub(super) enum FaultStage {
     /// Before the request is processed.
     Request,
     /// Instead of `E_CMD_PENDING`.
@@ -184,16 +184,16 @@ impl Faults {
     }
 
     /// Whether a fault is armed for a frame of `id` at `stage`.
-    pub fn is_armed(&self, id: u8, stage: Stage) -> bool {
+    pub fn is_armed(&self, id: u8, stage: FaultStage) -> bool {
         self.armed.iter().any(|armed| armed.strikes(id, stage))
     }
 
     /// Takes and counts a fault armed for a frame of `id` at `stage`.
-    pub fn take(&mut self, id: u8, stage: Stage) -> Option<FaultKind> {
+    pub fn take(&mut self, id: u8, stage: FaultStage) -> Option<FaultKind> {
         self.take_if(id, stage, |_| true)
     }
 
-    pub fn take_if(&mut self, id: u8, stage: Stage, allowed: impl Fn(FaultKind) -> bool) -> Option<FaultKind> {
+    pub fn take_if(&mut self, id: u8, stage: FaultStage, allowed: impl Fn(FaultKind) -> bool) -> Option<FaultKind> {
         let index = self.armed.iter().position(|armed| armed.strikes(id, stage) && allowed(armed.kind))?;
         let armed = &mut self.armed[index];
         let kind = armed.kind;
@@ -207,7 +207,7 @@ impl Faults {
 }
 
 impl Armed {
-    fn strikes(&self, id: u8, stage: Stage) -> bool {
+    fn strikes(&self, id: u8, stage: FaultStage) -> bool {
         self.kind.stage() == stage && self.id.is_none_or(|wanted| wanted == id)
     }
 }

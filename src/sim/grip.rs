@@ -1,7 +1,7 @@
 //! Gripping and holding a part (`fw4-en 3.2.6`): the fingers move beyond the nominal width until they reach the force
 //! limit or the end of the clamping travel.
 
-use super::axis::{Axis, Direction, Drive, Progress};
+use super::axis::{Axis, AxisDirection, Drive, Progress};
 use super::world::Surfaces;
 
 /// Number of steps with the full force before a part counts as held.
@@ -17,7 +17,7 @@ const CONTACT_SHARE: f64 = 0.05;
 #[derive(Debug, Clone)]
 pub(super) struct Grip {
     drive: Drive,
-    direction: Direction,
+    direction: AxisDirection,
     /// Bounds of the widths at which a part is recognised.
     from_mm: f64,
     to_mm: f64,
@@ -27,15 +27,15 @@ pub(super) struct Grip {
 /// Outcome of a grip's step.
 #[derive(Debug)]
 pub(super) enum Grown {
-    NotYet { pressing: Option<Direction> },
+    NotYet { pressing: Option<AxisDirection> },
     Held(Hold),
-    Nothing { blocked: Option<Direction> },
+    Nothing { blocked: Option<AxisDirection> },
 }
 
 impl Grip {
     /// Grips a part of `nominal_mm`. Contact counts from `tolerance_mm` before that width to the target of `drive`, the
     /// end of the clamping travel.
-    pub fn new(drive: Drive, direction: Direction, nominal_mm: f64, tolerance_mm: f64) -> Self {
+    pub fn new(drive: Drive, direction: AxisDirection, nominal_mm: f64, tolerance_mm: f64) -> Self {
         let first_mm = nominal_mm - direction.sign() * tolerance_mm;
         let (from_mm, to_mm) = (first_mm.min(drive.target_mm), first_mm.max(drive.target_mm));
         Self { drive, direction, from_mm, to_mm, pressing: 0 }
@@ -71,12 +71,12 @@ impl Grip {
 #[derive(Debug)]
 pub(super) struct Hold {
     drive: Drive,
-    direction: Direction,
+    direction: AxisDirection,
     without_contact: u32,
 }
 
 impl Hold {
-    pub fn direction(&self) -> Direction {
+    pub fn direction(&self) -> AxisDirection {
         self.direction
     }
 

@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 use crate::wsg::{Decoded, Decoder, Status, id};
 
 use super::config::BadChecksum;
-use super::faults::{FaultKind, FaultName, Stage};
+use super::faults::{FaultKind, FaultName, FaultStage};
 use super::received::ReceivedFrame;
 use super::{Device, wire};
 
@@ -90,15 +90,15 @@ impl Device {
             return false;
         }
         let Some(frame) = self.outbox.pop() else { return false };
-        if self.faults.is_armed(frame.id, Stage::Join)
+        if self.faults.is_armed(frame.id, FaultStage::Join)
             && let Some(next) = self.outbox.pop()
         {
-            self.faults.take(frame.id, Stage::Join);
+            self.faults.take(frame.id, FaultStage::Join);
             out.extend_from_slice(&frame.bytes);
             out.extend_from_slice(&next.bytes);
             return true;
         }
-        match self.faults.take(frame.id, Stage::Wire) {
+        match self.faults.take(frame.id, FaultStage::Wire) {
             None => out.extend_from_slice(&frame.bytes),
             Some(FaultKind::DropConnection) => {
                 self.cut_connection();
@@ -129,7 +129,7 @@ impl Device {
     pub(super) fn join_wait(&self) -> Option<Instant> {
         let frame = self.outbox.front().filter(|_| self.outbox.len() == 1)?;
         let until = frame.at + JOIN_WAIT;
-        (self.faults.is_armed(frame.id, Stage::Join) && self.clock < until).then_some(until)
+        (self.faults.is_armed(frame.id, FaultStage::Join) && self.clock < until).then_some(until)
     }
 
     fn waits_to_join(&self) -> bool {

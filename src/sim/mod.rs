@@ -44,7 +44,7 @@ mod updates_tests;
 mod wire;
 mod world;
 
-pub use axis::{Direction, STEP};
+pub use axis::{AxisDirection, STEP};
 pub use change::Change;
 pub use config::{BadChecksum, DeviceConfig, FingerConfig, Generation, Script, ScriptAnswer};
 pub use faults::{FaultCounts, FaultKind, FaultName, MAX_ARMED_FAULTS};
@@ -59,18 +59,18 @@ pub use world::{GripSide, Part};
 use faults::Faults;
 use fingers::FingerPort;
 use motion::Mechanics;
-use outbox::Outbox;
-use process::{Kind, Process};
+use outbox::ReplyQueue;
+use process::{MotionKind, Process};
 use received::ReceivedLog;
-use replies::{Late, Ticket};
-use settings::Settings;
+use replies::{Late, PendingReply};
+use settings::DeviceSettings;
 use thermal::Thermal;
 
 /// The running motion. The ticket for its result is `None` if no client requested it.
 #[derive(Debug)]
 struct Running {
-    kind: Kind,
-    ticket: Option<Ticket>,
+    kind: MotionKind,
+    ticket: Option<PendingReply>,
 }
 
 /// A simulated device.
@@ -87,11 +87,11 @@ pub struct Device {
     process: Process,
     running: Option<Running>,
     /// Stops that wait for the fingers to come to rest.
-    stops: Vec<Ticket>,
-    settings: Settings,
+    stops: Vec<PendingReply>,
+    settings: DeviceSettings,
     fingers: [FingerPort; 2],
     /// Tickets for the results of powering up the fingers.
-    finger_tickets: [Option<Ticket>; 2],
+    finger_tickets: [Option<PendingReply>; 2],
     thermal: Thermal,
     sensor_offset_n: f64,
 
@@ -117,7 +117,7 @@ pub struct Device {
     link_actions: VecDeque<LinkAction>,
     decoder: Decoder,
     partial_until: Option<Instant>,
-    outbox: Outbox,
+    outbox: ReplyQueue,
     /// Bytes that leave before the outbox's, one chunk per write.
     chunks: VecDeque<Vec<u8>>,
     late: Vec<Late>,
@@ -146,7 +146,7 @@ impl Device {
             process: Process::new(config.is_fw4()),
             running: None,
             stops: Vec::new(),
-            settings: Settings::new(&config),
+            settings: DeviceSettings::new(&config),
             fingers: config.fingers.clone().map(FingerPort::new),
             finger_tickets: [None, None],
             thermal: Thermal::new(config.ambient_c, now),
@@ -170,7 +170,7 @@ impl Device {
             link_actions: VecDeque::new(),
             decoder: Decoder::new(id::max_request_bytes, config.checksum_evaluation),
             partial_until: None,
-            outbox: Outbox::default(),
+            outbox: ReplyQueue::default(),
             chunks: VecDeque::new(),
             late: Vec::new(),
             subscriptions: Subscriptions::default(),

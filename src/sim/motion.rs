@@ -3,7 +3,7 @@
 
 use crate::wsg::{SoftLimits, Status};
 
-use super::axis::{Axis, Direction, Drive, Progress};
+use super::axis::{Axis, AxisDirection, Drive, Progress};
 use super::grip::{Grip, Hold};
 use super::world::World;
 
@@ -21,7 +21,7 @@ pub(super) const AT_LIMIT_MM: f64 = 0.01;
 /// A motion to start, in true widths.
 #[derive(Debug, Clone)]
 pub(super) enum Plan {
-    Home { direction: Direction, drive: Drive },
+    Home { direction: AxisDirection, drive: Drive },
     Move { drive: Drive, clamp: bool },
     Grip(Grip),
     Release { drive: Drive },
@@ -29,7 +29,7 @@ pub(super) enum Plan {
 
 /// Outcome of a step.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Event {
+pub(super) enum StepOutcome {
     /// The motion is over.
     Finished(Status),
     /// The fingers came to rest after a Stop.
@@ -44,7 +44,7 @@ pub(super) enum Event {
 enum Activity {
     Rest,
     Seek {
-        direction: Direction,
+        direction: AxisDirection,
         drive: Drive,
         pressing: u32,
     },
@@ -77,7 +77,7 @@ pub(super) struct Mechanics {
     pub axis: Axis,
     pub world: World,
     pub referenced: bool,
-    pub blocked: Option<Direction>,
+    pub blocked: Option<AxisDirection>,
     activity: Activity,
     /// Difference between the device's width and the true width.
     offset_mm: f64,
@@ -138,7 +138,7 @@ impl Mechanics {
     }
 
     /// Direction of the grip while a part is held.
-    pub fn holds_in(&self) -> Option<Direction> {
+    pub fn holds_in(&self) -> Option<AxisDirection> {
         if let Activity::Hold(hold) = &self.activity { Some(hold.direction()) } else { None }
     }
 
@@ -168,16 +168,16 @@ impl Mechanics {
 
     /// Stops the fingers. [`Event::Stopped`] follows when they are at rest, at once if nothing moves. A held part stays
     /// held unless `let_go`.
-    pub fn stop(&mut self, let_go: bool) -> Option<Event> {
+    pub fn stop(&mut self, let_go: bool) -> Option<StepOutcome> {
         self.steady = false;
         match self.activity {
-            Activity::Hold(_) if !let_go => return Some(Event::Stopped),
+            Activity::Hold(_) if !let_go => return Some(StepOutcome::Stopped),
             Activity::Stopping | Activity::Braking => {}
             Activity::Rest => self.blocked = None,
             _ if self.axis.is_moving() => self.activity = Activity::Stopping,
             _ => self.rest(),
         }
-        if self.axis.is_moving() { None } else { Some(Event::Stopped) }
+        if self.axis.is_moving() { None } else { Some(StepOutcome::Stopped) }
     }
 
     pub fn fast_stop(&mut self) {
@@ -217,16 +217,16 @@ impl Mechanics {
         }
     }
 
-    pub fn step(&mut self, soft_limits: Option<SoftLimits>) -> Option<Event> {
+    pub fn step(&mut self, soft_limits: Option<SoftLimits>) -> Option<StepOutcome> {
         self.world.step(self.axis.position_mm);
         let event = self.step_activity();
         if event.is_none() && self.enters_forbidden_range(soft_limits) {
-            return Some(Event::ForbiddenRange);
+            return Some(StepOutcome::ForbiddenRange);
         }
         event
     }
 
-    fn step_activity(&mut self) -> Option<Event> {
+    fn step_activity(&mut self) -> Option<StepOutcome> {
         let surfaces = self.world.surfaces();
         match &mut self.activity {
             Activity::Rest => None,
@@ -267,7 +267,7 @@ impl Mechanics {
                 self.blocked = self.steady.then_some(hold.direction());
                 hold.is_lost(progress).then(|| {
                     self.rest();
-                    Event::PartLost
+                    StepOutcome::PartLost
                 })
             }
             Activity::Clamp { drive } => {
@@ -283,7 +283,7 @@ impl Mechanics {
                 self.axis.brake(self.max_acceleration_mm_s2, &surfaces);
                 (!self.axis.is_moving()).then(|| {
                     self.rest();
-                    Event::Stopped
+                    StepOutcome::Stopped
                 })
             }
             Activity::Braking => {

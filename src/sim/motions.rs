@@ -2,11 +2,11 @@
 
 use crate::wsg::{Command, HomingDirection, InvalidRequest, Status, Width};
 
-use super::axis::{Direction, Drive};
+use super::axis::{AxisDirection, Drive};
 use super::grip::Grip;
 use super::motion::Plan;
-use super::process::Kind;
-use super::replies::Ticket;
+use super::process::MotionKind;
+use super::replies::PendingReply;
 use super::{Device, Running};
 
 /// Homing speed in mm/s.
@@ -27,7 +27,7 @@ impl Device {
         }
     }
 
-    fn check_motion(&self, command: Result<Command, InvalidRequest>) -> Result<(Kind, Plan), Status> {
+    fn check_motion(&self, command: Result<Command, InvalidRequest>) -> Result<(MotionKind, Plan), Status> {
         if self.fast_stopped || self.has_fault() {
             return Err(Status::E_ACCESS_DENIED);
         }
@@ -35,14 +35,14 @@ impl Device {
             return Err(Status::E_ALREADY_RUNNING);
         }
         match command.map_err(InvalidRequest::status)? {
-            Command::Homing(direction) => Ok((Kind::Home, self.plan_homing(direction))),
+            Command::Homing(direction) => Ok((MotionKind::Home, self.plan_homing(direction))),
             // Ruling: 20h "has to be executed prior to any other motion-related command".
             _ if !self.mechanics.referenced => Err(Status::E_NOT_INITIALIZED),
             Command::PrePosition { flags, width, speed } => {
                 let from_mm = if flags.relative { self.mechanics.width_mm() } else { 0.0 };
                 let width_mm = self.allowed_target(from_mm + f64::from(width.mm()))?;
                 let clamp = !flags.stop_on_block;
-                Ok((Kind::Move, self.plan_move(width_mm, f64::from(speed.mm_s()), clamp)))
+                Ok((MotionKind::Move, self.plan_move(width_mm, f64::from(speed.mm_s()), clamp)))
             }
             Command::Grip { width, speed } => {
                 let width_mm = self.allowed_target(f64::from(width.mm()))?;
@@ -50,12 +50,12 @@ impl Device {
                 if self.process.forbids_grip(direction) {
                     return Err(self.config.opposite_grip);
                 }
-                Ok((Kind::Grip(direction), self.plan_grip(width_mm, direction, f64::from(speed.mm_s()))))
+                Ok((MotionKind::Grip(direction), self.plan_grip(width_mm, direction, f64::from(speed.mm_s()))))
             }
             Command::Release { width, speed } => {
                 let width_mm = self.allowed_target(f64::from(width.mm()))?;
                 let drive = self.drive(width_mm, f64::from(speed.mm_s()), self.settings.force_limit_n);
-                Ok((Kind::Release, Plan::Release { drive }))
+                Ok((MotionKind::Release, Plan::Release { drive }))
             }
             _ => Err(Status::E_CMD_UNKNOWN),
         }
@@ -63,7 +63,7 @@ impl Device {
 
     /// Direction of a grip. Fingers that hold a part are beyond its nominal width, within the clamping travel, so
     /// gripping the same part again keeps the direction.
-    fn grip_direction(&self, nominal_mm: f64) -> Direction {
+    fn grip_direction(&self, nominal_mm: f64) -> AxisDirection {
         let width_mm = self.mechanics.width_mm();
         match self.mechanics.holds_in() {
             Some(direction)
@@ -71,7 +71,7 @@ impl Device {
             {
                 direction
             }
-            _ => Direction::towards(width_mm, nominal_mm),
+            _ => AxisDirection::towards(width_mm, nominal_mm),
         }
     }
 
@@ -89,8 +89,8 @@ impl Device {
     fn plan_homing(&self, direction: HomingDirection) -> Plan {
         let direction = match direction {
             HomingDirection::Default => self.config.homing,
-            HomingDirection::Outer => Direction::Opening,
-            HomingDirection::Inner => Direction::Closing,
+            HomingDirection::Outer => AxisDirection::Opening,
+            HomingDirection::Inner => AxisDirection::Closing,
         };
         let beyond_mm = self.mechanics.axis.position_mm + direction.sign() * 2.0 * self.config.stroke_mm();
         let drive = Drive {
@@ -112,7 +112,7 @@ impl Device {
         Plan::Move { drive: self.drive(width_mm, speed_mm_s, force_limit_n), clamp }
     }
 
-    fn plan_grip(&self, width_mm: f64, direction: Direction, speed_mm_s: f64) -> Plan {
+    fn plan_grip(&self, width_mm: f64, direction: AxisDirection, speed_mm_s: f64) -> Plan {
         let end_mm = width_mm + direction.sign() * self.config.clamping_travel_mm;
         let end_mm = self.config.clamp_width_mm(end_mm);
         let drive = self.drive(end_mm, speed_mm_s, self.settings.force_limit_n);
@@ -129,7 +129,7 @@ impl Device {
         }
     }
 
-    pub(super) fn start(&mut self, ticket: Option<Ticket>, kind: Kind, plan: Plan) {
+    pub(super) fn start(&mut self, ticket: Option<PendingReply>, kind: MotionKind, plan: Plan) {
         self.process.started(kind);
         self.mechanics.start(plan);
         self.running = Some(Running { kind, ticket });

@@ -1,5 +1,5 @@
 use crate::sim::testing::*;
-use crate::sim::{Change, DeviceConfig, Direction, Model};
+use crate::sim::{AxisDirection, Change, DeviceConfig, Model};
 use crate::wsg::{Command, Data, GripperState, HomingDirection, Reply, SoftLimits, Status, SystemState, id};
 
 fn limits(minus: f32, plus: f32) -> Command {
@@ -27,7 +27,7 @@ fn homing_finds_either_end_stop_and_backs_off() {
 
 #[test]
 fn default_homing_direction_is_configurable() {
-    let config = DeviceConfig { homing: Direction::Closing, ..DeviceConfig::wsg50() };
+    let config = DeviceConfig { homing: AxisDirection::Closing, ..DeviceConfig::wsg50() };
     assert!(near(Bench::homed(config).snapshot().width_mm, 1.0));
 }
 

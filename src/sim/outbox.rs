@@ -19,14 +19,14 @@ pub(super) struct Outgoing {
 }
 
 #[derive(Debug, Default)]
-pub(super) struct Outbox {
+pub(super) struct ReplyQueue {
     frames: VecDeque<Outgoing>,
     replies: usize,
     pub dropped_updates: u64,
     pub dropped_replies: u64,
 }
 
-impl Outbox {
+impl ReplyQueue {
     pub fn push(&mut self, frame: Outgoing) {
         if self.frames.len() >= MAX_QUEUED_FRAMES && !self.drop_oldest_update() {
             // Only replies are left. Rejecting requests in time prevents this, but the bound holds anyway.
@@ -80,7 +80,7 @@ mod tests {
 
     #[test]
     fn full_queue_drops_oldest_update_but_no_reply() {
-        let mut outbox = Outbox::default();
+        let mut outbox = ReplyQueue::default();
         outbox.push(frame(1, false));
         outbox.push(frame(2, true));
         for _ in 2..MAX_QUEUED_FRAMES {
@@ -94,7 +94,7 @@ mod tests {
 
     #[test]
     fn full_queue_has_room_for_results() {
-        let mut outbox = Outbox::default();
+        let mut outbox = ReplyQueue::default();
         for _ in 0..MAX_QUEUED_REPLIES {
             assert!(!outbox.is_full());
             outbox.push(frame(6, false));

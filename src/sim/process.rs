@@ -4,17 +4,17 @@ use std::time::{Duration, Instant};
 
 use crate::wsg::{GripperState, Statistics, Status};
 
-use super::axis::Direction;
+use super::axis::AxisDirection;
 
 /// Delay in fw4 from the end of MOVING to TARGET_POS_REACHED (`fw4-en` Appendix B).
 const TARGET_REACHED_DELAY: Duration = Duration::from_millis(5);
 
 /// Kind of a motion.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum Kind {
+pub(super) enum MotionKind {
     Home,
     Move,
-    Grip(Direction),
+    Grip(AxisDirection),
     Release,
 }
 
@@ -27,7 +27,7 @@ pub(super) struct Process {
     /// Time at which TARGET_POS_REACHED follows.
     pub target_reached_at: Option<Instant>,
     /// Direction of the last grip, until a release.
-    gripped: Option<Direction>,
+    gripped: Option<AxisDirection>,
     is_fw4: bool,
 }
 
@@ -51,38 +51,38 @@ impl Process {
 
     /// Whether a grip in `direction` needs a release first, after a grip in the opposite direction (`fw4-en 3.2.6`, not
     /// in fw2).
-    pub fn forbids_grip(&self, direction: Direction) -> bool {
+    pub fn forbids_grip(&self, direction: AxisDirection) -> bool {
         self.is_fw4 && self.gripped == Some(direction.opposite())
     }
 
-    pub fn started(&mut self, kind: Kind) {
+    pub fn started(&mut self, kind: MotionKind) {
         self.axis_stopped = false;
         self.target_reached = false;
         self.target_reached_at = None;
         match kind {
-            Kind::Grip(direction) => self.gripped = Some(direction),
-            Kind::Release => self.gripped = None,
-            Kind::Home | Kind::Move => {}
+            MotionKind::Grip(direction) => self.gripped = Some(direction),
+            MotionKind::Release => self.gripped = None,
+            MotionKind::Home | MotionKind::Move => {}
         }
         self.state = match kind {
-            Kind::Grip(_) => GripperState::Grasping,
-            Kind::Release => GripperState::Releasing,
+            MotionKind::Grip(_) => GripperState::Grasping,
+            MotionKind::Release => GripperState::Releasing,
             // fw2: NO_PART and PART_LOST last until the next grip or release, and homing has no own state.
-            Kind::Home | Kind::Move if !self.is_fw4 && self.has_result() => self.state,
-            Kind::Home if !self.is_fw4 => GripperState::Idle,
-            Kind::Home | Kind::Move => GripperState::Positioning,
+            MotionKind::Home | MotionKind::Move if !self.is_fw4 && self.has_result() => self.state,
+            MotionKind::Home if !self.is_fw4 => GripperState::Idle,
+            MotionKind::Home | MotionKind::Move => GripperState::Positioning,
         };
     }
 
-    pub fn finished(&mut self, kind: Kind, status: Status, now: Instant) {
+    pub fn finished(&mut self, kind: MotionKind, status: Status, now: Instant) {
         let success = status == Status::E_SUCCESS;
         self.state = match kind {
-            Kind::Grip(_) => self.gripping_ended(success),
-            Kind::Home | Kind::Move if !self.is_fw4 && self.has_result() => self.state,
-            Kind::Release if !success => self.error(),
+            MotionKind::Grip(_) => self.gripping_ended(success),
+            MotionKind::Home | MotionKind::Move if !self.is_fw4 && self.has_result() => self.state,
+            MotionKind::Release if !success => self.error(),
             _ => GripperState::Idle,
         };
-        if success && kind != Kind::Home {
+        if success && kind != MotionKind::Home {
             self.target_reached = !self.is_fw4;
             self.target_reached_at = self.is_fw4.then(|| now + TARGET_REACHED_DELAY);
         }

@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 use crate::wsg::{Data, Reply, Status, id};
 
 use super::Device;
-use super::faults::{FaultKind, FaultName, Stage};
+use super::faults::{FaultKind, FaultName, FaultStage};
 use super::outbox::Outgoing;
 
 /// Limit of delayed results; further ones are sent at once.
@@ -13,7 +13,7 @@ const MAX_LATE_RESULTS: usize = 64;
 
 /// A request that waits for its reply.
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Ticket {
+pub(super) struct PendingReply {
     pub id: u8,
     connection: u64,
     /// `E_CMD_PENDING` was sent or suppressed, so the result is the second step.
@@ -25,24 +25,24 @@ pub(super) struct Ticket {
 #[derive(Debug)]
 pub(super) struct Late {
     pub at: Instant,
-    ticket: Ticket,
+    ticket: PendingReply,
     reply: Reply,
 }
 
 impl Device {
-    pub(super) fn ticket(&self, id: u8) -> Ticket {
-        Ticket { id, connection: self.connection, two_step: false, owes_pending: false }
+    pub(super) fn ticket(&self, id: u8) -> PendingReply {
+        PendingReply { id, connection: self.connection, two_step: false, owes_pending: false }
     }
 
     /// Sends `E_CMD_PENDING`, and returns the ticket for the result.
-    pub(super) fn pending(&mut self, id: u8) -> Ticket {
-        let mut ticket = Ticket { two_step: true, ..self.ticket(id) };
-        match self.faults.take(id, Stage::Pending) {
+    pub(super) fn pending(&mut self, id: u8) -> PendingReply {
+        let mut ticket = PendingReply { two_step: true, ..self.ticket(id) };
+        match self.faults.take(id, FaultStage::Pending) {
             None => self.send(id, &Reply::Status(Status::E_CMD_PENDING), false),
             Some(FaultKind::FinalBeforePending) => ticket.owes_pending = true,
             Some(_) => {}
         }
-        if self.faults.take_if(id, Stage::Result, |kind| kind == FaultKind::SilenceAfterAccept).is_some() {
+        if self.faults.take_if(id, FaultStage::Result, |kind| kind == FaultKind::SilenceAfterAccept).is_some() {
             self.muted = true;
         }
         ticket
@@ -59,15 +59,15 @@ impl Device {
         self.result_status(ticket, status);
     }
 
-    pub(super) fn result_status(&mut self, ticket: Ticket, status: Status) {
+    pub(super) fn result_status(&mut self, ticket: PendingReply, status: Status) {
         let success = status == Status::E_SUCCESS;
         self.result(ticket, if success { Reply::Success(Data::None) } else { Reply::Status(status) });
     }
 
-    pub(super) fn result(&mut self, ticket: Ticket, reply: Reply) {
+    pub(super) fn result(&mut self, ticket: PendingReply, reply: Reply) {
         let mut failed = reply.status() != Status::E_SUCCESS;
         let possible = |kind| ticket.two_step || kind != FaultKind::PendingWithoutFinal;
-        match self.faults.take_if(ticket.id, Stage::Result, possible) {
+        match self.faults.take_if(ticket.id, FaultStage::Result, possible) {
             Some(FaultKind::PendingWithoutFinal) => {}
             Some(FaultKind::SilenceAfterAccept) => self.muted = true,
             Some(FaultKind::FinalStatus { code }) => {
@@ -81,7 +81,7 @@ impl Device {
             }
             Some(FaultKind::FinalTwice) => {
                 self.deliver(ticket, &reply);
-                self.deliver(Ticket { owes_pending: false, ..ticket }, &reply);
+                self.deliver(PendingReply { owes_pending: false, ..ticket }, &reply);
             }
             _ => self.deliver(ticket, &reply),
         }
@@ -95,7 +95,7 @@ impl Device {
         }
     }
 
-    fn deliver(&mut self, ticket: Ticket, reply: &Reply) {
+    fn deliver(&mut self, ticket: PendingReply, reply: &Reply) {
         if ticket.connection != self.connection {
             return;
         }
@@ -124,7 +124,7 @@ impl Device {
 
     /// Applies an armed fault to a request. Returns `true` if the request must not be executed.
     pub(super) fn strikes_request(&mut self, id: u8) -> bool {
-        match self.faults.take(id, Stage::Request) {
+        match self.faults.take(id, FaultStage::Request) {
             Some(FaultKind::Status { code }) => {
                 let status = Status::from_code(code);
                 self.command_failed = status != Status::E_SUCCESS;

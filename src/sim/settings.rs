@@ -5,7 +5,7 @@ use crate::wsg::{Acceleration, DeviceTag, Force, SoftLimits};
 use super::config::DeviceConfig;
 
 #[derive(Debug)]
-pub(super) struct Settings {
+pub(super) struct DeviceSettings {
     pub acceleration_mm_s2: f64,
     pub force_limit_n: f64,
     pub soft_limits: Option<SoftLimits>,
@@ -13,7 +13,7 @@ pub(super) struct Settings {
     pub device_tag: Option<DeviceTag>,
 }
 
-impl Settings {
+impl DeviceSettings {
     pub fn new(config: &DeviceConfig) -> Self {
         Self {
             acceleration_mm_s2: config.acceleration_mm_s2,

@@ -3,7 +3,7 @@
 use crate::wsg::{Data, Force, GripperState, SoftLimits, Speed, Statistics, SystemInfo, SystemState, Width, id};
 
 use super::Device;
-use super::axis::Direction;
+use super::axis::AxisDirection;
 use super::motion::AT_LIMIT_MM;
 use super::world::Part;
 
@@ -132,10 +132,10 @@ impl Device {
         let set = [
             (SystemState::REFERENCED, mechanics.referenced),
             (SystemState::MOVING, mechanics.is_moving()),
-            (SystemState::BLOCKED_MINUS, mechanics.blocked == Some(Direction::Closing)),
-            (SystemState::BLOCKED_PLUS, mechanics.blocked == Some(Direction::Opening)),
-            (SystemState::SOFT_LIMIT_MINUS, soft_limit == Some(Direction::Closing)),
-            (SystemState::SOFT_LIMIT_PLUS, soft_limit == Some(Direction::Opening)),
+            (SystemState::BLOCKED_MINUS, mechanics.blocked == Some(AxisDirection::Closing)),
+            (SystemState::BLOCKED_PLUS, mechanics.blocked == Some(AxisDirection::Opening)),
+            (SystemState::SOFT_LIMIT_MINUS, soft_limit == Some(AxisDirection::Closing)),
+            (SystemState::SOFT_LIMIT_PLUS, soft_limit == Some(AxisDirection::Opening)),
             (SystemState::AXIS_STOPPED, self.process.axis_stopped),
             (SystemState::TARGET_POS_REACHED, self.process.target_reached),
             (SystemState::OVERDRIVE_MODE, self.settings.overdrive),
@@ -167,13 +167,13 @@ impl Device {
     }
 
     /// Soft limit that the fingers have reached or passed.
-    fn at_soft_limit(&self) -> Option<Direction> {
+    fn at_soft_limit(&self) -> Option<AxisDirection> {
         let limits = self.settings.soft_limits.filter(|_| self.mechanics.referenced)?;
         let width_mm = self.mechanics.width_mm();
         if width_mm <= f64::from(limits.minus().mm()) + AT_LIMIT_MM {
-            Some(Direction::Closing)
+            Some(AxisDirection::Closing)
         } else if width_mm >= f64::from(limits.plus().mm()) - AT_LIMIT_MM {
-            Some(Direction::Opening)
+            Some(AxisDirection::Opening)
         } else {
             None
         }

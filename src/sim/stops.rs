@@ -4,9 +4,9 @@
 use crate::wsg::{Status, id};
 
 use super::Device;
-use super::motion::Event;
-use super::process::Kind;
-use super::replies::Ticket;
+use super::motion::StepOutcome;
+use super::process::MotionKind;
+use super::replies::PendingReply;
 
 /// Limit of Stops that wait for the fingers to come to rest; further ones are answered at once.
 const MAX_WAITING_STOPS: usize = 16;
@@ -25,7 +25,7 @@ impl Device {
             return self.result_status(ticket, Status::E_SUCCESS);
         }
         self.stops.push(ticket);
-        if self.mechanics.stop(self.config.stop_lets_go) == Some(Event::Stopped) {
+        if self.mechanics.stop(self.config.stop_lets_go) == Some(StepOutcome::Stopped) {
             self.stopped();
         }
     }
@@ -50,11 +50,11 @@ impl Device {
 
     /// Triggers a FAST STOP outside the soft limits (`fw4-en 3.3.5`). Only 21h has a specific status for this cause.
     pub(super) fn left_soft_limits(&mut self) {
-        let moves = self.running.as_ref().is_some_and(|running| running.kind == Kind::Move);
+        let moves = self.running.as_ref().is_some_and(|running| running.kind == MotionKind::Move);
         self.fast_stop_with(None, if moves { Status::E_RANGE_ERROR } else { Status::E_CMD_ABORTED });
     }
 
-    fn fast_stop_with(&mut self, ticket: Option<Ticket>, result: Status) {
+    fn fast_stop_with(&mut self, ticket: Option<PendingReply>, result: Status) {
         self.fast_stopped = true;
         self.mechanics.fast_stop();
         self.process.fast_stopped();
@@ -64,7 +64,7 @@ impl Device {
     }
 
     /// Answers the stop requests and the stopped motion, in the configured order.
-    fn end_running(&mut self, stoppers: &[Ticket], result: Status) {
+    fn end_running(&mut self, stoppers: &[PendingReply], result: Status) {
         let stopped = self.running.take().and_then(|running| running.ticket);
         let answer = |device: &mut Self| {
             for &ticket in stoppers {

@@ -7,7 +7,7 @@ use crate::wsg::{Reply, Status};
 use super::Device;
 use super::axis::STEP;
 use super::faults::FaultName;
-use super::motion::Event;
+use super::motion::StepOutcome;
 
 impl Device {
     /// Advances time to `now`.
@@ -105,10 +105,10 @@ impl Device {
     fn step(&mut self) {
         match self.mechanics.step(self.settings.soft_limits) {
             None => {}
-            Some(Event::Finished(status)) => self.finished(status),
-            Some(Event::Stopped) => self.stopped(),
-            Some(Event::PartLost) => self.process.part_lost(),
-            Some(Event::ForbiddenRange) => self.left_soft_limits(),
+            Some(StepOutcome::Finished(status)) => self.finished(status),
+            Some(StepOutcome::Stopped) => self.stopped(),
+            Some(StepOutcome::PartLost) => self.process.part_lost(),
+            Some(StepOutcome::ForbiddenRange) => self.left_soft_limits(),
         }
     }
 

@@ -3,7 +3,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::axis::Direction;
+use super::axis::AxisDirection;
 
 /// Stiffness of end stops and obstacles, in N/mm.
 pub(super) const RIGID_N_MM: f64 = 2000.0;
@@ -60,10 +60,10 @@ impl Part {
         Self { width_mm, side: GripSide::Inside, stiffness_n_mm: ORDINARY_N_MM }
     }
 
-    fn resists(&self) -> Direction {
+    fn resists(&self) -> AxisDirection {
         match self.side {
-            GripSide::Outside => Direction::Closing,
-            GripSide::Inside => Direction::Opening,
+            GripSide::Outside => AxisDirection::Closing,
+            GripSide::Inside => AxisDirection::Opening,
         }
     }
 }
@@ -83,22 +83,22 @@ pub(super) struct Surfaces {
 }
 
 impl Surfaces {
-    pub fn against(&self, direction: Direction) -> Surface {
+    pub fn against(&self, direction: AxisDirection) -> Surface {
         match direction {
-            Direction::Closing => self.closing,
-            Direction::Opening => self.opening,
+            AxisDirection::Closing => self.closing,
+            AxisDirection::Opening => self.opening,
         }
     }
 
     /// Depth in mm by which fingers at `position_mm` press into the surface in `direction`; negative for a gap.
-    pub fn depth_mm(&self, direction: Direction, position_mm: f64) -> f64 {
+    pub fn depth_mm(&self, direction: AxisDirection, position_mm: f64) -> f64 {
         (position_mm - self.against(direction).at_mm) * direction.sign()
     }
 
     /// Force in N on fingers at `position_mm`.
     pub fn force_n(&self, position_mm: f64) -> f64 {
         let force = |direction| self.depth_mm(direction, position_mm).max(0.0) * self.against(direction).stiffness_n_mm;
-        force(Direction::Closing).max(force(Direction::Opening))
+        force(AxisDirection::Closing).max(force(AxisDirection::Opening))
     }
 }
 
@@ -113,7 +113,7 @@ struct Placed {
 #[derive(Debug, Clone, Copy)]
 struct Obstacle {
     width_mm: f64,
-    resists: Direction,
+    resists: AxisDirection,
 }
 
 /// The space between the jaws.
@@ -159,7 +159,7 @@ impl World {
     }
 
     pub fn place_obstacle(&mut self, width_mm: f64, position_mm: f64) {
-        let resists = if position_mm >= width_mm { Direction::Closing } else { Direction::Opening };
+        let resists = if position_mm >= width_mm { AxisDirection::Closing } else { AxisDirection::Opening };
         self.obstacle = Some(Obstacle { width_mm, resists });
     }
 
@@ -212,10 +212,10 @@ impl World {
 
 impl Surfaces {
     /// Keeps the nearer of the current surface and `surface`.
-    fn meet(&mut self, direction: Direction, surface: Surface) {
+    fn meet(&mut self, direction: AxisDirection, surface: Surface) {
         let first = match direction {
-            Direction::Closing => &mut self.closing,
-            Direction::Opening => &mut self.opening,
+            AxisDirection::Closing => &mut self.closing,
+            AxisDirection::Opening => &mut self.opening,
         };
         if (surface.at_mm - first.at_mm) * direction.sign() < 0.0 {
             *first = surface;

@@ -2,8 +2,8 @@
 
 use super::device::{DeviceTag, Finger, InvalidDeviceTag, SoftLimits};
 use super::frame;
-use super::id::{self, Parameters};
-use super::payload::Fields;
+use super::id::{self, LengthRule};
+use super::payload::PayloadReader;
 use super::quantity::{Acceleration, Force, NotFinite, Speed, Width};
 use super::status::Status;
 
@@ -314,12 +314,12 @@ impl Command {
         };
         let name = description.name;
         let right_length = match description.parameters {
-            Parameters::NoneExpected if !payload.is_empty() => {
+            LengthRule::NoneExpected if !payload.is_empty() => {
                 return Err(InvalidRequest::NoParameterExpected(name, payload.len()));
             }
-            Parameters::Exactly(bytes) => payload.len() == bytes,
-            Parameters::AtMost(bytes) => payload.len() <= bytes,
-            Parameters::NoneExpected | Parameters::Text | Parameters::Anything => true,
+            LengthRule::Exactly(bytes) => payload.len() == bytes,
+            LengthRule::AtMost(bytes) => payload.len() <= bytes,
+            LengthRule::NoneExpected | LengthRule::Text | LengthRule::Anything => true,
         };
         if !right_length {
             return Err(InvalidRequest::Format(name, payload.len()));
@@ -328,7 +328,7 @@ impl Command {
     }
 
     fn parse_parameters(id: u8, name: &'static str, payload: &[u8]) -> Result<Self, InvalidRequest> {
-        let mut fields = Fields::new(payload);
+        let mut fields = PayloadReader::new(payload);
         let number = |error| InvalidRequest::Number(name, error);
         Ok(match id {
             id::LOOP => Self::Loop(LoopData(payload.to_vec())),
@@ -404,7 +404,7 @@ impl Updates {
         out.extend_from_slice(&period_ms.to_le_bytes());
     }
 
-    fn read(fields: &mut Fields<'_>) -> Self {
+    fn read(fields: &mut PayloadReader<'_>) -> Self {
         let (flags, period_ms) = (fields.u8(), fields.u16());
         if flags & 1 == 0 { Self::Off } else { Self::On { on_change: flags & 2 != 0, period_ms } }
     }

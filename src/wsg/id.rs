@@ -89,7 +89,7 @@ pub const STATUS_BYTES: usize = 2;
 
 /// Rule by which a device checks the length of a request's parameters, with the status for a violation.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Parameters {
+pub enum LengthRule {
     /// No parameters, otherwise `E_NO_PARAM_EXPECTED`.
     NoneExpected,
     /// Exactly this many bytes (possibly 0), otherwise `E_CMD_FORMAT_ERROR`.
@@ -133,62 +133,62 @@ pub struct Description {
     /// Short name, as printed by `decode`.
     pub name: &'static str,
     /// Length rule for the request's parameters.
-    pub parameters: Parameters,
+    pub parameters: LengthRule,
     /// Length rule for the data of a successful reply.
     pub data: DataBytes,
 }
 
-const fn row(id: u8, name: &'static str, parameters: Parameters, data: DataBytes) -> Description {
+const fn row(id: u8, name: &'static str, parameters: LengthRule, data: DataBytes) -> Description {
     Description { id, name, parameters, data }
 }
 
 const NOTHING: DataBytes = DataBytes::exactly(0);
 const FLOAT: DataBytes = DataBytes::exactly(4);
-const NO_PARAMETERS: Parameters = Parameters::NoneExpected;
-const UPDATES: Parameters = Parameters::Exactly(3);
+const NO_PARAMETERS: LengthRule = LengthRule::NoneExpected;
+const UPDATES: LengthRule = LengthRule::Exactly(3);
 /// Ruling: the size is at bytes 1 and 2 (fw4-de, and 70h in fw4-en), or at 2 and 3 of a 4-byte reply (60h in fw4-en).
 const FINGER_INFO: DataBytes = DataBytes::between(3, 4);
 const OPAQUE: DataBytes = DataBytes::between(0, MAX_OPAQUE_BYTES);
 
 /// Every command of the manuals, sorted by id.
 pub const COMMANDS: &[Description] = &[
-    row(LOOP, "Loop", Parameters::AtMost(MAX_LOOP_BYTES), DataBytes::between(0, MAX_LOOP_BYTES)),
+    row(LOOP, "Loop", LengthRule::AtMost(MAX_LOOP_BYTES), DataBytes::between(0, MAX_LOOP_BYTES)),
     row(DISCONNECT_ANNOUNCEMENT, "DisconnectAnnouncement", NO_PARAMETERS, NOTHING),
-    row(HOMING, "Homing", Parameters::Exactly(1), NOTHING),
-    row(PRE_POSITION, "PrePosition", Parameters::Exactly(9), NOTHING),
+    row(HOMING, "Homing", LengthRule::Exactly(1), NOTHING),
+    row(PRE_POSITION, "PrePosition", LengthRule::Exactly(9), NOTHING),
     row(STOP, "Stop", NO_PARAMETERS, NOTHING),
-    row(FAST_STOP, "FastStop", Parameters::Anything, NOTHING),
-    row(ACKNOWLEDGE_FAST_STOP, "AcknowledgeFastStop", Parameters::Exactly(3), NOTHING),
-    row(GRIP, "Grip", Parameters::Exactly(8), NOTHING),
-    row(RELEASE, "Release", Parameters::Exactly(8), NOTHING),
-    row(SET_ACCELERATION, "SetAcceleration", Parameters::Exactly(4), NOTHING),
+    row(FAST_STOP, "FastStop", LengthRule::Anything, NOTHING),
+    row(ACKNOWLEDGE_FAST_STOP, "AcknowledgeFastStop", LengthRule::Exactly(3), NOTHING),
+    row(GRIP, "Grip", LengthRule::Exactly(8), NOTHING),
+    row(RELEASE, "Release", LengthRule::Exactly(8), NOTHING),
+    row(SET_ACCELERATION, "SetAcceleration", LengthRule::Exactly(4), NOTHING),
     row(GET_ACCELERATION, "GetAcceleration", NO_PARAMETERS, FLOAT),
-    row(SET_FORCE_LIMIT, "SetForceLimit", Parameters::Exactly(4), NOTHING),
+    row(SET_FORCE_LIMIT, "SetForceLimit", LengthRule::Exactly(4), NOTHING),
     row(GET_FORCE_LIMIT, "GetForceLimit", NO_PARAMETERS, FLOAT),
-    row(SET_SOFT_LIMITS, "SetSoftLimits", Parameters::Exactly(8), NOTHING),
+    row(SET_SOFT_LIMITS, "SetSoftLimits", LengthRule::Exactly(8), NOTHING),
     row(GET_SOFT_LIMITS, "GetSoftLimits", NO_PARAMETERS, DataBytes::exactly(8)),
     row(CLEAR_SOFT_LIMITS, "ClearSoftLimits", NO_PARAMETERS, NOTHING),
-    row(OVERDRIVE_MODE, "OverdriveMode", Parameters::Exactly(1), NOTHING),
+    row(OVERDRIVE_MODE, "OverdriveMode", LengthRule::Exactly(1), NOTHING),
     row(TARE_FORCE_SENSOR, "TareForceSensor", NO_PARAMETERS, NOTHING),
     row(GET_SYSTEM_STATE, "GetSystemState", UPDATES, DataBytes::exactly(4)),
     row(GET_GRIPPER_STATE, "GetGripperState", UPDATES, DataBytes::exactly(1)),
-    row(GET_STATISTICS, "GetStatistics", Parameters::Exactly(1), DataBytes::exactly(8)),
+    row(GET_STATISTICS, "GetStatistics", LengthRule::Exactly(1), DataBytes::exactly(8)),
     row(GET_WIDTH, "GetWidth", UPDATES, FLOAT),
     row(GET_SPEED, "GetSpeed", UPDATES, FLOAT),
     row(GET_FORCE, "GetForce", UPDATES, FLOAT),
     row(GET_TEMPERATURE, "GetTemperature", NO_PARAMETERS, DataBytes::exactly(2)),
     row(GET_SYSTEM_INFO, "GetSystemInfo", NO_PARAMETERS, DataBytes::exactly(8)),
-    row(SET_DEVICE_TAG, "SetDeviceTag", Parameters::Text, NOTHING),
+    row(SET_DEVICE_TAG, "SetDeviceTag", LengthRule::Text, NOTHING),
     row(GET_DEVICE_TAG, "GetDeviceTag", NO_PARAMETERS, DataBytes::between(0, DeviceTag::MAX_BYTES)),
     row(GET_SYSTEM_LIMITS, "GetSystemLimits", NO_PARAMETERS, DataBytes::exactly(32)),
-    row(GET_FINGER_1_INFO, "GetFinger1Info", Parameters::Exactly(0), FINGER_INFO),
-    row(GET_FINGER_1_FLAGS, "GetFinger1Flags", Parameters::Exactly(0), DataBytes::exactly(2)),
-    row(FINGER_1_POWER, "Finger1Power", Parameters::Exactly(1), NOTHING),
-    row(GET_FINGER_1_DATA, "GetFinger1Data", Parameters::Exactly(0), OPAQUE),
-    row(GET_FINGER_2_INFO, "GetFinger2Info", Parameters::Exactly(0), FINGER_INFO),
-    row(GET_FINGER_2_FLAGS, "GetFinger2Flags", Parameters::Exactly(0), DataBytes::exactly(2)),
-    row(FINGER_2_POWER, "Finger2Power", Parameters::Exactly(1), NOTHING),
-    row(GET_FINGER_2_DATA, "GetFinger2Data", Parameters::Exactly(0), OPAQUE),
+    row(GET_FINGER_1_INFO, "GetFinger1Info", LengthRule::Exactly(0), FINGER_INFO),
+    row(GET_FINGER_1_FLAGS, "GetFinger1Flags", LengthRule::Exactly(0), DataBytes::exactly(2)),
+    row(FINGER_1_POWER, "Finger1Power", LengthRule::Exactly(1), NOTHING),
+    row(GET_FINGER_1_DATA, "GetFinger1Data", LengthRule::Exactly(0), OPAQUE),
+    row(GET_FINGER_2_INFO, "GetFinger2Info", LengthRule::Exactly(0), FINGER_INFO),
+    row(GET_FINGER_2_FLAGS, "GetFinger2Flags", LengthRule::Exactly(0), DataBytes::exactly(2)),
+    row(FINGER_2_POWER, "Finger2Power", LengthRule::Exactly(1), NOTHING),
+    row(GET_FINGER_2_DATA, "GetFinger2Data", LengthRule::Exactly(0), OPAQUE),
 ];
 
 /// Returns the description of `id`, or `None` for a custom id.

@@ -5,9 +5,9 @@ use super::quantity::{NotFinite, Speed, Width};
 /// Unread rest of a payload. Reads past the end return zeros: callers first check the length against the table in
 /// [`id`](super::id).
 #[derive(Debug, Clone, Copy)]
-pub(super) struct Fields<'a>(&'a [u8]);
+pub(super) struct PayloadReader<'a>(&'a [u8]);
 
-impl<'a> Fields<'a> {
+impl<'a> PayloadReader<'a> {
     pub fn new(payload: &'a [u8]) -> Self {
         Self(payload)
     }

@@ -7,7 +7,7 @@ use super::device::{
 };
 use super::frame;
 use super::id::{self, STATUS_BYTES};
-use super::payload::Fields;
+use super::payload::PayloadReader;
 use super::quantity::{Acceleration, Force, NotFinite, Speed, Width};
 use super::state::{GripperState, SystemState};
 use super::status::Status;
@@ -136,7 +136,7 @@ impl Reply {
 
 impl Data {
     fn parse(id: u8, data: &[u8]) -> Result<Self, InvalidReply> {
-        let mut fields = Fields::new(data);
+        let mut fields = PayloadReader::new(data);
         let number = |source| InvalidReply::Number { id, source };
         let value = InvalidReply::Value { id };
         Ok(match id {
@@ -230,7 +230,7 @@ impl Data {
     }
 }
 
-fn read_limits(fields: &mut Fields<'_>) -> Result<SystemLimits, NotFinite> {
+fn read_limits(fields: &mut PayloadReader<'_>) -> Result<SystemLimits, NotFinite> {
     Ok(SystemLimits {
         stroke: Width::new(fields.f32())?,
         min_speed: Speed::new(fields.f32())?,

@@ -333,7 +333,7 @@ fn wrong(field: &str, value: &str, expected: &'static str) -> InvalidText {
 
 /// Direction of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default)]
-pub enum Direction {
+pub enum WireDirection {
     /// To the device.
     Request,
     /// From the device.
@@ -345,11 +345,11 @@ pub enum Direction {
 
 /// Describes a frame in one line.
 #[must_use]
-pub fn describe(frame: super::Frame<'_>, direction: Direction) -> String {
+pub fn describe(frame: super::Frame<'_>, direction: WireDirection) -> String {
     let name = id::name(frame.id).map_or_else(|| format!("0x{:02X}", frame.id), str::to_owned);
     let is_known = id::name(frame.id).is_some();
-    let request = Command::parse(frame.id, frame.payload).ok().filter(|_| direction != Direction::Reply);
-    let reply = Reply::parse(frame.id, frame.payload).ok().filter(|_| direction != Direction::Request);
+    let request = Command::parse(frame.id, frame.payload).ok().filter(|_| direction != WireDirection::Reply);
+    let reply = Reply::parse(frame.id, frame.payload).ok().filter(|_| direction != WireDirection::Request);
     match (request, reply) {
         // Any bytes parse as a custom request, so for custom ids a reply is the better guess.
         (Some(request), Some(reply)) if is_known => format!("{request} (or its reply: {reply})"),

@@ -42,7 +42,7 @@ fn errors_name_the_mistake() {
 
 #[test]
 fn describe_covers_possible_readings() {
-    let describe = |id, payload: &[u8]| describe(Frame { id, payload }, Direction::Unknown);
+    let describe = |id, payload: &[u8]| describe(Frame { id, payload }, WireDirection::Unknown);
     assert_eq!(describe(0x22, &[]), "Stop");
     assert_eq!(describe(0x20, &[0, 0]), "Homing -> E_SUCCESS");
     assert_eq!(describe(0x21, &[0x1A, 0]), "PrePosition -> E_CMD_PENDING");

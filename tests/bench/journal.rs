@@ -13,7 +13,7 @@ use directory::Directory;
 use jiff::{SignedDuration, Timestamp};
 use prometheus::Registry;
 use tokio::sync::oneshot;
-use wsg_gateway::daemon::{Served, SimulatedDevice, Switch, serve_device};
+use wsg_gateway::daemon::{ServedDevice, SimulatedDevice, Switch, serve_device};
 use wsg_gateway::gripper::model::{
     Action, Admitted, Client, CommandEvent, CommandId, Detail, Done, Door, Event, GripRecord, IdSource, Kind,
     LeaseRules, Link, LinkEvent, Motion, Name, Outcome, Parameters, PartId, Sample, Submission,
@@ -21,7 +21,8 @@ use wsg_gateway::gripper::model::{
 use wsg_gateway::gripper::recorder::{NullRecorder, Record, Recorder, RestoredState};
 use wsg_gateway::gripper::{self, Connector, Handle};
 use wsg_gateway::journal::{
-    EventKind, EventQuery, Filter, GripQuery, Journal, Order, Page, Place, Query, ReadError, Reader, Retention, verify,
+    EventKind, EventQuery, Filter, GripQuery, Journal, JournalLocation, Order, Page, Query, ReadError, Reader,
+    Retention, verify,
 };
 use wsg_gateway::sim::DeviceConfig;
 use wsg_gateway::wsg::{HomingDirection, MoveFlags, Speed, Width};
@@ -77,7 +78,7 @@ fn main() -> Result<(), Error> {
 }
 
 fn open(path: &Path) -> Result<(Journal, wsg_gateway::journal::Recovered), Error> {
-    Ok(Journal::open(Place::File(path.to_owned()), Retention::default())?)
+    Ok(Journal::open(JournalLocation::File(path.to_owned()), Retention::default())?)
 }
 
 fn command(id: CommandId, at: Timestamp, gripper: &Name, event: CommandEvent) -> Event {
@@ -146,17 +147,17 @@ async fn rate(journal: &Journal, clients: u64) -> Result<u32, Error> {
 /// Starts and homes a simulated gripper with this recorder. The device stops when the switch is dropped.
 async fn gripper(recorder: Arc<dyn Recorder>) -> Result<(Handle, Switch), Error> {
     let device = SimulatedDevice::new(DeviceConfig::wsg50());
-    let Served { address, switch, .. } = serve_device(&"tcp://127.0.0.1:0".parse()?, device).await?;
+    let ServedDevice { address, switch, .. } = serve_device(&"tcp://127.0.0.1:0".parse()?, device).await?;
     let name: Name = "g".parse()?;
-    let config = gripper::actor::Config {
+    let config = gripper::actor::ActorConfig {
         url: address.url(),
         properties: address.properties(),
         custom_ids: gripper::model::CustomIds::default(),
         drain: Duration::from_secs(2),
-        on_journal_failure: gripper::actor::OnJournalFailure::Refuse,
+        on_journal_failure: gripper::model::OnJournalFailure::Refuse,
         lease: LeaseRules::default(),
         seed: 1,
-        metrics: gripper::Metrics::register(&Registry::new(), &name)?,
+        metrics: gripper::GripperMetrics::register(&Registry::new(), &name)?,
         name,
     };
     let handle = gripper::spawn(config, Arc::new(address), recorder, RestoredState::default());

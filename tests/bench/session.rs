@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 
 use divan::counter::{BytesCount, ItemsCount};
 use divan::{AllocProfiler, Bencher};
-use wsg_gateway::wsg::session::{Config, Request, Session};
+use wsg_gateway::wsg::session::{Request, Session, SessionConfig};
 use wsg_gateway::wsg::{Command, Data, Force, GripperState, Reply, Speed, SystemState, Width, id};
 
 #[global_allocator]
@@ -24,8 +24,12 @@ fn main() {
 }
 
 fn session() -> Session {
-    let config =
-        Config { bytes_per_second: None, frame_gap: Duration::from_millis(500), may_duplicate: false, nonce_seed: 1 };
+    let config = SessionConfig {
+        bytes_per_second: None,
+        frame_gap: Duration::from_millis(500),
+        may_duplicate: false,
+        nonce_seed: 1,
+    };
     Session::new(config, Instant::now())
 }
 

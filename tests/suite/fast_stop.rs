@@ -7,12 +7,12 @@ use std::time::{Duration, Instant};
 use jiff::{SignedDuration, Timestamp};
 use prometheus::Registry;
 use serde_json::{Value, json};
-use wsg_gateway::gripper::actor::{Config, OnJournalFailure};
+use wsg_gateway::gripper::actor::ActorConfig;
 use wsg_gateway::gripper::model::{
-    Client, CustomIds, Door, FastStopId, IdSource, LeaseRules, Link, Name, Reason, State,
+    Client, CustomIds, Door, FastStopId, IdSource, LeaseRules, Link, Name, OnJournalFailure, Reason, State,
 };
 use wsg_gateway::gripper::recorder::RestoredState;
-use wsg_gateway::gripper::{self, Handle, Metrics, NullRecorder};
+use wsg_gateway::gripper::{self, GripperMetrics, Handle, NullRecorder};
 use wsg_gateway::transport::Address;
 
 use crate::harness::{Gateway, Proxy, Scripted, Simulator, Table, success};
@@ -149,7 +149,7 @@ async fn unanswered_fast_stop_is_repeated() {
 fn spawned(device: SocketAddr, restored: RestoredState) -> Handle {
     let address: Address = format!("tcp://{device}").parse().unwrap();
     let name: Name = "g".parse().unwrap();
-    let config = Config {
+    let config = ActorConfig {
         name: name.clone(),
         url: address.to_string(),
         properties: address.properties(),
@@ -158,7 +158,7 @@ fn spawned(device: SocketAddr, restored: RestoredState) -> Handle {
         on_journal_failure: OnJournalFailure::Refuse,
         lease: LeaseRules::default(),
         seed: 1,
-        metrics: Metrics::register(&Registry::new(), &name).unwrap(),
+        metrics: GripperMetrics::register(&Registry::new(), &name).unwrap(),
     };
     gripper::spawn(config, Arc::new(address), Arc::new(NullRecorder), restored)
 }

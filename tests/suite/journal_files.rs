@@ -7,7 +7,7 @@ use serde_json::json;
 use tokio::sync::oneshot;
 use wsg_gateway::gripper::model::{Detail, Event, GatewayEvent, Link, LinkEvent, Name};
 use wsg_gateway::gripper::recorder::{Record, Recorder as _};
-use wsg_gateway::journal::{Journal, Place, Retention};
+use wsg_gateway::journal::{Journal, JournalLocation, Retention};
 
 use crate::harness::{Gateway, Process, Simulator, eventually, run};
 
@@ -50,7 +50,7 @@ fn link(link: Link, cause: Option<&str>) -> Detail {
 
 /// Returns an open journal with three events.
 async fn filled(file: &File) -> Journal {
-    let (journal, _) = Journal::open(Place::File(file.path().into()), Retention::default()).unwrap();
+    let (journal, _) = Journal::open(JournalLocation::File(file.path().into()), Retention::default()).unwrap();
     keep(&journal, 1000, None, started()).await;
     keep(&journal, 1001, Some("left"), link(Link::Connected, None)).await;
     keep(&journal, 1002, Some("right"), link(Link::Reconnecting, Some("reset, by \"peer\""))).await;

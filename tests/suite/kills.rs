@@ -9,8 +9,8 @@ use std::time::{Duration, Instant};
 
 use rand::RngExt;
 use serde_json::{Value, json};
-use wsg_gateway::gripper::model::{Command, Outcome};
-use wsg_gateway::journal::{Journal, Place, Reader, Retention};
+use wsg_gateway::gripper::model::{CommandReport, Outcome};
+use wsg_gateway::journal::{Journal, JournalLocation, Reader, Retention};
 
 use crate::harness::{Answer, Gateway, run};
 
@@ -42,7 +42,7 @@ async fn traffic(gateway: &Gateway, reported: &mut Reported) {
     }
 }
 
-fn outcome_of(command: &Command) -> Option<String> {
+fn outcome_of(command: &CommandReport) -> Option<String> {
     let outcome = serde_json::to_value(command.outcome).unwrap();
     (outcome != Value::Null).then(|| outcome.as_str().unwrap().to_owned())
 }
@@ -73,7 +73,7 @@ async fn killed_gateway_keeps_reported_commands() {
         assert!(seq > last_seq, "{seq} after {last_seq}");
         last_seq = seq;
     }
-    let (journal, _) = Journal::open(Place::File(path.clone()), Retention::default()).unwrap();
+    let (journal, _) = Journal::open(JournalLocation::File(path.clone()), Retention::default()).unwrap();
     let mut compared = 0_u64;
     for (id, (outcome, at)) in &reported.0 {
         let command = journal.command("g".parse().unwrap(), id.parse().unwrap()).await.unwrap().unwrap();

@@ -4,7 +4,7 @@
 use std::time::Duration;
 
 use wsg_gateway::gripper::Conflict;
-use wsg_gateway::gripper::handle::Request;
+use wsg_gateway::gripper::handle::ActorRequest;
 use wsg_gateway::gripper::model::{Link, Outcome};
 use wsg_gateway::sim::{Change, Interface};
 use wsg_gateway::wsg::{self, Acceleration, id};
@@ -145,7 +145,7 @@ fn orderly_end_is_a_stop_without_an_announcement() {
     let slow = start(&mut world, move_to(10.0, 5.0));
     world.advance(Duration::from_millis(500));
     let from = mark(&world);
-    let mut drained = request(&mut world, |answer| Request::Drain { answer });
+    let mut drained = request(&mut world, |answer| ActorRequest::Drain { answer });
     assert_eq!(finish(&mut world, &slow).outcome, Some(Outcome::Aborted));
     world.advance(Duration::from_secs(2));
     assert_eq!(received(&world, from), [id::STOP]);

@@ -12,7 +12,7 @@ use tokio_tungstenite::tungstenite::http::HeaderValue;
 use tokio_tungstenite::tungstenite::{Error, Message};
 use url::Url;
 
-use crate::gripper::model::{Frame, FrameDirection};
+use crate::gripper::model::{FrameDirection, FrameRecord};
 
 /// A JSON-RPC message from a gateway.
 #[derive(Debug, Deserialize)]
@@ -89,7 +89,7 @@ fn line(message: GatewayMessage) -> anyhow::Result<Option<String>> {
     }
     Ok(match message.method.as_deref() {
         Some("frame") => {
-            let Frame { gripper, at, direction, text, .. } = serde_json::from_value(message.params)?;
+            let FrameRecord { gripper, at, direction, text, .. } = serde_json::from_value(message.params)?;
             let mark = match direction {
                 FrameDirection::Sent => '>',
                 FrameDirection::Received => '<',

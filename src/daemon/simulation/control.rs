@@ -14,7 +14,7 @@ use axum::{Json, Router};
 use serde::Serialize;
 use tokio::net::TcpListener;
 
-use super::Served;
+use super::ServedDevice;
 use crate::sim::{Change, Part, Snapshot};
 
 /// The true state of a device, which can differ from the state that it reports.
@@ -43,7 +43,7 @@ struct Shown {
 }
 
 impl Shown {
-    fn new(served: &Served, snapshot: &Snapshot) -> Self {
+    fn new(served: &ServedDevice, snapshot: &Snapshot) -> Self {
         Self {
             address: served.address.to_string(),
             model: served.model,
@@ -68,7 +68,7 @@ impl Shown {
     }
 }
 
-type Devices = State<Arc<Vec<Served>>>;
+type Devices = State<Arc<Vec<ServedDevice>>>;
 type Refusal = (StatusCode, String);
 
 /// Listens on a loopback address, since the port has no credentials.
@@ -79,7 +79,7 @@ pub(super) async fn listen(address: SocketAddr) -> anyhow::Result<TcpListener> {
 }
 
 /// Serves until it is cancelled.
-pub(super) async fn serve(listener: TcpListener, devices: Vec<Served>) -> anyhow::Result<()> {
+pub(super) async fn serve(listener: TcpListener, devices: Vec<ServedDevice>) -> anyhow::Result<()> {
     let router = Router::new()
         .route("/devices", get(show_all))
         .route("/devices/{index}", get(show).post(change))
@@ -112,12 +112,12 @@ async fn change(State(devices): Devices, Path(index): Path<usize>, body: Bytes) 
     shown(served).await.map(Json)
 }
 
-fn find(devices: &[Served], index: usize) -> Result<&Served, Refusal> {
+fn find(devices: &[ServedDevice], index: usize) -> Result<&ServedDevice, Refusal> {
     let there_are = || format!("no device {index}: there are {}, counted from 0\n", devices.len());
     devices.get(index).ok_or_else(|| (StatusCode::NOT_FOUND, there_are()))
 }
 
-async fn shown(served: &Served) -> Result<Shown, Refusal> {
+async fn shown(served: &ServedDevice) -> Result<Shown, Refusal> {
     Ok(Shown::new(served, &served.switch.snapshot().await.map_err(gone)?))
 }
 

@@ -23,7 +23,7 @@ use crate::gripper::{Connector, clock};
 use crate::sim::{Device, DeviceConfig, Part};
 use crate::transport::{LinkProperties, Pipe};
 pub use pump::Switch;
-pub use serve::{Served, serve, serve_simulated};
+pub use serve::{ServedDevice, serve, serve_simulated};
 use wire::Wire;
 
 /// Capacity of a pipe in this process, in bytes and each direction: about what a socket would hold of small frames.

@@ -33,7 +33,7 @@ const OVERRUN_BYTES: u64 = 2048;
 const FREE_EVERY: Duration = Duration::from_millis(500);
 
 /// Source of ptys, one at a time. An adapter that is pulled and comes back is another pty under the same link.
-pub(super) struct Socket {
+pub(super) struct PtySource {
     baud: u32,
     link: Option<PathBuf>,
     /// The pty for the next client.
@@ -42,7 +42,7 @@ pub(super) struct Socket {
     name: String,
 }
 
-impl Socket {
+impl PtySource {
     /// Opens a pty as in `serial://pty?baud=115200&link=/tmp/gripper`.
     pub(super) fn new(url: &Url) -> anyhow::Result<Self> {
         ensure!(url.host_str() == Some("pty"), "a simulated device can only be on a pty: write serial://pty");
@@ -81,7 +81,7 @@ impl Socket {
     }
 }
 
-impl Drop for Socket {
+impl Drop for PtySource {
     fn drop(&mut self) {
         let is_ours = |link: &&PathBuf| fs::read_link(link).is_ok_and(|target| target == Path::new(&self.name));
         if let Some(link) = self.link.as_ref().filter(is_ours) {
@@ -195,7 +195,7 @@ mod tests {
     async fn link_replaces_nothing_but_a_link_to_a_pty() {
         let link = std::env::temp_dir().join(format!("wsg-link-{}", std::process::id()));
         let url = Url::parse(&format!("serial://pty?link={}", link.display())).unwrap();
-        let refused = || Socket::new(&url).err().map(|error| error.to_string()).unwrap_or_default();
+        let refused = || PtySource::new(&url).err().map(|error| error.to_string()).unwrap_or_default();
 
         symlink("/dev/ttyUSB0", &link).unwrap();
         assert!(refused().contains("is a link to /dev/ttyUSB0, which is not a pty: remove it"), "{}", refused());
@@ -208,7 +208,7 @@ mod tests {
         fs::remove_file(&link).unwrap();
 
         symlink("/dev/pts/99999", &link).unwrap();
-        let socket = Socket::new(&url).unwrap();
+        let socket = PtySource::new(&url).unwrap();
         assert_eq!(fs::read_link(&link).unwrap(), Path::new(&socket.name), "what was left behind is replaced");
         drop(socket);
         assert!(!link.is_symlink(), "and removed at the end");

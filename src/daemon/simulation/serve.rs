@@ -14,7 +14,7 @@ use crate::transport::Address;
 
 /// A simulated device that is served.
 #[derive(Debug, Clone)]
-pub struct Served {
+pub struct ServedDevice {
     /// Address for a gateway to connect to.
     pub address: Address,
     /// Name of the model.
@@ -29,12 +29,12 @@ pub struct Served {
 ///
 /// # Errors
 /// The reason why the URL cannot be served, and the allowed values.
-pub async fn serve(url: &Url, device: SimulatedDevice) -> anyhow::Result<Served> {
+pub async fn serve(url: &Url, device: SimulatedDevice) -> anyhow::Result<ServedDevice> {
     let wire = Wire::new(url).await?;
     let address = wire.address()?.with_context(|| format!("{url} has no address"))?;
     let model = device.0.model.name();
     let switch = pump::start(Device::new(device.0, clock::instant()), wire);
-    Ok(Served { address, model, switch })
+    Ok(ServedDevice { address, model, switch })
 }
 
 /// Serves a simulated device on each URL, and the control port for their faults, until it is cancelled. Prints the

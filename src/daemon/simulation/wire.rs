@@ -24,7 +24,7 @@ pub(super) enum Wire {
     InProcess(mpsc::Receiver<Pipe>),
     Tcp(TcpListener),
     Udp(udp::Endpoint),
-    Pty(pty::Socket),
+    Pty(pty::PtySource),
     Can(CanAddress),
 }
 
@@ -34,7 +34,7 @@ impl Wire {
         let wire = match url.scheme() {
             "tcp" => listen(url).await,
             "udp" => udp::Endpoint::new(url).await.map(Self::Udp),
-            "serial" => pty::Socket::new(url).map(Self::Pty),
+            "serial" => pty::PtySource::new(url).map(Self::Pty),
             "can" => match url.as_str().parse()? {
                 // A missing interface is reported better here than in the log.
                 Address::Can(address) => {

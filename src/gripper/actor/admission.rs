@@ -6,7 +6,7 @@ use super::super::Now;
 use super::super::error::{Conflict, Failure, Invalid, Rejection};
 use super::super::handle::{Answer, Steps, Ticket};
 use super::super::model::{
-    Action, Client, Command as Record, CommandId, FastStopId, LeaseToken, Motion, SettingChange, Submission,
+    Action, Client, CommandId, CommandReport, FastStopId, LeaseToken, Motion, SettingChange, Submission,
 };
 use super::Actor;
 use super::link::{Exchange, Purpose};
@@ -109,7 +109,7 @@ impl Actor {
             tracing::info!(gripper = %self.config.name, command = %id, %kind, client = %submission.client.subject, "command admitted");
             self.recording.admitted(now, id, submission);
         }
-        let record = Record::admitted(id, self.config.name.clone(), submission, now.wall);
+        let record = CommandReport::admitted(id, self.config.name.clone(), submission, now.wall);
         self.commands.enter(now.instant, record, submission, is_streamed)
     }
 

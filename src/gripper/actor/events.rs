@@ -1,11 +1,11 @@
 //! Events of the session: updates, acceptances and ends of requests.
 
 use super::super::Now;
-use super::super::latch::{Change, Origin};
+use super::super::latch::{LatchChange, Origin};
 use super::super::model::{DeviceEvent, FastStopCause, FastStopStep, SettingChange};
 use super::Actor;
 use super::link::{Close, Exchange, Purpose};
-use crate::wsg::session::{End, Event, Token};
+use crate::wsg::session::{End, SessionEvent, Token};
 use crate::wsg::{Command, Data, GripperState, Reply, Status, SystemState};
 
 impl Actor {
@@ -13,8 +13,8 @@ impl Actor {
     pub(super) fn take_events(&mut self, now: Now) {
         while let Some(event) = self.link.poll_event() {
             match event {
-                Event::Update(data) => self.take_update(now, &data),
-                Event::Accepted(token) => match self.link.purposes.get_mut(&token) {
+                SessionEvent::Update(data) => self.take_update(now, &data),
+                SessionEvent::Accepted(token) => match self.link.purposes.get_mut(&token) {
                     Some(Purpose::Motion(id)) => {
                         let id = *id;
                         self.motion_accepted(id);
@@ -27,7 +27,7 @@ impl Actor {
                     }
                     _ => {}
                 },
-                Event::Ended(token, end) => {
+                SessionEvent::Ended(token, end) => {
                     if let Some(purpose) = self.link.purposes.remove(&token) {
                         self.take_end(now, token, purpose, end);
                     }
@@ -56,19 +56,19 @@ impl Actor {
         }
         let mut origin = Origin { ids: &mut self.ids, unannounced: self.link.unannounced };
         match self.latch.take_flags(now, flags, &mut origin) {
-            Some(Change::Seen) => {
+            Some(LatchChange::Seen) => {
                 let cause = self.latch.current().map_or(FastStopCause::Unknown, |latch| latch.cause);
                 tracing::warn!(gripper = %self.config.name, cause = cause.name(), "device in FAST STOP");
                 self.record_fast_stop(now, FastStopStep::Latched, None);
                 self.abort_for_latch(now);
                 self.link.expect_aborts(now);
             }
-            Some(Change::Confirmed) => {
+            Some(LatchChange::Confirmed) => {
                 tracing::info!(gripper = %self.config.name, "FAST STOP confirmed");
                 self.record_fast_stop(now, FastStopStep::Confirmed, None);
                 self.link.expect_aborts(now);
             }
-            Some(Change::Cleared) => tracing::info!(gripper = %self.config.name, "FAST STOP cleared"),
+            Some(LatchChange::Cleared) => tracing::info!(gripper = %self.config.name, "FAST STOP cleared"),
             None => {}
         }
     }

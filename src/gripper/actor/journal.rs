@@ -2,7 +2,7 @@
 
 use super::super::Now;
 use super::super::model::{AcknowledgeEvent, Client, CommandId, Detail, DeviceEvent, FastStopStep};
-use super::super::recorder::{Health, Record};
+use super::super::recorder::{JournalHealth, Record};
 use super::Actor;
 use crate::wsg::{GripperState, SystemState};
 
@@ -18,7 +18,7 @@ impl Actor {
         self.after_input(now);
     }
 
-    pub fn journal_health(&mut self, now: Now, health: Health) {
+    pub fn journal_health(&mut self, now: Now, health: JournalHealth) {
         self.recording.health = health;
         self.after_input(now);
     }

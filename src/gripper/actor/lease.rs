@@ -5,7 +5,7 @@ use std::time::Instant;
 use super::super::Now;
 use super::super::error::{Conflict, Failure, Rejection};
 use super::super::handle::{AcquiredLease, Answer, FastStopRequest};
-use super::super::lease::{AcquireOutcome, Held, Holder, Terms};
+use super::super::lease::{AcquireOutcome, HeldLease, Holder, Terms};
 use super::super::model::{
     Client, FastStopCause, Lease, LeaseEvent, LeaseStep, LeaseToken, LossCause, LossEffect, OnLossHolding,
     OnLossMoving, Reason, TakeLease,
@@ -127,7 +127,7 @@ impl Actor {
         }
     }
 
-    fn holder_lost(&mut self, now: Now, held: &Held, cause: LossCause) {
+    fn holder_lost(&mut self, now: Now, held: &HeldLease, cause: LossCause) {
         let Terms { on_loss_moving, on_loss_holding, .. } = held.terms;
         let last_heard = match cause {
             LossCause::Expired => now.instant.checked_sub(held.terms.ttl).unwrap_or(now.instant),

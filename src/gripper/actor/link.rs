@@ -9,12 +9,12 @@ use tokio::sync::{broadcast, oneshot};
 use super::super::Now;
 use super::super::error::{Failure, Rejection};
 use super::super::handle::Answer;
-use super::super::model::{Client, CommandId, Frame, Link, Name};
+use super::super::model::{Client, CommandId, FrameRecord, Link, Name};
 use super::super::setup::{Setup, Step};
 use super::wire_log::WireLog;
 use super::{REPLY_WITHIN, RESULT_WITHIN, name_of};
 use crate::transport::LinkProperties;
-use crate::wsg::session::{self, End, Event, NotTaken, Session, Token};
+use crate::wsg::session::{self, End, NotTaken, Session, SessionEvent, Token};
 use crate::wsg::{self, Command, Data, Force, id};
 
 /// Silence after which a link is unresponsive, and motions are refused.
@@ -115,7 +115,7 @@ impl DeviceLink {
     }
 
     /// Sender of the wire log, to subscribe to.
-    pub(super) fn frames(&self) -> broadcast::Sender<Arc<Frame>> {
+    pub(super) fn frames(&self) -> broadcast::Sender<Arc<FrameRecord>> {
         self.wire_log.listeners()
     }
 
@@ -145,7 +145,7 @@ impl DeviceLink {
     /// Starts the session and the setup of a new link.
     pub(super) fn open(&mut self, now: Instant, nonce_seed: u64, setup: Setup) {
         let LinkProperties { bytes_per_second, frame_gap, may_duplicate, .. } = self.properties;
-        let config = session::Config { bytes_per_second, frame_gap, may_duplicate, nonce_seed };
+        let config = session::SessionConfig { bytes_per_second, frame_gap, may_duplicate, nonce_seed };
         self.session = Some(Session::new(config, now));
         self.close = None;
         self.wire_log.link_up();
@@ -255,7 +255,7 @@ impl DeviceLink {
         }
     }
 
-    pub(super) fn poll_event(&mut self) -> Option<Event> {
+    pub(super) fn poll_event(&mut self) -> Option<SessionEvent> {
         self.session.as_mut()?.poll_event()
     }
 

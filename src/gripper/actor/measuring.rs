@@ -4,8 +4,8 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use super::super::Now;
-use super::super::curve::{Curve, TAIL};
-use super::super::model::{Command as Ended, CommandId, GripRecord, Kind, Motion, Outcome, PartId};
+use super::super::curve::{MotionCurve, TAIL};
+use super::super::model::{CommandId, CommandReport, GripRecord, Kind, Motion, Outcome, PartId};
 use super::super::observed::Observed;
 use super::super::recorder::Record;
 use super::recording::Recording;
@@ -15,9 +15,9 @@ use super::recording::Recording;
 pub(super) struct Measured {
     id: CommandId,
     part_id: Option<PartId>,
-    curve: Curve,
+    curve: MotionCurve,
     /// End time of the curve, and the ended command.
-    ended: Option<(Instant, Arc<Ended>)>,
+    ended: Option<(Instant, Arc<CommandReport>)>,
 }
 
 impl Recording {
@@ -28,7 +28,7 @@ impl Recording {
             Motion::Grip { part_id, .. } => part_id.clone(),
             _ => None,
         };
-        self.measured = Some(Measured { id, part_id, curve: Curve::default(), ended: None });
+        self.measured = Some(Measured { id, part_id, curve: MotionCurve::default(), ended: None });
     }
 
     /// Takes a sample, if all values are known.
@@ -51,7 +51,7 @@ impl Recording {
     }
 
     /// Takes the end of the measured command. A grip's curve continues for its tail.
-    pub(super) fn end_measuring(&mut self, now: Now, command: &Arc<Ended>) {
+    pub(super) fn end_measuring(&mut self, now: Now, command: &Arc<CommandReport>) {
         // A refused command moved nothing.
         self.measured.take_if(|measured| measured.id == command.id && command.outcome == Some(Outcome::Refused));
         if let Some(measured) = self.measured.as_mut().filter(|measured| measured.id == command.id) {

@@ -4,15 +4,15 @@ use std::time::Instant;
 
 use prometheus::IntCounter;
 
-use super::super::metrics::Metrics;
-use super::super::model::{Command as Ended, FastStopCause, FastStopStep, Kind, Outcome};
+use super::super::metrics::GripperMetrics;
+use super::super::model::{CommandReport, FastStopCause, FastStopStep, Kind, Outcome};
 use crate::wsg::DecoderCounters;
 use crate::wsg::session::{Counters, Session};
 
 /// Metrics of the gripper, and the session counters already included in them.
 #[derive(Debug)]
 pub(super) struct Metering {
-    pub metrics: Metrics,
+    pub metrics: GripperMetrics,
     /// Counters of the current session, as last seen. They begin at 0.
     sent: Counters,
     received: DecoderCounters,
@@ -25,7 +25,7 @@ pub(super) struct Metering {
 }
 
 impl Metering {
-    pub(super) fn new(metrics: Metrics) -> Self {
+    pub(super) fn new(metrics: GripperMetrics) -> Self {
         let (sent, received) = (Counters::default(), DecoderCounters::default());
         Self { metrics, sent, received, is_new_link: false, unsent: None, unconfirmed: None }
     }
@@ -73,7 +73,7 @@ impl Metering {
         }
     }
 
-    pub(super) fn ended(&self, command: &Ended) {
+    pub(super) fn ended(&self, command: &CommandReport) {
         let Some(outcome) = command.outcome else { return };
         let kind = command.kind.name();
         self.metrics.commands.with_label_values(&[kind, outcome.name()]).inc();

@@ -49,12 +49,12 @@ use std::time::Duration;
 use tokio::sync::{Notify, broadcast, watch};
 
 use super::Now;
-use super::handle::{FastStopRequest, Request};
+use super::handle::{ActorRequest, FastStopRequest};
 use super::info::Info;
 use super::latch::LatchState;
 use super::lease::LeaseState;
-use super::metrics::Metrics;
-use super::model::{CustomIds, FastStopStep, Frame, IdSource, LeaseRules, Name, State};
+use super::metrics::GripperMetrics;
+use super::model::{CustomIds, FastStopStep, FrameRecord, IdSource, LeaseRules, Name, OnJournalFailure, State};
 use super::observed::Observed;
 use super::registry::CommandRegistry;
 use crate::transport::LinkProperties;
@@ -65,7 +65,6 @@ use link::DeviceLink;
 use metering::Metering;
 use publish::Publication;
 use reads::Reads;
-pub use recording::OnJournalFailure;
 use recording::Recording;
 use running::MotionState;
 use settings::Settings;
@@ -80,7 +79,7 @@ const RESULT_WITHIN: Duration = Duration::from_secs(30);
 
 /// Configuration of an actor.
 #[derive(Debug, Clone)]
-pub struct Config {
+pub struct ActorConfig {
     pub name: Name,
     pub url: String,
     pub properties: LinkProperties,
@@ -92,13 +91,13 @@ pub struct Config {
     pub lease: LeaseRules,
     /// Seed for ids and nonces; fixed in tests.
     pub seed: u64,
-    pub metrics: Metrics,
+    pub metrics: GripperMetrics,
 }
 
 /// One gripper.
 #[derive(Debug)]
 pub struct Actor {
-    config: Config,
+    config: ActorConfig,
     ids: IdSource,
     link: DeviceLink,
     settings: Settings,
@@ -121,13 +120,13 @@ pub struct Watches {
     pub state: watch::Receiver<Arc<State>>,
     pub info: watch::Receiver<Arc<Info>>,
     /// Sender of the wire log, to subscribe to.
-    pub frames: broadcast::Sender<Arc<Frame>>,
+    pub frames: broadcast::Sender<Arc<FrameRecord>>,
 }
 
 impl Actor {
     /// Creates an actor without a link.
     #[must_use]
-    pub fn new(config: Config) -> (Self, Watches) {
+    pub fn new(config: ActorConfig) -> (Self, Watches) {
         let publication = Publication::new(&config);
         let (state, info) = publication.watch();
         let link = DeviceLink::new(config.name.clone(), config.properties);
@@ -184,16 +183,16 @@ impl Actor {
     }
 
     /// Takes any other request of a client.
-    pub fn request(&mut self, now: Now, request: Request) {
+    pub fn request(&mut self, now: Now, request: ActorRequest) {
         match request {
-            Request::Submit { submission, id, answer } => {
+            ActorRequest::Submit { submission, id, answer } => {
                 // The caller may be gone; an admitted command goes on all the same.
                 let _ = answer.send(self.admit(now, id, &submission));
             }
-            Request::Find { id, answer } => {
+            ActorRequest::Find { id, answer } => {
                 let _ = answer.send(self.commands.find(id));
             }
-            Request::Cancel { id, client, answer } => {
+            ActorRequest::Cancel { id, client, answer } => {
                 let ticket = self.commands.find(id);
                 if ticket.is_some() {
                     tracing::info!(gripper = %self.config.name, command = %id, by = %client.subject,
@@ -202,29 +201,29 @@ impl Actor {
                 }
                 let _ = answer.send(ticket);
             }
-            Request::Exchange { command, client, lease, answer } => {
+            ActorRequest::Exchange { command, client, lease, answer } => {
                 self.exchange(now, command, client, lease.as_ref(), answer);
             }
-            Request::Acknowledge { id, client, answer } => self.acknowledge(now, id, client, answer),
-            Request::Lease { answer } => {
+            ActorRequest::Acknowledge { id, client, answer } => self.acknowledge(now, id, client, answer),
+            ActorRequest::Lease { answer } => {
                 let _ = answer.send(self.lease_now(now));
             }
-            Request::TakeLease { take, token, answer } => self.take_lease(now, &take, token, answer),
-            Request::UseLease { token, answer } => {
+            ActorRequest::TakeLease { take, token, answer } => self.take_lease(now, &take, token, answer),
+            ActorRequest::UseLease { token, answer } => {
                 // If the caller is gone, this counts as a single use.
                 let _ = answer.send(self.lease.keep(now.instant, Some(&token)));
             }
-            Request::RenewLease { token, answer } => {
+            ActorRequest::RenewLease { token, answer } => {
                 let _ = answer.send(self.renew_lease(now, token.as_ref()));
             }
-            Request::HandOver { token, to, new, answer } => {
+            ActorRequest::HandOver { token, to, new, answer } => {
                 let _ = answer.send(self.hand_over(now, token.as_ref(), &to, new));
             }
-            Request::ReleaseLease { token, answer } => {
+            ActorRequest::ReleaseLease { token, answer } => {
                 let _ = answer.send(self.release_lease(now, token.as_ref()));
             }
-            Request::LoseLease { token, times_taken } => self.lose_lease(now, &token, times_taken),
-            Request::Drain { answer } => self.start_drain(now, answer),
+            ActorRequest::LoseLease { token, times_taken } => self.lose_lease(now, &token, times_taken),
+            ActorRequest::Drain { answer } => self.start_drain(now, answer),
         }
         self.after_input(now);
     }

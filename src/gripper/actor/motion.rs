@@ -2,7 +2,7 @@
 
 use super::super::Now;
 use super::super::error::{Conflict, DeviceRefusal, Failure, Rejection};
-use super::super::model::{Client, Command as Record, CommandId, Kind, Motion, Outcome};
+use super::super::model::{Client, CommandId, CommandReport, Kind, Motion, Outcome};
 use super::super::observed::HeldPart;
 use super::link::{NotSubmitted, Purpose};
 use super::running::{Running, Settling, Stage, outcome_of, result_within};
@@ -227,7 +227,7 @@ impl Actor {
     }
 
     /// Ends a command. No other place does.
-    pub(super) fn end(&mut self, now: Now, id: CommandId, fill_in: impl FnOnce(&mut Record)) {
+    pub(super) fn end(&mut self, now: Now, id: CommandId, fill_in: impl FnOnce(&mut CommandReport)) {
         self.reads.forget();
         let (width_mm, force_n) = (self.observed.width_mm, self.observed.force_n);
         let referenced = self.observed.has(SystemState::REFERENCED);

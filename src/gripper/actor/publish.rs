@@ -7,7 +7,7 @@ use tokio::sync::watch;
 use super::super::Now;
 use super::super::info::Info;
 use super::super::model::{LatchFields, State};
-use super::{Actor, Config};
+use super::{Actor, ActorConfig};
 use crate::wsg::{DeviceTag, GripperState, SystemState, Temperature};
 
 /// State and device information for clients to watch.
@@ -19,7 +19,7 @@ pub(super) struct Publication {
 }
 
 impl Publication {
-    pub(super) fn new(config: &Config) -> Self {
+    pub(super) fn new(config: &ActorConfig) -> Self {
         let info = Info::unknown(
             config.name.clone(),
             config.url.clone(),

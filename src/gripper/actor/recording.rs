@@ -9,10 +9,10 @@ use std::time::{Duration, Instant};
 use super::super::Now;
 use super::super::error::Failure;
 use super::super::model::{
-    Admitted, Client, Command as Ended, CommandEvent, CommandId, Detail, DeviceEvent, Done, Event, FastStopEvent,
-    FastStopStep, Latch, LeaseEvent, Link, LinkEvent, Name, Parameters, Submission,
+    Admitted, Client, CommandEvent, CommandId, CommandReport, Detail, DeviceEvent, Done, Event, FastStopEvent,
+    FastStopStep, Latch, LeaseEvent, Link, LinkEvent, Name, OnJournalFailure, Parameters, Submission,
 };
-use super::super::recorder::{Health, Record};
+use super::super::recorder::{JournalHealth, Record};
 use super::flicker::Flicker;
 use super::measuring::Measured;
 use super::persistence::LastReported;
@@ -21,16 +21,6 @@ use crate::wsg::SystemState;
 
 /// Time limit for a command's record. After it, the command is refused or goes on at once; it is never sent later.
 const RECORDED_WITHIN: Duration = Duration::from_millis(500);
-
-/// Treatment of motions while the journal is unavailable.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-pub enum OnJournalFailure {
-    /// Motions are refused.
-    #[default]
-    Refuse,
-    /// Motions go on without records.
-    Continue,
-}
 
 /// The gripper's side of the journal.
 #[derive(Debug)]
@@ -41,7 +31,7 @@ pub(super) struct Recording {
     outbox: VecDeque<(Record, Option<CommandId>)>,
     /// Commands whose records are not durable yet, oldest first, each with the end of its wait.
     unrecorded: VecDeque<(Instant, CommandId)>,
-    pub health: Health,
+    pub health: JournalHealth,
     /// The motion being measured.
     pub measured: Option<Measured>,
     /// Link state as last recorded.
@@ -58,7 +48,7 @@ impl Recording {
             on_failure,
             outbox: VecDeque::new(),
             unrecorded: VecDeque::new(),
-            health: Health::default(),
+            health: JournalHealth::default(),
             measured: None,
             link: None,
             reported: LastReported::default(),
@@ -135,7 +125,7 @@ impl Recording {
     }
 
     /// Records the end of a command.
-    pub(super) fn done(&mut self, now: Now, client: &Client, command: &std::sync::Arc<Ended>) {
+    pub(super) fn done(&mut self, now: Now, client: &Client, command: &std::sync::Arc<CommandReport>) {
         let part_id = self.measured_part(command.id);
         let detail = Detail::Command(CommandEvent::Done(Box::new(Done::of(command, part_id))));
         let event = self.event(now, detail).by(client).of(command.id);

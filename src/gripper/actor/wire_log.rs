@@ -5,8 +5,8 @@ use std::sync::Arc;
 use tokio::sync::broadcast;
 
 use super::super::Now;
-use super::super::model::{Frame, FrameDirection, Name};
-use crate::wsg::text::{Direction, describe};
+use super::super::model::{FrameDirection, FrameRecord, Name};
+use crate::wsg::text::{WireDirection, describe};
 use crate::wsg::{self, ChecksumEvaluation, Decoded, Decoder, id};
 
 /// Frames that a listener can lag behind: about two seconds of a device on TCP.
@@ -15,7 +15,7 @@ const MAX_BEHIND: usize = 1024;
 #[derive(Debug)]
 pub(super) struct WireLog {
     gripper: Name,
-    listeners: broadcast::Sender<Arc<Frame>>,
+    listeners: broadcast::Sender<Arc<FrameRecord>>,
     /// Sequence number of the newest frame.
     seq: u64,
     /// Decoder of the device's bytes; `None` without listeners.
@@ -27,7 +27,7 @@ impl WireLog {
         Self { gripper, listeners: broadcast::Sender::new(MAX_BEHIND), seq: 0, decoder: None }
     }
 
-    pub(super) fn listeners(&self) -> broadcast::Sender<Arc<Frame>> {
+    pub(super) fn listeners(&self) -> broadcast::Sender<Arc<FrameRecord>> {
         self.listeners.clone()
     }
 
@@ -70,10 +70,10 @@ impl WireLog {
         let mut bytes = Vec::new();
         wsg::frame::encode(frame.id, frame.payload, &mut bytes);
         let read_as = match direction {
-            FrameDirection::Sent => Direction::Request,
-            FrameDirection::Received => Direction::Reply,
+            FrameDirection::Sent => WireDirection::Request,
+            FrameDirection::Received => WireDirection::Reply,
         };
-        let told = Frame {
+        let told = FrameRecord {
             gripper: self.gripper.clone(),
             seq: self.seq,
             at: now.wall,

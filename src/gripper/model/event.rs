@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::{
-    Client, Command, CommandId, Door, FastStopCause, FastStopId, Kind, Name, Outcome, Parameters, PartId, RequestId,
-    lease::LeaseEvent,
+    Client, CommandId, CommandReport, Door, FastStopCause, FastStopId, Kind, Name, Outcome, Parameters, PartId,
+    RequestId, lease::LeaseEvent,
 };
 
 mod device;
@@ -163,7 +163,7 @@ pub struct Done {
 impl Done {
     /// The end of a command, from its record. A missing outcome becomes [`Outcome::Unknown`].
     #[must_use]
-    pub fn of(command: &Command, part_id: Option<PartId>) -> Self {
+    pub fn of(command: &CommandReport, part_id: Option<PartId>) -> Self {
         Self {
             command: command.kind,
             outcome: command.outcome.unwrap_or(Outcome::Unknown),

@@ -19,11 +19,11 @@ pub enum FrameDirection {
 
 /// A frame sent to the device or received from it. Damaged frames are left out.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
-#[schema(example = json!({
+#[schema(as = Frame, example = json!({
     "gripper": "left", "seq": 4711, "at": "2026-11-21T09:00:00.25Z", "direction": "sent", "id": 37, "name": "Grip",
     "hex": "aaaaaa2508000000a04100004842aa1e", "text": "Grip width=20 speed=50"
 }))]
-pub struct Frame {
+pub struct FrameRecord {
     /// Name of the gripper.
     #[schema(value_type = String, max_length = 32)]
     pub gripper: Name,

@@ -91,3 +91,14 @@ pub enum PersistedKey {
     /// Id of the grip that holds a part.
     Holding,
 }
+
+/// Treatment of motions while the journal cannot be written.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum OnJournalFailure {
+    /// Motions are refused.
+    #[default]
+    Refuse,
+    /// Motions go on without a durable record.
+    Continue,
+}

@@ -29,7 +29,7 @@ impl Desk {
     fn admit(&mut self, submission: &Submission) -> CommandId {
         self.ids -= 1;
         let id = IdSource::new(1).command_id(Timestamp::from_millisecond(self.ids).unwrap());
-        let command = Command::admitted(id, "g".parse().unwrap(), submission, Timestamp::UNIX_EPOCH);
+        let command = CommandReport::admitted(id, "g".parse().unwrap(), submission, Timestamp::UNIX_EPOCH);
         self.commands.enter(self.now, command, submission, false);
         self.commands.recorded(id);
         id
@@ -172,5 +172,5 @@ fn script_replies_take_slots_by_size() {
 fn slots_are_large_enough() {
     let tables = 6 * size_of::<Key>() + size_of::<(Kind, Parameters)>();
     // Besides the command: the contents of its strings, and a watch channel.
-    assert!(tables + size_of::<Command>() + 512 < 2048);
+    assert!(tables + size_of::<CommandReport>() + 512 < 2048);
 }

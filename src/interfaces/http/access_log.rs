@@ -11,11 +11,11 @@ use tracing::field::Empty;
 use tracing::{Instrument, debug, info, info_span};
 
 use super::client::client;
-use super::context::Context;
+use super::context::HttpContext;
 use super::problem::RefusedMark;
 
 /// Middleware that counts and logs requests: reads at DEBUG, all others at INFO.
-pub async fn watch(State(context): State<Arc<Context>>, request: Request, next: Next) -> Response {
+pub async fn watch(State(context): State<Arc<HttpContext>>, request: Request, next: Next) -> Response {
     let method = request.method().clone();
     let route = request.extensions().get::<MatchedPath>().cloned();
     let client = client(request.extensions()).subject;

@@ -9,7 +9,7 @@ use utoipa::openapi::OpenApi;
 
 use super::context::API;
 use crate::events::Gap;
-use crate::gripper::model::{Command, Frame, State, Telemetry};
+use crate::gripper::model::{CommandReport, FrameRecord, State, Telemetry};
 use crate::interfaces::websocket::{SUBPROTOCOL, Subscribe, Subscribed};
 use crate::operations::{Members, OPERATIONS as METHODS, Operation as Method};
 
@@ -30,7 +30,7 @@ const NOTIFICATIONS: &[(&str, &str, &str)] = &[
 
 /// Schemas that no HTTP operation refers to.
 #[derive(utoipa::OpenApi)]
-#[openapi(components(schemas(Command, Frame, Gap, Members, State, Subscribe, Subscribed, Telemetry)))]
+#[openapi(components(schemas(CommandReport, FrameRecord, Gap, Members, State, Subscribe, Subscribed, Telemetry)))]
 struct OwnSchemas;
 
 #[must_use]

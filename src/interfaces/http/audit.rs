@@ -8,7 +8,7 @@ use axum::middleware::Next;
 use axum::response::Response;
 
 use super::client::client;
-use super::context::{API, Context};
+use super::context::{API, HttpContext};
 use super::problem::RefusedMark;
 use crate::gripper::model::{Name, Urgency};
 use crate::interfaces::metrics::NO_ROUTE;
@@ -16,7 +16,7 @@ use crate::operations::audit::RefusedRequest;
 use crate::operations::{find, subject};
 
 /// Middleware that records refused requests. Requests that only read are not recorded.
-pub async fn record(State(context): State<Arc<Context>>, request: Request, next: Next) -> Response {
+pub async fn record(State(context): State<Arc<HttpContext>>, request: Request, next: Next) -> Response {
     if matches!(*request.method(), Verb::GET | Verb::HEAD | Verb::OPTIONS) {
         return next.run(request).await;
     }

@@ -20,15 +20,15 @@ pub const MAX_DISCARDED_BYTES: usize = 2 * 1024 * 1024;
 pub const BODY_TIME: Duration = Duration::from_secs(10);
 
 /// A body, and the count of the bytes it holds for its connection.
-pub type Held = (Bytes, Option<HeldBytes>);
+pub type HeldBody = (Bytes, Option<HeldBytes>);
 
 /// Reads a body, within the bounds above.
-pub async fn read(stream: Stream, permit: Option<&Arc<ConnectionPermit>>) -> Result<Held, Problem> {
+pub async fn read(stream: Stream, permit: Option<&Arc<ConnectionPermit>>) -> Result<HeldBody, Problem> {
     let too_late = || Problem::new(Code::RequestTimeout, format!("the body did not arrive within {BODY_TIME:?}"));
     timeout(BODY_TIME, collect(stream, permit)).await.map_err(|_| too_late())?
 }
 
-async fn collect(mut stream: Stream, permit: Option<&Arc<ConnectionPermit>>) -> Result<Held, Problem> {
+async fn collect(mut stream: Stream, permit: Option<&Arc<ConnectionPermit>>) -> Result<HeldBody, Problem> {
     let mut held = permit.map(ConnectionPermit::held);
     let mut read = 0;
     let counted = (&mut stream).map_frame(|frame| {

@@ -5,40 +5,40 @@ use std::sync::Arc;
 use prometheus::Registry;
 use tokio_util::sync::CancellationToken;
 
-use crate::interfaces::metrics::Metrics;
+use crate::interfaces::metrics::InterfaceMetrics;
 use crate::interfaces::{self, Runtimes};
 use crate::operations::Gateway;
 
 pub const API: &str = "/api/v1";
 
 #[derive(Debug, Clone)]
-pub struct Context {
+pub struct HttpContext {
     pub gateway: Arc<Gateway>,
     /// Ends the streams on shutdown.
     pub closing: CancellationToken,
     pub runtimes: Runtimes,
-    pub metrics: Metrics,
-    pub ws_metrics: Metrics,
+    pub metrics: InterfaceMetrics,
+    pub ws_metrics: InterfaceMetrics,
     pub registry: Registry,
     /// Host names that requests may use besides addresses and `localhost`, without ports.
     pub allowed_hosts: Vec<String>,
 }
 
-impl Context {
+impl HttpContext {
     /// Returns the context of another interface, with its own metrics.
     #[must_use]
-    pub fn of_interface(&self, metrics: Metrics) -> interfaces::Context {
+    pub fn of_interface(&self, metrics: InterfaceMetrics) -> interfaces::Context {
         let (gateway, closing, runtimes) = (self.gateway.clone(), self.closing.clone(), self.runtimes.clone());
         interfaces::Context { gateway, closing, runtimes, metrics }
     }
 }
 
 #[cfg(test)]
-impl Context {
+impl HttpContext {
     /// Returns a context with these grippers and an in-memory journal.
     pub(crate) fn of(grippers: impl IntoIterator<Item = crate::gripper::Handle>) -> Self {
         let registry = Registry::new();
-        let [metrics, ws_metrics] = ["http", "ws"].map(|name| Metrics::register(&registry, name).unwrap());
+        let [metrics, ws_metrics] = ["http", "ws"].map(|name| InterfaceMetrics::register(&registry, name).unwrap());
         Self {
             gateway: Gateway::of(grippers),
             closing: CancellationToken::new(),

@@ -15,11 +15,11 @@ use serde_json::{Map, Value};
 
 use super::body;
 use super::client::client;
-use super::context::{API, Context};
+use super::context::{API, HttpContext};
 use super::fast_stop::with_reason;
 use super::operation::serve_below;
 use super::problem::PROBLEM_JSON;
-use super::query::Query;
+use super::query::QueryString;
 use crate::fleet::{Ask, NoAnswer};
 use crate::gripper::model::{Name, Reason, Urgency};
 use crate::interfaces::admission::{Class, ConnectionPermit};
@@ -64,7 +64,7 @@ impl Target {
 
 /// Performs any operation on a gripper of any gateway.
 pub async fn forward(
-    Shared(context): Shared<Arc<Context>>,
+    Shared(context): Shared<Arc<HttpContext>>,
     parameters: RawPathParams,
     request: Request,
 ) -> Result<Response, Problem> {
@@ -174,7 +174,7 @@ fn wait(parts: &Parts, operation: &Operation) -> Result<Option<Duration>, Proble
     if !operation.waits {
         return Ok(None);
     }
-    let given = Query::of(&parts.uri)?.one("wait_ms")?.map(wait_ms).transpose()?;
+    let given = QueryString::of(&parts.uri)?.one("wait_ms")?.map(wait_ms).transpose()?;
     Ok(given.or(operation.starts_command.then_some(DEFAULT_WAIT_MS)).map(Duration::from_millis))
 }
 

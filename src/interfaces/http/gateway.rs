@@ -10,7 +10,7 @@ use prometheus::{TEXT_FORMAT, TextEncoder};
 use serde::Serialize;
 use utoipa::ToSchema;
 
-use super::context::Context;
+use super::context::HttpContext;
 use super::paths::responses::AnyProblem;
 use crate::gripper::model::Link;
 use crate::gripper::{Handle, Recorder as _};
@@ -34,7 +34,7 @@ pub struct Health {
     get, path = "/healthz", operation_id = "healthz", tag = "gateway",
     responses((status = 200, description = "The gateway answers", body = Health), AnyProblem)
 )]
-pub async fn health(Shared(context): Shared<Arc<Context>>) -> Json<Health> {
+pub async fn health(Shared(context): Shared<Arc<HttpContext>>) -> Json<Health> {
     Json(Health { gateway: context.gateway.name.to_string(), status: "ok" })
 }
 
@@ -77,7 +77,7 @@ pub struct Readiness {
         AnyProblem,
     )
 )]
-pub async fn readiness(Shared(context): Shared<Arc<Context>>) -> (StatusCode, Json<Readiness>) {
+pub async fn readiness(Shared(context): Shared<Arc<HttpContext>>) -> (StatusCode, Json<Readiness>) {
     let own = &context.gateway;
     let journal = own.journal.health().borrow().clone();
     let (journal_cause, journal_damage) = (journal.failure, journal.damage);
@@ -102,7 +102,7 @@ fn why_not_ready(handle: &Handle) -> Option<String> {
     get, path = "/metrics", operation_id = "metrics", tag = "gateway",
     responses((status = 200, description = "The metrics", body = String, content_type = "text/plain"), AnyProblem)
 )]
-pub async fn metrics(Shared(context): Shared<Arc<Context>>) -> Result<Response, Problem> {
+pub async fn metrics(Shared(context): Shared<Arc<HttpContext>>) -> Result<Response, Problem> {
     let text = TextEncoder::new().encode_to_string(&context.registry.gather());
     let text = text.map_err(|error| Problem::new(Code::Internal, format!("metrics could not be encoded: {error}")))?;
     Ok(([(header::CONTENT_TYPE, TEXT_FORMAT)], text).into_response())

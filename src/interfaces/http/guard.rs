@@ -14,12 +14,12 @@ use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
 
 use super::body;
-use super::context::Context;
+use super::context::HttpContext;
 use crate::operations::{Code, Problem};
 
 /// Middleware that refuses foreign hosts and origins, whatever the method. Any Content-Type is read as JSON, so without
 /// this check a plain form on another site could move a gripper.
-pub async fn refuse_foreigners(State(context): State<Arc<Context>>, request: Request, next: Next) -> Response {
+pub async fn refuse_foreigners(State(context): State<Arc<HttpContext>>, request: Request, next: Next) -> Response {
     match check(&request, &context.allowed_hosts) {
         Ok(()) => next.run(request).await,
         Err(problem) => {

@@ -12,10 +12,10 @@ use serde::Serialize;
 use serde_json::value::RawValue;
 use utoipa::{IntoParams, ToSchema};
 
-use super::context::Context;
+use super::context::HttpContext;
 use super::paths::CommandPath;
 use super::paths::responses::JournalProblem;
-use super::query::Query as Parameters;
+use super::query::QueryString;
 use crate::gripper::model::{CommandId, Event, GripRecord, Sample};
 use crate::journal::csv;
 use crate::journal::{Cursor, EventKind, Filter, Limit, Page, Query};
@@ -148,7 +148,7 @@ const OFFERED: [MediaType<'static>; 2] =
 /// Parses a request's query.
 fn query<K: serde::de::DeserializeOwned>(uri: &Uri, kinds: &str, more: &[&str]) -> Result<Query<K>, Problem> {
     let known = ["gripper", "kind", "part_id", "outcome", "from", "to", "limit", "cursor", "order"];
-    let given = Parameters::of(uri)?.only(&[&known, more].concat())?;
+    let given = QueryString::of(uri)?.only(&[&known, more].concat())?;
     let limit = match given.parsed("limit", "a whole number", |text| text.parse::<f64>().ok())? {
         // `integer` has checked the range, so `Limit::new` succeeds.
         Some(number) => Limit::new(integer("limit", number, 1..=1000)?).unwrap_or_default(),
@@ -208,7 +208,11 @@ fn table(columns: &[&str], page: &Page) -> Response {
     params(RecordsQuery, EventsQuery),
     responses((status = 200, description = "A page of events", content((Events = "application/json"), (String = "text/csv"))), JournalProblem)
 )]
-pub async fn events(Shared(context): Shared<Arc<Context>>, headers: HeaderMap, uri: Uri) -> Result<Response, Problem> {
+pub async fn events(
+    Shared(context): Shared<Arc<HttpContext>>,
+    headers: HeaderMap,
+    uri: Uri,
+) -> Result<Response, Problem> {
     let page = context.gateway.journal.events(query(&uri, EVENT_KINDS, &["command_id"])?).await?;
     if wants_csv(&headers) {
         return Ok(table(csv::EVENT_COLUMNS, &page));
@@ -228,7 +232,11 @@ pub async fn events(Shared(context): Shared<Arc<Context>>, headers: HeaderMap, u
     params(RecordsQuery, GripsQuery),
     responses((status = 200, description = "A page of grip records", content((Grips = "application/json"), (String = "text/csv"))), JournalProblem)
 )]
-pub async fn grips(Shared(context): Shared<Arc<Context>>, headers: HeaderMap, uri: Uri) -> Result<Response, Problem> {
+pub async fn grips(
+    Shared(context): Shared<Arc<HttpContext>>,
+    headers: HeaderMap,
+    uri: Uri,
+) -> Result<Response, Problem> {
     let page = context.gateway.journal.grips(query(&uri, GRIP_KINDS, &[])?).await?;
     if wants_csv(&headers) {
         return Ok(table(csv::GRIP_COLUMNS, &page));
@@ -251,7 +259,7 @@ fn no_such_grip() -> Problem {
     params(CommandPath),
     responses((status = 200, description = "The grip record", body = GripBody), JournalProblem)
 )]
-pub async fn grip(Shared(context): Shared<Arc<Context>>, Path(id): Path<String>) -> Result<Response, Problem> {
+pub async fn grip(Shared(context): Shared<Arc<HttpContext>>, Path(id): Path<String>) -> Result<Response, Problem> {
     let body = context.gateway.journal.grip(command_id(&id)?).await?.ok_or_else(no_such_grip)?;
     Ok(([(header::CONTENT_TYPE, "application/json")], body.to_string()).into_response())
 }
@@ -266,7 +274,7 @@ pub async fn grip(Shared(context): Shared<Arc<Context>>, Path(id): Path<String>)
     responses((status = 200, description = "The curve", content((Curve = "application/json"), (String = "text/csv"))), JournalProblem)
 )]
 pub async fn curve(
-    Shared(context): Shared<Arc<Context>>,
+    Shared(context): Shared<Arc<HttpContext>>,
     Path(id): Path<String>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {

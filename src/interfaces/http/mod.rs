@@ -30,9 +30,9 @@ mod turn;
 mod upgrade;
 mod wait;
 
-pub use context::{API, Context};
+pub use context::{API, HttpContext};
 pub use router::openapi;
-pub use server::{Limits, listen, serve};
+pub use server::{ServerLimits, listen, serve};
 
 /// The AsyncAPI document as YAML.
 pub fn asyncapi() -> Result<String, serde_saphyr::ser::Error> {

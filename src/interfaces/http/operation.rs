@@ -12,18 +12,18 @@ use axum::response::{IntoResponse, Response};
 
 use super::body;
 use super::client::client;
-use super::context::{API, Context};
+use super::context::{API, HttpContext};
 use super::fast_stop::with_reason;
-use super::query::Query;
+use super::query::QueryString;
 use super::wait::ConnectionWaits;
 use crate::gripper::model::{LeaseToken, Text, Urgency};
 use crate::operations::values::text;
 use crate::operations::{
-    Caller, Effect, Fields, MAX_LEASE_BYTES, Operation, Params, Presence, Problem, Reply, Wait, run,
+    Caller, Effect, Fields, MAX_LEASE_BYTES, Operation, OperationReply, Params, Presence, Problem, Wait, run,
 };
 
 pub async fn serve(
-    context: &Arc<Context>,
+    context: &Arc<HttpContext>,
     operation: &'static Operation,
     request: Request,
 ) -> Result<Response, Problem> {
@@ -34,7 +34,7 @@ pub async fn serve(
 
 /// Performs an operation whose path has already been parsed.
 pub async fn serve_below(
-    context: &Arc<Context>,
+    context: &Arc<HttpContext>,
     operation: &'static Operation,
     path: BTreeMap<&'static str, String>,
     parts: &Parts,
@@ -67,7 +67,7 @@ async fn path(parts: &mut Parts, operation: &Operation) -> Result<BTreeMap<&'sta
 
 fn caller(parts: &Parts, operation: &Operation) -> Result<Caller, Problem> {
     let wait = if operation.waits {
-        let given = Query::of(&parts.uri)?.one("wait_ms")?.map(ToOwned::to_owned);
+        let given = QueryString::of(&parts.uri)?.one("wait_ms")?.map(ToOwned::to_owned);
         Wait::Ms { given, limiter: ConnectionWaits::of(&parts.extensions) }
     } else {
         Wait::No
@@ -94,7 +94,7 @@ fn key<const MAX: usize>(headers: &HeaderMap, name: &'static str) -> Result<Opti
 }
 
 /// Returns 200 with the result, or 202 with the Location of a command that is still running.
-fn response(Reply { body, effect }: Reply) -> Response {
+fn response(OperationReply { body, effect }: OperationReply) -> Response {
     let json = [(header::CONTENT_TYPE, "application/json")];
     let body = String::from(Box::<str>::from(body));
     match effect {

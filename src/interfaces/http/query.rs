@@ -9,9 +9,9 @@ use serde_json::Value;
 use crate::operations::Problem;
 
 #[derive(Debug)]
-pub struct Query(Vec<(String, String)>);
+pub struct QueryString(Vec<(String, String)>);
 
-impl Query {
+impl QueryString {
     /// Parses the query of a URI. [`Query::only`] checks the names.
     pub fn of(uri: &Uri) -> Result<Self, Problem> {
         let Pairs(pairs) =
@@ -70,8 +70,8 @@ impl Query {
 mod tests {
     use super::*;
 
-    fn parameters(query: &str) -> Query {
-        Query::of(&format!("/events?{query}").parse().unwrap()).unwrap()
+    fn parameters(query: &str) -> QueryString {
+        QueryString::of(&format!("/events?{query}").parse().unwrap()).unwrap()
     }
 
     #[test]

@@ -17,12 +17,12 @@ use utoipa::openapi::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
-use super::context::{API, Context};
+use super::context::{API, HttpContext};
 use super::{access_log, audit, docs, forward, gateway, guard, guide, journal, large, paths, stream, turn, upgrade};
 use crate::interfaces::dashboard;
 use crate::operations::{Code, Problem};
 
-pub fn router(context: &Arc<Context>) -> Router {
+pub fn router(context: &Arc<HttpContext>) -> Router {
     served()
         .layer(middleware::from_fn_with_state(context.clone(), guard::refuse_foreigners))
         .layer(middleware::from_fn_with_state(context.clone(), audit::record))
@@ -31,7 +31,7 @@ pub fn router(context: &Arc<Context>) -> Router {
         .with_state(context.clone())
 }
 
-fn served() -> Router<Arc<Context>> {
+fn served() -> Router<Arc<HttpContext>> {
     let (routes, document) = routes().split_for_parts();
     routes.layer(Extension(Arc::new(docs::Documents::new(document)))).layer(CatchPanicLayer::custom(panicked))
 }
@@ -42,7 +42,7 @@ pub fn openapi() -> OpenApi {
     routes().into_openapi()
 }
 
-type Routes = OpenApiRouter<Arc<Context>>;
+type Routes = OpenApiRouter<Arc<HttpContext>>;
 
 fn routes() -> Routes {
     let (router, mut document) = OpenApiRouter::with_openapi(docs::base())

@@ -32,7 +32,7 @@ use tokio::time::{Instant, sleep, timeout};
 use tokio_util::sync::CancellationToken;
 use tower::ServiceExt;
 
-use super::context::Context;
+use super::context::HttpContext;
 use super::fast_stop::{is_fast_stop, may_be_fast_stop};
 use super::home::Home;
 use super::router::router;
@@ -43,7 +43,7 @@ use crate::interfaces::quick_ack::QuickAckStream;
 use crate::interfaces::sockets;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct Limits {
+pub struct ServerLimits {
     /// Connections at a time, by class.
     pub bounds: Bounds,
     /// Time for a request's header to arrive. It also bounds the time that a connection can be idle between requests.
@@ -85,7 +85,7 @@ const STALLED_FOR: Duration = Duration::from_millis(200);
 /// Time for the rest of a first line to arrive after its beginning.
 const FIRST_LINE_WITHIN: Duration = Duration::from_millis(20);
 
-impl Limits {
+impl ServerLimits {
     /// Returns the default times with these bounds.
     #[must_use]
     pub fn within(bounds: Bounds) -> Self {
@@ -94,7 +94,7 @@ impl Limits {
     }
 }
 
-impl Default for Limits {
+impl Default for ServerLimits {
     fn default() -> Self {
         Self::within(Bounds::of(Bounds::MAX_DESCRIPTORS))
     }
@@ -110,7 +110,12 @@ pub fn listen(address: SocketAddr) -> io::Result<TcpListener> {
 }
 
 /// Serves until `shutdown`, then finishes the running requests.
-pub async fn serve(listener: TcpListener, context: Arc<Context>, limits: Limits, shutdown: CancellationToken) {
+pub async fn serve(
+    listener: TcpListener,
+    context: Arc<HttpContext>,
+    limits: ServerLimits,
+    shutdown: CancellationToken,
+) {
     let admission = Admission::new(limits.bounds);
     if let Err(error) = Usage::register(&context.registry, "http", &admission) {
         tracing::warn!(%error, "connection metrics unavailable");
@@ -131,9 +136,9 @@ pub async fn serve(listener: TcpListener, context: Arc<Context>, limits: Limits,
 
 struct Server {
     router: Router,
-    context: Arc<Context>,
+    context: Arc<HttpContext>,
     admission: Arc<Admission>,
-    limits: Limits,
+    limits: ServerLimits,
     closing: CancellationToken,
 }
 

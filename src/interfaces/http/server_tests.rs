@@ -7,7 +7,7 @@ use tokio::sync::mpsc::UnboundedReceiver;
 use tokio::task::JoinHandle;
 
 use super::*;
-use crate::gripper::fake::{self, Fate, Script, Seen};
+use crate::gripper::fake::{self, FakeScript, Fate, Seen};
 use crate::interfaces::admission::Class;
 
 struct Server {
@@ -17,9 +17,9 @@ struct Server {
     seen: UnboundedReceiver<Seen>,
 }
 
-async fn start(limits: Limits, script: Script) -> Server {
+async fn start(limits: ServerLimits, script: FakeScript) -> Server {
     let (handle, seen) = fake::gripper("left", script);
-    let context = Context::of([handle]);
+    let context = HttpContext::of([handle]);
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();
     let shutdown = CancellationToken::new();
@@ -67,7 +67,7 @@ const HEALTH: &[u8] = b"GET /healthz HTTP/1.1\r\nHost: localhost\r\n\r\n";
 
 #[tokio::test]
 async fn connection_is_reused() {
-    let server = start(Limits::default(), Script::default()).await;
+    let server = start(ServerLimits::default(), FakeScript::default()).await;
     let mut stream = server.connect().await;
     for _ in 0..3 {
         stream.write_all(HEALTH).await.unwrap();
@@ -77,7 +77,7 @@ async fn connection_is_reused() {
 
 #[tokio::test]
 async fn http_1_0_without_a_host_is_served() {
-    let server = start(Limits::default(), Script::default()).await;
+    let server = start(ServerLimits::default(), FakeScript::default()).await;
     let answer = server.exchange(b"GET /healthz HTTP/1.0\r\n\r\n").await;
     assert!(answer.starts_with("HTTP/1.0 200 OK\r\n") && answer.ends_with(r#""status":"ok"}"#), "{answer}");
     assert!(answer.contains("content-length: ") && !answer.contains("transfer-encoding"));
@@ -85,8 +85,8 @@ async fn http_1_0_without_a_host_is_served() {
 
 #[tokio::test]
 async fn incomplete_header_times_out() {
-    let limits = Limits { header_time: Duration::from_millis(50), ..Limits::default() };
-    let server = start(limits, Script::default()).await;
+    let limits = ServerLimits { header_time: Duration::from_millis(50), ..ServerLimits::default() };
+    let server = start(limits, FakeScript::default()).await;
     let start = Instant::now();
     assert_eq!(server.exchange(b"GET /healthz HTTP/1.1\r\nHost: loc").await, "");
     assert!(start.elapsed() >= limits.header_time);
@@ -94,7 +94,7 @@ async fn incomplete_header_times_out() {
 
 #[tokio::test]
 async fn oversized_body_is_read_and_answered() {
-    let server = start(Limits::default(), Script::default()).await;
+    let server = start(ServerLimits::default(), FakeScript::default()).await;
     let body = vec![b' '; 1024 * 1024];
     for path in ["/api/v1/grippers/left/home", "/nowhere"] {
         let head = format!("POST {path} HTTP/1.1\r\nHost: localhost\r\nContent-Length: {}\r\n\r\n", body.len());
@@ -106,7 +106,7 @@ async fn oversized_body_is_read_and_answered() {
 
 #[tokio::test]
 async fn oversized_body_after_100_continue_is_answered() {
-    let server = start(Limits::default(), Script::default()).await;
+    let server = start(ServerLimits::default(), FakeScript::default()).await;
     let mut stream = server.connect().await;
     let head = "POST /api/v1/grippers/left/home HTTP/1.1\r\nHost: localhost\r\nExpect: 100-continue\r\n\
                 Content-Length: 100000\r\n\r\n";
@@ -119,13 +119,13 @@ async fn oversized_body_after_100_continue_is_answered() {
 }
 
 /// Limits with one connection for each class.
-fn narrow() -> Limits {
-    Limits::within(Bounds::of(1))
+fn narrow() -> ServerLimits {
+    ServerLimits::within(Bounds::of(1))
 }
 
 #[tokio::test]
 async fn longest_idle_connection_gives_way() {
-    let server = start(narrow(), Script::default()).await;
+    let server = start(narrow(), FakeScript::default()).await;
     let mut first = server.connect().await;
     first.write_all(HEALTH).await.unwrap();
     answer(&mut first).await;
@@ -137,7 +137,7 @@ async fn longest_idle_connection_gives_way() {
 
 #[tokio::test]
 async fn half_sent_body_gives_way() {
-    let server = start(narrow(), Script::default()).await;
+    let server = start(narrow(), FakeScript::default()).await;
     let mut first = server.connect().await;
     // The 100 Continue shows that the request has arrived and waits for its body.
     let head = "POST /api/v1/grippers/left/home HTTP/1.1\r\nHost: localhost\r\nExpect: 100-continue\r\n\
@@ -152,8 +152,8 @@ async fn half_sent_body_gives_way() {
 
 #[tokio::test]
 async fn long_poll_beyond_the_bound_is_answered_at_once() {
-    let limits = Limits::within(Bounds::of(1).with(Class::Incoming, 2).with(Class::Answering, 2));
-    let server = start(limits, Script { fate: Fate::Runs, ..Script::default() }).await;
+    let limits = ServerLimits::within(Bounds::of(1).with(Class::Incoming, 2).with(Class::Answering, 2));
+    let server = start(limits, FakeScript { fate: Fate::Runs, ..FakeScript::default() }).await;
     let mut first = server.connect().await;
     let home = "POST /api/v1/grippers/left/home?wait_ms=60000 HTTP/1.1\r\nHost: localhost\r\nContent-Length: 0\r\n\r\n";
     first.write_all(home.as_bytes()).await.unwrap();
@@ -177,7 +177,7 @@ async fn long_poll_beyond_the_bound_is_answered_at_once() {
 
 #[tokio::test]
 async fn shutdown_ends_idle_connections_and_finishes_requests() {
-    let server = start(Limits::default(), Script::default()).await;
+    let server = start(ServerLimits::default(), FakeScript::default()).await;
     let mut idle = server.connect().await;
     idle.write_all(HEALTH).await.unwrap();
     answer(&mut idle).await;
@@ -196,8 +196,8 @@ async fn shutdown_ends_idle_connections_and_finishes_requests() {
 
 #[tokio::test]
 async fn shutdown_is_bounded() {
-    let limits = Limits { shutdown_time: Duration::from_millis(50), ..Limits::default() };
-    let server = start(limits, Script { fate: Fate::Runs, ..Script::default() }).await;
+    let limits = ServerLimits { shutdown_time: Duration::from_millis(50), ..ServerLimits::default() };
+    let server = start(limits, FakeScript { fate: Fate::Runs, ..FakeScript::default() }).await;
     let mut busy = server.connect().await;
     let head = "POST /api/v1/grippers/left/home?wait_ms=60000 HTTP/1.1\r\nHost: localhost\r\n\
                 Expect: 100-continue\r\nContent-Length: 2\r\n\r\n";
@@ -210,7 +210,7 @@ async fn shutdown_is_bounded() {
 
 #[tokio::test]
 async fn fast_stop_survives_client_disconnect() {
-    let mut server = start(Limits::default(), Script::default()).await;
+    let mut server = start(ServerLimits::default(), FakeScript::default()).await;
     let mut client = server.connect().await;
     let head = b"POST /api/v1/fast-stop HTTP/1.1\r\nHost: localhost\r\nContent-Length: 20\r\n\r\n{\"rea";
     client.write_all(head).await.unwrap();
@@ -220,7 +220,7 @@ async fn fast_stop_survives_client_disconnect() {
 
 #[tokio::test]
 async fn fast_stop_with_oversized_body_is_answered() {
-    let server = start(Limits::default(), Script::default()).await;
+    let server = start(ServerLimits::default(), FakeScript::default()).await;
     let body = vec![b' '; 1024 * 1024];
     let head =
         "POST /api/v1/fast-stop HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\nContent-Length: 1048576\r\n\r\n";

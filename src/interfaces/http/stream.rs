@@ -13,15 +13,15 @@ use futures_util::stream::unfold;
 use tokio_util::sync::CancellationToken;
 use utoipa::{IntoParams, ToSchema};
 
-use super::context::Context;
+use super::context::HttpContext;
 use super::home::Home;
 use super::paths::responses::JournalProblem;
-use super::query::Query;
+use super::query::QueryString;
 use crate::events::{DEFAULT_HZ, Gap, MAX_HZ, Notification, Pace, Subscription, TOPICS, Topic};
 use crate::gripper::Now;
 use crate::gripper::model::Name;
 use crate::interfaces::admission::{Claim, Class, ConnectionPermit};
-use crate::interfaces::metrics::Metrics;
+use crate::interfaces::metrics::InterfaceMetrics;
 use crate::journal::{EventStream, Filter, StreamItem};
 use crate::operations::values::integer;
 use crate::operations::{Code, Problem};
@@ -81,7 +81,7 @@ struct Stream {
     events: Option<EventStream>,
     updates: Subscription,
     pace: Pace,
-    metrics: Metrics,
+    metrics: InterfaceMetrics,
     /// Messages to send next, at most one for each topic and gripper.
     ready: VecDeque<Notification>,
     closing: CancellationToken,
@@ -104,7 +104,7 @@ struct Stream {
     responses((status = 200, description = "The stream", body = Message, content_type = "text/event-stream"), JournalProblem)
 )]
 pub async fn stream(
-    Shared(context): Shared<Arc<Context>>,
+    Shared(context): Shared<Arc<HttpContext>>,
     headers: HeaderMap,
     uri: Uri,
     extensions: Extensions,
@@ -122,8 +122,8 @@ pub async fn stream(
 }
 
 impl Stream {
-    fn new(context: &Context, headers: &HeaderMap, uri: &Uri) -> Result<Self, Problem> {
-        let given = Query::of(uri)?.only(&["topics", "gripper", "max_hz", "after"])?;
+    fn new(context: &HttpContext, headers: &HeaderMap, uri: &Uri) -> Result<Self, Problem> {
+        let given = QueryString::of(uri)?.only(&["topics", "gripper", "max_hz", "after"])?;
         let mut topics = given
             .parsed("topics", &format!("{TOPICS}, separated by commas"), topics)?
             .unwrap_or_else(|| BTreeSet::from([Topic::Events]));
@@ -229,13 +229,13 @@ mod tests {
     use prometheus::TextEncoder;
 
     use super::*;
-    use crate::gripper::fake::{self, Script};
+    use crate::gripper::fake::{self, FakeScript};
     use crate::gripper::model::{Client, Door, FastStopId, Reason};
 
     #[tokio::test(start_paused = true)]
     async fn missed_states_are_counted_unless_rate_limited() {
-        let (handle, _seen) = fake::gripper("left", Script::default());
-        let context = Context::of([handle.clone()]);
+        let (handle, _seen) = fake::gripper("left", FakeScript::default());
+        let context = HttpContext::of([handle.clone()]);
         let uri = Uri::from_static("/stream?topics=state,telemetry&max_hz=10");
         let mut stream = Stream::new(&context, &HeaderMap::new(), &uri).unwrap();
         // No time passes between the changes; each is sent as a state and as telemetry.

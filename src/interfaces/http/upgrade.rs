@@ -13,7 +13,7 @@ use hyper_util::rt::TokioIo;
 use tokio_tungstenite::tungstenite::handshake::server::create_response_with_body;
 
 use super::client::websocket_client;
-use super::context::Context;
+use super::context::HttpContext;
 use super::paths::responses::SocketProblem;
 use super::stream::too_many;
 use crate::gripper::model::Client;
@@ -33,7 +33,7 @@ const KEY_BYTES: usize = 16;
     get, path = "/ws", operation_id = "websocket", tag = "journal",
     responses((status = 101, description = "The connection is now a WebSocket"), SocketProblem)
 )]
-pub async fn open(Shared(context): Shared<Arc<Context>>, mut request: Request) -> Result<Response, Problem> {
+pub async fn open(Shared(context): Shared<Arc<HttpContext>>, mut request: Request) -> Result<Response, Problem> {
     let mut response = create_response_with_body(&request, Body::empty).map_err(|error| {
         let detail = format!("invalid WebSocket handshake: {error}; connect with the subprotocol {SUBPROTOCOL}");
         Problem::malformed("Upgrade", detail)
@@ -62,7 +62,7 @@ pub async fn open(Shared(context): Shared<Arc<Context>>, mut request: Request) -
 }
 
 /// Serves an upgraded connection on the sockets' runtimes until its end.
-async fn begin(upgraded: Upgraded, client: Client, permit: Option<Arc<ConnectionPermit>>, context: &Arc<Context>) {
+async fn begin(upgraded: Upgraded, client: Client, permit: Option<Arc<ConnectionPermit>>, context: &Arc<HttpContext>) {
     let Ok(parts) = upgraded.downcast::<TokioIo<QuickAckStream>>() else {
         return tracing::error!("WebSocket upgrade failed: the connection is not TCP");
     };

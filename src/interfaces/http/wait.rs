@@ -7,7 +7,7 @@ use axum::http::Extensions;
 use futures_util::future::{BoxFuture, FutureExt as _};
 
 use crate::gripper::Ticket;
-use crate::gripper::model::Command;
+use crate::gripper::model::CommandReport;
 use crate::interfaces::admission::{Class, ConnectionPermit};
 use crate::interfaces::pace::RequestPace;
 use crate::operations::WaitLimiter;
@@ -29,7 +29,7 @@ impl ConnectionWaits {
         Some(Arc::new(Self { permit, pace: extensions.get().cloned() }))
     }
 
-    async fn wait(&self, ticket: &mut Ticket, limit: Duration) -> Command {
+    async fn wait(&self, ticket: &mut Ticket, limit: Duration) -> CommandReport {
         if let Some(claim) = self.permit.claim(Class::Waiting) {
             tokio::select! {
                 biased;
@@ -47,7 +47,7 @@ impl ConnectionWaits {
 }
 
 impl WaitLimiter for ConnectionWaits {
-    fn until_ended<'a>(&'a self, ticket: &'a mut Ticket, limit: Duration) -> BoxFuture<'a, Command> {
+    fn until_ended<'a>(&'a self, ticket: &'a mut Ticket, limit: Duration) -> BoxFuture<'a, CommandReport> {
         self.wait(ticket, limit).boxed()
     }
 }

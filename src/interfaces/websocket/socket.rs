@@ -31,13 +31,15 @@ use super::rpc::{self, Incoming, RpcCall, RpcError, RpcResponse};
 use super::writer::Writer;
 use crate::events::{Notification, encoded, text_frame};
 use crate::gripper::Ticket;
-use crate::gripper::model::{Client, Command, Name, Urgency};
+use crate::gripper::model::{Client, CommandReport, Name, Urgency};
 use crate::interfaces::Context;
 use crate::interfaces::admission::{Claim, Class, ConnectionPermit, HeldBytes};
 use crate::interfaces::metrics::Connected;
 use crate::interfaces::pace::RequestPace;
 use crate::operations::json::MAX_BODY_BYTES;
-use crate::operations::{Caller, Code, ConnectionLease, Effect, Problem, Reply, is_fast_stop, lease, named, urgency};
+use crate::operations::{
+    Caller, Code, ConnectionLease, Effect, OperationReply, Problem, is_fast_stop, lease, named, urgency,
+};
 
 const PINGED_EVERY: Duration = Duration::from_secs(1);
 
@@ -86,7 +88,7 @@ pub struct Socket {
     request_bytes: usize,
     held: Option<HeldBytes>,
     /// Commands that were answered but have not ended.
-    running: FuturesUnordered<BoxFuture<'static, Command>>,
+    running: FuturesUnordered<BoxFuture<'static, CommandReport>>,
     /// The newest lease of each gripper that was taken on this socket. Unless released, a lease is lost with the
     /// socket. A connection with a lease is not evicted.
     leases: HashMap<Name, (Arc<ConnectionLease>, Option<Claim>)>,
@@ -120,10 +122,10 @@ struct Answered {
 }
 
 impl Answered {
-    fn new(id: Option<Value>, result: Result<Reply, Problem>) -> Self {
+    fn new(id: Option<Value>, result: Result<OperationReply, Problem>) -> Self {
         let has_id = id.is_some();
         let (result, effect) = match result {
-            Ok(Reply { body, effect }) => (Ok(body), effect),
+            Ok(OperationReply { body, effect }) => (Ok(body), effect),
             Err(problem) => (Err(problem.into()), Effect::None),
         };
         let (running, lease) = match effect {

@@ -12,7 +12,7 @@ use tokio::net::TcpStream;
 use super::bodies::Following;
 use super::outbox::{Item, Outbox};
 use crate::events::{Notification, Pace, Subscription};
-use crate::interfaces::metrics::Metrics;
+use crate::interfaces::metrics::InterfaceMetrics;
 
 /// Maximum number of frames in one write.
 const MAX_GATHERED: usize = 64;
@@ -21,11 +21,11 @@ pub struct Writer {
     half: TcpStream,
     outbox: Arc<Outbox>,
     following: Option<(Subscription, Pace)>,
-    metrics: Metrics,
+    metrics: InterfaceMetrics,
 }
 
 impl Writer {
-    pub fn new(half: TcpStream, outbox: Arc<Outbox>, metrics: Metrics) -> Self {
+    pub fn new(half: TcpStream, outbox: Arc<Outbox>, metrics: InterfaceMetrics) -> Self {
         Self { half, outbox, following: None, metrics }
     }
 

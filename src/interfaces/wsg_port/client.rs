@@ -15,7 +15,7 @@ use super::port::Port;
 use super::status::{RefusedStatus, status_of_end};
 use crate::gripper::clock::{self, sleep_until};
 use crate::gripper::model::{
-    Action, Client, Command, FastStopId, LeaseToken, Motion, Outcome, Phase, Reason, State, Submission, TakeLease,
+    Action, Client, CommandReport, FastStopId, LeaseToken, Motion, Outcome, Phase, Reason, State, Submission, TakeLease,
 };
 use crate::gripper::{AcquiredLease, Handle, LeaseKeepAlive, Rejection, Ticket};
 use crate::interfaces::admission::{Claim, Class, ConnectionPermit};
@@ -74,7 +74,7 @@ enum Step {
     Begun(PortRequest, BoxFuture<'static, Step>),
     Admitted(PortRequest, Ticket),
     /// A command was accepted by the device, or ended before that.
-    Accepted(PortRequest, Ticket, Box<Command>),
+    Accepted(PortRequest, Ticket, Box<CommandReport>),
     /// A request was refused; the flag says whether the refusal is recorded.
     Rejected(PortRequest, Rejection, bool),
     Kept(Option<AcquiredLease>),
@@ -393,7 +393,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
     }
 
     /// Handles a command that was accepted, or that ended before that.
-    fn accepted(&mut self, ask: PortRequest, mut ticket: Ticket, command: &Command) {
+    fn accepted(&mut self, ask: PortRequest, mut ticket: Ticket, command: &CommandReport) {
         // A motion that was stopped before it was sent gets the same replies as one stopped right after.
         let was_stopped = id::is_motion(ask.id) && command.outcome == Some(Outcome::Aborted);
         let is_two_step = command.accepted || was_stopped;
@@ -436,7 +436,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
 }
 
 /// Returns a command's final reply.
-fn ended(command: &Command) -> PortReply {
+fn ended(command: &CommandReport) -> PortReply {
     if let Some(rejection) = &command.rejection {
         return PortReply::Refused(rejection.into());
     }

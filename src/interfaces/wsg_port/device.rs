@@ -15,7 +15,7 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Instant;
 
-use super::input::{Input, Request};
+use super::input::{PortInput, ReceivedRequest};
 use super::port::Rules;
 use super::status::RefusedStatus;
 use crate::gripper::FastStop;
@@ -94,8 +94,8 @@ pub(super) struct VirtualDevice {
     rules: Arc<Rules>,
     custom_ids: Arc<CustomIds>,
     shortest_period_ms: u16,
-    input: Input,
-    waiting: VecDeque<Request>,
+    input: PortInput,
+    waiting: VecDeque<ReceivedRequest>,
     /// Number of replies that the next request waits for.
     awaited: usize,
     stops: usize,
@@ -120,7 +120,11 @@ impl VirtualDevice {
     /// Returns a device whose automatic updates have at least this period.
     pub(super) fn new(rules: Arc<Rules>, custom_ids: Arc<CustomIds>, shortest_period_ms: u16) -> Self {
         Self {
-            input: Input::new(if rules.checksum_evaluation { ChecksumEvaluation::On } else { ChecksumEvaluation::Off }),
+            input: PortInput::new(if rules.checksum_evaluation {
+                ChecksumEvaluation::On
+            } else {
+                ChecksumEvaluation::Off
+            }),
             rules,
             custom_ids,
             shortest_period_ms,
@@ -214,7 +218,7 @@ impl VirtualDevice {
 
     /// Whether the client has announced its disconnect, including in a waiting request.
     pub(super) fn has_announced(&self) -> bool {
-        let announces = |request: &Request| matches!(request.command, Ok(Command::DisconnectAnnouncement));
+        let announces = |request: &ReceivedRequest| matches!(request.command, Ok(Command::DisconnectAnnouncement));
         self.announced || self.waiting.iter().any(announces)
     }
 
@@ -303,7 +307,7 @@ impl VirtualDevice {
             self.abort_waiting_motions();
         }
         while self.awaited == 0
-            && let Some(Request { id, command }) = self.next_request()
+            && let Some(ReceivedRequest { id, command }) = self.next_request()
         {
             match command {
                 // fw4-en 3.1.2: refused until the connection has ended.
@@ -314,7 +318,7 @@ impl VirtualDevice {
         }
     }
 
-    fn next_request(&mut self) -> Option<Request> {
+    fn next_request(&mut self) -> Option<ReceivedRequest> {
         if self.holds_a_motion_back() { None } else { self.waiting.pop_front() }
     }
 

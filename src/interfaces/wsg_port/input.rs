@@ -3,7 +3,7 @@
 use std::time::{Duration, Instant};
 
 use crate::wsg::crc;
-use crate::wsg::id::{self, Parameters};
+use crate::wsg::id::{self, LengthRule};
 use crate::wsg::{ChecksumEvaluation, Command, Decoded, Decoder, InvalidRequest, Status};
 
 /// Time limit for the rest of a frame: longer than TCP takes to retransmit a lost segment.
@@ -18,14 +18,14 @@ const SHORT_ANNOUNCEMENT_BYTES: usize = 7;
 
 /// A request as received.
 #[derive(Debug)]
-pub(super) struct Request {
+pub(super) struct ReceivedRequest {
     pub id: u8,
     /// The requested command, or the status with which a device would refuse the request.
     pub command: Result<Command, Status>,
 }
 
 #[derive(Debug)]
-pub(super) struct Input {
+pub(super) struct PortInput {
     decoder: Decoder,
     evaluation: ChecksumEvaluation,
     partial_until: Option<Instant>,
@@ -36,7 +36,7 @@ pub(super) struct Input {
 /// Consecutive damaged frames after which a client's bytes are no longer read. Each can cost a checksum over 4 KiB.
 const MAX_DAMAGED: u32 = 64;
 
-impl Input {
+impl PortInput {
     pub(super) fn new(evaluation: ChecksumEvaluation) -> Self {
         Self { decoder: Decoder::new(max_request_bytes, evaluation), evaluation, partial_until: None, damaged: 0 }
     }
@@ -55,7 +55,7 @@ impl Input {
         self.partial_until = Some(now + PARTIAL_WITHIN);
     }
 
-    pub(super) fn next(&mut self) -> Option<Request> {
+    pub(super) fn next(&mut self) -> Option<ReceivedRequest> {
         if self.is_garbage() {
             return None;
         }
@@ -69,8 +69,8 @@ impl Input {
         };
         self.damaged = if matches!(decoded, Decoded::Damaged { .. }) { self.damaged + 1 } else { 0 };
         Some(match decoded {
-            Decoded::Frame(frame) => Request { id: frame.id, command: parse(frame.id, frame.payload) },
-            Decoded::Damaged { id } => Request { id, command: Err(Status::E_CHECKSUM_ERROR) },
+            Decoded::Frame(frame) => ReceivedRequest { id: frame.id, command: parse(frame.id, frame.payload) },
+            Decoded::Damaged { id } => ReceivedRequest { id, command: Err(Status::E_CHECKSUM_ERROR) },
         })
     }
 
@@ -90,7 +90,7 @@ impl Input {
     /// Returns a 07h with a one-byte size field, which one existing client sends. If it were not understood, the
     /// gripper would stop when that client disconnects. A frame that only looks like one counts as damaged, so that a
     /// FAST STOP behind it does not wait for its rest.
-    fn short_announcement(&mut self) -> Option<Request> {
+    fn short_announcement(&mut self) -> Option<ReceivedRequest> {
         let waiting = self.decoder.partial();
         let short = waiting.get(..SHORT_ANNOUNCEMENT_BYTES).filter(|short| short.starts_with(&ANNOUNCEMENT))?;
         // The second byte of a regular size field is zero.
@@ -108,7 +108,7 @@ impl Input {
             self.decoder.give_up_partial();
             Err(Status::E_CHECKSUM_ERROR)
         };
-        Some(Request { id: id::DISCONNECT_ANNOUNCEMENT, command })
+        Some(ReceivedRequest { id: id::DISCONNECT_ANNOUNCEMENT, command })
     }
 }
 
@@ -116,7 +116,7 @@ impl Input {
 fn parse(id: u8, payload: &[u8]) -> Result<Command, Status> {
     let zeros = [0; 3];
     let payload = match id::describe(id).map(|description| description.parameters) {
-        Some(Parameters::Exactly(bytes)) if payload.is_empty() && is_query(id) => zeros.get(..bytes).unwrap_or(payload),
+        Some(LengthRule::Exactly(bytes)) if payload.is_empty() && is_query(id) => zeros.get(..bytes).unwrap_or(payload),
         _ => payload,
     };
     Command::parse(id, payload).map_err(InvalidRequest::status)
@@ -142,7 +142,7 @@ mod tests {
         bytes: &[u8],
         in_pieces_of: usize,
     ) -> Vec<(u8, Result<Command, Status>)> {
-        let mut input = Input::new(evaluation);
+        let mut input = PortInput::new(evaluation);
         let mut requests = Vec::new();
         for piece in bytes.chunks(in_pieces_of) {
             input.push(Instant::now(), piece);
@@ -190,7 +190,7 @@ mod tests {
 
     #[test]
     fn garbage_is_bounded() {
-        let mut input = Input::new(ChecksumEvaluation::On);
+        let mut input = PortInput::new(ChecksumEvaluation::On);
         let header = [0xAA, 0xAA, 0xAA, 0xB5, 0x00, 0x10];
         input.push(Instant::now(), &header.repeat(4000));
         let damaged = std::iter::from_fn(|| input.next()).count();

@@ -12,12 +12,12 @@ use super::udp::Datagrams;
 use super::{tcp, udp};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Address {
+pub enum ListenAddress {
     Tcp(SocketAddr),
     Udp(SocketAddr, Datagrams),
 }
 
-impl fmt::Display for Address {
+impl fmt::Display for ListenAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Tcp(address) => write!(f, "tcp://{address}"),
@@ -35,14 +35,14 @@ pub enum Listener {
 
 impl Listener {
     /// Binds a listener to this address.
-    pub fn bind(address: Address) -> io::Result<Self> {
+    pub fn bind(address: ListenAddress) -> io::Result<Self> {
         Ok(match address {
-            Address::Tcp(address) => {
+            ListenAddress::Tcp(address) => {
                 let listener = TcpListener::bind(address)?;
                 listener.set_nonblocking(true)?;
                 Self::Tcp(listener)
             }
-            Address::Udp(address, datagrams) => {
+            ListenAddress::Udp(address, datagrams) => {
                 let socket = UdpSocket::bind(address)?;
                 socket.set_nonblocking(true)?;
                 Self::Udp(socket, datagrams)

@@ -15,6 +15,6 @@ mod status;
 mod tcp;
 mod udp;
 
-pub use listener::{Address, Listener, serve};
+pub use listener::{ListenAddress, Listener, serve};
 pub use port::{LOST_AFTER, MAX_DESCRIPTORS, MIN_DESCRIPTORS, Port, Rules};
 pub use udp::Datagrams;

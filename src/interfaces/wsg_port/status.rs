@@ -1,6 +1,6 @@
 //! Statuses of refused requests: every [`Rejection`] as a status of the manual.
 
-use crate::gripper::model::{Command, FastStopId, Outcome};
+use crate::gripper::model::{CommandReport, FastStopId, Outcome};
 use crate::gripper::{Conflict, DeviceRefusal, Failure, Invalid, Rejection};
 use crate::wsg::Status;
 
@@ -55,7 +55,7 @@ fn status_of(rejection: &Rejection) -> Status {
 }
 
 /// Returns the status of a command's final reply: the device's own status, if it gave one.
-pub(super) fn status_of_end(command: &Command) -> Status {
+pub(super) fn status_of_end(command: &CommandReport) -> Status {
     if let Some(rejection) = &command.rejection {
         return status_of(rejection);
     }

@@ -19,9 +19,9 @@ use tokio::sync::Semaphore;
 use zenoh::sample::{Sample, SampleKind};
 use zenoh::session::{TransportEvent, ZenohId};
 
-use crate::fleet::keys::{Keys, last_part};
+use crate::fleet::keys::{ZenohKeys, last_part};
 use crate::gripper::model::Name;
-use crate::interfaces::metrics::{Connected, Metrics};
+use crate::interfaces::metrics::{Connected, InterfaceMetrics};
 use crate::operations::ConnectionLease;
 
 /// Maximum number of concurrent queries of each kind: waiting, not waiting, stopping, and keeping or ending a lease.
@@ -41,9 +41,9 @@ const LOOKED_UP_WITHIN: Duration = Duration::from_millis(500);
 /// The Zenoh clients of one gateway and their leases.
 #[derive(Debug)]
 pub struct Clients {
-    keys: Keys,
+    keys: ZenohKeys,
     runtime: Handle,
-    metrics: Metrics,
+    metrics: InterfaceMetrics,
     session: OnceLock<zenoh::Session>,
     known: Mutex<Known>,
 }
@@ -117,7 +117,7 @@ impl Known {
 }
 
 impl Clients {
-    pub fn new(keys: Keys, runtime: Handle, metrics: Metrics) -> Self {
+    pub fn new(keys: ZenohKeys, runtime: Handle, metrics: InterfaceMetrics) -> Self {
         Self { keys, runtime, metrics, session: OnceLock::new(), known: Mutex::default() }
     }
 

@@ -7,7 +7,7 @@ use tokio::runtime::Handle;
 use zenoh::sample::Sample;
 
 use super::client::client;
-use crate::fleet::keys::{FAST_STOP_OF_ALL, Keys};
+use crate::fleet::keys::{FAST_STOP_OF_ALL, ZenohKeys};
 use crate::gripper::Grippers;
 use crate::gripper::model::{Client, Reason, ShownName};
 
@@ -39,7 +39,7 @@ impl FastStops {
     }
 
     /// Subscribes to puts for this gateway and for all gateways.
-    pub async fn declare(self, session: &zenoh::Session, keys: &Keys) -> zenoh::Result<()> {
+    pub async fn declare(self, session: &zenoh::Session, keys: &ZenohKeys) -> zenoh::Result<()> {
         for key in [keys.own("fast-stop"), FAST_STOP_OF_ALL.to_owned()] {
             let stops = self.clone();
             let stop = move |sample: Sample| {
@@ -100,7 +100,7 @@ fn asked(payload: &[u8]) -> (Client, Reason) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::gripper::fake::{self, Script, Seen};
+    use crate::gripper::fake::{self, FakeScript, Seen};
 
     #[test]
     fn any_payload_gives_a_reason() {
@@ -122,7 +122,7 @@ mod tests {
 
     #[tokio::test]
     async fn newest_fast_stop_beyond_the_limit_runs() {
-        let (handle, mut seen) = fake::gripper("left", Script::default());
+        let (handle, mut seen) = fake::gripper("left", FakeScript::default());
         let stops = FastStops::new(Grippers::new([handle]), Handle::current());
         for index in 0..=2 * MAX_UNDER_WAY {
             stops.begin(asked(b"").0, Reason::truncated(&index.to_string()));

@@ -37,7 +37,7 @@ use self::fast_stop::FastStops;
 use self::publications::Publications;
 use self::queries::Queries;
 use crate::fleet::Peers;
-use crate::fleet::keys::Keys;
+use crate::fleet::keys::ZenohKeys;
 use crate::interfaces::Context;
 
 /// First and longest pause before Zenoh is opened again after a failure.
@@ -48,7 +48,7 @@ const OPENED_AGAIN_AT_LEAST_EVERY: Duration = Duration::from_secs(30);
 const FAREWELL_WITHIN: Duration = Duration::from_secs(1);
 
 #[derive(Debug, Clone)]
-pub struct Settings {
+pub struct ZenohSettings {
     pub connectivity: Connectivity,
     /// Maximum rate of states and telemetry for each gripper, per second.
     pub max_hz: u32,
@@ -56,8 +56,8 @@ pub struct Settings {
 
 /// Serves Zenoh until the gateway closes, retrying until a session opens. The other interfaces run meanwhile. Calls
 /// `opened` with the addresses that Zenoh listens on.
-pub async fn serve(settings: Settings, context: Context, opened: impl FnMut(&[String])) {
-    let Settings { connectivity, max_hz } = settings;
+pub async fn serve(settings: ZenohSettings, context: Context, opened: impl FnMut(&[String])) {
+    let ZenohSettings { connectivity, max_hz } = settings;
     let session = tokio::select! {
         biased;
         () = context.closing.cancelled() => return,
@@ -117,7 +117,7 @@ async fn declare(
     max_hz: u32,
 ) -> zenoh::Result<([LivelinessToken; 2], JoinSet<()>)> {
     let Context { gateway, runtimes, metrics, .. } = context;
-    let keys = Keys::of(&gateway.name);
+    let keys = ZenohKeys::of(&gateway.name);
     // FAST STOP comes first, since fingers can already be moving.
     FastStops::new(gateway.grippers.clone(), runtimes.accept.clone()).declare(session, &keys).await?;
     let clients = Arc::new(Clients::new(keys.clone(), Handle::current(), metrics.clone()));

@@ -12,7 +12,7 @@ use zenoh::pubsub::Publisher;
 use zenoh::qos::{CongestionControl, Priority};
 
 use crate::events::{Notification, Pace, Topic};
-use crate::fleet::keys::Keys;
+use crate::fleet::keys::ZenohKeys;
 use crate::gripper::Handle;
 use crate::gripper::model::{Link, State};
 use crate::interfaces::Context;
@@ -36,7 +36,7 @@ pub struct Publications {
 }
 
 impl Publications {
-    pub async fn declare(session: &zenoh::Session, keys: &Keys, handle: &Handle) -> zenoh::Result<Self> {
+    pub async fn declare(session: &zenoh::Session, keys: &ZenohKeys, handle: &Handle) -> zenoh::Result<Self> {
         let publisher = |what, priority| {
             let publisher = session.declare_publisher(keys.gripper(handle.name(), what));
             publisher
@@ -122,7 +122,7 @@ fn publish(publisher: &Publisher<'_>, notification: &Notification) {
 }
 
 /// Publishes all events from now on, in order and once they are durable, until the gateway closes.
-pub async fn tell_events(session: zenoh::Session, keys: Keys, context: Context) {
+pub async fn tell_events(session: zenoh::Session, keys: ZenohKeys, context: Context) {
     let mut events = context.gateway.journal.follow(None, Filter::default());
     loop {
         let event = tokio::select! {
@@ -146,7 +146,7 @@ pub async fn tell_events(session: zenoh::Session, keys: Keys, context: Context) 
 
 /// Publishes an event. No event is dropped for a slow client. A client that reads nothing is disconnected after a
 /// while; the blocking thread waits for that.
-async fn publish_event(session: &zenoh::Session, keys: &Keys, event: Arc<Stored>) {
+async fn publish_event(session: &zenoh::Session, keys: &ZenohKeys, event: Arc<Stored>) {
     let key = event.gripper.as_ref().map_or_else(|| keys.own("event"), |gripper| keys.gripper(gripper, "event"));
     let session = session.clone();
     let published = tokio::task::spawn_blocking(move || {

@@ -18,15 +18,15 @@ use zenoh::session::ZenohId;
 
 use super::client::client;
 use super::clients::{Bond, Clients, MAX_QUERIES};
-use crate::fleet::keys::{Keys, decoded, last_part};
+use crate::fleet::keys::{ZenohKeys, decoded, last_part};
 use crate::gripper::Grippers;
 use crate::gripper::model::{Client, Name, Text, Urgency};
-use crate::interfaces::metrics::Metrics;
+use crate::interfaces::metrics::InterfaceMetrics;
 use crate::operations::json::{self, MAX_BODY_BYTES, StrictJson};
 use crate::operations::values::{name, text};
 use crate::operations::{
-    self, Caller, Code, Effect, Gateway, MAX_LEASE_BYTES, Presence, Problem, Reply, Wait, is_fast_stop, lease, named,
-    urgency,
+    self, Caller, Code, Effect, Gateway, MAX_LEASE_BYTES, OperationReply, Presence, Problem, Wait, is_fast_stop, lease,
+    named, urgency,
 };
 
 /// Maximum number of concurrent FAST STOP queries of one gripper, each of which ends within 250 ms. More are refused,
@@ -51,10 +51,10 @@ const BOUND_TO: &str = "bound_to";
 /// The queryables of one gateway.
 #[derive(Debug)]
 pub struct Queries {
-    keys: Keys,
+    keys: ZenohKeys,
     gateway: Arc<Gateway>,
     clients: Arc<Clients>,
-    metrics: Metrics,
+    metrics: InterfaceMetrics,
     runtime: Handle,
     places: Arc<Semaphore>,
     /// Slots of queries that can wait for a command's end.
@@ -83,7 +83,7 @@ struct Asked {
 
 impl Queries {
     /// Returns queryables that run on the caller's runtime.
-    pub fn new(keys: Keys, gateway: &Arc<Gateway>, clients: Arc<Clients>, metrics: Metrics) -> Self {
+    pub fn new(keys: ZenohKeys, gateway: &Arc<Gateway>, clients: Arc<Clients>, metrics: InterfaceMetrics) -> Self {
         let runtime = Handle::current();
         let semaphore = |places| Arc::new(Semaphore::new(places));
         let [places, waiting_places, stop_places, lease_places] = [MAX_QUERIES; 4].map(semaphore);
@@ -228,7 +228,7 @@ impl Queries {
         let result = operations::call(&self.gateway, caller, &method, Value::Object(params)).await;
         let status = result.as_ref().map_or_else(|problem| problem.status().as_u16(), |_| 200);
         self.metrics.answered(Some(&method), "QUERY", status);
-        let Reply { body, effect } = result?;
+        let OperationReply { body, effect } = result?;
         let Effect::Leased(lease) = effect else { return Ok(body) };
         let with_bond = with_bond(&body, bond.as_ref());
         self.clients.bind(bond, lease);
@@ -330,7 +330,7 @@ mod tests {
     use prometheus::Registry;
 
     use super::*;
-    use crate::gripper::fake::{self, Script};
+    use crate::gripper::fake::{self, FakeScript};
 
     fn asked(gripper: &str, method: &str, wait_ms: Option<&str>) -> Asked {
         Asked {
@@ -347,10 +347,10 @@ mod tests {
 
     #[tokio::test]
     async fn each_lane_has_its_own_slots() {
-        let grippers = ["left", "right"].map(|name| fake::gripper(name, Script::default()).0);
+        let grippers = ["left", "right"].map(|name| fake::gripper(name, FakeScript::default()).0);
         let gateway = Gateway::of(grippers);
-        let metrics = Metrics::register(&Registry::new(), "zenoh").unwrap();
-        let keys = Keys::of(&gateway.name);
+        let metrics = InterfaceMetrics::register(&Registry::new(), "zenoh").unwrap();
+        let keys = ZenohKeys::of(&gateway.name);
         let clients = Arc::new(Clients::new(keys.clone(), Handle::current(), metrics.clone()));
         let queries = Queries::new(keys, &gateway, clients, metrics);
         let lanes = [

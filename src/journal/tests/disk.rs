@@ -5,7 +5,7 @@ use super::*;
 impl Journal {
     /// Limits the file's size, as a full disk does.
     pub(crate) fn limit_pages(&self, pages: i64) {
-        self.writing.inputs.send(Input::MaxPages(pages)).unwrap();
+        self.writing.inputs.send(WriterInput::MaxPages(pages)).unwrap();
     }
 }
 
@@ -38,7 +38,7 @@ async fn full_disk_is_reported_and_waiting_records_are_kept() {
 
 #[tokio::test]
 async fn lost_records_are_counted_and_recorded() {
-    let (journal, _) = Journal::open(Place::Memory, Retention::default()).unwrap();
+    let (journal, _) = Journal::open(JournalLocation::Memory, Retention::default()).unwrap();
     assert!(kept(&journal, started(1)).await);
     journal.limit_pages(1);
     let mut health = journal.health();

@@ -44,7 +44,7 @@ async fn follower_gets_each_event_once_during_writes() {
 
 #[tokio::test]
 async fn slow_follower_reads_missed_events_from_the_file() {
-    let (journal, _) = Journal::open(Place::Memory, Retention::default()).unwrap();
+    let (journal, _) = Journal::open(JournalLocation::Memory, Retention::default()).unwrap();
     let filter = Filter { gripper: Some(name("left")), ..Filter::default() };
     let (mut all, mut left) = (journal.follow(None, Filter::default()), journal.follow(None, filter));
     for number in 0..1500 {
@@ -61,7 +61,7 @@ async fn slow_follower_reads_missed_events_from_the_file() {
 
 #[tokio::test]
 async fn cursor_beyond_the_newest_event_starts_at_the_beginning() {
-    let (journal, _) = Journal::open(Place::Memory, Retention::default()).unwrap();
+    let (journal, _) = Journal::open(JournalLocation::Memory, Retention::default()).unwrap();
     for number in 0..3 {
         assert!(kept(&journal, link(number, "left")).await);
     }

@@ -34,8 +34,8 @@ impl Directory {
         self.0.join("journal.db")
     }
 
-    pub(super) fn place(&self) -> Place {
-        Place::File(self.journal())
+    pub(super) fn place(&self) -> JournalLocation {
+        JournalLocation::File(self.journal())
     }
 
     pub(super) fn open(&self) -> (Journal, Recovered) {
@@ -206,7 +206,7 @@ async fn records_are_served_as_they_were_written() {
 
 #[tokio::test]
 async fn part_lost_later_shows_in_its_grip() {
-    let (journal, _) = Journal::open(Place::Memory, Retention::default()).unwrap();
+    let (journal, _) = Journal::open(JournalLocation::Memory, Retention::default()).unwrap();
     journal.record(Record::Grip(Box::new(grip(1000, "left", 1, None))));
     let lost = crate::gripper::model::DeviceEvent::PartLost { width_mm: Some(3.0) };
     assert!(kept(&journal, Event::new(at(61_000), Some(name("left")), Detail::Device(lost)).of(id(1))).await);
@@ -256,7 +256,7 @@ async fn every_kind_of_event_can_be_written_and_read() {
         }),
         Detail::Gateway(GatewayEvent::Ended),
     ];
-    let (journal, _) = Journal::open(Place::Memory, Retention::default()).unwrap();
+    let (journal, _) = Journal::open(JournalLocation::Memory, Retention::default()).unwrap();
     let client = Client { subject: Arc::from("http:\u{1F980}"), door: Door::Http };
     for detail in details.clone() {
         assert!(kept(&journal, Event::new(at(1), None, detail).by(&client)).await);

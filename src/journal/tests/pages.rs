@@ -155,7 +155,7 @@ fn compare<K: ChainKind + std::fmt::Debug>(store: &Store, known: &[Known<K>], ki
 
 #[test]
 fn pages_match_a_scan_of_all_records() {
-    let mut store = Store::open(Place::Memory).unwrap();
+    let mut store = Store::open(JournalLocation::Memory).unwrap();
     let (events, grips) = fill(&mut store, 6000);
     compare(&store, &events, &[EventKind::Command, EventKind::Link, EventKind::Lease]);
     compare(&store, &grips, &[Kind::Grip, Kind::Move, Kind::Home]);
@@ -163,7 +163,7 @@ fn pages_match_a_scan_of_all_records() {
 
 #[test]
 fn page_of_a_large_journal_is_fast() {
-    let mut store = Store::open(Place::Memory).unwrap();
+    let mut store = Store::open(JournalLocation::Memory).unwrap();
     let (events, grips) = fill(&mut store, 60_000);
     slowest(&store, &events, &[EventKind::Command, EventKind::Link, EventKind::Lease]);
     slowest(&store, &grips, &[Kind::Grip, Kind::Move, Kind::Home]);
@@ -196,7 +196,7 @@ fn invalid_limits_and_cursors_name_the_remedy() {
     );
     assert!(Limit::new(1001).is_err() && Limit::new(u64::MAX).is_err());
     assert!("x".parse::<Cursor>().unwrap_err().to_string().contains("next_cursor"));
-    let mut store = Store::open(Place::Memory).unwrap();
+    let mut store = Store::open(JournalLocation::Memory).unwrap();
     fill(&mut store, 10);
     for cursor in ["-9223372036854775808", "9223372036854775807", "0"] {
         for order in [Order::Newest, Order::Oldest] {

@@ -162,7 +162,7 @@ async fn file_that_cannot_shrink_still_takes_records() {
     let retention = Retention { max_age: Some(Duration::from_hours(20)), ..Retention::default() };
     let (journal, _) = Journal::open(directory.place(), retention).unwrap();
     removed(&journal, 600).await;
-    assert_eq!(*journal.health().borrow(), Health::default());
+    assert_eq!(*journal.health().borrow(), JournalHealth::default());
 }
 
 #[tokio::test]

@@ -162,12 +162,12 @@ fn second_gateway_cannot_open_the_journal_through_a_link() {
     // The first round creates the target of the link.
     for (first, second) in [("link", "real/journal.db"), ("directory/journal.db", "link"), ("real/journal.db", "link")]
     {
-        let (_journal, _) = Journal::open(Place::File(by(first)), Retention::default()).unwrap();
-        let refused = Journal::open(Place::File(by(second)), Retention::default()).unwrap_err();
+        let (_journal, _) = Journal::open(JournalLocation::File(by(first)), Retention::default()).unwrap();
+        let refused = Journal::open(JournalLocation::File(by(second)), Retention::default()).unwrap_err();
         assert!(matches!(refused, OpenError::Locked(_)), "{refused}");
     }
     symlink("round", by("round")).unwrap();
-    let refused = Journal::open(Place::File(by("round")), Retention::default()).unwrap_err().to_string();
+    let refused = Journal::open(JournalLocation::File(by("round")), Retention::default()).unwrap_err().to_string();
     assert!(refused.contains("links"), "{refused}");
 }
 
@@ -196,9 +196,9 @@ fn other_file_is_refused_and_left_unchanged() {
 #[test]
 fn missing_directories_are_created() {
     let directory = Directory::new();
-    Journal::open(Place::File(directory.0.join("a/b/journal.db")), Retention::default()).unwrap();
+    Journal::open(JournalLocation::File(directory.0.join("a/b/journal.db")), Retention::default()).unwrap();
     std::fs::write(directory.0.join("file"), "").unwrap();
-    let place = Place::File(directory.0.join("file/journal.db"));
+    let place = JournalLocation::File(directory.0.join("file/journal.db"));
     let refused = Journal::open(place, Retention::default()).unwrap_err().to_string();
     assert!(refused.contains("/file for the journal") || refused.contains("/file/journal.db"), "{refused}");
 }
@@ -241,7 +241,8 @@ async fn unreadable_journal_is_reported_with_a_remedy() {
         Err(error) => error.to_string(),
     };
     assert!(!said.is_empty() && !said.contains("journal verify"), "{said}");
-    let refused = Journal::open(Place::File(directory.0.clone()), Retention::default()).unwrap_err().to_string();
+    let refused =
+        Journal::open(JournalLocation::File(directory.0.clone()), Retention::default()).unwrap_err().to_string();
     let unread = verify(&directory.0).unwrap_err().to_string();
     assert!(refused.contains("is a directory: name a file") && unread == refused, "{refused} {unread}");
 }

@@ -2,9 +2,9 @@
 
 use crate::wsg::Status;
 
-use super::super::axis::{Direction, Drive, Progress};
+use super::super::axis::{AxisDirection, Drive, Progress};
 use super::super::grip::Grown;
-use super::{Activity, BLOCK_STEPS, Event, Mechanics};
+use super::{Activity, BLOCK_STEPS, Mechanics, StepOutcome};
 
 /// Number of steps after which a blocked release times out, because `fw4-en 3.2.7` lists no `E_AXIS_BLOCKED`.
 const RELEASE_TIMEOUT_STEPS: u32 = 3000;
@@ -14,57 +14,62 @@ const BACK_OFF_MM: f64 = 1.0;
 
 impl Mechanics {
     /// Makes the blocking position the origin, even if an obstacle blocked (`fw4-en 3.2.1`).
-    pub(super) fn found_end_stop(&mut self, direction: Direction) {
+    pub(super) fn found_end_stop(&mut self, direction: AxisDirection) {
         let Activity::Seek { drive, .. } = self.activity else { return };
         self.axis.relax(&self.world.surfaces());
         self.offset_mm = match direction {
-            Direction::Closing => -self.axis.position_mm,
-            Direction::Opening => self.stroke_mm - self.axis.position_mm,
+            AxisDirection::Closing => -self.axis.position_mm,
+            AxisDirection::Opening => self.stroke_mm - self.axis.position_mm,
         };
         let target_mm = self.axis.position_mm - BACK_OFF_MM * direction.sign();
         self.activity = Activity::BackOff { drive: Drive { target_mm, ..drive }, pressing: 0 };
     }
 
-    pub(super) fn end_of_back_off(&mut self, progress: Progress, blocked: bool) -> Option<Event> {
+    pub(super) fn end_of_back_off(&mut self, progress: Progress, blocked: bool) -> Option<StepOutcome> {
         match progress {
             Progress::Reached => {
                 self.referenced = true;
                 self.activity = Activity::Rest;
-                Some(Event::Finished(Status::E_SUCCESS))
+                Some(StepOutcome::Finished(Status::E_SUCCESS))
             }
             Progress::Pressing(direction) if blocked => Some(self.blocked_in(direction)),
             _ => None,
         }
     }
 
-    pub(super) fn end_of_move(&mut self, progress: Progress, blocked: bool, clamp: Option<Drive>) -> Option<Event> {
+    pub(super) fn end_of_move(
+        &mut self,
+        progress: Progress,
+        blocked: bool,
+        clamp: Option<Drive>,
+    ) -> Option<StepOutcome> {
         match progress {
             Progress::Reached => {
                 self.activity = Activity::Rest;
-                Some(Event::Finished(Status::E_SUCCESS))
+                Some(StepOutcome::Finished(Status::E_SUCCESS))
             }
             Progress::Pressing(direction) if blocked => {
                 let Some(drive) = clamp else { return Some(self.blocked_in(direction)) };
                 self.blocked = Some(direction);
                 self.steady = true;
                 self.activity = Activity::Clamp { drive };
-                Some(Event::Finished(Status::E_AXIS_BLOCKED))
+                Some(StepOutcome::Finished(Status::E_AXIS_BLOCKED))
             }
             _ => None,
         }
     }
 
-    pub(super) fn end_of_release(&mut self, progress: Progress, pressing: u32) -> Option<Event> {
+    pub(super) fn end_of_release(&mut self, progress: Progress, pressing: u32) -> Option<StepOutcome> {
         match progress {
             Progress::Reached => {
                 self.activity = Activity::Rest;
-                Some(Event::Finished(Status::E_SUCCESS))
+                Some(StepOutcome::Finished(Status::E_SUCCESS))
             }
             Progress::Pressing(direction) => {
                 self.blocked = (pressing >= BLOCK_STEPS).then_some(direction);
                 (pressing >= RELEASE_TIMEOUT_STEPS).then(|| {
                     self.blocked_in(direction);
-                    Event::Finished(Status::E_TIMEOUT)
+                    StepOutcome::Finished(Status::E_TIMEOUT)
                 })
             }
             Progress::Moving => {
@@ -74,7 +79,7 @@ impl Mechanics {
         }
     }
 
-    pub(super) fn end_of_grip(&mut self, grown: Grown) -> Option<Event> {
+    pub(super) fn end_of_grip(&mut self, grown: Grown) -> Option<StepOutcome> {
         match grown {
             Grown::NotYet { pressing } => {
                 self.blocked = pressing;
@@ -84,20 +89,20 @@ impl Mechanics {
                 self.blocked = Some(hold.direction());
                 self.steady = true;
                 self.activity = Activity::Hold(hold);
-                Some(Event::Finished(Status::E_SUCCESS))
+                Some(StepOutcome::Finished(Status::E_SUCCESS))
             }
             Grown::Nothing { blocked } => {
                 self.rest();
                 self.blocked = blocked;
-                Some(Event::Finished(Status::E_CMD_FAILED))
+                Some(StepOutcome::Finished(Status::E_CMD_FAILED))
             }
         }
     }
 
     /// Ends the motion with the motor off and the block recorded.
-    fn blocked_in(&mut self, direction: Direction) -> Event {
+    fn blocked_in(&mut self, direction: AxisDirection) -> StepOutcome {
         self.rest();
         self.blocked = Some(direction);
-        Event::Finished(Status::E_AXIS_BLOCKED)
+        StepOutcome::Finished(Status::E_AXIS_BLOCKED)
     }
 }

@@ -18,13 +18,13 @@ const MARK: &[u8; 8] = b"wsg-loop";
 pub(super) const NONCE_BYTES: usize = 24;
 
 /// Number of a Loop, increasing in sending order.
-pub(super) type Generation = u64;
+pub(super) type LoopGeneration = u64;
 
 /// Origin of echoed Loop data.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum Echo {
     /// A Loop of this session, possibly not the newest. All replies sent before this Loop have arrived.
-    Ours(Generation),
+    Ours(LoopGeneration),
     /// A Loop of an earlier session.
     Stale,
     /// A client's Loop.
@@ -34,7 +34,7 @@ pub(super) enum Echo {
 #[derive(Debug)]
 pub(super) struct Barrier {
     seed: u64,
-    sent: Generation,
+    sent: LoopGeneration,
     wanted: bool,
     in_flight: Option<(Instant, Instant)>,
     echo_within: Duration,
@@ -48,7 +48,7 @@ impl Barrier {
     }
 
     /// Requests a Loop written after this call. Its generation will exceed the returned one.
-    pub(super) fn want(&mut self) -> Generation {
+    pub(super) fn want(&mut self) -> LoopGeneration {
         self.wanted = true;
         self.sent
     }

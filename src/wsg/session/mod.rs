@@ -52,7 +52,7 @@ const LONGEST_UPDATE_BYTES: usize = 6;
 
 /// Link parameters of a session.
 #[derive(Debug, Clone)]
-pub struct Config {
+pub struct SessionConfig {
     /// Line rate in bytes per second, or `None` if it does not matter, as for TCP.
     pub bytes_per_second: Option<u32>,
     /// Time limit from the first to the last byte of a frame, beyond its line time.
@@ -94,7 +94,7 @@ pub enum NotTaken {
 
 /// An event of a session.
 #[derive(Debug, Clone, PartialEq)]
-pub enum Event {
+pub enum SessionEvent {
     /// The device has accepted a request with `E_CMD_PENDING`; its result follows.
     Accepted(Token),
     /// A request has ended.
@@ -146,12 +146,12 @@ pub struct Counters {
 /// Protocol state of one link.
 #[derive(Debug)]
 pub struct Session {
-    config: Config,
+    config: SessionConfig,
     decoder: Decoder,
     lanes: Lanes,
     slots: Slots,
     barrier: Barrier,
-    events: VecDeque<Event>,
+    events: VecDeque<SessionEvent>,
     counters: Counters,
     round_trip: Option<Duration>,
     next_token: u64,
@@ -164,7 +164,7 @@ pub struct Session {
 impl Session {
     /// Creates a session on a newly established link.
     #[must_use]
-    pub fn new(config: Config, now: Instant) -> Self {
+    pub fn new(config: SessionConfig, now: Instant) -> Self {
         let barrier = Barrier::new(config.nonce_seed);
         Self {
             config,
@@ -229,8 +229,10 @@ impl Session {
         while let Some(expired) = self.lanes.pop_expired(now) {
             self.counters.time_outs += 1;
             let waited = expired.request.reply_within;
-            self.events
-                .push_back(Event::Ended(expired.token, End::Unanswered { written: false, stopped: false, waited }));
+            self.events.push_back(SessionEvent::Ended(
+                expired.token,
+                End::Unanswered { written: false, stopped: false, waited },
+            ));
         }
         self.expire_in_flight(now);
         if now >= self.last_heard + PROBE_AFTER {
@@ -239,7 +241,7 @@ impl Session {
     }
 
     /// Returns the oldest event.
-    pub fn poll_event(&mut self) -> Option<Event> {
+    pub fn poll_event(&mut self) -> Option<SessionEvent> {
         self.events.pop_front()
     }
 
@@ -384,7 +386,7 @@ impl Session {
                 let waited = now.saturating_duration_since(in_flight.sent_at);
                 End::Unanswered { written: true, stopped: in_flight.stopped, waited }
             };
-            events.push_back(Event::Ended(in_flight.token, end));
+            events.push_back(SessionEvent::Ended(in_flight.token, end));
             if matches!(slot.id, id::STOP | id::FAST_STOP) {
                 return false;
             }

@@ -4,7 +4,7 @@ use std::time::Instant;
 
 use super::barrier::Echo;
 use super::slots::{Closed, SlotState, Verdict};
-use super::{End, Event, Session};
+use super::{End, Session, SessionEvent};
 use crate::wsg::frame::Decoded;
 use crate::wsg::reply::{Data, InvalidReply, Reply};
 use crate::wsg::{Status, SystemState, id};
@@ -50,7 +50,7 @@ impl Session {
                         // Acceptance must not delay the repetition of a FAST STOP.
                         in_flight.deadline = now + in_flight.result_within;
                     }
-                    self.events.push_back(Event::Accepted(in_flight.token));
+                    self.events.push_back(SessionEvent::Accepted(in_flight.token));
                 }
                 Verdict::Final => {
                     let (token, order) = (in_flight.token, in_flight.order);
@@ -66,7 +66,7 @@ impl Session {
                     if matches!(id, id::STOP | id::FAST_STOP) && reply.status() == Status::E_SUCCESS {
                         self.expect_aborts_before(now, order);
                     }
-                    self.events.push_back(Event::Ended(token, End::Reply(reply)));
+                    self.events.push_back(SessionEvent::Ended(token, End::Reply(reply)));
                 }
                 Verdict::Late => self.counters.late_replies += 1,
             },
@@ -107,7 +107,7 @@ impl Session {
                 self.slots.retain(|slot| !matches!(&slot.state, SlotState::Closed(closed) if closed.echoed));
             }
         }
-        self.events.push_back(Event::Update(data));
+        self.events.push_back(SessionEvent::Update(data));
     }
 
     /// Shortens the wait for the results of running motions to [`super::ABORT_GRACE`], because the device has stopped.
@@ -126,7 +126,7 @@ impl Session {
         {
             let token = in_flight.token;
             self.slots.open(id);
-            self.events.push_back(Event::Ended(token, End::Invalid(invalid)));
+            self.events.push_back(SessionEvent::Ended(token, End::Invalid(invalid)));
         }
     }
 }

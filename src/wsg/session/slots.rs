@@ -2,7 +2,7 @@
 
 use std::time::Instant;
 
-use super::{Token, barrier::Generation};
+use super::{Token, barrier::LoopGeneration};
 use crate::wsg::{Data, Reply, Status};
 
 /// An id that is not open.
@@ -40,7 +40,7 @@ pub(super) struct InFlight {
 #[derive(Debug)]
 pub(super) struct Closed {
     /// The id opens after the echo of a Loop newer than this.
-    pub since: Generation,
+    pub since: LoopGeneration,
     pub echoed: bool,
     pub two_step: bool,
 }

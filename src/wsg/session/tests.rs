@@ -5,7 +5,7 @@ use crate::wsg::{Force, GripperState, LoopData, Speed, Status, SystemState, Upda
 const ANSWER: Duration = Duration::from_millis(100);
 const RESULT: Duration = Duration::from_secs(5);
 const NOTHING: [u8; 0] = [];
-const NO_EVENTS: [Event; 0] = [];
+const NO_EVENTS: [SessionEvent; 0] = [];
 
 /// A session on a virtual clock, with helpers that act as its device.
 struct Rig {
@@ -20,15 +20,15 @@ impl Rig {
 
     fn on_a_line(bytes_per_second: Option<u32>) -> Self {
         let frame_gap = Duration::from_millis(50);
-        Self::with(Config { bytes_per_second, frame_gap, may_duplicate: false, nonce_seed: 7 })
+        Self::with(SessionConfig { bytes_per_second, frame_gap, may_duplicate: false, nonce_seed: 7 })
     }
 
     fn on_datagrams() -> Self {
         let frame_gap = Duration::from_millis(50);
-        Self::with(Config { bytes_per_second: None, frame_gap, may_duplicate: true, nonce_seed: 7 })
+        Self::with(SessionConfig { bytes_per_second: None, frame_gap, may_duplicate: true, nonce_seed: 7 })
     }
 
-    fn with(config: Config) -> Self {
+    fn with(config: SessionConfig) -> Self {
         let now = Instant::now();
         Self { session: Session::new(config, now), now }
     }
@@ -78,7 +78,7 @@ impl Rig {
         self.session.handle_timeout(self.now);
     }
 
-    fn events(&mut self) -> Vec<Event> {
+    fn events(&mut self) -> Vec<SessionEvent> {
         std::iter::from_fn(|| self.session.poll_event()).collect()
     }
 }
@@ -109,7 +109,7 @@ fn one_request_per_id_is_in_flight() {
     rig.submit(Command::GetSystemInfo);
     assert_eq!(rig.written(), [id::GET_TEMPERATURE, id::GET_SYSTEM_INFO]);
     rig.status(id::GET_TEMPERATURE, Status::E_NOT_AVAILABLE);
-    let refused = |token| Event::Ended(token, End::Reply(Reply::Status(Status::E_NOT_AVAILABLE)));
+    let refused = |token| SessionEvent::Ended(token, End::Reply(Reply::Status(Status::E_NOT_AVAILABLE)));
     assert_eq!(rig.events(), [refused(first)]);
     assert_eq!(rig.written(), [id::GET_TEMPERATURE]);
     rig.status(id::GET_TEMPERATURE, Status::E_NOT_AVAILABLE);
@@ -122,11 +122,11 @@ fn two_step_command_is_accepted_then_ends() {
     let token = rig.submit(grip());
     rig.written();
     rig.status(id::GRIP, Status::E_CMD_PENDING);
-    assert_eq!(rig.events(), [Event::Accepted(token)]);
+    assert_eq!(rig.events(), [SessionEvent::Accepted(token)]);
     rig.pass(RESULT * 9 / 10);
     assert_eq!(rig.events(), NO_EVENTS);
     rig.status(id::GRIP, Status::E_CMD_FAILED);
-    assert_eq!(rig.events(), [Event::Ended(token, End::Reply(Reply::Status(Status::E_CMD_FAILED)))]);
+    assert_eq!(rig.events(), [SessionEvent::Ended(token, End::Reply(Reply::Status(Status::E_CMD_FAILED)))]);
 }
 
 #[test]
@@ -138,7 +138,7 @@ fn result_before_pending_is_late() {
     assert_eq!(rig.events(), NO_EVENTS);
     rig.status(id::GRIP, Status::E_CMD_PENDING);
     rig.status(id::GRIP, Status::E_SUCCESS);
-    assert_eq!(rig.events(), [Event::Accepted(token), Event::Ended(token, done())]);
+    assert_eq!(rig.events(), [SessionEvent::Accepted(token), SessionEvent::Ended(token, done())]);
     assert_eq!(rig.session.counters().late_replies, 1);
 }
 
@@ -148,7 +148,7 @@ fn rejected_motion_ends_at_once() {
     let token = rig.submit(grip());
     rig.written();
     rig.status(id::GRIP, Status::E_ACCESS_DENIED);
-    assert_eq!(rig.events(), [Event::Ended(token, End::Reply(Reply::Status(Status::E_ACCESS_DENIED)))]);
+    assert_eq!(rig.events(), [SessionEvent::Ended(token, End::Reply(Reply::Status(Status::E_ACCESS_DENIED)))]);
 }
 
 #[test]
@@ -158,7 +158,7 @@ fn late_reply_does_not_end_next_request_of_its_id() {
     rig.written();
     rig.pass(ANSWER);
     let waited = ANSWER;
-    assert_eq!(rig.events(), [Event::Ended(first, End::Unanswered { written: true, stopped: false, waited })]);
+    assert_eq!(rig.events(), [SessionEvent::Ended(first, End::Unanswered { written: true, stopped: false, waited })]);
     let second = rig.submit(Command::GetForceLimit);
     let echo = rig.echo_of_written_loop();
     assert_eq!(rig.written(), NOTHING, "the id is closed");
@@ -172,7 +172,7 @@ fn late_reply_does_not_end_next_request_of_its_id() {
     assert_eq!(rig.written(), [id::GET_FORCE_LIMIT]);
     let new = Reply::Success(Data::ForceLimit(Force::new(40.0).unwrap()));
     rig.reply(id::GET_FORCE_LIMIT, &new);
-    assert_eq!(rig.events(), [Event::Ended(second, End::Reply(new))]);
+    assert_eq!(rig.events(), [SessionEvent::Ended(second, End::Reply(new))]);
 }
 
 #[test]
@@ -212,7 +212,7 @@ fn two_step_id_stays_closed_until_late_result() {
     rig.events();
     assert_eq!(rig.written(), [id::GRIP]);
     rig.status(id::GRIP, Status::E_CMD_PENDING);
-    assert_eq!(rig.events(), [Event::Accepted(second)]);
+    assert_eq!(rig.events(), [SessionEvent::Accepted(second)]);
 }
 
 #[test]
@@ -251,7 +251,10 @@ fn pending_fast_stop_times_out_like_unanswered_one() {
     rig.pass(Duration::from_millis(1));
     rig.status(id::FAST_STOP, Status::E_CMD_PENDING);
     rig.pass(ANSWER);
-    assert_eq!(rig.events(), [Event::Accepted(token), Event::Ended(token, End::NoResult { stopped: false })]);
+    assert_eq!(
+        rig.events(),
+        [SessionEvent::Accepted(token), SessionEvent::Ended(token, End::NoResult { stopped: false })]
+    );
     rig.submit(Command::FastStop);
     assert_eq!(rig.written()[..1], [id::FAST_STOP]);
 }
@@ -265,9 +268,9 @@ fn stop_shortens_wait_for_motion_result() {
     let stop = rig.submit(Command::Stop);
     rig.written();
     rig.status(id::STOP, Status::E_SUCCESS);
-    assert_eq!(rig.events(), [Event::Accepted(motion), Event::Ended(stop, done())]);
+    assert_eq!(rig.events(), [SessionEvent::Accepted(motion), SessionEvent::Ended(stop, done())]);
     rig.pass(ABORT_GRACE);
-    assert_eq!(rig.events(), [Event::Ended(motion, End::NoResult { stopped: true })]);
+    assert_eq!(rig.events(), [SessionEvent::Ended(motion, End::NoResult { stopped: true })]);
 }
 
 #[test]
@@ -275,7 +278,10 @@ fn unwritten_request_ends_at_its_deadline() {
     let mut rig = Rig::new();
     let token = rig.submit(Command::GetTemperature);
     rig.pass(ANSWER);
-    assert_eq!(rig.events(), [Event::Ended(token, End::Unanswered { written: false, stopped: false, waited: ANSWER })]);
+    assert_eq!(
+        rig.events(),
+        [SessionEvent::Ended(token, End::Unanswered { written: false, stopped: false, waited: ANSWER })]
+    );
     assert_eq!(rig.written(), NOTHING);
 }
 
@@ -304,7 +310,7 @@ fn client_loop_and_session_loop_do_not_mix() {
     assert_eq!(rig.events(), NO_EVENTS, "a duplicate echo of the session's Loop does not end the client's");
     let reply = Reply::Success(Data::Loop(data.as_bytes().to_vec()));
     rig.reply(id::LOOP, &reply);
-    assert_eq!(rig.events(), [Event::Ended(token, End::Reply(reply))]);
+    assert_eq!(rig.events(), [SessionEvent::Ended(token, End::Reply(reply))]);
 }
 
 #[test]
@@ -315,9 +321,9 @@ fn update_ends_the_request_that_enabled_it() {
     let data = Data::GripperState(GripperState::Idle);
     rig.reply(id::GET_GRIPPER_STATE, &Reply::Success(data.clone()));
     let end = End::Reply(Reply::Success(data.clone()));
-    assert_eq!(rig.events(), [Event::Update(data.clone()), Event::Ended(token, end)]);
+    assert_eq!(rig.events(), [SessionEvent::Update(data.clone()), SessionEvent::Ended(token, end)]);
     rig.reply(id::GET_GRIPPER_STATE, &Reply::Success(data.clone()));
-    assert_eq!(rig.events(), [Event::Update(data)]);
+    assert_eq!(rig.events(), [SessionEvent::Update(data)]);
     assert_eq!(rig.session.counters().stray_replies, 0);
 }
 
@@ -329,7 +335,7 @@ fn invalid_reply_ends_its_request_except_for_motions() {
     rig.written();
     rig.reply(id::GET_SYSTEM_LIMITS, &Reply::Success(Data::None));
     rig.reply(id::GRIP, &Reply::Success(Data::GripperState(GripperState::Idle)));
-    assert!(matches!(rig.events()[..], [Event::Ended(ended, End::Invalid(_))] if ended == token));
+    assert!(matches!(rig.events()[..], [SessionEvent::Ended(ended, End::Invalid(_))] if ended == token));
     assert_eq!(rig.session.decoder_counters().oversized, 1, "the reply to a grip has no data");
 }
 
@@ -401,7 +407,7 @@ fn stop_does_not_end_later_motion() {
     rig.pass(ABORT_GRACE);
     rig.events();
     rig.pass(RESULT);
-    assert_eq!(rig.events(), [Event::Ended(motion, End::NoResult { stopped: false })]);
+    assert_eq!(rig.events(), [SessionEvent::Ended(motion, End::NoResult { stopped: false })]);
 }
 
 #[test]
@@ -411,7 +417,7 @@ fn duplicate_echo_does_not_end_next_loop() {
     let token = rig.submit(Command::Loop(first));
     let echo = rig.echo_of_written_loop();
     rig.session.receive(rig.now, &echo);
-    let answered = |token, byte| Event::Ended(token, End::Reply(Reply::Success(Data::Loop(vec![byte]))));
+    let answered = |token, byte| SessionEvent::Ended(token, End::Reply(Reply::Success(Data::Loop(vec![byte]))));
     assert_eq!(rig.events(), [answered(token, 1)]);
     let token = rig.submit(Command::Loop(second));
     let other = rig.echo_of_written_loop();
@@ -429,7 +435,7 @@ fn duplicate_reply_does_not_end_next_request_of_its_id() {
     let first = rig.submit(set(10.0));
     rig.written();
     rig.status(id::SET_FORCE_LIMIT, Status::E_SUCCESS);
-    assert_eq!(rig.events(), [Event::Ended(first, End::Reply(Reply::Success(Data::None)))]);
+    assert_eq!(rig.events(), [SessionEvent::Ended(first, End::Reply(Reply::Success(Data::None)))]);
     let second = rig.submit(set(500.0));
     let echo = rig.echo_of_written_loop();
     assert_eq!(rig.written(), NOTHING);
@@ -438,5 +444,5 @@ fn duplicate_reply_does_not_end_next_request_of_its_id() {
     rig.session.receive(rig.now, &echo);
     assert_eq!(rig.written(), [id::SET_FORCE_LIMIT]);
     rig.status(id::SET_FORCE_LIMIT, Status::E_RANGE_ERROR);
-    assert_eq!(rig.events(), [Event::Ended(second, End::Reply(Reply::Status(Status::E_RANGE_ERROR)))]);
+    assert_eq!(rig.events(), [SessionEvent::Ended(second, End::Reply(Reply::Status(Status::E_RANGE_ERROR)))]);
 }

@@ -4,9 +4,9 @@ use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 use prometheus::Registry;
-use wsg_gateway::daemon::{Served, SimulatedDevice, Switch, serve_device};
-use wsg_gateway::gripper::model::{Action, Client, Command, Door, Link, Motion, Outcome, State, Submission};
-use wsg_gateway::gripper::{self, Connector, Handle, Metrics, Rejection, Ticket};
+use wsg_gateway::daemon::{ServedDevice, SimulatedDevice, Switch, serve_device};
+use wsg_gateway::gripper::model::{Action, Client, CommandReport, Door, Link, Motion, Outcome, State, Submission};
+use wsg_gateway::gripper::{self, Connector, GripperMetrics, Handle, Rejection, Ticket};
 use wsg_gateway::sim::{Change, DeviceConfig, FingerConfig, Part, Script, ScriptAnswer};
 use wsg_gateway::wsg::{self, Data, HomingDirection, MoveFlags, Speed, Width};
 
@@ -33,22 +33,22 @@ pub fn device() -> DeviceConfig {
     device
 }
 
-pub async fn served(url: &str) -> Served {
+pub async fn served(url: &str) -> ServedDevice {
     serve_device(&url.parse().unwrap(), SimulatedDevice::new(device())).await.unwrap()
 }
 
 /// Starts a gripper for this address, even if no device is there.
 pub fn spawn(connector: impl Connector) -> Handle {
-    let config = gripper::actor::Config {
+    let config = gripper::actor::ActorConfig {
         name: "g".parse().unwrap(),
         url: connector.url(),
         properties: connector.properties(),
         custom_ids: gripper::model::CustomIds { read: (0xB0..=0xB7).collect(), ..Default::default() },
         drain: Duration::from_secs(2),
-        on_journal_failure: gripper::actor::OnJournalFailure::Refuse,
+        on_journal_failure: gripper::model::OnJournalFailure::Refuse,
         lease: gripper::model::LeaseRules::default(),
         seed: 1,
-        metrics: Metrics::register(&Registry::new(), &"g".parse().unwrap()).unwrap(),
+        metrics: GripperMetrics::register(&Registry::new(), &"g".parse().unwrap()).unwrap(),
     };
     gripper::spawn(
         config,
@@ -70,7 +70,7 @@ pub fn move_to(mm: f32, mm_s: f32) -> Motion {
 impl Rig {
     /// Connected, but not referenced.
     pub async fn new(url: &str) -> Self {
-        let Served { address, switch, .. } = served(url).await;
+        let ServedDevice { address, switch, .. } = served(url).await;
         let is_tcp = address.properties().connection_oriented;
         let rig = Self { handle: spawn(address), switch, is_tcp };
         rig.link(Link::Connected, SOON).await;
@@ -109,7 +109,7 @@ impl Rig {
         self.submit(Action::Motion(motion)).await.unwrap()
     }
 
-    pub async fn run(&self, motion: Motion) -> Command {
+    pub async fn run(&self, motion: Motion) -> CommandReport {
         self.start(motion).await.wait(Duration::from_secs(30)).await
     }
 

@@ -4,7 +4,7 @@
 
 use std::time::Duration;
 
-use wsg_gateway::gripper::handle::Request;
+use wsg_gateway::gripper::handle::ActorRequest;
 use wsg_gateway::gripper::model::Action;
 use wsg_gateway::gripper::{Failure, Rejection};
 use wsg_gateway::sim::Change;
@@ -53,7 +53,7 @@ fn stop_is_sent_under_a_flood_of_stops() {
     let from = mark(&world);
     for _ in 0..10 * MAX_WAITING {
         // A cancel makes the gateway send its own Stop, which takes no slot from client Stops.
-        drop(request(&mut world, |answer| Request::Cancel { id: running.id(), client: client(), answer }));
+        drop(request(&mut world, |answer| ActorRequest::Cancel { id: running.id(), client: client(), answer }));
     }
     for n in 0..10 * MAX_WAITING {
         assert!(submit(&mut world, Action::Stop, Some(&format!("stop {n}"))).is_ok(), "Stop {n}");

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use tokio::sync::oneshot;
-use wsg_gateway::gripper::handle::Request;
+use wsg_gateway::gripper::handle::ActorRequest;
 use wsg_gateway::gripper::model::{Action, Client, Door, LeaseToken, Motion, Outcome, Submission, TakeLease};
 use wsg_gateway::gripper::{Conflict, Invalid, Rejection, Ticket};
 use wsg_gateway::wsg::{self, Acceleration, Data, SoftLimits, Width, id};
@@ -33,7 +33,7 @@ fn moves_as(
     let (client, lease) = (client.clone(), Some(token.clone()));
     let submission = Submission { client, action: Action::Motion(motion), request_id: None, lease };
     let (answer, mut answered) = oneshot::channel();
-    world.actor.request(now, Request::Submit { submission, id, answer });
+    world.actor.request(now, ActorRequest::Submit { submission, id, answer });
     let ticket = answered.try_recv().unwrap();
     if let Ok(ticket) = &ticket {
         world.clients.admitted.push(crate::seeds::client::Admitted {
@@ -48,7 +48,8 @@ fn moves_as(
 
 fn sets(world: &mut World, (client, token): &(Client, LeaseToken), command: wsg::Command) -> Result<Data, Rejection> {
     let (client, lease) = (client.clone(), Some(token.clone()));
-    let mut answered = request(world, |answer| Request::Exchange { command, client, lease, answer: (None, answer) });
+    let mut answered =
+        request(world, |answer| ActorRequest::Exchange { command, client, lease, answer: (None, answer) });
     world.advance(Duration::from_millis(100));
     answered.try_recv().unwrap()
 }
@@ -72,7 +73,7 @@ fn driver_takes_the_free_lease_only_by_an_admitted_motion() {
     assert!(held(sets(&mut world, &other, set).unwrap_err()));
     assert_eq!(finish(&mut world, &homing).outcome, Some(Outcome::Success));
     assert!(homing.now().accepted);
-    drop(request(&mut world, |answer| Request::ReleaseLease { token: Some(one.1.clone()), answer }));
+    drop(request(&mut world, |answer| ActorRequest::ReleaseLease { token: Some(one.1.clone()), answer }));
     assert!(moves(&mut world, &other, move_to(50.0, 50.0)).is_ok());
 }
 
@@ -96,12 +97,12 @@ fn lost_driver_returns_from_the_same_host_with_a_new_token() {
     assert_eq!(finish(&mut world, &held).outcome, Some(Outcome::PartHeld));
     let from = mark(&world);
     let lost = one.1.clone();
-    drop(request(&mut world, |_: oneshot::Sender<()>| Request::LoseLease { token: lost, times_taken: None }));
+    drop(request(&mut world, |_: oneshot::Sender<()>| ActorRequest::LoseLease { token: lost, times_taken: None }));
     world.advance(Duration::from_secs(1));
     assert_eq!(received(&world, from), NOTHING);
     assert!(moves(&mut world, &other, move_to(50.0, 50.0)).is_err());
     let take = TakeLease::by(other.0.clone());
-    let taken = request(&mut world, |answer| Request::TakeLease { take, token: LeaseToken::generate(), answer });
+    let taken = request(&mut world, |answer| ActorRequest::TakeLease { take, token: LeaseToken::generate(), answer });
     assert!({ taken }.try_recv().unwrap().is_err());
     assert!(moves(&mut world, &driver("10.0.0.1"), move_to(50.0, 50.0)).is_ok());
 }

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use tokio::sync::oneshot;
-use wsg_gateway::gripper::handle::Request;
+use wsg_gateway::gripper::handle::ActorRequest;
 use wsg_gateway::gripper::model::{
     Action, Client, Door, FastStopCause, HolderName, Lease, LeaseToken, Motion, OnLossHolding, OnLossMoving, Outcome,
     Submission, TakeLease,
@@ -38,7 +38,7 @@ fn finish_moving(wish: TakeLease) -> TakeLease {
 
 fn take(world: &mut World, take: TakeLease) -> Result<AcquiredLease, Rejection> {
     let token = LeaseToken::generate();
-    request(world, |answer| Request::TakeLease { take, token, answer }).try_recv().unwrap()
+    request(world, |answer| ActorRequest::TakeLease { take, token, answer }).try_recv().unwrap()
 }
 
 /// Takes the lease and closes the request, so that only the time to live keeps it.
@@ -57,7 +57,7 @@ fn close<T>(world: &mut World, open: T) {
 }
 
 fn lease(world: &mut World) -> Lease {
-    request(world, |answer| Request::Lease { answer }).try_recv().unwrap()
+    request(world, |answer| ActorRequest::Lease { answer }).try_recv().unwrap()
 }
 
 fn submit_with(world: &mut World, motion: Motion, lease: Option<LeaseToken>) -> Result<Ticket, Rejection> {
@@ -67,7 +67,7 @@ fn submit_with(world: &mut World, motion: Motion, lease: Option<LeaseToken>) -> 
     let submission =
         Submission { client: client(), action: Action::Motion(motion), request_id: None, lease: lease.clone() };
     let (answer, mut answered) = oneshot::channel();
-    world.actor.request(now, Request::Submit { submission, id, answer });
+    world.actor.request(now, ActorRequest::Submit { submission, id, answer });
     let ticket = answered.try_recv().unwrap()?;
     world.clients.admitted.push(crate::seeds::client::Admitted {
         ticket: ticket.watched(),
@@ -79,7 +79,7 @@ fn submit_with(world: &mut World, motion: Motion, lease: Option<LeaseToken>) -> 
 }
 
 fn release(world: &mut World, token: Option<LeaseToken>) -> Lease {
-    request(world, |answer| Request::ReleaseLease { token, answer }).try_recv().unwrap()
+    request(world, |answer| ActorRequest::ReleaseLease { token, answer }).try_recv().unwrap()
 }
 
 /// Lets a holder grip the part, then loses the holder.
@@ -105,7 +105,7 @@ fn stale_lease_moves_nothing() {
     let rejection = submit_with(&mut world, move_to(50.0, 50.0), a.clone()).unwrap_err();
     assert_eq!(rejection, Conflict::StaleLease { epoch: 2, holder: Some("b".into()) }.into());
     let acceleration = wsg::Command::SetAcceleration(Acceleration::new(500.0).unwrap());
-    let mut set = request(&mut world, |answer| Request::Exchange {
+    let mut set = request(&mut world, |answer| ActorRequest::Exchange {
         command: acceleration,
         client: client(),
         lease: a,
@@ -206,7 +206,7 @@ fn fast_stop_keeps_the_reservation_of_a_held_part() {
         assert_eq!(finish(&mut world, &held).outcome, Some(Outcome::PartHeld));
         let lose = |world: &mut World| {
             let token = a.clone().unwrap();
-            drop(request(world, |_: oneshot::Sender<()>| Request::LoseLease { token, times_taken: None }));
+            drop(request(world, |_: oneshot::Sender<()>| ActorRequest::LoseLease { token, times_taken: None }));
         };
         if !stopped_first {
             lose(&mut world);
@@ -235,7 +235,7 @@ fn fast_stop_keeps_the_reservation_of_a_held_part() {
         let opened = submit_with(&mut world, release, again.clone()).unwrap();
         assert_eq!(finish(&mut world, &opened).outcome, Some(Outcome::Success));
         let token = again.unwrap();
-        drop(request(&mut world, |_: oneshot::Sender<()>| Request::LoseLease { token, times_taken: None }));
+        drop(request(&mut world, |_: oneshot::Sender<()>| ActorRequest::LoseLease { token, times_taken: None }));
         assert_eq!(lease(&mut world).reserved_for, None, "the part was released");
     }
 }
@@ -304,7 +304,7 @@ fn holder_chooses_the_fate_of_its_motion() {
         world.advance(Duration::from_millis(300));
         let from = mark(&world);
         let lost = a.unwrap();
-        drop(request(&mut world, |_: oneshot::Sender<()>| Request::LoseLease { token: lost, times_taken: None }));
+        drop(request(&mut world, |_: oneshot::Sender<()>| ActorRequest::LoseLease { token: lost, times_taken: None }));
         assert_eq!(finish(&mut world, &running).outcome, Some(outcome), "{choice:?}");
         world.advance(Duration::from_secs(1));
         assert_eq!(received(&world, from), sent, "{choice:?}");
@@ -329,7 +329,7 @@ fn lease_is_handed_over_to_the_first_requester() {
     assert_eq!(lease(&mut world).requested_by.as_deref(), Some("b"), "the first request wins");
     let hand_over = |to: &str, token: Option<LeaseToken>| {
         let to = to.to_owned();
-        move |answer| Request::HandOver { token, to, new: LeaseToken::generate(), answer }
+        move |answer| ActorRequest::HandOver { token, to, new: LeaseToken::generate(), answer }
     };
     let mut wrong = request(&mut world, hand_over("c", a.clone()));
     assert!(matches!(wrong.try_recv().unwrap(), Err(Rejection::Invalid(_))));
@@ -354,7 +354,7 @@ fn hand_over_aborts_a_waiting_motion() {
     assert!(take(&mut world, TakeLease { request: true, ..wish("b") }).is_err());
     let from = mark(&world);
     let (to, new) = ("b".to_owned(), LeaseToken::generate());
-    let mut given = request(&mut world, |answer| Request::HandOver { token: a, to, new, answer });
+    let mut given = request(&mut world, |answer| ActorRequest::HandOver { token: a, to, new, answer });
     assert!(given.try_recv().unwrap().is_ok());
     assert_eq!(waiting.now().outcome, Some(Outcome::Aborted));
     world.advance(Duration::from_secs(1));
@@ -375,7 +375,7 @@ fn holder_lost_during_an_unknown_motion_is_a_fast_stop() {
     assert_eq!((state(&world).moving, state(&world).command), (Some(true), None));
     let from = mark(&world);
     let lost = a.unwrap();
-    drop(request(&mut world, |_: oneshot::Sender<()>| Request::LoseLease { token: lost, times_taken: None }));
+    drop(request(&mut world, |_: oneshot::Sender<()>| ActorRequest::LoseLease { token: lost, times_taken: None }));
     world.advance(Duration::from_millis(200));
     assert_eq!(received(&world, from), [id::FAST_STOP]);
     assert!(!world.device.snapshot().moving);
@@ -388,7 +388,7 @@ fn grip_that_ends_after_the_loss_reserves_the_part() {
     let gripping = submit_with(&mut world, grip(None), a.clone()).unwrap();
     world.advance(Duration::from_millis(200));
     let lost = a.unwrap();
-    drop(request(&mut world, |_: oneshot::Sender<()>| Request::LoseLease { token: lost, times_taken: None }));
+    drop(request(&mut world, |_: oneshot::Sender<()>| ActorRequest::LoseLease { token: lost, times_taken: None }));
     assert_eq!(finish(&mut world, &gripping).outcome, Some(Outcome::PartHeld));
     let reserved = Conflict::LeaseHeld { holder: "a".into(), expires_in_ms: None };
     assert_eq!(refused(&mut world, move_to(50.0, 50.0)), reserved.clone().into());
@@ -416,7 +416,7 @@ fn forced_take_stops_a_motion_without_a_holder() {
         let running = submit_with(&mut world, move_to(5.0, 10.0), lost.clone()).unwrap();
         world.advance(Duration::from_millis(300));
         if let Some(token) = lost {
-            drop(request(&mut world, |_: oneshot::Sender<()>| Request::LoseLease { token, times_taken: None }));
+            drop(request(&mut world, |_: oneshot::Sender<()>| ActorRequest::LoseLease { token, times_taken: None }));
         }
         assert_eq!(lease(&mut world).reserved_for.as_deref(), with_holder.then_some("a"));
         let from = mark(&world);
@@ -436,7 +436,7 @@ fn loss_of_the_holder_aborts_a_waiting_motion() {
     let from = mark(&world);
     let waiting = submit_with(&mut world, move_to(5.0, 10.0), a.clone()).unwrap();
     let lost = a.unwrap();
-    drop(request(&mut world, |_: oneshot::Sender<()>| Request::LoseLease { token: lost, times_taken: None }));
+    drop(request(&mut world, |_: oneshot::Sender<()>| ActorRequest::LoseLease { token: lost, times_taken: None }));
     assert_eq!(finish(&mut world, &waiting).outcome, Some(Outcome::Aborted));
     world.advance(Duration::from_secs(1));
     assert!(!received(&world, from).contains(&id::PRE_POSITION));

@@ -10,7 +10,7 @@ pub mod steps;
 
 use std::time::Duration;
 
-use wsg_gateway::gripper::handle::Request;
+use wsg_gateway::gripper::handle::ActorRequest;
 use wsg_gateway::gripper::model::{Action, Client, FastStopCause, Link, Motion, Outcome, Submission};
 use wsg_gateway::gripper::{Conflict, Failure, Rejection};
 use wsg_gateway::sim::{Change, FaultKind, Interface};
@@ -191,7 +191,7 @@ fn announce_before_close() {
     let slow = start(&mut world, move_to(10.0, 5.0));
     world.advance(Duration::from_millis(500));
     let from = mark(&world);
-    let mut drained = request(&mut world, |answer| Request::Drain { answer });
+    let mut drained = request(&mut world, |answer| ActorRequest::Drain { answer });
     assert_eq!(refused(&mut world, home()), Failure::Draining.into());
     let command = finish(&mut world, &slow);
     assert_eq!(command.outcome, Some(Outcome::Aborted), "drain_ms is over");
@@ -350,7 +350,7 @@ fn every_command_ends_once() {
     let mut times_reported = 0;
     // A cancel, a Stop, a FAST STOP and a lost link, each of which would end the command.
     let id = ticket.now().id;
-    drop(request(&mut world, |answer| Request::Cancel { id, client: client(), answer }));
+    drop(request(&mut world, |answer| ActorRequest::Cancel { id, client: client(), answer }));
     submit(&mut world, Action::Stop, None).unwrap();
     fast_stop(&mut world);
     for _ in 0..2000 {
@@ -428,7 +428,7 @@ fn cancelled_grip_keeps_its_force_limit() {
     run(&mut world, home());
     world.advance(Duration::from_millis(100));
     let ticket = start(&mut world, grip(Some(20.0)));
-    drop(request(&mut world, |answer| Request::Cancel { id: ticket.now().id, client: client(), answer }));
+    drop(request(&mut world, |answer| ActorRequest::Cancel { id: ticket.now().id, client: client(), answer }));
     world.advance(Duration::from_millis(200));
     assert_eq!(ticket.now().outcome, Some(Outcome::Aborted));
     let mut limit = exchange(&mut world, wsg::Command::GetForceLimit);
@@ -458,7 +458,7 @@ fn stop_ignores_a_stale_lease() {
     let now = world.clock();
     let id = world.ids.command_id(now.wall);
     let submission = Submission { client: client(), action: Action::Stop, request_id: None, lease: Some("old".into()) };
-    let mut answered = request(&mut world, |answer| Request::Submit { submission, id, answer });
+    let mut answered = request(&mut world, |answer| ActorRequest::Submit { submission, id, answer });
     assert!(answered.try_recv().unwrap().is_ok());
     assert_eq!(finish(&mut world, &running).outcome, Some(Outcome::Aborted));
 }
@@ -492,7 +492,7 @@ fn cancelled_command_names_the_canceller() {
     world.advance(Duration::from_millis(300));
     let id = running.now().id;
     let somebody = Client { subject: "somebody".into(), ..client() };
-    drop(request(&mut world, |answer| Request::Cancel { id, client: somebody, answer }));
+    drop(request(&mut world, |answer| ActorRequest::Cancel { id, client: somebody, answer }));
     let ended = finish(&mut world, &running);
     assert_eq!((ended.outcome, ended.cancelled_by.as_deref()), (Some(Outcome::Aborted), Some("somebody")));
 }

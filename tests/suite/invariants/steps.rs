@@ -3,10 +3,10 @@
 use std::time::Duration;
 
 use tokio::sync::oneshot;
-use wsg_gateway::gripper::handle::{Answer, FastStopRequest, Request};
+use wsg_gateway::gripper::handle::{ActorRequest, Answer, FastStopRequest};
 use wsg_gateway::gripper::model::{
-    Action, Client, Command, Door, FastStopCause, FastStopId, LatchFields, Motion, Outcome, Phase, Reason, RequestId,
-    State, Submission,
+    Action, Client, CommandReport, Door, FastStopCause, FastStopId, LatchFields, Motion, Outcome, Phase, Reason,
+    RequestId, State, Submission,
 };
 use wsg_gateway::gripper::{Rejection, Ticket};
 use wsg_gateway::sim::{DeviceConfig, Part};
@@ -47,7 +47,7 @@ pub fn move_to(mm: f32, mm_s: f32) -> Motion {
     Motion::Move { flags, width: Width::new(mm).unwrap(), speed: Speed::new(mm_s).unwrap() }
 }
 
-pub fn request<T>(world: &mut World, make: impl FnOnce(oneshot::Sender<T>) -> Request) -> oneshot::Receiver<T> {
+pub fn request<T>(world: &mut World, make: impl FnOnce(oneshot::Sender<T>) -> ActorRequest) -> oneshot::Receiver<T> {
     let (answer, answered) = oneshot::channel();
     let now = world.clock();
     world.actor.request(now, make(answer));
@@ -65,7 +65,7 @@ pub fn submit(world: &mut World, action: Action, request_id: Option<&str>) -> Re
     };
     let submission = Submission { client: client(), action, request_id, lease: None };
     let (answer, mut answered) = oneshot::channel();
-    world.actor.request(now, Request::Submit { submission, id, answer });
+    world.actor.request(now, ActorRequest::Submit { submission, id, answer });
     let ticket = answered.try_recv().unwrap()?;
     world.clients.admitted.push(crate::seeds::client::Admitted { ticket: ticket.clone(), motion, lease: None });
     world.settle();
@@ -80,12 +80,12 @@ pub fn refused(world: &mut World, motion: Motion) -> Rejection {
     submit(world, Action::Motion(motion), None).unwrap_err()
 }
 
-pub fn run(world: &mut World, motion: Motion) -> Command {
+pub fn run(world: &mut World, motion: Motion) -> CommandReport {
     let ticket = start(world, motion);
     finish(world, &ticket)
 }
 
-pub fn finish(world: &mut World, ticket: &Ticket) -> Command {
+pub fn finish(world: &mut World, ticket: &Ticket) -> CommandReport {
     for _ in 0..9000 {
         if ticket.now().phase == Phase::Done {
             return ticket.now();
@@ -116,11 +116,11 @@ pub fn fast_stop(world: &mut World) -> FastStopId {
 pub fn acknowledge(world: &mut World, id: FastStopId) -> oneshot::Receiver<Result<(), Rejection>> {
     // The only acknowledge in these tests; any other is a violation.
     world.invariants.acknowledge_taken();
-    request(world, |answer: Answer<()>| Request::Acknowledge { id, client: client(), answer })
+    request(world, |answer: Answer<()>| ActorRequest::Acknowledge { id, client: client(), answer })
 }
 
 pub fn exchange(world: &mut World, command: wsg::Command) -> oneshot::Receiver<Result<wsg::Data, Rejection>> {
-    request(world, |answer| Request::Exchange { command, client: client(), lease: None, answer: (None, answer) })
+    request(world, |answer| ActorRequest::Exchange { command, client: client(), lease: None, answer: (None, answer) })
 }
 
 pub fn state(world: &World) -> State {

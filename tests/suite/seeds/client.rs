@@ -2,7 +2,7 @@
 
 use rand::RngExt;
 use tokio::sync::oneshot;
-use wsg_gateway::gripper::handle::{FastStopRequest, Request};
+use wsg_gateway::gripper::handle::{ActorRequest, FastStopRequest};
 use wsg_gateway::gripper::model::{
     Action, Client, Door, FastStopCause, FastStopId, LeaseToken, Motion, PartId, Reason, RequestId, Submission,
 };
@@ -145,7 +145,7 @@ impl Clients {
         let (answer, mut answered) = oneshot::channel();
         let now = world.clock();
         let id = world.ids.command_id(now.wall);
-        world.actor.request(now, Request::Submit { submission, id, answer });
+        world.actor.request(now, ActorRequest::Submit { submission, id, answer });
         let result = answered.try_recv().expect("admission takes no time");
         world.note(&format!("  {:?}", result.as_ref().map(|ticket| ticket.now().id)));
         if motion.is_some() {
@@ -172,7 +172,7 @@ impl Clients {
         let id = admitted.ticket.now().id;
         let (answer, _) = oneshot::channel();
         let now = world.clock();
-        world.actor.request(now, Request::Cancel { id, client: client(), answer });
+        world.actor.request(now, ActorRequest::Cancel { id, client: client(), answer });
     }
 
     fn fast_stop(world: &mut World) {
@@ -205,7 +205,7 @@ impl Clients {
         let Some(id) = id else { return };
         let (answer, mut answered) = oneshot::channel();
         let now = world.clock();
-        world.actor.request(now, Request::Acknowledge { id, client: client(), answer });
+        world.actor.request(now, ActorRequest::Acknowledge { id, client: client(), answer });
         if let Ok(result) = answered.try_recv() {
             assert!(result.is_err(), "an acknowledge needs the device");
         } else {
@@ -224,7 +224,9 @@ impl Clients {
         };
         let (answer, answered) = oneshot::channel();
         let now = world.clock();
-        world.actor.request(now, Request::Exchange { command, client: client(), lease: None, answer: (None, answer) });
+        world
+            .actor
+            .request(now, ActorRequest::Exchange { command, client: client(), lease: None, answer: (None, answer) });
         world.clients.exchanges.push(Exchange { answered, expected });
     }
 
@@ -266,7 +268,7 @@ impl Clients {
     pub fn drain(world: &mut World) {
         let (answer, drained) = oneshot::channel();
         let now = world.clock();
-        world.actor.request(now, Request::Drain { answer });
+        world.actor.request(now, ActorRequest::Drain { answer });
         world.clients.drained = Some(drained);
     }
 }

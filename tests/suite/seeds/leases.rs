@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use rand::RngExt;
 use tokio::sync::oneshot;
-use wsg_gateway::gripper::handle::Request;
+use wsg_gateway::gripper::handle::ActorRequest;
 use wsg_gateway::gripper::model::{
     Client, Door, HolderName, LeaseEvent, LeaseStep, LeaseToken, LossEffect, OnLossHolding, OnLossMoving, Phase,
     TakeLease,
@@ -91,7 +91,7 @@ impl Leases {
                 if let Some(current) = world.leases.current.take() {
                     world.leases.open.clear();
                     let now = world.clock();
-                    world.actor.request(now, Request::LoseLease { token: current.token, times_taken: None });
+                    world.actor.request(now, ActorRequest::LoseLease { token: current.token, times_taken: None });
                     assert_eq!(world.watches.state.borrow().lease_holder, None, "{}", world.tail());
                 }
             }
@@ -126,7 +126,7 @@ impl Leases {
         let (answer, mut answered) = oneshot::channel();
         let (now, take) = (world.clock(), wish.clone());
         let epoch = world.watches.state.borrow().lease_epoch;
-        world.actor.request(now, Request::TakeLease { take, token, answer });
+        world.actor.request(now, ActorRequest::TakeLease { take, token, answer });
         let result = answered.try_recv().expect("the decision takes no time");
         world.note(&format!("  {holder} takes the lease: {:?}", result.as_ref().map(|granted| &granted.lease)));
         let Ok(granted) = result else {
@@ -157,10 +157,10 @@ impl Leases {
         wish.request = true;
         let (answer, _) = oneshot::channel();
         let (now, unused) = (world.clock(), LeaseToken::from("not given"));
-        world.actor.request(now, Request::TakeLease { take: wish.clone(), token: unused, answer });
+        world.actor.request(now, ActorRequest::TakeLease { take: wish.clone(), token: unused, answer });
         let new = LeaseToken::from(format!("token {}", world.leases.given.len()).as_str());
         let (answer, mut answered) = oneshot::channel();
-        let request = Request::HandOver { token: Some(token), to: to.to_owned(), new: new.clone(), answer };
+        let request = ActorRequest::HandOver { token: Some(token), to: to.to_owned(), new: new.clone(), answer };
         world.actor.request(now, request);
         if answered.try_recv().expect("the decision takes no time").is_err() {
             // A failed hand-over still renews the lease.
@@ -182,7 +182,7 @@ impl Leases {
         let (token, alive) = (Some(current.token.clone()), Self::is_alive(world));
         let (answer, mut answered) = oneshot::channel();
         let now = world.clock();
-        world.actor.request(now, Request::RenewLease { token, answer });
+        world.actor.request(now, ActorRequest::RenewLease { token, answer });
         let renewed = answered.try_recv().expect("the decision takes no time").is_ok();
         assert_eq!(renewed, alive, "renewal does not match the lease's life\n{}", world.tail());
         if let Some(current) = world.leases.current.as_mut().filter(|_| renewed) {
@@ -196,7 +196,7 @@ impl Leases {
         let held = world.watches.state.borrow().lease_holder.clone();
         let (answer, mut answered) = oneshot::channel();
         let now = world.clock();
-        world.actor.request(now, Request::ReleaseLease { token: token.clone(), answer });
+        world.actor.request(now, ActorRequest::ReleaseLease { token: token.clone(), answer });
         let lease = answered.try_recv().expect("the decision takes no time");
         if token.is_some() && token == current {
             assert!(!lease.held, "{}", world.tail());

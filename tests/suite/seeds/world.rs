@@ -7,9 +7,9 @@ use jiff::Timestamp;
 use prometheus::Registry;
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
-use wsg_gateway::gripper::actor::{Actor, Close, Config, OnJournalFailure, Watches};
-use wsg_gateway::gripper::model::{CustomIds, IdSource, LeaseRules, Phase};
-use wsg_gateway::gripper::{Metrics, Now};
+use wsg_gateway::gripper::actor::{Actor, ActorConfig, Close, Watches};
+use wsg_gateway::gripper::model::{CustomIds, IdSource, LeaseRules, OnJournalFailure, Phase};
+use wsg_gateway::gripper::{GripperMetrics, Now};
 use wsg_gateway::sim::{Device, DeviceConfig, Interface, LinkAction, Part, Script, ScriptAnswer};
 use wsg_gateway::transport::LinkProperties;
 use wsg_gateway::wsg::Command;
@@ -41,7 +41,7 @@ pub struct World {
     pub ids: IdSource,
     pub start: Instant,
     pub now: Instant,
-    pub config: Config,
+    pub config: ActorConfig,
     pub actor: Actor,
     pub watches: Watches,
     pub device: Device,
@@ -158,7 +158,7 @@ impl World {
         bytes_per_second: Option<u32>,
     ) -> Self {
         let now = Instant::now();
-        let config = Config {
+        let config = ActorConfig {
             name: "g".parse().unwrap(),
             url: "sim://g".to_owned(),
             properties: LinkProperties {
@@ -173,7 +173,7 @@ impl World {
             on_journal_failure: OnJournalFailure::Refuse,
             lease: LeaseRules::default(),
             seed,
-            metrics: Metrics::register(&Registry::new(), &"g".parse().unwrap()).unwrap(),
+            metrics: GripperMetrics::register(&Registry::new(), &"g".parse().unwrap()).unwrap(),
         };
         let (actor, watches) = Actor::new(config.clone());
         Self {

@@ -4,7 +4,7 @@ use super::parameters::CommandReply;
 use super::parameters::{CommandPath, GripperPath, LeaseHeader, NoWaitQuery, WaitQuery};
 use super::paths;
 use super::responses::CommandProblem;
-use crate::gripper::model::Command;
+use crate::gripper::model::CommandReport;
 use crate::operations::Leased;
 use crate::operations::commands;
 
@@ -18,7 +18,7 @@ paths! {
         operation_id = "get_command",
         tag = "commands",
         params(GripperPath, CommandPath, NoWaitQuery, LeaseHeader),
-        responses((status = 200, description = "The command", body = Command), CommandProblem)
+        responses((status = 200, description = "The command", body = CommandReport), CommandProblem)
     )]
     get => commands::GET;
     /// Cancel a command

@@ -23,7 +23,7 @@ macro_rules! paths {
     ($($(#[$attribute:meta])* $name:ident => $operation:expr;)*) => {$(
         $(#[$attribute])*
         pub async fn $name(
-            context: axum::extract::State<std::sync::Arc<crate::interfaces::http::Context>>,
+            context: axum::extract::State<std::sync::Arc<crate::interfaces::http::HttpContext>>,
             request: axum::extract::Request,
         ) -> Result<axum::response::Response, crate::operations::Problem> {
             crate::interfaces::http::operation::serve(&context, &$operation, request).await

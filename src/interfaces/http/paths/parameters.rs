@@ -2,7 +2,7 @@
 
 use utoipa::{IntoParams, IntoResponses};
 
-use crate::gripper::model::Command;
+use crate::gripper::model::CommandReport;
 
 #[derive(IntoParams)]
 #[into_params(parameter_in = Path)]
@@ -76,8 +76,8 @@ pub struct KeyHeaders {
 pub enum CommandReply {
     /// The ended command, with its `outcome`
     #[response(status = 200)]
-    Ended(Command),
+    Ended(CommandReport),
     /// The command, still running after `wait_ms`
     #[response(status = 202, headers(("Location" = String, description = "Path of the command")))]
-    Running(Command),
+    Running(CommandReport),
 }

@@ -3,7 +3,7 @@
 use super::parameters::{GripperPath, KeyHeaders, WaitQuery};
 use super::paths;
 use super::responses::DeviceProblem;
-use crate::gripper::model::Command;
+use crate::gripper::model::CommandReport;
 use crate::operations::raw::{self, Raw, RawAnswer};
 
 paths! {
@@ -21,7 +21,7 @@ paths! {
         request_body = Raw,
         responses(
             (status = 200, description = "The device's reply", body = RawAnswer),
-            (status = 202, description = "The command, still running after `wait_ms`", body = Command,
+            (status = 202, description = "The command, still running after `wait_ms`", body = CommandReport,
                 headers(("Location" = String, description = "Path of the command"))),
             DeviceProblem,
         )

@@ -7,7 +7,7 @@ use crate::gripper::Conflict;
 
 #[tokio::test]
 async fn fast_stop_ignores_invalid_bodies() {
-    let mut gateway = Gateway::new(Script::default());
+    let mut gateway = Gateway::new(FakeScript::default());
     let huge = "x".repeat(1024 * 1024);
     let long = json!({"reason": "é".repeat(100)}).to_string();
     let bodies = ["", "{", "null", "[1]", r#"{"reason": 7}"#, r#"{"reason": "curtain"}"#, &long, &huge];
@@ -27,7 +27,7 @@ async fn fast_stop_ignores_invalid_bodies() {
 
 #[tokio::test(start_paused = true)]
 async fn fast_stop_does_not_wait_for_its_body() {
-    let gateway = Gateway::new(Script::default());
+    let gateway = Gateway::new(FakeScript::default());
     let never = Body::from_stream(futures_util::stream::pending::<Result<&[u8], std::io::Error>>());
     let start = tokio::time::Instant::now();
     let answer = gateway.ask("POST", "/api/v1/fast-stop", never).await;
@@ -37,7 +37,7 @@ async fn fast_stop_does_not_wait_for_its_body() {
 
 #[tokio::test(start_paused = true)]
 async fn unconfirmed_fast_stop_is_reported() {
-    let gateway = Gateway::new(Script { confirms: false, ..Script::default() });
+    let gateway = Gateway::new(FakeScript { confirms: false, ..FakeScript::default() });
     let answer = gateway.ask("POST", "/api/v1/fast-stop", "").await;
     assert_eq!((answer.status, &answer.body["fast_stop_confirmed"]), (200, &false.into()));
     assert_eq!((&answer.body["confirmed"], &answer.body["unconfirmed"]), (&json!([]), &json!(["left"])));
@@ -45,7 +45,7 @@ async fn unconfirmed_fast_stop_is_reported() {
 
 #[tokio::test]
 async fn acknowledge_names_its_fast_stop() {
-    let mut gateway = Gateway::new(Script::default());
+    let mut gateway = Gateway::new(FakeScript::default());
     let id = "019aa5c8-5a70-7c31-9f3f-4a3b7c1d2e4f";
     let answer = gateway.left("POST", "acknowledge", json!({"fast_stop_id": id})).await;
     assert_eq!(answer.body, json!({"gripper": "left", "fast_stop_id": id, "fast_stop": false}));
@@ -56,14 +56,14 @@ async fn acknowledge_names_its_fast_stop() {
     }
     let given = id.parse().unwrap();
     let acknowledge = Err(Conflict::StaleFastStop { given, current: None }.into());
-    let gateway = Gateway::new(Script { acknowledge, ..Script::default() });
+    let gateway = Gateway::new(FakeScript { acknowledge, ..FakeScript::default() });
     let answer = gateway.left("POST", "acknowledge", json!({"fast_stop_id": id})).await;
     assert_eq!((answer.status, &answer.body["code"]), (409, &"stale_fast_stop".into()));
 }
 
 #[tokio::test]
 async fn foreign_page_cannot_fast_stop() {
-    let mut gateway = Gateway::new(Script::default());
+    let mut gateway = Gateway::new(FakeScript::default());
     for (header, value, code) in
         [(header::HOST, "evil.example", "foreign_host"), (header::ORIGIN, "null", "foreign_origin")]
     {

@@ -8,7 +8,7 @@ use crate::gripper::recorder::Record;
 
 #[tokio::test]
 async fn readiness_names_its_causes() {
-    let (gateway, journal) = Gateway::with_journal(Script::default());
+    let (gateway, journal) = Gateway::with_journal(FakeScript::default());
     let answer = gateway.ask("GET", "/readyz", "").await;
     assert_eq!(answer.status, 503);
     assert_eq!(
@@ -35,7 +35,7 @@ async fn readiness_names_its_causes() {
 
 #[tokio::test]
 async fn request_metrics_have_bounded_labels() {
-    let gateway = Gateway::new(Script::default());
+    let gateway = Gateway::new(FakeScript::default());
     gateway.left("POST", "home", json!({})).await;
     gateway.left("POST", "home", json!({"direction": "up"})).await;
     for n in 0..3 {

@@ -48,7 +48,7 @@ async fn each_use_renews_the_lease() {
 
 #[tokio::test]
 async fn fast_stop_ignores_invalid_tokens() {
-    let mut gateway = Gateway::new(Script::default());
+    let mut gateway = Gateway::new(FakeScript::default());
     for token in ["stale", "x y", &"x".repeat(1000)] {
         let request = Request::builder().method("POST").uri("/api/v1/grippers/left/fast-stop");
         let request = request.header(header::HOST, "localhost").header("Wsg-Lease", token);

@@ -22,10 +22,10 @@ use serde_json::{Value, json};
 use tokio::sync::mpsc::UnboundedReceiver;
 use tower::ServiceExt;
 
-use super::context::Context;
+use super::context::HttpContext;
 use super::router::router;
 use crate::gripper::Rejection;
-use crate::gripper::fake::{self, Fate, Script, Seen};
+use crate::gripper::fake::{self, FakeScript, Fate, Seen};
 use crate::gripper::model::{Action, CommandId};
 use crate::journal::Journal;
 use crate::wsg::{self, Data};
@@ -42,13 +42,13 @@ struct Answer {
 }
 
 impl Gateway {
-    fn new(script: Script) -> Self {
+    fn new(script: FakeScript) -> Self {
         Self::with_journal(script).0
     }
 
-    fn with_journal(script: Script) -> (Self, Journal) {
+    fn with_journal(script: FakeScript) -> (Self, Journal) {
         let (handle, seen) = fake::gripper("left", script);
-        let context = Context::of([handle]);
+        let context = HttpContext::of([handle]);
         let journal = context.gateway.journal.clone();
         (Self { router: router(&Arc::new(context)), seen }, journal)
     }
@@ -88,16 +88,16 @@ impl Gateway {
 }
 
 fn with_fate(fate: Fate) -> Gateway {
-    Gateway::new(Script { fate, ..Script::default() })
+    Gateway::new(FakeScript { fate, ..FakeScript::default() })
 }
 
 fn with_exchange(exchange: fn(&wsg::Command) -> Result<Data, Rejection>) -> Gateway {
-    Gateway::new(Script { exchange, ..Script::default() })
+    Gateway::new(FakeScript { exchange, ..FakeScript::default() })
 }
 
 #[tokio::test]
 async fn unknown_path_is_a_problem() {
-    let gateway = Gateway::new(Script::default());
+    let gateway = Gateway::new(FakeScript::default());
     let command = format!("/api/v1/grippers/left/commands/{}", CommandId::generate());
     let paths = [
         "/nowhere",
@@ -119,7 +119,7 @@ async fn unknown_path_is_a_problem() {
 
 #[tokio::test]
 async fn wrong_method_lists_the_allowed_ones() {
-    let gateway = Gateway::new(Script::default());
+    let gateway = Gateway::new(FakeScript::default());
     let cases = [
         ("DELETE", "/api/v1/grippers", "GET,HEAD"),
         ("GET", "/api/v1/fast-stop", "POST"),
@@ -136,7 +136,7 @@ async fn wrong_method_lists_the_allowed_ones() {
 
 #[tokio::test]
 async fn reads_do_not_reach_the_device() {
-    let mut gateway = Gateway::new(Script::default());
+    let mut gateway = Gateway::new(FakeScript::default());
     let list = gateway.ask("GET", "/api/v1/grippers", "").await;
     assert_eq!(list.body["grippers"][0]["gripper"], "left");
     assert_eq!(gateway.ask("GET", "/api/v1/grippers/left", "").await.body["url"], "sim://wsg50");
@@ -147,7 +147,7 @@ async fn reads_do_not_reach_the_device() {
 
 #[tokio::test]
 async fn head_is_get_without_a_body() {
-    let gateway = Gateway::new(Script::default());
+    let gateway = Gateway::new(FakeScript::default());
     let (get, head) = (gateway.ask("GET", "/healthz", "").await, gateway.ask("HEAD", "/healthz", "").await);
     assert_eq!((head.status, head.body), (200, Value::Null));
     assert_eq!(get.headers[header::CONTENT_LENGTH], head.headers[header::CONTENT_LENGTH]);
@@ -155,7 +155,7 @@ async fn head_is_get_without_a_body() {
 
 #[tokio::test]
 async fn documentation_is_self_contained() {
-    let gateway = Gateway::new(Script::default());
+    let gateway = Gateway::new(FakeScript::default());
     for path in ["/docs", "/docs/start.js", "/docs/swagger-ui.css", "/docs/swagger-ui-bundle.js"] {
         let answer = gateway.ask("GET", path, "").await;
         assert_eq!(answer.status, 200, "{path}");
@@ -168,7 +168,7 @@ async fn documentation_is_self_contained() {
 
 #[tokio::test(start_paused = true)]
 async fn missing_body_is_408() {
-    let gateway = Gateway::new(Script::default());
+    let gateway = Gateway::new(FakeScript::default());
     let never = Body::from_stream(futures_util::stream::pending::<Result<&[u8], std::io::Error>>());
     let answer = gateway.ask("POST", "/api/v1/grippers/left/home", never).await;
     assert_eq!((answer.status, &answer.body["code"]), (408, &"request_timeout".into()));
@@ -176,7 +176,7 @@ async fn missing_body_is_408() {
 
 #[tokio::test(start_paused = true)]
 async fn repeated_refusals_are_delayed_except_for_fast_stop() {
-    let gateway = Gateway::new(Script::default());
+    let gateway = Gateway::new(FakeScript::default());
     let begun = tokio::time::Instant::now();
     for _ in 0..100 {
         assert_eq!(gateway.left("POST", "move", json!({"width_mm": "wide"})).await.status, 400);

@@ -36,7 +36,7 @@ async fn running_command_is_202_and_can_be_cancelled() {
 
 #[tokio::test]
 async fn every_motion_becomes_its_action() {
-    let mut gateway = Gateway::new(Script::default());
+    let mut gateway = Gateway::new(FakeScript::default());
     gateway.left("POST", "home", json!({"direction": "inner"})).await;
     assert_eq!(gateway.action().await, Action::Motion(Motion::Home(wsg::HomingDirection::Inner)));
     let body = json!({"width_mm": -5, "speed_mm_s": 100, "relative": true, "on_block": "clamp"});
@@ -75,7 +75,7 @@ async fn rejected_submission_is_a_problem() {
 
 #[tokio::test]
 async fn invalid_values_never_reach_the_gripper() {
-    let mut gateway = Gateway::new(Script::default());
+    let mut gateway = Gateway::new(FakeScript::default());
     let cases = [
         (json!({"width_mm": 1e39, "speed_mm_s": 50}), 422, "width_mm"),
         (json!({"width_mm": "NaN", "speed_mm_s": 50}), 400, "width_mm"),

@@ -8,7 +8,7 @@ use crate::wsg::Acceleration;
 
 #[tokio::test]
 async fn known_raw_id_takes_the_typed_path() {
-    let mut gateway = Gateway::new(Script::default());
+    let mut gateway = Gateway::new(FakeScript::default());
     let answer = gateway.left("POST", "raw", json!({"id": 0x20, "payload": "02"})).await;
     assert_eq!(
         (answer.status, &answer.body["outcome"], &answer.body["name"]),
@@ -41,7 +41,7 @@ async fn raw_reply_has_the_wire_bytes() {
 
 #[tokio::test]
 async fn custom_command_is_a_motion_unless_listed_as_read() {
-    let mut gateway = Gateway::new(Script::default());
+    let mut gateway = Gateway::new(FakeScript::default());
     let answer = gateway.left("POST", "raw", json!({"id": 0xB1, "payload": "00ff"})).await;
     assert_eq!((answer.status, &answer.body["outcome"]), (200, &"SUCCESS".into()));
     assert!(answer.body["command_id"].is_string());
@@ -54,7 +54,7 @@ async fn custom_command_is_a_motion_unless_listed_as_read() {
 
 #[tokio::test]
 async fn reserved_raw_requests_are_refused() {
-    let mut gateway = Gateway::new(Script::default());
+    let mut gateway = Gateway::new(FakeScript::default());
     let cases = [
         (json!({"id": 0x07}), 400, "id"),
         (json!({"id": 0x24, "payload": "61636b"}), 400, "id"),
