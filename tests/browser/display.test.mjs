@@ -13,7 +13,8 @@ test('another client’s change of a setting is shown, and keeps typed input', a
   const visitor = await visit(launched, served, { path: '/#/left/device' });
   const { page } = visitor;
   const [force, acceleration] = ['#force-limit-force_n', '#acceleration-acceleration_mm_s2'];
-  const shows = (selector, value) => page.waitForFunction(([field, wanted]) => document.querySelector(field)?.value === wanted, [selector, value]);
+  const shows = (selector, value) =>
+    page.waitForFunction(([field, wanted]) => document.querySelector(field)?.value === wanted, [selector, value]);
   await shows(force, '40');
   await page.fill(force, '33');
   await served.ask('PUT', 'grippers/left/settings/force-limit', { force_n: 44 });
@@ -51,7 +52,8 @@ test('a force limit lowered by overdrive is shown without an event', async () =>
   const served = await gateway();
   const { page, close } = await visit(launched, served, { path: '/#/left/device' });
   const force = '#force-limit-force_n';
-  const shows = (value) => page.waitForFunction(([field, wanted]) => document.querySelector(field)?.value === wanted, [force, value]);
+  const shows = (value) =>
+    page.waitForFunction(([field, wanted]) => document.querySelector(field)?.value === wanted, [force, value]);
   await shows('40');
   await served.ask('PUT', 'grippers/left/settings/overdrive', { enabled: true });
   await served.ask('PUT', 'grippers/left/settings/force-limit', { force_n: 100 });
@@ -71,7 +73,9 @@ test('a late answer does not overwrite that of a newer filter', async () => {
   const { page, close } = await visit(launched, served, { path: '/#/left/history' });
   await page.waitForSelector('tbody tr:nth-child(2)');
   let letGo;
-  const held = new Promise((resolve) => { letGo = resolve; });
+  const held = new Promise((resolve) => {
+    letGo = resolve;
+  });
   await page.route('**/grips?**kind=move**', async (route) => {
     const response = await route.fetch();
     await held;
@@ -84,18 +88,26 @@ test('a late answer does not overwrite that of a newer filter', async () => {
   await page.selectOption('#kind', 'move');
   const late = await asked;
   const looks = [];
-  page.on('requestfinished', (request) => { if (request.url().includes('/grips?')) looks.push(request.url()); });
+  page.on('requestfinished', (request) => {
+    if (request.url().includes('/grips?')) looks.push(request.url());
+  });
   await page.selectOption('#kind', 'home');
-  const only = (word) => page.waitForFunction((wanted) => {
-    const rows = [...document.querySelectorAll('tbody tr')];
-    return rows.length === 1 && rows[0].innerText.includes(wanted);
-  }, word);
+  const only = (word) =>
+    page.waitForFunction((wanted) => {
+      const rows = [...document.querySelectorAll('tbody tr')];
+      return rows.length === 1 && rows[0].innerText.includes(wanted);
+    }, word);
   await only('Home');
   await until('the event causes a reload', () => looks.length >= 2);
   await only('Home');
   letGo();
   await (await late.response()).finished();
-  await page.evaluate(() => new Promise((resolve) => { requestAnimationFrame(() => setTimeout(resolve)); }));
+  await page.evaluate(
+    () =>
+      new Promise((resolve) => {
+        requestAnimationFrame(() => setTimeout(resolve));
+      }),
+  );
   await only('Home');
   await close();
 });
@@ -124,11 +136,19 @@ test('updates before the page is ready are kept, from one subscription', async (
   const [asked, heard] = [[], []];
   await page.routeWebSocket('**/api/v1/ws', (socket) => {
     const server = socket.connectToServer();
-    socket.onMessage((message) => { asked.push(JSON.parse(message).method); server.send(message); });
-    server.onMessage((message) => { heard.push(JSON.parse(message)); socket.send(message); });
+    socket.onMessage((message) => {
+      asked.push(JSON.parse(message).method);
+      server.send(message);
+    });
+    server.onMessage((message) => {
+      heard.push(JSON.parse(message));
+      socket.send(message);
+    });
   });
   let letGo;
-  const held = new Promise((resolve) => { letGo = resolve; });
+  const held = new Promise((resolve) => {
+    letGo = resolve;
+  });
   await page.route('**/app.js', async (route) => {
     await held;
     await route.continue();
@@ -137,7 +157,9 @@ test('updates before the page is ready are kept, from one subscription', async (
   await until('the page has subscribed', () => asked.length === 1);
   await served.ask('POST', 'grippers/left/home');
   await served.ask('POST', 'grippers/left/move', { width_mm: 50, speed_mm_s: 300 });
-  await until('the end of the move is notified', () => heard.some(({ params }) => params?.command === 'move' && params.outcome === 'SUCCESS'));
+  await until('the end of the move is notified', () =>
+    heard.some(({ params }) => params?.command === 'move' && params.outcome === 'SUCCESS'),
+  );
   assert.deepEqual(asked, ['subscribe']);
   letGo();
   await page.waitForSelector('.last[data-outcome=SUCCESS]:has-text("Move")');
@@ -172,18 +194,19 @@ test('charts follow the colour scheme', async () => {
   const { page, close } = await visit(launched, served, { colorScheme: 'light' });
   await homed(page);
   /** Darkest and lightest pixel of the chart: on a dark page the trace is the lightest, on a light page the grid. */
-  const trace = () => page.evaluate(() => {
-    const canvas = document.querySelector('.chart canvas');
-    if (!canvas || canvas.width === 0) return null;
-    const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
-    let [dark, light] = [255, 0];
-    for (let at = 0; at < data.length; at += 4) {
-      if (data[at + 3] < 250) continue;
-      dark = Math.min(dark, data[at]);
-      light = Math.max(light, data[at]);
-    }
-    return { dark, light };
-  });
+  const trace = () =>
+    page.evaluate(() => {
+      const canvas = document.querySelector('.chart canvas');
+      if (!canvas || canvas.width === 0) return null;
+      const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+      let [dark, light] = [255, 0];
+      for (let at = 0; at < data.length; at += 4) {
+        if (data[at + 3] < 250) continue;
+        dark = Math.min(dark, data[at]);
+        light = Math.max(light, data[at]);
+      }
+      return { dark, light };
+    });
   // --trace is #24364a on the light page, and #c3d4e6 on the dark one.
   await until('the trace is dark', async () => ((await trace())?.dark ?? 255) < 0x40);
   await page.emulateMedia({ colorScheme: 'dark' });
@@ -224,10 +247,11 @@ test('a problem with missing values is shown in the gateway’s words', async ()
   const served = await gateway();
   const { page, close } = await visit(launched, served);
   await page.waitForSelector('#take-control');
-  const said = (problem) => page.evaluate(async (one) => {
-    const { ofProblem } = await import(new URL('model/i18n.js', document.querySelector('script[type=module]').src));
-    return ofProblem(one);
-  }, problem);
+  const said = (problem) =>
+    page.evaluate(async (one) => {
+      const { ofProblem } = await import(new URL('model/i18n.js', document.querySelector('script[type=module]').src));
+      return ofProblem(one);
+    }, problem);
   assert.equal(await said({ code: 'lease_held', holder: 'Anna', detail: 'held' }), 'Anna has control.');
   assert.equal(await said({ code: 'malformed', detail: 'expected a comma at line 1' }), 'expected a comma at line 1');
   assert.equal(await said({ code: 'out_of_range', field: 'width_mm', value: 0, min: 0, detail: 'beyond' }), 'beyond');

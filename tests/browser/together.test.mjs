@@ -31,7 +31,15 @@ test('control is requested, handed over and taken back by force', async () => {
   await anna.page.waitForSelector('.control-panel:has-text("You have control, as Anna")');
   await ben.page.waitForSelector('.control-panel:has-text("Anna has control")');
   const { events } = await served.ask('GET', 'events?kind=lease&order=oldest');
-  assert.deepEqual(events.map(({ event, holder }) => [event, holder]), [['taken', 'Anna'], ['requested', 'Ben'], ['handed_over', 'Ben'], ['forced', 'Anna']]);
+  assert.deepEqual(
+    events.map(({ event, holder }) => [event, holder]),
+    [
+      ['taken', 'Anna'],
+      ['requested', 'Ben'],
+      ['handed_over', 'Ben'],
+      ['forced', 'Anna'],
+    ],
+  );
   await anna.page.click('#give-back');
   await ben.page.waitForSelector('#take-control');
   [anna, ben].forEach(assertClean);
@@ -59,7 +67,9 @@ const SHOWN_WITHIN_MS = 2000;
 /** Records the time at which the page covers its values, by the clock of this machine. */
 async function watchForCover(page) {
   await page.evaluate(() => {
-    const look = () => { if (document.querySelector('.jaws-panel .cover')) globalThis.coveredAt ??= Date.now(); };
+    const look = () => {
+      if (document.querySelector('.jaws-panel .cover')) globalThis.coveredAt ??= Date.now();
+    };
     new MutationObserver(look).observe(document.body, { subtree: true, childList: true });
   });
   return async () => (await page.waitForFunction(() => globalThis.coveredAt)).jsonValue();
@@ -115,7 +125,10 @@ test('a frozen gateway is noticed as soon as a lost one', async () => {
 
 test('an absent gripper is covered, with an alarm until acknowledged', async () => {
   // Nothing listens on TCP's discard port.
-  const served = await gateway({ more: ['--gripper', 'here=sim://wsg50', '--gripper', 'there=tcp://127.0.0.1:9'], connects: ['here'] });
+  const served = await gateway({
+    more: ['--gripper', 'here=sim://wsg50', '--gripper', 'there=tcp://127.0.0.1:9'],
+    connects: ['here'],
+  });
   const visitor = await visit(launched, served, { path: '/#/there/operate' });
   const { page } = visitor;
   await page.waitForSelector('.jaws-panel .cover:has-text("not reached yet")');
@@ -153,10 +166,16 @@ test('a fleet of two gateways shows which one is gone', async () => {
   const { page } = visitor;
   await page.waitForSelector('p:has-text("This gateway is alone")');
   const endpoint = await near.says(/Zenoh: (tcp\/127\.0\.0\.1:\d+)/);
-  const far = await gateway({ more: ['--name', 'cell-2', '--zenoh-connect', endpoint, '--gripper', 'right=sim://wsg50'] });
+  const far = await gateway({
+    more: ['--name', 'cell-2', '--zenoh-connect', endpoint, '--gripper', 'right=sim://wsg50'],
+  });
   await far.ask('POST', 'grippers/right/home');
   await far.ask('POST', 'grippers/right/lease', { holder: 'robot-1', ttl_ms: 60_000 });
-  const row = (words) => page.waitForFunction((wanted) => [...document.querySelectorAll('tbody tr')].some((one) => new RegExp(wanted).test(one.innerText)), words);
+  const row = (words) =>
+    page.waitForFunction(
+      (wanted) => [...document.querySelectorAll('tbody tr')].some((one) => new RegExp(wanted).test(one.innerText)),
+      words,
+    );
   await row('cell-1\\s+left\\s+connected');
   await row('cell-2\\s+right\\s+connected\\s+Idle\\s+robot-1\\s+\\d+ (ms|s)');
   await far.ask('POST', 'fast-stop');

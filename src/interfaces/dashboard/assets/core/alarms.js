@@ -13,7 +13,8 @@ export const PRIORITIES = ['critical', 'high', 'low'];
 /** What is wrong with a gripper, by a key that stays the same for as long as it is. */
 export function wrongWith(state) {
   const wrong = [];
-  const add = (what, priority, cause = null) => wrong.push({ key: `${state.gripper}/${what}`, gripper: state.gripper, what, priority, cause });
+  const add = (what, priority, cause = null) =>
+    wrong.push({ key: `${state.gripper}/${what}`, gripper: state.gripper, what, priority, cause });
   if (state.fast_stop) add(`fast_stop/${state.fast_stop_id}`, 'critical', state.fast_stop_by);
   if (state.link !== 'connected') add(`link/${state.link}`, 'high', state.link_cause);
   if (state.journal_cause) add('journal', 'high', state.journal_cause);
@@ -35,7 +36,9 @@ export const GATEWAY_GONE = { key: 'gateway', gripper: null, what: 'gateway', pr
 export function updated(alarms, wrong, now) {
   const present = new Set(wrong.map(({ key }) => key));
   const active = new Set(alarms.filter((alarm) => !alarm.clearedAt).map(({ key }) => key));
-  const begun = wrong.filter(({ key }) => !active.has(key)).map((one) => ({ ...one, id: `${one.key}@${now}`, since: now, clearedAt: null, acknowledgedAt: null }));
+  const begun = wrong
+    .filter(({ key }) => !active.has(key))
+    .map((one) => ({ ...one, id: `${one.key}@${now}`, since: now, clearedAt: null, acknowledgedAt: null }));
   const isOver = (alarm) => !alarm.clearedAt && !present.has(alarm.key);
   if (begun.length === 0 && !alarms.some(isOver)) return alarms;
   const kept = alarms.map((alarm) => (isOver(alarm) ? { ...alarm, clearedAt: now } : alarm));
@@ -55,5 +58,7 @@ export function acknowledged(alarms, id, now) {
 /** As people look for them: what is not acknowledged, then what is wrong now, each by priority and age. */
 export function sorted(alarms) {
   const rank = (alarm) => (alarm.acknowledgedAt ? 2 : 0) + (alarm.clearedAt ? 1 : 0);
-  return [...alarms].sort((a, b) => rank(a) - rank(b) || PRIORITIES.indexOf(a.priority) - PRIORITIES.indexOf(b.priority) || b.since - a.since);
+  return [...alarms].sort(
+    (a, b) => rank(a) - rank(b) || PRIORITIES.indexOf(a.priority) - PRIORITIES.indexOf(b.priority) || b.since - a.since,
+  );
 }

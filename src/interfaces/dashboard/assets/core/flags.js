@@ -1,9 +1,27 @@
 // The 32 system state flags (fw4-en appendix), in the order of their bits.
 
 const NAMES = [
-  'REFERENCED', 'MOVING', 'BLOCKED_MINUS', 'BLOCKED_PLUS', 'SOFT_LIMIT_MINUS', 'SOFT_LIMIT_PLUS', 'AXIS_STOPPED',
-  'TARGET_POS_REACHED', 'OVERDRIVE_MODE', 'FORCECNTL_MODE', null, null, 'FAST_STOP', 'TEMP_WARNING', 'TEMP_FAULT',
-  'POWER_FAULT', 'CURR_FAULT', 'FINGER_FAULT', 'CMD_FAILURE', 'SCRIPT_RUNNING', 'SCRIPT_FAILURE',
+  'REFERENCED',
+  'MOVING',
+  'BLOCKED_MINUS',
+  'BLOCKED_PLUS',
+  'SOFT_LIMIT_MINUS',
+  'SOFT_LIMIT_PLUS',
+  'AXIS_STOPPED',
+  'TARGET_POS_REACHED',
+  'OVERDRIVE_MODE',
+  'FORCECNTL_MODE',
+  null,
+  null,
+  'FAST_STOP',
+  'TEMP_WARNING',
+  'TEMP_FAULT',
+  'POWER_FAULT',
+  'CURR_FAULT',
+  'FINGER_FAULT',
+  'CMD_FAILURE',
+  'SCRIPT_RUNNING',
+  'SCRIPT_FAILURE',
 ];
 
 const FAULTS = ['TEMP_FAULT', 'POWER_FAULT', 'CURR_FAULT', 'FINGER_FAULT'];
@@ -17,7 +35,11 @@ function weight(name) {
 }
 
 /** All 32: those without a name are reserved. */
-export const FLAGS = Array.from({ length: 32 }, (_, bit) => ({ bit, name: NAMES[bit] ?? null, weight: weight(NAMES[bit]) }));
+export const FLAGS = Array.from({ length: 32 }, (_, bit) => ({
+  bit,
+  name: NAMES[bit] ?? null,
+  weight: weight(NAMES[bit]),
+}));
 
 export const isSet = (raw, bit) => raw !== null && raw !== undefined && ((raw >>> bit) & 1) === 1;
 

@@ -17,7 +17,11 @@ export function speedLimits(info) {
 export function forceLimits(info, overdrive) {
   if (info?.nominal_force_n == null) return UNKNOWN;
   const isOver = overdrive && info.overdrive_force_n > info.nominal_force_n;
-  return { min: info.min_force_n, max: isOver ? info.overdrive_force_n : info.nominal_force_n, whose: isOver ? 'overdrive' : 'device' };
+  return {
+    min: info.min_force_n,
+    max: isOver ? info.overdrive_force_n : info.nominal_force_n,
+    whose: isOver ? 'overdrive' : 'device',
+  };
 }
 
 export function accelerationLimits(info) {

@@ -14,7 +14,9 @@ export class Samples {
   push(time, values) {
     const at = (this.start + this.length) % this.capacity;
     this.times[at] = time;
-    this.columns.forEach((column, index) => { column[at] = values[index] ?? NaN; });
+    this.columns.forEach((column, index) => {
+      column[at] = values[index] ?? NaN;
+    });
     if (this.length < this.capacity) this.length += 1;
     else this.start = (this.start + 1) % this.capacity;
   }

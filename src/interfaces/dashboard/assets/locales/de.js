@@ -414,7 +414,8 @@ export const de = {
   'all.control': '{holder} steuert',
   'all.no_control': 'niemand steuert',
 
-  'foot.safety': 'STOPP ist ein FAST STOP durch Software: er geht durch diesen Browser, das Netz und das Gateway und ist keine Sicherheitsfunktion im Sinne der ISO 13850. Im Notfall den Not-Halt der Zelle benutzen.',
+  'foot.safety':
+    'STOPP ist ein FAST STOP durch Software: er geht durch diesen Browser, das Netz und das Gateway und ist keine Sicherheitsfunktion im Sinne der ISO 13850. Im Notfall den Not-Halt der Zelle benutzen.',
   'foot.name': 'Dieser Browser heißt',
   'foot.language': 'Sprache',
   'foot.theme': 'Aussehen',

@@ -414,7 +414,8 @@ export const en = {
   'all.control': '{holder} has control',
   'all.no_control': 'nobody in control',
 
-  'foot.safety': 'STOP is a FAST STOP by software: it passes through this browser, the network and the gateway, and is not a safety function in the sense of ISO 13850. For an emergency use the emergency stop of the cell.',
+  'foot.safety':
+    'STOP is a FAST STOP by software: it passes through this browser, the network and the gateway, and is not a safety function in the sense of ISO 13850. For an emergency use the emergency stop of the cell.',
   'foot.name': 'This browser is',
   'foot.language': 'Language',
   'foot.theme': 'Looks',

@@ -12,7 +12,11 @@ export async function ask(one, method, params = {}) {
   one.problem.value = null;
   const lease = one.held.peek();
   try {
-    return await rpc.call(method, { gripper: one.name, ...(lease && method !== 'lease' ? { lease: lease.token } : {}), ...params });
+    return await rpc.call(method, {
+      gripper: one.name,
+      ...(lease && method !== 'lease' ? { lease: lease.token } : {}),
+      ...params,
+    });
   } catch (problem) {
     one.problem.value = problem;
     return null;
@@ -38,11 +42,20 @@ export async function move(one, method, params) {
   one.isAsked.value = true;
   const command = await ask(one, method, params);
   if (command) one.command.value = command;
-  setTimeout(() => { one.isAsked.value = false; }, command ? TOLD_WITHIN_MS : 0);
+  setTimeout(
+    () => {
+      one.isAsked.value = false;
+    },
+    command ? TOLD_WITHIN_MS : 0,
+  );
   return command;
 }
 
-const terms = () => ({ holder: myName.peek(), on_loss_moving: onLossMoving.peek(), on_loss_holding: onLossHolding.peek() });
+const terms = () => ({
+  holder: myName.peek(),
+  on_loss_moving: onLossMoving.peek(),
+  on_loss_holding: onLossHolding.peek(),
+});
 
 /** Takes control: it lives as long as this page answers. Of somebody else's by `force`, or by asking with `request`. */
 export async function takeControl(one, { force = false, request = false } = {}) {
@@ -106,12 +119,16 @@ export async function fastStop(gripperName = null) {
   const params = { reason: cut(`dashboard, ${myName.peek()}`, MAX_REASON_BYTES) };
   const path = gripperName ? `grippers/${gripperName}/fast-stop` : 'fast-stop';
   const overSocket = rpc.call('fast-stop', gripperName ? { ...params, gripper: gripperName } : params, STOPS_WITHIN_MS);
-  const late = new Promise((_, reject) => { setTimeout(() => reject(noConnection()), FALLS_BACK_AFTER_MS); });
+  const late = new Promise((_, reject) => {
+    setTimeout(() => reject(noConnection()), FALLS_BACK_AFTER_MS);
+  });
   try {
     return await Promise.race([overSocket, late]);
   } catch {
     // Two stops are one stop too many, and none is one too few.
-    return Promise.any([overSocket, postUrgently(path, params, STOPS_WITHIN_MS)]).catch((both) => { throw both.errors.at(-1); });
+    return Promise.any([overSocket, postUrgently(path, params, STOPS_WITHIN_MS)]).catch((both) => {
+      throw both.errors.at(-1);
+    });
   }
 }
 

@@ -18,7 +18,7 @@ function takeCommand(event, one, at) {
   const { command: kind, command_id: id } = event;
   if (event.phase === 'admitted') {
     const from = one.newest?.width_mm ?? null;
-    const width = event.relative ? (from === null ? null : from + event.width_mm) : event.width_mm ?? null;
+    const width = event.relative ? (from === null ? null : from + event.width_mm) : (event.width_mm ?? null);
     one.target.value = { command: id, kind, width_mm: width, force_n: event.force_n ?? null };
     one.command.value = { id, kind, phase: 'running', outcome: null, client: event.subject, started_at: event.at };
     if (kind === 'grip') one.mark(at, 'begin', event.part_id ?? '');

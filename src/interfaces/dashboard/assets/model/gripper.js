@@ -68,7 +68,10 @@ export class Gripper {
     this.isConfirmed = of((state) => state.fast_stop_confirmed ?? null);
     this.hasOverdrive = computed(() => has(this.flags.value, 'OVERDRIVE_MODE'));
     this.isMine = computed(() => this.held.value !== null && this.held.value.epoch === this.state.value?.lease_epoch);
-    this.softLimits = computed(() => ({ minus_mm: this.settings.value.minus_mm ?? null, plus_mm: this.settings.value.plus_mm ?? null }));
+    this.softLimits = computed(() => ({
+      minus_mm: this.settings.value.minus_mm ?? null,
+      plus_mm: this.settings.value.plus_mm ?? null,
+    }));
     this.isThere = computed(() => this.link.value === 'connected');
     /** -1 closes, 1 opens, 0 stands. */
     this.direction = computed(() => {
@@ -76,14 +79,17 @@ export class Gripper {
       const speed = this.speed.value ?? 0;
       if (Math.abs(speed) > 0.1) return Math.sign(speed);
       const target = this.target.value?.width_mm;
-      return target === undefined || target === null || this.width.value === null ? 0 : Math.sign(target - this.width.value);
+      return target === undefined || target === null || this.width.value === null
+        ? 0
+        : Math.sign(target - this.width.value);
     });
   }
 
   /** Takes a state; it is shown with the next frame of the screen. */
   take(state, at) {
     this.newest = state;
-    if (state.link === 'connected') this.samples.push(at, [state.width_mm ?? NaN, state.speed_mm_s ?? NaN, state.force_n ?? NaN]);
+    if (state.link === 'connected')
+      this.samples.push(at, [state.width_mm ?? NaN, state.speed_mm_s ?? NaN, state.force_n ?? NaN]);
     else this.samples.gap();
   }
 
@@ -112,7 +118,8 @@ export class Gripper {
     }
     const held = this.held.peek();
     // What was lost, or is somebody else's by now, entitles to nothing: its token would only be refused.
-    const isOver = held && (state.lease_epoch > held.epoch || (state.lease_epoch === held.epoch && state.lease_holder === null));
+    const isOver =
+      held && (state.lease_epoch > held.epoch || (state.lease_epoch === held.epoch && state.lease_holder === null));
     if (isOver) this.held.value = null;
   }
 

@@ -29,18 +29,28 @@ export function t(key, parameters) {
 const formats = computed(() => {
   const tag = language.value;
   // Digits in groups would be read as decimals elsewhere, and are not taken where numbers are typed.
-  const digits = (count) => new Intl.NumberFormat(tag, { useGrouping: false, minimumFractionDigits: count, maximumFractionDigits: count });
+  const digits = (count) =>
+    new Intl.NumberFormat(tag, { useGrouping: false, minimumFractionDigits: count, maximumFractionDigits: count });
   return {
     digits: [digits(0), digits(1), digits(2)],
     any: new Intl.NumberFormat(tag, { useGrouping: false, maximumFractionDigits: 2 }),
     time: new Intl.DateTimeFormat(tag, { hour: '2-digit', minute: '2-digit', second: '2-digit', hour12: false }),
-    date: new Intl.DateTimeFormat(tag, { day: '2-digit', month: '2-digit', hour: '2-digit', minute: '2-digit', second: '2-digit', hour12: false }),
+    date: new Intl.DateTimeFormat(tag, {
+      day: '2-digit',
+      month: '2-digit',
+      hour: '2-digit',
+      minute: '2-digit',
+      second: '2-digit',
+      hour12: false,
+    }),
   };
 });
 
 /** A number with so many decimals; a dash where it isn't known. */
 export function fixed(value, decimals = 1) {
-  return value === null || value === undefined || Number.isNaN(value) ? '–' : formats.value.digits[decimals].format(value);
+  return value === null || value === undefined || Number.isNaN(value)
+    ? '–'
+    : formats.value.digits[decimals].format(value);
 }
 
 export const plain = (value) => (value === null || value === undefined ? '–' : formats.value.any.format(value));

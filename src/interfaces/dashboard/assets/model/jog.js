@@ -23,7 +23,9 @@ export class Jog {
   begin(one, direction, speed, limits) {
     if (this.#press?.isHeld || !one.isMine.peek()) return;
     const press = { isHeld: true, isUnanswered: false, command: null, epoch: one.held.peek().epoch };
-    press.over = new Promise((resolve) => { press.letGo = resolve; });
+    press.over = new Promise((resolve) => {
+      press.letGo = resolve;
+    });
     this.#press = press;
     // One after the other: the end of a press must not end what the next one renews.
     this.#settled = this.#settled.then(() => this.#hold(one, press, direction, speed, limits)).catch(() => {});
@@ -45,7 +47,8 @@ export class Jog {
       if (held) rpc.call('lease.renew', { gripper: one.name, lease: held.token }).catch(() => {});
     }, RENEWED_EVERY_MS);
     try {
-      if (lease && press.isHeld) begun(one, press, { width_mm: direction < 0 ? limits.min : limits.max, speed_mm_s: speed });
+      if (lease && press.isHeld)
+        begun(one, press, { width_mm: direction < 0 ? limits.min : limits.max, speed_mm_s: speed });
       await press.over;
       await stopped(one, press);
     } finally {
@@ -68,7 +71,9 @@ async function begun(one, press, way) {
 async function stopped(one, press) {
   for (let tries = 0; tries < MAX_STOPS; tries += press.isUnanswered ? 0 : 1) {
     stop(one, press);
-    await new Promise((resolve) => { setTimeout(resolve, STOPPED_EVERY_MS); });
+    await new Promise((resolve) => {
+      setTimeout(resolve, STOPPED_EVERY_MS);
+    });
     if (!press.isUnanswered && isOver(one, press)) return;
   }
 }
@@ -94,8 +99,11 @@ function stop(one, press) {
     stopAll(one, press);
     return;
   }
-  rpc.call('cancel', { gripper: one.name, command: press.command })
-    .then(({ outcome }) => { if (outcome && !ENDED_BY_ITSELF.includes(outcome)) stopAll(one, press); })
+  rpc
+    .call('cancel', { gripper: one.name, command: press.command })
+    .then(({ outcome }) => {
+      if (outcome && !ENDED_BY_ITSELF.includes(outcome)) stopAll(one, press);
+    })
     .catch(() => {});
 }
 

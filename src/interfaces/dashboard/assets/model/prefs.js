@@ -24,7 +24,10 @@ function write(key, value) {
 export function kept(key, fallback, { isShared = false } = {}) {
   const value = signal(read(key, fallback));
   effect(() => write(key, value.value));
-  if (isShared) addEventListener('storage', (event) => { if (event.key === PREFIX + key) value.value = read(key, fallback); });
+  if (isShared)
+    addEventListener('storage', (event) => {
+      if (event.key === PREFIX + key) value.value = read(key, fallback);
+    });
   return value;
 }
 
@@ -33,7 +36,9 @@ export const theme = kept('theme', 'auto', { isShared: true });
 
 const prefersDark = matchMedia('(prefers-color-scheme: dark)');
 const isDarkOutside = signal(prefersDark.matches);
-prefersDark.addEventListener('change', () => { isDarkOutside.value = prefersDark.matches; });
+prefersDark.addEventListener('change', () => {
+  isDarkOutside.value = prefersDark.matches;
+});
 
 /** What is drawn by script has to be drawn anew with it. */
 export const isDark = computed(() => (theme.value === 'auto' ? isDarkOutside.value : theme.value === 'dark'));

@@ -106,10 +106,14 @@ export const rpc = new Rpc({
   },
   onEnd: () => {
     // What was held lives with the connection.
-    byName.forEach((one) => { one.held.value = null; });
+    byName.forEach((one) => {
+      one.held.value = null;
+    });
     look();
   },
-  onHeard: (at) => { lastHeard = Math.max(lastHeard, at); },
+  onHeard: (at) => {
+    lastHeard = Math.max(lastHeard, at);
+  },
   onTold: (method, params, at) => {
     if (method === 'state') takeState(params, at);
     if (method === 'event') takeEvent(params, find(params.gripper), at);
@@ -146,7 +150,9 @@ async function subscribe() {
     // By the states as they were told here: what comes after them is told by events.
     grippers.peek().forEach((one) => catchUp(one).catch(() => {}));
     const told = await rpc.call('grippers');
-    told.grippers.forEach((info) => { ensure(info.gripper).info.value = info; });
+    told.grippers.forEach((info) => {
+      ensure(info.gripper).info.value = info;
+    });
     await Promise.all(grippers.peek().flatMap((one) => [learn(one), learnSettings(one)]));
   } catch {
     // The connection has ended, and will be made again.
@@ -179,7 +185,13 @@ export function acknowledgeAlarm(id) {
 /** Whether what is shown is of now. */
 function look() {
   const silence = performance.now() - lastHeard;
-  const next = !rpc.isOpen ? (connection.peek() === 'connecting' ? 'connecting' : 'lost') : silence > STALE_AFTER_MS ? 'silent' : 'live';
+  const next = !rpc.isOpen
+    ? connection.peek() === 'connecting'
+      ? 'connecting'
+      : 'lost'
+    : silence > STALE_AFTER_MS
+      ? 'silent'
+      : 'live';
   batch(() => {
     if (next !== connection.peek()) {
       connection.value = next;
@@ -203,10 +215,13 @@ setInterval(() => {
 effect(() => {
   if (askedHz.value === null || askedHz.value === hz.value || !rpc.isOpen) return;
   askedHz.value = hz.value;
-  askFor(hz.value).then(({ states, event_seq: seq }) => {
-    states.forEach((state) => takeState(state));
-    eventSeq.value = Math.max(eventSeq.peek(), seq);
-  }, () => {});
+  askFor(hz.value).then(
+    ({ states, event_seq: seq }) => {
+      states.forEach((state) => takeState(state));
+      eventSeq.value = Math.max(eventSeq.peek(), seq);
+    },
+    () => {},
+  );
 });
 
 document.addEventListener('visibilitychange', () => {

@@ -13,7 +13,12 @@
 
   const scheme = location.protocol === 'https:' ? 'wss' : 'ws';
   const socket = new WebSocket(`${scheme}://${location.host}/api/v1/ws`, 'wsg.v1');
-  const asked = { jsonrpc: '2.0', id: 0, method: 'subscribe', params: { topics: ['state', 'events'], max_hz: document.hidden ? 1 : 20 } };
+  const asked = {
+    jsonrpc: '2.0',
+    id: 0,
+    method: 'subscribe',
+    params: { topics: ['state', 'events'], max_hz: document.hidden ? 1 : 20 },
+  };
   /** What has come, and when. More than that waits for a page that doesn't come. */
   const heard = [];
   const MAX_HEARD = 1000;

@@ -31,14 +31,27 @@ async function ask(...asked) {
 }
 
 /** An answer, taken by `take` within the time that it may take as a whole. */
-async function askOnce(take, method, path, { body, accept = 'application/json', withinMs = ANSWERS_WITHIN_MS, isUrgent = false } = {}) {
+async function askOnce(
+  take,
+  method,
+  path,
+  { body, accept = 'application/json', withinMs = ANSWERS_WITHIN_MS, isUrgent = false } = {},
+) {
   if (isUrgent) makeWay();
   const abort = new AbortController();
   const tooLate = setTimeout(() => abort.abort(), withinMs);
   if (!isUrgent) reading.add(abort);
-  const failed = () => { throw abort.signal.reason === GAVE_WAY ? GAVE_WAY : noConnection(); };
+  const failed = () => {
+    throw abort.signal.reason === GAVE_WAY ? GAVE_WAY : noConnection();
+  };
   try {
-    const options = { method, headers: { accept }, cache: 'no-store', signal: abort.signal, priority: isUrgent ? 'high' : 'auto' };
+    const options = {
+      method,
+      headers: { accept },
+      cache: 'no-store',
+      signal: abort.signal,
+      priority: isUrgent ? 'high' : 'auto',
+    };
     if (body !== undefined) options.body = JSON.stringify(body);
     const response = await fetch(path.startsWith('/') ? path : `${API}/${path}`, options).catch(failed);
     if (response.ok) return await take(response).catch(failed);

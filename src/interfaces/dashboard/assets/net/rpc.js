@@ -107,7 +107,11 @@ export class Rpc {
       this.#tries = 0;
       this.handlers.onHeard?.(performance.now());
       // Nothing comes before its answer.
-      this.#begun = early && { params: early.asked.params, answer: this.#expect(early.asked.id), at: early.heard[0]?.at };
+      this.#begun = early && {
+        params: early.asked.params,
+        answer: this.#expect(early.asked.id),
+        at: early.heard[0]?.at,
+      };
       this.handlers.onOpen?.();
       if (early) this.#takeAll(early.heard);
     };

@@ -18,7 +18,9 @@ const TOLD_FOR_MS = 8000;
 
 export async function stop() {
   const isNewest = press();
-  const tell = (told) => { if (isNewest()) stopped.value = told; };
+  const tell = (told) => {
+    if (isNewest()) stopped.value = told;
+  };
   tell({ text: t('stop.sent') });
   try {
     const isConfirmed = (await fastStop()).fast_stop_confirmed;
@@ -30,12 +32,16 @@ export async function stop() {
 }
 
 /** Works from any view, also while something is typed. */
-addEventListener('keydown', (event) => {
-  if ((event.key === 'Escape' || event.key === 'Pause') && !event.repeat) {
-    event.preventDefault();
-    stop();
-  }
-}, { capture: true });
+addEventListener(
+  'keydown',
+  (event) => {
+    if ((event.key === 'Escape' || event.key === 'Pause') && !event.repeat) {
+      event.preventDefault();
+      stop();
+    }
+  },
+  { capture: true },
+);
 
 function Stop() {
   return html`<div class="stop-place">
@@ -54,14 +60,15 @@ function Item({ label, shape, text, tone = '' }) {
 
 function linkItem(one) {
   if (connection.value !== 'live') {
-    const since = heardAt.value && connection.value !== 'connecting' ? ` ${t('bar.since',
-        { time: time(heardAt.value) })}` : '';
+    const since =
+      heardAt.value && connection.value !== 'connecting' ? ` ${t('bar.since', { time: time(heardAt.value) })}` : '';
     return { shape: 'high', tone: 'tone-high', text: t(`bar.gateway.${connection.value}`) + since };
   }
   const link = one?.link.value;
   if (!link) return { shape: 'off', text: '–' };
-  return link === 'connected' ? { shape: 'on', text: t('link.connected') } : { shape: 'high', tone: 'tone-high',
-      text: t(`link.${link}`) };
+  return link === 'connected'
+    ? { shape: 'on', text: t('link.connected') }
+    : { shape: 'high', tone: 'tone-high', text: t(`link.${link}`) };
 }
 
 function stateItem(one) {
@@ -84,10 +91,16 @@ function Alarms() {
   const open = alarms.value.filter((alarm) => !alarm.acknowledgedAt);
   const worst = ['critical', 'high', 'low'].find((priority) => open.some((alarm) => alarm.priority === priority));
   return html`<button type="button" class=${`alarm-badge ${worst ? `tone-${worst}` : ''}`}
-      onClick=${() => { go('operate'); requestAnimationFrame(() => document.getElementById('alarms')?.scrollIntoView()); }}>
+      onClick=${() => {
+        go('operate');
+        requestAnimationFrame(() => document.getElementById('alarms')?.scrollIntoView());
+      }}>
     <${Shape} name=${worst ?? 'check'} />
-      <span>${open.length === 0 ? t('bar.no_alarms') : t(open.length === 1 ? 'bar.alarm' : 'bar.alarms',
-          { count: open.length })}</span>
+      <span>${
+        open.length === 0
+          ? t('bar.no_alarms')
+          : t(open.length === 1 ? 'bar.alarm' : 'bar.alarms', { count: open.length })
+      }</span>
   </button>`;
 }
 
@@ -104,11 +117,19 @@ export function Bar() {
       </div>
       <${Stop} />
     </div>
-    ${isOld.value && html`<p class="newer" role="status">${t('newer')} <button type="button"
-        onClick=${() => location.reload()}>${t('reload')}</button></p>`}
-    ${stopped.value && html`<p class=${`stopped ${stopped.value.isWrong ? 'tone-critical' : ''}`}
+    ${
+      isOld.value &&
+      html`<p class="newer" role="status">${t('newer')} <button type="button"
+        onClick=${() => location.reload()}>${t('reload')}</button></p>`
+    }
+    ${
+      stopped.value &&
+      html`<p class=${`stopped ${stopped.value.isWrong ? 'tone-critical' : ''}`}
         role="status">${stopped.value.text}
-      <button type="button" class="quiet" onClick=${() => { stopped.value = null; }}>${t('close')}</button></p>`}
+      <button type="button" class="quiet" onClick=${() => {
+        stopped.value = null;
+      }}>${t('close')}</button></p>`
+    }
   </header>`;
 }
 
@@ -116,9 +137,14 @@ export function Bar() {
 export function Picker() {
   const all = grippers.value;
   return html`<nav class="picker" aria-label=${t('bar.grippers')}>
-    ${all.map((one) => html`<button type="button" key=${one.name} class="chip"
-        aria-current=${one === gripper.value ? 'true' : 'false'} onClick=${() => { selected.value = one.name; go(); }}>
+    ${all.map(
+      (one) => html`<button type="button" key=${one.name} class="chip"
+        aria-current=${one === gripper.value ? 'true' : 'false'} onClick=${() => {
+          selected.value = one.name;
+          go();
+        }}>
       <${Shape} name=${whyOld(one) ? 'high' : one.latchId.value ? 'critical' : one.isMoving.value ? 'moving' : 'on'} />${one.name}
-        </button>`)}
+        </button>`,
+    )}
   </nav>`;
 }

@@ -58,10 +58,13 @@ export function Covered({ one, children }) {
 export function ProblemNote({ problem }) {
   const known = problem.value;
   return html`<div class="problem-place" role="alert">
-    ${known && html`<div class="problem"><${Shape} name="high" /><div>
+    ${
+      known &&
+      html`<div class="problem"><${Shape} name="high" /><div>
       <p>${ofProblem(known)}</p>
       ${known.detail && html`<p class="muted small" lang="en">${known.detail}</p>`}
-    </div></div>`}
+    </div></div>`
+    }
   </div>`;
 }
 
@@ -69,18 +72,22 @@ export function ProblemNote({ problem }) {
 export const MAX_PART_BYTES = 48;
 
 /** Takes what is typed into a field, as far as the gateway takes it. */
-export const within = (maxBytes, take) => ({ currentTarget: field, isComposing }) => {
-  const text = cut(field.value, maxBytes);
-  // What is being composed isn't written yet.
-  if (text !== field.value && !isComposing) field.value = text;
-  take(text);
-};
+export const within =
+  (maxBytes, take) =>
+  ({ currentTarget: field, isComposing }) => {
+    const text = cut(field.value, maxBytes);
+    // What is being composed isn't written yet.
+    if (text !== field.value && !isComposing) field.value = text;
+    take(text);
+  };
 
 /** Few choices, one of them taken. */
 export function Choice({ label, name, options, value, onChange }) {
   return html`<div class="segments" role="group" aria-label=${label}>
-    ${options.map(([key, text]) => html`<button type="button" key=${key} data-choice=${`${name}-${key}`}
-        aria-pressed=${key === value ? 'true' : 'false'} onClick=${() => onChange(key)}>${text}</button>`)}
+    ${options.map(
+      ([key, text]) => html`<button type="button" key=${key} data-choice=${`${name}-${key}`}
+        aria-pressed=${key === value ? 'true' : 'false'} onClick=${() => onChange(key)}>${text}</button>`,
+    )}
   </div>`;
 }
 
@@ -99,5 +106,7 @@ export function Figure({ label, value, decimals, unit, note, timed, class: extra
  */
 export const onPress = (act) => ({
   onPointerDown: () => act(),
-  onClick: (event) => { if (event.detail === 0) act(); },
+  onClick: (event) => {
+    if (event.detail === 0) act();
+  },
 });

@@ -22,19 +22,31 @@ function Row({ alarm }) {
     <div class="alarm-text"><strong>${named(alarm)}</strong>
       <span class="muted small">${t(words)} · ${moment(alarm.since)}${alarm.clearedAt ? ` – ${moment(alarm.clearedAt)}` : ''}${alarm.cause ? ` · ${alarm.cause}` : ''}
         </span></div>
-    ${isLatch ? html`<button type="button"
-        onClick=${() => { selected.value = alarm.gripper; go('operate'); requestAnimationFrame(() => document.getElementById('motion-title')?.scrollIntoView({ block: 'center' })); }}>${t('alarm.show')}
+    ${
+      isLatch
+        ? html`<button type="button"
+        onClick=${() => {
+          selected.value = alarm.gripper;
+          go('operate');
+          requestAnimationFrame(() => document.getElementById('motion-title')?.scrollIntoView({ block: 'center' }));
+        }}>${t('alarm.show')}
           </button>`
-      : !alarm.acknowledgedAt && html`<button type="button" aria-label=${t('alarm.acknowledge_one',
-          { alarm: alarmText(alarm) })} onClick=${() => acknowledgeAlarm(alarm.id)}>${t('alarm.acknowledge')}</button>`}
+        : !alarm.acknowledgedAt &&
+          html`<button type="button" aria-label=${t('alarm.acknowledge_one', {
+            alarm: alarmText(alarm),
+          })} onClick=${() => acknowledgeAlarm(alarm.id)}>${t('alarm.acknowledge')}</button>`
+    }
   </li>`;
 }
 
 export function Alarms() {
   const list = sorted(alarms.value);
   return html`<${Panel} title=${t('alarm.title')} id="alarms" class="alarms-panel">
-    ${list.length === 0 ? html`<p class="muted nothing"><${Shape} name="check" /> ${t('alarm.none')}</p>`
-      : html`<ul class="alarm-list">${list.map((alarm) => html`<${Row} key=${alarm.id} alarm=${alarm} />`)}</ul>`}
+    ${
+      list.length === 0
+        ? html`<p class="muted nothing"><${Shape} name="check" /> ${t('alarm.none')}</p>`
+        : html`<ul class="alarm-list">${list.map((alarm) => html`<${Row} key=${alarm.id} alarm=${alarm} />`)}</ul>`
+    }
     <p class="hint">${t('alarm.hint')}</p>
   </${Panel}>`;
 }

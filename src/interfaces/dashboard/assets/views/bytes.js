@@ -1,7 +1,8 @@
 // Bytes as people write and read them: what the command editor takes, and what selected bytes mean.
 
 /** One thing that the editor takes: "text", a hexadecimal or decimal number, a float with an f. */
-const TOKEN = /\s*(?:"((?:[^"\\]|\\.)*)"(?!\S)|(0x[0-9a-f]+)(?!\S)|([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?f)(?!\S)|(\d+)(?!\S)|(\S+))/giy;
+const TOKEN =
+  /\s*(?:"((?:[^"\\]|\\.)*)"(?!\S)|(0x[0-9a-f]+)(?!\S)|([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?f)(?!\S)|(\d+)(?!\S)|(\S+))/giy;
 
 function littleEndian(hex) {
   const even = hex.length % 2 ? `0${hex}` : hex;
@@ -48,7 +49,11 @@ export function parse(text) {
 export function parseId(text) {
   const trimmed = text.trim().toLowerCase();
   const manual = /^([0-9a-f]{2})h$/.exec(trimmed);
-  const value = manual ? Number.parseInt(manual[1], 16) : /^(0x[0-9a-f]{1,2}|\d{1,3})$/.test(trimmed) ? Number(trimmed) : NaN;
+  const value = manual
+    ? Number.parseInt(manual[1], 16)
+    : /^(0x[0-9a-f]{1,2}|\d{1,3})$/.test(trimmed)
+      ? Number(trimmed)
+      : NaN;
   return value >= 0 && value <= 0xff ? value : null;
 }
 
@@ -73,6 +78,9 @@ export function interpretations(bytes) {
       break;
     default:
   }
-  tell('text', Array.from(bytes, (byte) => (byte >= 0x20 && byte < 0x7f ? String.fromCharCode(byte) : '\u00b7')).join(''));
+  tell(
+    'text',
+    Array.from(bytes, (byte) => (byte >= 0x20 && byte < 0x7f ? String.fromCharCode(byte) : '\u00b7')).join(''),
+  );
   return told;
 }

@@ -74,7 +74,9 @@ function Charted({ one }) {
     };
     const isDue = () => performance.now() - drawnAt >= (one.isMoving.peek() ? MOVING_MS : STANDING_MS);
     draw();
-    const endDrawing = drawWith(() => { if (pausedAt.peek() === null && !document.hidden && isDue()) draw(); });
+    const endDrawing = drawWith(() => {
+      if (pausedAt.peek() === null && !document.hidden && isDue()) draw();
+    });
     const endFitting = fit(plots, mounted);
     return () => {
       endDrawing();
@@ -83,11 +85,17 @@ function Charted({ one }) {
     };
   }, [one, looks(), windowS.value]);
   return html`<div class="charts">
-    ${CHARTS.map((chart, index) => html`<figure class="chart" key=${chart.key}>
+    ${CHARTS.map(
+      (chart, index) => html`<figure class="chart" key=${chart.key}>
       <figcaption>${t(chart.key)} <span class="unit">${chart.unit}</span></figcaption>
-      <div class="chart-place" role="img" aria-label=${t('chart.label', { what: t(chart.key),
-          seconds: windowS.value })} ref=${(place) => { places.current[index] = place; }}></div>
-    </figure>`)}
+      <div class="chart-place" role="img" aria-label=${t('chart.label', {
+        what: t(chart.key),
+        seconds: windowS.value,
+      })} ref=${(place) => {
+        places.current[index] = place;
+      }}></div>
+    </figure>`,
+    )}
   </div>`;
 }
 
@@ -95,10 +103,14 @@ export function Charts({ one }) {
   const isPaused = pausedAt.value !== null;
   const actions = html`
     <${Choice} label=${t('chart.window')} name="window" value=${windowS.value}
-        onChange=${(seconds) => { windowS.value = seconds; }}
+        onChange=${(seconds) => {
+          windowS.value = seconds;
+        }}
       options=${WINDOWS_S.map((seconds) => [seconds, seconds < 60 ? `${seconds} s` : `${seconds / 60} min`])} />
     <button type="button" class="quiet" aria-pressed=${isPaused ? 'true' : 'false'}
-        onClick=${() => { pausedAt.value = isPaused ? null : performance.now(); }}>${t(isPaused ? 'chart.resume' : 'chart.pause')}
+        onClick=${() => {
+          pausedAt.value = isPaused ? null : performance.now();
+        }}>${t(isPaused ? 'chart.resume' : 'chart.pause')}
           </button>`;
   return html`<${Panel} title=${t('chart.title')} id="chart-title" class="charts-panel" actions=${actions}>
     <${Covered} one=${one}><${Charted} one=${one} /></${Covered}>

@@ -13,7 +13,9 @@ async function ask() {
   if (!isLive.peek() || document.hidden) return;
   try {
     const { text: figures } = await text('/metrics', 'text/plain');
-    clients.value = Array.from(figures.matchAll(LINE), ([, door, count]) => ({ door, count: Number(count) })).filter(({ count }) => count > 0);
+    clients.value = Array.from(figures.matchAll(LINE), ([, door, count]) => ({ door, count: Number(count) })).filter(
+      ({ count }) => count > 0,
+    );
   } catch {
     clients.value = [];
   }

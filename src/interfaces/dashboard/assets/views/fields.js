@@ -6,7 +6,9 @@ import { plain, t } from '../model/i18n.js';
 import { Shape } from '../ui/parts.js';
 
 export const limitsText = ({ min, max, whose }, unit) =>
-  whose === null ? t('limit.unknown') : `${plain(min)} – ${plain(max)} ${unit}${whose === 'device' ? '' : ` (${t(`limit.${whose}`)})`}`;
+  whose === null
+    ? t('limit.unknown')
+    : `${plain(min)} – ${plain(max)} ${unit}${whose === 'device' ? '' : ` (${t(`limit.${whose}`)})`}`;
 
 /** What is wrong with what was typed, in words. */
 function mistakeText(typed, wrong, limits) {
@@ -24,8 +26,13 @@ export function NumberField({ id, label, unit, value, limits, isOptional = false
     <label for=${id}>${label}</label>
     <div class="input"><input id=${id} type="text" inputmode="decimal" autocomplete="off" value=${typed}
       aria-describedby=${`${id}-hint`} aria-invalid=${wrong ? 'true' : 'false'}
-      onInput=${(event) => { value.value = event.currentTarget.value; }} /><span class="unit">${unit}</span></div>
-    <p class="hint" id=${`${id}-hint`}>${wrong ? html`<${Shape} name="high" /> ${mistakeText(typed, wrong, limits)}`
-      : (isEmpty && whenEmpty) || limitsText(limits, unit)}</p>
+      onInput=${(event) => {
+        value.value = event.currentTarget.value;
+      }} /><span class="unit">${unit}</span></div>
+    <p class="hint" id=${`${id}-hint`}>${
+      wrong
+        ? html`<${Shape} name="high" /> ${mistakeText(typed, wrong, limits)}`
+        : (isEmpty && whenEmpty) || limitsText(limits, unit)
+    }</p>
   </div>`;
 }

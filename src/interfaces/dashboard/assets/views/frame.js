@@ -28,7 +28,13 @@ export function encode(id, payload) {
 
 /** What stands where in a frame. */
 export function parts(bytes) {
-  return { preamble: bytes.slice(0, 3), id: bytes[3], size: bytes[4] | (bytes[5] << 8), payload: bytes.slice(6, -2), checksum: bytes.slice(-2) };
+  return {
+    preamble: bytes.slice(0, 3),
+    id: bytes[3],
+    size: bytes[4] | (bytes[5] << 8),
+    payload: bytes.slice(6, -2),
+    checksum: bytes.slice(-2),
+  };
 }
 
 export function fromHex(hex) {

@@ -18,20 +18,34 @@ function HoldButton({ id, label, jog, one, direction, speed, limits, disabled })
   };
   const end = () => jog.end();
   // Nobody hears of a button that is let go while it is disabled.
-  useEffect(() => { if (disabled) end(); }, [disabled]);
+  useEffect(() => {
+    if (disabled) end();
+  }, [disabled]);
   const isKey = ({ key }) => key === ' ' || key === 'Enter';
   return html`<button type="button" id=${id} class="hold" disabled=${disabled}
     onPointerDown=${begin} onPointerUp=${end} onPointerCancel=${end} onLostPointerCapture=${end} onBlur=${end}
     onContextMenu=${(event) => event.preventDefault()}
-    onKeyDown=${(event) => { if (isKey(event)) { event.preventDefault(); if (!event.repeat) begin(event); } }}
-    onKeyUp=${(event) => { if (isKey(event)) { event.preventDefault(); end(); } }}>${label}</button>`;
+    onKeyDown=${(event) => {
+      if (isKey(event)) {
+        event.preventDefault();
+        if (!event.repeat) begin(event);
+      }
+    }}
+    onKeyUp=${(event) => {
+      if (isKey(event)) {
+        event.preventDefault();
+        end();
+      }
+    }}>${label}</button>`;
 }
 
 export function JogPanel({ one, speed, limits, reason }) {
   const jog = useMemo(() => new Jog(), [one]);
   useEffect(() => {
     const end = () => jog.end();
-    const hidden = () => { if (document.hidden) end(); };
+    const hidden = () => {
+      if (document.hidden) end();
+    };
     addEventListener('blur', end);
     addEventListener('pagehide', end);
     document.addEventListener('visibilitychange', hidden);
@@ -48,8 +62,10 @@ export function JogPanel({ one, speed, limits, reason }) {
   const widths = limits.width.value;
   // While it is held its own motion is what runs, and must not let go of the button.
   const isOff = reason !== null && reason !== 'why.running';
-  const canStep = (by) => reason === null && one.width.value !== null && !mistake(Math.min(widths.max,
-      Math.max(widths.min, one.width.value)) + by, widths);
+  const canStep = (by) =>
+    reason === null &&
+    one.width.value !== null &&
+    !mistake(Math.min(widths.max, Math.max(widths.min, one.width.value)) + by, widths);
   const step = (by) => move(one, 'move', { width_mm: by, relative: true, speed_mm_s: pace });
   return html`<div class="jog" role="group" aria-label=${t('jog.title')}>
     <div class="holds">
@@ -59,10 +75,14 @@ export function JogPanel({ one, speed, limits, reason }) {
           jog=${jog} one=${one} direction=${1} speed=${pace} limits=${widths} disabled=${isOff} />
     </div>
     <div class="steps">
-      ${[...STEPS_MM].reverse().map((mm) => html`<button type="button" key=${-mm} disabled=${!canStep(-mm)}
-          onClick=${() => step(-mm)}>−${plain(mm)}</button>`)}
-      ${STEPS_MM.map((mm) => html`<button type="button" key=${mm} disabled=${!canStep(mm)}
-          onClick=${() => step(mm)}>+${plain(mm)}</button>`)}
+      ${[...STEPS_MM].reverse().map(
+        (mm) => html`<button type="button" key=${-mm} disabled=${!canStep(-mm)}
+          onClick=${() => step(-mm)}>−${plain(mm)}</button>`,
+      )}
+      ${STEPS_MM.map(
+        (mm) => html`<button type="button" key=${mm} disabled=${!canStep(mm)}
+          onClick=${() => step(mm)}>+${plain(mm)}</button>`,
+      )}
     </div>
     <p class="hint">${t('jog.hint', { speed: plain(pace) })}</p>
   </div>`;

@@ -26,11 +26,19 @@ export const shortId = (id) => id.slice(-4);
 
 export function Latch({ one }) {
   const state = one.state.value;
-  const { fast_stop_id: id, fast_stop_by: by, fast_stop_cause: cause, fast_stop_reason: reason, fast_stop_at: at,
-      fast_stop_confirmed: isConfirmed } = state;
+  const {
+    fast_stop_id: id,
+    fast_stop_by: by,
+    fast_stop_cause: cause,
+    fast_stop_reason: reason,
+    fast_stop_at: at,
+    fast_stop_confirmed: isConfirmed,
+  } = state;
   const seen = useSignal(null);
   useEffect(() => {
-    const timer = setTimeout(() => { seen.value = id; }, SEEN_AFTER_MS);
+    const timer = setTimeout(() => {
+      seen.value = id;
+    }, SEEN_AFTER_MS);
     return () => clearTimeout(timer);
   }, [id]);
   return html`<div class="latch" role="group" aria-labelledby="latch-title">

@@ -17,26 +17,41 @@ export const looks = () => `${isDark.value} ${language.value}`;
 
 /** `x` is what differs in the axis of time; `y`, `padding` and `hooks` are uPlot's. */
 export function plot(place, { data, x, xScale = {}, yScale = {}, padding, hooks = {} }) {
-  const axis = (more) => ({ stroke: css('--ink-2'), font: '11px system-ui, sans-serif', grid: { stroke: css('--grid'), width: 1 }, ticks: { show: false }, ...more });
-  return new uPlot({
-    width: place.clientWidth,
-    height: place.clientHeight,
-    legend: { show: false },
-    cursor: { show: false },
-    padding,
-    scales: { x: { time: false, ...xScale }, y: yScale },
-    axes: [axis({ size: 20, ...x }), axis({ size: 44, space: 26, values: (_, splits) => splits.map((value) => fixed(value, 0)) })],
-    series: [{}, { stroke: css('--trace'), width: 1.5, points: { show: false }, spanGaps: false }],
-    hooks,
-  }, data, place);
+  const axis = (more) => ({
+    stroke: css('--ink-2'),
+    font: '11px system-ui, sans-serif',
+    grid: { stroke: css('--grid'), width: 1 },
+    ticks: { show: false },
+    ...more,
+  });
+  return new uPlot(
+    {
+      width: place.clientWidth,
+      height: place.clientHeight,
+      legend: { show: false },
+      cursor: { show: false },
+      padding,
+      scales: { x: { time: false, ...xScale }, y: yScale },
+      axes: [
+        axis({ size: 20, ...x }),
+        axis({ size: 44, space: 26, values: (_, splits) => splits.map((value) => fixed(value, 0)) }),
+      ],
+      series: [{}, { stroke: css('--trace'), width: 1.5, points: { show: false }, spanGaps: false }],
+      hooks,
+    },
+    data,
+    place,
+  );
 }
 
 /** Follows the sizes of their places until the answer is called. */
 export function fit(plots, places) {
-  const resized = new ResizeObserver(() => plots.forEach((one, index) => {
-    const { clientWidth: width, clientHeight: height } = places[index];
-    if (width > 0 && (width !== one.width || height !== one.height)) one.setSize({ width, height });
-  }));
+  const resized = new ResizeObserver(() =>
+    plots.forEach((one, index) => {
+      const { clientWidth: width, clientHeight: height } = places[index];
+      if (width > 0 && (width !== one.width || height !== one.height)) one.setSize({ width, height });
+    }),
+  );
   places.forEach((place) => resized.observe(place));
   return () => resized.disconnect();
 }
