@@ -128,7 +128,7 @@ export async function slowReads({ url }) {
     passed.on('error', () => answer.destroy());
     asked.pipe(passed);
   });
-  proxy.on('upgrade', (asked, socket) => socket.destroy());
+  proxy.on('upgrade', (_asked, socket) => socket.destroy());
   await new Promise((resolve) => {
     proxy.listen(0, '127.0.0.1', resolve);
   });

@@ -23,8 +23,8 @@ const pausedAt = signal(null);
 
 const CHARTS = [
   { key: 'width', unit: 'mm', column: 1, range: (one) => [0, one.info.peek()?.stroke_mm ?? 110] },
-  { key: 'speed', unit: 'mm/s', column: 2, range: (one, low, high) => [Math.min(-10, low), Math.max(10, high)] },
-  { key: 'force', unit: 'N', column: 3, range: (one, low, high) => [0, Math.max(10, high * 1.1)] },
+  { key: 'speed', unit: 'mm/s', column: 2, range: (_one, low, high) => [Math.min(-10, low), Math.max(10, high)] },
+  { key: 'force', unit: 'N', column: 3, range: (_one, _low, high) => [0, Math.max(10, high * 1.1)] },
 ];
 
 function markAt(drawn, marks, until) {

@@ -1,7 +1,7 @@
 // Presets: values for the fields, by a name, kept in this browser.
 
 import { html, useSignal } from '../lib.js';
-import { plain, t } from '../model/i18n.js';
+import { t } from '../model/i18n.js';
 import { changePresets, presets } from '../model/prefs.js';
 
 const MAX_PRESETS = 12;
