@@ -23,7 +23,7 @@ test('another client’s change of a setting is shown, and keeps typed input', a
   await page.waitForSelector('.meanwhile:has-text("44 N")');
   await page.fill(acceleration, '1600');
   await page.locator(`form:has(${acceleration}) button[type=submit]`).click();
-  await page.waitForSelector('.settings-panel:has-text("Set.")');
+  await page.waitForSelector('.settings-panel:has-text("Applied.")');
   assert.match(await page.locator('.meanwhile').innerText(), /by http:/, 'another setting leaves this note alone');
   assert.equal(await page.inputValue(force), '33');
   await page.click('.meanwhile button');
@@ -31,7 +31,7 @@ test('another client’s change of a setting is shown, and keeps typed input', a
   assert.equal(await page.locator('.meanwhile').count(), 0);
   await page.fill(force, '30');
   await page.locator(`form:has(${force}) button[type=submit]`).click();
-  await page.waitForSelector('.settings-panel:has-text("Set.")');
+  await page.waitForSelector('.settings-panel:has-text("Applied.")');
   assert.equal((await served.ask('GET', 'grippers/left/settings/force-limit')).force_n, 30);
   assert.equal(await page.locator('.meanwhile').count(), 0, 'the user’s own change is not reported');
   // The force hint shows the limit for a grip without a force, also after a grip changed it.
@@ -60,7 +60,7 @@ test('a force limit lowered by overdrive is shown without an event', async () =>
   await shows('100');
   await page.fill(force, '33');
   await served.ask('PUT', 'grippers/left/settings/overdrive', { enabled: false });
-  await page.waitForSelector('.meanwhile:has-text("Set to 80 N meanwhile, by –.")');
+  await page.waitForSelector('.meanwhile:has-text("Meanwhile set to 80 N by –.")');
   await page.click('.meanwhile button');
   await shows('80');
   await close();
@@ -117,7 +117,7 @@ test('the first screen works without the other modules, and STOP too', async () 
   const { page, close } = await visit(launched, served);
   await page.route('**/views/**', (route) => route.abort());
   await page.goto(served.url);
-  await page.waitForSelector('.missing [role=alert]:has-text("could not be fetched")');
+  await page.waitForSelector('.missing [role=alert]:has-text("could not be loaded")');
   await page.waitForSelector('.figure-main');
   assert.equal(await page.locator('.motion-panel').count(), 0);
   await page.click('#stop');
@@ -266,7 +266,7 @@ test('the log is covered while the gateway is silent', async () => {
   await page.waitForSelector('.frame');
   served.child.kill('SIGSTOP');
   try {
-    await page.waitForSelector('.covered:has(.frames) .cover:has-text("does not answer")');
+    await page.waitForSelector('.covered:has(.frames) .cover:has-text("is not responding")');
   } finally {
     allowed.connections = true;
     served.child.kill('SIGCONT');

@@ -25,7 +25,7 @@ test('handed-over control is taken from any view', async () => {
   await named(ben.page, 'Ben');
   await controlled(anna.page);
   await ben.page.click('#ask-control');
-  await ben.page.waitForSelector('.control-panel:has-text("Asked.")');
+  await ben.page.waitForSelector('.control-panel:has-text("Control requested.")');
   await ben.page.click('[data-view=history]');
   await ben.page.waitForSelector('#export');
   await anna.page.click('#hand-over');
@@ -70,10 +70,10 @@ test('only the first request for control is confirmed', async () => {
   await named(ben.page, 'Ben');
   await controlled(anna.page);
   await ben.page.click('#ask-control');
-  await ben.page.waitForSelector('.control-panel:has-text("Asked.")');
+  await ben.page.waitForSelector('.control-panel:has-text("Control requested.")');
   await cleo.page.click('#ask-control');
-  await cleo.page.waitForSelector('.problem:has-text("Ben has asked for control first")');
-  assert.equal(await cleo.page.locator('.control-panel:has-text("Asked.")').count(), 0);
+  await cleo.page.waitForSelector('.problem:has-text("Ben asked for control first")');
+  assert.equal(await cleo.page.locator('.control-panel:has-text("Control requested.")').count(), 0);
   await Promise.all([anna, ben, cleo].map((one) => one.close()));
 });
 
