@@ -1,4 +1,4 @@
-// The page: a bar that is always there, and one of five views.
+// The page: a permanent bar, and one of five views.
 
 import { html, render, signal, useEffect } from './lib.js';
 import { LANGUAGES, language, t } from './model/i18n.js';
@@ -19,10 +19,10 @@ function Views() {
   </nav>`;
 }
 
-/** What is looked at second is fetched once what is looked at first, the state and STOP, is there. */
+/** Components that are loaded after the first screen (state and STOP), by name. */
 const later = signal({});
 
-/** Whether some of it has not come. */
+/** Whether one of these modules could not be loaded. */
 const isMissing = signal(false);
 
 function Missing() {
@@ -46,7 +46,7 @@ const FETCH_VIEW = {
 
 async function fetchLater() {
   const { [view.peek()]: shown, ...others } = FETCH_VIEW;
-  // Each as soon as it comes: none has to wait for another.
+  // Each part is shown as soon as it is loaded.
   await Promise.all(
     [import('./views/motion.js'), import('./views/alarms.js'), shown?.()].map((part) => fetchAll(part)),
   );
@@ -77,7 +77,7 @@ function Main() {
   const isKnown = one !== null || isLive.value;
   useEffect(() => {
     if (!isKnown) return;
-    // What is there to see first is on the screen with the frame after this; a page that isn't seen gets none.
+    // The next frame shows the first screen. A hidden page gets no frames.
     if (document.hidden) fetchLater();
     else requestAnimationFrame(fetchLater);
   }, [isKnown]);

@@ -1,4 +1,4 @@
-// The vendored libraries, by one name each.
+// Re-exports the vendored libraries.
 
 import { h, render, Fragment } from './vendor/preact.js';
 import htm from './vendor/htm.js';

@@ -28,13 +28,13 @@ const FAULTS = ['TEMP_FAULT', 'POWER_FAULT', 'CURR_FAULT', 'FINGER_FAULT'];
 const WARNINGS = ['TEMP_WARNING', 'SCRIPT_FAILURE'];
 const STOPS = ['FAST_STOP'];
 
-/** How much a flag that is set matters. */
+/** Severity of a flag that is set. */
 function weight(name) {
   if (FAULTS.includes(name) || STOPS.includes(name)) return 'fault';
   return WARNINGS.includes(name) ? 'warning' : 'normal';
 }
 
-/** All 32: those without a name are reserved. */
+/** All 32 bits; a bit without a name is reserved. */
 export const FLAGS = Array.from({ length: 32 }, (_, bit) => ({
   bit,
   name: NAMES[bit] ?? null,

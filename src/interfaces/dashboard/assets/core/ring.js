@@ -1,7 +1,7 @@
-// Samples of one gripper: a ring of typed arrays, so that a page that is open for a week takes no more memory than one
-// that is open for ten minutes.
+// Samples of one gripper in a ring of typed arrays, so that a page uses no more memory after a week than after ten
+// minutes.
 
-/** Times are in ms, of a clock that only goes forward. What isn't known is NaN. */
+/** Times are in ms, of a monotonic clock. An unknown value is NaN. */
 export class Samples {
   constructor(capacity, columns = 3) {
     this.capacity = capacity;
@@ -21,7 +21,7 @@ export class Samples {
     else this.start = (this.start + 1) % this.capacity;
   }
 
-  /** From the newest sample to the next one nothing is known. */
+  /** Marks the time between the newest sample and the next one as unknown. */
   gap() {
     const last = this.length - 1;
     if (last >= 0 && !this.#isGap(last)) this.push(this.time(last), []);
@@ -48,9 +48,9 @@ export class Samples {
   }
 
   /**
-   * The samples from `from` to `to` as uPlot takes them: seconds relative to `to`, then each column, null where nothing
-   * is known. Of more samples than `points` the lowest and the highest of each stretch stay, so that no peak is lost;
-   * a gap is in no stretch, so that it stays, too.
+   * Returns the samples from `from` to `to` for uPlot: seconds relative to `to`, then each column, with null for an
+   * unknown value. If there are more than `points`, only the lowest and the highest of each stretch remain, so that
+   * no peak is lost. A stretch never contains a gap, so gaps remain too.
    */
   window(from, to, points) {
     const first = Math.max(0, this.indexOf(from) - 1);
@@ -88,7 +88,7 @@ export class Samples {
       let high = begin;
       for (let index = begin + 1; index < end; index += 1) {
         const value = this.value(column, index);
-        // What isn't known is neither: it gives way to any value.
+        // Any value replaces an unknown one.
         if (!(this.value(column, low) <= value) && !Number.isNaN(value)) low = index;
         if (!(this.value(column, high) >= value) && !Number.isNaN(value)) high = index;
       }

@@ -1,4 +1,4 @@
-// The bar that is always there: the link, the state, who holds control, alarms, and STOP.
+// The permanent bar: link, state, holder of control, alarms, and STOP.
 
 import { html, signal } from '../lib.js';
 import { numbered } from '../core/newest.js';
@@ -9,11 +9,11 @@ import { isOld } from '../model/version.js';
 import { onPress, Shape, whyOld } from './parts.js';
 import { go } from './route.js';
 
-/** What became of the newest STOP, in words: an older one's end says nothing any more. */
+/** Result of the newest STOP as a text. Results of older ones are ignored. */
 const stopped = signal(null);
 const press = numbered();
 
-/** Good news goes by itself. */
+/** Time for which a confirmation is shown. */
 const TOLD_FOR_MS = 8000;
 
 export async function stop() {
@@ -31,7 +31,7 @@ export async function stop() {
   }
 }
 
-/** Works from any view, also while something is typed. */
+/** Escape and Pause work in any view, also while the user types. */
 addEventListener(
   'keydown',
   (event) => {
@@ -133,7 +133,6 @@ export function Bar() {
   </header>`;
 }
 
-/** Which gripper is looked at. */
 export function Picker() {
   const all = grippers.value;
   return html`<nav class="picker" aria-label=${t('bar.grippers')}>

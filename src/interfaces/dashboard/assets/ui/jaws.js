@@ -1,4 +1,4 @@
-// The jaws, to scale: where they are, where they go, what is forbidden, and what is between them.
+// The jaws, drawn to scale, with target, soft limits and part.
 
 import { html, useComputed } from '../lib.js';
 import { fixed, plain, t } from '../model/i18n.js';
@@ -30,7 +30,7 @@ function ticks(stroke, scale) {
   });
 }
 
-/** What the soft limits forbid, on the ruler. */
+/** Widths outside the soft limits, on the ruler. */
 function Forbidden({ soft, stroke, scale }) {
   if (soft?.minus_mm == null) return null;
   const x = (mm) => (mm * scale) / 2;
@@ -91,7 +91,7 @@ function Drawing({ one }) {
   const from = useComputed(() => (MIDDLE - half.value).toFixed(1));
   const to = useComputed(() => (MIDDLE + half.value).toFixed(1));
   const between = useComputed(() => (2 * half.value).toFixed(1));
-  // What follows the width stands in attributes: the rest of the drawing stays as it is.
+  // Signals in attributes follow the width without rendering the whole drawing again.
   const isKnown = useComputed(() => one.width.value !== null).value;
   const label = useComputed(() =>
     one.width.value === null

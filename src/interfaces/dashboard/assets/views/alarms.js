@@ -1,4 +1,4 @@
-// Alarms: what is wrong now, what was, and what somebody has seen.
+// List of the alarms.
 
 import { html } from '../lib.js';
 import { sorted } from '../core/alarms.js';
@@ -51,7 +51,7 @@ export function Alarms() {
   </${Panel}>`;
 }
 
-/** Read aloud at once, wherever somebody is on the page. */
+/** Makes screen readers announce a new alarm at once, in any view. */
 export function Announcer() {
   const newest = alarms.value.find((alarm) => !alarm.clearedAt && !alarm.acknowledgedAt);
   return html`<div class="visually-hidden" aria-live="assertive" role="alert">${newest ? named(newest) : ''}</div>`;

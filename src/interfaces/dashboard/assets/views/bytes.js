@@ -1,6 +1,6 @@
-// Bytes as people write and read them: what the command editor takes, and what selected bytes mean.
+// Bytes as text: input of the command editor, and the meaning of selected bytes.
 
-/** One thing that the editor takes: "text", a hexadecimal or decimal number, a float with an f. */
+/** One token of the editor: "text", a hexadecimal or decimal number, or a float with an f. */
 const TOKEN =
   /\s*(?:"((?:[^"\\]|\\.)*)"(?!\S)|(0x[0-9a-f]+)(?!\S)|([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?f)(?!\S)|(\d+)(?!\S)|(\S+))/giy;
 
@@ -16,8 +16,9 @@ function float(text) {
 }
 
 /**
- * The bytes of `0x20 150.0f "text" 7`: hexadecimal numbers take as many bytes as they have pairs of digits, little
- * endian; decimal ones one byte; floats four; texts one for each character. `wrong` is the first part that is none.
+ * Parses a text like `0x20 150.0f "text" 7`. A hexadecimal number has one byte for each pair of digits, little endian.
+ * A decimal one has one byte, a float four, and a text one for each character. `wrong` is the first invalid part, or
+ * null.
  */
 export function parse(text) {
   const bytes = [];
@@ -45,7 +46,7 @@ export function parse(text) {
   return { bytes, wrong: null };
 }
 
-/** One byte for a command's id, as it is written in the manual or as a number; null where it is none. */
+/** Parses a command id, a number or in the manual's notation (`31h`). Returns null if the text is not valid. */
 export function parseId(text) {
   const trimmed = text.trim().toLowerCase();
   const manual = /^([0-9a-f]{2})h$/.exec(trimmed);
@@ -57,7 +58,7 @@ export function parseId(text) {
   return value >= 0 && value <= 0xff ? value : null;
 }
 
-/** What bytes mean, where their number fits. */
+/** Values of the bytes, as each type of their length. */
 export function interpretations(bytes) {
   const view = new DataView(Uint8Array.from(bytes).buffer);
   const told = [];

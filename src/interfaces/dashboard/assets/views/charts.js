@@ -1,4 +1,4 @@
-// Strip charts of width, speed and force: the newest at the right, with grips marked.
+// Strip charts of width, speed and force, with marks for grips. The newest values are at the right.
 
 import { html, signal, useEffect, useRef } from '../lib.js';
 import { t } from '../model/i18n.js';
@@ -8,17 +8,17 @@ import { Choice, Covered, Panel } from '../ui/parts.js';
 
 const WINDOWS_S = [10, 30, 120, 600];
 
-/** More points than that are not told apart on a screen. */
+/** Limit of the points in a chart: a screen cannot show more. */
 const POINTS = 600;
 
-/** So often a gripper is drawn that moves, with every second frame, and one that stands. */
+/** Intervals of drawing: of a moving gripper with every second screen update, and of one at rest. */
 const MOVING_MS = 230;
 const STANDING_MS = 500;
 
 const MARK_SHAPES = { begin: '\u25bd', held: '\u25cf', end: '\u25cb' };
 
 const windowS = signal(30);
-/** When the charts were stopped; null while they go on. */
+/** Time at which the charts were paused; null while they run. */
 const pausedAt = signal(null);
 
 const CHARTS = [

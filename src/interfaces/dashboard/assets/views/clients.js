@@ -1,4 +1,4 @@
-// How many clients are connected, by door: the gateway's own figures say.
+// Number of connected clients by interface, from the gateway's metrics.
 
 import { signal } from '../lib.js';
 import { text } from '../net/rest.js';
@@ -21,7 +21,7 @@ async function ask() {
   }
 }
 
-/** Asks for as long as somebody looks. */
+/** Polls until the returned function is called. */
 export function watchClients() {
   ask();
   const timer = setInterval(ask, ASKED_EVERY_MS);

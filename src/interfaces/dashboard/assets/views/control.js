@@ -1,4 +1,4 @@
-// Control: who moves the gripper, how it changes hands, and what happens if this browser goes.
+// Control: its holder, how another client gets it, and what happens if this browser is lost.
 
 import { html, useEffect, useSignal } from '../lib.js';
 import { ago, t } from './ago.js';
@@ -89,7 +89,7 @@ function Terms({ one }) {
 
 function Others() {
   useEffect(watchClients, []);
-  // Their ages change by the second, and the list with them.
+  // Reading the clock refreshes the list and its ages every second.
   const list = now.value && [...others].reverse().slice(0, 6);
   return html`<h3>${t('control.others')}</h3>
     <p class="small">${t('control.connections', {

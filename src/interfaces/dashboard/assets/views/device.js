@@ -1,4 +1,4 @@
-// The device: what it is, what it can do, what it is set to, and how its grips went.
+// The device: identity, limits, settings, and statistics of its grips.
 
 import { html, useEffect, useRef, useSignal } from '../lib.js';
 import { accelerationLimits, asTyped, forceLimits, mistake, number, widthLimits } from '../core/limits.js';
@@ -50,8 +50,8 @@ function Limits({ one }) {
 }
 
 /**
- * What is typed for a setting. It follows what is set, by whomever, until somebody types: from then on it stays, and
- * `meanwhile` is what it was set to elsewhere.
+ * Draft of a setting. Follows the device's value until the user types. From then on the draft stays, and `meanwhile`
+ * is the value that another client has set.
  */
 function useDraft(one, field, asText = asTyped) {
   const set = asText(one.settings.value[field] ?? null);
@@ -76,7 +76,7 @@ function useDraft(one, field, asText = asTyped) {
   };
 }
 
-/** What was set elsewhere while something else was being typed, and a way to take it. */
+/** Note that another client has set a value while the user typed, with a button to use that value. */
 function Meanwhile({ one, drafts }) {
   const overtaken = drafts.filter(({ meanwhile }) => meanwhile !== null);
   if (overtaken.length === 0) return null;
@@ -89,7 +89,7 @@ function Meanwhile({ one, drafts }) {
       </button></p>`;
 }
 
-/** One setting: what is typed, and what the device made of it. */
+/** Form of one setting. */
 function Setting({ one, id, method, fields, limits, send, children }) {
   const wrong = fields.some(({ value, key }) => mistake(number(value.value), limits(key)));
   const set = (event) => {

@@ -1,4 +1,4 @@
-// The command editor: bytes as people write them, the frame that they make, and what the gripper answers.
+// The command editor: bytes as text, their frame, and the gripper's answer.
 
 import { html, useSignal } from '../lib.js';
 import { interpretations, parse, parseId } from './bytes.js';
@@ -7,7 +7,7 @@ import { t } from '../model/i18n.js';
 import { isLive, rpc } from '../model/store.js';
 import { Panel, ProblemNote } from '../ui/parts.js';
 
-/** A long frame's begin and end: the checksum is there in any case. */
+/** Digits of a frame that are shown. A longer one loses its middle, so that the checksum stays visible. */
 const SHOWN = 240;
 const shortened = (hex) => (hex.length <= SHOWN ? hex : `${hex.slice(0, SHOWN - 30)} … ${hex.slice(-23)}`);
 

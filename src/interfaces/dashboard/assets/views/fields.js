@@ -1,4 +1,4 @@
-// Numbers that are typed, each with its unit and its limits.
+// Number fields, with units and limits.
 
 import { html } from '../lib.js';
 import { mistake, number, readings } from '../core/limits.js';
@@ -10,14 +10,13 @@ export const limitsText = ({ min, max, whose }, unit) =>
     ? t('limit.unknown')
     : `${plain(min)} – ${plain(max)} ${unit}${whose === 'device' ? '' : ` (${t(`limit.${whose}`)})`}`;
 
-/** What is wrong with what was typed, in words. */
 function mistakeText(typed, wrong, limits) {
   const both = readings(typed);
   if (both !== null) return t('limit.ambiguous', { typed: typed.trim(), one: plain(both[0]), other: plain(both[1]) });
   return t(`limit.${wrong}`, { min: plain(limits.min), max: plain(limits.max) });
 }
 
-/** A number with its unit and its limits. `value` is a signal of what was typed; `whenEmpty` says what holds then. */
+/** `value` is a signal with the typed text; `whenEmpty` is the hint of an empty field. */
 export function NumberField({ id, label, unit, value, limits, isOptional = false, whenEmpty = null }) {
   const typed = value.value;
   const isEmpty = isOptional && typed.trim() === '';

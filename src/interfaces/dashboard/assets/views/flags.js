@@ -18,7 +18,7 @@ const BOXES = {
 const W = 130;
 const H = 40;
 
-/** From where to where, and by what. */
+/** Transitions, as SVG paths. */
 const WAYS = [
   'M75 110v40',
   'M140 90h40',

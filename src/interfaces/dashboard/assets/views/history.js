@@ -1,4 +1,4 @@
-// History: what happened, and how parts were held, from the journal.
+// History of events and motions, from the journal.
 
 import { html, useEffect, useMemo, useSignal } from '../lib.js';
 import { numbered } from '../core/newest.js';
@@ -11,7 +11,7 @@ import { Curve } from './curve.js';
 import { Choice, Covered, MAX_PART_BYTES, Panel, ProblemNote, within } from '../ui/parts.js';
 
 const PAGE = 50;
-/** News come in bursts: the list is asked for at most this often. */
+/** Delay of a reload after an event, because events come in bursts. */
 const LOOKS_AFTER_MS = 400;
 const KINDS = {
   events: ['command', 'fast_stop', 'acknowledge', 'lease', 'link', 'device', 'settings', 'refused', 'gateway'],
@@ -126,7 +126,7 @@ export function History({ one }) {
     }
   };
   useEffect(() => {
-    // A list that somebody has gone back in stays where it is.
+    // A list with older pages is not reloaded, so that it stays in place.
     if (!isLive.peek() || list.peek().length > PAGE) return undefined;
     const timer = setTimeout(load, LOOKS_AFTER_MS);
     return () => clearTimeout(timer);

@@ -1,4 +1,4 @@
-// Moving while a button is held, and by small steps.
+// Jogging while a button is held, and in small steps.
 
 import { html, useEffect, useMemo } from '../lib.js';
 import { mistake, number } from '../core/limits.js';
@@ -7,7 +7,7 @@ import { move } from '../model/commands.js';
 import { Jog } from '../model/jog.js';
 
 const STEPS_MM = [0.1, 1, 5];
-/** A slow speed for jogging; the field's where that is slower. */
+/** Speed of jogging, unless the field's is lower. */
 const JOG_MM_S = 25;
 
 function HoldButton({ id, label, jog, one, direction, speed, limits, disabled }) {
@@ -17,7 +17,7 @@ function HoldButton({ id, label, jog, one, direction, speed, limits, disabled })
     jog.begin(one, direction, speed, limits);
   };
   const end = () => jog.end();
-  // Nobody hears of a button that is let go while it is disabled.
+  // A disabled button sends no event when it is released.
   useEffect(() => {
     if (disabled) end();
   }, [disabled]);
@@ -60,7 +60,7 @@ export function JogPanel({ one, speed, limits, reason }) {
   const { min, max } = limits.speed.value;
   const pace = Math.min(max, Math.max(min, mistake(given, limits.speed.value) ? JOG_MM_S : Math.min(given, JOG_MM_S)));
   const widths = limits.width.value;
-  // While it is held its own motion is what runs, and must not let go of the button.
+  // The running motion can be that of the held button, which must not be disabled by it.
   const isOff = reason !== null && reason !== 'why.running';
   const canStep = (by) =>
     reason === null &&

@@ -1,4 +1,4 @@
-// The communication log: frames decoded, their bytes on demand, and a command editor.
+// The communication log: decoded frames, their bytes on demand, and a command editor.
 
 import { html, useEffect, useRef, useSignal } from '../lib.js';
 import { interpretations } from './bytes.js';
@@ -8,7 +8,7 @@ import { clear, follow, frames, hasUpdates, isPaused } from './frames.js';
 import { Editor } from './editor.js';
 import { Covered, Panel } from '../ui/parts.js';
 
-/** All as long as each other. */
+/** Time of day in UTC, with a fixed width. */
 const clock = (at) => new Date(at).toISOString().slice(11, 23);
 
 function Row({ frame, picked, withHex }) {
@@ -27,7 +27,7 @@ function Row({ frame, picked, withHex }) {
 const partOf = (index, length) =>
   index < 3 ? 'preamble' : index === 3 ? 'id' : index < 6 ? 'size' : index >= length - 2 ? 'checksum' : 'payload';
 
-/** Bytes are picked one by one, or from one to another with Shift. */
+/** Bytes of a frame, selected one by one, or as a range with Shift. */
 export function Bytes({ bytes }) {
   const range = useSignal(null);
   useEffect(() => {

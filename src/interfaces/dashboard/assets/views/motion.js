@@ -1,4 +1,4 @@
-// Moving: home, move, grip, release, stop; each within the limits that stand beside its field.
+// Motion controls: home, move, grip, release, stop, within the limits shown beside each field.
 
 import { computed, html, signal, useMemo } from '../lib.js';
 import { forceLimits, mistake, number, speedLimits, widthLimits } from '../core/limits.js';
@@ -11,7 +11,7 @@ import { JogPanel } from './jog.js';
 import { Latch } from './latch.js';
 import { Presets } from './presets.js';
 
-/** What is typed, kept for each gripper while the page lives. */
+/** Input for each gripper, kept while the page is open. */
 const typed = new Map();
 
 function fieldsOf(one) {
@@ -27,7 +27,7 @@ function fieldsOf(one) {
   return typed.get(one);
 }
 
-/** Why nothing can be moved now; null where it can. */
+/** Key of the reason why a motion is not possible now, or null. */
 function whyNot(one, needsReference = true) {
   if (!isLive.value || !one.isThere.value) return 'why.link';
   if (one.latchId.value) return 'why.fast_stop';
@@ -58,7 +58,7 @@ function NoControl({ one }) {
   </div>`;
 }
 
-/** How the newest command stands. */
+/** Progress or outcome of the newest command. */
 function LastCommand({ one }) {
   const command = one.command.value;
   if (!command) return html`<p class="last muted" role="status">${t('last.none')}</p>`;

@@ -1,4 +1,4 @@
-// All grippers at a glance, and the fleet where there is one.
+// All grippers at a glance, and the fleet if there is one.
 
 import { html, signal, useEffect } from '../lib.js';
 import { numbered } from '../core/newest.js';
@@ -10,7 +10,7 @@ import { go } from '../ui/route.js';
 
 const ASKED_EVERY_MS = 2000;
 
-/** All grippers of all gateways; null while they aren't known. */
+/** Grippers of all gateways; null until they are known. */
 const fleet = signal(null);
 const asking = numbered();
 
@@ -21,7 +21,7 @@ async function askFleet() {
     const { grippers: told } = await get('fleet');
     if (isNewest()) fleet.value = told;
   } catch {
-    // With the next one.
+    // Tried again with the next poll.
   }
 }
 

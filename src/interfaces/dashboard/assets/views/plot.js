@@ -1,10 +1,10 @@
-// What the strip charts and the curves have in common: one trace over time, in the colours of the page.
+// Base of the strip charts and the curves: one trace over time, in the colours of the page.
 
 import uPlot from '../vendor/uplot.js';
 import { fixed, language } from '../model/i18n.js';
 import { isDark } from '../model/prefs.js';
 
-// The page is there before its first plot: what those need doesn't hold it up.
+// Loaded here, because the page does not need this style before its first plot.
 const style = document.createElement('link');
 style.rel = 'stylesheet';
 style.href = new URL('../vendor/uplot.css', import.meta.url).href;
@@ -12,10 +12,10 @@ document.head.append(style);
 
 export const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
-/** What a plot keeps from when it was made: with another it has to be made anew. */
+/** Theme and language of a plot, which is recreated when they change. */
 export const looks = () => `${isDark.value} ${language.value}`;
 
-/** `x` is what differs in the axis of time; `y`, `padding` and `hooks` are uPlot's. */
+/** `x` is added to the time axis; `xScale`, `yScale`, `padding` and `hooks` are uPlot's. */
 export function plot(place, { data, x, xScale = {}, yScale = {}, padding, hooks = {} }) {
   const axis = (more) => ({
     stroke: css('--ink-2'),
@@ -44,7 +44,7 @@ export function plot(place, { data, x, xScale = {}, yScale = {}, padding, hooks 
   );
 }
 
-/** Follows the sizes of their places until the answer is called. */
+/** Keeps plots as large as their places until the returned function is called. */
 export function fit(plots, places) {
   const resized = new ResizeObserver(() =>
     plots.forEach((one, index) => {

@@ -1,4 +1,4 @@
-// Presets: values for the fields, by a name, kept in this browser.
+// Presets: named values for the fields, stored in this browser.
 
 import { html, useSignal } from '../lib.js';
 import { t } from '../model/i18n.js';

@@ -1,6 +1,6 @@
-// What an event says, as the key of a sentence and its parameters. Pure: the words are the dictionaries'.
+// Maps an event to the key of a text and its parameters. Pure: the texts are in `locales`.
 
-/** `of` are words that are to be looked up themselves. */
+/** `of` has parameters that are keys of texts themselves, `with` has plain ones. */
 export function sentence(event) {
   switch (event.kind) {
     case 'command':
@@ -27,7 +27,7 @@ export function sentence(event) {
   }
 }
 
-/** The values that an event has beside its sentence, by their field names. */
+/** Fields of an event that are shown beside its text. */
 const FIELDS = [
   'width_mm',
   'speed_mm_s',
