@@ -56,15 +56,15 @@ export class Samples {
     const first = Math.max(0, this.indexOf(from) - 1);
     const last = this.indexOf(to);
     const stretch = Math.max(1, Math.ceil((2 * (last - first)) / points));
-    const told = [[], ...this.columns.map(() => [])];
+    const result = [[], ...this.columns.map(() => [])];
     for (let begin = first, end; begin < last; begin = end) {
       end = begin + 1;
       const most = this.#isGap(begin) ? end : Math.min(begin + stretch, last);
       while (end < most && !this.#isGap(end)) end += 1;
-      if (end - begin === 1) this.#tell(told, begin, to, [begin]);
-      else this.#tellExtremes(told, begin, end, to);
+      if (end - begin === 1) this.#add(result, begin, to, [begin]);
+      else this.#addExtremes(result, begin, end, to);
     }
-    return told;
+    return result;
   }
 
   #isGap(index) {
@@ -72,15 +72,15 @@ export class Samples {
     return this.columns.every((column) => Number.isNaN(column[at]));
   }
 
-  #tell(told, index, to, indexes) {
-    told[0].push((this.time(index) - to) / 1000);
+  #add(result, index, to, indexes) {
+    result[0].push((this.time(index) - to) / 1000);
     this.columns.forEach((_, column) => {
       const value = this.value(column, indexes[column] ?? index);
-      told[column + 1].push(Number.isNaN(value) ? null : value);
+      result[column + 1].push(Number.isNaN(value) ? null : value);
     });
   }
 
-  #tellExtremes(told, begin, end, to) {
+  #addExtremes(result, begin, end, to) {
     const lows = [];
     const highs = [];
     this.columns.forEach((_, column) => {
@@ -95,7 +95,7 @@ export class Samples {
       lows.push(Math.min(low, high));
       highs.push(Math.max(low, high));
     });
-    this.#tell(told, begin, to, lows);
-    this.#tell(told, end - 1, to, highs);
+    this.#add(result, begin, to, lows);
+    this.#add(result, end - 1, to, highs);
   }
 }

@@ -35,7 +35,7 @@ export async function askFreely(one, method, params = {}) {
 }
 
 /** Time within which the state reports an admitted command. */
-const TOLD_WITHIN_MS = 300;
+const REPORTED_WITHIN_MS = 300;
 
 /** Starts a motion. The controls stay disabled until the state reports it. */
 export async function move(one, method, params) {
@@ -46,7 +46,7 @@ export async function move(one, method, params) {
     () => {
       one.isAsked.value = false;
     },
-    command ? TOLD_WITHIN_MS : 0,
+    command ? REPORTED_WITHIN_MS : 0,
   );
   return command;
 }
@@ -73,11 +73,11 @@ export async function takeControl(one, { force = false, request = false } = {}) 
 
 /** Ends the request if another client asked first: the gateway passes only one request to the holder. */
 async function lookWhoAsks(one) {
-  const told = await askFreely(one, 'lease');
+  const lease = await askFreely(one, 'lease');
   const me = myName.peek();
-  if (!told || !one.isAsking.peek() || told.requested_by === me || told.holder === me) return;
+  if (!lease || !one.isAsking.peek() || lease.requested_by === me || lease.holder === me) return;
   one.isAsking.value = false;
-  one.problem.value = { code: 'lease_asked', holder: told.requested_by, detail: '' };
+  one.problem.value = { code: 'lease_asked', holder: lease.requested_by, detail: '' };
 }
 
 /** Changes the terms of the lease that this page holds. */

@@ -65,9 +65,9 @@ async function catchUpCommand(one) {
   const shown = one.command.peek();
   const isOver = shown?.phase === 'running' && shown.id !== runs;
   if (!isOver && (runs === null || shown?.id === runs)) return;
-  const told = await rpc.call('command', { gripper: one.name, command: runs ?? shown.id }).catch(() => null);
+  const answer = await rpc.call('command', { gripper: one.name, command: runs ?? shown.id }).catch(() => null);
   if (one.command.peek() !== shown) return;
-  if (told) one.command.value = told;
+  if (answer) one.command.value = answer;
   else if (isOver) one.command.value = { ...shown, phase: 'done', outcome: 'UNKNOWN' };
 }
 

@@ -94,14 +94,14 @@ export class Gripper {
   }
 
   /** Takes the settings in an answer or an event. An event also names the subject. */
-  takeSettings(told) {
+  takeSettings(settings) {
     const [known, by] = [this.settings.peek(), this.setBy.peek()];
-    const fields = SETTINGS.filter((field) => field in told);
+    const fields = SETTINGS.filter((field) => field in settings);
     // An unchanged value keeps its subject.
-    const whose = (field) => told.subject ?? (told[field] === known[field] ? by[field] : null) ?? null;
+    const whose = (field) => settings.subject ?? (settings[field] === known[field] ? by[field] : null) ?? null;
     batch(() => {
       this.setBy.value = { ...by, ...Object.fromEntries(fields.map((field) => [field, whose(field)])) };
-      this.settings.value = { ...known, ...Object.fromEntries(fields.map((field) => [field, told[field]])) };
+      this.settings.value = { ...known, ...Object.fromEntries(fields.map((field) => [field, settings[field]])) };
     });
   }
 

@@ -114,7 +114,7 @@ export const rpc = new Rpc({
   onHeard: (at) => {
     lastHeard = Math.max(lastHeard, at);
   },
-  onTold: (method, params, at) => {
+  onNotification: (method, params, at) => {
     if (method === 'state') takeState(params, at);
     if (method === 'event') takeEvent(params, find(params.gripper), at);
     if (method === 'command' && find(params.gripper)) find(params.gripper).command.value = params;
@@ -149,8 +149,8 @@ async function subscribe() {
     look();
     // Starts from these states; events report what comes after them.
     grippers.peek().forEach((one) => catchUp(one).catch(() => {}));
-    const told = await rpc.call('grippers');
-    told.grippers.forEach((info) => {
+    const answer = await rpc.call('grippers');
+    answer.grippers.forEach((info) => {
       ensure(info.gripper).info.value = info;
     });
     await Promise.all(grippers.peek().flatMap((one) => [learn(one), learnSettings(one)]));
@@ -173,9 +173,9 @@ export async function learn(one) {
 
 /** Fetches the device's settings; events report later changes. Returns the problem, or null. */
 export async function learnSettings(one, names = ['soft-limits', 'force-limit']) {
-  const told = await Promise.allSettled(names.map((name) => rpc.call(`settings.${name}`, { gripper: one.name })));
-  told.forEach(({ value }) => value && one.takeSettings(value));
-  return told.find(({ status }) => status === 'rejected')?.reason ?? null;
+  const answers = await Promise.allSettled(names.map((name) => rpc.call(`settings.${name}`, { gripper: one.name })));
+  answers.forEach(({ value }) => value && one.takeSettings(value));
+  return answers.find(({ status }) => status === 'rejected')?.reason ?? null;
 }
 
 export function acknowledgeAlarm(id) {

@@ -36,7 +36,7 @@ export class Rpc {
   #isWanted = true;
   #begun = null;
 
-  /** `onOpen()`, `onEnd()`, `onTold(method, params, at)` for notifications, and `onHeard(at)` for every message. */
+  /** `onOpen()`, `onEnd()`, `onNotification(method, params, at)`, and `onHeard(at)` for every message. */
   constructor(handlers) {
     this.handlers = handlers;
     this.#connect();
@@ -135,7 +135,7 @@ export class Rpc {
   #take(message, at) {
     this.handlers.onHeard?.(at);
     if (message.method !== undefined) {
-      this.handlers.onTold?.(message.method, message.params, at);
+      this.handlers.onNotification?.(message.method, message.params, at);
       return;
     }
     const call = this.#calls.get(message.id);

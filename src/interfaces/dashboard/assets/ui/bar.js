@@ -14,20 +14,20 @@ const stopped = signal(null);
 const press = numbered();
 
 /** Time for which a confirmation is shown. */
-const TOLD_FOR_MS = 8000;
+const CONFIRMATION_SHOWN_MS = 8000;
 
 export async function stop() {
   const isNewest = press();
-  const tell = (told) => {
-    if (isNewest()) stopped.value = told;
+  const report = (result) => {
+    if (isNewest()) stopped.value = result;
   };
-  tell({ text: t('stop.sent') });
+  report({ text: t('stop.sent') });
   try {
     const isConfirmed = (await fastStop()).fast_stop_confirmed;
-    tell({ text: t(isConfirmed ? 'stop.confirmed' : 'stop.unconfirmed'), isWrong: !isConfirmed });
-    if (isConfirmed) setTimeout(() => tell(null), TOLD_FOR_MS);
+    report({ text: t(isConfirmed ? 'stop.confirmed' : 'stop.unconfirmed'), isWrong: !isConfirmed });
+    if (isConfirmed) setTimeout(() => report(null), CONFIRMATION_SHOWN_MS);
   } catch (problem) {
-    tell({ text: t('stop.failed', { why: ofProblem(problem) }), isWrong: true });
+    report({ text: t('stop.failed', { why: ofProblem(problem) }), isWrong: true });
   }
 }
 

@@ -61,27 +61,27 @@ export function parseId(text) {
 /** Values of the bytes, as each type of their length. */
 export function interpretations(bytes) {
   const view = new DataView(Uint8Array.from(bytes).buffer);
-  const told = [];
-  const tell = (type, value) => told.push({ type, value });
+  const values = [];
+  const add = (type, value) => values.push({ type, value });
   switch (bytes.length) {
     case 1:
-      tell('u8', view.getUint8(0));
-      tell('i8', view.getInt8(0));
+      add('u8', view.getUint8(0));
+      add('i8', view.getInt8(0));
       break;
     case 2:
-      tell('u16', view.getUint16(0, true));
-      tell('i16', view.getInt16(0, true));
+      add('u16', view.getUint16(0, true));
+      add('i16', view.getInt16(0, true));
       break;
     case 4:
-      tell('f32', view.getFloat32(0, true));
-      tell('u32', view.getUint32(0, true));
-      tell('i32', view.getInt32(0, true));
+      add('f32', view.getFloat32(0, true));
+      add('u32', view.getUint32(0, true));
+      add('i32', view.getInt32(0, true));
       break;
     default:
   }
-  tell(
+  add(
     'text',
     Array.from(bytes, (byte) => (byte >= 0x20 && byte < 0x7f ? String.fromCharCode(byte) : '\u00b7')).join(''),
   );
-  return told;
+  return values;
 }

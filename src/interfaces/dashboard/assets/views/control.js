@@ -67,11 +67,11 @@ function Terms({ one }) {
     signal.value = event.currentTarget.value;
     if (one.isMine.peek()) changeTerms(one);
   };
-  const told =
+  const terms =
     one.isMine.value && one.lease.value
       ? one.lease.value
       : { on_loss_moving: onLossMoving.value, on_loss_holding: onLossHolding.value };
-  return html`<p class="small">${t(`gone.moving.${told.on_loss_moving}`)} ${t(`gone.holding.${told.on_loss_holding}`)} ${t('gone.link')}
+  return html`<p class="small">${t(`gone.moving.${terms.on_loss_moving}`)} ${t(`gone.holding.${terms.on_loss_holding}`)} ${t('gone.link')}
     </p>
     <div class="fields terms">
       <div class="field"><label for="on-moving">${t('control.on_moving')}</label><select id="on-moving"

@@ -42,8 +42,8 @@ export function Curve({ grip }) {
     curve.value = null;
     if (grip)
       get(`grips/${grip.id}/curve`).then(
-        (told) => {
-          curve.value = told;
+        (answer) => {
+          curve.value = answer;
         },
         () => {},
       );

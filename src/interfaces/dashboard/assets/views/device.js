@@ -115,24 +115,24 @@ function Settings({ one }) {
   const minus = { ...useDraft(one, 'minus_mm'), label: t('settings.minus'), unit: 'mm' };
   const plus = { ...useDraft(one, 'plus_mm'), label: t('settings.plus'), unit: 'mm' };
   const tag = useDraft(one, 'tag', (text) => text ?? '');
-  const said = useSignal('');
+  const note = useSignal('');
   useEffect(() => {
     learnSettings(one, ALL_SETTINGS).then((problem) => {
       if (problem) one.problem.value = problem;
     });
   }, [one, connection.value === 'live']);
   const change = async (method, params) => {
-    said.value = '';
-    const told = await ask(one, method, params);
-    if (told) said.value = t('settings.done');
-    return told;
+    note.value = '';
+    const answer = await ask(one, method, params);
+    if (answer) note.value = t('settings.done');
+    return answer;
   };
   const send = async (method, fields, read) => {
-    const told = await change(method, Object.fromEntries(fields.map(({ key, value }) => [key, read(value.value)])));
-    if (!told) return;
-    one.takeSettings(told);
+    const answer = await change(method, Object.fromEntries(fields.map(({ key, value }) => [key, read(value.value)])));
+    if (!answer) return;
+    one.takeSettings(answer);
     fields.forEach(({ key, value }) => {
-      value.value = typeof told[key] === 'number' ? asTyped(told[key]) : (told[key] ?? '');
+      value.value = typeof answer[key] === 'number' ? asTyped(answer[key]) : (answer[key] ?? '');
     });
   };
   const hasOverdrive = one.info.value?.capabilities.includes('overdrive');
@@ -173,20 +173,20 @@ function Settings({ one }) {
       }
       <button type="button" onClick=${() => change('tare')}>${t('settings.tare')}</button>
     </div>
-    <p class="small" role="status">${said.value}</p>
+    <p class="small" role="status">${note.value}</p>
     <${ProblemNote} problem=${one.problem} />
   </${Panel}>`;
 }
 
 function Statistics({ one }) {
-  const told = useSignal(null);
+  const known = useSignal(null);
   const isSure = useSignal(false);
   useEffect(() => {
     askFreely(one, 'statistics').then((statistics) => {
-      told.value = statistics;
+      known.value = statistics;
     });
   }, [one, one.runs.value, one.settingsChange.value, connection.value === 'live']);
-  const figures = told.value;
+  const figures = known.value;
   const good =
     figures && figures.total > 0 ? ((figures.total - figures.no_part - figures.lost_part) / figures.total) * 100 : null;
   const reset = async () => {
@@ -195,7 +195,7 @@ function Statistics({ one }) {
       return;
     }
     isSure.value = false;
-    told.value = (await ask(one, 'statistics.reset')) ?? told.value;
+    known.value = (await ask(one, 'statistics.reset')) ?? known.value;
   };
   return html`<${Panel} title=${t('statistics.title')} id="statistics-title"
       actions=${html`${

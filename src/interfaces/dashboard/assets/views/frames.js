@@ -37,7 +37,7 @@ export function follow(name) {
   clear();
   const rpc = new Rpc({
     onOpen: () => rpc.call('subscribe', { grippers: [name], topics: ['frames'] }).catch(() => {}),
-    onTold: (method, params) => {
+    onNotification: (method, params) => {
       if (method === 'frame') take(params);
       if (method === 'gap') take({ seq: `gap-${params.seq}`, direction: 'gap', missed: params.missed });
     },

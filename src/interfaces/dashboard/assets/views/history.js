@@ -31,7 +31,7 @@ const OUTCOMES = [
 ];
 const BAD = ['NO_PART', 'BLOCKED', 'RANGE', 'TIMEOUT', 'FAILED', 'REFUSED', 'UNKNOWN', 'ABORTED'];
 
-function said(event) {
+function textOf(event) {
   const { key, of = {}, with: values = {} } = sentence(event);
   const words = Object.fromEntries(Object.entries(of).map(([name, word]) => [name, t(word)]));
   if (key) return t(key, { ...words, ...values });
@@ -50,7 +50,7 @@ function Events({ list }) {
       (event) => html`<tr key=${event.seq}
         class=${event.kind === 'fast_stop' ? 'stop-row' : event.kind === 'refused' || BAD.includes(event.outcome) ? 'bad' : ''}>
       <td>${moment(event.at)}</td><td>${t(`kind.${event.kind}`)}</td>
-      <td class="wide">${said(event)} <span class="muted small">${details(event)
+      <td class="wide">${textOf(event)} <span class="muted small">${details(event)
         .map(([field, given]) => `${field} ${value(given)}`)
         .join(', ')}</span></td><td>${event.subject ?? ''}</td></tr>`,
     )}
@@ -116,10 +116,10 @@ export function History({ one }) {
   const load = async (cursor = null) => {
     const isNewest = asking();
     try {
-      const told = await get(`${address}&${query({ limit: PAGE, cursor })}`);
+      const page = await get(`${address}&${query({ limit: PAGE, cursor })}`);
       if (!isNewest()) return;
-      list.value = cursor ? [...list.peek(), ...told[what.peek()]] : told[what.peek()];
-      next.value = told.next_cursor;
+      list.value = cursor ? [...list.peek(), ...page[what.peek()]] : page[what.peek()];
+      next.value = page.next_cursor;
       problem.value = null;
     } catch (refused) {
       if (isNewest()) problem.value = refused;

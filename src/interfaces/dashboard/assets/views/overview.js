@@ -18,8 +18,8 @@ async function askFleet() {
   if (!isLive.peek() || document.hidden) return;
   const isNewest = asking();
   try {
-    const { grippers: told } = await get('fleet');
-    if (isNewest()) fleet.value = told;
+    const { grippers: all } = await get('fleet');
+    if (isNewest()) fleet.value = all;
   } catch {
     // Tried again with the next poll.
   }
