@@ -10,9 +10,19 @@ import { CHROMIUM, FLAGS, started } from './harness.mjs';
 
 export async function bareBrowser({ width = 1280, height = 800 } = {}) {
   const profile = mkdtempSync(join(tmpdir(), 'wsg-browser-'));
-  const flags = [...FLAGS, '--headless', '--no-sandbox', '--remote-debugging-pipe', `--user-data-dir=${profile}`, `--window-size=${width},${height}`, 'about:blank'];
+  const flags = [
+    ...FLAGS,
+    '--headless',
+    '--no-sandbox',
+    '--remote-debugging-pipe',
+    `--user-data-dir=${profile}`,
+    `--window-size=${width},${height}`,
+    'about:blank',
+  ];
   const child = spawn(CHROMIUM, flags, { stdio: ['ignore', 'ignore', 'ignore', 'pipe', 'pipe'] });
-  const ended = new Promise((resolve) => { child.once('exit', resolve); });
+  const ended = new Promise((resolve) => {
+    child.once('exit', resolve);
+  });
   const waiting = new Map();
   let nextId = 1;
   let rest = '';
@@ -26,12 +36,13 @@ export async function bareBrowser({ width = 1280, height = 800 } = {}) {
       else resolve?.(message.result);
     }
   });
-  const send = (method, params = {}, sessionId = undefined) => new Promise((resolve, reject) => {
-    const id = nextId;
-    nextId += 1;
-    waiting.set(id, { resolve, reject });
-    child.stdio[3].write(`${JSON.stringify({ id, method, params, sessionId })}\0`);
-  });
+  const send = (method, params = {}, sessionId = undefined) =>
+    new Promise((resolve, reject) => {
+      const id = nextId;
+      nextId += 1;
+      waiting.set(id, { resolve, reject });
+      child.stdio[3].write(`${JSON.stringify({ id, method, params, sessionId })}\0`);
+    });
   started.push(async () => {
     await send('Browser.close').catch(() => {});
     await ended;
@@ -44,7 +55,8 @@ export async function bareBrowser({ width = 1280, height = 800 } = {}) {
     const { targetId } = await send('Target.createTarget', { url, browserContextId, width, height });
     const { sessionId } = await send('Target.attachToTarget', { targetId, flatten: true });
     const ask = (method, params) => send(method, params, sessionId);
-    const evaluate = async (expression) => (await ask('Runtime.evaluate', { expression, returnByValue: true, awaitPromise: true })).result.value;
+    const evaluate = async (expression) =>
+      (await ask('Runtime.evaluate', { expression, returnByValue: true, awaitPromise: true })).result.value;
     return { ask, evaluate, close: () => send('Target.disposeBrowserContext', { browserContextId }) };
   };
   return { send, open };

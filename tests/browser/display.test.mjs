@@ -13,7 +13,8 @@ test('another client’s change of a setting is shown, and keeps typed input', a
   const visitor = await visit(launched, served, { path: '/#/left/device' });
   const { page } = visitor;
   const [force, acceleration] = ['#force-limit-force_n', '#acceleration-acceleration_mm_s2'];
-  const shows = (selector, value) => page.waitForFunction(([field, wanted]) => document.querySelector(field)?.value === wanted, [selector, value]);
+  const shows = (selector, value) =>
+    page.waitForFunction(([field, wanted]) => document.querySelector(field)?.value === wanted, [selector, value]);
   await shows(force, '40');
   await page.fill(force, '33');
   await served.ask('PUT', 'grippers/left/settings/force-limit', { force_n: 44 });
@@ -22,7 +23,7 @@ test('another client’s change of a setting is shown, and keeps typed input', a
   await page.waitForSelector('.meanwhile:has-text("44 N")');
   await page.fill(acceleration, '1600');
   await page.locator(`form:has(${acceleration}) button[type=submit]`).click();
-  await page.waitForSelector('.settings-panel:has-text("Set.")');
+  await page.waitForSelector('.settings-panel:has-text("Applied.")');
   assert.match(await page.locator('.meanwhile').innerText(), /by http:/, 'another setting leaves this note alone');
   assert.equal(await page.inputValue(force), '33');
   await page.click('.meanwhile button');
@@ -30,7 +31,7 @@ test('another client’s change of a setting is shown, and keeps typed input', a
   assert.equal(await page.locator('.meanwhile').count(), 0);
   await page.fill(force, '30');
   await page.locator(`form:has(${force}) button[type=submit]`).click();
-  await page.waitForSelector('.settings-panel:has-text("Set.")');
+  await page.waitForSelector('.settings-panel:has-text("Applied.")');
   assert.equal((await served.ask('GET', 'grippers/left/settings/force-limit')).force_n, 30);
   assert.equal(await page.locator('.meanwhile').count(), 0, 'the user’s own change is not reported');
   // The force hint shows the limit for a grip without a force, also after a grip changed it.
@@ -51,14 +52,15 @@ test('a force limit lowered by overdrive is shown without an event', async () =>
   const served = await gateway();
   const { page, close } = await visit(launched, served, { path: '/#/left/device' });
   const force = '#force-limit-force_n';
-  const shows = (value) => page.waitForFunction(([field, wanted]) => document.querySelector(field)?.value === wanted, [force, value]);
+  const shows = (value) =>
+    page.waitForFunction(([field, wanted]) => document.querySelector(field)?.value === wanted, [force, value]);
   await shows('40');
   await served.ask('PUT', 'grippers/left/settings/overdrive', { enabled: true });
   await served.ask('PUT', 'grippers/left/settings/force-limit', { force_n: 100 });
   await shows('100');
   await page.fill(force, '33');
   await served.ask('PUT', 'grippers/left/settings/overdrive', { enabled: false });
-  await page.waitForSelector('.meanwhile:has-text("Set to 80 N meanwhile, by –.")');
+  await page.waitForSelector('.meanwhile:has-text("Meanwhile set to 80 N by –.")');
   await page.click('.meanwhile button');
   await shows('80');
   await close();
@@ -71,7 +73,9 @@ test('a late answer does not overwrite that of a newer filter', async () => {
   const { page, close } = await visit(launched, served, { path: '/#/left/history' });
   await page.waitForSelector('tbody tr:nth-child(2)');
   let letGo;
-  const held = new Promise((resolve) => { letGo = resolve; });
+  const held = new Promise((resolve) => {
+    letGo = resolve;
+  });
   await page.route('**/grips?**kind=move**', async (route) => {
     const response = await route.fetch();
     await held;
@@ -84,18 +88,26 @@ test('a late answer does not overwrite that of a newer filter', async () => {
   await page.selectOption('#kind', 'move');
   const late = await asked;
   const looks = [];
-  page.on('requestfinished', (request) => { if (request.url().includes('/grips?')) looks.push(request.url()); });
+  page.on('requestfinished', (request) => {
+    if (request.url().includes('/grips?')) looks.push(request.url());
+  });
   await page.selectOption('#kind', 'home');
-  const only = (word) => page.waitForFunction((wanted) => {
-    const rows = [...document.querySelectorAll('tbody tr')];
-    return rows.length === 1 && rows[0].innerText.includes(wanted);
-  }, word);
+  const only = (word) =>
+    page.waitForFunction((wanted) => {
+      const rows = [...document.querySelectorAll('tbody tr')];
+      return rows.length === 1 && rows[0].innerText.includes(wanted);
+    }, word);
   await only('Home');
   await until('the event causes a reload', () => looks.length >= 2);
   await only('Home');
   letGo();
   await (await late.response()).finished();
-  await page.evaluate(() => new Promise((resolve) => { requestAnimationFrame(() => setTimeout(resolve)); }));
+  await page.evaluate(
+    () =>
+      new Promise((resolve) => {
+        requestAnimationFrame(() => setTimeout(resolve));
+      }),
+  );
   await only('Home');
   await close();
 });
@@ -105,7 +117,7 @@ test('the first screen works without the other modules, and STOP too', async () 
   const { page, close } = await visit(launched, served);
   await page.route('**/views/**', (route) => route.abort());
   await page.goto(served.url);
-  await page.waitForSelector('.missing [role=alert]:has-text("could not be fetched")');
+  await page.waitForSelector('.missing [role=alert]:has-text("could not be loaded")');
   await page.waitForSelector('.figure-main');
   assert.equal(await page.locator('.motion-panel').count(), 0);
   await page.click('#stop');
@@ -124,11 +136,19 @@ test('updates before the page is ready are kept, from one subscription', async (
   const [asked, heard] = [[], []];
   await page.routeWebSocket('**/api/v1/ws', (socket) => {
     const server = socket.connectToServer();
-    socket.onMessage((message) => { asked.push(JSON.parse(message).method); server.send(message); });
-    server.onMessage((message) => { heard.push(JSON.parse(message)); socket.send(message); });
+    socket.onMessage((message) => {
+      asked.push(JSON.parse(message).method);
+      server.send(message);
+    });
+    server.onMessage((message) => {
+      heard.push(JSON.parse(message));
+      socket.send(message);
+    });
   });
   let letGo;
-  const held = new Promise((resolve) => { letGo = resolve; });
+  const held = new Promise((resolve) => {
+    letGo = resolve;
+  });
   await page.route('**/app.js', async (route) => {
     await held;
     await route.continue();
@@ -137,7 +157,9 @@ test('updates before the page is ready are kept, from one subscription', async (
   await until('the page has subscribed', () => asked.length === 1);
   await served.ask('POST', 'grippers/left/home');
   await served.ask('POST', 'grippers/left/move', { width_mm: 50, speed_mm_s: 300 });
-  await until('the end of the move is notified', () => heard.some(({ params }) => params?.command === 'move' && params.outcome === 'SUCCESS'));
+  await until('the end of the move is notified', () =>
+    heard.some(({ params }) => params?.command === 'move' && params.outcome === 'SUCCESS'),
+  );
   assert.deepEqual(asked, ['subscribe']);
   letGo();
   await page.waitForSelector('.last[data-outcome=SUCCESS]:has-text("Move")');
@@ -172,18 +194,19 @@ test('charts follow the colour scheme', async () => {
   const { page, close } = await visit(launched, served, { colorScheme: 'light' });
   await homed(page);
   /** Darkest and lightest pixel of the chart: on a dark page the trace is the lightest, on a light page the grid. */
-  const trace = () => page.evaluate(() => {
-    const canvas = document.querySelector('.chart canvas');
-    if (!canvas || canvas.width === 0) return null;
-    const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
-    let [dark, light] = [255, 0];
-    for (let at = 0; at < data.length; at += 4) {
-      if (data[at + 3] < 250) continue;
-      dark = Math.min(dark, data[at]);
-      light = Math.max(light, data[at]);
-    }
-    return { dark, light };
-  });
+  const trace = () =>
+    page.evaluate(() => {
+      const canvas = document.querySelector('.chart canvas');
+      if (!canvas || canvas.width === 0) return null;
+      const { data } = canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height);
+      let [dark, light] = [255, 0];
+      for (let at = 0; at < data.length; at += 4) {
+        if (data[at + 3] < 250) continue;
+        dark = Math.min(dark, data[at]);
+        light = Math.max(light, data[at]);
+      }
+      return { dark, light };
+    });
   // --trace is #24364a on the light page, and #c3d4e6 on the dark one.
   await until('the trace is dark', async () => ((await trace())?.dark ?? 255) < 0x40);
   await page.emulateMedia({ colorScheme: 'dark' });
@@ -224,10 +247,11 @@ test('a problem with missing values is shown in the gateway’s words', async ()
   const served = await gateway();
   const { page, close } = await visit(launched, served);
   await page.waitForSelector('#take-control');
-  const said = (problem) => page.evaluate(async (one) => {
-    const { ofProblem } = await import(new URL('model/i18n.js', document.querySelector('script[type=module]').src));
-    return ofProblem(one);
-  }, problem);
+  const said = (problem) =>
+    page.evaluate(async (one) => {
+      const { ofProblem } = await import(new URL('model/i18n.js', document.querySelector('script[type=module]').src));
+      return ofProblem(one);
+    }, problem);
   assert.equal(await said({ code: 'lease_held', holder: 'Anna', detail: 'held' }), 'Anna has control.');
   assert.equal(await said({ code: 'malformed', detail: 'expected a comma at line 1' }), 'expected a comma at line 1');
   assert.equal(await said({ code: 'out_of_range', field: 'width_mm', value: 0, min: 0, detail: 'beyond' }), 'beyond');
@@ -242,7 +266,7 @@ test('the log is covered while the gateway is silent', async () => {
   await page.waitForSelector('.frame');
   served.child.kill('SIGSTOP');
   try {
-    await page.waitForSelector('.covered:has(.frames) .cover:has-text("does not answer")');
+    await page.waitForSelector('.covered:has(.frames) .cover:has-text("is not responding")');
   } finally {
     allowed.connections = true;
     served.child.kill('SIGCONT');

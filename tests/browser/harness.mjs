@@ -21,7 +21,14 @@ export const ASSETS = join(ROOT, 'src/interfaces/dashboard/assets/');
 export const DEADLINE_MS = 30_000;
 
 export const CHROMIUM = process.env.CHROMIUM ?? '/usr/bin/chromium';
-export const FLAGS = ['--disable-gpu', '--disable-quic', '--no-first-run', '--disable-background-networking', '--disable-component-update', '--disable-sync'];
+export const FLAGS = [
+  '--disable-gpu',
+  '--disable-quic',
+  '--no-first-run',
+  '--disable-background-networking',
+  '--disable-component-update',
+  '--disable-sync',
+];
 
 /** Clean-up functions, run in reverse order. */
 export const started = [];
@@ -36,7 +43,9 @@ export async function until(what, look) {
     const found = await look();
     if (found) return found;
     assert.ok(Date.now() < end, `not within ${DEADLINE_MS} ms: ${what}`);
-    await new Promise((resolve) => { setTimeout(resolve, 20); });
+    await new Promise((resolve) => {
+      setTimeout(resolve, 20);
+    });
   }
 }
 
@@ -44,26 +53,37 @@ export async function until(what, look) {
 async function run(flags, looksFor) {
   const program = process.env.WSG_GATEWAY_PROGRAM ?? join(ROOT, 'target/debug/wsg-gateway');
   const child = spawn(program, flags, { stdio: ['ignore', 'pipe', 'pipe'] });
-  const ended = new Promise((resolve) => { child.once('exit', resolve); });
+  const ended = new Promise((resolve) => {
+    child.once('exit', resolve);
+  });
   let output = '';
   let log = '';
-  child.stdout.on('data', (text) => { output += text; });
-  child.stderr.on('data', (text) => { log += text; });
+  child.stdout.on('data', (text) => {
+    output += text;
+  });
+  child.stderr.on('data', (text) => {
+    log += text;
+  });
   const kill = async (signal = 'SIGKILL') => {
     child.kill(signal);
     await ended;
   };
   started.push(() => kill('SIGTERM'));
-  const says = (pattern) => until(`${flags.join(' ')} prints ${pattern}`, () => {
-    assert.equal(child.exitCode, null, `the process ended: ${log}`);
-    return pattern.exec(output)?.[1];
-  });
+  const says = (pattern) =>
+    until(`${flags.join(' ')} prints ${pattern}`, () => {
+      assert.equal(child.exitCode, null, `the process ended: ${log}`);
+      return pattern.exec(output)?.[1];
+    });
   return { child, kill, says, said: await says(looksFor) };
 }
 
 /** Starts a simulated device. `happens` injects changes through its control port. */
 export async function simulator() {
-  const { child, says, said: url } = await run(['sim', 'tcp://127.0.0.1:0', '--control', '127.0.0.1:0'], /(tcp:\/\/127\.0\.0\.1:[1-9]\d*)/);
+  const {
+    child,
+    says,
+    said: url,
+  } = await run(['sim', 'tcp://127.0.0.1:0', '--control', '127.0.0.1:0'], /(tcp:\/\/127\.0\.0\.1:[1-9]\d*)/);
   const devices = await says(/faults at (http:\S+)/);
   const happens = async (change) => {
     const answer = await fetch(`${devices}/0`, { method: 'POST', body: JSON.stringify(change) });
@@ -83,7 +103,10 @@ export async function gateway({ port = 0, more = [], connects = null } = {}) {
   const one = { url, child, port: Number(new URL(url).port), kill, says, ask };
   await until('the grippers are connected', async () => {
     const { grippers } = await ask('GET', 'grippers');
-    return grippers.length > 0 && grippers.every(({ gripper, link }) => link === 'connected' || connects?.includes(gripper) === false);
+    return (
+      grippers.length > 0 &&
+      grippers.every(({ gripper, link }) => link === 'connected' || connects?.includes(gripper) === false)
+    );
   });
   return one;
 }
@@ -105,8 +128,10 @@ export async function slowReads({ url }) {
     passed.on('error', () => answer.destroy());
     asked.pipe(passed);
   });
-  proxy.on('upgrade', (asked, socket) => socket.destroy());
-  await new Promise((resolve) => { proxy.listen(0, '127.0.0.1', resolve); });
+  proxy.on('upgrade', (_asked, socket) => socket.destroy());
+  await new Promise((resolve) => {
+    proxy.listen(0, '127.0.0.1', resolve);
+  });
   started.push(() => {
     proxy.closeAllConnections();
     proxy.close();
@@ -122,15 +147,22 @@ export async function browser() {
 
 /** Opens a fresh browser context with a watched page. */
 export async function visit(launched, { url }, { path = '/', width = 1280, height = 800, ...more } = {}) {
-  const context = await launched.newContext({ viewport: { width, height }, locale: 'en-GB', timezoneId: 'UTC', ...more });
+  const context = await launched.newContext({
+    viewport: { width, height },
+    locale: 'en-GB',
+    timezoneId: 'UTC',
+    ...more,
+  });
   context.setDefaultTimeout(DEADLINE_MS);
   const page = await context.newPage();
   const wrong = [];
   /** While the gateway is away on purpose, connection errors are allowed. */
   const allowed = { connections: false };
-  const isAllowed = (text) => allowed.connections && /ERR_CONNECTION|ERR_EMPTY_RESPONSE|WebSocket|ERR_SOCKET/.test(text);
+  const isAllowed = (text) =>
+    allowed.connections && /ERR_CONNECTION|ERR_EMPTY_RESPONSE|WebSocket|ERR_SOCKET/.test(text);
   page.on('console', (message) => {
-    if (['error', 'warning'].includes(message.type()) && !isAllowed(message.text())) wrong.push(`${message.type()}: ${message.text()} ${message.location().url}`);
+    if (['error', 'warning'].includes(message.type()) && !isAllowed(message.text()))
+      wrong.push(`${message.type()}: ${message.text()} ${message.location().url}`);
   });
   page.on('pageerror', (error) => wrong.push(`exception: ${error.stack}`));
   page.on('request', (request) => {

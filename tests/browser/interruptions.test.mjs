@@ -3,7 +3,18 @@
 import assert from 'node:assert/strict';
 import { after, test } from 'node:test';
 
-import { assertClean, browser, controlled, endAll, gateway, homed, named, simulator, until, visit } from './harness.mjs';
+import {
+  assertClean,
+  browser,
+  controlled,
+  endAll,
+  gateway,
+  homed,
+  named,
+  simulator,
+  until,
+  visit,
+} from './harness.mjs';
 
 after(endAll);
 const launched = await browser();
@@ -14,7 +25,7 @@ test('handed-over control is taken from any view', async () => {
   await named(ben.page, 'Ben');
   await controlled(anna.page);
   await ben.page.click('#ask-control');
-  await ben.page.waitForSelector('.control-panel:has-text("Asked.")');
+  await ben.page.waitForSelector('.control-panel:has-text("Control requested.")');
   await ben.page.click('[data-view=history]');
   await ben.page.waitForSelector('#export');
   await anna.page.click('#hand-over');
@@ -37,7 +48,9 @@ test('control handed over at once is taken too', async () => {
       if (method === 'lease') unanswered.add(id);
       server.send(message);
     });
-    server.onMessage((message) => { if (!unanswered.has(JSON.parse(message).id)) socket.send(message); });
+    server.onMessage((message) => {
+      if (!unanswered.has(JSON.parse(message).id)) socket.send(message);
+    });
   });
   await ben.page.reload();
   await controlled(anna.page);
@@ -49,14 +62,18 @@ test('control handed over at once is taken too', async () => {
 
 test('only the first request for control is confirmed', async () => {
   const served = await gateway();
-  const [anna, ben, cleo] = [await visit(launched, served), await visit(launched, served), await visit(launched, served)];
+  const [anna, ben, cleo] = [
+    await visit(launched, served),
+    await visit(launched, served),
+    await visit(launched, served),
+  ];
   await named(ben.page, 'Ben');
   await controlled(anna.page);
   await ben.page.click('#ask-control');
-  await ben.page.waitForSelector('.control-panel:has-text("Asked.")');
+  await ben.page.waitForSelector('.control-panel:has-text("Control requested.")');
   await cleo.page.click('#ask-control');
-  await cleo.page.waitForSelector('.problem:has-text("Ben has asked for control first")');
-  assert.equal(await cleo.page.locator('.control-panel:has-text("Asked.")').count(), 0);
+  await cleo.page.waitForSelector('.problem:has-text("Ben asked for control first")');
+  assert.equal(await cleo.page.locator('.control-panel:has-text("Control requested.")').count(), 0);
   await Promise.all([anna, ben, cleo].map((one) => one.close()));
 });
 
@@ -71,7 +88,11 @@ test('releasing a jog after a forced take does not stop the new holder', async (
   await until('the jog moves the fingers', async () => (await state()).width_mm < from - 1);
   const { token } = await served.ask('POST', 'grippers/left/lease', { holder: 'robot', ttl_ms: 60_000, force: true });
   const runs = await until('the robot moves the fingers', async () => {
-    const { id } = await served.ask('POST', 'grippers/left/move?wait_ms=0', { width_mm: 60, speed_mm_s: 20, lease: token });
+    const { id } = await served.ask('POST', 'grippers/left/move?wait_ms=0', {
+      width_mm: 60,
+      speed_mm_s: 20,
+      lease: token,
+    });
     return id;
   });
   await page.mouse.up();
@@ -106,8 +127,12 @@ async function jogging({ toAnna = () => true, toGateway = () => true }) {
   const [anna, ben] = [await visit(launched, served), await visit(launched, served)];
   await anna.page.routeWebSocket('**/api/v1/ws', (socket) => {
     const server = socket.connectToServer();
-    socket.onMessage((message) => { if (toGateway(JSON.parse(message))) server.send(message); });
-    server.onMessage((message) => { if (toAnna(JSON.parse(message), () => socket.send(message))) socket.send(message); });
+    socket.onMessage((message) => {
+      if (toGateway(JSON.parse(message))) server.send(message);
+    });
+    server.onMessage((message) => {
+      if (toAnna(JSON.parse(message), () => socket.send(message))) socket.send(message);
+    });
   });
   await anna.page.reload();
   await homed(anna.page);
@@ -122,10 +147,11 @@ async function jogging({ toAnna = () => true, toGateway = () => true }) {
   // With another finger.
   await anna.page.evaluate(() => document.querySelector('#hand-over').click());
   await ben.page.waitForSelector('.status.tone-mine');
-  const stopped = () => until('the jog is aborted', async () => {
-    const { events } = await served.ask('GET', 'events?kind=command&outcome=ABORTED');
-    return events.length > 0 && (await state()).moving === false;
-  });
+  const stopped = () =>
+    until('the jog is aborted', async () => {
+      const { events } = await served.ask('GET', 'events?kind=command&outcome=ABORTED');
+      return events.length > 0 && (await state()).moving === false;
+    });
   return { state, stopped, page: anna.page, close: () => Promise.all([anna.close(), ben.close()]) };
 }
 

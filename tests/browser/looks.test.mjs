@@ -5,13 +5,30 @@ import assert from 'node:assert/strict';
 import { readFileSync } from 'node:fs';
 import { after, test } from 'node:test';
 
-import { assertClean, ASSETS, AXE, browser, endAll, gateway, homed, named, shoot, simulator, visit } from './harness.mjs';
+import {
+  assertClean,
+  ASSETS,
+  AXE,
+  browser,
+  endAll,
+  gateway,
+  homed,
+  named,
+  shoot,
+  simulator,
+  visit,
+} from './harness.mjs';
 
 after(endAll);
 const launched = await browser();
 
 /** WCAG requires 320 px: 1280 px at 400 %. */
-const SIZES = { narrow: { width: 320, height: 568, hasTouch: true, isMobile: true }, phone: { width: 390, height: 844, hasTouch: true, isMobile: true }, panel: { width: 1280, height: 800, hasTouch: true }, desk: { width: 1920, height: 1080 } };
+const SIZES = {
+  narrow: { width: 320, height: 568, hasTouch: true, isMobile: true },
+  phone: { width: 390, height: 844, hasTouch: true, isMobile: true },
+  panel: { width: 1280, height: 800, hasTouch: true },
+  desk: { width: 1920, height: 1080 },
+};
 /** The longest possible name, without a place to break. */
 const LONGEST = 'longest_possible_name_of_gripper';
 const VIEWS = ['operate', 'history', 'log', 'device', 'all'];
@@ -20,8 +37,15 @@ const axe = readFileSync(AXE, 'utf8');
 async function violations(page) {
   // Injects the checker through the debugger, which the page's content security policy does not restrict.
   await page.evaluate(axe);
-  const { violations: found } = await page.evaluate(() => globalThis.axe.run(document, { runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa', 'best-practice'] }));
-  return found.map(({ id, nodes }) => ({ id, nodes: nodes.map(({ target, failureSummary }) => `${target}: ${failureSummary}`) }));
+  const { violations: found } = await page.evaluate(() =>
+    globalThis.axe.run(document, {
+      runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa', 'best-practice'],
+    }),
+  );
+  return found.map(({ id, nodes }) => ({
+    id,
+    nodes: nodes.map(({ target, failureSummary }) => `${target}: ${failureSummary}`),
+  }));
 }
 
 /** Finds elements wider than the screen or too small to touch. The window's own width grows with its content. */
@@ -32,7 +56,8 @@ async function misfits(page) {
       .map((one) => ({ one, box: one.getBoundingClientRect() }))
       .filter(({ box }) => box.height < 43.5 || box.width < 24)
       .map(({ one, box }) => `${one.outerHTML.slice(0, 90)} is ${Math.round(box.width)} x ${Math.round(box.height)}`);
-    const wide = document.documentElement.scrollWidth > width ? [`the page is ${document.documentElement.scrollWidth} wide`] : [];
+    const wide =
+      document.documentElement.scrollWidth > width ? [`the page is ${document.documentElement.scrollWidth} wide`] : [];
     const stop = document.querySelector('#stop').getBoundingClientRect();
     if (stop.left < 0 || stop.right > width) wide.push(`STOP is from ${stop.left} to ${stop.right}`);
     return [...wide, ...small];
@@ -48,11 +73,20 @@ async function pickAFrame(page) {
 }
 
 for (const [size, shape] of Object.entries(SIZES)) {
-  for (const [language, colorScheme] of [['en', 'light'], ['de', 'dark']]) {
+  for (const [language, colorScheme] of [
+    ['en', 'light'],
+    ['de', 'dark'],
+  ]) {
     test(`${size}, ${language}, ${colorScheme}: axe finds nothing, and everything fits`, async () => {
       const isNarrow = size === 'narrow';
-      const served = await gateway({ more: isNarrow ? ['--gripper', `${LONGEST}=sim://wsg50?part_mm=20`, '--gripper', 'right=sim://wsg50'] : [] });
-      const visitor = await visit(launched, served, { ...shape, colorScheme, locale: language === 'de' ? 'de-DE' : 'en-GB' });
+      const served = await gateway({
+        more: isNarrow ? ['--gripper', `${LONGEST}=sim://wsg50?part_mm=20`, '--gripper', 'right=sim://wsg50'] : [],
+      });
+      const visitor = await visit(launched, served, {
+        ...shape,
+        colorScheme,
+        locale: language === 'de' ? 'de-DE' : 'en-GB',
+      });
       const { page } = visitor;
       if (isNarrow) {
         await named(page, LONGEST);
@@ -65,7 +99,10 @@ for (const [size, shape] of Object.entries(SIZES)) {
       await page.click('#grip:enabled');
       for (const view of VIEWS) {
         await page.click(`[data-view=${view}]`);
-        await page.waitForFunction((name) => document.querySelector(`[data-view=${name}]`).getAttribute('aria-current') === 'page', view);
+        await page.waitForFunction(
+          (name) => document.querySelector(`[data-view=${name}]`).getAttribute('aria-current') === 'page',
+          view,
+        );
         if (view === 'history') await page.click('tbody button');
         if (view === 'log') await pickAFrame(page);
         if (view === 'history') await page.waitForSelector('.curve-place canvas');
@@ -88,12 +125,21 @@ for (const [size, shape] of Object.entries(SIZES)) {
   }
 }
 
-for (const [language, colorScheme] of [['en', 'light'], ['en', 'dark'], ['de', 'light'], ['de', 'dark']]) {
+for (const [language, colorScheme] of [
+  ['en', 'light'],
+  ['en', 'dark'],
+  ['de', 'light'],
+  ['de', 'dark'],
+]) {
   test(`axe finds nothing in error states, ${language}, ${colorScheme}`, async () => {
     const words = (await import(`${ASSETS}locales/${language}.js`))[language];
     const device = await simulator();
     const served = await gateway({ more: ['--gripper', `left=${device.url}`] });
-    const visitor = await visit(launched, served, { ...SIZES.panel, colorScheme, locale: language === 'de' ? 'de-DE' : 'en-GB' });
+    const visitor = await visit(launched, served, {
+      ...SIZES.panel,
+      colorScheme,
+      locale: language === 'de' ? 'de-DE' : 'en-GB',
+    });
     const { page } = visitor;
     const look = async (what) => {
       await page.evaluate(() => scrollTo(0, 0));
@@ -145,7 +191,16 @@ test('a change of language translates every word', async () => {
   await page.click('[data-choice=language-de]');
   await page.waitForSelector(`#take-control:has-text("${de['control.take']}")`);
   const shown = await page.locator('body').innerText();
-  for (const key of ['motion.title', 'stop.not', 'chart.pause', 'command.grip', 'control.title', 'flag.REFERENCED', 'nav.history']) assert.ok(shown.includes(de[key]), key);
+  for (const key of [
+    'motion.title',
+    'stop.not',
+    'chart.pause',
+    'command.grip',
+    'control.title',
+    'flag.REFERENCED',
+    'nav.history',
+  ])
+    assert.ok(shown.includes(de[key]), key);
   await page.reload();
   await page.waitForSelector(`#take-control:has-text("${de['control.take']}")`);
   assertClean(visitor);

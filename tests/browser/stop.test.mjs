@@ -44,7 +44,9 @@ test('STOP works by key from any view and from a field, and without the WebSocke
   const silent = await visit(launched, served);
   await silent.page.routeWebSocket('**/api/v1/ws', (socket) => {
     const server = socket.connectToServer();
-    socket.onMessage((message) => { if (!String(message).includes('fast-stop')) server.send(message); });
+    socket.onMessage((message) => {
+      if (!String(message).includes('fast-stop')) server.send(message);
+    });
   });
   await silent.page.reload();
   await silent.page.waitForSelector('#take-control');
@@ -112,9 +114,14 @@ test('a read cancelled by STOP is repeated', async () => {
   });
   await page.exposeFunction('reads', () => reads);
   const result = await page.evaluate(async () => {
-    const { get, postUrgently } = await import(new URL('net/rest.js', document.querySelector('script[type=module]').src));
-    const read = get('events?limit=1').then(({ events }) => events.length, (problem) => problem);
-    while (await globalThis.reads() === 0) await new Promise(requestAnimationFrame);
+    const { get, postUrgently } = await import(
+      new URL('net/rest.js', document.querySelector('script[type=module]').src)
+    );
+    const read = get('events?limit=1').then(
+      ({ events }) => events.length,
+      (problem) => problem,
+    );
+    while ((await globalThis.reads()) === 0) await new Promise(requestAnimationFrame);
     const { fast_stop_id: id } = await postUrgently('grippers/left/fast-stop', { reason: 'a test' }, 5000);
     return { id, read: await read };
   });
@@ -142,7 +149,12 @@ test('the result of the newest STOP is shown', async () => {
   await page.click('#stop');
   await page.waitForSelector('.stopped:has-text("confirmed")');
   await ended;
-  await page.evaluate(() => new Promise((resolve) => { requestAnimationFrame(() => setTimeout(resolve)); }));
+  await page.evaluate(
+    () =>
+      new Promise((resolve) => {
+        requestAnimationFrame(() => setTimeout(resolve));
+      }),
+  );
   assert.equal(await page.locator('.stopped:has-text("did not get through")').count(), 0);
   await visitor.close();
 });

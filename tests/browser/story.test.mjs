@@ -38,7 +38,11 @@ test('home, grip, hold, stop, see the cause, acknowledge', async () => {
   await page.waitForSelector('#latch-title');
   const stopped = await served.ask('GET', 'grippers/left/state');
   assert.equal(stopped.fast_stop, true);
-  assert.equal((await served.ask('GET', 'grippers/right/state')).fast_stop_id, stopped.fast_stop_id, 'STOP stops all grippers');
+  assert.equal(
+    (await served.ask('GET', 'grippers/right/state')).fast_stop_id,
+    stopped.fast_stop_id,
+    'STOP stops all grippers',
+  );
   assert.equal(await text(page, '#latch-by'), stopped.fast_stop_by);
   assert.match(await text(page, '.latch'), /dashboard, browser-/);
   assert.match(await text(page, '#latch-title'), new RegExp(`…${stopped.fast_stop_id.slice(-4)}`));
@@ -47,7 +51,11 @@ test('home, grip, hold, stop, see the cause, acknowledge', async () => {
   await page.click('#acknowledge:enabled');
   await page.waitForSelector('#grip');
   assert.equal((await served.ask('GET', 'grippers/left/state')).fast_stop, false);
-  assert.equal((await served.ask('GET', 'grippers/right/state')).fast_stop, true, 'only the shown gripper is acknowledged');
+  assert.equal(
+    (await served.ask('GET', 'grippers/right/state')).fast_stop,
+    true,
+    'only the shown gripper is acknowledged',
+  );
 
   // The part's name is stored with the grip.
   await page.click('[data-view=history]');
@@ -69,7 +77,11 @@ test('an out-of-range value is not sent, and its field shows the limit', async (
   const { page } = visitor;
   await homed(page);
   assert.match(await text(page, '#width-hint'), /0 – 110 mm/);
-  for (const [id, wrong, hint] of [['width', '111', /at most 110/], ['speed', '4', /at least 5/], ['force', '81', /at most 80/]]) {
+  for (const [id, wrong, hint] of [
+    ['width', '111', /at most 110/],
+    ['speed', '4', /at least 5/],
+    ['force', '81', /at most 80/],
+  ]) {
     const right = await page.inputValue(`#${id}`);
     await page.fill(`#${id}`, wrong);
     assert.match(await text(page, `#${id}-hint`), hint);
@@ -87,7 +99,7 @@ test('an out-of-range value is not sent, and its field shows the limit', async (
   await page.locator('form:has(#soft-limits-plus_mm) button[type=submit]').click();
   await page.click('[data-view=operate]');
   await page.waitForSelector('#width-hint:has-text("10 – 60 mm")');
-  assert.ok(await page.locator('.jaws .forbidden rect').count() >= 2);
+  assert.ok((await page.locator('.jaws .forbidden rect').count()) >= 2);
   assertClean(visitor);
   await visitor.close();
 });
@@ -103,8 +115,19 @@ test('a jog moves only while it is held', async () => {
   for (const [how, press, release] of [
     ['by pointer', () => page.mouse.down(), () => page.mouse.up()],
     ['by key', () => page.keyboard.down('Space'), () => page.keyboard.up('Space')],
-    ['left by the pointer outside', () => page.mouse.down(), async () => { await page.mouse.move(2, 2); await page.mouse.up(); }],
-    ['left by a change of view', () => page.keyboard.down('Enter'), () => page.evaluate(() => document.querySelector('[data-view=history]').click())],
+    [
+      'left by the pointer outside',
+      () => page.mouse.down(),
+      async () => {
+        await page.mouse.move(2, 2);
+        await page.mouse.up();
+      },
+    ],
+    [
+      'left by a change of view',
+      () => page.keyboard.down('Enter'),
+      () => page.evaluate(() => document.querySelector('[data-view=history]').click()),
+    ],
   ]) {
     await page.waitForSelector('#jog-close:enabled');
     await button.hover();
@@ -158,13 +181,16 @@ test('a page that hangs during a jog stops the fingers', async () => {
   const state = () => served.ask('GET', 'grippers/left/state');
   await until('the fingers move', async () => (await state()).width_mm < 105);
   // The connection still answers pings, because the browser does that rather than the page.
-  const hangs = page.evaluate(() => new Promise((resolve) => {
-    setTimeout(() => {
-      const end = Date.now() + 2500;
-      while (Date.now() < end);
-      resolve();
-    });
-  }));
+  const hangs = page.evaluate(
+    () =>
+      new Promise((resolve) => {
+        setTimeout(() => {
+          const end = Date.now() + 2500;
+          while (Date.now() < end);
+          resolve();
+        });
+      }),
+  );
   const stopped = await until('the gripper is stopped', async () => {
     const now = await state();
     return now.fast_stop ? now : null;
@@ -213,7 +239,10 @@ test('frames and bytes are decoded, and the editor sends a command', async () =>
   // A float reply: its four bytes, selected from first to last.
   await page.locator('.frame.received', { hasText: '150' }).last().click();
   await page.locator('.byte').nth(8).click();
-  await page.locator('.byte').nth(11).click({ modifiers: ['Shift'] });
+  await page
+    .locator('.byte')
+    .nth(11)
+    .click({ modifiers: ['Shift'] });
   assert.equal(await text(page, '#meanings [data-type=f32]'), '150');
   await page.fill('#editor-payload', '0x20 nonsense');
   assert.match(await text(page, '#editor-payload-hint'), /nonsense/);

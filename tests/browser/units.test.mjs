@@ -18,7 +18,15 @@ const { bytesOf, cut } = await core('bytes');
 const { numbered } = await core('newest');
 
 test('frames and checksums match the manuals', () => {
-  const vectors = ['aaaaaa010000e810', 'aaaaaa0102001234' + '6d66', 'aaaaaa2002000000b3fd', 'aaaaaa900200' + '0e00fd02', 'aaaaaa2102001a0067cb', 'aaaaaa21020000002804', 'aaaaaa310600' + '0000000016431caf'];
+  const vectors = [
+    'aaaaaa010000e810',
+    'aaaaaa0102001234' + '6d66',
+    'aaaaaa2002000000b3fd',
+    'aaaaaa900200' + '0e00fd02',
+    'aaaaaa2102001a0067cb',
+    'aaaaaa21020000002804',
+    'aaaaaa310600' + '0000000016431caf',
+  ];
   for (const hex of vectors) {
     const { id, size, payload } = parts(fromHex(hex));
     assert.equal(size, payload.length, hex);
@@ -41,14 +49,30 @@ test('the editor accepts bytes, floats and texts, and names errors', () => {
   assert.equal(bytes('"text" 7 255'), '7465787407ff');
   assert.equal(bytes('"a b\\"c"'), '6120622263');
   assert.equal(bytes('  0x00   20.0f 0x0A '), '000000a0410a');
-  for (const [text, wrong] of [['256', '256'], ['0x', '0x'], ['1.5', '1.5'], ['0x20 x', 'x'], ['"open', '"open'], ['"\u20ac"', '\u20ac'], ['-1', '-1']]) {
+  for (const [text, wrong] of [
+    ['256', '256'],
+    ['0x', '0x'],
+    ['1.5', '1.5'],
+    ['0x20 x', 'x'],
+    ['"open', '"open'],
+    ['"\u20ac"', '\u20ac'],
+    ['-1', '-1'],
+  ]) {
     assert.equal(parse(text).wrong, wrong, text);
   }
 });
 
 test('an id is a number or has the manual’s notation', () => {
-  for (const [text, id] of [['0x31', 0x31], ['31h', 0x31], [' FFh ', 255], ['49', 49], ['0', 0]]) assert.equal(parseId(text), id, text);
-  for (const text of ['', '256', '0x100', '-1', '1.5', 'xyz', '31']) assert.equal(parseId(text), text === '31' ? 31 : null, text);
+  for (const [text, id] of [
+    ['0x31', 0x31],
+    ['31h', 0x31],
+    [' FFh ', 255],
+    ['49', 49],
+    ['0', 0],
+  ])
+    assert.equal(parseId(text), id, text);
+  for (const text of ['', '256', '0x100', '-1', '1.5', 'xyz', '31'])
+    assert.equal(parseId(text), text === '31' ? 31 : null, text);
 });
 
 test('bytes are shown as every type of their length', () => {
@@ -102,11 +126,18 @@ test('ambiguous numbers are rejected, and fields never contain one', () => {
     assert.equal(readings(text).length, 2, text);
   }
   assert.deepEqual(readings('1,050'), [1.05, 1050]);
-  for (const [text, value] of [['0,125', 0.125], ['1000', 1000], ['1234.567', 1234.567], ['12,34', 12.34], ['1.0000', 1]]) {
+  for (const [text, value] of [
+    ['0,125', 0.125],
+    ['1000', 1000],
+    ['1234.567', 1234.567],
+    ['12,34', 12.34],
+    ['1.0000', 1],
+  ]) {
     assert.equal(readings(text), null, text);
     assert.equal(number(text), value, text);
   }
-  for (const value of [12.345, 5000, 0.125, 33.3331]) assert.ok(Math.abs(number(asTyped(value)) - value) < 0.006, `${value}`);
+  for (const value of [12.345, 5000, 0.125, 33.3331])
+    assert.ok(Math.abs(number(asTyped(value)) - value) < 0.006, `${value}`);
   assert.equal(asTyped(null), '');
 });
 
@@ -126,7 +157,14 @@ test('only the newest request counts', () => {
 });
 
 test('limits combine device limits and soft limits', () => {
-  const info = { stroke_mm: 110, min_speed_mm_s: 5, max_speed_mm_s: 420, min_force_n: 5, nominal_force_n: 80, overdrive_force_n: 120 };
+  const info = {
+    stroke_mm: 110,
+    min_speed_mm_s: 5,
+    max_speed_mm_s: 420,
+    min_force_n: 5,
+    nominal_force_n: 80,
+    overdrive_force_n: 120,
+  };
   assert.deepEqual(widthLimits(info, { minus_mm: null }), { min: 0, max: 110, whose: 'device' });
   assert.deepEqual(widthLimits(info, { minus_mm: 10, plus_mm: 200 }), { min: 10, max: 110, whose: 'soft' });
   assert.equal(forceLimits(info, false).max, 80);
@@ -138,11 +176,22 @@ test('limits combine device limits and soft limits', () => {
   assert.deepEqual(['1,5', ' 2.5 ', '', '1e3', '0x10', '-3', '1.2.3'].map(number), [1.5, 2.5, NaN, NaN, NaN, -3, NaN]);
 });
 
-const state = (more) => ({ gripper: 'left', link: 'connected', fast_stop: false, flags_raw: 1, state: 'IDLE', journal_cause: null, ...more });
+const state = (more) => ({
+  gripper: 'left',
+  link: 'connected',
+  fast_stop: false,
+  flags_raw: 1,
+  state: 'IDLE',
+  journal_cause: null,
+  ...more,
+});
 
 test('a cleared alarm stays until acknowledged', () => {
   const faulty = wrongWith(state({ flags_raw: 1 | (1 << 14) }));
-  assert.deepEqual(faulty.map(({ what, priority }) => [what, priority]), [['flag/TEMP_FAULT', 'critical']]);
+  assert.deepEqual(
+    faulty.map(({ what, priority }) => [what, priority]),
+    [['flag/TEMP_FAULT', 'critical']],
+  );
   let alarms = updated([], faulty, 10);
   assert.equal(updated(alarms, faulty, 20), alarms, 'no change');
   alarms = updated(alarms, [], 30);
@@ -159,12 +208,21 @@ test('a cleared alarm stays until acknowledged', () => {
 test('a newer FAST STOP is another alarm, and the list is bounded', () => {
   let alarms = [];
   for (let count = 0; count < 3 * MAX_ALARMS; count += 1) {
-    alarms = updated(alarms, wrongWith(state({ fast_stop: true, fast_stop_id: String(count), fast_stop_by: 'test' })), count);
+    alarms = updated(
+      alarms,
+      wrongWith(state({ fast_stop: true, fast_stop_id: String(count), fast_stop_by: 'test' })),
+      count,
+    );
   }
   assert.equal(alarms.length, MAX_ALARMS);
   assert.deepEqual([alarms[0].what, alarms[0].clearedAt], [`fast_stop/${3 * MAX_ALARMS - 1}`, null]);
-  const many = wrongWith(state({ link: 'reconnecting', link_cause: 'refused', journal_cause: 'disk full', state: 'PART_LOST' }));
-  assert.deepEqual(many.map(({ what }) => what), ['link/reconnecting', 'journal', 'part_lost']);
+  const many = wrongWith(
+    state({ link: 'reconnecting', link_cause: 'refused', journal_cause: 'disk full', state: 'PART_LOST' }),
+  );
+  assert.deepEqual(
+    many.map(({ what }) => what),
+    ['link/reconnecting', 'journal', 'part_lost'],
+  );
 });
 
 test('active alarms stay in the list despite many cleared ones', () => {

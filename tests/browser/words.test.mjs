@@ -25,9 +25,17 @@ test('every language has the same texts, with the same parameters', () => {
 });
 
 test('every text used by a module exists', () => {
-  const asked = sources.flatMap(({ path, text }) => Array.from(text.matchAll(/\bt\((?:[^()'`]*\? )?'([\w.]+)'(?: : '([\w.]+)')?/g), ([, one, other]) => [one, other]).flat().filter(Boolean).map((key) => ({ path, key })));
+  const asked = sources.flatMap(({ path, text }) =>
+    Array.from(text.matchAll(/\bt\((?:[^()'`]*\? )?'([\w.]+)'(?: : '([\w.]+)')?/g), ([, one, other]) => [one, other])
+      .flat()
+      .filter(Boolean)
+      .map((key) => ({ path, key })),
+  );
   assert.ok(asked.length > 150, `only ${asked.length} found`);
-  assert.deepEqual(asked.filter(({ key }) => !(key in en)), []);
+  assert.deepEqual(
+    asked.filter(({ key }) => !(key in en)),
+    [],
+  );
 });
 
 test('every text is used', () => {
@@ -35,7 +43,10 @@ test('every text is used', () => {
   const families = new Set(Array.from(all.matchAll(/`([\w.]+\.)\$\{/g), ([, family]) => family));
   for (const family of ['history.', 'type.', 'command.', 'kind.', 'outcome.']) families.add(family);
   const isAsked = (key) => all.includes(`'${key}'`) || [...families].some((family) => key.startsWith(family));
-  assert.deepEqual(Object.keys(en).filter((key) => !isAsked(key)), []);
+  assert.deepEqual(
+    Object.keys(en).filter((key) => !isAsked(key)),
+    [],
+  );
 });
 
 test('every value of the API has a text', () => {
@@ -46,13 +57,36 @@ test('every value of the API has a text', () => {
     return values.map((value) => `${family}.${value}`);
   };
   // These codes concern programs whose requests this page never sends.
-  const noneOfOurs = ['foreign_host', 'foreign_origin', 'method_not_allowed', 'request_timeout', 'too_large', 'request_id_reused'];
+  const noneOfOurs = [
+    'foreign_host',
+    'foreign_origin',
+    'method_not_allowed',
+    'request_timeout',
+    'too_large',
+    'request_id_reused',
+  ];
   const needed = [
     ...words('problem', 'Code').filter((key) => !noneOfOurs.includes(key.slice('problem.'.length))),
-    ...words('outcome', 'Outcome'), ...words('command', 'Kind'), ...words('cause', 'FastStopCause'), ...words('link', 'Link'), ...words('loss', 'OnLossMoving'), ...words('loss', 'OnLossHolding'), ...words('event', 'LeaseStep'), ...words('event', 'FastStopStep'), ...words('kind', 'EventKind'), ...words('door', 'Door'),
+    ...words('outcome', 'Outcome'),
+    ...words('command', 'Kind'),
+    ...words('cause', 'FastStopCause'),
+    ...words('link', 'Link'),
+    ...words('loss', 'OnLossMoving'),
+    ...words('loss', 'OnLossHolding'),
+    ...words('event', 'LeaseStep'),
+    ...words('event', 'FastStopStep'),
+    ...words('kind', 'EventKind'),
+    ...words('door', 'Door'),
     ...FLAGS.filter(({ name }) => name).map(({ name }) => `flag.${name}`),
-    ...FLAGS.filter(({ weight, name }) => weight !== 'normal' && name !== 'FAST_STOP').map(({ name }) => `alarm.flag.${name}`),
-    ...['IDLE', 'GRASPING', 'NO_PART', 'PART_LOST', 'HOLDING', 'RELEASING', 'POSITIONING', 'ERROR'].map((state) => `state.${state}`),
+    ...FLAGS.filter(({ weight, name }) => weight !== 'normal' && name !== 'FAST_STOP').map(
+      ({ name }) => `alarm.flag.${name}`,
+    ),
+    ...['IDLE', 'GRASPING', 'NO_PART', 'PART_LOST', 'HOLDING', 'RELEASING', 'POSITIONING', 'ERROR'].map(
+      (state) => `state.${state}`,
+    ),
   ];
-  assert.deepEqual(needed.filter((key) => !(key in en)), []);
+  assert.deepEqual(
+    needed.filter((key) => !(key in en)),
+    [],
+  );
 });

@@ -1,9 +1,8 @@
-//! The dashboard: a page, embedded in the program, that uses the public WebSocket and REST alone.
+//! The dashboard: a page embedded in the program, which uses only the public WebSocket and REST interfaces.
 //!
-//! Its modules are served as they are written, without a build step. Their addresses carry a version, which is a hash of
-//! all of them, so that a browser keeps them for as long as they are the same and asks for the page alone. The policy
-//! lets nothing in from elsewhere, and no script or style that stands in the page itself. The libraries in `vendor/` are
-//! what `tests/browser/vendor` has fetched.
+//! Modules are served as written, without a build step. Their paths contain a hash of all of them, so that a browser
+//! caches them until one changes, and asks only for the page. The content security policy allows no other origin, and
+//! no inline script or style. `tests/browser/vendor` fetches the libraries in `vendor/`.
 
 use std::borrow::Cow;
 use std::sync::Arc;
@@ -23,28 +22,28 @@ use crate::operations::Problem;
 #[folder = "src/interfaces/dashboard/assets"]
 struct Assets;
 
-/// The page, whose modules are named where it is served.
+/// The page. Serving it adds links to its modules.
 const PAGE: &str = "index.html";
 
-/// What isn't seen first: the page fetches it by itself, afterwards.
+/// Assets without a preload link: the page loads them itself, most of them after the first screen.
 const LATER: [&str; 5] = ["views/", "core/limits.js", "model/jog.js", "vendor/uplot.js", "net/early.js"];
 
-/// Everything from here, nothing that stands in the page itself, no form that leads anywhere, and nobody's frame.
+/// Allows only this origin, without inline code, forms or embedding in a frame.
 const POLICY: HeaderValue = HeaderValue::from_static(
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; \
      base-uri 'none'; form-action 'none'; frame-ancestors 'none'; require-trusted-types-for 'script'",
 );
 
-/// The page has no use for what a device or a browser has besides.
+/// Disables browser features that the page does not use.
 const PERMISSIONS: (HeaderName, HeaderValue) = (
     HeaderName::from_static("permissions-policy"),
     HeaderValue::from_static("camera=(), geolocation=(), microphone=(), usb=(), serial=()"),
 );
 
-/// So many digits of the hash tell versions apart.
+/// Hexadecimal digits of the hash in a path.
 const VERSION_DIGITS: usize = 16;
 
-/// The page and its parts.
+/// Routes of the page and its assets.
 pub fn page<S: Clone + Send + Sync + 'static>() -> Router<S> {
     let version: Arc<str> = version().into();
     let page: Arc<str> = with_modules(&version).into();
@@ -60,7 +59,7 @@ pub fn page<S: Clone + Send + Sync + 'static>() -> Router<S> {
         )
 }
 
-/// A hash of all that is served.
+/// Returns a hash of all assets.
 fn version() -> String {
     let mut files: Vec<_> = Assets::iter().collect();
     files.sort();
@@ -76,8 +75,7 @@ fn version() -> String {
     digits
 }
 
-/// The page, with where its parts are. The modules that it begins with are named, so that none has to wait for another
-/// that imports it.
+/// Returns the page with the paths of its assets. The first modules get preload links, so that they load in parallel.
 fn with_modules(version: &str) -> String {
     let page = Assets::get(PAGE).map(|file| String::from_utf8_lossy(&file.data).into_owned()).unwrap_or_default();
     let mut modules: Vec<_> = Assets::iter().filter(|path| is_first(path)).collect();
@@ -96,7 +94,7 @@ fn is_module(path: &str) -> bool {
 }
 
 fn index(page: &Arc<str>, headers: &HeaderMap) -> Response {
-    // A hash in quotes is always a tag.
+    // A quoted hash is always a valid tag.
     let etag: Option<ETag> = format!("\"{}\"", hex::encode(Sha256::digest(page.as_bytes()))).parse().ok();
     let is_known = etag
         .as_ref()

@@ -1,4 +1,4 @@
-//! What the page is, without a browser.
+//! Tests of the page that need no browser.
 
 use std::collections::BTreeSet;
 
@@ -28,7 +28,7 @@ fn header(response: &Response<Body>, name: HeaderName) -> String {
 }
 
 #[tokio::test]
-async fn the_page_is_asked_for_each_time_and_told_once() {
+async fn page_is_revalidated_by_its_etag() {
     let first = get("/", None).await;
     assert_eq!(first.status(), 200);
     assert_eq!(header(&first, CACHE_CONTROL), "no-cache");
@@ -41,7 +41,7 @@ async fn the_page_is_asked_for_each_time_and_told_once() {
 }
 
 #[tokio::test]
-async fn all_that_the_page_names_is_there_and_kept() {
+async fn assets_of_the_page_exist_and_are_cached() {
     let page = text(get("/", None).await).await;
     let named: Vec<_> = page.split('"').filter(|text| text.starts_with("/assets/")).collect();
     let modules = Assets::iter().filter(|path| is_first(path)).count();
@@ -56,7 +56,7 @@ async fn all_that_the_page_names_is_there_and_kept() {
 }
 
 #[tokio::test]
-async fn what_is_not_there_or_of_another_version_is_a_problem() {
+async fn missing_or_outdated_asset_is_a_problem() {
     let other = format!("/assets/{}/app.js", "0".repeat(VERSION_DIGITS));
     let missing = format!("/assets/{}/none.js", version());
     let above = format!("/assets/{}/..%2Fmod.rs", version());
@@ -68,7 +68,7 @@ async fn what_is_not_there_or_of_another_version_is_a_problem() {
 }
 
 #[test]
-fn the_libraries_are_those_that_were_recorded_and_have_their_licences() {
+fn libraries_match_their_record_and_have_licences() {
     let recorded = Assets::get("vendor/vendored.json").unwrap();
     let recorded: Vec<Value> = serde_json::from_slice(&recorded.data).unwrap();
     let mut files = BTreeSet::new();
@@ -84,11 +84,10 @@ fn the_libraries_are_those_that_were_recorded_and_have_their_licences() {
     assert_eq!(files, present);
 }
 
-/// A module is read from its top to its end.
 const MAX_LINES: usize = 250;
 
 #[test]
-fn the_modules_are_short_and_import_what_is_served_beside_them() {
+fn modules_are_short_and_import_only_served_files() {
     for path in Assets::iter().filter(|path| is_module(path) && !path.starts_with("vendor/")) {
         let module = String::from_utf8(Assets::get(&path).unwrap().data.into_owned()).unwrap();
         let lines = module.lines().count();
@@ -101,7 +100,7 @@ fn the_modules_are_short_and_import_what_is_served_beside_them() {
     }
 }
 
-/// The modules that one imports at once, by their paths.
+/// Paths of the modules that a module imports statically.
 fn imported_by(path: &str) -> Vec<String> {
     let module = String::from_utf8(Assets::get(path).unwrap().data.into_owned()).unwrap();
     let address = url::Url::parse(&format!("http://gateway/{path}")).unwrap();
@@ -113,8 +112,8 @@ fn imported_by(path: &str) -> Vec<String> {
 }
 
 #[test]
-fn the_page_names_what_it_begins_with_and_nothing_else() {
-    // The libraries import each other by their own spelling.
+fn page_preloads_exactly_the_first_modules() {
+    // The minified libraries write imports differently.
     let is_ours = |path: &str| !path.starts_with("vendor/");
     let mut needed = BTreeSet::new();
     let mut to_read = vec!["app.js".to_owned()];

@@ -1,4 +1,4 @@
-// The page: a bar that is always there, and one of five views.
+// The page: a permanent bar, and one of five views.
 
 import { html, render, signal, useEffect } from './lib.js';
 import { LANGUAGES, language, t } from './model/i18n.js';
@@ -12,15 +12,17 @@ import { go, start } from './ui/route.js';
 
 function Views() {
   return html`<nav class="views" aria-label=${t('nav.label')}>
-    ${VIEWS.map((name) => html`<button type="button" key=${name} data-view=${name}
-        aria-current=${view.value === name ? 'page' : 'false'} onClick=${() => go(name)}>${t(`nav.${name}`)}</button>`)}
+    ${VIEWS.map(
+      (name) => html`<button type="button" key=${name} data-view=${name}
+        aria-current=${view.value === name ? 'page' : 'false'} onClick=${() => go(name)}>${t(`nav.${name}`)}</button>`,
+    )}
   </nav>`;
 }
 
-/** What is looked at second is fetched once what is looked at first, the state and STOP, is there. */
+/** Components that are loaded after the first screen (state and STOP), by name. */
 const later = signal({});
 
-/** Whether some of it has not come. */
+/** Whether one of these modules could not be loaded. */
 const isMissing = signal(false);
 
 function Missing() {
@@ -44,8 +46,10 @@ const FETCH_VIEW = {
 
 async function fetchLater() {
   const { [view.peek()]: shown, ...others } = FETCH_VIEW;
-  // Each as soon as it comes: none has to wait for another.
-  await Promise.all([import('./views/motion.js'), import('./views/alarms.js'), shown?.()].map((part) => fetchAll(part)));
+  // Each part is shown as soon as it is loaded.
+  await Promise.all(
+    [import('./views/motion.js'), import('./views/alarms.js'), shown?.()].map((part) => fetchAll(part)),
+  );
   await fetchAll(import('./views/charts.js'), import('./views/control.js'), import('./views/flags.js'));
   await fetchAll(...Object.values(others).map((fetchView) => fetchView()));
 }
@@ -55,8 +59,11 @@ function Operate({ one }) {
   return html`<div class="operate">
     <${Jaws} one=${one} />${Motion && html`<${Motion} one=${one} />`}
     ${Charts && html`<${Charts} one=${one} />`}
-    <div class="column-more">${Alarms && html`<${Alarms} />`}${Control && html`<${Control}
-        one=${one} />`}${Flags && html`<${Flags} one=${one} />`}</div>
+    <div class="column-more">${Alarms && html`<${Alarms} />`}${
+      Control &&
+      html`<${Control}
+        one=${one} />`
+    }${Flags && html`<${Flags} one=${one} />`}</div>
   </div>`;
 }
 
@@ -70,12 +77,18 @@ function Main() {
   const isKnown = one !== null || isLive.value;
   useEffect(() => {
     if (!isKnown) return;
-    // What is there to see first is on the screen with the frame after this; a page that isn't seen gets none.
+    // The next frame shows the first screen. A hidden page gets no frames.
     if (document.hidden) fetchLater();
     else requestAnimationFrame(fetchLater);
   }, [isKnown]);
-  if (!one) return html`<main class="waiting"><p>${isLive.value && selected.value ? t('stale.not_served', {
-      gripper: selected.value }) : t('stale.connecting')}</p></main>`;
+  if (!one)
+    return html`<main class="waiting"><p>${
+      isLive.value && selected.value
+        ? t('stale.not_served', {
+            gripper: selected.value,
+          })
+        : t('stale.connecting')
+    }</p></main>`;
   const View = viewOf(view.value);
   if (!View) return html`<main class="waiting" />`;
   return html`<main key=${view.value === 'all' ? 'all' : one.name}><${View} one=${one} /></main>`;
@@ -87,12 +100,18 @@ function Footer() {
     <div class="prefs">
       <label for="my-name">${t('foot.name')}</label>
       <input id="my-name" type="text" value=${myName.value} onInput=${within(MAX_NAME_BYTES, () => {})}
-          onChange=${(event) => { rename(event.currentTarget.value); event.currentTarget.value = myName.peek(); }} />
+          onChange=${(event) => {
+            rename(event.currentTarget.value);
+            event.currentTarget.value = myName.peek();
+          }} />
       <${Choice} label=${t('foot.language')} name="language" value=${language.value}
-          onChange=${(key) => { language.value = key; }} options=${LANGUAGES.map((key) => [key, key.toUpperCase()])} />
+          onChange=${(key) => {
+            language.value = key;
+          }} options=${LANGUAGES.map((key) => [key, key.toUpperCase()])} />
       <${Choice} label=${t('foot.theme')} name="theme" value=${theme.value}
-          onChange=${(key) => { theme.value = key; }} options=${['auto', 'light', 'dark'].map((key) => [key,
-              t(`theme.${key}`)])} />
+          onChange=${(key) => {
+            theme.value = key;
+          }} options=${['auto', 'light', 'dark'].map((key) => [key, t(`theme.${key}`)])} />
       <a href="/docs" target="_blank" rel="noopener">${t('foot.docs')}</a>
     </div>
   </footer>`;
@@ -101,7 +120,10 @@ function Footer() {
 function App() {
   const { Announcer } = later.value;
   return html`<a class="skip" href="#main"
-      onClick=${(event) => { event.preventDefault(); document.querySelector('main button, main input')?.focus(); }}>${t('nav.skip')}
+      onClick=${(event) => {
+        event.preventDefault();
+        document.querySelector('main button, main input')?.focus();
+      }}>${t('nav.skip')}
         </a>
     <${Bar} />
     <div class="navigation"><${Picker} /><${Views} /></div>

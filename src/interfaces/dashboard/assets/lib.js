@@ -1,10 +1,19 @@
-// The vendored libraries, by one name each.
+// Re-exports the vendored libraries.
 
 import { h, render, Fragment } from './vendor/preact.js';
 import htm from './vendor/htm.js';
 
 export { useEffect, useLayoutEffect, useMemo, useRef, useState, useId } from './vendor/hooks.js';
-export { batch, computed, effect, signal, untracked, useComputed, useSignal, useSignalEffect } from './vendor/signals.js';
+export {
+  batch,
+  computed,
+  effect,
+  signal,
+  untracked,
+  useComputed,
+  useSignal,
+  useSignalEffect,
+} from './vendor/signals.js';
 export { Fragment, render };
 
 export const html = htm.bind(h);

@@ -1,19 +1,20 @@
-// Alarms: what is wrong now, what was and is over, and what somebody has seen. Pure, so that it can be tested.
+// Alarms: active, cleared and acknowledged. Pure functions, so that they can be tested.
 //
-// An alarm that is over stays in the list until it is acknowledged: what happened while nobody looked is not lost.
+// A cleared alarm stays in the list until it is acknowledged, so that no alarm is missed.
 
 import { FLAGS, isSet } from './flags.js';
 
-/** As many are kept as somebody reads; what is wrong now in any case. */
+/** Limit of the list. Active alarms are kept in any case. */
 export const MAX_ALARMS = 100;
 
-/** Priorities, the highest first. */
+/** Highest first. */
 export const PRIORITIES = ['critical', 'high', 'low'];
 
-/** What is wrong with a gripper, by a key that stays the same for as long as it is. */
+/** Returns what is wrong with a gripper now. Each fault keeps its key while it lasts. */
 export function wrongWith(state) {
   const wrong = [];
-  const add = (what, priority, cause = null) => wrong.push({ key: `${state.gripper}/${what}`, gripper: state.gripper, what, priority, cause });
+  const add = (what, priority, cause = null) =>
+    wrong.push({ key: `${state.gripper}/${what}`, gripper: state.gripper, what, priority, cause });
   if (state.fast_stop) add(`fast_stop/${state.fast_stop_id}`, 'critical', state.fast_stop_by);
   if (state.link !== 'connected') add(`link/${state.link}`, 'high', state.link_cause);
   if (state.journal_cause) add('journal', 'high', state.journal_cause);
@@ -25,17 +26,19 @@ export function wrongWith(state) {
   return wrong;
 }
 
-/** What is wrong with the way to the gateway, of which nothing else is known then. */
+/** Fault of a lost or silent gateway. */
 export const GATEWAY_GONE = { key: 'gateway', gripper: null, what: 'gateway', priority: 'high', cause: null };
 
 /**
- * The list after `wrong` was seen at `now`: new alarms first, those that are over marked, the oldest of those that are
- * over and acknowledged left out.
+ * Returns the list for the faults `wrong` at `now`: new alarms come first, and ended ones are marked as cleared.
+ * Cleared alarms are removed once acknowledged, and the oldest ones beyond the limit.
  */
 export function updated(alarms, wrong, now) {
   const present = new Set(wrong.map(({ key }) => key));
   const active = new Set(alarms.filter((alarm) => !alarm.clearedAt).map(({ key }) => key));
-  const begun = wrong.filter(({ key }) => !active.has(key)).map((one) => ({ ...one, id: `${one.key}@${now}`, since: now, clearedAt: null, acknowledgedAt: null }));
+  const begun = wrong
+    .filter(({ key }) => !active.has(key))
+    .map((one) => ({ ...one, id: `${one.key}@${now}`, since: now, clearedAt: null, acknowledgedAt: null }));
   const isOver = (alarm) => !alarm.clearedAt && !present.has(alarm.key);
   if (begun.length === 0 && !alarms.some(isOver)) return alarms;
   const kept = alarms.map((alarm) => (isOver(alarm) ? { ...alarm, clearedAt: now } : alarm));
@@ -45,15 +48,17 @@ export function updated(alarms, wrong, now) {
   return all.filter((alarm) => !alarm.clearedAt || (!alarm.acknowledgedAt && !dropped.has(alarm)));
 }
 
-/** The list after somebody has seen one. */
+/** Returns the list after one alarm was acknowledged. */
 export function acknowledged(alarms, id, now) {
   return alarms
     .map((alarm) => (alarm.id === id ? { ...alarm, acknowledgedAt: now } : alarm))
     .filter((alarm) => !alarm.clearedAt || !alarm.acknowledgedAt);
 }
 
-/** As people look for them: what is not acknowledged, then what is wrong now, each by priority and age. */
+/** Sorts for display: unacknowledged alarms first, then active ones, each by priority and with the newest first. */
 export function sorted(alarms) {
   const rank = (alarm) => (alarm.acknowledgedAt ? 2 : 0) + (alarm.clearedAt ? 1 : 0);
-  return [...alarms].sort((a, b) => rank(a) - rank(b) || PRIORITIES.indexOf(a.priority) - PRIORITIES.indexOf(b.priority) || b.since - a.since);
+  return [...alarms].sort(
+    (a, b) => rank(a) - rank(b) || PRIORITIES.indexOf(a.priority) - PRIORITIES.indexOf(b.priority) || b.since - a.since,
+  );
 }

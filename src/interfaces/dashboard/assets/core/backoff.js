@@ -1,4 +1,4 @@
-// How long to wait before the next try: longer each time, up to a bound, and not all browsers at once.
+// Delay before the next try: longer each time, up to a limit, and random so that browsers do not retry all at once.
 
 const FIRST_MS = 200;
 const LONGEST_MS = 3000;

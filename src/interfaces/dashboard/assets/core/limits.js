@@ -1,6 +1,6 @@
-// What a gripper can do, as the gateway knows it: nothing beyond is sent, and each field says between what it may be.
+// A gripper's limits, as the gateway reports them. Fields show them, and values beyond them are not sent.
 
-/** Where a device hasn't told its limits yet, none are known here: the gateway has the last word. */
+/** Limits of a device that has not reported its own yet. The gateway checks every value in any case. */
 const UNKNOWN = { min: 0, max: Infinity, whose: null };
 
 export function widthLimits(info, soft) {
@@ -17,7 +17,11 @@ export function speedLimits(info) {
 export function forceLimits(info, overdrive) {
   if (info?.nominal_force_n == null) return UNKNOWN;
   const isOver = overdrive && info.overdrive_force_n > info.nominal_force_n;
-  return { min: info.min_force_n, max: isOver ? info.overdrive_force_n : info.nominal_force_n, whose: isOver ? 'overdrive' : 'device' };
+  return {
+    min: info.min_force_n,
+    max: isOver ? info.overdrive_force_n : info.nominal_force_n,
+    whose: isOver ? 'overdrive' : 'device',
+  };
 }
 
 export function accelerationLimits(info) {
@@ -25,7 +29,7 @@ export function accelerationLimits(info) {
   return { min: info.min_acceleration_mm_s2, max: info.max_acceleration_mm_s2, whose: 'device' };
 }
 
-/** What is wrong with a value: `missing`, `low`, `high`, or null. */
+/** Returns why a value is not valid (`missing`, `low` or `high`), or null. */
 export function mistake(value, { min, max }) {
   if (value === null || value === undefined || !Number.isFinite(value)) return 'missing';
   if (value < min) return 'low';
@@ -33,17 +37,17 @@ export function mistake(value, { min, max }) {
   return null;
 }
 
-/** A number that somebody typed, with a point or a comma; NaN where it is none, or may be another one as well. */
+/** Parses typed text with a decimal point or comma; NaN if it is not a number, or an ambiguous one. */
 export function number(text) {
   const trimmed = String(text).trim().replace(',', '.');
   return /^[+-]?(\d+\.?\d*|\.\d+)$/.test(trimmed) && readings(text) === null ? Number(trimmed) : NaN;
 }
 
-/** `1,000` and `5.000` are one number in English and another in German: both, or null where there is but one. */
+/** Returns both readings of a text like `1,000`, which differ in English and German; null if there is only one. */
 export function readings(text) {
   const [, whole, rest] = /^\s*([+-]?[1-9]\d{0,2})[.,](\d{3})\s*$/.exec(text) ?? [];
   return whole === undefined ? null : [Number(`${whole}.${rest}`), Number(whole + rest)];
 }
 
-/** A value as it is put into a field: with no more decimals than can be read in one way only. */
+/** Formats a value for a field, with two decimals at most: a third would make it ambiguous. */
 export const asTyped = (value) => (value === null || value === undefined ? '' : String(Math.round(value * 100) / 100));

@@ -1,6 +1,6 @@
-// Answers come in any order: what is shown is that to the newest question.
+// Answers arrive in any order; the page shows the one to the newest request.
 
-/** Numbers questions: each call is one, and answers whether it is still the newest. */
+/** Returns a function to call for each request. Its result checks whether that request is still the newest. */
 export function numbered() {
   let newest = 0;
   return () => {

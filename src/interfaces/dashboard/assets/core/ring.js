@@ -1,7 +1,7 @@
-// Samples of one gripper: a ring of typed arrays, so that a page that is open for a week takes no more memory than one
-// that is open for ten minutes.
+// Samples of one gripper in a ring of typed arrays, so that a page uses no more memory after a week than after ten
+// minutes.
 
-/** Times are in ms, of a clock that only goes forward. What isn't known is NaN. */
+/** Times are in ms, of a monotonic clock. An unknown value is NaN. */
 export class Samples {
   constructor(capacity, columns = 3) {
     this.capacity = capacity;
@@ -14,12 +14,14 @@ export class Samples {
   push(time, values) {
     const at = (this.start + this.length) % this.capacity;
     this.times[at] = time;
-    this.columns.forEach((column, index) => { column[at] = values[index] ?? NaN; });
+    this.columns.forEach((column, index) => {
+      column[at] = values[index] ?? NaN;
+    });
     if (this.length < this.capacity) this.length += 1;
     else this.start = (this.start + 1) % this.capacity;
   }
 
-  /** From the newest sample to the next one nothing is known. */
+  /** Marks the time between the newest sample and the next one as unknown. */
   gap() {
     const last = this.length - 1;
     if (last >= 0 && !this.#isGap(last)) this.push(this.time(last), []);
@@ -46,23 +48,23 @@ export class Samples {
   }
 
   /**
-   * The samples from `from` to `to` as uPlot takes them: seconds relative to `to`, then each column, null where nothing
-   * is known. Of more samples than `points` the lowest and the highest of each stretch stay, so that no peak is lost;
-   * a gap is in no stretch, so that it stays, too.
+   * Returns the samples from `from` to `to` for uPlot: seconds relative to `to`, then each column, with null for an
+   * unknown value. If there are more than `points`, only the lowest and the highest of each stretch remain, so that
+   * no peak is lost. A stretch never contains a gap, so gaps remain too.
    */
   window(from, to, points) {
     const first = Math.max(0, this.indexOf(from) - 1);
     const last = this.indexOf(to);
     const stretch = Math.max(1, Math.ceil((2 * (last - first)) / points));
-    const told = [[], ...this.columns.map(() => [])];
+    const result = [[], ...this.columns.map(() => [])];
     for (let begin = first, end; begin < last; begin = end) {
       end = begin + 1;
       const most = this.#isGap(begin) ? end : Math.min(begin + stretch, last);
       while (end < most && !this.#isGap(end)) end += 1;
-      if (end - begin === 1) this.#tell(told, begin, to, [begin]);
-      else this.#tellExtremes(told, begin, end, to);
+      if (end - begin === 1) this.#add(result, begin, to, [begin]);
+      else this.#addExtremes(result, begin, end, to);
     }
-    return told;
+    return result;
   }
 
   #isGap(index) {
@@ -70,15 +72,15 @@ export class Samples {
     return this.columns.every((column) => Number.isNaN(column[at]));
   }
 
-  #tell(told, index, to, indexes) {
-    told[0].push((this.time(index) - to) / 1000);
+  #add(result, index, to, indexes) {
+    result[0].push((this.time(index) - to) / 1000);
     this.columns.forEach((_, column) => {
       const value = this.value(column, indexes[column] ?? index);
-      told[column + 1].push(Number.isNaN(value) ? null : value);
+      result[column + 1].push(Number.isNaN(value) ? null : value);
     });
   }
 
-  #tellExtremes(told, begin, end, to) {
+  #addExtremes(result, begin, end, to) {
     const lows = [];
     const highs = [];
     this.columns.forEach((_, column) => {
@@ -86,14 +88,14 @@ export class Samples {
       let high = begin;
       for (let index = begin + 1; index < end; index += 1) {
         const value = this.value(column, index);
-        // What isn't known is neither: it gives way to any value.
+        // Any value replaces an unknown one.
         if (!(this.value(column, low) <= value) && !Number.isNaN(value)) low = index;
         if (!(this.value(column, high) >= value) && !Number.isNaN(value)) high = index;
       }
       lows.push(Math.min(low, high));
       highs.push(Math.max(low, high));
     });
-    this.#tell(told, begin, to, lows);
-    this.#tell(told, end - 1, to, highs);
+    this.#add(result, begin, to, lows);
+    this.#add(result, end - 1, to, highs);
   }
 }

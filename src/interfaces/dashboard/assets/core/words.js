@@ -4,7 +4,7 @@ export function fill(template, parameters = {}) {
   return template.replace(/\{(\w+)\}/g, (whole, name) => (name in parameters ? String(parameters[name]) : whole));
 }
 
-/** The parameters that a template has. */
+/** Names of the parameters in a template. */
 export function placeholders(template) {
   return [...new Set(Array.from(template.matchAll(/\{(\w+)\}/g), ([, name]) => name))].sort();
 }

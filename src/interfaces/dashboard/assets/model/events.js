@@ -1,11 +1,11 @@
-// What an event of the journal means for the page. All clients' doings come this way, whatever door they use.
+// Applies journal events to the page. They report the actions of all clients, on any interface.
 
 import { batch } from '../lib.js';
 import { takeControl } from './commands.js';
 import { myName } from './name.js';
 import { eventSeq, learn, learnSettings, others, rpc } from './store.js';
 
-/** Names that are remembered. */
+/** Limit of the clients in `others`. */
 const MAX_OTHERS = 32;
 
 function remember(subject, door, at) {
@@ -18,14 +18,14 @@ function takeCommand(event, one, at) {
   const { command: kind, command_id: id } = event;
   if (event.phase === 'admitted') {
     const from = one.newest?.width_mm ?? null;
-    const width = event.relative ? (from === null ? null : from + event.width_mm) : event.width_mm ?? null;
+    const width = event.relative ? (from === null ? null : from + event.width_mm) : (event.width_mm ?? null);
     one.target.value = { command: id, kind, width_mm: width, force_n: event.force_n ?? null };
     one.command.value = { id, kind, phase: 'running', outcome: null, client: event.subject, started_at: event.at };
     if (kind === 'grip') one.mark(at, 'begin', event.part_id ?? '');
     return;
   }
   if (one.target.peek()?.command === id) {
-    // A force that a grip came with stays set, as the device has it.
+    // A grip's force stays set, so the device's value is read.
     if (one.target.peek().force_n !== null) learnSettings(one, ['force-limit']);
     one.target.value = null;
   }
@@ -33,7 +33,7 @@ function takeCommand(event, one, at) {
   if (kind === 'grip') one.mark(at, event.outcome === 'PART_HELD' ? 'held' : 'end', event.outcome);
 }
 
-/** Whoever has asked for control fetches it when it is handed over; whatever else becomes of it is no answer any more. */
+/** Ends a request for control, and takes control if it was handed over to this page. */
 function takeAnswer({ event, holder }, one) {
   if (event === 'requested') return;
   one.isAsking.value = false;
@@ -42,12 +42,12 @@ function takeAnswer({ event, holder }, one) {
 
 function takeSetting(event, one) {
   one.takeSettings(event.setting === 'soft_limits_cleared' ? { ...event, minus_mm: null, plus_mm: null } : event);
-  // Without overdrive a force limit above the nominal force is reduced, of which no event tells.
+  // Without overdrive, the device reduces a force limit above the nominal force. No event reports this.
   if (event.setting === 'overdrive') learnSettings(one, ['force-limit']);
   one.settingsChange.value = event;
 }
 
-/** After a connection was lost: what began or ended meanwhile was told to nobody here. */
+/** Fetches what began or ended while the connection was lost. */
 export function catchUp(one) {
   return Promise.all([catchUpCommand(one), catchUpAnswer(one)]);
 }
@@ -65,13 +65,13 @@ async function catchUpCommand(one) {
   const shown = one.command.peek();
   const isOver = shown?.phase === 'running' && shown.id !== runs;
   if (!isOver && (runs === null || shown?.id === runs)) return;
-  const told = await rpc.call('command', { gripper: one.name, command: runs ?? shown.id }).catch(() => null);
+  const answer = await rpc.call('command', { gripper: one.name, command: runs ?? shown.id }).catch(() => null);
   if (one.command.peek() !== shown) return;
-  if (told) one.command.value = told;
+  if (answer) one.command.value = answer;
   else if (isOver) one.command.value = { ...shown, phase: 'done', outcome: 'UNKNOWN' };
 }
 
-/** Takes one that came at this time; `one` is its gripper, where it has one. */
+/** Applies an event that arrived at `at`; `one` is its gripper, if any. */
 export function take(event, one, at) {
   batch(() => {
     eventSeq.value = event.seq;

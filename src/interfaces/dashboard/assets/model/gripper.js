@@ -5,13 +5,13 @@ import { Samples } from '../core/ring.js';
 import { has } from '../core/flags.js';
 import { numbered } from '../core/newest.js';
 
-/** Ten minutes at 20 a second. */
+/** Ten minutes at 20 samples a second. */
 const SAMPLES = 12_288;
 
-/** Nobody reads figures that change faster. */
+/** Figures that change faster cannot be read. */
 const READ_EVERY_MS = 230;
 
-/** Marks on the charts: more are not told apart. */
+/** Limit of the marks on the charts. */
 const MAX_MARKS = 64;
 
 const SETTINGS = ['acceleration_mm_s2', 'force_n', 'minus_mm', 'plus_mm', 'tag'];
@@ -21,32 +21,32 @@ export class Gripper {
 
   constructor(name) {
     this.name = name;
-    /** What was told last, and perhaps not shown yet. */
+    /** Newest state received, perhaps not shown yet. */
     this.newest = null;
     this.state = signal(null);
-    /** The same for figures that people read, less often while it moves. */
+    /** State for the figures, which is updated less often while the gripper moves. */
     this.reading = signal(null);
-    /** When the gripper was heard last, while it isn't connected. */
+    /** Time of the last update, while the gripper is not connected. */
     this.lostAt = signal(null);
     this.info = signal(null);
     this.lease = signal(null);
-    /** What is set, by the field names of the API; what isn't known is left out. */
+    /** Known settings, by the field names of the API. */
     this.settings = signal({});
-    /** Who set them, by the same names; null where that was only read. */
+    /** Subject that changed each setting; null if its value was only read. */
     this.setBy = signal({});
-    /** The event that told of the newest change of a setting. */
+    /** Newest event about a setting. */
     this.settingsChange = signal(null);
-    /** Where a running motion goes: `{command, kind, width_mm, force_n}`. */
+    /** Target of a running motion: `{command, kind, width_mm, force_n}`. */
     this.target = signal(null);
-    /** The newest command that began or ended here, whoever asked: for the line below the controls. */
+    /** Newest command of any client, for the line below the controls. */
     this.command = signal(null);
     this.problem = signal(null);
-    /** What entitles this page to move it: `{token, epoch}`. */
+    /** Lease that this page holds: `{token, epoch}`. */
     this.held = signal(null);
     this.isAsking = signal(false);
-    /** Numbers its FAST STOPs. */
+    /** Numbers the FAST STOP requests for this gripper. */
     this.stopping = numbered();
-    /** Whether a motion of this page was asked for, of which no state tells yet. */
+    /** Whether this page has requested a motion that no state reports yet. */
     this.isAsked = signal(false);
     this.samples = new Samples(SAMPLES);
     this.marks = [];
@@ -68,34 +68,40 @@ export class Gripper {
     this.isConfirmed = of((state) => state.fast_stop_confirmed ?? null);
     this.hasOverdrive = computed(() => has(this.flags.value, 'OVERDRIVE_MODE'));
     this.isMine = computed(() => this.held.value !== null && this.held.value.epoch === this.state.value?.lease_epoch);
-    this.softLimits = computed(() => ({ minus_mm: this.settings.value.minus_mm ?? null, plus_mm: this.settings.value.plus_mm ?? null }));
+    this.softLimits = computed(() => ({
+      minus_mm: this.settings.value.minus_mm ?? null,
+      plus_mm: this.settings.value.plus_mm ?? null,
+    }));
     this.isThere = computed(() => this.link.value === 'connected');
-    /** -1 closes, 1 opens, 0 stands. */
+    /** -1 while closing, 1 while opening, 0 at rest. */
     this.direction = computed(() => {
       if (!this.isMoving.value) return 0;
       const speed = this.speed.value ?? 0;
       if (Math.abs(speed) > 0.1) return Math.sign(speed);
       const target = this.target.value?.width_mm;
-      return target === undefined || target === null || this.width.value === null ? 0 : Math.sign(target - this.width.value);
+      return target === undefined || target === null || this.width.value === null
+        ? 0
+        : Math.sign(target - this.width.value);
     });
   }
 
-  /** Takes a state; it is shown with the next frame of the screen. */
+  /** Stores a state for the next update of the screen. */
   take(state, at) {
     this.newest = state;
-    if (state.link === 'connected') this.samples.push(at, [state.width_mm ?? NaN, state.speed_mm_s ?? NaN, state.force_n ?? NaN]);
+    if (state.link === 'connected')
+      this.samples.push(at, [state.width_mm ?? NaN, state.speed_mm_s ?? NaN, state.force_n ?? NaN]);
     else this.samples.gap();
   }
 
-  /** Takes what is set, out of whatever tells it: an event tells by whom, too. */
-  takeSettings(told) {
+  /** Takes the settings in an answer or an event. An event also names the subject. */
+  takeSettings(settings) {
     const [known, by] = [this.settings.peek(), this.setBy.peek()];
-    const fields = SETTINGS.filter((field) => field in told);
-    // What is read again was set by whoever set it.
-    const whose = (field) => told.subject ?? (told[field] === known[field] ? by[field] : null) ?? null;
+    const fields = SETTINGS.filter((field) => field in settings);
+    // An unchanged value keeps its subject.
+    const whose = (field) => settings.subject ?? (settings[field] === known[field] ? by[field] : null) ?? null;
     batch(() => {
       this.setBy.value = { ...by, ...Object.fromEntries(fields.map((field) => [field, whose(field)])) };
-      this.settings.value = { ...known, ...Object.fromEntries(fields.map((field) => [field, told[field]])) };
+      this.settings.value = { ...known, ...Object.fromEntries(fields.map((field) => [field, settings[field]])) };
     });
   }
 
@@ -111,8 +117,9 @@ export class Gripper {
       this.reading.value = state;
     }
     const held = this.held.peek();
-    // What was lost, or is somebody else's by now, entitles to nothing: its token would only be refused.
-    const isOver = held && (state.lease_epoch > held.epoch || (state.lease_epoch === held.epoch && state.lease_holder === null));
+    // The gateway would refuse the token of a lost lease.
+    const isOver =
+      held && (state.lease_epoch > held.epoch || (state.lease_epoch === held.epoch && state.lease_holder === null));
     if (isOver) this.held.value = null;
   }
 

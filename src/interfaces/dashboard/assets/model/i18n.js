@@ -1,4 +1,4 @@
-// The words of the page, in the language of whoever reads it.
+// The page's texts, in the user's language.
 
 import { computed, effect } from '../lib.js';
 import { fill, placeholders } from '../core/words.js';
@@ -20,7 +20,6 @@ effect(() => {
   document.documentElement.lang = language.value;
 });
 
-/** The words for a key. */
 export function t(key, parameters) {
   const template = words.value[key];
   return template === undefined ? key : fill(template, parameters);
@@ -28,33 +27,43 @@ export function t(key, parameters) {
 
 const formats = computed(() => {
   const tag = language.value;
-  // Digits in groups would be read as decimals elsewhere, and are not taken where numbers are typed.
-  const digits = (count) => new Intl.NumberFormat(tag, { useGrouping: false, minimumFractionDigits: count, maximumFractionDigits: count });
+  // Grouped digits would look like decimals in another language, and number fields reject them.
+  const digits = (count) =>
+    new Intl.NumberFormat(tag, { useGrouping: false, minimumFractionDigits: count, maximumFractionDigits: count });
   return {
     digits: [digits(0), digits(1), digits(2)],
     any: new Intl.NumberFormat(tag, { useGrouping: false, maximumFractionDigits: 2 }),
     time: new Intl.DateTimeFormat(tag, { hour: '2-digit', minute: '2-digit', second: '2-digit', hour12: false }),
-    date: new Intl.DateTimeFormat(tag, { day: '2-digit', month: '2-digit', hour: '2-digit', minute: '2-digit', second: '2-digit', hour12: false }),
+    date: new Intl.DateTimeFormat(tag, {
+      day: '2-digit',
+      month: '2-digit',
+      hour: '2-digit',
+      minute: '2-digit',
+      second: '2-digit',
+      hour12: false,
+    }),
   };
 });
 
-/** A number with so many decimals; a dash where it isn't known. */
+/** Formats a number with fixed decimals, or a dash if it is unknown. */
 export function fixed(value, decimals = 1) {
-  return value === null || value === undefined || Number.isNaN(value) ? '–' : formats.value.digits[decimals].format(value);
+  return value === null || value === undefined || Number.isNaN(value)
+    ? '–'
+    : formats.value.digits[decimals].format(value);
 }
 
 export const plain = (value) => (value === null || value === undefined ? '–' : formats.value.any.format(value));
 
 export const time = (at) => formats.value.time.format(new Date(at));
 
-/** The time, and the day where it isn't today's. */
+/** Formats a time, with the date unless it is today. */
 export function moment(at) {
   const date = new Date(at);
   const isToday = date.toDateString() === new Date().toDateString();
   return (isToday ? formats.value.time : formats.value.date).format(date);
 }
 
-/** A length of time, as coarse as people say it. */
+/** Formats a duration in its largest unit. */
 export function span(ms) {
   const seconds = Math.max(0, Math.floor(ms / 1000));
   if (seconds < 60) return t('span.seconds', { count: seconds });
@@ -63,7 +72,7 @@ export function span(ms) {
   return t('span.days', { count: Math.floor(seconds / 86400) });
 }
 
-/** What a problem says: in this language where its code is known, and it has what the words are about; else in the server's own words. */
+/** Text of a problem: translated if its code and parameters are known, otherwise the gateway's own. */
 export function ofProblem(problem) {
   const template = words.value[`problem.${problem.code}`];
   const isWhole = template !== undefined && placeholders(template).every((name) => (problem[name] ?? '') !== '');

@@ -1,6 +1,6 @@
-// Jogging: the fingers move while somebody holds a button, and stop when it is let go, or when the page can't say that
-// it is still held. While they do, control lives by a timer of this page instead of the connection's: a page that hangs
-// renews nothing, and is lost within a second.
+// Jogging: the fingers move while a button is held. They stop when it is released, or when the page cannot confirm
+// that it is still held. Meanwhile a timer of this page renews the lease, rather than its connection: a page that
+// hangs loses control within a second.
 
 import { changeTerms, move } from './commands.js';
 import { rpc } from './store.js';
@@ -9,9 +9,9 @@ import { onLossMoving } from './prefs.js';
 const LIVES_MS = 1000;
 const RENEWED_EVERY_MS = 250;
 const STOPPED_EVERY_MS = 150;
-/** Then the command's end is somebody else's matter: the page shows what moves. */
+/** Tries after which the page no longer stops the motion, but only shows it. */
 const MAX_STOPS = 40;
-/** How a command ends whose fingers stand, or have been given to another. */
+/** Outcomes after which the fingers stand, or another command moves them. */
 const ENDED_BY_ITSELF = ['SUCCESS', 'ABORTED'];
 
 export class Jog {
@@ -19,13 +19,15 @@ export class Jog {
   #press = null;
   #settled = Promise.resolve();
 
-  /** `limits` are the widths that may be reached. */
+  /** `limits` are the lowest and the highest allowed width. */
   begin(one, direction, speed, limits) {
     if (this.#press?.isHeld || !one.isMine.peek()) return;
     const press = { isHeld: true, isUnanswered: false, command: null, epoch: one.held.peek().epoch };
-    press.over = new Promise((resolve) => { press.letGo = resolve; });
+    press.over = new Promise((resolve) => {
+      press.letGo = resolve;
+    });
     this.#press = press;
-    // One after the other: the end of a press must not end what the next one renews.
+    // One after the other: the end of a press must not affect the lease terms of the next one.
     this.#settled = this.#settled.then(() => this.#hold(one, press, direction, speed, limits)).catch(() => {});
   }
 
@@ -37,7 +39,7 @@ export class Jog {
 
   async #hold(one, press, direction, speed, limits) {
     if (!press.isHeld) return;
-    // Fingers whose page has gone must not go on, whatever else is allowed to finish.
+    // A jog must stop if its page is lost, even if other motions are allowed to finish.
     const on_loss_moving = onLossMoving.peek() === 'finish' ? 'fast_stop' : onLossMoving.peek();
     const lease = await changeTerms(one, { ttl_ms: LIVES_MS, on_loss_moving });
     const renewing = setInterval(() => {
@@ -45,18 +47,19 @@ export class Jog {
       if (held) rpc.call('lease.renew', { gripper: one.name, lease: held.token }).catch(() => {});
     }, RENEWED_EVERY_MS);
     try {
-      if (lease && press.isHeld) begun(one, press, { width_mm: direction < 0 ? limits.min : limits.max, speed_mm_s: speed });
+      if (lease && press.isHeld)
+        begun(one, press, { width_mm: direction < 0 ? limits.min : limits.max, speed_mm_s: speed });
       await press.over;
       await stopped(one, press);
     } finally {
       clearInterval(renewing);
     }
-    // Control lives with the connection again.
+    // Control depends on the connection again.
     if (isOurs(one, press)) await changeTerms(one);
   }
 }
 
-/** Asks for the motion of a press, whose name may be told only after the button was let go. */
+/** Starts the motion of a press. Its command id can arrive after the button was released. */
 async function begun(one, press, way) {
   press.isUnanswered = true;
   const command = await move(one, 'move', way);
@@ -64,16 +67,18 @@ async function begun(one, press, way) {
   press.isUnanswered = false;
 }
 
-/** Stops it, again and again until it has stopped. What is not answered yet may still begin. */
+/** Repeats the stop until the fingers stand. A motion without an answer can still begin. */
 async function stopped(one, press) {
   for (let tries = 0; tries < MAX_STOPS; tries += press.isUnanswered ? 0 : 1) {
     stop(one, press);
-    await new Promise((resolve) => { setTimeout(resolve, STOPPED_EVERY_MS); });
+    await new Promise((resolve) => {
+      setTimeout(resolve, STOPPED_EVERY_MS);
+    });
     if (!press.isUnanswered && isOver(one, press)) return;
   }
 }
 
-/** Whether control is still what it was when the button was pressed: what moves under another's is the other's. */
+/** Whether the lease is still that of the press. Under any other lease, a motion is not that of the press. */
 function isOurs(one, { epoch }) {
   return one.held.peek()?.epoch === epoch && one.newest?.lease_epoch === epoch;
 }
@@ -86,16 +91,19 @@ function isOver(one, press) {
 }
 
 /**
- * Ends the motion of this press by its name, which stops nobody else's. Where that has no name, or has ended although the
- * fingers may go on, because its answer was lost, whatever moves is stopped while control is ours.
+ * Cancels the command of this press, so that no other client's motion stops. If its id is unknown, or if it ended
+ * while the fingers can still move (because the answer was lost), any motion is stopped while this page has control.
  */
 function stop(one, press) {
   if (press.command === null) {
     stopAll(one, press);
     return;
   }
-  rpc.call('cancel', { gripper: one.name, command: press.command })
-    .then(({ outcome }) => { if (outcome && !ENDED_BY_ITSELF.includes(outcome)) stopAll(one, press); })
+  rpc
+    .call('cancel', { gripper: one.name, command: press.command })
+    .then(({ outcome }) => {
+      if (outcome && !ENDED_BY_ITSELF.includes(outcome)) stopAll(one, press);
+    })
     .catch(() => {});
 }
 

@@ -1,5 +1,5 @@
-// By which name this tab takes control. Each tab is a client of its own: of two that would be called the same, the one
-// that was there first keeps the name, and the other gets a number.
+// Name under which this tab takes control. Each tab is a client of its own: of two tabs with the same name, the older
+// one keeps it, and the other gets a number.
 
 import { effect, signal } from '../lib.js';
 import { cut } from '../core/bytes.js';
@@ -15,7 +15,7 @@ function newName() {
   return `browser-${Array.from(random, (byte) => byte.toString(16).padStart(2, '0')).join('')}`;
 }
 
-/** Of the tabs that are opened next. */
+/** Name for tabs that are opened later. */
 const usual = kept('name', newName());
 
 function ofThisTab() {
@@ -32,11 +32,11 @@ effect(() => {
   try {
     sessionStorage.setItem(SESSION, myName.value);
   } catch {
-    // It lasts as long as the page.
+    // The name lasts as long as the page.
   }
 });
 
-/** As somebody wants it; an empty one changes nothing. */
+/** Renames this tab and later ones. Ignores an empty name. */
 export function rename(wanted) {
   const name = cut(wanted.trim(), MAX_NAME_BYTES);
   if (name === '') return;
@@ -44,14 +44,14 @@ export function rename(wanted) {
   myName.value = name;
 }
 
-/** The next one: `Anna`, `Anna (2)`, `Anna (3)`. */
+/** Returns the next name in the series `Anna`, `Anna (2)`, `Anna (3)`. */
 export function another(name) {
   const [, base, count] = /^(.*) \((\d+)\)$/.exec(name) ?? [null, name, 1];
   const end = ` (${Number(count) + 1})`;
   return cut(base, MAX_NAME_BYTES - end.length) + end;
 }
 
-/** When this tab came, and a number that tells apart what came at once. */
+/** Time at which this tab was opened, and a random number to break ties. */
 const me = [performance.timeOrigin, Math.random()];
 const wasBefore = ([at, random]) => me[0] < at || (me[0] === at && me[1] < random);
 

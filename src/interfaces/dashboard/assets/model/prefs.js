@@ -1,4 +1,4 @@
-// What this browser keeps: its name, its language, its looks, and presets. Nothing of it leaves the browser but the name.
+// Preferences stored in this browser: name, language, theme, terms of control and presets.
 
 import { computed, effect, signal } from '../lib.js';
 
@@ -16,15 +16,18 @@ function write(key, value) {
   try {
     localStorage.setItem(PREFIX + key, JSON.stringify(value));
   } catch {
-    // A private window: it lasts as long as the page.
+    // In a private window, the value lasts as long as the page.
   }
 }
 
-/** A signal that outlives the page, where the browser lets it. What all tabs are to have at once is shared. */
+/** Returns a signal that is stored, if the browser permits. A shared one follows changes in other tabs. */
 export function kept(key, fallback, { isShared = false } = {}) {
   const value = signal(read(key, fallback));
   effect(() => write(key, value.value));
-  if (isShared) addEventListener('storage', (event) => { if (event.key === PREFIX + key) value.value = read(key, fallback); });
+  if (isShared)
+    addEventListener('storage', (event) => {
+      if (event.key === PREFIX + key) value.value = read(key, fallback);
+    });
   return value;
 }
 
@@ -33,9 +36,11 @@ export const theme = kept('theme', 'auto', { isShared: true });
 
 const prefersDark = matchMedia('(prefers-color-scheme: dark)');
 const isDarkOutside = signal(prefersDark.matches);
-prefersDark.addEventListener('change', () => { isDarkOutside.value = prefersDark.matches; });
+prefersDark.addEventListener('change', () => {
+  isDarkOutside.value = prefersDark.matches;
+});
 
-/** What is drawn by script has to be drawn anew with it. */
+/** Whether the page is dark. Plots are recreated on a change. */
 export const isDark = computed(() => (theme.value === 'auto' ? isDarkOutside.value : theme.value === 'dark'));
 
 effect(() => {
@@ -48,7 +53,7 @@ export const onLossHolding = kept('on_loss_holding', 'keep');
 /** By gripper: `[{name, width, speed, force}]`. */
 export const presets = kept('presets', {}, { isShared: true });
 
-/** Changes those of one gripper, as they are kept now: another tab may just have changed them, too. */
+/** Changes the stored presets of one gripper, because another tab can just have changed them. */
 export function changePresets(gripper, change) {
   const all = read('presets', presets.peek());
   presets.value = { ...all, [gripper]: change(all[gripper] ?? []) };

@@ -1,4 +1,4 @@
-// What the page knows, fed by one WebSocket. Messages are taken as they come; the screen is told less than ten times a second.
+// The page's state, fed by one WebSocket. Messages apply at once; the screen is updated less than ten times a second.
 
 import { batch, computed, effect, signal } from '../lib.js';
 import { acknowledged, GATEWAY_GONE, updated, wrongWith } from '../core/alarms.js';
@@ -7,20 +7,20 @@ import { catchUp, take as takeEvent } from './events.js';
 import { lookForNewer } from './version.js';
 import { Gripper } from './gripper.js';
 
-/** So often states of each gripper come at most: where one is in view, of all at a glance, and where nobody looks. */
+/** Maximum rate of states per gripper: with one gripper in view, with all in view, and on a hidden page. */
 const HZ = { one: 20, all: 5, hidden: 1 };
-/** And of all grippers together: each message costs a panel's processor. */
+/** Maximum rate of all grippers together: each message costs processor time of a panel. */
 const MAX_HZ_TOGETHER = 40;
 
-/** So often the screen changes: faster is not read, and costs a panel's processor. */
+/** Interval of screen updates: faster ones cannot be read, and cost processor time. */
 const SHOWN_EVERY_MS = 120;
 
-/** Without anything from the gateway for that long, what is shown may be old: it is said within 2 s. It is asked in time. */
+/** Silence after which the shown values count as old; the page must say so within 2 s. Polls keep it shorter. */
 const STALE_AFTER_MS = 1200;
 const ASKED_EVERY_MS = 500;
 const LOOKED_EVERY_MS = 200;
 
-/** A connection on which nothing comes for that long is given up. */
+/** Silence after which the connection is replaced. */
 const RENEWED_AFTER_MS = 4000;
 
 export const VIEWS = ['operate', 'history', 'log', 'device', 'all'];
@@ -31,13 +31,13 @@ export const view = signal('operate');
 export const alarms = signal([]);
 /** `connecting` at first, then `live`, `silent` or `lost`. */
 export const connection = signal('connecting');
-/** When the newest message came: the time of day. */
+/** Wall-clock time of the newest message. */
 export const heardAt = signal(null);
-/** Ticks by the second, for ages. */
+/** Wall-clock time in whole seconds, for ages. */
 export const now = signal(Date.now());
-/** The newest event's number, so that what shows the journal looks again. */
+/** Number of the newest event. The history reloads when it changes. */
 export const eventSeq = signal(0);
-/** Names that were heard of lately, by which door, and when: looked at by the second, since busy cells would change it all the time. */
+/** Recently active clients with interface and time. Not a signal, because busy cells would change it all the time. */
 export const others = new Map();
 
 const isHidden = signal(document.hidden);
@@ -48,7 +48,7 @@ let shownAt = 0;
 const drawings = new Set();
 
 export const isLive = computed(() => connection.value === 'live');
-/** Which never becomes another one by itself: null where it isn't served here any more. */
+/** Selected gripper, or null if this gateway no longer serves it. Never replaced by another one. */
 export const gripper = computed(() => grippers.value.find(({ name }) => name === selected.value) ?? null);
 
 export const find = (name) => byName.get(name);
@@ -61,7 +61,7 @@ function ensure(name) {
   return byName.get(name);
 }
 
-/** What this gateway serves is told by each connection anew. */
+/** Drops grippers that the gateway no longer serves. */
 function keepOnly(names) {
   for (const name of byName.keys()) if (!names.includes(name)) byName.delete(name);
   grippers.value = grippers.peek().filter(({ name }) => byName.has(name));
@@ -84,7 +84,7 @@ function show() {
   drawings.forEach((draw) => draw());
 }
 
-/** Draws with what is shown, in the same frame of the screen, until the answer is called. */
+/** Calls `draw` after each update, in the same frame of the screen, until the returned function is called. */
 export function drawWith(draw) {
   drawings.add(draw);
   return () => drawings.delete(draw);
@@ -94,7 +94,7 @@ function takeState(state, at = performance.now()) {
   ensure(state.gripper).take(state, at);
   if (isDirty) return;
   isDirty = true;
-  // A page that isn't seen gets no frames.
+  // A hidden page gets no frames.
   const next = () => (document.hidden ? show() : requestAnimationFrame(show));
   setTimeout(next, Math.max(0, shownAt + SHOWN_EVERY_MS - performance.now()));
 }
@@ -105,16 +105,20 @@ export const rpc = new Rpc({
     lookForNewer();
   },
   onEnd: () => {
-    // What was held lives with the connection.
-    byName.forEach((one) => { one.held.value = null; });
+    // A lease ends with its connection.
+    byName.forEach((one) => {
+      one.held.value = null;
+    });
     look();
   },
-  onHeard: (at) => { lastHeard = Math.max(lastHeard, at); },
-  onTold: (method, params, at) => {
+  onHeard: (at) => {
+    lastHeard = Math.max(lastHeard, at);
+  },
+  onNotification: (method, params, at) => {
     if (method === 'state') takeState(params, at);
     if (method === 'event') takeEvent(params, find(params.gripper), at);
     if (method === 'command' && find(params.gripper)) find(params.gripper).command.value = params;
-    // Events were missed: how things are now is asked anew.
+    // Events were missed, so the current state is requested.
     if (method === 'gap') subscribe();
   },
 });
@@ -125,7 +129,7 @@ const hz = computed(() => {
   return Math.max(HZ.all, Math.min(view.value === 'all' ? HZ.all : HZ.one, share));
 });
 
-/** So often states are told by this connection. */
+/** Rate requested on this connection. */
 const askedHz = signal(null);
 
 const askFor = (max_hz) => rpc.call('subscribe', { topics: ['state', 'events'], max_hz });
@@ -135,7 +139,7 @@ async function subscribe() {
     const begun = rpc.begun();
     askedHz.value = begun?.params.max_hz ?? hz.peek();
     const { states, event_seq: seq } = await (begun?.answer ?? askFor(askedHz.peek()));
-    // How often depends on how many there are.
+    // The rate depends on the number of grippers, so it is computed once.
     batch(() => {
       states.forEach((state) => takeState(state, begun?.at));
       keepOnly(states.map((state) => state.gripper));
@@ -143,17 +147,19 @@ async function subscribe() {
     show();
     eventSeq.value = seq;
     look();
-    // By the states as they were told here: what comes after them is told by events.
+    // Starts from these states; events report what comes after them.
     grippers.peek().forEach((one) => catchUp(one).catch(() => {}));
-    const told = await rpc.call('grippers');
-    told.grippers.forEach((info) => { ensure(info.gripper).info.value = info; });
+    const answer = await rpc.call('grippers');
+    answer.grippers.forEach((info) => {
+      ensure(info.gripper).info.value = info;
+    });
     await Promise.all(grippers.peek().flatMap((one) => [learn(one), learnSettings(one)]));
   } catch {
-    // The connection has ended, and will be made again.
+    // The connection has ended, and will be replaced.
   }
 }
 
-/** What no state tells: limits, and the terms of the lease. */
+/** Fetches what a state does not contain: limits, and the terms of the lease. */
 export async function learn(one) {
   const [info, lease] = await Promise.allSettled([
     rpc.call('info', { gripper: one.name }),
@@ -165,21 +171,27 @@ export async function learn(one) {
   });
 }
 
-/** What the device is set to; what changes later is told by events. Answers what was wrong with it, or null. */
+/** Fetches the device's settings; events report later changes. Returns the problem, or null. */
 export async function learnSettings(one, names = ['soft-limits', 'force-limit']) {
-  const told = await Promise.allSettled(names.map((name) => rpc.call(`settings.${name}`, { gripper: one.name })));
-  told.forEach(({ value }) => value && one.takeSettings(value));
-  return told.find(({ status }) => status === 'rejected')?.reason ?? null;
+  const answers = await Promise.allSettled(names.map((name) => rpc.call(`settings.${name}`, { gripper: one.name })));
+  answers.forEach(({ value }) => value && one.takeSettings(value));
+  return answers.find(({ status }) => status === 'rejected')?.reason ?? null;
 }
 
 export function acknowledgeAlarm(id) {
   alarms.value = acknowledged(alarms.value, id, Date.now());
 }
 
-/** Whether what is shown is of now. */
+/** Updates the connection state and the clock. */
 function look() {
   const silence = performance.now() - lastHeard;
-  const next = !rpc.isOpen ? (connection.peek() === 'connecting' ? 'connecting' : 'lost') : silence > STALE_AFTER_MS ? 'silent' : 'live';
+  const next = !rpc.isOpen
+    ? connection.peek() === 'connecting'
+      ? 'connecting'
+      : 'lost'
+    : silence > STALE_AFTER_MS
+      ? 'silent'
+      : 'live';
   batch(() => {
     if (next !== connection.peek()) {
       connection.value = next;
@@ -196,17 +208,20 @@ function look() {
 setInterval(look, LOOKED_EVERY_MS);
 setInterval(() => {
   const asked = gripper.peek();
-  // Whatever is answered: the gateway is there.
+  // Any answer shows that the gateway is alive.
   if (rpc.isOpen && asked) rpc.call('state', { gripper: asked.name }, RENEWED_AFTER_MS).then(takeState, () => {});
 }, ASKED_EVERY_MS);
 
 effect(() => {
   if (askedHz.value === null || askedHz.value === hz.value || !rpc.isOpen) return;
   askedHz.value = hz.value;
-  askFor(hz.value).then(({ states, event_seq: seq }) => {
-    states.forEach((state) => takeState(state));
-    eventSeq.value = Math.max(eventSeq.peek(), seq);
-  }, () => {});
+  askFor(hz.value).then(
+    ({ states, event_seq: seq }) => {
+      states.forEach((state) => takeState(state));
+      eventSeq.value = Math.max(eventSeq.peek(), seq);
+    },
+    () => {},
+  );
 });
 
 document.addEventListener('visibilitychange', () => {

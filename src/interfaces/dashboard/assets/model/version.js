@@ -1,9 +1,9 @@
-// Whether the gateway serves another page than this by now: an operator leaves it open for weeks.
+// Detects that the gateway serves a newer version of this page: operators leave it open for weeks.
 
 import { signal } from '../lib.js';
 import { text } from '../net/rest.js';
 
-/** `/assets/VERSION/`, where this module came from. */
+/** `/assets/VERSION/` of this page. */
 const OURS = new URL('..', import.meta.url).pathname;
 
 export const isOld = signal(false);
@@ -11,7 +11,7 @@ export const isOld = signal(false);
 let isFirst = true;
 
 export async function lookForNewer() {
-  // The first connection is made by a page that has just come.
+  // On its first connection, the page has just been loaded.
   if (isFirst) {
     isFirst = false;
     return;
@@ -20,6 +20,6 @@ export async function lookForNewer() {
     const page = await text('/', 'text/html');
     isOld.value = !page.text.includes(OURS);
   } catch {
-    // With the next connection.
+    // Tried again with the next connection.
   }
 }

@@ -1,20 +1,25 @@
-// Before anything is painted: the looks, so that no white page flashes at night; and what the page asks for first, while
-// its modules are still on their way, so that the first that is painted is what there is to see.
+// Runs before the first paint. Sets the theme, so that no white page flashes at night, and sends the first request
+// while the modules are loading, so that the first paint shows values.
 
 {
   let theme = null;
   try {
     theme = JSON.parse(localStorage.getItem('wsg.theme'));
   } catch {
-    // As outside.
+    // Follow the system's theme.
   }
   const isDark = theme === 'dark' || (theme !== 'light' && matchMedia('(prefers-color-scheme: dark)').matches);
   document.documentElement.dataset.theme = isDark ? 'dark' : 'light';
 
   const scheme = location.protocol === 'https:' ? 'wss' : 'ws';
   const socket = new WebSocket(`${scheme}://${location.host}/api/v1/ws`, 'wsg.v1');
-  const asked = { jsonrpc: '2.0', id: 0, method: 'subscribe', params: { topics: ['state', 'events'], max_hz: document.hidden ? 1 : 20 } };
-  /** What has come, and when. More than that waits for a page that doesn't come. */
+  const asked = {
+    jsonrpc: '2.0',
+    id: 0,
+    method: 'subscribe',
+    params: { topics: ['state', 'events'], max_hz: document.hidden ? 1 : 20 },
+  };
+  /** Messages with their times. If the page does not take them, the connection is closed at the limit. */
   const heard = [];
   const MAX_HEARD = 1000;
   socket.addEventListener('open', () => socket.send(JSON.stringify(asked)));

@@ -1,16 +1,16 @@
-// JSON-RPC 2.0 over one WebSocket, which is made again whenever it ends.
+// JSON-RPC 2.0 over one WebSocket, which reconnects whenever it ends.
 
 import { delay } from '../core/backoff.js';
 
 const SUBPROTOCOL = 'wsg.v1';
 
-/** A connection that isn't there by then is tried anew. */
+/** Time limit of a connection attempt; then another one follows. */
 const CONNECTS_WITHIN_MS = 3000;
 
-/** What an answer may take: a device at 9600 baud is slow, and says so within this. */
+/** Time limit of an answer, including the time-out of a slow device at 9600 baud. */
 const ANSWERS_WITHIN_MS = 8000;
 
-/** The problem of a request that has found no way. */
+/** Problem of a request that got no answer. */
 export function noConnection() {
   return { code: 'no_connection', detail: '' };
 }
@@ -20,7 +20,7 @@ function address() {
   return `${scheme}://${location.host}/api/v1/ws`;
 }
 
-/** What `early.js` has begun, for the first who asks: `{socket, asked, heard}`. */
+/** Returns the connection begun by `early.js`, once: `{socket, asked, heard}`, or null. */
 function takeEarly() {
   const { early } = globalThis;
   delete globalThis.early;
@@ -36,7 +36,7 @@ export class Rpc {
   #isWanted = true;
   #begun = null;
 
-  /** `onOpen()`, `onEnd()`, `onTold(method, params, at)`, and `onHeard(at)` for anything that comes: when it did. */
+  /** `onOpen()`, `onEnd()`, `onNotification(method, params, at)`, and `onHeard(at)` for every message. */
   constructor(handlers) {
     this.handlers = handlers;
     this.#connect();
@@ -46,21 +46,21 @@ export class Rpc {
     return this.#socket?.readyState === WebSocket.OPEN;
   }
 
-  /** Ends it for good. */
+  /** Closes the connection for good. */
   close() {
     this.#isWanted = false;
     clearTimeout(this.#timer);
     this.#socket?.close();
   }
 
-  /** Gives a connection up on which nothing comes any more, and makes another. */
+  /** Replaces a silent connection. */
   renew() {
     const given = this.#socket;
     this.#ended(given);
     given?.close();
   }
 
-  /** Tries now rather than later. */
+  /** Reconnects at once instead of after the delay. */
   hurry() {
     if (this.#socket === null && this.#isWanted) {
       this.#tries = 0;
@@ -68,7 +68,7 @@ export class Rpc {
     }
   }
 
-  /** The answer; rejects with a problem. */
+  /** Resolves with the answer, or rejects with a problem. */
   call(method, params = {}, withinMs) {
     if (!this.isOpen) return Promise.reject(noConnection());
     const id = this.#nextId;
@@ -88,7 +88,7 @@ export class Rpc {
     });
   }
 
-  /** What was asked over this connection before this was there, once: `{params, answer, at}`, when that came, or null. */
+  /** Returns the request of `early.js` on this connection, once: `{params, answer, at}`, or null. */
   begun() {
     const begun = this.#begun;
     this.#begun = null;
@@ -106,8 +106,12 @@ export class Rpc {
       clearTimeout(tooLate);
       this.#tries = 0;
       this.handlers.onHeard?.(performance.now());
-      // Nothing comes before its answer.
-      this.#begun = early && { params: early.asked.params, answer: this.#expect(early.asked.id), at: early.heard[0]?.at };
+      // The first message is its answer.
+      this.#begun = early && {
+        params: early.asked.params,
+        answer: this.#expect(early.asked.id),
+        at: early.heard[0]?.at,
+      };
       this.handlers.onOpen?.();
       if (early) this.#takeAll(early.heard);
     };
@@ -120,7 +124,7 @@ export class Rpc {
     };
   }
 
-  /** Each in its turn, as they would come: who awaits an answer sees it before what came after it. */
+  /** Delivers early messages in separate turns, so that code awaiting an answer runs before the messages after it. */
   async #takeAll(heard) {
     for (const { data, at } of heard) {
       this.#take(JSON.parse(data), at);
@@ -131,7 +135,7 @@ export class Rpc {
   #take(message, at) {
     this.handlers.onHeard?.(at);
     if (message.method !== undefined) {
-      this.handlers.onTold?.(message.method, message.params, at);
+      this.handlers.onNotification?.(message.method, message.params, at);
       return;
     }
     const call = this.#calls.get(message.id);

@@ -1,4 +1,4 @@
-// The bar that is always there: the link, the state, who holds control, alarms, and STOP.
+// The permanent bar: link, state, holder of control, alarms, and STOP.
 
 import { html, signal } from '../lib.js';
 import { numbered } from '../core/newest.js';
@@ -9,33 +9,39 @@ import { isOld } from '../model/version.js';
 import { onPress, Shape, whyOld } from './parts.js';
 import { go } from './route.js';
 
-/** What became of the newest STOP, in words: an older one's end says nothing any more. */
+/** Result of the newest STOP as a text. Results of older ones are ignored. */
 const stopped = signal(null);
 const press = numbered();
 
-/** Good news goes by itself. */
-const TOLD_FOR_MS = 8000;
+/** Time for which a confirmation is shown. */
+const CONFIRMATION_SHOWN_MS = 8000;
 
 export async function stop() {
   const isNewest = press();
-  const tell = (told) => { if (isNewest()) stopped.value = told; };
-  tell({ text: t('stop.sent') });
+  const report = (result) => {
+    if (isNewest()) stopped.value = result;
+  };
+  report({ text: t('stop.sent') });
   try {
     const isConfirmed = (await fastStop()).fast_stop_confirmed;
-    tell({ text: t(isConfirmed ? 'stop.confirmed' : 'stop.unconfirmed'), isWrong: !isConfirmed });
-    if (isConfirmed) setTimeout(() => tell(null), TOLD_FOR_MS);
+    report({ text: t(isConfirmed ? 'stop.confirmed' : 'stop.unconfirmed'), isWrong: !isConfirmed });
+    if (isConfirmed) setTimeout(() => report(null), CONFIRMATION_SHOWN_MS);
   } catch (problem) {
-    tell({ text: t('stop.failed', { why: ofProblem(problem) }), isWrong: true });
+    report({ text: t('stop.failed', { why: ofProblem(problem) }), isWrong: true });
   }
 }
 
-/** Works from any view, also while something is typed. */
-addEventListener('keydown', (event) => {
-  if ((event.key === 'Escape' || event.key === 'Pause') && !event.repeat) {
-    event.preventDefault();
-    stop();
-  }
-}, { capture: true });
+/** Escape and Pause work in any view, also while the user types. */
+addEventListener(
+  'keydown',
+  (event) => {
+    if ((event.key === 'Escape' || event.key === 'Pause') && !event.repeat) {
+      event.preventDefault();
+      stop();
+    }
+  },
+  { capture: true },
+);
 
 function Stop() {
   return html`<div class="stop-place">
@@ -54,14 +60,15 @@ function Item({ label, shape, text, tone = '' }) {
 
 function linkItem(one) {
   if (connection.value !== 'live') {
-    const since = heardAt.value && connection.value !== 'connecting' ? ` ${t('bar.since',
-        { time: time(heardAt.value) })}` : '';
+    const since =
+      heardAt.value && connection.value !== 'connecting' ? ` ${t('bar.since', { time: time(heardAt.value) })}` : '';
     return { shape: 'high', tone: 'tone-high', text: t(`bar.gateway.${connection.value}`) + since };
   }
   const link = one?.link.value;
   if (!link) return { shape: 'off', text: '–' };
-  return link === 'connected' ? { shape: 'on', text: t('link.connected') } : { shape: 'high', tone: 'tone-high',
-      text: t(`link.${link}`) };
+  return link === 'connected'
+    ? { shape: 'on', text: t('link.connected') }
+    : { shape: 'high', tone: 'tone-high', text: t(`link.${link}`) };
 }
 
 function stateItem(one) {
@@ -84,10 +91,16 @@ function Alarms() {
   const open = alarms.value.filter((alarm) => !alarm.acknowledgedAt);
   const worst = ['critical', 'high', 'low'].find((priority) => open.some((alarm) => alarm.priority === priority));
   return html`<button type="button" class=${`alarm-badge ${worst ? `tone-${worst}` : ''}`}
-      onClick=${() => { go('operate'); requestAnimationFrame(() => document.getElementById('alarms')?.scrollIntoView()); }}>
+      onClick=${() => {
+        go('operate');
+        requestAnimationFrame(() => document.getElementById('alarms')?.scrollIntoView());
+      }}>
     <${Shape} name=${worst ?? 'check'} />
-      <span>${open.length === 0 ? t('bar.no_alarms') : t(open.length === 1 ? 'bar.alarm' : 'bar.alarms',
-          { count: open.length })}</span>
+      <span>${
+        open.length === 0
+          ? t('bar.no_alarms')
+          : t(open.length === 1 ? 'bar.alarm' : 'bar.alarms', { count: open.length })
+      }</span>
   </button>`;
 }
 
@@ -104,21 +117,33 @@ export function Bar() {
       </div>
       <${Stop} />
     </div>
-    ${isOld.value && html`<p class="newer" role="status">${t('newer')} <button type="button"
-        onClick=${() => location.reload()}>${t('reload')}</button></p>`}
-    ${stopped.value && html`<p class=${`stopped ${stopped.value.isWrong ? 'tone-critical' : ''}`}
+    ${
+      isOld.value &&
+      html`<p class="newer" role="status">${t('newer')} <button type="button"
+        onClick=${() => location.reload()}>${t('reload')}</button></p>`
+    }
+    ${
+      stopped.value &&
+      html`<p class=${`stopped ${stopped.value.isWrong ? 'tone-critical' : ''}`}
         role="status">${stopped.value.text}
-      <button type="button" class="quiet" onClick=${() => { stopped.value = null; }}>${t('close')}</button></p>`}
+      <button type="button" class="quiet" onClick=${() => {
+        stopped.value = null;
+      }}>${t('close')}</button></p>`
+    }
   </header>`;
 }
 
-/** Which gripper is looked at. */
 export function Picker() {
   const all = grippers.value;
   return html`<nav class="picker" aria-label=${t('bar.grippers')}>
-    ${all.map((one) => html`<button type="button" key=${one.name} class="chip"
-        aria-current=${one === gripper.value ? 'true' : 'false'} onClick=${() => { selected.value = one.name; go(); }}>
+    ${all.map(
+      (one) => html`<button type="button" key=${one.name} class="chip"
+        aria-current=${one === gripper.value ? 'true' : 'false'} onClick=${() => {
+          selected.value = one.name;
+          go();
+        }}>
       <${Shape} name=${whyOld(one) ? 'high' : one.latchId.value ? 'critical' : one.isMoving.value ? 'moving' : 'on'} />${one.name}
-        </button>`)}
+        </button>`,
+    )}
   </nav>`;
 }

@@ -1,4 +1,4 @@
-// The jaws, to scale: where they are, where they go, what is forbidden, and what is between them.
+// The jaws, drawn to scale, with target, soft limits and part.
 
 import { html, useComputed } from '../lib.js';
 import { fixed, plain, t } from '../model/i18n.js';
@@ -13,24 +13,39 @@ function ticks(stroke, scale) {
   return widths.map((mm) => {
     const isLong = mm % (TICK_MM * 2) === 0;
     return html`<g key=${mm}>
-      ${[-1, 1].map((side) => html`<line x1=${MIDDLE + (side * mm * scale) / 2} x2=${MIDDLE + (side * mm * scale) / 2}
-          y1="196" y2=${isLong ? 206 : 201} />`)}
-      ${isLong && [-1, 1].filter((side) => mm > 0 || side > 0).map((side) => html`<text
-          x=${MIDDLE + (side * mm * scale) / 2} y="220">${mm}</text>`)}
+      ${[-1, 1].map(
+        (side) => html`<line x1=${MIDDLE + (side * mm * scale) / 2} x2=${MIDDLE + (side * mm * scale) / 2}
+          y1="196" y2=${isLong ? 206 : 201} />`,
+      )}
+      ${
+        isLong &&
+        [-1, 1]
+          .filter((side) => mm > 0 || side > 0)
+          .map(
+            (side) => html`<text
+          x=${MIDDLE + (side * mm * scale) / 2} y="220">${mm}</text>`,
+          )
+      }
     </g>`;
   });
 }
 
-/** What the soft limits forbid, on the ruler. */
+/** Widths outside the soft limits, on the ruler. */
 function Forbidden({ soft, stroke, scale }) {
   if (soft?.minus_mm == null) return null;
   const x = (mm) => (mm * scale) / 2;
   const outer = x(stroke) - x(soft.plus_mm);
   return html`<g class="forbidden">
-    ${soft.minus_mm > 0 && html`<rect x=${MIDDLE - x(soft.minus_mm)} y="186" width=${2 * x(soft.minus_mm)}
-        height="9" />`}
-    ${outer > 0 && html`<rect x=${MIDDLE + x(soft.plus_mm)} y="186" width=${outer} height="9" /><rect
-        x=${MIDDLE - x(stroke)} y="186" width=${outer} height="9" />`}
+    ${
+      soft.minus_mm > 0 &&
+      html`<rect x=${MIDDLE - x(soft.minus_mm)} y="186" width=${2 * x(soft.minus_mm)}
+        height="9" />`
+    }
+    ${
+      outer > 0 &&
+      html`<rect x=${MIDDLE + x(soft.plus_mm)} y="186" width=${outer} height="9" /><rect
+        x=${MIDDLE - x(stroke)} y="186" width=${outer} height="9" />`
+    }
   </g>`;
 }
 
@@ -39,8 +54,10 @@ function Target({ one, scale }) {
   if (!target || target.width_mm === null || !one.isReferenced.value) return null;
   const half = (target.width_mm * scale) / 2;
   return html`<g class="target">
-    ${[-1, 1].map((side) => html`<line x1=${MIDDLE + side * half} x2=${MIDDLE + side * half} y1="70" y2="192" /><path
-        d="M-6 66h12l-6 9z" transform=${`translate(${MIDDLE + side * half} 0)`} />`)}
+    ${[-1, 1].map(
+      (side) => html`<line x1=${MIDDLE + side * half} x2=${MIDDLE + side * half} y1="70" y2="192" /><path
+        d="M-6 66h12l-6 9z" transform=${`translate(${MIDDLE + side * half} 0)`} />`,
+    )}
   </g>`;
 }
 
@@ -48,13 +65,16 @@ function Jaw({ side, place, direction }) {
   const mirror = side < 0 ? 'scale(-1 1)' : '';
   return html`<g transform=${place}><g transform=${mirror}>
     <path class="jaw" d="M0 84v80h16v-60l34-16V64h18V44H6v40z" />
-    ${direction !== 0 && html`<path class="arrow"
-        d=${direction > 0 ? 'M24 47h12v-5l12 11-12 11v-5H24z' : 'M48 47H36v-5L24 53l12 11v-5h12z'} />`}
+    ${
+      direction !== 0 &&
+      html`<path class="arrow"
+        d=${direction > 0 ? 'M24 47h12v-5l12 11-12 11v-5H24z' : 'M48 47H36v-5L24 53l12 11v-5h12z'} />`
+    }
   </g></g>`;
 }
 
 function words(one) {
-  const parts = [t(`state.${one.latchId.value ? 'FAST_STOP' : one.gripperState.value ?? 'unknown'}`)];
+  const parts = [t(`state.${one.latchId.value ? 'FAST_STOP' : (one.gripperState.value ?? 'unknown')}`)];
   if (one.direction.value < 0) parts.push(t('jaws.closing'));
   if (one.direction.value > 0) parts.push(t('jaws.opening'));
   const target = one.target.value?.width_mm;
@@ -71,9 +91,13 @@ function Drawing({ one }) {
   const from = useComputed(() => (MIDDLE - half.value).toFixed(1));
   const to = useComputed(() => (MIDDLE + half.value).toFixed(1));
   const between = useComputed(() => (2 * half.value).toFixed(1));
-  // What follows the width stands in attributes: the rest of the drawing stays as it is.
+  // Signals in attributes follow the width without rendering the whole drawing again.
   const isKnown = useComputed(() => one.width.value !== null).value;
-  const label = useComputed(() => (one.width.value === null ? t('jaws.not_referenced') : t('jaws.label', { width: fixed(one.reading.value?.width_mm, 1) })));
+  const label = useComputed(() =>
+    one.width.value === null
+      ? t('jaws.not_referenced')
+      : t('jaws.label', { width: fixed(one.reading.value?.width_mm, 1) }),
+  );
   const isHolding = one.gripperState.value === 'HOLDING';
   const isLost = one.gripperState.value === 'PART_LOST';
   return html`<svg class=${`jaws ${isKnown ? '' : 'unknown'}`} viewBox="0 0 680 232" role="img"
@@ -82,13 +106,20 @@ function Drawing({ one }) {
         width="2.5" height="6" /></pattern></defs>
     <rect class="body" x="20" y="14" width="640" height="30" rx="6" />
     <path class="rail" d="M36 36h608" />
-    ${(isHolding || isLost) && isKnown && html`<rect class=${isLost ? 'part lost' : 'part'} x=${from} y="108"
-        width=${between} height="52" rx="2" />`}
+    ${
+      (isHolding || isLost) &&
+      isKnown &&
+      html`<rect class=${isLost ? 'part lost' : 'part'} x=${from} y="108"
+        width=${between} height="52" rx="2" />`
+    }
     ${isHolding && isKnown && html`<text class="part-text" x=${MIDDLE} y="139">${fixed(one.force.value, 1)} N</text>`}
     <${Jaw} side=${-1} place=${left} direction=${one.direction.value} />
     <${Jaw} side=${1} place=${right} direction=${one.direction.value} />
-    ${isKnown && html`<g class="dimension"><line x1=${from} x2=${to} y1="177" y2="177" /><line x1=${from} x2=${from}
-        y1="168" y2="186" /><line x1=${to} x2=${to} y1="168" y2="186" /></g>`}
+    ${
+      isKnown &&
+      html`<g class="dimension"><line x1=${from} x2=${to} y1="177" y2="177" /><line x1=${from} x2=${from}
+        y1="168" y2="186" /><line x1=${to} x2=${to} y1="168" y2="186" /></g>`
+    }
     <${Forbidden} soft=${one.softLimits.value} stroke=${stroke} scale=${scale} />
     <g class="ruler"><line x1=${MIDDLE - SPAN / 2} x2=${MIDDLE + SPAN / 2} y1="196" y2="196" />${ticks(stroke, scale)}
       </g>
@@ -102,21 +133,29 @@ function Figures({ one }) {
   const info = one.info.value;
   const soft = one.softLimits.value;
   const hasSoft = soft?.minus_mm != null;
-  const widths = hasSoft ? t('figure.soft', { min: plain(soft.minus_mm),
-      max: plain(soft.plus_mm) }) : t('figure.stroke', { max: plain(info?.stroke_mm) });
+  const widths = hasSoft
+    ? t('figure.soft', { min: plain(soft.minus_mm), max: plain(soft.plus_mm) })
+    : t('figure.stroke', { max: plain(info?.stroke_mm) });
   return html`<div class="figures">
     <${Figure} label=${t('width')} value=${read?.width_mm} decimals=${2} unit="mm" note=${widths} timed="width"
         class="figure-main" />
-    <${Figure} label=${t('speed')} value=${read?.speed_mm_s} decimals=${1} unit="mm/s" note=${t('figure.max',
-        { max: plain(info?.max_speed_mm_s), unit: 'mm/s' })} />
-    <${Figure} label=${t('force')} value=${read?.force_n} decimals=${1} unit="N" note=${t('figure.max',
-        { max: plain(one.hasOverdrive.value ? info?.overdrive_force_n : info?.nominal_force_n), unit: 'N' })} />
+    <${Figure} label=${t('speed')} value=${read?.speed_mm_s} decimals=${1} unit="mm/s" note=${t('figure.max', {
+      max: plain(info?.max_speed_mm_s),
+      unit: 'mm/s',
+    })} />
+    <${Figure} label=${t('force')} value=${read?.force_n} decimals=${1} unit="N" note=${t('figure.max', {
+      max: plain(one.hasOverdrive.value ? info?.overdrive_force_n : info?.nominal_force_n),
+      unit: 'N',
+    })} />
   </div>`;
 }
 
 export function Jaws({ one }) {
-  return html`<${Panel} title=${one.name} id="jaws-title" class="jaws-panel" actions=${!whyOld(one) && html`<span
-      class="jaws-words" data-state=${one.gripperState.value}>${words(one)}</span>`}>
+  return html`<${Panel} title=${one.name} id="jaws-title" class="jaws-panel" actions=${
+    !whyOld(one) &&
+    html`<span
+      class="jaws-words" data-state=${one.gripperState.value}>${words(one)}</span>`
+  }>
     <${Covered} one=${one}><${Drawing} one=${one} /><${Figures} one=${one} /></${Covered}>
   </${Panel}>`;
 }

@@ -1,11 +1,11 @@
-// Small parts that many panels are made of.
+// Small parts of the panels.
 
 import { Fragment, html } from '../lib.js';
 import { cut } from '../core/bytes.js';
 import { fixed, ofProblem, span, t, time } from '../model/i18n.js';
 import { connection, heardAt, now } from '../model/store.js';
 
-/** Shapes beside words: nothing is said by colour alone. */
+/** Shapes beside words, so that colour is never the only sign. */
 const SHAPES = {
   critical: 'M8 1 15.5 15H.5z',
   high: 'M8 .8 15.2 8 8 15.2.8 8z',
@@ -29,7 +29,7 @@ export function Panel({ title, id, actions, class: extra = '', children }) {
   </section>`;
 }
 
-/** Since when what is shown is not of now; null while it is. */
+/** Why and since when the shown values are old; null while they are current. */
 export function whyOld(one) {
   if (connection.value === 'connecting') return { text: t('stale.connecting') };
   if (connection.value !== 'live') {
@@ -41,7 +41,7 @@ export function whyOld(one) {
   return null;
 }
 
-/** Covers what is old, and says since when: an old number never looks live. */
+/** Covers old values and shows their age, so that an old value never looks live. */
 export function Covered({ one, children }) {
   const old = whyOld(one);
   if (!old) return html`<${Fragment}>${children}</${Fragment}>`;
@@ -58,33 +58,40 @@ export function Covered({ one, children }) {
 export function ProblemNote({ problem }) {
   const known = problem.value;
   return html`<div class="problem-place" role="alert">
-    ${known && html`<div class="problem"><${Shape} name="high" /><div>
+    ${
+      known &&
+      html`<div class="problem"><${Shape} name="high" /><div>
       <p>${ofProblem(known)}</p>
       ${known.detail && html`<p class="muted small" lang="en">${known.detail}</p>`}
-    </div></div>`}
+    </div></div>`
+    }
   </div>`;
 }
 
 /** The gateway's limit of a part's id. */
 export const MAX_PART_BYTES = 48;
 
-/** Takes what is typed into a field, as far as the gateway takes it. */
-export const within = (maxBytes, take) => ({ currentTarget: field, isComposing }) => {
-  const text = cut(field.value, maxBytes);
-  // What is being composed isn't written yet.
-  if (text !== field.value && !isComposing) field.value = text;
-  take(text);
-};
+/** Handler for input to a text field, which is cut to the gateway's limit. */
+export const within =
+  (maxBytes, take) =>
+  ({ currentTarget: field, isComposing }) => {
+    const text = cut(field.value, maxBytes);
+    // An input method is still composing.
+    if (text !== field.value && !isComposing) field.value = text;
+    take(text);
+  };
 
-/** Few choices, one of them taken. */
+/** Buttons for a few choices, with one selected. */
 export function Choice({ label, name, options, value, onChange }) {
   return html`<div class="segments" role="group" aria-label=${label}>
-    ${options.map(([key, text]) => html`<button type="button" key=${key} data-choice=${`${name}-${key}`}
-        aria-pressed=${key === value ? 'true' : 'false'} onClick=${() => onChange(key)}>${text}</button>`)}
+    ${options.map(
+      ([key, text]) => html`<button type="button" key=${key} data-choice=${`${name}-${key}`}
+        aria-pressed=${key === value ? 'true' : 'false'} onClick=${() => onChange(key)}>${text}</button>`,
+    )}
   </div>`;
 }
 
-/** A big number. When it was painted first, the browser tells by the name `timed` to whoever measures. */
+/** A big number. `timed` names its first paint in the browser's performance entries. */
 export function Figure({ label, value, decimals, unit, note, timed, class: extra = '' }) {
   return html`<div class=${`figure ${extra}`}>
     <span class="figure-label">${label}</span>
@@ -94,10 +101,12 @@ export function Figure({ label, value, decimals, unit, note, timed, class: extra
 }
 
 /**
- * Of a button that acts when it is touched, and not only when it is let go: also with another finger on the screen, and
- * where the finger slides. Keys, and who reads the screen aloud, click.
+ * Handlers of a button that acts on touch, not only on release: also with another finger on the screen, and if the
+ * finger slides. Keys and screen readers click.
  */
 export const onPress = (act) => ({
   onPointerDown: () => act(),
-  onClick: (event) => { if (event.detail === 0) act(); },
+  onClick: (event) => {
+    if (event.detail === 0) act();
+  },
 });

@@ -1,4 +1,4 @@
-// Which view of which gripper: in the address, so that it can be kept and sent.
+// Keeps the gripper and the view in the address, so that users can save and share it.
 
 import { effect } from '../lib.js';
 import { gripper, selected, view, VIEWS } from '../model/store.js';
@@ -8,7 +8,7 @@ function read() {
   try {
     if (name) selected.value = decodeURIComponent(name);
   } catch {
-    // An address that names nothing: the page is there all the same.
+    // An invalid address is ignored.
   }
   if (VIEWS.includes(wanted)) view.value = wanted;
 }

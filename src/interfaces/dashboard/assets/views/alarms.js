@@ -1,4 +1,4 @@
-// Alarms: what is wrong now, what was, and what somebody has seen.
+// List of the alarms.
 
 import { html } from '../lib.js';
 import { sorted } from '../core/alarms.js';
@@ -22,24 +22,36 @@ function Row({ alarm }) {
     <div class="alarm-text"><strong>${named(alarm)}</strong>
       <span class="muted small">${t(words)} · ${moment(alarm.since)}${alarm.clearedAt ? ` – ${moment(alarm.clearedAt)}` : ''}${alarm.cause ? ` · ${alarm.cause}` : ''}
         </span></div>
-    ${isLatch ? html`<button type="button"
-        onClick=${() => { selected.value = alarm.gripper; go('operate'); requestAnimationFrame(() => document.getElementById('motion-title')?.scrollIntoView({ block: 'center' })); }}>${t('alarm.show')}
+    ${
+      isLatch
+        ? html`<button type="button"
+        onClick=${() => {
+          selected.value = alarm.gripper;
+          go('operate');
+          requestAnimationFrame(() => document.getElementById('motion-title')?.scrollIntoView({ block: 'center' }));
+        }}>${t('alarm.show')}
           </button>`
-      : !alarm.acknowledgedAt && html`<button type="button" aria-label=${t('alarm.acknowledge_one',
-          { alarm: alarmText(alarm) })} onClick=${() => acknowledgeAlarm(alarm.id)}>${t('alarm.acknowledge')}</button>`}
+        : !alarm.acknowledgedAt &&
+          html`<button type="button" aria-label=${t('alarm.acknowledge_one', {
+            alarm: alarmText(alarm),
+          })} onClick=${() => acknowledgeAlarm(alarm.id)}>${t('alarm.acknowledge')}</button>`
+    }
   </li>`;
 }
 
 export function Alarms() {
   const list = sorted(alarms.value);
   return html`<${Panel} title=${t('alarm.title')} id="alarms" class="alarms-panel">
-    ${list.length === 0 ? html`<p class="muted nothing"><${Shape} name="check" /> ${t('alarm.none')}</p>`
-      : html`<ul class="alarm-list">${list.map((alarm) => html`<${Row} key=${alarm.id} alarm=${alarm} />`)}</ul>`}
+    ${
+      list.length === 0
+        ? html`<p class="muted nothing"><${Shape} name="check" /> ${t('alarm.none')}</p>`
+        : html`<ul class="alarm-list">${list.map((alarm) => html`<${Row} key=${alarm.id} alarm=${alarm} />`)}</ul>`
+    }
     <p class="hint">${t('alarm.hint')}</p>
   </${Panel}>`;
 }
 
-/** Read aloud at once, wherever somebody is on the page. */
+/** Makes screen readers announce a new alarm at once, in any view. */
 export function Announcer() {
   const newest = alarms.value.find((alarm) => !alarm.clearedAt && !alarm.acknowledgedAt);
   return html`<div class="visually-hidden" aria-live="assertive" role="alert">${newest ? named(newest) : ''}</div>`;

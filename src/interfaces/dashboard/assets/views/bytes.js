@@ -1,7 +1,8 @@
-// Bytes as people write and read them: what the command editor takes, and what selected bytes mean.
+// Bytes as text: input of the command editor, and the meaning of selected bytes.
 
-/** One thing that the editor takes: "text", a hexadecimal or decimal number, a float with an f. */
-const TOKEN = /\s*(?:"((?:[^"\\]|\\.)*)"(?!\S)|(0x[0-9a-f]+)(?!\S)|([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?f)(?!\S)|(\d+)(?!\S)|(\S+))/giy;
+/** One token of the editor: "text", a hexadecimal or decimal number, or a float with an f. */
+const TOKEN =
+  /\s*(?:"((?:[^"\\]|\\.)*)"(?!\S)|(0x[0-9a-f]+)(?!\S)|([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?f)(?!\S)|(\d+)(?!\S)|(\S+))/giy;
 
 function littleEndian(hex) {
   const even = hex.length % 2 ? `0${hex}` : hex;
@@ -15,8 +16,9 @@ function float(text) {
 }
 
 /**
- * The bytes of `0x20 150.0f "text" 7`: hexadecimal numbers take as many bytes as they have pairs of digits, little
- * endian; decimal ones one byte; floats four; texts one for each character. `wrong` is the first part that is none.
+ * Parses a text like `0x20 150.0f "text" 7`. A hexadecimal number has one byte for each pair of digits, little endian.
+ * A decimal one has one byte, a float four, and a text one for each character. `wrong` is the first invalid part, or
+ * null.
  */
 export function parse(text) {
   const bytes = [];
@@ -44,35 +46,42 @@ export function parse(text) {
   return { bytes, wrong: null };
 }
 
-/** One byte for a command's id, as it is written in the manual or as a number; null where it is none. */
+/** Parses a command id, a number or in the manual's notation (`31h`). Returns null if the text is not valid. */
 export function parseId(text) {
   const trimmed = text.trim().toLowerCase();
   const manual = /^([0-9a-f]{2})h$/.exec(trimmed);
-  const value = manual ? Number.parseInt(manual[1], 16) : /^(0x[0-9a-f]{1,2}|\d{1,3})$/.test(trimmed) ? Number(trimmed) : NaN;
+  const value = manual
+    ? Number.parseInt(manual[1], 16)
+    : /^(0x[0-9a-f]{1,2}|\d{1,3})$/.test(trimmed)
+      ? Number(trimmed)
+      : NaN;
   return value >= 0 && value <= 0xff ? value : null;
 }
 
-/** What bytes mean, where their number fits. */
+/** Values of the bytes, as each type of their length. */
 export function interpretations(bytes) {
   const view = new DataView(Uint8Array.from(bytes).buffer);
-  const told = [];
-  const tell = (type, value) => told.push({ type, value });
+  const values = [];
+  const add = (type, value) => values.push({ type, value });
   switch (bytes.length) {
     case 1:
-      tell('u8', view.getUint8(0));
-      tell('i8', view.getInt8(0));
+      add('u8', view.getUint8(0));
+      add('i8', view.getInt8(0));
       break;
     case 2:
-      tell('u16', view.getUint16(0, true));
-      tell('i16', view.getInt16(0, true));
+      add('u16', view.getUint16(0, true));
+      add('i16', view.getInt16(0, true));
       break;
     case 4:
-      tell('f32', view.getFloat32(0, true));
-      tell('u32', view.getUint32(0, true));
-      tell('i32', view.getInt32(0, true));
+      add('f32', view.getFloat32(0, true));
+      add('u32', view.getUint32(0, true));
+      add('i32', view.getInt32(0, true));
       break;
     default:
   }
-  tell('text', Array.from(bytes, (byte) => (byte >= 0x20 && byte < 0x7f ? String.fromCharCode(byte) : '\u00b7')).join(''));
-  return told;
+  add(
+    'text',
+    Array.from(bytes, (byte) => (byte >= 0x20 && byte < 0x7f ? String.fromCharCode(byte) : '\u00b7')).join(''),
+  );
+  return values;
 }

@@ -1,4 +1,4 @@
-// Strip charts of width, speed and force: the newest at the right, with grips marked.
+// Strip charts of width, speed and force, with marks for grips. The newest values are at the right.
 
 import { html, signal, useEffect, useRef } from '../lib.js';
 import { t } from '../model/i18n.js';
@@ -8,23 +8,23 @@ import { Choice, Covered, Panel } from '../ui/parts.js';
 
 const WINDOWS_S = [10, 30, 120, 600];
 
-/** More points than that are not told apart on a screen. */
+/** Limit of the points in a chart: a screen cannot show more. */
 const POINTS = 600;
 
-/** So often a gripper is drawn that moves, with every second frame, and one that stands. */
+/** Intervals of drawing: of a moving gripper with every second screen update, and of one at rest. */
 const MOVING_MS = 230;
 const STANDING_MS = 500;
 
 const MARK_SHAPES = { begin: '\u25bd', held: '\u25cf', end: '\u25cb' };
 
 const windowS = signal(30);
-/** When the charts were stopped; null while they go on. */
+/** Time at which the charts were paused; null while they run. */
 const pausedAt = signal(null);
 
 const CHARTS = [
   { key: 'width', unit: 'mm', column: 1, range: (one) => [0, one.info.peek()?.stroke_mm ?? 110] },
-  { key: 'speed', unit: 'mm/s', column: 2, range: (one, low, high) => [Math.min(-10, low), Math.max(10, high)] },
-  { key: 'force', unit: 'N', column: 3, range: (one, low, high) => [0, Math.max(10, high * 1.1)] },
+  { key: 'speed', unit: 'mm/s', column: 2, range: (_one, low, high) => [Math.min(-10, low), Math.max(10, high)] },
+  { key: 'force', unit: 'N', column: 3, range: (_one, _low, high) => [0, Math.max(10, high * 1.1)] },
 ];
 
 function markAt(drawn, marks, until) {
@@ -74,7 +74,9 @@ function Charted({ one }) {
     };
     const isDue = () => performance.now() - drawnAt >= (one.isMoving.peek() ? MOVING_MS : STANDING_MS);
     draw();
-    const endDrawing = drawWith(() => { if (pausedAt.peek() === null && !document.hidden && isDue()) draw(); });
+    const endDrawing = drawWith(() => {
+      if (pausedAt.peek() === null && !document.hidden && isDue()) draw();
+    });
     const endFitting = fit(plots, mounted);
     return () => {
       endDrawing();
@@ -83,11 +85,17 @@ function Charted({ one }) {
     };
   }, [one, looks(), windowS.value]);
   return html`<div class="charts">
-    ${CHARTS.map((chart, index) => html`<figure class="chart" key=${chart.key}>
+    ${CHARTS.map(
+      (chart, index) => html`<figure class="chart" key=${chart.key}>
       <figcaption>${t(chart.key)} <span class="unit">${chart.unit}</span></figcaption>
-      <div class="chart-place" role="img" aria-label=${t('chart.label', { what: t(chart.key),
-          seconds: windowS.value })} ref=${(place) => { places.current[index] = place; }}></div>
-    </figure>`)}
+      <div class="chart-place" role="img" aria-label=${t('chart.label', {
+        what: t(chart.key),
+        seconds: windowS.value,
+      })} ref=${(place) => {
+        places.current[index] = place;
+      }}></div>
+    </figure>`,
+    )}
   </div>`;
 }
 
@@ -95,10 +103,14 @@ export function Charts({ one }) {
   const isPaused = pausedAt.value !== null;
   const actions = html`
     <${Choice} label=${t('chart.window')} name="window" value=${windowS.value}
-        onChange=${(seconds) => { windowS.value = seconds; }}
+        onChange=${(seconds) => {
+          windowS.value = seconds;
+        }}
       options=${WINDOWS_S.map((seconds) => [seconds, seconds < 60 ? `${seconds} s` : `${seconds / 60} min`])} />
     <button type="button" class="quiet" aria-pressed=${isPaused ? 'true' : 'false'}
-        onClick=${() => { pausedAt.value = isPaused ? null : performance.now(); }}>${t(isPaused ? 'chart.resume' : 'chart.pause')}
+        onClick=${() => {
+          pausedAt.value = isPaused ? null : performance.now();
+        }}>${t(isPaused ? 'chart.resume' : 'chart.pause')}
           </button>`;
   return html`<${Panel} title=${t('chart.title')} id="chart-title" class="charts-panel" actions=${actions}>
     <${Covered} one=${one}><${Charted} one=${one} /></${Covered}>

@@ -1,4 +1,4 @@
-// How many clients are connected, by door: the gateway's own figures say.
+// Number of connected clients by interface, from the gateway's metrics.
 
 import { signal } from '../lib.js';
 import { text } from '../net/rest.js';
@@ -13,13 +13,15 @@ async function ask() {
   if (!isLive.peek() || document.hidden) return;
   try {
     const { text: figures } = await text('/metrics', 'text/plain');
-    clients.value = Array.from(figures.matchAll(LINE), ([, door, count]) => ({ door, count: Number(count) })).filter(({ count }) => count > 0);
+    clients.value = Array.from(figures.matchAll(LINE), ([, door, count]) => ({ door, count: Number(count) })).filter(
+      ({ count }) => count > 0,
+    );
   } catch {
     clients.value = [];
   }
 }
 
-/** Asks for as long as somebody looks. */
+/** Polls until the returned function is called. */
 export function watchClients() {
   ask();
   const timer = setInterval(ask, ASKED_EVERY_MS);

@@ -1,4 +1,4 @@
-// Control: who moves the gripper, how it changes hands, and what happens if this browser goes.
+// Control: its holder, how another client gets it, and what happens if this browser is lost.
 
 import { html, useEffect, useSignal } from '../lib.js';
 import { ago, t } from './ago.js';
@@ -12,10 +12,12 @@ import { Covered, Panel, Shape } from '../ui/parts.js';
 function Held({ one }) {
   const asked = one.lease.value?.requested_by;
   return html`<p><${Shape} name="lock" /> <strong>${t('control.mine', { name: one.holder.value })}</strong></p>
-    ${asked && html`<p class="asked tone-high" role="status"><${Shape} name="high" /> ${t('control.asked',
-        { name: asked })}
-      <button type="button" id="hand-over" class="primary" onClick=${() => handOver(one,
-          asked)}>${t('control.hand_over', { name: asked })}</button></p>`}
+    ${
+      asked &&
+      html`<p class="asked tone-high" role="status"><${Shape} name="high" /> ${t('control.asked', { name: asked })}
+      <button type="button" id="hand-over" class="primary" onClick=${() =>
+        handOver(one, asked)}>${t('control.hand_over', { name: asked })}</button></p>`
+    }
     <div class="buttons"><button type="button" id="give-back"
         onClick=${() => releaseControl(one)}>${t('control.release')}</button></div>`;
 }
@@ -27,12 +29,22 @@ function OfAnother({ one, holder }) {
     <div class="buttons">
       <button type="button" id="ask-control" onClick=${() => takeControl(one, { request: true })}>${t('control.ask')}
         </button>
-      ${isSure.value ? html`<button type="button" id="force-sure" class="primary"
-          onClick=${() => { isSure.value = false; takeControl(one, { force: true }); }}>${t('control.force_sure')}
+      ${
+        isSure.value
+          ? html`<button type="button" id="force-sure" class="primary"
+          onClick=${() => {
+            isSure.value = false;
+            takeControl(one, { force: true });
+          }}>${t('control.force_sure')}
             </button>
-          <button type="button" onClick=${() => { isSure.value = false; }}>${t('cancel')}</button>`
-        : html`<button type="button" id="force-control"
-            onClick=${() => { isSure.value = true; }}>${t('control.force')}</button>`}
+          <button type="button" onClick=${() => {
+            isSure.value = false;
+          }}>${t('cancel')}</button>`
+          : html`<button type="button" id="force-control"
+            onClick=${() => {
+              isSure.value = true;
+            }}>${t('control.force')}</button>`
+      }
     </div>
     <p class="hint">${t('control.force_hint')}</p>`;
 }
@@ -42,8 +54,12 @@ function Free({ one }) {
   return html`<p>${reserved ? t('control.reserved', { name: reserved }) : t('control.nobody')}</p>
     <div class="buttons"><button type="button" id="take-control" class="primary"
         onClick=${() => takeControl(one)}>${t('control.take')}</button>
-    ${reserved && reserved !== myName.value && html`<button type="button" id="force-control"
-        onClick=${() => takeControl(one, { force: true })}>${t('control.force')}</button>`}</div>`;
+    ${
+      reserved &&
+      reserved !== myName.value &&
+      html`<button type="button" id="force-control"
+        onClick=${() => takeControl(one, { force: true })}>${t('control.force')}</button>`
+    }</div>`;
 }
 
 function Terms({ one }) {
@@ -51,15 +67,19 @@ function Terms({ one }) {
     signal.value = event.currentTarget.value;
     if (one.isMine.peek()) changeTerms(one);
   };
-  const told = one.isMine.value && one.lease.value ? one.lease.value : { on_loss_moving: onLossMoving.value,
-      on_loss_holding: onLossHolding.value };
-  return html`<p class="small">${t(`gone.moving.${told.on_loss_moving}`)} ${t(`gone.holding.${told.on_loss_holding}`)} ${t('gone.link')}
+  const terms =
+    one.isMine.value && one.lease.value
+      ? one.lease.value
+      : { on_loss_moving: onLossMoving.value, on_loss_holding: onLossHolding.value };
+  return html`<p class="small">${t(`gone.moving.${terms.on_loss_moving}`)} ${t(`gone.holding.${terms.on_loss_holding}`)} ${t('gone.link')}
     </p>
     <div class="fields terms">
       <div class="field"><label for="on-moving">${t('control.on_moving')}</label><select id="on-moving"
           value=${onLossMoving.value} onChange=${choose(onLossMoving)}>
-        ${['fast_stop', 'stop', 'finish'].map((choice) => html`<option value=${choice}>${t(`loss.${choice}`)}
-          </option>`)}</select></div>
+        ${['fast_stop', 'stop', 'finish'].map(
+          (choice) => html`<option value=${choice}>${t(`loss.${choice}`)}
+          </option>`,
+        )}</select></div>
       <div class="field"><label for="on-holding">${t('control.on_holding')}</label><select id="on-holding"
           value=${onLossHolding.value} onChange=${choose(onLossHolding)}>
         ${['keep', 'fast_stop'].map((choice) => html`<option value=${choice}>${t(`loss.${choice}`)}</option>`)}
@@ -69,21 +89,30 @@ function Terms({ one }) {
 
 function Others() {
   useEffect(watchClients, []);
-  // Their ages change by the second, and the list with them.
+  // Reading the clock refreshes the list and its ages every second.
   const list = now.value && [...others].reverse().slice(0, 6);
   return html`<h3>${t('control.others')}</h3>
-    <p class="small">${t('control.connections', { list: clients.value.map(({ door,
-        count }) => `${t(`door.${door}`)} ${count}`).join(', ') || '–' })}</p>
-    <ul class="others small">${list.map(([name, { door, at }]) => html`<li key=${name}><code>${name}</code> <span
-        class="muted">${t(`door.${door}`)}, ${ago(at)}</span></li>`)}</ul>`;
+    <p class="small">${t('control.connections', {
+      list: clients.value.map(({ door, count }) => `${t(`door.${door}`)} ${count}`).join(', ') || '–',
+    })}</p>
+    <ul class="others small">${list.map(
+      ([name, { door, at }]) => html`<li key=${name}><code>${name}</code> <span
+        class="muted">${t(`door.${door}`)}, ${ago(at)}</span></li>`,
+    )}</ul>`;
 }
 
 export function Control({ one }) {
   const holder = one.holder.value;
   return html`<${Panel} title=${t('control.title')} id="control-title" class="control-panel">
     <${Covered}>
-      ${one.isMine.value ? html`<${Held} one=${one} />` : holder ? html`<${OfAnother} one=${one}
-          holder=${holder} />` : html`<${Free} one=${one} />`}
+      ${
+        one.isMine.value
+          ? html`<${Held} one=${one} />`
+          : holder
+            ? html`<${OfAnother} one=${one}
+          holder=${holder} />`
+            : html`<${Free} one=${one} />`
+      }
       <details class="more" open><summary>${t('control.if_gone')}</summary><${Terms} one=${one} /></details>
       <${Others} />
     </${Covered}>

@@ -1,4 +1,4 @@
-// The device: what it is, what it can do, what it is set to, and how its grips went.
+// The device: identity, limits, settings, and statistics of its grips.
 
 import { html, useEffect, useRef, useSignal } from '../lib.js';
 import { accelerationLimits, asTyped, forceLimits, mistake, number, widthLimits } from '../core/limits.js';
@@ -9,19 +9,26 @@ import { Covered, Panel, ProblemNote, Shape } from '../ui/parts.js';
 import { limitsText, NumberField } from './fields.js';
 
 function Facts({ facts }) {
-  return html`<dl class="facts">${facts.filter(([,
-      value]) => value !== null && value !== undefined && value !== '').map(([key, value]) => html`<div key=${key}>
-        <dt>${t(key)}</dt><dd>${value}</dd></div>`)}</dl>`;
+  return html`<dl class="facts">${facts
+    .filter(([, value]) => value !== null && value !== undefined && value !== '')
+    .map(
+      ([key, value]) => html`<div key=${key}>
+        <dt>${t(key)}</dt><dd>${value}</dd></div>`,
+    )}</dl>`;
 }
 
 function About({ one }) {
   const info = one.info.value;
   if (!info) return null;
   return html`<${Panel} title=${t('device.title')} id="device-title"><${Facts} facts=${[
-    ['device.model', info.device_type], ['device.serial', info.serial_number], ['device.firmware', info.firmware],
-        ['device.hardware', info.hardware_revision], ['device.tag', info.device_tag], ['device.url', info.url],
+    ['device.model', info.device_type],
+    ['device.serial', info.serial_number],
+    ['device.firmware', info.firmware],
+    ['device.hardware', info.hardware_revision],
+    ['device.tag', info.device_tag],
+    ['device.url', info.url],
     ['device.temperature', one.temperature.value === null ? null : `${fixed(one.temperature.value, 1)} °C`],
-        ['device.capabilities', info.capabilities.join(', ')],
+    ['device.capabilities', info.capabilities.join(', ')],
     ['device.if_gateway', t(info.stops_on_gateway_loss ? 'device.stops' : 'device.moves_on')],
   ]} /></${Panel}>`;
 }
@@ -31,17 +38,20 @@ function Limits({ one }) {
   const soft = one.softLimits.value;
   return html`<${Panel} title=${t('limits.title')} id="limits-title"><${Facts} facts=${[
     ['limits.stroke', limitsText(widthLimits(info, null), 'mm')],
-    ['limits.soft', soft?.minus_mm == null ? t('limits.no_soft') : `${plain(soft.minus_mm)} – ${plain(soft.plus_mm)} mm`],
+    [
+      'limits.soft',
+      soft?.minus_mm == null ? t('limits.no_soft') : `${plain(soft.minus_mm)} – ${plain(soft.plus_mm)} mm`,
+    ],
     ['limits.speed', info && `${plain(info.min_speed_mm_s)} – ${plain(info.max_speed_mm_s)} mm/s`],
-        ['limits.acceleration', limitsText(accelerationLimits(info), 'mm/s²')],
-    ['limits.force', limitsText(forceLimits(info, false), 'N')], ['limits.overdrive',
-        info?.overdrive_force_n > info?.nominal_force_n ? `${plain(info.overdrive_force_n)} N` : null],
+    ['limits.acceleration', limitsText(accelerationLimits(info), 'mm/s²')],
+    ['limits.force', limitsText(forceLimits(info, false), 'N')],
+    ['limits.overdrive', info?.overdrive_force_n > info?.nominal_force_n ? `${plain(info.overdrive_force_n)} N` : null],
   ]} /></${Panel}>`;
 }
 
 /**
- * What is typed for a setting. It follows what is set, by whomever, until somebody types: from then on it stays, and
- * `meanwhile` is what it was set to elsewhere.
+ * Draft of a setting. Follows the device's value until the user types. From then on the draft stays, and `meanwhile`
+ * is the value that another client has set.
  */
 function useDraft(one, field, asText = asTyped) {
   const set = asText(one.settings.value[field] ?? null);
@@ -53,22 +63,33 @@ function useDraft(one, field, asText = asTyped) {
     else if (set !== known.current) isOvertaken.value = true;
     known.current = set;
   }, [set]);
-  useEffect(() => { if (value.value === set) isOvertaken.value = false; }, [value.value, set]);
-  return { key: field, value, meanwhile: isOvertaken.value && value.value !== set ? set : null, follow: () => { value.value = set; } };
+  useEffect(() => {
+    if (value.value === set) isOvertaken.value = false;
+  }, [value.value, set]);
+  return {
+    key: field,
+    value,
+    meanwhile: isOvertaken.value && value.value !== set ? set : null,
+    follow: () => {
+      value.value = set;
+    },
+  };
 }
 
-/** What was set elsewhere while something else was being typed, and a way to take it. */
+/** Note that another client has set a value while the user typed, with a button to use that value. */
 function Meanwhile({ one, drafts }) {
   const overtaken = drafts.filter(({ meanwhile }) => meanwhile !== null);
   if (overtaken.length === 0) return null;
   const by = [...new Set(overtaken.map(({ key }) => one.setBy.value[key] ?? '–'))].join(', ');
-  return html`<p class="meanwhile small" role="status"><${Shape} name="high" /> ${t('settings.meanwhile', { by,
-      value: overtaken.map(({ meanwhile, unit = '' }) => `${meanwhile || '–'} ${unit}`.trim()).join(', ') })}
+  return html`<p class="meanwhile small" role="status"><${Shape} name="high" /> ${t('settings.meanwhile', {
+    by,
+    value: overtaken.map(({ meanwhile, unit = '' }) => `${meanwhile || '–'} ${unit}`.trim()).join(', '),
+  })}
     <button type="button" class="quiet" onClick=${() => overtaken.forEach(({ follow }) => follow())}>${t('settings.follow')}
       </button></p>`;
 }
 
-/** One setting: what is typed, and what the device made of it. */
+/** Form of one setting. */
 function Setting({ one, id, method, fields, limits, send, children }) {
   const wrong = fields.some(({ value, key }) => mistake(number(value.value), limits(key)));
   const set = (event) => {
@@ -76,8 +97,10 @@ function Setting({ one, id, method, fields, limits, send, children }) {
     send(`${method}.set`, fields, number);
   };
   return html`<form class="setting" onSubmit=${set}>
-    <div class="fields">${fields.map(({ key, label, unit, value }) => html`<${NumberField} key=${key}
-        id=${`${id}-${key}`} label=${label} unit=${unit} value=${value} limits=${limits(key)} isOptional=${true} />`)}
+    <div class="fields">${fields.map(
+      ({ key, label, unit, value }) => html`<${NumberField} key=${key}
+        id=${`${id}-${key}`} label=${label} unit=${unit} value=${value} limits=${limits(key)} isOptional=${true} />`,
+    )}
           </div>
     <div class="buttons"><button type="submit" disabled=${wrong}>${t('settings.set')}</button>${children}</div>
     <${Meanwhile} one=${one} drafts=${fields} />
@@ -92,26 +115,33 @@ function Settings({ one }) {
   const minus = { ...useDraft(one, 'minus_mm'), label: t('settings.minus'), unit: 'mm' };
   const plus = { ...useDraft(one, 'plus_mm'), label: t('settings.plus'), unit: 'mm' };
   const tag = useDraft(one, 'tag', (text) => text ?? '');
-  const said = useSignal('');
-  useEffect(() => { learnSettings(one, ALL_SETTINGS).then((problem) => { if (problem) one.problem.value = problem; }); },
-      [one, connection.value === 'live']);
+  const note = useSignal('');
+  useEffect(() => {
+    learnSettings(one, ALL_SETTINGS).then((problem) => {
+      if (problem) one.problem.value = problem;
+    });
+  }, [one, connection.value === 'live']);
   const change = async (method, params) => {
-    said.value = '';
-    const told = await ask(one, method, params);
-    if (told) said.value = t('settings.done');
-    return told;
+    note.value = '';
+    const answer = await ask(one, method, params);
+    if (answer) note.value = t('settings.done');
+    return answer;
   };
   const send = async (method, fields, read) => {
-    const told = await change(method, Object.fromEntries(fields.map(({ key, value }) => [key, read(value.value)])));
-    if (!told) return;
-    one.takeSettings(told);
-    fields.forEach(({ key, value }) => { value.value = typeof told[key] === 'number' ? asTyped(told[key]) : told[key] ?? ''; });
+    const answer = await change(method, Object.fromEntries(fields.map(({ key, value }) => [key, read(value.value)])));
+    if (!answer) return;
+    one.takeSettings(answer);
+    fields.forEach(({ key, value }) => {
+      value.value = typeof answer[key] === 'number' ? asTyped(answer[key]) : (answer[key] ?? '');
+    });
   };
   const hasOverdrive = one.info.value?.capabilities.includes('overdrive');
   const isTag = /^[ -~]{0,64}$/.test(tag.value.value);
   const width = widthLimits(one.info.value, null);
-  const widths = (key) => (key === 'minus_mm' ? { ...width, max: Math.min(width.max, number(plus.value.value) || width.max) }
-    : { ...width, min: Math.max(0, number(minus.value.value) || 0) });
+  const widths = (key) =>
+    key === 'minus_mm'
+      ? { ...width, max: Math.min(width.max, number(plus.value.value) || width.max) }
+      : { ...width, min: Math.max(0, number(minus.value.value) || 0) };
   return html`<${Panel} title=${t('settings.title')} id="settings-title" class="settings-panel">
     <p class="hint">${t('settings.hint')}</p>
     <${Setting} one=${one} id="acceleration" method="settings.acceleration" send=${send} fields=${[acceleration]}
@@ -121,44 +151,67 @@ function Settings({ one }) {
     <${Setting} one=${one} id="soft-limits" method="settings.soft-limits" send=${send} fields=${[minus, plus]}
         limits=${widths}><button type="button" disabled=${one.softLimits.value.minus_mm === null}
             onClick=${() => change('settings.soft-limits.clear')}>${t('settings.clear')}</button></${Setting}>
-    <form class="setting" onSubmit=${(event) => { event.preventDefault(); send('settings.device-tag.set', [tag], String); }}>
+    <form class="setting" onSubmit=${(event) => {
+      event.preventDefault();
+      send('settings.device-tag.set', [tag], String);
+    }}>
       <div class=${`field ${isTag ? '' : 'wrong'}`}><label for="tag">${t('settings.tag')}</label><input id="tag"
           type="text" maxlength="64" aria-invalid=${isTag ? 'false' : 'true'} aria-describedby="tag-hint"
-              value=${tag.value.value} onInput=${(event) => { tag.value.value = event.currentTarget.value; }} /><p class="hint"
+              value=${tag.value.value} onInput=${(event) => {
+                tag.value.value = event.currentTarget.value;
+              }} /><p class="hint"
                   id="tag-hint">${t('settings.tag_hint')}</p></div>
       <div class="buttons"><button type="submit" disabled=${!isTag}>${t('settings.set')}</button></div>
       <${Meanwhile} one=${one} drafts=${[tag]} />
     </form>
     <div class="buttons">
-      ${hasOverdrive && html`<button type="button" aria-pressed=${one.hasOverdrive.value ? 'true' : 'false'}
+      ${
+        hasOverdrive &&
+        html`<button type="button" aria-pressed=${one.hasOverdrive.value ? 'true' : 'false'}
           onClick=${() => change('settings.overdrive.set', { enabled: !one.hasOverdrive.value })}>${t('settings.overdrive')}: ${t(one.hasOverdrive.value ? 'settings.off' : 'settings.on')}
-                </button>`}
+                </button>`
+      }
       <button type="button" onClick=${() => change('tare')}>${t('settings.tare')}</button>
     </div>
-    <p class="small" role="status">${said.value}</p>
+    <p class="small" role="status">${note.value}</p>
     <${ProblemNote} problem=${one.problem} />
   </${Panel}>`;
 }
 
 function Statistics({ one }) {
-  const told = useSignal(null);
+  const known = useSignal(null);
   const isSure = useSignal(false);
-  useEffect(() => { askFreely(one, 'statistics').then((statistics) => { told.value = statistics; }); }, [one,
-      one.runs.value, one.settingsChange.value, connection.value === 'live']);
-  const figures = told.value;
-  const good = figures && figures.total > 0 ? ((figures.total - figures.no_part - figures.lost_part) / figures.total) * 100 : null;
+  useEffect(() => {
+    askFreely(one, 'statistics').then((statistics) => {
+      known.value = statistics;
+    });
+  }, [one, one.runs.value, one.settingsChange.value, connection.value === 'live']);
+  const figures = known.value;
+  const good =
+    figures && figures.total > 0 ? ((figures.total - figures.no_part - figures.lost_part) / figures.total) * 100 : null;
   const reset = async () => {
-    if (!isSure.value) { isSure.value = true; return; }
+    if (!isSure.value) {
+      isSure.value = true;
+      return;
+    }
     isSure.value = false;
-    told.value = await ask(one, 'statistics.reset') ?? told.value;
+    known.value = (await ask(one, 'statistics.reset')) ?? known.value;
   };
   return html`<${Panel} title=${t('statistics.title')} id="statistics-title"
-      actions=${html`${isSure.value && html`<button type="button"
-          onClick=${() => { isSure.value = false; }}>${t('cancel')}</button>`}<button type="button"
+      actions=${html`${
+        isSure.value &&
+        html`<button type="button"
+          onClick=${() => {
+            isSure.value = false;
+          }}>${t('cancel')}</button>`
+      }<button type="button"
               onClick=${reset}>${t(isSure.value ? 'statistics.sure' : 'statistics.reset')}</button>`}>
-    <${Facts} facts=${[['statistics.total', plain(figures?.total)], ['statistics.no_part', plain(figures?.no_part)],
-        ['statistics.lost_part', plain(figures?.lost_part)], ['statistics.good', good === null ? '–' : `${fixed(good,
-            1)} %`]]} />
+    <${Facts} facts=${[
+      ['statistics.total', plain(figures?.total)],
+      ['statistics.no_part', plain(figures?.no_part)],
+      ['statistics.lost_part', plain(figures?.lost_part)],
+      ['statistics.good', good === null ? '–' : `${fixed(good, 1)} %`],
+    ]} />
   </${Panel}>`;
 }
 

@@ -1,4 +1,4 @@
-// The command editor: bytes as people write them, the frame that they make, and what the gripper answers.
+// The command editor: bytes as text, their frame, and the gripper's answer.
 
 import { html, useSignal } from '../lib.js';
 import { interpretations, parse, parseId } from './bytes.js';
@@ -7,7 +7,7 @@ import { t } from '../model/i18n.js';
 import { isLive, rpc } from '../model/store.js';
 import { Panel, ProblemNote } from '../ui/parts.js';
 
-/** A long frame's begin and end: the checksum is there in any case. */
+/** Digits of a frame that are shown. A longer one loses its middle, so that the checksum stays visible. */
 const SHOWN = 240;
 const shortened = (hex) => (hex.length <= SHOWN ? hex : `${hex.slice(0, SHOWN - 30)} … ${hex.slice(-23)}`);
 
@@ -15,9 +15,14 @@ function Answer({ answer }) {
   const bytes = fromHex(answer.payload ?? '');
   return html`<div role="status" id="answer"><p><strong>${t('editor.answer')}
     </strong> <code>${answer.status ?? answer.phase ?? '–'}${answer.outcome ? ` ${answer.outcome}` : ''}</code></p>
-    ${bytes.length > 0 && html`<p><code>${toHex(bytes, ' ')}</code></p><dl
-        class="meanings">${interpretations(Array.from(bytes)).map(({ type, value }) => html`<dt
-            key=${type}>${t(`type.${type}`)}</dt><dd data-type=${type}>${String(value)}</dd>`)}</dl>`}</div>`;
+    ${
+      bytes.length > 0 &&
+      html`<p><code>${toHex(bytes, ' ')}</code></p><dl
+        class="meanings">${interpretations(Array.from(bytes)).map(
+          ({ type, value }) => html`<dt
+            key=${type}>${t(`type.${type}`)}</dt><dd data-type=${type}>${String(value)}</dd>`,
+        )}</dl>`
+    }</div>`;
 }
 
 export function Editor({ one }) {
@@ -31,8 +36,12 @@ export function Editor({ one }) {
     [answer.value, problem.value] = [null, null];
     const lease = one.held.peek()?.token;
     try {
-      answer.value = await rpc.call('raw', { gripper: one.name, id: code, payload: toHex(bytes),
-          ...(lease ? { lease } : {}) });
+      answer.value = await rpc.call('raw', {
+        gripper: one.name,
+        id: code,
+        payload: toHex(bytes),
+        ...(lease ? { lease } : {}),
+      });
     } catch (refused) {
       problem.value = refused;
     }
@@ -41,14 +50,23 @@ export function Editor({ one }) {
     <div class=${`field ${code === null ? 'wrong' : ''}`}><label for="editor-id">${t('editor.id')}</label><input
         id="editor-id" type="text" autocomplete="off" spellcheck=${false} aria-describedby="editor-id-hint"
             aria-invalid=${code === null ? 'true' : 'false'} value=${id.value}
-                onInput=${(event) => { id.value = event.currentTarget.value; }} />
+                onInput=${(event) => {
+                  id.value = event.currentTarget.value;
+                }} />
       <p class="hint" id="editor-id-hint">${t(code === null ? 'editor.id_wrong' : 'editor.id_hint')}</p></div>
     <div class=${`field ${wrong !== null || isLong ? 'wrong' : ''}`}><label
         for="editor-payload">${t('editor.payload')}</label><textarea id="editor-payload" spellcheck=${false}
             aria-describedby="editor-payload-hint" aria-invalid=${wrong === null && !isLong ? 'false' : 'true'}
-                value=${payload.value} onInput=${(event) => { payload.value = event.currentTarget.value; }}></textarea>
-      <p class="hint" id="editor-payload-hint">${wrong !== null ? t('editor.wrong',
-          { what: wrong }) : isLong ? t('editor.long', { max: MAX_PAYLOAD }) : t('editor.hint')}</p></div>
+                value=${payload.value} onInput=${(event) => {
+                  payload.value = event.currentTarget.value;
+                }}></textarea>
+      <p class="hint" id="editor-payload-hint">${
+        wrong !== null
+          ? t('editor.wrong', { what: wrong })
+          : isLong
+            ? t('editor.long', { max: MAX_PAYLOAD })
+            : t('editor.hint')
+      }</p></div>
     <div><p class="small muted">${t('editor.frame')}</p><p><output id="editor-frame" for="editor-id editor-payload">
       <code>${isRight ? shortened(toHex(encode(code, bytes), ' ')) : '–'}</code></output></p></div>
     <button type="submit" id="editor-send" class="primary" disabled=${!isRight || !isLive.value}>${t('editor.send')}

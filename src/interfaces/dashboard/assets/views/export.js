@@ -1,9 +1,9 @@
-// Records as a file: the journal's own CSV, page after page.
+// Exports the journal's records as a CSV file, page after page.
 
 import { query, text } from '../net/rest.js';
 
 const PAGE = 1000;
-/** What a browser can hold with ease, and a spreadsheet takes. */
+/** A size that browsers and spreadsheets handle with ease. */
 const MAX_PAGES = 50;
 
 function save(name, content) {
@@ -15,7 +15,7 @@ function save(name, content) {
   URL.revokeObjectURL(address);
 }
 
-/** Saves what the filters let through, the newest first; says how many, and whether that was all. */
+/** Saves the records that match the filters, newest first. Returns their number, and whether these were all. */
 export async function download(what, filters) {
   let content = '';
   let cursor = null;

@@ -6,29 +6,44 @@ import { t } from '../model/i18n.js';
 import { Covered, Panel, Shape, whyOld } from '../ui/parts.js';
 
 const BOXES = {
-  IDLE: [10, 70], POSITIONING: [10, 150], RELEASING: [180, 150], GRASPING: [180, 70],
-  HOLDING: [350, 70], NO_PART: [350, 10], PART_LOST: [350, 150], ERROR: [10, 10],
+  IDLE: [10, 70],
+  POSITIONING: [10, 150],
+  RELEASING: [180, 150],
+  GRASPING: [180, 70],
+  HOLDING: [350, 70],
+  NO_PART: [350, 10],
+  PART_LOST: [350, 150],
+  ERROR: [10, 10],
 };
 const W = 130;
 const H = 40;
 
-/** From where to where, and by what. */
+/** Transitions, as SVG paths. */
 const WAYS = [
-  'M75 110v40', 'M140 90h40', 'M310 90h40', 'M310 80q24 -46 40 -50', 'M415 110v40', 'M350 104Q290 150 290 150',
-  'M180 162Q150 130 110 110', 'M350 175h-40',
+  'M75 110v40',
+  'M140 90h40',
+  'M310 90h40',
+  'M310 80q24 -46 40 -50',
+  'M415 110v40',
+  'M350 104Q290 150 290 150',
+  'M180 162Q150 130 110 110',
+  'M350 175h-40',
 ];
 
 export function StateMachine({ one }) {
   const current = one.latchId.value ? 'ERROR' : one.gripperState.value;
-  return html`<svg class="machine" viewBox="0 0 490 200" role="img" aria-label=${t('machine.label',
-      { state: t(`state.${current ?? 'unknown'}`) })}>
+  return html`<svg class="machine" viewBox="0 0 490 200" role="img" aria-label=${t('machine.label', {
+    state: t(`state.${current ?? 'unknown'}`),
+  })}>
     <defs><marker id="tip" viewBox="0 0 8 8" refX="7" refY="4" markerWidth="7" markerHeight="7"
         orient="auto-start-reverse"><path d="M0 0 8 4 0 8z" /></marker></defs>
     <g class="ways">${WAYS.map((d) => html`<path key=${d} d=${d} marker-end="url(#tip)" />`)}</g>
-    ${Object.entries(BOXES).map(([state, [x, y]]) => html`<g key=${state}
+    ${Object.entries(BOXES).map(
+      ([state, [x, y]]) => html`<g key=${state}
         class=${`box ${state === current ? 'current' : ''} ${state === current && state === 'ERROR' ? 'tone-critical' : ''}`}>
       <rect x=${x} y=${y} width=${W} height=${H} rx="4" /><text x=${x + W / 2} y=${y + 18}>${t(`state.${state}`)}
-        </text><text class="name" x=${x + W / 2} y=${y + 32}>${state}</text></g>`)}
+        </text><text class="name" x=${x + W / 2} y=${y + 32}>${state}</text></g>`,
+    )}
   </svg>`;
 }
 
@@ -46,12 +61,18 @@ function Flag({ flag, raw }) {
 export function Flags({ one }) {
   const raw = one.flags.value;
   return html`<${Panel} title=${t('flags.title')} id="flags-title" class="flags-panel"
-      actions=${raw !== null && !whyOld(one) && html`<code class="muted small">0x${raw.toString(16).padStart(8, '0')}
-        </code>`}>
+      actions=${
+        raw !== null &&
+        !whyOld(one) &&
+        html`<code class="muted small">0x${raw.toString(16).padStart(8, '0')}
+        </code>`
+      }>
     <${Covered} one=${one}>
       <${StateMachine} one=${one} />
-      <ul class="flags">${FLAGS.filter(({ name, bit }) => name || isSet(raw, bit)).map((flag) => html`<${Flag}
-          key=${flag.bit} flag=${flag} raw=${raw} />`)}</ul>
+      <ul class="flags">${FLAGS.filter(({ name, bit }) => name || isSet(raw, bit)).map(
+        (flag) => html`<${Flag}
+          key=${flag.bit} flag=${flag} raw=${raw} />`,
+      )}</ul>
       <p class="hint">${t('flags.reserved')}</p>
     </${Covered}>
   </${Panel}>`;

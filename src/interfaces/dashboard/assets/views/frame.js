@@ -9,26 +9,32 @@ const TABLE = Uint16Array.from({ length: 256 }, (_, index) => {
   return crc & 0xffff;
 });
 
-/** The most bytes that a raw request may carry. */
+/** Most payload bytes in a raw request. */
 export const MAX_PAYLOAD = 4096;
 
-/** The checksum over bytes; 0 over a whole frame, its checksum included. */
+/** Checksum of the bytes; 0 for a whole frame with its checksum. */
 export function checksum(bytes) {
   let crc = 0xffff;
   for (const byte of bytes) crc = TABLE[(crc ^ byte) & 0xff] ^ (crc >> 8);
   return crc;
 }
 
-/** A whole frame. */
+/** Builds a whole frame. */
 export function encode(id, payload) {
   const bytes = [...PREAMBLE, id, payload.length & 0xff, payload.length >> 8, ...payload];
   const crc = checksum(bytes);
   return Uint8Array.from([...bytes, crc & 0xff, crc >> 8]);
 }
 
-/** What stands where in a frame. */
+/** Splits a frame into its parts. */
 export function parts(bytes) {
-  return { preamble: bytes.slice(0, 3), id: bytes[3], size: bytes[4] | (bytes[5] << 8), payload: bytes.slice(6, -2), checksum: bytes.slice(-2) };
+  return {
+    preamble: bytes.slice(0, 3),
+    id: bytes[3],
+    size: bytes[4] | (bytes[5] << 8),
+    payload: bytes.slice(6, -2),
+    checksum: bytes.slice(-2),
+  };
 }
 
 export function fromHex(hex) {

@@ -1,13 +1,13 @@
-// The frames on a gripper's wire, over a connection of their own: there may be hundreds a second, and what the page
-// shows of grippers must not wait behind them. Open only while somebody looks.
+// Frames on a gripper's wire, over a connection of their own: hundreds a second must not delay the grippers' states.
+// The connection is open only while the log is shown.
 
 import { signal } from '../lib.js';
 import { Rpc } from '../net/rpc.js';
 
 const MAX_FRAMES = 400;
-/** Nobody reads faster. */
+/** Interval of screen updates: faster ones cannot be read. */
 const SHOWN_EVERY_MS = 200;
-/** Ids whose answers come by themselves. */
+/** Ids of automatic updates. */
 const UPDATES = [0x40, 0x41, 0x43, 0x44, 0x45];
 
 export const frames = signal([]);
@@ -32,12 +32,12 @@ export function clear() {
   frames.value = [];
 }
 
-/** Follows a gripper's frames until the answer is called. */
+/** Follows a gripper's frames until the returned function is called. */
 export function follow(name) {
   clear();
   const rpc = new Rpc({
     onOpen: () => rpc.call('subscribe', { grippers: [name], topics: ['frames'] }).catch(() => {}),
-    onTold: (method, params) => {
+    onNotification: (method, params) => {
       if (method === 'frame') take(params);
       if (method === 'gap') take({ seq: `gap-${params.seq}`, direction: 'gap', missed: params.missed });
     },

@@ -1,4 +1,4 @@
-// History: what happened, and how parts were held, from the journal.
+// History of events and motions, from the journal.
 
 import { html, useEffect, useMemo, useSignal } from '../lib.js';
 import { numbered } from '../core/newest.js';
@@ -11,15 +11,27 @@ import { Curve } from './curve.js';
 import { Choice, Covered, MAX_PART_BYTES, Panel, ProblemNote, within } from '../ui/parts.js';
 
 const PAGE = 50;
-/** News come in bursts: the list is asked for at most this often. */
+/** Delay of a reload after an event, because events come in bursts. */
 const LOOKS_AFTER_MS = 400;
-const KINDS = { events: ['command', 'fast_stop', 'acknowledge', 'lease', 'link', 'device', 'settings', 'refused',
-    'gateway'], grips: ['grip', 'release', 'move', 'home'] };
-const OUTCOMES = ['SUCCESS', 'PART_HELD', 'NO_PART', 'BLOCKED', 'ABORTED', 'RANGE', 'TIMEOUT', 'FAILED', 'REFUSED',
-    'UNKNOWN'];
+const KINDS = {
+  events: ['command', 'fast_stop', 'acknowledge', 'lease', 'link', 'device', 'settings', 'refused', 'gateway'],
+  grips: ['grip', 'release', 'move', 'home'],
+};
+const OUTCOMES = [
+  'SUCCESS',
+  'PART_HELD',
+  'NO_PART',
+  'BLOCKED',
+  'ABORTED',
+  'RANGE',
+  'TIMEOUT',
+  'FAILED',
+  'REFUSED',
+  'UNKNOWN',
+];
 const BAD = ['NO_PART', 'BLOCKED', 'RANGE', 'TIMEOUT', 'FAILED', 'REFUSED', 'UNKNOWN', 'ABORTED'];
 
-function said(event) {
+function textOf(event) {
   const { key, of = {}, with: values = {} } = sentence(event);
   const words = Object.fromEntries(Object.entries(of).map(([name, word]) => [name, t(word)]));
   if (key) return t(key, { ...words, ...values });
@@ -31,22 +43,38 @@ const value = (one) => (typeof one === 'number' ? plain(one) : String(one));
 const NUMBERS = ['width', 'history.peak', 'history.contact', 'history.duration'];
 
 function Events({ list }) {
-  return html`<table><thead><tr>${['history.at', 'history.kind', 'history.details',
-      'history.who'].map((key) => html`<th scope="col" key=${key}>${t(key)}</th>`)}</tr></thead>
-    <tbody>${list.map((event) => html`<tr key=${event.seq}
+  return html`<table><thead><tr>${['history.at', 'history.kind', 'history.details', 'history.who'].map(
+    (key) => html`<th scope="col" key=${key}>${t(key)}</th>`,
+  )}</tr></thead>
+    <tbody>${list.map(
+      (event) => html`<tr key=${event.seq}
         class=${event.kind === 'fast_stop' ? 'stop-row' : event.kind === 'refused' || BAD.includes(event.outcome) ? 'bad' : ''}>
       <td>${moment(event.at)}</td><td>${t(`kind.${event.kind}`)}</td>
-      <td class="wide">${said(event)} <span class="muted small">${details(event).map(([field,
-          given]) => `${field} ${value(given)}`).join(', ')}</span></td><td>${event.subject ?? ''}</td></tr>`)}
+      <td class="wide">${textOf(event)} <span class="muted small">${details(event)
+        .map(([field, given]) => `${field} ${value(given)}`)
+        .join(', ')}</span></td><td>${event.subject ?? ''}</td></tr>`,
+    )}
             </tbody></table>`;
 }
 
 function Grips({ list, picked }) {
-  const columns = ['history.at', 'history.kind', 'history.outcome', 'history.part', 'width', 'history.peak',
-      'history.contact', 'history.duration', 'history.curve'];
-  return html`<table><thead><tr>${columns.map((key) => html`<th scope="col" key=${key}
-      class=${NUMBERS.includes(key) ? 'number' : ''}>${t(key)}</th>`)}</tr></thead>
-    <tbody>${list.map((grip) => html`<tr key=${grip.id}
+  const columns = [
+    'history.at',
+    'history.kind',
+    'history.outcome',
+    'history.part',
+    'width',
+    'history.peak',
+    'history.contact',
+    'history.duration',
+    'history.curve',
+  ];
+  return html`<table><thead><tr>${columns.map(
+    (key) => html`<th scope="col" key=${key}
+      class=${NUMBERS.includes(key) ? 'number' : ''}>${t(key)}</th>`,
+  )}</tr></thead>
+    <tbody>${list.map(
+      (grip) => html`<tr key=${grip.id}
         aria-selected=${picked.value?.id === grip.id ? 'true' : 'false'}
             class=${BAD.includes(grip.outcome) || grip.part_lost_at ? 'bad' : ''}>
       <td>${moment(grip.started_at)}</td><td>${t(`command.${grip.kind}`)}</td>
@@ -56,43 +84,61 @@ function Grips({ list, picked }) {
           class="number">${grip.contact_width_mm == null ? '–' : `${fixed(grip.contact_width_mm, 2)} mm`}</td><td
               class="number">${grip.duration_ms == null ? '–' : `${fixed(grip.duration_ms / 1000, 2)} s`}</td>
       <td><button type="button" class="quiet" aria-pressed=${picked.value?.id === grip.id ? 'true' : 'false'}
-          onClick=${() => { picked.value = grip; }}>${t('history.curve')}</button></td></tr>`)}</tbody></table>`;
+          onClick=${() => {
+            picked.value = grip;
+          }}>${t('history.curve')}</button></td></tr>`,
+    )}</tbody></table>`;
 }
 
 function Select({ id, label, options, value: chosen, word }) {
   return html`<div class="field"><label for=${id}>${label}</label><select id=${id} value=${chosen.value}
-      onChange=${(event) => { chosen.value = event.currentTarget.value; }}>
-    <option value="">${t('history.all')}</option>${options.map((option) => html`<option key=${option}
-        value=${option}>${t(`${word}.${option}`)}</option>`)}</select></div>`;
+      onChange=${(event) => {
+        chosen.value = event.currentTarget.value;
+      }}>
+    <option value="">${t('history.all')}</option>${options.map(
+      (option) => html`<option key=${option}
+        value=${option}>${t(`${word}.${option}`)}</option>`,
+    )}</select></div>`;
 }
 
 export function History({ one }) {
   const [what, kind, part, outcome] = [useSignal('grips'), useSignal(''), useSignal(''), useSignal('')];
-  const [list, next, problem, picked, note] = [useSignal([]), useSignal(null), useSignal(null), useSignal(null),
-      useSignal('')];
+  const [list, next, problem, picked, note] = [
+    useSignal([]),
+    useSignal(null),
+    useSignal(null),
+    useSignal(null),
+    useSignal(''),
+  ];
   const asked = { gripper: one.name, kind: kind.value, part_id: part.value.trim(), outcome: outcome.value };
   const address = `${what.value}?${query(asked)}`;
   const asking = useMemo(numbered, []);
   const load = async (cursor = null) => {
     const isNewest = asking();
     try {
-      const told = await get(`${address}&${query({ limit: PAGE, cursor })}`);
+      const page = await get(`${address}&${query({ limit: PAGE, cursor })}`);
       if (!isNewest()) return;
-      list.value = cursor ? [...list.peek(), ...told[what.peek()]] : told[what.peek()];
-      next.value = told.next_cursor;
+      list.value = cursor ? [...list.peek(), ...page[what.peek()]] : page[what.peek()];
+      next.value = page.next_cursor;
       problem.value = null;
     } catch (refused) {
       if (isNewest()) problem.value = refused;
     }
   };
   useEffect(() => {
-    // A list that somebody has gone back in stays where it is.
+    // A list with older pages is not reloaded, so that it stays in place.
     if (!isLive.peek() || list.peek().length > PAGE) return undefined;
     const timer = setTimeout(load, LOOKS_AFTER_MS);
     return () => clearTimeout(timer);
   }, [eventSeq.value, address]);
-  useEffect(() => { load(); }, [address, isLive.value]);
-  const choose = (name) => { what.value = name; kind.value = ''; list.value = []; };
+  useEffect(() => {
+    load();
+  }, [address, isLive.value]);
+  const choose = (name) => {
+    what.value = name;
+    kind.value = '';
+    list.value = [];
+  };
   const save = async () => {
     try {
       const { count, isAll } = await download(what.peek(), asked);
@@ -110,19 +156,30 @@ export function History({ one }) {
           word=${what.value === 'grips' ? 'command' : 'kind'} />
       <${Select} id="outcome" label=${t('history.outcome')} options=${OUTCOMES} value=${outcome} word="outcome" />
       <div class="field"><label for="part-filter">${t('history.part')}</label><input id="part-filter" type="search"
-          value=${part.value} onInput=${within(MAX_PART_BYTES, (text) => { part.value = text; })} /></div>
+          value=${part.value} onInput=${within(MAX_PART_BYTES, (text) => {
+            part.value = text;
+          })} /></div>
       <span class="small" role="status">${note.value}</span>
     </div>
     <${ProblemNote} problem=${problem} />
     <${Covered}><div class=${what.value === 'grips' ? 'split' : ''}>
       <div class="table-place" tabindex="0" role="region" aria-label=${t(`history.${what.value}`)}>
-        ${list.value.length === 0 ? html`<p class="muted nothing">${t('history.none')}
-          </p>` : what.value === 'grips' ? html`<${Grips} list=${list.value} picked=${picked} />` : html`<${Events}
-              list=${list.value} />`}
+        ${
+          list.value.length === 0
+            ? html`<p class="muted nothing">${t('history.none')}
+          </p>`
+            : what.value === 'grips'
+              ? html`<${Grips} list=${list.value} picked=${picked} />`
+              : html`<${Events}
+              list=${list.value} />`
+        }
       </div>
       ${what.value === 'grips' && html`<${Curve} grip=${picked.value} />`}
     </div>
-    ${next.value && html`<div><button type="button" onClick=${() => load(next.peek())}>${t('history.more')}</button>
-      </div>`}</${Covered}>
+    ${
+      next.value &&
+      html`<div><button type="button" onClick=${() => load(next.peek())}>${t('history.more')}</button>
+      </div>`
+    }</${Covered}>
   </${Panel}>`;
 }

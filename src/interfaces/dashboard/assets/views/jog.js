@@ -1,4 +1,4 @@
-// Moving while a button is held, and by small steps.
+// Jogging while a button is held, and in small steps.
 
 import { html, useEffect, useMemo } from '../lib.js';
 import { mistake, number } from '../core/limits.js';
@@ -7,7 +7,7 @@ import { move } from '../model/commands.js';
 import { Jog } from '../model/jog.js';
 
 const STEPS_MM = [0.1, 1, 5];
-/** A slow speed for jogging; the field's where that is slower. */
+/** Speed of jogging, unless the field's is lower. */
 const JOG_MM_S = 25;
 
 function HoldButton({ id, label, jog, one, direction, speed, limits, disabled }) {
@@ -17,21 +17,35 @@ function HoldButton({ id, label, jog, one, direction, speed, limits, disabled })
     jog.begin(one, direction, speed, limits);
   };
   const end = () => jog.end();
-  // Nobody hears of a button that is let go while it is disabled.
-  useEffect(() => { if (disabled) end(); }, [disabled]);
+  // A disabled button sends no event when it is released.
+  useEffect(() => {
+    if (disabled) end();
+  }, [disabled]);
   const isKey = ({ key }) => key === ' ' || key === 'Enter';
   return html`<button type="button" id=${id} class="hold" disabled=${disabled}
     onPointerDown=${begin} onPointerUp=${end} onPointerCancel=${end} onLostPointerCapture=${end} onBlur=${end}
     onContextMenu=${(event) => event.preventDefault()}
-    onKeyDown=${(event) => { if (isKey(event)) { event.preventDefault(); if (!event.repeat) begin(event); } }}
-    onKeyUp=${(event) => { if (isKey(event)) { event.preventDefault(); end(); } }}>${label}</button>`;
+    onKeyDown=${(event) => {
+      if (isKey(event)) {
+        event.preventDefault();
+        if (!event.repeat) begin(event);
+      }
+    }}
+    onKeyUp=${(event) => {
+      if (isKey(event)) {
+        event.preventDefault();
+        end();
+      }
+    }}>${label}</button>`;
 }
 
 export function JogPanel({ one, speed, limits, reason }) {
   const jog = useMemo(() => new Jog(), [one]);
   useEffect(() => {
     const end = () => jog.end();
-    const hidden = () => { if (document.hidden) end(); };
+    const hidden = () => {
+      if (document.hidden) end();
+    };
     addEventListener('blur', end);
     addEventListener('pagehide', end);
     document.addEventListener('visibilitychange', hidden);
@@ -46,10 +60,12 @@ export function JogPanel({ one, speed, limits, reason }) {
   const { min, max } = limits.speed.value;
   const pace = Math.min(max, Math.max(min, mistake(given, limits.speed.value) ? JOG_MM_S : Math.min(given, JOG_MM_S)));
   const widths = limits.width.value;
-  // While it is held its own motion is what runs, and must not let go of the button.
+  // The running motion can be that of the held button, which must not be disabled by it.
   const isOff = reason !== null && reason !== 'why.running';
-  const canStep = (by) => reason === null && one.width.value !== null && !mistake(Math.min(widths.max,
-      Math.max(widths.min, one.width.value)) + by, widths);
+  const canStep = (by) =>
+    reason === null &&
+    one.width.value !== null &&
+    !mistake(Math.min(widths.max, Math.max(widths.min, one.width.value)) + by, widths);
   const step = (by) => move(one, 'move', { width_mm: by, relative: true, speed_mm_s: pace });
   return html`<div class="jog" role="group" aria-label=${t('jog.title')}>
     <div class="holds">
@@ -59,10 +75,14 @@ export function JogPanel({ one, speed, limits, reason }) {
           jog=${jog} one=${one} direction=${1} speed=${pace} limits=${widths} disabled=${isOff} />
     </div>
     <div class="steps">
-      ${[...STEPS_MM].reverse().map((mm) => html`<button type="button" key=${-mm} disabled=${!canStep(-mm)}
-          onClick=${() => step(-mm)}>−${plain(mm)}</button>`)}
-      ${STEPS_MM.map((mm) => html`<button type="button" key=${mm} disabled=${!canStep(mm)}
-          onClick=${() => step(mm)}>+${plain(mm)}</button>`)}
+      ${[...STEPS_MM].reverse().map(
+        (mm) => html`<button type="button" key=${-mm} disabled=${!canStep(-mm)}
+          onClick=${() => step(-mm)}>−${plain(mm)}</button>`,
+      )}
+      ${STEPS_MM.map(
+        (mm) => html`<button type="button" key=${mm} disabled=${!canStep(mm)}
+          onClick=${() => step(mm)}>+${plain(mm)}</button>`,
+      )}
     </div>
     <p class="hint">${t('jog.hint', { speed: plain(pace) })}</p>
   </div>`;

@@ -1,4 +1,4 @@
-// A FAST STOP that holds covers the controls: who, why, when, what to check; acknowledged by its name alone.
+// A latched FAST STOP replaces the controls: origin, cause and time, what to check, and a button to acknowledge.
 
 import { html, useEffect, useSignal } from '../lib.js';
 import { span, t, time } from '../model/i18n.js';
@@ -6,7 +6,7 @@ import { acknowledge } from '../model/commands.js';
 import { now } from '../model/store.js';
 import { Shape } from '../ui/parts.js';
 
-/** A FAST STOP that comes while a finger is on its way to the button must be seen first. */
+/** Delay before a new FAST STOP can be acknowledged, so that a tap meant for an older one does not clear it. */
 const SEEN_AFTER_MS = 800;
 
 const CHECKS = {
@@ -21,16 +21,24 @@ const CHECKS = {
   unknown: ['hands', 'area', 'device'],
 };
 
-/** So much of an id is read aloud. */
+/** End of an id, short enough to read aloud. */
 export const shortId = (id) => id.slice(-4);
 
 export function Latch({ one }) {
   const state = one.state.value;
-  const { fast_stop_id: id, fast_stop_by: by, fast_stop_cause: cause, fast_stop_reason: reason, fast_stop_at: at,
-      fast_stop_confirmed: isConfirmed } = state;
+  const {
+    fast_stop_id: id,
+    fast_stop_by: by,
+    fast_stop_cause: cause,
+    fast_stop_reason: reason,
+    fast_stop_at: at,
+    fast_stop_confirmed: isConfirmed,
+  } = state;
   const seen = useSignal(null);
   useEffect(() => {
-    const timer = setTimeout(() => { seen.value = id; }, SEEN_AFTER_MS);
+    const timer = setTimeout(() => {
+      seen.value = id;
+    }, SEEN_AFTER_MS);
     return () => clearTimeout(timer);
   }, [id]);
   return html`<div class="latch" role="group" aria-labelledby="latch-title">

@@ -1,4 +1,4 @@
-// Moving: home, move, grip, release, stop; each within the limits that stand beside its field.
+// Motion controls: home, move, grip, release, stop, within the limits shown beside each field.
 
 import { computed, html, signal, useMemo } from '../lib.js';
 import { forceLimits, mistake, number, speedLimits, widthLimits } from '../core/limits.js';
@@ -11,16 +11,23 @@ import { JogPanel } from './jog.js';
 import { Latch } from './latch.js';
 import { Presets } from './presets.js';
 
-/** What is typed, kept for each gripper while the page lives. */
+/** Input for each gripper, kept while the page is open. */
 const typed = new Map();
 
 function fieldsOf(one) {
-  if (!typed.has(one)) typed.set(one, { width: signal('20'), speed: signal('50'), force: signal('30'),
-      part: signal(''), direction: signal('default'), block: signal('stop') });
+  if (!typed.has(one))
+    typed.set(one, {
+      width: signal('20'),
+      speed: signal('50'),
+      force: signal('30'),
+      part: signal(''),
+      direction: signal('default'),
+      block: signal('stop'),
+    });
   return typed.get(one);
 }
 
-/** Why nothing can be moved now; null where it can. */
+/** Key of the reason why a motion is not possible now, or null. */
 function whyNot(one, needsReference = true) {
   if (!isLive.value || !one.isThere.value) return 'why.link';
   if (one.latchId.value) return 'why.fast_stop';
@@ -34,23 +41,34 @@ function NoControl({ one }) {
   const holder = one.holder.value;
   return html`<div class="take">
     <p>${holder ? t('control.held_by', { holder }) : t('control.nobody')}</p>
-    ${!holder && html`<button type="button" class="primary" onClick=${() => takeControl(one)}>${t('control.take')}
-      </button>`}
-    ${holder && html`<a class="button" href="#control-title"
-        onClick=${(event) => { event.preventDefault(); document.getElementById('control-title')?.scrollIntoView({ block: 'center' }); }}>${t('control.more')}
-          </a>`}
+    ${
+      !holder &&
+      html`<button type="button" class="primary" onClick=${() => takeControl(one)}>${t('control.take')}
+      </button>`
+    }
+    ${
+      holder &&
+      html`<a class="button" href="#control-title"
+        onClick=${(event) => {
+          event.preventDefault();
+          document.getElementById('control-title')?.scrollIntoView({ block: 'center' });
+        }}>${t('control.more')}
+          </a>`
+    }
   </div>`;
 }
 
-/** How the newest command stands. */
+/** Progress or outcome of the newest command. */
 function LastCommand({ one }) {
   const command = one.command.value;
   if (!command) return html`<p class="last muted" role="status">${t('last.none')}</p>`;
   const isBad = ['BLOCKED', 'RANGE', 'TIMEOUT', 'FAILED', 'REFUSED', 'UNKNOWN', 'ABORTED'].includes(command.outcome);
   const shape = command.phase === 'running' ? 'moving' : isBad ? 'high' : 'check';
-  const measured = [command.width_mm != null && `${fixed(command.width_mm, 2)} mm`,
-      command.kind === 'grip' && command.force_n != null && `${fixed(command.force_n, 1)} N`,
-          command.duration_ms != null && `${fixed(command.duration_ms / 1000, 2)} s`];
+  const measured = [
+    command.width_mm != null && `${fixed(command.width_mm, 2)} mm`,
+    command.kind === 'grip' && command.force_n != null && `${fixed(command.force_n, 1)} N`,
+    command.duration_ms != null && `${fixed(command.duration_ms / 1000, 2)} s`,
+  ];
   return html`<p class="last" role="status" data-outcome=${command.outcome ?? 'running'}><${Shape} name=${shape} />
     <strong>${t(`command.${command.kind}`)}
       </strong> ${command.outcome ? t(`outcome.${command.outcome}`) : t('outcome.running')}
@@ -60,21 +78,30 @@ function LastCommand({ one }) {
 
 function Controls({ one }) {
   const fields = fieldsOf(one);
-  const limits = useMemo(() => ({
-    width: computed(() => widthLimits(one.info.value, one.softLimits.value)),
-    speed: computed(() => speedLimits(one.info.value)),
-    force: computed(() => forceLimits(one.info.value, one.hasOverdrive.value)),
-  }), [one]);
-  const values = { width_mm: number(fields.width.value), speed_mm_s: number(fields.speed.value),
-      force_n: number(fields.force.value) };
+  const limits = useMemo(
+    () => ({
+      width: computed(() => widthLimits(one.info.value, one.softLimits.value)),
+      speed: computed(() => speedLimits(one.info.value)),
+      force: computed(() => forceLimits(one.info.value, one.hasOverdrive.value)),
+    }),
+    [one],
+  );
+  const values = {
+    width_mm: number(fields.width.value),
+    speed_mm_s: number(fields.speed.value),
+    force_n: number(fields.force.value),
+  };
   const reason = whyNot(one);
   const homing = whyNot(one, false);
   const wrong = mistake(values.width_mm, limits.width.value) || mistake(values.speed_mm_s, limits.speed.value);
   const wrongForce = fields.force.value.trim() !== '' && mistake(values.force_n, limits.force.value);
   const path = { width_mm: values.width_mm, speed_mm_s: values.speed_mm_s };
-  const grip = () => move(one, 'grip', { ...path,
+  const grip = () =>
+    move(one, 'grip', {
+      ...path,
       ...(fields.force.value.trim() === '' ? {} : { force_n: values.force_n }),
-          ...(fields.part.value === '' ? {} : { part_id: fields.part.value }) });
+      ...(fields.part.value === '' ? {} : { part_id: fields.part.value }),
+    });
   const shown = reason ?? (wrong || wrongForce ? 'why.limits' : null);
   return html`<div class="controls">
     <div class="fields">
@@ -85,18 +112,20 @@ function Controls({ one }) {
           isOptional=${true} whenEmpty=${t('field.force_empty', { force: plain(one.settings.value.force_n) })} />
       <div class="field"><label for="part">${t('field.part')}</label>
         <div class="input"><input id="part" type="text" autocomplete="off" value=${fields.part.value}
-            onInput=${within(MAX_PART_BYTES, (text) => { fields.part.value = text; })} /></div>
+            onInput=${within(MAX_PART_BYTES, (text) => {
+              fields.part.value = text;
+            })} /></div>
         <p class="hint">${t('field.part_hint')}</p></div>
     </div>
     <div class="buttons">
       <button type="button" id="grip" class="primary" disabled=${reason || wrong || wrongForce}
           onClick=${grip}>${t('command.grip')}</button>
-      <button type="button" id="release" disabled=${reason || wrong} onClick=${() => move(one, 'release',
-          path)}>${t('command.release')}</button>
-      <button type="button" id="move" disabled=${reason || wrong} onClick=${() => move(one, 'move', { ...path,
-          on_block: fields.block.value })}>${t('command.move')}</button>
-      <button type="button" id="home" disabled=${homing} onClick=${() => move(one, 'home',
-          { direction: fields.direction.value })}>${t('command.home')}</button>
+      <button type="button" id="release" disabled=${reason || wrong} onClick=${() =>
+        move(one, 'release', path)}>${t('command.release')}</button>
+      <button type="button" id="move" disabled=${reason || wrong} onClick=${() =>
+        move(one, 'move', { ...path, on_block: fields.block.value })}>${t('command.move')}</button>
+      <button type="button" id="home" disabled=${homing} onClick=${() =>
+        move(one, 'home', { direction: fields.direction.value })}>${t('command.home')}</button>
     </div>
     <p class="why muted small" role="status">${shown ? t(shown) : t('why.ready', { width: plain(values.width_mm) })}</p>
     <${JogPanel} one=${one} speed=${fields.speed} limits=${limits} reason=${reason} />
@@ -104,11 +133,17 @@ function Controls({ one }) {
     <details class="more"><summary>${t('field.more')}</summary><div class="fields">
       <div class="field"><label for="direction">${t('field.direction')}</label><select id="direction"
           value=${fields.direction.value}
-              onChange=${(event) => { fields.direction.value = event.currentTarget.value; }}>
-        ${['default', 'outer', 'inner'].map((direction) => html`<option
-            value=${direction}>${t(`direction.${direction}`)}</option>`)}</select></div>
+              onChange=${(event) => {
+                fields.direction.value = event.currentTarget.value;
+              }}>
+        ${['default', 'outer', 'inner'].map(
+          (direction) => html`<option
+            value=${direction}>${t(`direction.${direction}`)}</option>`,
+        )}</select></div>
       <div class="field"><label for="block">${t('field.block')}</label><select id="block" value=${fields.block.value}
-          onChange=${(event) => { fields.block.value = event.currentTarget.value; }}>
+          onChange=${(event) => {
+            fields.block.value = event.currentTarget.value;
+          }}>
         ${['stop', 'clamp'].map((block) => html`<option value=${block}>${t(`block.${block}`)}</option>`)}</select></div>
     </div></details>
   </div>`;
@@ -116,15 +151,20 @@ function Controls({ one }) {
 
 export function Motion({ one }) {
   const isLatched = one.latchId.value !== null;
-  const actions = html`<button type="button" id="stop-soft" disabled=${!isLive.value} onClick=${() => askFreely(one,
-      'stop')}>${t('command.stop')}</button>
-    <button type="button" id="stop-one" class="at-once" ...${onPress(() => fastStopOne(one))}>${t('motion.fast_stop',
-            { gripper: one.name })}</button>`;
+  const actions = html`<button type="button" id="stop-soft" disabled=${!isLive.value} onClick=${() =>
+    askFreely(one, 'stop')}>${t('command.stop')}</button>
+    <button type="button" id="stop-one" class="at-once" ...${onPress(() => fastStopOne(one))}>${t('motion.fast_stop', {
+      gripper: one.name,
+    })}</button>`;
   return html`<${Panel} title=${t('motion.title')} id="motion-title" class="motion-panel" actions=${actions}>
     <${Covered} one=${one}>
-      ${isLatched ? html`<${Latch} one=${one} />` : html`
+      ${
+        isLatched
+          ? html`<${Latch} one=${one} />`
+          : html`
         ${!one.isMine.value && html`<${NoControl} one=${one} />`}
-        <${Controls} one=${one} />`}
+        <${Controls} one=${one} />`
+      }
       <${LastCommand} one=${one} />
     </${Covered}>
     <${ProblemNote} problem=${one.problem} />

@@ -1,4 +1,4 @@
-// All grippers at a glance, and the fleet where there is one.
+// All grippers at a glance, and the fleet if there is one.
 
 import { html, signal, useEffect } from '../lib.js';
 import { numbered } from '../core/newest.js';
@@ -10,7 +10,7 @@ import { go } from '../ui/route.js';
 
 const ASKED_EVERY_MS = 2000;
 
-/** All grippers of all gateways; null while they aren't known. */
+/** Grippers of all gateways; null until they are known. */
 const fleet = signal(null);
 const asking = numbered();
 
@@ -18,10 +18,10 @@ async function askFleet() {
   if (!isLive.peek() || document.hidden) return;
   const isNewest = asking();
   try {
-    const { grippers: told } = await get('fleet');
-    if (isNewest()) fleet.value = told;
+    const { grippers: all } = await get('fleet');
+    if (isNewest()) fleet.value = all;
   } catch {
-    // With the next one.
+    // Tried again with the next poll.
   }
 }
 
@@ -36,19 +36,27 @@ function Gauge({ one }) {
 function Tile({ one }) {
   const old = whyOld(one);
   const isLatched = one.latchId.value !== null;
-  const state = isLatched ? 'FAST_STOP' : one.gripperState.value ?? 'unknown';
+  const state = isLatched ? 'FAST_STOP' : (one.gripperState.value ?? 'unknown');
   const tone = old || state === 'PART_LOST' ? 'tone-high' : isLatched || state === 'ERROR' ? 'tone-critical' : '';
   const shape = old ? 'high' : isLatched ? 'critical' : one.isMoving.value ? 'moving' : 'on';
   return html`<button type="button" class="tile" data-gripper=${one.name}
-      onClick=${() => { selected.value = one.name; go('operate'); }}>
+      onClick=${() => {
+        selected.value = one.name;
+        go('operate');
+      }}>
     <span class="tile-head"><span>${one.name}</span><span class=${`tile-state ${tone}`}><${Shape}
         name=${shape} />${old ? old.text : t(`state.${state}`)}</span></span>
-    ${old ? html`<span class="muted small">${old.detail ?? ''}</span>` : html`<${Gauge} one=${one} />
+    ${
+      old
+        ? html`<span class="muted small">${old.detail ?? ''}</span>`
+        : html`<${Gauge} one=${one} />
       <span class="tile-figures"><span>${fixed(one.width.value, 1)}<span class="unit">mm</span></span>
         <span>${fixed(one.speed.value, 0)}<span class="unit">mm/s</span></span><span>${fixed(one.force.value, 1)}<span
-            class="unit">N</span></span></span>`}
-    <span class="muted small">${whyOld(one) ? '' : one.holder.value ? t('all.control',
-        { holder: one.holder.value }) : t('all.no_control')}</span>
+            class="unit">N</span></span></span>`
+    }
+    <span class="muted small">${
+      whyOld(one) ? '' : one.holder.value ? t('all.control', { holder: one.holder.value }) : t('all.no_control')
+    }</span>
   </button>`;
 }
 
@@ -65,15 +73,18 @@ function Fleet() {
   if (!list || isAlone) return html`<p class="muted small">${isAlone ? t('all.no_fleet') : ''}</p>`;
   return html`<${Panel} title=${t('all.fleet')} id="fleet-title"><div class="table-place" tabindex="0" role="group"
       aria-label=${t('all.fleet')}><table>
-    <thead><tr>${['all.gateway', 'all.gripper', 'bar.link', 'bar.state', 'bar.control',
-        'all.age'].map((key) => html`<th scope="col" key=${key}>${t(key)}</th>`)}</tr></thead>
-    <tbody>${list.map((one) => html`<tr key=${`${one.gateway}/${one.gripper}`}
+    <thead><tr>${['all.gateway', 'all.gripper', 'bar.link', 'bar.state', 'bar.control', 'all.age'].map(
+      (key) => html`<th scope="col" key=${key}>${t(key)}</th>`,
+    )}</tr></thead>
+    <tbody>${list.map(
+      (one) => html`<tr key=${`${one.gateway}/${one.gripper}`}
         class=${one.fast_stop ? 'stop-row' : one.link === 'connected' && !one.gone ? '' : 'bad'}>
       <td>${one.gateway}</td><td>${one.gripper}</td><td>${t(`link.${one.gone ? 'gone' : one.link}`)}</td>
         <td>${one.fast_stop ? t('state.FAST_STOP') : t(`state.${one.state ?? 'unknown'}`)}</td>
           <td>${one.lease_holder ?? '–'}</td>
             <td>${one.age_ms == null ? '–' : one.age_ms < 1000 ? `${plain(one.age_ms)} ms` : span(one.age_ms)}</td>
-              </tr>`)}</tbody>
+              </tr>`,
+    )}</tbody>
   </table></div></${Panel}>`;
 }
 

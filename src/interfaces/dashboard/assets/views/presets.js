@@ -1,7 +1,7 @@
-// Presets: values for the fields, by a name, kept in this browser.
+// Presets: named values for the fields, stored in this browser.
 
 import { html, useSignal } from '../lib.js';
-import { plain, t } from '../model/i18n.js';
+import { t } from '../model/i18n.js';
 import { changePresets, presets } from '../model/prefs.js';
 
 const MAX_PRESETS = 12;
@@ -25,17 +25,21 @@ export function Presets({ one, fields }) {
     <h3>${t('preset.title')}</h3>
     <div class="preset-list">
       ${mine.length === 0 && html`<span class="muted small">${t('preset.none')}</span>`}
-      ${mine.map((preset) => html`<span class="preset" key=${preset.name}>
+      ${mine.map(
+        (preset) => html`<span class="preset" key=${preset.name}>
         <button type="button" class="chip" title=${`${preset.width} mm, ${preset.speed} mm/s, ${preset.force} N`}
             onClick=${() => use(preset)}>${preset.name}</button>
         <button type="button" class="chip chip-end" aria-label=${t('preset.remove', { name: preset.name })}
             onClick=${() => changePresets(one.name, (list) => list.filter((other) => other.name !== preset.name))}>×</button>
-      </span>`)}
+      </span>`,
+      )}
     </div>
     <form class="preset-new" onSubmit=${save}>
       <label class="visually-hidden" for="preset-name">${t('preset.name')}</label>
       <input id="preset-name" type="text" maxlength="24" placeholder=${t('preset.name')} value=${name.value}
-          onInput=${(event) => { name.value = event.currentTarget.value; }} />
+          onInput=${(event) => {
+            name.value = event.currentTarget.value;
+          }} />
       <button type="submit">${t('preset.save')}</button>
     </form>
   </div>`;

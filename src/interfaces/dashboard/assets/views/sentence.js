@@ -1,6 +1,6 @@
-// What an event says, as the key of a sentence and its parameters. Pure: the words are the dictionaries'.
+// Maps an event to the key of a text and its parameters. Pure: the texts are in `locales`.
 
-/** `of` are words that are to be looked up themselves. */
+/** `of` has parameters that are keys of texts themselves, `with` has plain ones. */
 export function sentence(event) {
   switch (event.kind) {
     case 'command':
@@ -9,7 +9,9 @@ export function sentence(event) {
     case 'fast_stop':
       return { key: `event.${event.event}`, of: { cause: `cause.${event.cause}` } };
     case 'acknowledge':
-      return event.cleared ? { key: 'event.acknowledged' } : { key: 'event.not_acknowledged', with: { cause: event.cause ?? '' } };
+      return event.cleared
+        ? { key: 'event.acknowledged' }
+        : { key: 'event.not_acknowledged', with: { cause: event.cause ?? '' } };
     case 'lease':
       return { key: `event.${event.event}`, with: { holder: event.holder } };
     case 'link':
@@ -25,9 +27,28 @@ export function sentence(event) {
   }
 }
 
-/** The values that an event has beside its sentence, by their field names. */
-const FIELDS = ['width_mm', 'speed_mm_s', 'force_n', 'direction', 'part_id', 'reason', 'link_cause', 'setting', 'acceleration_mm_s2', 'minus_mm', 'plus_mm', 'enabled', 'tag', 'restored', 'effect', 'status'];
+/** Fields of an event that are shown beside its text. */
+const FIELDS = [
+  'width_mm',
+  'speed_mm_s',
+  'force_n',
+  'direction',
+  'part_id',
+  'reason',
+  'link_cause',
+  'setting',
+  'acceleration_mm_s2',
+  'minus_mm',
+  'plus_mm',
+  'enabled',
+  'tag',
+  'restored',
+  'effect',
+  'status',
+];
 
 export function details(event) {
-  return FIELDS.filter((field) => event[field] !== undefined && event[field] !== null && event[field] !== '').map((field) => [field, event[field]]);
+  return FIELDS.filter((field) => event[field] !== undefined && event[field] !== null && event[field] !== '').map(
+    (field) => [field, event[field]],
+  );
 }
