@@ -6,7 +6,10 @@ use std::mem;
 use proc_macro2::{TokenStream, TokenTree};
 use quote::ToTokens;
 use syn::visit::{self, Visit};
-use syn::{Arm, Attribute, Block, ExprCall, ImplItem, Item, ItemMod, ItemStatic, ItemUse, Stmt, UseTree, Variant};
+use syn::{
+    Arm, Attribute, Block, ExprCall, Ident, ImplItem, Item, ItemEnum, ItemMod, ItemStatic, ItemStruct, ItemTrait,
+    ItemType, ItemUse, Stmt, UseTree, Variant, Visibility,
+};
 
 use super::is_in;
 
@@ -25,7 +28,9 @@ pub struct Code {
     aliases: BTreeMap<Path, Path>,
     /// File, full path, and path as written.
     names: BTreeSet<(String, Path, String)>,
-    /// Statics, and queues with an unnamed capacity.
+    /// File of each type that other files can use.
+    types: BTreeMap<String, String>,
+    /// Statics, queues with an unnamed capacity, and types of one name.
     pub breaches: Vec<String>,
     // Position of the reader.
     file: String,
@@ -110,11 +115,30 @@ impl Code {
         }
     }
 
+    fn declare(&mut self, visibility: &Visibility, name: &Ident) {
+        if self.is_ignored || matches!(visibility, Visibility::Inherited) {
+            return;
+        }
+        if let Some(other) = self.types.insert(name.to_string(), self.file.clone()) {
+            self.breach(&format!("type {name} has the name of a type in src/{other}.rs"));
+        }
+    }
+
     fn breach(&mut self, what: &str) {
         if !self.is_ignored {
             self.breaches.push(format!("src/{}.rs: {what}", self.file));
         }
     }
+}
+
+/// Implements visits of nodes that declare a type.
+macro_rules! declaring {
+    ($($visit:ident: $node:ty),*) => {$(
+        fn $visit(&mut self, node: &$node) {
+            visit::$visit(self, node);
+            self.declare(&node.vis, &node.ident);
+        }
+    )*};
 }
 
 /// Implements visits of nodes that can carry `#[cfg(test)]`.
@@ -130,6 +154,10 @@ macro_rules! scoped {
 
 impl Visit<'_> for Code {
     scoped!(visit_arm: Arm, visit_impl_item: ImplItem, visit_item: Item, visit_stmt: Stmt, visit_variant: Variant);
+
+    declaring!(
+        visit_item_struct: ItemStruct, visit_item_enum: ItemEnum, visit_item_trait: ItemTrait, visit_item_type: ItemType
+    );
 
     // A node's attributes are visited before its other parts.
     fn visit_attribute(&mut self, attribute: &Attribute) {

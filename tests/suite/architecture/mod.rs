@@ -204,6 +204,7 @@ fn breach_of_a_house_rule_is_found() {
         "use std::{fs, mem};",
         "fn f() { tokio::select! {} }",
         "static COUNT: u8 = 0;",
+        "pub struct A; mod b { pub(super) type A = u8; }",
         "fn f() { mpsc::unbounded_channel(); }",
         "fn f() { mpsc::channel::<u8>(64); }",
         "fn f() { sync_channel(QUEUE + 2); }",
