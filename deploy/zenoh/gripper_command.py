@@ -14,13 +14,13 @@ import math
 
 from watch_and_grip import Gripper, connect
 
-# Of a goal that says nothing of it.
+# Speed of a goal without one.
 SPEED_MM_S = 100.0
 
 
 @dataclasses.dataclass
 class Result:
-    """As GripperCommand's result and feedback have it; what isn't known is NaN, as in ROS."""
+    """Result and feedback of GripperCommand. An unknown value is NaN, as in ROS."""
 
     position: float
     effort: float
@@ -28,12 +28,12 @@ class Result:
     reached_goal: bool
 
     @classmethod
-    def of(cls, told):
-        """Of a command that has ended, or of telemetry; what is null there isn't known."""
-        width_mm, force_n = told["width_mm"], told["force_n"]
+    def of(cls, report):
+        """Returns the result of an ended command or of telemetry. Null there means unknown."""
+        width_mm, force_n = report["width_mm"], report["force_n"]
         position = math.nan if width_mm is None else width_mm / 1000
         effort = math.nan if force_n is None else force_n
-        return cls(position, effort, bool(told.get("stalled")), bool(told.get("reached_goal")))
+        return cls(position, effort, bool(report.get("stalled")), bool(report.get("reached_goal")))
 
 
 class GripperCommand:
