@@ -5,9 +5,9 @@
 //! - [`wsg`]: the protocol, sans-IO: frames, commands, replies, and the [session](wsg::session) on a link.
 //! - [`transport`]: byte pipes to devices; knows nothing of the protocol.
 //! - [`gripper`]: one actor per gripper, the only owner of its state; everyone else has a [handle](gripper::Handle).
-//! - [`operations`]: everything that a client can ask for, once.
+//! - [`operations`]: everything that a client can request, defined once for all interfaces.
 //! - [`interfaces`]: [HTTP](interfaces::http), [Zenoh](interfaces::zenoh), the [WSG port](interfaces::wsg_port), and
-//!   the [dashboard](interfaces::dashboard) at `/`, which uses the public WebSocket and REST alone.
+//!   the [dashboard](interfaces::dashboard) at `/`, which uses only the public WebSocket and REST.
 //! - [`events`]: live updates, serialised once for all clients.
 //! - [`fleet`]: the other gateways on the Zenoh network.
 //! - [`journal`]: events and grip records that outlive the gateway, in SQLite.

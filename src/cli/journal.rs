@@ -17,7 +17,7 @@ use crate::journal::{
 
 mod line;
 
-/// Time between two looks for new events.
+/// Interval between polls for new events.
 const POLL: Duration = Duration::from_millis(200);
 
 /// Records listed without `--limit`.

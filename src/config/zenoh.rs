@@ -53,7 +53,7 @@ pub enum ZenohMode {
     Peer,
     /// The gateway connects to a router, and accepts no connections
     Client,
-    /// Clients and routers connect to the gateway, and the gateway to routers: all of them reach each other
+    /// Clients and routers connect to the gateway, and the gateway connects to routers; all can reach each other
     Router,
 }
 

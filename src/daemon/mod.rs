@@ -35,7 +35,7 @@ use crate::operations::audit::Audit;
 use descriptors::Shares;
 pub use simulation::{ServedDevice, SimulatedDevice, Switch, serve as serve_device};
 
-/// Longest wait of a start for the journal: as long as that of a motion.
+/// Longest time that the start waits for the journal: as long as a motion waits.
 const START_WRITTEN_WITHIN: Duration = Duration::from_millis(500);
 
 /// Runs the gateway until SIGTERM or SIGINT.
@@ -165,7 +165,7 @@ fn log_unclean_end(recovered: &Recovered) {
         let running: Vec<_> = recovered.running.iter().map(ToString::to_string).collect();
         tracing::warn!(
             running = running.join(", "),
-            "previous run did not shut down in order: its running commands have the outcome UNKNOWN"
+            "previous run did not shut down cleanly: its running commands have the outcome UNKNOWN"
         );
     }
 }

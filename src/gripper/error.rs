@@ -49,7 +49,9 @@ pub enum Invalid {
 pub enum Conflict {
     #[error("FAST STOP {id} is latched: remove its cause, then acknowledge it by this id")]
     FastStop { id: FastStopId },
-    #[error("the device is still in FAST STOP after the acknowledge (flags: {flags}): remove the cause and try again")]
+    #[error(
+        "the device is still in FAST STOP after the acknowledgement (flags: {flags}): remove the cause and try again"
+    )]
     FastStopPersists { id: FastStopId, flags: String },
     #[error("{}", stale_fast_stop(*given, *current))]
     StaleFastStop { given: FastStopId, current: Option<FastStopId> },

@@ -56,7 +56,7 @@ pub type Steps = (Option<oneshot::Sender<()>>, Answer<wsg::Data>);
 /// A requested FAST STOP, on its way to the actor.
 #[derive(Debug)]
 pub struct FastStopRequest {
-    /// Id that an acknowledge will have to name.
+    /// Id that an acknowledgement will have to name.
     pub id: FastStopId,
     pub client: Client,
     pub cause: FastStopCause,
@@ -70,7 +70,7 @@ pub struct FastStopRequest {
 /// Result of a FAST STOP so far.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FastStop {
-    /// Id that an acknowledge has to name.
+    /// Id that an acknowledgement has to name.
     pub id: FastStopId,
     /// Whether the device's flags have shown it.
     pub confirmed: bool,
@@ -342,7 +342,7 @@ impl Handle {
         self.request_reserved(|answer| ActorRequest::Acknowledge { id, client, answer }).await?
     }
 
-    /// Disconnects from the gripper in order: rejects new commands, lets a running one finish, announces the disconnect
+    /// Disconnects from the gripper cleanly: rejects new commands, lets a running one finish, announces the disconnect
     /// and closes the link.
     pub async fn drain(&self) {
         // If the actor has ended, there is nothing left to disconnect.

@@ -278,7 +278,8 @@ impl LeaseState {
             Some(HeldLease { holder, terms, token, times_taken: 1, expires_at, open, usage, is_extended: false });
     }
 
-    /// Notes the first client that requests the lease, until its request is no longer repeated. The holder sees it.
+    /// Notes the first client that requests the lease, for as long as the client repeats its request. The holder sees
+    /// this client.
     fn ask(&mut self, now: Instant, holder: Holder, terms: Terms) {
         match &self.asking {
             Some(asking) if !asking.holder.is(&holder) && now < asking.at + REQUEST_LASTS => {}

@@ -48,7 +48,7 @@ const MAX_OPEN_STOPS: usize = 1024;
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 struct Account {
     payer: Payer,
-    /// FAST STOPs and acknowledges have an account of their own, so that other records cannot use it up.
+    /// FAST STOPs and acknowledgements have an account of their own, so that other records cannot use it up.
     is_fast_stop: bool,
 }
 

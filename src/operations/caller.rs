@@ -39,7 +39,7 @@ pub enum Presence {
     /// The request ends with its client: while it is open, it keeps the lease.
     #[default]
     Seen,
-    /// The request does not end with its client: it renews the lease when it comes and when it is answered.
+    /// The request does not end with its client: it renews the lease when it arrives and when it is answered.
     Unseen,
 }
 
@@ -59,7 +59,8 @@ pub enum Wait {
 
 /// A bound on waits that an interface sets.
 pub trait WaitLimiter: std::fmt::Debug + Send + Sync {
-    /// Returns the command when it has ended, or as it is after `limit` or when the wait is cut short.
+    /// Returns the ended command. If `limit` passes or the wait is cut short first, returns the command in its current
+    /// state.
     fn until_ended<'a>(&'a self, ticket: &'a mut Ticket, limit: Duration) -> BoxFuture<'a, CommandReport>;
 }
 
@@ -102,7 +103,7 @@ pub fn wait_ms(given: &str) -> Result<u64, Problem> {
 }
 
 impl CommandWait {
-    /// Returns the command when it has ended, or as it is after the wait.
+    /// Returns the ended command, or after the wait the command in its current state.
     pub async fn until_ended(&self, ticket: &mut Ticket) -> CommandReport {
         match &self.limiter {
             Some(limiter) if !self.limit.is_zero() => limiter.until_ended(ticket, self.limit).await,

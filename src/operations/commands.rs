@@ -1,4 +1,4 @@
-//! Commands: handed to the gripper, waited for, looked up, cancelled.
+//! Submits, awaits, looks up and cancels commands.
 
 use tracing::Span;
 use tracing::field::display;
@@ -28,7 +28,7 @@ pub(super) async fn submit(
     let RequestKeys { request_id, lease } = keys;
     let gripper = gripper.with_lease(lease.as_ref().map(LeaseToken::as_str))?;
     let submission = Submission { client: gripper.client.clone(), action, request_id, lease };
-    // The request keeps the lease during the wait, not the ticket.
+    // During the wait the request keeps the lease alive; the ticket does not.
     let mut ticket = gripper.handle.submit(submission).await?.watched();
     Span::current().record("command", display(ticket.id()));
     let mut command = wait.until_ended(&mut ticket).await;

@@ -132,7 +132,7 @@ pub struct Members {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<f64>, nullable = false, minimum = -1e300, maximum = 1e300)]
     max: Option<Number>,
-    /// Status symbol that the device refused the request with, if it did.
+    /// Status symbol with which the device refused the request, if it did.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
     device_status: Option<String>,

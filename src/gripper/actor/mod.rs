@@ -16,8 +16,8 @@
 //! # Architecture invariants
 //!
 //! A motion frame is submitted to the session in one place, `start_motion`, once for each admitted command. While a
-//! FAST STOP is latched, no motion frame is submitted, and unwritten ones are withdrawn. An acknowledge is submitted in
-//! one place, for a client that named the latch's id.
+//! FAST STOP is latched, no motion frame is submitted, and unwritten ones are withdrawn. An acknowledgement is
+//! submitted in one place, for a client that named the latch's id.
 
 mod admission;
 mod connection;
@@ -169,7 +169,7 @@ impl Actor {
         self.metering.fast_stop_requested(request.at);
         let caller = request.epoch.take();
         if let Some(token) = self.latch.request(now, request) {
-            // An acknowledge of an earlier FAST STOP must not be sent after this one.
+            // An acknowledgement of an earlier FAST STOP must not be sent after this one.
             self.link.withdraw(token);
         }
         if let Some(caller) = caller {

@@ -30,7 +30,7 @@ use crate::operations::{Code, DEFAULT_WAIT_MS, OPERATIONS, Operation, Problem, w
 pub const PATHS: [&str; 2] =
     ["/fleet/{gateway}/grippers/{gripper}", "/fleet/{gateway}/grippers/{gripper}/{*operation}"];
 
-/// Headers that are forwarded beside the parameters, and their parameter names.
+/// Headers that are forwarded along with the parameters, and their parameter names.
 const HEADER_PARAMS: [(HeaderName, &str); 2] =
     [(HeaderName::from_static("wsg-lease"), "lease"), (HeaderName::from_static("idempotency-key"), "request_id")];
 

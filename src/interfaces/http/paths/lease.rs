@@ -21,7 +21,7 @@ paths! {
     /// Take the lease
     ///
     /// Returns a token; send it with every further command. Each use of the token renews the lease, and an open request
-    /// with it keeps the lease alive. A holder that stays silent for `ttl_ms` is lost; `on_loss_moving` and
+    /// with it keeps the lease alive. A holder that stays silent for `ttl_ms` counts as lost; `on_loss_moving` and
     /// `on_loss_holding` say what the gripper does then.
     #[utoipa::path(
         post, path = "/grippers/{gripper}/lease", operation_id = "take_lease", tag = "lease",
