@@ -18,7 +18,7 @@
 //!
 //! A request comes in through an interface, which parses it once into a [`gripper::model`] value for the gripper's
 //! handle. The [actor](gripper::actor) decides, and hands a request to the session, which makes bytes. On the way out,
-//! bytes become session events and change the actor's state, whose newest value is watched. [Updates](events::Updates)
+//! bytes become session events and change the actor's state, whose newest value is watched. [Updates](events::LiveUpdates)
 //! are serialised once, and all clients share their bytes. The device side runs on a runtime of its own, and so do
 //! WebSockets, so that no number of clients delays a FAST STOP by much.
 //!

@@ -37,7 +37,7 @@ const CLOSED_AFTER_US: u64 = 1_000_000;
 /// the priority.
 const SOCKET_BYTES: u64 = 64 * 1024;
 
-/// Clients and routers connected at a time.
+/// Maximum number of connected clients and routers.
 const MAX_SESSIONS: u64 = 256;
 
 /// Protocols that this build supports.

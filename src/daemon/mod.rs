@@ -130,7 +130,7 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     let limits = http::ServerLimits::within(Bounds::of(shares.http));
     let server = clients.accept.spawn(http::serve(listener, context.clone(), limits, shutdown.clone()));
     announce(config, address, &ports)?;
-    // Zenoh has a task of its own, so the rest goes on whatever happens to it.
+    // Zenoh has a task of its own, so the rest continues whatever happens to Zenoh.
     let zenoh = on_zenoh.map(|(settings, context)| tokio::spawn(zenoh::serve(settings, context, announce_zenoh)));
     let ports = ports::serve(&runtimes.devices, ports, &grippers, &audit, &draining, &shutdown);
     tokio::select! {

@@ -181,7 +181,7 @@ impl Peers {
 }
 
 /// Uses a lease often enough to keep it, for as long as this is polled. The owning gateway cannot see whether the
-/// client is still connected here. Each use is sent on time, whatever became of the one before.
+/// client is still connected here. Each use is sent on time, whatever happened to the one before.
 async fn keep_lease<Sent: Future<Output = Result<Asked, NoAnswer>>>(send_use: impl Fn() -> Sent) -> Infallible {
     #[derive(Deserialize)]
     struct Renewed {
@@ -287,7 +287,7 @@ mod tests {
         let used = gaps(Duration::from_mins(1), answered()).await;
         assert_eq!(used[0], MIN_TTL / USES_A_TTL, "its time to live is not known yet");
         assert!(used.len() > 20 && used[1..].iter().all(|gap| *gap == every), "{used:?}");
-        // Without answers, uses go on at the shortest interval.
+        // Without answers, uses continue at the shortest interval.
         for first in [pending().boxed_local(), async { Err(NoAnswer::None) }.boxed_local()] {
             let used = gaps(Duration::from_secs(10), first).await;
             assert!(used.len() > 50 && used.iter().all(|gap| *gap <= MIN_ANSWERED_WITHIN), "{used:?}");

@@ -81,7 +81,7 @@ fn lease_held(holder: &str, expires_in_ms: Option<u64>) -> String {
     match expires_in_ms {
         Some(ms) => format!(
             "{holder} holds the lease for another {ms} ms unless it is renewed: wait, ask for a hand-over with \
-             `request`, or have a supervisor force it"
+             `request`, or have a supervisor take it with `force`"
         ),
         None => format!(
             "the gripper is reserved for {holder}, whose lease was lost while a part was held: only {holder} or a \

@@ -17,7 +17,7 @@ use crate::wsg;
 
 /// Requests that can wait for the actor. The actor answers each within microseconds, so a full queue means that it
 /// can't keep up, and further requests are rejected. Requests that stop, or that keep or end a lease, wait for a free
-/// slot instead, in order. The interfaces bound how many of these their clients can make at a time.
+/// slot instead, in order. The interfaces bound how many such requests their clients can make at the same time.
 pub const MAX_WAITING_REQUESTS: usize = 64;
 
 /// FAST STOPs that can wait for the actor, in a queue of their own, which the actor empties before it does anything

@@ -1,5 +1,5 @@
-//! The writing thread. All waiting records become one transaction, so that on a slow disk more records cost less each.
-//! After a failure the write is retried, together with newer records.
+//! The writing thread. All waiting records become one transaction, so that the cost per record falls when many wait for
+//! a slow disk. After a failure the write is retried, together with newer records.
 
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
@@ -39,7 +39,7 @@ pub(super) enum WriterInput {
     Record(Box<Record>),
     /// Persisted values wait in [`Shared`].
     Memories,
-    /// The end: in order, or as if the process were killed after its last record.
+    /// The end of writing: orderly, or as if the process were killed after its last record.
     End {
         orderly: bool,
     },

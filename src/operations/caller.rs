@@ -1,4 +1,4 @@
-//! The client behind a request, with the lease token, request id and wait that come beside the parameters.
+//! The client behind a request, with the lease token, request id and wait that come alongside the parameters.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -24,9 +24,9 @@ pub const MAX_LEASE_BYTES: usize = 64;
 pub struct Caller {
     /// The identity of the client, and the interface that it uses.
     pub client: Client,
-    /// Lease token beside the parameters. A FAST STOP needs none, and must not fail because of an invalid one.
+    /// Lease token sent alongside the parameters. A FAST STOP needs none, and must not fail because of an invalid one.
     pub lease: Result<Option<LeaseToken>, Problem>,
-    /// Request id beside the parameters.
+    /// Request id sent alongside the parameters.
     pub request_id: Result<Option<RequestId>, Problem>,
     pub presence: Presence,
     /// How long the caller waits for the end of a command.
@@ -120,7 +120,7 @@ pub struct RequestKeys {
 }
 
 impl RequestKeys {
-    /// Returns the keys beside the parameters.
+    /// Returns the keys that came alongside the parameters.
     pub fn of(caller: &Caller) -> Result<Self, Problem> {
         Ok(Self { lease: caller.lease.clone()?, request_id: caller.request_id.clone()? })
     }

@@ -55,7 +55,7 @@ async fn get(call: Call) -> Result<Json<CommandReport>, Problem> {
         return Ok(Json(wait.until_ended(&mut ticket).await));
     }
     let stored = call.gateway.journal.command(gripper.handle.name().clone(), id).await?;
-    stored.map(Json).ok_or_else(|| Problem::not_found("command of this id"))
+    stored.map(Json).ok_or_else(|| Problem::not_found("command with this id"))
 }
 
 async fn cancel(call: Call) -> Result<OperationReply, Problem> {
@@ -63,8 +63,8 @@ async fn cancel(call: Call) -> Result<OperationReply, Problem> {
     let Leased { lease } = call.fields()?;
     let gripper = gripper.with_lease(lease.as_deref())?;
     let ticket = gripper.handle.cancel(id, gripper.client).await?;
-    let mut ticket =
-        ticket.ok_or_else(|| Problem::not_found("command of this id here: commands are kept for an hour"))?;
+    let mut ticket = ticket
+        .ok_or_else(|| Problem::not_found("command with this id on this gripper: commands are kept for an hour"))?;
     let command = wait.until_ended(&mut ticket).await;
     reply_with(&command, ticket)
 }

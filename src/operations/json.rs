@@ -88,8 +88,8 @@ fn field(path: &str, detail: &str) -> Option<String> {
 /// Characters of an unknown field's name that are repeated to its sender.
 const MAX_FIELD_CHARS: usize = 32;
 
-/// A JSON value without duplicate keys. Of two equal keys, serde_json's own value keeps the last and other parsers keep
-/// the first, so a check and the execution could see different values.
+/// A JSON value without duplicate keys. If a key occurs twice, serde_json's own value keeps the last and other parsers
+/// keep the first, so a check and the execution could see different values.
 #[derive(Debug)]
 pub struct StrictJson(pub Value);
 

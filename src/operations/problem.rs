@@ -22,7 +22,7 @@ macro_rules! codes {
         /// - `malformed`: the request cannot be parsed, or a field has the wrong form.
         /// - `foreign_host`: the `Host` header is neither an address nor `localhost` nor a configured name.
         /// - `foreign_origin`: the request comes from a web page of another origin.
-        /// - `not_found`: no such path, gripper or command.
+        /// - `not_found`: the path, gripper or command does not exist.
         /// - `method_not_allowed`: the path does not support this method.
         /// - `request_timeout`: the body did not arrive in time.
         /// - `too_large`: the body is too large.

@@ -1,5 +1,5 @@
-//! The orderly end: new commands are rejected, a running one finishes or is stopped, the disconnect is announced, and
-//! the link is closed.
+//! Draining, the orderly disconnect: new commands are rejected, a running one finishes or is stopped, the disconnect is
+//! announced, and the link is closed.
 
 use std::time::{Duration, Instant};
 

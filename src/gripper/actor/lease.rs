@@ -95,7 +95,7 @@ impl Actor {
     ) -> Result<Lease, Rejection> {
         let holder = self.lease.hand_over(now.instant, token, to, new)?;
         self.record_lease(now, LeaseStep::HandedOver, &holder, None);
-        // A running motion goes on. One that has not started would start under another client's lease.
+        // A running motion continues. A motion that has not started would start under another client's lease.
         self.withdraw_waiting_motion(now);
         Ok(self.lease_now(now))
     }

@@ -186,7 +186,7 @@ impl Actor {
     pub fn request(&mut self, now: Now, request: ActorRequest) {
         match request {
             ActorRequest::Submit { submission, id, answer } => {
-                // The caller may be gone; an admitted command goes on all the same.
+                // The caller may be gone; an admitted command continues anyway.
                 let _ = answer.send(self.admit(now, id, &submission));
             }
             ActorRequest::Find { id, answer } => {

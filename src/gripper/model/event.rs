@@ -16,7 +16,7 @@ mod device;
 
 pub use device::{DeviceEvent, LinkEvent};
 
-/// An event. The journal adds a sequence number. `kind` and its fields stand beside the common fields.
+/// An event. The journal adds a sequence number. `kind` and its fields are on the same level as the common fields.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct Event {
     /// Time of the event.
@@ -195,7 +195,8 @@ pub struct FastStopEvent {
     pub cause: FastStopCause,
     /// Reason given by the client; may be empty.
     pub reason: String,
-    /// Number of FAST STOPs that this event stands for. Of repeated requests, only the newest is stored, once a second.
+    /// Number of FAST STOPs that this event stands for. Repeated requests are counted, and only the newest is stored,
+    /// once a second.
     #[schema(minimum = 1, maximum = 9_007_199_254_740_991_i64)]
     pub count: u64,
 }

@@ -54,7 +54,7 @@ impl fmt::Debug for LeaseToken {
 ///
 /// - `fast_stop`: a latched FAST STOP
 /// - `stop`: a Stop
-/// - `finish`: the motion goes on to its end
+/// - `finish`: the motion continues to its end
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum OnLossMoving {
@@ -225,7 +225,7 @@ pub enum LossCause {
 ///
 /// - `fast_stop`: a latched FAST STOP
 /// - `stop`: a Stop
-/// - `finish`: the motion went on, and the gripper was reserved for the holder
+/// - `finish`: the motion continued, and the gripper was reserved for the holder
 /// - `keep`: the part stayed held, and the gripper was reserved for the holder
 /// - `none`: no action, because nothing moved and no part was held
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]

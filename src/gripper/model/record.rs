@@ -99,6 +99,6 @@ pub enum OnJournalFailure {
     /// Motions are refused.
     #[default]
     Refuse,
-    /// Motions go on without a durable record.
+    /// Motions continue without a durable record.
     Continue,
 }

@@ -246,7 +246,7 @@ pub async fn grips(
 }
 
 fn command_id(text: &str) -> Result<CommandId, Problem> {
-    text.parse().map_err(|_| Problem::not_found("command of this id: ids are UUIDs"))
+    text.parse().map_err(|_| Problem::not_found("command with this id: ids are UUIDs"))
 }
 
 fn no_such_grip() -> Problem {

@@ -44,7 +44,7 @@ use crate::interfaces::sockets;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ServerLimits {
-    /// Connections at a time, by class.
+    /// Maximum number of concurrent connections, by class.
     pub bounds: Bounds,
     /// Time for a request's header to arrive. It also bounds the time that a connection can be idle between requests.
     pub header_time: Duration,

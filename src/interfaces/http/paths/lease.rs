@@ -45,7 +45,7 @@ paths! {
         delete, path = "/grippers/{gripper}/lease", operation_id = "release_lease", tag = "lease",
         params(GripperPath, LeaseHeader),
         request_body = Option<Leased>,
-        responses((status = 200, description = "The lease as it is now", body = Lease), CommandProblem)
+        responses((status = 200, description = "The current lease", body = Lease), CommandProblem)
     )]
     release => lease::RELEASE;
     /// Hand the lease over
@@ -56,7 +56,7 @@ paths! {
         post, path = "/grippers/{gripper}/lease/hand-over", operation_id = "hand_over_lease", tag = "lease",
         params(GripperPath, LeaseHeader),
         request_body = HandOver,
-        responses((status = 200, description = "The lease as it is now", body = Lease), LeaseProblem)
+        responses((status = 200, description = "The current lease", body = Lease), LeaseProblem)
     )]
     hand_over => lease::HAND_OVER;
 }

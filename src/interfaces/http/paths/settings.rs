@@ -97,7 +97,7 @@ paths! {
         put, path = "/grippers/{gripper}/settings/device-tag", operation_id = "set_device_tag", tag = "settings",
         params(GripperPath, LeaseHeader),
         request_body = TagSetting,
-        responses((status = 200, description = "The device tag as it is now stored", body = TagAnswer), DeviceProblem)
+        responses((status = 200, description = "The device tag now stored", body = TagAnswer), DeviceProblem)
     )]
     set_tag => settings::SET_TAG;
 }
