@@ -18,16 +18,16 @@
 //!
 //! A request comes in through an interface, which parses it once into a [`gripper::model`] value for the gripper's
 //! handle. The [actor](gripper::actor) decides, and hands a request to the session, which makes bytes. On the way out,
-//! bytes become session events and change the actor's state, whose newest value is watched. [Updates](events::LiveUpdates)
-//! are serialised once, and all clients share their bytes. The device side runs on a runtime of its own, and so do
-//! WebSockets, so that no number of clients delays a FAST STOP by much.
+//! bytes become session events and change the actor's state, whose newest value is watched.
+//! [Updates](events::LiveUpdates) are serialised once, and all clients share their bytes. The device side runs on a
+//! runtime of its own, and so do WebSockets, so that even a great number of clients hardly delays a FAST STOP.
 //!
 //! # Invariants
 //!
-//! Each has a test of its name, which checks the frames that the device received: `frame_sent_at_most_once`,
-//! `nothing_moves_unasked`, `fast_stop_overtakes`, `latch_blocks_motion`, `acknowledge_names_its_latch`,
-//! `stale_lease_moves_nothing`, `every_command_ends_once`, `unknown_is_said`, `announce_before_close`,
-//! `device_refusal_is_not_our_error`, `observers_never_block`, `bounded`.
+//! Each invariant has a test of the same name, which checks the frames that the device received:
+//! `frame_sent_at_most_once`, `nothing_moves_unasked`, `fast_stop_overtakes`, `latch_blocks_motion`,
+//! `acknowledge_names_its_latch`, `stale_lease_moves_nothing`, `every_command_ends_once`, `unknown_is_said`,
+//! `announce_before_close`, `device_refusal_is_not_our_error`, `observers_never_block`, `bounded`.
 //!
 //! FAST STOP is not a safety function in the sense of ISO 13850.
 

@@ -287,8 +287,8 @@ fn zenoh_settings(
     let connectivity = zenoh::Connectivity { config, listen, connect };
     // In client mode, opening Zenoh waits for a connection.
     network.set_cause(Some(connectivity.awaited().unwrap_or_else(|| "Zenoh is not open yet".to_owned())));
-    let figures = interfaces::metrics::InterfaceMetrics::register(&context.registry, "zenoh")?;
-    Ok((zenoh::ZenohSettings { connectivity, max_hz: zenoh.max_hz }, context.of_interface(figures)))
+    let interface_metrics = interfaces::metrics::InterfaceMetrics::register(&context.registry, "zenoh")?;
+    Ok((zenoh::ZenohSettings { connectivity, max_hz: zenoh.max_hz }, context.of_interface(interface_metrics)))
 }
 
 /// Prints the addresses of Zenoh, which can be known later than the rest.

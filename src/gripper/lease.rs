@@ -240,7 +240,7 @@ impl LeaseState {
         token: LeaseToken,
     ) -> Result<AcquireOutcome, Conflict> {
         let holder = Holder::of(wish);
-        let way = match &mut self.held {
+        let outcome = match &mut self.held {
             Some(held) if Some(&held.token) == wish.token.as_ref() => {
                 held.terms = terms;
                 held.times_taken += 1;
@@ -266,7 +266,7 @@ impl LeaseState {
             }
         };
         self.give(now, holder, terms, token, Usage::Idle);
-        Ok(way)
+        Ok(outcome)
     }
 
     fn give(&mut self, now: Instant, holder: Holder, terms: Terms, token: LeaseToken, usage: Usage) {

@@ -227,9 +227,9 @@ impl Verifier {
             let mut statement = connection.prepare("PRAGMA integrity_check")?;
             let mut rows = statement.query([])?;
             while let Some(row) = rows.next()? {
-                let said: String = row.get(0)?;
-                if said != "ok" {
-                    this.find("file", said);
+                let finding: String = row.get(0)?;
+                if finding != "ok" {
+                    this.find("file", finding);
                 }
             }
             Ok(())

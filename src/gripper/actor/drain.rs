@@ -100,8 +100,8 @@ impl Actor {
 
     pub(super) fn continue_drain(&mut self, now: Now) {
         // During setup, the requests in flight are not clients' requests, and need not be waited for.
-        let asked = self.link.is_up() && self.link.session.as_ref().is_some_and(|session| !session.is_idle());
-        let idle = self.motion.running.is_none() && !self.latch.is_unconfirmed() && !asked;
+        let is_busy = self.link.is_up() && self.link.session.as_ref().is_some_and(|session| !session.is_idle());
+        let idle = self.motion.running.is_none() && !self.latch.is_unconfirmed() && !is_busy;
         let Some(drain) = &mut self.drain else { return };
         let late = drain.until <= now.instant;
         match drain.stage {

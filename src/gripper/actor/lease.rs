@@ -67,14 +67,14 @@ impl Actor {
             self.record_lease(now, LeaseStep::Requested, &asking, None);
         }
         let Some(holder) = self.lease.holder().cloned() else { return result.map(drop).map_err(Into::into) };
-        let way = result?;
-        match way {
+        let outcome = result?;
+        match outcome {
             AcquireOutcome::Free => self.record_lease(now, LeaseStep::Taken, &holder, None),
             AcquireOutcome::Forced => self.record_lease(now, LeaseStep::Forced, &holder, None),
             // The new holder was recorded when the lease was handed over.
             AcquireOutcome::HandedOver | AcquireOutcome::Again => {}
         }
-        if wish.force && !matches!(way, AcquireOutcome::Again) {
+        if wish.force && !matches!(outcome, AcquireOutcome::Again) {
             // The motion may also belong to a lost holder, or to one that has handed over.
             self.stop_motion(now);
         }

@@ -74,7 +74,7 @@ impl Recording {
     /// Checks that a motion can be admitted.
     pub(super) fn check(&self) -> Result<(), Failure> {
         match (self.on_failure, self.failure()) {
-            (OnJournalFailure::Refuse, Some(_)) => Err(self.journal_down("it stores no records")),
+            (OnJournalFailure::Refuse, Some(_)) => Err(self.journal_down("records are not being stored")),
             _ => Ok(()),
         }
     }

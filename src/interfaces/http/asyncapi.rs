@@ -143,7 +143,7 @@ fn error() -> Value {
         "properties": {
             "code": {
                 "enum": [-32700, -32600, -32601, -32602, -32603, -32000],
-                "description": "JSON-RPC error code; -32000 if the API refused the request; see `data.code`",
+                "description": "JSON-RPC error code. -32000 means that the API refused the request: see `data.code`",
             },
             "message": {"type": "string", "description": "Human-readable description of the error"},
             "data": reference("components/schemas", "Problem"),
