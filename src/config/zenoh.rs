@@ -93,14 +93,11 @@ pub(super) struct ZenohContent {
     max_hz: Option<Spanned<u64>>,
 }
 
-/// Settings of Zenoh.
 #[derive(Debug, Clone)]
 pub struct Zenoh {
     /// Zenoh's own configuration.
     pub settings: zenoh::Config,
-    /// Endpoints to listen on.
     pub listen: Vec<String>,
-    /// Endpoints to connect to.
     pub connect: Vec<String>,
     /// Limit of published states and telemetry, per second and gripper.
     pub max_hz: u32,

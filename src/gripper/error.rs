@@ -7,7 +7,6 @@ use crate::wsg::Status;
 
 use super::model::{CommandId, FastStopId, Link};
 
-/// Rejection of a request.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Rejection {
     /// The request is not valid, whatever the gripper's state.

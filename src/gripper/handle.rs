@@ -264,7 +264,6 @@ impl Handle {
             .await?
     }
 
-    /// The current lease.
     pub async fn lease(&self) -> Result<Lease, Failure> {
         self.try_request(|answer| ActorRequest::Lease { answer }).await
     }

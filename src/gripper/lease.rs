@@ -34,7 +34,6 @@ impl Holder {
     }
 }
 
-/// Terms of a lease.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Terms {
     pub ttl: Duration,
@@ -382,7 +381,6 @@ impl LeaseState {
         }
     }
 
-    /// Token of the current lease.
     pub(super) fn token(&self) -> Option<&LeaseToken> {
         self.held.as_ref().map(|held| &held.token)
     }

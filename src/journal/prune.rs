@@ -143,8 +143,8 @@ fn newest(connection: &Connection, chain: Chain) -> rusqlite::Result<i64> {
     connection.query_row(&sql, [], |row| row.get(0))
 }
 
-/// Returns the last record before the first that is new enough. Records from the future come from a wrong clock, and go
-/// with their neighbours.
+/// Returns the last record before the first that is new enough. Records from the future come from a wrong clock, and
+/// are removed with their neighbours.
 fn before_time(connection: &Connection, chain: Chain, before: Timestamp, now: Timestamp) -> rusqlite::Result<i64> {
     let first = first_within(connection, chain, milliseconds(before), now)?;
     Ok(first.map_or(i64::MAX, |(seq, _)| seq - 1))

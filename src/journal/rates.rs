@@ -296,7 +296,7 @@ fn absorb(newest: &mut Event, older: &mut Event) {
     newest.aggregated = NonZero::new(more + aggregated(newest) + aggregated(older));
 }
 
-/// Returns the count of requests in an event; none if its kind has no count of its own.
+/// Returns the count of requests in an event; `None` if its kind has no count of its own.
 fn count(detail: &mut Detail) -> Option<&mut u64> {
     match detail {
         Detail::FastStop(FastStopEvent { count, .. })

@@ -85,7 +85,7 @@ pub(super) struct JournalWriter {
     store: Store,
     shared: Arc<Shared>,
     events: broadcast::Sender<Arc<Stored>>,
-    /// Ends of the chains of events and grip records; none after a failed write, until they are read from the file.
+    /// Ends of the chains of events and grip records; `None` after a failed write, until they are read from the file.
     ends: Option<[Tip; 2]>,
     batch: Batch,
     /// Time of the next attempt, while writes fail.

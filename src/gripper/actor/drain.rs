@@ -60,7 +60,6 @@ impl Drain {
 }
 
 impl Actor {
-    /// Begins the drain.
     pub(super) fn start_drain(&mut self, now: Now, answer: oneshot::Sender<()>) {
         let until = now.instant + self.config.drain;
         let drain = self.drain.get_or_insert_with(|| {

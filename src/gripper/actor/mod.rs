@@ -77,7 +77,6 @@ const REPLY_WITHIN: Duration = Duration::from_secs(1);
 /// (`fw4-en 3.6.3`), and a custom command can do anything.
 const RESULT_WITHIN: Duration = Duration::from_secs(30);
 
-/// Configuration of an actor.
 #[derive(Debug, Clone)]
 pub struct ActorConfig {
     pub name: Name,

@@ -169,7 +169,6 @@ impl MotionState {
         }
     }
 
-    /// Whether this command waits for its record.
     pub(super) fn waits_for_record(&self, id: CommandId) -> bool {
         self.running.as_ref().is_some_and(|running| running.id == id && !running.recorded)
     }
