@@ -54,7 +54,7 @@ pub async fn serve_simulated(
     match control {
         Some(address) => {
             let listener = control::listen(address).await?;
-            say(&format!("control of faults at http://{}/devices", listener.local_addr()?));
+            say(&format!("fault injection at http://{}/devices", listener.local_addr()?));
             control::serve(listener, devices).await
         }
         None => std::future::pending().await,
