@@ -100,7 +100,7 @@ pub struct Problem(Box<Members>);
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 #[schema(as = Problem, example = json!({
     "type": "about:blank", "title": "Unprocessable Entity", "status": 422, "code": "out_of_range",
-    "detail": "width_mm is 300; it must be from 0 to 110 (the device's stroke)",
+    "detail": "width_mm is 300; it must be from 0 to 110 (the device's limits)",
     "field": "width_mm", "value": 300.0, "min": 0.0, "max": 110.0
 }))]
 pub struct Members {

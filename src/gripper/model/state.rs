@@ -182,7 +182,7 @@ impl State {
     }
 }
 
-/// Measured values of a [`State`].
+/// Measured values of a `State`.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct Telemetry {
     /// Name of the gripper.
@@ -221,7 +221,7 @@ impl State {
     }
 }
 
-/// Additional fields of a [`State`] while a FAST STOP is latched.
+/// Additional fields of a `State` while a FAST STOP is latched.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct LatchFields {
     /// Id that an acknowledgement has to name.
