@@ -36,8 +36,8 @@ pub(super) struct LatchState {
     sent: Option<Token>,
     /// Whether the device has answered a 23h that was sent for this latch.
     answered: bool,
-    /// Time from which the flags alone confirm the latch. Until then a pending acknowledgement could clear the FAST STOP
-    /// that they show.
+    /// Time from which the flags alone confirm the latch. Until then a pending acknowledgement could clear the FAST
+    /// STOP that they show.
     flags_count_from: Option<Instant>,
     repeat_at: Option<Instant>,
     acknowledging: Option<Acknowledging>,

@@ -28,8 +28,8 @@ pub const ALL: Operation = Operation::change("fast-stop", &Verb::POST, "/fast-st
 pub const ACKNOWLEDGE: Operation =
     Operation::change("acknowledge", &Verb::POST, "/grippers/{gripper}/acknowledge", |call| reply(acknowledge(call)));
 
-/// Body of a FAST STOP request: an optional reason. The request stops the gripper whatever the body, even if it is
-/// empty or invalid.
+/// Body of a FAST STOP request: an optional reason. The FAST STOP happens whatever the body, even if the body is empty
+/// or invalid.
 pub struct FastStopBody;
 
 impl PartialSchema for FastStopBody {
@@ -39,7 +39,9 @@ impl PartialSchema for FastStopBody {
         ));
         ObjectBuilder::new()
             .schema_type(SchemaType::AnyValue)
-            .description(Some("Optional reason. Any body stops; a body that is not a JSON object has no reason."))
+            .description(Some(
+                "Optional reason. The FAST STOP happens whatever the body; only a JSON object can give a reason.",
+            ))
             .property("reason", reason)
             .examples([json!({"reason": "light curtain"})])
             .into()
