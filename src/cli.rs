@@ -143,7 +143,8 @@ fn check(flags: &Flags) -> anyhow::Result<()> {
     daemon::check(&config)?;
     let Config { name, grippers, listen, .. } = &config;
     let count = grippers.len();
-    quietly(writeln!(std::io::stdout(), "configuration valid: {name} serves {count} grippers at {listen}"))
+    let grippers = if count == 1 { "gripper" } else { "grippers" };
+    quietly(writeln!(std::io::stdout(), "configuration valid: {name} serves {count} {grippers} at {listen}"))
 }
 
 /// Ignores a broken pipe: the reader of standard output may stop early.

@@ -314,6 +314,7 @@ fn write_announcement(
         writeln!(out, "WSG port of {name}: {url}")?;
     }
     writeln!(out, "documentation: {base}/docs")?;
+    writeln!(out, "guides: {base}/docs/guide")?;
     if let Some(gripper) = config.grippers.first() {
         writeln!(out, "try: curl -X POST {base}/api/v1/grippers/{}/home", gripper.name)?;
     }

@@ -80,11 +80,11 @@ fn lease_held(holder: &str, expires_in_ms: Option<u64>) -> String {
     match expires_in_ms {
         Some(ms) => format!(
             "{holder} holds the lease for another {ms} ms unless it is renewed: wait, ask for a hand-over with \
-             `request`, or have a supervisor take it with `force`"
+             `request`, or take it with `force`, which stops a running motion"
         ),
         None => format!(
-            "the gripper is reserved for {holder}, whose lease was lost while a part was held: only {holder} or a \
-             supervisor can take the lease"
+            "the gripper is reserved for {holder}, whose lease was lost while a part was held: another \
+             client needs `force` to take it"
         ),
     }
 }

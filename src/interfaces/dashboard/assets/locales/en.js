@@ -421,6 +421,7 @@ export const en = {
   'foot.language': 'Language',
   'foot.theme': 'Theme',
   'foot.docs': 'API',
+  'foot.guides': 'Guides',
   'theme.auto': 'Auto',
   'theme.light': 'Light',
   'theme.dark': 'Dark',
