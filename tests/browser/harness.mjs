@@ -84,7 +84,7 @@ export async function simulator() {
     says,
     said: url,
   } = await run(['sim', 'tcp://127.0.0.1:0', '--control', '127.0.0.1:0'], /(tcp:\/\/127\.0\.0\.1:[1-9]\d*)/);
-  const devices = await says(/faults at (http:\S+)/);
+  const devices = await says(/fault injection at (http:\S+)/);
   const happens = async (change) => {
     const answer = await fetch(`${devices}/0`, { method: 'POST', body: JSON.stringify(change) });
     assert.ok(answer.ok, await answer.text());

@@ -269,7 +269,7 @@ impl Leases {
                 world.count("lease: reserved", true);
             }
             Err(Rejection::Conflict(Conflict::LeaseHeld { .. })) => {
-                assert!(alive, "LEASE_HELD without a holder\n{}", world.tail())
+                assert!(alive, "LEASE_HELD without a holder\n{}", world.tail());
             }
             _ => {}
         }
