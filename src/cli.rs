@@ -48,7 +48,7 @@ enum Command {
         /// Firmware generation: fw2 or fw4
         #[arg(long, default_value = "fw4")]
         firmware: String,
-        /// Address of the HTTP server that injects faults: GET /devices lists the devices; POST /devices/0 takes an
+        /// Address to serve HTTP on for injecting faults: GET /devices lists the devices; POST /devices/0 takes an
         /// event, e.g. {"place_part": {"width_mm": 20}}, "take_part", "slip_part", {"overheat": {"temperature_c": 90}},
         /// "cool", {"silent": {"on": true}}, "cut_connection", {"reboot": {"ready_after_ms": 500}}
         #[arg(long, value_name = "ADDR")]
@@ -143,7 +143,8 @@ fn check(flags: &Flags) -> anyhow::Result<()> {
     daemon::check(&config)?;
     let Config { name, grippers, listen, .. } = &config;
     let count = grippers.len();
-    quietly(writeln!(std::io::stdout(), "configuration valid: {name} serves {count} grippers at {listen}"))
+    let grippers = if count == 1 { "gripper" } else { "grippers" };
+    quietly(writeln!(std::io::stdout(), "configuration valid: {name} serves {count} {grippers} at {listen}"))
 }
 
 /// Ignores a broken pipe: the reader of standard output may stop early.

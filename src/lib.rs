@@ -5,9 +5,9 @@
 //! - [`wsg`]: the protocol, sans-IO: frames, commands, replies, and the [session](wsg::session) on a link.
 //! - [`transport`]: byte pipes to devices; knows nothing of the protocol.
 //! - [`gripper`]: one actor per gripper, the only owner of its state; everyone else has a [handle](gripper::Handle).
-//! - [`operations`]: everything that a client can ask for, once.
+//! - [`operations`]: everything that a client can request, defined once for all interfaces.
 //! - [`interfaces`]: [HTTP](interfaces::http), [Zenoh](interfaces::zenoh), the [WSG port](interfaces::wsg_port), and
-//!   the [dashboard](interfaces::dashboard) at `/`, which uses the public WebSocket and REST alone.
+//!   the [dashboard](interfaces::dashboard) at `/`, which uses only the public WebSocket and REST.
 //! - [`events`]: live updates, serialised once for all clients.
 //! - [`fleet`]: the other gateways on the Zenoh network.
 //! - [`journal`]: events and grip records that outlive the gateway, in SQLite.
@@ -18,16 +18,16 @@
 //!
 //! A request comes in through an interface, which parses it once into a [`gripper::model`] value for the gripper's
 //! handle. The [actor](gripper::actor) decides, and hands a request to the session, which makes bytes. On the way out,
-//! bytes become session events and change the actor's state, whose newest value is watched. [Updates](events::Updates)
-//! are serialised once, and all clients share their bytes. The device side runs on a runtime of its own, and so do
-//! WebSockets, so that no number of clients delays a FAST STOP by much.
+//! bytes become session events and change the actor's state, whose newest value is watched.
+//! [Updates](events::LiveUpdates) are serialised once, and all clients share their bytes. The device side runs on a
+//! runtime of its own, and so do WebSockets, so that even a great number of clients hardly delays a FAST STOP.
 //!
 //! # Invariants
 //!
-//! Each has a test of its name, which checks the frames that the device received: `frame_sent_at_most_once`,
-//! `nothing_moves_unasked`, `fast_stop_overtakes`, `latch_blocks_motion`, `acknowledge_names_its_latch`,
-//! `stale_lease_moves_nothing`, `every_command_ends_once`, `unknown_is_said`, `announce_before_close`,
-//! `device_refusal_is_not_our_error`, `observers_never_block`, `bounded`.
+//! Each invariant has a test of the same name, which checks the frames that the device received:
+//! `frame_sent_at_most_once`, `nothing_moves_unasked`, `fast_stop_overtakes`, `latch_blocks_motion`,
+//! `acknowledge_names_its_latch`, `stale_lease_moves_nothing`, `every_command_ends_once`, `unknown_is_said`,
+//! `announce_before_close`, `device_refusal_is_not_our_error`, `observers_never_block`, `bounded`.
 //!
 //! FAST STOP is not a safety function in the sense of ISO 13850.
 

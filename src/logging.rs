@@ -1,7 +1,7 @@
-//! Logs on standard error, with `tracing`. Frames are TRACE, changes of state INFO, and WARN needs somebody's
-//! attention.
+//! Logs on standard error, with `tracing`. Frames are TRACE, changes of state INFO, and WARN needs someone's attention.
 //!
-//! Logging never blocks. If standard error is not read, lines without a place are dropped rather than delay a gripper.
+//! Logging never blocks. If standard error is not read, lines that do not fit the queue are dropped, so that no gripper
+//! is delayed.
 
 use std::io::IsTerminal;
 

@@ -17,7 +17,7 @@ use crate::journal::{
 
 mod line;
 
-/// Time between two looks for new events.
+/// Interval between polls for new events.
 const POLL: Duration = Duration::from_millis(200);
 
 /// Records listed without `--limit`.
@@ -228,10 +228,10 @@ fn check(path: &Path, out: &mut impl Write) -> anyhow::Result<()> {
     report.findings.iter().try_for_each(|finding| writeln!(out, "{finding}"))?;
     let found = report.findings.len() as u64 + report.more;
     let Report { events, grips, memories, .. } = report;
-    let read = format!("{events} events, {grips} grip records, {memories} remembered values");
+    let read = format!("{events} events, {grips} grip records, {memories} persisted values");
     if found > 0 {
         out.flush()?;
-        bail!("{read}: {found} findings");
+        bail!("{read}; findings: {found}");
     }
     Ok(writeln!(out, "{read}: all intact")?)
 }

@@ -21,7 +21,6 @@ const MAX_SIZE_MB: u64 = 16_000_000;
 /// from filling the disk.
 const DEFAULT_SIZE_MB: u64 = 4096;
 
-/// Settings of the journal.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct JournalConfig {
     pub place: JournalPlace,
@@ -33,10 +32,8 @@ pub struct JournalConfig {
     pub max_bytes: Option<u64>,
 }
 
-/// Place of the journal.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum JournalPlace {
-    /// A file.
     File(PathBuf),
     /// Memory, until the gateway ends.
     Memory,

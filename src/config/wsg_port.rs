@@ -43,7 +43,6 @@ impl Default for WsgPort {
     }
 }
 
-/// An address of a WSG port.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum WsgAddress {
     Tcp(SocketAddr),

@@ -37,7 +37,7 @@ const CLOSED_AFTER_US: u64 = 1_000_000;
 /// the priority.
 const SOCKET_BYTES: u64 = 64 * 1024;
 
-/// Clients and routers connected at a time.
+/// Maximum number of connected clients and routers.
 const MAX_SESSIONS: u64 = 256;
 
 /// Protocols that this build supports.
@@ -53,7 +53,7 @@ pub enum ZenohMode {
     Peer,
     /// The gateway connects to a router, and accepts no connections
     Client,
-    /// Clients and routers connect to the gateway, and the gateway to routers: all of them reach each other
+    /// Clients and routers connect to the gateway, and the gateway connects to routers; all can reach each other
     Router,
 }
 
@@ -93,14 +93,11 @@ pub(super) struct ZenohContent {
     max_hz: Option<Spanned<u64>>,
 }
 
-/// Settings of Zenoh.
 #[derive(Debug, Clone)]
 pub struct Zenoh {
     /// Zenoh's own configuration.
     pub settings: zenoh::Config,
-    /// Endpoints to listen on.
     pub listen: Vec<String>,
-    /// Endpoints to connect to.
     pub connect: Vec<String>,
     /// Limit of published states and telemetry, per second and gripper.
     pub max_hz: u32,

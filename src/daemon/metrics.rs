@@ -63,7 +63,7 @@ impl Collector for HealthCollector {
     }
 }
 
-/// Adds whether Zenoh is connected as configured.
+/// Registers the metric of whether Zenoh is connected as configured.
 pub(super) fn register_zenoh(registry: &Registry, network: &Peers) -> Result<()> {
     let up = IntGauge::new("wsg_zenoh_up", "Whether Zenoh listens and is connected as configured.")?;
     registry.register(Box::new(ZenohHealth { cause: network.cause(), up }))

@@ -35,7 +35,7 @@ use crate::operations::audit::Audit;
 use descriptors::Shares;
 pub use simulation::{ServedDevice, SimulatedDevice, Switch, serve as serve_device};
 
-/// Longest wait of a start for the journal: as long as that of a motion.
+/// Longest time that the start waits for the journal: as long as a motion waits.
 const START_WRITTEN_WITHIN: Duration = Duration::from_millis(500);
 
 /// Runs the gateway until SIGTERM or SIGINT.
@@ -130,7 +130,7 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     let limits = http::ServerLimits::within(Bounds::of(shares.http));
     let server = clients.accept.spawn(http::serve(listener, context.clone(), limits, shutdown.clone()));
     announce(config, address, &ports)?;
-    // Zenoh has a task of its own, so the rest goes on whatever happens to it.
+    // Zenoh has a task of its own, so the rest continues whatever happens to Zenoh.
     let zenoh = on_zenoh.map(|(settings, context)| tokio::spawn(zenoh::serve(settings, context, announce_zenoh)));
     let ports = ports::serve(&runtimes.devices, ports, &grippers, &audit, &draining, &shutdown);
     tokio::select! {
@@ -165,7 +165,7 @@ fn log_unclean_end(recovered: &Recovered) {
         let running: Vec<_> = recovered.running.iter().map(ToString::to_string).collect();
         tracing::warn!(
             running = running.join(", "),
-            "previous run did not shut down in order: its running commands have the outcome UNKNOWN"
+            "previous run did not shut down cleanly: its running commands have the outcome UNKNOWN"
         );
     }
 }
@@ -287,8 +287,8 @@ fn zenoh_settings(
     let connectivity = zenoh::Connectivity { config, listen, connect };
     // In client mode, opening Zenoh waits for a connection.
     network.set_cause(Some(connectivity.awaited().unwrap_or_else(|| "Zenoh is not open yet".to_owned())));
-    let figures = interfaces::metrics::InterfaceMetrics::register(&context.registry, "zenoh")?;
-    Ok((zenoh::ZenohSettings { connectivity, max_hz: zenoh.max_hz }, context.of_interface(figures)))
+    let interface_metrics = interfaces::metrics::InterfaceMetrics::register(&context.registry, "zenoh")?;
+    Ok((zenoh::ZenohSettings { connectivity, max_hz: zenoh.max_hz }, context.of_interface(interface_metrics)))
 }
 
 /// Prints the addresses of Zenoh, which can be known later than the rest.
@@ -314,6 +314,7 @@ fn write_announcement(
         writeln!(out, "WSG port of {name}: {url}")?;
     }
     writeln!(out, "documentation: {base}/docs")?;
+    writeln!(out, "guides: {base}/docs/guide")?;
     if let Some(gripper) = config.grippers.first() {
         writeln!(out, "try: curl -X POST {base}/api/v1/grippers/{}/home", gripper.name)?;
     }

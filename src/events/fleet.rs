@@ -8,7 +8,7 @@ use super::Notification;
 use crate::fleet::{FleetGripper, Peers};
 use crate::gripper::Now;
 
-/// Time between two looks at the fleet, shared by all subscribers. Only elapsed time shows that a gateway has gone.
+/// Interval at which the fleet is polled, once for all subscribers. Only elapsed time shows that a gateway is gone.
 const POLL_EVERY: Duration = Duration::from_millis(100);
 
 /// The newest update of each gripper of the fleet.
@@ -41,7 +41,7 @@ impl FleetNews {
 
     /// Returns the newest update of each gripper that has changed since change `seq`, and advances `seq`.
     pub(super) fn since(&self, seq: &mut u64) -> Vec<Notification> {
-        // After a panic under the lock, the next look rebuilds the state.
+        // After a panic under the lock, the next poll rebuilds the state.
         let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
         let now = Now::read().instant;
         if known.polled_at.is_none_or(|at| now.saturating_duration_since(at) >= POLL_EVERY) {

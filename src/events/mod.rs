@@ -92,7 +92,7 @@ impl LiveUpdates {
     }
 
     /// Subscribes to topics of some grippers from now on, or of all with `None`. Only a subscription to all grippers
-    /// gets the events that concern none. The fleet is always sent whole.
+    /// gets the events that concern no gripper. The fleet is always sent whole.
     #[must_use]
     pub fn subscribe(
         self: &Arc<Self>,

@@ -11,7 +11,7 @@ use utoipa::ToSchema;
 use super::{LiveUpdates, Notification, Source, Topic};
 use crate::gripper::model::Name;
 
-/// Sent in place of events or frames that a slow client missed, or that are no longer in the journal.
+/// Notice sent in place of events or frames that a slow client missed, or that are no longer in the journal.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 #[schema(example = json!({"topic": "events", "gripper": null, "seq": 4711, "missed": 12}))]
 pub struct Gap {

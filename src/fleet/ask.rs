@@ -28,8 +28,8 @@ const ON_ITS_WAY: Duration = Duration::from_secs(5);
 /// Uses of a kept lease per time to live: two can get lost, and the third can be late.
 const USES_A_TTL: u32 = 4;
 
-/// Uses of a lease that wait for their answers at a time. Each can occupy a thread for as long as Zenoh has no room
-/// for the message.
+/// Maximum number of unanswered uses of a lease. Each can occupy a thread for as long as Zenoh has no room for the
+/// message.
 const MAX_USES_UNDER_WAY: usize = 2;
 
 /// Shortest time allowed for the answer to a use.
@@ -39,7 +39,8 @@ const MIN_ANSWERED_WITHIN: Duration = Duration::from_millis(250);
 const PROOFS: u32 = 10;
 const PROVES_EVERY: Duration = Duration::from_millis(100);
 
-/// Replies whose sessions are checked at a time. Only one gateway is asked, and it sends one reply.
+/// Maximum number of replies whose sessions are checked concurrently. Only one gateway is asked, and it sends one
+/// reply.
 const MAX_PROOFS: usize = 16;
 
 /// Prefix of the methods that manage a lease themselves. No lease is kept for them.
@@ -59,7 +60,7 @@ pub struct Ask {
     pub params: Value,
     /// Time that the operation may take there; `None` leaves it to the other gateway.
     pub wait: Option<Duration>,
-    /// Values beside the parameters: `lease`, `request_id`.
+    /// Values sent along with the parameters: `lease`, `request_id`.
     pub aside: Vec<(&'static str, String)>,
     /// The client of this gateway that makes the request.
     pub client: Client,
@@ -180,7 +181,7 @@ impl Peers {
 }
 
 /// Uses a lease often enough to keep it, for as long as this is polled. The owning gateway cannot see whether the
-/// client is still connected here. Each use is sent on time, whatever became of the one before.
+/// client is still connected here. Each use is sent on time, whatever happened to the one before.
 async fn keep_lease<Sent: Future<Output = Result<Asked, NoAnswer>>>(send_use: impl Fn() -> Sent) -> Infallible {
     #[derive(Deserialize)]
     struct Renewed {
@@ -286,7 +287,7 @@ mod tests {
         let used = gaps(Duration::from_mins(1), answered()).await;
         assert_eq!(used[0], MIN_TTL / USES_A_TTL, "its time to live is not known yet");
         assert!(used.len() > 20 && used[1..].iter().all(|gap| *gap == every), "{used:?}");
-        // Without answers, uses go on at the shortest interval.
+        // Without answers, uses continue at the shortest interval.
         for first in [pending().boxed_local(), async { Err(NoAnswer::None) }.boxed_local()] {
             let used = gaps(Duration::from_secs(10), first).await;
             assert!(used.len() > 50 && used.iter().all(|gap| *gap <= MIN_ANSWERED_WITHIN), "{used:?}");

@@ -31,8 +31,8 @@ use crate::gripper::{Grippers, Now};
 pub use ask::{Ask, Asked, NoAnswer};
 pub use report::FleetGripper;
 
-/// Requests to other gateways under way at a time. The limit applies separately to stops, to lease requests, and to
-/// all others.
+/// Maximum number of concurrent requests to other gateways. The limit applies separately to stops, to lease requests,
+/// and to all others.
 const MAX_ASKS: usize = 64;
 
 /// Longest wait for the confirmations of other gateways' grippers: as long as for own grippers, and as long again for
@@ -43,7 +43,7 @@ const FAST_STOP_WAIT: Duration = crate::gripper::handle::FAST_STOP_WAIT.saturati
 const ASKS_EVERY: Duration = Duration::from_millis(25);
 
 /// Interval and duration of repeating a FAST STOP to a gateway that missed it, because it was frozen or its router was
-/// away. Any later, somebody could be working there again without knowing of the FAST STOP.
+/// away. After that, somebody could be working there again without knowing of the FAST STOP.
 const INSISTS_EVERY: Duration = Duration::from_millis(250);
 const INSISTS_FOR: Duration = Duration::from_mins(1);
 

@@ -7,17 +7,19 @@ use super::report::{FleetGripper, PeerReport};
 use crate::gripper::Now;
 use crate::gripper::model::Name;
 
-/// Known grippers of other gateways at a time: enough for more than a hundred cells. Gone ones make room.
+/// Maximum number of known grippers of other gateways: enough for more than a hundred cells. Grippers of gone gateways
+/// make room for others.
 const MAX_GRIPPERS: usize = 4096;
 
-/// Known grippers of one gateway. A flood of states under one gateway's name leaves room for the others.
+/// Maximum number of known grippers of one gateway. A flood of states under one gateway's name leaves room for the
+/// others.
 const MAX_GRIPPERS_OF_ONE: usize = 256;
 
-/// Gateways known to be alive at a time.
+/// Maximum number of gateways known to be alive.
 const MAX_GATEWAYS: usize = 1024;
 
-/// Sessions known under one gateway's name. From two on, it is ambiguous which of them answers; the others leave room
-/// for the true one.
+/// Maximum number of sessions known under one gateway's name. With two or more, it is ambiguous which of them answers;
+/// a larger number leaves room for the true one.
 const MAX_INSTANCES_OF_ONE: usize = 16;
 
 /// Longest session id that distinguishes gateways with one name, in bytes.

@@ -25,7 +25,7 @@ const LOOKS_AT_MOST_EVERY: Duration = Duration::from_millis(250);
 /// Time for twins to answer.
 const ANSWERS_WITHIN: Duration = Duration::from_secs(1);
 
-/// Twins that are distinguished. One is already too many.
+/// Maximum number of twins that are distinguished. Even one is too many.
 const MAX_TWINS: usize = 16;
 
 /// Shortest interval between log lines about tokens without a gateway.

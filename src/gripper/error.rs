@@ -7,7 +7,6 @@ use crate::wsg::Status;
 
 use super::model::{CommandId, FastStopId, Link};
 
-/// Rejection of a request.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Rejection {
     /// The request is not valid, whatever the gripper's state.
@@ -49,7 +48,9 @@ pub enum Invalid {
 pub enum Conflict {
     #[error("FAST STOP {id} is latched: remove its cause, then acknowledge it by this id")]
     FastStop { id: FastStopId },
-    #[error("the device is still in FAST STOP after the acknowledge (flags: {flags}): remove the cause and try again")]
+    #[error(
+        "the device is still in FAST STOP after the acknowledgement (flags: {flags}): remove the cause and try again"
+    )]
     FastStopPersists { id: FastStopId, flags: String },
     #[error("{}", stale_fast_stop(*given, *current))]
     StaleFastStop { given: FastStopId, current: Option<FastStopId> },
@@ -79,11 +80,11 @@ fn lease_held(holder: &str, expires_in_ms: Option<u64>) -> String {
     match expires_in_ms {
         Some(ms) => format!(
             "{holder} holds the lease for another {ms} ms unless it is renewed: wait, ask for a hand-over with \
-             `request`, or have a supervisor force it"
+             `request`, or take it with `force`, which stops a running motion"
         ),
         None => format!(
-            "the gripper is reserved for {holder}, whose lease was lost while a part was held: only {holder} or a \
-             supervisor can take the lease"
+            "the gripper is reserved for {holder}, whose lease was lost while a part was held: another \
+             client needs `force` to take it"
         ),
     }
 }

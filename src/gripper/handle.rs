@@ -17,7 +17,7 @@ use crate::wsg;
 
 /// Requests that can wait for the actor. The actor answers each within microseconds, so a full queue means that it
 /// can't keep up, and further requests are rejected. Requests that stop, or that keep or end a lease, wait for a free
-/// slot instead, in order. The interfaces bound how many of these their clients can make at a time.
+/// slot instead, in order. The interfaces bound how many such requests their clients can make at the same time.
 pub const MAX_WAITING_REQUESTS: usize = 64;
 
 /// FAST STOPs that can wait for the actor, in a queue of their own, which the actor empties before it does anything
@@ -56,7 +56,7 @@ pub type Steps = (Option<oneshot::Sender<()>>, Answer<wsg::Data>);
 /// A requested FAST STOP, on its way to the actor.
 #[derive(Debug)]
 pub struct FastStopRequest {
-    /// Id that an acknowledge will have to name.
+    /// Id that an acknowledgement will have to name.
     pub id: FastStopId,
     pub client: Client,
     pub cause: FastStopCause,
@@ -70,7 +70,7 @@ pub struct FastStopRequest {
 /// Result of a FAST STOP so far.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct FastStop {
-    /// Id that an acknowledge has to name.
+    /// Id that an acknowledgement has to name.
     pub id: FastStopId,
     /// Whether the device's flags have shown it.
     pub confirmed: bool,
@@ -264,7 +264,6 @@ impl Handle {
             .await?
     }
 
-    /// The current lease.
     pub async fn lease(&self) -> Result<Lease, Failure> {
         self.try_request(|answer| ActorRequest::Lease { answer }).await
     }
@@ -342,7 +341,7 @@ impl Handle {
         self.request_reserved(|answer| ActorRequest::Acknowledge { id, client, answer }).await?
     }
 
-    /// Disconnects from the gripper in order: rejects new commands, lets a running one finish, announces the disconnect
+    /// Disconnects from the gripper cleanly: rejects new commands, lets a running one finish, announces the disconnect
     /// and closes the link.
     pub async fn drain(&self) {
         // If the actor has ended, there is nothing left to disconnect.

@@ -20,7 +20,7 @@ pub(super) const REPEAT_EVERY: Duration = Duration::from_millis(100);
 /// for a cause that persists, so the flag decides.
 const CLEARS_WITHIN: Duration = Duration::from_millis(500);
 
-/// Time for which a sent acknowledge can still take effect: longer than the wait for its reply.
+/// Time for which a sent acknowledgement can still take effect: longer than the wait for its reply.
 const ACKNOWLEDGE_LASTS: Duration = Duration::from_secs(2);
 
 /// Subject of a FAST STOP that no client requested.
@@ -36,16 +36,16 @@ pub(super) struct LatchState {
     sent: Option<Token>,
     /// Whether the device has answered a 23h that was sent for this latch.
     answered: bool,
-    /// Time from which the flags alone confirm the latch. Until then a pending acknowledge could clear the FAST STOP
-    /// that they show.
+    /// Time from which the flags alone confirm the latch. Until then a pending acknowledgement could clear the FAST
+    /// STOP that they show.
     flags_count_from: Option<Instant>,
     repeat_at: Option<Instant>,
     acknowledging: Option<Acknowledging>,
-    /// Ended acknowledges whose clients have not been answered yet.
+    /// Ended acknowledgements whose clients have not been answered yet.
     untold: Vec<EndedAcknowledge>,
 }
 
-/// An acknowledge that has ended.
+/// An acknowledgement that has ended.
 #[derive(Debug)]
 pub(super) struct EndedAcknowledge {
     pub id: FastStopId,
@@ -126,7 +126,7 @@ impl LatchState {
         self.flags_count_from = Some(now);
     }
 
-    /// Latches a client's FAST STOP. Returns a pending acknowledge, which must not reach the device afterwards.
+    /// Latches a client's FAST STOP. Returns a pending acknowledgement, which must not reach the device afterwards.
     pub(super) fn request(&mut self, now: Now, request: FastStopRequest) -> Option<Token> {
         let was_acknowledging = self.acknowledging.is_some();
         let overtaken = self.acknowledging.take().and_then(|acknowledging| {
@@ -210,7 +210,7 @@ impl LatchState {
         }
     }
 
-    /// Whether an acknowledge of this id can be sent.
+    /// Whether an acknowledgement of this id can be sent.
     pub(super) fn check_acknowledge(&self, id: FastStopId) -> Result<(), Conflict> {
         match &self.latch {
             Some(latch) if latch.id != id => Err(Conflict::StaleFastStop { given: id, current: Some(latch.id) }),
@@ -239,7 +239,7 @@ impl LatchState {
         }
     }
 
-    /// Fails an acknowledge whose FAST STOP flag stays set. Flags from before its reply do not count.
+    /// Fails an acknowledgement whose FAST STOP flag stays set. Flags from before its reply do not count.
     pub(super) fn handle_timeout(&mut self, now: Instant, flags: Option<SystemState>) {
         let Some(Acknowledging { id, .. }) = &self.acknowledging else { return };
         if self.clears_at().is_some_and(|at| at <= now) {
@@ -280,7 +280,7 @@ impl LatchState {
         }
     }
 
-    /// Takes the ended acknowledges, to answer their clients after the state was published.
+    /// Takes the ended acknowledgements, to answer their clients after the state was published.
     pub(super) fn take_acknowledged(&mut self) -> Vec<EndedAcknowledge> {
         std::mem::take(&mut self.untold)
     }

@@ -34,7 +34,6 @@ impl Holder {
     }
 }
 
-/// Terms of a lease.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct Terms {
     pub ttl: Duration,
@@ -240,7 +239,7 @@ impl LeaseState {
         token: LeaseToken,
     ) -> Result<AcquireOutcome, Conflict> {
         let holder = Holder::of(wish);
-        let way = match &mut self.held {
+        let outcome = match &mut self.held {
             Some(held) if Some(&held.token) == wish.token.as_ref() => {
                 held.terms = terms;
                 held.times_taken += 1;
@@ -266,7 +265,7 @@ impl LeaseState {
             }
         };
         self.give(now, holder, terms, token, Usage::Idle);
-        Ok(way)
+        Ok(outcome)
     }
 
     fn give(&mut self, now: Instant, holder: Holder, terms: Terms, token: LeaseToken, usage: Usage) {
@@ -278,7 +277,8 @@ impl LeaseState {
             Some(HeldLease { holder, terms, token, times_taken: 1, expires_at, open, usage, is_extended: false });
     }
 
-    /// Notes the first client that requests the lease, until its request is no longer repeated. The holder sees it.
+    /// Notes the first client that requests the lease, for as long as the client repeats its request. The holder sees
+    /// this client.
     fn ask(&mut self, now: Instant, holder: Holder, terms: Terms) {
         match &self.asking {
             Some(asking) if !asking.holder.is(&holder) && now < asking.at + REQUEST_LASTS => {}
@@ -381,7 +381,6 @@ impl LeaseState {
         }
     }
 
-    /// Token of the current lease.
     pub(super) fn token(&self) -> Option<&LeaseToken> {
         self.held.as_ref().map(|held| &held.token)
     }

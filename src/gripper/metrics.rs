@@ -1,7 +1,7 @@
 //! Prometheus metrics of a gripper.
 //!
-//! The actor counts in [`Metrics`]. Values of the newest state are gauges of [`Newest`], read when Prometheus collects
-//! them, without work for the actor.
+//! The actor counts in [`GripperMetrics`]. Values of the newest state are gauges of [`Newest`], read when Prometheus
+//! collects them, without work for the actor.
 
 use std::sync::Arc;
 
@@ -76,8 +76,10 @@ impl GripperMetrics {
             bytes_sent: bytes.with_label_values(&["sent"]),
             bytes_received: bytes.with_label_values(&["received"]),
             checksum_errors: of.counter("wsg_checksum_errors_total", "Frames rejected because of a wrong checksum.")?,
-            resynchronisations: of
-                .counter("wsg_resynchronisations_total", "Times a frame was found after skipped bytes.")?,
+            resynchronisations: of.counter(
+                "wsg_resynchronisations_total",
+                "Number of times that a frame was found after skipped bytes.",
+            )?,
             late_replies: discarded.with_label_values(&["late"]),
             stray_replies: discarded.with_label_values(&["stray"]),
             invalid_replies: discarded.with_label_values(&["invalid"]),

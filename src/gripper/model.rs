@@ -235,13 +235,13 @@ pub enum Phase {
 ///
 /// - `SUCCESS`: done as requested
 /// - `PART_HELD`: the grip holds a part
-/// - `NO_PART`: the grip found no part; an answer, not an error
+/// - `NO_PART`: the grip found no part; a result, not an error
 /// - `BLOCKED`: the axis was blocked
 /// - `ABORTED`: ended by a Stop, a FAST STOP or a cancel, or withdrawn before it started
 /// - `RANGE`: a soft or hard limit was reached during the motion
 /// - `TIMEOUT`: the device reported a time-out of its own motion (E_TIMEOUT)
 /// - `FAILED`: the device ended the command with another status code
-/// - `REFUSED`: rejected before the device accepted the command, after its client had been answered 202
+/// - `REFUSED`: rejected before the device accepted the command, after the client had already received 202
 /// - `UNKNOWN`: the result never arrived; the motion may or may not have happened
 #[derive(
     Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema, strum::IntoStaticStr, strum::VariantArray,
@@ -286,7 +286,7 @@ pub struct CommandReport {
     /// Symbol of the last status code from the device, such as `E_SUCCESS`; null if the device sent none.
     #[schema(required)]
     pub status: Option<String>,
-    /// Number of that status code.
+    /// The same status code as a number.
     #[schema(required, minimum = 0, maximum = 65535)]
     pub status_code: Option<u16>,
     /// Whether the command reached its goal: the target width, or a held part. Null while unknown.
@@ -310,7 +310,7 @@ pub struct CommandReport {
     /// Subject of the client that requested the command.
     #[schema(value_type = String)]
     pub client: Arc<str>,
-    /// Whether this answers a repeated request: the command was admitted earlier.
+    /// Whether this is the reply to a repeated request, whose command was admitted earlier.
     pub replayed: bool,
     /// Id of the FAST STOP that came while the command ran; otherwise absent.
     #[serde(skip_serializing_if = "Option::is_none")]

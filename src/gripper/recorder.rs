@@ -37,7 +37,7 @@ pub struct RestoredState {
     pub holding: Option<String>,
     /// Requests with request ids, oldest first, so that a repetition moves nothing again.
     pub requests: Vec<PastRequest>,
-    /// Whether that run did not shut down in order: no disconnect was announced, and its last records may be missing.
+    /// Whether that run did not shut down cleanly: no disconnect was announced, and its last records may be missing.
     pub unclean: bool,
 }
 

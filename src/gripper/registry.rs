@@ -145,7 +145,6 @@ impl CommandRegistry {
         ticket
     }
 
-    /// Whether a command is a streamed one.
     pub(super) fn is_streamed(&self, id: CommandId) -> bool {
         self.streamed.ids.contains(&id)
     }

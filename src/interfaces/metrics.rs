@@ -3,7 +3,7 @@
 use prometheus::core::Collector;
 use prometheus::{IntCounter, IntCounterVec, IntGauge, Opts, Registry, Result};
 
-/// Route label of requests without a route. Clients can invent paths without end, so the path itself is no label.
+/// Route label of requests without a route. Clients can invent any number of paths, so the path itself is not a label.
 pub(super) const NO_ROUTE: &str = "none";
 
 /// Metrics of one interface: a series for each route, method and status, and two more.

@@ -126,7 +126,7 @@ fn row(columns: &[&str], body: &str) -> Vec<String> {
     row
 }
 
-/// Formats a cell: null is empty, and blanks separate the values of a list. Texts are made harmless; numbers stay as
+/// Formats a cell: null is empty, and spaces separate the values of a list. Texts are made harmless; numbers stay as
 /// they are, including negative ones.
 fn cell(value: Value) -> String {
     match value {

@@ -15,10 +15,8 @@ use super::source::ReadError;
 /// Events read at once. Each of a thousand followers can hold this many if its client stops reading.
 const PAGE: u64 = 16;
 
-/// An item of an [`EventStream`].
 #[derive(Debug, PartialEq)]
 pub enum StreamItem {
-    /// An event.
     Event(Arc<Stored>),
     /// Events of any gripper that retention has removed.
     Removed {

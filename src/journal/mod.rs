@@ -94,7 +94,7 @@ pub struct CloseError(String);
 
 impl Journal {
     /// Opens a journal, and records the end of commands that its last run left open. A failing disk is not an error: it
-    /// shows in [`Health`], and the write is retried.
+    /// shows in [`JournalHealth`], and the write is retried.
     ///
     /// # Errors
     /// [`OpenError`], if another gateway uses the journal, or the file is not a journal or cannot be created or read.

@@ -1,7 +1,8 @@
 //! Detection of a journal whose file was removed, replaced or truncated while it is open.
 //!
-//! SQLite goes on writing to an open file that has lost its name: every commit succeeds, and every record is gone with
-//! the process. So the writer compares the files at the path with those that it has open, before and after each commit.
+//! SQLite keeps writing to an open file that was removed: every commit succeeds, but every record is gone once the
+//! process ends. So the writer compares the files at the path with those that it has open, before and after each
+//! commit.
 
 use std::io::{self, ErrorKind};
 use std::os::unix::fs::MetadataExt as _;
@@ -86,7 +87,7 @@ impl FilePresence {
     /// Compares the files after this process has written to them, and takes their new sizes as its own.
     ///
     /// # Errors
-    /// As [`Presence::check`].
+    /// As [`FilePresence::check`].
     pub(super) fn wrote(&mut self) -> Result<(), String> {
         let mut present = Ok(());
         for file in &mut self.files {

@@ -22,13 +22,14 @@ const STEP: i64 = 256;
 /// Maximum number of pages that a step gives back to the disk: more than the step's records take.
 const STEP_PAGES: i64 = 1024;
 
-/// Time between two looks for records beyond the limits.
+/// Interval between checks for records beyond the limits.
 const EVERY: Duration = Duration::from_mins(1);
 
-/// Part of the size limit: a look comes earlier once this much has been written.
+/// Divisor of the size limit: the next check comes early once the quotient in bytes has been written.
 const LOOK_PART: u64 = 64;
 
-/// Age beyond the limit at which a removal begins. Without it every look would remove a few records, with an event.
+/// Age beyond the limit at which a removal begins. Without this leeway every check would remove a few records and add
+/// an event.
 const LEEWAY: SignedDuration = SignedDuration::from_hours(1);
 
 /// Size in percent of the limit to which a removal shrinks the journal, so that the next removal is not due at once.
@@ -43,7 +44,7 @@ pub(super) struct Pruning {
     shrinking: bool,
     /// Last event and last grip record of the removal in progress.
     removal: Option<[Tip; 2]>,
-    /// Records written since the last step, and bytes since the last look.
+    /// Records written since the last step, and bytes since the last check.
     rows: i64,
     bytes: u64,
 }
@@ -67,8 +68,8 @@ impl Pruning {
         }
     }
 
-    /// Removes some records of the current removal. Without one, looks for records beyond the limits, and returns the
-    /// event that attests their removal.
+    /// Removes some records of the current removal. If none is in progress, checks for records beyond the limits, and
+    /// returns the event that attests their removal.
     pub(super) fn step(&mut self, store: &mut Store, end: Tip, at: Instant) -> rusqlite::Result<Option<Row>> {
         self.due = at + EVERY;
         let step = STEP.max(std::mem::take(&mut self.rows).saturating_mul(2));
@@ -142,8 +143,8 @@ fn newest(connection: &Connection, chain: Chain) -> rusqlite::Result<i64> {
     connection.query_row(&sql, [], |row| row.get(0))
 }
 
-/// Returns the last record before the first that is new enough. Records from the future come from a wrong clock, and go
-/// with their neighbours.
+/// Returns the last record before the first that is new enough. Records from the future come from a wrong clock, and
+/// are removed with their neighbours.
 fn before_time(connection: &Connection, chain: Chain, before: Timestamp, now: Timestamp) -> rusqlite::Result<i64> {
     let first = first_within(connection, chain, milliseconds(before), now)?;
     Ok(first.map_or(i64::MAX, |(seq, _)| seq - 1))

@@ -13,10 +13,8 @@ use super::row::{EventKind, Stored, milliseconds, word};
 use super::runs::{Run, runs};
 use crate::gripper::model::{CommandId, Kind, Name, Outcome, PartId};
 
-/// Query for events.
 pub type EventQuery = Query<EventKind>;
 
-/// Query for grip records.
 pub type GripQuery = Query<Kind>;
 
 /// Query for a page of records.
@@ -141,7 +139,6 @@ impl FromStr for Cursor {
 #[error("{0:?} is not a cursor: send next_cursor of the previous page unchanged, or no cursor for the first page")]
 pub struct InvalidCursor(String);
 
-/// A page of records.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct Page {
     /// The records as JSON.

@@ -48,7 +48,7 @@ const MAX_OPEN_STOPS: usize = 1024;
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 struct Account {
     payer: Payer,
-    /// FAST STOPs and acknowledges have an account of their own, so that other records cannot use it up.
+    /// FAST STOPs and acknowledgements have an account of their own, so that other records cannot use it up.
     is_fast_stop: bool,
 }
 
@@ -296,7 +296,7 @@ fn absorb(newest: &mut Event, older: &mut Event) {
     newest.aggregated = NonZero::new(more + aggregated(newest) + aggregated(older));
 }
 
-/// Returns the count of requests in an event; none if its kind has no count of its own.
+/// Returns the count of requests in an event; `None` if its kind has no count of its own.
 fn count(detail: &mut Detail) -> Option<&mut u64> {
     match detail {
         Detail::FastStop(FastStopEvent { count, .. })

@@ -14,7 +14,7 @@ use crate::gripper::model::{CommandId, Event, GripRecord, Name, Outcome, PartId}
 ///
 /// - `command`: a command was admitted or ended
 /// - `fast_stop`: a FAST STOP was latched or confirmed
-/// - `acknowledge`: a FAST STOP was acknowledged, or the acknowledge failed
+/// - `acknowledge`: a FAST STOP was acknowledged, or the acknowledgement failed
 /// - `lease`: a lease was requested, taken, handed over, released or lost
 /// - `link`: the connection state of the device link changed
 /// - `device`: the device restarted, was replaced, reported a fault, lost a part or moved by itself

@@ -29,7 +29,6 @@ enum Work {
     Over,
 }
 
-/// The shared state.
 #[derive(Debug)]
 pub(super) struct Shared {
     pub(super) health: watch::Sender<JournalHealth>,

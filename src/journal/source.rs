@@ -13,7 +13,6 @@ pub(super) const BUSY_TIMEOUT: Duration = Duration::from_secs(5);
 /// Prepared statements that a connection keeps: each combination of filters has one.
 const STATEMENTS: usize = 64;
 
-/// Location of a journal.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum JournalLocation {
     /// In a file. A missing file and its directories are created.
@@ -72,7 +71,7 @@ impl Source {
     }
 }
 
-/// Returns why a path cannot be a journal file; none if it can.
+/// Returns why a path cannot be a journal file; `None` if it can.
 pub(super) fn no_file(path: &Path) -> Option<String> {
     path.is_dir().then(|| format!("{0} is a directory: name a file, such as {0}/journal.db", path.display()))
 }

@@ -71,7 +71,7 @@ impl Content {
 pub(super) struct Store {
     pub(super) source: Source,
     pub(super) connection: Connection,
-    /// Open files; none for a journal in memory.
+    /// Open files; `None` for a journal in memory.
     presence: Option<FilePresence>,
     /// Lock that is held while the journal is open.
     _lock: Option<File>,

@@ -104,7 +104,7 @@ pub(super) fn verify_in_parts(reader: &Reader, mut pause: impl FnMut(Duration) -
                 }
             }
         }
-        // New records, and the tables beside the chains, are read at one moment.
+        // New records, and the tables besides the chains, are read at the same moment.
         let snapshot = connection.unchecked_transaction()?;
         verifier.finish(&snapshot, walks);
         drop(snapshot);
@@ -166,7 +166,7 @@ impl Verifier {
         self.finish(connection, begun);
     }
 
-    /// Walks to the ends of the chains, and compares the tables beside them.
+    /// Walks to the ends of the chains, and compares the other tables with them.
     fn finish(&mut self, connection: &Connection, walks: impl IntoIterator<Item = Walk>) {
         for mut walk in walks {
             self.check(walk.chain().name(), |this| {
@@ -227,9 +227,9 @@ impl Verifier {
             let mut statement = connection.prepare("PRAGMA integrity_check")?;
             let mut rows = statement.query([])?;
             while let Some(row) = rows.next()? {
-                let said: String = row.get(0)?;
-                if said != "ok" {
-                    this.find("file", said);
+                let finding: String = row.get(0)?;
+                if finding != "ok" {
+                    this.find("file", finding);
                 }
             }
             Ok(())

@@ -1,5 +1,5 @@
-//! The writing thread. All waiting records become one transaction, so that on a slow disk more records cost less each.
-//! After a failure the write is retried, together with newer records.
+//! The writing thread. All waiting records become one transaction, so that the cost per record falls when many wait for
+//! a slow disk. After a failure the write is retried, together with newer records.
 
 use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
@@ -39,7 +39,7 @@ pub(super) enum WriterInput {
     Record(Box<Record>),
     /// Persisted values wait in [`Shared`].
     Memories,
-    /// The end: in order, or as if the process were killed after its last record.
+    /// The end of writing: orderly, or as if the process were killed after its last record.
     End {
         orderly: bool,
     },
@@ -85,7 +85,7 @@ pub(super) struct JournalWriter {
     store: Store,
     shared: Arc<Shared>,
     events: broadcast::Sender<Arc<Stored>>,
-    /// Ends of the chains of events and grip records; none after a failed write, until they are read from the file.
+    /// Ends of the chains of events and grip records; `None` after a failed write, until they are read from the file.
     ends: Option<[Tip; 2]>,
     batch: Batch,
     /// Time of the next attempt, while writes fail.

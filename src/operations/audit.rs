@@ -1,7 +1,8 @@
 //! Audit of refused requests.
 //!
 //! The first refusal of a kind is recorded at once; repeats are counted and recorded once a second, so a client that
-//! floods the gateway does not fill the disk. Its answers are delayed, so it takes no processor time from a FAST STOP.
+//! floods the gateway does not fill the disk. Answers to such a client are delayed, so that it takes no processor time
+//! from a FAST STOP.
 
 use std::collections::HashMap;
 use std::collections::hash_map::Entry;
@@ -21,14 +22,14 @@ pub const COUNTED_FOR: Duration = Duration::from_secs(1);
 /// Kinds of refusals that are counted separately within a second. The rest are counted together.
 const MAX_KINDS: usize = 256;
 
-/// Refusals of a kind that are answered at once within a second. A PLC that retries every cycle has fewer.
+/// Refusals of one kind that are answered at once in each second. A PLC that retries in every cycle causes fewer.
 const MAX_PROMPT: u64 = 100;
 
 /// Delay of each further answer.
 const HELD_BACK_FOR: Duration = Duration::from_millis(50);
 
-/// Answers that are delayed at a time; further ones are sent at once. A delayed answer keeps a connection busy, and a
-/// FAST STOP needs one.
+/// Maximum number of answers delayed at the same time; further ones are sent at once. Each delayed answer occupies a
+/// connection, and a FAST STOP needs a free one.
 const MAX_HELD_BACK: usize = 64;
 
 /// A kind of refused request.
@@ -56,7 +57,7 @@ impl Audit {
         Self { journal, counted: Mutex::default(), held_back: Semaphore::new(MAX_HELD_BACK) }
     }
 
-    /// Records a refused request. Delays the answer to a client that is refused all the time, unless the request is
+    /// Records a refused request. Delays the answer to a client that is refused continually, unless the request is
     /// urgent.
     pub async fn record(&self, request: RefusedRequest, cause: &str, urgency: Urgency) {
         let delay = self.take(request, cause.to_owned());

@@ -77,9 +77,9 @@ impl Params {
 }
 
 impl Call {
-    /// Returns the gripper, and uses the lease whose token came beside the parameters.
+    /// Returns the gripper, and uses the lease whose token came alongside the parameters.
     pub fn gripper(&self) -> Result<Gripper, Problem> {
-        let unknown = || Problem::not_found("gripper of this name");
+        let unknown = || Problem::not_found("gripper with this name");
         let name = self.params.part("gripper")?.parse().map_err(|_| unknown())?;
         let handle = self.gateway.grippers.get(&name).ok_or_else(unknown)?.clone();
         let Caller { client, lease, request_id, presence, .. } = self.caller.clone();
@@ -116,7 +116,7 @@ impl Call {
         gripper.with_lease(lease.as_deref())
     }
 
-    /// Returns the keys beside the parameters.
+    /// Returns the keys that came alongside the parameters.
     pub fn keys(&self) -> Result<RequestKeys, Problem> {
         RequestKeys::of(&self.caller)
     }
@@ -128,7 +128,7 @@ impl Call {
 
     /// Returns the command that the path names.
     pub fn command_id(&self) -> Result<CommandId, Problem> {
-        self.params.part("command")?.parse().map_err(|_| Problem::not_found("command of this id: ids are UUIDs"))
+        self.params.part("command")?.parse().map_err(|_| Problem::not_found("command with this id: ids are UUIDs"))
     }
 
     /// Returns the finger that the path names.

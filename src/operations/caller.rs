@@ -1,4 +1,4 @@
-//! The client behind a request, with the lease token, request id and wait that come beside the parameters.
+//! The client behind a request, with the lease token, request id and wait that come alongside the parameters.
 
 use std::sync::Arc;
 use std::time::Duration;
@@ -24,9 +24,9 @@ pub const MAX_LEASE_BYTES: usize = 64;
 pub struct Caller {
     /// The identity of the client, and the interface that it uses.
     pub client: Client,
-    /// Lease token beside the parameters. A FAST STOP needs none, and must not fail because of an invalid one.
+    /// Lease token sent alongside the parameters. A FAST STOP needs none, and must not fail because of an invalid one.
     pub lease: Result<Option<LeaseToken>, Problem>,
-    /// Request id beside the parameters.
+    /// Request id sent alongside the parameters.
     pub request_id: Result<Option<RequestId>, Problem>,
     pub presence: Presence,
     /// How long the caller waits for the end of a command.
@@ -39,7 +39,7 @@ pub enum Presence {
     /// The request ends with its client: while it is open, it keeps the lease.
     #[default]
     Seen,
-    /// The request does not end with its client: it renews the lease when it comes and when it is answered.
+    /// The request does not end with its client: it renews the lease when it arrives and when it is answered.
     Unseen,
 }
 
@@ -59,7 +59,8 @@ pub enum Wait {
 
 /// A bound on waits that an interface sets.
 pub trait WaitLimiter: std::fmt::Debug + Send + Sync {
-    /// Returns the command when it has ended, or as it is after `limit` or when the wait is cut short.
+    /// Returns the ended command. If `limit` passes or the wait is cut short first, returns the command in its current
+    /// state.
     fn until_ended<'a>(&'a self, ticket: &'a mut Ticket, limit: Duration) -> BoxFuture<'a, CommandReport>;
 }
 
@@ -102,7 +103,7 @@ pub fn wait_ms(given: &str) -> Result<u64, Problem> {
 }
 
 impl CommandWait {
-    /// Returns the command when it has ended, or as it is after the wait.
+    /// Returns the ended command, or after the wait the command in its current state.
     pub async fn until_ended(&self, ticket: &mut Ticket) -> CommandReport {
         match &self.limiter {
             Some(limiter) if !self.limit.is_zero() => limiter.until_ended(ticket, self.limit).await,
@@ -119,7 +120,7 @@ pub struct RequestKeys {
 }
 
 impl RequestKeys {
-    /// Returns the keys beside the parameters.
+    /// Returns the keys that came alongside the parameters.
     pub fn of(caller: &Caller) -> Result<Self, Problem> {
         Ok(Self { lease: caller.lease.clone()?, request_id: caller.request_id.clone()? })
     }

@@ -1,4 +1,4 @@
-//! Commands: handed to the gripper, waited for, looked up, cancelled.
+//! Submits, awaits, looks up and cancels commands.
 
 use tracing::Span;
 use tracing::field::display;
@@ -28,7 +28,7 @@ pub(super) async fn submit(
     let RequestKeys { request_id, lease } = keys;
     let gripper = gripper.with_lease(lease.as_ref().map(LeaseToken::as_str))?;
     let submission = Submission { client: gripper.client.clone(), action, request_id, lease };
-    // The request keeps the lease during the wait, not the ticket.
+    // During the wait the request keeps the lease alive; the ticket does not.
     let mut ticket = gripper.handle.submit(submission).await?.watched();
     Span::current().record("command", display(ticket.id()));
     let mut command = wait.until_ended(&mut ticket).await;
@@ -55,7 +55,7 @@ async fn get(call: Call) -> Result<Json<CommandReport>, Problem> {
         return Ok(Json(wait.until_ended(&mut ticket).await));
     }
     let stored = call.gateway.journal.command(gripper.handle.name().clone(), id).await?;
-    stored.map(Json).ok_or_else(|| Problem::not_found("command of this id"))
+    stored.map(Json).ok_or_else(|| Problem::not_found("command with this id"))
 }
 
 async fn cancel(call: Call) -> Result<OperationReply, Problem> {
@@ -63,8 +63,8 @@ async fn cancel(call: Call) -> Result<OperationReply, Problem> {
     let Leased { lease } = call.fields()?;
     let gripper = gripper.with_lease(lease.as_deref())?;
     let ticket = gripper.handle.cancel(id, gripper.client).await?;
-    let mut ticket =
-        ticket.ok_or_else(|| Problem::not_found("command of this id here: commands are kept for an hour"))?;
+    let mut ticket = ticket
+        .ok_or_else(|| Problem::not_found("command with this id on this gripper: commands are kept for an hour"))?;
     let command = wait.until_ended(&mut ticket).await;
     reply_with(&command, ticket)
 }

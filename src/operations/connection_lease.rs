@@ -3,7 +3,8 @@
 use crate::gripper::model::{Lease, LeaseToken, Name};
 use crate::gripper::{Handle, LeaseKeepAlive};
 
-/// An acquired lease, kept by interfaces that notice their client's end. HTTP does not notice it, and drops the lease.
+/// An acquired lease, tracked by interfaces that notice when their client is gone. HTTP does not notice this, and drops
+/// the value.
 #[derive(Debug)]
 pub struct ConnectionLease {
     handle: Handle,
@@ -41,8 +42,8 @@ impl ConnectionLease {
         self.handle.name()
     }
 
-    /// Reports that the client is lost. Changes nothing if the lease was released, taken again elsewhere, or is
-    /// another's.
+    /// Reports that the client is lost. Changes nothing if the lease was released, taken again elsewhere, or belongs to
+    /// another client.
     pub async fn lose(&self) {
         self.handle.lose_lease(self.token.clone(), Some(self.takes)).await;
     }

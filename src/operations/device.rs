@@ -1,4 +1,4 @@
-//! The manual's commands beside motions, settings and fingers: statistics, tare, Loop.
+//! The manual's commands besides motions, settings and fingers: statistics, tare, Loop.
 
 use http::Method as Verb;
 use serde::{Deserialize, Serialize};

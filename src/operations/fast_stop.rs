@@ -28,7 +28,8 @@ pub const ALL: Operation = Operation::change("fast-stop", &Verb::POST, "/fast-st
 pub const ACKNOWLEDGE: Operation =
     Operation::change("acknowledge", &Verb::POST, "/grippers/{gripper}/acknowledge", |call| reply(acknowledge(call)));
 
-/// Body of a FAST STOP request: an optional reason. Any body stops, also an empty or invalid one.
+/// Body of a FAST STOP request: an optional reason. The FAST STOP happens whatever the body, even if the body is empty
+/// or invalid.
 pub struct FastStopBody;
 
 impl PartialSchema for FastStopBody {
@@ -38,7 +39,9 @@ impl PartialSchema for FastStopBody {
         ));
         ObjectBuilder::new()
             .schema_type(SchemaType::AnyValue)
-            .description(Some("Optional reason. Any body stops; a body that is not a JSON object has no reason."))
+            .description(Some(
+                "Optional reason. The FAST STOP happens whatever the body; only a JSON object can give a reason.",
+            ))
             .property("reason", reason)
             .examples([json!({"reason": "light curtain"})])
             .into()
@@ -126,7 +129,7 @@ pub struct Acknowledge {
     /// Id of the FAST STOP, as in the gripper's state.
     #[schema(value_type = uuid::Uuid)]
     fast_stop_id: String,
-    /// Lease token, which this request uses as any other does; empty means none.
+    /// Lease token, renewed by this request as by any other. Not required; empty means none.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     lease: Option<String>,
 }

@@ -98,7 +98,7 @@ async fn data(call: Call) -> Result<Json<FingerDataAnswer>, Problem> {
     Ok(Json(FingerDataAnswer { gripper: gripper.name(), finger: number(finger), data: hex::encode(data) }))
 }
 
-/// Power of a finger, to switch.
+/// Finger power to set.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 #[schema(example = json!({"enabled": true}))]

@@ -40,7 +40,7 @@ pub struct FleetFastStopAnswer {
     /// Grippers whose flags have shown the FAST STOP, as gateway/gripper.
     confirmed: Vec<String>,
     /// Grippers that are not known to have stopped yet. Their gateways repeat the FAST STOP until it is confirmed. A
-    /// gateway that was gone, and comes back within a minute without knowing of the FAST STOP, is sent it again.
+    /// gateway that comes back within a minute and has missed the FAST STOP is sent it again.
     unconfirmed: Vec<String>,
 }
 

@@ -21,7 +21,6 @@ pub struct Gateway {
     pub audit: Arc<Audit>,
     /// The other gateways.
     pub peers: Arc<Peers>,
-    /// Live updates.
     pub updates: Arc<LiveUpdates>,
 }
 

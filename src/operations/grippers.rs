@@ -1,4 +1,4 @@
-//! The gateway's own knowledge of its grippers. None of these operations sends a device anything.
+//! The gateway's own knowledge of its grippers. None of these operations sends anything to a device.
 
 use std::sync::Arc;
 

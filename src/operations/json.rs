@@ -17,7 +17,7 @@ pub const MAX_BODY_BYTES: usize = 64 * 1024;
 pub fn parse<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
     let bytes = match bytes.trim_ascii_start() {
         [] => b"{}",
-        // serde would also read a struct from an array, by position, which no client means.
+        // serde would also read a struct from an array, by position, which no client intends.
         object @ [b'{', ..] => object,
         _ => return Err(Problem::new(Code::Malformed, "the body must be a JSON object")),
     };
@@ -73,8 +73,8 @@ fn detail(error: &serde_json::Error) -> String {
     text
 }
 
-/// Returns the field that an error is about. If its name is the mistake, only the error's text has it. The path has a
-/// `?` if the JSON is cut short.
+/// Returns the field that an error is about. The name of a missing, unknown or duplicate field is only in the error's
+/// text. The path has a `?` if the JSON is cut short.
 fn field(path: &str, detail: &str) -> Option<String> {
     let named = ["missing field `", "unknown field `", "duplicate field `"]
         .iter()
@@ -88,8 +88,8 @@ fn field(path: &str, detail: &str) -> Option<String> {
 /// Characters of an unknown field's name that are repeated to its sender.
 const MAX_FIELD_CHARS: usize = 32;
 
-/// A JSON value without duplicate keys. serde_json's own value keeps the last of two, other parsers the first: a check
-/// and the execution could see different values.
+/// A JSON value without duplicate keys. If a key occurs twice, serde_json's own value keeps the last and other parsers
+/// keep the first, so a check and the execution could see different values.
 #[derive(Debug)]
 pub struct StrictJson(pub Value);
 

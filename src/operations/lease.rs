@@ -49,21 +49,22 @@ pub struct Take {
     /// Time until the lease expires without use, in ms; 3000 by default.
     #[schema(value_type = Option<u64>, minimum = 100, maximum = 60000)]
     ttl_ms: Option<f64>,
-    /// Reaction to the holder's loss while the fingers move. The default is `fast_stop`, unless the configuration has
+    /// Reaction if the holder is lost while the fingers move. The default is `fast_stop`, unless the configuration has
     /// another.
     on_loss_moving: Option<OnLossMoving>,
-    /// Reaction to the holder's loss while a part is held. The default is `keep`, unless the configuration has
+    /// Reaction if the holder is lost while a part is held. The default is `keep`, unless the configuration has
     /// another.
     on_loss_holding: Option<OnLossHolding>,
     /// Takes the lease away from its current holder, as a supervisor does. A running motion is stopped.
     #[serde(default)]
     #[schema(default = false)]
     force: bool,
-    /// Asks the current holder to hand the lease over. After the hand-over, request the lease again to get it.
+    /// Asks the current holder to hand the lease over. After the hand-over, request the lease again to get its token.
     #[serde(default)]
     #[schema(default = false)]
     request: bool,
-    /// Token of the lease, if the client holds it already and changes its terms. At most 64 bytes; empty means none.
+    /// Token of the lease, if the client already holds the lease and changes its terms. At most 64 bytes; empty means
+    /// none.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     lease: Option<String>,
 }
@@ -100,7 +101,7 @@ async fn release(call: Call) -> Answer {
     Ok(Json(gripper.handle.release_lease(gripper.token()).await?))
 }
 
-/// The client that the lease goes to.
+/// The client that is to receive the lease.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 #[schema(example = json!({"to": "robot-2"}))]

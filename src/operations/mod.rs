@@ -1,8 +1,8 @@
-//! Everything that a client can ask for, once for all interfaces.
+//! Everything that a client can request, defined once for all interfaces.
 //!
 //! An [`Operation`] has a name, a path, a required role, an urgency, and a function. The table [`OPERATIONS`] lists
-//! them all; HTTP's paths, WebSocket's methods and Zenoh's command keys come from it. `run` performs an operation for
-//! a `Caller`, and is the one place that records refused requests.
+//! them all; the HTTP paths, WebSocket methods and Zenoh command keys come from this table. `run` performs an operation
+//! for a `Caller`, and is the one place that records refused requests.
 //!
 //! Architecture invariant: an operation decides nothing about a gripper. It parses parameters into domain types and
 //! hands them to the gripper's handle. The actor refuses what a lease, a latch or a device's limit forbids.

@@ -10,13 +10,13 @@ use crate::gripper::model::Urgency;
 
 #[derive(Debug, Clone, Copy)]
 pub struct Operation {
-    /// Name: WebSocket's method, and the last part of Zenoh's command key.
+    /// Name: the WebSocket method, and the last part of the Zenoh command key.
     pub name: &'static str,
-    /// HTTP's method.
+    /// HTTP method.
     pub verb: &'static Verb,
-    /// HTTP's path, below the API's. The other interfaces have its variables among the parameters.
+    /// HTTP path, relative to the API's root. The other interfaces take the path's variables as parameters.
     pub path: &'static str,
-    /// Least role that a caller needs.
+    /// Lowest role that a caller needs.
     pub role: Role,
     /// Precedence over other requests.
     pub urgency: Urgency,
@@ -38,7 +38,7 @@ pub enum Role {
     Observer,
     /// Moves the gripper, holds its lease, changes its settings, acknowledges.
     Operator,
-    /// Sends raw requests of the device's protocol.
+    /// Sends raw requests in the device's protocol.
     Supervisor,
 }
 

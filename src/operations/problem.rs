@@ -22,7 +22,7 @@ macro_rules! codes {
         /// - `malformed`: the request cannot be parsed, or a field has the wrong form.
         /// - `foreign_host`: the `Host` header is neither an address nor `localhost` nor a configured name.
         /// - `foreign_origin`: the request comes from a web page of another origin.
-        /// - `not_found`: no such path, gripper or command.
+        /// - `not_found`: the path, gripper or command does not exist.
         /// - `method_not_allowed`: the path does not support this method.
         /// - `request_timeout`: the body did not arrive in time.
         /// - `too_large`: the body is too large.
@@ -100,7 +100,7 @@ pub struct Problem(Box<Members>);
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 #[schema(as = Problem, example = json!({
     "type": "about:blank", "title": "Unprocessable Entity", "status": 422, "code": "out_of_range",
-    "detail": "width_mm is 300; it must be from 0 to 110 (the device's stroke)",
+    "detail": "width_mm is 300; it must be from 0 to 110 (the device's limits)",
     "field": "width_mm", "value": 300.0, "min": 0.0, "max": 110.0
 }))]
 pub struct Members {
@@ -132,7 +132,7 @@ pub struct Members {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<f64>, nullable = false, minimum = -1e300, maximum = 1e300)]
     max: Option<Number>,
-    /// Status symbol that the device refused the request with, if it did.
+    /// Status symbol with which the device refused the request, if it did.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
     device_status: Option<String>,

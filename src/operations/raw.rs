@@ -1,4 +1,4 @@
-//! Raw requests of the device's protocol, given by id and bytes. Commands in the manuals take the typed path, with all
+//! Raw requests in the device's protocol, given by id and bytes. Commands in the manuals take the typed path, with all
 //! its checks.
 
 use serde::{Deserialize, Serialize};
@@ -19,7 +19,7 @@ use crate::wsg::{self, Status, Updates};
 pub const RAW: Operation =
     Operation::command("raw", "/grippers/{gripper}/raw", |call| reply(raw(call))).needs(Role::Supervisor);
 
-/// A raw request of the device's protocol.
+/// A raw request in the device's protocol.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 #[schema(example = json!({"id": 83}))]

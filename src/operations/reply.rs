@@ -54,7 +54,6 @@ impl<T: Serialize> IntoReply for Json<T> {
 }
 
 impl OperationReply {
-    /// Serialises a result.
     pub(super) fn new(result: &impl Serialize, effect: Effect) -> Result<Self, Problem> {
         let body = to_raw_value(result)
             .map_err(|error| Problem::new(Code::Internal, format!("the result could not be serialised: {error}")))?;

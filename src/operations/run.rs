@@ -20,7 +20,7 @@ use crate::gripper::model::Urgency;
 
 /// Runs an operation for a caller, and records a refusal.
 ///
-/// A FAST STOP runs to its end even if its caller is gone. The answer to a client that is refused all the time is
+/// A FAST STOP runs to its end even if its caller is gone. The answer to a client that is refused continually is
 /// delayed, unless the operation is urgent.
 ///
 /// # Errors

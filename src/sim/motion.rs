@@ -1,5 +1,5 @@
 //! The mechanics: the axis, its surroundings and the running motion, independent of frames. The outcome of a motion is
-//! an [`Event`].
+//! a [`StepOutcome`].
 
 use crate::wsg::{SoftLimits, Status};
 
@@ -166,8 +166,8 @@ impl Mechanics {
         };
     }
 
-    /// Stops the fingers. [`Event::Stopped`] follows when they are at rest, at once if nothing moves. A held part stays
-    /// held unless `let_go`.
+    /// Stops the fingers. [`StepOutcome::Stopped`] follows when the fingers are at rest; at once if nothing moves. A
+    /// held part stays held unless `let_go`.
     pub fn stop(&mut self, let_go: bool) -> Option<StepOutcome> {
         self.steady = false;
         match self.activity {

@@ -383,7 +383,7 @@ impl Command {
             id::GET_SYSTEM_LIMITS => Self::GetSystemLimits,
             id::GET_FINGER_1_INFO | id::GET_FINGER_2_INFO => Self::GetFingerInfo(finger_of(id)),
             id::GET_FINGER_1_FLAGS | id::GET_FINGER_2_FLAGS => Self::GetFingerFlags(finger_of(id)),
-            // Ruling: the parameter is byte 0, although the manuals' tables call it byte 1.
+            // Ruling: the parameter is byte 0, although fw4-en 3.6.3 calls it byte 1.
             id::FINGER_1_POWER | id::FINGER_2_POWER => match fields.u8() {
                 on @ (0 | 1) => Self::FingerPower { finger: finger_of(id), on: on == 1 },
                 _ => return Err(InvalidRequest::Value(name)),

@@ -32,6 +32,7 @@ async fn startup_prints_addresses_and_a_command_to_try() {
         format!("serves cell-7 at {url}"),
         format!("g        tcp://{}", device.address),
         format!("documentation: {url}docs"),
+        format!("guides: {url}docs/guide"),
         format!("try: curl -X POST {url}api/v1/grippers/g/home"),
     ] {
         assert!(said.contains(&expected), "{expected:?} in {said}");
@@ -97,7 +98,7 @@ async fn check_prints_a_summary_or_the_wrong_line() {
     let right = file("right.toml", "name = \"cell\"\n[grippers.a]\nurl = \"sim://wsg50\"\n");
     let ended = run(&["check", "--config", right.to_str().unwrap()]).await;
     assert!(ended.status.success(), "{ended:?}");
-    assert!(ended.stdout.contains("cell serves 1 grippers at 127.0.0.1:8080"), "{ended:?}");
+    assert!(ended.stdout.contains("cell serves 1 gripper at 127.0.0.1:8080"), "{ended:?}");
     for (text, line) in [
         ("name = \"cell\"\nnonsense = 1\n", 2),
         ("[grippers.a]\nurl = \"sim://wsg99\"\n", 2),

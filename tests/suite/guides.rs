@@ -113,6 +113,9 @@ async fn guides_are_served_with_their_links() {
             assert!(anchor.is_empty() || values(linked, "id").contains(&anchor), "{path}: {link}");
         }
     }
+    for alias in ["/docs/guide/", "/docs/guide/README.md"] {
+        assert_eq!(gateway.get(alias).await.body.as_str().unwrap(), pages["/docs/guide"], "{alias}");
+    }
     let served: BTreeSet<_> = pages.keys().filter_map(|path| path.strip_prefix("/docs/guide/")).collect();
     for file in fs::read_dir(root().join("deploy/guide")).unwrap() {
         let name = file.unwrap().file_name().into_string().unwrap().replace(".md", "");

@@ -173,7 +173,7 @@ async fn follow_prints_stored_and_new_events() {
 async fn verify_finds_a_changed_event() {
     let file = File::new("verify");
     let journal = filled(&file).await;
-    let expected = ["3 events, 0 grip records, 0 remembered values: all intact"];
+    let expected = ["3 events, 0 grip records, 0 persisted values: all intact"];
     assert_eq!(output(&file, &["verify"]).await, expected);
     journal.close().await.unwrap();
     let path = file.path();
@@ -184,7 +184,7 @@ async fn verify_finds_a_changed_event() {
     let ended = run(&["journal", "--journal", &path, "verify"]).await;
     assert_eq!(ended.status.code(), Some(1), "{ended:?}");
     assert_eq!(ended.stdout, "events 3: changed since it was written (hash mismatch)");
-    assert!(ended.stderr.contains("4 events, 0 grip records, 0 remembered values: 1 findings"), "{ended:?}");
+    assert!(ended.stderr.contains("4 events, 0 grip records, 0 persisted values; findings: 1"), "{ended:?}");
 }
 
 #[tokio::test]

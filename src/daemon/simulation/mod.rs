@@ -50,7 +50,7 @@ impl SimulatedDevice {
     /// `serial_number`.
     ///
     /// # Errors
-    /// The mistake in the URL, and the allowed values.
+    /// The fault in the URL, and the allowed values.
     pub fn from_url(url: &Url) -> Result<Self, String> {
         let model = url.host_str().unwrap_or_default();
         let mut device = Self::of_model(model).map_err(|error| format!("{url}: {error}"))?;

@@ -43,8 +43,8 @@ impl std::fmt::Debug for Order {
 
 impl Switch {
     /// Applies a change to the device. Without a connection that could be cut, [`Change::CutConnection`] pulls the
-    /// wire: a pty ends and another one comes; on UDP and CAN, what is sent either way within some seconds is lost.
-    /// The wire stays pulled for as long as connections are refused.
+    /// wire: a pty ends and another one replaces it; on UDP and CAN, frames in both directions are lost for some
+    /// seconds. The wire stays pulled for as long as connections are refused.
     ///
     /// # Errors
     /// The change is impossible ([`io::ErrorKind::InvalidInput`]), or the device is gone.
@@ -156,7 +156,7 @@ impl Connection {
 }
 
 impl Pump {
-    /// Runs until all switches are dropped, or no connection can come any more. Rejects a second client, as a device
+    /// Runs until all switches are dropped, or no further connection can come. Rejects a second client, as a device
     /// does.
     async fn run(mut self) {
         loop {

@@ -12,12 +12,10 @@ use crate::gripper::clock;
 use crate::sim::Device;
 use crate::transport::Address;
 
-/// A simulated device that is served.
 #[derive(Debug, Clone)]
 pub struct ServedDevice {
     /// Address for a gateway to connect to.
     pub address: Address,
-    /// Name of the model.
     pub model: &'static str,
     /// Switch of the device. When the last copy is dropped, the device is switched off.
     pub switch: Switch,
@@ -56,7 +54,7 @@ pub async fn serve_simulated(
     match control {
         Some(address) => {
             let listener = control::listen(address).await?;
-            say(&format!("control of faults at http://{}/devices", listener.local_addr()?));
+            say(&format!("fault injection at http://{}/devices", listener.local_addr()?));
             control::serve(listener, devices).await
         }
         None => std::future::pending().await,

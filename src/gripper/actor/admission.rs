@@ -1,4 +1,4 @@
-//! Admission of clients' requests: checks, commands, exchanges and acknowledges.
+//! Admission of clients' requests: checks, commands, exchanges and acknowledgements.
 
 use std::sync::Arc;
 
@@ -245,7 +245,7 @@ impl Actor {
         self.persist_settings();
     }
 
-    /// Sends an acknowledge, if the latch and the link allow it.
+    /// Sends an acknowledgement, if the latch and the link allow it.
     pub(super) fn acknowledge(&mut self, now: Now, id: FastStopId, client: Client, answer: Answer<()>) {
         let allowed = self.latch.check_acknowledge(id).map_err(Rejection::from).and_then(|()| Ok(self.check_link()?));
         let sent = allowed.and_then(|()| {

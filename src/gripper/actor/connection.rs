@@ -61,7 +61,7 @@ impl Actor {
     }
 
     /// Sets up the device again after silence or missing updates. Without connections, these can be the only sign of a
-    /// restart. A running motion goes on; no new one starts until the clients' settings are checked.
+    /// restart. A running motion continues; no new one starts until the clients' settings are checked.
     pub(super) fn set_up_again(&mut self, now: Now) {
         if self.link.properties.connection_oriented || !self.link.is_up() || self.link.close.is_some() {
             return;

@@ -1,5 +1,5 @@
-//! The orderly end: new commands are rejected, a running one finishes or is stopped, the disconnect is announced, and
-//! the link is closed.
+//! Draining, the orderly disconnect: new commands are rejected, a running one finishes or is stopped, the disconnect is
+//! announced, and the link is closed.
 
 use std::time::{Duration, Instant};
 
@@ -60,7 +60,6 @@ impl Drain {
 }
 
 impl Actor {
-    /// Begins the drain.
     pub(super) fn start_drain(&mut self, now: Now, answer: oneshot::Sender<()>) {
         let until = now.instant + self.config.drain;
         let drain = self.drain.get_or_insert_with(|| {
@@ -100,8 +99,8 @@ impl Actor {
 
     pub(super) fn continue_drain(&mut self, now: Now) {
         // During setup, the requests in flight are not clients' requests, and need not be waited for.
-        let asked = self.link.is_up() && self.link.session.as_ref().is_some_and(|session| !session.is_idle());
-        let idle = self.motion.running.is_none() && !self.latch.is_unconfirmed() && !asked;
+        let is_busy = self.link.is_up() && self.link.session.as_ref().is_some_and(|session| !session.is_idle());
+        let idle = self.motion.running.is_none() && !self.latch.is_unconfirmed() && !is_busy;
         let Some(drain) = &mut self.drain else { return };
         let late = drain.until <= now.instant;
         match drain.stage {

@@ -48,7 +48,7 @@ impl Actor {
         self.recording.fast_stop(now, step, latch, by);
     }
 
-    /// Records the results of acknowledges, and sends them to their clients.
+    /// Records the results of acknowledgements, and sends them to their clients.
     pub(super) fn tell_acknowledges(&mut self, now: Now) {
         for acknowledged in self.latch.take_acknowledged() {
             self.recording.record_repeats();

@@ -67,14 +67,14 @@ impl Actor {
             self.record_lease(now, LeaseStep::Requested, &asking, None);
         }
         let Some(holder) = self.lease.holder().cloned() else { return result.map(drop).map_err(Into::into) };
-        let way = result?;
-        match way {
+        let outcome = result?;
+        match outcome {
             AcquireOutcome::Free => self.record_lease(now, LeaseStep::Taken, &holder, None),
             AcquireOutcome::Forced => self.record_lease(now, LeaseStep::Forced, &holder, None),
             // The new holder was recorded when the lease was handed over.
             AcquireOutcome::HandedOver | AcquireOutcome::Again => {}
         }
-        if wish.force && !matches!(way, AcquireOutcome::Again) {
+        if wish.force && !matches!(outcome, AcquireOutcome::Again) {
             // The motion may also belong to a lost holder, or to one that has handed over.
             self.stop_motion(now);
         }
@@ -95,7 +95,7 @@ impl Actor {
     ) -> Result<Lease, Rejection> {
         let holder = self.lease.hand_over(now.instant, token, to, new)?;
         self.record_lease(now, LeaseStep::HandedOver, &holder, None);
-        // A running motion goes on. One that has not started would start under another client's lease.
+        // A running motion continues. A motion that has not started would start under another client's lease.
         self.withdraw_waiting_motion(now);
         Ok(self.lease_now(now))
     }

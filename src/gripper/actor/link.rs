@@ -35,7 +35,7 @@ pub enum Close {
     #[error("the device restarted and lost its reference")]
     Restarted,
     /// The gripper was drained. The disconnect was announced on a transport with connections.
-    #[error("disconnected in order")]
+    #[error("disconnected cleanly")]
     Drained,
 }
 
@@ -332,7 +332,7 @@ impl DeviceLink {
         })
     }
 
-    /// Expects the results of motions now or never, because the device has stopped.
+    /// Expects any outstanding results of motions soon, because the device has stopped.
     pub(super) fn expect_aborts(&mut self, now: Now) {
         if let Some(session) = &mut self.session {
             session.expect_aborts(now.instant);

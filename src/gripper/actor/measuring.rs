@@ -21,7 +21,6 @@ pub(super) struct Measured {
 }
 
 impl Recording {
-    /// Starts measuring a motion.
     pub(super) fn start_measuring(&mut self, id: CommandId, motion: &Motion) {
         self.finish_measuring();
         let part_id = match motion {

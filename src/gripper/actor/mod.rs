@@ -16,8 +16,8 @@
 //! # Architecture invariants
 //!
 //! A motion frame is submitted to the session in one place, `start_motion`, once for each admitted command. While a
-//! FAST STOP is latched, no motion frame is submitted, and unwritten ones are withdrawn. An acknowledge is submitted in
-//! one place, for a client that named the latch's id.
+//! FAST STOP is latched, no motion frame is submitted, and unwritten ones are withdrawn. An acknowledgement is
+//! submitted in one place, for a client that named the latch's id.
 
 mod admission;
 mod connection;
@@ -77,7 +77,6 @@ const REPLY_WITHIN: Duration = Duration::from_secs(1);
 /// (`fw4-en 3.6.3`), and a custom command can do anything.
 const RESULT_WITHIN: Duration = Duration::from_secs(30);
 
-/// Configuration of an actor.
 #[derive(Debug, Clone)]
 pub struct ActorConfig {
     pub name: Name,
@@ -169,7 +168,7 @@ impl Actor {
         self.metering.fast_stop_requested(request.at);
         let caller = request.epoch.take();
         if let Some(token) = self.latch.request(now, request) {
-            // An acknowledge of an earlier FAST STOP must not be sent after this one.
+            // An acknowledgement of an earlier FAST STOP must not be sent after this one.
             self.link.withdraw(token);
         }
         if let Some(caller) = caller {
@@ -186,7 +185,7 @@ impl Actor {
     pub fn request(&mut self, now: Now, request: ActorRequest) {
         match request {
             ActorRequest::Submit { submission, id, answer } => {
-                // The caller may be gone; an admitted command goes on all the same.
+                // The caller may be gone; an admitted command continues anyway.
                 let _ = answer.send(self.admit(now, id, &submission));
             }
             ActorRequest::Find { id, answer } => {

@@ -105,7 +105,6 @@ impl Actor {
         running.stage = Stage::Settling(Settling { outcome, status, since: now.instant });
     }
 
-    /// Ends a motion that has settled.
     pub(super) fn end_settled_motion(&mut self, now: Now) {
         if self.motion.has_settled(now.instant, |since| self.observed.is_newer_than(since)) {
             self.end_running(now, false);

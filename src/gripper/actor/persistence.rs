@@ -17,7 +17,6 @@ use crate::wsg::{Acceleration, Force, SoftLimits, Width};
 /// Epochs to skip after an unclean end, in which the last epochs may not have been persisted.
 const EPOCHS_SKIPPED: u64 = 1000;
 
-/// Settings of clients.
 #[derive(Debug, Serialize, Deserialize)]
 struct PersistedSettings {
     /// Serial number of the device that they were set on.
@@ -61,7 +60,6 @@ impl PersistedSettings {
     }
 }
 
-/// The newest lease.
 #[derive(Debug, Default, Serialize, Deserialize)]
 struct PersistedLease {
     epoch: u64,

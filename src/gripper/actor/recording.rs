@@ -19,7 +19,7 @@ use super::persistence::LastReported;
 use super::repeats::Repeats;
 use crate::wsg::SystemState;
 
-/// Time limit for a command's record. After it, the command is refused or goes on at once; it is never sent later.
+/// Time limit for a command's record. After it, the command is refused or proceeds at once; it is never sent later.
 const RECORDED_WITHIN: Duration = Duration::from_millis(500);
 
 /// The gripper's side of the journal.
@@ -74,12 +74,12 @@ impl Recording {
     /// Checks that a motion can be admitted.
     pub(super) fn check(&self) -> Result<(), Failure> {
         match (self.on_failure, self.failure()) {
-            (OnJournalFailure::Refuse, Some(_)) => Err(self.journal_down("it stores no records")),
+            (OnJournalFailure::Refuse, Some(_)) => Err(self.journal_down("records are not being stored")),
             _ => Ok(()),
         }
     }
 
-    /// Ends the wait for a command's record. An error means that the command must not go on.
+    /// Ends the wait for a command's record. An error means that the command must not proceed.
     pub(super) fn end_wait(&mut self, id: CommandId, durable: Result<(), &str>) -> Result<(), Failure> {
         self.unrecorded.retain(|(_, unrecorded)| *unrecorded != id);
         match durable {

@@ -126,8 +126,8 @@ pub(super) fn result_within(motion: &Motion, stroke_mm: Option<f32>) -> Duration
         Motion::Move { speed, .. } | Motion::Grip { speed, .. } | Motion::Release { speed, .. } => speed.mm_s(),
     };
     let stroke = stroke_mm.unwrap_or(LONGEST_STROKE_MM);
-    let way = Duration::try_from_secs_f32(stroke / speed.max(1.0)).unwrap_or(LONGEST_WAY);
-    way.min(LONGEST_WAY) + MOTION_MARGIN
+    let travel_time = Duration::try_from_secs_f32(stroke / speed.max(1.0)).unwrap_or(LONGEST_WAY);
+    travel_time.min(LONGEST_WAY) + MOTION_MARGIN
 }
 
 /// The current motion, and the end of the last one.
@@ -169,7 +169,6 @@ impl MotionState {
         }
     }
 
-    /// Whether this command waits for its record.
     pub(super) fn waits_for_record(&self, id: CommandId) -> bool {
         self.running.as_ref().is_some_and(|running| running.id == id && !running.recorded)
     }

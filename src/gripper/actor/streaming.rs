@@ -65,7 +65,6 @@ impl Streaming {
 }
 
 impl Actor {
-    /// Whether a motion is a streamed command.
     pub(super) fn is_streamed(&self, motion: &Motion) -> bool {
         matches!(motion, Motion::Custom(custom) if self.config.custom_ids.stream.contains(&custom.id()))
     }

@@ -11,7 +11,6 @@ const WRITE_EVERY: Duration = Duration::from_secs(1);
 /// Time for which a tag that was read back counts as current. Another program can change it meanwhile.
 const KNOWN_FOR: Duration = Duration::from_mins(1);
 
-/// Writes of the device tag.
 #[derive(Debug, Default)]
 pub(super) struct TagWrites {
     written_at: Option<Instant>,

@@ -67,7 +67,6 @@ impl Actor {
         TIMERS.iter().filter_map(|timer| (timer.deadline)(self)).chain(session).min()
     }
 
-    /// Runs the timers that are due.
     pub(super) fn run_due_timers(&mut self, now: Now) {
         for Timer { deadline, run, always } in TIMERS {
             if always || deadline(self).is_some_and(|at| at <= now.instant) {

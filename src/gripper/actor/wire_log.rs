@@ -73,7 +73,7 @@ impl WireLog {
             FrameDirection::Sent => WireDirection::Request,
             FrameDirection::Received => WireDirection::Reply,
         };
-        let told = FrameRecord {
+        let record = FrameRecord {
             gripper: self.gripper.clone(),
             seq: self.seq,
             at: now.wall,
@@ -84,6 +84,6 @@ impl WireLog {
             text: describe(frame, read_as),
         };
         // The last listener may have just gone.
-        let _ = self.listeners.send(Arc::new(told));
+        let _ = self.listeners.send(Arc::new(record));
     }
 }

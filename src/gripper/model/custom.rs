@@ -1,4 +1,4 @@
-//! Meaning of custom command ids, as the gripper's owner configures it.
+//! Meaning of custom command ids, as configured by the gripper's owner.
 
 use std::collections::BTreeSet;
 

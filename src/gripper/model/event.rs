@@ -16,7 +16,7 @@ mod device;
 
 pub use device::{DeviceEvent, LinkEvent};
 
-/// An event. The journal adds a sequence number. `kind` and its fields stand beside the common fields.
+/// An event. The journal adds a sequence number. `kind` and its fields are on the same level as the common fields.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct Event {
     /// Time of the event.
@@ -102,7 +102,7 @@ pub enum CommandEvent {
 pub struct Admitted {
     /// Kind of the command.
     pub command: Kind,
-    /// Id by which a repetition counts as the same request.
+    /// Id by which a repeated request is recognised.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<String>, nullable = false, max_length = 64)]
     pub request_id: Option<RequestId>,
@@ -121,7 +121,7 @@ pub struct Done {
     /// Symbol of the last status code from the device.
     #[schema(required)]
     pub status: Option<String>,
-    /// Number of that status code.
+    /// The same status code as a number.
     #[schema(required)]
     pub status_code: Option<u16>,
     /// Whether the command reached its goal.
@@ -188,14 +188,15 @@ impl Done {
 pub struct FastStopEvent {
     /// Step that was reached.
     pub event: FastStopStep,
-    /// Id that an acknowledge has to name.
+    /// Id that an acknowledgement has to name.
     #[schema(value_type = uuid::Uuid)]
     pub fast_stop_id: FastStopId,
     /// Cause of the FAST STOP.
     pub cause: FastStopCause,
     /// Reason given by the client; may be empty.
     pub reason: String,
-    /// Number of FAST STOPs that this event stands for. Repeated requests are stored once a second, by the newest.
+    /// Number of FAST STOPs that this event stands for. Repeated requests are counted, and only the newest is stored,
+    /// once a second.
     #[schema(minimum = 1, maximum = 9_007_199_254_740_991_i64)]
     pub count: u64,
 }
@@ -211,10 +212,10 @@ pub enum FastStopStep {
     Confirmed,
 }
 
-/// Result of an acknowledge.
+/// Result of an acknowledgement.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct AcknowledgeEvent {
-    /// Id of the FAST STOP that the acknowledge named.
+    /// Id of the FAST STOP that the acknowledgement named.
     #[schema(value_type = uuid::Uuid)]
     pub fast_stop_id: FastStopId,
     /// Whether the FAST STOP was cleared.
@@ -311,13 +312,13 @@ pub enum GatewayEvent {
         /// Grippers, each as `name=URL`.
         grippers: Vec<String>,
     },
-    /// The last run of the gateway did not shut down in order.
+    /// The previous run of the gateway did not shut down cleanly.
     UncleanEnd {
         /// Ids of the commands that were running; each gets the outcome `UNKNOWN`.
         #[schema(value_type = Vec<uuid::Uuid>)]
         running: Vec<CommandId>,
     },
-    /// The gateway has shut down in order.
+    /// The gateway has shut down cleanly.
     Ended,
     /// Records were lost because the disk did not accept them and the buffer was full.
     RecordsLost {

@@ -54,7 +54,7 @@ impl fmt::Debug for LeaseToken {
 ///
 /// - `fast_stop`: a latched FAST STOP
 /// - `stop`: a Stop
-/// - `finish`: the motion goes on to its end
+/// - `finish`: the motion continues to its end
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum OnLossMoving {
@@ -65,7 +65,7 @@ pub enum OnLossMoving {
 
 /// Action if the lease holder is lost while a part is held and the fingers do not move.
 ///
-/// - `keep`: the part stays held, and the gripper stays reserved for the holder; a blind stop may drop the part
+/// - `keep`: the part stays held, and the gripper stays reserved for the holder; a blind stop could drop the part
 /// - `fast_stop`: a latched FAST STOP
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
@@ -108,7 +108,7 @@ pub struct TakeLease {
     pub force: bool,
     /// Shows this request to the current holder, if there is one.
     pub request: bool,
-    /// Token of a lease that the client holds already, whose terms are to change.
+    /// Token of the lease, if the client already holds the lease and changes its terms.
     pub token: Option<LeaseToken>,
 }
 
@@ -225,9 +225,9 @@ pub enum LossCause {
 ///
 /// - `fast_stop`: a latched FAST STOP
 /// - `stop`: a Stop
-/// - `finish`: the motion went on, and the gripper was reserved for the holder
+/// - `finish`: the motion continued, and the gripper was reserved for the holder
 /// - `keep`: the part stayed held, and the gripper was reserved for the holder
-/// - `none`: none, because nothing moved and no part was held
+/// - `none`: no action, because nothing moved and no part was held
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum LossEffect {

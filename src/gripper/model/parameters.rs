@@ -84,7 +84,7 @@ impl From<HomingDirection> for Direction {
 /// Reaction when the fingers meet an obstacle.
 ///
 /// - `stop`: the motor is switched off
-/// - `clamp`: the fingers go on pushing, and snap to the target when they are freed
+/// - `clamp`: the fingers keep pushing, and snap to the target when they are freed
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum OnBlock {

@@ -39,13 +39,13 @@ pub struct GripRecord {
     /// Gripping force at the end, in N.
     #[schema(required)]
     pub force_n: Option<f32>,
-    /// Measured force of the greatest magnitude, in N.
+    /// Measured force with the greatest magnitude, in N.
     #[schema(required)]
     pub peak_force_n: Option<f32>,
     /// Opening width at which the fingers met the part, in mm; only for a grip.
     #[schema(required)]
     pub contact_width_mm: Option<f32>,
-    /// Time from the first sample to that contact, in ms.
+    /// Time from the first sample to contact with the part, in ms; only for a grip.
     #[schema(required)]
     pub time_to_contact_ms: Option<u64>,
     /// Number of samples in the curve.
@@ -99,6 +99,6 @@ pub enum OnJournalFailure {
     /// Motions are refused.
     #[default]
     Refuse,
-    /// Motions go on without a durable record.
+    /// Motions continue without a durable record.
     Continue,
 }

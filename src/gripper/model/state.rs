@@ -11,10 +11,10 @@ use super::{CommandId, FastStopId, Name, Reason};
 
 /// Connection state of the device link.
 ///
-/// - `connecting`: not connected since the start of the gateway
+/// - `connecting`: not connected yet since the gateway started
 /// - `connected`: set up, and the device responds
-/// - `unresponsive`: open, but nothing is heard from the device; motions are refused
-/// - `reconnecting`: lost; being connected or set up again
+/// - `unresponsive`: open, but the device is silent; motions are refused
+/// - `reconnecting`: lost; the gateway is connecting or setting up again
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, ToSchema, strum::Display)]
 #[serde(rename_all = "lowercase")]
 #[strum(serialize_all = "lowercase")]
@@ -56,7 +56,7 @@ pub enum FastStopCause {
 /// A FAST STOP that stays latched until it is acknowledged by its id.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct Latch {
-    /// Id that an acknowledge has to name.
+    /// Id that an acknowledgement has to name.
     pub id: FastStopId,
     /// Subject of the client that requested the FAST STOP, or `device` if no client did.
     pub by: Arc<str>,
@@ -89,7 +89,7 @@ pub struct State {
     #[serde(rename = "age_ms", serialize_with = "age_ms")]
     #[schema(value_type = Option<u64>, required, minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     pub updated_at: Option<Instant>,
-    /// Number of changes of this state so far.
+    /// Number of changes to this state so far.
     #[schema(minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     pub seq: u64,
     /// Name of the gripper state, as in the manual; null before the first update. `state_code` lists all names.
@@ -182,7 +182,7 @@ impl State {
     }
 }
 
-/// Measured values of a [`State`].
+/// Measured values of a `State`.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct Telemetry {
     /// Name of the gripper.
@@ -221,10 +221,10 @@ impl State {
     }
 }
 
-/// Additional fields of a [`State`] while a FAST STOP is latched.
+/// Additional fields of a `State` while a FAST STOP is latched.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct LatchFields {
-    /// Id that an acknowledge has to name.
+    /// Id that an acknowledgement has to name.
     #[schema(value_type = Uuid, required = false)]
     pub fast_stop_id: FastStopId,
     /// Subject of the client that requested the FAST STOP, or `device` if no client did.

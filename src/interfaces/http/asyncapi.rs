@@ -15,11 +15,11 @@ use crate::operations::{Members, OPERATIONS as METHODS, Operation as Method};
 
 /// Notifications: name, schema and summary.
 const NOTIFICATIONS: &[(&str, &str, &str)] = &[
-    ("state", "State", "The newest state of a gripper (topic `state`). A slow client skips intermediate states"),
+    ("state", "State", "The newest state of a gripper (topic `state`). A slow client misses intermediate states"),
     (
         "telemetry",
         "Telemetry",
-        "The newest measured values of a gripper (topic `telemetry`). A slow client skips intermediate values",
+        "The newest measured values of a gripper (topic `telemetry`). A slow client misses intermediate values",
     ),
     ("event", "StoredEvent", "An event (topic `events`), sent in order once it is stored durably"),
     ("frame", "Frame", "A frame on the wire (topic `frames`), sent in order"),
@@ -143,7 +143,7 @@ fn error() -> Value {
         "properties": {
             "code": {
                 "enum": [-32700, -32600, -32601, -32602, -32603, -32000],
-                "description": "JSON-RPC error code; -32000 if the API refused the request, see `data.code`",
+                "description": "JSON-RPC error code. -32000 means that the API refused the request: see `data.code`",
             },
             "message": {"type": "string", "description": "Human-readable description of the error"},
             "data": reference("components/schemas", "Problem"),

@@ -1,4 +1,4 @@
-//! The OpenAPI document and the page that shows it, all served from this program for sites without internet access.
+//! The OpenAPI document and the page that shows it. Both are part of this program, for sites without internet access.
 
 use std::sync::{Arc, OnceLock};
 
@@ -29,11 +29,11 @@ use crate::operations::{Members, Problem};
         contact(),
     ),
     tags(
-        (name = "grippers", description = "Grippers and their states, served without asking the device"),
+        (name = "grippers", description = "Grippers and their states, served without querying the device"),
         (name = "motion", description = "Move the fingers, and stop them"),
         (name = "fast stop", description = "A stop that blocks all motion until it is acknowledged by its id"),
         (name = "commands", description = "Progress and outcome of commands"),
-        (name = "lease", description = "The right to move a gripper, and the reaction to the loss of its holder"),
+        (name = "lease", description = "The right to move a gripper, and the reaction if the lease holder is lost"),
         (name = "fleet", description = "All grippers of all gateways on the Zenoh network"),
         (name = "settings", description = "Settings that the device keeps until it restarts, and its permanent tag"),
         (name = "device", description = "Other device commands: statistics, fingers, tare, Loop, raw requests"),

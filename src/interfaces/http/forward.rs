@@ -30,7 +30,7 @@ use crate::operations::{Code, DEFAULT_WAIT_MS, OPERATIONS, Operation, Problem, w
 pub const PATHS: [&str; 2] =
     ["/fleet/{gateway}/grippers/{gripper}", "/fleet/{gateway}/grippers/{gripper}/{*operation}"];
 
-/// Headers that are forwarded beside the parameters, and their parameter names.
+/// Headers that are forwarded along with the parameters, and their parameter names.
 const HEADER_PARAMS: [(HeaderName, &str); 2] =
     [(HeaderName::from_static("wsg-lease"), "lease"), (HeaderName::from_static("idempotency-key"), "request_id")];
 
@@ -50,7 +50,7 @@ impl Target {
             gateway: find("gateway")
                 .ok_or_else(unknown)?
                 .parse()
-                .map_err(|_| Problem::not_found("gateway of this name"))?,
+                .map_err(|_| Problem::not_found("gateway with this name"))?,
             gripper: find("gripper").ok_or_else(unknown)?,
             // A FAST STOP with a trailing slash is accepted everywhere.
             operation: find("operation")
@@ -77,7 +77,7 @@ pub async fn forward(
         path.insert("gripper", target.gripper);
         return serve_below(&context, operation, path, &parts, stream).await;
     }
-    let gripper = target.gripper.parse().map_err(|_| Problem::not_found("gripper of this name"))?;
+    let gripper = target.gripper.parse().map_err(|_| Problem::not_found("gripper with this name"))?;
     let (mut wait, aside) = (wait(&parts, operation)?, aside(&parts));
     let permit: Option<Arc<ConnectionPermit>> = parts.extensions.get().cloned();
     let long_wait = wait.filter(|wait| !wait.is_zero());

@@ -40,7 +40,7 @@ pub struct RecordsQuery {
     /// Only records of this part. At most 48 bytes.
     #[param(max_length = 48, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$", example = "4711")]
     part_id: Option<String>,
-    /// Only commands that ended with this outcome.
+    /// Only records with this outcome.
     outcome: Option<crate::gripper::model::Outcome>,
     /// Only records from this time on.
     #[param(value_type = Option<String>, format = DateTime, example = "2026-11-21T09:00:00Z")]
@@ -48,7 +48,7 @@ pub struct RecordsQuery {
     /// Only records before this time.
     #[param(value_type = Option<String>, format = DateTime, example = "2026-11-22T09:00:00Z")]
     to: Option<String>,
-    /// Maximum number of records a page. 100 by default.
+    /// Maximum number of records per page; 100 by default.
     #[param(minimum = 1, maximum = 1000, default = 100)]
     limit: Option<u64>,
     /// `next_cursor` of the previous page.
@@ -246,7 +246,7 @@ pub async fn grips(
 }
 
 fn command_id(text: &str) -> Result<CommandId, Problem> {
-    text.parse().map_err(|_| Problem::not_found("command of this id: ids are UUIDs"))
+    text.parse().map_err(|_| Problem::not_found("command with this id: ids are UUIDs"))
 }
 
 fn no_such_grip() -> Problem {

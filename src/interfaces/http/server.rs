@@ -2,8 +2,9 @@
 //!
 //! `axum::serve` bounds neither connections nor the time for a request's header, so this builds on hyper. [`Admission`]
 //! admits connections. The server inspects the first bytes of each. A connection that begins with a FAST STOP is served
-//! on the accepting runtime, which does nothing else; all others move to [`Runtimes::requests`]. A connection that
-//! streams updates moves to [`Runtimes::observers`].
+//! on the accepting runtime, which does nothing else; all others move to
+//! [`Runtimes::requests`](crate::interfaces::Runtimes::requests). A connection that streams updates moves to
+//! [`Runtimes::observers`](crate::interfaces::Runtimes::observers).
 
 use std::convert::Infallible;
 use std::io;
@@ -44,7 +45,7 @@ use crate::interfaces::sockets;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ServerLimits {
-    /// Connections at a time, by class.
+    /// Maximum number of concurrent connections, by class.
     pub bounds: Bounds,
     /// Time for a request's header to arrive. It also bounds the time that a connection can be idle between requests.
     pub header_time: Duration,

@@ -92,9 +92,9 @@ struct Stream {
 ///
 /// Sends server-sent events: `event` with its `seq` as id, `state`, `telemetry`, `frame` and `fleet`.
 ///
-/// Events come without a gap after `Last-Event-ID`, or from now on. A `gap` gives the number of events after that id
-/// that are no longer stored, for all grippers together. If the journal was replaced and has not reached that id yet,
-/// events start from its first.
+/// Events continue without a gap after `Last-Event-ID`; without that header they start now. A `gap` gives the number of
+/// events after that id that are no longer stored, for all grippers together. If the journal was replaced and has not
+/// reached that id yet, events start from the journal's first.
 ///
 /// For states and telemetry only the newest value is sent: values that a slow client misses are not queued. Frames are
 /// sent in order, and a `gap` gives the number of frames that a slow client missed.
@@ -129,7 +129,7 @@ impl Stream {
             .unwrap_or_else(|| BTreeSet::from([Topic::Events]));
         let name: Option<Name> = given.parsed("gripper", "a gripper's name", |text| text.parse().ok())?;
         if let Some(name) = &name {
-            context.gateway.grippers.get(name).ok_or_else(|| Problem::not_found("gripper of this name"))?;
+            context.gateway.grippers.get(name).ok_or_else(|| Problem::not_found("gripper with this name"))?;
         }
         let max_hz = match given.parsed("max_hz", "a whole number", |text| text.parse::<f64>().ok())? {
             Some(number) => integer("max_hz", number, 1..=MAX_HZ)?,

@@ -27,8 +27,8 @@ const KEY_BYTES: usize = 16;
 
 /// Open a WebSocket
 ///
-/// The WebSocket speaks JSON-RPC 2.0 with the subprotocol `wsg.v1`: the operations of this API are methods, and updates
-/// are notifications. `/api/v1/asyncapi.yaml` describes it.
+/// The WebSocket speaks JSON-RPC 2.0 with the subprotocol `wsg.v1`: the operations of this API are its methods, and
+/// updates are its notifications. `/api/v1/asyncapi.yaml` describes it.
 #[utoipa::path(
     get, path = "/ws", operation_id = "websocket", tag = "journal",
     responses((status = 101, description = "The connection is now a WebSocket"), SocketProblem)

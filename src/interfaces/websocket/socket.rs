@@ -274,7 +274,7 @@ impl Socket {
                 }
             }
             if self.outbox.has_overflown() {
-                return End::Violation(CloseCode::Policy, "too many unread answers");
+                return End::Violation(CloseCode::Policy, "too many unread responses");
             }
         }
     }
@@ -353,12 +353,12 @@ impl Socket {
             );
         }
         if named(&method).next().is_none() {
-            let detail = "there is no such method; /api/v1/asyncapi.yaml lists all methods";
+            let detail = "unknown method; /api/v1/asyncapi.yaml lists all methods";
             let error = RpcError::no_method(Problem::new(Code::NotFound, detail));
             return ready(Answered { answer: id.map(|id| RpcResponse::new(id, Err(error))), ..Answered::default() });
         }
         if method == lease::TAKE.name && id.is_none() {
-            // Without an id there is no response, so nobody would get the token.
+            // A request without an id gets no response, so nobody would get the token.
             return ready(Answered::default());
         }
         let (gateway, client, metrics) =

@@ -119,7 +119,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
     /// Serves the client until it is gone, or until `closing`.
     pub(super) async fn run(mut self, closing: CancellationToken) {
         if self.serve(&closing).await == End::Closing {
-            // The gripper was released in order. The client must still learn the end of its last motion.
+            // The gripper was released cleanly. The client must still learn how its last motion ended.
             let _ = tokio::time::timeout(LAST_WORDS_WITHIN, self.finish()).await;
             return;
         }

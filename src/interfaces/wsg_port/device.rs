@@ -80,8 +80,8 @@ pub(super) struct Refused {
     pub cause: &'static str,
 }
 
-/// The FAST STOPs of one client. All that arrive while one is unanswered are combined into one more. So any number
-/// costs two at a time, and none is lost if the first is acknowledged meanwhile.
+/// The FAST STOPs of one client. All that arrive while one is unanswered are combined into one more. Any number of FAST
+/// STOPs therefore costs two at most, and none is lost if the first is acknowledged meanwhile.
 #[derive(Debug, Default)]
 struct FastStops {
     /// Number of requests that the running FAST STOP answers; 0 if none is running.

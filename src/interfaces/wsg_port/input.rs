@@ -46,7 +46,7 @@ impl PortInput {
         self.damaged >= MAX_DAMAGED
     }
 
-    /// Takes bytes. Call [`Input::next`] until it returns `None` afterwards.
+    /// Takes bytes. Call [`PortInput::next`] until it returns `None` afterwards.
     pub(super) fn push(&mut self, now: Instant, bytes: &[u8]) {
         if self.is_garbage() {
             return;

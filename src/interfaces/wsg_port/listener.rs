@@ -34,7 +34,6 @@ pub enum Listener {
 }
 
 impl Listener {
-    /// Binds a listener to this address.
     pub fn bind(address: ListenAddress) -> io::Result<Self> {
         Ok(match address {
             ListenAddress::Tcp(address) => {
@@ -50,7 +49,6 @@ impl Listener {
         })
     }
 
-    /// Returns the URL of the listener.
     pub fn url(&self) -> io::Result<String> {
         Ok(match self {
             Self::Tcp(listener) => format!("tcp://{}", listener.local_addr()?),

@@ -4,7 +4,6 @@ use crate::gripper::model::{CommandReport, FastStopId, Outcome};
 use crate::gripper::{Conflict, DeviceRefusal, Failure, Invalid, Rejection};
 use crate::wsg::Status;
 
-/// Status of a refused request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) struct RefusedStatus {
     pub status: Status,

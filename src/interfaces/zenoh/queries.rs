@@ -68,7 +68,6 @@ pub struct Queries {
 
 #[derive(Debug)]
 struct Asked {
-    /// Key of the reply.
     key: String,
     method: String,
     params: Map<String, Value>,

@@ -23,7 +23,7 @@ async fn full_disk_is_reported_and_waiting_records_are_kept() {
     let failure = health.wait_for(|health| health.failure.is_some()).await.unwrap().failure.clone().unwrap();
     assert!(failure.contains("journal.db: ") && failure.contains("full") && failure.contains("make room"), "{failure}");
     let before = journal.last_seq();
-    // While the disk fails, a waiter hears so at once, and the record is kept.
+    // While the disk fails, a waiter learns of the failure at once, and the record is kept.
     assert!(!kept(&journal, link(number + 1, "left")).await);
     journal.record(Record::Persisted(memory("left", PersistedKey::Latch, Some("1"))));
     journal.limit_pages(1_000_000);

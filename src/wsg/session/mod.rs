@@ -182,7 +182,7 @@ impl Session {
         }
     }
 
-    /// Queues a request. It ends with exactly one [`Event::Ended`], unless it is withdrawn.
+    /// Queues a request. It ends with exactly one [`SessionEvent::Ended`], unless it is withdrawn.
     ///
     /// # Errors
     /// [`NotTaken`] if the lane is full, or the request too long for the line while the fingers move. No event follows.

@@ -42,7 +42,7 @@ pub enum DeviceEvent {
     },
     /// The fingers moved without a command of this gateway.
     ForeignMotion,
-    /// Changes came so fast that some were only counted. The newest of each sort follows as an event of its own.
+    /// Changes came so fast that some were only counted. The newest change of each sort follows as an event of its own.
     Flickering {
         /// Sorts of changes, such as `link reconnecting` or `fault TEMP_FAULT`.
         cause: String,
@@ -50,8 +50,8 @@ pub enum DeviceEvent {
         #[schema(minimum = 1, maximum = 9_007_199_254_740_991_i64)]
         count: u64,
     },
-    /// Clients asked a script to move the fingers, by an id of `stream_ids`. The first request is recorded at once, and
-    /// further ones are counted each second.
+    /// Clients sent a script motions with an id from `stream_ids`. The first request is recorded at once, and further
+    /// ones are counted each second.
     Streamed {
         /// Id of the custom command.
         raw_id: u8,

@@ -112,6 +112,7 @@ function Footer() {
           onChange=${(key) => {
             theme.value = key;
           }} options=${['auto', 'light', 'dark'].map((key) => [key, t(`theme.${key}`)])} />
+      <a href="/docs/guide" target="_blank" rel="noopener">${t('foot.guides')}</a>
       <a href="/docs" target="_blank" rel="noopener">${t('foot.docs')}</a>
     </div>
   </footer>`;

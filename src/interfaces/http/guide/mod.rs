@@ -34,8 +34,10 @@ const POLICY: HeaderValue = HeaderValue::from_static(
 pub fn pages<S: Clone + Send + Sync + 'static>() -> Router<S> {
     let guides = Arc::new(Guides::default());
     let index = guides.clone();
+    let index = routing::get(async move || index.page(INDEX));
     Router::new()
-        .route("/docs/guide", routing::get(async move || index.page(INDEX)))
+        .route("/docs/guide", index.clone())
+        .route("/docs/guide/", index)
         .route("/docs/guide/style.css", routing::get(async || ([(CONTENT_TYPE, "text/css")], STYLE)))
         .route("/docs/guide/{name}", routing::get(async move |Path(name): Path<String>| guides.page(&name)))
         .route("/docs/files/{*path}", routing::get(async |Path(path): Path<String>| file(&path)))
@@ -53,6 +55,7 @@ impl Default for Guides {
 
 impl Guides {
     fn page(&self, name: &str) -> Response {
+        let name = name.strip_suffix(".md").unwrap_or(name);
         let Some(page) = self.0.get(name) else { return Problem::not_found("such guide").into_response() };
         let html = page.get_or_init(|| rendered(name).into()).clone();
         ([(CONTENT_SECURITY_POLICY, POLICY), (CACHE_CONTROL, HeaderValue::from_static("no-cache"))], Html(html))

@@ -11,7 +11,7 @@ use crate::operations::commands;
 paths! {
     /// Get a command
     ///
-    /// Waits up to `wait_ms` for the command to end, then returns it as it is.
+    /// Waits up to `wait_ms` for the command to end, then returns it, ended or not.
     #[utoipa::path(
         get,
         path = "/grippers/{gripper}/commands/{command}",

@@ -36,7 +36,7 @@ paths! {
     tare => device::TARE;
     /// Test the link (Loop)
     ///
-    /// The device echoes the bytes of the request. Use it to check the link and measure its speed.
+    /// The device echoes the bytes of the request. Use this request to check the link and measure its speed.
     #[utoipa::path(
         post, path = "/grippers/{gripper}/loop", operation_id = "loop", tag = "device",
         params(GripperPath),

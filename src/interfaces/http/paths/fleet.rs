@@ -8,8 +8,8 @@ use crate::operations::fleet::{self, FleetFastStopAnswer, FleetList};
 paths! {
     /// List the fleet
     ///
-    /// Lists all grippers of all gateways on the Zenoh network, including this gateway's own. `gone` marks a gateway
-    /// that has vanished, within 2 s. Each gripper operation is also available below
+    /// Lists all grippers of all gateways on the Zenoh network, including this gateway's own. A gateway that vanishes
+    /// is marked `gone` within 2 s. Each gripper operation is also available below
     /// `/fleet/{gateway}/grippers/{gripper}/…`, with the same fields, responses and problems. The gateway that owns the
     /// gripper decides.
     ///

@@ -21,7 +21,7 @@ paths! {
     /// Take the lease
     ///
     /// Returns a token; send it with every further command. Each use of the token renews the lease, and an open request
-    /// with it keeps the lease alive. A holder that stays silent for `ttl_ms` is lost; `on_loss_moving` and
+    /// with it keeps the lease alive. A holder that stays silent for `ttl_ms` counts as lost; `on_loss_moving` and
     /// `on_loss_holding` say what the gripper does then.
     #[utoipa::path(
         post, path = "/grippers/{gripper}/lease", operation_id = "take_lease", tag = "lease",
@@ -45,7 +45,7 @@ paths! {
         delete, path = "/grippers/{gripper}/lease", operation_id = "release_lease", tag = "lease",
         params(GripperPath, LeaseHeader),
         request_body = Option<Leased>,
-        responses((status = 200, description = "The lease as it is now", body = Lease), CommandProblem)
+        responses((status = 200, description = "The current lease", body = Lease), CommandProblem)
     )]
     release => lease::RELEASE;
     /// Hand the lease over
@@ -56,7 +56,7 @@ paths! {
         post, path = "/grippers/{gripper}/lease/hand-over", operation_id = "hand_over_lease", tag = "lease",
         params(GripperPath, LeaseHeader),
         request_body = HandOver,
-        responses((status = 200, description = "The lease as it is now", body = Lease), LeaseProblem)
+        responses((status = 200, description = "The current lease", body = Lease), LeaseProblem)
     )]
     hand_over => lease::HAND_OVER;
 }

@@ -10,11 +10,11 @@ paths! {
     /// Send a raw request
     ///
     /// Ids from the manuals take the same path as the typed operations, with the same checks. 07h, 24h and automatic
-    /// updates belong to the gateway and are refused.
+    /// updates are reserved for the gateway and are refused.
     ///
     /// Other ids are custom commands. They count as motions and are recorded as motions, unless the configuration lists
     /// them in `read_ids`. Ids in `stream_ids` are motions that come many times a second: they skip the pause between
-    /// motions, and the journal counts them by the second.
+    /// motions, and the journal counts them each second instead of recording every one.
     #[utoipa::path(
         post, path = "/grippers/{gripper}/raw", operation_id = "raw", tag = "device",
         params(GripperPath, WaitQuery, KeyHeaders),

@@ -11,7 +11,7 @@ use crate::operations::Members;
 const PROBLEMS: &[(&str, &str, &str)] = &[
     ("400", "Malformed", "`malformed`: the request is invalid; `field` names the faulty field"),
     ("403", "Forbidden", "`foreign_host`, `foreign_origin`: the request's Host or Origin is not allowed"),
-    ("404", "NotFound", "`not_found`: there is no such path, gripper or command"),
+    ("404", "NotFound", "`not_found`: the path, gripper or command does not exist"),
     ("408", "RequestTimeout", "`request_timeout`: the body did not arrive in time"),
     (
         "409",

@@ -48,8 +48,8 @@ paths! {
     get_soft_limits => settings::GET_SOFT_LIMITS;
     /// Set the soft limits
     ///
-    /// Forbids widths outside the soft limits. A motion to a forbidden width is refused, and fingers that reach one are
-    /// stopped by a FAST STOP.
+    /// Forbids widths outside the soft limits. A motion to a forbidden width is refused, and fingers that reach a
+    /// forbidden width are stopped by a FAST STOP.
     #[utoipa::path(
         put, path = "/grippers/{gripper}/settings/soft-limits", operation_id = "set_soft_limits", tag = "settings",
         params(GripperPath, LeaseHeader),
@@ -97,7 +97,7 @@ paths! {
         put, path = "/grippers/{gripper}/settings/device-tag", operation_id = "set_device_tag", tag = "settings",
         params(GripperPath, LeaseHeader),
         request_body = TagSetting,
-        responses((status = 200, description = "The device tag as it is now stored", body = TagAnswer), DeviceProblem)
+        responses((status = 200, description = "The device tag now stored", body = TagAnswer), DeviceProblem)
     )]
     set_tag => settings::SET_TAG;
 }

@@ -422,6 +422,7 @@ export const de = {
   'foot.language': 'Sprache',
   'foot.theme': 'Darstellung',
   'foot.docs': 'API',
+  'foot.guides': 'Anleitungen',
   'theme.auto': 'Auto',
   'theme.light': 'Hell',
   'theme.dark': 'Dunkel',
