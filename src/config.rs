@@ -90,6 +90,8 @@ pub struct Config {
 pub struct GripperConfig {
     pub name: Name,
     pub device: DeviceSource,
+    /// Whether the device's setting "FAST STOP on TCP disconnect" is on (`fw4-en 1.4.2`).
+    pub fast_stop_on_disconnect: bool,
     /// Meaning of the ids of the gripper's scripts.
     pub custom_ids: CustomIds,
     /// Lease terms that clients can choose.
@@ -272,6 +274,7 @@ fn parse_gripper(text: &str, place: &ConfigPlace) -> Result<GripperConfig, Confi
     Ok(GripperConfig {
         name: name.parse().map_err(|error| ConfigError::at(place, error))?,
         device: parse_device(url, place)?,
+        fast_stop_on_disconnect: true,
         custom_ids: CustomIds::default(),
         lease: LeaseRules::default(),
         wsg_port: WsgPort::default(),
@@ -313,6 +316,7 @@ struct Content {
 #[serde(deny_unknown_fields)]
 struct GripperContent {
     url: Spanned<String>,
+    fast_stop_on_disconnect: Option<bool>,
     read_ids: Option<Spanned<BTreeSet<u8>>>,
     stream_ids: Option<Spanned<BTreeSet<u8>>>,
     on_loss_moving: Option<Spanned<Vec<OnLossMoving>>>,

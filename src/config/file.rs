@@ -55,6 +55,7 @@ impl File {
             Ok(GripperConfig {
                 name: name.get_ref().parse().map_err(|error| ConfigError::at(&self.place(name.span().start), error))?,
                 device: parse_device(gripper.url.get_ref(), &place)?,
+                fast_stop_on_disconnect: gripper.fast_stop_on_disconnect.unwrap_or(true),
                 custom_ids: self.custom_ids(gripper)?,
                 lease: self.lease_rules(gripper)?,
                 wsg_port: WsgPort::of_file(self, gripper)?,

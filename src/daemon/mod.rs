@@ -240,6 +240,7 @@ fn spawn(
         name: gripper.name.clone(),
         url: connector.url(),
         properties: connector.properties(),
+        fast_stop_on_disconnect: gripper.fast_stop_on_disconnect,
         custom_ids: gripper.custom_ids.clone(),
         drain: config.drain,
         on_journal_failure: config.journal.on_failure,

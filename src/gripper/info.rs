@@ -29,7 +29,8 @@ pub struct Info {
     pub url: String,
     /// Transport: `tcp`, `udp`, `serial`, `can` or `sim`.
     pub transport: &'static str,
-    /// Whether a moving gripper stops by itself if the gateway dies. It does on TCP.
+    /// Whether a moving gripper stops by itself if the gateway dies. It does on TCP, unless `fast_stop_on_disconnect` is
+    /// off in the configuration.
     pub stops_on_gateway_loss: bool,
     /// Model of the device; null until the first connection, as are all following values.
     #[schema(required)]

@@ -10,12 +10,13 @@ use super::problem::{Code, Problem};
 /// Largest accepted body, message or payload, in bytes. The largest that any request needs is a `raw` one of 8 KiB.
 pub const MAX_BODY_BYTES: usize = 64 * 1024;
 
-/// Parses the JSON object in `bytes`. Empty input stands for an empty object.
+/// Parses the JSON object in `bytes`. Empty input stands for an empty object. NUL bytes at the end are ignored: some
+/// PLCs send a whole buffer.
 ///
 /// # Errors
 /// A problem that names the wrong field, if there is one.
 pub fn parse<T: DeserializeOwned>(bytes: &[u8]) -> Result<T, Problem> {
-    let bytes = match bytes.trim_ascii_start() {
+    let bytes = match without_padding(bytes).trim_ascii_start() {
         [] => b"{}",
         // serde would also read a struct from an array, by position, which no client intends.
         object @ [b'{', ..] => object,
@@ -38,7 +39,12 @@ pub fn text_member(bytes: &[u8], key: &str) -> Option<String> {
     if bytes.len() > MAX_SEARCHED_BYTES {
         return None;
     }
-    serde_json::from_slice::<Value>(bytes).ok()?.get(key)?.as_str().map(ToOwned::to_owned)
+    serde_json::from_slice::<Value>(without_padding(bytes)).ok()?.get(key)?.as_str().map(ToOwned::to_owned)
+}
+
+fn without_padding(bytes: &[u8]) -> &[u8] {
+    let end = bytes.iter().rposition(|byte| *byte != 0).map_or(0, |last| last + 1);
+    &bytes[..end]
 }
 
 /// Parses the fields of an object.

@@ -1,8 +1,11 @@
 //! Home, move, grip, release, stop.
 
+use std::fmt;
+
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use utoipa::ToSchema;
+use utoipa::openapi::schema::{ObjectBuilder, OneOfBuilder, Type};
 
 use super::call::Call;
 use super::caller::{DEFAULT_WAIT_MS, RequestKeys};
@@ -24,9 +27,12 @@ pub const STOP: Operation = Operation::command("stop", "/grippers/{gripper}/stop
     .urgent(Urgency::Stop);
 
 /// Parameters of a motion or of a stop.
-trait ActionFields {
+trait ActionFields: Sized {
     /// Parses the parameters.
     fn action(self) -> Result<Action, Problem>;
+
+    /// The action for malformed parameters, unless they are refused.
+    const FALLBACK: Option<Action> = None;
 }
 
 /// Parameters that every motion shares.
@@ -92,6 +98,33 @@ command_body! {
     }
 }
 
+/// The name of a part. Programs without texts send a number.
+#[derive(Debug, Deserialize)]
+#[serde(untagged, expecting = "expected a text or a whole number")]
+enum PartIdField {
+    Text(String),
+    Number(i64),
+}
+
+fn part_id_schema() -> OneOfBuilder {
+    let object = |kind| ObjectBuilder::new().schema_type(kind);
+    let text = object(Type::String).max_length(Some(48)).pattern(Some(r"^[^\u0000-\u001f\u007f-\u009f]*$"));
+    let number = object(Type::Integer).minimum(Some(i64::MIN)).maximum(Some(i64::MAX));
+    let name = OneOfBuilder::new().item(text).item(number).item(object(Type::Null));
+    name.description(Some(
+        "Name of the part, for the records: at most 48 bytes, or a whole number, stored as its text.",
+    ))
+}
+
+impl fmt::Display for PartIdField {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Text(text) => f.write_str(text),
+            Self::Number(number) => number.fmt(f),
+        }
+    }
+}
+
 command_body! {
     /// Parameters of a grip.
     #[schema(example = json!({"width_mm": 20.0, "speed_mm_s": 50.0, "force_n": 40.0, "part_id": "A-1047"}))]
@@ -105,9 +138,8 @@ command_body! {
         /// Force limit in N. It is set before the grip and stays set; without it, the current limit applies.
         #[schema(minimum = 0, maximum = 10000)]
         force_n: Option<f64>,
-        /// Name of the part, for the records. At most 48 bytes.
-        #[schema(max_length = 48, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
-        part_id: Option<String>,
+        #[schema(schema_with = part_id_schema)]
+        part_id: Option<PartIdField>,
     }
 }
 
@@ -152,7 +184,7 @@ impl ActionFields for Grip {
             width: width("width_mm", self.width_mm)?,
             speed: speed("speed_mm_s", self.speed_mm_s)?,
             force: self.force_n.map(|n| force("force_n", n)).transpose()?,
-            part_id: self.part_id.as_deref().map(|given| text("part_id", given)).transpose()?,
+            part_id: self.part_id.map(|given| text("part_id", &given.to_string())).transpose()?,
         }))
     }
 }
@@ -168,13 +200,22 @@ impl ActionFields for Stop {
     fn action(self) -> Result<Action, Problem> {
         Ok(Action::Stop)
     }
+
+    /// A mistake in a request must not keep the fingers moving.
+    const FALLBACK: Option<Action> = Some(Action::Stop);
 }
 
 async fn submit<P: ActionFields + KeyFields + DeserializeOwned>(call: Call) -> Result<OperationReply, Problem> {
-    let (gripper, wait, keys) = (call.gripper()?, call.wait(DEFAULT_WAIT_MS)?, call.keys()?);
-    let fields: P = call.fields()?;
-    let (request_id, lease) = fields.keys();
-    let keys: RequestKeys = keys.or_fields(request_id, lease)?;
-    let (command, ticket) = commands::submit(gripper, keys, fields.action()?, &wait).await?;
+    let (gripper, wait) = (call.gripper()?, call.wait(DEFAULT_WAIT_MS)?);
+    let parsed = parse::<P>(&call);
+    let fallback = |problem| Ok::<_, Problem>((RequestKeys::default(), P::FALLBACK.ok_or(problem)?));
+    let (keys, action) = parsed.or_else(fallback)?;
+    let (command, ticket) = commands::submit(gripper, keys, action, &wait).await?;
     commands::reply_with(&command, ticket)
+}
+
+fn parse<P: ActionFields + KeyFields + DeserializeOwned>(call: &Call) -> Result<(RequestKeys, Action), Problem> {
+    let (keys, fields) = (call.keys()?, call.fields::<P>()?);
+    let (request_id, lease) = fields.keys();
+    Ok((keys.or_fields(request_id, lease)?, fields.action()?))
 }

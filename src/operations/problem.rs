@@ -29,6 +29,7 @@ macro_rules! codes {
         /// - `fast_stop`: a FAST STOP is latched; acknowledge it once its cause is gone.
         /// - `not_referenced`: the fingers are not referenced; home the gripper first.
         /// - `already_running`: a command is running; wait for its end or stop it.
+        /// - `release_first`: the device refuses a grip, because its last grip went in the opposite direction; release first.
         /// - `lease_held`: another client holds the lease, or the gripper is reserved.
         /// - `stale_lease`: the lease token is not the token of the current lease.
         /// - `stale_fast_stop`: the acknowledgement names a FAST STOP that is not the newest.
@@ -73,6 +74,7 @@ codes! {
     FastStop CONFLICT;
     NotReferenced CONFLICT;
     AlreadyRunning CONFLICT;
+    ReleaseFirst CONFLICT;
     LeaseHeld CONFLICT;
     StaleLease CONFLICT;
     StaleFastStop CONFLICT;
@@ -353,10 +355,15 @@ impl From<Conflict> for Problem {
 
 impl From<DeviceRefusal> for Problem {
     fn from(refusal: DeviceRefusal) -> Self {
-        let detail = refusal.to_string();
+        let mut detail = refusal.to_string();
         let code = match refusal.status {
             Status::E_ACCESS_DENIED if refusal.fast_stop.is_some() => Code::FastStop,
             Status::E_NOT_INITIALIZED => Code::NotReferenced,
+            // The gateway knows of no command, so the device counts its last grip as running (`fw4-en 3.2.6`).
+            Status::E_ALREADY_RUNNING if refusal.command == "Grip" => {
+                detail.push_str("; if the fingers stand still, release before the next grip");
+                Code::ReleaseFirst
+            }
             Status::E_ALREADY_RUNNING => Code::AlreadyRunning,
             Status::E_RANGE_ERROR => Code::OutOfRange,
             _ => Code::DeviceRefused,

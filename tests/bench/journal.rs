@@ -152,6 +152,7 @@ async fn gripper(recorder: Arc<dyn Recorder>) -> Result<(Handle, Switch), Error>
     let config = gripper::actor::ActorConfig {
         url: address.url(),
         properties: address.properties(),
+        fast_stop_on_disconnect: true,
         custom_ids: gripper::model::CustomIds::default(),
         drain: Duration::from_secs(2),
         on_journal_failure: gripper::model::OnJournalFailure::Refuse,

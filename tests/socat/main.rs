@@ -48,7 +48,7 @@ async fn pulled_adapter_is_named_and_reconnected() {
     gateway.post("home", &json!({})).await.problem(503, "link_down");
     // After the next attempt, the cause names the missing device.
     gateway
-        .until("absent", |state| state["link_cause"].as_str().is_some_and(|cause| cause.contains("not there")))
+        .until("absent", |state| state["link_cause"].as_str().is_some_and(|cause| cause.contains("does not exist")))
         .await;
 
     // A killed socat leaves its symbolic link behind.

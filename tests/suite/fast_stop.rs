@@ -153,6 +153,7 @@ fn spawned(device: SocketAddr, restored: RestoredState) -> Handle {
         name: name.clone(),
         url: address.to_string(),
         properties: address.properties(),
+        fast_stop_on_disconnect: true,
         custom_ids: CustomIds::default(),
         drain: Duration::from_secs(2),
         on_journal_failure: OnJournalFailure::Refuse,

@@ -38,6 +38,11 @@ async fn grip_without_a_part_is_an_outcome_not_an_error() {
     assert_eq!((&nothing["status"], &nothing["status_code"]), (&json!("E_CMD_FAILED"), &json!(18)), "{nothing}");
     let state = gateway.state().await;
     assert_eq!(state["state"], "NO_PART", "{state}");
+    let opposite = json!({"width_mm": 60, "speed_mm_s": 200});
+    let refused = gateway.post("grip", &opposite).await.problem(409, "release_first");
+    assert_eq!((&refused["device_status"], &refused["command"]), (&json!("E_ALREADY_RUNNING"), &json!(null)));
+    gateway.post("release", &json!({"width_mm": 40, "speed_mm_s": 200})).await.outcome("SUCCESS");
+    gateway.post("grip", &opposite).await.outcome("NO_PART");
 }
 
 #[tokio::test]
@@ -66,4 +71,16 @@ async fn every_model_reports_its_properties() {
         assert_eq!(has_fingers, firmware == "fw4", "{info}");
         gateway.post("home", &json!({})).await.outcome("SUCCESS");
     }
+}
+
+#[tokio::test]
+async fn gripper_without_fast_stop_on_disconnect_does_not_stop_by_itself() {
+    let device = Simulator::start(&[]).await;
+    let path = std::env::temp_dir().join(format!("wsg-{}-disconnect.toml", std::process::id()));
+    let url = format!("tcp://{}", device.address);
+    std::fs::write(&path, format!("[grippers.g]\nurl = \"{url}\"\nfast_stop_on_disconnect = false\n")).unwrap();
+    let gateway = Gateway::start(&["--config", path.to_str().unwrap()]).await;
+    std::fs::remove_file(path).unwrap();
+    gateway.until_link("connected").await;
+    assert_eq!(gateway.get("").await.ok()["stops_on_gateway_loss"], false);
 }

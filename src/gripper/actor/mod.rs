@@ -82,6 +82,8 @@ pub struct ActorConfig {
     pub name: Name,
     pub url: String,
     pub properties: LinkProperties,
+    /// Setting of the device (`fw4-en 1.4.2`), which no command reads: whether the end of a connection is a FAST STOP.
+    pub fast_stop_on_disconnect: bool,
     pub custom_ids: CustomIds,
     /// Time for a running command to finish when the gripper is drained.
     pub drain: Duration,

@@ -24,7 +24,7 @@ impl Publication {
             config.name.clone(),
             config.url.clone(),
             config.properties.name,
-            config.properties.connection_oriented,
+            config.properties.connection_oriented && config.fast_stop_on_disconnect,
         );
         let state = State::unknown(config.name.clone());
         Self { sequence: 0, state: watch::Sender::new(Arc::new(state)), info: watch::Sender::new(Arc::new(info)) }

@@ -47,7 +47,7 @@ fn device_refusal_is_not_our_error() {
     assert_eq!(refused(Status::E_ACCESS_DENIED, latch), expect(409, "fast_stop", "E_ACCESS_DENIED", 16));
     assert_eq!(refused(Status::E_ACCESS_DENIED, None), expect(422, "device_refused", "E_ACCESS_DENIED", 16));
     assert_eq!(refused(Status::E_NOT_INITIALIZED, None), expect(409, "not_referenced", "E_NOT_INITIALIZED", 3));
-    assert_eq!(refused(Status::E_ALREADY_RUNNING, None), expect(409, "already_running", "E_ALREADY_RUNNING", 4));
+    assert_eq!(refused(Status::E_ALREADY_RUNNING, None), expect(409, "release_first", "E_ALREADY_RUNNING", 4));
     assert_eq!(refused(Status::E_RANGE_ERROR, None), expect(422, "out_of_range", "E_RANGE_ERROR", 28));
     assert_eq!(refused(Status::E_CMD_FAILED, None), expect(422, "device_refused", "E_CMD_FAILED", 18));
     assert_eq!(refused(Status::from_code(4711), None), expect(422, "device_refused", "E_4711", 4711));

@@ -43,6 +43,7 @@ pub fn spawn(connector: impl Connector) -> Handle {
         name: "g".parse().unwrap(),
         url: connector.url(),
         properties: connector.properties(),
+        fast_stop_on_disconnect: true,
         custom_ids: gripper::model::CustomIds { read: (0xB0..=0xB7).collect(), ..Default::default() },
         drain: Duration::from_secs(2),
         on_journal_failure: gripper::model::OnJournalFailure::Refuse,

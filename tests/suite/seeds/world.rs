@@ -168,6 +168,7 @@ impl World {
                 may_duplicate: interface == Interface::Udp,
                 frame_gap: Duration::from_millis(100),
             },
+            fast_stop_on_disconnect: true,
             custom_ids: CustomIds { read: [READ_ID].into(), stream: [STREAM_ID].into() },
             drain: Duration::from_secs(2),
             on_journal_failure: OnJournalFailure::Refuse,

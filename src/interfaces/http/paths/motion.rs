@@ -52,7 +52,8 @@ paths! {
     /// Stop
     ///
     /// Ends a running motion, whose command ends with `ABORTED`. Needs no lease and latches nothing. A stop that the
-    /// same client repeats within a second, while nothing runs, returns the same command with `replayed`.
+    /// same client repeats within a second, while nothing runs, returns the same command with `replayed`. A malformed
+    /// body stops as well.
     #[utoipa::path(
         post, path = "/grippers/{gripper}/stop", operation_id = "stop", tag = "motion",
         params(GripperPath, WaitQuery, KeyHeaders),

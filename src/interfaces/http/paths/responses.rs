@@ -16,7 +16,7 @@ const PROBLEMS: &[(&str, &str, &str)] = &[
     (
         "409",
         "Conflict",
-        "`fast_stop`, `not_referenced`, `already_running`, `lease_held`, `stale_lease`, `stale_fast_stop`, \
+        "`fast_stop`, `not_referenced`, `already_running`, `release_first`, `lease_held`, `stale_lease`, `stale_fast_stop`, \
          `fast_stop_unconfirmed`, `request_id_reused`, `name_taken`: not possible in the current state; the problem's \
          members name the cause",
     ),

@@ -74,6 +74,26 @@ async fn rejected_submission_is_a_problem() {
 }
 
 #[tokio::test]
+async fn malformed_stop_stops() {
+    let mut gateway = Gateway::new(FakeScript::default());
+    for body in ["{", "[]", "stop", "{\"width_mm\": 20}", "{\"lease\": 7}", "{\"request_id\": \"a\tb\"}"] {
+        gateway.ask("POST", "/api/v1/grippers/left/stop", body).await;
+        assert_eq!(gateway.action().await, Action::Stop, "{body}");
+    }
+}
+
+#[tokio::test]
+async fn part_id_can_be_a_number_and_a_body_padded() {
+    let mut gateway = Gateway::new(FakeScript::default());
+    let body = "{\"width_mm\": 20, \"speed_mm_s\": 50, \"part_id\": 4711}\0\0\0\0";
+    gateway.ask("POST", "/api/v1/grippers/left/grip", body).await;
+    let Action::Motion(Motion::Grip { part_id, .. }) = gateway.action().await else { panic!() };
+    assert_eq!(part_id.unwrap().as_str(), "4711");
+    gateway.ask("POST", "/api/v1/grippers/left/home", "\0\0").await;
+    assert_eq!(gateway.action().await, Action::Motion(Motion::Home(wsg::HomingDirection::Default)));
+}
+
+#[tokio::test]
 async fn invalid_values_never_reach_the_gripper() {
     let mut gateway = Gateway::new(FakeScript::default());
     let cases = [
@@ -84,6 +104,7 @@ async fn invalid_values_never_reach_the_gripper() {
         (json!({"width_mm": 20, "speed_mm_s": 50, "forse_n": 1}), 400, "forse_n"),
         (json!({"width_mm": 20, "speed_mm_s": 50, "part_id": "x".repeat(49)}), 422, "part_id"),
         (json!({"width_mm": 20, "speed_mm_s": 50, "part_id": "a\u{7}"}), 400, "part_id"),
+        (json!({"width_mm": 20, "speed_mm_s": 50, "part_id": 1.5}), 400, "part_id"),
     ];
     for (body, status, field) in cases {
         let answer = gateway.left("POST", "grip", body).await;

@@ -8,8 +8,9 @@ fn paths_and_operations_match() {
     let document = serde_json::to_value(openapi()).unwrap();
     let paths = document["paths"].as_object().unwrap();
     for operation in OPERATIONS {
-        let documented = &paths[&format!("{API}{}", operation.path)][operation.verb.as_str().to_lowercase()];
-        assert!(documented.is_object(), "{} has no path", operation.name);
+        let path = paths.get(&format!("{API}{}", operation.path));
+        let documented = path.and_then(|path| path.get(operation.verb.as_str().to_lowercase()));
+        assert!(documented.is_some(), "{} has no path", operation.name);
     }
     for (path, item) in paths.iter().filter(|(path, _)| path.starts_with("/api/v1/grippers/")) {
         for verb in item.as_object().unwrap().keys() {

@@ -432,6 +432,7 @@ export const de = {
   'problem.fast_stop': 'FAST STOP ist aktiv: erst quittieren.',
   'problem.not_referenced': 'Die Finger sind nicht referenziert: erst Referenzfahrt.',
   'problem.already_running': 'Es läuft schon ein Befehl.',
+  'problem.release_first': 'Für den Greifer läuft der letzte Griff noch. Zuerst freigeben.',
   'problem.lease_held': '{holder} steuert.',
   'problem.lease_asked': '{holder} hat zuerst um die Steuerung gebeten.',
   'problem.stale_lease': 'Sie haben die Steuerung nicht mehr.',

@@ -431,6 +431,7 @@ export const en = {
   'problem.fast_stop': 'A FAST STOP is active: acknowledge it first.',
   'problem.not_referenced': 'The fingers are not referenced: home first.',
   'problem.already_running': 'A command is already running.',
+  'problem.release_first': 'The gripper still counts its last grip as running. Release it first.',
   'problem.lease_held': '{holder} has control.',
   'problem.lease_asked': '{holder} asked for control first.',
   'problem.stale_lease': 'You no longer have control.',
