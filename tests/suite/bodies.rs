@@ -33,7 +33,7 @@ const GRIPS: &[(&str, Expected)] = &[
     (r#"{"width_mm": 20, "width_mm": 20, "speed_mm_s": 50}"#, malformed("width_mm")),
     (r#"{"width_mm": 20, "speed_mm_s": 50, "speed": 50}"#, malformed("speed")),
     (r#"{"width_mm": 20, "speed_mm_s": 50, "part_id": "a\nb"}"#, malformed("part_id")),
-    (r#"{"width_mm": 20, "speed_mm_s": 50, "part_id": 7}"#, malformed("part_id")),
+    (r#"{"width_mm": 20, "speed_mm_s": 50, "part_id": true}"#, malformed("part_id")),
     ("", malformed("width_mm")),
     ("{}", malformed("width_mm")),
     (r#"{"width_mm": NaN, "speed_mm_s": 50}"#, (400, "malformed", Some("width_mm"), None)),
