@@ -7,12 +7,14 @@ use serde_json::json;
 
 use crate::harness::{Gateway, Simulator};
 
+/// The program, and keys of its configuration, which are named like metrics.
+const OTHER_NAMES: &[&str] =
+    &["wsg_gateway", "wsg_port", "wsg_port_allow", "wsg_port_acknowledge", "wsg_port_checksum_evaluation"];
+
 /// Metrics named in a text.
 fn named(text: &str) -> BTreeSet<&str> {
     let words = text.split(|character: char| !character.is_ascii_alphanumeric() && character != '_');
-    // The program, and the keys of its configuration, are not metrics.
-    let is_metric = |word: &&str| word.starts_with("wsg_") && !word.starts_with("wsg_port") && *word != "wsg_gateway";
-    words.filter(is_metric).collect()
+    words.filter(|word| word.starts_with("wsg_") && !OTHER_NAMES.contains(word)).collect()
 }
 
 /// All files below a directory.

@@ -85,7 +85,8 @@ async fn links_lead_to_files_and_anchors() {
 /// The values of an attribute in a page.
 fn values<'a>(page: &'a str, attribute: &str) -> Vec<&'a str> {
     let begin = format!("{attribute}=\"");
-    page.split(&begin).skip(1).filter_map(|rest| rest.split('"').next()).collect()
+    let after_first = page.split_once(&begin).into_iter();
+    after_first.flat_map(|(_, rest)| rest.split(&begin)).filter_map(|rest| rest.split('"').next()).collect()
 }
 
 #[tokio::test]
