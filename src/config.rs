@@ -14,9 +14,11 @@ use toml::Spanned;
 
 use crate::gripper::model::{CustomIds, LeaseRules, Name, OnJournalFailure, OnLossHolding, OnLossMoving};
 use crate::transport::Address;
+use crate::webhooks::WebhookSettings;
 
 mod file;
 mod journal;
+mod webhooks;
 mod wsg_port;
 mod zenoh;
 
@@ -83,6 +85,7 @@ pub struct Config {
     pub journal: JournalConfig,
     /// `None` if Zenoh is off.
     pub zenoh: Option<Zenoh>,
+    pub webhooks: Vec<WebhookSettings>,
 }
 
 /// One gripper.
@@ -202,6 +205,7 @@ impl Config {
             grippers: grippers(flags, file, insecure)?,
             drain: drain(file)?,
             zenoh: Zenoh::merge(flags, file, insecure)?,
+            webhooks: file.map(webhooks::settings).transpose()?.unwrap_or_default(),
         };
         Ok(config)
     }
@@ -309,6 +313,7 @@ struct Content {
     journal_max_size_mb: Option<Spanned<u64>>,
     drain_ms: Option<Spanned<u64>>,
     zenoh: zenoh::ZenohContent,
+    webhooks: Vec<webhooks::WebhookContent>,
     grippers: std::collections::BTreeMap<Spanned<String>, GripperContent>,
 }
 

@@ -32,6 +32,7 @@ use crate::interfaces::{self, Bounds, http, zenoh};
 use crate::journal::{self, Journal, Recovered};
 use crate::operations::Gateway;
 use crate::operations::audit::Audit;
+use crate::webhooks::{WebhookContext, Webhooks};
 use descriptors::Shares;
 pub use simulation::{ServedDevice, SimulatedDevice, Switch, serve as serve_device};
 
@@ -108,6 +109,15 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     let grippers = spawn_all(config, &runtimes.devices, &journal, &recovered, &registry)?;
     let audit = Arc::new(Audit::new(journal.clone()));
     let peers = Arc::new(Peers::new(config.name.clone(), grippers.clone()));
+    let webhook_context = WebhookContext {
+        gateway: &config.name,
+        journal: &journal,
+        persisted: &recovered.memory,
+        registry: &registry,
+        closing: &shutdown,
+        runtime: &clients.observers,
+    };
+    let webhooks = Arc::new(Webhooks::start(&config.webhooks, &webhook_context)?);
     let gateway = Arc::new(Gateway {
         name: config.name.clone(),
         grippers: grippers.clone(),
@@ -115,6 +125,7 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
         audit: audit.clone(),
         peers: peers.clone(),
         updates: Arc::new(LiveUpdates::new(&grippers, journal.clone(), peers)),
+        webhooks: webhooks.clone(),
     });
     let context = Arc::new(http::HttpContext {
         gateway,
@@ -145,6 +156,7 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     if let Some(zenoh) = zenoh {
         zenoh.await?;
     }
+    webhooks.ended().await;
     ports.join_all().await.into_iter().collect::<Result<(), _>>()?;
     audit.write_down();
     Ok(journal.close().await?)

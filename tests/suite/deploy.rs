@@ -34,7 +34,7 @@ fn texts(directory: &Path) -> Vec<(String, String)> {
 #[tokio::test]
 async fn monitored_metrics_exist() {
     let device = Simulator::start(&[]).await;
-    let gateway = Gateway::homed_at(device.address).await;
+    let gateway = Gateway::with_webhook(device.address).await;
     // Metrics with labels appear only after the first event.
     gateway.post("fast-stop", &json!({})).await.ok();
     let figures = gateway.figures().await;

@@ -32,6 +32,7 @@ mod seeds;
 mod shutdown;
 mod slow_line;
 mod transports;
+mod webhooks;
 mod websocket;
 mod without_connection;
 mod wsg_port;

@@ -97,6 +97,26 @@ impl Gateway {
         (gateway, port)
     }
 
+    /// Starts a gateway with these arguments and this configuration file.
+    pub async fn with_file(arguments: &[&str], toml: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("wsg-{}.toml", uuid::Uuid::now_v7()));
+        std::fs::write(&path, toml).unwrap();
+        let gateway = Self::start(&[arguments, &["--config", path.to_str().unwrap()]].concat()).await;
+        std::fs::remove_file(path).unwrap();
+        gateway
+    }
+
+    /// Serves the device at `device` as `g`, connected and homed, with a webhook whose receiver is down. So all metrics
+    /// exist.
+    pub async fn with_webhook(device: SocketAddr) -> Self {
+        let webhook = "[[webhooks]]\nname = \"mes\"\nurl = \"http://127.0.0.1:1\"\n\
+                       secret = \"whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw\"\n";
+        let gateway = Self::with_file(&["--gripper", &format!("g=tcp://{device}")], webhook).await;
+        gateway.until_link("connected").await;
+        gateway.post("home", &json!({})).await.outcome("SUCCESS");
+        gateway
+    }
+
     /// Returns the word after `before` on standard output.
     pub async fn word_after(&self, before: &str) -> String {
         self.process.word_after(before).await
