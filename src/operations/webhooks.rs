@@ -10,7 +10,7 @@ use super::operation::{Operation, Role, ready, reply};
 use super::problem::{Code, Problem};
 use super::reply::Json;
 use crate::journal::EventKind;
-use crate::webhooks::{Progress, Tested, Webhook};
+use crate::webhooks::{DeliveryFailure, Tested, Webhook, WebhookProgress};
 
 pub const LIST: Operation = Operation::read("webhooks", "/webhooks", |call| ready(list(&call)));
 pub const TEST: Operation =
@@ -67,7 +67,7 @@ pub struct WebhookReport {
 
 impl WebhookReport {
     fn of(webhook: &Webhook) -> Self {
-        let Progress { position, last_success_at, last_error_at, last_error, failed_attempts, retry_at } =
+        let WebhookProgress { position, last_success_at, last_error_at, last_error, failed_attempts, retry_at } =
             webhook.progress();
         Self {
             name: webhook.name().to_string(),
@@ -115,7 +115,7 @@ async fn test(call: Call) -> Result<Json<WebhookTest>, Problem> {
     let Tested { result, duration } = webhook.test().await.ok_or_else(|| {
         Problem::new(Code::Overloaded, "a test delivery to this webhook is in progress: wait for its end")
     })?;
-    let status = result.as_ref().map_or_else(|failure| failure.status(), |status| Some(*status));
+    let status = result.as_ref().map_or_else(DeliveryFailure::status, |status| Some(*status));
     Ok(Json(WebhookTest {
         webhook: webhook.name().to_string(),
         delivered: result.is_ok(),

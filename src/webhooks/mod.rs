@@ -95,7 +95,7 @@ pub struct Webhook {
     client: WebhookClient,
     journal: Journal,
     runtime: Handle,
-    progress: Mutex<Progress>,
+    progress: Mutex<WebhookProgress>,
     /// Ends the pause before the next attempt.
     retry: Notify,
     /// Permit of the test delivery, one at a time.
@@ -105,7 +105,7 @@ pub struct Webhook {
 
 /// Progress of a webhook through the journal.
 #[derive(Debug, Clone, PartialEq, Default)]
-pub struct Progress {
+pub struct WebhookProgress {
     /// Sequence number of the newest event that was delivered or skipped.
     pub position: i64,
     pub last_success_at: Option<Timestamp>,
@@ -117,7 +117,7 @@ pub struct Progress {
     pub retry_at: Option<Timestamp>,
 }
 
-impl Progress {
+impl WebhookProgress {
     fn erred(&mut self, now: Timestamp, error: String) {
         (self.last_error_at, self.last_error) = (Some(now), Some(error));
     }
@@ -143,7 +143,7 @@ impl Webhook {
             client: WebhookClient::new(settings.receiver.clone(), &settings.authorities)?,
             journal: context.journal.clone(),
             runtime: context.runtime.clone(),
-            progress: Mutex::new(Progress { position, ..Progress::default() }),
+            progress: Mutex::new(WebhookProgress { position, ..WebhookProgress::default() }),
             retry: Notify::new(),
             testing: Arc::new(Semaphore::new(1)),
             metrics: WebhookMetrics::new(&settings.name)?,
@@ -168,7 +168,7 @@ impl Webhook {
     }
 
     #[must_use]
-    pub fn progress(&self) -> Progress {
+    pub fn progress(&self) -> WebhookProgress {
         self.lock().clone()
     }
 
@@ -207,7 +207,7 @@ impl Webhook {
         self.kinds().is_none_or(|kinds| kinds.contains(&kind))
     }
 
-    fn lock(&self) -> MutexGuard<'_, Progress> {
+    fn lock(&self) -> MutexGuard<'_, WebhookProgress> {
         // A panic under the lock leaves nothing half done.
         self.progress.lock().unwrap_or_else(PoisonError::into_inner)
     }

@@ -153,10 +153,10 @@ impl Authorities {
             let certificate = certificate.map_err(|error| InvalidSetting(format!("invalid PEM: {error}")))?;
             roots.add(certificate).map_err(|error| InvalidSetting(format!("invalid certificate: {error}")))?;
         }
-        match roots.is_empty() {
-            true => Err(InvalidSetting("no certificate in PEM form: name the file of the receiver's CA".to_owned())),
-            false => Ok(Self(roots.roots)),
+        if roots.is_empty() {
+            return Err(InvalidSetting("no certificate in PEM form: name the file of the receiver's CA".to_owned()));
         }
+        Ok(Self(roots.roots))
     }
 
     pub(super) fn roots(&self) -> RootCertStore {

@@ -260,7 +260,7 @@ async fn receiver_chooses_the_pause_and_a_test_ends_it() {
     record(&opened.0, 1).await;
     assert_eq!(receiver.next().await.seq(), 1);
     run.until(|webhook| webhook.progress().retry_at.is_some()).await;
-    let Progress { retry_at, last_error_at, failed_attempts, .. } = run.webhook().progress();
+    let WebhookProgress { retry_at, last_error_at, failed_attempts, .. } = run.webhook().progress();
     assert_eq!(retry_at.unwrap().duration_since(last_error_at.unwrap()), SignedDuration::from_mins(10));
     assert_eq!((failed_attempts, run.webhook().waiting()), (1, 1));
     let tested = run.webhook().test().await.unwrap();

@@ -205,7 +205,7 @@ mod tests {
         let grown: Vec<_> = [1, 2, 3, 9, 10, u32::MAX].map(|failed| seconds(failed, None, 1.0)).into();
         assert_eq!(grown, [1.0, 2.0, 4.0, 256.0, 300.0, 300.0]);
         assert_eq!((seconds(1, None, 0.0), seconds(10, None, 0.0)), (0.5, 150.0));
-        assert_eq!((seconds(1, Some(60), 1.0), seconds(10, Some(60), 1.0)), (60.0, 300.0));
-        assert_eq!(seconds(1, Some(u64::MAX), 1.0), 3600.0);
+        let asked = [(1, 60), (10, 60), (1, u64::MAX)].map(|(failed, asked)| seconds(failed, Some(asked), 1.0));
+        assert_eq!(asked, [60.0, 300.0, 3600.0]);
     }
 }

@@ -97,10 +97,8 @@ async fn deliveries_continue_after_a_restart_and_repeat_after_a_kill() {
     assert!(third > second && event == "ended", "{third} {event}");
     assert_eq!(rig.next().await.2, "started");
     assert_eq!(rig.next().await.2, "configuration");
-    let (id, fourth, _) = {
-        gateway.post("fast-stop", &json!({})).await.ok();
-        rig.next().await
-    };
+    gateway.post("fast-stop", &json!({})).await.ok();
+    let (id, fourth, _) = rig.next().await;
     gateway.kill().await;
 
     // Deliveries whose position was not stored yet are repeated with their ids; none is lost.
@@ -109,10 +107,8 @@ async fn deliveries_continue_after_a_restart_and_repeat_after_a_kill() {
     while seen.last().is_none_or(|(_, _, event)| event != "configuration") {
         seen.push(rig.next().await);
     }
-    let order: Vec<_> = seen.iter().map(|(_, seq, _)| *seq).collect();
-    assert!(order.is_sorted(), "{order:?}");
-    if let Some(repeated) = seen.iter().find(|(_, seq, _)| *seq == fourth) {
-        assert_eq!(repeated.0, id);
+    for (repeated, ..) in seen.iter().filter(|(_, seq, _)| *seq == fourth) {
+        assert_eq!(*repeated, id);
     }
     assert!(seen.iter().any(|(_, _, event)| event == "unclean_end"), "{seen:?}");
 }
