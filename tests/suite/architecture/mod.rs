@@ -39,7 +39,7 @@ const ROOMS: &str = "
     gripper/latch: gripper gripper/model wsg wsg/session
     gripper/model: gripper wsg
     gripper/recorder: gripper/model
-    gripper/setup: gripper wsg wsg/session
+    gripper/setup: wsg wsg/session
     sim: wsg wsg/frame
     transport:
     webhooks: gripper gripper/model gripper/recorder journal
