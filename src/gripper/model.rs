@@ -32,7 +32,7 @@ pub use event::{
     AcknowledgeEvent, Admitted, CommandEvent, Detail, DeviceEvent, Done, Event, FastStopEvent, FastStopStep,
     GatewayEvent, LinkEvent, RefusedEvent, SettingChange, SettingsEvent,
 };
-pub use frame::{FrameDirection, FrameRecord};
+pub use frame::{DamageRecord, FrameDirection, FrameRecord, WireDamage, WireRecord};
 pub use ids::{CommandId, FastStopId, IdSource};
 pub use lease::{
     HolderName, Lease, LeaseEvent, LeaseRules, LeaseStep, LeaseToken, LossCause, LossEffect, OnLossHolding,

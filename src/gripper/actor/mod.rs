@@ -55,7 +55,7 @@ use super::latch::LatchState;
 use super::lease::LeaseState;
 use super::metrics::GripperMetrics;
 use super::model::{
-    CustomIds, FastStopStep, FrameRecord, IdSource, LeaseRules, Name, OnJournalFailure, State, UpdateRules,
+    CustomIds, FastStopStep, IdSource, LeaseRules, Name, OnJournalFailure, State, UpdateRules, WireRecord,
 };
 use super::observed::Observed;
 use super::registry::CommandRegistry;
@@ -124,7 +124,7 @@ pub struct Watches {
     pub state: watch::Receiver<Arc<State>>,
     pub info: watch::Receiver<Arc<Info>>,
     /// Sender of the wire log, to subscribe to.
-    pub frames: broadcast::Sender<Arc<FrameRecord>>,
+    pub frames: broadcast::Sender<Arc<WireRecord>>,
 }
 
 impl Actor {
