@@ -104,7 +104,7 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     log_unclean_end(&recovered);
     record_start(config, &journal).await;
     let (draining, shutdown) = (CancellationToken::new(), CancellationToken::new());
-    let registry = metrics::registry(&config.name, &journal)?;
+    let registry = metrics::registry(config, &journal)?;
     let grippers = spawn_all(config, &runtimes.devices, &journal, &recovered, &registry)?;
     let audit = Arc::new(Audit::new(journal.clone()));
     let peers = Arc::new(Peers::new(config.name.clone(), grippers.clone()));
