@@ -6,6 +6,7 @@ mod metrics;
 mod ports;
 mod runtimes;
 mod simulation;
+mod systemd;
 
 use std::future::Future;
 use std::io::Write;
@@ -133,10 +134,13 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     // Zenoh has a task of its own, so the rest continues whatever happens to Zenoh.
     let zenoh = on_zenoh.map(|(settings, context)| tokio::spawn(zenoh::serve(settings, context, announce_zenoh)));
     let ports = ports::serve(&runtimes.devices, ports, &grippers, &audit, &draining, &shutdown);
+    systemd::ready();
     tokio::select! {
         () = stop => {}
         () = audit.count() => {}
+        () = systemd::feed_watchdog(&grippers) => {}
     }
+    systemd::stopping();
     tracing::info!("shutting down: draining grippers");
     draining.cancel();
     grippers.drain().await;
