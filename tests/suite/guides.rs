@@ -161,8 +161,7 @@ fn values_of(schema: &str) -> BTreeSet<String> {
 }
 
 async fn metrics() -> BTreeSet<String> {
-    let device = Simulator::start(&[]).await;
-    let gateway = Gateway::with_webhook(device.address).await;
+    let gateway = Gateway::with_webhook(&["--gripper", "g=sim://wsg50"]).await;
     gateway.post("fast-stop", &Value::default()).await.ok();
     let text = gateway.get("/metrics").await.ok();
     let help = text.as_str().unwrap().lines().filter_map(|line| line.strip_prefix("# HELP "));

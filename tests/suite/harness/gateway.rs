@@ -106,12 +106,12 @@ impl Gateway {
         gateway
     }
 
-    /// Serves the device at `device` as `g`, connected and homed, with a webhook whose receiver is down. So all metrics
-    /// exist.
-    pub async fn with_webhook(device: SocketAddr) -> Self {
+    /// Starts a gateway with these arguments and a webhook whose receiver is down, so that all metrics exist. Waits until
+    /// its gripper `g` is homed.
+    pub async fn with_webhook(arguments: &[&str]) -> Self {
         let webhook = "[[webhooks]]\nname = \"mes\"\nurl = \"http://127.0.0.1:1\"\n\
                        secret = \"whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw\"\n";
-        let gateway = Self::with_file(&["--gripper", &format!("g=tcp://{device}")], webhook).await;
+        let gateway = Self::with_file(arguments, webhook).await;
         gateway.until_link("connected").await;
         gateway.post("home", &json!({})).await.outcome("SUCCESS");
         gateway
