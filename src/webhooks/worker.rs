@@ -199,13 +199,12 @@ mod tests {
 
     #[test]
     fn pause_grows_to_its_limit() {
-        let seconds = |failed, retry_after, jitter| {
-            pause(failed, Option::<u64>::map(retry_after, Duration::from_secs), jitter).as_secs_f64()
-        };
-        let grown: Vec<_> = [1, 2, 3, 9, 10, u32::MAX].map(|failed| seconds(failed, None, 1.0)).into();
-        assert_eq!(grown, [1.0, 2.0, 4.0, 256.0, 300.0, 300.0]);
-        assert_eq!((seconds(1, None, 0.0), seconds(10, None, 0.0)), (0.5, 150.0));
-        let asked = [(1, 60), (10, 60), (1, u64::MAX)].map(|(failed, asked)| seconds(failed, Some(asked), 1.0));
-        assert_eq!(asked, [60.0, 300.0, 3600.0]);
+        let milliseconds =
+            |failed, asked: Option<u64>, jitter| pause(failed, asked.map(Duration::from_secs), jitter).as_millis();
+        let grown = [1, 2, 3, 9, 10, u32::MAX].map(|failed| milliseconds(failed, None, 1.0));
+        assert_eq!(grown, [1000, 2000, 4000, 256_000, 300_000, 300_000]);
+        assert_eq!([1, 10].map(|failed| milliseconds(failed, None, 0.0)), [500, 150_000]);
+        let asked = [(1, 60), (10, 60), (1, u64::MAX)].map(|(failed, asked)| milliseconds(failed, Some(asked), 1.0));
+        assert_eq!(asked, [60_000, 300_000, 3_600_000]);
     }
 }
