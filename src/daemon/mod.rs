@@ -33,6 +33,7 @@ use crate::interfaces::{self, Bounds, http, zenoh};
 use crate::journal::{self, Journal, Recovered};
 use crate::operations::Gateway;
 use crate::operations::audit::Audit;
+use crate::webhooks::{WebhookContext, Webhooks};
 use descriptors::Shares;
 pub use simulation::{ServedDevice, SimulatedDevice, Switch, serve as serve_device};
 
@@ -109,6 +110,15 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     let grippers = spawn_all(config, &runtimes.devices, &journal, &recovered, &registry)?;
     let audit = Arc::new(Audit::new(journal.clone()));
     let peers = Arc::new(Peers::new(config.name.clone(), grippers.clone()));
+    let webhook_context = WebhookContext {
+        gateway: &config.name,
+        journal: &journal,
+        persisted: &recovered.memory,
+        registry: &registry,
+        closing: &shutdown,
+        runtime: &clients.observers,
+    };
+    let webhooks = Arc::new(Webhooks::start(&config.webhooks, &webhook_context)?);
     let gateway = Arc::new(Gateway {
         name: config.name.clone(),
         grippers: grippers.clone(),
@@ -116,6 +126,7 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
         audit: audit.clone(),
         peers: peers.clone(),
         updates: Arc::new(LiveUpdates::new(&grippers, journal.clone(), peers)),
+        webhooks: webhooks.clone(),
     });
     let context = Arc::new(http::HttpContext {
         gateway,
@@ -149,6 +160,7 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     if let Some(zenoh) = zenoh {
         zenoh.await?;
     }
+    webhooks.ended().await;
     ports.join_all().await.into_iter().collect::<Result<(), _>>()?;
     audit.write_down();
     Ok(journal.close().await?)
@@ -246,6 +258,7 @@ fn spawn(
         properties: connector.properties(),
         fast_stop_on_disconnect: gripper.fast_stop_on_disconnect,
         custom_ids: gripper.custom_ids.clone(),
+        updates: gripper.updates,
         drain: config.drain,
         on_journal_failure: config.journal.on_failure,
         lease: gripper.lease.clone(),

@@ -2,7 +2,7 @@
 
 use super::super::Now;
 use super::super::latch::{LatchChange, Origin};
-use super::super::model::{DeviceEvent, FastStopCause, FastStopStep, SettingChange};
+use super::super::model::{DeviceEvent, FastStopCause, FastStopStep, SettingChange, UpdateMode};
 use super::Actor;
 use super::link::{Close, Exchange, Purpose};
 use crate::wsg::session::{End, SessionEvent, Token};
@@ -46,6 +46,10 @@ impl Actor {
             Data::GripperState(_) => return self.record_gripper_state(now, state_before),
             // The force is the last value of each update period.
             Data::Force(_) => return self.recording.measure(now, &self.observed),
+            // On change, a value can come alone.
+            Data::Width(_) if self.config.updates.mode == UpdateMode::Changes => {
+                return self.recording.measure(now, &self.observed);
+            }
             _ => return,
         };
         self.recording.flags(now, before, flags);

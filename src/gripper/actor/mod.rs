@@ -54,7 +54,9 @@ use super::info::Info;
 use super::latch::LatchState;
 use super::lease::LeaseState;
 use super::metrics::GripperMetrics;
-use super::model::{CustomIds, FastStopStep, FrameRecord, IdSource, LeaseRules, Name, OnJournalFailure, State};
+use super::model::{
+    CustomIds, FastStopStep, IdSource, LeaseRules, Name, OnJournalFailure, State, UpdateRules, WireRecord,
+};
 use super::observed::Observed;
 use super::registry::CommandRegistry;
 use crate::transport::LinkProperties;
@@ -85,6 +87,7 @@ pub struct ActorConfig {
     /// Setting of the device (`fw4-en 1.4.2`), which no command reads: whether the end of a connection is a FAST STOP.
     pub fast_stop_on_disconnect: bool,
     pub custom_ids: CustomIds,
+    pub updates: UpdateRules,
     /// Time for a running command to finish when the gripper is drained.
     pub drain: Duration,
     pub on_journal_failure: OnJournalFailure,
@@ -121,7 +124,7 @@ pub struct Watches {
     pub state: watch::Receiver<Arc<State>>,
     pub info: watch::Receiver<Arc<Info>>,
     /// Sender of the wire log, to subscribe to.
-    pub frames: broadcast::Sender<Arc<FrameRecord>>,
+    pub frames: broadcast::Sender<Arc<WireRecord>>,
 }
 
 impl Actor {
@@ -134,7 +137,7 @@ impl Actor {
         let frames = link.frames();
         let actor = Self {
             ids: IdSource::new(config.seed),
-            observed: Observed::new(config.properties.bytes_per_second),
+            observed: Observed::new(config.updates, config.properties.bytes_per_second),
             link,
             settings: Settings::default(),
             latch: LatchState::default(),
