@@ -47,7 +47,7 @@ impl Actor {
     pub(super) fn take_lease(&mut self, now: Now, wish: &TakeLease, token: LeaseToken, answer: Answer<AcquiredLease>) {
         let granted = self.try_take_lease(now, wish, token).map(|()| {
             let token = self.lease.token().cloned();
-            let keep = self.lease.keep(now.instant, token.as_ref());
+            let keep = self.lease.bind(now.instant, token.as_ref());
             let times_taken = self.lease.times_taken();
             AcquiredLease { lease: self.lease.view(now.instant, token.as_ref()), times_taken, keep }
         });
