@@ -242,6 +242,7 @@ fn spawn(
         properties: connector.properties(),
         fast_stop_on_disconnect: gripper.fast_stop_on_disconnect,
         custom_ids: gripper.custom_ids.clone(),
+        motion_pause: gripper.motion_pause,
         drain: config.drain,
         on_journal_failure: config.journal.on_failure,
         lease: gripper.lease.clone(),

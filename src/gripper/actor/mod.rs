@@ -85,6 +85,8 @@ pub struct ActorConfig {
     /// Setting of the device (`fw4-en 1.4.2`), which no command reads: whether the end of a connection is a FAST STOP.
     pub fast_stop_on_disconnect: bool,
     pub custom_ids: CustomIds,
+    /// Pause between the end of a motion and the next one.
+    pub motion_pause: Duration,
     /// Time for a running command to finish when the gripper is drained.
     pub drain: Duration,
     pub on_journal_failure: OnJournalFailure,
@@ -141,7 +143,7 @@ impl Actor {
             lease: LeaseState::default(),
             reads: Reads::default(),
             commands: CommandRegistry::default(),
-            motion: MotionState::default(),
+            motion: MotionState::new(config.motion_pause),
             drain: None,
             recording: Recording::new(config.name.clone(), config.on_journal_failure),
             metering: Metering::new(config.metrics.clone()),

@@ -170,6 +170,7 @@ impl World {
             },
             fast_stop_on_disconnect: true,
             custom_ids: CustomIds { read: [READ_ID].into(), stream: [STREAM_ID].into() },
+            motion_pause: Duration::from_millis(50),
             drain: Duration::from_secs(2),
             on_journal_failure: OnJournalFailure::Refuse,
             lease: LeaseRules::default(),
