@@ -37,6 +37,7 @@ mod reads;
 mod recording;
 mod repeats;
 mod running;
+mod scripts;
 mod settings;
 mod streaming;
 mod tag;
@@ -67,6 +68,7 @@ use publish::Publication;
 use reads::Reads;
 use recording::Recording;
 use running::MotionState;
+use scripts::Scripts;
 use settings::Settings;
 use streaming::Streaming;
 
@@ -114,6 +116,7 @@ pub struct Actor {
     recording: Recording,
     metering: Metering,
     streaming: Streaming,
+    scripts: Scripts,
     publication: Publication,
 }
 
@@ -148,6 +151,7 @@ impl Actor {
             recording: Recording::new(config.name.clone(), config.on_journal_failure),
             metering: Metering::new(config.metrics.clone()),
             streaming: Streaming::default(),
+            scripts: Scripts::default(),
             publication,
             config,
         };
