@@ -105,6 +105,7 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     record_start(config, &journal).await;
     let (draining, shutdown) = (CancellationToken::new(), CancellationToken::new());
     let registry = metrics::registry(&config.name, &journal)?;
+    let port_metrics = interfaces::metrics::WsgPortMetrics::register(&registry)?;
     let grippers = spawn_all(config, &runtimes.devices, &journal, &recovered, &registry)?;
     let audit = Arc::new(Audit::new(journal.clone()));
     let peers = Arc::new(Peers::new(config.name.clone(), grippers.clone()));
@@ -132,7 +133,7 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     announce(config, address, &ports)?;
     // Zenoh has a task of its own, so the rest continues whatever happens to Zenoh.
     let zenoh = on_zenoh.map(|(settings, context)| tokio::spawn(zenoh::serve(settings, context, announce_zenoh)));
-    let ports = ports::serve(&runtimes.devices, ports, &grippers, &audit, &draining, &shutdown);
+    let ports = ports::serve(&runtimes.devices, ports, &grippers, &audit, &port_metrics, &draining, &shutdown);
     tokio::select! {
         () = stop => {}
         () = audit.count() => {}
