@@ -99,6 +99,10 @@ async fn announced_disconnect_stops_the_motion() {
     assert_eq!(ask(&socket, port, MOVE, &move_to(5.0, 5.0)).await, PENDING);
     gateway.until_moving().await;
     socket.send_to(&request(0x07, &[]), port).await.unwrap();
+    // A device without connections would answer E_NOT_AVAILABLE; the port has a session for each client.
+    let mut replies = [next(&socket).await, next(&socket).await];
+    replies.sort_unstable();
+    assert_eq!(replies, [(0x07, SUCCESS), (MOVE, ABORTED)]);
     let state = gateway.until_standing().await;
     assert!(state["fast_stop"] == false && state["lease_holder"].is_null(), "{state}");
     assert_eq!((proxy.frames.count(0x22), proxy.frames.count(0x23)), (1, 0));
