@@ -40,6 +40,12 @@ const DEFAULT_DRAIN: Duration = Duration::from_secs(2);
 /// Longest configurable drain, since the shutdown waits for it.
 const LONGEST_DRAIN: Duration = Duration::from_mins(1);
 
+/// Default pause between motions. Devices in the field fail without one.
+const DEFAULT_MOTION_PAUSE: Duration = Duration::from_millis(50);
+
+/// Longest configurable pause between motions, since a waiting motion blocks the next one.
+const LONGEST_MOTION_PAUSE: Duration = Duration::from_secs(1);
+
 /// Default grippers: two simulated ones, one with a part in reach.
 const DEFAULT_GRIPPERS: [&str; 2] = ["left=sim://wsg50?part_mm=20", "right=sim://wsg50"];
 
@@ -100,6 +106,8 @@ pub struct GripperConfig {
     /// Meaning of the ids of the gripper's scripts.
     pub custom_ids: CustomIds,
     pub updates: UpdateRules,
+    /// Pause between the end of a motion and the next one.
+    pub motion_pause: Duration,
     /// Lease terms that clients can choose.
     pub lease: LeaseRules,
     pub wsg_port: WsgPort,
@@ -295,6 +303,7 @@ fn parse_gripper(text: &str, place: &ConfigPlace) -> Result<GripperConfig, Confi
         fast_stop_on_disconnect: true,
         custom_ids: CustomIds::default(),
         updates: UpdateRules::default(),
+        motion_pause: DEFAULT_MOTION_PAUSE,
         lease: LeaseRules::default(),
         wsg_port: WsgPort::default(),
         place: place.clone(),
@@ -342,6 +351,7 @@ struct GripperContent {
     updates: UpdateMode,
     read_ids: Option<Spanned<BTreeSet<u8>>>,
     stream_ids: Option<Spanned<BTreeSet<u8>>>,
+    motion_pause_ms: Option<Spanned<u64>>,
     on_loss_moving: Option<Spanned<Vec<OnLossMoving>>>,
     on_loss_holding: Option<Spanned<Vec<OnLossHolding>>>,
     lease_max_ttl_ms: Option<Spanned<u64>>,

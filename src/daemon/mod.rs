@@ -107,6 +107,7 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     record_start(config, &journal).await;
     let (draining, shutdown) = (CancellationToken::new(), CancellationToken::new());
     let registry = metrics::registry(config, &journal)?;
+    let port_metrics = interfaces::metrics::WsgPortMetrics::register(&registry)?;
     let grippers = spawn_all(config, &runtimes.devices, &journal, &recovered, &registry)?;
     let audit = Arc::new(Audit::new(journal.clone()));
     let peers = Arc::new(Peers::new(config.name.clone(), grippers.clone()));
@@ -144,7 +145,7 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     announce(config, address, &ports)?;
     // Zenoh has a task of its own, so the rest continues whatever happens to Zenoh.
     let zenoh = on_zenoh.map(|(settings, context)| tokio::spawn(zenoh::serve(settings, context, announce_zenoh)));
-    let ports = ports::serve(&runtimes.devices, ports, &grippers, &audit, &draining, &shutdown);
+    let ports = ports::serve(&runtimes.devices, ports, &grippers, &audit, &port_metrics, &draining, &shutdown);
     systemd::ready();
     tokio::select! {
         () = stop => {}
@@ -259,6 +260,7 @@ fn spawn(
         fast_stop_on_disconnect: gripper.fast_stop_on_disconnect,
         custom_ids: gripper.custom_ids.clone(),
         updates: gripper.updates,
+        motion_pause: gripper.motion_pause,
         drain: config.drain,
         on_journal_failure: config.journal.on_failure,
         lease: gripper.lease.clone(),

@@ -210,7 +210,7 @@ impl Handle {
         self.info.borrow().clone()
     }
 
-    /// Whether a custom command of this id only reads. All others count as motions.
+    /// Whether a custom command of this id is configured as read-only. All others may move the fingers.
     #[must_use]
     pub fn only_reads(&self, id: u8) -> bool {
         self.custom_ids.read.contains(&id)
