@@ -5,7 +5,8 @@ use std::fmt;
 use serde::de::{Deserialize, DeserializeOwned, Deserializer, Error, MapAccess, SeqAccess, Visitor};
 use serde_json::{Map, Value};
 
-use super::problem::{Code, Problem};
+use super::problem::Problem;
+use crate::gripper::model::Code;
 
 /// Largest accepted body, message or payload, in bytes. The largest that any request needs is a `raw` one of 8 KiB.
 pub const MAX_BODY_BYTES: usize = 64 * 1024;

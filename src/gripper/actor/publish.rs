@@ -6,7 +6,7 @@ use tokio::sync::watch;
 
 use super::super::Now;
 use super::super::info::Info;
-use super::super::model::{LatchFields, State};
+use super::super::model::{Fault, LatchFields, Link, State};
 use super::{Actor, ActorConfig};
 use crate::wsg::{DeviceTag, GripperState, SystemState, Temperature};
 
@@ -67,7 +67,8 @@ impl Actor {
         let observed = &self.observed;
         let flag = |flag| observed.flags.map(|flags| flags.contains(flag));
         let referenced = flag(SystemState::REFERENCED);
-        let latch = self.latch.current();
+        let (latch, last) = (self.latch.current(), &self.commands.last);
+        let fault = self.fault();
         State {
             gripper: self.config.name.clone(),
             link: self.link.status(),
@@ -84,12 +85,40 @@ impl Actor {
             speed_mm_s: observed.speed_mm_s,
             force_n: observed.force_n,
             temperature_c: observed.temperature.map(Temperature::celsius),
+            fault: fault.is_some(),
+            fault_code: fault.map_or(0, Fault::code),
             fast_stop: (observed.flags.is_some() || latch.is_some()).then_some(latch.is_some()),
             latch: latch.map(|latch| LatchFields::of(latch, self.latch.epoch())),
             lease_holder: self.lease.holder().map(|holder| holder.name.clone()),
             lease_epoch: self.lease.epoch(),
             journal_cause: self.recording.failure().map(ToOwned::to_owned),
             command: self.motion.id(),
+            last_command: last.number(),
+            last_outcome: last.outcome(),
+            last_command_id: last.id(),
         }
+    }
+
+    /// The fault that matters most: first what only a person can end, then what hides other faults.
+    fn fault(&self) -> Option<Fault> {
+        if let Some(latch) = self.latch.current() {
+            return Some(Fault::FastStop(latch.cause));
+        }
+        if self.link.status() != Link::Connected {
+            return Some(Fault::LinkDown);
+        }
+        let flags = [
+            (SystemState::TEMP_FAULT, Fault::Temperature),
+            (SystemState::POWER_FAULT, Fault::Power),
+            (SystemState::CURR_FAULT, Fault::Current),
+            (SystemState::FINGER_FAULT, Fault::Finger),
+        ];
+        let flagged = flags.into_iter().find(|(flag, _)| self.observed.has(*flag)).map(|(_, fault)| fault);
+        let others = [
+            (self.observed.has_error(), Fault::DeviceError),
+            (self.settings.check().is_err(), Fault::SettingsLost),
+            (self.recording.check().is_err(), Fault::JournalDown),
+        ];
+        flagged.or_else(|| others.into_iter().find(|(is_present, _)| *is_present).map(|(_, fault)| fault))
     }
 }

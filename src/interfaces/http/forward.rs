@@ -24,7 +24,7 @@ use crate::fleet::{Ask, NoAnswer};
 use crate::gripper::model::{Name, Reason, Urgency};
 use crate::interfaces::admission::{Class, ConnectionPermit};
 use crate::operations::json::{parse, text_member};
-use crate::operations::{Code, DEFAULT_WAIT_MS, OPERATIONS, Operation, Problem, wait_ms};
+use crate::operations::{Code, DEFAULT_WAIT_MS, OPERATIONS, Operation, Problem, motion, wait_ms};
 
 /// Paths of the grippers of any gateway.
 pub const PATHS: [&str; 2] =
@@ -99,7 +99,13 @@ pub async fn forward(
         let stop = move |text: Bytes| ask(Map::from_iter([("reason".to_owned(), reason(&text).as_str().into())]));
         with_reason(stream, stop).await?
     } else {
-        ask(fields(stream, path).await?).await
+        let mut params = match fields(stream, path).await {
+            // A mistake in a Stop must not keep the fingers moving.
+            Err(_) if operation.name == motion::STOP.name => Map::new(),
+            fields => fields?,
+        };
+        params.extend(QueryString::of(&parts.uri)?.fields(operation.query)?);
+        ask(params).await
     };
     match asked {
         Ok(Ok(answer)) => Ok(answered(&target.gateway, &answer)),
