@@ -84,6 +84,14 @@ pub enum Conflict {
         /// Remaining time to live without use; `None` if the gripper is reserved for a holder that was lost.
         expires_in_ms: Option<u64>,
     },
+    #[error(
+        "{holder} holds the lease, which this same client ({subject}) took, but the request has no token: send it as \
+         `lease` or in the header Wsg-Lease"
+    )]
+    LeaseTokenMissing { holder: Arc<str>, subject: Arc<str>, expires_in_ms: u64 },
+    /// The request for a hand-over waits for the holder.
+    #[error("{holder} holds the lease and can see the request for a hand-over, which is number {place}: ask again")]
+    LeaseRequested { holder: Arc<str>, place: usize },
     #[error("{}", stale_lease(*epoch, holder.as_deref()))]
     StaleLease { epoch: u64, holder: Option<Arc<str>> },
     #[error("the request id was already used for a different request: use a new id for each new request")]
@@ -99,7 +107,7 @@ impl Conflict {
             Self::NotReferenced => Code::NotReferenced,
             Self::Acknowledging { .. } | Self::AlreadyRunning { .. } => Code::AlreadyRunning,
             Self::SettingsLost { .. } => Code::DeviceRefused,
-            Self::LeaseHeld { .. } => Code::LeaseHeld,
+            Self::LeaseHeld { .. } | Self::LeaseTokenMissing { .. } | Self::LeaseRequested { .. } => Code::LeaseHeld,
             Self::StaleLease { .. } => Code::StaleLease,
             Self::RequestIdReused => Code::RequestIdReused,
         }

@@ -119,7 +119,8 @@ impl Actor {
             epoch,
         };
         self.states.send_modify(|state| {
-            *state = Arc::new(State { latch: Some(latch), seq: state.seq + 1, ..State::clone(state) });
+            let (seq, update) = (state.seq + 1, state.update + 1);
+            *state = Arc::new(State { latch: Some(latch), seq, update, ..State::clone(state) });
         });
         self.see(Seen::FastStop(stop.reason));
     }
@@ -184,7 +185,7 @@ impl Actor {
 
     fn take(&mut self, take: &TakeLease, token: LeaseToken) -> Result<AcquiredLease, Rejection> {
         let terms = Terms::of(take, &LeaseRules::default())?;
-        self.lease.take(clock::instant(), take, terms, token)?;
+        self.lease.take(clock::instant(), take, terms, token, true)?;
         let times_taken = self.lease.times_taken();
         Ok(AcquiredLease { lease: self.lease.view(clock::instant(), self.lease.token()), times_taken, keep: None })
     }

@@ -90,6 +90,11 @@ pub struct Members {
 }
 
 impl Members {
+    /// Name of the wrong field, if a field is wrong.
+    pub fn field(&self) -> Option<&str> {
+        self.field.as_deref()
+    }
+
     pub fn status(&self) -> StatusCode {
         StatusCode::from_u16(self.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR)
     }
@@ -237,6 +242,8 @@ impl Problem {
             Conflict::StaleFastStop { given: _, current } => self.fast_stop(current),
             Conflict::AlreadyRunning { id } => self.command(id),
             Conflict::LeaseHeld { holder, expires_in_ms } => self.lease(Some(holder), expires_in_ms),
+            Conflict::LeaseTokenMissing { holder, expires_in_ms, .. } => self.lease(Some(holder), Some(expires_in_ms)),
+            Conflict::LeaseRequested { holder, place: _ } => self.lease(Some(holder), None),
             Conflict::StaleLease { epoch: _, holder } => self.lease(holder, None),
             Conflict::NotReferenced | Conflict::SettingsLost { .. } | Conflict::RequestIdReused => self,
         }

@@ -28,6 +28,8 @@ pub enum Effect {
         gripper: Name,
         ticket: Ticket,
     },
+    /// A request that waits for the lease's holder.
+    Waiting,
     /// A lease that was acquired.
     Leased(Arc<ConnectionLease>),
 }

@@ -118,7 +118,7 @@ async fn fields(stream: Stream, path: BTreeMap<&'static str, String>) -> Result<
     let mut fields: Map<String, Value> = parse(&body::bytes(stream).await?)?;
     // Like the gateway's own paths: path parameters must not appear in the body.
     if let Some(field) = fields.keys().find(|key| path.contains_key(key.as_str()) || *key == "gripper") {
-        return Err(Problem::malformed(field, format!("unknown field `{field}`: the path already names it")));
+        return Err(Problem::malformed(field, format!("unknown field {field}: the path already names it")));
     }
     fields.extend(path.into_iter().map(|(key, value)| (key.to_owned(), value.into())));
     Ok(fields)
@@ -189,6 +189,9 @@ fn answered(gateway: &Name, answer: &RawValue) -> Response {
     let command: Value = serde_json::from_str(answer.get()).unwrap_or_default();
     let json = [(header::CONTENT_TYPE, "application/json".to_owned())];
     let text = |key: &str| command[key].as_str().unwrap_or_default();
+    if command["place"].is_u64() {
+        return (StatusCode::ACCEPTED, json, answer.get().to_owned()).into_response();
+    }
     if text("phase") != "running" {
         return (json, answer.get().to_owned()).into_response();
     }

@@ -100,7 +100,8 @@ fn key<const MAX: usize>(headers: &HeaderMap, name: &'static str) -> Result<Opti
     text(name, given).map(Some)
 }
 
-/// Returns 200 with the result, or 202 with the Location of a command that is still running.
+/// Returns 200 with the result, or 202 with the Location of a command that is still running, or for a request that
+/// waits for the lease's holder.
 fn response(OperationReply { body, effect }: OperationReply) -> Response {
     let json = [(header::CONTENT_TYPE, "application/json")];
     let body = String::from(Box::<str>::from(body));
@@ -109,6 +110,7 @@ fn response(OperationReply { body, effect }: OperationReply) -> Response {
             let location = format!("{API}/grippers/{gripper}/commands/{}", ticket.id());
             (StatusCode::ACCEPTED, [(header::LOCATION, location)], json, body).into_response()
         }
+        Effect::Waiting => (StatusCode::ACCEPTED, json, body).into_response(),
         Effect::None | Effect::Leased(_) => (json, body).into_response(),
     }
 }
