@@ -14,6 +14,7 @@ use crate::wsg::{DeviceTag, GripperState, SystemState, Temperature};
 #[derive(Debug)]
 pub(super) struct Publication {
     sequence: u64,
+    updates: u64,
     state: watch::Sender<Arc<State>>,
     info: watch::Sender<Arc<Info>>,
 }
@@ -27,7 +28,12 @@ impl Publication {
             config.properties.connection_oriented && config.fast_stop_on_disconnect,
         );
         let state = State::unknown(config.name.clone());
-        Self { sequence: 0, state: watch::Sender::new(Arc::new(state)), info: watch::Sender::new(Arc::new(info)) }
+        Self {
+            sequence: 0,
+            updates: 0,
+            state: watch::Sender::new(Arc::new(state)),
+            info: watch::Sender::new(Arc::new(info)),
+        }
     }
 
     pub(super) fn watch(&self) -> (watch::Receiver<Arc<State>>, watch::Receiver<Arc<Info>>) {
@@ -45,10 +51,25 @@ impl Publication {
 }
 
 impl Actor {
-    /// Publishes the state if it has changed.
+    /// Publishes the state if it has changed. A newer update with the same values changes only the age, and wakes no
+    /// subscriber.
     pub(super) fn publish(&mut self, now: Now) {
         let state = self.state_now();
-        if *self.publication.state.borrow().as_ref() == state {
+        let (is_changed, is_newer) = {
+            let published = self.publication.state.borrow();
+            let is_changed = !published.is_like(&state);
+            (is_changed, is_changed || published.updated_at != state.updated_at)
+        };
+        if !is_newer {
+            return;
+        }
+        self.publication.updates += 1;
+        if !is_changed {
+            let state = Arc::new(State { update: self.publication.updates, ..state });
+            self.publication.state.send_if_modified(|published| {
+                *published = state;
+                false
+            });
             return;
         }
         self.publication.sequence += 1;
@@ -60,7 +81,8 @@ impl Actor {
                 info.link_cause.clone_from(&state.link_cause);
             });
         }
-        self.publication.state.send_replace(Arc::new(State { seq: self.publication.sequence, ..state }));
+        let (seq, update) = (self.publication.sequence, self.publication.updates);
+        self.publication.state.send_replace(Arc::new(State { seq, update, ..state }));
     }
 
     fn state_now(&self) -> State {
@@ -75,6 +97,7 @@ impl Actor {
             link_cause: self.link.cause.clone(),
             updated_at: observed.updated_at,
             seq: self.publication.sequence,
+            update: self.publication.updates,
             state: observed.gripper_state.map(GripperState::name),
             state_code: observed.gripper_state.map(GripperState::code),
             flags: observed.flags.map(|flags| flags.names().collect()).unwrap_or_default(),

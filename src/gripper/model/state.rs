@@ -91,9 +91,13 @@ pub struct State {
     #[serde(rename = "age_ms", serialize_with = "age_ms")]
     #[schema(value_type = Option<u64>, required, minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     pub updated_at: Option<Instant>,
-    /// Number of changes to this state so far.
+    /// Number of changes to this state so far. A newer update with the same values is no change.
     #[schema(minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     pub seq: u64,
+    /// Number of updates to this state so far, including those that changed only the age.
+    #[serde(skip)]
+    #[schema(ignore)]
+    pub update: u64,
     /// Name of the gripper state, as in the manual; null before the first update. `state_code` lists all names.
     #[schema(required)]
     pub state: Option<&'static str>,
@@ -189,6 +193,7 @@ impl State {
             link_cause: None,
             updated_at: None,
             seq: 0,
+            update: 0,
             state: None,
             state_code: None,
             flags: Vec::new(),
@@ -211,6 +216,16 @@ impl State {
             last_outcome: None,
             last_command_id: None,
         }
+    }
+}
+
+impl State {
+    /// Whether both states have the same values, whatever their ages.
+    #[must_use]
+    pub fn is_like(&self, other: &Self) -> bool {
+        let Self { updated_at, seq, update, .. } = *other;
+        // Comparing needs a copy, whose strings are few and short.
+        Self { updated_at, seq, update, ..self.clone() } == *other
     }
 }
 
