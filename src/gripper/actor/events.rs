@@ -123,7 +123,10 @@ impl Actor {
             }
             Purpose::Acknowledge => {
                 let result = match end {
-                    End::Reply(Reply::Success(_)) => Ok(()),
+                    End::Reply(Reply::Success(_)) => {
+                        self.observed.acknowledged();
+                        Ok(())
+                    }
                     end => Err(self.rejection_of("AcknowledgeFastStop", end)),
                 };
                 self.latch.acknowledge_ended(now.instant, token, result);

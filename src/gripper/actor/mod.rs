@@ -202,6 +202,9 @@ impl Actor {
             ActorRequest::Find { id, answer } => {
                 let _ = answer.send(self.commands.find(id));
             }
+            ActorRequest::FindRequest { subject, request_id, answer } => {
+                let _ = answer.send(self.commands.find_request(now.instant, &subject, &request_id));
+            }
             ActorRequest::Cancel { id, client, answer } => {
                 let ticket = self.commands.find(id);
                 if ticket.is_some() {
@@ -273,7 +276,7 @@ impl Actor {
         self.take_events(now);
         self.metering.session(self.link.session.as_mut());
         self.publish(now);
-        self.recording.persist_changes(&self.latch, &self.lease, self.observed.part.grip);
+        self.recording.persist_changes(&self.latch, &self.lease, self.observed.part.grip, &self.commands.last);
         self.commands.tell();
         self.tell_acknowledges(now);
         self.settings.overdrive.answer(self.observed.flags);

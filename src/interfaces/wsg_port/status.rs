@@ -33,6 +33,8 @@ fn status_of(rejection: &Rejection) -> Status {
             | Conflict::FastStopUnconfirmed { .. }
             | Conflict::LeaseHeld { .. }
             | Conflict::LeaseBound { .. }
+            | Conflict::LeaseTokenMissing { .. }
+            | Conflict::LeaseRequested { .. }
             | Conflict::StaleLease { .. } => Status::E_ACCESS_DENIED,
             Conflict::AlreadyRunning { .. } | Conflict::Acknowledging { .. } => Status::E_ALREADY_RUNNING,
             Conflict::NotReferenced | Conflict::SettingsLost { .. } => Status::E_NOT_INITIALIZED,
