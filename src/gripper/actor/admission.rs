@@ -220,7 +220,19 @@ impl Actor {
                 return;
             }
         };
-        let exchange = Exchange { command: getter.clone(), answer, accepted: None, setter: Some(command), client };
+        self.read_back(now, getter, command, client, answer);
+    }
+
+    /// Reads back the value of a setter.
+    pub(super) fn read_back(
+        &mut self,
+        now: Now,
+        getter: Command,
+        setter: Command,
+        client: Client,
+        answer: Answer<Data>,
+    ) {
+        let exchange = Exchange { command: getter.clone(), answer, accepted: None, setter: Some(setter), client };
         let purpose = Purpose::Exchange(exchange);
         self.submit_exchange(now, getter, purpose);
     }

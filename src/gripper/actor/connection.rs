@@ -105,10 +105,10 @@ impl Actor {
         if !overdrive && self.settings.overdrive.give_up() {
             tracing::warn!(gripper = %name, "Overdrive Mode was lost in a device restart: enable it again if needed");
         }
-        self.recording.restored(now, &setup.restored, self.settings.wanted);
-        if self.settings.learn(&mut setup, overdrive) {
+        if self.settings.learn(&mut setup) {
             self.persist_settings();
         }
+        self.recording.restored(now, &setup.restored, self.settings.wanted);
         for update in observed::switch_on_all(None) {
             // Updates that do not arrive are switched on again.
             self.observed.asked(now.instant, update.id());

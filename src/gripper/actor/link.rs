@@ -44,6 +44,8 @@ pub enum Close {
 pub(super) enum Purpose {
     Setup,
     Upkeep,
+    /// Get Force Limit after Overdrive Mode was switched.
+    ForceLimit,
     FastStop,
     Acknowledge,
     /// Set Force Limit before a grip.
