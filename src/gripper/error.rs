@@ -56,8 +56,8 @@ pub enum Conflict {
     StaleFastStop { given: FastStopId, current: Option<FastStopId> },
     #[error("the device has not confirmed FAST STOP {id} yet: acknowledge it after the confirmation")]
     FastStopUnconfirmed { id: FastStopId },
-    #[error("FAST STOP {id} is already being acknowledged: wait for the result")]
-    Acknowledging { id: FastStopId },
+    #[error("another acknowledgement is in progress: wait for its result")]
+    Acknowledging { id: Option<FastStopId> },
     #[error("the gripper is not referenced: home it first")]
     NotReferenced,
     #[error("command {id} is still running: wait for it to end, or stop it")]

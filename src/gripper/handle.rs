@@ -36,6 +36,7 @@ pub enum ActorRequest {
     Cancel { id: CommandId, client: Client, answer: oneshot::Sender<Option<Ticket>> },
     Exchange { command: wsg::Command, client: Client, lease: Option<LeaseToken>, answer: Steps },
     Acknowledge { id: FastStopId, client: Client, answer: Answer<()> },
+    AcknowledgeFault { client: Client, lease: Option<LeaseToken>, answer: Answer<()> },
     Lease { answer: oneshot::Sender<Lease> },
     TakeLease { take: TakeLease, token: LeaseToken, answer: Answer<AcquiredLease> },
     UseLease { token: LeaseToken, answer: oneshot::Sender<Option<LeaseKeepAlive>> },
@@ -339,6 +340,11 @@ impl Handle {
     /// Acknowledges the FAST STOP of this id, and returns when the device's flags show that it is cleared.
     pub async fn acknowledge(&self, id: FastStopId, client: Client) -> Result<(), Rejection> {
         self.request_reserved(|answer| ActorRequest::Acknowledge { id, client, answer }).await?
+    }
+
+    /// Acknowledges a fault of the device while no FAST STOP is latched.
+    pub async fn acknowledge_fault(&self, client: Client, lease: Option<LeaseToken>) -> Result<(), Rejection> {
+        self.request_reserved(|answer| ActorRequest::AcknowledgeFault { client, lease, answer }).await?
     }
 
     /// Disconnects from the gripper cleanly: rejects new commands, lets a running one finish, announces the disconnect

@@ -339,7 +339,7 @@ impl From<Conflict> for Problem {
                 Self::new(Code::FastStop, detail).fast_stop(Some(id))
             }
             Conflict::StaleFastStop { given: _, current } => Self::new(Code::StaleFastStop, detail).fast_stop(current),
-            Conflict::Acknowledging { id } => Self::new(Code::AlreadyRunning, detail).fast_stop(Some(id)),
+            Conflict::Acknowledging { id } => Self::new(Code::AlreadyRunning, detail).fast_stop(id),
             Conflict::FastStopUnconfirmed { id } => Self::new(Code::FastStopUnconfirmed, detail).fast_stop(Some(id)),
             Conflict::NotReferenced => Self::new(Code::NotReferenced, detail),
             Conflict::AlreadyRunning { id } => Self::new(Code::AlreadyRunning, detail).command(id),
