@@ -62,6 +62,8 @@ pub enum Conflict {
     NotReferenced,
     #[error("command {id} is still running: wait for it to end, or stop it")]
     AlreadyRunning { id: CommandId },
+    #[error("the fingers are moving: stop them first")]
+    FingersMove,
     #[error("the device lost settings that could not be restored ({settings}): set them again first")]
     SettingsLost { settings: String },
     #[error("{}", lease_held(holder, *expires_in_ms))]

@@ -146,6 +146,9 @@ impl Actor {
                 let _ = answer.send(self.script.acknowledge.clone());
                 self.see(Seen::Acknowledge(id));
             }
+            ActorRequest::Disconnect { answer, .. } | ActorRequest::Connect { answer, .. } => {
+                let _ = answer.send(Ok(()));
+            }
             ActorRequest::AcknowledgeFault { answer, .. } => {
                 let detail = "missing".to_owned();
                 let _ = answer.send(Err(Invalid::Malformed { field: "fast_stop_id", detail }.into()));

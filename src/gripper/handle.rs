@@ -44,6 +44,8 @@ pub enum ActorRequest {
     HandOver { token: Option<LeaseToken>, to: String, new: LeaseToken, answer: Answer<Lease> },
     ReleaseLease { token: Option<LeaseToken>, answer: oneshot::Sender<Lease> },
     LoseLease { token: LeaseToken, times_taken: Option<u64> },
+    Disconnect { client: Client, lease: Option<LeaseToken>, answer: Answer<()> },
+    Connect { client: Client, lease: Option<LeaseToken>, answer: Answer<()> },
     Drain { answer: oneshot::Sender<()> },
 }
 
@@ -347,7 +349,18 @@ impl Handle {
         self.request_reserved(|answer| ActorRequest::AcknowledgeFault { client, lease, answer }).await?
     }
 
-    /// Disconnects from the gripper cleanly: rejects new commands, lets a running one finish, announces the disconnect
+    /// Releases the device to another program: announces the disconnect, closes the link, and returns. No link is made
+    /// until [`Handle::connect`].
+    pub async fn disconnect(&self, client: Client, lease: Option<LeaseToken>) -> Result<(), Rejection> {
+        self.request_reserved(|answer| ActorRequest::Disconnect { client, lease, answer }).await?
+    }
+
+    /// Lets the gateway connect to a released device again.
+    pub async fn connect(&self, client: Client, lease: Option<LeaseToken>) -> Result<(), Rejection> {
+        self.request_reserved(|answer| ActorRequest::Connect { client, lease, answer }).await?
+    }
+
+    /// Disconnects from the gripper for good: rejects new commands, lets a running one finish, announces the disconnect
     /// and closes the link.
     pub async fn drain(&self) {
         // If the actor has ended, there is nothing left to disconnect.

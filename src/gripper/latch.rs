@@ -237,7 +237,13 @@ impl LatchState {
         }
     }
 
-    pub(super) fn acknowledge_sent(&mut self, id: Option<FastStopId>, client: Client, token: Token, answer: Answer<()>) {
+    pub(super) fn acknowledge_sent(
+        &mut self,
+        id: Option<FastStopId>,
+        client: Client,
+        token: Token,
+        answer: Answer<()>,
+    ) {
         self.acknowledging = Some(Acknowledging { id, client, answer, progress: Progress::Sent(token) });
     }
 

@@ -343,6 +343,7 @@ impl From<Conflict> for Problem {
             Conflict::FastStopUnconfirmed { id } => Self::new(Code::FastStopUnconfirmed, detail).fast_stop(Some(id)),
             Conflict::NotReferenced => Self::new(Code::NotReferenced, detail),
             Conflict::AlreadyRunning { id } => Self::new(Code::AlreadyRunning, detail).command(id),
+            Conflict::FingersMove => Self::new(Code::AlreadyRunning, detail),
             Conflict::SettingsLost { .. } => Self::new(Code::DeviceRefused, detail),
             Conflict::LeaseHeld { holder, expires_in_ms } => {
                 Self::new(Code::LeaseHeld, detail).lease(Some(holder), expires_in_ms)

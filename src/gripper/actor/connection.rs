@@ -51,7 +51,11 @@ impl Actor {
             }
         }
         self.end_running(now, unwritten);
+        let released = self.end_release();
         self.after_input(now);
+        if let Some(answer) = released {
+            let _ = answer.send(Ok(()));
+        }
     }
 
     /// Whether the link is up, and the device has been identified.

@@ -227,6 +227,10 @@ impl Actor {
                 let _ = answer.send(self.release_lease(now, token.as_ref()));
             }
             ActorRequest::LoseLease { token, times_taken } => self.lose_lease(now, &token, times_taken),
+            ActorRequest::Disconnect { client, lease, answer } => {
+                self.disconnect(now, &client, lease.as_ref(), answer);
+            }
+            ActorRequest::Connect { client, lease, answer } => self.connect(now, &client, lease.as_ref(), answer),
             ActorRequest::Drain { answer } => self.start_drain(now, answer),
         }
         self.after_input(now);

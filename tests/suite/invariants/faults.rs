@@ -7,7 +7,7 @@ use wsg_gateway::gripper::handle::ActorRequest;
 use wsg_gateway::gripper::model::{Detail, LeaseToken, TakeLease};
 use wsg_gateway::gripper::{Conflict, Invalid, Rejection};
 use wsg_gateway::sim::Change;
-use wsg_gateway::wsg::id;
+use wsg_gateway::wsg::{self, LoopData, id};
 
 use super::steps::*;
 use crate::seeds::world::World;
@@ -61,6 +61,8 @@ fn fast_stop_withdraws_a_waiting_acknowledgement() {
     world.device.apply(world.now, Change::FingerOverCurrent { finger: 1, on: true });
     world.advance(Duration::from_secs(1));
     let from = mark(&world);
+    // The line is busy.
+    drop(exchange(&mut world, wsg::Command::Loop(LoopData::new(vec![0; 60]).unwrap())));
     let mut answered = acknowledge_fault(&mut world, None);
     let id = fast_stop(&mut world);
     assert_eq!(answered.try_recv().unwrap(), Err(Conflict::FastStop { id }.into()));
