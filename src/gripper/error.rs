@@ -70,12 +70,14 @@ pub enum Conflict {
     StaleFastStop { given: FastStopId, current: Option<FastStopId> },
     #[error("the device has not confirmed FAST STOP {id} yet: acknowledge it after the confirmation")]
     FastStopUnconfirmed { id: FastStopId },
-    #[error("FAST STOP {id} is already being acknowledged: wait for the result")]
-    Acknowledging { id: FastStopId },
+    #[error("another acknowledgement is in progress: wait for its result")]
+    Acknowledging { id: Option<FastStopId> },
     #[error("the gripper is not referenced: home it first")]
     NotReferenced,
     #[error("command {id} is still running: wait for it to end, or stop it")]
     AlreadyRunning { id: CommandId },
+    #[error("the fingers are moving: stop them first")]
+    FingersMove,
     #[error("the device lost settings that could not be restored ({settings}): set them again first")]
     SettingsLost { settings: String },
     #[error("{}", lease_held(holder, *expires_in_ms))]
@@ -110,7 +112,7 @@ impl Conflict {
             Self::StaleFastStop { .. } => Code::StaleFastStop,
             Self::FastStopUnconfirmed { .. } => Code::FastStopUnconfirmed,
             Self::NotReferenced => Code::NotReferenced,
-            Self::Acknowledging { .. } | Self::AlreadyRunning { .. } => Code::AlreadyRunning,
+            Self::Acknowledging { .. } | Self::AlreadyRunning { .. } | Self::FingersMove => Code::AlreadyRunning,
             Self::SettingsLost { .. } => Code::DeviceRefused,
             Self::LeaseHeld { .. }
             | Self::LeaseBound { .. }

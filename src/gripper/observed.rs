@@ -143,6 +143,12 @@ impl Observed {
         self.flags.is_some_and(|flags| flags.contains(flag))
     }
 
+    /// Whether the device shows a fault or an error. Firmware 2 has no error state and reserves its number.
+    pub(super) fn shows_fault(&self) -> bool {
+        let is_error = self.gripper_state.is_some_and(|state| state.code() >= GripperState::Error.code());
+        is_error || self.flags.is_some_and(|flags| flags.intersects(SystemState::FAULTS | SystemState::CMD_FAILURE))
+    }
+
     /// The newest value of a getter with automatic updates, in the form of its reply.
     pub(super) fn newest(&self, id: u8) -> Option<Data> {
         use crate::wsg::{Force, Speed, Width};

@@ -11,6 +11,7 @@ pub mod audit;
 mod call;
 mod caller;
 pub(crate) mod commands;
+pub(crate) mod connection;
 mod connection_lease;
 pub(crate) mod device;
 pub(crate) mod fast_stop;

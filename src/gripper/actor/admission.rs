@@ -237,7 +237,19 @@ impl Actor {
                 return;
             }
         };
-        let exchange = Exchange { command: getter.clone(), answer, accepted: None, setter: Some(command), client };
+        self.read_back(now, getter, command, client, answer);
+    }
+
+    /// Reads back the value of a setter.
+    pub(super) fn read_back(
+        &mut self,
+        now: Now,
+        getter: Command,
+        setter: Command,
+        client: Client,
+        answer: Answer<Data>,
+    ) {
+        let exchange = Exchange { command: getter.clone(), answer, accepted: None, setter: Some(setter), client };
         let purpose = Purpose::Exchange(exchange);
         self.submit_exchange(now, getter, purpose);
     }
@@ -264,14 +276,40 @@ impl Actor {
 
     /// Sends an acknowledgement, if the latch and the link allow it.
     pub(super) fn acknowledge(&mut self, now: Now, id: FastStopId, client: Client, answer: Answer<()>) {
-        let allowed = self.latch.check_acknowledge(id).map_err(Rejection::from).and_then(|()| Ok(self.check_link()?));
+        let allowed = self.latch.check_acknowledge(id).map_err(Rejection::from);
+        self.send_acknowledge(now, allowed, Some(id), client, answer);
+    }
+
+    /// Sends an acknowledgement of a fault without a latch (fw2 3.2.5), if the lease and the link allow it.
+    pub(super) fn acknowledge_fault(
+        &mut self,
+        now: Now,
+        client: Client,
+        lease: Option<&LeaseToken>,
+        answer: Answer<()>,
+    ) {
+        let allowed = self.latch.check_acknowledge_fault(self.observed.shows_fault());
+        let allowed = allowed.and_then(|()| Ok(self.check_claim(now, &client, lease)?));
+        self.send_acknowledge(now, allowed, None, client, answer);
+    }
+
+    fn send_acknowledge(
+        &mut self,
+        now: Now,
+        allowed: Result<(), Rejection>,
+        id: Option<FastStopId>,
+        client: Client,
+        answer: Answer<()>,
+    ) {
+        let allowed = allowed.and_then(|()| Ok(self.check_link()?));
         let sent = allowed.and_then(|()| {
             let submitted = self.link.submit(now, Command::AcknowledgeFastStop, Purpose::Acknowledge);
             submitted.map_err(|not_taken| not_taken.0)
         });
         match sent {
             Ok(token) => {
-                tracing::info!(gripper = %self.config.name, %id, by = %client.subject, "acknowledging FAST STOP");
+                let id_text = id.map(|id| id.to_string());
+                tracing::info!(gripper = %self.config.name, id = id_text, by = %client.subject, "acknowledging");
                 self.latch.acknowledge_sent(id, client, token, answer);
             }
             Err(rejection) => {

@@ -17,7 +17,7 @@
 //!
 //! A motion frame is submitted to the session in one place, `start_motion`, once for each admitted command. While a
 //! FAST STOP is latched, no motion frame is submitted, and unwritten ones are withdrawn. An acknowledgement is
-//! submitted in one place, for a client that named the latch's id.
+//! submitted in one place, for a client that named the latch's id, or while nothing is latched.
 
 mod admission;
 mod connection;
@@ -218,6 +218,9 @@ impl Actor {
                 self.exchange(now, command, client, lease.as_ref(), answer);
             }
             ActorRequest::Acknowledge { id, client, answer } => self.acknowledge(now, id, client, answer),
+            ActorRequest::AcknowledgeFault { client, lease, answer } => {
+                self.acknowledge_fault(now, client, lease.as_ref(), answer);
+            }
             ActorRequest::Lease { answer } => {
                 let _ = answer.send(self.lease_now(now));
             }
@@ -236,6 +239,10 @@ impl Actor {
                 let _ = answer.send(self.release_lease(now, token.as_ref()));
             }
             ActorRequest::LoseLease { token, times_taken } => self.lose_lease(now, &token, times_taken),
+            ActorRequest::Disconnect { client, lease, answer } => {
+                self.disconnect(now, &client, lease.as_ref(), answer);
+            }
+            ActorRequest::Connect { client, lease, answer } => self.connect(now, &client, lease.as_ref(), answer),
             ActorRequest::Drain { answer } => self.start_drain(now, answer),
         }
         self.after_input(now);

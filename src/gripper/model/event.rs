@@ -72,7 +72,7 @@ pub enum Detail {
     Command(CommandEvent),
     /// A FAST STOP was latched, or confirmed by the device's flags.
     FastStop(FastStopEvent),
-    /// A FAST STOP was acknowledged, or could not be.
+    /// A FAST STOP or a fault of the device was acknowledged, or could not be.
     Acknowledge(AcknowledgeEvent),
     /// The lease changed.
     Lease(LeaseEvent),
@@ -222,10 +222,11 @@ pub enum FastStopStep {
 /// Result of an acknowledgement.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct AcknowledgeEvent {
-    /// Id of the FAST STOP that the acknowledgement named.
-    #[schema(value_type = uuid::Uuid)]
-    pub fast_stop_id: FastStopId,
-    /// Whether the FAST STOP was cleared.
+    /// Id of the FAST STOP that the acknowledgement named; null for a fault of the device without a FAST STOP.
+    #[schema(value_type = Option<uuid::Uuid>, required)]
+    pub fast_stop_id: Option<FastStopId>,
+    /// Whether the FAST STOP was cleared. For a fault without a FAST STOP: whether the device accepted the
+    /// acknowledgement.
     pub cleared: bool,
     /// Reason for a failure, as text; absent if the FAST STOP was cleared.
     #[serde(skip_serializing_if = "Option::is_none")]

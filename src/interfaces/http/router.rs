@@ -109,6 +109,8 @@ fn api() -> Routes {
         .routes(routes!(paths::device::tare))
         .routes(routes!(paths::device::loop_back))
         .routes(routes!(paths::raw::raw))
+        .routes(routes!(paths::connection::disconnect))
+        .routes(routes!(paths::connection::connect))
         .routes(routes!(paths::lease::get, paths::lease::take, paths::lease::renew, paths::lease::release))
         .routes(routes!(paths::lease::hand_over))
         .routes(routes!(stream::stream))

@@ -78,7 +78,7 @@ fn remedy(id: u8, rejection: &Rejection) -> &'static str {
             }
             Conflict::NotReferenced => "home the gripper first (20h)",
             Conflict::SettingsLost { .. } => "set the lost settings again (30h, 32h, 34h)",
-            Conflict::AlreadyRunning { .. } | Conflict::RequestIdReused => {
+            Conflict::AlreadyRunning { .. } | Conflict::FingersMove | Conflict::RequestIdReused => {
                 "wait for the end of the motion, or send a Stop (22h) first"
             }
         },

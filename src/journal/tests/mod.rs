@@ -244,7 +244,7 @@ async fn every_kind_of_event_can_be_written_and_read() {
     let (reason, cause) = ("a \"quote\"\u{2028}".to_owned(), FastStopCause::Requested);
     let details = [
         Detail::FastStop(FastStopEvent { event: FastStopStep::Latched, fast_stop_id, cause, reason, count: 1 }),
-        Detail::Acknowledge(AcknowledgeEvent { fast_stop_id, cleared: true, cause: None }),
+        Detail::Acknowledge(AcknowledgeEvent { fast_stop_id: Some(fast_stop_id), cleared: true, cause: None }),
         Detail::Device(DeviceEvent::Restarted),
         Detail::Device(DeviceEvent::Fault { flags: vec!["TEMP_FAULT"] }),
         Detail::Settings(SettingsEvent { restored: true, setting: SettingChange::Tare }),

@@ -50,6 +50,7 @@ export const de = {
   'link.connected': 'verbunden',
   'link.unresponsive': 'antwortet nicht',
   'link.reconnecting': 'verbindet neu',
+  'link.released': 'freigegeben',
   'link.gone': 'Gateway offline',
   'state.IDLE': 'Ruht',
   'state.GRASPING': 'Greift',
@@ -71,6 +72,7 @@ export const de = {
   'stale.link.connecting': 'Greifer noch nicht erreicht',
   'stale.link.unresponsive': 'Der Greifer antwortet nicht',
   'stale.link.reconnecting': 'Keine Verbindung zum Greifer',
+  'stale.link.released': 'Verbindung für ein anderes Programm freigegeben',
 
   'jaws.closing': 'schließt',
   'jaws.opening': 'öffnet',
@@ -201,6 +203,7 @@ export const de = {
   'alarm.link.connecting': 'noch nicht erreicht',
   'alarm.link.unresponsive': 'antwortet nicht',
   'alarm.link.reconnecting': 'keine Verbindung',
+  'alarm.link.released': 'freigegeben',
   'alarm.flag.TEMP_WARNING': 'Temperatur hoch',
   'alarm.flag.TEMP_FAULT': 'Temperaturfehler',
   'alarm.flag.POWER_FAULT': 'Fehler der Stromversorgung',

@@ -50,6 +50,7 @@ export const en = {
   'link.connected': 'connected',
   'link.unresponsive': 'not responding',
   'link.reconnecting': 'reconnecting',
+  'link.released': 'released',
   'link.gone': 'gateway offline',
   'state.IDLE': 'Idle',
   'state.GRASPING': 'Gripping',
@@ -71,6 +72,7 @@ export const en = {
   'stale.link.connecting': 'Gripper not reached yet',
   'stale.link.unresponsive': 'The gripper is not responding',
   'stale.link.reconnecting': 'No link to the gripper',
+  'stale.link.released': 'Link released to another program',
 
   'jaws.closing': 'closing',
   'jaws.opening': 'opening',
@@ -201,6 +203,7 @@ export const en = {
   'alarm.link.connecting': 'not reached yet',
   'alarm.link.unresponsive': 'not responding',
   'alarm.link.reconnecting': 'no link',
+  'alarm.link.released': 'released',
   'alarm.flag.TEMP_WARNING': 'temperature high',
   'alarm.flag.TEMP_FAULT': 'temperature fault',
   'alarm.flag.POWER_FAULT': 'power fault',
