@@ -38,7 +38,7 @@ pub use lease::{
     OnLossMoving, TakeLease,
 };
 pub use parameters::{Direction, OnBlock, Parameters};
-pub use record::{GripRecord, OnJournalFailure, PersistedKey, PersistedState, Sample};
+pub use record::{GripRecord, OnJournalFailure, PersistedKey, PersistedState, RequestedValues, Sample};
 pub use state::{FastStopCause, Latch, LatchFields, Link, State, Telemetry};
 pub use text::{InvalidShownName, PartId, Reason, RequestId, ShownName, Text};
 pub use urgency::Urgency;
@@ -320,6 +320,9 @@ pub struct CommandReport {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<String>, nullable = false, max_length = 8192)]
     pub payload: Option<Arc<str>>,
+    /// Holder, id and values of the request, for the journal.
+    #[serde(skip)]
+    pub requested: RequestedValues,
     /// Reason for a refusal, which waiting clients get as a problem.
     #[serde(skip)]
     pub rejection: Option<Rejection>,
@@ -355,6 +358,7 @@ impl CommandReport {
             replayed: false,
             fast_stop_id: None,
             payload: None,
+            requested: RequestedValues::of(&submission.action, submission.request_id.clone()),
             rejection: None,
             cancelled_by: None,
             recorded: false,

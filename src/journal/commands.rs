@@ -5,7 +5,7 @@ use std::sync::Arc;
 use jiff::Timestamp;
 use serde::Deserialize;
 
-use crate::gripper::model::{CommandEvent, CommandId, CommandReport, Done, Door, Name, Phase};
+use crate::gripper::model::{CommandEvent, CommandId, CommandReport, Done, Door, Name, Phase, RequestedValues};
 
 /// The parts of a `command` event that describe the command.
 #[derive(Debug, Deserialize)]
@@ -43,12 +43,17 @@ impl CommandBody {
             fast_stop_id: None,
             cancelled_by: None,
             payload: None,
+            requested: RequestedValues::default(),
             rejection: None,
             recorded: true,
             accepted: true,
         };
         match self.event {
-            CommandEvent::Admitted(_) => running,
+            CommandEvent::Admitted(admitted) => {
+                let (holder, request_id) = (admitted.holder, admitted.request_id);
+                let requested = RequestedValues { holder, request_id, ..RequestedValues::from(&admitted.parameters) };
+                CommandReport { requested, ..running }
+            }
             CommandEvent::Done(done) => ended(running, *done),
         }
     }
@@ -67,6 +72,7 @@ fn ended(running: CommandReport, done: Done) -> CommandReport {
         started_at: done.started_at,
         duration_ms: done.duration_ms,
         fast_stop_id: done.fast_stop_id,
+        requested: done.requested,
         ..running
     }
 }
