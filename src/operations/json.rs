@@ -10,8 +10,8 @@ use super::problem::{Code, Problem};
 /// Largest accepted body, message or payload, in bytes. The largest that any request needs is a `raw` one of 8 KiB.
 pub const MAX_BODY_BYTES: usize = 64 * 1024;
 
-/// Parses the JSON object in `bytes`. Empty input stands for an empty object. NUL bytes at the end are ignored: some
-/// PLCs send a whole buffer.
+/// Parses the JSON object in `bytes`. Empty input stands for an empty object. NUL bytes after the object are ignored:
+/// some PLCs send a whole buffer.
 ///
 /// # Errors
 /// A problem that names the wrong field, if there is one.
@@ -42,8 +42,9 @@ pub fn text_member(bytes: &[u8], key: &str) -> Option<String> {
     serde_json::from_slice::<Value>(without_padding(bytes)).ok()?.get(key)?.as_str().map(ToOwned::to_owned)
 }
 
+/// Returns `bytes` without NUL bytes at the end. Bytes that are all NUL stay, since they are not JSON.
 fn without_padding(bytes: &[u8]) -> &[u8] {
-    let end = bytes.iter().rposition(|byte| *byte != 0).map_or(0, |last| last + 1);
+    let end = bytes.iter().rposition(|byte| *byte != 0).map_or(bytes.len(), |last| last + 1);
     &bytes[..end]
 }
 

@@ -89,7 +89,8 @@ async fn part_id_can_be_a_number_and_a_body_padded() {
     gateway.ask("POST", "/api/v1/grippers/left/grip", body).await;
     let Action::Motion(Motion::Grip { part_id, .. }) = gateway.action().await else { panic!() };
     assert_eq!(part_id.unwrap().as_str(), "4711");
-    gateway.ask("POST", "/api/v1/grippers/left/home", "\0\0").await;
+    assert_eq!(gateway.ask("POST", "/api/v1/grippers/left/home", "\0\0").await.status, 400);
+    gateway.ask("POST", "/api/v1/grippers/left/home", "{}\0\0").await;
     assert_eq!(gateway.action().await, Action::Motion(Motion::Home(wsg::HomingDirection::Default)));
 }
 
