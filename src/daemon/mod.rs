@@ -256,6 +256,7 @@ fn spawn(
         }
     };
     let config = gripper::actor::ActorConfig {
+        gateway: config.name.clone(),
         name: gripper.name.clone(),
         url: connector.url(),
         properties: connector.properties(),

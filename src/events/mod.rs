@@ -35,6 +35,7 @@ pub use queued::Gap;
 /// - `state`: newest state of each gripper
 /// - `telemetry`: newest measured values of each gripper
 /// - `events`: every event, once it is durable in the journal
+/// - `grips`: every grip record, once it is durable, and again when its part was lost
 /// - `frames`: every frame to and from a device, and damaged bytes from it
 /// - `fleet`: newest state of each gripper of all gateways
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, ToSchema)]
@@ -43,12 +44,13 @@ pub enum Topic {
     State,
     Telemetry,
     Events,
+    Grips,
     Frames,
     Fleet,
 }
 
 /// The topics, as an error message lists them.
-pub const TOPICS: &str = "state, telemetry, events, frames, fleet";
+pub const TOPICS: &str = "state, telemetry, events, grips, frames, fleet";
 
 /// Rate of states and telemetry in Hz, unless a client asks for more or less.
 pub const DEFAULT_HZ: u64 = 10;
@@ -110,6 +112,9 @@ impl LiveUpdates {
         let mut queued: SelectAll<BoxStream<'static, Notification>> = SelectAll::new();
         if topics.contains(&Topic::Events) {
             queued.push(queued::events(self.clone(), grippers.cloned()).boxed());
+        }
+        if topics.contains(&Topic::Grips) {
+            queued.push(queued::grips(self, grippers.cloned()).boxed());
         }
         if topics.contains(&Topic::Frames) {
             queued.extend(sources.iter().map(|source| queued::frames((*source).clone()).boxed()));

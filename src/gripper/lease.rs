@@ -196,6 +196,11 @@ impl LeaseState {
         self.held.as_ref().map(|held| held.terms)
     }
 
+    /// The holder, if this is its token.
+    pub(super) fn holder_by(&self, token: Option<&LeaseToken>) -> Option<&Holder> {
+        self.held.as_ref().filter(|held| Some(&held.token) == token).map(|held| &held.holder)
+    }
+
     pub(super) fn reserved(&self) -> Option<&Holder> {
         self.reserved.as_ref()
     }

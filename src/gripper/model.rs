@@ -45,7 +45,7 @@ pub use lease::{
     OnLossMoving, TakeLease,
 };
 pub use parameters::{Direction, OnBlock, Parameters};
-pub use record::{GripRecord, OnJournalFailure, PersistedKey, PersistedState, Sample};
+pub use record::{GripRecord, OnJournalFailure, PersistedKey, PersistedState, RequestedValues, Sample};
 pub use state::{FastStopCause, Latch, LatchFields, Link, State, Telemetry};
 pub use status::GripperStatus;
 pub use text::{InvalidShownName, PartId, Reason, RequestId, ShownName, Text};
@@ -374,6 +374,9 @@ pub struct CommandReport {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
     pub detail: Option<String>,
+    /// Holder, id and values of the request, for the journal.
+    #[serde(skip)]
+    pub requested: RequestedValues,
     /// Reason for a refusal, which waiting clients get as a problem.
     #[serde(skip)]
     pub rejection: Option<Rejection>,
@@ -413,6 +416,7 @@ impl CommandReport {
             payload: None,
             code: None,
             detail: None,
+            requested: RequestedValues::of(&submission.action, submission.request_id.clone()),
             rejection: None,
             cancelled_by: None,
             recorded: false,

@@ -35,7 +35,7 @@ impl Actor {
                 let keep = self.lease.keep(now.instant, submission.lease.as_ref()).map(Arc::new);
                 let ticket = self.enter(now, id, submission);
                 if !matches!(motion, Motion::Custom(_)) {
-                    self.recording.start_measuring(id, motion);
+                    self.recording.start_measuring(id, motion, self.settings.known_serial);
                 }
                 self.motion.running = Some(Running::new(id, motion.clone(), self.is_streamed(motion)));
                 if self.is_streamed(motion) {
@@ -108,13 +108,14 @@ impl Actor {
     fn enter(&mut self, now: Now, id: CommandId, submission: &Submission) -> Ticket {
         let kind = submission.action.kind();
         let is_streamed = matches!(&submission.action, Action::Motion(motion) if self.is_streamed(motion));
+        let mut record = CommandReport::admitted(id, self.config.name.clone(), submission, now.wall);
+        record.requested.holder = self.lease.holder_by(submission.lease.as_ref()).map(|holder| holder.name.clone());
         if is_streamed {
             self.streaming.count(now, submission, &mut self.recording);
         } else {
             tracing::info!(gripper = %self.config.name, command = %id, %kind, client = %submission.client.subject, "command admitted");
-            self.recording.admitted(now, id, submission);
+            self.recording.admitted(now, &record, submission);
         }
-        let record = CommandReport::admitted(id, self.config.name.clone(), submission, now.wall);
         self.commands.enter(now.instant, record, submission, is_streamed)
     }
 

@@ -83,6 +83,8 @@ const RESULT_WITHIN: Duration = Duration::from_secs(30);
 
 #[derive(Debug, Clone)]
 pub struct ActorConfig {
+    /// Name of the gateway, for the records.
+    pub gateway: Name,
     pub name: Name,
     pub url: String,
     pub properties: LinkProperties,
@@ -151,7 +153,7 @@ impl Actor {
             commands: CommandRegistry::default(),
             motion: MotionState::new(config.motion_pause),
             drain: None,
-            recording: Recording::new(config.name.clone(), config.on_journal_failure),
+            recording: Recording::new(config.gateway.clone(), config.name.clone(), config.on_journal_failure),
             metering: Metering::new(config.metrics.clone()),
             streaming: Streaming::default(),
             scripts: Scripts::default(),

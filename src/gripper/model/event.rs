@@ -9,7 +9,7 @@ use utoipa::ToSchema;
 
 use super::{
     Client, Code, CommandId, CommandReport, Door, FastStopCause, FastStopId, Kind, Name, Outcome, Parameters, PartId,
-    RequestId, lease::LeaseEvent,
+    RequestId, RequestedValues, lease::LeaseEvent,
 };
 
 mod device;
@@ -103,6 +103,10 @@ pub enum CommandEvent {
 pub struct Admitted {
     /// Kind of the command.
     pub command: Kind,
+    /// Name of the lease holder, if the command was requested with the lease.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[schema(value_type = Option<String>, nullable = false)]
+    pub holder: Option<Arc<str>>,
     /// Id by which a repeated request is recognised.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<String>, nullable = false, max_length = 64)]
@@ -164,6 +168,8 @@ pub struct Done {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
     pub cause: Option<String>,
+    #[serde(flatten)]
+    pub requested: RequestedValues,
 }
 
 impl Done {
@@ -186,6 +192,7 @@ impl Done {
             cancelled_by: command.cancelled_by.clone(),
             code: command.code,
             cause: command.detail.clone(),
+            requested: command.requested.clone(),
         }
     }
 }
