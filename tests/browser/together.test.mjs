@@ -17,7 +17,7 @@ test('control is requested, handed over and taken back by force', async () => {
   await ben.page.waitForSelector('.status:has-text("Anna")');
   assert.ok(await ben.page.locator('#home').isDisabled());
   await ben.page.click('#ask-control');
-  await anna.page.waitForSelector('.asked:has-text("Ben is asking for control")');
+  await anna.page.waitForSelector('[data-notice=asked]:has-text("Ben is asking for control")');
   await shoot(anna.page, 'asked', { fullPage: true });
   await anna.page.click('#hand-over');
   await ben.page.waitForSelector('.control-panel:has-text("You have control as Ben")');

@@ -225,6 +225,16 @@ test('a newer FAST STOP is another alarm, and the list is bounded', () => {
   );
 });
 
+test('a reservation is an alarm until a client takes control', () => {
+  const lease = { reserved_for: 'Anna' };
+  const wrong = wrongWith(state({ lease_holder: null }), lease);
+  assert.deepEqual(
+    wrong.map(({ what, priority, cause }) => [what, priority, cause]),
+    [['reserved', 'high', 'Anna']],
+  );
+  assert.deepEqual(wrongWith(state({ lease_holder: 'Ben' }), lease), []);
+});
+
 test('active alarms stay in the list despite many cleared ones', () => {
   const warm = state({ gripper: 'here', flags_raw: 1 | (1 << 13) });
   let alarms = updated([], wrongWith(warm), 0);

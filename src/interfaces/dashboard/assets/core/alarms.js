@@ -10,8 +10,8 @@ export const MAX_ALARMS = 100;
 /** Highest first. */
 export const PRIORITIES = ['critical', 'high', 'low'];
 
-/** Returns what is wrong with a gripper now. Each fault keeps its key while it lasts. */
-export function wrongWith(state) {
+/** Returns what is wrong with a gripper now. Each fault keeps its key while it lasts. The lease may be unknown. */
+export function wrongWith(state, lease = null) {
   const wrong = [];
   const add = (what, priority, cause = null) =>
     wrong.push({ key: `${state.gripper}/${what}`, gripper: state.gripper, what, priority, cause });
@@ -23,6 +23,8 @@ export function wrongWith(state) {
     add(`flag/${name}`, weight === 'fault' ? 'critical' : 'low');
   }
   if (state.state === 'PART_LOST') add('part_lost', 'high');
+  // A part is held, and its client is gone.
+  if (lease?.reserved_for && state.lease_holder === null) add('reserved', 'high', lease.reserved_for);
   return wrong;
 }
 

@@ -35,6 +35,9 @@ export const connection = signal('connecting');
 export const heardAt = signal(null);
 /** Wall-clock time in whole seconds, for ages. */
 export const now = signal(Date.now());
+/** Grippers of all gateways; null until they are known. */
+export const fleet = signal(null);
+export const hasOthers = computed(() => new Set(fleet.value?.map(({ gateway }) => gateway)).size > 1);
 /** Number of the newest event. The history reloads when it changes. */
 export const eventSeq = signal(0);
 /** Recently active clients with interface and time. Not a signal, because busy cells would change it all the time. */
@@ -69,7 +72,7 @@ function keepOnly(names) {
 }
 
 function noteAlarms() {
-  const wrong = grippers.value.flatMap((one) => (one.newest ? wrongWith(one.newest) : []));
+  const wrong = grippers.value.flatMap((one) => (one.newest ? wrongWith(one.newest, one.lease.peek()) : []));
   if (connection.value === 'lost' || connection.value === 'silent') wrong.push(GATEWAY_GONE);
   alarms.value = updated(alarms.value, wrong, Date.now());
 }
@@ -107,6 +110,7 @@ export const rpc = new Rpc({
   onEnd: () => {
     // A lease ends with its connection.
     byName.forEach((one) => {
+      one.loseControl('disconnected');
       one.held.value = null;
     });
     look();
@@ -210,6 +214,8 @@ setInterval(() => {
   const asked = gripper.peek();
   // Any answer shows that the gateway is alive.
   if (rpc.isOpen && asked) rpc.call('state', { gripper: asked.name }, RENEWED_AFTER_MS).then(takeState, () => {});
+  // No event reports the end of a reservation.
+  if (rpc.isOpen) byName.forEach((one) => one.reservedFor.peek() !== null && learn(one));
 }, ASKED_EVERY_MS);
 
 effect(() => {

@@ -3,6 +3,7 @@
 import { html, useComputed } from '../lib.js';
 import { fixed, plain, t } from '../model/i18n.js';
 import { Covered, Figure, Panel, whyOld } from './parts.js';
+import { Result } from './result.js';
 
 const MIDDLE = 340;
 const SPAN = 540;
@@ -153,8 +154,7 @@ function Figures({ one }) {
 export function Jaws({ one }) {
   return html`<${Panel} title=${one.name} id="jaws-title" class="jaws-panel" actions=${
     !whyOld(one) &&
-    html`<span
-      class="jaws-words" data-state=${one.gripperState.value}>${words(one)}</span>`
+    html`<span class="jaws-words" data-state=${one.gripperState.value}>${words(one)}</span><${Result} one=${one} />`
   }>
     <${Covered} one=${one}><${Drawing} one=${one} /><${Figures} one=${one} /></${Covered}>
   </${Panel}>`;

@@ -3,9 +3,9 @@
 import { html, useEffect, useRef, useSignal } from '../lib.js';
 import { accelerationLimits, asTyped, forceLimits, mistake, number, widthLimits } from '../core/limits.js';
 import { fixed, plain, t } from '../model/i18n.js';
-import { ask, askFreely } from '../model/commands.js';
-import { connection, learnSettings } from '../model/store.js';
-import { Covered, Panel, ProblemNote, Shape } from '../ui/parts.js';
+import { ask } from '../model/commands.js';
+import { connection, learnSettings, rpc } from '../model/store.js';
+import { Covered, Panel, Shape } from '../ui/parts.js';
 import { limitsText, NumberField } from './fields.js';
 
 function Facts({ facts }) {
@@ -174,7 +174,6 @@ function Settings({ one }) {
       <button type="button" onClick=${() => change('tare')}>${t('settings.tare')}</button>
     </div>
     <p class="small" role="status">${note.value}</p>
-    <${ProblemNote} problem=${one.problem} />
   </${Panel}>`;
 }
 
@@ -182,9 +181,12 @@ function Statistics({ one }) {
   const known = useSignal(null);
   const isSure = useSignal(false);
   useEffect(() => {
-    askFreely(one, 'statistics').then((statistics) => {
-      known.value = statistics;
-    });
+    rpc.call('statistics', { gripper: one.name }).then(
+      (statistics) => {
+        known.value = statistics;
+      },
+      () => {},
+    );
   }, [one, one.runs.value, one.settingsChange.value, connection.value === 'live']);
   const figures = known.value;
   const good =

@@ -13,11 +13,13 @@ export function Presets({ one, fields }) {
     fields.width.value = preset.width;
     fields.speed.value = preset.speed;
     fields.force.value = preset.force;
+    if (preset.open !== undefined) fields.open.value = preset.open;
   };
   const save = (event) => {
     event.preventDefault();
     const given = name.value.trim() || `${fields.width.value} mm`;
-    const preset = { name: given, width: fields.width.value, speed: fields.speed.value, force: fields.force.value };
+    const [width, open, speed, force] = ['width', 'open', 'speed', 'force'].map((field) => fields[field].value);
+    const preset = { name: given, width, open, speed, force };
     changePresets(one.name, (list) => [...list.filter((other) => other.name !== given), preset].slice(-MAX_PRESETS));
     name.value = '';
   };
