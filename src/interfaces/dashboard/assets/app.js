@@ -7,6 +7,7 @@ import { theme } from './model/prefs.js';
 import { gripper, isLive, selected, view, VIEWS } from './model/store.js';
 import { Bar, Picker } from './ui/bar.js';
 import { Jaws } from './ui/jaws.js';
+import './ui/focus.js';
 import { Choice, within } from './ui/parts.js';
 import { go, start } from './ui/route.js';
 

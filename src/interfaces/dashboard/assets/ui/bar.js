@@ -158,7 +158,7 @@ export function Bar({ notices }) {
       stopped.value &&
       html`<p class=${`stopped ${stopped.value.isWrong ? 'tone-critical' : ''}`}
         role="status">${stopped.value.text}
-      <button type="button" class="quiet" onClick=${() => {
+      <button type="button" class="quiet" aria-label=${`${t('close')}: ${t('state.FAST_STOP')}`} onClick=${() => {
         stopped.value = null;
       }}>${t('close')}</button></p>`
     }

@@ -25,7 +25,7 @@ function Row({ alarm }) {
         </span></div>
     ${
       isLatch
-        ? html`<button type="button"
+        ? html`<button type="button" aria-label=${`${t('alarm.show')}: ${alarmName(alarm)}`}
         onClick=${() => {
           selected.value = alarm.gripper;
           go('operate');

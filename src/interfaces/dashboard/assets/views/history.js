@@ -83,7 +83,7 @@ function Grips({ list, picked }) {
       <td class="number">${fixed(grip.width_mm, 2)} mm</td><td class="number">${fixed(grip.peak_force_n, 1)} N</td><td
           class="number">${grip.contact_width_mm == null ? '–' : `${fixed(grip.contact_width_mm, 2)} mm`}</td><td
               class="number">${grip.duration_ms == null ? '–' : `${fixed(grip.duration_ms / 1000, 2)} s`}</td>
-      <td><button type="button" class="quiet" aria-pressed=${picked.value?.id === grip.id ? 'true' : 'false'}
+      <td><button type="button" class="quiet" aria-label=${`${t('history.curve')}: ${t(`command.${grip.kind}`)}, ${moment(grip.started_at)}`} aria-pressed=${picked.value?.id === grip.id ? 'true' : 'false'}
           onClick=${() => {
             picked.value = grip;
           }}>${t('history.curve')}</button></td></tr>`,
