@@ -59,7 +59,7 @@ export const find = (name) => byName.get(name);
 function ensure(name) {
   if (!byName.has(name)) {
     byName.set(name, new Gripper(name));
-    grippers.value = [...byName.values()].sort((a, b) => a.name.localeCompare(b.name));
+    grippers.value = [...byName.values()].sort((a, b) => a.name.localeCompare(b.name, 'en', { numeric: true }));
   }
   return byName.get(name);
 }

@@ -165,8 +165,27 @@ export function Bar({ notices }) {
   </header>`;
 }
 
+/** More grippers than this are a list, so that all can be reached. */
+const MAX_CHIPS = 8;
+
+function stateText(one) {
+  const old = whyOld(one);
+  if (old) return old.text;
+  return one.latchId.value ? t('state.FAST_STOP') : t(`state.${one.gripperState.value ?? 'unknown'}`);
+}
+
+function List({ all }) {
+  return html`<select id="gripper-list" aria-label=${t('bar.grippers')} value=${selected.value}
+      onChange=${({ currentTarget }) => {
+        selected.value = currentTarget.value;
+        go();
+      }}>${all.map((one) => html`<option key=${one.name} value=${one.name}>${one.name} – ${stateText(one)}</option>`)}
+    </select>`;
+}
+
 export function Picker() {
   const all = grippers.value;
+  if (all.length > MAX_CHIPS) return html`<div class="picker"><${List} all=${all} /></div>`;
   return html`<nav class="picker" aria-label=${t('bar.grippers')}>
     ${all.map(
       (one) => html`<button type="button" key=${one.name} class="chip"

@@ -38,6 +38,7 @@ function Drawn({ curve }) {
 
 export function Curve({ grip }) {
   const curve = useSignal(null);
+  const place = useRef(null);
   useEffect(() => {
     curve.value = null;
     if (grip)
@@ -48,7 +49,11 @@ export function Curve({ grip }) {
         () => {},
       );
   }, [grip?.id]);
-  return html`<aside class="panel" aria-label=${t('history.curve')}>
+  useEffect(() => {
+    // Below the table on small screens, and beside it on others.
+    if (curve.value && matchMedia('(max-width: 1100px)').matches) place.current?.scrollIntoView({ block: 'start' });
+  }, [curve.value]);
+  return html`<aside class="panel curve" ref=${place} aria-label=${t('history.curve')}>
     ${!grip && html`<p class="muted">${t('history.pick')}</p>`}
     ${
       grip &&
