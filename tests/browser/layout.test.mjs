@@ -3,7 +3,7 @@
 import assert from 'node:assert/strict';
 import { after, test } from 'node:test';
 
-import { assertClean, browser, controlled, endAll, gateway, homed, shoot, visit } from './harness.mjs';
+import { assertClean, browser, controlled, endAll, gateway, homed, shoot, until, visit } from './harness.mjs';
 
 after(endAll);
 const launched = await browser();
@@ -156,6 +156,59 @@ test('each step with presets can be undone', async () => {
   await page.click('#preset-undo');
   await page.click('.preset button:has-text("small")');
   assert.equal(await page.inputValue('#width'), '33');
+  assertClean(visitor);
+  await visitor.close();
+});
+
+test('charts show the value under the cursor, and their axes have distinct labels', async () => {
+  const served = await gateway();
+  await served.ask('POST', 'grippers/left/home');
+  await served.ask('POST', 'grippers/left/move', { width_mm: 60, speed_mm_s: 300 });
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  const drawn = [];
+  await page.exposeFunction('noteLabel', (text) => drawn.push(text));
+  await page.evaluate(() => {
+    const { fillText } = CanvasRenderingContext2D.prototype;
+    CanvasRenderingContext2D.prototype.fillText = function noted(text, ...place) {
+      globalThis.noteLabel(text);
+      return fillText.call(this, text, ...place);
+    };
+  });
+  await page.waitForSelector('.chart canvas');
+  const box = await page.locator('.chart-place').first().boundingBox();
+  await page.mouse.move(box.x + box.width - 20, box.y + box.height / 2);
+  await page.waitForSelector('.chart:nth-child(1) output:has-text("60.00 (-")');
+  await page.waitForSelector('.chart:nth-child(2) output:has-text("0.00 (-")');
+  await page.click('[data-view=history]');
+  await page.click('tbody tr:has-text("Move") button');
+  await page.waitForSelector('.curve-place canvas');
+  drawn.length = 0;
+  await page.click('[data-choice=theme-dark]');
+  await until('the curve is drawn again', () => drawn.length > 10);
+  // Labels of one axis are drawn in a row.
+  assert.deepEqual(
+    drawn.filter((label, index) => label !== '' && label === drawn[index + 1]),
+    [],
+  );
+  assertClean(visitor);
+  await visitor.close();
+});
+
+test('the jaws stay inside the body, with their width beside them', async () => {
+  const served = await gateway();
+  await served.ask('POST', 'grippers/left/home');
+  await served.ask('POST', 'grippers/left/move', { width_mm: 110, speed_mm_s: 300 });
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  await page.waitForSelector('.jaws .dimension text:has-text("110.0 mm")');
+  const [body, ...jaws] = await page.evaluate(() =>
+    ['.jaws .body', '.jaws .jaw', '.jaws g + g .jaw'].map((one) => {
+      const { left, right } = document.querySelector(one).getBoundingClientRect();
+      return { left, right };
+    }),
+  );
+  for (const jaw of jaws) assert.ok(jaw.left >= body.left && jaw.right <= body.right, JSON.stringify({ body, jaw }));
   assertClean(visitor);
   await visitor.close();
 });

@@ -80,6 +80,7 @@ export const de = {
   'jaws.closing': 'schließt',
   'jaws.opening': 'öffnet',
   'jaws.target': 'Ziel {width} mm',
+  'jaws.width': '{width} mm',
   'jaws.label': 'Öffnungsweite {width} mm',
   'jaws.not_referenced': 'Nicht referenziert: erst Referenzfahrt',
   'figure.stroke': '0 – {max} mm',

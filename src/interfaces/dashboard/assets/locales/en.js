@@ -80,6 +80,7 @@ export const en = {
   'jaws.closing': 'closing',
   'jaws.opening': 'opening',
   'jaws.target': 'target {width} mm',
+  'jaws.width': '{width} mm',
   'jaws.label': 'Opening width {width} mm',
   'jaws.not_referenced': 'Not referenced: home first',
   'figure.stroke': '0 – {max} mm',

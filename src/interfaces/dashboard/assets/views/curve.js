@@ -13,12 +13,19 @@ const ROWS = [
 
 function Drawn({ curve }) {
   const places = useRef([]);
+  const outputs = useRef([]);
   useEffect(() => {
     const mounted = [...places.current];
     const times = curve.t_ms.map((ms) => ms / 1000);
-    const x = { values: (_, splits) => splits.map((value) => `${fixed(value, 1)} s`) };
+    const timeText = (value, decimals) => `${fixed(value, decimals)} s`;
     const plots = ROWS.map(([, column], index) =>
-      plot(mounted[index], { data: [times, curve[column]], x, padding: [8, 8, 0, 0] }),
+      plot(mounted[index], {
+        data: [times, curve[column]],
+        timeText,
+        output: outputs.current[index],
+        group: 'curve',
+        padding: [8, 8, 0, 0],
+      }),
     );
     const endFitting = fit(plots, mounted);
     return () => {
@@ -28,7 +35,9 @@ function Drawn({ curve }) {
   }, [curve, looks()]);
   return html`<div>${ROWS.map(
     ([key, , unit], index) => html`<figure class="chart" key=${key}>
-    <figcaption>${t(key)} <span class="unit">${unit}</span></figcaption>
+    <figcaption>${t(key)} <span class="unit">${unit}</span> <output ref=${(output) => {
+      outputs.current[index] = output;
+    }} /></figcaption>
     <div class="curve-place" role="img" aria-label=${`${t('history.curve')}: ${t(key)}`}
         ref=${(place) => {
           places.current[index] = place;
