@@ -1,5 +1,7 @@
 //! The registry of all metrics, and the metrics of the gateway itself.
 
+use std::ffi::OsString;
+use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 
 use prometheus::core::{Collector, Desc};
@@ -8,18 +10,18 @@ use prometheus::proto::MetricFamily;
 use prometheus::{IntCounter, IntGauge, Opts, Registry, Result};
 use tokio::sync::watch;
 
+use crate::config::{Config, JournalPlace};
 use crate::fleet::Peers;
 use crate::gripper::Recorder as _;
-use crate::gripper::model::Name;
 use crate::gripper::recorder::JournalHealth;
 use crate::journal::Journal;
 
 /// Returns a registry with the metrics of the process, the gateway and its journal.
-pub(super) fn registry(gateway: &Name, journal: &Journal) -> Result<Registry> {
+pub(super) fn registry(config: &Config, journal: &Journal) -> Result<Registry> {
     let registry = Registry::new();
     registry.register(Box::new(ProcessCollector::for_self()))?;
     let info = Opts::new("wsg_build_info", "The gateway's name and version.")
-        .const_label("gateway", gateway.as_str())
+        .const_label("gateway", config.name.as_str())
         .const_label("version", env!("CARGO_PKG_VERSION"));
     let info = IntGauge::with_opts(info)?;
     info.set(1);
@@ -34,7 +36,33 @@ pub(super) fn registry(gateway: &Name, journal: &Journal) -> Result<Registry> {
             "Records lost because the journal could not take them.",
         )?,
     }))?;
+    if let JournalPlace::File(path) = &config.journal.place {
+        let bytes = IntGauge::new("wsg_journal_bytes", "Size of the journal's file and of its write-ahead log.")?;
+        registry.register(Box::new(JournalSize { path: path.clone(), bytes }))?;
+    }
     Ok(registry)
+}
+
+/// Size of the journal, read at each scrape.
+struct JournalSize {
+    path: PathBuf,
+    bytes: IntGauge,
+}
+
+impl Collector for JournalSize {
+    fn desc(&self) -> Vec<&Desc> {
+        self.bytes.desc()
+    }
+
+    fn collect(&self) -> Vec<MetricFamily> {
+        let mut log = OsString::from(&self.path);
+        log.push("-wal");
+        // The log is missing while nothing is waiting in it.
+        let size = |path: &OsString| std::fs::metadata(path).map_or(0, |file| file.len());
+        let bytes = size(&OsString::from(&self.path)) + size(&log);
+        self.bytes.set(i64::try_from(bytes).unwrap_or(i64::MAX));
+        self.bytes.collect()
+    }
 }
 
 /// Health of the journal, read at each scrape.

@@ -6,6 +6,7 @@ mod metrics;
 mod ports;
 mod runtimes;
 mod simulation;
+mod systemd;
 
 use std::future::Future;
 use std::io::Write;
@@ -104,7 +105,7 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     log_unclean_end(&recovered);
     record_start(config, &journal).await;
     let (draining, shutdown) = (CancellationToken::new(), CancellationToken::new());
-    let registry = metrics::registry(&config.name, &journal)?;
+    let registry = metrics::registry(config, &journal)?;
     let grippers = spawn_all(config, &runtimes.devices, &journal, &recovered, &registry)?;
     let audit = Arc::new(Audit::new(journal.clone()));
     let peers = Arc::new(Peers::new(config.name.clone(), grippers.clone()));
@@ -133,10 +134,13 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     // Zenoh has a task of its own, so the rest continues whatever happens to Zenoh.
     let zenoh = on_zenoh.map(|(settings, context)| tokio::spawn(zenoh::serve(settings, context, announce_zenoh)));
     let ports = ports::serve(&runtimes.devices, ports, &grippers, &audit, &draining, &shutdown);
+    systemd::ready();
     tokio::select! {
         () = stop => {}
         () = audit.count() => {}
+        () = systemd::feed_watchdog(&grippers) => {}
     }
+    systemd::stopping();
     tracing::info!("shutting down: draining grippers");
     draining.cancel();
     grippers.drain().await;

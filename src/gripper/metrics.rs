@@ -8,16 +8,18 @@ use std::sync::Arc;
 use prometheus::core::{Collector, Desc};
 use prometheus::proto::MetricFamily;
 use prometheus::{
-    Gauge, Histogram, HistogramOpts, HistogramVec, IntCounter, IntCounterVec, IntGauge, Opts, Registry, Result,
+    Gauge, Histogram, HistogramOpts, HistogramVec, IntCounter, IntCounterVec, IntGauge, IntGaugeVec, Opts, Registry,
+    Result,
 };
+use strum::VariantArray as _;
 use tokio::sync::watch;
 
 use super::clock;
 use super::handle::Handle;
-use super::model::{Link, Name, State};
+use super::model::{FastStopCause, Kind, Link, Name, Outcome, State};
 
-/// Largest number of series for one gripper, reached when every kind, outcome and cause has occurred.
-pub const MAX_SERIES: usize = 193;
+/// Largest number of series for one gripper.
+pub const MAX_SERIES: usize = 199;
 
 /// Buckets for latencies of replies and FAST STOPs, in seconds: from a local socket to a slow line or a lost link.
 const LATENCIES: [f64; 11] = [0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0];
@@ -64,6 +66,32 @@ impl GripperMetrics {
              that the protocol does not allow.",
             &["reason"],
         )?;
+        let commands = of.counters(
+            "wsg_commands_total",
+            "Ended commands, by kind and outcome. The outcomes include PART_HELD and NO_PART of grips.",
+            &["kind", "outcome"],
+        )?;
+        let motions = of.register(HistogramVec::new(
+            of.histogram_opts(
+                "wsg_motion_duration_seconds",
+                "Time from a motion's admission to its end, by kind, without refused motions.",
+                &DURATIONS,
+            ),
+            &["kind"],
+        )?)?;
+        let fast_stops = of.counters("wsg_fast_stops_total", "Latched FAST STOPs, by cause.", &["cause"])?;
+        // Prometheus sees the first increase only of a series that has been 0 before.
+        for kind in Kind::VARIANTS {
+            for outcome in Outcome::VARIANTS {
+                commands.with_label_values(&[kind.name(), outcome.name()]);
+            }
+            if *kind != Kind::Stop {
+                motions.with_label_values(&[kind.name()]);
+            }
+        }
+        for cause in FastStopCause::VARIANTS {
+            fast_stops.with_label_values(&[cause.name()]);
+        }
         Ok(Self {
             reconnects: of.counter("wsg_reconnects_total", "Reconnections after a lost link.")?,
             round_trip: of.histogram(
@@ -85,20 +113,9 @@ impl GripperMetrics {
             invalid_replies: discarded.with_label_values(&["invalid"]),
             timeouts: of.counter("wsg_timeouts_total", "Requests to the device that timed out.")?,
             updates: of.counter("wsg_updates_total", "State values received from the device.")?,
-            commands: of.counters(
-                "wsg_commands_total",
-                "Ended commands, by kind and outcome. The outcomes include PART_HELD and NO_PART of grips.",
-                &["kind", "outcome"],
-            )?,
-            motions: of.register(HistogramVec::new(
-                of.histogram_opts(
-                    "wsg_motion_duration_seconds",
-                    "Time from a motion's admission to its end, by kind, without refused motions.",
-                    &DURATIONS,
-                ),
-                &["kind"],
-            )?)?,
-            fast_stops: of.counters("wsg_fast_stops_total", "Latched FAST STOPs, by cause.", &["cause"])?,
+            commands,
+            motions,
+            fast_stops,
             fast_stop_sent: of.histogram(
                 "wsg_fast_stop_sent_seconds",
                 "Time from the request of a FAST STOP until its first frame is sent. Includes the time without a link.",
@@ -120,8 +137,11 @@ pub struct Newest {
     state: watch::Receiver<Arc<State>>,
     link_up: IntGauge,
     latched: IntGauge,
+    leased: IntGauge,
+    holder: IntGaugeVec,
     age: Gauge,
-    temperature: Gauge,
+    /// Values that a gripper reports only in some states: the gauge, and the value of a state.
+    reported: [(Gauge, fn(&State) -> Option<f64>); 4],
 }
 
 impl Newest {
@@ -131,12 +151,32 @@ impl Newest {
     /// If a gripper of this name is already registered.
     pub fn register(registry: &Registry, handle: &Handle) -> Result<()> {
         let of = Of { registry, gripper: handle.name() };
+        let flag = |name, help| IntGauge::with_opts(of.opts(name, help));
+        let value = |name, help| Gauge::with_opts(of.opts(name, help));
         let newest = Self {
             state: handle.states(),
-            link_up: IntGauge::with_opts(of.opts("wsg_link_up", "1 if the link is set up and responds, else 0."))?,
-            latched: IntGauge::with_opts(of.opts("wsg_fast_stop_latched", "1 if a FAST STOP is latched, else 0."))?,
-            age: Gauge::with_opts(of.opts("wsg_update_age_seconds", "Age of the newest update from the device."))?,
-            temperature: Gauge::with_opts(of.opts("wsg_temperature_celsius", "Temperature of the device."))?,
+            link_up: flag("wsg_link_up", "1 if the link is set up and responds, else 0.")?,
+            latched: flag("wsg_fast_stop_latched", "1 if a FAST STOP is latched, else 0.")?,
+            leased: flag("wsg_lease_held", "1 if a client holds the lease, else 0.")?,
+            holder: IntGaugeVec::new(
+                of.opts("wsg_lease_holder_info", "Always 1; the label names the client that holds the lease."),
+                &["holder"],
+            )?,
+            age: value("wsg_update_age_seconds", "Age of the newest update from the device.")?,
+            reported: [
+                (value("wsg_temperature_celsius", "Temperature of the device.")?, |state| {
+                    state.temperature_c.map(f64::from)
+                }),
+                (value("wsg_state_code", "Number of the gripper state, as in the manual.")?, |state| {
+                    state.state_code.map(f64::from)
+                }),
+                (value("wsg_width_meters", "Opening width; missing until the fingers are referenced.")?, |state| {
+                    state.width_mm.map(|width_mm| f64::from(width_mm) / 1000.0)
+                }),
+                (value("wsg_force_newtons", "Gripping force, summed over the fingers.")?, |state| {
+                    state.force_n.map(f64::from)
+                }),
+            ],
         };
         registry.register(Box::new(newest))
     }
@@ -155,14 +195,22 @@ impl Collector for Newest {
         let up = state.link == Link::Connected && self.state.has_changed().is_ok();
         self.link_up.set(up.into());
         self.latched.set(state.latch.is_some().into());
-        let mut families = [self.link_up.collect(), self.latched.collect()].concat();
+        self.leased.set(state.lease_holder.is_some().into());
+        let mut families = [self.link_up.collect(), self.latched.collect(), self.leased.collect()].concat();
+        if let Some(holder) = &state.lease_holder {
+            self.holder.reset();
+            self.holder.with_label_values(&[&**holder]).set(1);
+            families.extend(self.holder.collect());
+        }
         if let Some(at) = state.updated_at {
             self.age.set(clock::instant().saturating_duration_since(at).as_secs_f64());
             families.extend(self.age.collect());
         }
-        if let Some(temperature_c) = state.temperature_c {
-            self.temperature.set(temperature_c.into());
-            families.extend(self.temperature.collect());
+        for (gauge, value) in &self.reported {
+            if let Some(value) = value(&state) {
+                gauge.set(value);
+                families.extend(gauge.collect());
+            }
         }
         families
     }
@@ -203,33 +251,20 @@ impl Of<'_> {
 
 #[cfg(test)]
 mod tests {
-    use strum::VariantArray as _;
-
     use super::super::fake::{self, FakeScript};
-    use super::super::model::{FastStopCause, Kind, Outcome};
     use super::*;
 
     #[tokio::test]
-    async fn series_of_a_gripper_are_bounded() {
+    async fn series_of_a_gripper_are_bounded_and_start_at_zero() {
         let registry = Registry::new();
         let (handle, _seen) = fake::gripper("left", FakeScript::default());
-        let metrics = GripperMetrics::register(&registry, handle.name()).unwrap();
-        for kind in Kind::VARIANTS {
-            for outcome in Outcome::VARIANTS {
-                metrics.commands.with_label_values(&[kind.name(), outcome.name()]).inc();
-            }
-        }
-        for kind in Kind::VARIANTS.iter().filter(|kind| kind.name() != "stop") {
-            metrics.motions.with_label_values(&[kind.name()]).observe(1.0);
-        }
-        for cause in FastStopCause::VARIANTS {
-            metrics.fast_stops.with_label_values(&[cause.name()]).inc();
-        }
+        GripperMetrics::register(&registry, handle.name()).unwrap();
         Newest::register(&registry, &handle).unwrap();
         let text = prometheus::TextEncoder::new().encode_to_string(&registry.gather()).unwrap();
         let series = text.lines().filter(|line| !line.starts_with('#')).count();
-        // A gripper without any update has neither an age nor a temperature.
-        assert_eq!(series, MAX_SERIES - 2, "{text}");
+        // Without an update, the age, temperature, state, width and force are missing; without a lease, its holder.
+        assert_eq!(series, MAX_SERIES - 6, "{text}");
+        assert!(text.contains("wsg_fast_stops_total{cause=\"client_lost\",gripper=\"left\"} 0"), "{text}");
     }
 
     #[tokio::test]

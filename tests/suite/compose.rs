@@ -20,6 +20,7 @@ struct Compose {
 struct Service {
     image: String,
     build: Option<Build>,
+    #[serde(default)]
     command: Vec<String>,
     #[serde(default)]
     ports: Vec<String>,
@@ -120,13 +121,20 @@ fn service_references_exist() {
         if let Some(Build { context, dockerfile }) = &service.build {
             assert!(top().join(context).join(dockerfile).is_file(), "{name}: {dockerfile}");
         }
-        if service.image != "wsg-gateway" {
-            assert_eq!(service.image, format!("eclipse/zenoh:{}", locked("zenoh")), "{name}: Zenoh version");
+        let is_gateway = service.image == "wsg-gateway";
+        match service.image.split_once(':') {
+            Some(("eclipse/zenoh", version)) => assert_eq!(version, locked("zenoh"), "{name}: Zenoh version"),
+            version => assert!(is_gateway || version.is_some(), "{name}: {}", service.image),
         }
         for volume in &service.volumes {
-            let (volume, place) = volume.split_once(':').unwrap();
-            assert!(compose.volumes.contains_key(volume), "{name}: {volume}");
-            assert!(instructions("ENV").contains(&format!("STATE_DIRECTORY={place}")), "{name}: {place}");
+            let (source, place) = volume.split_once(':').unwrap();
+            if source.starts_with("./") {
+                assert!(top().join(source).exists() && place.ends_with(":ro"), "{name}: {volume}");
+                continue;
+            }
+            assert!(compose.volumes.contains_key(source), "{name}: {source}");
+            let is_state = instructions("ENV").contains(&format!("STATE_DIRECTORY={place}"));
+            assert!(is_state || !is_gateway, "{name}: {place}");
         }
         let is_privileged = service.command.iter().any(|word| word == "tcp://0.0.0.0:1000");
         let unprivileged_from = service.sysctls.get("net.ipv4.ip_unprivileged_port_start");
@@ -136,8 +144,11 @@ fn service_references_exist() {
             "{name}: a low port without root needs the sysctl"
         );
         for port in &service.ports {
-            assert!(port.starts_with("127.0.0.1:") && port.ends_with(&format!(":{exposed}")), "{name}: {port}");
-            assert!(service.command.contains(&format!("--listen=0.0.0.0:{exposed}")), "{name}: {port}");
+            assert!(port.starts_with("127.0.0.1:"), "{name}: {port}");
+            if is_gateway {
+                assert!(port.ends_with(&format!(":{exposed}")), "{name}: {port}");
+                assert!(service.command.contains(&format!("--listen=0.0.0.0:{exposed}")), "{name}: {port}");
+            }
         }
     }
     let built: Vec<_> = compose.services.values().filter(|service| service.build.is_some()).collect();
@@ -159,6 +170,7 @@ async fn services_run_as_processes_and_form_a_fleet() {
     let (_left, left) = device(&compose.services["left"]).await;
     let (_right, right) = device(&compose.services["right"]).await;
     let router = Router::start();
+    let config = top().join("deploy/compose/wsg-gateway.toml");
     let gateway = async |name: &str| {
         let arguments: Vec<_> = compose.services[name]
             .command
@@ -168,12 +180,16 @@ async fn services_run_as_processes_and_form_a_fleet() {
                 word.replace("left:1000", &left)
                     .replace("right:1000", &right)
                     .replace("tcp/router:7447", router.endpoint())
+                    .replace("/etc/wsg-gateway.toml", config.to_str().unwrap())
             })
             .chain(["--zenoh-listen=tcp/127.0.0.1:0".to_owned()])
             .collect();
         Gateway::start(&arguments.iter().map(String::as_str).collect::<Vec<_>>()).await
     };
-    let (_cell, office) = (gateway("cell").await, gateway("office").await);
+    let (cell, office) = (gateway("cell").await, gateway("office").await);
+    // Prometheus addresses a gateway by its service's name.
+    let scrape = cell.request("GET", "/metrics").header("Host", "cell:8080");
+    assert_eq!(scrape.send().await.unwrap().status(), 200);
     eventually("the fleet", async || {
         let Value::Array(grippers) = office.get("/api/v1/fleet").await.ok()["grippers"].take() else { return None };
         let connected = grippers.iter().filter(|gripper| gripper["link"] == "connected");

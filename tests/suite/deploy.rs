@@ -5,7 +5,8 @@ use std::path::Path;
 
 use serde_json::json;
 
-use crate::harness::{Gateway, Simulator};
+use crate::harness::Gateway;
+use crate::journal_files::File;
 
 /// The program, and keys of its configuration, which are named like metrics.
 const OTHER_NAMES: &[&str] =
@@ -33,10 +34,11 @@ fn texts(directory: &Path) -> Vec<(String, String)> {
 
 #[tokio::test]
 async fn monitored_metrics_exist() {
-    let device = Simulator::start(&[]).await;
-    let gateway = Gateway::homed_at(device.address).await;
-    // Metrics with labels appear only after the first event.
-    gateway.post("fast-stop", &json!({})).await.ok();
+    let journal = File::new("monitored");
+    let gateway = Gateway::start(&["--gripper", "g=sim://wsg50", "--journal", &journal.path()]).await;
+    gateway.until_link("connected").await;
+    gateway.post("home", &json!({})).await.outcome("SUCCESS");
+    gateway.post("lease", &json!({"ttl_ms": 60_000})).await.ok();
     let figures = gateway.figures().await;
     let series: BTreeSet<_> = figures.keys().flat_map(|series| named(series)).collect();
     let histograms = series.iter().filter_map(|name| name.strip_suffix("_bucket"));

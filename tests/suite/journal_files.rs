@@ -12,16 +12,16 @@ use wsg_gateway::journal::{Journal, JournalLocation, Retention};
 use crate::harness::{Gateway, Process, Simulator, eventually, run};
 
 /// A journal file, removed after the test.
-struct File(PathBuf);
+pub struct File(PathBuf);
 
 impl File {
-    fn new(name: &str) -> Self {
+    pub fn new(name: &str) -> Self {
         let path = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{}-{name}", std::process::id()));
         std::fs::create_dir_all(&path).unwrap();
         Self(path)
     }
 
-    fn path(&self) -> String {
+    pub fn path(&self) -> String {
         self.0.join("journal.db").to_str().unwrap().to_owned()
     }
 }

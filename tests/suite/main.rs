@@ -31,6 +31,7 @@ mod replay;
 mod seeds;
 mod shutdown;
 mod slow_line;
+mod systemd;
 mod transports;
 mod websocket;
 mod without_connection;

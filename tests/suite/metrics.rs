@@ -26,7 +26,22 @@ async fn metrics_count_commands_and_stops() {
     let figures = gateway.figures().await;
     let (age, temperature) = (g("wsg_update_age_seconds", ""), g("wsg_temperature_celsius", ""));
     assert!(of(&figures, &age) < 1.0 && of(&figures, &temperature) > 0.0, "{figures:#?}");
-    assert_eq!(of(&figures, &g("wsg_fast_stop_latched", "")), 0.0);
+    // A first occurrence is an increase of a series that was 0 before.
+    for series in [
+        g("wsg_fast_stop_latched", ""),
+        g("wsg_lease_held", ""),
+        g("wsg_state_code", ""),
+        g("wsg_commands_total", ",kind=\"grip\",outcome=\"NO_PART\""),
+        "wsg_fast_stops_total{cause=\"requested\",gripper=\"g\"}".to_owned(),
+    ] {
+        assert_eq!(of(&figures, &series), 0.0, "{series}");
+    }
+    let lease = gateway.post("lease", &json!({"holder": "plc7", "ttl_ms": 60_000})).await;
+    let figures = gateway.figures().await;
+    assert_eq!(of(&figures, &g("wsg_lease_held", "")), 1.0);
+    assert_eq!(of(&figures, &g("wsg_lease_holder_info", ",holder=\"plc7\"")), 1.0);
+    let token = lease.text("token");
+    gateway.send(gateway.request("DELETE", "lease").header("Wsg-Lease", token)).await.ok();
 
     let grip = json!({"width_mm": 20, "speed_mm_s": 50, "force_n": 30});
     gateway.post("grip", &grip).await.outcome("PART_HELD");
@@ -34,6 +49,8 @@ async fn metrics_count_commands_and_stops() {
     gateway.post("grip", &grip).await.problem(409, "fast_stop");
 
     let figures = gateway.figures().await;
+    let (width_m, force_n) = (of(&figures, &g("wsg_width_meters", "")), of(&figures, &g("wsg_force_newtons", "")));
+    assert!(width_m > 0.015 && width_m < 0.025 && force_n >= 0.0, "{width_m} m, {force_n} N");
     for (series, expected) in [
         (g("wsg_link_up", ""), 1.0),
         (g("wsg_fast_stop_latched", ""), 1.0),
