@@ -7,7 +7,7 @@ import { theme } from './model/prefs.js';
 import { gripper, isLive, selected, view, VIEWS } from './model/store.js';
 import { Bar, Picker } from './ui/bar.js';
 import { Jaws } from './ui/jaws.js';
-import './ui/focus.js';
+import { keepFocus } from './ui/focus.js';
 import { Choice, within } from './ui/parts.js';
 import { go, start } from './ui/route.js';
 
@@ -135,6 +135,8 @@ function App() {
     <${Footer} />${Announcer && html`<${Announcer} />`}`;
 }
 
+const app = document.getElementById('app');
 start();
-document.getElementById('app').replaceChildren();
-render(html`<${App} />`, document.getElementById('app'));
+app.replaceChildren();
+render(html`<${App} />`, app);
+keepFocus(app);

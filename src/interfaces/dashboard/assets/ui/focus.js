@@ -4,18 +4,6 @@
 let last = null;
 let panel = null;
 
-addEventListener('focusin', ({ target }) => {
-  last = target.closest('button');
-  panel = target.closest('.panel');
-});
-
-addEventListener('focusout', ({ target }) => {
-  // The user may have clicked elsewhere. A change of the page ends before this check.
-  setTimeout(() => {
-    if (target === last && target.isConnected && !target.disabled) last = null;
-  });
-});
-
 /** A button that is enabled again gets the focus back. The panel's title stands in for one that has disappeared. */
 function restore() {
   if (last === null || document.activeElement !== document.body) return;
@@ -27,8 +15,22 @@ function restore() {
   }
 }
 
-new MutationObserver(restore).observe(document.getElementById('app'), {
-  subtree: true,
-  childList: true,
-  attributeFilter: ['disabled'],
-});
+/** Watches all buttons of the page. */
+export function keepFocus(app) {
+  addEventListener('focusin', ({ target }) => {
+    last = target.closest('button');
+    panel = target.closest('.panel');
+  });
+
+  addEventListener('focusout', ({ target }) => {
+    // The user may have clicked elsewhere. A change of the page ends before this check.
+    setTimeout(() => {
+      if (target === last && target.isConnected && !target.disabled) last = null;
+    });
+  });
+  new MutationObserver(restore).observe(app, {
+    subtree: true,
+    childList: true,
+    attributeFilter: ['disabled'],
+  });
+}
