@@ -52,6 +52,28 @@ for (const [size, shape] of Object.entries(SIZES)) {
   });
 }
 
+test('the page’s own reads leave room for the user’s requests', async () => {
+  const served = await cell(MANY);
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  const open = new Set();
+  let most = 0;
+  page.on('websocket', (socket) => {
+    socket.on('framesent', ({ payload }) => {
+      open.add(JSON.parse(payload).id);
+      most = Math.max(most, open.size);
+    });
+    socket.on('framereceived', ({ payload }) => open.delete(JSON.parse(payload).id));
+  });
+  await page.reload();
+  await page.selectOption('#gripper-list', `greifer${MANY}`);
+  await page.waitForSelector('#width-hint:has-text("0 – 110 mm")');
+  // The gateway refuses more than 32 on a connection.
+  assert.ok(most > 0 && most <= 16, `${most} requests at the same time`);
+  assertClean(visitor);
+  await visitor.close();
+});
+
 test('every gripper of many can be reached, in the order of their numbers', async () => {
   const served = await cell(MANY);
   const visitor = await visit(launched, served, SIZES.phone);

@@ -2,6 +2,7 @@
 
 import { batch, computed, effect, signal } from '../lib.js';
 import { acknowledged, GATEWAY_GONE, updated, wrongWith } from '../core/alarms.js';
+import { paced } from '../core/paced.js';
 import { Rpc } from '../net/rpc.js';
 import { catchUp, take as takeEvent } from './events.js';
 import { lookForNewer } from './version.js';
@@ -22,6 +23,9 @@ const LOOKED_EVERY_MS = 200;
 
 /** Silence after which the connection is replaced. */
 const RENEWED_AFTER_MS = 4000;
+
+/** Reads of the page itself at the same time. */
+const MAX_READS = 8;
 
 export const VIEWS = ['operate', 'history', 'log', 'device', 'all'];
 
@@ -157,18 +161,20 @@ async function subscribe() {
     answer.grippers.forEach((info) => {
       ensure(info.gripper).info.value = info;
     });
-    await Promise.all(grippers.peek().flatMap((one) => [learn(one), learnSettings(one)]));
+    const isShown = (one) => one === gripper.peek();
+    const inOrder = [...grippers.peek()].sort((a, b) => isShown(b) - isShown(a));
+    await Promise.all(inOrder.flatMap((one) => [learn(one), learnSettings(one)]));
   } catch {
     // The connection has ended, and will be replaced.
   }
 }
 
+const inTurn = paced(MAX_READS);
+const read = (method, one) => inTurn(() => rpc.call(method, { gripper: one.name }));
+
 /** Fetches what a state does not contain: limits, and the terms of the lease. */
 export async function learn(one) {
-  const [info, lease] = await Promise.allSettled([
-    rpc.call('info', { gripper: one.name }),
-    rpc.call('lease', { gripper: one.name }),
-  ]);
+  const [info, lease] = await Promise.allSettled([read('info', one), read('lease', one)]);
   batch(() => {
     if (info.value) one.info.value = info.value;
     if (lease.value) one.lease.value = lease.value;
@@ -177,7 +183,7 @@ export async function learn(one) {
 
 /** Fetches the device's settings; events report later changes. Returns the problem, or null. */
 export async function learnSettings(one, names = ['soft-limits', 'force-limit']) {
-  const answers = await Promise.allSettled(names.map((name) => rpc.call(`settings.${name}`, { gripper: one.name })));
+  const answers = await Promise.allSettled(names.map((name) => read(`settings.${name}`, one)));
   answers.forEach(({ value }) => value && one.takeSettings(value));
   return answers.find(({ status }) => status === 'rejected')?.reason ?? null;
 }
