@@ -46,6 +46,32 @@ test('control is requested, handed over and taken back by force', async () => {
   await Promise.all([anna.close(), ben.close()]);
 });
 
+test('people are asked for their names, which others see', async () => {
+  const served = await gateway();
+  const [anna, ben] = [await visit(launched, served), await visit(launched, served)];
+  await anna.page.fill('#your-name', 'Anna');
+  await anna.page.click('.take button.primary');
+  await ben.page.waitForSelector('.status:has-text("Anna")');
+  await anna.page.click('#stop');
+  await anna.page.waitForSelector('#latch-by:has-text("Anna (127.0.0.1), this browser")');
+  await ben.page.waitForSelector('#latch-by:has-text("Anna (127.0.0.1)")');
+  assert.doesNotMatch(await ben.page.locator('#latch-by').innerText(), /this browser/);
+  await ben.page.waitForSelector('.alarm:has-text("Anna (127.0.0.1)")');
+  await ben.page.click('[data-view=history]');
+  await ben.page.click('[data-choice=records-events]');
+  await ben.page.waitForSelector('.stop-row:has-text("Anna (127.0.0.1)")');
+  // Asked once.
+  await anna.page.click('[data-view=operate]');
+  await anna.page.click('#acknowledge:enabled');
+  await anna.page.click('#give-back');
+  await anna.page.waitForSelector('#take-control');
+  await anna.page.reload();
+  await anna.page.waitForSelector('.take');
+  assert.equal(await anna.page.locator('#your-name').count(), 0);
+  [anna, ben].forEach(assertClean);
+  await Promise.all([anna.close(), ben.close()]);
+});
+
 test('a browser lost during a motion leaves a FAST STOP with that cause', async () => {
   const served = await gateway();
   const [goes, stays] = [await visit(launched, served), await visit(launched, served)];

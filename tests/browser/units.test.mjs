@@ -262,6 +262,33 @@ test('a reservation is an alarm until a client takes control', () => {
   assert.deepEqual(wrongWith(state({ lease_holder: 'Ben' }), lease), []);
 });
 
+test('numbers per part have mean, spread and trend', async () => {
+  const { perPart, summary } = await core('statistics');
+  assert.deepEqual(summary([4, 2, null, 3]), { mean: 3, spread: 1, trend: 1 });
+  assert.deepEqual(summary([5]), { mean: 5, spread: null, trend: null });
+  assert.deepEqual(summary([]), { mean: null, spread: null, trend: null });
+  const grip = (part_id, outcome, width_mm, part_lost_at = null) => ({
+    part_id,
+    outcome,
+    width_mm,
+    force_n: 30,
+    part_lost_at,
+  });
+  const parts = perPart([
+    grip('b', 'PART_HELD', 20),
+    grip('b', 'NO_PART', 5),
+    grip('b', 'PART_HELD', 19, '2026-01-01T00:00:00Z'),
+    grip(null, 'PART_HELD', 30),
+  ]);
+  assert.deepEqual(
+    parts.map(({ part, count, rate, width }) => [part, count, rate, width.mean]),
+    [
+      ['b', 3, 1 / 3, 20],
+      [null, 1, 1, 30],
+    ],
+  );
+});
+
 test('active alarms stay in the list despite many cleared ones', () => {
   const warm = state({ gripper: 'here', flags_raw: 1 | (1 << 13) });
   let alarms = updated([], wrongWith(warm), 0);

@@ -3,6 +3,7 @@
 // A cleared alarm stays in the list until it is acknowledged, so that no alarm is missed.
 
 import { FLAGS, isSet } from './flags.js';
+import { person } from './people.js';
 
 /** Limit of the list. Active alarms are kept in any case. */
 export const MAX_ALARMS = 100;
@@ -15,7 +16,8 @@ export function wrongWith(state, lease = null) {
   const wrong = [];
   const add = (what, priority, cause = null) =>
     wrong.push({ key: `${state.gripper}/${what}`, gripper: state.gripper, what, priority, cause });
-  if (state.fast_stop) add(`fast_stop/${state.fast_stop_id}`, 'critical', state.fast_stop_by);
+  if (state.fast_stop)
+    add(`fast_stop/${state.fast_stop_id}`, 'critical', person(state.fast_stop_by, state.fast_stop_reason));
   if (state.link !== 'connected') add(`link/${state.link}`, 'high', state.link_cause);
   if (state.journal_cause) add('journal', 'high', state.journal_cause);
   for (const { bit, name, weight } of FLAGS) {

@@ -27,6 +27,6 @@ export async function download(what, filters) {
     cursor = page.next;
     pages += 1;
   } while (cursor && pages < MAX_PAGES);
-  save(`${filters.gripper}-${what}.csv`, content, 'text/csv');
+  save(`${filters.gripper || 'all'}-${what}.csv`, content, 'text/csv');
   return { count: Math.max(0, content.trimEnd().split('\n').length - 1), isAll: !cursor };
 }

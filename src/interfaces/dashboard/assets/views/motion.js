@@ -4,7 +4,7 @@ import { computed, html, signal, useMemo } from '../lib.js';
 import { asTyped, forceLimits, mistake, number, speedLimits, widthLimits } from '../core/limits.js';
 import { fixed, plain, t } from '../model/i18n.js';
 import { askFreely, fastStopOne, move, releaseControl, takeControl } from '../model/commands.js';
-import { myName } from '../model/name.js';
+import { isUnnamed, MAX_NAME_BYTES, myName, rename } from '../model/name.js';
 import { openTo } from '../model/prefs.js';
 import { isLive } from '../model/store.js';
 import { Covered, MAX_PART_BYTES, onPress, Panel, Shape, within } from '../ui/parts.js';
@@ -65,6 +65,13 @@ function whyNot(one, needsReference = true) {
   return null;
 }
 
+/** Asks for the user's name, once: other users see who has control and who stopped a gripper. */
+function YourName() {
+  return html`<div class="your-name"><label for="your-name">${t('control.your_name')}</label><input id="your-name"
+      type="text" autocomplete="name" onInput=${within(MAX_NAME_BYTES, () => {})}
+      onChange=${({ currentTarget }) => rename(currentTarget.value)} /></div>`;
+}
+
 /** Who has control, and the next step to get it or to give it back. */
 function WhoControls({ one }) {
   const [holder, reserved] = [one.holder.value, one.reservedFor.value];
@@ -77,6 +84,7 @@ function WhoControls({ one }) {
     return html`<div class="take"><p>${t(one.isAsking.value ? 'control.asking' : 'control.held_by', { holder })}</p>
       ${button('control.ask', () => takeControl(one, { request: true }))}</div>`;
   return html`<div class="take"><p>${reserved ? t('control.reserved', { name: reserved }) : t('control.nobody')}</p>
+    ${!reserved && isUnnamed.value && html`<${YourName} />`}
     ${(!reserved || reserved === myName.value) && button('control.take', () => takeControl(one), true)}</div>`;
 }
 

@@ -1,5 +1,6 @@
-// Base of the strip charts and the curves: one trace over time, in the colours of the page.
+// Base of the strip charts and the curves: lines over time, in the colours of the page.
 
+import { html } from '../lib.js';
 import uPlot from '../vendor/uplot.js';
 import { fixed, language } from '../model/i18n.js';
 import { isDark } from '../model/prefs.js';
@@ -20,13 +21,50 @@ const decimals = (step) => Math.min(2, Math.max(0, Math.ceil(-Math.log10(step)))
 
 const MAX_DECIMALS = 2;
 
-/** Shows the value under the cursor. The cursor is at the same time in all plots of a group. */
+/** Looks of the lines of a plot: colour is not the only difference. */
+const LINES = [
+  { colour: '--trace', dash: [] },
+  { colour: '--accent', dash: [8, 4] },
+  { colour: '--trace', dash: [2, 3] },
+  { colour: '--accent', dash: [10, 3, 2, 3] },
+];
+
+export const MAX_LINES = LINES.length;
+
+/** Sample of a line, for a legend. */
+export function Line({ index }) {
+  const { colour, dash } = LINES[index];
+  return html`<svg class="line" viewBox="0 0 32 8" aria-hidden="true"><path d="M0 4h32" stroke=${`var(${colour})`}
+      stroke-dasharray=${dash.join(' ')} /></svg>`;
+}
+
+/** Value of a line at a time, between its samples; null outside. */
+function valueAt([times, values], time) {
+  const next = times.findIndex((one) => one >= time);
+  if (next < 0 || time < times[0]) return null;
+  if (times[next] === time) return values[next];
+  const [from, to] = [values[next - 1], values[next]];
+  const share = (time - times[next - 1]) / (times[next] - times[next - 1]);
+  return from === null || to === null ? null : from + (to - from) * share;
+}
+
+/** Data of several lines, each `[times, values]`, at the times of all. */
+export function overlaid(lines) {
+  if (lines.length === 1) return lines[0];
+  const times = [...new Set(lines.flatMap(([own]) => own))].sort((a, b) => a - b);
+  return [times, ...lines.map((line) => times.map((time) => valueAt(line, time)))];
+}
+
+/** Shows the values under the cursor. The cursor is at the same time in all plots of a group. */
 function readout(output) {
   return (drawn) => {
     const { idx } = drawn.cursor;
-    const value = idx == null ? null : drawn.data[1][idx];
+    const [times, ...lines] = drawn.data;
+    const values = idx == null ? [] : lines.map((line) => line[idx]).filter((value) => value != null);
     output.textContent =
-      value == null ? '' : `${fixed(value, MAX_DECIMALS)} (${fixed(drawn.data[0][idx], MAX_DECIMALS)} s)`;
+      values.length === 0
+        ? ''
+        : `${values.map((value) => fixed(value, MAX_DECIMALS)).join(' / ')} (${fixed(times[idx], MAX_DECIMALS)} s)`;
   };
 }
 
@@ -62,7 +100,16 @@ export function plot(place, { data, timeText, output, group, xScale = {}, yScale
           values: (_drawn, splits, _axis, _space, step) => splits.map((value) => fixed(value, decimals(step))),
         }),
       ],
-      series: [{}, { stroke: css('--trace'), width: 1.5, points: { show: false }, spanGaps: false }],
+      series: [
+        {},
+        ...LINES.slice(0, data.length - 1).map(({ colour, dash }) => ({
+          stroke: css(colour),
+          dash,
+          width: 1.5,
+          points: { show: false },
+          spanGaps: false,
+        })),
+      ],
       hooks: { ...hooks, setCursor: [readout(output)] },
     },
     data,
