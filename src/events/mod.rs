@@ -19,7 +19,7 @@ use tokio::sync::watch;
 use utoipa::ToSchema;
 
 use crate::fleet::Peers;
-use crate::gripper::model::{FrameRecord, Name, State};
+use crate::gripper::model::{Name, State, WireRecord};
 use crate::gripper::{Grippers, Handle, Now};
 use crate::journal::{Journal, Stored};
 use fleet::FleetNews;
@@ -34,7 +34,7 @@ pub use queued::Gap;
 /// - `state`: newest state of each gripper
 /// - `telemetry`: newest measured values of each gripper
 /// - `events`: every event, once it is durable in the journal
-/// - `frames`: every frame to and from a device
+/// - `frames`: every frame to and from a device, and damaged bytes from it
 /// - `fleet`: newest state of each gripper of all gateways
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
@@ -129,8 +129,11 @@ impl Source {
         self.telemetry.get(state.seq, || Notification::new("telemetry", &state.telemetry(Now::read().wall)))
     }
 
-    fn frame(&self, frame: &FrameRecord) -> Option<Notification> {
-        self.frames.get(frame.seq, || Notification::new("frame", frame))
+    fn frame(&self, record: &WireRecord) -> Option<Notification> {
+        self.frames.get(record.seq(), || match record {
+            WireRecord::Frame(frame) => Notification::new("frame", frame),
+            WireRecord::Damage(damage) => Notification::new("damage", damage),
+        })
     }
 }
 

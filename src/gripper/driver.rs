@@ -54,7 +54,7 @@ pub fn spawn(
     let (requests, request_queue) = mpsc::channel(MAX_WAITING_REQUESTS);
     let (fast_stops, fast_stop_queue) = mpsc::channel(MAX_WAITING_FAST_STOPS);
     let (name, custom_ids) = (config.name.clone(), Arc::new(config.custom_ids.clone()));
-    let update_period_ms = observed::period_ms(config.properties.bytes_per_second);
+    let update_period_ms = observed::period_ms(config.updates, config.properties.bytes_per_second);
     let (mut actor, watches) = Actor::new(config);
     actor.restore(Now::read(), restored);
     let health = recorder.health();

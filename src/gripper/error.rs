@@ -70,6 +70,11 @@ pub enum Conflict {
         /// Remaining time to live without use; `None` if the gripper is reserved for a holder that was lost.
         expires_in_ms: Option<u64>,
     },
+    #[error(
+        "{holder} holds the lease until it disconnects or releases it: wait, ask for a hand-over with `request`, or \
+         take it with `force`, which stops a running motion"
+    )]
+    LeaseBound { holder: Arc<str>, ttl_ms: u64 },
     #[error("{}", stale_lease(*epoch, holder.as_deref()))]
     StaleLease { epoch: u64, holder: Option<Arc<str>> },
     #[error("the request id was already used for a different request: use a new id for each new request")]

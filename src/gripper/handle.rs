@@ -10,8 +10,8 @@ use super::error::{Failure, Rejection};
 use super::info::Info;
 use super::lease::LeaseKeepAlive;
 use super::model::{
-    Action, Client, CommandId, CommandReport, CustomIds, FastStopCause, FastStopId, FrameRecord, Lease, LeaseToken,
-    Link, Name, Phase, Reason, State, Submission, TakeLease,
+    Action, Client, CommandId, CommandReport, CustomIds, FastStopCause, FastStopId, Lease, LeaseToken, Link, Name,
+    Phase, Reason, State, Submission, TakeLease, WireRecord,
 };
 use crate::wsg;
 
@@ -164,7 +164,7 @@ pub struct Handle {
     pub(super) state: watch::Receiver<Arc<State>>,
     pub(super) info: watch::Receiver<Arc<Info>>,
     pub(super) custom_ids: Arc<CustomIds>,
-    pub(super) frames: broadcast::Sender<Arc<FrameRecord>>,
+    pub(super) frames: broadcast::Sender<Arc<WireRecord>>,
     pub(super) update_period_ms: u16,
 }
 
@@ -194,7 +194,7 @@ impl Handle {
 
     /// Subscribes to frames in both directions. A slow receiver misses frames and learns how many.
     #[must_use]
-    pub fn frames(&self) -> broadcast::Receiver<Arc<FrameRecord>> {
+    pub fn frames(&self) -> broadcast::Receiver<Arc<WireRecord>> {
         self.frames.subscribe()
     }
 
@@ -210,7 +210,7 @@ impl Handle {
         self.info.borrow().clone()
     }
 
-    /// Whether a custom command of this id only reads. All others count as motions.
+    /// Whether a custom command of this id is configured as read-only. All others may move the fingers.
     #[must_use]
     pub fn only_reads(&self, id: u8) -> bool {
         self.custom_ids.read.contains(&id)

@@ -23,6 +23,7 @@ mod parameters;
 mod record;
 mod state;
 mod text;
+mod updates;
 mod urgency;
 
 pub use client::{Client, Door};
@@ -31,7 +32,7 @@ pub use event::{
     AcknowledgeEvent, Admitted, CommandEvent, Detail, DeviceEvent, Done, Event, FastStopEvent, FastStopStep,
     GatewayEvent, LinkEvent, RefusedEvent, SettingChange, SettingsEvent,
 };
-pub use frame::{FrameDirection, FrameRecord};
+pub use frame::{DamageRecord, FrameDirection, FrameRecord, WireDamage, WireRecord};
 pub use ids::{CommandId, FastStopId, IdSource};
 pub use lease::{
     HolderName, Lease, LeaseEvent, LeaseRules, LeaseStep, LeaseToken, LossCause, LossEffect, OnLossHolding,
@@ -41,6 +42,7 @@ pub use parameters::{Direction, OnBlock, Parameters};
 pub use record::{GripRecord, OnJournalFailure, PersistedKey, PersistedState, Sample};
 pub use state::{FastStopCause, Latch, LatchFields, Link, State, Telemetry};
 pub use text::{InvalidShownName, PartId, Reason, RequestId, ShownName, Text};
+pub use updates::{UpdateMode, UpdateRules};
 pub use urgency::Urgency;
 
 /// A gripper's or a gateway's name: `[a-z0-9][a-z0-9_-]{0,31}`.

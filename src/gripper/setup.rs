@@ -3,7 +3,6 @@
 
 use std::collections::{BTreeSet, VecDeque};
 
-use super::observed;
 use crate::wsg::session::Token;
 use crate::wsg::{
     Acceleration, Command, Data, DeviceTag, Force, Reply, SoftLimits, Status, SystemInfo, SystemLimits, Updates, id,
@@ -88,7 +87,8 @@ pub(super) enum Step {
 }
 
 impl Setup {
-    pub(super) fn new(bytes_per_second: Option<u32>, known_serial: Option<u32>, wanted: Wanted) -> Self {
+    /// A setup that ends with the requests `switch_on`, for automatic updates.
+    pub(super) fn new(switch_on: impl Iterator<Item = Command>, known_serial: Option<u32>, wanted: Wanted) -> Self {
         let reads = [
             Command::GetSystemInfo,
             Command::GetSystemLimits,
@@ -97,12 +97,7 @@ impl Setup {
             Command::GetGripperState(Updates::Off),
             Command::GetSoftLimits,
         ];
-        Self {
-            todo: reads.into_iter().chain(observed::switch_on_all(bytes_per_second)).collect(),
-            known_serial,
-            wanted,
-            ..Self::default()
-        }
+        Self { todo: reads.into_iter().chain(switch_on).collect(), known_serial, wanted, ..Self::default() }
     }
 
     /// The next request, after the last has ended.
@@ -236,7 +231,13 @@ fn is_switch_on(command: &Command) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::gripper::model::UpdateRules;
+    use crate::gripper::observed;
     use crate::wsg::{DeviceType, Firmware, SystemState};
+
+    fn switch_on() -> impl Iterator<Item = Command> {
+        observed::switch_on_all(UpdateRules::default(), None)
+    }
 
     fn system(serial_number: u32) -> Reply {
         let info = SystemInfo {
@@ -283,7 +284,7 @@ mod tests {
     #[test]
     fn refused_settings_are_lost_and_not_reported_as_restored() {
         for refused in [id::GET_FORCE_LIMIT, id::SET_FORCE_LIMIT] {
-            let (setup, _, end) = run(Setup::new(None, Some(7), wanted()), |command| {
+            let (setup, _, end) = run(Setup::new(switch_on(), Some(7), wanted()), |command| {
                 let refusal = Reply::Status(Status::E_INSUFFICIENT_RESOURCES);
                 if command.id() == refused { Some(refusal) } else { forgetful(command) }
             });
@@ -294,7 +295,7 @@ mod tests {
 
     #[test]
     fn unanswered_settings_fail_the_link() {
-        let (_, _, end) = run(Setup::new(None, Some(7), wanted()), |command| {
+        let (_, _, end) = run(Setup::new(switch_on(), Some(7), wanted()), |command| {
             if command.id() == id::SET_FORCE_LIMIT { None } else { forgetful(command) }
         });
         assert_eq!(end, Step::Failed("SetForceLimit"));
@@ -303,7 +304,7 @@ mod tests {
     #[test]
     fn error_status_for_identity_or_flags_fails_the_link() {
         for vital in [id::GET_SYSTEM_INFO, id::GET_SYSTEM_STATE] {
-            let (_, _, end) = run(Setup::new(None, None, Wanted::default()), |command| {
+            let (_, _, end) = run(Setup::new(switch_on(), None, Wanted::default()), |command| {
                 let refusal = Reply::Status(Status::E_NOT_AVAILABLE);
                 if command.id() == vital { Some(refusal) } else { forgetful(command) }
             });
@@ -313,7 +314,7 @@ mod tests {
 
     #[test]
     fn unanswered_switch_on_is_tried_once() {
-        let (_, sent, end) = run(Setup::new(None, None, Wanted::default()), |command| {
+        let (_, sent, end) = run(Setup::new(switch_on(), None, Wanted::default()), |command| {
             if command.id() == id::GET_WIDTH { None } else { forgetful(command) }
         });
         assert_eq!((sent.len(), end), (11, Step::Done));
@@ -321,7 +322,7 @@ mod tests {
 
     #[test]
     fn first_connect_reads_and_switches_updates_on() {
-        let (_, sent, end) = run(Setup::new(None, None, Wanted::default()), forgetful);
+        let (_, sent, end) = run(Setup::new(switch_on(), None, Wanted::default()), forgetful);
         let ids: Vec<_> = sent.iter().map(Command::id).collect();
         assert_eq!(ids, [0x50, 0x53, 0x52, 0x40, 0x41, 0x35, 0x40, 0x41, 0x43, 0x44, 0x45]);
         assert_eq!(end, Step::Done);
@@ -334,17 +335,17 @@ mod tests {
             force_limit: Some(Force::new(40.0).unwrap()),
             soft_limits: WantedSoftLimits::Cleared,
         };
-        let (setup, sent, _) = run(Setup::new(None, Some(7), wanted), forgetful);
+        let (setup, sent, _) = run(Setup::new(switch_on(), Some(7), wanted), forgetful);
         assert_eq!(setup.restored, [Setting::Acceleration], "the force limit is unchanged");
         assert!(sent.contains(&Command::SetAcceleration(Acceleration::new(2000.0).unwrap())));
-        let (setup, sent, _) = run(Setup::new(None, Some(8), wanted), forgetful);
+        let (setup, sent, _) = run(Setup::new(switch_on(), Some(8), wanted), forgetful);
         assert!(setup.replaced && setup.restored.is_empty());
         assert!(!sent.iter().any(|command| command.id() == id::SET_ACCELERATION));
     }
 
     #[test]
     fn unanswered_identity_fails_the_link() {
-        let (_, sent, end) = run(Setup::new(None, None, Wanted::default()), |_| None);
+        let (_, sent, end) = run(Setup::new(switch_on(), None, Wanted::default()), |_| None);
         assert_eq!(sent.len(), 3, "each request is tried three times");
         assert_eq!(end, Step::Failed("GetSystemInfo"));
     }

@@ -29,6 +29,7 @@ mod run;
 pub(crate) mod settings;
 mod table;
 pub(crate) mod values;
+pub(crate) mod webhooks;
 
 pub(crate) use call::{Fields, Leased, Params};
 pub(crate) use caller::{Caller, DEFAULT_WAIT_MS, MAX_LEASE_BYTES, Presence, Wait, WaitLimiter, wait_ms};

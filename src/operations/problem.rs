@@ -347,6 +347,9 @@ impl From<Conflict> for Problem {
             Conflict::LeaseHeld { holder, expires_in_ms } => {
                 Self::new(Code::LeaseHeld, detail).lease(Some(holder), expires_in_ms)
             }
+            Conflict::LeaseBound { holder, ttl_ms } => {
+                Self::new(Code::LeaseHeld, detail).lease(Some(holder), Some(ttl_ms))
+            }
             Conflict::StaleLease { epoch: _, holder } => Self::new(Code::StaleLease, detail).lease(holder, None),
             Conflict::RequestIdReused => Self::new(Code::RequestIdReused, detail),
         }

@@ -3,7 +3,7 @@
 use http::Method as Verb;
 
 use super::operation::Operation;
-use super::{commands, device, fast_stop, fingers, fleet, grippers, lease, motion, raw, settings};
+use super::{commands, device, fast_stop, fingers, fleet, grippers, lease, motion, raw, settings, webhooks};
 use crate::gripper::model::Urgency;
 
 /// All operations. If several share a name, the first whose path parameters are all given is chosen.
@@ -47,6 +47,8 @@ pub const OPERATIONS: &[Operation] = &[
     raw::RAW,
     fleet::LIST,
     fleet::FAST_STOP,
+    webhooks::LIST,
+    webhooks::TEST,
 ];
 
 /// Operations with this name.

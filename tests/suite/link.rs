@@ -4,7 +4,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
-use crate::harness::{Gateway, Proxy, Simulator};
+use crate::harness::{Gateway, Proxy, Simulator, eventually};
 
 #[tokio::test]
 async fn device_lost_during_a_move_leaves_an_unknown_outcome() {
@@ -182,4 +182,29 @@ async fn thousand_state_reads_cost_the_device_no_frame() {
     assert_eq!(caused, []);
     // Upkeep follows the clock, not the reads: one temperature in 5 s, and nothing else while updates arrive.
     assert!(proxy.frames.len() - before < 100, "{:?}", proxy.frames.since(before));
+}
+
+#[tokio::test]
+async fn updates_on_change_relieve_the_line() {
+    let device = Simulator::start(&[]).await;
+    let proxy = Proxy::to(device.address);
+    let url = format!("tcp://{}", proxy.address);
+    let toml = format!("[grippers.g]\nurl = \"{url}\"\nupdate_period_ms = 20\nupdates = \"changes\"\n");
+    let gateway = Gateway::with_file(&[], &toml).await;
+    gateway.until_link("connected").await;
+    let switched_on: Vec<_> =
+        proxy.frames.all().into_iter().filter(|frame| frame.id == 0x43).map(|frame| frame.payload).collect();
+    assert_eq!(switched_on, [[3, 20, 0]]);
+    gateway.post("home", &json!({})).await.outcome("SUCCESS");
+    gateway.post("move", &json!({"width_mm": 20, "speed_mm_s": 100})).await.outcome("SUCCESS");
+    let page = gateway.get("/api/v1/grips?kind=move").await.ok();
+    assert!(page["grips"][0]["samples"].as_u64() > Some(10), "{page}");
+
+    // While the fingers stand still, each value is read once a second.
+    let updates = async || gateway.figures().await["wsg_updates_total{gripper=\"g\"}"];
+    let (before, polled) = (updates().await, proxy.frames.count(0x40));
+    eventually("two polls", async || (proxy.frames.count(0x40) >= polled + 2).then_some(())).await;
+    let received = updates().await - before;
+    assert!(received < 50.0, "{received}");
+    assert_eq!(gateway.state().await["link"], "connected");
 }

@@ -74,8 +74,13 @@ impl Actor {
         self.continue_setup(now);
     }
 
+    /// Requests that switch on all automatic updates.
+    fn switch_on_updates(&self) -> impl Iterator<Item = Command> + use<> {
+        observed::switch_on_all(self.config.updates, self.link.properties.bytes_per_second)
+    }
+
     fn new_setup(&self) -> Setup {
-        Setup::new(self.link.properties.bytes_per_second, self.settings.known_serial, self.settings.wanted)
+        Setup::new(self.switch_on_updates(), self.settings.known_serial, self.settings.wanted)
     }
 
     /// Sends the next request of the setup, or ends the setup.
@@ -109,7 +114,7 @@ impl Actor {
         if self.settings.learn(&mut setup, overdrive) {
             self.persist_settings();
         }
-        for update in observed::switch_on_all(None) {
+        for update in self.switch_on_updates() {
             // Updates that do not arrive are switched on again.
             self.observed.asked(now.instant, update.id());
         }

@@ -9,7 +9,7 @@ use tokio::sync::{broadcast, oneshot};
 use super::super::Now;
 use super::super::error::{Failure, Rejection};
 use super::super::handle::Answer;
-use super::super::model::{Client, CommandId, FrameRecord, Link, Name};
+use super::super::model::{Client, CommandId, Link, Name, WireRecord};
 use super::super::setup::{Setup, Step};
 use super::wire_log::WireLog;
 use super::{REPLY_WITHIN, RESULT_WITHIN, name_of};
@@ -115,7 +115,7 @@ impl DeviceLink {
     }
 
     /// Sender of the wire log, to subscribe to.
-    pub(super) fn frames(&self) -> broadcast::Sender<Arc<FrameRecord>> {
+    pub(super) fn frames(&self) -> broadcast::Sender<Arc<WireRecord>> {
         self.wire_log.listeners()
     }
 

@@ -135,6 +135,9 @@ impl Actor {
 
     /// Aborts the motion for a FAST STOP: a waiting motion ends at once, a running one with its reply.
     pub(super) fn abort_for_latch(&mut self, now: Now) {
+        if let Some(id) = self.latch.id() {
+            self.withdraw_scripts(&Conflict::FastStop { id }.into());
+        }
         if let Some(running) = &mut self.motion.running {
             running.fast_stop = self.latch.id();
             self.withdraw_waiting_motion(now);

@@ -72,6 +72,7 @@ pub struct Sample {
 /// State that outlives a restart of the gateway.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PersistedState {
+    /// Gripper or webhook of the value.
     pub gripper: Name,
     pub key: PersistedKey,
     /// Value as JSON; `None` deletes the key.
@@ -90,6 +91,8 @@ pub enum PersistedKey {
     Lease,
     /// Id of the grip that holds a part.
     Holding,
+    /// Position of a webhook in the journal.
+    Webhook,
 }
 
 /// Treatment of motions while the journal cannot be written.

@@ -112,6 +112,8 @@ fn api() -> Routes {
         .routes(routes!(stream::stream))
         .routes(routes!(upgrade::open))
         .routes(routes!(paths::fleet::list))
+        .routes(routes!(paths::webhooks::list))
+        .routes(routes!(paths::webhooks::test))
         .routes(routes!(paths::fast_stop::one))
         .routes(routes!(paths::fast_stop::all))
         .routes(routes!(paths::fleet::fast_stop))

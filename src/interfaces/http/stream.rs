@@ -67,7 +67,7 @@ pub struct StreamHeaders {
 #[schema(as = StreamMessage)]
 #[allow(dead_code, reason = "only describes the messages of a stream")]
 pub struct Message {
-    /// `event`, `state`, `telemetry`, `frame`, `fleet` or `gap`.
+    /// `event`, `state`, `telemetry`, `frame`, `damage`, `fleet` or `gap`.
     #[schema(nullable = false)]
     event: Option<String>,
     /// The `seq` of an event, or of the last event missing in a `gap` of events.
@@ -90,14 +90,15 @@ struct Stream {
 
 /// Stream live updates
 ///
-/// Sends server-sent events: `event` with its `seq` as id, `state`, `telemetry`, `frame` and `fleet`.
+/// Sends server-sent events: `event` with its `seq` as id, `state`, `telemetry`, `frame`, `damage` and `fleet`.
 ///
 /// Events continue without a gap after `Last-Event-ID`; without that header they start now. A `gap` gives the number of
 /// events after that id that are no longer stored, for all grippers together. If the journal was replaced and has not
 /// reached that id yet, events start from the journal's first.
 ///
 /// For states and telemetry only the newest value is sent: values that a slow client misses are not queued. Frames are
-/// sent in order, and a `gap` gives the number of frames that a slow client missed.
+/// sent in order, with `damage` where bytes from the device were no valid frame. A `gap` gives the number of frames and
+/// damages that a slow client missed.
 #[utoipa::path(
     get, path = "/stream", operation_id = "stream", tag = "journal",
     params(StreamQuery, StreamHeaders),

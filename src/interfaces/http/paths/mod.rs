@@ -15,6 +15,7 @@ mod parameters;
 pub mod raw;
 pub mod responses;
 pub mod settings;
+pub mod webhooks;
 
 pub use parameters::CommandPath;
 

@@ -49,7 +49,7 @@ function leaveOut(direction, at, count = 1) {
 
 function watchExchange(frame) {
   const watched = exchange.peek();
-  if (frame.id !== watched?.id) return;
+  if (frame.damage || frame.id !== watched?.id) return;
   if (frame.direction === 'sent') {
     if (!watched.sent) exchange.value = { ...watched, sent: frame };
     return;
@@ -61,7 +61,7 @@ function watchExchange(frame) {
 function take(frame) {
   watchExchange(frame);
   if (isPaused.peek()) leaveOut('paused', frame.at);
-  else if (!hasUpdates.peek() && frame.direction === 'received' && UPDATES.includes(frame.id))
+  else if (!hasUpdates.peek() && !frame.damage && frame.direction === 'received' && UPDATES.includes(frame.id))
     leaveOut('updates', frame.at);
   else push(frame);
 }
@@ -90,7 +90,7 @@ export function follow(name) {
       rpc.call('subscribe', { grippers: [name], topics: ['frames'] }).catch(() => {});
     },
     onNotification: (method, params) => {
-      if (method === 'frame') take(params);
+      if (method === 'frame' || method === 'damage') take(params);
       if (method === 'gap') leaveOut('gap', new Date().toISOString(), params.missed);
     },
   });
