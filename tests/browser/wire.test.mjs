@@ -4,7 +4,7 @@ import assert from 'node:assert/strict';
 import { readFile } from 'node:fs/promises';
 import { after, test } from 'node:test';
 
-import { assertClean, browser, endAll, gateway, shoot, until, visit } from './harness.mjs';
+import { assertClean, browser, endAll, gateway, shoot, simulator, until, visit } from './harness.mjs';
 
 after(endAll);
 const launched = await browser();
@@ -72,6 +72,22 @@ test('frames are filtered, copied and saved, and a pause is marked', async () =>
   await served.ask('POST', 'grippers/left/raw', { id: 0x42, payload: '00' });
   await page.waitForSelector('[data-row=paused] ~ .frame:has-text("GetStatistics")');
   await shoot(page, 'log-paused');
+  assertClean(visitor);
+  await visitor.close();
+});
+
+test('damaged frames and skipped bytes are shown as such', async () => {
+  const device = await simulator();
+  const served = await gateway({ more: ['--gripper', `left=${device.url}`] });
+  const visitor = await visit(launched, served, { path: '/#/left/log' });
+  const { page } = visitor;
+  await page.waitForSelector('[data-row=updates]');
+  await device.happens({ fault: { kind: 'corrupt_checksum', id: 0x43, times: 1 } });
+  await page.waitForSelector('.frame.tone-high[data-damage=checksum]:has-text("GetWidth")');
+  await page.fill('#log-filter', 'checksum wrong');
+  await page.waitForSelector('.frame[data-damage=checksum]');
+  await page.click('.frame[data-damage=checksum]');
+  await page.waitForSelector('.byte');
   assertClean(visitor);
   await visitor.close();
 });

@@ -68,7 +68,7 @@ function Row({ frame, picked, withHex }) {
   if (!isFrame(frame))
     return html`<p class=${`frame-note ${['gap', 'lost'].includes(frame.direction) ? 'tone-high' : ''}`}
       data-row=${frame.direction}>${noteOf(frame)}</p>`;
-  return html`<button type="button" class=${`frame ${frame.direction}`}
+  return html`<button type="button" class=${`frame ${frame.direction} ${frame.damage ? 'tone-high' : ''}`} data-damage=${frame.damage}
       aria-pressed=${picked.value?.seq === frame.seq ? 'true' : 'false'} onClick=${() => {
         picked.value = frame;
       }}>
