@@ -263,7 +263,7 @@ test('a reservation is an alarm until a client takes control', () => {
 });
 
 test('numbers per part have mean, spread and trend', async () => {
-  const { perPart, summary } = await core('statistics');
+  const { perPart, summary } = await view('statistics');
   assert.deepEqual(summary([4, 2, null, 3]), { mean: 3, spread: 1, trend: 1 });
   assert.deepEqual(summary([5]), { mean: 5, spread: null, trend: null });
   assert.deepEqual(summary([]), { mean: null, spread: null, trend: null });

@@ -1,7 +1,7 @@
 // Numbers per part of the grips that match the filters.
 
 import { html } from '../lib.js';
-import { perPart } from '../core/statistics.js';
+import { perPart } from './statistics.js';
 import { fixed, plain, t } from '../model/i18n.js';
 import { get, query } from '../net/rest.js';
 
