@@ -256,6 +256,12 @@ pub struct Telemetry {
 }
 
 impl State {
+    /// Whether the device shows a fault that is not a FAST STOP.
+    #[must_use]
+    pub fn has_device_fault(&self) -> bool {
+        (Fault::Temperature.code()..=Fault::DeviceError.code()).contains(&self.fault_code)
+    }
+
     #[must_use]
     pub fn telemetry(&self, at: Timestamp) -> Telemetry {
         Telemetry {

@@ -1,6 +1,7 @@
 //! Tests of 24h, and of the causes of refusals.
 
 use super::*;
+use crate::gripper::model::Fault;
 
 fn acknowledges(bench: &mut Bench) -> bool {
     bench.send(id::ACKNOWLEDGE_FAST_STOP, b"ack");
@@ -118,4 +119,21 @@ fn refusals_name_their_cause() {
     bench.send(id::HOMING, &[0]);
     bench.send(id::STOP, &[]);
     assert_eq!(bench.device.poll_refused(), None);
+}
+
+#[test]
+fn fault_without_a_latch_is_acknowledged_at_the_device() {
+    for (fault, order) in [
+        (Some(Fault::Finger), Some(PortOrder::Acknowledge(None))),
+        (Some(Fault::DeviceError), Some(PortOrder::Acknowledge(None))),
+        (Some(Fault::JournalDown), None),
+        (None, None),
+    ] {
+        let mut bench = Bench::new();
+        bench.state.fault_code = fault.map_or(0, Fault::code);
+        bench.send(id::ACKNOWLEDGE_FAST_STOP, b"ack");
+        assert_eq!(bench.device.poll_order().map(|ordered| ordered.order), order, "{fault:?}");
+        let blind = [(id::ACKNOWLEDGE_FAST_STOP, Status::E_SUCCESS)];
+        assert_eq!(bench.sent().as_slice() == blind, order.is_none(), "{fault:?}");
+    }
 }

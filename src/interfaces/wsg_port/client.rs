@@ -337,7 +337,11 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             }
             .boxed(),
             PortOrder::Acknowledge(id) => async move {
-                match gripper.acknowledge(id, client).await {
+                let acknowledged = match id {
+                    Some(id) => gripper.acknowledge(id, client).await,
+                    None => gripper.acknowledge_fault(client, Some(token)).await,
+                };
+                match acknowledged {
                     Ok(()) => Step::Answered(ask, PortReply::Reply(Reply::Success(Data::None))),
                     Err(rejection) => Step::Rejected(ask, rejection, true),
                 }

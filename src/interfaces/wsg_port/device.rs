@@ -42,7 +42,8 @@ const MAX_FRAMES_BEFORE_UPDATES: usize = 16;
 pub(super) enum PortOrder {
     Command(Action),
     FastStop,
-    Acknowledge(FastStopId),
+    /// Acknowledges the FAST STOP of this id, or a fault of the device without a FAST STOP.
+    Acknowledge(Option<FastStopId>),
     Exchange(Command),
     Release,
 }
@@ -395,11 +396,12 @@ impl VirtualDevice {
         let is_held = state.lease_holder.is_some() && !self.holds_lease;
         match &state.latch {
             Some(latch) if self.acknowledges.covers(latch, is_held) => {
-                self.order(id, true, PortOrder::Acknowledge(latch.fast_stop_id));
+                self.order(id, true, PortOrder::Acknowledge(Some(latch.fast_stop_id)));
             }
             Some(_) => self.refuse(id, Status::E_ACCESS_DENIED, Cause::Acknowledge),
-            None if state.link == Link::Connected => self.reply(id, &Reply::Success(Data::None)),
-            None => self.status(id, Status::E_IO_ERROR),
+            None if state.link != Link::Connected => self.status(id, Status::E_IO_ERROR),
+            None if state.has_device_fault() => self.order(id, true, PortOrder::Acknowledge(None)),
+            None => self.reply(id, &Reply::Success(Data::None)),
         }
     }
 
