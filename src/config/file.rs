@@ -7,7 +7,10 @@ use std::time::Duration;
 use toml::Spanned;
 
 use super::journal::bounded;
-use super::{ConfigError, ConfigPlace, Content, GripperConfig, GripperContent, WsgPort, owned, parse_device};
+use super::{
+    ConfigError, ConfigPlace, Content, DEFAULT_MOTION_PAUSE, GripperConfig, GripperContent, LONGEST_MOTION_PAUSE,
+    WsgPort, owned, parse_device,
+};
 use crate::gripper::model::lease::{MAX_TTL, MIN_TTL};
 use crate::gripper::model::{CustomIds, LeaseRules, UpdateRules};
 
@@ -59,6 +62,7 @@ impl File {
                 fast_stop_on_disconnect: gripper.fast_stop_on_disconnect.unwrap_or(true),
                 custom_ids: self.custom_ids(gripper)?,
                 updates: self.update_rules(gripper)?,
+                motion_pause: self.motion_pause(gripper)?,
                 lease: self.lease_rules(gripper)?,
                 wsg_port: WsgPort::of_file(self, gripper)?,
                 place,
@@ -85,6 +89,16 @@ impl File {
             return Err(ConfigError::at(&self.place(place.span().start), detail));
         }
         Ok(CustomIds { read, stream })
+    }
+
+    fn motion_pause(&self, gripper: &GripperContent) -> Result<Duration, ConfigError> {
+        let Some(ms) = &gripper.motion_pause_ms else { return Ok(DEFAULT_MOTION_PAUSE) };
+        let pause = Duration::from_millis(*ms.get_ref());
+        if pause > LONGEST_MOTION_PAUSE {
+            let detail = format!("motion_pause_ms is {}; it must be from 0 to 1000", ms.get_ref());
+            return Err(ConfigError::at(&self.place(ms.span().start), detail));
+        }
+        Ok(pause)
     }
 
     /// Parses ids of scripts on the gripper. The effect of the manual's ids is known, so they cannot be declared.

@@ -29,6 +29,15 @@ fn flag_overrides_file() {
 }
 
 #[test]
+fn motion_pause_is_50_ms_unless_set() {
+    let pause = |key: &str| Ok(file(&format!("[grippers.g]\nurl = \"sim://wsg50\"\n{key}"))?.grippers[0].motion_pause);
+    let pause = |key: &str| pause(key).map_err(|error: ConfigError| error.to_string());
+    assert_eq!(pause(""), Ok(Duration::from_millis(50)));
+    assert_eq!(pause("motion_pause_ms = 0"), Ok(Duration::ZERO));
+    assert!(pause("motion_pause_ms = 1001").unwrap_err().contains("gateway.toml:3: motion_pause_ms is 1001"));
+}
+
+#[test]
 fn file_error_names_line_and_remedy() {
     let mistake = |text: &str| file(text).unwrap_err().to_string();
     assert!(mistake("name = \"Cell 7\"").starts_with("gateway.toml:1: \"Cell 7\" is not a valid name"));

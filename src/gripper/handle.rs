@@ -10,8 +10,8 @@ use super::error::{Failure, Rejection};
 use super::info::Info;
 use super::lease::LeaseKeepAlive;
 use super::model::{
-    Action, Client, CommandId, CommandReport, CustomIds, FastStopCause, FastStopId, Lease, LeaseToken, Link, Name,
-    Phase, Reason, State, Submission, TakeLease, WireRecord,
+    Action, Client, CommandId, CommandReport, CustomIds, FastStopCause, FastStopId, Fault, Lease, LeaseToken, Link,
+    Name, Phase, Reason, RequestId, State, Submission, TakeLease, WireRecord,
 };
 use crate::wsg;
 
@@ -33,6 +33,7 @@ pub const FAST_STOP_WAIT: Duration = Duration::from_millis(250);
 pub enum ActorRequest {
     Submit { submission: Submission, id: CommandId, answer: Answer<Ticket> },
     Find { id: CommandId, answer: oneshot::Sender<Option<Ticket>> },
+    FindRequest { subject: Arc<str>, request_id: RequestId, answer: oneshot::Sender<Option<Ticket>> },
     Cancel { id: CommandId, client: Client, answer: oneshot::Sender<Option<Ticket>> },
     Exchange { command: wsg::Command, client: Client, lease: Option<LeaseToken>, answer: Steps },
     Acknowledge { id: FastStopId, client: Client, answer: Answer<()> },
@@ -181,7 +182,10 @@ impl Handle {
         if self.requests.is_closed() {
             // The last state must not look current.
             let link_cause = Some("the gateway has disconnected from this gripper".to_owned());
-            return Arc::new(State { link: Link::Reconnecting, link_cause, ..State::clone(&state) });
+            let fault = state.latch.is_none().then_some(Fault::LinkDown.code());
+            let fault_code = fault.unwrap_or(state.fault_code);
+            let link = Link::Reconnecting;
+            return Arc::new(State { link, link_cause, fault: true, fault_code, ..State::clone(&state) });
         }
         state
     }
@@ -210,7 +214,7 @@ impl Handle {
         self.info.borrow().clone()
     }
 
-    /// Whether a custom command of this id only reads. All others count as motions.
+    /// Whether a custom command of this id is configured as read-only. All others may move the fingers.
     #[must_use]
     pub fn only_reads(&self, id: u8) -> bool {
         self.custom_ids.read.contains(&id)
@@ -234,6 +238,11 @@ impl Handle {
     /// Finds a command of the last hour.
     pub async fn find(&self, id: CommandId) -> Result<Option<Ticket>, Failure> {
         self.try_request(|answer| ActorRequest::Find { id, answer }).await
+    }
+
+    /// Finds the command of a client's request id.
+    pub async fn find_request(&self, subject: Arc<str>, request_id: RequestId) -> Result<Option<Ticket>, Failure> {
+        self.try_request(|answer| ActorRequest::FindRequest { subject, request_id, answer }).await
     }
 
     /// Stops a command if it is still running.

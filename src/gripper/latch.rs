@@ -23,6 +23,15 @@ const CLEARS_WITHIN: Duration = Duration::from_millis(500);
 /// Time for which a sent acknowledgement can still take effect: longer than the wait for its reply.
 const ACKNOWLEDGE_LASTS: Duration = Duration::from_secs(2);
 
+/// Longest time from a flag to the FAST STOP that it explains. A device sets both at once, but a slow line can carry
+/// them apart.
+const EXPLAINS_WITHIN: Duration = Duration::from_millis(500);
+
+/// Flags that can stand for hours without a FAST STOP, so they explain only one that comes with them. A temperature,
+/// power or current fault stops the gripper for as long as it lasts.
+const STANDING: SystemState =
+    SystemState::FINGER_FAULT.union(SystemState::SOFT_LIMIT_MINUS).union(SystemState::SOFT_LIMIT_PLUS);
+
 /// Subject of a FAST STOP that no client requested.
 const BY_DEVICE: &str = "device";
 
@@ -41,6 +50,10 @@ pub(super) struct LatchState {
     flags_count_from: Option<Instant>,
     repeat_at: Option<Instant>,
     acknowledging: Option<Acknowledging>,
+    /// Newest flags of [`STANDING`].
+    flags: Option<SystemState>,
+    /// Flags of [`STANDING`] that were set last, all at the same time.
+    newest_flags: Option<(Instant, SystemState)>,
     /// Ended acknowledgements whose clients have not been answered yet.
     untold: Vec<EndedAcknowledge>,
 }
@@ -176,6 +189,7 @@ impl LatchState {
     pub(super) fn take_flags(&mut self, now: Now, flags: SystemState, origin: &mut Origin<'_>) -> Option<LatchChange> {
         let stopped = flags.contains(SystemState::FAST_STOP);
         let watching = self.is_watching();
+        let fresh = self.fresh_flags(now.instant, flags);
         let flags_count = self.flags_count_from.is_some_and(|from| from <= now.instant);
         match (&mut self.latch, stopped) {
             (None, true) => {
@@ -183,7 +197,7 @@ impl LatchState {
                 self.latch = Some(Latch {
                     id: origin.ids.fast_stop_id(now.wall),
                     by: BY_DEVICE.into(),
-                    cause: cause_of(flags, origin.unannounced),
+                    cause: cause_of(flags, fresh, origin.unannounced),
                     reason: Reason::truncated(""),
                     at: now.wall,
                     confirmed: true,
@@ -208,6 +222,17 @@ impl LatchState {
             }
             _ => None,
         }
+    }
+
+    /// Takes the flags, and returns those that were set recently. Flags found on the first connect can be old.
+    fn fresh_flags(&mut self, now: Instant, flags: SystemState) -> SystemState {
+        let flags = flags.intersection(STANDING);
+        let set = self.flags.replace(flags).map_or(SystemState::empty(), |before| flags.difference(before));
+        if !set.is_empty() {
+            self.newest_flags = Some((now, set));
+        }
+        let newest = self.newest_flags.filter(|(at, _)| now < *at + EXPLAINS_WITHIN);
+        newest.map_or(SystemState::empty(), |(_, set)| set)
     }
 
     /// Whether an acknowledgement of this id can be sent.
@@ -286,8 +311,9 @@ impl LatchState {
     }
 }
 
-/// Cause of a FAST STOP, as the flags show it.
-fn cause_of(flags: SystemState, unannounced: bool) -> FastStopCause {
+/// Cause of a FAST STOP, as the flags show it. `fresh` has the recent ones of [`STANDING`].
+fn cause_of(flags: SystemState, fresh: SystemState, unannounced: bool) -> FastStopCause {
+    let flags = flags.difference(STANDING).union(flags.intersection(fresh));
     let causes = [
         (SystemState::TEMP_FAULT, FastStopCause::TemperatureFault),
         (SystemState::POWER_FAULT, FastStopCause::PowerFault),
@@ -316,6 +342,29 @@ mod tests {
         let [reply_within, result_within] = [Duration::from_secs(1); 2];
         let request = Request { command: Command::AcknowledgeFastStop, reply_within, result_within };
         Session::new(config, now).submit(now, request).unwrap()
+    }
+
+    #[test]
+    fn standing_flags_explain_no_fast_stop() {
+        let (soft, finger) = (SystemState::SOFT_LIMIT_PLUS, SystemState::FINGER_FAULT);
+        let (none, stop, hot) = (SystemState::empty(), SystemState::FAST_STOP, SystemState::TEMP_FAULT);
+        let late = 60_000;
+        for (updates, expected) in [
+            (vec![(0, soft | stop)], FastStopCause::Unknown),
+            (vec![(0, none), (late, soft), (late, soft | stop)], FastStopCause::Unknown),
+            (vec![(0, none), (late, finger), (late, finger | stop)], FastStopCause::Unknown),
+            (vec![(0, none), (late, soft | stop)], FastStopCause::SoftLimit),
+            (vec![(0, none), (late, soft), (10, soft | stop)], FastStopCause::SoftLimit),
+            (vec![(0, none), (late, finger | stop)], FastStopCause::FingerFault),
+            (vec![(0, hot | stop)], FastStopCause::TemperatureFault),
+        ] {
+            let (mut latch, mut ids, mut now) = (LatchState::default(), IdSource::new(1), Now::read());
+            for (after_ms, flags) in &updates {
+                now.instant += Duration::from_millis(*after_ms);
+                latch.take_flags(now, *flags, &mut Origin { ids: &mut ids, unannounced: false });
+            }
+            assert_eq!(latch.current().map(|latch| latch.cause), Some(expected), "{updates:?}");
+        }
     }
 
     #[test]

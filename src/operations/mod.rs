@@ -31,13 +31,14 @@ mod table;
 pub(crate) mod values;
 pub(crate) mod webhooks;
 
+pub(crate) use crate::gripper::model::Code;
 pub(crate) use call::{Fields, Leased, Params};
 pub(crate) use caller::{Caller, DEFAULT_WAIT_MS, MAX_LEASE_BYTES, Presence, Wait, WaitLimiter, wait_ms};
 pub(crate) use connection_lease::ConnectionLease;
 pub use gateway::Gateway;
 pub(crate) use operation::subject;
 pub use operation::{Operation, Role};
-pub(crate) use problem::{Code, Members, Problem};
+pub(crate) use problem::{Members, Problem};
 pub(crate) use reply::{Effect, OperationReply};
 pub(crate) use run::{call, run};
 pub use table::OPERATIONS;

@@ -156,6 +156,7 @@ fn spawned(device: SocketAddr, restored: RestoredState) -> Handle {
         fast_stop_on_disconnect: true,
         custom_ids: CustomIds::default(),
         updates: UpdateRules::default(),
+        motion_pause: Duration::from_millis(50),
         drain: Duration::from_secs(2),
         on_journal_failure: OnJournalFailure::Refuse,
         lease: LeaseRules::default(),

@@ -80,13 +80,18 @@ impl Actor {
         Ok(())
     }
 
-    /// Whether anything may move now.
+    /// Whether a motion may start now.
     fn check_moving(&self) -> Result<(), Conflict> {
-        if let Some(id) = self.latch.id() {
-            return Err(Conflict::FastStop { id });
-        }
-        self.settings.check()?;
+        self.check_stopped()?;
         self.motion.check()
+    }
+
+    /// Whether a FAST STOP or a lost setting forbids every motion.
+    fn check_stopped(&self) -> Result<(), Conflict> {
+        match self.latch.id() {
+            Some(id) => Err(Conflict::FastStop { id }),
+            None => self.settings.check(),
+        }
     }
 
     /// Clamps the values of a submission to the device's limits, as the device would.
@@ -133,6 +138,9 @@ impl Actor {
         }
         // A token without a lease renews nothing.
         let _ = self.lease.renew(now.instant, lease);
+        if self.is_script(&command) {
+            self.note_script(now, &client, lease);
+        }
         if let Some(data) = self.observed.newest(command.id()) {
             // Sending the getter would switch its automatic updates off.
             let _ = answer.send(Ok(data));
@@ -175,7 +183,11 @@ impl Actor {
             Command::Stop | Command::FastStop => Err(not_here("use its own operation")),
             Command::AcknowledgeFastStop => Err(not_here("acknowledge the FAST STOP by its id")),
             Command::DisconnectAnnouncement => Err(not_here("the gateway announces its own disconnects")),
-            Command::Custom(_) if !self.only_reads(command) => {
+            Command::Custom(_) if self.is_script(command) && client.door.speaks_wsg() => {
+                self.check_stopped()?;
+                Ok(self.recording.check()?)
+            }
+            Command::Custom(_) if self.is_script(command) => {
                 Err(not_here("it can move the fingers; submit it as a command"))
             }
             command if id::has_updates(command.id()) && self.observed.newest(command.id()).is_none() => {
@@ -183,6 +195,11 @@ impl Actor {
             }
             _ => Ok(()),
         }
+    }
+
+    /// Whether the command belongs to a script that may move the fingers.
+    pub(super) fn is_script(&self, command: &Command) -> bool {
+        matches!(command, Command::Custom(_)) && !self.only_reads(command)
     }
 
     /// Whether the command only reads, so that any client can send it.

@@ -45,7 +45,10 @@ impl Actor {
                 (Purpose::Stop(Some(id)), true) => self.reject(now, id, rejection.clone()),
                 // The Stop may have happened.
                 (Purpose::Stop(Some(id)), false) => {
-                    self.end(now, id, |record| record.outcome = Some(Outcome::Unknown));
+                    self.end(now, id, |record| {
+                        record.set_outcome(Outcome::Unknown);
+                        record.explain(&rejection);
+                    });
                 }
                 _ => {}
             }

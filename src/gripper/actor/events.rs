@@ -92,14 +92,14 @@ impl Actor {
         }
     }
 
-    /// Records that the fingers begin to move without a command, caused by another program, a script or a hand.
+    /// Takes the beginning of a motion that no command explains: by a client's script, another program or a hand.
     fn notice_foreign_motion(&mut self, now: Now, before: Option<SystemState>, flags: SystemState) {
         let moves = |flags: SystemState| flags.contains(SystemState::MOVING);
         let begins = moves(flags) && before.is_some_and(|before| !moves(before));
         let ours = self.motion.may_move(now.instant);
         // After a part is lost, the fingers close further.
         let holds = matches!(self.observed.gripper_state, Some(GripperState::Holding | GripperState::PartLost));
-        if begins && !ours && !holds {
+        if begins && !ours && !holds && !self.script_moves(now) {
             tracing::warn!(gripper = %self.config.name, "fingers moving without a command of this gateway");
             self.recording.device(now, DeviceEvent::ForeignMotion);
         }
@@ -123,7 +123,10 @@ impl Actor {
             }
             Purpose::Acknowledge => {
                 let result = match end {
-                    End::Reply(Reply::Success(_)) => Ok(()),
+                    End::Reply(Reply::Success(_)) => {
+                        self.observed.acknowledged();
+                        Ok(())
+                    }
                     end => Err(self.rejection_of("AcknowledgeFastStop", end)),
                 };
                 self.latch.acknowledge_ended(now.instant, token, result);
@@ -134,6 +137,9 @@ impl Actor {
             Purpose::Stop(None) => {}
             Purpose::Exchange(exchange) => {
                 self.reads.forget();
+                if self.is_script(&exchange.command) {
+                    self.scripts.replied(now.instant, &exchange.client);
+                }
                 self.take_exchange_end(now, exchange, end);
             }
             Purpose::Read(id) => self.read_ended(now, id, end),

@@ -37,6 +37,7 @@ mod reads;
 mod recording;
 mod repeats;
 mod running;
+mod scripts;
 mod settings;
 mod streaming;
 mod tag;
@@ -69,6 +70,7 @@ use publish::Publication;
 use reads::Reads;
 use recording::Recording;
 use running::MotionState;
+use scripts::Scripts;
 use settings::Settings;
 use streaming::Streaming;
 
@@ -88,6 +90,8 @@ pub struct ActorConfig {
     pub fast_stop_on_disconnect: bool,
     pub custom_ids: CustomIds,
     pub updates: UpdateRules,
+    /// Pause between the end of a motion and the next one.
+    pub motion_pause: Duration,
     /// Time for a running command to finish when the gripper is drained.
     pub drain: Duration,
     pub on_journal_failure: OnJournalFailure,
@@ -115,6 +119,7 @@ pub struct Actor {
     recording: Recording,
     metering: Metering,
     streaming: Streaming,
+    scripts: Scripts,
     publication: Publication,
 }
 
@@ -144,11 +149,12 @@ impl Actor {
             lease: LeaseState::default(),
             reads: Reads::default(),
             commands: CommandRegistry::default(),
-            motion: MotionState::default(),
+            motion: MotionState::new(config.motion_pause),
             drain: None,
             recording: Recording::new(config.name.clone(), config.on_journal_failure),
             metering: Metering::new(config.metrics.clone()),
             streaming: Streaming::default(),
+            scripts: Scripts::default(),
             publication,
             config,
         };
@@ -195,6 +201,9 @@ impl Actor {
             }
             ActorRequest::Find { id, answer } => {
                 let _ = answer.send(self.commands.find(id));
+            }
+            ActorRequest::FindRequest { subject, request_id, answer } => {
+                let _ = answer.send(self.commands.find_request(now.instant, &subject, &request_id));
             }
             ActorRequest::Cancel { id, client, answer } => {
                 let ticket = self.commands.find(id);
@@ -267,7 +276,7 @@ impl Actor {
         self.take_events(now);
         self.metering.session(self.link.session.as_mut());
         self.publish(now);
-        self.recording.persist_changes(&self.latch, &self.lease, self.observed.part.grip);
+        self.recording.persist_changes(&self.latch, &self.lease, self.observed.part.grip, &self.commands.last);
         self.commands.tell();
         self.tell_acknowledges(now);
         self.settings.overdrive.answer(self.observed.flags);

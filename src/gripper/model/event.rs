@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::{
-    Client, CommandId, CommandReport, Door, FastStopCause, FastStopId, Kind, Name, Outcome, Parameters, PartId,
+    Client, Code, CommandId, CommandReport, Door, FastStopCause, FastStopId, Kind, Name, Outcome, Parameters, PartId,
     RequestId, lease::LeaseEvent,
 };
 
@@ -20,6 +20,7 @@ pub use device::{DeviceEvent, LinkEvent};
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct Event {
     /// Time of the event.
+    #[serde(serialize_with = "super::time::milliseconds")]
     #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
     /// Name of the gripper; null if the event concerns all grippers.
@@ -137,6 +138,7 @@ pub struct Done {
     #[schema(required)]
     pub force_n: Option<f32>,
     /// Time of admission.
+    #[serde(serialize_with = "super::time::milliseconds")]
     #[schema(value_type = String, format = DateTime)]
     pub started_at: Timestamp,
     /// Time from admission to end, in ms.
@@ -154,7 +156,11 @@ pub struct Done {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<String>, nullable = false)]
     pub cancelled_by: Option<Arc<str>>,
-    /// Reason for a refusal, as text.
+    /// Code of the problem that ended the command as `REFUSED` or `UNKNOWN`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub code: Option<Code>,
+    /// Description of that problem.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
     pub cause: Option<String>,
@@ -178,7 +184,8 @@ impl Done {
             fast_stop_id: command.fast_stop_id,
             part_id,
             cancelled_by: command.cancelled_by.clone(),
-            cause: command.rejection.as_ref().map(ToString::to_string),
+            code: command.code,
+            cause: command.detail.clone(),
         }
     }
 }

@@ -28,6 +28,7 @@ pub struct GripRecord {
     #[schema(value_type = String)]
     pub subject: Arc<str>,
     /// Time of admission.
+    #[serde(serialize_with = "super::time::milliseconds")]
     #[schema(value_type = String, format = DateTime)]
     pub started_at: Timestamp,
     /// Time from admission to end, in ms.
@@ -93,6 +94,8 @@ pub enum PersistedKey {
     Holding,
     /// Position of a webhook in the journal.
     Webhook,
+    /// Number and result of the newest motion.
+    LastCommand,
 }
 
 /// Treatment of motions while the journal cannot be written.

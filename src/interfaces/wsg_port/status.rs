@@ -32,6 +32,9 @@ fn status_of(rejection: &Rejection) -> Status {
             | Conflict::StaleFastStop { .. }
             | Conflict::FastStopUnconfirmed { .. }
             | Conflict::LeaseHeld { .. }
+            | Conflict::LeaseBound { .. }
+            | Conflict::LeaseTokenMissing { .. }
+            | Conflict::LeaseRequested { .. }
             | Conflict::StaleLease { .. } => Status::E_ACCESS_DENIED,
             Conflict::AlreadyRunning { .. } | Conflict::Acknowledging { .. } => Status::E_ALREADY_RUNNING,
             Conflict::NotReferenced | Conflict::SettingsLost { .. } => Status::E_NOT_INITIALIZED,

@@ -3,6 +3,7 @@
 
 mod bounds;
 mod drivers;
+mod faults;
 mod leases;
 mod repeats;
 mod restarts;

@@ -371,7 +371,7 @@ export const de = {
   'device.temperature': 'Temperatur',
   'device.capabilities': 'Funktionen',
   'device.if_gateway': 'Bei Ausfall des Gateways',
-  'device.stops': 'ein fahrender Greifer hält von selbst an',
+  'device.stops': 'ein fahrender Greifer hält von selbst an, wenn sein FAST STOP bei Verbindungsende eingeschaltet ist (Vorgabe)',
   'device.moves_on': 'ein fahrender Greifer fährt bis zum Ziel',
   'limits.title': 'Grenzen',
   'limits.stroke': 'Hub',

@@ -371,7 +371,7 @@ export const en = {
   'device.temperature': 'Temperature',
   'device.capabilities': 'Capabilities',
   'device.if_gateway': 'If the gateway fails',
-  'device.stops': 'a moving gripper stops by itself',
+  'device.stops': 'a moving gripper stops by itself, if its FAST STOP on disconnect is enabled (default)',
   'device.moves_on': 'a moving gripper continues to its target',
   'limits.title': 'Limits',
   'limits.stroke': 'Stroke',
