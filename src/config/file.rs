@@ -6,12 +6,13 @@ use std::time::Duration;
 
 use toml::Spanned;
 
+use super::journal::bounded;
 use super::{
     ConfigError, ConfigPlace, Content, DEFAULT_MOTION_PAUSE, GripperConfig, GripperContent, LONGEST_MOTION_PAUSE,
     WsgPort, owned, parse_device,
 };
 use crate::gripper::model::lease::{MAX_TTL, MIN_TTL};
-use crate::gripper::model::{CustomIds, LeaseRules};
+use crate::gripper::model::{CustomIds, LeaseRules, UpdateRules};
 
 /// A parsed file, with its text for finding line numbers.
 #[derive(Debug)]
@@ -60,6 +61,7 @@ impl File {
                 device: parse_device(gripper.url.get_ref(), &place)?,
                 fast_stop_on_disconnect: gripper.fast_stop_on_disconnect.unwrap_or(true),
                 custom_ids: self.custom_ids(gripper)?,
+                updates: self.update_rules(gripper)?,
                 motion_pause: self.motion_pause(gripper)?,
                 lease: self.lease_rules(gripper)?,
                 wsg_port: WsgPort::of_file(self, gripper)?,
@@ -71,6 +73,14 @@ impl File {
 }
 
 impl File {
+    fn update_rules(&self, gripper: &GripperContent) -> Result<UpdateRules, ConfigError> {
+        let allowed = UpdateRules::MIN_PERIOD_MS.into()..=UpdateRules::MAX_PERIOD_MS.into();
+        let remedy = "leave it out for the shortest that the line allows";
+        let period_ms = bounded(Some(self), "update_period_ms", gripper.update_period_ms.as_ref(), allowed, remedy)?;
+        let min_period_ms = period_ms.map_or(UpdateRules::MIN_PERIOD_MS, |period_ms| period_ms as u16);
+        Ok(UpdateRules { mode: gripper.updates, min_period_ms, ..UpdateRules::default() })
+    }
+
     fn custom_ids(&self, gripper: &GripperContent) -> Result<CustomIds, ConfigError> {
         let read = self.script_ids("read_ids", gripper.read_ids.as_ref())?;
         let stream = self.script_ids("stream_ids", gripper.stream_ids.as_ref())?;

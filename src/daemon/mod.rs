@@ -33,6 +33,7 @@ use crate::interfaces::{self, Bounds, http, zenoh};
 use crate::journal::{self, Journal, Recovered};
 use crate::operations::Gateway;
 use crate::operations::audit::Audit;
+use crate::webhooks::{WebhookContext, Webhooks};
 use descriptors::Shares;
 pub use simulation::{ServedDevice, SimulatedDevice, Switch, serve as serve_device};
 
@@ -110,6 +111,15 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     let grippers = spawn_all(config, &runtimes.devices, &journal, &recovered, &registry)?;
     let audit = Arc::new(Audit::new(journal.clone()));
     let peers = Arc::new(Peers::new(config.name.clone(), grippers.clone()));
+    let webhook_context = WebhookContext {
+        gateway: &config.name,
+        journal: &journal,
+        persisted: &recovered.memory,
+        registry: &registry,
+        closing: &shutdown,
+        runtime: &clients.observers,
+    };
+    let webhooks = Arc::new(Webhooks::start(&config.webhooks, &webhook_context)?);
     let gateway = Arc::new(Gateway {
         name: config.name.clone(),
         grippers: grippers.clone(),
@@ -117,6 +127,7 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
         audit: audit.clone(),
         peers: peers.clone(),
         updates: Arc::new(LiveUpdates::new(&grippers, journal.clone(), peers)),
+        webhooks: webhooks.clone(),
     });
     let context = Arc::new(http::HttpContext {
         gateway,
@@ -129,7 +140,8 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     });
     let on_zenoh = config.zenoh.as_ref().map(|zenoh| zenoh_settings(zenoh, &context)).transpose()?;
     tracing::info!(limit = shares.limit, http = shares.http, wsg_port = shares.wsg_port, "file descriptors shared out");
-    let limits = http::ServerLimits::within(Bounds::of(shares.http));
+    let limits =
+        http::ServerLimits { idle_time: config.idle_timeout, ..http::ServerLimits::within(Bounds::of(shares.http)) };
     let server = clients.accept.spawn(http::serve(listener, context.clone(), limits, shutdown.clone()));
     announce(config, address, &ports)?;
     // Zenoh has a task of its own, so the rest continues whatever happens to Zenoh.
@@ -150,6 +162,7 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     if let Some(zenoh) = zenoh {
         zenoh.await?;
     }
+    webhooks.ended().await;
     ports.join_all().await.into_iter().collect::<Result<(), _>>()?;
     audit.write_down();
     Ok(journal.close().await?)
@@ -222,6 +235,7 @@ fn restored(recovered: &Recovered, gripper: &GripperConfig) -> RestoredState {
         latch: persisted(PersistedKey::Latch),
         lease: persisted(PersistedKey::Lease),
         holding: persisted(PersistedKey::Holding),
+        last_command: persisted(PersistedKey::LastCommand),
         requests: requests.cloned().collect(),
         unclean: recovered.unclean,
     }
@@ -242,11 +256,13 @@ fn spawn(
         }
     };
     let config = gripper::actor::ActorConfig {
+        gateway: config.name.clone(),
         name: gripper.name.clone(),
         url: connector.url(),
         properties: connector.properties(),
         fast_stop_on_disconnect: gripper.fast_stop_on_disconnect,
         custom_ids: gripper.custom_ids.clone(),
+        updates: gripper.updates,
         motion_pause: gripper.motion_pause,
         drain: config.drain,
         on_journal_failure: config.journal.on_failure,

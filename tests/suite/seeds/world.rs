@@ -8,7 +8,7 @@ use prometheus::Registry;
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
 use wsg_gateway::gripper::actor::{Actor, ActorConfig, Close, Watches};
-use wsg_gateway::gripper::model::{CustomIds, IdSource, LeaseRules, OnJournalFailure, Phase};
+use wsg_gateway::gripper::model::{CustomIds, IdSource, LeaseRules, OnJournalFailure, Phase, UpdateRules};
 use wsg_gateway::gripper::{GripperMetrics, Now};
 use wsg_gateway::sim::{Device, DeviceConfig, Interface, LinkAction, Part, Script, ScriptAnswer};
 use wsg_gateway::transport::LinkProperties;
@@ -163,6 +163,7 @@ impl World {
     ) -> Self {
         let now = Instant::now();
         let config = ActorConfig {
+            gateway: "gateway".parse().unwrap(),
             name: "g".parse().unwrap(),
             url: "sim://g".to_owned(),
             properties: LinkProperties {
@@ -174,6 +175,7 @@ impl World {
             },
             fast_stop_on_disconnect: true,
             custom_ids: CustomIds { read: [READ_ID].into(), stream: [STREAM_ID].into() },
+            updates: UpdateRules::default(),
             motion_pause: Duration::from_millis(50),
             drain: Duration::from_secs(2),
             on_journal_failure: OnJournalFailure::Refuse,

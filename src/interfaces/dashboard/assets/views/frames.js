@@ -38,7 +38,7 @@ export function follow(name) {
   const rpc = new Rpc({
     onOpen: () => rpc.call('subscribe', { grippers: [name], topics: ['frames'] }).catch(() => {}),
     onNotification: (method, params) => {
-      if (method === 'frame') take(params);
+      if (method === 'frame' || method === 'damage') take(params);
       if (method === 'gap') take({ seq: `gap-${params.seq}`, direction: 'gap', missed: params.missed });
     },
   });

@@ -110,7 +110,9 @@ export function History({ one }) {
     useSignal(null),
     useSignal(''),
   ];
-  const asked = { gripper: one.name, kind: kind.value, part_id: part.value.trim(), outcome: outcome.value };
+  // Without a kind, the gateway would list grips alone.
+  const kinds = kind.value || (what.value === 'grips' ? 'all' : '');
+  const asked = { gripper: one.name, kind: kinds, part_id: part.value.trim(), outcome: outcome.value };
   const address = `${what.value}?${query(asked)}`;
   const asking = useMemo(numbered, []);
   const load = async (cursor = null) => {
