@@ -13,11 +13,15 @@ use std::time::Duration;
 use serde::Deserialize;
 use toml::Spanned;
 
-use crate::gripper::model::{CustomIds, LeaseRules, Name, OnJournalFailure, OnLossHolding, OnLossMoving};
+use crate::gripper::model::{
+    CustomIds, LeaseRules, Name, OnJournalFailure, OnLossHolding, OnLossMoving, UpdateMode, UpdateRules,
+};
 use crate::transport::Address;
+use crate::webhooks::WebhookSettings;
 
 mod file;
 mod journal;
+mod webhooks;
 mod wsg_port;
 mod zenoh;
 
@@ -36,6 +40,12 @@ const DEFAULT_DRAIN: Duration = Duration::from_secs(2);
 
 /// Longest configurable drain, since the shutdown waits for it.
 const LONGEST_DRAIN: Duration = Duration::from_mins(1);
+
+/// Default pause between motions. Devices in the field fail without one.
+const DEFAULT_MOTION_PAUSE: Duration = Duration::from_millis(50);
+
+/// Longest configurable pause between motions, since a waiting motion blocks the next one.
+const LONGEST_MOTION_PAUSE: Duration = Duration::from_secs(1);
 
 /// Default time after which an idle HTTP connection is closed.
 const DEFAULT_IDLE_TIMEOUT: Duration = Duration::from_secs(10);
@@ -92,6 +102,7 @@ pub struct Config {
     pub journal: JournalConfig,
     /// `None` if Zenoh is off.
     pub zenoh: Option<Zenoh>,
+    pub webhooks: Vec<WebhookSettings>,
 }
 
 /// One gripper.
@@ -103,6 +114,9 @@ pub struct GripperConfig {
     pub fast_stop_on_disconnect: bool,
     /// Meaning of the ids of the gripper's scripts.
     pub custom_ids: CustomIds,
+    pub updates: UpdateRules,
+    /// Pause between the end of a motion and the next one.
+    pub motion_pause: Duration,
     /// Lease terms that clients can choose.
     pub lease: LeaseRules,
     pub wsg_port: WsgPort,
@@ -212,6 +226,7 @@ impl Config {
             grippers: grippers(flags, file, insecure)?,
             drain: drain(file)?,
             zenoh: Zenoh::merge(flags, file, insecure)?,
+            webhooks: file.map(webhooks::settings).transpose()?.unwrap_or_default(),
         };
         Ok(config)
     }
@@ -275,7 +290,18 @@ fn grippers(flags: &Flags, file: Option<&File>, insecure: bool) -> Result<Vec<Gr
             return Err(ConfigError::at(&gripper.place, detail));
         }
     }
+    share_lines(&mut configured);
     Ok(configured)
+}
+
+/// Counts the grippers on each CAN bus, which share its capacity.
+fn share_lines(grippers: &mut [GripperConfig]) {
+    let devices: Vec<_> = grippers.iter().map(|gripper| gripper.device.clone()).collect();
+    for gripper in grippers {
+        let DeviceSource::At(address) = &gripper.device else { continue };
+        let shares = |device: &&DeviceSource| matches!(device, DeviceSource::At(one) if address.shares_line_with(one));
+        gripper.updates.devices_on_line = devices.iter().filter(shares).count().max(1) as u32;
+    }
 }
 
 /// Returns why two grippers cannot both be served, if so.
@@ -299,6 +325,8 @@ fn parse_gripper(text: &str, place: &ConfigPlace) -> Result<GripperConfig, Confi
         device: parse_device(url, place)?,
         fast_stop_on_disconnect: true,
         custom_ids: CustomIds::default(),
+        updates: UpdateRules::default(),
+        motion_pause: DEFAULT_MOTION_PAUSE,
         lease: LeaseRules::default(),
         wsg_port: WsgPort::default(),
         place: place.clone(),
@@ -333,6 +361,7 @@ struct Content {
     drain_ms: Option<Spanned<u64>>,
     idle_timeout_s: Option<Spanned<u64>>,
     zenoh: zenoh::ZenohContent,
+    webhooks: Vec<webhooks::WebhookContent>,
     grippers: std::collections::BTreeMap<Spanned<String>, GripperContent>,
 }
 
@@ -341,8 +370,12 @@ struct Content {
 struct GripperContent {
     url: Spanned<String>,
     fast_stop_on_disconnect: Option<bool>,
+    update_period_ms: Option<Spanned<u64>>,
+    #[serde(default)]
+    updates: UpdateMode,
     read_ids: Option<Spanned<BTreeSet<u8>>>,
     stream_ids: Option<Spanned<BTreeSet<u8>>>,
+    motion_pause_ms: Option<Spanned<u64>>,
     on_loss_moving: Option<Spanned<Vec<OnLossMoving>>>,
     on_loss_holding: Option<Spanned<Vec<OnLossHolding>>>,
     lease_max_ttl_ms: Option<Spanned<u64>>,

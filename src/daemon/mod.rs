@@ -33,6 +33,7 @@ use crate::interfaces::{self, Bounds, http, zenoh};
 use crate::journal::{self, Journal, Recovered};
 use crate::operations::Gateway;
 use crate::operations::audit::Audit;
+use crate::webhooks::{WebhookContext, Webhooks};
 use descriptors::Shares;
 pub use simulation::{ServedDevice, SimulatedDevice, Switch, serve as serve_device};
 
@@ -106,9 +107,19 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     record_start(config, &journal).await;
     let (draining, shutdown) = (CancellationToken::new(), CancellationToken::new());
     let registry = metrics::registry(config, &journal)?;
+    let port_metrics = interfaces::metrics::WsgPortMetrics::register(&registry)?;
     let grippers = spawn_all(config, &runtimes.devices, &journal, &recovered, &registry)?;
     let audit = Arc::new(Audit::new(journal.clone()));
     let peers = Arc::new(Peers::new(config.name.clone(), grippers.clone()));
+    let webhook_context = WebhookContext {
+        gateway: &config.name,
+        journal: &journal,
+        persisted: &recovered.memory,
+        registry: &registry,
+        closing: &shutdown,
+        runtime: &clients.observers,
+    };
+    let webhooks = Arc::new(Webhooks::start(&config.webhooks, &webhook_context)?);
     let gateway = Arc::new(Gateway {
         name: config.name.clone(),
         grippers: grippers.clone(),
@@ -116,6 +127,7 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
         audit: audit.clone(),
         peers: peers.clone(),
         updates: Arc::new(LiveUpdates::new(&grippers, journal.clone(), peers)),
+        webhooks: webhooks.clone(),
     });
     let context = Arc::new(http::HttpContext {
         gateway,
@@ -134,7 +146,7 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     announce(config, address, &ports)?;
     // Zenoh has a task of its own, so the rest continues whatever happens to Zenoh.
     let zenoh = on_zenoh.map(|(settings, context)| tokio::spawn(zenoh::serve(settings, context, announce_zenoh)));
-    let ports = ports::serve(&runtimes.devices, ports, &grippers, &audit, &draining, &shutdown);
+    let ports = ports::serve(&runtimes.devices, ports, &grippers, &audit, &port_metrics, &draining, &shutdown);
     systemd::ready();
     tokio::select! {
         () = stop => {}
@@ -150,6 +162,7 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     if let Some(zenoh) = zenoh {
         zenoh.await?;
     }
+    webhooks.ended().await;
     ports.join_all().await.into_iter().collect::<Result<(), _>>()?;
     audit.write_down();
     Ok(journal.close().await?)
@@ -243,11 +256,14 @@ fn spawn(
         }
     };
     let config = gripper::actor::ActorConfig {
+        gateway: config.name.clone(),
         name: gripper.name.clone(),
         url: connector.url(),
         properties: connector.properties(),
         fast_stop_on_disconnect: gripper.fast_stop_on_disconnect,
         custom_ids: gripper.custom_ids.clone(),
+        updates: gripper.updates,
+        motion_pause: gripper.motion_pause,
         drain: config.drain,
         on_journal_failure: config.journal.on_failure,
         lease: gripper.lease.clone(),

@@ -20,7 +20,7 @@ use tokio::sync::watch;
 use utoipa::ToSchema;
 
 use crate::fleet::Peers;
-use crate::gripper::model::{FrameRecord, Name, State};
+use crate::gripper::model::{Name, State, WireRecord};
 use crate::gripper::{Grippers, Handle, Now};
 use crate::journal::{Journal, Stored};
 use fleet::FleetNews;
@@ -35,7 +35,8 @@ pub use queued::Gap;
 /// - `state`: newest state of each gripper
 /// - `telemetry`: newest measured values of each gripper
 /// - `events`: every event, once it is durable in the journal
-/// - `frames`: every frame to and from a device
+/// - `grips`: every grip record, once it is durable, and again when its part was lost
+/// - `frames`: every frame to and from a device, and damaged bytes from it
 /// - `fleet`: newest state of each gripper of all gateways
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
@@ -43,12 +44,13 @@ pub enum Topic {
     State,
     Telemetry,
     Events,
+    Grips,
     Frames,
     Fleet,
 }
 
 /// The topics, as an error message lists them.
-pub const TOPICS: &str = "state, telemetry, events, frames, fleet";
+pub const TOPICS: &str = "state, telemetry, events, grips, frames, fleet";
 
 /// Rate of states and telemetry in Hz, unless a client asks for more or less.
 pub const DEFAULT_HZ: u64 = 10;
@@ -111,6 +113,9 @@ impl LiveUpdates {
         if topics.contains(&Topic::Events) {
             queued.push(queued::events(self.clone(), grippers.cloned()).boxed());
         }
+        if topics.contains(&Topic::Grips) {
+            queued.push(queued::grips(self, grippers.cloned()).boxed());
+        }
         if topics.contains(&Topic::Frames) {
             queued.extend(sources.iter().map(|source| queued::frames((*source).clone()).boxed()));
         }
@@ -138,8 +143,11 @@ impl Source {
         self.telemetry.get(state.update, || Notification::new("telemetry", &state.telemetry(Now::read().wall)))
     }
 
-    fn frame(&self, frame: &FrameRecord) -> Option<Notification> {
-        self.frames.get(frame.seq, || Notification::new("frame", frame))
+    fn frame(&self, record: &WireRecord) -> Option<Notification> {
+        self.frames.get(record.seq(), || match record {
+            WireRecord::Frame(frame) => Notification::new("frame", frame),
+            WireRecord::Damage(damage) => Notification::new("damage", damage),
+        })
     }
 }
 

@@ -70,12 +70,14 @@ pub enum Conflict {
     StaleFastStop { given: FastStopId, current: Option<FastStopId> },
     #[error("the device has not confirmed FAST STOP {id} yet: acknowledge it after the confirmation")]
     FastStopUnconfirmed { id: FastStopId },
-    #[error("FAST STOP {id} is already being acknowledged: wait for the result")]
-    Acknowledging { id: FastStopId },
+    #[error("another acknowledgement is in progress: wait for its result")]
+    Acknowledging { id: Option<FastStopId> },
     #[error("the gripper is not referenced: home it first")]
     NotReferenced,
     #[error("command {id} is still running: wait for it to end, or stop it")]
     AlreadyRunning { id: CommandId },
+    #[error("the fingers are moving: stop them first")]
+    FingersMove,
     #[error("the device lost settings that could not be restored ({settings}): set them again first")]
     SettingsLost { settings: String },
     #[error("{}", lease_held(holder, *expires_in_ms))]
@@ -84,6 +86,11 @@ pub enum Conflict {
         /// Remaining time to live without use; `None` if the gripper is reserved for a holder that was lost.
         expires_in_ms: Option<u64>,
     },
+    #[error(
+        "{holder} holds the lease until it disconnects or releases it: wait, ask for a hand-over with `request`, or \
+         take it with `force`, which stops a running motion"
+    )]
+    LeaseBound { holder: Arc<str>, ttl_ms: u64 },
     #[error(
         "{holder} holds the lease, which this same client ({subject}) took, but the request has no token: send it as \
          `lease` or in the header Wsg-Lease"
@@ -105,9 +112,12 @@ impl Conflict {
             Self::StaleFastStop { .. } => Code::StaleFastStop,
             Self::FastStopUnconfirmed { .. } => Code::FastStopUnconfirmed,
             Self::NotReferenced => Code::NotReferenced,
-            Self::Acknowledging { .. } | Self::AlreadyRunning { .. } => Code::AlreadyRunning,
+            Self::Acknowledging { .. } | Self::AlreadyRunning { .. } | Self::FingersMove => Code::AlreadyRunning,
             Self::SettingsLost { .. } => Code::DeviceRefused,
-            Self::LeaseHeld { .. } | Self::LeaseTokenMissing { .. } | Self::LeaseRequested { .. } => Code::LeaseHeld,
+            Self::LeaseHeld { .. }
+            | Self::LeaseBound { .. }
+            | Self::LeaseTokenMissing { .. }
+            | Self::LeaseRequested { .. } => Code::LeaseHeld,
             Self::StaleLease { .. } => Code::StaleLease,
             Self::RequestIdReused => Code::RequestIdReused,
         }

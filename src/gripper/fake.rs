@@ -7,7 +7,7 @@ use jiff::Timestamp;
 use tokio::sync::{broadcast, mpsc, watch};
 
 use super::clock;
-use super::error::Rejection;
+use super::error::{Invalid, Rejection};
 use super::handle::{AcquiredLease, ActorRequest, FastStopRequest, Handle, Ticket};
 use super::info::Info;
 use super::lease::{LeaseState, Terms};
@@ -151,6 +151,13 @@ impl Actor {
             ActorRequest::Acknowledge { id, answer, .. } => {
                 let _ = answer.send(self.script.acknowledge.clone());
                 self.see(Seen::Acknowledge(id));
+            }
+            ActorRequest::Disconnect { answer, .. } | ActorRequest::Connect { answer, .. } => {
+                let _ = answer.send(Ok(()));
+            }
+            ActorRequest::AcknowledgeFault { answer, .. } => {
+                let detail = "missing".to_owned();
+                let _ = answer.send(Err(Invalid::Malformed { field: "fast_stop_id", detail }.into()));
             }
             ActorRequest::Lease { answer } => {
                 let _ = answer.send(self.lease.view(clock::instant(), None));

@@ -88,6 +88,8 @@ pub(super) struct HeldLease {
     expires_at: Instant,
     /// Shared with each open request of the holder.
     open: Arc<()>,
+    /// Shared with the connection that the lease is bound to, if there is one.
+    connection: Arc<()>,
     usage: Usage,
     /// Whether a stall of the gateway has extended the lease since its last use.
     is_extended: bool,
@@ -106,7 +108,12 @@ enum Usage {
 
 impl HeldLease {
     fn is_open(&self) -> bool {
-        Arc::strong_count(&self.open) > 1
+        Arc::strong_count(&self.open) > 1 || self.is_bound()
+    }
+
+    /// Whether a connection keeps the lease.
+    fn is_bound(&self) -> bool {
+        Arc::strong_count(&self.connection) > 1
     }
 
     fn used(&mut self, now: Instant) {
@@ -189,6 +196,11 @@ impl LeaseState {
         self.held.as_ref().map(|held| held.terms)
     }
 
+    /// The holder, if this is its token.
+    pub(super) fn holder_by(&self, token: Option<&LeaseToken>) -> Option<&Holder> {
+        self.held.as_ref().filter(|held| Some(&held.token) == token).map(|held| &held.holder)
+    }
+
     pub(super) fn reserved(&self) -> Option<&Holder> {
         self.reserved.as_ref()
     }
@@ -208,6 +220,8 @@ impl LeaseState {
                 let expires_in_ms = held.expires_in(now).as_millis() as u64;
                 Err(if subject == client.subject && held.usage != Usage::HandedOver {
                     Conflict::LeaseTokenMissing { holder: name, subject, expires_in_ms }
+                } else if held.is_bound() {
+                    Conflict::LeaseBound { holder: name, ttl_ms: expires_in_ms }
                 } else {
                     Conflict::LeaseHeld { holder: name, expires_in_ms: Some(expires_in_ms) }
                 })
@@ -231,11 +245,25 @@ impl LeaseState {
 
     /// Renews the lease of this token and keeps it while the guard lives. `None` if the token has no lease.
     pub(super) fn keep(&mut self, now: Instant, token: Option<&LeaseToken>) -> Option<LeaseKeepAlive> {
+        self.keep_while(now, token, |held| &held.open)
+    }
+
+    /// Binds the lease of this token to a connection, which keeps it while the guard lives.
+    pub(super) fn bind(&mut self, now: Instant, token: Option<&LeaseToken>) -> Option<LeaseKeepAlive> {
+        self.keep_while(now, token, |held| &held.connection)
+    }
+
+    fn keep_while(
+        &mut self,
+        now: Instant,
+        token: Option<&LeaseToken>,
+        count: impl FnOnce(&HeldLease) -> &Arc<()>,
+    ) -> Option<LeaseKeepAlive> {
         let closed = self.closed.clone();
         let held = self.held.as_mut().filter(|held| Some(&held.token) == token)?;
         held.used(now);
         held.usage = Usage::Open;
-        Some(LeaseKeepAlive { open: Some(held.open.clone()), closed })
+        Some(LeaseKeepAlive { open: Some(count(held).clone()), closed })
     }
 
     /// Starts the time to live when the holder's last open request has ended.
@@ -296,9 +324,18 @@ impl LeaseState {
         self.epoch += 1;
         self.reserved = None;
         self.asking.retain(|asking| !asking.holder.is(&holder));
-        let (open, expires_at) = (Arc::new(()), now + terms.ttl);
-        self.held =
-            Some(HeldLease { holder, terms, token, times_taken: 1, expires_at, open, usage, is_extended: false });
+        let (open, connection, expires_at) = (Arc::new(()), Arc::new(()), now + terms.ttl);
+        self.held = Some(HeldLease {
+            holder,
+            terms,
+            token,
+            times_taken: 1,
+            expires_at,
+            open,
+            connection,
+            usage,
+            is_extended: false,
+        });
     }
 
     /// Notes a client that requests the lease, for as long as the client repeats its request. Returns its place, or
@@ -426,5 +463,29 @@ impl LeaseState {
 
     fn asking_now(&self, now: Instant) -> Option<&Asking> {
         self.asking.iter().find(|asking| now < asking.at + REQUEST_LASTS)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::model::Door;
+    use super::*;
+
+    #[test]
+    fn refusal_says_whether_a_connection_keeps_the_lease() {
+        let (mut lease, now, token) = (LeaseState::default(), Instant::now(), LeaseToken::from("a"));
+        let client = |subject: &str| Client { subject: subject.into(), door: Door::Wsg };
+        let (wish, other) = (TakeLease::by(client("wsg:10.0.0.1")), client("wsg:10.0.0.2"));
+        let terms = Terms::of(&wish, &LeaseRules::default()).unwrap();
+        lease.take(now, &wish, terms, token.clone()).unwrap();
+        let request = lease.keep(now, Some(&token)).unwrap();
+        assert!(matches!(lease.check(now, &other, None), Err(Conflict::LeaseHeld { expires_in_ms: Some(3000), .. })));
+        drop(request);
+        let connection = lease.bind(now, Some(&token)).unwrap();
+        let refusal = lease.check(now + DEFAULT_TTL * 2, &other, None).unwrap_err();
+        assert_eq!(refusal, Conflict::LeaseBound { holder: "wsg:10.0.0.1".into(), ttl_ms: 3000 });
+        assert!(refusal.to_string().contains("until it disconnects"), "{refusal}");
+        drop(connection);
+        assert!(matches!(lease.check(now, &other, None), Err(Conflict::LeaseHeld { .. })));
     }
 }

@@ -27,6 +27,7 @@ mod state;
 mod status;
 mod text;
 mod time;
+mod updates;
 mod urgency;
 
 pub use client::{Client, Door};
@@ -37,17 +38,18 @@ pub use event::{
     GatewayEvent, LinkEvent, RefusedEvent, SettingChange, SettingsEvent,
 };
 pub use fault::Fault;
-pub use frame::{FrameDirection, FrameRecord};
+pub use frame::{DamageRecord, FrameDirection, FrameRecord, WireDamage, WireRecord};
 pub use ids::{CommandId, FastStopId, IdSource};
 pub use lease::{
     HolderName, Lease, LeaseEvent, LeaseRules, LeaseStep, LeaseToken, LossCause, LossEffect, OnLossHolding,
     OnLossMoving, TakeLease,
 };
 pub use parameters::{Direction, OnBlock, Parameters};
-pub use record::{GripRecord, OnJournalFailure, PersistedKey, PersistedState, Sample};
+pub use record::{GripRecord, OnJournalFailure, PersistedKey, PersistedState, RequestedValues, Sample};
 pub use state::{FastStopCause, Latch, LatchFields, Link, State, Telemetry};
 pub use status::GripperStatus;
 pub use text::{InvalidShownName, PartId, Reason, RequestId, ShownName, Text};
+pub use updates::{UpdateMode, UpdateRules};
 pub use urgency::Urgency;
 
 /// A gripper's or a gateway's name: `[a-z0-9][a-z0-9_-]{0,31}`.
@@ -372,6 +374,9 @@ pub struct CommandReport {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
     pub detail: Option<String>,
+    /// Holder, id and values of the request, for the journal.
+    #[serde(skip)]
+    pub requested: RequestedValues,
     /// Reason for a refusal, which waiting clients get as a problem.
     #[serde(skip)]
     pub rejection: Option<Rejection>,
@@ -411,6 +416,7 @@ impl CommandReport {
             payload: None,
             code: None,
             detail: None,
+            requested: RequestedValues::of(&submission.action, submission.request_id.clone()),
             rejection: None,
             cancelled_by: None,
             recorded: false,

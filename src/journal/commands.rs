@@ -5,7 +5,7 @@ use std::sync::Arc;
 use jiff::Timestamp;
 use serde::Deserialize;
 
-use crate::gripper::model::{CommandEvent, CommandId, CommandReport, Done, Door, Name, Phase};
+use crate::gripper::model::{CommandEvent, CommandId, CommandReport, Done, Door, Name, Phase, RequestedValues};
 
 /// The parts of a `command` event that describe the command.
 #[derive(Debug, Deserialize)]
@@ -47,12 +47,17 @@ impl CommandBody {
             payload: None,
             code: None,
             detail: None,
+            requested: RequestedValues::default(),
             rejection: None,
             recorded: true,
             accepted: true,
         };
         match self.event {
-            CommandEvent::Admitted(_) => running,
+            CommandEvent::Admitted(admitted) => {
+                let (holder, request_id) = (admitted.holder, admitted.request_id);
+                let requested = RequestedValues { holder, request_id, ..RequestedValues::from(&admitted.parameters) };
+                CommandReport { requested, ..running }
+            }
             CommandEvent::Done(done) => ended(running, *done),
         }
     }
@@ -74,6 +79,7 @@ fn ended(running: CommandReport, done: Done) -> CommandReport {
         fast_stop_id: done.fast_stop_id,
         code: done.code,
         detail: done.cause,
+        requested: done.requested,
         ..running
     }
 }

@@ -16,6 +16,7 @@ use super::problem::Problem;
 use crate::gripper::handle::Using;
 use crate::gripper::model::{Client, CommandId, LeaseToken, Name};
 use crate::gripper::{Handle, Rejection};
+use crate::webhooks::Webhook;
 use crate::wsg::{self, Finger};
 
 /// The parameters of a request.
@@ -129,6 +130,13 @@ impl Call {
     /// Returns the command that the path names.
     pub fn command_id(&self) -> Result<CommandId, Problem> {
         self.params.part("command")?.parse().map_err(|_| Problem::not_found("command with this id: ids are UUIDs"))
+    }
+
+    /// Returns the webhook that the path names.
+    pub fn webhook(&self) -> Result<&Arc<Webhook>, Problem> {
+        let name = self.params.part("webhook")?;
+        let found = self.gateway.webhooks.iter().find(|webhook| webhook.name().as_str() == name);
+        found.ok_or_else(|| Problem::not_found("webhook with this name"))
     }
 
     /// Returns the finger that the path names.

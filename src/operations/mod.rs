@@ -11,6 +11,7 @@ pub mod audit;
 mod call;
 mod caller;
 pub(crate) mod commands;
+pub(crate) mod connection;
 mod connection_lease;
 pub(crate) mod device;
 pub(crate) mod fast_stop;
@@ -29,6 +30,7 @@ mod run;
 pub(crate) mod settings;
 mod table;
 pub(crate) mod values;
+pub(crate) mod webhooks;
 
 pub(crate) use crate::gripper::model::Code;
 pub(crate) use call::{Fields, Leased, Params};

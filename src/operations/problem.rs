@@ -237,15 +237,19 @@ impl Problem {
         match conflict {
             Conflict::FastStop { id }
             | Conflict::FastStopPersists { id, flags: _ }
-            | Conflict::Acknowledging { id }
             | Conflict::FastStopUnconfirmed { id } => self.fast_stop(Some(id)),
+            Conflict::Acknowledging { id } => self.fast_stop(id),
             Conflict::StaleFastStop { given: _, current } => self.fast_stop(current),
             Conflict::AlreadyRunning { id } => self.command(id),
             Conflict::LeaseHeld { holder, expires_in_ms } => self.lease(Some(holder), expires_in_ms),
+            Conflict::LeaseBound { holder, ttl_ms } => self.lease(Some(holder), Some(ttl_ms)),
             Conflict::LeaseTokenMissing { holder, expires_in_ms, .. } => self.lease(Some(holder), Some(expires_in_ms)),
             Conflict::LeaseRequested { holder, place: _ } => self.lease(Some(holder), None),
             Conflict::StaleLease { epoch: _, holder } => self.lease(holder, None),
-            Conflict::NotReferenced | Conflict::SettingsLost { .. } | Conflict::RequestIdReused => self,
+            Conflict::NotReferenced
+            | Conflict::FingersMove
+            | Conflict::SettingsLost { .. }
+            | Conflict::RequestIdReused => self,
         }
     }
 

@@ -288,6 +288,22 @@ async fn wire_log_has_the_bytes_on_the_wire() {
 }
 
 #[tokio::test]
+async fn wire_log_has_damaged_frames_and_skipped_bytes() {
+    let (device, control) = Simulator::with_control().await;
+    let gateway = Gateway::connected_to(device.address).await;
+    let mut socket = Socket::open(&gateway).await;
+    socket.call("subscribe", json!({"topics": ["frames"], "grippers": ["g"]})).await;
+    for (fault, damage, id) in [("corrupt_checksum", "checksum", json!(0x43)), ("garbage", "skipped", Value::Null)] {
+        let fault = json!({"fault": {"kind": fault, "id": 0x43, "times": 1}});
+        let armed = reqwest::Client::new().post(&control).body(fault.to_string()).send().await.unwrap();
+        assert!(armed.status().is_success(), "{armed:?}");
+        let shown = socket.notification("damage", |shown| shown["damage"] == damage).await;
+        assert_eq!((&shown["id"], &shown["direction"]), (&id, &json!("received")), "{shown}");
+        assert!(!shown["hex"].as_str().unwrap().is_empty(), "{shown}");
+    }
+}
+
+#[tokio::test]
 async fn decode_follows_the_wire_until_the_gateway_ends() {
     let (_device, gateway) = connected().await;
     let mut following = Process::start(&["decode", "--follow", &gateway.url("/api/v1/grippers/g")]);

@@ -47,7 +47,7 @@ impl Actor {
     pub(super) fn take_lease(&mut self, now: Now, wish: &TakeLease, token: LeaseToken, answer: Answer<AcquiredLease>) {
         let granted = self.try_take_lease(now, wish, token).map(|()| {
             let token = self.lease.token().cloned();
-            let keep = self.lease.keep(now.instant, token.as_ref());
+            let keep = self.lease.bind(now.instant, token.as_ref());
             let times_taken = self.lease.times_taken();
             AcquiredLease { lease: self.lease.view(now.instant, token.as_ref()), times_taken, keep }
         });
@@ -55,7 +55,7 @@ impl Actor {
         let _ = answer.send(granted);
     }
 
-    fn try_take_lease(&mut self, now: Now, wish: &TakeLease, token: LeaseToken) -> Result<(), Rejection> {
+    pub(super) fn try_take_lease(&mut self, now: Now, wish: &TakeLease, token: LeaseToken) -> Result<(), Rejection> {
         if self.drain.is_some() {
             return Err(Failure::Draining.into());
         }
@@ -76,6 +76,9 @@ impl Actor {
             AcquireOutcome::Forced => self.record_lease(now, LeaseStep::Forced, &holder, None),
             // The new holder was recorded when the lease was handed over.
             AcquireOutcome::HandedOver | AcquireOutcome::Again => {}
+        }
+        if matches!(outcome, AcquireOutcome::Forced) {
+            self.withdraw_scripts(&self.lease.stale().into());
         }
         if wish.force && !matches!(outcome, AcquireOutcome::Again) {
             // The motion may also belong to a lost holder, or to one that has handed over.
@@ -100,6 +103,7 @@ impl Actor {
         self.record_lease(now, LeaseStep::HandedOver, &holder, None);
         // A running motion continues. A motion that has not started would start under another client's lease.
         self.withdraw_waiting_motion(now);
+        self.withdraw_scripts(&self.lease.stale().into());
         Ok(self.lease_now(now))
     }
 
@@ -108,7 +112,9 @@ impl Actor {
         if let Some(held) = self.lease.end(token) {
             self.record_lease(now, LeaseStep::Released, &held.holder, None);
             self.stop_motion(now);
+            self.withdraw_scripts(&self.lease.stale().into());
         }
+        self.scripts.released(token);
         self.lease_now(now)
     }
 
@@ -117,6 +123,7 @@ impl Actor {
         if let Some(held) = self.lease.lose(token, times_taken) {
             self.holder_lost(now, &held, LossCause::Disconnected);
         }
+        self.script_client_lost(now, token);
     }
 
     /// Ends a lease that has run out, and a reservation that no longer protects a part.
@@ -155,6 +162,7 @@ impl Actor {
         let name = &held.holder.name;
         tracing::warn!(gripper = %self.config.name, holder = %name, ?cause, ?effect, "lease holder lost");
         self.record_lease(now, LeaseStep::Lost, &held.holder, Some((effect, cause)));
+        self.withdraw_scripts(&self.lease.stale().into());
         match effect {
             LossEffect::FastStop => {
                 let request = FastStopRequest {

@@ -1,5 +1,7 @@
 //! Submitting, stopping and ending the command that moves the fingers.
 
+use tokio::sync::oneshot;
+
 use super::super::Now;
 use super::super::error::{Conflict, DeviceRefusal, Failure, Rejection};
 use super::super::model::{Client, CommandId, CommandReport, Kind, Motion, Outcome};
@@ -51,20 +53,20 @@ impl Actor {
     pub(super) fn force_ended(&mut self, now: Now, id: CommandId, force: Force, end: End) {
         self.reads.forget();
         let success = matches!(end, End::Reply(Reply::Success(_)));
-        if success {
-            self.note_setting(&Data::ForceLimit(force));
-            if let Some(client) = self.commands.client(id) {
-                self.recording.set(now, &client, &Data::ForceLimit(force));
+        let client = self.commands.client(id).filter(|_| success);
+        if self.motion.id() == Some(id) {
+            if success {
+                self.start_motion(now, id);
+            } else {
+                let rejection = self.rejection_of("SetForceLimit", end);
+                self.reject_running(now, rejection);
             }
         }
-        if self.motion.id() != Some(id) {
-            return;
-        }
-        if success {
-            self.start_motion(now, id);
-        } else {
-            let rejection = self.rejection_of("SetForceLimit", end);
-            self.reject_running(now, rejection);
+        if let Some(client) = client {
+            // The grip does not wait for the value to be read back.
+            self.note_setting(&Data::ForceLimit(force));
+            let setter = Command::SetForceLimit(force);
+            self.read_back(now, Command::GetForceLimit, setter, client, oneshot::channel().0);
         }
     }
 
@@ -144,6 +146,9 @@ impl Actor {
 
     /// Aborts the motion for a FAST STOP: a waiting motion ends at once, a running one with its reply.
     pub(super) fn abort_for_latch(&mut self, now: Now) {
+        if let Some(id) = self.latch.id() {
+            self.withdraw_scripts(&Conflict::FastStop { id }.into());
+        }
         if let Some(running) = &mut self.motion.running {
             running.fast_stop = self.latch.id();
             self.withdraw_waiting_motion(now);

@@ -9,7 +9,7 @@ use utoipa::ToSchema;
 
 use super::{
     Client, Code, CommandId, CommandReport, Door, FastStopCause, FastStopId, Kind, Name, Outcome, Parameters, PartId,
-    RequestId, lease::LeaseEvent,
+    RequestId, RequestedValues, lease::LeaseEvent,
 };
 
 mod device;
@@ -72,7 +72,7 @@ pub enum Detail {
     Command(CommandEvent),
     /// A FAST STOP was latched, or confirmed by the device's flags.
     FastStop(FastStopEvent),
-    /// A FAST STOP was acknowledged, or could not be.
+    /// A FAST STOP or a fault of the device was acknowledged, or could not be.
     Acknowledge(AcknowledgeEvent),
     /// The lease changed.
     Lease(LeaseEvent),
@@ -103,6 +103,10 @@ pub enum CommandEvent {
 pub struct Admitted {
     /// Kind of the command.
     pub command: Kind,
+    /// Name of the lease holder, if the command was requested with the lease.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[schema(value_type = Option<String>, nullable = false)]
+    pub holder: Option<Arc<str>>,
     /// Id by which a repeated request is recognised.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<String>, nullable = false, max_length = 64)]
@@ -164,6 +168,8 @@ pub struct Done {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
     pub cause: Option<String>,
+    #[serde(flatten)]
+    pub requested: RequestedValues,
 }
 
 impl Done {
@@ -186,6 +192,7 @@ impl Done {
             cancelled_by: command.cancelled_by.clone(),
             code: command.code,
             cause: command.detail.clone(),
+            requested: command.requested.clone(),
         }
     }
 }
@@ -222,10 +229,11 @@ pub enum FastStopStep {
 /// Result of an acknowledgement.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct AcknowledgeEvent {
-    /// Id of the FAST STOP that the acknowledgement named.
-    #[schema(value_type = uuid::Uuid)]
-    pub fast_stop_id: FastStopId,
-    /// Whether the FAST STOP was cleared.
+    /// Id of the FAST STOP that the acknowledgement named; null for a fault of the device without a FAST STOP.
+    #[schema(value_type = Option<uuid::Uuid>, required)]
+    pub fast_stop_id: Option<FastStopId>,
+    /// Whether the FAST STOP was cleared. For a fault without a FAST STOP: whether the device accepted the
+    /// acknowledgement.
     pub cleared: bool,
     /// Reason for a failure, as text; absent if the FAST STOP was cleared.
     #[serde(skip_serializing_if = "Option::is_none")]

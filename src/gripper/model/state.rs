@@ -15,6 +15,7 @@ use super::{CommandId, FastStopId, Fault, Name, Outcome, Reason};
 /// - `connected`: set up, and the device responds
 /// - `unresponsive`: open, but the device is silent; motions are refused
 /// - `reconnecting`: lost; the gateway is connecting or setting up again
+/// - `released`: closed by a `disconnect` request; the gateway connects again after a `connect` request
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, ToSchema, strum::Display)]
 #[serde(rename_all = "lowercase")]
 #[strum(serialize_all = "lowercase")]
@@ -23,6 +24,7 @@ pub enum Link {
     Connected,
     Unresponsive,
     Reconnecting,
+    Released,
 }
 
 /// Cause of a FAST STOP.

@@ -32,6 +32,15 @@ pub struct FingerPath {
 }
 
 #[derive(IntoParams)]
+#[into_params(parameter_in = Path)]
+#[allow(dead_code, reason = "only described here")]
+pub struct WebhookPath {
+    /// The webhook's name.
+    #[param(min_length = 1, max_length = 32, pattern = "^[a-z0-9][a-z0-9_-]{0,31}$", example = "mes")]
+    webhook: String,
+}
+
+#[derive(IntoParams)]
 #[into_params(parameter_in = Query)]
 #[allow(dead_code, reason = "only described here")]
 pub struct LatestQuery {
