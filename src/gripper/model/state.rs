@@ -319,7 +319,7 @@ fn age_ms<S: Serializer>(updated_at: &Option<Instant>, serializer: S) -> Result<
     updated_at.map(|at| at.elapsed().as_millis() as u64).serialize(serializer)
 }
 
-#[allow(clippy::ref_option, reason = "serde's signature")]
+#[allow(clippy::ref_option, clippy::trivially_copy_pass_by_ref, reason = "serde's signature")]
 fn outcome_code<S: Serializer>(outcome: &Option<Outcome>, serializer: S) -> Result<S::Ok, S::Error> {
     outcome.map_or(0, Outcome::code).serialize(serializer)
 }
