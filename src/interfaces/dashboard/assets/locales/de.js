@@ -89,6 +89,8 @@ export const de = {
   'result.held': 'Teil gehalten',
   'result.early': 'vorzeitig gestoppt bei {width} mm, Ziel {aim} mm',
   'result.at': 'gestoppt bei {width} mm',
+  'result.error': 'Fehler bis zur nächsten Bewegung',
+  'result.ready': 'Quittiert: Der Greifer nimmt Bewegungen an.',
 
   'chart.title': 'Kurven',
   'chart.window': 'Zeitfenster',

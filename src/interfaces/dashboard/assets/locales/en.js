@@ -89,6 +89,8 @@ export const en = {
   'result.held': 'Part held',
   'result.early': 'stopped early at {width} mm, aim {aim} mm',
   'result.at': 'stopped at {width} mm',
+  'result.error': 'Error until the next motion',
+  'result.ready': 'Acknowledged: the gripper accepts motions.',
 
   'chart.title': 'Charts',
   'chart.window': 'Window',

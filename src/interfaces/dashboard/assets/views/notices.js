@@ -1,9 +1,10 @@
 // Notices below the bar, in every view: requests for control, its loss, a reservation, refusals, and the worst alarm.
 
-import { html, signal } from '../lib.js';
+import { html, signal, useEffect, useRef } from '../lib.js';
 import { sorted } from '../core/alarms.js';
 import { alarmName } from './alarms.js';
 import { Force } from './force.js';
+import { noteMove } from './shield.js';
 import { handOver, takeControl } from '../model/commands.js';
 import { ofProblem, t } from '../model/i18n.js';
 import { myName } from '../model/name.js';
@@ -100,7 +101,13 @@ function Worst() {
 }
 
 export function Notices() {
-  return html`<section class="notices" aria-label=${t('notice.label')}>
+  const place = useRef(null);
+  useEffect(() => {
+    const resized = new ResizeObserver(noteMove);
+    resized.observe(place.current);
+    return () => resized.disconnect();
+  }, []);
+  return html`<section class="notices" ref=${place} aria-label=${t('notice.label')}>
     ${
       isLive.value &&
       grippers.value.map(

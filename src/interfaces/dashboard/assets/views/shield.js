@@ -1,0 +1,24 @@
+// A notice moves the page below it. A tap that was meant for what stood there before must not move the fingers.
+
+/** Time within which a person cannot have seen the change. */
+const REACTS_AFTER_MS = 300;
+
+let movedAt = -Infinity;
+
+/** Notes that the page has moved. */
+export function noteMove() {
+  movedAt = performance.now();
+}
+
+/** Buttons that move the fingers. Stops always act. */
+const isMotion = (target) => target.closest?.('.controls button') !== null;
+
+function ward(event) {
+  if (performance.now() - movedAt > REACTS_AFTER_MS || !isMotion(event.target)) return;
+  // Keys and screen readers follow their button: their clicks have no detail.
+  if (event.type === 'click' && event.detail === 0) return;
+  event.preventDefault();
+  event.stopPropagation();
+}
+
+for (const type of ['pointerdown', 'click']) addEventListener(type, ward, { capture: true });
