@@ -181,11 +181,11 @@ test('a tap just after a notice has moved the page does not move the fingers', a
               requestAnimationFrame(look);
               return;
             }
-            setTimeout(
-              () =>
-                resolve(grip.dispatchEvent(new MouseEvent('click', { detail: 1, bubbles: true, cancelable: true }))),
-              wait,
-            );
+            setTimeout(() => {
+              const more = { detail: 1, bubbles: true, cancelable: true };
+              grip.dispatchEvent(new PointerEvent('pointerdown', more));
+              resolve(grip.dispatchEvent(new MouseEvent('click', more)));
+            }, wait);
           };
           look();
         }),

@@ -5,6 +5,7 @@ import { sorted } from '../core/alarms.js';
 import { alarmName } from './alarms.js';
 import { Force } from './force.js';
 import { noteMove } from './shield.js';
+import './title.js';
 import { handOver, takeControl } from '../model/commands.js';
 import { ofProblem, t } from '../model/i18n.js';
 import { myName } from '../model/name.js';
@@ -103,7 +104,11 @@ function Worst() {
 export function Notices() {
   const place = useRef(null);
   useEffect(() => {
-    const resized = new ResizeObserver(noteMove);
+    let isFirst = true;
+    const resized = new ResizeObserver(() => {
+      if (!isFirst) noteMove();
+      isFirst = false;
+    });
     resized.observe(place.current);
     return () => resized.disconnect();
   }, []);

@@ -11,12 +11,19 @@ export function noteMove() {
 }
 
 /** Buttons that move the fingers. Stops always act. */
-const isMotion = (target) => target.closest?.('.controls button') !== null;
+const MOTIONS = '#grip, #release, #move, #home, .hold, .steps button';
+
+const isMotion = (target) => target.closest?.(MOTIONS) != null;
+
+/** Whether the newest press was too early, so that its click is too. */
+let isEarly = false;
 
 function ward(event) {
-  if (performance.now() - movedAt > REACTS_AFTER_MS || !isMotion(event.target)) return;
   // Keys and screen readers follow their button: their clicks have no detail.
   if (event.type === 'click' && event.detail === 0) return;
+  const isNow = performance.now() - movedAt < REACTS_AFTER_MS;
+  if (event.type === 'pointerdown') isEarly = isNow;
+  if (!(isEarly || isNow) || !isMotion(event.target)) return;
   event.preventDefault();
   event.stopPropagation();
 }
