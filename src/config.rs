@@ -6,6 +6,7 @@
 use std::collections::BTreeSet;
 use std::fmt;
 use std::net::SocketAddr;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -45,6 +46,12 @@ const DEFAULT_MOTION_PAUSE: Duration = Duration::from_millis(50);
 
 /// Longest configurable pause between motions, since a waiting motion blocks the next one.
 const LONGEST_MOTION_PAUSE: Duration = Duration::from_secs(1);
+
+/// Default time after which an idle HTTP connection is closed.
+const DEFAULT_IDLE_TIMEOUT: Duration = Duration::from_secs(10);
+
+/// Idle times that can be configured. A slow request header occupies its connection for as long.
+const IDLE_TIMEOUTS: RangeInclusive<Duration> = Duration::from_secs(1)..=Duration::from_hours(1);
 
 /// Default grippers: two simulated ones, one with a part in reach.
 const DEFAULT_GRIPPERS: [&str; 2] = ["left=sim://wsg50?part_mm=20", "right=sim://wsg50"];
@@ -87,6 +94,8 @@ pub struct Config {
     pub listen: SocketAddr,
     /// Allowed values of `Host`, besides addresses and `localhost`.
     pub hosts: Vec<String>,
+    /// Time after which an idle HTTP connection is closed.
+    pub idle_timeout: Duration,
     pub grippers: Vec<GripperConfig>,
     /// Time for a running command to finish at shutdown.
     pub drain: Duration,
@@ -213,6 +222,7 @@ impl Config {
             name,
             listen: parse_listen(&listen, insecure)?,
             hosts: content.map(|content| content.hosts.clone()).unwrap_or_default(),
+            idle_timeout: idle_timeout(file)?,
             grippers: grippers(flags, file, insecure)?,
             drain: drain(file)?,
             zenoh: Zenoh::merge(flags, file, insecure)?,
@@ -247,6 +257,19 @@ fn drain(file: Option<&File>) -> Result<Duration, ConfigError> {
         return Err(ConfigError::at(&file.place(drain_ms.span().start), detail));
     }
     Ok(drain)
+}
+
+fn idle_timeout(file: Option<&File>) -> Result<Duration, ConfigError> {
+    let Some((file, idle_timeout_s)) = file.and_then(|file| Some((file, file.content.idle_timeout_s.as_ref()?))) else {
+        return Ok(DEFAULT_IDLE_TIMEOUT);
+    };
+    let idle_timeout = Duration::from_secs(*idle_timeout_s.get_ref());
+    if !IDLE_TIMEOUTS.contains(&idle_timeout) {
+        let (min, max) = (IDLE_TIMEOUTS.start().as_secs(), IDLE_TIMEOUTS.end().as_secs());
+        let detail = format!("idle_timeout_s is {}; it must be from {min} to {max}", idle_timeout.as_secs());
+        return Err(ConfigError::at(&file.place(idle_timeout_s.span().start), detail));
+    }
+    Ok(idle_timeout)
 }
 
 fn grippers(flags: &Flags, file: Option<&File>, insecure: bool) -> Result<Vec<GripperConfig>, ConfigError> {
@@ -336,6 +359,7 @@ struct Content {
     journal_max_age_days: Option<Spanned<u64>>,
     journal_max_size_mb: Option<Spanned<u64>>,
     drain_ms: Option<Spanned<u64>>,
+    idle_timeout_s: Option<Spanned<u64>>,
     zenoh: zenoh::ZenohContent,
     webhooks: Vec<webhooks::WebhookContent>,
     grippers: std::collections::BTreeMap<Spanned<String>, GripperContent>,

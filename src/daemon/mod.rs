@@ -140,7 +140,8 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     });
     let on_zenoh = config.zenoh.as_ref().map(|zenoh| zenoh_settings(zenoh, &context)).transpose()?;
     tracing::info!(limit = shares.limit, http = shares.http, wsg_port = shares.wsg_port, "file descriptors shared out");
-    let limits = http::ServerLimits::within(Bounds::of(shares.http));
+    let limits =
+        http::ServerLimits { idle_time: config.idle_timeout, ..http::ServerLimits::within(Bounds::of(shares.http)) };
     let server = clients.accept.spawn(http::serve(listener, context.clone(), limits, shutdown.clone()));
     announce(config, address, &ports)?;
     // Zenoh has a task of its own, so the rest continues whatever happens to Zenoh.
@@ -234,6 +235,7 @@ fn restored(recovered: &Recovered, gripper: &GripperConfig) -> RestoredState {
         latch: persisted(PersistedKey::Latch),
         lease: persisted(PersistedKey::Lease),
         holding: persisted(PersistedKey::Holding),
+        last_command: persisted(PersistedKey::LastCommand),
         requests: requests.cloned().collect(),
         unclean: recovered.unclean,
     }
@@ -254,6 +256,7 @@ fn spawn(
         }
     };
     let config = gripper::actor::ActorConfig {
+        gateway: config.name.clone(),
         name: gripper.name.clone(),
         url: connector.url(),
         properties: connector.properties(),

@@ -1,4 +1,4 @@
-//! Topics that come one by one: events and frames, from broadcasts in which a slow subscriber can fall behind.
+//! Topics that come one by one: events, grip records and frames, from broadcasts in which a slow subscriber can fall behind.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -11,20 +11,22 @@ use utoipa::ToSchema;
 use super::{LiveUpdates, Notification, Source, Topic};
 use crate::gripper::model::Name;
 
-/// Notice sent in place of events or frames that a slow client missed, or that are no longer in the journal.
+/// Notice sent in place of events, grip records or frames that a slow client missed, or that are no longer in the
+/// journal.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 #[schema(example = json!({"topic": "events", "gripper": null, "seq": 4711, "missed": 12}))]
 pub struct Gap {
-    /// Topic with the gap: `events` or `frames`.
+    /// Topic with the gap: `events`, `grips` or `frames`.
     topic: Topic,
-    /// Gripper of the missing frames. Null for events, because the count covers all grippers.
+    /// Gripper of the missing frames. Null for other topics, whose count covers all grippers.
     #[schema(value_type = Option<String>, required, max_length = 32)]
     gripper: Option<Name>,
-    /// Sequence number of the last event or frame before the gap. `GET /events?order=oldest&cursor={seq}` returns the
-    /// missing events, unless the journal has removed them.
+    /// Sequence number of the last event, grip record or frame before the gap; 0 if this client has received none.
+    /// `GET /events?order=oldest&cursor={seq}` returns the missing events, unless the journal has removed them, and
+    /// `GET /grips` the missing grip records.
     #[schema(minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     seq: u64,
-    /// Number of missing events or frames.
+    /// Number of missing events, grip records or frames.
     #[schema(minimum = 1, maximum = 9_007_199_254_740_991_i64)]
     missed: u64,
 }
@@ -72,6 +74,30 @@ pub(super) fn events(
                     only.as_ref().is_none_or(|only| event.gripper.as_ref().is_some_and(|name| only.contains(name)));
                 if is_wanted && let Some(update) = updates.event(&event) {
                     return Some((update, (receiver, last)));
+                }
+            }
+        }
+    })
+}
+
+/// Streams new and changed grip records of some grippers, or of all, from now on.
+pub(super) fn grips(
+    updates: &LiveUpdates,
+    only: Option<BTreeSet<Name>>,
+) -> impl Stream<Item = Notification> + Send + 'static {
+    unfold((updates.journal.subscribe_grips(), 0), move |(mut receiver, last)| {
+        let only = only.clone();
+        async move {
+            loop {
+                match next(&mut receiver).await? {
+                    Ok(grip) if only.as_ref().is_none_or(|only| only.contains(&grip.gripper)) => {
+                        return Some((Notification::of_json("grip", &grip.body), (receiver, grip.seq.max(last))));
+                    }
+                    Ok(_) => {}
+                    Err(missed) => {
+                        let gap = Gap { topic: Topic::Grips, gripper: None, seq: last.unsigned_abs(), missed };
+                        return Some((Notification::new("gap", &gap)?, (receiver, last)));
+                    }
                 }
             }
         }

@@ -7,7 +7,7 @@
 use std::time::{Duration, Instant};
 
 use super::Now;
-use super::error::{Conflict, Rejection};
+use super::error::{Conflict, Invalid, Rejection};
 use super::handle::{Answer, FastStopRequest};
 use super::model::{Client, FastStopCause, FastStopId, IdSource, Latch, Reason};
 use crate::wsg::SystemState;
@@ -61,7 +61,8 @@ pub(super) struct LatchState {
 /// An acknowledgement that has ended.
 #[derive(Debug)]
 pub(super) struct EndedAcknowledge {
-    pub id: FastStopId,
+    /// `None` for a fault of the device without a latch.
+    pub id: Option<FastStopId>,
     pub client: Client,
     pub answer: Answer<()>,
     pub result: Result<(), Rejection>,
@@ -69,7 +70,7 @@ pub(super) struct EndedAcknowledge {
 
 #[derive(Debug)]
 struct Acknowledging {
-    id: FastStopId,
+    id: Option<FastStopId>,
     client: Client,
     answer: Answer<()>,
     progress: Progress,
@@ -143,9 +144,13 @@ impl LatchState {
     pub(super) fn request(&mut self, now: Now, request: FastStopRequest) -> Option<Token> {
         let was_acknowledging = self.acknowledging.is_some();
         let overtaken = self.acknowledging.take().and_then(|acknowledging| {
-            let stale = Conflict::StaleFastStop { given: acknowledging.id, current: Some(request.id) };
             let Acknowledging { id, client, answer, progress } = acknowledging;
-            self.untold.push(EndedAcknowledge { id, client, answer, result: Err(stale.into()) });
+            let current = request.id;
+            let overtaken = match id {
+                Some(given) => Conflict::StaleFastStop { given, current: Some(current) },
+                None => Conflict::FastStop { id: current },
+            };
+            self.untold.push(EndedAcknowledge { id, client, answer, result: Err(overtaken.into()) });
             match progress {
                 Progress::Sent(token) => Some(token),
                 Progress::Watching { .. } => None,
@@ -241,12 +246,29 @@ impl LatchState {
             Some(latch) if latch.id != id => Err(Conflict::StaleFastStop { given: id, current: Some(latch.id) }),
             None => Err(Conflict::StaleFastStop { given: id, current: None }),
             Some(latch) if !latch.confirmed => Err(Conflict::FastStopUnconfirmed { id }),
-            Some(_) if self.acknowledging.is_some() => Err(Conflict::Acknowledging { id }),
+            Some(_) if self.acknowledging.is_some() => Err(Conflict::Acknowledging { id: Some(id) }),
             Some(_) => Ok(()),
         }
     }
 
-    pub(super) fn acknowledge_sent(&mut self, id: FastStopId, client: Client, token: Token, answer: Answer<()>) {
+    /// Whether an acknowledgement of a fault without a latch can be sent. A latch needs its id.
+    pub(super) fn check_acknowledge_fault(&self, is_faulty: bool) -> Result<(), Rejection> {
+        let missing = |detail: String| Err(Invalid::Malformed { field: "fast_stop_id", detail }.into());
+        match self.id() {
+            Some(id) => missing(format!("missing; FAST STOP {id} is latched, and its acknowledgement has to name it")),
+            None if !is_faulty => missing("missing; the device shows no fault to acknowledge without an id".to_owned()),
+            None if self.acknowledging.is_some() => Err(Conflict::Acknowledging { id: None }.into()),
+            None => Ok(()),
+        }
+    }
+
+    pub(super) fn acknowledge_sent(
+        &mut self,
+        id: Option<FastStopId>,
+        client: Client,
+        token: Token,
+        answer: Answer<()>,
+    ) {
         self.acknowledging = Some(Acknowledging { id, client, answer, progress: Progress::Sent(token) });
     }
 
@@ -257,16 +279,16 @@ impl LatchState {
             return;
         }
         match result {
-            Ok(()) => {
+            Ok(()) if acknowledging.id.is_some() => {
                 acknowledging.progress = Progress::Watching { until: now + CLEARS_WITHIN, shown: Shown::Nothing };
             }
-            Err(rejection) => self.finish_acknowledge(Err(rejection)),
+            result => self.finish_acknowledge(result),
         }
     }
 
     /// Fails an acknowledgement whose FAST STOP flag stays set. Flags from before its reply do not count.
     pub(super) fn handle_timeout(&mut self, now: Instant, flags: Option<SystemState>) {
-        let Some(Acknowledging { id, .. }) = &self.acknowledging else { return };
+        let Some(Acknowledging { id: Some(id), .. }) = &self.acknowledging else { return };
         if self.clears_at().is_some_and(|at| at <= now) {
             let names: Vec<_> = flags.unwrap_or_default().names().collect();
             let persists = Conflict::FastStopPersists { id: *id, flags: names.join(", ") };
@@ -381,7 +403,7 @@ mod tests {
             let id = latch.id().unwrap();
             let client = Client { subject: "test".into(), door: Door::Http };
             let token = acknowledge_frame(answered.instant);
-            latch.acknowledge_sent(id, client, token, oneshot::channel().0);
+            latch.acknowledge_sent(Some(id), client, token, oneshot::channel().0);
             latch.acknowledge_ended(answered.instant, token, Ok(()));
             // The gateway was stalled, so it still has the flags from before the reply.
             latch.handle_timeout(later.instant, Some(SystemState::FAST_STOP));

@@ -31,6 +31,8 @@ pub(super) struct HeldPart {
 pub(super) struct Observed {
     pub flags: Option<SystemState>,
     pub gripper_state: Option<GripperState>,
+    /// Whether the ERROR that the device reports is the rest of an acknowledged FAST STOP (`fw4-en 3.4.2`).
+    error_is_acknowledged: bool,
     pub width_mm: Option<f32>,
     pub speed_mm_s: Option<f32>,
     pub force_n: Option<f32>,
@@ -83,6 +85,7 @@ impl Observed {
             Data::GripperState(state) => {
                 self.part.is_held = self.holds_part_in(state);
                 self.gripper_state = Some(state);
+                self.error_is_acknowledged &= state == GripperState::Error;
                 id::GET_GRIPPER_STATE
             }
             Data::Width(width) => {
@@ -125,9 +128,25 @@ impl Observed {
         self.heard.iter().all(|heard| heard.is_some_and(|heard| heard > then))
     }
 
+    /// Takes an acknowledgement, after which ERROR persists until the next motion (`fw4-en 3.4.2`).
+    pub(super) fn acknowledged(&mut self) {
+        self.error_is_acknowledged = true;
+    }
+
+    /// Whether the device reports an error that nobody has acknowledged.
+    pub(super) fn has_error(&self) -> bool {
+        self.gripper_state == Some(GripperState::Error) && !self.error_is_acknowledged
+    }
+
     /// Whether a flag is known to be set.
     pub(super) fn has(&self, flag: SystemState) -> bool {
         self.flags.is_some_and(|flags| flags.contains(flag))
+    }
+
+    /// Whether the device shows a fault or an error. Firmware 2 has no error state and reserves its number.
+    pub(super) fn shows_fault(&self) -> bool {
+        let is_error = self.gripper_state.is_some_and(|state| state.code() >= GripperState::Error.code());
+        is_error || self.flags.is_some_and(|flags| flags.intersects(SystemState::FAULTS | SystemState::CMD_FAILURE))
     }
 
     /// The newest value of a getter with automatic updates, in the form of its reply.

@@ -39,7 +39,7 @@ impl Setting {
 
 /// Settings of clients, to be restored if the device has lost them. Overdrive is excluded: after a restart, a client
 /// has to switch it on again.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Wanted {
     pub acceleration: Option<Acceleration>,
     pub force_limit: Option<Force>,
@@ -90,14 +90,16 @@ impl Setup {
     /// A setup that ends with the requests `switch_on`, for automatic updates.
     pub(super) fn new(switch_on: impl Iterator<Item = Command>, known_serial: Option<u32>, wanted: Wanted) -> Self {
         let reads = [
-            Command::GetSystemInfo,
-            Command::GetSystemLimits,
-            Command::GetDeviceTag,
-            Command::GetSystemState(Updates::Off),
-            Command::GetGripperState(Updates::Off),
-            Command::GetSoftLimits,
+            Some(Command::GetSystemInfo),
+            Some(Command::GetSystemLimits),
+            wanted.acceleration.map(|_| Command::GetAcceleration),
+            wanted.force_limit.map(|_| Command::GetForceLimit),
+            Some(Command::GetDeviceTag),
+            Some(Command::GetSystemState(Updates::Off)),
+            Some(Command::GetGripperState(Updates::Off)),
+            Some(Command::GetSoftLimits),
         ];
-        Self { todo: reads.into_iter().chain(switch_on).collect(), known_serial, wanted, ..Self::default() }
+        Self { todo: reads.into_iter().flatten().chain(switch_on).collect(), known_serial, wanted, ..Self::default() }
     }
 
     /// The next request, after the last has ended.
@@ -145,7 +147,10 @@ impl Setup {
             (id::GET_SOFT_LIMITS, Reply::Status(Status::E_NOT_AVAILABLE)) => self.compare_soft_limits(None),
             // The device has to report its identity and its flags.
             (_, Reply::Status(_)) if is_vital(&command) => self.current = Some((command, attempts)),
-            (_, Reply::Status(_)) if self.concerns_wanted(&command) => self.lost.extend(Setting::of(command.id())),
+            (_, Reply::Status(_)) if self.concerns_wanted(&command) => {
+                // A restored value that can't be read back counts as sent.
+                self.lost.extend(Setting::of(command.id()).filter(|setting| !self.restored.contains(setting)));
+            }
             (_, Reply::Status(_)) => {}
             (_, Reply::Success(data)) => self.take_data(&command, data),
         }
@@ -156,23 +161,26 @@ impl Setup {
             Data::SystemInfo(system) => self.identify(system),
             Data::SystemLimits(limits) => self.limits = Some(limits),
             Data::DeviceTag(tag) => self.tag = Some(tag),
-            Data::Acceleration(found) => {
-                let changed = self.wanted.acceleration.filter(|wanted| *wanted != found);
-                self.todo_first(changed.map(Command::SetAcceleration));
-            }
-            Data::ForceLimit(found) => {
-                let changed = self.wanted.force_limit.filter(|wanted| *wanted != found);
-                self.todo_first(changed.map(Command::SetForceLimit));
-            }
+            Data::Acceleration(found) => self.compare_acceleration(found),
+            Data::ForceLimit(found) => self.compare_force_limit(found),
             _ => {}
         }
-        match command {
-            Command::SetSoftLimits(limits) => self.soft_limits = Some(*limits),
-            Command::ClearSoftLimits => self.soft_limits = None,
-            Command::SetAcceleration(_) | Command::SetForceLimit(_) => {}
+        // The device clamps what it is sent, so a restored value is read back.
+        let getter = match command {
+            Command::SetSoftLimits(limits) => {
+                self.soft_limits = Some(*limits);
+                Command::GetSoftLimits
+            }
+            Command::ClearSoftLimits => {
+                self.soft_limits = None;
+                Command::GetSoftLimits
+            }
+            Command::SetAcceleration(_) => Command::GetAcceleration,
+            Command::SetForceLimit(_) => Command::GetForceLimit,
             _ => return,
-        }
+        };
         self.restored.extend(Setting::of(command.id()));
+        self.todo.push_front(getter);
     }
 
     fn identify(&mut self, system: SystemInfo) {
@@ -182,27 +190,44 @@ impl Setup {
             // Settings belong to the device with the known serial number only.
             self.wanted = Wanted::default();
         }
-        if self.wanted.acceleration.is_some() {
-            self.todo.push_front(Command::GetAcceleration);
+    }
+
+    fn compare_acceleration(&mut self, found: Acceleration) {
+        match self.wanted.acceleration {
+            Some(wanted) if wanted != found && !self.restored.contains(&Setting::Acceleration) => {
+                self.todo.push_front(Command::SetAcceleration(wanted));
+            }
+            wanted => self.wanted.acceleration = wanted.map(|_| found),
         }
-        if self.wanted.force_limit.is_some() {
-            self.todo.push_front(Command::GetForceLimit);
+    }
+
+    /// Restores a force limit up to the nominal force. Overdrive Mode is not restored, nor is a force beyond nominal.
+    fn compare_force_limit(&mut self, found: Force) {
+        let nominal = self.limits.map(|limits| limits.nominal_force);
+        let allowed = |wanted| nominal.filter(|nominal| *nominal < wanted).unwrap_or(wanted);
+        match self.wanted.force_limit {
+            Some(wanted)
+                if wanted != found && allowed(wanted) != found && !self.restored.contains(&Setting::ForceLimit) =>
+            {
+                self.todo.push_front(Command::SetForceLimit(allowed(wanted)));
+            }
+            wanted => self.wanted.force_limit = wanted.map(|_| found),
         }
     }
 
     fn compare_soft_limits(&mut self, found: Option<SoftLimits>) {
         self.soft_limits = found;
-        self.todo_first(match self.wanted.soft_limits {
-            WantedSoftLimits::AsTheyAre => None,
-            WantedSoftLimits::Cleared => found.map(|_| Command::ClearSoftLimits),
-            WantedSoftLimits::Set(wanted) if found == Some(wanted) => None,
-            WantedSoftLimits::Set(wanted) => Some(Command::SetSoftLimits(wanted)),
-        });
-    }
-
-    fn todo_first(&mut self, command: Option<Command>) {
-        if let Some(command) = command {
-            self.todo.push_front(command);
+        let as_found = found.map_or(WantedSoftLimits::Cleared, WantedSoftLimits::Set);
+        match self.wanted.soft_limits {
+            WantedSoftLimits::AsTheyAre => {}
+            WantedSoftLimits::Set(_) if found.is_none() && self.restored.contains(&Setting::SoftLimits) => {
+                self.lost.insert(Setting::SoftLimits);
+            }
+            wanted if wanted == as_found || self.restored.contains(&Setting::SoftLimits) => {
+                self.wanted.soft_limits = as_found;
+            }
+            WantedSoftLimits::Cleared => self.todo.push_front(Command::ClearSoftLimits),
+            WantedSoftLimits::Set(wanted) => self.todo.push_front(Command::SetSoftLimits(wanted)),
         }
     }
 
@@ -233,7 +258,7 @@ mod tests {
     use super::*;
     use crate::gripper::model::UpdateRules;
     use crate::gripper::observed;
-    use crate::wsg::{DeviceType, Firmware, SystemState};
+    use crate::wsg::{DeviceType, Firmware, Speed, SystemState, Width};
 
     fn switch_on() -> impl Iterator<Item = Command> {
         observed::switch_on_all(UpdateRules::default(), None)
@@ -341,6 +366,49 @@ mod tests {
         let (setup, sent, _) = run(Setup::new(switch_on(), Some(8), wanted), forgetful);
         assert!(setup.replaced && setup.restored.is_empty());
         assert!(!sent.iter().any(|command| command.id() == id::SET_ACCELERATION));
+    }
+
+    /// A device that keeps its settings, and clamps the force limit to `most_n`.
+    fn clamping(mut force_n: f32, most_n: f32) -> impl FnMut(&Command) -> Option<Reply> {
+        let limits = SystemLimits {
+            stroke: Width::ZERO,
+            min_speed: Speed::ZERO,
+            max_speed: Speed::ZERO,
+            min_acceleration: Acceleration::ZERO,
+            max_acceleration: Acceleration::ZERO,
+            min_force: Force::ZERO,
+            nominal_force: Force::new(80.0).unwrap(),
+            overdrive_force: Force::new(120.0).unwrap(),
+        };
+        move |command| match command {
+            Command::SetForceLimit(force) => {
+                force_n = force.n().min(most_n);
+                Some(Reply::Success(Data::None))
+            }
+            Command::GetForceLimit => Some(Reply::Success(Data::ForceLimit(Force::new(force_n).unwrap()))),
+            Command::GetSystemLimits => Some(Reply::Success(Data::SystemLimits(limits))),
+            command => forgetful(command),
+        }
+    }
+
+    #[test]
+    fn force_limit_is_restored_up_to_nominal_and_read_back() {
+        let force = |n| Some(Force::new(n).unwrap());
+        // Wanted, found on the device, the device's own maximum; then the frame sent, and the limit known afterwards.
+        for (wanted, found, most, sent, known) in [
+            (100.0, 80.0, 120.0, None, 80.0),
+            (100.0, 100.0, 120.0, None, 100.0),
+            (100.0, 40.0, 120.0, force(80.0), 80.0),
+            (60.0, 40.0, 120.0, force(60.0), 60.0),
+            (60.0, 40.0, 50.0, force(60.0), 50.0),
+        ] {
+            let wanted = Wanted { force_limit: force(wanted), ..Wanted::default() };
+            let (setup, frames, end) = run(Setup::new(switch_on(), Some(7), wanted), clamping(found, most));
+            let set: Vec<_> = frames.iter().filter(|command| command.id() == id::SET_FORCE_LIMIT).collect();
+            assert_eq!(set, sent.map(Command::SetForceLimit).iter().collect::<Vec<_>>(), "found {found}");
+            assert_eq!((setup.wanted().force_limit, end), (force(known), Step::Done), "found {found}");
+            assert!(setup.lost.is_empty());
+        }
     }
 
     #[test]

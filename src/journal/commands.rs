@@ -5,7 +5,7 @@ use std::sync::Arc;
 use jiff::Timestamp;
 use serde::Deserialize;
 
-use crate::gripper::model::{CommandEvent, CommandId, CommandReport, Done, Door, Name, Phase};
+use crate::gripper::model::{CommandEvent, CommandId, CommandReport, Done, Door, Name, Phase, RequestedValues};
 
 /// The parts of a `command` event that describe the command.
 #[derive(Debug, Deserialize)]
@@ -24,12 +24,14 @@ impl CommandBody {
         let running = CommandReport {
             id: self.command_id,
             gripper: self.gripper,
+            number: None,
             kind: match &self.event {
                 CommandEvent::Admitted(admitted) => admitted.command,
                 CommandEvent::Done(done) => done.command,
             },
             phase: Phase::Running,
             outcome: None,
+            outcome_code: 0,
             status: None,
             status_code: None,
             reached_goal: None,
@@ -43,12 +45,19 @@ impl CommandBody {
             fast_stop_id: None,
             cancelled_by: None,
             payload: None,
+            code: None,
+            detail: None,
+            requested: RequestedValues::default(),
             rejection: None,
             recorded: true,
             accepted: true,
         };
         match self.event {
-            CommandEvent::Admitted(_) => running,
+            CommandEvent::Admitted(admitted) => {
+                let (holder, request_id) = (admitted.holder, admitted.request_id);
+                let requested = RequestedValues { holder, request_id, ..RequestedValues::from(&admitted.parameters) };
+                CommandReport { requested, ..running }
+            }
             CommandEvent::Done(done) => ended(running, *done),
         }
     }
@@ -58,6 +67,7 @@ fn ended(running: CommandReport, done: Done) -> CommandReport {
     CommandReport {
         phase: Phase::Done,
         outcome: Some(done.outcome),
+        outcome_code: done.outcome.code(),
         status: done.status,
         status_code: done.status_code,
         reached_goal: done.reached_goal,
@@ -67,6 +77,9 @@ fn ended(running: CommandReport, done: Done) -> CommandReport {
         started_at: done.started_at,
         duration_ms: done.duration_ms,
         fast_stop_id: done.fast_stop_id,
+        code: done.code,
+        detail: done.cause,
+        requested: done.requested,
         ..running
     }
 }

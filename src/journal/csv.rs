@@ -31,6 +31,10 @@ pub const EVENT_COLUMNS: &[&str] = &[
     "raw_id",
     "payload",
     "request_id",
+    "holder",
+    "requested_width_mm",
+    "requested_speed_mm_s",
+    "requested_force_n",
     "started_at",
     "duration_ms",
     "fast_stop_id",
@@ -83,6 +87,13 @@ pub const GRIP_COLUMNS: &[&str] = &[
     "time_to_contact_ms",
     "samples",
     "part_lost_at",
+    "gateway",
+    "serial_number",
+    "holder",
+    "request_id",
+    "requested_width_mm",
+    "requested_speed_mm_s",
+    "requested_force_n",
     "other",
 ];
 
@@ -191,7 +202,7 @@ mod tests {
 
         let body = Row::grip(super::super::chain::Tip::default(), &grip(1, "left", 1, None)).unwrap().body;
         let csv = lines(GRIP_COLUMNS, [&*body]);
-        assert!(csv.starts_with("1,") && csv.ends_with(",20,,\n"), "{csv}");
+        assert!(csv.starts_with("1,") && csv.ends_with(",20,,gateway,4711,,,,,,\n"), "{csv}");
     }
 
     #[test]

@@ -10,6 +10,7 @@ mod commands;
 pub mod csv;
 mod curve;
 mod event_stream;
+mod identity;
 mod presence;
 mod prune;
 mod query;
@@ -33,6 +34,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use tokio::sync::{broadcast, watch};
+use uuid::Uuid;
 
 use crate::gripper::model::{CommandEvent, CommandId, CommandReport, Detail, Event, Name, PersistedState, Sample};
 use crate::gripper::recorder::{JournalHealth, Record, Recorder};
@@ -47,7 +49,7 @@ pub use event_stream::{EventStream, StreamItem};
 pub use query::{Cursor, EventQuery, Filter, GripQuery, InvalidCursor, InvalidLimit, Limit, Order, Page, Query};
 pub use reader::Reader;
 pub use recovery::Recovered;
-pub use row::{EventKind, Stored};
+pub use row::{EventKind, GripUpdate, Stored};
 pub use source::{JournalLocation, ReadError};
 pub use store::OpenError;
 pub use verify::{Finding, Report, verify};
@@ -77,6 +79,7 @@ pub struct Journal {
     writing: Arc<Writing>,
     shared: Arc<Shared>,
     pool: Pool,
+    id: Uuid,
 }
 
 /// Handle of the writing thread, which ends with the last [`Journal`].
@@ -104,6 +107,7 @@ impl Journal {
         let store = Store::open(place)?;
         let source = store.source.clone();
         let unusable = |error| OpenError::Unusable(source.describe(&error));
+        let id = identity::identify(&store.connection);
         let (recovered, events) = recovery::recover(&store.connection).map_err(unusable)?;
         let writer = JournalWriter::new(store, Retention { max_bytes, ..retention }, events).map_err(unusable)?;
         let shared = writer.shared();
@@ -114,7 +118,7 @@ impl Journal {
         spawn("journal-watch", move || watched.watch(&place))?;
         let thread = spawn("journal", move || writer.run(&queue))?;
         let writing = Arc::new(Writing { inputs, check: Mutex::new(check), thread: Mutex::new(Some(thread)) });
-        Ok((Self { writing, shared, pool: Pool::new(&source) }, recovered))
+        Ok((Self { writing, shared, pool: Pool::new(&source), id }, recovered))
     }
 
     /// Writes the waiting records and the orderly end of the gateway, then stops writing. Later records are lost.
@@ -127,6 +131,12 @@ impl Journal {
         closing.await.map_err(|error| CloseError(error.to_string()))?.map_err(CloseError)
     }
 
+    /// Returns the journal's id, which no other journal has.
+    #[must_use]
+    pub fn id(&self) -> Uuid {
+        self.id
+    }
+
     /// Returns the sequence number of the newest durable event; 0 before the first.
     #[must_use]
     pub fn last_seq(&self) -> i64 {
@@ -137,6 +147,12 @@ impl Journal {
     #[must_use]
     pub fn subscribe(&self) -> broadcast::Receiver<Arc<Stored>> {
         self.shared.subscribe()
+    }
+
+    /// Subscribes to grip records as they become durable, and as they change. A receiver that lags misses some.
+    #[must_use]
+    pub fn subscribe_grips(&self) -> broadcast::Receiver<Arc<GripUpdate>> {
+        self.shared.subscribe_grips()
     }
 
     /// Streams the events after one, or those from now on. A slow follower misses only events that retention has

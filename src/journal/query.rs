@@ -145,6 +145,8 @@ pub struct Page {
     pub bodies: Vec<Arc<str>>,
     /// Cursor of the next page; absent on the last.
     pub next_cursor: Option<String>,
+    /// Cursor of later records; absent if the newest records come first.
+    pub resume_cursor: Option<String>,
 }
 
 /// The kinds of one chain's records.
@@ -216,10 +218,19 @@ impl Chain {
     }
 }
 
+/// Reads the grip record of a command, in the form that pages have.
+pub(super) fn grip(connection: &Connection, id: CommandId) -> rusqlite::Result<Option<Arc<str>>> {
+    let filter = Filter { command_id: Some(id), ..Filter::default() };
+    Ok(page(connection, &GripQuery { filter, ..GripQuery::default() }, i64::MAX)?.bodies.pop())
+}
+
 /// Reads a page of records up to `until`.
 pub(super) fn page<K: ChainKind>(connection: &Connection, query: &Query<K>, until: i64) -> rusqlite::Result<Page> {
-    let Some(plan) = plan(&query.filter) else { return Ok(Page::default()) };
     let cursor = query.cursor.map(|Cursor(seq)| seq);
+    let resume = |last: Option<i64>| (query.order == Order::Oldest).then(|| last.or(cursor).unwrap_or(0).to_string());
+    let Some(plan) = plan(&query.filter) else {
+        return Ok(Page { resume_cursor: resume(None), ..Page::default() });
+    };
     let (first, last) = match query.order {
         Order::Newest => (0, cursor.map_or(until, |seq| until.min(seq.saturating_sub(1)))),
         Order::Oldest => (cursor.map_or(0, |seq| seq.saturating_add(1)), until),
@@ -236,7 +247,8 @@ pub(super) fn page<K: ChainKind>(connection: &Connection, query: &Query<K>, unti
     let more = found.len() > limit;
     found.truncate(limit);
     let next_cursor = found.last().filter(|_| more).map(|(seq, _)| Cursor(*seq).to_string());
-    Ok(Page { bodies: found.into_iter().map(|(_, body)| body).collect(), next_cursor })
+    let resume_cursor = resume(found.last().map(|(seq, _)| *seq));
+    Ok(Page { bodies: found.into_iter().map(|(_, body)| body).collect(), next_cursor, resume_cursor })
 }
 
 fn read_run<K: ChainKind>(

@@ -9,7 +9,7 @@ use tokio::sync::Semaphore;
 use super::chain::Chain;
 use super::commands::command_of;
 use super::curve;
-use super::query::{EventQuery, Filter, GripQuery, Page, page};
+use super::query::{EventQuery, GripQuery, Page, grip, page};
 use super::schema::{Content, content};
 use super::source::{JournalLocation, ReadError, Source, no_file};
 use crate::gripper::model::{CommandId, CommandReport, Name, Sample};
@@ -100,8 +100,7 @@ impl Reader {
     /// # Errors
     /// [`ReadError`], if the journal cannot be read.
     pub fn grip(&self, id: CommandId) -> Result<Option<Arc<str>>, ReadError> {
-        let filter = Filter { command_id: Some(id), ..Filter::default() };
-        Ok(self.grips(&GripQuery { filter, ..GripQuery::default() })?.bodies.pop())
+        self.with(|connection| grip(connection, id))
     }
 
     /// Reads the curve of a grip record.

@@ -7,6 +7,7 @@ use rusqlite::{Connection, OptionalExtension};
 
 use super::chain::memory_hash;
 use super::commands::CommandBody;
+use super::identity::NO_GRIPPER;
 use super::query::{Cursor, EventQuery, Filter, Limit, Order, page};
 use super::row::{EventKind, now};
 use crate::gripper::model::{
@@ -67,7 +68,9 @@ fn parsed(body: &str) -> Option<CommandBody> {
 
 /// Ends a command as `UNKNOWN`.
 fn unknown_command(running: CommandReport) -> CommandReport {
-    CommandReport { phase: Phase::Done, outcome: Some(Outcome::Unknown), ..running }
+    let mut command = CommandReport { phase: Phase::Done, ..running };
+    command.set_outcome(Outcome::Unknown);
+    command
 }
 
 /// Makes the second record of a command that has only the first.
@@ -93,8 +96,9 @@ fn ended(connection: &Connection) -> rusqlite::Result<bool> {
 }
 
 fn memory(connection: &Connection) -> rusqlite::Result<Vec<PersistedState>> {
-    let mut statement = connection.prepare("SELECT gripper, key, value, hash FROM memory ORDER BY gripper, key")?;
-    let mut rows = statement.query([])?;
+    let mut statement =
+        connection.prepare("SELECT gripper, key, value, hash FROM memory WHERE gripper <> ? ORDER BY gripper, key")?;
+    let mut rows = statement.query([NO_GRIPPER])?;
     let mut memories = Vec::new();
     while let Some(row) = rows.next()? {
         let (gripper, key, value): (String, String, String) = (row.get(0)?, row.get(1)?, row.get(2)?);

@@ -8,7 +8,7 @@ use utoipa::ToSchema;
 
 use super::chain::{Chain, Tip};
 use super::curve;
-use crate::gripper::model::{CommandId, Event, GripRecord, Name, Outcome, PartId};
+use crate::gripper::model::{CommandId, Detail, DeviceEvent, Event, GripRecord, Name, Outcome, PartId};
 
 /// Kind of an event:
 ///
@@ -60,6 +60,29 @@ impl Stored {
     }
 }
 
+/// A durable grip record, new or changed.
+#[derive(Debug, Clone, PartialEq)]
+pub struct GripUpdate {
+    /// Sequence number of the record, from 1.
+    pub seq: i64,
+    pub gripper: Name,
+    /// The record as JSON, as it is served.
+    pub body: Arc<str>,
+}
+
+impl GripUpdate {
+    /// Parses a record's body.
+    pub(super) fn of(body: Arc<str>) -> serde_json::Result<Self> {
+        #[derive(Deserialize)]
+        struct Parts {
+            seq: i64,
+            gripper: Name,
+        }
+        let Parts { seq, gripper } = serde_json::from_str(&body)?;
+        Ok(Self { seq, gripper, body })
+    }
+}
+
 /// A record with its place in its chain.
 #[derive(Debug, Clone)]
 pub(super) struct Row {
@@ -71,6 +94,8 @@ pub(super) struct Row {
     pub(super) curve: Option<Vec<u8>>,
     /// The event; absent for grip records.
     pub(super) event: Option<Arc<Stored>>,
+    /// Command whose grip record is new or has changed.
+    pub(super) grip: Option<CommandId>,
 }
 
 #[derive(Serialize)]
@@ -85,6 +110,7 @@ impl Row {
     pub(super) fn event(end: Tip, event: &Event) -> serde_json::Result<Self> {
         let body: Arc<str> = serde_json::to_string(&Numbered { seq: end.seq + 1, record: event })?.into();
         let stored = Stored::of(body.clone())?;
+        let is_lost = matches!(event.detail, Detail::Device(DeviceEvent::PartLost { .. }));
         Ok(Self {
             chain: Chain::Events,
             tip: end.next(body.as_bytes(), &[]),
@@ -92,6 +118,7 @@ impl Row {
             body,
             curve: None,
             event: Some(Arc::new(stored)),
+            grip: event.command_id.filter(|_| is_lost),
         })
     }
 
@@ -111,6 +138,7 @@ impl Row {
             body,
             curve: Some(curve),
             event: None,
+            grip: Some(grip.id),
         })
     }
 }

@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use tokio::sync::{broadcast, watch};
 
 use super::rates::Rates;
-use super::row::Stored;
+use super::row::{GripUpdate, Stored};
 use super::source::JournalLocation;
 use super::store::Memories;
 use crate::gripper::model::PersistedState;
@@ -15,6 +15,16 @@ use crate::gripper::recorder::JournalHealth;
 
 /// Events by which a follower can lag before it reads them from the file.
 const BROADCAST: usize = 1024;
+
+/// Grip records by which a subscriber can lag.
+const GRIPS_BROADCAST: usize = 64;
+
+/// Senders of the writing thread, whose end ends all receivers.
+#[derive(Debug)]
+pub(super) struct Senders {
+    pub(super) events: broadcast::Sender<Arc<Stored>>,
+    pub(super) grips: broadcast::Sender<Arc<GripUpdate>>,
+}
 
 /// Duration of a write after which the journal counts as failed: as long as a motion waits for its own record.
 const WRITTEN_WITHIN: Duration = Duration::from_millis(500);
@@ -33,8 +43,9 @@ enum Work {
 pub(super) struct Shared {
     pub(super) health: watch::Sender<JournalHealth>,
     pub(super) rates: Rates,
-    /// Broadcast of the writing thread, whose end ends all receivers.
+    /// Broadcasts of the writing thread.
     events: broadcast::WeakSender<Arc<Stored>>,
+    grips: broadcast::WeakSender<Arc<GripUpdate>>,
     committed: AtomicI64,
     /// Number of records that wait for the writing thread.
     waiting: AtomicUsize,
@@ -47,17 +58,24 @@ pub(super) struct Shared {
 
 impl Shared {
     /// Returns the shared state, and the sender that the writing thread owns.
-    pub(super) fn new(committed: i64) -> (Self, broadcast::Sender<Arc<Stored>>) {
-        let events = broadcast::Sender::new(BROADCAST);
+    pub(super) fn new(committed: i64) -> (Self, Senders) {
+        let (events, grips) = (broadcast::Sender::new(BROADCAST), broadcast::Sender::new(GRIPS_BROADCAST));
         let (health, committed) = (watch::Sender::default(), AtomicI64::new(committed));
         let (work, work_changed) = (Mutex::new(Work::Idle), Condvar::new());
         let (waiting, memories) = (AtomicUsize::new(0), Mutex::default());
         let rates = Rates::default();
-        (Self { health, rates, events: events.downgrade(), committed, waiting, memories, work, work_changed }, events)
+        let weak = (events.downgrade(), grips.downgrade());
+        let shared =
+            Self { health, rates, events: weak.0, grips: weak.1, committed, waiting, memories, work, work_changed };
+        (shared, Senders { events, grips })
     }
 
     pub(super) fn subscribe(&self) -> broadcast::Receiver<Arc<Stored>> {
         self.events.upgrade().map_or_else(|| broadcast::channel(1).1, |events| events.subscribe())
+    }
+
+    pub(super) fn subscribe_grips(&self) -> broadcast::Receiver<Arc<GripUpdate>> {
+        self.grips.upgrade().map_or_else(|| broadcast::channel(1).1, |grips| grips.subscribe())
     }
 
     /// Returns the sequence number of the newest durable event.

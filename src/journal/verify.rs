@@ -8,6 +8,7 @@ use std::time::{Duration, Instant};
 use rusqlite::{Connection, OptionalExtension};
 
 use super::chain::{Chain, memory_hash};
+use super::identity::NO_GRIPPER;
 use super::reader::Reader;
 use super::schema::TABLES;
 use super::source::ReadError;
@@ -211,9 +212,9 @@ impl Verifier {
         let mut statement = connection.prepare("SELECT gripper, key, value, hash FROM memory")?;
         let mut rows = statement.query([])?;
         while let Some(row) = rows.next()? {
-            self.report.memories += 1;
             let text = |i| row.get_ref(i).map(|text| text.as_bytes().map(String::from_utf8_lossy).unwrap_or_default());
             let (gripper, key, value) = (text(0)?, text(1)?, text(2)?);
+            self.report.memories += u64::from(gripper != NO_GRIPPER);
             if !row.get_ref(3)?.as_blob().is_ok_and(|hash| hash == memory_hash(&gripper, &key, &value)) {
                 self.find(format!("memory {gripper} {key}"), "changed since it was written (hash mismatch)");
             }

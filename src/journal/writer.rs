@@ -5,17 +5,18 @@ use std::sync::Arc;
 use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::{Duration, Instant};
 
-use tokio::sync::{broadcast, oneshot};
+use tokio::sync::oneshot;
 
 use super::chain::{Chain, Tip};
 use super::check::check_newest;
 use super::presence::CHECK_EVERY;
 use super::prune::Pruning;
-use super::row::{Row, Stored, now};
-use super::shared::Shared;
+use super::query::grip;
+use super::row::{GripUpdate, Row, Stored, now};
+use super::shared::{Senders, Shared};
 use super::store::{Memories, Store};
 use super::{Retention, places};
-use crate::gripper::model::{Detail, Event, GatewayEvent, GripRecord};
+use crate::gripper::model::{CommandId, Detail, Event, GatewayEvent, GripRecord};
 use crate::gripper::recorder::Record;
 
 /// Maximum number of records per transaction: some milliseconds of work, for which the first record has to wait.
@@ -84,7 +85,7 @@ impl Batch {
 pub(super) struct JournalWriter {
     store: Store,
     shared: Arc<Shared>,
-    events: broadcast::Sender<Arc<Stored>>,
+    senders: Senders,
     /// Ends of the chains of events and grip records; `None` after a failed write, until they are read from the file.
     ends: Option<[Tip; 2]>,
     batch: Batch,
@@ -104,14 +105,14 @@ impl JournalWriter {
     pub(super) fn new(store: Store, retention: Retention, last_run: Vec<Event>) -> rusqlite::Result<Self> {
         let ends = store.ends()?;
         let pruning = Pruning::new(retention, Instant::now());
-        let (shared, events) = Shared::new(ends[Chain::Events as usize].seq);
+        let (shared, senders) = Shared::new(ends[Chain::Events as usize].seq);
         let (shared, mut batch) = (Arc::new(shared), Batch::default());
         check_newest(&store.source.place, &store.connection, &shared);
         batch.records.extend(last_run.into_iter().map(Placed::Event));
         let mut writer = Self {
             store,
             shared,
-            events,
+            senders,
             ends: Some(ends),
             batch,
             retry_at: None,
@@ -236,8 +237,9 @@ impl JournalWriter {
         self.pruning.wrote(&rows, now);
         let batch = std::mem::take(&mut self.batch);
         let records = rows.len();
-        for event in rows.into_iter().filter_map(|row| row.event) {
-            self.broadcast(event);
+        for row in rows {
+            row.event.into_iter().for_each(|event| self.broadcast(event));
+            row.grip.into_iter().for_each(|id| self.broadcast_grip(id));
         }
         if let Err(failure) = kept {
             // The open files have the records, so they are not written again. They are not durable: the waiters drop.
@@ -270,7 +272,23 @@ impl JournalWriter {
     fn broadcast(&self, event: Arc<Stored>) {
         self.shared.set_committed(event.seq);
         // There may be no receivers.
-        let _ = self.events.send(event);
+        let _ = self.senders.events.send(event);
+    }
+
+    /// Broadcasts the grip record of a command as it is served now, if the record is stored.
+    fn broadcast_grip(&self, id: CommandId) {
+        if self.senders.grips.receiver_count() == 0 {
+            return;
+        }
+        match grip(&self.store.connection, id) {
+            Ok(Some(body)) => match GripUpdate::of(body) {
+                Ok(update) => drop(self.senders.grips.send(Arc::new(update))),
+                Err(error) => tracing::warn!(%error, command = %id, "damaged grip record not sent to subscribers"),
+            },
+            // A lost part's record is written up to a second after the grip, and has the loss then.
+            Ok(None) => {}
+            Err(error) => tracing::warn!(%error, command = %id, "grip record not sent to subscribers"),
+        }
     }
 
     fn take_aggregates(&mut self, now: Instant, all: bool) {

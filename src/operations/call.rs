@@ -80,7 +80,7 @@ impl Params {
 impl Call {
     /// Returns the gripper, and uses the lease whose token came alongside the parameters.
     pub fn gripper(&self) -> Result<Gripper, Problem> {
-        let unknown = || Problem::not_found("gripper with this name");
+        let unknown = || Problem::not_found("gripper with this name").field("gripper");
         let name = self.params.part("gripper")?.parse().map_err(|_| unknown())?;
         let handle = self.gateway.grippers.get(&name).ok_or_else(unknown)?.clone();
         let Caller { client, lease, request_id, presence, .. } = self.caller.clone();
@@ -144,7 +144,7 @@ impl Call {
         match self.params.part("finger")? {
             "1" => Ok(Finger::One),
             "2" => Ok(Finger::Two),
-            _ => Err(Problem::not_found("such finger: use 1 or 2")),
+            _ => Err(Problem::not_found("such finger: use 1 or 2").field("finger")),
         }
     }
 }

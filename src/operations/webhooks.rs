@@ -7,8 +7,9 @@ use utoipa::ToSchema;
 
 use super::call::{Call, NoFields};
 use super::operation::{Operation, Role, ready, reply};
-use super::problem::{Code, Problem};
+use super::problem::Problem;
 use super::reply::Json;
+use crate::gripper::model::Code;
 use crate::journal::EventKind;
 use crate::webhooks::{DeliveryFailure, Tested, Webhook, WebhookProgress};
 

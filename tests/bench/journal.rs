@@ -16,7 +16,7 @@ use tokio::sync::oneshot;
 use wsg_gateway::daemon::{ServedDevice, SimulatedDevice, Switch, serve_device};
 use wsg_gateway::gripper::model::{
     Action, Admitted, Client, CommandEvent, CommandId, Detail, Done, Door, Event, GripRecord, IdSource, Kind,
-    LeaseRules, Link, LinkEvent, Motion, Name, Outcome, Parameters, PartId, Sample, Submission,
+    LeaseRules, Link, LinkEvent, Motion, Name, Outcome, Parameters, PartId, RequestedValues, Sample, Submission,
 };
 use wsg_gateway::gripper::recorder::{NullRecorder, Record, Recorder, RestoredState};
 use wsg_gateway::gripper::{self, Connector, Handle};
@@ -88,7 +88,7 @@ fn command(id: CommandId, at: Timestamp, gripper: &Name, event: CommandEvent) ->
 
 fn admitted(part_id: Option<PartId>) -> CommandEvent {
     let parameters = Parameters { width_mm: Some(20.0), speed_mm_s: Some(50.0), part_id, ..Parameters::default() };
-    CommandEvent::Admitted(Admitted { command: Kind::Grip, request_id: None, parameters })
+    CommandEvent::Admitted(Admitted { command: Kind::Grip, holder: None, request_id: None, parameters })
 }
 
 fn done(at: Timestamp, part_id: Option<PartId>, outcome: Outcome) -> CommandEvent {
@@ -150,6 +150,7 @@ async fn gripper(recorder: Arc<dyn Recorder>) -> Result<(Handle, Switch), Error>
     let ServedDevice { address, switch, .. } = serve_device(&"tcp://127.0.0.1:0".parse()?, device).await?;
     let name: Name = "g".parse()?;
     let config = gripper::actor::ActorConfig {
+        gateway: "gateway".parse()?,
         url: address.url(),
         properties: address.properties(),
         fast_stop_on_disconnect: true,
@@ -250,11 +251,14 @@ fn grip(id: CommandId, at: Timestamp, gripper: &Name, part_id: Option<PartId>, o
         |i: u16| Sample { t_ms: u32::from(i) * 10, width_mm: 60.0 - f32::from(i), speed_mm_s: -50.0, force_n: 0.0 };
     GripRecord {
         id,
+        gateway: gripper.clone(),
         gripper: gripper.clone(),
+        serial_number: None,
         kind: Kind::Grip,
         part_id,
         outcome,
         subject: "http:127.0.0.1".into(),
+        requested: RequestedValues::default(),
         started_at: at,
         duration_ms: Some(412),
         width_mm: Some(20.1),

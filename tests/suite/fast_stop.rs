@@ -150,6 +150,7 @@ fn spawned(device: SocketAddr, restored: RestoredState) -> Handle {
     let address: Address = format!("tcp://{device}").parse().unwrap();
     let name: Name = "g".parse().unwrap();
     let config = ActorConfig {
+        gateway: "gateway".parse().unwrap(),
         name: name.clone(),
         url: address.to_string(),
         properties: address.properties(),

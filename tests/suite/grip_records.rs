@@ -31,12 +31,27 @@ async fn grip_curve_shows_approach_contact_and_force() {
     let device = Simulator::with_part().await;
     let gateway = Gateway::homed_at(device.address).await;
     gateway.post("move", &json!({"width_mm": 40, "speed_mm_s": 200})).await.outcome("SUCCESS");
-    let grip = json!({"width_mm": part.width_mm, "speed_mm_s": SPEED_MM_S, "force_n": FORCE_N});
+    let lease = gateway.post("lease", &json!({"holder": "cell plc"})).await.ok()["token"].clone();
+    let grip = json!({"width_mm": part.width_mm, "speed_mm_s": SPEED_MM_S, "force_n": FORCE_N, "lease": lease,
+        "request_id": "order 7"});
     let held = gateway.post("grip", &grip).await.outcome("PART_HELD");
     let path = format!("/api/v1/grips/{}", held["id"].as_str().unwrap());
     let record =
         eventually("the grip record", async || Some(gateway.get(&path).await).filter(|answer| answer.status == 200));
     let record = record.await.ok();
+    let info = gateway.get("/api/v1/grippers/g").await.ok();
+    let device = (&record["gateway"], &record["serial_number"]);
+    assert_eq!(device, (&json!("gateway"), &info["serial_number"]), "{record}");
+    let done = gateway.events("kind=command&order=newest", 6).await.remove(0);
+    for record in [&record, &done] {
+        let requested = json!({
+            "holder": "cell plc", "request_id": "order 7", "requested_width_mm": part.width_mm,
+            "requested_speed_mm_s": SPEED_MM_S, "requested_force_n": FORCE_N,
+        });
+        for (name, value) in requested.as_object().unwrap() {
+            assert_eq!(&record[name], value, "{name} in {record}");
+        }
+    }
     let csv = gateway.request("GET", &format!("{path}/curve")).header("Accept", "text/csv");
     let csv = gateway.send(csv).await.ok();
     let samples = csv::Reader::from_reader(csv.as_str().unwrap().as_bytes());

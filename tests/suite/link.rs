@@ -4,6 +4,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
+use crate::harness::wsg::Driver;
 use crate::harness::{Gateway, Proxy, Simulator, eventually};
 
 #[tokio::test]
@@ -207,4 +208,49 @@ async fn updates_on_change_relieve_the_line() {
     let received = updates().await - before;
     assert!(received < 50.0, "{received}");
     assert_eq!(gateway.state().await["link"], "connected");
+}
+
+#[tokio::test]
+async fn released_gripper_serves_another_program_until_connect() {
+    let device = Simulator::start(&[]).await;
+    let proxy = Proxy::to(device.address);
+    let gateway = Gateway::homed_at(proxy.address).await;
+    let id = gateway.begin("move", &json!({"width_mm": 10, "speed_mm_s": 50})).await;
+    gateway.until_moving().await;
+    let refused = gateway.post("disconnect", &json!({})).await.problem(409, "already_running");
+    assert_eq!(refused["command"], id.as_str(), "{refused}");
+    gateway.post("stop", &json!({})).await.ok();
+    gateway.until_standing().await;
+
+    let released = gateway.post("disconnect", &json!({})).await.ok();
+    assert_eq!(released["link"], "released", "{released}");
+    assert_eq!(proxy.frames.all().last().map(|frame| frame.id), Some(0x07));
+    gateway.post("disconnect", &json!({})).await.ok();
+    let down = gateway.post("home", &json!({})).await.problem(503, "link_down");
+    assert!(down["detail"].as_str().unwrap().contains("`connect`"), "{down}");
+    let mut other = Driver::connect(device.address).await;
+    assert_eq!(other.flags().await & 1 << 12, 0, "the disconnect was announced");
+    other.leave().await;
+
+    let before = proxy.frames.len();
+    let stopped = gateway.post("fast-stop", &json!({})).await.ok();
+    assert_eq!(stopped["fast_stop_confirmed"], false, "{stopped}");
+    gateway.post("connect", &json!({})).await.ok();
+    gateway.until("the FAST STOP is confirmed", |state| state["fast_stop_confirmed"] == true).await;
+    assert_eq!(proxy.frames.since(before)[0].id, 0x23);
+    gateway.until_link("connected").await;
+}
+
+#[tokio::test]
+async fn release_ends_attempts_to_connect() {
+    let device = Simulator::start(&[]).await;
+    let mut proxy = Proxy::refusing(device.address);
+    let gateway = Gateway::of(proxy.address).await;
+    gateway.until("an attempt fails", |state| state["link_cause"].is_string()).await;
+    let released = gateway.post("disconnect", &json!({})).await.ok();
+    assert_eq!(released["link"], "released", "{released}");
+    proxy.accept();
+    let connecting = gateway.post("connect", &json!({})).await.ok();
+    assert_ne!(connecting["link"], "released", "{connecting}");
+    gateway.until_link("connected").await;
 }

@@ -35,7 +35,7 @@ impl Actor {
                 let keep = self.lease.keep(now.instant, submission.lease.as_ref()).map(Arc::new);
                 let ticket = self.enter(now, id, submission);
                 if !matches!(motion, Motion::Custom(_)) {
-                    self.recording.start_measuring(id, motion);
+                    self.recording.start_measuring(id, motion, self.settings.known_serial);
                 }
                 self.motion.running = Some(Running::new(id, motion.clone(), self.is_streamed(motion)));
                 if self.is_streamed(motion) {
@@ -108,13 +108,14 @@ impl Actor {
     fn enter(&mut self, now: Now, id: CommandId, submission: &Submission) -> Ticket {
         let kind = submission.action.kind();
         let is_streamed = matches!(&submission.action, Action::Motion(motion) if self.is_streamed(motion));
+        let mut record = CommandReport::admitted(id, self.config.name.clone(), submission, now.wall);
+        record.requested.holder = self.lease.holder_by(submission.lease.as_ref()).map(|holder| holder.name.clone());
         if is_streamed {
             self.streaming.count(now, submission, &mut self.recording);
         } else {
             tracing::info!(gripper = %self.config.name, command = %id, %kind, client = %submission.client.subject, "command admitted");
-            self.recording.admitted(now, id, submission);
+            self.recording.admitted(now, &record, submission);
         }
-        let record = CommandReport::admitted(id, self.config.name.clone(), submission, now.wall);
         self.commands.enter(now.instant, record, submission, is_streamed)
     }
 
@@ -237,7 +238,19 @@ impl Actor {
                 return;
             }
         };
-        let exchange = Exchange { command: getter.clone(), answer, accepted: None, setter: Some(command), client };
+        self.read_back(now, getter, command, client, answer);
+    }
+
+    /// Reads back the value of a setter.
+    pub(super) fn read_back(
+        &mut self,
+        now: Now,
+        getter: Command,
+        setter: Command,
+        client: Client,
+        answer: Answer<Data>,
+    ) {
+        let exchange = Exchange { command: getter.clone(), answer, accepted: None, setter: Some(setter), client };
         let purpose = Purpose::Exchange(exchange);
         self.submit_exchange(now, getter, purpose);
     }
@@ -264,14 +277,40 @@ impl Actor {
 
     /// Sends an acknowledgement, if the latch and the link allow it.
     pub(super) fn acknowledge(&mut self, now: Now, id: FastStopId, client: Client, answer: Answer<()>) {
-        let allowed = self.latch.check_acknowledge(id).map_err(Rejection::from).and_then(|()| Ok(self.check_link()?));
+        let allowed = self.latch.check_acknowledge(id).map_err(Rejection::from);
+        self.send_acknowledge(now, allowed, Some(id), client, answer);
+    }
+
+    /// Sends an acknowledgement of a fault without a latch (fw2 3.2.5), if the lease and the link allow it.
+    pub(super) fn acknowledge_fault(
+        &mut self,
+        now: Now,
+        client: Client,
+        lease: Option<&LeaseToken>,
+        answer: Answer<()>,
+    ) {
+        let allowed = self.latch.check_acknowledge_fault(self.observed.shows_fault());
+        let allowed = allowed.and_then(|()| Ok(self.check_claim(now, &client, lease)?));
+        self.send_acknowledge(now, allowed, None, client, answer);
+    }
+
+    fn send_acknowledge(
+        &mut self,
+        now: Now,
+        allowed: Result<(), Rejection>,
+        id: Option<FastStopId>,
+        client: Client,
+        answer: Answer<()>,
+    ) {
+        let allowed = allowed.and_then(|()| Ok(self.check_link()?));
         let sent = allowed.and_then(|()| {
             let submitted = self.link.submit(now, Command::AcknowledgeFastStop, Purpose::Acknowledge);
             submitted.map_err(|not_taken| not_taken.0)
         });
         match sent {
             Ok(token) => {
-                tracing::info!(gripper = %self.config.name, %id, by = %client.subject, "acknowledging FAST STOP");
+                let id_text = id.map(|id| id.to_string());
+                tracing::info!(gripper = %self.config.name, id = id_text, by = %client.subject, "acknowledging");
                 self.latch.acknowledge_sent(id, client, token, answer);
             }
             Err(rejection) => {

@@ -45,13 +45,20 @@ impl Actor {
                 (Purpose::Stop(Some(id)), true) => self.reject(now, id, rejection.clone()),
                 // The Stop may have happened.
                 (Purpose::Stop(Some(id)), false) => {
-                    self.end(now, id, |record| record.outcome = Some(Outcome::Unknown));
+                    self.end(now, id, |record| {
+                        record.set_outcome(Outcome::Unknown);
+                        record.explain(&rejection);
+                    });
                 }
                 _ => {}
             }
         }
         self.end_running(now, unwritten);
+        let released = self.end_release();
         self.after_input(now);
+        if let Some(answer) = released {
+            let _ = answer.send(Ok(()));
+        }
     }
 
     /// Whether the link is up, and the device has been identified.
@@ -110,10 +117,10 @@ impl Actor {
         if !overdrive && self.settings.overdrive.give_up() {
             tracing::warn!(gripper = %name, "Overdrive Mode was lost in a device restart: enable it again if needed");
         }
-        self.recording.restored(now, &setup.restored, self.settings.wanted);
-        if self.settings.learn(&mut setup, overdrive) {
+        if self.settings.learn(&mut setup) {
             self.persist_settings();
         }
+        self.recording.restored(now, &setup.restored, self.settings.wanted);
         for update in self.switch_on_updates() {
             // Updates that do not arrive are switched on again.
             self.observed.asked(now.instant, update.id());

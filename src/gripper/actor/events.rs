@@ -55,6 +55,7 @@ impl Actor {
         self.recording.flags(now, before, flags);
         self.notice_restart(now, before, flags);
         self.notice_foreign_motion(now, before, flags);
+        self.notice_overdrive(now, before, flags);
         if missed {
             self.set_up_again(now);
         }
@@ -105,6 +106,15 @@ impl Actor {
         }
     }
 
+    /// Reads the force limit after Overdrive Mode was switched, since leaving it reduces the limit (`fw4-en 3.3.8`).
+    fn notice_overdrive(&mut self, now: Now, before: Option<SystemState>, flags: SystemState) {
+        let changed = before.unwrap_or(flags).symmetric_difference(flags);
+        if changed.contains(SystemState::OVERDRIVE_MODE) && self.link.is_up() {
+            // If this fails, the next setup compares the limit.
+            let _ = self.link.submit(now, Command::GetForceLimit, Purpose::ForceLimit);
+        }
+    }
+
     fn take_end(&mut self, now: Now, token: Token, purpose: Purpose, end: End) {
         match purpose {
             Purpose::Setup => {
@@ -117,13 +127,25 @@ impl Actor {
                     self.observed.temperature = Some(temperature);
                 }
             }
+            Purpose::ForceLimit => {
+                if let End::Reply(Reply::Success(data @ Data::ForceLimit(found))) = end
+                    && self.settings.wanted.force_limit.is_some_and(|wanted| wanted != found)
+                {
+                    self.reads.forget();
+                    self.note_setting(&data);
+                    self.recording.changed_by_device(now, &data);
+                }
+            }
             Purpose::FastStop => {
                 let answered = matches!(end, End::Reply(_));
                 self.latch.ended(token, answered);
             }
             Purpose::Acknowledge => {
                 let result = match end {
-                    End::Reply(Reply::Success(_)) => Ok(()),
+                    End::Reply(Reply::Success(_)) => {
+                        self.observed.acknowledged();
+                        Ok(())
+                    }
                     end => Err(self.rejection_of("AcknowledgeFastStop", end)),
                 };
                 self.latch.acknowledge_ended(now.instant, token, result);

@@ -17,11 +17,11 @@ impl Actor {
     /// Checks that a request with this token, or without one, can make changes.
     pub(super) fn check_claim(&self, now: Now, client: &Client, token: Option<&LeaseToken>) -> Result<(), Conflict> {
         if !client.door.speaks_wsg() {
-            return self.lease.check(now.instant, token);
+            return self.lease.check(now.instant, client, token);
         }
         // A client of the WSG port has its connection's own token, which is never stale.
         let is_holder = token.is_some() && self.lease.token() == token;
-        if is_holder || self.lease.is_free_for(client) { Ok(()) } else { self.lease.check(now.instant, None) }
+        if is_holder || self.lease.is_free_for(client) { Ok(()) } else { self.lease.check(now.instant, client, None) }
     }
 
     /// Takes a free lease for a client of the WSG port that moves the fingers.
@@ -61,7 +61,10 @@ impl Actor {
         }
         let terms = Terms::of(wish, &self.config.lease)?;
         let asked_before = self.lease.asking(now.instant).cloned();
-        let result = self.lease.take(now.instant, wish, terms, token);
+        // A client that returns must not bypass what its lease says about its loss.
+        let effect = self.lease.terms().map(|terms| self.loss_effect(terms, now.instant));
+        let may_return = matches!(effect, Some(LossEffect::None | LossEffect::Keep));
+        let result = self.lease.take(now.instant, wish, terms, token, may_return);
         let asking = self.lease.asking(now.instant).cloned();
         if let Some(asking) = asking.filter(|asking| asked_before.as_ref() != Some(asking)) {
             self.record_lease(now, LeaseStep::Requested, &asking, None);
@@ -69,7 +72,7 @@ impl Actor {
         let Some(holder) = self.lease.holder().cloned() else { return result.map(drop).map_err(Into::into) };
         let outcome = result?;
         match outcome {
-            AcquireOutcome::Free => self.record_lease(now, LeaseStep::Taken, &holder, None),
+            AcquireOutcome::Free | AcquireOutcome::Returned => self.record_lease(now, LeaseStep::Taken, &holder, None),
             AcquireOutcome::Forced => self.record_lease(now, LeaseStep::Forced, &holder, None),
             // The new holder was recorded when the lease was handed over.
             AcquireOutcome::HandedOver | AcquireOutcome::Again => {}
@@ -134,24 +137,28 @@ impl Actor {
         }
     }
 
-    fn holder_lost(&mut self, now: Now, held: &HeldLease, cause: LossCause) {
-        let Terms { on_loss_moving, on_loss_holding, .. } = held.terms;
-        let last_heard = match cause {
-            LossCause::Expired => now.instant.checked_sub(held.terms.ttl).unwrap_or(now.instant),
-            LossCause::Disconnected => now.instant,
-        };
-        let effect = match (self.is_moving(last_heard), self.observed.part.is_held) {
-            (true, _) => match on_loss_moving {
+    /// What the loss of a holder means with these terms, for fingers that moved at `last_heard` or not.
+    fn loss_effect(&self, terms: Terms, last_heard: Instant) -> LossEffect {
+        match (self.is_moving(last_heard), self.observed.part.is_held) {
+            (true, _) => match terms.on_loss_moving {
                 OnLossMoving::FastStop => LossEffect::FastStop,
                 OnLossMoving::Stop => LossEffect::Stop,
                 OnLossMoving::Finish => LossEffect::Finish,
             },
-            (false, true) => match on_loss_holding {
+            (false, true) => match terms.on_loss_holding {
                 OnLossHolding::Keep => LossEffect::Keep,
                 OnLossHolding::FastStop => LossEffect::FastStop,
             },
             (false, false) => LossEffect::None,
+        }
+    }
+
+    fn holder_lost(&mut self, now: Now, held: &HeldLease, cause: LossCause) {
+        let last_heard = match cause {
+            LossCause::Expired => now.instant.checked_sub(held.terms.ttl).unwrap_or(now.instant),
+            LossCause::Disconnected => now.instant,
         };
+        let effect = self.loss_effect(held.terms, last_heard);
         let name = &held.holder.name;
         tracing::warn!(gripper = %self.config.name, holder = %name, ?cause, ?effect, "lease holder lost");
         self.record_lease(now, LeaseStep::Lost, &held.holder, Some((effect, cause)));

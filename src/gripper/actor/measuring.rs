@@ -15,19 +15,20 @@ use super::recording::Recording;
 pub(super) struct Measured {
     id: CommandId,
     part_id: Option<PartId>,
+    serial_number: Option<u32>,
     curve: MotionCurve,
     /// End time of the curve, and the ended command.
     ended: Option<(Instant, Arc<CommandReport>)>,
 }
 
 impl Recording {
-    pub(super) fn start_measuring(&mut self, id: CommandId, motion: &Motion) {
+    pub(super) fn start_measuring(&mut self, id: CommandId, motion: &Motion, serial_number: Option<u32>) {
         self.finish_measuring();
         let part_id = match motion {
             Motion::Grip { part_id, .. } => part_id.clone(),
             _ => None,
         };
-        self.measured = Some(Measured { id, part_id, curve: MotionCurve::default(), ended: None });
+        self.measured = Some(Measured { id, part_id, serial_number, curve: MotionCurve::default(), ended: None });
     }
 
     /// Takes a sample, if all values are known.
@@ -61,17 +62,21 @@ impl Recording {
 
     /// Records the curve so far.
     pub(super) fn finish_measuring(&mut self) {
-        let Some(Measured { part_id, curve, ended: Some((_, command)), .. }) = self.measured.take() else { return };
+        let Some(measured) = self.measured.take() else { return };
+        let Measured { part_id, serial_number, curve, ended: Some((_, command)), .. } = measured else { return };
         let contact = curve.contact().filter(|_| command.kind == Kind::Grip);
         let peak_force_n = curve.peak_force_n();
         let curve = curve.into_samples();
         let record = GripRecord {
             id: command.id,
+            gateway: self.gateway.clone(),
             gripper: command.gripper.clone(),
+            serial_number,
             kind: command.kind,
             part_id,
             outcome: command.outcome.unwrap_or(Outcome::Unknown),
             subject: command.client.clone(),
+            requested: command.requested.clone(),
             started_at: command.started_at,
             duration_ms: command.duration_ms,
             width_mm: command.width_mm,

@@ -17,7 +17,7 @@
 //!
 //! A motion frame is submitted to the session in one place, `start_motion`, once for each admitted command. While a
 //! FAST STOP is latched, no motion frame is submitted, and unwritten ones are withdrawn. An acknowledgement is
-//! submitted in one place, for a client that named the latch's id.
+//! submitted in one place, for a client that named the latch's id, or while nothing is latched.
 
 mod admission;
 mod connection;
@@ -83,6 +83,8 @@ const RESULT_WITHIN: Duration = Duration::from_secs(30);
 
 #[derive(Debug, Clone)]
 pub struct ActorConfig {
+    /// Name of the gateway, for the records.
+    pub gateway: Name,
     pub name: Name,
     pub url: String,
     pub properties: LinkProperties,
@@ -151,7 +153,7 @@ impl Actor {
             commands: CommandRegistry::default(),
             motion: MotionState::new(config.motion_pause),
             drain: None,
-            recording: Recording::new(config.name.clone(), config.on_journal_failure),
+            recording: Recording::new(config.gateway.clone(), config.name.clone(), config.on_journal_failure),
             metering: Metering::new(config.metrics.clone()),
             streaming: Streaming::default(),
             scripts: Scripts::default(),
@@ -202,6 +204,9 @@ impl Actor {
             ActorRequest::Find { id, answer } => {
                 let _ = answer.send(self.commands.find(id));
             }
+            ActorRequest::FindRequest { subject, request_id, answer } => {
+                let _ = answer.send(self.commands.find_request(now.instant, &subject, &request_id));
+            }
             ActorRequest::Cancel { id, client, answer } => {
                 let ticket = self.commands.find(id);
                 if ticket.is_some() {
@@ -215,6 +220,9 @@ impl Actor {
                 self.exchange(now, command, client, lease.as_ref(), answer);
             }
             ActorRequest::Acknowledge { id, client, answer } => self.acknowledge(now, id, client, answer),
+            ActorRequest::AcknowledgeFault { client, lease, answer } => {
+                self.acknowledge_fault(now, client, lease.as_ref(), answer);
+            }
             ActorRequest::Lease { answer } => {
                 let _ = answer.send(self.lease_now(now));
             }
@@ -233,6 +241,10 @@ impl Actor {
                 let _ = answer.send(self.release_lease(now, token.as_ref()));
             }
             ActorRequest::LoseLease { token, times_taken } => self.lose_lease(now, &token, times_taken),
+            ActorRequest::Disconnect { client, lease, answer } => {
+                self.disconnect(now, &client, lease.as_ref(), answer);
+            }
+            ActorRequest::Connect { client, lease, answer } => self.connect(now, &client, lease.as_ref(), answer),
             ActorRequest::Drain { answer } => self.start_drain(now, answer),
         }
         self.after_input(now);
@@ -273,7 +285,7 @@ impl Actor {
         self.take_events(now);
         self.metering.session(self.link.session.as_mut());
         self.publish(now);
-        self.recording.persist_changes(&self.latch, &self.lease, self.observed.part.grip);
+        self.recording.persist_changes(&self.latch, &self.lease, self.observed.part.grip, &self.commands.last);
         self.commands.tell();
         self.tell_acknowledges(now);
         self.settings.overdrive.answer(self.observed.flags);

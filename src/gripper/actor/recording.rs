@@ -25,6 +25,7 @@ const RECORDED_WITHIN: Duration = Duration::from_millis(500);
 /// The gripper's side of the journal.
 #[derive(Debug)]
 pub(super) struct Recording {
+    pub gateway: Name,
     pub gripper: Name,
     on_failure: OnJournalFailure,
     /// Records for the driver to take after each input, with the commands that wait for them.
@@ -42,8 +43,9 @@ pub(super) struct Recording {
 }
 
 impl Recording {
-    pub(super) fn new(gripper: Name, on_failure: OnJournalFailure) -> Self {
+    pub(super) fn new(gateway: Name, gripper: Name, on_failure: OnJournalFailure) -> Self {
         Self {
+            gateway,
             gripper,
             on_failure,
             outbox: VecDeque::new(),
@@ -112,16 +114,17 @@ impl Recording {
     }
 
     /// Records the admission of a command.
-    pub(super) fn admitted(&mut self, now: Now, id: CommandId, submission: &Submission) {
+    pub(super) fn admitted(&mut self, now: Now, command: &CommandReport, submission: &Submission) {
         let admitted = Admitted {
-            command: submission.action.kind(),
+            command: command.kind,
+            holder: command.requested.holder.clone(),
             request_id: submission.request_id.clone(),
             parameters: Parameters::from(&submission.action),
         };
         let detail = Detail::Command(CommandEvent::Admitted(admitted));
-        let event = self.event(now, detail).by(&submission.client).of(id);
-        self.outbox.push_back((Record::Event(event, None), Some(id)));
-        self.unrecorded.push_back((now.instant + RECORDED_WITHIN, id));
+        let event = self.event(now, detail).by(&submission.client).of(command.id);
+        self.outbox.push_back((Record::Event(event, None), Some(command.id)));
+        self.unrecorded.push_back((now.instant + RECORDED_WITHIN, command.id));
     }
 
     /// Records the end of a command.

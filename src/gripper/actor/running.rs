@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::super::error::Conflict;
+use super::super::error::{Conflict, Failure};
 use super::super::model::{Client, CommandId, FastStopId, Kind, Motion, Outcome};
 use super::RESULT_WITHIN;
 use crate::wsg::Status;
@@ -44,6 +44,8 @@ pub(super) struct Running {
     pub fast_stop: Option<FastStopId>,
     /// Subject of the client that cancelled the command.
     pub cancelled_by: Option<Arc<str>>,
+    /// Reason that the result is unknown.
+    pub unknown_because: Option<Failure>,
     /// Reply of a script.
     pub payload: Option<Vec<u8>>,
 }
@@ -79,6 +81,7 @@ impl Running {
             recorded: false,
             fast_stop: None,
             cancelled_by: None,
+            unknown_because: None,
             payload: None,
         }
     }

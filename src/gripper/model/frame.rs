@@ -31,6 +31,7 @@ pub struct FrameRecord {
     #[schema(minimum = 1, maximum = 9_007_199_254_740_991_i64)]
     pub seq: u64,
     /// Time at which the frame was sent or received.
+    #[serde(serialize_with = "super::time::milliseconds")]
     #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
     /// Direction of the frame.

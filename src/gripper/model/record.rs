@@ -6,7 +6,7 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::{CommandId, Kind, Name, Outcome, PartId};
+use super::{Action, CommandId, Kind, Name, Outcome, Parameters, PartId, RequestId};
 
 /// Result and measurements of a motion.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
@@ -14,9 +14,16 @@ pub struct GripRecord {
     /// Id of the command.
     #[schema(value_type = uuid::Uuid)]
     pub id: CommandId,
+    /// Name of the gateway. Absent from records of version 0.1.0.
+    #[schema(value_type = Option<String>, nullable = false, max_length = 32)]
+    pub gateway: Name,
     /// Name of the gripper.
     #[schema(value_type = String, max_length = 32)]
     pub gripper: Name,
+    /// Serial number of the device; absent if it is unknown.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false, format = Int64)]
+    pub serial_number: Option<u32>,
     /// Kind of the command: `home`, `move`, `grip` or `release`.
     pub kind: Kind,
     /// Name of the part; null if none was given.
@@ -27,7 +34,10 @@ pub struct GripRecord {
     /// Subject of the client that requested the command.
     #[schema(value_type = String)]
     pub subject: Arc<str>,
+    #[serde(flatten)]
+    pub requested: RequestedValues,
     /// Time of admission.
+    #[serde(serialize_with = "super::time::milliseconds")]
     #[schema(value_type = String, format = DateTime)]
     pub started_at: Timestamp,
     /// Time from admission to end, in ms.
@@ -54,6 +64,51 @@ pub struct GripRecord {
     #[serde(skip)]
     #[schema(ignore)]
     pub curve: Vec<Sample>,
+}
+
+/// Lease holder, id and values of a request, as the records of its command repeat them. Values that do not apply are
+/// absent.
+#[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
+pub struct RequestedValues {
+    /// Name of the lease holder, if the command was requested with the lease.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[schema(value_type = Option<String>, nullable = false)]
+    pub holder: Option<Arc<str>>,
+    /// Id by which a repeated request is recognised.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[schema(value_type = Option<String>, nullable = false, max_length = 64)]
+    pub request_id: Option<RequestId>,
+    /// Requested width in mm, or the requested offset of a relative move.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[schema(nullable = false)]
+    pub requested_width_mm: Option<f32>,
+    /// Requested speed in mm/s.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[schema(nullable = false)]
+    pub requested_speed_mm_s: Option<f32>,
+    /// Requested force limit in N.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    #[schema(nullable = false)]
+    pub requested_force_n: Option<f32>,
+}
+
+impl RequestedValues {
+    #[must_use]
+    pub fn of(action: &Action, request_id: Option<RequestId>) -> Self {
+        Self { request_id, ..Self::from(&Parameters::from(action)) }
+    }
+}
+
+impl From<&Parameters> for RequestedValues {
+    fn from(parameters: &Parameters) -> Self {
+        Self {
+            holder: None,
+            request_id: None,
+            requested_width_mm: parameters.width_mm,
+            requested_speed_mm_s: parameters.speed_mm_s,
+            requested_force_n: parameters.force_n,
+        }
+    }
 }
 
 /// A point of a curve.
@@ -93,6 +148,8 @@ pub enum PersistedKey {
     Holding,
     /// Position of a webhook in the journal.
     Webhook,
+    /// Number and result of the newest motion.
+    LastCommand,
 }
 
 /// Treatment of motions while the journal cannot be written.

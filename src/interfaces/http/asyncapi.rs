@@ -22,10 +22,11 @@ const NOTIFICATIONS: &[(&str, &str, &str)] = &[
         "The newest measured values of a gripper (topic `telemetry`). A slow client misses intermediate values",
     ),
     ("event", "StoredEvent", "An event (topic `events`), sent in order once it is stored durably"),
+    ("grip", "StoredGripRecord", "A new grip record, or one whose part was lost (topic `grips`)"),
     ("frame", "Frame", "A frame on the wire (topic `frames`), sent in order"),
     ("damage", "Damage", "Bytes from a device that are no valid frame (topic `frames`), sent in order with the frames"),
     ("fleet", "FleetGripper", "A gripper of any gateway (topic `fleet`): first all grippers, then each change"),
-    ("gap", "Gap", "A gap in the events or frames, because the client was too slow"),
+    ("gap", "Gap", "A gap in the events, grip records or frames, because the client was too slow"),
     ("command", "Command", "The end of a command that this socket started and that was still running when answered"),
 ];
 

@@ -8,15 +8,18 @@ use axum::http::{HeaderMap, Uri, header};
 use axum::response::{IntoResponse, Response};
 use headers_accept::Accept;
 use mediatype::{MediaType, names};
-use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
 use serde_json::value::RawValue;
+use url::form_urlencoded;
 use utoipa::{IntoParams, ToSchema};
+use uuid::Uuid;
 
-use super::context::HttpContext;
+use super::context::{API, HttpContext};
 use super::paths::CommandPath;
 use super::paths::responses::JournalProblem;
 use super::query::QueryString;
-use crate::gripper::model::{CommandId, Event, GripRecord, Sample};
+use crate::gripper::model::{CommandId, Event, GripRecord, Kind, Sample};
 use crate::journal::csv;
 use crate::journal::{Cursor, EventKind, Filter, Limit, Page, Query};
 use crate::operations::values::{integer, text};
@@ -24,11 +27,13 @@ use crate::operations::{Code, Problem};
 
 /// Kinds of events, as listed in problems.
 const EVENT_KINDS: &str = "command, fast_stop, acknowledge, lease, link, device, settings, refused, gateway";
-const GRIP_KINDS: &str = "home, move, grip, release";
+const GRIP_KINDS: &str = "all, home, move, grip, release";
 const OUTCOMES: &str = "SUCCESS, PART_HELD, NO_PART, BLOCKED, ABORTED, RANGE, TIMEOUT, FAILED, REFUSED, UNKNOWN";
 /// Digits of the largest accepted cursor, beyond the events that any journal will have.
 const MAX_CURSOR_DIGITS: usize = 18;
 const CSV: &str = "text/csv; charset=utf-8";
+/// Header with the id of the journal that a table comes from.
+const JOURNAL_ID: &str = "Journal-Id";
 
 #[derive(IntoParams)]
 #[into_params(parameter_in = Query)]
@@ -72,8 +77,35 @@ pub struct EventsQuery {
 #[into_params(parameter_in = Query)]
 #[allow(dead_code, reason = "only describes the parameters that `query` reads")]
 pub struct GripsQuery {
-    /// Only records of this kind: `home`, `move`, `grip` or `release`.
-    kind: Option<crate::gripper::model::Kind>,
+    /// Only records of this kind: `grip` (default), `release`, `home`, `move`, or `all` of them.
+    kind: Option<GripKinds>,
+}
+
+/// Kinds of grip records:
+///
+/// - `all`: every kind
+/// - `home`, `move`, `grip`, `release`: only this kind
+#[derive(Debug, Clone, Copy, Default, Deserialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+enum GripKinds {
+    All,
+    Home,
+    Move,
+    #[default]
+    Grip,
+    Release,
+}
+
+impl From<GripKinds> for Option<Kind> {
+    fn from(kinds: GripKinds) -> Self {
+        match kinds {
+            GripKinds::All => None,
+            GripKinds::Home => Some(Kind::Home),
+            GripKinds::Move => Some(Kind::Move),
+            GripKinds::Grip => Some(Kind::Grip),
+            GripKinds::Release => Some(Kind::Release),
+        }
+    }
 }
 
 /// An event, with the common fields and those of its kind.
@@ -108,9 +140,13 @@ pub struct GripBody {
 pub struct Events<'a> {
     #[schema(value_type = Vec<EventBody>)]
     events: Vec<&'a RawValue>,
-    /// Cursor of the next page; null on the last page.
+    /// Cursor of the next page. On the last page it is null, or with `order=oldest` the cursor of later records.
     #[schema(required)]
     next_cursor: Option<&'a str>,
+    /// Whether another page follows.
+    has_more: bool,
+    /// Id of the journal. Cursors and sequence numbers of another journal mean other records.
+    journal_id: Uuid,
 }
 
 /// A page of grip records.
@@ -118,9 +154,13 @@ pub struct Events<'a> {
 pub struct Grips<'a> {
     #[schema(value_type = Vec<GripBody>)]
     grips: Vec<&'a RawValue>,
-    /// Cursor of the next page; null on the last page.
+    /// Cursor of the next page. On the last page it is null, or with `order=oldest` the cursor of later records.
     #[schema(required)]
     next_cursor: Option<&'a str>,
+    /// Whether another page follows.
+    has_more: bool,
+    /// Id of the journal. Cursors and sequence numbers of another journal mean other records.
+    journal_id: Uuid,
 }
 
 /// A curve, column by column.
@@ -145,8 +185,13 @@ pub struct Curve {
 const OFFERED: [MediaType<'static>; 2] =
     [MediaType::new(names::APPLICATION, names::JSON), MediaType::new(names::TEXT, names::CSV)];
 
-/// Parses a request's query.
-fn query<K: serde::de::DeserializeOwned>(uri: &Uri, kinds: &str, more: &[&str]) -> Result<Query<K>, Problem> {
+/// Parses a request's query. `kind` maps the word that it gives to the kind of the records.
+fn query<W: DeserializeOwned, K>(
+    uri: &Uri,
+    kinds: &str,
+    more: &[&str],
+    kind: fn(Option<W>) -> Option<K>,
+) -> Result<Query<K>, Problem> {
     let known = ["gripper", "kind", "part_id", "outcome", "from", "to", "limit", "cursor", "order"];
     let given = QueryString::of(uri)?.only(&[&known, more].concat())?;
     let limit = match given.parsed("limit", "a whole number", |text| text.parse::<f64>().ok())? {
@@ -158,7 +203,7 @@ fn query<K: serde::de::DeserializeOwned>(uri: &Uri, kinds: &str, more: &[&str]) 
     Ok(Query {
         filter: Filter {
             gripper: given.parsed("gripper", "a gripper's name", |text| text.parse().ok())?,
-            kind: given.word("kind", kinds)?,
+            kind: kind(given.word("kind", kinds)?),
             part_id,
             outcome: given.word("outcome", OUTCOMES)?,
             command_id: given.parsed("command_id", "a command's id, a UUID", |text| text.parse().ok())?,
@@ -188,13 +233,31 @@ fn raw(page: &Page) -> Result<Vec<&RawValue>, Problem> {
     page.bodies.iter().map(|body| serde_json::from_str(body).map_err(damaged)).collect()
 }
 
-/// Returns a page as CSV, with the next cursor as a header.
-fn table(columns: &[&str], page: &Page) -> Response {
+/// Returns a page as CSV, with the next cursor and the journal's id as headers.
+fn table(columns: &[&str], page: &Page, journal_id: Uuid) -> Response {
     let rows = csv::header(columns) + &csv::lines(columns, page.bodies.iter().map(|body| &**body));
     let mut response = ([(header::CONTENT_TYPE, CSV)], rows).into_response();
-    if let Some(cursor) = page.next_cursor.as_deref().and_then(|cursor| cursor.parse().ok()) {
-        response.headers_mut().insert("Next-Cursor", cursor);
+    let headers = [("Next-Cursor", next_cursor(page).map(str::to_owned)), (JOURNAL_ID, Some(journal_id.to_string()))];
+    for (name, value) in headers {
+        if let Some(value) = value.and_then(|value| value.parse().ok()) {
+            response.headers_mut().insert(name, value);
+        }
     }
+    response
+}
+
+fn next_cursor(page: &Page) -> Option<&str> {
+    page.next_cursor.as_deref().or(page.resume_cursor.as_deref())
+}
+
+/// Adds the address of the next page (RFC 8288), if another page follows.
+fn with_link(mut response: Response, list: &str, uri: &Uri, page: &Page) -> Response {
+    let Some(cursor) = &page.next_cursor else { return response };
+    let given = form_urlencoded::parse(uri.query().unwrap_or_default().as_bytes());
+    let mut query = form_urlencoded::Serializer::new(String::new());
+    query.extend_pairs(given.filter(|(name, _)| name != "cursor")).append_pair("cursor", cursor);
+    let link = format!("<{API}/{list}?{}>; rel=\"next\"", query.finish());
+    response.headers_mut().extend(link.parse().ok().map(|link| (header::LINK, link)));
     response
 }
 
@@ -213,18 +276,22 @@ pub async fn events(
     headers: HeaderMap,
     uri: Uri,
 ) -> Result<Response, Problem> {
-    let page = context.gateway.journal.events(query(&uri, EVENT_KINDS, &["command_id"])?).await?;
-    if wants_csv(&headers) {
-        return Ok(table(csv::EVENT_COLUMNS, &page));
-    }
-    let next_cursor = page.next_cursor.as_deref();
-    Ok(Json(Events { events: raw(&page)?, next_cursor }).into_response())
+    let journal = &context.gateway.journal;
+    let query = query(&uri, EVENT_KINDS, &["command_id"], |kind: Option<EventKind>| kind)?;
+    let (page, journal_id) = (journal.events(query).await?, journal.id());
+    let response = if wants_csv(&headers) {
+        table(csv::EVENT_COLUMNS, &page, journal_id)
+    } else {
+        let (next_cursor, has_more) = (next_cursor(&page), page.next_cursor.is_some());
+        Json(Events { events: raw(&page)?, next_cursor, has_more, journal_id }).into_response()
+    };
+    Ok(with_link(response, "events", &uri, &page))
 }
 
 /// List grip records
 ///
-/// Returns one page of grip records: every homing, move, grip and release, with its measurements. With `Accept:
-/// text/csv` the page is a table, and the header `Next-Cursor` has the cursor of the next page. In a table, text that a
+/// Returns one page of grip records, with their measurements. Homings, moves and releases have such records too: see
+/// `kind`. With `Accept: text/csv` the page is a table, and the header `Next-Cursor` has the cursor of the next page. In a table, text that a
 /// spreadsheet would run as a formula (it begins with `=`, `+`, `-`, `@`, a tab or a line break) is prefixed with a
 /// single quote.
 #[utoipa::path(
@@ -237,12 +304,16 @@ pub async fn grips(
     headers: HeaderMap,
     uri: Uri,
 ) -> Result<Response, Problem> {
-    let page = context.gateway.journal.grips(query(&uri, GRIP_KINDS, &[])?).await?;
-    if wants_csv(&headers) {
-        return Ok(table(csv::GRIP_COLUMNS, &page));
-    }
-    let next_cursor = page.next_cursor.as_deref();
-    Ok(Json(Grips { grips: raw(&page)?, next_cursor }).into_response())
+    let journal = &context.gateway.journal;
+    let query = query(&uri, GRIP_KINDS, &[], |kinds: Option<GripKinds>| kinds.unwrap_or_default().into())?;
+    let (page, journal_id) = (journal.grips(query).await?, journal.id());
+    let response = if wants_csv(&headers) {
+        table(csv::GRIP_COLUMNS, &page, journal_id)
+    } else {
+        let (next_cursor, has_more) = (next_cursor(&page), page.next_cursor.is_some());
+        Json(Grips { grips: raw(&page)?, next_cursor, has_more, journal_id }).into_response()
+    };
+    Ok(with_link(response, "grips", &uri, &page))
 }
 
 fn command_id(text: &str) -> Result<CommandId, Problem> {

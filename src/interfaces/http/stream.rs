@@ -35,9 +35,9 @@ const READ_RETRY_PAUSE: Duration = Duration::from_secs(1);
 #[into_params(parameter_in = Query)]
 #[allow(dead_code, reason = "only describes the parameters that `Stream::new` reads")]
 pub struct StreamQuery {
-    /// `events` (default), `state`, `telemetry`, `frames`, `fleet`, or several of them separated by commas.
+    /// `events` (default), `grips`, `state`, `telemetry`, `frames`, `fleet`, or several of them separated by commas.
     #[param(
-        pattern = "^(events|state|telemetry|frames|fleet)(,(events|state|telemetry|frames|fleet))*$",
+        pattern = "^(events|grips|state|telemetry|frames|fleet)(,(events|grips|state|telemetry|frames|fleet))*$",
         example = "events,state"
     )]
     topics: Option<String>,
@@ -67,7 +67,7 @@ pub struct StreamHeaders {
 #[schema(as = StreamMessage)]
 #[allow(dead_code, reason = "only describes the messages of a stream")]
 pub struct Message {
-    /// `event`, `state`, `telemetry`, `frame`, `damage`, `fleet` or `gap`.
+    /// `event`, `grip`, `state`, `telemetry`, `frame`, `damage`, `fleet` or `gap`.
     #[schema(nullable = false)]
     event: Option<String>,
     /// The `seq` of an event, or of the last event missing in a `gap` of events.
@@ -90,11 +90,14 @@ struct Stream {
 
 /// Stream live updates
 ///
-/// Sends server-sent events: `event` with its `seq` as id, `state`, `telemetry`, `frame`, `damage` and `fleet`.
+/// Sends server-sent events: `event` with its `seq` as id, `grip`, `state`, `telemetry`, `frame`, `damage` and `fleet`.
 ///
 /// Events continue without a gap after `Last-Event-ID`; without that header they start now. A `gap` gives the number of
 /// events after that id that are no longer stored, for all grippers together. If the journal was replaced and has not
 /// reached that id yet, events start from the journal's first.
+///
+/// A `grip` is a grip record, sent once it is stored, and again with `part_lost_at` when its part was lost. Grip records
+/// start now, whatever the id.
 ///
 /// For states and telemetry only the newest value is sent: values that a slow client misses are not queued. Frames are
 /// sent in order, with `damage` where bytes from the device were no valid frame. A `gap` gives the number of frames and

@@ -65,15 +65,20 @@ fn remedy(id: u8, rejection: &Rejection) -> &'static str {
             | Conflict::Acknowledging { .. } => {
                 "remove the cause of the FAST STOP, and acknowledge it with 24h, over HTTP or on the dashboard"
             }
-            Conflict::LeaseHeld { .. } | Conflict::LeaseBound { .. } | Conflict::StaleLease { .. } if is_script => {
-                "list the id in read_ids if its script only reads; otherwise let the holder release the lease"
-            }
-            Conflict::LeaseHeld { .. } | Conflict::LeaseBound { .. } | Conflict::StaleLease { .. } => {
-                "let the holder release the lease, or take it over HTTP with \"force\": true and release it"
+            Conflict::LeaseHeld { .. }
+            | Conflict::LeaseBound { .. }
+            | Conflict::LeaseTokenMissing { .. }
+            | Conflict::LeaseRequested { .. }
+            | Conflict::StaleLease { .. } => {
+                if is_script {
+                    "list the id in read_ids if its script only reads; otherwise let the holder release the lease"
+                } else {
+                    "let the holder release the lease, or take it over HTTP with \"force\": true and release it"
+                }
             }
             Conflict::NotReferenced => "home the gripper first (20h)",
             Conflict::SettingsLost { .. } => "set the lost settings again (30h, 32h, 34h)",
-            Conflict::AlreadyRunning { .. } | Conflict::RequestIdReused => {
+            Conflict::AlreadyRunning { .. } | Conflict::FingersMove | Conflict::RequestIdReused => {
                 "wait for the end of the motion, or send a Stop (22h) first"
             }
         },

@@ -3,7 +3,9 @@
 use super::super::tests::{Directory, at, id, kept, name, started};
 use super::super::{Record, Recorder as _};
 use super::*;
-use crate::gripper::model::{Admitted, Client, Done, FastStopCause, IdSource, Outcome, Parameters, SettingsEvent};
+use crate::gripper::model::{
+    Admitted, Client, Done, FastStopCause, IdSource, Outcome, Parameters, RequestedValues, SettingsEvent,
+};
 
 /// Upper bound of an event's size in the tests, by which an account can be overdrawn.
 const ONE: u64 = 1024;
@@ -25,7 +27,7 @@ fn refused(client: &Client, code: &str) -> Event {
 
 /// Returns the two records of a Stop.
 fn stop(client: &Client, number: u32) -> [Event; 2] {
-    let admitted = Admitted { command: Kind::Stop, request_id: None, parameters: Parameters::default() };
+    let admitted = Admitted { command: Kind::Stop, holder: None, request_id: None, parameters: Parameters::default() };
     let done = Done {
         command: Kind::Stop,
         outcome: Outcome::Success,
@@ -40,7 +42,9 @@ fn stop(client: &Client, number: u32) -> [Event; 2] {
         fast_stop_id: None,
         part_id: None,
         cancelled_by: None,
+        code: None,
         cause: None,
+        requested: RequestedValues::default(),
     };
     [CommandEvent::Admitted(admitted), CommandEvent::Done(Box::new(done))]
         .map(|event| Event::new(at(1), Some(name("left")), Detail::Command(event)).by(client).of(id(number)))

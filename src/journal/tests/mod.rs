@@ -3,6 +3,7 @@
 mod damage;
 mod disk;
 mod following;
+mod identity;
 mod losing;
 mod pages;
 mod pruning;
@@ -17,7 +18,7 @@ use tokio::sync::oneshot;
 use super::*;
 use crate::gripper::model::{
     Admitted, CommandEvent, CommandId, Detail, Done, Door, Event, GatewayEvent, GripRecord, IdSource, Kind, Link,
-    LinkEvent, Name, Outcome, Parameters, PartId, PersistedKey, PersistedState, RequestId, Sample,
+    LinkEvent, Name, Outcome, Parameters, PartId, PersistedKey, PersistedState, RequestId, RequestedValues, Sample,
 };
 
 /// Temporary directory of one test.
@@ -76,7 +77,12 @@ pub(super) fn admitted(time: i64, gripper: &str, number: u32, part_id: Option<&s
     let parameters =
         Parameters { width_mm: Some(20.5), part_id: part_id.and_then(PartId::new), ..Parameters::default() };
     let request_id = RequestId::new(&format!("request-{number}"));
-    asked(time, gripper, number, CommandEvent::Admitted(Admitted { command: Kind::Grip, request_id, parameters }))
+    asked(
+        time,
+        gripper,
+        number,
+        CommandEvent::Admitted(Admitted { command: Kind::Grip, holder: None, request_id, parameters }),
+    )
 }
 
 pub(super) fn done(time: i64, gripper: &str, number: u32, part_id: Option<&str>, outcome: Outcome) -> Event {
@@ -94,7 +100,9 @@ pub(super) fn done(time: i64, gripper: &str, number: u32, part_id: Option<&str>,
         fast_stop_id: None,
         cancelled_by: None,
         part_id: part_id.and_then(PartId::new),
+        code: None,
         cause: None,
+        requested: RequestedValues::default(),
     };
     asked(time, gripper, number, CommandEvent::Done(Box::new(done)))
 }
@@ -115,11 +123,14 @@ pub(super) fn grip(time: i64, gripper: &str, number: u32, part_id: Option<&str>)
     let curve: Vec<_> = (0..20).map(sample).collect();
     GripRecord {
         id: id(number),
+        gateway: name("gateway"),
         gripper: name(gripper),
+        serial_number: Some(4711),
         kind: Kind::Grip,
         part_id: part_id.and_then(PartId::new),
         outcome: Outcome::PartHeld,
         subject: "http:127.0.0.1".into(),
+        requested: RequestedValues::default(),
         started_at: at(time),
         duration_ms: Some(412),
         width_mm: Some(20.1),
@@ -211,7 +222,7 @@ async fn part_lost_later_shows_in_its_grip() {
     let lost = crate::gripper::model::DeviceEvent::PartLost { width_mm: Some(3.0) };
     assert!(kept(&journal, Event::new(at(61_000), Some(name("left")), Detail::Device(lost)).of(id(1))).await);
     let page = journal.grips(GripQuery::default()).await.unwrap();
-    assert!(page.bodies[0].ends_with(r#","part_lost_at":"1970-01-01T00:01:01Z"}"#), "{}", page.bodies[0]);
+    assert!(page.bodies[0].ends_with(r#","part_lost_at":"1970-01-01T00:01:01.000Z"}"#), "{}", page.bodies[0]);
 }
 
 #[tokio::test]
@@ -243,7 +254,7 @@ async fn every_kind_of_event_can_be_written_and_read() {
     let (reason, cause) = ("a \"quote\"\u{2028}".to_owned(), FastStopCause::Requested);
     let details = [
         Detail::FastStop(FastStopEvent { event: FastStopStep::Latched, fast_stop_id, cause, reason, count: 1 }),
-        Detail::Acknowledge(AcknowledgeEvent { fast_stop_id, cleared: true, cause: None }),
+        Detail::Acknowledge(AcknowledgeEvent { fast_stop_id: Some(fast_stop_id), cleared: true, cause: None }),
         Detail::Device(DeviceEvent::Restarted),
         Detail::Device(DeviceEvent::Fault { flags: vec!["TEMP_FAULT"] }),
         Detail::Settings(SettingsEvent { restored: true, setting: SettingChange::Tare }),

@@ -134,7 +134,7 @@ fn damaged_byte_of_a_record_is_found_and_named() {
     let directory = Directory::new();
     let file = filled(&directory);
     let contents = contents(&directory.journal());
-    assert_eq!(contents.len(), 21 * 2 + 6 * 2 + 1 + 3 + 1);
+    assert_eq!(contents.len(), 21 * 2 + 6 * 2 + 1 + 4 + 1);
     let mut bytes = Vec::new();
     for (record, content) in &contents {
         let places = places(&file, content);

@@ -40,6 +40,7 @@ pub async fn served(url: &str) -> ServedDevice {
 /// Starts a gripper for this address, even if no device is there.
 pub fn spawn(connector: impl Connector) -> Handle {
     let config = gripper::actor::ActorConfig {
+        gateway: "gateway".parse().unwrap(),
         name: "g".parse().unwrap(),
         url: connector.url(),
         properties: connector.properties(),

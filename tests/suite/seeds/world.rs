@@ -163,6 +163,7 @@ impl World {
     ) -> Self {
         let now = Instant::now();
         let config = ActorConfig {
+            gateway: "gateway".parse().unwrap(),
             name: "g".parse().unwrap(),
             url: "sim://g".to_owned(),
             properties: LinkProperties {

@@ -3,6 +3,7 @@
 //! The router mounts the documented handlers themselves, so the document can't fall behind.
 
 pub mod commands;
+pub mod connection;
 pub mod device;
 pub mod fast_stop;
 pub mod fingers;

@@ -43,6 +43,15 @@ pub struct WebhookPath {
 #[derive(IntoParams)]
 #[into_params(parameter_in = Query)]
 #[allow(dead_code, reason = "only described here")]
+pub struct LatestQuery {
+    /// Request id of the command, as this client sent it within the last 10 minutes.
+    #[param(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$", example = "k3-17")]
+    request_id: Option<String>,
+}
+
+#[derive(IntoParams)]
+#[into_params(parameter_in = Query)]
+#[allow(dead_code, reason = "only described here")]
 pub struct WaitQuery {
     /// Maximum time to wait for the command to end, in ms. 0 returns at once; the default is 5000.
     #[param(minimum = 0, maximum = 60000, default = 5000, example = 5000)]

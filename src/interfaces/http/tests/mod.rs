@@ -3,6 +3,7 @@
 mod device;
 mod fast_stop;
 mod gateway;
+mod journal;
 mod lease;
 mod motions;
 mod raw;

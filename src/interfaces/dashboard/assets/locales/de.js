@@ -55,6 +55,7 @@ export const de = {
   'link.connected': 'verbunden',
   'link.unresponsive': 'antwortet nicht',
   'link.reconnecting': 'verbindet neu',
+  'link.released': 'freigegeben',
   'link.gone': 'Gateway offline',
   'state.IDLE': 'Ruht',
   'state.GRASPING': 'Greift',
@@ -76,6 +77,7 @@ export const de = {
   'stale.link.connecting': 'Greifer noch nicht erreicht',
   'stale.link.unresponsive': 'Der Greifer antwortet nicht',
   'stale.link.reconnecting': 'Keine Verbindung zum Greifer',
+  'stale.link.released': 'Verbindung für ein anderes Programm freigegeben',
 
   'jaws.closing': 'schließt',
   'jaws.opening': 'öffnet',
@@ -230,6 +232,7 @@ export const de = {
   'alarm.link.connecting': 'noch nicht erreicht',
   'alarm.link.unresponsive': 'antwortet nicht',
   'alarm.link.reconnecting': 'keine Verbindung',
+  'alarm.link.released': 'freigegeben',
   'alarm.flag.TEMP_WARNING': 'Temperatur hoch',
   'alarm.flag.TEMP_FAULT': 'Temperaturfehler',
   'alarm.flag.POWER_FAULT': 'Fehler der Stromversorgung',
@@ -465,7 +468,8 @@ export const de = {
   'device.temperature': 'Temperatur',
   'device.capabilities': 'Funktionen',
   'device.if_gateway': 'Bei Ausfall des Gateways',
-  'device.stops': 'ein fahrender Greifer hält von selbst an',
+  'device.stops':
+    'ein fahrender Greifer hält von selbst an, wenn sein FAST STOP bei Verbindungsende eingeschaltet ist (Vorgabe)',
   'device.moves_on': 'ein fahrender Greifer fährt bis zum Ziel',
   'health.title': 'Diagnose',
   'health.updates': 'Meldungen',

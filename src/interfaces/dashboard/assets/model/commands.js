@@ -62,22 +62,17 @@ export async function takeControl(one, { force = false, request = false } = {}) 
   // Set before the request, because control can be handed over before the answer arrives.
   if (request) one.isAsking.value = true;
   const lease = await askFreely(one, 'lease.take', { ...terms(), force, request });
-  if (lease) {
+  // Without a token, the request waits for the holder.
+  if (lease?.token) {
     one.lease.value = lease;
     one.own(lease);
   }
-  if (request && one.problem.peek()?.code === 'lease_held') await lookWhoAsks(one);
-  else one.isAsking.value = false;
+  const isFirst = lease?.place === 1;
+  if (lease?.place && !isFirst) {
+    one.problem.value = { code: 'lease_asked', holder: lease.requested_by, detail: '' };
+  }
+  if (!isFirst) one.isAsking.value = false;
   return lease;
-}
-
-/** Ends the request if another client asked first: the gateway passes only one request to the holder. */
-async function lookWhoAsks(one) {
-  const lease = await askFreely(one, 'lease');
-  const me = myName.peek();
-  if (!lease || !one.isAsking.peek() || lease.requested_by === me || lease.holder === me) return;
-  one.isAsking.value = false;
-  one.problem.value = { code: 'lease_asked', holder: lease.requested_by, detail: '' };
 }
 
 /** Changes the terms of the lease that this page holds. */

@@ -70,9 +70,11 @@ export function History({ one }) {
   const [from, to, isOfAll] = [useSignal(''), useSignal(''), useSignal(false)];
   const [list, next, problem, note] = [useSignal([]), useSignal(null), useSignal(null), useSignal('')];
   const [picked, compares, numbers] = [useSignal([]), useSignal(false), useSignal(null)];
+  // Without a kind, the gateway would list grips alone.
+  const kinds = kind.value || (what.value === 'grips' ? 'all' : '');
   const asked = {
     gripper: isOfAll.value ? '' : one.name,
-    kind: kind.value,
+    kind: kinds,
     part_id: part.value.trim(),
     outcome: outcome.value,
     from: instant(from.value),
@@ -142,7 +144,7 @@ export function History({ one }) {
   const isGrips = what.value === 'grips';
   return html`<${Panel} title=${`${t('nav.history')}: ${isOfAll.value ? t('all.title') : one.name}`} id="history-title"
       class="report" actions=${actions}>
-    <p class="printed">${fullDate(Date.now())} ${filterText(asked, what.value)}</p>
+    <p class="printed">${fullDate(Date.now())} ${filterText({ ...asked, kind: kind.value }, what.value)}</p>
     <div class="filters">
       <${Select} id="kind" label=${t('history.kind')} options=${KINDS[what.value]} value=${kind}
           word=${isGrips ? 'command' : 'kind'} />
