@@ -305,6 +305,7 @@ export const en = {
   'history.grips': 'Motions',
   'history.what': 'Records',
   'history.kind': 'Type',
+  'history.filters': 'Filters',
   'history.all': 'all',
   'history.part': 'Part',
   'history.outcome': 'Outcome',

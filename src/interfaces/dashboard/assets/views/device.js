@@ -216,6 +216,6 @@ function Statistics({ one }) {
 
 export function Device({ one }) {
   return html`<${Covered} one=${one}><div class="pair"><div class="column"><${About} one=${one} /><${Limits}
-      one=${one} /><${Statistics} one=${one} /></div><div class="column"><${Settings} one=${one} /><${Fingers}
-      one=${one} /><${Health} one=${one} /></div></div></${Covered}>`;
+      one=${one} /><${Statistics} one=${one} /><${Health} one=${one} /></div><div class="column"><${Settings}
+      one=${one} /><${Fingers} one=${one} /></div></div></${Covered}>`;
 }

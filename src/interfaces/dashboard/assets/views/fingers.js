@@ -50,7 +50,7 @@ function Finger({ one, finger }) {
     };
   }, [one, finger]);
   const flags = known.value?.flags ?? [];
-  return html`<div data-finger=${finger}><h3>${t('finger.number', { finger })}</h3>
+  return html`<div class="column" data-finger=${finger}><h3>${t('finger.number', { finger })}</h3>
     <${Facts} facts=${[
       ['finger.type', known.value?.type ?? '–'],
       [

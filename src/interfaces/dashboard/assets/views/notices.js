@@ -89,8 +89,9 @@ function Refused({ one }) {
 
 /** Whether the view shows an alarm in a place of its own: a lost connection, a FAST STOP, or a reservation. */
 function isShown({ what, gripper: name }) {
-  if (what === 'gateway' || what === 'reserved') return true;
-  return name === gripper.value?.name && view.value === 'operate' && /^(fast_stop|link)\//.test(what);
+  if (what === 'gateway') return true;
+  if (name !== gripper.value?.name) return false;
+  return what === 'reserved' || (view.value === 'operate' && /^(fast_stop|link)\//.test(what));
 }
 
 function Worst() {
