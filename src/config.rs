@@ -6,17 +6,22 @@
 use std::collections::BTreeSet;
 use std::fmt;
 use std::net::SocketAddr;
+use std::ops::RangeInclusive;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use serde::Deserialize;
 use toml::Spanned;
 
-use crate::gripper::model::{CustomIds, LeaseRules, Name, OnJournalFailure, OnLossHolding, OnLossMoving};
+use crate::gripper::model::{
+    CustomIds, LeaseRules, Name, OnJournalFailure, OnLossHolding, OnLossMoving, UpdateMode, UpdateRules,
+};
 use crate::transport::Address;
+use crate::webhooks::WebhookSettings;
 
 mod file;
 mod journal;
+mod webhooks;
 mod wsg_port;
 mod zenoh;
 
@@ -35,6 +40,18 @@ const DEFAULT_DRAIN: Duration = Duration::from_secs(2);
 
 /// Longest configurable drain, since the shutdown waits for it.
 const LONGEST_DRAIN: Duration = Duration::from_mins(1);
+
+/// Default pause between motions. Devices in the field fail without one.
+const DEFAULT_MOTION_PAUSE: Duration = Duration::from_millis(50);
+
+/// Longest configurable pause between motions, since a waiting motion blocks the next one.
+const LONGEST_MOTION_PAUSE: Duration = Duration::from_secs(1);
+
+/// Default time after which an idle HTTP connection is closed.
+const DEFAULT_IDLE_TIMEOUT: Duration = Duration::from_secs(10);
+
+/// Idle times that can be configured. A slow request header occupies its connection for as long.
+const IDLE_TIMEOUTS: RangeInclusive<Duration> = Duration::from_secs(1)..=Duration::from_hours(1);
 
 /// Default grippers: two simulated ones, one with a part in reach.
 const DEFAULT_GRIPPERS: [&str; 2] = ["left=sim://wsg50?part_mm=20", "right=sim://wsg50"];
@@ -77,12 +94,15 @@ pub struct Config {
     pub listen: SocketAddr,
     /// Allowed values of `Host`, besides addresses and `localhost`.
     pub hosts: Vec<String>,
+    /// Time after which an idle HTTP connection is closed.
+    pub idle_timeout: Duration,
     pub grippers: Vec<GripperConfig>,
     /// Time for a running command to finish at shutdown.
     pub drain: Duration,
     pub journal: JournalConfig,
     /// `None` if Zenoh is off.
     pub zenoh: Option<Zenoh>,
+    pub webhooks: Vec<WebhookSettings>,
 }
 
 /// One gripper.
@@ -94,6 +114,9 @@ pub struct GripperConfig {
     pub fast_stop_on_disconnect: bool,
     /// Meaning of the ids of the gripper's scripts.
     pub custom_ids: CustomIds,
+    pub updates: UpdateRules,
+    /// Pause between the end of a motion and the next one.
+    pub motion_pause: Duration,
     /// Lease terms that clients can choose.
     pub lease: LeaseRules,
     pub wsg_port: WsgPort,
@@ -199,9 +222,11 @@ impl Config {
             name,
             listen: parse_listen(&listen, insecure)?,
             hosts: content.map(|content| content.hosts.clone()).unwrap_or_default(),
+            idle_timeout: idle_timeout(file)?,
             grippers: grippers(flags, file, insecure)?,
             drain: drain(file)?,
             zenoh: Zenoh::merge(flags, file, insecure)?,
+            webhooks: file.map(webhooks::settings).transpose()?.unwrap_or_default(),
         };
         Ok(config)
     }
@@ -234,6 +259,19 @@ fn drain(file: Option<&File>) -> Result<Duration, ConfigError> {
     Ok(drain)
 }
 
+fn idle_timeout(file: Option<&File>) -> Result<Duration, ConfigError> {
+    let Some((file, idle_timeout_s)) = file.and_then(|file| Some((file, file.content.idle_timeout_s.as_ref()?))) else {
+        return Ok(DEFAULT_IDLE_TIMEOUT);
+    };
+    let idle_timeout = Duration::from_secs(*idle_timeout_s.get_ref());
+    if !IDLE_TIMEOUTS.contains(&idle_timeout) {
+        let (min, max) = (IDLE_TIMEOUTS.start().as_secs(), IDLE_TIMEOUTS.end().as_secs());
+        let detail = format!("idle_timeout_s is {}; it must be from {min} to {max}", idle_timeout.as_secs());
+        return Err(ConfigError::at(&file.place(idle_timeout_s.span().start), detail));
+    }
+    Ok(idle_timeout)
+}
+
 fn grippers(flags: &Flags, file: Option<&File>, insecure: bool) -> Result<Vec<GripperConfig>, ConfigError> {
     let by_text = |texts: &[String], place: ConfigPlace| -> Result<Vec<GripperConfig>, ConfigError> {
         texts.iter().map(|text| parse_gripper(text, &place)).collect()
@@ -252,7 +290,18 @@ fn grippers(flags: &Flags, file: Option<&File>, insecure: bool) -> Result<Vec<Gr
             return Err(ConfigError::at(&gripper.place, detail));
         }
     }
+    share_lines(&mut configured);
     Ok(configured)
+}
+
+/// Counts the grippers on each CAN bus, which share its capacity.
+fn share_lines(grippers: &mut [GripperConfig]) {
+    let devices: Vec<_> = grippers.iter().map(|gripper| gripper.device.clone()).collect();
+    for gripper in grippers {
+        let DeviceSource::At(address) = &gripper.device else { continue };
+        let shares = |device: &&DeviceSource| matches!(device, DeviceSource::At(one) if address.shares_line_with(one));
+        gripper.updates.devices_on_line = devices.iter().filter(shares).count().max(1) as u32;
+    }
 }
 
 /// Returns why two grippers cannot both be served, if so.
@@ -276,6 +325,8 @@ fn parse_gripper(text: &str, place: &ConfigPlace) -> Result<GripperConfig, Confi
         device: parse_device(url, place)?,
         fast_stop_on_disconnect: true,
         custom_ids: CustomIds::default(),
+        updates: UpdateRules::default(),
+        motion_pause: DEFAULT_MOTION_PAUSE,
         lease: LeaseRules::default(),
         wsg_port: WsgPort::default(),
         place: place.clone(),
@@ -308,7 +359,9 @@ struct Content {
     journal_max_age_days: Option<Spanned<u64>>,
     journal_max_size_mb: Option<Spanned<u64>>,
     drain_ms: Option<Spanned<u64>>,
+    idle_timeout_s: Option<Spanned<u64>>,
     zenoh: zenoh::ZenohContent,
+    webhooks: Vec<webhooks::WebhookContent>,
     grippers: std::collections::BTreeMap<Spanned<String>, GripperContent>,
 }
 
@@ -317,8 +370,12 @@ struct Content {
 struct GripperContent {
     url: Spanned<String>,
     fast_stop_on_disconnect: Option<bool>,
+    update_period_ms: Option<Spanned<u64>>,
+    #[serde(default)]
+    updates: UpdateMode,
     read_ids: Option<Spanned<BTreeSet<u8>>>,
     stream_ids: Option<Spanned<BTreeSet<u8>>>,
+    motion_pause_ms: Option<Spanned<u64>>,
     on_loss_moving: Option<Spanned<Vec<OnLossMoving>>>,
     on_loss_holding: Option<Spanned<Vec<OnLossHolding>>>,
     lease_max_ttl_ms: Option<Spanned<u64>>,

@@ -11,6 +11,7 @@
 //! - [`events`]: live updates, serialised once for all clients.
 //! - [`fleet`]: the other gateways on the Zenoh network.
 //! - [`journal`]: events and grip records that outlive the gateway, in SQLite.
+//! - [`webhooks`]: the journal's events, as HTTP requests to other programs.
 //! - [`sim`]: a device, modelled from the manual: a pure machine, with faults.
 //! - [`config`]: file, environment and flags, turned into validated types; nothing else reads them.
 //! - [`daemon`]: the composition root, which builds, connects and drains everything in order.
@@ -43,4 +44,5 @@ pub mod logging;
 pub mod operations;
 pub mod sim;
 pub mod transport;
+pub mod webhooks;
 pub mod wsg;

@@ -8,7 +8,7 @@ mod follow;
 use std::io::{self, BufRead, Write};
 
 use crate::wsg::frame::PREAMBLE;
-use crate::wsg::text::{WireDirection, describe};
+use crate::wsg::text::{WireDirection, describe, describe_damaged, describe_skipped};
 use crate::wsg::{ChecksumEvaluation, Command, Decoded, Decoder, id};
 
 pub(super) use follow::follow;
@@ -142,14 +142,13 @@ impl Stream {
                     writeln!(output, "{before}{mark}{}  [checksum ok]", describe(frame, self.direction))?;
                 }
                 Decoded::Damaged { id } => {
-                    let name = id::name(id).map_or_else(|| format!("0x{id:02X}"), str::to_owned);
-                    writeln!(output, "{before}{mark}{name}  [checksum wrong]")?;
+                    writeln!(output, "{before}{mark}{}", describe_damaged(id))?;
                 }
             }
         }
         let skipped = self.decoder.counters().skipped_bytes;
         if skipped > self.skipped {
-            writeln!(output, "{before}{mark}({} bytes outside any frame)", skipped - self.skipped)?;
+            writeln!(output, "{before}{mark}{}", describe_skipped(skipped - self.skipped))?;
             self.skipped = skipped;
         }
         Ok(())

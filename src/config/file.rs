@@ -6,9 +6,13 @@ use std::time::Duration;
 
 use toml::Spanned;
 
-use super::{ConfigError, ConfigPlace, Content, GripperConfig, GripperContent, WsgPort, owned, parse_device};
+use super::journal::bounded;
+use super::{
+    ConfigError, ConfigPlace, Content, DEFAULT_MOTION_PAUSE, GripperConfig, GripperContent, LONGEST_MOTION_PAUSE,
+    WsgPort, owned, parse_device,
+};
 use crate::gripper::model::lease::{MAX_TTL, MIN_TTL};
-use crate::gripper::model::{CustomIds, LeaseRules};
+use crate::gripper::model::{CustomIds, LeaseRules, UpdateRules};
 
 /// A parsed file, with its text for finding line numbers.
 #[derive(Debug)]
@@ -57,6 +61,8 @@ impl File {
                 device: parse_device(gripper.url.get_ref(), &place)?,
                 fast_stop_on_disconnect: gripper.fast_stop_on_disconnect.unwrap_or(true),
                 custom_ids: self.custom_ids(gripper)?,
+                updates: self.update_rules(gripper)?,
+                motion_pause: self.motion_pause(gripper)?,
                 lease: self.lease_rules(gripper)?,
                 wsg_port: WsgPort::of_file(self, gripper)?,
                 place,
@@ -67,6 +73,14 @@ impl File {
 }
 
 impl File {
+    fn update_rules(&self, gripper: &GripperContent) -> Result<UpdateRules, ConfigError> {
+        let allowed = UpdateRules::MIN_PERIOD_MS.into()..=UpdateRules::MAX_PERIOD_MS.into();
+        let remedy = "leave it out for the shortest that the line allows";
+        let period_ms = bounded(Some(self), "update_period_ms", gripper.update_period_ms.as_ref(), allowed, remedy)?;
+        let min_period_ms = period_ms.map_or(UpdateRules::MIN_PERIOD_MS, |period_ms| period_ms as u16);
+        Ok(UpdateRules { mode: gripper.updates, min_period_ms, ..UpdateRules::default() })
+    }
+
     fn custom_ids(&self, gripper: &GripperContent) -> Result<CustomIds, ConfigError> {
         let read = self.script_ids("read_ids", gripper.read_ids.as_ref())?;
         let stream = self.script_ids("stream_ids", gripper.stream_ids.as_ref())?;
@@ -75,6 +89,16 @@ impl File {
             return Err(ConfigError::at(&self.place(place.span().start), detail));
         }
         Ok(CustomIds { read, stream })
+    }
+
+    fn motion_pause(&self, gripper: &GripperContent) -> Result<Duration, ConfigError> {
+        let Some(ms) = &gripper.motion_pause_ms else { return Ok(DEFAULT_MOTION_PAUSE) };
+        let pause = Duration::from_millis(*ms.get_ref());
+        if pause > LONGEST_MOTION_PAUSE {
+            let detail = format!("motion_pause_ms is {}; it must be from 0 to 1000", ms.get_ref());
+            return Err(ConfigError::at(&self.place(ms.span().start), detail));
+        }
+        Ok(pause)
     }
 
     /// Parses ids of scripts on the gripper. The effect of the manual's ids is known, so they cannot be declared.

@@ -95,7 +95,8 @@ impl JournalConfig {
     }
 }
 
-fn bounded(
+/// Returns a number of the file, if it is within its range.
+pub(super) fn bounded(
     file: Option<&File>,
     key: &str,
     value: Option<&Spanned<u64>>,

@@ -29,6 +29,15 @@ fn flag_overrides_file() {
 }
 
 #[test]
+fn motion_pause_is_50_ms_unless_set() {
+    let pause = |key: &str| Ok(file(&format!("[grippers.g]\nurl = \"sim://wsg50\"\n{key}"))?.grippers[0].motion_pause);
+    let pause = |key: &str| pause(key).map_err(|error: ConfigError| error.to_string());
+    assert_eq!(pause(""), Ok(Duration::from_millis(50)));
+    assert_eq!(pause("motion_pause_ms = 0"), Ok(Duration::ZERO));
+    assert!(pause("motion_pause_ms = 1001").unwrap_err().contains("gateway.toml:3: motion_pause_ms is 1001"));
+}
+
+#[test]
 fn file_error_names_line_and_remedy() {
     let mistake = |text: &str| file(text).unwrap_err().to_string();
     assert!(mistake("name = \"Cell 7\"").starts_with("gateway.toml:1: \"Cell 7\" is not a valid name"));
@@ -166,4 +175,25 @@ fn wsg_port_error_names_remedy() {
     assert!(mistake("left=udp://127.0.0.1:1500?local_port=1").contains("reply_port"));
     assert!(mistake("left=udp://127.0.0.1?lost_after_ms=1").contains("a number from 100 to 60000"));
     assert!(mistake("middle=127.0.0.1:1000").contains("the grippers are: left, right"));
+}
+
+#[test]
+fn updates_are_configured_for_each_gripper() {
+    let grippers = |text: &str| file(text).unwrap().grippers;
+    let text = "[grippers.g]\nurl = \"tcp://10.0.0.1\"\nupdate_period_ms = 50\nupdates = \"changes\"\n";
+    let expected = UpdateRules { mode: UpdateMode::Changes, min_period_ms: 50, devices_on_line: 1 };
+    assert_eq!(grippers(text)[0].updates, expected);
+    assert_eq!(Config::load(&flags()).unwrap().grippers[0].updates, UpdateRules::default());
+    let wrong = file(&text.replace("50", "5")).unwrap_err().to_string();
+    assert!(wrong.starts_with("gateway.toml:3: update_period_ms is 5; it must be from 10 to 500: "), "{wrong}");
+}
+
+#[test]
+fn grippers_on_one_can_interface_share_it() {
+    let on = |name: &str, interface: &str, tx: u16| {
+        format!("[grippers.{name}]\nurl = \"can://{interface}?tx={tx}&rx={}\"\n", tx + 1)
+    };
+    let text = [on("a", "can0", 2), on("b", "can0", 4), on("c", "can1", 2), on("d", "can0", 6)].concat();
+    let shared = file(&text).unwrap().grippers.into_iter().map(|gripper| gripper.updates.devices_on_line);
+    assert_eq!(shared.collect::<Vec<_>>(), [3, 3, 1, 3]);
 }

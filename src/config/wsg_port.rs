@@ -16,6 +16,11 @@ const DEFAULT_TCP_PORT: u16 = 1000;
 /// UDP port that devices listen on (field practice).
 const DEFAULT_UDP_PORT: u16 = 1500;
 
+/// UDP port that devices send their replies to (field practice), whatever port a request came from.
+const DEFAULT_REPLY_PORT: u16 = 1501;
+/// Value of `reply_port` for replies to the port that a request came from.
+const REPLY_TO_SENDER: &str = "sender";
+
 /// Configurable silence after which a UDP client is lost, in ms: the range of a lease's time to live.
 const LOST_AFTER_MS: RangeInclusive<u32> = 100..=60_000;
 
@@ -49,7 +54,7 @@ pub enum WsgAddress {
     Udp {
         /// Address that receives requests.
         address: SocketAddr,
-        /// Port that replies go to, instead of the sender's.
+        /// Port that replies go to; the sender's if `None`.
         reply_port: Option<u16>,
         /// Silence after which a client is lost, if configured.
         lost_after: Option<Duration>,
@@ -165,7 +170,10 @@ fn parse_address(text: &str) -> Result<WsgAddress, String> {
         }
         "udp" => {
             let options = Options::of(&url, &["reply_port", "lost_after_ms"])?;
-            let reply_port = options.port("reply_port")?;
+            let reply_port = match options.text("reply_port") {
+                Some(REPLY_TO_SENDER) => None,
+                _ => Some(options.port("reply_port")?.unwrap_or(DEFAULT_REPLY_PORT)),
+            };
             let lost_after = options.number("lost_after_ms", LOST_AFTER_MS)?;
             let lost_after = lost_after.map(|ms| Duration::from_millis(ms.into()));
             Ok(WsgAddress::Udp { address: address(DEFAULT_UDP_PORT)?, reply_port, lost_after })

@@ -33,6 +33,7 @@ use crate::interfaces::{self, Bounds, http, zenoh};
 use crate::journal::{self, Journal, Recovered};
 use crate::operations::Gateway;
 use crate::operations::audit::Audit;
+use crate::webhooks::{WebhookContext, Webhooks};
 use descriptors::Shares;
 pub use simulation::{ServedDevice, SimulatedDevice, Switch, serve as serve_device};
 
@@ -106,9 +107,19 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     record_start(config, &journal).await;
     let (draining, shutdown) = (CancellationToken::new(), CancellationToken::new());
     let registry = metrics::registry(config, &journal)?;
+    let port_metrics = interfaces::metrics::WsgPortMetrics::register(&registry)?;
     let grippers = spawn_all(config, &runtimes.devices, &journal, &recovered, &registry)?;
     let audit = Arc::new(Audit::new(journal.clone()));
     let peers = Arc::new(Peers::new(config.name.clone(), grippers.clone()));
+    let webhook_context = WebhookContext {
+        gateway: &config.name,
+        journal: &journal,
+        persisted: &recovered.memory,
+        registry: &registry,
+        closing: &shutdown,
+        runtime: &clients.observers,
+    };
+    let webhooks = Arc::new(Webhooks::start(&config.webhooks, &webhook_context)?);
     let gateway = Arc::new(Gateway {
         name: config.name.clone(),
         grippers: grippers.clone(),
@@ -116,6 +127,7 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
         audit: audit.clone(),
         peers: peers.clone(),
         updates: Arc::new(LiveUpdates::new(&grippers, journal.clone(), peers)),
+        webhooks: webhooks.clone(),
     });
     let context = Arc::new(http::HttpContext {
         gateway,
@@ -128,12 +140,13 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     });
     let on_zenoh = config.zenoh.as_ref().map(|zenoh| zenoh_settings(zenoh, &context)).transpose()?;
     tracing::info!(limit = shares.limit, http = shares.http, wsg_port = shares.wsg_port, "file descriptors shared out");
-    let limits = http::ServerLimits::within(Bounds::of(shares.http));
+    let limits =
+        http::ServerLimits { idle_time: config.idle_timeout, ..http::ServerLimits::within(Bounds::of(shares.http)) };
     let server = clients.accept.spawn(http::serve(listener, context.clone(), limits, shutdown.clone()));
     announce(config, address, &ports)?;
     // Zenoh has a task of its own, so the rest continues whatever happens to Zenoh.
     let zenoh = on_zenoh.map(|(settings, context)| tokio::spawn(zenoh::serve(settings, context, announce_zenoh)));
-    let ports = ports::serve(&runtimes.devices, ports, &grippers, &audit, &draining, &shutdown);
+    let ports = ports::serve(&runtimes.devices, ports, &grippers, &audit, &port_metrics, &draining, &shutdown);
     systemd::ready();
     tokio::select! {
         () = stop => {}
@@ -149,6 +162,7 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     if let Some(zenoh) = zenoh {
         zenoh.await?;
     }
+    webhooks.ended().await;
     ports.join_all().await.into_iter().collect::<Result<(), _>>()?;
     audit.write_down();
     Ok(journal.close().await?)
@@ -221,6 +235,7 @@ fn restored(recovered: &Recovered, gripper: &GripperConfig) -> RestoredState {
         latch: persisted(PersistedKey::Latch),
         lease: persisted(PersistedKey::Lease),
         holding: persisted(PersistedKey::Holding),
+        last_command: persisted(PersistedKey::LastCommand),
         requests: requests.cloned().collect(),
         unclean: recovered.unclean,
     }
@@ -247,6 +262,8 @@ fn spawn(
         properties: connector.properties(),
         fast_stop_on_disconnect: gripper.fast_stop_on_disconnect,
         custom_ids: gripper.custom_ids.clone(),
+        updates: gripper.updates,
+        motion_pause: gripper.motion_pause,
         drain: config.drain,
         on_journal_failure: config.journal.on_failure,
         lease: gripper.lease.clone(),

@@ -10,6 +10,7 @@ use super::listen;
 use crate::config::{AcknowledgePolicy, Config, WsgAddress, WsgPort};
 use crate::gripper::Grippers;
 use crate::gripper::model::Name;
+use crate::interfaces::metrics::WsgPortMetrics;
 use crate::interfaces::wsg_port::{self, Datagrams, LOST_AFTER, ListenAddress, Listener, Port, Rules};
 use crate::operations::audit::Audit;
 
@@ -50,13 +51,14 @@ pub(super) fn serve(
     ports: Vec<Bound>,
     fleet: &Grippers,
     audit: &Arc<Audit>,
+    metrics: &WsgPortMetrics,
     draining: &CancellationToken,
     closing: &CancellationToken,
 ) -> JoinSet<std::io::Result<()>> {
     let mut served = JoinSet::new();
     for Bound { gripper, listener, rules, descriptors } in ports {
         let Some(handle) = fleet.get(&gripper) else { continue };
-        let port = Port::new(handle.clone(), rules, descriptors, audit.clone());
+        let port = Port::new(handle.clone(), rules, descriptors, audit.clone(), metrics.clone());
         served.spawn_on(wsg_port::serve(port, listener, draining.clone(), closing.clone()), devices.handle());
     }
     served

@@ -11,6 +11,7 @@ mod queued;
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 use futures_util::StreamExt as _;
 use futures_util::stream::{BoxStream, SelectAll};
@@ -19,7 +20,7 @@ use tokio::sync::watch;
 use utoipa::ToSchema;
 
 use crate::fleet::Peers;
-use crate::gripper::model::{FrameRecord, Name, State};
+use crate::gripper::model::{Name, State, WireRecord};
 use crate::gripper::{Grippers, Handle, Now};
 use crate::journal::{Journal, Stored};
 use fleet::FleetNews;
@@ -35,7 +36,7 @@ pub use queued::Gap;
 /// - `telemetry`: newest measured values of each gripper
 /// - `events`: every event, once it is durable in the journal
 /// - `grips`: every grip record, once it is durable, and again when its part was lost
-/// - `frames`: every frame to and from a device
+/// - `frames`: every frame to and from a device, and damaged bytes from it
 /// - `fleet`: newest state of each gripper of all gateways
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
@@ -56,6 +57,10 @@ pub const DEFAULT_HZ: u64 = 10;
 
 /// Highest rate in Hz, which is that of the devices.
 pub const MAX_HZ: u64 = 100;
+
+/// Time after which the next tick repeats an unchanged state, so that its subscriber notices a gateway that has gone
+/// silent. A little less than a second, for ticks that come once a second.
+const HEARTBEAT: Duration = Duration::from_millis(900);
 
 /// Serialised events that are kept for slower subscriptions.
 const RECENT_EVENTS: usize = 64;
@@ -114,8 +119,12 @@ impl LiveUpdates {
         if topics.contains(&Topic::Frames) {
             queued.extend(sources.iter().map(|source| queued::frames((*source).clone()).boxed()));
         }
-        let watched =
-            |source: &&Arc<Source>| Watched { source: (*source).clone(), states: source.handle.states(), seq: 0 };
+        let watched = |source: &&Arc<Source>| Watched {
+            source: (*source).clone(),
+            states: source.handle.states(),
+            seq: 0,
+            sent_at: None,
+        };
         let watched = sources.iter().map(watched).collect();
         Subscription { updates: self.clone(), watched, fleet_seq: 0, topics, queued }
     }
@@ -127,15 +136,18 @@ impl LiveUpdates {
 
 impl Source {
     fn state(&self, state: &State) -> Option<Notification> {
-        self.state.get(state.seq, || Notification::new("state", state))
+        self.state.get(state.update, || Notification::new("state", state))
     }
 
     fn telemetry(&self, state: &State) -> Option<Notification> {
-        self.telemetry.get(state.seq, || Notification::new("telemetry", &state.telemetry(Now::read().wall)))
+        self.telemetry.get(state.update, || Notification::new("telemetry", &state.telemetry(Now::read().wall)))
     }
 
-    fn frame(&self, frame: &FrameRecord) -> Option<Notification> {
-        self.frames.get(frame.seq, || Notification::new("frame", frame))
+    fn frame(&self, record: &WireRecord) -> Option<Notification> {
+        self.frames.get(record.seq(), || match record {
+            WireRecord::Frame(frame) => Notification::new("frame", frame),
+            WireRecord::Damage(damage) => Notification::new("damage", damage),
+        })
     }
 }
 
@@ -146,6 +158,8 @@ struct Watched {
     states: watch::Receiver<Arc<State>>,
     /// Number of the state that was sent last.
     seq: u64,
+    /// Time at which a state was sent last.
+    sent_at: Option<Instant>,
 }
 
 /// The topics and grippers of one client.
@@ -168,29 +182,44 @@ impl Subscription {
 
     /// Returns the current states, which count as sent.
     pub fn snapshot(&mut self) -> Vec<Arc<State>> {
+        let now = Now::read().instant;
         let look = |watched: &mut Watched| {
             watched.states.mark_unchanged();
             let state = watched.source.handle.state();
-            watched.seq = state.seq;
+            (watched.seq, watched.sent_at) = (state.seq, Some(now));
             state
         };
         self.watched.iter_mut().map(look).collect()
     }
 
     /// Returns the states, telemetry and fleet grippers that have changed since they were sent, and the number of
-    /// states and telemetry dropped in between: at most one per topic and missed tick.
+    /// states and telemetry dropped in between: at most one per topic and missed tick. An unchanged state and its
+    /// telemetry are repeated every [`HEARTBEAT`].
     pub fn newest(&mut self, missed_ticks: u64) -> (Vec<Notification>, u64) {
         let (mut updates, mut dropped) = (Vec::new(), 0);
-        for Watched { source, states, seq } in &mut self.watched {
-            if !states.has_changed().unwrap_or_default() {
+        let now = Now::read().instant;
+        for Watched { source, states, seq, sent_at } in &mut self.watched {
+            let is_changed = states.has_changed().unwrap_or_default();
+            if !is_changed && sent_at.is_some_and(|at| now < at + HEARTBEAT) {
                 continue;
             }
-            let state = states.borrow_and_update().clone();
+            *sent_at = Some(now);
+            states.mark_unchanged();
+            let state = source.handle.state();
             let has = |topic| self.topics.contains(&topic);
-            let new = [
-                has(Topic::State).then(|| source.state(&state)).flatten(),
-                has(Topic::Telemetry).then(|| source.telemetry(&state)).flatten(),
-            ];
+            let new = if is_changed {
+                [
+                    has(Topic::State).then(|| source.state(&state)).flatten(),
+                    has(Topic::Telemetry).then(|| source.telemetry(&state)).flatten(),
+                ]
+            } else {
+                // The age grows without an update, so a heartbeat is not shared.
+                let telemetry = || Notification::new("telemetry", &state.telemetry(Now::read().wall));
+                [
+                    has(Topic::State).then(|| Notification::new("state", &*state)).flatten(),
+                    has(Topic::Telemetry).then(telemetry).flatten(),
+                ]
+            };
             let missed = state.seq.saturating_sub(*seq + 1).min(missed_ticks);
             dropped += missed * new.iter().flatten().count() as u64;
             updates.extend(new.into_iter().flatten());

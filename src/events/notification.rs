@@ -33,7 +33,7 @@ impl Notification {
         Self { method, frame, body: end.saturating_sub(json.len())..end }
     }
 
-    /// Returns the kind of update: `state`, `telemetry`, `event`, `grip`, `frame`, `fleet` or `gap`.
+    /// Returns the kind of update: `state`, `telemetry`, `event`, `grip`, `frame`, `damage`, `fleet` or `gap`.
     #[must_use]
     pub fn method(&self) -> &'static str {
         self.method

@@ -111,7 +111,7 @@ pub(super) fn frames(source: Arc<Source>) -> impl Stream<Item = Notification> + 
         let source = source.clone();
         async move {
             let (update, last) = match next(&mut receiver).await? {
-                Ok(frame) => (source.frame(&frame)?, frame.seq),
+                Ok(frame) => (source.frame(&frame)?, frame.seq()),
                 Err(missed) => {
                     let gripper = Some(source.handle.name().clone());
                     let gap = Gap { topic: Topic::Frames, gripper, seq: last, missed };

@@ -83,6 +83,20 @@ async fn subscription_to_one_gripper_gets_no_other() {
     assert!(subscription.newest(0).0.is_empty(), "nothing has changed since the snapshot");
 }
 
+#[tokio::test(start_paused = true)]
+async fn unchanged_state_is_repeated_as_a_heartbeat() {
+    let (updates, _) = updates();
+    let only = BTreeSet::from(["left".parse().unwrap()]);
+    let mut subscription = updates.subscribe(Some(&only), [Topic::State, Topic::Telemetry]);
+    let seq = subscription.snapshot()[0].seq;
+    let mut sent = Vec::new();
+    for _ in 0..40 {
+        tokio::time::advance(Duration::from_millis(100)).await;
+        sent.extend(subscription.newest(0).0.iter().map(|update| (update.method(), body(update)["seq"].as_u64())));
+    }
+    assert_eq!(sent, [("state", Some(seq)), ("telemetry", Some(seq))].repeat(4));
+}
+
 #[tokio::test]
 async fn fleet_is_sent_whole_and_then_by_its_changes() {
     let (updates, _) = updates();

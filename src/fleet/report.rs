@@ -73,7 +73,8 @@ pub struct FleetGripper {
     gripper: String,
     /// Whether that gateway is gone. If so, the other fields have its last report.
     gone: bool,
-    /// State of the link to the device: `connecting`, `connected`, `unresponsive` or `reconnecting`.
+    /// State of the link to the device: `connecting`, `connected`, `unresponsive`, `reconnecting` or
+    /// `released`.
     #[schema(max_length = 32)]
     link: String,
     /// Age of the newest update from the device, in ms; null before the first.

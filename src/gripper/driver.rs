@@ -54,7 +54,7 @@ pub fn spawn(
     let (requests, request_queue) = mpsc::channel(MAX_WAITING_REQUESTS);
     let (fast_stops, fast_stop_queue) = mpsc::channel(MAX_WAITING_FAST_STOPS);
     let (name, custom_ids) = (config.name.clone(), Arc::new(config.custom_ids.clone()));
-    let update_period_ms = observed::period_ms(config.properties.bytes_per_second);
+    let update_period_ms = observed::period_ms(config.updates, config.properties.bytes_per_second);
     let (mut actor, watches) = Actor::new(config);
     actor.restore(Now::read(), restored);
     let health = recorder.health();
@@ -125,18 +125,23 @@ enum Input {
 impl Driver {
     async fn run(mut self) {
         let mut back_off = FIRST_BACK_OFF;
-        while let Some(connected) = self.connect().await {
-            match connected {
-                Ok(pipe) => {
+        while !self.actor.is_draining() {
+            if self.actor.is_released() {
+                let input = self.wait(None).await;
+                self.take_request(input);
+                back_off = FIRST_BACK_OFF;
+                continue;
+            }
+            match self.connect().await {
+                Some(Ok(pipe)) => {
                     if self.serve(pipe).await {
                         back_off = FIRST_BACK_OFF;
                     }
                 }
-                Err(error) => self.actor.link_down(Now::read(), &error.to_string()),
+                Some(Err(error)) => self.actor.link_down(Now::read(), &error.to_string()),
+                None => continue,
             }
-            if !self.pause(back_off).await {
-                break;
-            }
+            self.pause(back_off).await;
             back_off = (back_off * 2).min(LONGEST_BACK_OFF);
         }
         self.actor.drained(Now::read());
@@ -144,11 +149,16 @@ impl Driver {
         self.pass_records_on();
     }
 
-    /// Connects, and serves requests meanwhile. Returns `None` if the gripper is being drained.
+    /// Whether a link may be made.
+    fn may_connect(&self) -> bool {
+        !self.actor.is_draining() && !self.actor.is_released()
+    }
+
+    /// Connects, and serves requests meanwhile. Returns `None` if no link may be made any more.
     async fn connect(&mut self) -> Option<io::Result<Pipe>> {
         let connector = self.connector.clone();
         let mut connecting = connector.connect();
-        while !self.actor.is_draining() {
+        while self.may_connect() {
             tokio::select! {
                 biased;
                 input = self.wait(None) => self.take_request(input),
@@ -164,18 +174,17 @@ impl Driver {
         None
     }
 
-    /// Waits before the next attempt, and serves requests meanwhile. Returns `false` if the gripper is being drained.
-    async fn pause(&mut self, back_off: Duration) -> bool {
+    /// Waits before the next attempt while a link may be made, and serves requests meanwhile.
+    async fn pause(&mut self, back_off: Duration) {
         let jittered = back_off.mul_f64(rand::rng().random_range(0.75..=1.0));
         let mut sleep = Box::pin(tokio::time::sleep(jittered));
-        while !self.actor.is_draining() {
+        while self.may_connect() {
             tokio::select! {
                 biased;
                 input = self.wait(None) => self.take_request(input),
-                () = &mut sleep => return true,
+                () = &mut sleep => return,
             }
         }
-        false
     }
 
     /// Serves a link until it ends. Returns whether it was ever set up.

@@ -5,7 +5,7 @@ use std::sync::Arc;
 
 use crate::wsg::Status;
 
-use super::model::{CommandId, FastStopId, Link};
+use super::model::{Code, CommandId, FastStopId, Link};
 
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum Rejection {
@@ -21,6 +21,20 @@ pub enum Rejection {
     /// The request did not reach the device, or no valid reply came.
     #[error(transparent)]
     Failure(#[from] Failure),
+}
+
+impl Rejection {
+    /// Machine-readable cause.
+    #[must_use]
+    pub fn code(&self) -> Code {
+        match self {
+            Self::Invalid(Invalid::OutOfRange { .. }) => Code::OutOfRange,
+            Self::Invalid(Invalid::Malformed { .. }) => Code::Malformed,
+            Self::Conflict(conflict) => conflict.code(),
+            Self::Device(refusal) => refusal.code(),
+            Self::Failure(failure) => failure.code(),
+        }
+    }
 }
 
 /// An invalid value. It never becomes a frame.
@@ -56,12 +70,14 @@ pub enum Conflict {
     StaleFastStop { given: FastStopId, current: Option<FastStopId> },
     #[error("the device has not confirmed FAST STOP {id} yet: acknowledge it after the confirmation")]
     FastStopUnconfirmed { id: FastStopId },
-    #[error("FAST STOP {id} is already being acknowledged: wait for the result")]
-    Acknowledging { id: FastStopId },
+    #[error("another acknowledgement is in progress: wait for its result")]
+    Acknowledging { id: Option<FastStopId> },
     #[error("the gripper is not referenced: home it first")]
     NotReferenced,
     #[error("command {id} is still running: wait for it to end, or stop it")]
     AlreadyRunning { id: CommandId },
+    #[error("the fingers are moving: stop them first")]
+    FingersMove,
     #[error("the device lost settings that could not be restored ({settings}): set them again first")]
     SettingsLost { settings: String },
     #[error("{}", lease_held(holder, *expires_in_ms))]
@@ -70,10 +86,42 @@ pub enum Conflict {
         /// Remaining time to live without use; `None` if the gripper is reserved for a holder that was lost.
         expires_in_ms: Option<u64>,
     },
+    #[error(
+        "{holder} holds the lease until it disconnects or releases it: wait, ask for a hand-over with `request`, or \
+         take it with `force`, which stops a running motion"
+    )]
+    LeaseBound { holder: Arc<str>, ttl_ms: u64 },
+    #[error(
+        "{holder} holds the lease, which this same client ({subject}) took, but the request has no token: send it as \
+         `lease` or in the header Wsg-Lease"
+    )]
+    LeaseTokenMissing { holder: Arc<str>, subject: Arc<str>, expires_in_ms: u64 },
+    /// The request for a hand-over waits for the holder.
+    #[error("{holder} holds the lease and can see the request for a hand-over, which is number {place}: ask again")]
+    LeaseRequested { holder: Arc<str>, place: usize },
     #[error("{}", stale_lease(*epoch, holder.as_deref()))]
     StaleLease { epoch: u64, holder: Option<Arc<str>> },
     #[error("the request id was already used for a different request: use a new id for each new request")]
     RequestIdReused,
+}
+
+impl Conflict {
+    fn code(&self) -> Code {
+        match self {
+            Self::FastStop { .. } | Self::FastStopPersists { .. } => Code::FastStop,
+            Self::StaleFastStop { .. } => Code::StaleFastStop,
+            Self::FastStopUnconfirmed { .. } => Code::FastStopUnconfirmed,
+            Self::NotReferenced => Code::NotReferenced,
+            Self::Acknowledging { .. } | Self::AlreadyRunning { .. } | Self::FingersMove => Code::AlreadyRunning,
+            Self::SettingsLost { .. } => Code::DeviceRefused,
+            Self::LeaseHeld { .. }
+            | Self::LeaseBound { .. }
+            | Self::LeaseTokenMissing { .. }
+            | Self::LeaseRequested { .. } => Code::LeaseHeld,
+            Self::StaleLease { .. } => Code::StaleLease,
+            Self::RequestIdReused => Code::RequestIdReused,
+        }
+    }
 }
 
 fn lease_held(holder: &str, expires_in_ms: Option<u64>) -> String {
@@ -105,12 +153,33 @@ fn stale_fast_stop(given: FastStopId, current: Option<FastStopId>) -> String {
 
 /// A status other than success from the device. Clients get its name and number.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("the device refused {command}: {status} ({}), {}", status.code(), status.meaning())]
+#[error("the device refused {command}: {status} ({}), {}{}", status.code(), status.meaning(), self.remedy())]
 pub struct DeviceRefusal {
     pub command: &'static str,
     pub status: Status,
     /// Id of the latched FAST STOP, if there is one.
     pub fast_stop: Option<FastStopId>,
+}
+
+impl DeviceRefusal {
+    fn code(&self) -> Code {
+        match self.status {
+            Status::E_ACCESS_DENIED if self.fast_stop.is_some() => Code::FastStop,
+            Status::E_NOT_INITIALIZED => Code::NotReferenced,
+            // The gateway knows of no command, so the device counts its last grip as running (`fw4-en 3.2.6`).
+            Status::E_ALREADY_RUNNING if self.command == "Grip" => Code::ReleaseFirst,
+            Status::E_ALREADY_RUNNING => Code::AlreadyRunning,
+            Status::E_RANGE_ERROR => Code::OutOfRange,
+            _ => Code::DeviceRefused,
+        }
+    }
+
+    fn remedy(&self) -> &'static str {
+        match self.code() {
+            Code::ReleaseFirst => "; if the fingers stand still, release before the next grip",
+            _ => "",
+        }
+    }
 }
 
 /// Failure to reach the device, or to get a valid reply.
@@ -145,4 +214,17 @@ pub enum Failure {
     FlashWear { command: &'static str, every_ms: u64 },
     #[error("{command} would take {line_ms} ms of line time; while the fingers move, at most {max_ms} ms are allowed")]
     LineTime { command: &'static str, line_ms: u64, max_ms: u64 },
+}
+
+impl Failure {
+    const fn code(&self) -> Code {
+        match self {
+            Self::LinkDown { .. } | Self::Draining => Code::LinkDown,
+            Self::DeviceTimeout { .. } => Code::DeviceTimeout,
+            Self::DeviceProtocol { .. } => Code::DeviceProtocol,
+            Self::JournalDown { .. } => Code::JournalDown,
+            Self::Overloaded { .. } | Self::RequestIds { .. } | Self::FlashWear { .. } => Code::Overloaded,
+            Self::LineTime { .. } => Code::AlreadyRunning,
+        }
+    }
 }

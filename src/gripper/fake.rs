@@ -7,13 +7,13 @@ use jiff::Timestamp;
 use tokio::sync::{broadcast, mpsc, watch};
 
 use super::clock;
-use super::error::Rejection;
+use super::error::{Invalid, Rejection};
 use super::handle::{AcquiredLease, ActorRequest, FastStopRequest, Handle, Ticket};
 use super::info::Info;
 use super::lease::{LeaseState, Terms};
 use super::model::{
     CommandId, CommandReport, CustomIds, FastStopCause, FastStopId, LatchFields, LeaseRules, LeaseToken, Name, Outcome,
-    Phase, Reason, State, Submission, TakeLease,
+    Phase, Reason, RequestId, State, Submission, TakeLease,
 };
 use crate::wsg::{self, Data};
 
@@ -65,8 +65,8 @@ pub fn gripper(name: &str, script: FakeScript) -> (Handle, mpsc::UnboundedReceiv
     let (states, state) = watch::channel(Arc::new(unheard(name.clone())));
     let info = Info::unknown(name.clone(), "sim://wsg50".to_owned(), "sim", false);
     let (seen, looked_at) = mpsc::unbounded_channel();
-    let actor =
-        Actor { name: name.clone(), script, seen, states, commands: HashMap::new(), lease: LeaseState::default() };
+    let (commands, request_ids) = (HashMap::new(), HashMap::new());
+    let actor = Actor { name: name.clone(), script, seen, states, commands, request_ids, lease: LeaseState::default() };
     tokio::spawn(actor.run(asked, stopped));
     let custom_ids = Arc::new(CustomIds { read: [READ_ID].into(), ..CustomIds::default() });
     let info = watch::channel(Arc::new(info)).1;
@@ -81,6 +81,7 @@ struct Actor {
     seen: mpsc::UnboundedSender<Seen>,
     states: watch::Sender<Arc<State>>,
     commands: HashMap<CommandId, watch::Sender<Arc<CommandReport>>>,
+    request_ids: HashMap<(Arc<str>, RequestId), CommandId>,
     lease: LeaseState,
 }
 
@@ -118,7 +119,8 @@ impl Actor {
             epoch,
         };
         self.states.send_modify(|state| {
-            *state = Arc::new(State { latch: Some(latch), seq: state.seq + 1, ..State::clone(state) });
+            let (seq, update) = (state.seq + 1, state.update + 1);
+            *state = Arc::new(State { latch: Some(latch), seq, update, ..State::clone(state) });
         });
         self.see(Seen::FastStop(stop.reason));
     }
@@ -131,6 +133,10 @@ impl Actor {
             }
             ActorRequest::Find { id, answer } => {
                 let _ = answer.send(self.ticket(id));
+            }
+            ActorRequest::FindRequest { subject, request_id, answer } => {
+                let id = self.request_ids.get(&(subject, request_id)).copied();
+                let _ = answer.send(id.and_then(|id| self.ticket(id)));
             }
             ActorRequest::Cancel { id, answer, .. } => {
                 if let Some(command) = self.commands.get(&id) {
@@ -145,6 +151,13 @@ impl Actor {
             ActorRequest::Acknowledge { id, answer, .. } => {
                 let _ = answer.send(self.script.acknowledge.clone());
                 self.see(Seen::Acknowledge(id));
+            }
+            ActorRequest::Disconnect { answer, .. } | ActorRequest::Connect { answer, .. } => {
+                let _ = answer.send(Ok(()));
+            }
+            ActorRequest::AcknowledgeFault { answer, .. } => {
+                let detail = "missing".to_owned();
+                let _ = answer.send(Err(Invalid::Malformed { field: "fast_stop_id", detail }.into()));
             }
             ActorRequest::Lease { answer } => {
                 let _ = answer.send(self.lease.view(clock::instant(), None));
@@ -179,7 +192,7 @@ impl Actor {
 
     fn take(&mut self, take: &TakeLease, token: LeaseToken) -> Result<AcquiredLease, Rejection> {
         let terms = Terms::of(take, &LeaseRules::default())?;
-        self.lease.take(clock::instant(), take, terms, token)?;
+        self.lease.take(clock::instant(), take, terms, token, true)?;
         let times_taken = self.lease.times_taken();
         Ok(AcquiredLease { lease: self.lease.view(clock::instant(), self.lease.token()), times_taken, keep: None })
     }
@@ -190,6 +203,7 @@ impl Actor {
             Fate::Rejected(rejection) => return Err(rejection),
             Fate::Refused(rejection) => {
                 end(&mut command, Outcome::Refused);
+                command.explain(&rejection);
                 command.rejection = Some(rejection);
             }
             Fate::Runs => {}
@@ -198,6 +212,10 @@ impl Actor {
         command.recorded = true;
         let (record, newest) = watch::channel(Arc::new(command));
         self.commands.insert(id, record);
+        if let Some(request_id) = &submission.request_id {
+            self.request_ids.insert((submission.client.subject.clone(), request_id.clone()), id);
+        }
+        self.states.send_modify(|state| Arc::make_mut(state).last_command_id = Some(id));
         Ok(Ticket { record: newest, replayed: false, _keep: None })
     }
 
@@ -209,7 +227,7 @@ impl Actor {
 
 fn end(command: &mut CommandReport, outcome: Outcome) {
     command.phase = Phase::Done;
-    command.outcome = Some(outcome);
+    command.set_outcome(outcome);
     command.set_status(wsg::Status::E_SUCCESS);
 }
 

@@ -10,8 +10,8 @@ use super::error::{Failure, Rejection};
 use super::info::Info;
 use super::lease::LeaseKeepAlive;
 use super::model::{
-    Action, Client, CommandId, CommandReport, CustomIds, FastStopCause, FastStopId, FrameRecord, Lease, LeaseToken,
-    Link, Name, Phase, Reason, State, Submission, TakeLease,
+    Action, Client, CommandId, CommandReport, CustomIds, FastStopCause, FastStopId, Fault, Lease, LeaseToken, Link,
+    Name, Phase, Reason, RequestId, State, Submission, TakeLease, WireRecord,
 };
 use crate::wsg;
 
@@ -33,9 +33,11 @@ pub const FAST_STOP_WAIT: Duration = Duration::from_millis(250);
 pub enum ActorRequest {
     Submit { submission: Submission, id: CommandId, answer: Answer<Ticket> },
     Find { id: CommandId, answer: oneshot::Sender<Option<Ticket>> },
+    FindRequest { subject: Arc<str>, request_id: RequestId, answer: oneshot::Sender<Option<Ticket>> },
     Cancel { id: CommandId, client: Client, answer: oneshot::Sender<Option<Ticket>> },
     Exchange { command: wsg::Command, client: Client, lease: Option<LeaseToken>, answer: Steps },
     Acknowledge { id: FastStopId, client: Client, answer: Answer<()> },
+    AcknowledgeFault { client: Client, lease: Option<LeaseToken>, answer: Answer<()> },
     Lease { answer: oneshot::Sender<Lease> },
     TakeLease { take: TakeLease, token: LeaseToken, answer: Answer<AcquiredLease> },
     UseLease { token: LeaseToken, answer: oneshot::Sender<Option<LeaseKeepAlive>> },
@@ -43,6 +45,8 @@ pub enum ActorRequest {
     HandOver { token: Option<LeaseToken>, to: String, new: LeaseToken, answer: Answer<Lease> },
     ReleaseLease { token: Option<LeaseToken>, answer: oneshot::Sender<Lease> },
     LoseLease { token: LeaseToken, times_taken: Option<u64> },
+    Disconnect { client: Client, lease: Option<LeaseToken>, answer: Answer<()> },
+    Connect { client: Client, lease: Option<LeaseToken>, answer: Answer<()> },
     Drain { answer: oneshot::Sender<()> },
 }
 
@@ -164,7 +168,7 @@ pub struct Handle {
     pub(super) state: watch::Receiver<Arc<State>>,
     pub(super) info: watch::Receiver<Arc<Info>>,
     pub(super) custom_ids: Arc<CustomIds>,
-    pub(super) frames: broadcast::Sender<Arc<FrameRecord>>,
+    pub(super) frames: broadcast::Sender<Arc<WireRecord>>,
     pub(super) update_period_ms: u16,
 }
 
@@ -181,7 +185,10 @@ impl Handle {
         if self.requests.is_closed() {
             // The last state must not look current.
             let link_cause = Some("the gateway has disconnected from this gripper".to_owned());
-            return Arc::new(State { link: Link::Reconnecting, link_cause, ..State::clone(&state) });
+            let fault = state.latch.is_none().then_some(Fault::LinkDown.code());
+            let fault_code = fault.unwrap_or(state.fault_code);
+            let link = Link::Reconnecting;
+            return Arc::new(State { link, link_cause, fault: true, fault_code, ..State::clone(&state) });
         }
         state
     }
@@ -194,7 +201,7 @@ impl Handle {
 
     /// Subscribes to frames in both directions. A slow receiver misses frames and learns how many.
     #[must_use]
-    pub fn frames(&self) -> broadcast::Receiver<Arc<FrameRecord>> {
+    pub fn frames(&self) -> broadcast::Receiver<Arc<WireRecord>> {
         self.frames.subscribe()
     }
 
@@ -210,7 +217,7 @@ impl Handle {
         self.info.borrow().clone()
     }
 
-    /// Whether a custom command of this id only reads. All others count as motions.
+    /// Whether a custom command of this id is configured as read-only. All others may move the fingers.
     #[must_use]
     pub fn only_reads(&self, id: u8) -> bool {
         self.custom_ids.read.contains(&id)
@@ -234,6 +241,11 @@ impl Handle {
     /// Finds a command of the last hour.
     pub async fn find(&self, id: CommandId) -> Result<Option<Ticket>, Failure> {
         self.try_request(|answer| ActorRequest::Find { id, answer }).await
+    }
+
+    /// Finds the command of a client's request id.
+    pub async fn find_request(&self, subject: Arc<str>, request_id: RequestId) -> Result<Option<Ticket>, Failure> {
+        self.try_request(|answer| ActorRequest::FindRequest { subject, request_id, answer }).await
     }
 
     /// Stops a command if it is still running.
@@ -341,7 +353,23 @@ impl Handle {
         self.request_reserved(|answer| ActorRequest::Acknowledge { id, client, answer }).await?
     }
 
-    /// Disconnects from the gripper cleanly: rejects new commands, lets a running one finish, announces the disconnect
+    /// Acknowledges a fault of the device while no FAST STOP is latched.
+    pub async fn acknowledge_fault(&self, client: Client, lease: Option<LeaseToken>) -> Result<(), Rejection> {
+        self.request_reserved(|answer| ActorRequest::AcknowledgeFault { client, lease, answer }).await?
+    }
+
+    /// Releases the device to another program: announces the disconnect, closes the link, and returns. No link is made
+    /// until [`Handle::connect`].
+    pub async fn disconnect(&self, client: Client, lease: Option<LeaseToken>) -> Result<(), Rejection> {
+        self.request_reserved(|answer| ActorRequest::Disconnect { client, lease, answer }).await?
+    }
+
+    /// Lets the gateway connect to a released device again.
+    pub async fn connect(&self, client: Client, lease: Option<LeaseToken>) -> Result<(), Rejection> {
+        self.request_reserved(|answer| ActorRequest::Connect { client, lease, answer }).await?
+    }
+
+    /// Disconnects from the gripper for good: rejects new commands, lets a running one finish, announces the disconnect
     /// and closes the link.
     pub async fn drain(&self) {
         // If the actor has ended, there is nothing left to disconnect.

@@ -7,7 +7,7 @@
 use std::time::{Duration, Instant};
 
 use super::Now;
-use super::error::{Conflict, Rejection};
+use super::error::{Conflict, Invalid, Rejection};
 use super::handle::{Answer, FastStopRequest};
 use super::model::{Client, FastStopCause, FastStopId, IdSource, Latch, Reason};
 use crate::wsg::SystemState;
@@ -22,6 +22,15 @@ const CLEARS_WITHIN: Duration = Duration::from_millis(500);
 
 /// Time for which a sent acknowledgement can still take effect: longer than the wait for its reply.
 const ACKNOWLEDGE_LASTS: Duration = Duration::from_secs(2);
+
+/// Longest time from a flag to the FAST STOP that it explains. A device sets both at once, but a slow line can carry
+/// them apart.
+const EXPLAINS_WITHIN: Duration = Duration::from_millis(500);
+
+/// Flags that can stand for hours without a FAST STOP, so they explain only one that comes with them. A temperature,
+/// power or current fault stops the gripper for as long as it lasts.
+const STANDING: SystemState =
+    SystemState::FINGER_FAULT.union(SystemState::SOFT_LIMIT_MINUS).union(SystemState::SOFT_LIMIT_PLUS);
 
 /// Subject of a FAST STOP that no client requested.
 const BY_DEVICE: &str = "device";
@@ -41,6 +50,10 @@ pub(super) struct LatchState {
     flags_count_from: Option<Instant>,
     repeat_at: Option<Instant>,
     acknowledging: Option<Acknowledging>,
+    /// Newest flags of [`STANDING`].
+    flags: Option<SystemState>,
+    /// Flags of [`STANDING`] that were set last, all at the same time.
+    newest_flags: Option<(Instant, SystemState)>,
     /// Ended acknowledgements whose clients have not been answered yet.
     untold: Vec<EndedAcknowledge>,
 }
@@ -48,7 +61,8 @@ pub(super) struct LatchState {
 /// An acknowledgement that has ended.
 #[derive(Debug)]
 pub(super) struct EndedAcknowledge {
-    pub id: FastStopId,
+    /// `None` for a fault of the device without a latch.
+    pub id: Option<FastStopId>,
     pub client: Client,
     pub answer: Answer<()>,
     pub result: Result<(), Rejection>,
@@ -56,7 +70,7 @@ pub(super) struct EndedAcknowledge {
 
 #[derive(Debug)]
 struct Acknowledging {
-    id: FastStopId,
+    id: Option<FastStopId>,
     client: Client,
     answer: Answer<()>,
     progress: Progress,
@@ -130,9 +144,13 @@ impl LatchState {
     pub(super) fn request(&mut self, now: Now, request: FastStopRequest) -> Option<Token> {
         let was_acknowledging = self.acknowledging.is_some();
         let overtaken = self.acknowledging.take().and_then(|acknowledging| {
-            let stale = Conflict::StaleFastStop { given: acknowledging.id, current: Some(request.id) };
             let Acknowledging { id, client, answer, progress } = acknowledging;
-            self.untold.push(EndedAcknowledge { id, client, answer, result: Err(stale.into()) });
+            let current = request.id;
+            let overtaken = match id {
+                Some(given) => Conflict::StaleFastStop { given, current: Some(current) },
+                None => Conflict::FastStop { id: current },
+            };
+            self.untold.push(EndedAcknowledge { id, client, answer, result: Err(overtaken.into()) });
             match progress {
                 Progress::Sent(token) => Some(token),
                 Progress::Watching { .. } => None,
@@ -176,6 +194,7 @@ impl LatchState {
     pub(super) fn take_flags(&mut self, now: Now, flags: SystemState, origin: &mut Origin<'_>) -> Option<LatchChange> {
         let stopped = flags.contains(SystemState::FAST_STOP);
         let watching = self.is_watching();
+        let fresh = self.fresh_flags(now.instant, flags);
         let flags_count = self.flags_count_from.is_some_and(|from| from <= now.instant);
         match (&mut self.latch, stopped) {
             (None, true) => {
@@ -183,7 +202,7 @@ impl LatchState {
                 self.latch = Some(Latch {
                     id: origin.ids.fast_stop_id(now.wall),
                     by: BY_DEVICE.into(),
-                    cause: cause_of(flags, origin.unannounced),
+                    cause: cause_of(flags, fresh, origin.unannounced),
                     reason: Reason::truncated(""),
                     at: now.wall,
                     confirmed: true,
@@ -210,18 +229,46 @@ impl LatchState {
         }
     }
 
+    /// Takes the flags, and returns those that were set recently. Flags found on the first connect can be old.
+    fn fresh_flags(&mut self, now: Instant, flags: SystemState) -> SystemState {
+        let flags = flags.intersection(STANDING);
+        let set = self.flags.replace(flags).map_or(SystemState::empty(), |before| flags.difference(before));
+        if !set.is_empty() {
+            self.newest_flags = Some((now, set));
+        }
+        let newest = self.newest_flags.filter(|(at, _)| now < *at + EXPLAINS_WITHIN);
+        newest.map_or(SystemState::empty(), |(_, set)| set)
+    }
+
     /// Whether an acknowledgement of this id can be sent.
     pub(super) fn check_acknowledge(&self, id: FastStopId) -> Result<(), Conflict> {
         match &self.latch {
             Some(latch) if latch.id != id => Err(Conflict::StaleFastStop { given: id, current: Some(latch.id) }),
             None => Err(Conflict::StaleFastStop { given: id, current: None }),
             Some(latch) if !latch.confirmed => Err(Conflict::FastStopUnconfirmed { id }),
-            Some(_) if self.acknowledging.is_some() => Err(Conflict::Acknowledging { id }),
+            Some(_) if self.acknowledging.is_some() => Err(Conflict::Acknowledging { id: Some(id) }),
             Some(_) => Ok(()),
         }
     }
 
-    pub(super) fn acknowledge_sent(&mut self, id: FastStopId, client: Client, token: Token, answer: Answer<()>) {
+    /// Whether an acknowledgement of a fault without a latch can be sent. A latch needs its id.
+    pub(super) fn check_acknowledge_fault(&self, is_faulty: bool) -> Result<(), Rejection> {
+        let missing = |detail: String| Err(Invalid::Malformed { field: "fast_stop_id", detail }.into());
+        match self.id() {
+            Some(id) => missing(format!("missing; FAST STOP {id} is latched, and its acknowledgement has to name it")),
+            None if !is_faulty => missing("missing; the device shows no fault to acknowledge without an id".to_owned()),
+            None if self.acknowledging.is_some() => Err(Conflict::Acknowledging { id: None }.into()),
+            None => Ok(()),
+        }
+    }
+
+    pub(super) fn acknowledge_sent(
+        &mut self,
+        id: Option<FastStopId>,
+        client: Client,
+        token: Token,
+        answer: Answer<()>,
+    ) {
         self.acknowledging = Some(Acknowledging { id, client, answer, progress: Progress::Sent(token) });
     }
 
@@ -232,16 +279,16 @@ impl LatchState {
             return;
         }
         match result {
-            Ok(()) => {
+            Ok(()) if acknowledging.id.is_some() => {
                 acknowledging.progress = Progress::Watching { until: now + CLEARS_WITHIN, shown: Shown::Nothing };
             }
-            Err(rejection) => self.finish_acknowledge(Err(rejection)),
+            result => self.finish_acknowledge(result),
         }
     }
 
     /// Fails an acknowledgement whose FAST STOP flag stays set. Flags from before its reply do not count.
     pub(super) fn handle_timeout(&mut self, now: Instant, flags: Option<SystemState>) {
-        let Some(Acknowledging { id, .. }) = &self.acknowledging else { return };
+        let Some(Acknowledging { id: Some(id), .. }) = &self.acknowledging else { return };
         if self.clears_at().is_some_and(|at| at <= now) {
             let names: Vec<_> = flags.unwrap_or_default().names().collect();
             let persists = Conflict::FastStopPersists { id: *id, flags: names.join(", ") };
@@ -286,8 +333,9 @@ impl LatchState {
     }
 }
 
-/// Cause of a FAST STOP, as the flags show it.
-fn cause_of(flags: SystemState, unannounced: bool) -> FastStopCause {
+/// Cause of a FAST STOP, as the flags show it. `fresh` has the recent ones of [`STANDING`].
+fn cause_of(flags: SystemState, fresh: SystemState, unannounced: bool) -> FastStopCause {
+    let flags = flags.difference(STANDING).union(flags.intersection(fresh));
     let causes = [
         (SystemState::TEMP_FAULT, FastStopCause::TemperatureFault),
         (SystemState::POWER_FAULT, FastStopCause::PowerFault),
@@ -319,6 +367,29 @@ mod tests {
     }
 
     #[test]
+    fn standing_flags_explain_no_fast_stop() {
+        let (soft, finger) = (SystemState::SOFT_LIMIT_PLUS, SystemState::FINGER_FAULT);
+        let (none, stop, hot) = (SystemState::empty(), SystemState::FAST_STOP, SystemState::TEMP_FAULT);
+        let late = 60_000;
+        for (updates, expected) in [
+            (vec![(0, soft | stop)], FastStopCause::Unknown),
+            (vec![(0, none), (late, soft), (late, soft | stop)], FastStopCause::Unknown),
+            (vec![(0, none), (late, finger), (late, finger | stop)], FastStopCause::Unknown),
+            (vec![(0, none), (late, soft | stop)], FastStopCause::SoftLimit),
+            (vec![(0, none), (late, soft), (10, soft | stop)], FastStopCause::SoftLimit),
+            (vec![(0, none), (late, finger | stop)], FastStopCause::FingerFault),
+            (vec![(0, hot | stop)], FastStopCause::TemperatureFault),
+        ] {
+            let (mut latch, mut ids, mut now) = (LatchState::default(), IdSource::new(1), Now::read());
+            for (after_ms, flags) in &updates {
+                now.instant += Duration::from_millis(*after_ms);
+                latch.take_flags(now, *flags, &mut Origin { ids: &mut ids, unannounced: false });
+            }
+            assert_eq!(latch.current().map(|latch| latch.cause), Some(expected), "{updates:?}");
+        }
+    }
+
+    #[test]
     fn only_flags_after_the_reply_decide_an_acknowledge() {
         let answered = Now::read();
         let later = Now { instant: answered.instant + CLEARS_WITHIN, ..answered };
@@ -332,7 +403,7 @@ mod tests {
             let id = latch.id().unwrap();
             let client = Client { subject: "test".into(), door: Door::Http };
             let token = acknowledge_frame(answered.instant);
-            latch.acknowledge_sent(id, client, token, oneshot::channel().0);
+            latch.acknowledge_sent(Some(id), client, token, oneshot::channel().0);
             latch.acknowledge_ended(answered.instant, token, Ok(()));
             // The gateway was stalled, so it still has the flags from before the reply.
             latch.handle_timeout(later.instant, Some(SystemState::FAST_STOP));

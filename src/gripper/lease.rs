@@ -14,6 +14,9 @@ use super::model::{Client, Lease, LeaseRules, LeaseToken, OnLossHolding, OnLossM
 /// Time for which a request for the lease counts without being repeated.
 const REQUEST_LASTS: Duration = Duration::from_mins(1);
 
+/// Clients that can request the lease at the same time. A gripper has a few clients; more would only be a fault.
+const MAX_ASKING: usize = 16;
+
 /// A client that holds, held or requests a lease.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct Holder {
@@ -85,6 +88,8 @@ pub(super) struct HeldLease {
     expires_at: Instant,
     /// Shared with each open request of the holder.
     open: Arc<()>,
+    /// Shared with the connection that the lease is bound to, if there is one.
+    connection: Arc<()>,
     usage: Usage,
     /// Whether a stall of the gateway has extended the lease since its last use.
     is_extended: bool,
@@ -103,7 +108,12 @@ enum Usage {
 
 impl HeldLease {
     fn is_open(&self) -> bool {
-        Arc::strong_count(&self.open) > 1
+        Arc::strong_count(&self.open) > 1 || self.is_bound()
+    }
+
+    /// Whether a connection keeps the lease.
+    fn is_bound(&self) -> bool {
+        Arc::strong_count(&self.connection) > 1
     }
 
     fn used(&mut self, now: Instant) {
@@ -143,7 +153,8 @@ struct Asking {
 pub(super) struct LeaseState {
     epoch: u64,
     held: Option<HeldLease>,
-    asking: Option<Asking>,
+    /// Clients that request the lease, first come first.
+    asking: Vec<Asking>,
     /// Holder that was lost while a part was held; only this client can take the lease.
     reserved: Option<Holder>,
     /// Notified when a request of the holder ends.
@@ -161,6 +172,8 @@ pub(super) enum AcquireOutcome {
     HandedOver,
     /// The client holds the lease already.
     Again,
+    /// The client took its own lease anew, without its token.
+    Returned,
 }
 
 impl LeaseState {
@@ -178,6 +191,11 @@ impl LeaseState {
         self.held.as_ref().map(|held| &held.holder)
     }
 
+    /// Terms of the current lease.
+    pub(super) fn terms(&self) -> Option<Terms> {
+        self.held.as_ref().map(|held| held.terms)
+    }
+
     /// The holder, if this is its token.
     pub(super) fn holder_by(&self, token: Option<&LeaseToken>) -> Option<&Holder> {
         self.held.as_ref().filter(|held| Some(&held.token) == token).map(|held| &held.holder)
@@ -192,14 +210,21 @@ impl LeaseState {
         self.closed.clone()
     }
 
-    /// Whether a request with this token, or without one, may move the gripper.
-    pub(super) fn check(&self, now: Instant, token: Option<&LeaseToken>) -> Result<(), Conflict> {
+    /// Whether a request of `client` with this token, or without one, may move the gripper.
+    pub(super) fn check(&self, now: Instant, client: &Client, token: Option<&LeaseToken>) -> Result<(), Conflict> {
         match (&self.held, token) {
             (Some(held), Some(token)) if held.token == *token => Ok(()),
             (_, Some(_)) => Err(self.stale()),
             (Some(held), None) => {
-                let expires_in_ms = Some(held.expires_in(now).as_millis() as u64);
-                Err(Conflict::LeaseHeld { holder: held.holder.name.clone(), expires_in_ms })
+                let Holder { name, client: Client { subject, .. } } = held.holder.clone();
+                let expires_in_ms = held.expires_in(now).as_millis() as u64;
+                Err(if subject == client.subject && held.usage != Usage::HandedOver {
+                    Conflict::LeaseTokenMissing { holder: name, subject, expires_in_ms }
+                } else if held.is_bound() {
+                    Conflict::LeaseBound { holder: name, ttl_ms: expires_in_ms }
+                } else {
+                    Conflict::LeaseHeld { holder: name, expires_in_ms: Some(expires_in_ms) }
+                })
             }
             (None, None) => match &self.reserved {
                 Some(holder) => Err(Conflict::LeaseHeld { holder: holder.name.clone(), expires_in_ms: None }),
@@ -220,11 +245,25 @@ impl LeaseState {
 
     /// Renews the lease of this token and keeps it while the guard lives. `None` if the token has no lease.
     pub(super) fn keep(&mut self, now: Instant, token: Option<&LeaseToken>) -> Option<LeaseKeepAlive> {
+        self.keep_while(now, token, |held| &held.open)
+    }
+
+    /// Binds the lease of this token to a connection, which keeps it while the guard lives.
+    pub(super) fn bind(&mut self, now: Instant, token: Option<&LeaseToken>) -> Option<LeaseKeepAlive> {
+        self.keep_while(now, token, |held| &held.connection)
+    }
+
+    fn keep_while(
+        &mut self,
+        now: Instant,
+        token: Option<&LeaseToken>,
+        count: impl FnOnce(&HeldLease) -> &Arc<()>,
+    ) -> Option<LeaseKeepAlive> {
         let closed = self.closed.clone();
         let held = self.held.as_mut().filter(|held| Some(&held.token) == token)?;
         held.used(now);
         held.usage = Usage::Open;
-        Some(LeaseKeepAlive { open: Some(held.open.clone()), closed })
+        Some(LeaseKeepAlive { open: Some(count(held).clone()), closed })
     }
 
     /// Starts the time to live when the holder's last open request has ended.
@@ -235,13 +274,15 @@ impl LeaseState {
         }
     }
 
-    /// Takes the lease for a client. A new lease gets `token`.
+    /// Takes the lease for a client. A new lease gets `token`. With `may_return`, a client that has lost its token, as
+    /// after a restart, takes its own lease anew, unless a request or a connection of the holder is open.
     pub(super) fn take(
         &mut self,
         now: Instant,
         wish: &TakeLease,
         terms: Terms,
         token: LeaseToken,
+        may_return: bool,
     ) -> Result<AcquireOutcome, Conflict> {
         let holder = Holder::of(wish);
         let outcome = match &mut self.held {
@@ -259,14 +300,20 @@ impl LeaseState {
             }
             _ if wish.token.is_some() => return Err(self.stale()),
             Some(_) if wish.force => AcquireOutcome::Forced,
+            Some(held) if may_return && wish.holder.is_some() && held.holder.is(&holder) && !held.is_open() => {
+                AcquireOutcome::Returned
+            }
             None if wish.force || self.reserved.as_ref().is_none_or(|reserved| reserved.is(&holder)) => {
                 AcquireOutcome::Free
             }
             held => {
-                if held.is_some() && wish.request {
-                    self.ask(now, holder, terms);
+                let current = held.as_ref().map(|held| held.holder.name.clone());
+                if let Some(current) = current.filter(|_| wish.request)
+                    && let Some(place) = self.ask(now, holder, terms)
+                {
+                    return Err(Conflict::LeaseRequested { holder: current, place });
                 }
-                return self.check(now, None).map(|()| AcquireOutcome::Free);
+                return self.check(now, &wish.client, None).map(|()| AcquireOutcome::Free);
             }
         };
         self.give(now, holder, terms, token, Usage::Idle);
@@ -276,19 +323,33 @@ impl LeaseState {
     fn give(&mut self, now: Instant, holder: Holder, terms: Terms, token: LeaseToken, usage: Usage) {
         self.epoch += 1;
         self.reserved = None;
-        self.asking = None;
-        let (open, expires_at) = (Arc::new(()), now + terms.ttl);
-        self.held =
-            Some(HeldLease { holder, terms, token, times_taken: 1, expires_at, open, usage, is_extended: false });
+        self.asking.retain(|asking| !asking.holder.is(&holder));
+        let (open, connection, expires_at) = (Arc::new(()), Arc::new(()), now + terms.ttl);
+        self.held = Some(HeldLease {
+            holder,
+            terms,
+            token,
+            times_taken: 1,
+            expires_at,
+            open,
+            connection,
+            usage,
+            is_extended: false,
+        });
     }
 
-    /// Notes the first client that requests the lease, for as long as the client repeats its request. The holder sees
-    /// this client.
-    fn ask(&mut self, now: Instant, holder: Holder, terms: Terms) {
-        match &self.asking {
-            Some(asking) if !asking.holder.is(&holder) && now < asking.at + REQUEST_LASTS => {}
-            _ => self.asking = Some(Asking { holder, terms, at: now }),
+    /// Notes a client that requests the lease, for as long as the client repeats its request. Returns its place, or
+    /// `None` if too many clients wait. The holder sees the first client.
+    fn ask(&mut self, now: Instant, holder: Holder, terms: Terms) -> Option<usize> {
+        self.asking.retain(|asking| now < asking.at + REQUEST_LASTS);
+        let known = self.asking.iter().position(|asking| asking.holder.is(&holder));
+        let (place, asking) = (known.unwrap_or(self.asking.len()), Asking { holder, terms, at: now });
+        match self.asking.get_mut(place) {
+            Some(earlier) => *earlier = asking,
+            None if place < MAX_ASKING => self.asking.push(asking),
+            None => return None,
         }
+        Some(place + 1)
     }
 
     /// Renews the lease of this token.
@@ -325,7 +386,9 @@ impl LeaseState {
     /// Ends the lease of this token, if it is current. A held part does not reserve the gripper then.
     pub(super) fn end(&mut self, token: Option<&LeaseToken>) -> Option<HeldLease> {
         let ended = self.held.take_if(|held| Some(&held.token) == token);
-        self.asking.take_if(|_| ended.is_some());
+        if ended.is_some() {
+            self.asking.clear();
+        }
         ended
     }
 
@@ -350,7 +413,9 @@ impl LeaseState {
     /// Ends the lease that has run out.
     pub(super) fn expire(&mut self, now: Instant) -> Option<HeldLease> {
         let ended = self.held.take_if(|held| !held.is_open() && held.expires_at <= now);
-        self.asking.take_if(|_| ended.is_some());
+        if ended.is_some() {
+            self.asking.clear();
+        }
         ended
     }
 
@@ -382,6 +447,7 @@ impl LeaseState {
             on_loss_moving: held.map(|held| held.terms.on_loss_moving),
             on_loss_holding: held.map(|held| held.terms.on_loss_holding),
             requested_by: self.asking_now(now).map(|asking| asking.holder.name.clone()),
+            place: None,
             reserved_for: self.reserved.as_ref().map(|holder| holder.name.clone()),
         }
     }
@@ -396,6 +462,30 @@ impl LeaseState {
     }
 
     fn asking_now(&self, now: Instant) -> Option<&Asking> {
-        self.asking.as_ref().filter(|asking| now < asking.at + REQUEST_LASTS)
+        self.asking.iter().find(|asking| now < asking.at + REQUEST_LASTS)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::model::Door;
+    use super::*;
+
+    #[test]
+    fn refusal_says_whether_a_connection_keeps_the_lease() {
+        let (mut lease, now, token) = (LeaseState::default(), Instant::now(), LeaseToken::from("a"));
+        let client = |subject: &str| Client { subject: subject.into(), door: Door::Wsg };
+        let (wish, other) = (TakeLease::by(client("wsg:10.0.0.1")), client("wsg:10.0.0.2"));
+        let terms = Terms::of(&wish, &LeaseRules::default()).unwrap();
+        lease.take(now, &wish, terms, token.clone()).unwrap();
+        let request = lease.keep(now, Some(&token)).unwrap();
+        assert!(matches!(lease.check(now, &other, None), Err(Conflict::LeaseHeld { expires_in_ms: Some(3000), .. })));
+        drop(request);
+        let connection = lease.bind(now, Some(&token)).unwrap();
+        let refusal = lease.check(now + DEFAULT_TTL * 2, &other, None).unwrap_err();
+        assert_eq!(refusal, Conflict::LeaseBound { holder: "wsg:10.0.0.1".into(), ttl_ms: 3000 });
+        assert!(refusal.to_string().contains("until it disconnects"), "{refusal}");
+        drop(connection);
+        assert!(matches!(lease.check(now, &other, None), Err(Conflict::LeaseHeld { .. })));
     }
 }

@@ -15,6 +15,7 @@ pub(crate) mod fake;
 pub mod grippers;
 pub mod handle;
 pub mod info;
+mod last_command;
 mod latch;
 mod lease;
 pub mod limits;

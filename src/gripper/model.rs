@@ -13,8 +13,10 @@ use super::error::Rejection;
 use crate::wsg::{CustomCommand, Force, HomingDirection, MoveFlags, Speed, Status, Width};
 
 mod client;
+mod code;
 mod custom;
 mod event;
+mod fault;
 mod frame;
 mod ids;
 pub mod lease;
@@ -22,16 +24,21 @@ mod names;
 mod parameters;
 mod record;
 mod state;
+mod status;
 mod text;
+mod time;
+mod updates;
 mod urgency;
 
 pub use client::{Client, Door};
+pub use code::Code;
 pub use custom::CustomIds;
 pub use event::{
     AcknowledgeEvent, Admitted, CommandEvent, Detail, DeviceEvent, Done, Event, FastStopEvent, FastStopStep,
     GatewayEvent, LinkEvent, RefusedEvent, SettingChange, SettingsEvent,
 };
-pub use frame::{FrameDirection, FrameRecord};
+pub use fault::Fault;
+pub use frame::{DamageRecord, FrameDirection, FrameRecord, WireDamage, WireRecord};
 pub use ids::{CommandId, FastStopId, IdSource};
 pub use lease::{
     HolderName, Lease, LeaseEvent, LeaseRules, LeaseStep, LeaseToken, LossCause, LossEffect, OnLossHolding,
@@ -40,7 +47,9 @@ pub use lease::{
 pub use parameters::{Direction, OnBlock, Parameters};
 pub use record::{GripRecord, OnJournalFailure, PersistedKey, PersistedState, RequestedValues, Sample};
 pub use state::{FastStopCause, Latch, LatchFields, Link, State, Telemetry};
+pub use status::GripperStatus;
 pub use text::{InvalidShownName, PartId, Reason, RequestId, ShownName, Text};
+pub use updates::{UpdateMode, UpdateRules};
 pub use urgency::Urgency;
 
 /// A gripper's or a gateway's name: `[a-z0-9][a-z0-9_-]{0,31}`.
@@ -261,11 +270,36 @@ pub enum Outcome {
     Unknown,
 }
 
+impl Outcome {
+    /// Number of the outcome, `outcome_code` in a command. Numbers never change, and 0 stands for no outcome yet.
+    #[must_use]
+    pub const fn code(self) -> u8 {
+        match self {
+            Self::Success => 1,
+            Self::PartHeld => 2,
+            Self::NoPart => 3,
+            Self::Blocked => 4,
+            Self::Aborted => 5,
+            Self::Range => 6,
+            Self::Timeout => 7,
+            Self::Failed => 8,
+            Self::Refused => 9,
+            Self::Unknown => 10,
+        }
+    }
+
+    /// Whether the command reached its goal.
+    #[must_use]
+    pub const fn is_ok(self) -> bool {
+        matches!(self, Self::Success | Self::PartHeld)
+    }
+}
+
 /// A command, running or ended.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 #[schema(as = Command, example = json!({
-    "id": "019aa5c8-5a70-7c31-9f3f-4a3b7c1d2e4f", "gripper": "left", "kind": "grip", "phase": "done",
-    "outcome": "PART_HELD", "status": "E_SUCCESS", "status_code": 0, "reached_goal": true, "stalled": true,
+    "id": "019aa5c8-5a70-7c31-9f3f-4a3b7c1d2e4f", "gripper": "left", "number": 17, "kind": "grip", "phase": "done",
+    "outcome": "PART_HELD", "outcome_code": 2, "status": "E_SUCCESS", "status_code": 0, "reached_goal": true, "stalled": true,
     "width_mm": 20.0, "force_n": 40.0, "started_at": "2026-11-21T09:00:00Z", "duration_ms": 412,
     "subject": "http:127.0.0.1", "client": "http:127.0.0.1", "replayed": false
 }))]
@@ -276,6 +310,10 @@ pub struct CommandReport {
     /// Name of the gripper.
     #[schema(value_type = String, max_length = 32)]
     pub gripper: Name,
+    /// Number of the motion, which `last_command` in the gripper's status repeats. Null for a Stop, for a streamed
+    /// command, and for an older command after a restart of the gateway.
+    #[schema(required)]
+    pub number: Option<u32>,
     /// Kind of the command.
     pub kind: Kind,
     /// Whether the command has ended.
@@ -283,6 +321,13 @@ pub struct CommandReport {
     /// Result of the command; null while it runs.
     #[schema(required)]
     pub outcome: Option<Outcome>,
+    /// Result of the command as a number:
+    ///
+    /// - 0: the command runs
+    /// - 1 to 10: `SUCCESS`, `PART_HELD`, `NO_PART`, `BLOCKED`, `ABORTED`, `RANGE`, `TIMEOUT`, `FAILED`, `REFUSED`,
+    ///   `UNKNOWN`
+    #[schema(minimum = 0, maximum = 255)]
+    pub outcome_code: u8,
     /// Symbol of the last status code from the device, such as `E_SUCCESS`; null if the device sent none.
     #[schema(required)]
     pub status: Option<String>,
@@ -302,6 +347,7 @@ pub struct CommandReport {
     #[schema(required, minimum = -10000, maximum = 10000)]
     pub force_n: Option<f32>,
     /// Time of admission.
+    #[serde(serialize_with = "time::milliseconds")]
     #[schema(value_type = String, format = DateTime)]
     pub started_at: Timestamp,
     /// Time from admission to end, in ms; null while running.
@@ -323,6 +369,14 @@ pub struct CommandReport {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<String>, nullable = false, max_length = 8192)]
     pub payload: Option<Arc<str>>,
+    /// Code of the problem that ended the command as `REFUSED` or `UNKNOWN`; otherwise absent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub code: Option<Code>,
+    /// Description of that problem for people.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub detail: Option<String>,
     /// Holder, id and values of the request, for the journal.
     #[serde(skip)]
     pub requested: RequestedValues,
@@ -346,9 +400,11 @@ impl CommandReport {
         Self {
             id,
             gripper,
+            number: None,
             kind: submission.action.kind(),
             phase: Phase::Running,
             outcome: None,
+            outcome_code: 0,
             status: None,
             status_code: None,
             reached_goal: None,
@@ -362,12 +418,26 @@ impl CommandReport {
             replayed: false,
             fast_stop_id: None,
             payload: None,
+            code: None,
+            detail: None,
             requested: RequestedValues::of(&submission.action, submission.request_id.clone()),
             rejection: None,
             cancelled_by: None,
             recorded: false,
             accepted: false,
         }
+    }
+
+    /// Sets the result of the command.
+    pub fn set_outcome(&mut self, outcome: Outcome) {
+        self.outcome = Some(outcome);
+        self.outcome_code = outcome.code();
+    }
+
+    /// Adds the reason for an outcome that the device did not report.
+    pub fn explain(&mut self, reason: &Rejection) {
+        self.code = Some(reason.code());
+        self.detail = Some(reason.to_string());
     }
 
     pub fn set_status(&mut self, status: Status) {

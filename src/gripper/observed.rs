@@ -2,7 +2,7 @@
 
 use std::time::{Duration, Instant};
 
-use super::model::CommandId;
+use super::model::{CommandId, UpdateMode, UpdateRules};
 use crate::wsg::{Command, Data, GripperState, SystemState, Temperature, Updates, id};
 
 /// Getters with automatic updates.
@@ -10,9 +10,6 @@ const UPDATED: [u8; 5] = [id::GET_SYSTEM_STATE, id::GET_GRIPPER_STATE, id::GET_W
 
 /// Bytes of one frame of each getter in [`UPDATED`].
 const UPDATE_BYTES: u32 = 14 + 11 + 14 + 14 + 14;
-
-/// Shortest period that a device accepts (`fw4-en 3.4.1`).
-const MIN_PERIOD_MS: u16 = 10;
 
 /// Silence of a getter after which its updates are switched on again; on a slow line, a few periods if that is longer.
 /// A device that refuses updates answers each time with the value, so it is polled at this period.
@@ -34,6 +31,8 @@ pub(super) struct HeldPart {
 pub(super) struct Observed {
     pub flags: Option<SystemState>,
     pub gripper_state: Option<GripperState>,
+    /// Whether the ERROR that the device reports is the rest of an acknowledged FAST STOP (`fw4-en 3.4.2`).
+    error_is_acknowledged: bool,
     pub width_mm: Option<f32>,
     pub speed_mm_s: Option<f32>,
     pub force_n: Option<f32>,
@@ -47,19 +46,28 @@ pub(super) struct Observed {
     /// Time at which each getter was last heard or requested.
     fresh: [Option<Instant>; UPDATED.len()],
     renew_after: Duration,
+    /// Whether values arrive only when they have changed.
+    is_on_change: bool,
     /// Whether the flags came more often than they were requested, that is, by automatic updates.
     flows: bool,
 }
 
 impl Observed {
     /// No known values, on a line of this speed.
-    pub(super) fn new(bytes_per_second: Option<u32>) -> Self {
-        let period = Duration::from_millis(period_ms(bytes_per_second).into());
-        Self { renew_after: RENEW_AFTER.max(MISSED_PERIODS * period), ..Self::default() }
+    pub(super) fn new(rules: UpdateRules, bytes_per_second: Option<u32>) -> Self {
+        let period = Duration::from_millis(period_ms(rules, bytes_per_second).into());
+        let is_on_change = rules.mode == UpdateMode::Changes;
+        // A device without changes is polled, so its silence shows before the link counts as unresponsive.
+        let periods = if is_on_change { 1 } else { MISSED_PERIODS };
+        Self { renew_after: RENEW_AFTER.max(periods * period), is_on_change, ..Self::default() }
     }
 
-    /// Whether the flags arriving now were overdue. A device that restarts forgets its automatic updates.
+    /// Whether the flags arriving now were overdue. A device that restarts forgets its automatic updates. Updates on
+    /// change are never overdue: a restart shows as a silence of the link or a lost reference.
     pub(super) fn were_missed(&mut self, now: Instant) -> bool {
+        if self.is_on_change {
+            return false;
+        }
         let [Some(heard), ..] = self.heard else { return false };
         let silence = now.saturating_duration_since(heard);
         let missed = self.flows && silence >= self.renew_after;
@@ -77,6 +85,7 @@ impl Observed {
             Data::GripperState(state) => {
                 self.part.is_held = self.holds_part_in(state);
                 self.gripper_state = Some(state);
+                self.error_is_acknowledged &= state == GripperState::Error;
                 id::GET_GRIPPER_STATE
             }
             Data::Width(width) => {
@@ -119,9 +128,25 @@ impl Observed {
         self.heard.iter().all(|heard| heard.is_some_and(|heard| heard > then))
     }
 
+    /// Takes an acknowledgement, after which ERROR persists until the next motion (`fw4-en 3.4.2`).
+    pub(super) fn acknowledged(&mut self) {
+        self.error_is_acknowledged = true;
+    }
+
+    /// Whether the device reports an error that nobody has acknowledged.
+    pub(super) fn has_error(&self) -> bool {
+        self.gripper_state == Some(GripperState::Error) && !self.error_is_acknowledged
+    }
+
     /// Whether a flag is known to be set.
     pub(super) fn has(&self, flag: SystemState) -> bool {
         self.flags.is_some_and(|flags| flags.contains(flag))
+    }
+
+    /// Whether the device shows a fault or an error. Firmware 2 has no error state and reserves its number.
+    pub(super) fn shows_fault(&self) -> bool {
+        let is_error = self.gripper_state.is_some_and(|state| state.code() >= GripperState::Error.code());
+        is_error || self.flags.is_some_and(|flags| flags.intersects(SystemState::FAULTS | SystemState::CMD_FAILURE))
     }
 
     /// The newest value of a getter with automatic updates, in the form of its reply.
@@ -164,15 +189,15 @@ impl Observed {
 }
 
 /// Requests that switch on all automatic updates, at a period that the line can carry.
-pub(super) fn switch_on_all(bytes_per_second: Option<u32>) -> impl Iterator<Item = Command> {
-    let period_ms = period_ms(bytes_per_second);
-    UPDATED.into_iter().filter_map(move |id| switch_on(id, period_ms))
+pub(super) fn switch_on_all(rules: UpdateRules, bytes_per_second: Option<u32>) -> impl Iterator<Item = Command> {
+    UPDATED.into_iter().filter_map(move |id| switch_on(id, rules, bytes_per_second))
 }
 
 /// Request that switches on the updates of one getter.
-pub(super) fn switch_on(id: u8, period_ms: u16) -> Option<Command> {
-    // Not on change only: after a damaged frame, the next update corrects the value.
-    let updates = Updates::On { on_change: false, period_ms };
+pub(super) fn switch_on(id: u8, rules: UpdateRules, bytes_per_second: Option<u32>) -> Option<Command> {
+    // By default not on change only: after a damaged frame, the next update corrects the value.
+    let on_change = rules.mode == UpdateMode::Changes;
+    let updates = Updates::On { on_change, period_ms: period_ms(rules, bytes_per_second) };
     Some(match id {
         id::GET_SYSTEM_STATE => Command::GetSystemState(updates),
         id::GET_GRIPPER_STATE => Command::GetGripperState(updates),
@@ -183,11 +208,13 @@ pub(super) fn switch_on(id: u8, period_ms: u16) -> Option<Command> {
     })
 }
 
-/// Period of the updates: 10 ms if the line is fast enough, else long enough that updates take at most half of it.
-pub(super) fn period_ms(bytes_per_second: Option<u32>) -> u16 {
-    let Some(bytes_per_second) = bytes_per_second else { return MIN_PERIOD_MS };
-    let half_the_line = (2 * 1000 * UPDATE_BYTES).div_ceil(bytes_per_second.max(1));
-    u16::try_from(half_the_line).unwrap_or(u16::MAX).max(MIN_PERIOD_MS)
+/// Period of the updates: the shortest allowed, or long enough that the updates of all devices on the line take at most
+/// half of it.
+pub(super) fn period_ms(rules: UpdateRules, bytes_per_second: Option<u32>) -> u16 {
+    let UpdateRules { min_period_ms, devices_on_line, .. } = rules;
+    let Some(bytes_per_second) = bytes_per_second else { return min_period_ms };
+    let half_the_line = (2 * 1000 * UPDATE_BYTES).saturating_mul(devices_on_line).div_ceil(bytes_per_second.max(1));
+    u16::try_from(half_the_line).unwrap_or(u16::MAX).max(min_period_ms)
 }
 
 #[cfg(test)]
@@ -196,6 +223,7 @@ mod tests {
 
     #[test]
     fn updates_take_at_most_half_of_the_line() {
+        let period_ms = |line| period_ms(UpdateRules::default(), line);
         assert_eq!(period_ms(None), 10);
         assert_eq!(period_ms(Some(11_520)), 12, "115200 baud");
         assert_eq!(period_ms(Some(960)), 140, "9600 baud");
@@ -203,8 +231,42 @@ mod tests {
     }
 
     #[test]
+    fn devices_on_one_line_share_half_of_it() {
+        let can = "can://can0".parse::<crate::transport::Address>().unwrap().properties().bytes_per_second;
+        for (devices_on_line, expected_ms) in [(1, 10), (2, 12), (4, 23), (16, 91)] {
+            let rules = UpdateRules { devices_on_line, ..UpdateRules::default() };
+            let period_ms = period_ms(rules, can);
+            assert_eq!(period_ms, expected_ms, "{devices_on_line}");
+            // 21 bits a byte, at 500 kbit/s.
+            let load = f64::from(devices_on_line * UPDATE_BYTES * 21) * 1000.0 / f64::from(period_ms);
+            assert!(load <= 250_000.0, "{devices_on_line} devices take {load} bit/s");
+        }
+    }
+
+    #[test]
+    fn configured_period_is_the_shortest() {
+        let rules = UpdateRules { min_period_ms: 50, ..UpdateRules::default() };
+        assert_eq!([None, Some(11_520), Some(960)].map(|line| period_ms(rules, line)), [50, 50, 140]);
+    }
+
+    #[test]
+    fn updates_on_change_are_polled_and_never_missed() {
+        let rules = UpdateRules { mode: UpdateMode::Changes, min_period_ms: 500, ..UpdateRules::default() };
+        let mut observed = Observed::new(rules, None);
+        let on_change = Updates::On { on_change: true, period_ms: 500 };
+        assert_eq!(switch_on(id::GET_SYSTEM_STATE, rules, None), Some(Command::GetSystemState(on_change)));
+        let mut now = Instant::now();
+        for after_ms in [10, 10, 10, 1000, 1000] {
+            now += Duration::from_millis(after_ms);
+            assert!(!observed.were_missed(now));
+            observed.take(now, &Data::SystemState(SystemState::REFERENCED));
+        }
+        assert_eq!(observed.next_silent(), Some(now + RENEW_AFTER));
+    }
+
+    #[test]
     fn only_automatic_updates_are_missed() {
-        let mut observed = Observed::new(None);
+        let mut observed = Observed::new(UpdateRules::default(), None);
         let mut now = Instant::now();
         let mut hear_after = |milliseconds| {
             now += Duration::from_millis(milliseconds);
@@ -222,8 +284,9 @@ mod tests {
 
     #[test]
     fn slow_lines_get_a_few_periods() {
-        assert_eq!(Observed::new(Some(11_520)).renew_after, Duration::from_secs(1));
-        assert_eq!(Observed::new(Some(120)).renew_after, Duration::from_millis(3351), "1200 baud");
+        let renew_after = |line| Observed::new(UpdateRules::default(), Some(line)).renew_after;
+        assert_eq!(renew_after(11_520), Duration::from_secs(1));
+        assert_eq!(renew_after(120), Duration::from_millis(3351), "1200 baud");
     }
 
     #[test]
@@ -240,7 +303,7 @@ mod tests {
             (vec![holds(Holding), holds(Idle)], false),
             (vec![stopped, holds(Error), holds(Idle)], false),
         ] {
-            let mut observed = Observed::new(None);
+            let mut observed = Observed::new(UpdateRules::default(), None);
             for data in &seen {
                 observed.take(Instant::now(), data);
             }
@@ -250,7 +313,7 @@ mod tests {
 
     #[test]
     fn width_updates_are_not_missed_before_referencing() {
-        let mut observed = Observed::new(None);
+        let mut observed = Observed::new(UpdateRules::default(), None);
         let start = Instant::now();
         observed.asked(start, id::GET_WIDTH);
         let later = start + RENEW_AFTER;

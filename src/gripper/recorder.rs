@@ -35,6 +35,8 @@ pub struct RestoredState {
     pub lease: Option<String>,
     /// Value of [`PersistedKey::Holding`](super::model::PersistedKey::Holding).
     pub holding: Option<String>,
+    /// Value of [`PersistedKey::LastCommand`](super::model::PersistedKey::LastCommand).
+    pub last_command: Option<String>,
     /// Requests with request ids, oldest first, so that a repetition moves nothing again.
     pub requests: Vec<PastRequest>,
     /// Whether that run did not shut down cleanly: no disconnect was announced, and its last records may be missing.

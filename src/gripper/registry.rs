@@ -9,7 +9,8 @@ use tokio::sync::watch;
 use super::Now;
 use super::error::{Conflict, Failure};
 use super::handle::Ticket;
-use super::model::{Client, CommandId, CommandReport, Kind, Outcome, Parameters, Phase, Submission};
+use super::last_command::LastCommand;
+use super::model::{Client, CommandId, CommandReport, Kind, Outcome, Parameters, Phase, RequestId, Submission};
 use super::recorder::PastRequest;
 use super::request_ids::{Key, REPLAYED_FOR, RequestIds, SlotBounds};
 
@@ -42,6 +43,8 @@ pub(super) struct CommandRegistry {
     streamed: History,
     motion_ids: RequestIds,
     frequent_ids: RequestIds,
+    /// The newest motion.
+    pub last: LastCommand,
     /// Ended commands whose clients have not been notified yet.
     untold: Vec<Arc<CommandReport>>,
 }
@@ -93,6 +96,7 @@ impl Default for CommandRegistry {
             streamed: History::of(MAX_STREAMED),
             motion_ids: RequestIds::new(MOTION_IDS),
             frequent_ids: RequestIds::new(FREQUENT_IDS),
+            last: LastCommand::default(),
             untold: Vec::new(),
         }
     }
@@ -124,12 +128,15 @@ impl CommandRegistry {
     pub(super) fn enter(
         &mut self,
         now: Instant,
-        command: CommandReport,
+        mut command: CommandReport,
         submission: &Submission,
         is_streamed: bool,
     ) -> Ticket {
         self.forget_old(now);
         let (key, id, kind) = (key(submission), command.id, command.kind);
+        if kind != Kind::Stop && !is_streamed {
+            command.number = Some(self.last.admitted(id));
+        }
         let (record, receiver) = watch::channel(Arc::new(command));
         let ticket = Ticket { record: receiver, replayed: false, _keep: None };
         if let Some(key) = key.clone() {
@@ -157,6 +164,13 @@ impl CommandRegistry {
         self.commands.get(&id).map(|entry| Ticket { record: entry.record.subscribe(), replayed: false, _keep: None })
     }
 
+    /// The command of a client's request id, while the id is valid.
+    pub(super) fn find_request(&self, now: Instant, subject: &Arc<str>, request_id: &RequestId) -> Option<Ticket> {
+        let key = (subject.clone(), request_id.clone());
+        let (_, ticket) = self.motion_ids.find(now, &key).or_else(|| self.frequent_ids.find(now, &key))?;
+        Some(ticket.watched())
+    }
+
     /// Ends a command. [`CommandRegistry::tell`] notifies its clients. A second end of the same command does nothing.
     pub(super) fn end(
         &mut self,
@@ -172,6 +186,7 @@ impl CommandRegistry {
         command.phase = Phase::Done;
         command.duration_ms = Some(now.saturating_duration_since(entry.admitted_at).as_millis() as u64);
         fill_in(&mut command);
+        self.last.ended(id, command.outcome);
         if let Some(key) = &entry.key {
             self.motion_ids.ended(key, &command);
             self.frequent_ids.ended(key, &command);
@@ -191,8 +206,9 @@ impl CommandRegistry {
             return;
         }
         let (key, asked) = ((command.client.clone(), request_id), (command.kind, parameters));
+        let number = self.last.number_of(command.id);
         let ids = self.ids_of(command.kind, false);
-        let command = Arc::new(CommandReport { recorded: true, ..command });
+        let command = Arc::new(CommandReport { recorded: true, number, ..command });
         ids.bind(since, key, asked, Ticket { record: watch::channel(command).1, replayed: false, _keep: None });
     }
 

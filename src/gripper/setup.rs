@@ -3,7 +3,6 @@
 
 use std::collections::{BTreeSet, VecDeque};
 
-use super::observed;
 use crate::wsg::session::Token;
 use crate::wsg::{
     Acceleration, Command, Data, DeviceTag, Force, Reply, SoftLimits, Status, SystemInfo, SystemLimits, Updates, id,
@@ -40,7 +39,7 @@ impl Setting {
 
 /// Settings of clients, to be restored if the device has lost them. Overdrive is excluded: after a restart, a client
 /// has to switch it on again.
-#[derive(Debug, Clone, Copy, Default)]
+#[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub(super) struct Wanted {
     pub acceleration: Option<Acceleration>,
     pub force_limit: Option<Force>,
@@ -88,21 +87,19 @@ pub(super) enum Step {
 }
 
 impl Setup {
-    pub(super) fn new(bytes_per_second: Option<u32>, known_serial: Option<u32>, wanted: Wanted) -> Self {
+    /// A setup that ends with the requests `switch_on`, for automatic updates.
+    pub(super) fn new(switch_on: impl Iterator<Item = Command>, known_serial: Option<u32>, wanted: Wanted) -> Self {
         let reads = [
-            Command::GetSystemInfo,
-            Command::GetSystemLimits,
-            Command::GetDeviceTag,
-            Command::GetSystemState(Updates::Off),
-            Command::GetGripperState(Updates::Off),
-            Command::GetSoftLimits,
+            Some(Command::GetSystemInfo),
+            Some(Command::GetSystemLimits),
+            wanted.acceleration.map(|_| Command::GetAcceleration),
+            wanted.force_limit.map(|_| Command::GetForceLimit),
+            Some(Command::GetDeviceTag),
+            Some(Command::GetSystemState(Updates::Off)),
+            Some(Command::GetGripperState(Updates::Off)),
+            Some(Command::GetSoftLimits),
         ];
-        Self {
-            todo: reads.into_iter().chain(observed::switch_on_all(bytes_per_second)).collect(),
-            known_serial,
-            wanted,
-            ..Self::default()
-        }
+        Self { todo: reads.into_iter().flatten().chain(switch_on).collect(), known_serial, wanted, ..Self::default() }
     }
 
     /// The next request, after the last has ended.
@@ -150,7 +147,10 @@ impl Setup {
             (id::GET_SOFT_LIMITS, Reply::Status(Status::E_NOT_AVAILABLE)) => self.compare_soft_limits(None),
             // The device has to report its identity and its flags.
             (_, Reply::Status(_)) if is_vital(&command) => self.current = Some((command, attempts)),
-            (_, Reply::Status(_)) if self.concerns_wanted(&command) => self.lost.extend(Setting::of(command.id())),
+            (_, Reply::Status(_)) if self.concerns_wanted(&command) => {
+                // A restored value that can't be read back counts as sent.
+                self.lost.extend(Setting::of(command.id()).filter(|setting| !self.restored.contains(setting)));
+            }
             (_, Reply::Status(_)) => {}
             (_, Reply::Success(data)) => self.take_data(&command, data),
         }
@@ -161,23 +161,26 @@ impl Setup {
             Data::SystemInfo(system) => self.identify(system),
             Data::SystemLimits(limits) => self.limits = Some(limits),
             Data::DeviceTag(tag) => self.tag = Some(tag),
-            Data::Acceleration(found) => {
-                let changed = self.wanted.acceleration.filter(|wanted| *wanted != found);
-                self.todo_first(changed.map(Command::SetAcceleration));
-            }
-            Data::ForceLimit(found) => {
-                let changed = self.wanted.force_limit.filter(|wanted| *wanted != found);
-                self.todo_first(changed.map(Command::SetForceLimit));
-            }
+            Data::Acceleration(found) => self.compare_acceleration(found),
+            Data::ForceLimit(found) => self.compare_force_limit(found),
             _ => {}
         }
-        match command {
-            Command::SetSoftLimits(limits) => self.soft_limits = Some(*limits),
-            Command::ClearSoftLimits => self.soft_limits = None,
-            Command::SetAcceleration(_) | Command::SetForceLimit(_) => {}
+        // The device clamps what it is sent, so a restored value is read back.
+        let getter = match command {
+            Command::SetSoftLimits(limits) => {
+                self.soft_limits = Some(*limits);
+                Command::GetSoftLimits
+            }
+            Command::ClearSoftLimits => {
+                self.soft_limits = None;
+                Command::GetSoftLimits
+            }
+            Command::SetAcceleration(_) => Command::GetAcceleration,
+            Command::SetForceLimit(_) => Command::GetForceLimit,
             _ => return,
-        }
+        };
         self.restored.extend(Setting::of(command.id()));
+        self.todo.push_front(getter);
     }
 
     fn identify(&mut self, system: SystemInfo) {
@@ -187,27 +190,44 @@ impl Setup {
             // Settings belong to the device with the known serial number only.
             self.wanted = Wanted::default();
         }
-        if self.wanted.acceleration.is_some() {
-            self.todo.push_front(Command::GetAcceleration);
+    }
+
+    fn compare_acceleration(&mut self, found: Acceleration) {
+        match self.wanted.acceleration {
+            Some(wanted) if wanted != found && !self.restored.contains(&Setting::Acceleration) => {
+                self.todo.push_front(Command::SetAcceleration(wanted));
+            }
+            wanted => self.wanted.acceleration = wanted.map(|_| found),
         }
-        if self.wanted.force_limit.is_some() {
-            self.todo.push_front(Command::GetForceLimit);
+    }
+
+    /// Restores a force limit up to the nominal force. Overdrive Mode is not restored, nor is a force beyond nominal.
+    fn compare_force_limit(&mut self, found: Force) {
+        let nominal = self.limits.map(|limits| limits.nominal_force);
+        let allowed = |wanted| nominal.filter(|nominal| *nominal < wanted).unwrap_or(wanted);
+        match self.wanted.force_limit {
+            Some(wanted)
+                if wanted != found && allowed(wanted) != found && !self.restored.contains(&Setting::ForceLimit) =>
+            {
+                self.todo.push_front(Command::SetForceLimit(allowed(wanted)));
+            }
+            wanted => self.wanted.force_limit = wanted.map(|_| found),
         }
     }
 
     fn compare_soft_limits(&mut self, found: Option<SoftLimits>) {
         self.soft_limits = found;
-        self.todo_first(match self.wanted.soft_limits {
-            WantedSoftLimits::AsTheyAre => None,
-            WantedSoftLimits::Cleared => found.map(|_| Command::ClearSoftLimits),
-            WantedSoftLimits::Set(wanted) if found == Some(wanted) => None,
-            WantedSoftLimits::Set(wanted) => Some(Command::SetSoftLimits(wanted)),
-        });
-    }
-
-    fn todo_first(&mut self, command: Option<Command>) {
-        if let Some(command) = command {
-            self.todo.push_front(command);
+        let as_found = found.map_or(WantedSoftLimits::Cleared, WantedSoftLimits::Set);
+        match self.wanted.soft_limits {
+            WantedSoftLimits::AsTheyAre => {}
+            WantedSoftLimits::Set(_) if found.is_none() && self.restored.contains(&Setting::SoftLimits) => {
+                self.lost.insert(Setting::SoftLimits);
+            }
+            wanted if wanted == as_found || self.restored.contains(&Setting::SoftLimits) => {
+                self.wanted.soft_limits = as_found;
+            }
+            WantedSoftLimits::Cleared => self.todo.push_front(Command::ClearSoftLimits),
+            WantedSoftLimits::Set(wanted) => self.todo.push_front(Command::SetSoftLimits(wanted)),
         }
     }
 
@@ -236,7 +256,13 @@ fn is_switch_on(command: &Command) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::wsg::{DeviceType, Firmware, SystemState};
+    use crate::gripper::model::UpdateRules;
+    use crate::gripper::observed;
+    use crate::wsg::{DeviceType, Firmware, Speed, SystemState, Width};
+
+    fn switch_on() -> impl Iterator<Item = Command> {
+        observed::switch_on_all(UpdateRules::default(), None)
+    }
 
     fn system(serial_number: u32) -> Reply {
         let info = SystemInfo {
@@ -283,7 +309,7 @@ mod tests {
     #[test]
     fn refused_settings_are_lost_and_not_reported_as_restored() {
         for refused in [id::GET_FORCE_LIMIT, id::SET_FORCE_LIMIT] {
-            let (setup, _, end) = run(Setup::new(None, Some(7), wanted()), |command| {
+            let (setup, _, end) = run(Setup::new(switch_on(), Some(7), wanted()), |command| {
                 let refusal = Reply::Status(Status::E_INSUFFICIENT_RESOURCES);
                 if command.id() == refused { Some(refusal) } else { forgetful(command) }
             });
@@ -294,7 +320,7 @@ mod tests {
 
     #[test]
     fn unanswered_settings_fail_the_link() {
-        let (_, _, end) = run(Setup::new(None, Some(7), wanted()), |command| {
+        let (_, _, end) = run(Setup::new(switch_on(), Some(7), wanted()), |command| {
             if command.id() == id::SET_FORCE_LIMIT { None } else { forgetful(command) }
         });
         assert_eq!(end, Step::Failed("SetForceLimit"));
@@ -303,7 +329,7 @@ mod tests {
     #[test]
     fn error_status_for_identity_or_flags_fails_the_link() {
         for vital in [id::GET_SYSTEM_INFO, id::GET_SYSTEM_STATE] {
-            let (_, _, end) = run(Setup::new(None, None, Wanted::default()), |command| {
+            let (_, _, end) = run(Setup::new(switch_on(), None, Wanted::default()), |command| {
                 let refusal = Reply::Status(Status::E_NOT_AVAILABLE);
                 if command.id() == vital { Some(refusal) } else { forgetful(command) }
             });
@@ -313,7 +339,7 @@ mod tests {
 
     #[test]
     fn unanswered_switch_on_is_tried_once() {
-        let (_, sent, end) = run(Setup::new(None, None, Wanted::default()), |command| {
+        let (_, sent, end) = run(Setup::new(switch_on(), None, Wanted::default()), |command| {
             if command.id() == id::GET_WIDTH { None } else { forgetful(command) }
         });
         assert_eq!((sent.len(), end), (11, Step::Done));
@@ -321,7 +347,7 @@ mod tests {
 
     #[test]
     fn first_connect_reads_and_switches_updates_on() {
-        let (_, sent, end) = run(Setup::new(None, None, Wanted::default()), forgetful);
+        let (_, sent, end) = run(Setup::new(switch_on(), None, Wanted::default()), forgetful);
         let ids: Vec<_> = sent.iter().map(Command::id).collect();
         assert_eq!(ids, [0x50, 0x53, 0x52, 0x40, 0x41, 0x35, 0x40, 0x41, 0x43, 0x44, 0x45]);
         assert_eq!(end, Step::Done);
@@ -334,17 +360,60 @@ mod tests {
             force_limit: Some(Force::new(40.0).unwrap()),
             soft_limits: WantedSoftLimits::Cleared,
         };
-        let (setup, sent, _) = run(Setup::new(None, Some(7), wanted), forgetful);
+        let (setup, sent, _) = run(Setup::new(switch_on(), Some(7), wanted), forgetful);
         assert_eq!(setup.restored, [Setting::Acceleration], "the force limit is unchanged");
         assert!(sent.contains(&Command::SetAcceleration(Acceleration::new(2000.0).unwrap())));
-        let (setup, sent, _) = run(Setup::new(None, Some(8), wanted), forgetful);
+        let (setup, sent, _) = run(Setup::new(switch_on(), Some(8), wanted), forgetful);
         assert!(setup.replaced && setup.restored.is_empty());
         assert!(!sent.iter().any(|command| command.id() == id::SET_ACCELERATION));
     }
 
+    /// A device that keeps its settings, and clamps the force limit to `most_n`.
+    fn clamping(mut force_n: f32, most_n: f32) -> impl FnMut(&Command) -> Option<Reply> {
+        let limits = SystemLimits {
+            stroke: Width::ZERO,
+            min_speed: Speed::ZERO,
+            max_speed: Speed::ZERO,
+            min_acceleration: Acceleration::ZERO,
+            max_acceleration: Acceleration::ZERO,
+            min_force: Force::ZERO,
+            nominal_force: Force::new(80.0).unwrap(),
+            overdrive_force: Force::new(120.0).unwrap(),
+        };
+        move |command| match command {
+            Command::SetForceLimit(force) => {
+                force_n = force.n().min(most_n);
+                Some(Reply::Success(Data::None))
+            }
+            Command::GetForceLimit => Some(Reply::Success(Data::ForceLimit(Force::new(force_n).unwrap()))),
+            Command::GetSystemLimits => Some(Reply::Success(Data::SystemLimits(limits))),
+            command => forgetful(command),
+        }
+    }
+
+    #[test]
+    fn force_limit_is_restored_up_to_nominal_and_read_back() {
+        let force = |n| Some(Force::new(n).unwrap());
+        // Wanted, found on the device, the device's own maximum; then the frame sent, and the limit known afterwards.
+        for (wanted, found, most, sent, known) in [
+            (100.0, 80.0, 120.0, None, 80.0),
+            (100.0, 100.0, 120.0, None, 100.0),
+            (100.0, 40.0, 120.0, force(80.0), 80.0),
+            (60.0, 40.0, 120.0, force(60.0), 60.0),
+            (60.0, 40.0, 50.0, force(60.0), 50.0),
+        ] {
+            let wanted = Wanted { force_limit: force(wanted), ..Wanted::default() };
+            let (setup, frames, end) = run(Setup::new(switch_on(), Some(7), wanted), clamping(found, most));
+            let set: Vec<_> = frames.iter().filter(|command| command.id() == id::SET_FORCE_LIMIT).collect();
+            assert_eq!(set, sent.map(Command::SetForceLimit).iter().collect::<Vec<_>>(), "found {found}");
+            assert_eq!((setup.wanted().force_limit, end), (force(known), Step::Done), "found {found}");
+            assert!(setup.lost.is_empty());
+        }
+    }
+
     #[test]
     fn unanswered_identity_fails_the_link() {
-        let (_, sent, end) = run(Setup::new(None, None, Wanted::default()), |_| None);
+        let (_, sent, end) = run(Setup::new(switch_on(), None, Wanted::default()), |_| None);
         assert_eq!(sent.len(), 3, "each request is tried three times");
         assert_eq!(end, Step::Failed("GetSystemInfo"));
     }

@@ -46,6 +46,24 @@ impl InterfaceMetrics {
     }
 }
 
+/// Metrics of the WSG port.
+#[derive(Debug, Clone)]
+pub struct WsgPortMetrics {
+    refused: IntCounterVec,
+}
+
+impl WsgPortMetrics {
+    pub fn register(registry: &Registry) -> Result<Self> {
+        let refused = Opts::new("wsg_port_refused_total", "Requests refused on the WSG port by gripper and status.");
+        Ok(Self { refused: register_in(registry, IntCounterVec::new(refused, &["gripper", "status"])?)? })
+    }
+
+    /// Counts a refused request. A device can invent any number of statuses, so those without a name share a series.
+    pub fn refused(&self, gripper: &str, status: Option<&str>) {
+        self.refused.with_label_values(&[gripper, status.unwrap_or("unlisted")]).inc();
+    }
+}
+
 fn register_in<T: Collector + Clone + 'static>(registry: &Registry, metric: T) -> Result<T> {
     registry.register(Box::new(metric.clone()))?;
     Ok(metric)

@@ -24,12 +24,14 @@ impl CommandBody {
         let running = CommandReport {
             id: self.command_id,
             gripper: self.gripper,
+            number: None,
             kind: match &self.event {
                 CommandEvent::Admitted(admitted) => admitted.command,
                 CommandEvent::Done(done) => done.command,
             },
             phase: Phase::Running,
             outcome: None,
+            outcome_code: 0,
             status: None,
             status_code: None,
             reached_goal: None,
@@ -44,6 +46,8 @@ impl CommandBody {
             fast_stop_id: None,
             cancelled_by: None,
             payload: None,
+            code: None,
+            detail: None,
             requested: RequestedValues::default(),
             rejection: None,
             recorded: true,
@@ -64,6 +68,7 @@ fn ended(running: CommandReport, done: Done) -> CommandReport {
     CommandReport {
         phase: Phase::Done,
         outcome: Some(done.outcome),
+        outcome_code: done.outcome.code(),
         status: done.status,
         status_code: done.status_code,
         reached_goal: done.reached_goal,
@@ -73,6 +78,8 @@ fn ended(running: CommandReport, done: Done) -> CommandReport {
         started_at: done.started_at,
         duration_ms: done.duration_ms,
         fast_stop_id: done.fast_stop_id,
+        code: done.code,
+        detail: done.cause,
         requested: done.requested,
         ..running
     }

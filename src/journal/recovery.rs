@@ -68,7 +68,9 @@ fn parsed(body: &str) -> Option<CommandBody> {
 
 /// Ends a command as `UNKNOWN`.
 fn unknown_command(running: CommandReport) -> CommandReport {
-    CommandReport { phase: Phase::Done, outcome: Some(Outcome::Unknown), ..running }
+    let mut command = CommandReport { phase: Phase::Done, ..running };
+    command.set_outcome(Outcome::Unknown);
+    command
 }
 
 /// Makes the second record of a command that has only the first.

@@ -16,6 +16,7 @@ use super::problem::Problem;
 use crate::gripper::handle::Using;
 use crate::gripper::model::{Client, CommandId, LeaseToken, Name};
 use crate::gripper::{Handle, Rejection};
+use crate::webhooks::Webhook;
 use crate::wsg::{self, Finger};
 
 /// The parameters of a request.
@@ -79,7 +80,7 @@ impl Params {
 impl Call {
     /// Returns the gripper, and uses the lease whose token came alongside the parameters.
     pub fn gripper(&self) -> Result<Gripper, Problem> {
-        let unknown = || Problem::not_found("gripper with this name");
+        let unknown = || Problem::not_found("gripper with this name").field("gripper");
         let name = self.params.part("gripper")?.parse().map_err(|_| unknown())?;
         let handle = self.gateway.grippers.get(&name).ok_or_else(unknown)?.clone();
         let Caller { client, lease, request_id, presence, .. } = self.caller.clone();
@@ -131,12 +132,19 @@ impl Call {
         self.params.part("command")?.parse().map_err(|_| Problem::not_found("command with this id: ids are UUIDs"))
     }
 
+    /// Returns the webhook that the path names.
+    pub fn webhook(&self) -> Result<&Arc<Webhook>, Problem> {
+        let name = self.params.part("webhook")?;
+        let found = self.gateway.webhooks.iter().find(|webhook| webhook.name().as_str() == name);
+        found.ok_or_else(|| Problem::not_found("webhook with this name"))
+    }
+
     /// Returns the finger that the path names.
     pub fn finger(&self) -> Result<Finger, Problem> {
         match self.params.part("finger")? {
             "1" => Ok(Finger::One),
             "2" => Ok(Finger::Two),
-            _ => Err(Problem::not_found("such finger: use 1 or 2")),
+            _ => Err(Problem::not_found("such finger: use 1 or 2").field("finger")),
         }
     }
 }

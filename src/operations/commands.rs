@@ -1,18 +1,25 @@
 //! Submits, awaits, looks up and cancels commands.
 
+use serde::Deserialize;
 use tracing::Span;
 use tracing::field::display;
 
 use super::call::{Call, Gripper, Leased, NoFields};
 use super::caller::{CommandWait, DEFAULT_WAIT_MS, RequestKeys};
+use super::gateway::Gateway;
 use super::operation::{Operation, reply};
 use super::problem::Problem;
 use super::reply::{Effect, Json, OperationReply};
+use super::values::TextOrNumber;
 use crate::gripper::Ticket;
-use crate::gripper::model::{Action, CommandReport, LeaseToken, Phase, Submission, Urgency};
+use crate::gripper::model::{Action, CommandId, CommandReport, LeaseToken, Phase, Submission, Urgency};
 
 pub const GET: Operation =
     Operation::read("command", "/grippers/{gripper}/commands/{command}", |call| reply(get(call))).waiting();
+pub const LATEST: Operation =
+    Operation::read("command.latest", "/grippers/{gripper}/commands/latest", |call| reply(latest(call)))
+        .waiting()
+        .queried(&["request_id"]);
 pub const CANCEL: Operation =
     Operation::command("cancel", "/grippers/{gripper}/commands/{command}/cancel", |call| reply(cancel(call)))
         .urgent(Urgency::Stop);
@@ -51,11 +58,46 @@ async fn get(call: Call) -> Result<Json<CommandReport>, Problem> {
     let (gripper, id, wait) = (call.gripper()?, call.command_id()?, call.wait(0)?);
     let NoFields {} = call.fields()?;
     let gripper = gripper.with_lease(None)?;
+    find(&call.gateway, &gripper, id, &wait).await.map(Json)
+}
+
+async fn find(
+    gateway: &Gateway,
+    gripper: &Gripper,
+    id: CommandId,
+    wait: &CommandWait,
+) -> Result<CommandReport, Problem> {
     if let Some(mut ticket) = gripper.handle.find(id).await? {
-        return Ok(Json(wait.until_ended(&mut ticket).await));
+        return Ok(wait.until_ended(&mut ticket).await);
     }
-    let stored = call.gateway.journal.command(gripper.handle.name().clone(), id).await?;
-    stored.map(Json).ok_or_else(|| Problem::not_found("command with this id"))
+    let stored = gateway.journal.command(gripper.handle.name().clone(), id).await?;
+    stored.ok_or_else(|| Problem::not_found("command with this id"))
+}
+
+/// Parameters of a look-up without a command's id.
+#[derive(Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct LatestFields {
+    request_id: Option<TextOrNumber>,
+}
+
+async fn latest(call: Call) -> Result<Json<CommandReport>, Problem> {
+    let (gripper, wait) = (call.gripper()?, call.wait(0)?);
+    let LatestFields { request_id } = call.fields()?;
+    let keys = call.keys()?.or_fields(request_id.as_ref().map(ToString::to_string).as_deref(), None)?;
+    let gripper = gripper.with_lease(None)?;
+    let Some(request_id) = keys.request_id else {
+        let state = gripper.handle.state();
+        let id = state.last_command_id.ok_or_else(|| Problem::not_found("motion of this gripper yet"))?;
+        let command = find(&call.gateway, &gripper, id, &wait).await?;
+        return Ok(Json(CommandReport { number: Some(state.last_command), ..command }));
+    };
+    let found = gripper.handle.find_request(gripper.client.subject.clone(), request_id).await?;
+    let unknown = || {
+        Problem::not_found("command of this client with this request id: ids are kept for 10 minutes")
+            .field("request_id")
+    };
+    Ok(Json(wait.until_ended(&mut found.ok_or_else(unknown)?).await))
 }
 
 async fn cancel(call: Call) -> Result<OperationReply, Problem> {

@@ -121,20 +121,22 @@ async fn all(call: Call) -> Result<Json<AllFastStopAnswer>, Problem> {
     }))
 }
 
-/// The FAST STOP to acknowledge.
+/// The FAST STOP to acknowledge, or a fault of the device.
 #[derive(Debug, Deserialize, ToSchema)]
 #[serde(deny_unknown_fields)]
 #[schema(example = json!({"fast_stop_id": "019aa5c8-5a70-7c31-9f3f-4a3b7c1d2e4f"}))]
 pub struct Acknowledge {
-    /// Id of the FAST STOP, as in the gripper's state.
-    #[schema(value_type = uuid::Uuid)]
-    fast_stop_id: String,
-    /// Lease token, renewed by this request as by any other. Not required; empty means none.
+    /// Id of the FAST STOP, as in the gripper's state. Required while a FAST STOP is latched. Without an id, a fault of
+    /// the device is acknowledged.
+    #[schema(value_type = Option<uuid::Uuid>)]
+    fast_stop_id: Option<String>,
+    /// Lease token, renewed by this request as by any other. Required without `fast_stop_id` if the gripper is leased.
+    /// Empty means none.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     lease: Option<String>,
 }
 
-/// An acknowledged FAST STOP.
+/// An acknowledged FAST STOP or fault.
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(example = json!({
     "gripper": "left", "fast_stop_id": "019aa5c8-5a70-7c31-9f3f-4a3b7c1d2e4f", "fast_stop": false
@@ -143,20 +145,27 @@ pub struct Acknowledged {
     /// The gripper's name.
     #[schema(max_length = 32)]
     gripper: String,
-    /// Id of the acknowledged FAST STOP.
-    #[schema(value_type = uuid::Uuid)]
-    fast_stop_id: FastStopId,
+    /// Id of the acknowledged FAST STOP; null if the request named none.
+    #[schema(value_type = Option<uuid::Uuid>, required)]
+    fast_stop_id: Option<FastStopId>,
     /// Whether a FAST STOP is latched: always false after an acknowledgement.
     fast_stop: bool,
 }
 
 async fn acknowledge(call: Call) -> Result<Json<Acknowledged>, Problem> {
     let (gripper, body): (_, Acknowledge) = call.open()?;
-    let id: FastStopId = body.fast_stop_id.parse().map_err(|error| {
-        Problem::malformed("fast_stop_id", format!("fast_stop_id is not a UUID: {error}"))
-            .value(Some(body.fast_stop_id.clone().into()))
-    })?;
+    let parse = |id: String| {
+        id.parse::<FastStopId>().map_err(|error| {
+            let detail = format!("fast_stop_id is not a UUID: {error}");
+            Problem::malformed("fast_stop_id", detail).value(Some(id.into()))
+        })
+    };
+    let id = body.fast_stop_id.map(parse).transpose()?;
     let gripper = gripper.with_lease(body.lease.as_deref())?;
-    gripper.handle.acknowledge(id, gripper.client.clone()).await?;
+    let client = gripper.client.clone();
+    match id {
+        Some(id) => gripper.handle.acknowledge(id, client).await?,
+        None => gripper.handle.acknowledge_fault(client, gripper.token()).await?,
+    }
     Ok(Json(Acknowledged { gripper: gripper.name(), fast_stop_id: id, fast_stop: false }))
 }

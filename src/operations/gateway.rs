@@ -8,6 +8,7 @@ use crate::fleet::Peers;
 use crate::gripper::Grippers;
 use crate::gripper::model::Name;
 use crate::journal::Journal;
+use crate::webhooks::Webhooks;
 
 /// State that operations work on.
 #[derive(Debug, Clone)]
@@ -22,6 +23,7 @@ pub struct Gateway {
     /// The other gateways.
     pub peers: Arc<Peers>,
     pub updates: Arc<LiveUpdates>,
+    pub webhooks: Arc<Webhooks>,
 }
 
 #[cfg(test)]
@@ -34,6 +36,6 @@ impl Gateway {
         let audit = Arc::new(Audit::new(journal.clone()));
         let peers = Arc::new(Peers::new(name.clone(), grippers.clone()));
         let updates = Arc::new(LiveUpdates::new(&grippers, journal.clone(), peers.clone()));
-        Arc::new(Self { name, grippers, journal, audit, peers, updates })
+        Arc::new(Self { name, grippers, journal, audit, peers, updates, webhooks: Arc::default() })
     }
 }

@@ -9,11 +9,13 @@ use super::call::{Call, NoFields};
 use super::operation::{Operation, ready};
 use super::problem::Problem;
 use super::reply::Json;
-use crate::gripper::model::State;
+use crate::gripper::model::{GripperStatus, State};
 use crate::gripper::{Handle, Info};
 
 pub const LIST: Operation = Operation::read("grippers", "/grippers", |call| ready(list(&call)));
 pub const INFO: Operation = Operation::read("info", "/grippers/{gripper}", |call| ready(info(&call)));
+pub const STATUS: Operation =
+    Operation::read("status", "/grippers/{gripper}/status", |call| ready(status(&call))).compact();
 pub const STATE: Operation = Operation::read("state", "/grippers/{gripper}/state", |call| ready(state(&call)));
 
 /// All grippers.
@@ -32,6 +34,11 @@ fn list(call: &Call) -> Result<Json<GripperList>, Problem> {
 fn info(call: &Call) -> Result<Json<Arc<Info>>, Problem> {
     let (gripper, NoFields {}) = call.open()?;
     Ok(Json(gripper.with_lease(None)?.handle.info()))
+}
+
+fn status(call: &Call) -> Result<Json<GripperStatus>, Problem> {
+    let (gripper, NoFields {}) = call.open()?;
+    Ok(Json(GripperStatus::of(&gripper.with_lease(None)?.handle.state())))
 }
 
 fn state(call: &Call) -> Result<Json<Arc<State>>, Problem> {

@@ -5,7 +5,8 @@ use std::fmt;
 use serde::de::{Deserialize, DeserializeOwned, Deserializer, Error, MapAccess, SeqAccess, Visitor};
 use serde_json::{Map, Value};
 
-use super::problem::{Code, Problem};
+use super::problem::Problem;
+use crate::gripper::model::Code;
 
 /// Largest accepted body, message or payload, in bytes. The largest that any request needs is a `raw` one of 8 KiB.
 pub const MAX_BODY_BYTES: usize = 64 * 1024;
@@ -60,18 +61,35 @@ fn problem(
     error: &serde_path_to_error::Error<serde_json::Error>,
     value: impl FnOnce(&str) -> Option<Value>,
 ) -> Problem {
-    let detail = detail(error.inner());
-    match field(&error.path().to_string(), &detail) {
-        Some(field) => {
+    let text = without_position(error.inner());
+    // The path has a `?` if the JSON is cut short.
+    let path =
+        Some(error.path().to_string()).filter(|path| !matches!(path.as_str(), "." | "?") && !path.ends_with(".?"));
+    let described = match path {
+        // The value is not valid JSON.
+        Some(path) if !error.inner().is_data() => Some((path.clone(), format!("invalid JSON at {path}: {text}"))),
+        path => describe(&text, path.as_deref()),
+    };
+    match described {
+        Some((field, detail)) => {
             let value = value(&field);
-            Problem::malformed(&field, format!("{field}: {detail}")).value(value)
+            Problem::malformed(field, detail).value(value)
         }
-        None => Problem::new(Code::Malformed, format!("invalid JSON body: {detail}")),
+        None => Problem::new(Code::Malformed, format!("invalid JSON body: {text}")),
     }
 }
 
-/// Describes an error. If the JSON itself is valid, the field locates the error, so line and column are left out.
-fn detail(error: &serde_json::Error) -> String {
+/// Reports JSON that is no message, in the words of [`parse`].
+pub fn invalid(what: &str, error: &serde_json::Error) -> Problem {
+    let text = without_position(error);
+    match describe(&text, None) {
+        Some((field, detail)) => Problem::malformed(field, detail),
+        None => Problem::new(Code::Malformed, format!("invalid {what}: {text}")),
+    }
+}
+
+/// The parser's text. If the JSON itself is valid, a field locates the error, so line and column are left out.
+fn without_position(error: &serde_json::Error) -> String {
     let mut text = error.to_string();
     let position = format!(" at line {} column {}", error.line(), error.column());
     if error.is_data() && text.ends_with(&position) {
@@ -80,16 +98,42 @@ fn detail(error: &serde_json::Error) -> String {
     text
 }
 
-/// Returns the field that an error is about. The name of a missing, unknown or duplicate field is only in the error's
-/// text. The path has a `?` if the JSON is cut short.
-fn field(path: &str, detail: &str) -> Option<String> {
-    let named = ["missing field `", "unknown field `", "duplicate field `"]
-        .iter()
-        .find_map(|start| detail.strip_prefix(start)?.split_once('`'))
-        .map(|(field, _)| field);
-    named
-        .or((!matches!(path, "." | "?") && !path.ends_with(".?")).then_some(path))
-        .map(|field| field.chars().take(MAX_FIELD_CHARS).collect())
+/// Returns the field that an error is about, and a description. Only the parser's text has the name of a missing,
+/// unknown or duplicate field; all other errors concern the field at `path`.
+fn describe(text: &str, path: Option<&str>) -> Option<(String, String)> {
+    let named = |start: &str| {
+        let (field, rest) = text.strip_prefix(start)?.split_once('`')?;
+        Some((field.chars().take(MAX_FIELD_CHARS).collect::<String>(), rest))
+    };
+    if let Some((field, _)) = named("missing field `") {
+        return Some((field.clone(), format!("{field} is missing")));
+    }
+    if let Some((field, _)) = named("duplicate field `") {
+        return Some((field.clone(), format!("{field} is given more than once")));
+    }
+    if let Some((field, rest)) = named("unknown field `") {
+        let known = rest.strip_prefix(", expected ").map(|known| known.trim_start_matches("one of ").replace('`', ""));
+        let known = known.map_or_else(|| "there are no fields here".to_owned(), |known| format!("known: {known}"));
+        return Some((field.clone(), format!("unknown field {field}; {known}")));
+    }
+    let field: String = path?.chars().take(MAX_FIELD_CHARS).collect();
+    let must_be = text.split_once("expected ").map(|(_, expected)| words(expected));
+    let detail = must_be.map_or_else(|| format!("{field}: {text}"), |must_be| format!("{field} must be {must_be}"));
+    Some((field, detail))
+}
+
+/// Name of an expected type, in a client's words.
+fn words(expected: &str) -> String {
+    match expected {
+        "f32" | "f64" => "a number".to_owned(),
+        "i8" | "i16" | "i32" | "i64" | "u8" | "u16" | "u32" | "u64" | "usize" => "a whole number".to_owned(),
+        "a boolean" => "true or false".to_owned(),
+        "a string" | "string" | "a borrowed string" => "a text".to_owned(),
+        "a sequence" => "a list".to_owned(),
+        "a map" => "an object".to_owned(),
+        expected if expected.starts_with("struct ") => "an object".to_owned(),
+        expected => expected.replace('`', ""),
+    }
 }
 
 /// Characters of an unknown field's name that are repeated to its sender.
@@ -207,6 +251,51 @@ mod tests {
         assert_eq!(problem(br#"{"relative": true}"#)["field"], "width_mm");
         assert_eq!(problem(br#"{"widht_mm": 20}"#)["field"], "widht_mm");
         assert_eq!(problem(br#"{"width_mm": 20, "width_mm": 30}"#)["field"], "width_mm");
+    }
+
+    #[test]
+    fn errors_are_told_in_a_clients_words() {
+        #[derive(Debug, Deserialize)]
+        #[serde(rename_all = "snake_case")]
+        enum Side {
+            Inner,
+            Outer,
+        }
+        #[derive(Debug, Deserialize)]
+        #[serde(deny_unknown_fields)]
+        #[allow(dead_code, reason = "only parsed")]
+        struct Body {
+            width_mm: f64,
+            relative: Option<bool>,
+            lease: Option<String>,
+            side: Option<Side>,
+            name: Option<crate::operations::values::TextOrNumber>,
+            count: Option<u8>,
+        }
+        for (body, detail) in [
+            ("{}", "width_mm is missing"),
+            (r#"{"width_mm": 1, "width_mm": 2}"#, "width_mm is given more than once"),
+            (r#"{"width": 1}"#, "unknown field width; known: width_mm, relative, lease, side, name, count"),
+            (r#"{"width_mm": NaN}"#, "invalid JSON at width_mm: expected value at line 1 column 14"),
+            (r#"{"width_mm": "20"}"#, "width_mm must be a number"),
+            (r#"{"width_mm": null}"#, "width_mm must be a number"),
+            (r#"{"width_mm": 1, "relative": 1}"#, "relative must be true or false"),
+            (r#"{"width_mm": 1, "lease": 1}"#, "lease must be a text"),
+            (r#"{"width_mm": 1, "side": "up"}"#, "side must be inner or outer"),
+            (r#"{"width_mm": 1, "name": {}}"#, "name must be a text or a whole number"),
+            (r#"{"width_mm": 1, "count": 300}"#, "count must be a whole number"),
+        ] {
+            assert_eq!(parse::<Body>(body.as_bytes()).unwrap_err().detail(), detail, "{body}");
+            if let Ok(object) = from_str::<Map<String, Value>>(body)
+                && !detail.ends_with("once")
+            {
+                assert_eq!(of_object::<Body>(&object).unwrap_err().detail(), detail, "{body}");
+            }
+        }
+        #[derive(Debug, Deserialize)]
+        #[serde(deny_unknown_fields)]
+        struct Nothing {}
+        assert_eq!(parse::<Nothing>(br#"{"a": 1}"#).unwrap_err().detail(), "unknown field a; there are no fields here");
     }
 
     #[test]

@@ -13,9 +13,9 @@ use super::operation::{Operation, reply};
 use super::problem::Problem;
 use super::reply::{Effect, Json, OperationReply};
 use super::values::{integer, name, text};
-use crate::gripper::AcquiredLease;
 use crate::gripper::model::lease::{MAX_TTL, MIN_TTL};
 use crate::gripper::model::{Lease, OnLossHolding, OnLossMoving, TakeLease, Urgency};
+use crate::gripper::{AcquiredLease, Conflict, Rejection};
 
 const PATH: &str = "/grippers/{gripper}/lease";
 
@@ -59,7 +59,8 @@ pub struct Take {
     #[serde(default)]
     #[schema(default = false)]
     force: bool,
-    /// Asks the current holder to hand the lease over. After the hand-over, request the lease again to get its token.
+    /// Asks the current holder to hand the lease over. The reply is 202 with the `place` among those that ask. After the
+    /// hand-over, request the lease again to get its token.
     #[serde(default)]
     #[schema(default = false)]
     request: bool,
@@ -85,7 +86,14 @@ async fn take(call: Call) -> Result<OperationReply, Problem> {
         client: gripper.client,
     };
     let (handle, has_ttl) = (gripper.handle, take.ttl.is_some());
-    let AcquiredLease { lease, times_taken, keep } = handle.take_lease(take).await?;
+    let taken = match handle.take_lease(take).await {
+        Err(Rejection::Conflict(Conflict::LeaseRequested { place, .. })) => {
+            let lease = Lease { place: Some(place), ..handle.lease().await? };
+            return OperationReply::new(&lease, Effect::Waiting);
+        }
+        taken => taken?,
+    };
+    let AcquiredLease { lease, times_taken, keep } = taken;
     let keep = keep.filter(|_| !has_ttl);
     let leased = ConnectionLease::new(handle, &lease, times_taken, keep);
     OperationReply::new(&lease, leased.map_or(Effect::None, |lease| Effect::Leased(Arc::new(lease))))

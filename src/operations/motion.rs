@@ -1,11 +1,9 @@
 //! Home, move, grip, release, stop.
 
-use std::fmt;
-
 use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use utoipa::ToSchema;
-use utoipa::openapi::schema::{ObjectBuilder, OneOfBuilder, Type};
+use utoipa::openapi::schema::OneOfBuilder;
 
 use super::call::Call;
 use super::caller::{DEFAULT_WAIT_MS, RequestKeys};
@@ -13,7 +11,7 @@ use super::commands;
 use super::operation::{Operation, Role, reply};
 use super::problem::Problem;
 use super::reply::OperationReply;
-use super::values::{force, speed, text, width};
+use super::values::{TextOrNumber, force, request_id_schema, speed, text, text_or_number, width};
 use crate::gripper::model::{Action, Direction, Motion, OnBlock, Urgency};
 use crate::wsg::MoveFlags;
 
@@ -38,7 +36,7 @@ trait ActionFields: Sized {
 /// Parameters that every motion shares.
 trait KeyFields {
     /// Returns the request id and the lease token.
-    fn keys(&self) -> (Option<&str>, Option<&str>);
+    fn keys(&self) -> (Option<String>, Option<&str>);
 }
 
 /// Declares a command's body: its own fields, and those that all commands share.
@@ -49,18 +47,16 @@ macro_rules! command_body {
         $(#[$meta])*
         pub struct $name {
             $($fields)*
-            /// Id that makes the request safe to repeat: for 10 minutes, the same id returns the same command. At most
-            /// 64 bytes; empty means none.
-            #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
-            request_id: Option<String>,
+            #[schema(schema_with = request_id_schema)]
+            request_id: Option<TextOrNumber>,
             /// Token of the current lease, if the gripper is leased. At most 64 bytes; empty means none.
             #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
             lease: Option<String>,
         }
 
         impl KeyFields for $name {
-            fn keys(&self) -> (Option<&str>, Option<&str>) {
-                (self.request_id.as_deref(), self.lease.as_deref())
+            fn keys(&self) -> (Option<String>, Option<&str>) {
+                (self.request_id.as_ref().map(ToString::to_string), self.lease.as_deref())
             }
         }
     };
@@ -98,31 +94,8 @@ command_body! {
     }
 }
 
-/// The name of a part. Programs without texts send a number.
-#[derive(Debug, Deserialize)]
-#[serde(untagged, expecting = "expected a text or a whole number")]
-enum PartIdField {
-    Text(String),
-    Number(i64),
-}
-
 fn part_id_schema() -> OneOfBuilder {
-    let object = |kind| ObjectBuilder::new().schema_type(kind);
-    let text = object(Type::String).max_length(Some(48)).pattern(Some(r"^[^\u0000-\u001f\u007f-\u009f]*$"));
-    let number = object(Type::Integer).minimum(Some(i64::MIN)).maximum(Some(i64::MAX));
-    let name = OneOfBuilder::new().item(text).item(number).item(object(Type::Null));
-    name.description(Some(
-        "Name of the part, for the records: at most 48 bytes, or a whole number, stored as its text.",
-    ))
-}
-
-impl fmt::Display for PartIdField {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Text(text) => f.write_str(text),
-            Self::Number(number) => number.fmt(f),
-        }
-    }
+    text_or_number(48, "Name of the part, for the records: at most 48 bytes, or a whole number, stored as its text.")
 }
 
 command_body! {
@@ -139,7 +112,7 @@ command_body! {
         #[schema(minimum = 0, maximum = 10000)]
         force_n: Option<f64>,
         #[schema(schema_with = part_id_schema)]
-        part_id: Option<PartIdField>,
+        part_id: Option<TextOrNumber>,
     }
 }
 
@@ -217,5 +190,5 @@ async fn submit<P: ActionFields + KeyFields + DeserializeOwned>(call: Call) -> R
 fn parse<P: ActionFields + KeyFields + DeserializeOwned>(call: &Call) -> Result<(RequestKeys, Action), Problem> {
     let (keys, fields) = (call.keys()?, call.fields::<P>()?);
     let (request_id, lease) = fields.keys();
-    Ok((keys.or_fields(request_id, lease)?, fields.action()?))
+    Ok((keys.or_fields(request_id.as_deref(), lease)?, fields.action()?))
 }

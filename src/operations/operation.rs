@@ -24,6 +24,10 @@ pub struct Operation {
     pub starts_command: bool,
     /// Whether the operation can wait for a command's end.
     pub waits: bool,
+    /// Parameters of a read that HTTP takes from the query.
+    pub query: &'static [&'static str],
+    /// Whether the response over HTTP has only the headers that it needs.
+    pub is_compact: bool,
     run: Run,
 }
 
@@ -45,14 +49,14 @@ pub enum Role {
 impl Operation {
     /// Declares an operation that only reads.
     pub(super) const fn read(name: &'static str, path: &'static str, run: Run) -> Self {
-        let (role, urgency) = (Role::Observer, Urgency::None);
-        Self { name, verb: &Verb::GET, path, role, urgency, starts_command: false, waits: false, run }
+        Self { role: Role::Observer, ..Self::change(name, &Verb::GET, path, run) }
     }
 
     /// Declares an operation that can change something.
     pub(super) const fn change(name: &'static str, verb: &'static Verb, path: &'static str, run: Run) -> Self {
         let (role, urgency) = (Role::Operator, Urgency::None);
-        Self { name, verb, path, role, urgency, starts_command: false, waits: false, run }
+        let (starts_command, waits, query, is_compact): (_, _, &[_], _) = (false, false, &[], false);
+        Self { name, verb, path, role, urgency, starts_command, waits, query, is_compact, run }
     }
 
     /// Declares an operation that starts a command.
@@ -66,6 +70,16 @@ impl Operation {
 
     pub(super) const fn waiting(self) -> Self {
         Self { waits: true, ..self }
+    }
+
+    /// Takes these parameters from the query over HTTP.
+    pub(super) const fn queried(self, query: &'static [&'static str]) -> Self {
+        Self { query, ..self }
+    }
+
+    /// Leaves out headers that only browsers need.
+    pub(super) const fn compact(self) -> Self {
+        Self { is_compact: true, ..self }
     }
 
     pub(super) const fn urgent(self, urgency: Urgency) -> Self {

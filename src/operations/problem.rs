@@ -7,91 +7,13 @@ use serde::Serialize;
 use serde_json::{Number, Value};
 use utoipa::ToSchema;
 
-use crate::gripper::model::{CommandId, FastStopId};
+use crate::gripper::model::{Code, CommandId, FastStopId};
 use crate::gripper::{Conflict, DeviceRefusal, Failure, Invalid, Rejection};
 use crate::journal::ReadError;
 use crate::wsg::Status;
 
 /// Longest wrong value that an answer repeats, in bytes: the answer has to fit a small client's buffer.
 const MAX_VALUE_BYTES: usize = 64;
-
-macro_rules! codes {
-    ($($name:ident $status:ident;)*) => {
-        /// Machine-readable cause of a problem. The codes never change:
-        ///
-        /// - `malformed`: the request cannot be parsed, or a field has the wrong form.
-        /// - `foreign_host`: the `Host` header is neither an address nor `localhost` nor a configured name.
-        /// - `foreign_origin`: the request comes from a web page of another origin.
-        /// - `not_found`: the path, gripper or command does not exist.
-        /// - `method_not_allowed`: the path does not support this method.
-        /// - `request_timeout`: the body did not arrive in time.
-        /// - `too_large`: the body is too large.
-        /// - `fast_stop`: a FAST STOP is latched; acknowledge it once its cause is gone.
-        /// - `not_referenced`: the fingers are not referenced; home the gripper first.
-        /// - `already_running`: a command is running; wait for its end or stop it.
-        /// - `release_first`: the device refuses a grip, because its last grip went in the opposite direction; release first.
-        /// - `lease_held`: another client holds the lease, or the gripper is reserved.
-        /// - `stale_lease`: the lease token is not the token of the current lease.
-        /// - `stale_fast_stop`: the acknowledgement names a FAST STOP that is not the newest.
-        /// - `fast_stop_unconfirmed`: the device has not confirmed the FAST STOP yet.
-        /// - `request_id_reused`: the request id was used for another request.
-        /// - `name_taken`: another gateway on the Zenoh network has the same name.
-        /// - `out_of_range`: a value is beyond its limits.
-        /// - `device_refused`: the device refused the request with a status that has no code of its own.
-        /// - `overloaded`: too many requests, or the device tag was written too often; try again later.
-        /// - `internal`: internal error of the gateway.
-        /// - `device_protocol`: the device sent an invalid reply.
-        /// - `link_down`: the link to the device does not work.
-        /// - `journal_down`: the journal cannot be written or read.
-        /// - `device_timeout`: the device did not answer in time.
-        /// - `gateway_gone`: the gateway that owns the gripper is gone; nothing was sent to it.
-        /// - `gateway_timeout`: the gateway that owns the gripper did not answer; the result is unknown.
-        #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, ToSchema)]
-        #[serde(rename_all = "snake_case")]
-        pub enum Code { $($name),* }
-
-        impl Code {
-            const fn status(self) -> StatusCode {
-                match self { $(Self::$name => StatusCode::$status),* }
-            }
-
-            /// The code as clients see it.
-            fn word(self) -> String {
-                serde_json::to_value(self).ok().and_then(|code| Some(code.as_str()?.to_owned())).unwrap_or_default()
-            }
-        }
-    };
-}
-
-codes! {
-    Malformed BAD_REQUEST;
-    ForeignHost FORBIDDEN;
-    ForeignOrigin FORBIDDEN;
-    NotFound NOT_FOUND;
-    MethodNotAllowed METHOD_NOT_ALLOWED;
-    RequestTimeout REQUEST_TIMEOUT;
-    TooLarge PAYLOAD_TOO_LARGE;
-    FastStop CONFLICT;
-    NotReferenced CONFLICT;
-    AlreadyRunning CONFLICT;
-    ReleaseFirst CONFLICT;
-    LeaseHeld CONFLICT;
-    StaleLease CONFLICT;
-    StaleFastStop CONFLICT;
-    FastStopUnconfirmed CONFLICT;
-    RequestIdReused CONFLICT;
-    NameTaken CONFLICT;
-    OutOfRange UNPROCESSABLE_ENTITY;
-    DeviceRefused UNPROCESSABLE_ENTITY;
-    Overloaded TOO_MANY_REQUESTS;
-    Internal INTERNAL_SERVER_ERROR;
-    DeviceProtocol BAD_GATEWAY;
-    LinkDown SERVICE_UNAVAILABLE;
-    JournalDown SERVICE_UNAVAILABLE;
-    DeviceTimeout GATEWAY_TIMEOUT;
-    GatewayGone SERVICE_UNAVAILABLE;
-    GatewayTimeout GATEWAY_TIMEOUT;
-}
 
 /// A problem (RFC 9457). Boxed, since it is the rare case of every handler's result.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -102,7 +24,7 @@ pub struct Problem(Box<Members>);
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 #[schema(as = Problem, example = json!({
     "type": "about:blank", "title": "Unprocessable Entity", "status": 422, "code": "out_of_range",
-    "detail": "width_mm is 300; it must be from 0 to 110 (the device's limits)",
+    "code_number": 18, "detail": "width_mm is 300; it must be from 0 to 110 (the device's limits)",
     "field": "width_mm", "value": 300.0, "min": 0.0, "max": 110.0
 }))]
 pub struct Members {
@@ -116,6 +38,9 @@ pub struct Members {
     status: u16,
     /// Machine-readable cause.
     code: Code,
+    /// The same cause as a number, which never changes.
+    #[schema(minimum = 1, maximum = 65535)]
+    code_number: u16,
     /// Description for people, with the remedy if there is one.
     detail: String,
     /// Name of the wrong field, if a field is wrong.
@@ -169,19 +94,25 @@ pub struct Members {
 }
 
 impl Members {
+    /// Name of the wrong field, if a field is wrong.
+    pub fn field(&self) -> Option<&str> {
+        self.field.as_deref()
+    }
+
     pub fn status(&self) -> StatusCode {
-        self.code.status()
+        StatusCode::from_u16(self.status).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR)
     }
 }
 
 impl Problem {
     pub fn new(code: Code, detail: impl Into<String>) -> Self {
-        let status = code.status();
+        let status = StatusCode::from_u16(code.http_status()).unwrap_or(StatusCode::INTERNAL_SERVER_ERROR);
         Self(Box::new(Members {
             kind: "about:blank",
             title: status.canonical_reason().unwrap_or_default(),
             status: status.as_u16(),
             code,
+            code_number: code.number(),
             detail: detail.into(),
             field: None,
             value: None,
@@ -268,7 +199,7 @@ impl Problem {
     /// The code as clients see it.
     #[must_use]
     pub fn code_word(&self) -> String {
-        self.0.code.word()
+        self.0.code.word().to_owned()
     }
 
     #[must_use]
@@ -306,6 +237,27 @@ impl Problem {
         self
     }
 
+    /// Adds what prevents the request.
+    fn conflict(self, conflict: Conflict) -> Self {
+        match conflict {
+            Conflict::FastStop { id }
+            | Conflict::FastStopPersists { id, flags: _ }
+            | Conflict::FastStopUnconfirmed { id } => self.fast_stop(Some(id)),
+            Conflict::Acknowledging { id } => self.fast_stop(id),
+            Conflict::StaleFastStop { given: _, current } => self.fast_stop(current),
+            Conflict::AlreadyRunning { id } => self.command(id),
+            Conflict::LeaseHeld { holder, expires_in_ms } => self.lease(Some(holder), expires_in_ms),
+            Conflict::LeaseBound { holder, ttl_ms } => self.lease(Some(holder), Some(ttl_ms)),
+            Conflict::LeaseTokenMissing { holder, expires_in_ms, .. } => self.lease(Some(holder), Some(expires_in_ms)),
+            Conflict::LeaseRequested { holder, place: _ } => self.lease(Some(holder), None),
+            Conflict::StaleLease { epoch: _, holder } => self.lease(holder, None),
+            Conflict::NotReferenced
+            | Conflict::FingersMove
+            | Conflict::SettingsLost { .. }
+            | Conflict::RequestIdReused => self,
+        }
+    }
+
     fn command(mut self, id: CommandId) -> Self {
         (self.0.command_id, self.0.command) = (Some(id), Some(id));
         self
@@ -314,86 +266,28 @@ impl Problem {
 
 impl From<Rejection> for Problem {
     fn from(rejection: Rejection) -> Self {
+        let problem = Self::new(rejection.code(), rejection.to_string());
         match rejection {
-            Rejection::Invalid(invalid) => invalid.into(),
-            Rejection::Conflict(conflict) => conflict.into(),
-            Rejection::Device(refusal) => refusal.into(),
-            Rejection::Failure(failure) => failure.into(),
+            Rejection::Invalid(Invalid::OutOfRange { field, value, min, max, limit: _ }) => {
+                problem.field(field).value(decimal(value).map(Value::Number)).limits(decimal(min), decimal(max))
+            }
+            Rejection::Invalid(Invalid::Malformed { field, detail: _ }) => problem.field(field),
+            Rejection::Conflict(conflict) => problem.conflict(conflict),
+            Rejection::Device(DeviceRefusal { status, fast_stop, .. }) => problem.device(status).fast_stop(fast_stop),
+            Rejection::Failure(_) => problem,
         }
     }
 }
 
-impl From<Invalid> for Problem {
-    fn from(invalid: Invalid) -> Self {
-        let detail = invalid.to_string();
-        match invalid {
-            Invalid::OutOfRange { field, value, min, max, limit: _ } => Self::new(Code::OutOfRange, detail)
-                .field(field)
-                .value(decimal(value).map(Value::Number))
-                .limits(decimal(min), decimal(max)),
-            Invalid::Malformed { field, detail: _ } => Self::malformed(field, detail),
-        }
-    }
-}
-
-impl From<Conflict> for Problem {
-    fn from(conflict: Conflict) -> Self {
-        let detail = conflict.to_string();
-        match conflict {
-            Conflict::FastStop { id } | Conflict::FastStopPersists { id, flags: _ } => {
-                Self::new(Code::FastStop, detail).fast_stop(Some(id))
-            }
-            Conflict::StaleFastStop { given: _, current } => Self::new(Code::StaleFastStop, detail).fast_stop(current),
-            Conflict::Acknowledging { id } => Self::new(Code::AlreadyRunning, detail).fast_stop(Some(id)),
-            Conflict::FastStopUnconfirmed { id } => Self::new(Code::FastStopUnconfirmed, detail).fast_stop(Some(id)),
-            Conflict::NotReferenced => Self::new(Code::NotReferenced, detail),
-            Conflict::AlreadyRunning { id } => Self::new(Code::AlreadyRunning, detail).command(id),
-            Conflict::SettingsLost { .. } => Self::new(Code::DeviceRefused, detail),
-            Conflict::LeaseHeld { holder, expires_in_ms } => {
-                Self::new(Code::LeaseHeld, detail).lease(Some(holder), expires_in_ms)
-            }
-            Conflict::StaleLease { epoch: _, holder } => Self::new(Code::StaleLease, detail).lease(holder, None),
-            Conflict::RequestIdReused => Self::new(Code::RequestIdReused, detail),
-        }
-    }
-}
-
-impl From<DeviceRefusal> for Problem {
-    fn from(refusal: DeviceRefusal) -> Self {
-        let mut detail = refusal.to_string();
-        let code = match refusal.status {
-            Status::E_ACCESS_DENIED if refusal.fast_stop.is_some() => Code::FastStop,
-            Status::E_NOT_INITIALIZED => Code::NotReferenced,
-            // The gateway knows of no command, so the device counts its last grip as running (`fw4-en 3.2.6`).
-            Status::E_ALREADY_RUNNING if refusal.command == "Grip" => {
-                detail.push_str("; if the fingers stand still, release before the next grip");
-                Code::ReleaseFirst
-            }
-            Status::E_ALREADY_RUNNING => Code::AlreadyRunning,
-            Status::E_RANGE_ERROR => Code::OutOfRange,
-            _ => Code::DeviceRefused,
-        };
-        Self::new(code, detail).device(refusal.status).fast_stop(refusal.fast_stop)
+impl From<Failure> for Problem {
+    fn from(failure: Failure) -> Self {
+        Rejection::from(failure).into()
     }
 }
 
 impl From<ReadError> for Problem {
     fn from(error: ReadError) -> Self {
         Self::new(Code::JournalDown, error.to_string())
-    }
-}
-
-impl From<Failure> for Problem {
-    fn from(failure: Failure) -> Self {
-        let code = match failure {
-            Failure::LinkDown { .. } | Failure::Draining => Code::LinkDown,
-            Failure::DeviceTimeout { .. } => Code::DeviceTimeout,
-            Failure::DeviceProtocol { .. } => Code::DeviceProtocol,
-            Failure::JournalDown { .. } => Code::JournalDown,
-            Failure::Overloaded { .. } | Failure::RequestIds { .. } | Failure::FlashWear { .. } => Code::Overloaded,
-            Failure::LineTime { .. } => Code::AlreadyRunning,
-        };
-        Self::new(code, failure.to_string())
     }
 }
 

@@ -10,7 +10,7 @@ use super::commands;
 use super::operation::{Operation, Role, reply};
 use super::problem::Problem;
 use super::reply::{Effect, OperationReply};
-use super::values::{bytes, integer};
+use super::values::{TextOrNumber, bytes, integer, request_id_schema};
 use crate::gripper::model::{Action, CommandId, CommandReport, FastStopId, Motion, Outcome, Phase, Reason};
 use crate::gripper::{FastStop, Handle};
 use crate::wsg::id::MAX_OPAQUE_BYTES;
@@ -31,10 +31,8 @@ pub struct Raw {
     #[serde(default)]
     #[schema(default = "", max_length = 8192, pattern = "^([0-9a-fA-F]{2})*$")]
     payload: String,
-    /// Id that makes a motion safe to repeat: for 10 minutes, the same id returns the same command. At most 64 bytes;
-    /// empty means none.
-    #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
-    request_id: Option<String>,
+    #[schema(schema_with = request_id_schema)]
+    request_id: Option<TextOrNumber>,
     /// Token of the current lease, if the gripper is leased. At most 64 bytes; empty means none.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     lease: Option<String>,
@@ -105,7 +103,8 @@ async fn raw(call: Call) -> Result<OperationReply, Problem> {
     let body: Raw = call.fields()?;
     // At most 255, so the cast loses nothing.
     let id = integer("id", body.id, 0..=u64::from(u8::MAX))? as u8;
-    let keys = keys.or_fields(body.request_id.as_deref(), body.lease.as_deref())?;
+    let request_id = body.request_id.as_ref().map(ToString::to_string);
+    let keys = keys.or_fields(request_id.as_deref(), body.lease.as_deref())?;
     let payload = bytes("payload", &body.payload, MAX_OPAQUE_BYTES)?;
     let command = wsg::Command::parse(id, &payload).map_err(|error| match error {
         wsg::InvalidRequest::Custom(..) => Problem::malformed("id", error.to_string()),

@@ -6,9 +6,9 @@ use serde::Serialize;
 use serde_json::value::{RawValue, to_raw_value};
 
 use super::connection_lease::ConnectionLease;
-use super::problem::{Code, Problem};
+use super::problem::Problem;
 use crate::gripper::Ticket;
-use crate::gripper::model::Name;
+use crate::gripper::model::{Code, Name};
 
 /// The successful result of an operation.
 #[derive(Debug)]
@@ -28,6 +28,8 @@ pub enum Effect {
         gripper: Name,
         ticket: Ticket,
     },
+    /// A request that waits for the lease's holder.
+    Waiting,
     /// A lease that was acquired.
     Leased(Arc<ConnectionLease>),
 }

@@ -104,11 +104,11 @@ fn path_part(key: &str, value: Option<Value>) -> Result<String, Problem> {
         Some(Value::String(text)) => text,
         Some(Value::Number(number)) => number.to_string(),
         Some(_) => return Err(Problem::malformed(key, format!("{key} must be a string or a number"))),
-        None => return Err(Problem::malformed(key, format!("missing field `{key}`"))),
+        None => return Err(Problem::malformed(key, format!("{key} is missing"))),
     };
     let is_name = |byte: u8| byte.is_ascii_alphanumeric() || matches!(byte, b'-' | b'_');
     if part.is_empty() || !part.bytes().all(is_name) {
-        return Err(Problem::not_found(format!("such {key}")));
+        return Err(Problem::not_found(format!("such {key}")).field(key));
     }
     Ok(part)
 }

@@ -8,9 +8,10 @@ use utoipa::ToSchema;
 use super::call::{Call, Gripper, NoFields};
 use super::device::{ask, only};
 use super::operation::{Operation, ready, reply};
-use super::problem::{Code, Problem};
+use super::problem::Problem;
 use super::reply::Json;
 use super::values::{acceleration, force, width};
+use crate::gripper::model::Code;
 use crate::gripper::{Failure, Rejection};
 use crate::wsg::{self, Data, DeviceTag, InvalidDeviceTag, SoftLimits, Status, SystemState};
 

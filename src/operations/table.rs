@@ -3,7 +3,9 @@
 use http::Method as Verb;
 
 use super::operation::Operation;
-use super::{commands, device, fast_stop, fingers, fleet, grippers, lease, motion, raw, settings};
+use super::{
+    commands, connection, device, fast_stop, fingers, fleet, grippers, lease, motion, raw, settings, webhooks,
+};
 use crate::gripper::model::Urgency;
 
 /// All operations. If several share a name, the first whose path parameters are all given is chosen.
@@ -21,11 +23,13 @@ pub const OPERATIONS: &[Operation] = &[
     lease::RENEW,
     lease::RELEASE,
     lease::HAND_OVER,
+    commands::LATEST,
     commands::GET,
     commands::CANCEL,
     grippers::LIST,
     grippers::INFO,
     grippers::STATE,
+    grippers::STATUS,
     settings::GET_ACCELERATION,
     settings::SET_ACCELERATION,
     settings::GET_FORCE_LIMIT,
@@ -45,8 +49,12 @@ pub const OPERATIONS: &[Operation] = &[
     device::TARE,
     device::LOOP,
     raw::RAW,
+    connection::DISCONNECT,
+    connection::CONNECT,
     fleet::LIST,
     fleet::FAST_STOP,
+    webhooks::LIST,
+    webhooks::TEST,
 ];
 
 /// Operations with this name.

@@ -3,7 +3,11 @@
 //! A number only has to fit the wire here; the gripper checks its own limits. The bounds in the OpenAPI document are
 //! those that no gripper exceeds.
 
+use std::fmt;
 use std::ops::RangeInclusive;
+
+use serde::Deserialize;
+use utoipa::openapi::schema::{ObjectBuilder, OneOfBuilder, Type};
 
 use super::problem::Problem;
 use crate::gripper::limits::{FASTEST_MM_S, HARDEST_MM_S2, STRONGEST_N, WIDEST_MM};
@@ -72,6 +76,40 @@ pub fn name<const MAX: usize>(field: &str, given: &str) -> Result<ShownName<MAX>
         return Err(Problem::too_long(field, given.len(), MAX));
     }
     ShownName::new(given).map_err(|error| Problem::malformed(field, format!("{field} {error}")))
+}
+
+/// A text for which programs without texts send a number.
+#[derive(Debug, Deserialize)]
+#[serde(untagged, expecting = "expected a text or a whole number")]
+pub enum TextOrNumber {
+    Text(String),
+    Number(i64),
+}
+
+impl fmt::Display for TextOrNumber {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Text(text) => f.write_str(text),
+            Self::Number(number) => number.fmt(f),
+        }
+    }
+}
+
+/// Schema of an optional [`TextOrNumber`].
+pub fn text_or_number(max_bytes: usize, description: &str) -> OneOfBuilder {
+    let object = |kind| ObjectBuilder::new().schema_type(kind);
+    let text = object(Type::String).max_length(Some(max_bytes)).pattern(Some(r"^[^\u0000-\u001f\u007f-\u009f]*$"));
+    let number = object(Type::Integer).minimum(Some(i64::MIN)).maximum(Some(i64::MAX));
+    OneOfBuilder::new().item(text).item(number).item(object(Type::Null)).description(Some(description))
+}
+
+/// Schema of a request id.
+pub fn request_id_schema() -> OneOfBuilder {
+    text_or_number(
+        64,
+        "Id that makes the request safe to repeat: for 10 minutes, the same id returns the same command. At most 64 \
+         bytes, or a whole number, which counts as its text; empty means none.",
+    )
 }
 
 /// Bytes in hexadecimal digits.

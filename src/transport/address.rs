@@ -123,6 +123,12 @@ impl Address {
         }
     }
 
+    /// Whether the two devices share the capacity of one line: a CAN bus.
+    #[must_use]
+    pub fn shares_line_with(&self, other: &Self) -> bool {
+        matches!((self, other), (Self::Can(one), Self::Can(other)) if one.interface == other.interface)
+    }
+
     /// Reason and remedy if the two addresses cannot be used at the same time.
     #[must_use]
     pub fn conflict_with(&self, other: &Self) -> Option<String> {

@@ -343,6 +343,19 @@ pub enum WireDirection {
     Unknown,
 }
 
+/// Describes a frame with a wrong checksum.
+#[must_use]
+pub fn describe_damaged(id: u8) -> String {
+    let name = id::name(id).map_or_else(|| format!("0x{id:02X}"), str::to_owned);
+    format!("{name}  [checksum wrong]")
+}
+
+/// Describes bytes outside any frame.
+#[must_use]
+pub fn describe_skipped(bytes: u64) -> String {
+    format!("({bytes} bytes outside any frame)")
+}
+
 /// Describes a frame in one line.
 #[must_use]
 pub fn describe(frame: super::Frame<'_>, direction: WireDirection) -> String {

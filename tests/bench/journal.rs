@@ -155,6 +155,8 @@ async fn gripper(recorder: Arc<dyn Recorder>) -> Result<(Handle, Switch), Error>
         properties: address.properties(),
         fast_stop_on_disconnect: true,
         custom_ids: gripper::model::CustomIds::default(),
+        updates: gripper::model::UpdateRules::default(),
+        motion_pause: Duration::from_millis(50),
         drain: Duration::from_secs(2),
         on_journal_failure: gripper::model::OnJournalFailure::Refuse,
         lease: LeaseRules::default(),

@@ -17,7 +17,7 @@ test('control is requested, handed over and taken back by force', async () => {
   await ben.page.waitForSelector('.status:has-text("Anna")');
   assert.ok(await ben.page.locator('#home').isDisabled());
   await ben.page.click('#ask-control');
-  await anna.page.waitForSelector('.asked:has-text("Ben is asking for control")');
+  await anna.page.waitForSelector('[data-notice=asked]:has-text("Ben is asking for control")');
   await shoot(anna.page, 'asked', { fullPage: true });
   await anna.page.click('#hand-over');
   await ben.page.waitForSelector('.control-panel:has-text("You have control as Ben")');
@@ -42,6 +42,32 @@ test('control is requested, handed over and taken back by force', async () => {
   );
   await anna.page.click('#give-back');
   await ben.page.waitForSelector('#take-control');
+  [anna, ben].forEach(assertClean);
+  await Promise.all([anna.close(), ben.close()]);
+});
+
+test('people are asked for their names, which others see', async () => {
+  const served = await gateway();
+  const [anna, ben] = [await visit(launched, served), await visit(launched, served)];
+  await anna.page.fill('#your-name', 'Anna');
+  await anna.page.click('.take button.primary');
+  await ben.page.waitForSelector('.status:has-text("Anna")');
+  await anna.page.click('#stop');
+  await anna.page.waitForSelector('#latch-by:has-text("Anna (127.0.0.1), this browser")');
+  await ben.page.waitForSelector('#latch-by:has-text("Anna (127.0.0.1)")');
+  assert.doesNotMatch(await ben.page.locator('#latch-by').innerText(), /this browser/);
+  await ben.page.waitForSelector('.alarm:has-text("Anna (127.0.0.1)")');
+  await ben.page.click('[data-view=history]');
+  await ben.page.click('[data-choice=records-events]');
+  await ben.page.waitForSelector('.stop-row:has-text("Anna (127.0.0.1)")');
+  // Asked once.
+  await anna.page.click('[data-view=operate]');
+  await anna.page.click('#acknowledge:enabled');
+  await anna.page.click('#give-back');
+  await anna.page.waitForSelector('#take-control');
+  await anna.page.reload();
+  await anna.page.waitForSelector('.take');
+  assert.equal(await anna.page.locator('#your-name').count(), 0);
   [anna, ben].forEach(assertClean);
   await Promise.all([anna.close(), ben.close()]);
 });

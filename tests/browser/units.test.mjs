@@ -47,6 +47,9 @@ test('the editor accepts bytes, floats and texts, and names errors', () => {
   assert.equal(bytes('150.0f'), '00001643');
   assert.equal(bytes('-1f .5f 1e2f'), '000080bf0000003f0000c842');
   assert.equal(bytes('"text" 7 255'), '7465787407ff');
+  assert.equal(bytes('-5 -128'), 'fb80');
+  assert.equal(bytes('150,0f'), '00001643');
+  assert.equal(bytes('1, 2,3 0x20,"a,b", .5f ,5f'), '01020320612c620000003f0000003f');
   assert.equal(bytes('"a b\\"c"'), '6120622263');
   assert.equal(bytes('  0x00   20.0f 0x0A '), '000000a0410a');
   for (const [text, wrong] of [
@@ -56,10 +59,34 @@ test('the editor accepts bytes, floats and texts, and names errors', () => {
     ['0x20 x', 'x'],
     ['"open', '"open'],
     ['"\u20ac"', '\u20ac'],
-    ['-1', '-1'],
+    ['-129', '-129'],
+    ['1,000f', '1,000f'],
+    ['1,,2', ','],
   ]) {
     assert.equal(parse(text).wrong, wrong, text);
   }
+});
+
+test('a form and its text have the same bytes', async () => {
+  const { compose, fieldsOf, idText, MANUAL, valuesOf } = await view('manual');
+  for (const [id, values, hex] of [
+    [0x25, ['20', '50,5'], '0000a04100004a42'],
+    [0x21, ['3', '-1.5', '50'], '030000c0bf00004842'],
+    [0x43, ['1', '10'], '010a00'],
+    [0x51, ['a "b" \\'], '6120226222205c'],
+    [0x31, [], ''],
+  ]) {
+    const fields = fieldsOf(id);
+    const { bytes, wrong } = parse(compose(fields, values));
+    assert.deepEqual([toHex(bytes), wrong], [hex, null], idText(id));
+    assert.deepEqual(
+      valuesOf(fields, bytes),
+      values.map((value) => value.replace(',', '.')),
+      idText(id),
+    );
+  }
+  assert.deepEqual(valuesOf(fieldsOf(0x25), [0, 0, 160, 65]), ['20', '']);
+  assert.equal(MANUAL.size, 37);
 });
 
 test('an id is a number or has the manual’s notation', () => {
@@ -222,6 +249,43 @@ test('a newer FAST STOP is another alarm, and the list is bounded', () => {
   assert.deepEqual(
     many.map(({ what }) => what),
     ['link/reconnecting', 'journal', 'part_lost'],
+  );
+});
+
+test('a reservation is an alarm until a client takes control', () => {
+  const lease = { reserved_for: 'Anna' };
+  const wrong = wrongWith(state({ lease_holder: null }), lease);
+  assert.deepEqual(
+    wrong.map(({ what, priority, cause }) => [what, priority, cause]),
+    [['reserved', 'high', 'Anna']],
+  );
+  assert.deepEqual(wrongWith(state({ lease_holder: 'Ben' }), lease), []);
+});
+
+test('numbers per part have mean, spread and trend', async () => {
+  const { perPart, summary } = await view('statistics');
+  assert.deepEqual(summary([4, 2, null, 3]), { mean: 3, spread: 1, trend: 1 });
+  assert.deepEqual(summary([5]), { mean: 5, spread: null, trend: null });
+  assert.deepEqual(summary([]), { mean: null, spread: null, trend: null });
+  const grip = (part_id, outcome, width_mm, part_lost_at = null) => ({
+    part_id,
+    outcome,
+    width_mm,
+    force_n: 30,
+    part_lost_at,
+  });
+  const parts = perPart([
+    grip('b', 'PART_HELD', 20),
+    grip('b', 'NO_PART', 5),
+    grip('b', 'PART_HELD', 19, '2026-01-01T00:00:00Z'),
+    grip(null, 'PART_HELD', 30),
+  ]);
+  assert.deepEqual(
+    parts.map(({ part, count, rate, width }) => [part, count, rate, width.mean]),
+    [
+      ['b', 3, 1 / 3, 20],
+      [null, 1, 1, 30],
+    ],
   );
 });
 

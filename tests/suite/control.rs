@@ -2,15 +2,11 @@
 
 use serde_json::Value;
 
-use crate::harness::{Simulator, eventually};
+use crate::harness::Simulator;
 
 #[tokio::test]
 async fn impossible_change_is_refused_with_its_limits() {
-    let device = Simulator::start(&["--control", "127.0.0.1:0"]).await;
-    let url = eventually("the control port", async || {
-        device.stdout().split_whitespace().find(|word| word.starts_with("http://")).map(|url| format!("{url}/0"))
-    })
-    .await;
+    let (_device, url) = Simulator::with_control().await;
     let http = reqwest::Client::new();
     let post = async |body: &'static str| {
         let answer = http.post(&url).body(body).send().await.unwrap();

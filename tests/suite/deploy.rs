@@ -35,9 +35,7 @@ fn texts(directory: &Path) -> Vec<(String, String)> {
 #[tokio::test]
 async fn monitored_metrics_exist() {
     let journal = File::new("monitored");
-    let gateway = Gateway::start(&["--gripper", "g=sim://wsg50", "--journal", &journal.path()]).await;
-    gateway.until_link("connected").await;
-    gateway.post("home", &json!({})).await.outcome("SUCCESS");
+    let gateway = Gateway::with_webhook(&["--gripper", "g=sim://wsg50", "--journal", &journal.path()]).await;
     gateway.post("lease", &json!({"ttl_ms": 60_000})).await.ok();
     let figures = gateway.figures().await;
     let series: BTreeSet<_> = figures.keys().flat_map(|series| named(series)).collect();

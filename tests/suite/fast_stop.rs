@@ -9,7 +9,7 @@ use prometheus::Registry;
 use serde_json::{Value, json};
 use wsg_gateway::gripper::actor::ActorConfig;
 use wsg_gateway::gripper::model::{
-    Client, CustomIds, Door, FastStopId, IdSource, LeaseRules, Link, Name, OnJournalFailure, Reason, State,
+    Client, CustomIds, Door, FastStopId, IdSource, LeaseRules, Link, Name, OnJournalFailure, Reason, State, UpdateRules,
 };
 use wsg_gateway::gripper::recorder::RestoredState;
 use wsg_gateway::gripper::{self, GripperMetrics, Handle, NullRecorder};
@@ -156,6 +156,8 @@ fn spawned(device: SocketAddr, restored: RestoredState) -> Handle {
         properties: address.properties(),
         fast_stop_on_disconnect: true,
         custom_ids: CustomIds::default(),
+        updates: UpdateRules::default(),
+        motion_pause: Duration::from_millis(50),
         drain: Duration::from_secs(2),
         on_journal_failure: OnJournalFailure::Refuse,
         lease: LeaseRules::default(),

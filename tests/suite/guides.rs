@@ -127,7 +127,7 @@ async fn guides_are_served_with_their_links() {
 /// The names of the configuration file's keys.
 fn configuration_keys() -> BTreeSet<String> {
     let mut keys = BTreeSet::new();
-    for path in ["src/config.rs", "src/config/zenoh.rs"] {
+    for path in ["src/config.rs", "src/config/webhooks.rs", "src/config/zenoh.rs"] {
         for item in syn::parse_file(&read(path)).unwrap().items {
             let Item::Struct(item) = item else { continue };
             let is_content = item.ident.to_string().ends_with("Content");
@@ -161,8 +161,7 @@ fn values_of(schema: &str) -> BTreeSet<String> {
 }
 
 async fn metrics() -> BTreeSet<String> {
-    let device = Simulator::start(&[]).await;
-    let gateway = Gateway::homed_at(device.address).await;
+    let gateway = Gateway::with_webhook(&["--gripper", "g=sim://wsg50"]).await;
     gateway.post("fast-stop", &Value::default()).await.ok();
     let text = gateway.get("/metrics").await.ok();
     let help = text.as_str().unwrap().lines().filter_map(|line| line.strip_prefix("# HELP "));

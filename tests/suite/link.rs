@@ -4,7 +4,8 @@ use std::time::{Duration, Instant};
 
 use serde_json::{Value, json};
 
-use crate::harness::{Gateway, Proxy, Simulator};
+use crate::harness::wsg::Driver;
+use crate::harness::{Gateway, Proxy, Simulator, eventually};
 
 #[tokio::test]
 async fn device_lost_during_a_move_leaves_an_unknown_outcome() {
@@ -182,4 +183,74 @@ async fn thousand_state_reads_cost_the_device_no_frame() {
     assert_eq!(caused, []);
     // Upkeep follows the clock, not the reads: one temperature in 5 s, and nothing else while updates arrive.
     assert!(proxy.frames.len() - before < 100, "{:?}", proxy.frames.since(before));
+}
+
+#[tokio::test]
+async fn updates_on_change_relieve_the_line() {
+    let device = Simulator::start(&[]).await;
+    let proxy = Proxy::to(device.address);
+    let url = format!("tcp://{}", proxy.address);
+    let toml = format!("[grippers.g]\nurl = \"{url}\"\nupdate_period_ms = 20\nupdates = \"changes\"\n");
+    let gateway = Gateway::with_file(&[], &toml).await;
+    gateway.until_link("connected").await;
+    let switched_on: Vec<_> =
+        proxy.frames.all().into_iter().filter(|frame| frame.id == 0x43).map(|frame| frame.payload).collect();
+    assert_eq!(switched_on, [[3, 20, 0]]);
+    gateway.post("home", &json!({})).await.outcome("SUCCESS");
+    gateway.post("move", &json!({"width_mm": 20, "speed_mm_s": 100})).await.outcome("SUCCESS");
+    let page = gateway.get("/api/v1/grips?kind=move").await.ok();
+    assert!(page["grips"][0]["samples"].as_u64() > Some(10), "{page}");
+
+    // While the fingers stand still, each value is read once a second.
+    let updates = async || gateway.figures().await["wsg_updates_total{gripper=\"g\"}"];
+    let (before, polled) = (updates().await, proxy.frames.count(0x40));
+    eventually("two polls", async || (proxy.frames.count(0x40) >= polled + 2).then_some(())).await;
+    let received = updates().await - before;
+    assert!(received < 50.0, "{received}");
+    assert_eq!(gateway.state().await["link"], "connected");
+}
+
+#[tokio::test]
+async fn released_gripper_serves_another_program_until_connect() {
+    let device = Simulator::start(&[]).await;
+    let proxy = Proxy::to(device.address);
+    let gateway = Gateway::homed_at(proxy.address).await;
+    let id = gateway.begin("move", &json!({"width_mm": 10, "speed_mm_s": 50})).await;
+    gateway.until_moving().await;
+    let refused = gateway.post("disconnect", &json!({})).await.problem(409, "already_running");
+    assert_eq!(refused["command"], id.as_str(), "{refused}");
+    gateway.post("stop", &json!({})).await.ok();
+    gateway.until_standing().await;
+
+    let released = gateway.post("disconnect", &json!({})).await.ok();
+    assert_eq!(released["link"], "released", "{released}");
+    assert_eq!(proxy.frames.all().last().map(|frame| frame.id), Some(0x07));
+    gateway.post("disconnect", &json!({})).await.ok();
+    let down = gateway.post("home", &json!({})).await.problem(503, "link_down");
+    assert!(down["detail"].as_str().unwrap().contains("`connect`"), "{down}");
+    let mut other = Driver::connect(device.address).await;
+    assert_eq!(other.flags().await & 1 << 12, 0, "the disconnect was announced");
+    other.leave().await;
+
+    let before = proxy.frames.len();
+    let stopped = gateway.post("fast-stop", &json!({})).await.ok();
+    assert_eq!(stopped["fast_stop_confirmed"], false, "{stopped}");
+    gateway.post("connect", &json!({})).await.ok();
+    gateway.until("the FAST STOP is confirmed", |state| state["fast_stop_confirmed"] == true).await;
+    assert_eq!(proxy.frames.since(before)[0].id, 0x23);
+    gateway.until_link("connected").await;
+}
+
+#[tokio::test]
+async fn release_ends_attempts_to_connect() {
+    let device = Simulator::start(&[]).await;
+    let mut proxy = Proxy::refusing(device.address);
+    let gateway = Gateway::of(proxy.address).await;
+    gateway.until("an attempt fails", |state| state["link_cause"].is_string()).await;
+    let released = gateway.post("disconnect", &json!({})).await.ok();
+    assert_eq!(released["link"], "released", "{released}");
+    proxy.accept();
+    let connecting = gateway.post("connect", &json!({})).await.ok();
+    assert_ne!(connecting["link"], "released", "{connecting}");
+    gateway.until_link("connected").await;
 }

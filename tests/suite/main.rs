@@ -33,6 +33,7 @@ mod shutdown;
 mod slow_line;
 mod systemd;
 mod transports;
+mod webhooks;
 mod websocket;
 mod without_connection;
 mod wsg_port;

@@ -12,7 +12,7 @@ use tokio_tungstenite::tungstenite::http::HeaderValue;
 use tokio_tungstenite::tungstenite::{Error, Message};
 use url::Url;
 
-use crate::gripper::model::{FrameDirection, FrameRecord};
+use crate::gripper::model::FrameDirection;
 
 /// A JSON-RPC message from a gateway.
 #[derive(Debug, Deserialize)]
@@ -28,13 +28,22 @@ struct GatewayError {
     message: String,
 }
 
+/// The printed fields of a frame or a damage.
+#[derive(Debug, Deserialize)]
+struct WireEntry {
+    gripper: String,
+    at: String,
+    direction: FrameDirection,
+    text: String,
+}
+
 #[derive(Debug, Deserialize)]
 struct Gap {
     gripper: String,
     missed: u64,
 }
 
-/// Writes one line per frame until the gateway ends or the output is closed.
+/// Writes one line per frame or damage until the gateway ends or the output is closed.
 ///
 /// # Errors
 /// An unreachable gateway, or the end of the gateway or of the connection to it.
@@ -88,8 +97,8 @@ fn line(message: GatewayMessage) -> anyhow::Result<Option<String>> {
         bail!("the gateway refused the subscription: {message}");
     }
     Ok(match message.method.as_deref() {
-        Some("frame") => {
-            let FrameRecord { gripper, at, direction, text, .. } = serde_json::from_value(message.params)?;
+        Some("frame" | "damage") => {
+            let WireEntry { gripper, at, direction, text } = serde_json::from_value(message.params)?;
             let mark = match direction {
                 FrameDirection::Sent => '>',
                 FrameDirection::Received => '<',
@@ -119,6 +128,16 @@ fn describe(error: Error) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn damage_is_printed_like_a_frame() {
+        let params = json!({"gripper": "left", "seq": 7, "at": "2026-11-21T09:00:00.25Z", "direction": "received",
+            "damage": "skipped", "id": null, "name": null, "bytes": 3, "hex": "000102",
+            "text": "(3 bytes outside any frame)"});
+        let message = GatewayMessage { method: Some("damage".to_owned()), params, error: None };
+        let expected = "2026-11-21T09:00:00.25Z left < (3 bytes outside any frame)";
+        assert_eq!(line(message).unwrap().unwrap(), expected);
+    }
 
     #[test]
     fn address_names_a_gateway_or_a_gripper() {

@@ -80,13 +80,18 @@ impl Actor {
         Ok(())
     }
 
-    /// Whether anything may move now.
+    /// Whether a motion may start now.
     fn check_moving(&self) -> Result<(), Conflict> {
-        if let Some(id) = self.latch.id() {
-            return Err(Conflict::FastStop { id });
-        }
-        self.settings.check()?;
+        self.check_stopped()?;
         self.motion.check()
+    }
+
+    /// Whether a FAST STOP or a lost setting forbids every motion.
+    fn check_stopped(&self) -> Result<(), Conflict> {
+        match self.latch.id() {
+            Some(id) => Err(Conflict::FastStop { id }),
+            None => self.settings.check(),
+        }
     }
 
     /// Clamps the values of a submission to the device's limits, as the device would.
@@ -134,6 +139,9 @@ impl Actor {
         }
         // A token without a lease renews nothing.
         let _ = self.lease.renew(now.instant, lease);
+        if self.is_script(&command) {
+            self.note_script(now, &client, lease);
+        }
         if let Some(data) = self.observed.newest(command.id()) {
             // Sending the getter would switch its automatic updates off.
             let _ = answer.send(Ok(data));
@@ -176,7 +184,11 @@ impl Actor {
             Command::Stop | Command::FastStop => Err(not_here("use its own operation")),
             Command::AcknowledgeFastStop => Err(not_here("acknowledge the FAST STOP by its id")),
             Command::DisconnectAnnouncement => Err(not_here("the gateway announces its own disconnects")),
-            Command::Custom(_) if !self.only_reads(command) => {
+            Command::Custom(_) if self.is_script(command) && client.door.speaks_wsg() => {
+                self.check_stopped()?;
+                Ok(self.recording.check()?)
+            }
+            Command::Custom(_) if self.is_script(command) => {
                 Err(not_here("it can move the fingers; submit it as a command"))
             }
             command if id::has_updates(command.id()) && self.observed.newest(command.id()).is_none() => {
@@ -184,6 +196,11 @@ impl Actor {
             }
             _ => Ok(()),
         }
+    }
+
+    /// Whether the command belongs to a script that may move the fingers.
+    pub(super) fn is_script(&self, command: &Command) -> bool {
+        matches!(command, Command::Custom(_)) && !self.only_reads(command)
     }
 
     /// Whether the command only reads, so that any client can send it.
@@ -221,7 +238,19 @@ impl Actor {
                 return;
             }
         };
-        let exchange = Exchange { command: getter.clone(), answer, accepted: None, setter: Some(command), client };
+        self.read_back(now, getter, command, client, answer);
+    }
+
+    /// Reads back the value of a setter.
+    pub(super) fn read_back(
+        &mut self,
+        now: Now,
+        getter: Command,
+        setter: Command,
+        client: Client,
+        answer: Answer<Data>,
+    ) {
+        let exchange = Exchange { command: getter.clone(), answer, accepted: None, setter: Some(setter), client };
         let purpose = Purpose::Exchange(exchange);
         self.submit_exchange(now, getter, purpose);
     }
@@ -248,14 +277,40 @@ impl Actor {
 
     /// Sends an acknowledgement, if the latch and the link allow it.
     pub(super) fn acknowledge(&mut self, now: Now, id: FastStopId, client: Client, answer: Answer<()>) {
-        let allowed = self.latch.check_acknowledge(id).map_err(Rejection::from).and_then(|()| Ok(self.check_link()?));
+        let allowed = self.latch.check_acknowledge(id).map_err(Rejection::from);
+        self.send_acknowledge(now, allowed, Some(id), client, answer);
+    }
+
+    /// Sends an acknowledgement of a fault without a latch (fw2 3.2.5), if the lease and the link allow it.
+    pub(super) fn acknowledge_fault(
+        &mut self,
+        now: Now,
+        client: Client,
+        lease: Option<&LeaseToken>,
+        answer: Answer<()>,
+    ) {
+        let allowed = self.latch.check_acknowledge_fault(self.observed.shows_fault());
+        let allowed = allowed.and_then(|()| Ok(self.check_claim(now, &client, lease)?));
+        self.send_acknowledge(now, allowed, None, client, answer);
+    }
+
+    fn send_acknowledge(
+        &mut self,
+        now: Now,
+        allowed: Result<(), Rejection>,
+        id: Option<FastStopId>,
+        client: Client,
+        answer: Answer<()>,
+    ) {
+        let allowed = allowed.and_then(|()| Ok(self.check_link()?));
         let sent = allowed.and_then(|()| {
             let submitted = self.link.submit(now, Command::AcknowledgeFastStop, Purpose::Acknowledge);
             submitted.map_err(|not_taken| not_taken.0)
         });
         match sent {
             Ok(token) => {
-                tracing::info!(gripper = %self.config.name, %id, by = %client.subject, "acknowledging FAST STOP");
+                let id_text = id.map(|id| id.to_string());
+                tracing::info!(gripper = %self.config.name, id = id_text, by = %client.subject, "acknowledging");
                 self.latch.acknowledge_sent(id, client, token, answer);
             }
             Err(rejection) => {

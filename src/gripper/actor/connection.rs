@@ -45,13 +45,20 @@ impl Actor {
                 (Purpose::Stop(Some(id)), true) => self.reject(now, id, rejection.clone()),
                 // The Stop may have happened.
                 (Purpose::Stop(Some(id)), false) => {
-                    self.end(now, id, |record| record.outcome = Some(Outcome::Unknown));
+                    self.end(now, id, |record| {
+                        record.set_outcome(Outcome::Unknown);
+                        record.explain(&rejection);
+                    });
                 }
                 _ => {}
             }
         }
         self.end_running(now, unwritten);
+        let released = self.end_release();
         self.after_input(now);
+        if let Some(answer) = released {
+            let _ = answer.send(Ok(()));
+        }
     }
 
     /// Whether the link is up, and the device has been identified.
@@ -74,8 +81,13 @@ impl Actor {
         self.continue_setup(now);
     }
 
+    /// Requests that switch on all automatic updates.
+    fn switch_on_updates(&self) -> impl Iterator<Item = Command> + use<> {
+        observed::switch_on_all(self.config.updates, self.link.properties.bytes_per_second)
+    }
+
     fn new_setup(&self) -> Setup {
-        Setup::new(self.link.properties.bytes_per_second, self.settings.known_serial, self.settings.wanted)
+        Setup::new(self.switch_on_updates(), self.settings.known_serial, self.settings.wanted)
     }
 
     /// Sends the next request of the setup, or ends the setup.
@@ -105,11 +117,11 @@ impl Actor {
         if !overdrive && self.settings.overdrive.give_up() {
             tracing::warn!(gripper = %name, "Overdrive Mode was lost in a device restart: enable it again if needed");
         }
-        self.recording.restored(now, &setup.restored, self.settings.wanted);
-        if self.settings.learn(&mut setup, overdrive) {
+        if self.settings.learn(&mut setup) {
             self.persist_settings();
         }
-        for update in observed::switch_on_all(None) {
+        self.recording.restored(now, &setup.restored, self.settings.wanted);
+        for update in self.switch_on_updates() {
             // Updates that do not arrive are switched on again.
             self.observed.asked(now.instant, update.id());
         }

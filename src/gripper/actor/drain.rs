@@ -1,11 +1,14 @@
 //! Draining, the orderly disconnect: new commands are rejected, a running one finishes or is stopped, the disconnect is
-//! announced, and the link is closed.
+//! announced, and the link is closed. It ends the gripper, or releases the device to another program.
 
 use std::time::{Duration, Instant};
 
 use tokio::sync::oneshot;
 
 use super::super::Now;
+use super::super::error::{Conflict, Failure, Rejection};
+use super::super::handle::Answer;
+use super::super::model::{Client, LeaseToken};
 use super::Actor;
 use super::link::{Close, Purpose};
 use crate::wsg::{Command, SystemState};
@@ -20,8 +23,16 @@ pub(super) struct Drain {
     until: Instant,
     /// Whether 07h was handed out.
     has_announced: bool,
-    /// Callers that wait for the end of the drain.
-    answers: Vec<oneshot::Sender<()>>,
+    ending: Ending,
+}
+
+/// What a drain ends.
+#[derive(Debug)]
+enum Ending {
+    /// The gripper, with the callers that wait for its end.
+    Gripper(Vec<oneshot::Sender<()>>),
+    /// The link alone, with the client that releases the device.
+    Link(Answer<()>),
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -61,12 +72,74 @@ impl Drain {
 
 impl Actor {
     pub(super) fn start_drain(&mut self, now: Now, answer: oneshot::Sender<()>) {
+        match &mut self.drain {
+            Some(Drain { ending: Ending::Gripper(answers), .. }) => answers.push(answer),
+            Some(Drain { ending, .. }) => {
+                if let Ending::Link(client) = std::mem::replace(ending, Ending::Gripper(vec![answer])) {
+                    let _ = client.send(Err(Failure::Draining.into()));
+                }
+            }
+            None => self.begin_drain(now, Ending::Gripper(vec![answer])),
+        }
+    }
+
+    fn begin_drain(&mut self, now: Now, ending: Ending) {
+        tracing::info!(gripper = %self.config.name, "draining");
         let until = now.instant + self.config.drain;
-        let drain = self.drain.get_or_insert_with(|| {
-            tracing::info!(gripper = %self.config.name, "draining");
-            Drain { stage: Stage::Finishing, until, has_announced: false, answers: Vec::new() }
-        });
-        drain.answers.push(answer);
+        self.drain = Some(Drain { stage: Stage::Finishing, until, has_announced: false, ending });
+    }
+
+    /// Releases the device to another program. The client is answered once the link is closed.
+    pub(super) fn disconnect(&mut self, now: Now, client: &Client, lease: Option<&LeaseToken>, answer: Answer<()>) {
+        if let Err(rejection) = self.check_disconnect(now, client, lease) {
+            let _ = answer.send(Err(rejection));
+            return;
+        }
+        tracing::info!(gripper = %self.config.name, by = %client.subject, "releasing the device");
+        self.link.release(client);
+        if self.link.is_down() {
+            self.publish(now);
+            let _ = answer.send(Ok(()));
+        } else {
+            self.begin_drain(now, Ending::Link(answer));
+        }
+    }
+
+    fn check_disconnect(&self, now: Now, client: &Client, lease: Option<&LeaseToken>) -> Result<(), Rejection> {
+        self.check_claim(now, client, lease)?;
+        match self.motion.id() {
+            _ if self.drain.is_some() => Err(Failure::Draining.into()),
+            Some(id) => Err(Conflict::AlreadyRunning { id }.into()),
+            None if !self.link.is_down() && self.is_moving(now.instant) => Err(Conflict::FingersMove.into()),
+            None => Ok(()),
+        }
+    }
+
+    /// Lets the gateway connect to a released device again.
+    pub(super) fn connect(&mut self, now: Now, client: &Client, lease: Option<&LeaseToken>, answer: Answer<()>) {
+        let result = match self.check_claim(now, client, lease) {
+            Ok(()) if self.drain.is_some() => Err(Failure::Draining.into()),
+            allowed => allowed.map_err(Rejection::from),
+        };
+        if result.is_ok() && self.link.reclaim() {
+            tracing::info!(gripper = %self.config.name, by = %client.subject, "reclaiming the device");
+            self.publish(now);
+        }
+        let _ = answer.send(result);
+    }
+
+    /// Whether the device is released to another program, so that no link may be made.
+    #[must_use]
+    pub fn is_released(&self) -> bool {
+        self.link.is_released()
+    }
+
+    /// Ends the release of a device whose link is down now. Returns the client to answer.
+    pub(super) fn end_release(&mut self) -> Option<Answer<()>> {
+        match self.drain.take_if(|drain| matches!(drain.ending, Ending::Link(_)))?.ending {
+            Ending::Link(answer) => Some(answer),
+            Ending::Gripper(_) => None,
+        }
     }
 
     /// Begins a drain without a caller, after the last handle is gone.
@@ -76,10 +149,10 @@ impl Actor {
         self.after_input(now);
     }
 
-    /// Whether a drain is under way, so that no new link may be made.
+    /// Whether the gripper is ending, so that no new link may be made.
     #[must_use]
     pub fn is_draining(&self) -> bool {
-        self.drain.is_some()
+        self.drain.as_ref().is_some_and(|drain| matches!(drain.ending, Ending::Gripper(_)))
     }
 
     /// Whether a disconnect was announced to the device.
@@ -92,8 +165,10 @@ impl Actor {
     pub fn drained(&mut self, now: Now) {
         self.recording.finish(now);
         self.streaming.write(now, &mut self.recording);
-        for answer in self.drain.take().into_iter().flat_map(|drain| drain.answers) {
-            let _ = answer.send(());
+        if let Some(Drain { ending: Ending::Gripper(answers), .. }) = self.drain.take() {
+            for answer in answers {
+                let _ = answer.send(());
+            }
         }
     }
 

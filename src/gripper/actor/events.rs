@@ -2,7 +2,7 @@
 
 use super::super::Now;
 use super::super::latch::{LatchChange, Origin};
-use super::super::model::{DeviceEvent, FastStopCause, FastStopStep, SettingChange};
+use super::super::model::{DeviceEvent, FastStopCause, FastStopStep, SettingChange, UpdateMode};
 use super::Actor;
 use super::link::{Close, Exchange, Purpose};
 use crate::wsg::session::{End, SessionEvent, Token};
@@ -46,11 +46,16 @@ impl Actor {
             Data::GripperState(_) => return self.record_gripper_state(now, state_before),
             // The force is the last value of each update period.
             Data::Force(_) => return self.recording.measure(now, &self.observed),
+            // On change, a value can come alone.
+            Data::Width(_) if self.config.updates.mode == UpdateMode::Changes => {
+                return self.recording.measure(now, &self.observed);
+            }
             _ => return,
         };
         self.recording.flags(now, before, flags);
         self.notice_restart(now, before, flags);
         self.notice_foreign_motion(now, before, flags);
+        self.notice_overdrive(now, before, flags);
         if missed {
             self.set_up_again(now);
         }
@@ -88,16 +93,25 @@ impl Actor {
         }
     }
 
-    /// Records that the fingers begin to move without a command, caused by another program, a script or a hand.
+    /// Takes the beginning of a motion that no command explains: by a client's script, another program or a hand.
     fn notice_foreign_motion(&mut self, now: Now, before: Option<SystemState>, flags: SystemState) {
         let moves = |flags: SystemState| flags.contains(SystemState::MOVING);
         let begins = moves(flags) && before.is_some_and(|before| !moves(before));
         let ours = self.motion.may_move(now.instant);
         // After a part is lost, the fingers close further.
         let holds = matches!(self.observed.gripper_state, Some(GripperState::Holding | GripperState::PartLost));
-        if begins && !ours && !holds {
+        if begins && !ours && !holds && !self.script_moves(now) {
             tracing::warn!(gripper = %self.config.name, "fingers moving without a command of this gateway");
             self.recording.device(now, DeviceEvent::ForeignMotion);
+        }
+    }
+
+    /// Reads the force limit after Overdrive Mode was switched, since leaving it reduces the limit (`fw4-en 3.3.8`).
+    fn notice_overdrive(&mut self, now: Now, before: Option<SystemState>, flags: SystemState) {
+        let changed = before.unwrap_or(flags).symmetric_difference(flags);
+        if changed.contains(SystemState::OVERDRIVE_MODE) && self.link.is_up() {
+            // If this fails, the next setup compares the limit.
+            let _ = self.link.submit(now, Command::GetForceLimit, Purpose::ForceLimit);
         }
     }
 
@@ -113,13 +127,25 @@ impl Actor {
                     self.observed.temperature = Some(temperature);
                 }
             }
+            Purpose::ForceLimit => {
+                if let End::Reply(Reply::Success(data @ Data::ForceLimit(found))) = end
+                    && self.settings.wanted.force_limit.is_some_and(|wanted| wanted != found)
+                {
+                    self.reads.forget();
+                    self.note_setting(&data);
+                    self.recording.changed_by_device(now, &data);
+                }
+            }
             Purpose::FastStop => {
                 let answered = matches!(end, End::Reply(_));
                 self.latch.ended(token, answered);
             }
             Purpose::Acknowledge => {
                 let result = match end {
-                    End::Reply(Reply::Success(_)) => Ok(()),
+                    End::Reply(Reply::Success(_)) => {
+                        self.observed.acknowledged();
+                        Ok(())
+                    }
                     end => Err(self.rejection_of("AcknowledgeFastStop", end)),
                 };
                 self.latch.acknowledge_ended(now.instant, token, result);
@@ -130,6 +156,9 @@ impl Actor {
             Purpose::Stop(None) => {}
             Purpose::Exchange(exchange) => {
                 self.reads.forget();
+                if self.is_script(&exchange.command) {
+                    self.scripts.replied(now.instant, &exchange.client);
+                }
                 self.take_exchange_end(now, exchange, end);
             }
             Purpose::Read(id) => self.read_ended(now, id, end),

@@ -17,11 +17,11 @@ impl Actor {
     /// Checks that a request with this token, or without one, can make changes.
     pub(super) fn check_claim(&self, now: Now, client: &Client, token: Option<&LeaseToken>) -> Result<(), Conflict> {
         if !client.door.speaks_wsg() {
-            return self.lease.check(now.instant, token);
+            return self.lease.check(now.instant, client, token);
         }
         // A client of the WSG port has its connection's own token, which is never stale.
         let is_holder = token.is_some() && self.lease.token() == token;
-        if is_holder || self.lease.is_free_for(client) { Ok(()) } else { self.lease.check(now.instant, None) }
+        if is_holder || self.lease.is_free_for(client) { Ok(()) } else { self.lease.check(now.instant, client, None) }
     }
 
     /// Takes a free lease for a client of the WSG port that moves the fingers.
@@ -47,7 +47,7 @@ impl Actor {
     pub(super) fn take_lease(&mut self, now: Now, wish: &TakeLease, token: LeaseToken, answer: Answer<AcquiredLease>) {
         let granted = self.try_take_lease(now, wish, token).map(|()| {
             let token = self.lease.token().cloned();
-            let keep = self.lease.keep(now.instant, token.as_ref());
+            let keep = self.lease.bind(now.instant, token.as_ref());
             let times_taken = self.lease.times_taken();
             AcquiredLease { lease: self.lease.view(now.instant, token.as_ref()), times_taken, keep }
         });
@@ -55,13 +55,16 @@ impl Actor {
         let _ = answer.send(granted);
     }
 
-    fn try_take_lease(&mut self, now: Now, wish: &TakeLease, token: LeaseToken) -> Result<(), Rejection> {
+    pub(super) fn try_take_lease(&mut self, now: Now, wish: &TakeLease, token: LeaseToken) -> Result<(), Rejection> {
         if self.drain.is_some() {
             return Err(Failure::Draining.into());
         }
         let terms = Terms::of(wish, &self.config.lease)?;
         let asked_before = self.lease.asking(now.instant).cloned();
-        let result = self.lease.take(now.instant, wish, terms, token);
+        // A client that returns must not bypass what its lease says about its loss.
+        let effect = self.lease.terms().map(|terms| self.loss_effect(terms, now.instant));
+        let may_return = matches!(effect, Some(LossEffect::None | LossEffect::Keep));
+        let result = self.lease.take(now.instant, wish, terms, token, may_return);
         let asking = self.lease.asking(now.instant).cloned();
         if let Some(asking) = asking.filter(|asking| asked_before.as_ref() != Some(asking)) {
             self.record_lease(now, LeaseStep::Requested, &asking, None);
@@ -69,10 +72,13 @@ impl Actor {
         let Some(holder) = self.lease.holder().cloned() else { return result.map(drop).map_err(Into::into) };
         let outcome = result?;
         match outcome {
-            AcquireOutcome::Free => self.record_lease(now, LeaseStep::Taken, &holder, None),
+            AcquireOutcome::Free | AcquireOutcome::Returned => self.record_lease(now, LeaseStep::Taken, &holder, None),
             AcquireOutcome::Forced => self.record_lease(now, LeaseStep::Forced, &holder, None),
             // The new holder was recorded when the lease was handed over.
             AcquireOutcome::HandedOver | AcquireOutcome::Again => {}
+        }
+        if matches!(outcome, AcquireOutcome::Forced) {
+            self.withdraw_scripts(&self.lease.stale().into());
         }
         if wish.force && !matches!(outcome, AcquireOutcome::Again) {
             // The motion may also belong to a lost holder, or to one that has handed over.
@@ -97,6 +103,7 @@ impl Actor {
         self.record_lease(now, LeaseStep::HandedOver, &holder, None);
         // A running motion continues. A motion that has not started would start under another client's lease.
         self.withdraw_waiting_motion(now);
+        self.withdraw_scripts(&self.lease.stale().into());
         Ok(self.lease_now(now))
     }
 
@@ -105,7 +112,9 @@ impl Actor {
         if let Some(held) = self.lease.end(token) {
             self.record_lease(now, LeaseStep::Released, &held.holder, None);
             self.stop_motion(now);
+            self.withdraw_scripts(&self.lease.stale().into());
         }
+        self.scripts.released(token);
         self.lease_now(now)
     }
 
@@ -114,6 +123,7 @@ impl Actor {
         if let Some(held) = self.lease.lose(token, times_taken) {
             self.holder_lost(now, &held, LossCause::Disconnected);
         }
+        self.script_client_lost(now, token);
     }
 
     /// Ends a lease that has run out, and a reservation that no longer protects a part.
@@ -127,27 +137,32 @@ impl Actor {
         }
     }
 
-    fn holder_lost(&mut self, now: Now, held: &HeldLease, cause: LossCause) {
-        let Terms { on_loss_moving, on_loss_holding, .. } = held.terms;
-        let last_heard = match cause {
-            LossCause::Expired => now.instant.checked_sub(held.terms.ttl).unwrap_or(now.instant),
-            LossCause::Disconnected => now.instant,
-        };
-        let effect = match (self.is_moving(last_heard), self.observed.part.is_held) {
-            (true, _) => match on_loss_moving {
+    /// What the loss of a holder means with these terms, for fingers that moved at `last_heard` or not.
+    fn loss_effect(&self, terms: Terms, last_heard: Instant) -> LossEffect {
+        match (self.is_moving(last_heard), self.observed.part.is_held) {
+            (true, _) => match terms.on_loss_moving {
                 OnLossMoving::FastStop => LossEffect::FastStop,
                 OnLossMoving::Stop => LossEffect::Stop,
                 OnLossMoving::Finish => LossEffect::Finish,
             },
-            (false, true) => match on_loss_holding {
+            (false, true) => match terms.on_loss_holding {
                 OnLossHolding::Keep => LossEffect::Keep,
                 OnLossHolding::FastStop => LossEffect::FastStop,
             },
             (false, false) => LossEffect::None,
+        }
+    }
+
+    fn holder_lost(&mut self, now: Now, held: &HeldLease, cause: LossCause) {
+        let last_heard = match cause {
+            LossCause::Expired => now.instant.checked_sub(held.terms.ttl).unwrap_or(now.instant),
+            LossCause::Disconnected => now.instant,
         };
+        let effect = self.loss_effect(held.terms, last_heard);
         let name = &held.holder.name;
         tracing::warn!(gripper = %self.config.name, holder = %name, ?cause, ?effect, "lease holder lost");
         self.record_lease(now, LeaseStep::Lost, &held.holder, Some((effect, cause)));
+        self.withdraw_scripts(&self.lease.stale().into());
         match effect {
             LossEffect::FastStop => {
                 let request = FastStopRequest {

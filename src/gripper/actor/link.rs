@@ -9,7 +9,7 @@ use tokio::sync::{broadcast, oneshot};
 use super::super::Now;
 use super::super::error::{Failure, Rejection};
 use super::super::handle::Answer;
-use super::super::model::{Client, CommandId, FrameRecord, Link, Name};
+use super::super::model::{Client, CommandId, Link, Name, WireRecord};
 use super::super::setup::{Setup, Step};
 use super::wire_log::WireLog;
 use super::{REPLY_WITHIN, RESULT_WITHIN, name_of};
@@ -44,6 +44,8 @@ pub enum Close {
 pub(super) enum Purpose {
     Setup,
     Upkeep,
+    /// Get Force Limit after Overdrive Mode was switched.
+    ForceLimit,
     FastStop,
     Acknowledge,
     /// Set Force Limit before a grip.
@@ -91,6 +93,8 @@ pub(super) struct DeviceLink {
     pub close: Option<Close>,
     /// Reason that the link is not up or is unresponsive.
     pub cause: Option<String>,
+    /// Client that released the device to another program, with the remedy. No link is made meanwhile.
+    released: Option<String>,
     /// Whether the link was ever up.
     pub was_up: bool,
     /// Whether the last connection-oriented link ended without an announcement.
@@ -109,13 +113,14 @@ impl DeviceLink {
             purposes: BTreeMap::new(),
             close: None,
             cause: None,
+            released: None,
             was_up: false,
             unannounced: false,
         }
     }
 
     /// Sender of the wire log, to subscribe to.
-    pub(super) fn frames(&self) -> broadcast::Sender<Arc<FrameRecord>> {
+    pub(super) fn frames(&self) -> broadcast::Sender<Arc<WireRecord>> {
         self.wire_log.listeners()
     }
 
@@ -127,18 +132,41 @@ impl DeviceLink {
         matches!(self.state, LinkState::Down)
     }
 
+    pub(super) fn is_released(&self) -> bool {
+        self.released.is_some()
+    }
+
+    /// Notes that a client releases the device. An open link has to be closed in addition.
+    pub(super) fn release(&mut self, client: &Client) {
+        let cause = format!("by {}; a `connect` request restores the link", client.subject);
+        if self.is_down() {
+            self.cause = Some(cause.clone());
+        }
+        self.released = Some(cause);
+    }
+
+    /// Lets a link be made again. Returns whether the device was released.
+    pub(super) fn reclaim(&mut self) -> bool {
+        let was_released = self.released.take().is_some();
+        if was_released && self.is_down() {
+            self.cause = None;
+        }
+        was_released
+    }
+
     /// Connection state as clients see it.
     pub(super) fn status(&self) -> Link {
         match (&self.state, self.was_up) {
             (LinkState::Up, _) if self.cause.is_some() => Link::Unresponsive,
             (LinkState::Up, _) => Link::Connected,
+            (LinkState::Down, _) if self.is_released() => Link::Released,
             (_, true) => Link::Reconnecting,
             (_, false) => Link::Connecting,
         }
     }
 
     pub(super) fn failure(&self) -> Failure {
-        let cause = self.cause.clone().unwrap_or_else(|| "the device is being set up".to_owned());
+        let cause = self.cause.clone().unwrap_or_else(|| "the link is being set up".to_owned());
         Failure::LinkDown { link: self.status(), cause }
     }
 
@@ -169,7 +197,7 @@ impl DeviceLink {
             }
         }
         self.state = LinkState::Down;
-        self.cause = Some(cause.to_owned());
+        self.cause = Some(self.released.clone().unwrap_or_else(|| cause.to_owned()));
         self.close = None;
         let mut is_unwritten = |token| session.as_mut().is_some_and(|session| session.withdraw(token));
         let purposes = std::mem::take(&mut self.purposes).into_iter();

@@ -17,7 +17,7 @@
 //!
 //! A motion frame is submitted to the session in one place, `start_motion`, once for each admitted command. While a
 //! FAST STOP is latched, no motion frame is submitted, and unwritten ones are withdrawn. An acknowledgement is
-//! submitted in one place, for a client that named the latch's id.
+//! submitted in one place, for a client that named the latch's id, or while nothing is latched.
 
 mod admission;
 mod connection;
@@ -37,6 +37,7 @@ mod reads;
 mod recording;
 mod repeats;
 mod running;
+mod scripts;
 mod settings;
 mod streaming;
 mod tag;
@@ -54,7 +55,9 @@ use super::info::Info;
 use super::latch::LatchState;
 use super::lease::LeaseState;
 use super::metrics::GripperMetrics;
-use super::model::{CustomIds, FastStopStep, FrameRecord, IdSource, LeaseRules, Name, OnJournalFailure, State};
+use super::model::{
+    CustomIds, FastStopStep, IdSource, LeaseRules, Name, OnJournalFailure, State, UpdateRules, WireRecord,
+};
 use super::observed::Observed;
 use super::registry::CommandRegistry;
 use crate::transport::LinkProperties;
@@ -67,6 +70,7 @@ use publish::Publication;
 use reads::Reads;
 use recording::Recording;
 use running::MotionState;
+use scripts::Scripts;
 use settings::Settings;
 use streaming::Streaming;
 
@@ -87,6 +91,9 @@ pub struct ActorConfig {
     /// Setting of the device (`fw4-en 1.4.2`), which no command reads: whether the end of a connection is a FAST STOP.
     pub fast_stop_on_disconnect: bool,
     pub custom_ids: CustomIds,
+    pub updates: UpdateRules,
+    /// Pause between the end of a motion and the next one.
+    pub motion_pause: Duration,
     /// Time for a running command to finish when the gripper is drained.
     pub drain: Duration,
     pub on_journal_failure: OnJournalFailure,
@@ -114,6 +121,7 @@ pub struct Actor {
     recording: Recording,
     metering: Metering,
     streaming: Streaming,
+    scripts: Scripts,
     publication: Publication,
 }
 
@@ -123,7 +131,7 @@ pub struct Watches {
     pub state: watch::Receiver<Arc<State>>,
     pub info: watch::Receiver<Arc<Info>>,
     /// Sender of the wire log, to subscribe to.
-    pub frames: broadcast::Sender<Arc<FrameRecord>>,
+    pub frames: broadcast::Sender<Arc<WireRecord>>,
 }
 
 impl Actor {
@@ -136,18 +144,19 @@ impl Actor {
         let frames = link.frames();
         let actor = Self {
             ids: IdSource::new(config.seed),
-            observed: Observed::new(config.properties.bytes_per_second),
+            observed: Observed::new(config.updates, config.properties.bytes_per_second),
             link,
             settings: Settings::default(),
             latch: LatchState::default(),
             lease: LeaseState::default(),
             reads: Reads::default(),
             commands: CommandRegistry::default(),
-            motion: MotionState::default(),
+            motion: MotionState::new(config.motion_pause),
             drain: None,
             recording: Recording::new(config.gateway.clone(), config.name.clone(), config.on_journal_failure),
             metering: Metering::new(config.metrics.clone()),
             streaming: Streaming::default(),
+            scripts: Scripts::default(),
             publication,
             config,
         };
@@ -195,6 +204,9 @@ impl Actor {
             ActorRequest::Find { id, answer } => {
                 let _ = answer.send(self.commands.find(id));
             }
+            ActorRequest::FindRequest { subject, request_id, answer } => {
+                let _ = answer.send(self.commands.find_request(now.instant, &subject, &request_id));
+            }
             ActorRequest::Cancel { id, client, answer } => {
                 let ticket = self.commands.find(id);
                 if ticket.is_some() {
@@ -208,6 +220,9 @@ impl Actor {
                 self.exchange(now, command, client, lease.as_ref(), answer);
             }
             ActorRequest::Acknowledge { id, client, answer } => self.acknowledge(now, id, client, answer),
+            ActorRequest::AcknowledgeFault { client, lease, answer } => {
+                self.acknowledge_fault(now, client, lease.as_ref(), answer);
+            }
             ActorRequest::Lease { answer } => {
                 let _ = answer.send(self.lease_now(now));
             }
@@ -226,6 +241,10 @@ impl Actor {
                 let _ = answer.send(self.release_lease(now, token.as_ref()));
             }
             ActorRequest::LoseLease { token, times_taken } => self.lose_lease(now, &token, times_taken),
+            ActorRequest::Disconnect { client, lease, answer } => {
+                self.disconnect(now, &client, lease.as_ref(), answer);
+            }
+            ActorRequest::Connect { client, lease, answer } => self.connect(now, &client, lease.as_ref(), answer),
             ActorRequest::Drain { answer } => self.start_drain(now, answer),
         }
         self.after_input(now);
@@ -266,7 +285,7 @@ impl Actor {
         self.take_events(now);
         self.metering.session(self.link.session.as_mut());
         self.publish(now);
-        self.recording.persist_changes(&self.latch, &self.lease, self.observed.part.grip);
+        self.recording.persist_changes(&self.latch, &self.lease, self.observed.part.grip, &self.commands.last);
         self.commands.tell();
         self.tell_acknowledges(now);
         self.settings.overdrive.answer(self.observed.flags);

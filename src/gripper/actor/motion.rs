@@ -1,5 +1,7 @@
 //! Submitting, stopping and ending the command that moves the fingers.
 
+use tokio::sync::oneshot;
+
 use super::super::Now;
 use super::super::error::{Conflict, DeviceRefusal, Failure, Rejection};
 use super::super::model::{Client, CommandId, CommandReport, Kind, Motion, Outcome};
@@ -51,20 +53,20 @@ impl Actor {
     pub(super) fn force_ended(&mut self, now: Now, id: CommandId, force: Force, end: End) {
         self.reads.forget();
         let success = matches!(end, End::Reply(Reply::Success(_)));
-        if success {
-            self.note_setting(&Data::ForceLimit(force));
-            if let Some(client) = self.commands.client(id) {
-                self.recording.set(now, &client, &Data::ForceLimit(force));
+        let client = self.commands.client(id).filter(|_| success);
+        if self.motion.id() == Some(id) {
+            if success {
+                self.start_motion(now, id);
+            } else {
+                let rejection = self.rejection_of("SetForceLimit", end);
+                self.reject_running(now, rejection);
             }
         }
-        if self.motion.id() != Some(id) {
-            return;
-        }
-        if success {
-            self.start_motion(now, id);
-        } else {
-            let rejection = self.rejection_of("SetForceLimit", end);
-            self.reject_running(now, rejection);
+        if let Some(client) = client {
+            // The grip does not wait for the value to be read back.
+            self.note_setting(&Data::ForceLimit(force));
+            let setter = Command::SetForceLimit(force);
+            self.read_back(now, Command::GetForceLimit, setter, client, oneshot::channel().0);
         }
     }
 
@@ -100,7 +102,10 @@ impl Actor {
                 return self.reject_running(now, Failure::DeviceTimeout { command, waited_ms }.into());
             }
             End::Unanswered { stopped: true, .. } | End::NoResult { stopped: true } => (Outcome::Aborted, None),
-            _ => (Outcome::Unknown, None),
+            end => {
+                running.unknown_because = Some(unanswered(command, &end));
+                (Outcome::Unknown, None)
+            }
         };
         running.stage = Stage::Settling(Settling { outcome, status, since: now.instant });
     }
@@ -113,17 +118,23 @@ impl Actor {
 
     /// Ends the motion with its result so far: settled, or cut off by the loss of the link.
     pub(super) fn end_running(&mut self, now: Now, unwritten: bool) {
-        let Some(running) = self.motion.finish(now.instant, self.settings.stroke_mm()) else { return };
+        let Some(mut running) = self.motion.finish(now.instant, self.settings.stroke_mm()) else { return };
         let (outcome, status) = match running.stage {
             Stage::Settling(Settling { outcome, status, .. }) => (outcome, status),
             // The motion may have happened.
-            Stage::Sent(_) if !unwritten => (Outcome::Unknown, None),
+            Stage::Sent(_) if !unwritten => {
+                running.unknown_because = Some(self.link.failure());
+                (Outcome::Unknown, None)
+            }
             _ => return self.reject(now, running.id, self.link.failure().into()),
         };
         self.end(now, running.id, |record| {
-            record.outcome = Some(outcome);
+            record.set_outcome(outcome);
             if let Some(status) = status {
                 record.set_status(status);
+            }
+            if let Some(failure) = running.unknown_because {
+                record.explain(&failure.into());
             }
             if matches!(outcome, Outcome::Aborted | Outcome::Unknown) {
                 record.fast_stop_id = running.fast_stop;
@@ -135,6 +146,9 @@ impl Actor {
 
     /// Aborts the motion for a FAST STOP: a waiting motion ends at once, a running one with its reply.
     pub(super) fn abort_for_latch(&mut self, now: Now) {
+        if let Some(id) = self.latch.id() {
+            self.withdraw_scripts(&Conflict::FastStop { id }.into());
+        }
         if let Some(running) = &mut self.motion.running {
             running.fast_stop = self.latch.id();
             self.withdraw_waiting_motion(now);
@@ -148,7 +162,7 @@ impl Actor {
         if running.is_waiting() || withdrawn {
             let Some(Running { id, fast_stop, cancelled_by, .. }) = self.motion.running.take() else { return };
             self.end(now, id, |record| {
-                record.outcome = Some(Outcome::Aborted);
+                record.set_outcome(Outcome::Aborted);
                 record.fast_stop_id = fast_stop;
                 record.cancelled_by = cancelled_by;
             });
@@ -172,7 +186,7 @@ impl Actor {
             End::Reply(Reply::Success(_)) => {
                 self.streaming.stopped();
                 self.end(now, id, |record| {
-                    record.outcome = Some(Outcome::Success);
+                    record.set_outcome(Outcome::Success);
                     record.set_status(Status::E_SUCCESS);
                 });
             }
@@ -190,13 +204,7 @@ impl Actor {
     pub(super) fn rejection_of(&self, command: &'static str, end: End) -> Rejection {
         match end {
             End::Reply(reply) => self.refusal(command, reply.status()),
-            End::Invalid(invalid) => Failure::DeviceProtocol { command, detail: invalid.to_string() }.into(),
-            End::Unanswered { waited, .. } => {
-                Failure::DeviceTimeout { command, waited_ms: waited.as_millis() as u64 }.into()
-            }
-            End::NoResult { .. } => {
-                Failure::DeviceTimeout { command, waited_ms: super::RESULT_WITHIN.as_millis() as u64 }.into()
-            }
+            end => unanswered(command, &end).into(),
         }
     }
 
@@ -217,10 +225,11 @@ impl Actor {
 
     fn end_rejected(&mut self, now: Now, id: CommandId, outcome: Outcome, rejection: Rejection) {
         self.end(now, id, |record| {
-            record.outcome = Some(outcome);
+            record.set_outcome(outcome);
             if let Rejection::Device(refusal) = &rejection {
                 record.set_status(refusal.status);
             }
+            record.explain(&rejection);
             record.rejection = Some(rejection);
         });
     }
@@ -254,4 +263,14 @@ impl Actor {
                 "command ended");
         }
     }
+}
+
+/// Failure of a request without a valid reply.
+fn unanswered(command: &'static str, end: &End) -> Failure {
+    let waited_ms = match end {
+        End::Invalid(invalid) => return Failure::DeviceProtocol { command, detail: invalid.to_string() },
+        End::Unanswered { waited, .. } => waited.as_millis() as u64,
+        End::NoResult { .. } | End::Reply(_) => super::RESULT_WITHIN.as_millis() as u64,
+    };
+    Failure::DeviceTimeout { command, waited_ms }
 }

@@ -4,6 +4,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use super::super::Now;
+use super::super::last_command::LastCommand;
 use super::super::latch::LatchState;
 use super::super::lease::{Holder, LeaseState};
 use super::super::model::{CommandId, FastStopId, Latch, PersistedKey, PersistedState};
@@ -96,6 +97,7 @@ pub(super) struct LastReported {
     latch: (u64, Option<FastStopId>),
     lease: PersistedLease,
     grip: Option<CommandId>,
+    last: LastCommand,
 }
 
 impl Actor {
@@ -120,6 +122,10 @@ impl Actor {
         self.observed.part = HeldPart { is_held: grip.is_some(), grip };
         if let Some(PersistedLease { epoch, holder }) = self.parse(restored.lease.as_deref()) {
             self.lease.restore(epoch.saturating_add(skipped), holder);
+        }
+        if let Some(last) = self.parse::<LastCommand>(restored.last_command.as_deref()) {
+            self.recording.reported.last = last.clone();
+            self.commands.last = last.restored(skipped as u32);
         }
         self.link.unannounced = restored.unclean && self.link.properties.connection_oriented;
         for request in restored.requests {
@@ -146,8 +152,18 @@ impl Recording {
         self.push(Record::Persisted(PersistedState { gripper: self.gripper.clone(), key, value }));
     }
 
-    /// Persists changes of the latch, the lease and the held part.
-    pub(super) fn persist_changes(&mut self, latch: &LatchState, lease: &LeaseState, grip: Option<CommandId>) {
+    /// Persists changes of the latch, the lease, the held part and the newest motion.
+    pub(super) fn persist_changes(
+        &mut self,
+        latch: &LatchState,
+        lease: &LeaseState,
+        grip: Option<CommandId>,
+        last: &LastCommand,
+    ) {
+        if self.reported.last != *last {
+            self.reported.last = last.clone();
+            self.persist(PersistedKey::LastCommand, Some(last));
+        }
         if self.reported.grip != grip {
             self.reported.grip = grip;
             self.persist(PersistedKey::Holding, grip.as_ref());

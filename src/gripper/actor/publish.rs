@@ -6,7 +6,7 @@ use tokio::sync::watch;
 
 use super::super::Now;
 use super::super::info::Info;
-use super::super::model::{LatchFields, State};
+use super::super::model::{Fault, LatchFields, Link, State};
 use super::{Actor, ActorConfig};
 use crate::wsg::{DeviceTag, GripperState, SystemState, Temperature};
 
@@ -14,6 +14,7 @@ use crate::wsg::{DeviceTag, GripperState, SystemState, Temperature};
 #[derive(Debug)]
 pub(super) struct Publication {
     sequence: u64,
+    updates: u64,
     state: watch::Sender<Arc<State>>,
     info: watch::Sender<Arc<Info>>,
 }
@@ -27,7 +28,12 @@ impl Publication {
             config.properties.connection_oriented && config.fast_stop_on_disconnect,
         );
         let state = State::unknown(config.name.clone());
-        Self { sequence: 0, state: watch::Sender::new(Arc::new(state)), info: watch::Sender::new(Arc::new(info)) }
+        Self {
+            sequence: 0,
+            updates: 0,
+            state: watch::Sender::new(Arc::new(state)),
+            info: watch::Sender::new(Arc::new(info)),
+        }
     }
 
     pub(super) fn watch(&self) -> (watch::Receiver<Arc<State>>, watch::Receiver<Arc<Info>>) {
@@ -45,10 +51,25 @@ impl Publication {
 }
 
 impl Actor {
-    /// Publishes the state if it has changed.
+    /// Publishes the state if it has changed. A newer update with the same values changes only the age, and wakes no
+    /// subscriber.
     pub(super) fn publish(&mut self, now: Now) {
         let state = self.state_now();
-        if *self.publication.state.borrow().as_ref() == state {
+        let (is_changed, is_newer) = {
+            let published = self.publication.state.borrow();
+            let is_changed = !published.is_like(&state);
+            (is_changed, is_changed || published.updated_at != state.updated_at)
+        };
+        if !is_newer {
+            return;
+        }
+        self.publication.updates += 1;
+        if !is_changed {
+            let state = Arc::new(State { update: self.publication.updates, ..state });
+            self.publication.state.send_if_modified(|published| {
+                *published = state;
+                false
+            });
             return;
         }
         self.publication.sequence += 1;
@@ -60,20 +81,23 @@ impl Actor {
                 info.link_cause.clone_from(&state.link_cause);
             });
         }
-        self.publication.state.send_replace(Arc::new(State { seq: self.publication.sequence, ..state }));
+        let (seq, update) = (self.publication.sequence, self.publication.updates);
+        self.publication.state.send_replace(Arc::new(State { seq, update, ..state }));
     }
 
     fn state_now(&self) -> State {
         let observed = &self.observed;
         let flag = |flag| observed.flags.map(|flags| flags.contains(flag));
         let referenced = flag(SystemState::REFERENCED);
-        let latch = self.latch.current();
+        let (latch, last) = (self.latch.current(), &self.commands.last);
+        let fault = self.fault();
         State {
             gripper: self.config.name.clone(),
             link: self.link.status(),
             link_cause: self.link.cause.clone(),
             updated_at: observed.updated_at,
             seq: self.publication.sequence,
+            update: self.publication.updates,
             state: observed.gripper_state.map(GripperState::name),
             state_code: observed.gripper_state.map(GripperState::code),
             flags: observed.flags.map(|flags| flags.names().collect()).unwrap_or_default(),
@@ -84,6 +108,8 @@ impl Actor {
             speed_mm_s: observed.speed_mm_s,
             force_n: observed.force_n,
             temperature_c: observed.temperature.map(Temperature::celsius),
+            fault: fault.is_some(),
+            fault_code: fault.map_or(0, Fault::code),
             fast_stop: (observed.flags.is_some() || latch.is_some()).then_some(latch.is_some()),
             latch: latch.map(|latch| LatchFields::of(latch, self.latch.epoch())),
             lease_holder: self.lease.holder().map(|holder| holder.name.clone()),
@@ -91,6 +117,32 @@ impl Actor {
             journal_cause: self.recording.failure().map(ToOwned::to_owned),
             command_id: self.motion.id(),
             command: self.motion.id(),
+            last_command: last.number(),
+            last_outcome: last.outcome(),
+            last_command_id: last.id(),
         }
+    }
+
+    /// The fault that matters most: first what only a person can end, then what hides other faults.
+    fn fault(&self) -> Option<Fault> {
+        if let Some(latch) = self.latch.current() {
+            return Some(Fault::FastStop(latch.cause));
+        }
+        if self.link.status() != Link::Connected {
+            return Some(Fault::LinkDown);
+        }
+        let flags = [
+            (SystemState::TEMP_FAULT, Fault::Temperature),
+            (SystemState::POWER_FAULT, Fault::Power),
+            (SystemState::CURR_FAULT, Fault::Current),
+            (SystemState::FINGER_FAULT, Fault::Finger),
+        ];
+        let flagged = flags.into_iter().find(|(flag, _)| self.observed.has(*flag)).map(|(_, fault)| fault);
+        let others = [
+            (self.observed.has_error(), Fault::DeviceError),
+            (self.settings.check().is_err(), Fault::SettingsLost),
+            (self.recording.check().is_err(), Fault::JournalDown),
+        ];
+        flagged.or_else(|| others.into_iter().find(|(is_present, _)| *is_present).map(|(_, fault)| fault))
     }
 }

@@ -3,14 +3,11 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use super::super::error::Conflict;
+use super::super::error::{Conflict, Failure};
 use super::super::model::{Client, CommandId, FastStopId, Kind, Motion, Outcome};
 use super::RESULT_WITHIN;
 use crate::wsg::Status;
 use crate::wsg::session::Token;
-
-/// Pause between the end of a motion and the next one. Devices in the field fail without it.
-const PAUSE: Duration = Duration::from_millis(50);
 
 /// Time limit for homing: the longest stroke at the slowest homing speed.
 const HOMING_WITHIN: Duration = Duration::from_mins(1);
@@ -47,6 +44,8 @@ pub(super) struct Running {
     pub fast_stop: Option<FastStopId>,
     /// Subject of the client that cancelled the command.
     pub cancelled_by: Option<Arc<str>>,
+    /// Reason that the result is unknown.
+    pub unknown_because: Option<Failure>,
     /// Reply of a script.
     pub payload: Option<Vec<u8>>,
 }
@@ -82,6 +81,7 @@ impl Running {
             recorded: false,
             fast_stop: None,
             cancelled_by: None,
+            unknown_because: None,
             payload: None,
         }
     }
@@ -131,8 +131,10 @@ pub(super) fn result_within(motion: &Motion, stroke_mm: Option<f32>) -> Duration
 }
 
 /// The current motion, and the end of the last one.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct MotionState {
+    /// Pause between the end of a motion and the next one.
+    pause: Duration,
     pub running: Option<Running>,
     pub last_end: Option<Instant>,
     /// Time until which the fingers can move because of a motion that has ended.
@@ -140,6 +142,10 @@ pub(super) struct MotionState {
 }
 
 impl MotionState {
+    pub(super) fn new(pause: Duration) -> Self {
+        Self { pause, running: None, last_end: None, may_move_until: None }
+    }
+
     /// The command of this id, while it runs.
     pub(super) fn get_mut(&mut self, id: CommandId) -> Option<&mut Running> {
         self.running.as_mut().filter(|running| running.id == id)
@@ -180,7 +186,7 @@ impl MotionState {
 
     /// End of the waiting motion's pause, if there is one.
     pub(super) fn starts_at(&self) -> Option<Instant> {
-        self.pausing().filter(|running| !running.is_streamed).and(self.last_end).map(|end| end + PAUSE)
+        self.pausing().filter(|running| !running.is_streamed).and(self.last_end).map(|end| end + self.pause)
     }
 
     /// The waiting motion whose pause is over.
@@ -248,6 +254,19 @@ pub(super) fn outcome_of(kind: Kind, status: Status) -> Outcome {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::wsg::HomingDirection;
+
+    #[test]
+    fn motion_starts_after_the_configured_pause() {
+        let end = Instant::now();
+        for pause in [Duration::ZERO, Duration::from_millis(120)] {
+            let mut motion = MotionState::new(pause);
+            motion.last_end = Some(end);
+            motion.running = Some(Running::new(CommandId::generate(), Motion::Home(HomingDirection::Default), false));
+            motion.let_run();
+            assert_eq!(motion.starts_at(), Some(end + pause));
+        }
+    }
 
     #[test]
     fn grip_without_a_part_is_not_a_failure() {

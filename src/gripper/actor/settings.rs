@@ -76,19 +76,16 @@ impl Settings {
         self.limits.soft = None;
     }
 
-    /// Takes the results of a setup. Returns whether the serial number differs from the one before.
-    pub(super) fn learn(&mut self, setup: &mut Setup, has_overdrive: bool) -> bool {
-        self.wanted = setup.wanted();
-        if let (Some(wanted), Some(limits), false) = (self.wanted.force_limit, setup.limits, has_overdrive) {
-            // Without overdrive the device clamps the force limit, which would look changed at each reconnection.
-            self.wanted.force_limit = Some(if wanted > limits.nominal_force { limits.nominal_force } else { wanted });
-        }
+    /// Takes the results of a setup. Returns whether the serial number or a setting differs from before.
+    pub(super) fn learn(&mut self, setup: &mut Setup) -> bool {
+        let wanted_before = std::mem::replace(&mut self.wanted, setup.wanted());
         self.lost = std::mem::take(&mut setup.lost);
         self.system = setup.system;
         self.limits.system = setup.limits;
         self.limits.soft = setup.soft_limits;
         let serial = setup.system.map(|system| system.serial_number);
-        std::mem::replace(&mut self.known_serial, serial) != serial
+        let serial_before = std::mem::replace(&mut self.known_serial, serial);
+        serial_before != serial || wanted_before != self.wanted
     }
 }
 
@@ -102,6 +99,14 @@ impl Recording {
     pub(super) fn set(&mut self, now: Now, client: &Client, data: &Data) {
         if let Some(setting) = change_of(data) {
             self.setting(now, client, setting);
+        }
+    }
+
+    /// Records a value that the device changed by itself.
+    pub(super) fn changed_by_device(&mut self, now: Now, data: &Data) {
+        if let Some(setting) = change_of(data) {
+            let event = self.event(now, Detail::Settings(SettingsEvent { restored: false, setting }));
+            self.record(event);
         }
     }
 

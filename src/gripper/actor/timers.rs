@@ -108,10 +108,10 @@ impl Actor {
     }
 
     fn renew_updates(&mut self, now: Now) {
-        let period_ms = observed::period_ms(self.link.properties.bytes_per_second);
+        let (rules, line) = (self.config.updates, self.link.properties.bytes_per_second);
         while let Some(id) = self.observed.silent(now.instant) {
             self.observed.asked(now.instant, id);
-            if let Some(command) = observed::switch_on(id, period_ms) {
+            if let Some(command) = observed::switch_on(id, rules, line) {
                 // A full queue counts as no reply: the request is repeated later.
                 let _ = self.link.submit(now, command, Purpose::Upkeep);
             }

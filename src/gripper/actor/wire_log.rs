@@ -1,33 +1,53 @@
-//! The wire log: every frame in both directions, for listeners. It costs nothing without listeners.
+//! The wire log: every frame in both directions, and damaged bytes from the device, for listeners. It costs nothing
+//! without listeners.
 
 use std::sync::Arc;
 
 use tokio::sync::broadcast;
 
 use super::super::Now;
-use super::super::model::{FrameDirection, FrameRecord, Name};
-use crate::wsg::text::{WireDirection, describe};
+use super::super::model::{DamageRecord, FrameDirection, FrameRecord, Name, WireDamage, WireRecord};
+use crate::wsg::frame::{HEADER_BYTES, OVERHEAD_BYTES};
+use crate::wsg::text::{WireDirection, describe, describe_damaged, describe_skipped};
 use crate::wsg::{self, ChecksumEvaluation, Decoded, Decoder, id};
 
-/// Frames that a listener can lag behind: about two seconds of a device on TCP.
+/// Records that a listener can lag behind: about two seconds of a device on TCP.
 const MAX_BEHIND: usize = 1024;
+
+/// Damaged bytes that a record shows.
+const MAX_SHOWN_BYTES: usize = 256;
 
 #[derive(Debug)]
 pub(super) struct WireLog {
     gripper: Name,
-    listeners: broadcast::Sender<Arc<FrameRecord>>,
-    /// Sequence number of the newest frame.
+    listeners: broadcast::Sender<Arc<WireRecord>>,
+    /// Sequence number of the newest record.
     seq: u64,
     /// Decoder of the device's bytes; `None` without listeners.
-    decoder: Option<Decoder>,
+    received: Option<ReceivedBytes>,
+    /// Whether the next byte from the device begins a frame.
+    is_at_start: bool,
+}
+
+/// The device's bytes for the listeners.
+#[derive(Debug)]
+struct ReceivedBytes {
+    decoder: Decoder,
+    /// Bytes that the decoder has not yet classified.
+    rest: Vec<u8>,
+    /// Number of bytes at the start of `rest` that a damaged frame has reported.
+    reported: usize,
+    /// Whether a frame boundary is known. Before, a listener has come in the middle of a frame.
+    is_in_step: bool,
 }
 
 impl WireLog {
     pub(super) fn new(gripper: Name) -> Self {
-        Self { gripper, listeners: broadcast::Sender::new(MAX_BEHIND), seq: 0, decoder: None }
+        let listeners = broadcast::Sender::new(MAX_BEHIND);
+        Self { gripper, listeners, seq: 0, received: None, is_at_start: true }
     }
 
-    pub(super) fn listeners(&self) -> broadcast::Sender<Arc<FrameRecord>> {
+    pub(super) fn listeners(&self) -> broadcast::Sender<Arc<WireRecord>> {
         self.listeners.clone()
     }
 
@@ -38,34 +58,58 @@ impl WireLog {
         }
         let mut decoder = Decoder::new(id::max_request_bytes, ChecksumEvaluation::On);
         decoder.push(bytes);
-        while let Some(Decoded::Frame(frame)) = decoder.next() {
-            self.tell(now, FrameDirection::Sent, frame);
+        while let Some(decoded) = decoder.next() {
+            if let Decoded::Frame(frame) = decoded {
+                self.tell_frame(now, FrameDirection::Sent, frame);
+            }
         }
     }
 
-    /// Logs the frames in received bytes.
+    /// Logs the frames in received bytes, and the bytes that are no frame.
     pub(super) fn received(&mut self, now: Now, bytes: &[u8]) {
+        let is_at_start = std::mem::take(&mut self.is_at_start);
         if self.listeners.receiver_count() == 0 {
-            self.decoder = None;
+            self.received = None;
             return;
         }
-        let new = || Decoder::new(id::max_reply_bytes, ChecksumEvaluation::On);
-        let mut decoder = self.decoder.take().unwrap_or_else(new);
-        decoder.push(bytes);
-        while let Some(decoded) = decoder.next() {
-            if let Decoded::Frame(frame) = decoded {
-                self.tell(now, FrameDirection::Received, frame);
+        let mut received = self.received.take().unwrap_or_else(|| ReceivedBytes::new(is_at_start));
+        received.rest.extend_from_slice(bytes);
+        received.decoder.push(bytes);
+        loop {
+            let start = received.decoder.position();
+            let Some(decoded) = received.decoder.next() else {
+                let skipped = (received.decoder.position() - start) as usize;
+                self.tell_skipped(now, &mut received, skipped);
+                break;
+            };
+            match decoded {
+                Decoded::Frame(frame) => {
+                    let (id, payload) = (frame.id, frame.payload.to_vec());
+                    let length = payload.len() + OVERHEAD_BYTES;
+                    let skipped = (received.decoder.position() - start) as usize - length;
+                    self.tell_skipped(now, &mut received, skipped);
+                    self.tell_frame(now, FrameDirection::Received, wsg::Frame { id, payload: &payload });
+                    received.take(length);
+                    received.is_in_step = true;
+                }
+                Decoded::Damaged { id } => {
+                    let skipped = (received.decoder.position() - start) as usize - 1;
+                    self.tell_skipped(now, &mut received, skipped);
+                    self.tell_damaged(now, &mut received, id);
+                    received.take(1);
+                }
             }
         }
-        self.decoder = Some(decoder);
+        self.received = Some(received);
     }
 
     /// Drops partial frames of the previous link.
     pub(super) fn link_up(&mut self) {
-        self.decoder = None;
+        self.received = None;
+        self.is_at_start = true;
     }
 
-    fn tell(&mut self, now: Now, direction: FrameDirection, frame: wsg::Frame<'_>) {
+    fn tell_frame(&mut self, now: Now, direction: FrameDirection, frame: wsg::Frame<'_>) {
         self.seq += 1;
         let mut bytes = Vec::new();
         wsg::frame::encode(frame.id, frame.payload, &mut bytes);
@@ -73,7 +117,7 @@ impl WireLog {
             FrameDirection::Sent => WireDirection::Request,
             FrameDirection::Received => WireDirection::Reply,
         };
-        let record = FrameRecord {
+        self.tell(WireRecord::Frame(FrameRecord {
             gripper: self.gripper.clone(),
             seq: self.seq,
             at: now.wall,
@@ -82,8 +126,126 @@ impl WireLog {
             name: id::name(frame.id).map(ToOwned::to_owned),
             hex: hex::encode(bytes),
             text: describe(frame, read_as),
+        }));
+    }
+
+    /// Logs the frame with a wrong checksum at the start of the bytes.
+    fn tell_damaged(&mut self, now: Now, received: &mut ReceivedBytes, id: u8) {
+        let size = match received.rest.get(4..HEADER_BYTES) {
+            Some(&[low, high]) => usize::from(u16::from_le_bytes([low, high])),
+            _ => 0,
         };
+        let length = (size + OVERHEAD_BYTES).min(received.rest.len());
+        if received.is_in_step && received.reported < length {
+            let (name, text) = (id::name(id).map(ToOwned::to_owned), describe_damaged(id));
+            self.tell_damage(now, &received.rest[..length], WireDamage::Checksum, (Some(id), name, text));
+        }
+        received.reported = received.reported.max(length);
+    }
+
+    /// Logs bytes that belong to no frame, unless they are part of a damaged frame.
+    fn tell_skipped(&mut self, now: Now, received: &mut ReceivedBytes, bytes: usize) {
+        if received.is_in_step && received.reported < bytes {
+            let skipped = &received.rest[received.reported..bytes];
+            let text = describe_skipped(skipped.len() as u64);
+            self.tell_damage(now, skipped, WireDamage::Skipped, (None, None, text));
+        }
+        received.take(bytes);
+    }
+
+    fn tell_damage(
+        &mut self,
+        now: Now,
+        bytes: &[u8],
+        damage: WireDamage,
+        (id, name, text): (Option<u8>, Option<String>, String),
+    ) {
+        self.seq += 1;
+        self.tell(WireRecord::Damage(DamageRecord {
+            gripper: self.gripper.clone(),
+            seq: self.seq,
+            at: now.wall,
+            direction: FrameDirection::Received,
+            damage,
+            id,
+            name,
+            bytes: bytes.len(),
+            hex: hex::encode(&bytes[..bytes.len().min(MAX_SHOWN_BYTES)]),
+            text,
+        }));
+    }
+
+    fn tell(&self, record: WireRecord) {
         // The last listener may have just gone.
         let _ = self.listeners.send(Arc::new(record));
+    }
+}
+
+impl ReceivedBytes {
+    fn new(is_in_step: bool) -> Self {
+        let decoder = Decoder::new(id::max_reply_bytes, ChecksumEvaluation::On);
+        Self { decoder, rest: Vec::new(), reported: 0, is_in_step }
+    }
+
+    /// Removes classified bytes.
+    fn take(&mut self, bytes: usize) {
+        self.rest.drain(..bytes);
+        self.reported = self.reported.saturating_sub(bytes);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Returns the texts of the records that the reads cause, each with its hex.
+    fn logged(log: &mut WireLog, reads: &[&str]) -> Vec<(String, String)> {
+        let mut listener = log.listeners().subscribe();
+        for read in reads {
+            log.received(Now::read(), &hex::decode(read).unwrap());
+        }
+        let mut told = Vec::new();
+        while let Ok(record) = listener.try_recv() {
+            told.push(match (*record).clone() {
+                WireRecord::Frame(frame) => (frame.text, frame.hex),
+                WireRecord::Damage(damage) => {
+                    assert_eq!(damage.bytes * 2, damage.hex.len());
+                    (damage.text, damage.hex)
+                }
+            });
+        }
+        told
+    }
+
+    fn texts(reads: &[&str]) -> Vec<String> {
+        logged(&mut WireLog::new("left".parse().unwrap()), reads).into_iter().map(|(text, _)| text).collect()
+    }
+
+    const GOOD: &str = "aaaaaa2002000000b3fd";
+    const DAMAGED: &str = "aaaaaa2002000000b3fe";
+
+    #[test]
+    fn damaged_frames_and_skipped_bytes_are_logged() {
+        let good = "Homing -> E_SUCCESS";
+        let damaged = "Homing  [checksum wrong]";
+        assert_eq!(texts(&[GOOD, DAMAGED, GOOD]), [good, damaged, good]);
+        assert_eq!(texts(&[&format!("{GOOD}000102{GOOD}")]), [good, "(3 bytes outside any frame)", good]);
+        assert_eq!(texts(&[GOOD, "0001", &format!("02{GOOD}")]).len(), 4);
+        assert_eq!(texts(&[&DAMAGED[..10], &DAMAGED[10..], GOOD]), [damaged, good]);
+    }
+
+    #[test]
+    fn damage_has_its_bytes() {
+        let mut log = WireLog::new("left".parse().unwrap());
+        let told = logged(&mut log, &[DAMAGED, "0102"]);
+        assert_eq!(told[0].1, DAMAGED);
+        assert_eq!(told[1], ("(2 bytes outside any frame)".to_owned(), "0102".to_owned()));
+    }
+
+    #[test]
+    fn listener_that_comes_within_a_frame_sees_no_damage() {
+        let mut log = WireLog::new("left".parse().unwrap());
+        log.received(Now::read(), &hex::decode(&GOOD[..8]).unwrap());
+        assert_eq!(logged(&mut log, &[&GOOD[8..], GOOD]).len(), 1);
     }
 }

@@ -4,8 +4,8 @@ use std::collections::BTreeSet;
 
 use crate::wsg::id;
 
-/// Custom command ids with a special meaning. All other ids that the manuals don't define count as ordinary motions:
-/// one at a time, each a command with its own records.
+/// Custom command ids with a special meaning. All other ids that the manuals don't define count as motions only if the
+/// fingers move after them. Submitted as commands, they are ordinary motions with their own records.
 #[derive(Debug, Clone, PartialEq, Eq, Default)]
 pub struct CustomIds {
     /// Ids that only read. Every client can use them, even in FAST STOP or while another client holds the lease.

@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::{
-    Client, CommandId, CommandReport, Door, FastStopCause, FastStopId, Kind, Name, Outcome, Parameters, PartId,
+    Client, Code, CommandId, CommandReport, Door, FastStopCause, FastStopId, Kind, Name, Outcome, Parameters, PartId,
     RequestId, RequestedValues, lease::LeaseEvent,
 };
 
@@ -20,6 +20,7 @@ pub use device::{DeviceEvent, LinkEvent};
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct Event {
     /// Time of the event.
+    #[serde(serialize_with = "super::time::milliseconds")]
     #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
     /// Name of the gripper; null if the event concerns all grippers.
@@ -71,7 +72,7 @@ pub enum Detail {
     Command(CommandEvent),
     /// A FAST STOP was latched, or confirmed by the device's flags.
     FastStop(FastStopEvent),
-    /// A FAST STOP was acknowledged, or could not be.
+    /// A FAST STOP or a fault of the device was acknowledged, or could not be.
     Acknowledge(AcknowledgeEvent),
     /// The lease changed.
     Lease(LeaseEvent),
@@ -141,6 +142,7 @@ pub struct Done {
     #[schema(required)]
     pub force_n: Option<f32>,
     /// Time of admission.
+    #[serde(serialize_with = "super::time::milliseconds")]
     #[schema(value_type = String, format = DateTime)]
     pub started_at: Timestamp,
     /// Time from admission to end, in ms.
@@ -158,7 +160,11 @@ pub struct Done {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<String>, nullable = false)]
     pub cancelled_by: Option<Arc<str>>,
-    /// Reason for a refusal, as text.
+    /// Code of the problem that ended the command as `REFUSED` or `UNKNOWN`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub code: Option<Code>,
+    /// Description of that problem.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
     pub cause: Option<String>,
@@ -184,7 +190,8 @@ impl Done {
             fast_stop_id: command.fast_stop_id,
             part_id,
             cancelled_by: command.cancelled_by.clone(),
-            cause: command.rejection.as_ref().map(ToString::to_string),
+            code: command.code,
+            cause: command.detail.clone(),
             requested: command.requested.clone(),
         }
     }
@@ -222,10 +229,11 @@ pub enum FastStopStep {
 /// Result of an acknowledgement.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
 pub struct AcknowledgeEvent {
-    /// Id of the FAST STOP that the acknowledgement named.
-    #[schema(value_type = uuid::Uuid)]
-    pub fast_stop_id: FastStopId,
-    /// Whether the FAST STOP was cleared.
+    /// Id of the FAST STOP that the acknowledgement named; null for a fault of the device without a FAST STOP.
+    #[schema(value_type = Option<uuid::Uuid>, required)]
+    pub fast_stop_id: Option<FastStopId>,
+    /// Whether the FAST STOP was cleared. For a fault without a FAST STOP: whether the device accepted the
+    /// acknowledgement.
     pub cleared: bool,
     /// Reason for a failure, as text; absent if the FAST STOP was cleared.
     #[serde(skip_serializing_if = "Option::is_none")]

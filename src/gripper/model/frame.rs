@@ -1,4 +1,4 @@
-//! A frame on the wire, as the wire log shows it.
+//! Frames and damage on the wire, as the wire log shows them.
 
 use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
@@ -17,7 +17,7 @@ pub enum FrameDirection {
     Received,
 }
 
-/// A frame sent to the device or received from it. Damaged frames are left out.
+/// A frame sent to the device or received from it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[schema(as = Frame, example = json!({
     "gripper": "left", "seq": 4711, "at": "2026-11-21T09:00:00.25Z", "direction": "sent", "id": 37, "name": "Grip",
@@ -27,10 +27,11 @@ pub struct FrameRecord {
     /// Name of the gripper.
     #[schema(value_type = String, max_length = 32)]
     pub gripper: Name,
-    /// Sequence number of the frame among those reported for this gripper, from 1.
+    /// Sequence number of the frame among the frames and damages reported for this gripper, from 1.
     #[schema(minimum = 1, maximum = 9_007_199_254_740_991_i64)]
     pub seq: u64,
     /// Time at which the frame was sent or received.
+    #[serde(serialize_with = "super::time::milliseconds")]
     #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
     /// Direction of the frame.
@@ -45,4 +46,68 @@ pub struct FrameRecord {
     pub hex: String,
     /// Decoded content, in the notation of `wsg-gateway decode`.
     pub text: String,
+}
+
+/// Kind of damage:
+///
+/// - `checksum`: a frame has a wrong checksum
+/// - `skipped`: bytes belong to no frame
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "lowercase")]
+pub enum WireDamage {
+    Checksum,
+    Skipped,
+}
+
+/// Bytes from the device that are no valid frame. They are ignored.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[schema(as = Damage, example = json!({
+    "gripper": "left", "seq": 4712, "at": "2026-11-21T09:00:00.26Z", "direction": "received", "damage": "checksum",
+    "id": 34, "name": "Stop", "bytes": 8, "hex": "aaaaaa2200000e77", "text": "Stop  [checksum wrong]"
+}))]
+pub struct DamageRecord {
+    /// Name of the gripper.
+    #[schema(value_type = String, max_length = 32)]
+    pub gripper: Name,
+    /// Sequence number of the damage among the frames and damages reported for this gripper, from 1.
+    #[schema(minimum = 1, maximum = 9_007_199_254_740_991_i64)]
+    pub seq: u64,
+    /// Time at which the bytes were received.
+    #[schema(value_type = String, format = DateTime)]
+    pub at: Timestamp,
+    /// Always `received`.
+    pub direction: FrameDirection,
+    /// Kind of damage.
+    pub damage: WireDamage,
+    /// Id in the damaged frame, which can be damaged too; null for skipped bytes.
+    #[schema(required, minimum = 0, maximum = 255)]
+    pub id: Option<u8>,
+    /// Name of the command with that id; null if there is none.
+    #[schema(required)]
+    pub name: Option<String>,
+    /// Number of bytes.
+    #[schema(minimum = 1, maximum = 9_007_199_254_740_991_i64)]
+    pub bytes: usize,
+    /// The bytes as hex: at most the first 256.
+    #[schema(max_length = 512)]
+    pub hex: String,
+    /// Description, in the notation of `wsg-gateway decode`.
+    pub text: String,
+}
+
+/// Entry of the wire log.
+#[derive(Debug, Clone, PartialEq)]
+pub enum WireRecord {
+    Frame(FrameRecord),
+    Damage(DamageRecord),
+}
+
+impl WireRecord {
+    #[must_use]
+    pub const fn seq(&self) -> u64 {
+        match self {
+            Self::Frame(frame) => frame.seq,
+            Self::Damage(damage) => damage.seq,
+        }
+    }
 }

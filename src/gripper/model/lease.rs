@@ -165,6 +165,10 @@ pub struct Lease {
     /// Name of the client that has requested a hand-over; null if no client has.
     #[schema(value_type = Option<String>, required)]
     pub requested_by: Option<Arc<str>>,
+    /// Place of this client among those that have requested a hand-over, from 1; only in the reply to such a request.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false, minimum = 1, maximum = 16)]
+    pub place: Option<usize>,
     /// Name of a holder that was lost while a part was held. Only this client or a supervisor can take the lease. Null
     /// if the gripper is not reserved.
     #[schema(value_type = Option<String>, required)]

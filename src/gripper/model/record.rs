@@ -37,6 +37,7 @@ pub struct GripRecord {
     #[serde(flatten)]
     pub requested: RequestedValues,
     /// Time of admission.
+    #[serde(serialize_with = "super::time::milliseconds")]
     #[schema(value_type = String, format = DateTime)]
     pub started_at: Timestamp,
     /// Time from admission to end, in ms.
@@ -126,6 +127,7 @@ pub struct Sample {
 /// State that outlives a restart of the gateway.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PersistedState {
+    /// Gripper or webhook of the value.
     pub gripper: Name,
     pub key: PersistedKey,
     /// Value as JSON; `None` deletes the key.
@@ -144,6 +146,10 @@ pub enum PersistedKey {
     Lease,
     /// Id of the grip that holds a part.
     Holding,
+    /// Position of a webhook in the journal.
+    Webhook,
+    /// Number and result of the newest motion.
+    LastCommand,
 }
 
 /// Treatment of motions while the journal cannot be written.

@@ -7,7 +7,7 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize, Serializer};
 use utoipa::ToSchema;
 
-use super::{CommandId, FastStopId, Name, Reason};
+use super::{CommandId, FastStopId, Fault, Name, Outcome, Reason};
 
 /// Connection state of the device link.
 ///
@@ -15,6 +15,7 @@ use super::{CommandId, FastStopId, Name, Reason};
 /// - `connected`: set up, and the device responds
 /// - `unresponsive`: open, but the device is silent; motions are refused
 /// - `reconnecting`: lost; the gateway is connecting or setting up again
+/// - `released`: closed by a `disconnect` request; the gateway connects again after a `connect` request
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, ToSchema, strum::Display)]
 #[serde(rename_all = "lowercase")]
 #[strum(serialize_all = "lowercase")]
@@ -23,6 +24,7 @@ pub enum Link {
     Connected,
     Unresponsive,
     Reconnecting,
+    Released,
 }
 
 /// Cause of a FAST STOP.
@@ -63,6 +65,7 @@ pub struct Latch {
     pub cause: FastStopCause,
     pub reason: Reason,
     /// Time at which the FAST STOP was requested or first seen.
+    #[serde(serialize_with = "super::time::milliseconds")]
     pub at: Timestamp,
     /// Whether the device's flags have shown the FAST STOP since.
     pub confirmed: bool,
@@ -74,8 +77,8 @@ pub struct Latch {
     "gripper": "left", "link": "connected", "link_cause": null, "age_ms": 4, "seq": 51234, "state": "HOLDING",
     "state_code": 4, "flags": ["REFERENCED", "TARGET_POS_REACHED"], "flags_raw": 129, "referenced": true,
     "moving": false, "width_mm": 20.0, "speed_mm_s": 0.0, "force_n": 40.0, "temperature_c": 31.5,
-    "fast_stop": false, "lease_holder": null, "lease_epoch": 0, "journal_cause": null,
-    "command_id": null, "command": null
+    "fault": false, "fault_code": 0, "fast_stop": false, "lease_holder": null, "lease_epoch": 0, "journal_cause": null,
+    "command_id": null, "command": null, "last_command": 17, "last_outcome_code": 2
 }))]
 pub struct State {
     /// Name of the gripper.
@@ -90,9 +93,13 @@ pub struct State {
     #[serde(rename = "age_ms", serialize_with = "age_ms")]
     #[schema(value_type = Option<u64>, required, minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     pub updated_at: Option<Instant>,
-    /// Number of changes to this state so far.
+    /// Number of changes to this state so far. A newer update with the same values is no change.
     #[schema(minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     pub seq: u64,
+    /// Number of updates to this state so far, including those that changed only the age.
+    #[serde(skip)]
+    #[schema(ignore)]
+    pub update: u64,
     /// Name of the gripper state, as in the manual; null before the first update. `state_code` lists all names.
     #[schema(required)]
     pub state: Option<&'static str>,
@@ -132,6 +139,19 @@ pub struct State {
     /// Temperature of the device in °C; null if the firmware does not report it (firmware 2).
     #[schema(required, minimum = -3276.8, maximum = 3276.7)]
     pub temperature_c: Option<f32>,
+    /// Whether a person or a program has to do something before the next motion, such as acknowledge a FAST STOP.
+    pub fault: bool,
+    /// Number of the fault that matters most; 0 without a fault:
+    ///
+    /// - 1: the link is not connected
+    /// - 2: the journal is unavailable, and motions are refused
+    /// - 3: the device lost settings that could not be restored
+    /// - 10 to 18: a FAST STOP is latched; its cause is, in this order, `requested`, `client_lost`,
+    ///   `unannounced_disconnect`, `temperature_fault`, `power_fault`, `current_fault`, `finger_fault`, `soft_limit`,
+    ///   `unknown`
+    /// - 20 to 23: `TEMP_FAULT`, `POWER_FAULT`, `CURR_FAULT` or `FINGER_FAULT` is set
+    /// - 30: the device reports an error (`ERROR`) that is not the rest of an acknowledged FAST STOP
+    pub fault_code: u16,
     /// Whether a FAST STOP is latched; null until the first connection.
     #[schema(required)]
     pub fast_stop: Option<bool>,
@@ -154,6 +174,18 @@ pub struct State {
     /// Same as `command_id`.
     #[schema(value_type = Option<Uuid>, required, deprecated)]
     pub command: Option<CommandId>,
+    /// Number of the newest motion, as in `number` of the command; 0 before the first. It survives restarts of the
+    /// gateway, and 1 follows 4294967295.
+    #[schema(format = Int64, minimum = 0, maximum = 4_294_967_295_i64)]
+    pub last_command: u32,
+    /// `outcome_code` of that motion; 0 while it runs, and before the first.
+    #[serde(rename = "last_outcome_code", serialize_with = "outcome_code")]
+    #[schema(value_type = u8, minimum = 0, maximum = 255)]
+    pub last_outcome: Option<Outcome>,
+    /// Id of that motion.
+    #[serde(skip)]
+    #[schema(ignore)]
+    pub last_command_id: Option<CommandId>,
 }
 
 impl State {
@@ -166,6 +198,7 @@ impl State {
             link_cause: None,
             updated_at: None,
             seq: 0,
+            update: 0,
             state: None,
             state_code: None,
             flags: Vec::new(),
@@ -176,6 +209,8 @@ impl State {
             speed_mm_s: None,
             force_n: None,
             temperature_c: None,
+            fault: true,
+            fault_code: Fault::LinkDown.code(),
             fast_stop: None,
             latch: None,
             lease_holder: None,
@@ -183,7 +218,20 @@ impl State {
             journal_cause: None,
             command_id: None,
             command: None,
+            last_command: 0,
+            last_outcome: None,
+            last_command_id: None,
         }
+    }
+}
+
+impl State {
+    /// Whether both states have the same values, whatever their ages.
+    #[must_use]
+    pub fn is_like(&self, other: &Self) -> bool {
+        let Self { updated_at, seq, update, .. } = *other;
+        // Comparing needs a copy, whose strings are few and short.
+        Self { updated_at, seq, update, ..self.clone() } == *other
     }
 }
 
@@ -196,6 +244,7 @@ pub struct Telemetry {
     /// Sequence number of the state.
     pub seq: u64,
     /// Time at which the gateway published the values.
+    #[serde(serialize_with = "super::time::milliseconds")]
     #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
     /// Opening width in mm; null until the fingers are referenced.
@@ -242,6 +291,7 @@ pub struct LatchFields {
     #[schema(value_type = String, required = false, max_length = 64)]
     pub fast_stop_reason: Reason,
     /// Time at which the FAST STOP was requested or first seen.
+    #[serde(serialize_with = "super::time::milliseconds")]
     #[schema(value_type = String, required = false, format = DateTime)]
     pub fast_stop_at: Timestamp,
     /// Whether the device's flags have shown the FAST STOP since.
@@ -271,4 +321,9 @@ impl LatchFields {
 #[allow(clippy::ref_option, reason = "serde's signature")]
 fn age_ms<S: Serializer>(updated_at: &Option<Instant>, serializer: S) -> Result<S::Ok, S::Error> {
     updated_at.map(|at| at.elapsed().as_millis() as u64).serialize(serializer)
+}
+
+#[allow(clippy::ref_option, reason = "serde's signature")]
+fn outcome_code<S: Serializer>(outcome: &Option<Outcome>, serializer: S) -> Result<S::Ok, S::Error> {
+    outcome.map_or(0, Outcome::code).serialize(serializer)
 }

@@ -36,7 +36,7 @@ impl Desk {
     }
 
     fn end(&mut self, id: CommandId, outcome: Outcome) {
-        self.commands.end(self.now, id, |command| command.outcome = Some(outcome));
+        self.commands.end(self.now, id, |command| command.set_outcome(outcome));
         self.commands.tell();
     }
 

@@ -8,7 +8,7 @@ use utoipa::OpenApi as _;
 
 use super::context::API;
 use crate::events::Gap;
-use crate::gripper::model::{CommandReport, FrameRecord, State, Telemetry};
+use crate::gripper::model::{CommandReport, DamageRecord, FrameRecord, State, Telemetry};
 use crate::interfaces::websocket::{SUBPROTOCOL, Subscribe, Subscribed};
 use crate::operations::{Members, OPERATIONS as METHODS, Operation as Method};
 
@@ -27,6 +27,7 @@ const NOTIFICATIONS: &[(&str, &str, &str)] = &[
     ("event", "StoredEvent", "An event (topic `events`), sent in order once it is stored durably"),
     ("grip", "StoredGripRecord", "A new grip record, or one whose part was lost (topic `grips`)"),
     ("frame", "Frame", "A frame on the wire (topic `frames`), sent in order"),
+    ("damage", "Damage", "Bytes from a device that are no valid frame (topic `frames`), sent in order with the frames"),
     ("fleet", "FleetGripper", "A gripper of any gateway (topic `fleet`): first all grippers, then each change"),
     ("gap", "Gap", "A gap in the events, grip records or frames, because the client was too slow"),
     ("command", "Command", "The end of a command that this socket started and that was still running when answered"),
@@ -34,7 +35,17 @@ const NOTIFICATIONS: &[(&str, &str, &str)] = &[
 
 /// Schemas that no HTTP operation refers to.
 #[derive(utoipa::OpenApi)]
-#[openapi(components(schemas(CommandReport, FrameRecord, Gap, Members, State, Subscribe, Subscribed, Telemetry)))]
+#[openapi(components(schemas(
+    CommandReport,
+    DamageRecord,
+    FrameRecord,
+    Gap,
+    Members,
+    State,
+    Subscribe,
+    Subscribed,
+    Telemetry
+)))]
 struct OwnSchemas;
 
 #[must_use]

@@ -40,6 +40,7 @@ use crate::operations::{Members, Problem};
         (name = "settings", description = "Settings that the device keeps until it restarts, and its permanent tag"),
         (name = "device", description = "Other device commands: statistics, fingers, tare, Loop, raw requests"),
         (name = "journal", description = "Events and grip records, stored and live"),
+        (name = "webhooks", description = "Deliveries of events to other programs"),
         (name = "gateway", description = "Health, metrics and API documents of the gateway itself"),
     ),
     components(schemas(Members, EventKind, GripKinds, Order)),

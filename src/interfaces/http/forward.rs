@@ -24,7 +24,7 @@ use crate::fleet::{Ask, NoAnswer};
 use crate::gripper::model::{Name, Reason, Urgency};
 use crate::interfaces::admission::{Class, ConnectionPermit};
 use crate::operations::json::{parse, text_member};
-use crate::operations::{Code, DEFAULT_WAIT_MS, OPERATIONS, Operation, Problem, wait_ms};
+use crate::operations::{Code, DEFAULT_WAIT_MS, OPERATIONS, Operation, Problem, motion, wait_ms};
 
 /// Paths of the grippers of any gateway.
 pub const PATHS: [&str; 2] =
@@ -99,7 +99,13 @@ pub async fn forward(
         let stop = move |text: Bytes| ask(Map::from_iter([("reason".to_owned(), reason(&text).as_str().into())]));
         with_reason(stream, stop).await?
     } else {
-        ask(fields(stream, path).await?).await
+        let mut params = match fields(stream, path).await {
+            // A mistake in a Stop must not keep the fingers moving.
+            Err(_) if operation.name == motion::STOP.name => Map::new(),
+            fields => fields?,
+        };
+        params.extend(QueryString::of(&parts.uri)?.fields(operation.query)?);
+        ask(params).await
     };
     match asked {
         Ok(Ok(answer)) => Ok(answered(&target.gateway, &answer)),
@@ -112,7 +118,7 @@ async fn fields(stream: Stream, path: BTreeMap<&'static str, String>) -> Result<
     let mut fields: Map<String, Value> = parse(&body::bytes(stream).await?)?;
     // Like the gateway's own paths: path parameters must not appear in the body.
     if let Some(field) = fields.keys().find(|key| path.contains_key(key.as_str()) || *key == "gripper") {
-        return Err(Problem::malformed(field, format!("unknown field `{field}`: the path already names it")));
+        return Err(Problem::malformed(field, format!("unknown field {field}: the path already names it")));
     }
     fields.extend(path.into_iter().map(|(key, value)| (key.to_owned(), value.into())));
     Ok(fields)
@@ -183,6 +189,9 @@ fn answered(gateway: &Name, answer: &RawValue) -> Response {
     let command: Value = serde_json::from_str(answer.get()).unwrap_or_default();
     let json = [(header::CONTENT_TYPE, "application/json".to_owned())];
     let text = |key: &str| command[key].as_str().unwrap_or_default();
+    if command["place"].is_u64() {
+        return (StatusCode::ACCEPTED, json, answer.get().to_owned()).into_response();
+    }
     if text("phase") != "running" {
         return (json, answer.get().to_owned()).into_response();
     }

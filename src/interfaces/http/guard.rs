@@ -6,15 +6,18 @@ use std::sync::Arc;
 
 use axum::extract::{Request, State};
 use axum::http::header::{
-    CACHE_CONTROL, CONTENT_SECURITY_POLICY, HOST, HeaderName, HeaderValue, ORIGIN, REFERRER_POLICY,
+    CACHE_CONTROL, CONTENT_SECURITY_POLICY, DATE, HOST, HeaderName, HeaderValue, ORIGIN, REFERRER_POLICY,
     X_CONTENT_TYPE_OPTIONS,
 };
 use axum::http::{HeaderMap, Version};
 use axum::middleware::Next;
 use axum::response::{IntoResponse, Response};
+use jiff::fmt::rfc2822::DateTimePrinter;
 
 use super::body;
 use super::context::HttpContext;
+use super::operation::Compact;
+use crate::gripper::Now;
 use crate::operations::{Code, Problem};
 
 /// Middleware that refuses foreign hosts and origins, whatever the method. Any Content-Type is read as JSON, so without
@@ -102,14 +105,26 @@ fn is_same(origin: &str, host: &str) -> bool {
 /// Policy of responses without their own policy: a browser must not load or run anything.
 const NO_CONTENT: HeaderValue = HeaderValue::from_static("default-src 'none'; frame-ancestors 'none'");
 
-/// Adds the headers that keep browsers from sniffing, caching and embedding responses.
+/// Adds the headers that keep browsers from sniffing, caching and embedding responses, and the date. A compact response
+/// does without them.
 pub async fn harden(mut response: Response) -> Response {
+    if response.extensions().get::<Compact>().is_some() {
+        return response;
+    }
     let headers = response.headers_mut();
+    if let Some(date) = date() {
+        headers.insert(DATE, date);
+    }
     headers.insert(X_CONTENT_TYPE_OPTIONS, HeaderValue::from_static("nosniff"));
     headers.insert(REFERRER_POLICY, HeaderValue::from_static("no-referrer"));
     headers.entry(CACHE_CONTROL).or_insert(HeaderValue::from_static("no-store"));
     headers.entry(CONTENT_SECURITY_POLICY).or_insert(NO_CONTENT);
     response
+}
+
+fn date() -> Option<HeaderValue> {
+    let date = DateTimePrinter::new().timestamp_to_rfc9110_string(&Now::read().wall);
+    date.ok().and_then(|date| date.try_into().ok())
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use axum::RequestPartsExt as _;
-use axum::body::{Body, Bytes};
+use axum::body::Body;
 use axum::extract::{RawPathParams, Request};
 use axum::http::request::Parts;
 use axum::http::{HeaderMap, Method, StatusCode, header};
@@ -21,6 +21,10 @@ use crate::operations::values::text;
 use crate::operations::{
     Caller, Effect, Fields, MAX_LEASE_BYTES, Operation, OperationReply, Params, Presence, Problem, Wait, run,
 };
+
+/// Mark on a response that has only the headers that it needs.
+#[derive(Debug, Clone, Copy)]
+pub struct Compact;
 
 pub async fn serve(
     context: &Arc<HttpContext>,
@@ -41,17 +45,20 @@ pub async fn serve_below(
     stream: Body,
 ) -> Result<Response, Problem> {
     let (gateway, caller) = (context.gateway.clone(), caller(parts, operation)?);
-    let run =
-        move |text| async move { run(&gateway, operation, caller, Params { path, fields: Fields::Text(text) }).await };
+    let run = move |fields| async move { run(&gateway, operation, caller, Params { path, fields }).await };
     let reply = if operation.urgency == Urgency::FastStop {
-        with_reason(stream, run).await??
+        with_reason(stream, move |text| run(Fields::Text(text))).await??
     } else if *operation.verb == Method::GET {
         // The body of a GET has no meaning (RFC 9110, 9.3.1).
-        run(Bytes::new()).await?
+        run(Fields::Object(QueryString::of(&parts.uri)?.fields(operation.query)?)).await?
     } else {
-        run(body::bytes(stream).await?).await?
+        run(Fields::Text(body::bytes(stream).await?)).await?
     };
-    Ok(response(reply))
+    let mut response = response(reply);
+    if operation.is_compact {
+        response.extensions_mut().insert(Compact);
+    }
+    Ok(response)
 }
 
 /// Returns the path's parameters. A path that is not valid text is not found.
@@ -93,7 +100,8 @@ fn key<const MAX: usize>(headers: &HeaderMap, name: &'static str) -> Result<Opti
     text(name, given).map(Some)
 }
 
-/// Returns 200 with the result, or 202 with the Location of a command that is still running.
+/// Returns 200 with the result, or 202 with the Location of a command that is still running, or for a request that
+/// waits for the lease's holder.
 fn response(OperationReply { body, effect }: OperationReply) -> Response {
     let json = [(header::CONTENT_TYPE, "application/json")];
     let body = String::from(Box::<str>::from(body));
@@ -102,6 +110,7 @@ fn response(OperationReply { body, effect }: OperationReply) -> Response {
             let location = format!("{API}/grippers/{gripper}/commands/{}", ticket.id());
             (StatusCode::ACCEPTED, [(header::LOCATION, location)], json, body).into_response()
         }
+        Effect::Waiting => (StatusCode::ACCEPTED, json, body).into_response(),
         Effect::None | Effect::Leased(_) => (json, body).into_response(),
     }
 }

@@ -4,7 +4,7 @@ use axum::extract::Query as Pairs;
 use axum::http::Uri;
 use jiff::Timestamp;
 use serde::de::DeserializeOwned;
-use serde_json::Value;
+use serde_json::{Map, Value};
 
 use crate::operations::Problem;
 
@@ -29,6 +29,12 @@ impl QueryString {
             }
             None => Ok(self),
         }
+    }
+
+    /// Returns the parameters of a read as the fields of an object.
+    pub fn fields(&self, names: &[&str]) -> Result<Map<String, Value>, Problem> {
+        let field = |name: &&str| Ok(self.one(name)?.map(|value| ((*name).to_owned(), value.into())));
+        names.iter().filter_map(|name| field(name).transpose()).collect()
     }
 
     pub fn one(&self, name: &str) -> Result<Option<&str>, Problem> {

@@ -17,9 +17,9 @@ use std::time::Duration;
 use axum::Router;
 use axum::body::Body;
 use axum::extract::ConnectInfo;
-use axum::http::Request;
+use axum::http::{HeaderName, HeaderValue, Request, StatusCode};
 use axum::response::Response;
-use futures_util::future::{BoxFuture, FutureExt as _};
+use futures_util::future::{BoxFuture, FutureExt as _, TryFutureExt as _};
 use hyper::body::{Body as _, Incoming};
 use hyper::server::conn::http1;
 use hyper::service::Service;
@@ -36,6 +36,7 @@ use tower::ServiceExt;
 use super::context::HttpContext;
 use super::fast_stop::{is_fast_stop, may_be_fast_stop};
 use super::home::Home;
+use super::operation::Compact;
 use super::router::router;
 use crate::interfaces::admission::{Admission, Bounds, ConnectionPermit, Usage};
 use crate::interfaces::metrics::Connected;
@@ -47,11 +48,13 @@ use crate::interfaces::sockets;
 pub struct ServerLimits {
     /// Maximum number of concurrent connections, by class.
     pub bounds: Bounds,
-    /// Time for a request's header to arrive. It also bounds the time that a connection can be idle between requests.
-    pub header_time: Duration,
+    /// Time that a connection can be idle between requests. It also bounds the time for a request's header to arrive.
+    pub idle_time: Duration,
     /// Time that running requests get to finish after a shutdown began.
     pub shutdown_time: Duration,
 }
+
+const KEEP_ALIVE: HeaderName = HeaderName::from_static("keep-alive");
 
 /// Maximum size of all headers of a request. This API needs some hundred bytes; browsers add a few thousand.
 const MAX_HEADER_BYTES: usize = 16 * 1024;
@@ -91,7 +94,7 @@ impl ServerLimits {
     #[must_use]
     pub fn within(bounds: Bounds) -> Self {
         // The grippers get 2 s to end their motions, and the responses must still be sent after that.
-        Self { bounds, header_time: Duration::from_secs(10), shutdown_time: Duration::from_secs(3) }
+        Self { bounds, idle_time: Duration::from_secs(10), shutdown_time: Duration::from_secs(3) }
     }
 }
 
@@ -121,8 +124,9 @@ pub async fn serve(
     if let Err(error) = Usage::register(&context.registry, "http", &admission) {
         tracing::warn!(%error, "connection metrics unavailable");
     }
-    let server =
-        Arc::new(Server { router: router(&context), admission, closing: shutdown.child_token(), context, limits });
+    let (router, closing, seconds) = (router(&context), shutdown.child_token(), limits.idle_time.as_secs());
+    let keep_alive = HeaderValue::try_from(format!("timeout={seconds}")).unwrap_or(HeaderValue::from_static(""));
+    let server = Arc::new(Server { router, admission, closing, context, limits, keep_alive });
     tokio::select! {
         biased;
         () = shutdown.cancelled() => {}
@@ -140,6 +144,8 @@ struct Server {
     context: Arc<HttpContext>,
     admission: Arc<Admission>,
     limits: ServerLimits,
+    /// Value of the `Keep-Alive` header.
+    keep_alive: HeaderValue,
     closing: CancellationToken,
 }
 
@@ -209,7 +215,7 @@ impl Server {
             seen = stream.peek(&mut first) => seen.unwrap_or(0),
             // Bytes that arrived before the eviction still count.
             () = permit.evicted() => peek_now(&stream, &mut first),
-            () = sleep(self.limits.header_time) => 0,
+            () = sleep(self.limits.idle_time) => 0,
         };
         if seen == 0 {
             return;
@@ -239,7 +245,9 @@ impl Server {
         };
         let http = http1::Builder::new()
             .timer(TokioTimer::new())
-            .header_read_timeout(self.limits.header_time)
+            // The router adds the date, except to compact responses.
+            .auto_date_header(false)
+            .header_read_timeout(self.limits.idle_time)
             .max_header_size(MAX_HEADER_BYTES)
             .max_buf_size(MAX_BUFFER_BYTES)
             .serve_connection(TokioIo::new(QuickAckStream::new(stream)), service)
@@ -328,8 +336,19 @@ impl Service<Request<Incoming>> for Requests {
         extensions.insert(self.permit.clone());
         extensions.insert(self.home.clone());
         extensions.insert(self.pace.clone());
-        self.server.router.clone().oneshot(request.map(Body::new)).boxed()
+        let keep_alive = self.server.keep_alive.clone();
+        let response = self.server.router.clone().oneshot(request.map(Body::new));
+        response.map_ok(move |response| with_keep_alive(response, keep_alive)).boxed()
     }
+}
+
+/// Tells the client how long an idle connection stays open.
+fn with_keep_alive(mut response: Response, keep_alive: HeaderValue) -> Response {
+    let is_switched = response.status() == StatusCode::SWITCHING_PROTOCOLS;
+    if !is_switched && response.extensions().get::<Compact>().is_none() {
+        response.headers_mut().insert(KEEP_ALIVE, keep_alive);
+    }
+    response
 }
 
 /// Peeks without waiting for tokio's readiness, which a fresh stream does not have yet.

@@ -8,6 +8,7 @@ use tokio::task::JoinHandle;
 
 use super::*;
 use crate::gripper::fake::{self, FakeScript, Fate, Seen};
+use crate::gripper::model::GripperStatus;
 use crate::interfaces::admission::Class;
 
 struct Server {
@@ -84,12 +85,48 @@ async fn http_1_0_without_a_host_is_served() {
 }
 
 #[tokio::test]
+async fn keep_alive_states_the_idle_time() {
+    let limits = ServerLimits { idle_time: Duration::from_secs(25), ..ServerLimits::default() };
+    let server = start(limits, FakeScript::default()).await;
+    let mut stream = server.connect().await;
+    stream.write_all(HEALTH).await.unwrap();
+    let answer = answer(&mut stream).await;
+    assert!(answer.contains("\r\nkeep-alive: timeout=25\r\n") && answer.contains("\r\ndate: "), "{answer}");
+}
+
+#[tokio::test]
+async fn status_response_is_smaller_than_256_bytes() {
+    let server = start(ServerLimits::default(), FakeScript::default()).await;
+    let mut stream = server.connect().await;
+    stream.write_all(b"GET /api/v1/grippers/left/status HTTP/1.1\r\nHost: localhost\r\n\r\n").await.unwrap();
+    let answer = answer(&mut stream).await;
+    let (head, body) = answer.split_once("\r\n\r\n").unwrap();
+    let header: Vec<_> = head.lines().skip(1).filter_map(|line| line.split(':').next()).collect();
+    assert_eq!(header, ["content-type", "content-length"]);
+    serde_json::from_str::<serde_json::Value>(body).unwrap();
+    let longest = GripperStatus {
+        busy: false,
+        done: false,
+        ok: false,
+        nok: false,
+        holding: false,
+        fault: false,
+        fault_code: 999,
+        last_command: u32::MAX,
+        last_outcome_code: u8::MAX,
+        lease_epoch: u64::from(u32::MAX),
+    };
+    let longest = head.len() + 4 + serde_json::to_string(&longest).unwrap().len();
+    assert!(longest < 256, "{longest} bytes");
+}
+
+#[tokio::test]
 async fn incomplete_header_times_out() {
-    let limits = ServerLimits { header_time: Duration::from_millis(50), ..ServerLimits::default() };
+    let limits = ServerLimits { idle_time: Duration::from_millis(50), ..ServerLimits::default() };
     let server = start(limits, FakeScript::default()).await;
     let start = Instant::now();
     assert_eq!(server.exchange(b"GET /healthz HTTP/1.1\r\nHost: loc").await, "");
-    assert!(start.elapsed() >= limits.header_time);
+    assert!(start.elapsed() >= limits.idle_time);
 }
 
 #[tokio::test]

@@ -75,8 +75,8 @@ struct Stream {
 
 /// Stream live updates
 ///
-/// Sends server-sent events: `event` with its `seq` as id, `grip`, `state`, `telemetry`, `frame`, `fleet` and `gap`. Their
-/// data is JSON, with the schemas of the AsyncAPI document.
+/// Sends server-sent events: `event` with its `seq` as id, `grip`, `state`, `telemetry`, `frame`, `damage`, `fleet` and
+/// `gap`. Their data is JSON, with the schemas of the AsyncAPI document.
 ///
 /// Events continue without a gap after `Last-Event-ID`; without that header they start now. A `gap` gives the number of
 /// events after that id that are no longer stored, for all grippers together. If the journal was replaced and has not
@@ -86,7 +86,8 @@ struct Stream {
 /// start now, whatever the id.
 ///
 /// For states and telemetry only the newest value is sent: values that a slow client misses are not queued. Frames are
-/// sent in order, and a `gap` gives the number of frames that a slow client missed.
+/// sent in order, with `damage` where bytes from the device were no valid frame. A `gap` gives the number of frames and
+/// damages that a slow client missed.
 #[utoipa::path(
     get, path = "/stream", operation_id = "stream", tag = "journal",
     params(StreamQuery, StreamHeaders),

@@ -5,7 +5,7 @@ use serde::Serialize;
 use serde_json::Value;
 use serde_json::value::RawValue;
 
-use crate::operations::json::StrictJson;
+use crate::operations::json::{self, StrictJson};
 use crate::operations::{Code, OPERATIONS, Problem, is_fast_stop};
 
 /// Maximum number of requests in a batch.
@@ -89,6 +89,8 @@ impl From<Problem> for RpcError {
     fn from(problem: Problem) -> Self {
         let code = match problem.status() {
             StatusCode::BAD_REQUEST => INVALID_PARAMS,
+            // Only a wrong parameter is named.
+            _ if problem.members().field().is_some() => INVALID_PARAMS,
             StatusCode::INTERNAL_SERVER_ERROR => INTERNAL_ERROR,
             _ => REFUSED,
         };
@@ -109,19 +111,23 @@ pub fn has_fast_stop(text: &str) -> bool {
 
 /// Parses a message. An invalid message that names a FAST STOP is a FAST STOP of all grippers.
 pub fn parse(text: &str) -> Incoming {
-    let invalid = |code, detail: String| {
+    let invalid = |code, problem: Problem| {
         Incoming::One(match fast_stop_in(text) {
             Some(name) => Ok(RpcCall { id: Some(Value::Null), method: name.to_owned(), params: Value::Null }),
-            None => Err(RpcResponse::invalid(Value::Null, code, malformed(detail))),
+            None => Err(RpcResponse::invalid(Value::Null, code, problem)),
         })
     };
     match serde_json::from_str(text).map(|StrictJson(message)| message) {
-        Err(error) if error.is_data() => invalid(INVALID_REQUEST, format!("invalid JSON-RPC request: {error}")),
-        Err(error) => invalid(PARSE_ERROR, format!("invalid JSON: {error}")),
-        Ok(Value::Array(batch)) if batch.is_empty() => invalid(INVALID_REQUEST, "the batch is empty".to_owned()),
+        Err(error) => {
+            let code = if error.is_data() { INVALID_REQUEST } else { PARSE_ERROR };
+            invalid(code, json::invalid("JSON", &error))
+        }
+        Ok(Value::Array(batch)) if batch.is_empty() => {
+            invalid(INVALID_REQUEST, malformed("the batch is empty".to_owned()))
+        }
         Ok(Value::Array(batch)) if batch.len() > MAX_BATCH => {
             let detail = format!("the batch has {} requests; at most {MAX_BATCH} are allowed", batch.len());
-            invalid(INVALID_REQUEST, detail)
+            invalid(INVALID_REQUEST, malformed(detail))
         }
         Ok(Value::Array(batch)) => Incoming::Batch(batch.into_iter().map(call).collect()),
         Ok(one) => Incoming::One(call(one)),
@@ -207,7 +213,18 @@ mod tests {
             panic!()
         };
         let error = serde_json::to_value(answer).unwrap()["error"].take();
-        assert!(error["code"] == -32600 && error["message"].as_str().unwrap().contains("`id`"), "{error}");
+        assert!(error["code"] == -32600 && error["message"].as_str().unwrap().contains("id is given"), "{error}");
+    }
+
+    #[test]
+    fn wrong_parameters_are_invalid_params() {
+        let code = |problem: Problem| RpcError::from(problem).code;
+        assert_eq!(code(Problem::malformed("width_mm", "width_mm is missing")), INVALID_PARAMS);
+        assert_eq!(code(Problem::out_of_range("width_mm", 300.0, 0.0, 110.0)), INVALID_PARAMS);
+        assert_eq!(code(Problem::too_long("part_id", 64, 48)), INVALID_PARAMS);
+        assert_eq!(code(Problem::not_found("gripper with this name").field("gripper")), INVALID_PARAMS);
+        assert_eq!(code(Problem::new(Code::NotReferenced, "home first")), REFUSED);
+        assert_eq!(code(Problem::not_found("command with this id")), REFUSED);
     }
 
     #[test]

@@ -132,7 +132,7 @@ impl Answered {
             // The end of a command is reported only if its start was.
             Effect::Running { ticket, .. } => (Some(ticket).filter(|_| has_id), None),
             Effect::Leased(lease) => (None, Some(lease)),
-            Effect::None => (None, None),
+            Effect::None | Effect::Waiting => (None, None),
         };
         Self { answer: id.map(|id| RpcResponse::new(id, result)), running, lease, following: None }
     }

@@ -12,6 +12,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::device::{PortOrder, PortOrdered, PortReply, PortRequest, VirtualDevice};
 use super::port::Port;
+use super::refusals::Refusals;
 use super::status::{RefusedStatus, status_of_end};
 use crate::gripper::clock::{self, sleep_until};
 use crate::gripper::model::{
@@ -19,7 +20,6 @@ use crate::gripper::model::{
 };
 use crate::gripper::{AcquiredLease, Handle, LeaseKeepAlive, Rejection, Ticket};
 use crate::interfaces::admission::{Claim, Class, ConnectionPermit};
-use crate::operations::audit::RefusedRequest;
 use crate::wsg::{self, Data, Reply, Status, id};
 
 /// Read buffer size. The replies to all requests that fit into it can be queued before any of them is written.
@@ -55,9 +55,14 @@ pub(super) struct Served<R, W> {
     heard: Instant,
     /// Whether the client has sent nothing yet.
     is_fresh: bool,
-    /// Whether the client was silent for too long. It still gets its outstanding replies, since many clients wait for
-    /// them forever.
+    /// Whether the client was silent for too long. It still gets its outstanding replies and its updates, since many
+    /// clients wait for them forever.
     is_lost: bool,
+    /// Whether the client has used a script that may move the fingers, and so take the lease.
+    uses_scripts: bool,
+    /// Newest lease that this client has tried to keep.
+    tried_epoch: u64,
+    refusals: Refusals,
 }
 
 /// A lease kept alive for its client, which is not evicted meanwhile.
@@ -96,7 +101,8 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
         (reader, writer): (R, W),
         silence: Option<Duration>,
     ) -> Self {
-        let device = VirtualDevice::new(port.rules.clone(), port.gripper.custom_ids(), port.gripper.update_period_ms());
+        let (ids, period_ms) = (port.gripper.custom_ids(), port.gripper.update_period_ms());
+        let device = VirtualDevice::new(client.subject.clone(), &port.rules, ids, period_ms);
         Self {
             port,
             client,
@@ -113,6 +119,9 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             heard: clock::instant(),
             is_fresh: true,
             is_lost: false,
+            uses_scripts: false,
+            tried_epoch: 0,
+            refusals: Refusals::default(),
         }
     }
 
@@ -143,7 +152,8 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             let _ = self.port.gripper.release_lease(Some(self.token.clone())).await;
             self.device.forget_waiting();
         } else {
-            self.lose().await;
+            self.device.forget_waiting();
+            self.lose_lease().await;
         }
         // FAST STOPs of the client may still be waiting for their turn.
         let _ = tokio::time::timeout(LAST_WORDS_WITHIN, self.finish_fast_stops()).await;
@@ -159,7 +169,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
                 tokio::task::yield_now().await;
             }
             self.start_orders();
-            if self.device.has_overflown() || self.has_left() || (self.is_lost && self.is_owed_nothing()) {
+            if self.device.has_overflown() || self.has_left() || self.is_forgotten() {
                 return End::Gone;
             }
             if self.written == self.outgoing.len() {
@@ -168,7 +178,10 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             }
             let (state, is_writing) = (self.port.gripper.state(), !self.outgoing.is_empty());
             self.forget_lost_lease(&state);
-            let (holds_lease, watches) = (self.kept.is_some(), self.kept.is_some() || self.device.watches());
+            self.keep_claimed_lease(&state);
+            let holds_lease = self.kept.is_some();
+            self.device.set_holder(holds_lease);
+            let watches = holds_lease || self.uses_scripts || self.device.watches();
             let silent_at = self.silence.filter(|_| !self.is_lost).map(|silence| self.heard + silence);
             let deadline = self.device.poll_timeout(&state).into_iter().chain(silent_at).min();
             tokio::select! {
@@ -199,7 +212,9 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
                         if self.device.has_announced() {
                             return End::Gone;
                         }
-                        self.lose().await;
+                        self.is_lost = true;
+                        self.device.withdraw_motions();
+                        self.lose_lease().await;
                     }
                     self.device.handle_timeout(now, &self.port.gripper.state());
                 }
@@ -234,10 +249,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
         }
     }
 
-    /// Marks the client and its lease as lost. Requests that have not started are discarded.
-    async fn lose(&mut self) {
-        self.is_lost = true;
-        self.device.forget_waiting();
+    async fn lose_lease(&mut self) {
         // The token belongs to this connection alone, however often the lease was taken.
         self.port.gripper.lose_lease(self.token.clone(), None).await;
     }
@@ -245,6 +257,11 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
     /// Whether a client without a connection (UDP) has announced its disconnect and got all replies.
     fn has_left(&self) -> bool {
         self.silence.is_some() && self.device.has_announced() && self.is_answered()
+    }
+
+    /// Whether a silent client has nothing left that it could come back to.
+    fn is_forgotten(&self) -> bool {
+        self.is_lost && self.is_owed_nothing() && !self.device.is_remembered()
     }
 
     fn is_answered(&self) -> bool {
@@ -276,9 +293,11 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
     /// Starts all orders one after the other, so that the gripper gets them in this order.
     fn start_orders(&mut self) {
         while let Some(refused) = self.device.poll_refused() {
-            self.record(refused.id, refused.status, refused.cause.to_owned());
+            self.refusals.record(&self.port, &self.client, &refused);
         }
         while let Some(ordered) = self.device.poll_order() {
+            self.uses_scripts |= matches!(&ordered.order, PortOrder::Exchange(wsg::Command::Custom(custom))
+                if !self.port.gripper.only_reads(custom.id()));
             let step = self.step_of(ordered);
             self.begin(step);
         }
@@ -294,7 +313,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
     fn step_of(&self, PortOrdered { ask, order }: PortOrdered) -> BoxFuture<'static, Step> {
         let (gripper, client, token) = (self.port.gripper.clone(), self.client.clone(), self.token.clone());
         let order = match order {
-            PortOrder::Exchange(wsg::Command::Custom(custom)) if !gripper.only_reads(custom.id()) => {
+            PortOrder::Exchange(wsg::Command::Custom(custom)) if gripper.custom_ids().stream.contains(&custom.id()) => {
                 PortOrder::Command(Action::Motion(Motion::Custom(custom)))
             }
             order => order,
@@ -365,7 +384,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             Step::Rejected(ask, rejection, is_recorded) => {
                 let refusal = RefusedStatus::from(&rejection);
                 if is_recorded {
-                    self.record(ask.id, refusal.status, rejection.to_string());
+                    self.refusals.record_rejection(&self.port, &self.client, ask.id, refusal.status, &rejection);
                 }
                 self.answer(ask, PortReply::Refused(refusal));
             }
@@ -422,16 +441,19 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
         self.begin(kept.boxed());
     }
 
+    /// Keeps the lease that a script of this client has taken by moving the fingers.
+    fn keep_claimed_lease(&mut self, state: &State) {
+        let is_own = state.lease_holder.as_deref() == Some(&*self.client.subject);
+        if self.uses_scripts && self.kept.is_none() && is_own && state.lease_epoch > self.tried_epoch {
+            self.tried_epoch = state.lease_epoch;
+            self.keep();
+        }
+    }
+
     /// Stops keeping a lease that was forced away or released, so that the client can be evicted again.
     fn forget_lost_lease(&mut self, state: &State) {
         let is_held = |kept: &Kept| state.lease_holder.is_some() && state.lease_epoch == kept.epoch;
         self.kept.take_if(|kept| !is_held(kept));
-    }
-
-    fn record(&self, id: u8, status: Status, cause: String) {
-        let command = wsg::id::name(id).map_or_else(|| format!("{id:02X}h"), ToOwned::to_owned);
-        let (gripper, client, code) = (Some(self.port.gripper.name().clone()), self.client.clone(), status.to_string());
-        self.port.audit.take(RefusedRequest { gripper, client, command, code }, cause);
     }
 }
 

@@ -15,15 +15,15 @@ use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Instant;
 
-use super::input::{PortInput, ReceivedRequest};
+use super::acknowledge::AcknowledgeRight;
+use super::input::{PortInput, ReceivedRequest, Unusable};
 use super::port::Rules;
+use super::refusals::{Cause, Refused};
 use super::status::RefusedStatus;
+use super::values::{tells_fast_stop, value};
 use crate::gripper::FastStop;
-use crate::gripper::model::{Action, CustomIds, FastStopCause, FastStopId, LatchFields, Link, State};
-use crate::wsg::{
-    ChecksumEvaluation, Command, Data, Force, GripperState, Reply, Speed, Status, Subscriptions, SystemState, Updates,
-    Width, id,
-};
+use crate::gripper::model::{Action, CustomIds, FastStopId, Link, State};
+use crate::wsg::{ChecksumEvaluation, Command, Data, Reply, Status, Subscriptions, Updates, id};
 
 /// Maximum number of waiting requests of one client. More are answered with E_OVERRUN.
 pub(super) const MAX_WAITING_REQUESTS: usize = 64;
@@ -72,14 +72,6 @@ pub(super) enum PortReply {
     FastStopped(FastStop),
 }
 
-/// A request that was refused here, for the audit.
-#[derive(Debug, PartialEq, Eq)]
-pub(super) struct Refused {
-    pub id: u8,
-    pub status: Status,
-    pub cause: &'static str,
-}
-
 /// The FAST STOPs of one client. All that arrive while one is unanswered are combined into one more. Any number of FAST
 /// STOPs therefore costs two at most, and none is lost if the first is acknowledged meanwhile.
 #[derive(Debug, Default)]
@@ -91,7 +83,6 @@ struct FastStops {
 
 #[derive(Debug)]
 pub(super) struct VirtualDevice {
-    rules: Arc<Rules>,
     custom_ids: Arc<CustomIds>,
     shortest_period_ms: u16,
     input: PortInput,
@@ -110,22 +101,20 @@ pub(super) struct VirtualDevice {
     frames: VecDeque<Vec<u8>>,
     announced: bool,
     overflown: bool,
-    /// The last FAST STOP that this client caused.
-    caused: Option<FastStopId>,
-    /// The last FAST STOP that this client has seen.
-    seen: Option<FastStopId>,
+    /// Whether this client holds the lease.
+    holds_lease: bool,
+    acknowledges: AcknowledgeRight,
 }
 
 impl VirtualDevice {
-    /// Returns a device whose automatic updates have at least this period.
-    pub(super) fn new(rules: Arc<Rules>, custom_ids: Arc<CustomIds>, shortest_period_ms: u16) -> Self {
+    /// Returns the device of a client, whose automatic updates have at least this period.
+    pub(super) fn new(subject: Arc<str>, rules: &Rules, custom_ids: Arc<CustomIds>, shortest_period_ms: u16) -> Self {
         Self {
             input: PortInput::new(if rules.checksum_evaluation {
                 ChecksumEvaluation::On
             } else {
                 ChecksumEvaluation::Off
             }),
-            rules,
             custom_ids,
             shortest_period_ms,
             waiting: VecDeque::new(),
@@ -140,8 +129,8 @@ impl VirtualDevice {
             frames: VecDeque::new(),
             announced: false,
             overflown: false,
-            caused: None,
-            seen: None,
+            holds_lease: false,
+            acknowledges: AcknowledgeRight::new(subject, rules.acknowledge_any),
         }
     }
 
@@ -170,11 +159,11 @@ impl VirtualDevice {
             PortReply::Accepted => self.status(ask.id, Status::E_CMD_PENDING),
             PortReply::Reply(reply) => self.reply(ask.id, &reply),
             PortReply::Refused(refusal) => {
-                self.seen = refusal.fast_stop.or(self.seen);
+                refusal.fast_stop.into_iter().for_each(|id| self.acknowledges.saw(id));
                 self.status(ask.id, refusal.status);
             }
             PortReply::FastStopped(FastStop { id, confirmed }) => {
-                (self.caused, self.seen) = (Some(id), Some(id));
+                self.acknowledges.caused(id);
                 for _ in 0..std::mem::take(&mut self.fast_stops.under_way) {
                     self.status(ask.id, if confirmed { Status::E_SUCCESS } else { Status::E_TIMEOUT });
                 }
@@ -192,6 +181,11 @@ impl VirtualDevice {
             self.awaited = self.awaited.saturating_sub(1);
         }
         self.take_up(now, state);
+    }
+
+    /// Notes whether this client holds the lease.
+    pub(super) fn set_holder(&mut self, holds_lease: bool) {
+        self.holds_lease = holds_lease;
     }
 
     pub(super) fn poll_order(&mut self) -> Option<PortOrdered> {
@@ -233,6 +227,11 @@ impl VirtualDevice {
         self.subscriptions.clear();
     }
 
+    /// Whether a silent client has automatic updates, or knows of a FAST STOP that it may want to acknowledge.
+    pub(super) fn is_remembered(&self) -> bool {
+        self.subscriptions.ids().next().is_some() || self.acknowledges.knows_any()
+    }
+
     /// Whether a FAST STOP is unanswered.
     pub(super) fn is_stopping(&self) -> bool {
         self.fast_stops.under_way > 0
@@ -248,23 +247,25 @@ impl VirtualDevice {
             let id = request.id;
             match request.command {
                 Ok(Command::FastStop) if self.fast_stops.waiting >= MAX_WAITING_REQUESTS => {
-                    self.status(id, Status::E_OVERRUN);
+                    self.refuse(id, Status::E_OVERRUN, Cause::Overrun);
                 }
                 Ok(Command::FastStop) => {
                     self.fast_stops.waiting += 1;
                     self.begin_fast_stop();
                 }
                 Ok(Command::Stop) if self.stops >= MAX_STOPS => {
-                    self.abort_waiting_motions();
-                    self.status(id, Status::E_OVERRUN);
+                    self.withdraw_motions();
+                    self.refuse(id, Status::E_OVERRUN, Cause::Overrun);
                 }
                 Ok(Command::Stop) => {
-                    self.abort_waiting_motions();
+                    self.withdraw_motions();
                     self.stops += 1;
                     self.motions_are_stopping = self.motions > 0;
                     self.order(id, false, PortOrder::Command(Action::Stop));
                 }
-                _ if self.waiting.len() >= MAX_WAITING_REQUESTS => self.status(id, Status::E_OVERRUN),
+                _ if self.waiting.len() >= MAX_WAITING_REQUESTS => {
+                    self.refuse(id, Status::E_OVERRUN, Cause::Overrun);
+                }
                 _ => self.waiting.push_back(request),
             }
             // Start what can be started before parsing the next request.
@@ -280,11 +281,11 @@ impl VirtualDevice {
         }
     }
 
-    /// Aborts the motions that wait before a Stop.
-    fn abort_waiting_motions(&mut self) {
+    /// Withdraws the waiting motions: before a Stop, or because the client is lost.
+    pub(super) fn withdraw_motions(&mut self) {
         let mut waiting = std::mem::take(&mut self.waiting);
         for request in waiting.iter_mut().filter(|request| self.moves(request.id)) {
-            request.command = Err(Status::E_CMD_ABORTED);
+            request.command = Err(Unusable::Withdrawn);
         }
         self.waiting = waiting;
     }
@@ -304,16 +305,16 @@ impl VirtualDevice {
     fn take_up(&mut self, now: Instant, state: &State) {
         // A motion requested before a FAST STOP must not run after its acknowledgement.
         if state.latch.is_some() && self.holds_a_motion_back() {
-            self.abort_waiting_motions();
+            self.withdraw_motions();
         }
         while self.awaited == 0
             && let Some(ReceivedRequest { id, command }) = self.next_request()
         {
             match command {
                 // fw4-en 3.1.2: refused until the connection has ended.
-                _ if self.announced => self.status(id, Status::E_ACCESS_DENIED),
+                _ if self.announced => self.refuse(id, Status::E_ACCESS_DENIED, Cause::Announced),
                 Ok(command) => self.execute(now, command, state),
-                Err(status) => self.refuse_malformed(id, status, state),
+                Err(unusable) => self.refuse_unusable(id, unusable, state),
             }
         }
     }
@@ -347,18 +348,21 @@ impl VirtualDevice {
         }
     }
 
-    /// Refuses a malformed request. Motions are checked in the order of the manual's statuses: a FAST STOP or a running
+    /// Refuses an unusable request. Motions are checked in the order of the manual's statuses: a FAST STOP or a running
     /// command is reported before a format error.
-    fn refuse_malformed(&mut self, id: u8, status: Status, state: &State) {
+    fn refuse_unusable(&mut self, id: u8, unusable: Unusable, state: &State) {
         let status = match &state.latch {
             Some(latch) if id::is_motion(id) => {
-                self.seen = Some(latch.fast_stop_id);
+                self.acknowledges.saw(latch.fast_stop_id);
                 Status::E_ACCESS_DENIED
             }
             None if id::is_motion(id) && state.command.is_some() => Status::E_ALREADY_RUNNING,
-            _ => status,
+            _ => unusable.status(),
         };
-        self.status(id, status);
+        match unusable {
+            Unusable::Withdrawn => self.status(id, status),
+            _ => self.refuse(id, status, Cause::Unusable(unusable)),
+        }
     }
 
     /// Answers a query. Switching updates on is answered, too, since some clients wait for the reply.
@@ -379,50 +383,35 @@ impl VirtualDevice {
     }
 
     fn report(&mut self, id: u8, data: Data, state: &State) {
-        if let (id::GET_SYSTEM_STATE, Some(latch)) = (id, &state.latch) {
-            self.seen = Some(latch.fast_stop_id);
+        if let Some(latch) = state.latch.as_ref().filter(|_| tells_fast_stop(&data)) {
+            self.acknowledges.saw(latch.fast_stop_id);
         }
         self.reply(id, &Reply::Success(data));
     }
 
-    /// Acknowledges a FAST STOP if this client has seen it and may clear it. Many clients send a blind 24h first, which
-    /// would erase a FAST STOP that nobody noticed.
+    /// Acknowledges a FAST STOP if this client may clear it.
     fn acknowledge(&mut self, state: &State) {
         let id = id::ACKNOWLEDGE_FAST_STOP;
+        let is_held = state.lease_holder.is_some() && !self.holds_lease;
         match &state.latch {
-            Some(latch) if self.rules.acknowledge_any || self.may_acknowledge(latch) => {
+            Some(latch) if self.acknowledges.covers(latch, is_held) => {
                 self.order(id, true, PortOrder::Acknowledge(latch.fast_stop_id));
             }
-            Some(_) => {
-                let cause = "a FAST STOP can only be acknowledged on a connection that has seen it, and only if that \
-                             connection or the device caused it";
-                self.refused.push_back(Refused { id, status: Status::E_ACCESS_DENIED, cause });
-                self.status(id, Status::E_ACCESS_DENIED);
-            }
+            Some(_) => self.refuse(id, Status::E_ACCESS_DENIED, Cause::Acknowledge),
             None if state.link == Link::Connected => self.reply(id, &Reply::Success(Data::None)),
             None => self.status(id, Status::E_IO_ERROR),
         }
-    }
-
-    fn may_acknowledge(&self, latch: &LatchFields) -> bool {
-        let id = Some(latch.fast_stop_id);
-        let is_the_clients = match latch.fast_stop_cause {
-            FastStopCause::Requested | FastStopCause::ClientLost => true,
-            FastStopCause::UnannouncedDisconnect
-            | FastStopCause::TemperatureFault
-            | FastStopCause::PowerFault
-            | FastStopCause::CurrentFault
-            | FastStopCause::FingerFault
-            | FastStopCause::SoftLimit
-            | FastStopCause::Unknown => false,
-        };
-        self.seen == id && (!is_the_clients || self.caused == id)
     }
 
     fn order(&mut self, id: u8, is_awaited: bool, order: PortOrder) {
         self.awaited += usize::from(is_awaited);
         self.motions += usize::from(id::is_motion(id));
         self.orders.push_back(PortOrdered { ask: PortRequest { id, is_awaited }, order });
+    }
+
+    fn refuse(&mut self, id: u8, status: Status, cause: Cause) {
+        self.refused.push_back(Refused { id, status, cause });
+        self.status(id, status);
     }
 
     fn status(&mut self, id: u8, status: Status) {
@@ -438,28 +427,6 @@ impl VirtualDevice {
         reply.encode(id, &mut frame);
         self.frames.push_back(frame);
     }
-}
-
-/// Returns the newest value of a getter with automatic updates, as a device would report it.
-fn value(id: u8, state: &State) -> Data {
-    match id {
-        id::GET_SYSTEM_STATE => {
-            let flags = SystemState::from_bits_retain(state.flags_raw.unwrap_or_default());
-            // The latch holds for clients even if the device has forgotten the FAST STOP or has not received it yet.
-            let latched = if state.latch.is_some() { SystemState::FAST_STOP } else { SystemState::empty() };
-            Data::SystemState(flags | latched)
-        }
-        id::GET_GRIPPER_STATE => Data::GripperState(GripperState::from_code(state.state_code.unwrap_or_default())),
-        // fw4-en 3.4.4: 0 unless referenced.
-        id::GET_WIDTH => Data::Width(finite(state.width_mm, Width::new, Width::ZERO)),
-        id::GET_SPEED => Data::Speed(finite(state.speed_mm_s, Speed::new, Speed::ZERO)),
-        id::GET_FORCE => Data::Force(finite(state.force_n, Force::new, Force::ZERO)),
-        _ => Data::None,
-    }
-}
-
-fn finite<T, E>(value: Option<f32>, new: impl FnOnce(f32) -> Result<T, E>, zero: T) -> T {
-    value.and_then(|value| new(value).ok()).unwrap_or(zero)
 }
 
 #[cfg(test)]

@@ -1,8 +1,11 @@
 use std::time::Duration;
 
 use super::*;
-use crate::gripper::model::{Motion, Reason};
+use crate::gripper::model::{FastStopCause, LatchFields, Motion, Reason};
 use crate::wsg::{Decoded, Decoder, HomingDirection};
+
+#[path = "acknowledge_tests.rs"]
+mod acknowledging;
 
 fn rules() -> Rules {
     Rules { checksum_evaluation: true, acknowledge_any: false, allow: Vec::new() }
@@ -52,7 +55,7 @@ impl Bench {
 
     fn with(rules: Rules) -> Self {
         Self {
-            device: VirtualDevice::new(Arc::new(rules), Arc::new(custom_ids()), 10),
+            device: VirtualDevice::new("wsg:10.0.0.1".into(), &rules, Arc::new(custom_ids()), 10),
             now: Instant::now(),
             state: state(),
         }
@@ -261,7 +264,10 @@ fn waiting_announcement_counts() {
 
 #[test]
 fn updates_keep_their_period_but_not_below_the_minimum() {
-    let mut bench = Bench { device: VirtualDevice::new(Arc::new(rules()), Arc::new(custom_ids()), 50), ..Bench::new() };
+    let mut bench = Bench {
+        device: VirtualDevice::new("wsg:10.0.0.1".into(), &rules(), Arc::new(custom_ids()), 50),
+        ..Bench::new()
+    };
     bench.send(id::GET_WIDTH, &[1, 10, 0]);
     bench.send(id::GET_FORCE, &[1, 100, 0]);
     assert_eq!(bench.sent().len(), 2, "switching on is answered");
@@ -379,62 +385,21 @@ fn only_fast_stops_start_after_the_client_is_gone() {
     assert!(bench.device.is_stopping());
 }
 
-fn acknowledges(bench: &mut Bench) -> bool {
-    bench.send(id::ACKNOWLEDGE_FAST_STOP, b"ack");
-    match bench.device.poll_order() {
-        Some(PortOrdered { order: PortOrder::Acknowledge(_), ask }) => {
-            bench.answer(ask, NOTHING);
-            assert_eq!(bench.sent().last(), Some(&(id::ACKNOWLEDGE_FAST_STOP, Status::E_SUCCESS)));
-            true
-        }
-        None => {
-            assert_eq!(bench.sent().last(), Some(&(id::ACKNOWLEDGE_FAST_STOP, Status::E_ACCESS_DENIED)));
-            assert_eq!(bench.device.poll_refused().unwrap().status, Status::E_ACCESS_DENIED);
-            false
-        }
-        order => panic!("{order:?}"),
-    }
-}
-
 #[test]
-fn acknowledge_needs_a_seen_latch_of_own_or_device_cause() {
-    let id = FastStopId::generate();
-    let refusal = PortReply::Refused(RefusedStatus { status: Status::E_ACCESS_DENIED, fast_stop: Some(id) });
-    for (cause, by_device) in [
-        (FastStopCause::Requested, false),
-        (FastStopCause::ClientLost, false),
-        (FastStopCause::UnannouncedDisconnect, true),
-        (FastStopCause::CurrentFault, true),
-        (FastStopCause::Unknown, true),
-    ] {
-        let mut blind = Bench { state: latched(id, cause), ..Bench::new() };
-        assert!(!acknowledges(&mut blind), "{cause:?}");
-        blind.send(id::GET_SYSTEM_STATE, &[0; 3]);
-        assert_eq!(acknowledges(&mut blind), by_device, "seen in 40h: {cause:?}");
-
-        let mut refused = Bench { state: latched(id, cause), ..Bench::new() };
-        refused.send(id::HOMING, &[0]);
-        let ask = refused.order().ask;
-        refused.answer(ask, refusal.clone());
-        assert_eq!(acknowledges(&mut refused), by_device, "seen in a refused motion: {cause:?}");
-
-        let mut malformed = Bench { state: latched(id, cause), ..Bench::new() };
-        malformed.send(id::HOMING, &[]);
-        assert_eq!(malformed.sent(), [(id::HOMING, Status::E_ACCESS_DENIED)]);
-        assert_eq!(acknowledges(&mut malformed), by_device, "seen in a malformed motion: {cause:?}");
-
-        let mut any = Bench::with(Rules { acknowledge_any: true, ..rules() });
-        any.state = latched(id, cause);
-        assert!(acknowledges(&mut any), "acknowledge_any: {cause:?}");
-    }
-    let mut own = Bench { state: latched(id, FastStopCause::Requested), ..Bench::new() };
-    own.send(id::FAST_STOP, &[]);
-    let ask = own.order().ask;
-    own.answer(ask, PortReply::FastStopped(FastStop { id, confirmed: true }));
-    assert!(acknowledges(&mut own), "its own");
-    // A later FAST STOP of another client is a different one.
-    own.state = latched(FastStopId::generate(), FastStopCause::Requested);
-    assert!(!acknowledges(&mut own));
+fn silent_client_keeps_its_updates_but_no_motion() {
+    let mut bench = Bench::new();
+    assert!(!bench.device.is_remembered());
+    bench.send(id::GET_WIDTH, &[1, 10, 0]);
+    bench.send(id::LOOP, b"x");
+    bench.send(id::HOMING, &[0]);
+    let looped = bench.order();
+    bench.device.withdraw_motions();
+    bench.answer(looped.ask, NOTHING);
+    assert_eq!(bench.device.poll_order(), None, "the motion is withdrawn");
+    assert!(bench.device.is_remembered());
+    bench.sent();
+    bench.pass(Duration::from_millis(100));
+    assert_eq!(bench.sent(), [(id::GET_WIDTH, Status::E_SUCCESS)].repeat(10));
 }
 
 #[test]

@@ -20,8 +20,29 @@ const SHORT_ANNOUNCEMENT_BYTES: usize = 7;
 #[derive(Debug)]
 pub(super) struct ReceivedRequest {
     pub id: u8,
-    /// The requested command, or the status with which a device would refuse the request.
-    pub command: Result<Command, Status>,
+    pub command: Result<Command, Unusable>,
+}
+
+/// Reason that a request is refused before it reaches the gripper.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub(super) enum Unusable {
+    #[error("frame damaged: its checksum is wrong")]
+    Checksum,
+    #[error(transparent)]
+    Invalid(#[from] InvalidRequest),
+    #[error("motion withdrawn by a Stop or a FAST STOP")]
+    Withdrawn,
+}
+
+impl Unusable {
+    /// Status with which a device would refuse the request.
+    pub(super) const fn status(self) -> Status {
+        match self {
+            Self::Checksum => Status::E_CHECKSUM_ERROR,
+            Self::Invalid(invalid) => invalid.status(),
+            Self::Withdrawn => Status::E_CMD_ABORTED,
+        }
+    }
 }
 
 #[derive(Debug)]
@@ -70,7 +91,7 @@ impl PortInput {
         self.damaged = if matches!(decoded, Decoded::Damaged { .. }) { self.damaged + 1 } else { 0 };
         Some(match decoded {
             Decoded::Frame(frame) => ReceivedRequest { id: frame.id, command: parse(frame.id, frame.payload) },
-            Decoded::Damaged { id } => ReceivedRequest { id, command: Err(Status::E_CHECKSUM_ERROR) },
+            Decoded::Damaged { id } => ReceivedRequest { id, command: Err(Unusable::Checksum) },
         })
     }
 
@@ -106,20 +127,20 @@ impl PortInput {
             Ok(Command::DisconnectAnnouncement)
         } else {
             self.decoder.give_up_partial();
-            Err(Status::E_CHECKSUM_ERROR)
+            Err(Unusable::Checksum)
         };
         Some(ReceivedRequest { id: id::DISCONNECT_ANNOUNCEMENT, command })
     }
 }
 
 /// Parses a command. Some clients omit the three parameter bytes of a state query, which then count as zeros.
-fn parse(id: u8, payload: &[u8]) -> Result<Command, Status> {
+fn parse(id: u8, payload: &[u8]) -> Result<Command, Unusable> {
     let zeros = [0; 3];
     let payload = match id::describe(id).map(|description| description.parameters) {
         Some(LengthRule::Exactly(bytes)) if payload.is_empty() && is_query(id) => zeros.get(..bytes).unwrap_or(payload),
         _ => payload,
     };
-    Command::parse(id, payload).map_err(InvalidRequest::status)
+    Ok(Command::parse(id, payload)?)
 }
 
 fn is_query(id: u8) -> bool {
@@ -141,7 +162,7 @@ mod tests {
         evaluation: ChecksumEvaluation,
         bytes: &[u8],
         in_pieces_of: usize,
-    ) -> Vec<(u8, Result<Command, Status>)> {
+    ) -> Vec<(u8, Result<Command, Unusable>)> {
         let mut input = PortInput::new(evaluation);
         let mut requests = Vec::new();
         for piece in bytes.chunks(in_pieces_of) {
@@ -160,7 +181,7 @@ mod tests {
     #[test]
     fn fast_stop_after_short_announcement_is_found() {
         let announced = (id::DISCONNECT_ANNOUNCEMENT, Ok(Command::DisconnectAnnouncement));
-        let damaged = (id::DISCONNECT_ANNOUNCEMENT, Err(Status::E_CHECKSUM_ERROR));
+        let damaged = (id::DISCONNECT_ANNOUNCEMENT, Err(Unusable::Checksum));
         let fast_stop = (id::FAST_STOP, Ok(Command::FastStop));
         let mut wrong = SHORT;
         wrong[5..].copy_from_slice(&[0x01, 0x22]);

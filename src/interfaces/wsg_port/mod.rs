@@ -1,19 +1,24 @@
 //! The WSG port: the manual's own protocol for several clients at a time, each with its own virtual device.
 //!
-//! `device` is the virtual device, a pure machine, with `input` (parses requests) and `status` (maps refusals to
-//! statuses). `client` is the I/O around the device; `tcp` and `udp` accept clients.
+//! `device` is the virtual device, a pure machine, with `input` (parses requests), `values` (what getters return),
+//! `acknowledge` (who may clear a FAST STOP) and `status` (maps refusals to statuses). `client` is the I/O around the
+//! device, and `refusals` reports what was refused. `tcp` and `udp` accept clients; `unreachable` notices dead ones.
 //!
 //! A motion takes a free lease, and the client keeps the lease until it announces its disconnect (07h) or is lost. No
 //! client gets a frame that it has not requested.
 
+mod acknowledge;
 mod client;
 mod device;
 mod input;
 mod listener;
 mod port;
+mod refusals;
 mod status;
 mod tcp;
 mod udp;
+mod unreachable;
+mod values;
 
 pub use listener::{ListenAddress, Listener, serve};
 pub use port::{LOST_AFTER, MAX_DESCRIPTORS, MIN_DESCRIPTORS, Port, Rules};

@@ -10,6 +10,7 @@ use tokio_util::sync::CancellationToken;
 use crate::gripper::Handle;
 use crate::gripper::model::{Client, Door};
 use crate::interfaces::admission::{Admission, Bounds, ConnectionPermit};
+use crate::interfaces::metrics::WsgPortMetrics;
 use crate::interfaces::sockets;
 use crate::operations::audit::Audit;
 
@@ -25,7 +26,7 @@ pub const MAX_DESCRIPTORS: usize = MAX_CLIENTS + OTHER_CLIENTS;
 /// Minimum number of descriptors for one port's TCP clients.
 pub const MIN_DESCRIPTORS: usize = 4;
 
-/// Silence after which a client is lost: no TCP acknowledgements, or no datagrams unless configured otherwise.
+/// Silence after which a client's lease is lost: no TCP acknowledgements, or no datagrams unless configured otherwise.
 pub const LOST_AFTER: Duration = sockets::LOST_AFTER;
 
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -41,18 +42,25 @@ pub struct Rules {
 #[derive(Debug)]
 pub struct Port {
     pub(super) gripper: Handle,
-    pub(super) rules: Arc<Rules>,
+    pub(super) rules: Rules,
     /// Maximum number of descriptors for TCP clients.
     descriptors: usize,
     pub(super) audit: Arc<Audit>,
+    pub(super) metrics: WsgPortMetrics,
 }
 
 impl Port {
     /// Returns the port of this gripper, whose TCP clients can use this many descriptors.
     #[must_use]
-    pub fn new(gripper: Handle, rules: Rules, descriptors: usize, audit: Arc<Audit>) -> Arc<Self> {
+    pub fn new(
+        gripper: Handle,
+        rules: Rules,
+        descriptors: usize,
+        audit: Arc<Audit>,
+        metrics: WsgPortMetrics,
+    ) -> Arc<Self> {
         let descriptors = descriptors.clamp(MIN_DESCRIPTORS, MAX_DESCRIPTORS);
-        Arc::new(Self { gripper, rules: Arc::new(rules), descriptors, audit })
+        Arc::new(Self { gripper, rules, descriptors, audit, metrics })
     }
 
     pub(super) fn admission(&self) -> Arc<Admission> {

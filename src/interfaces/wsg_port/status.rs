@@ -32,8 +32,13 @@ fn status_of(rejection: &Rejection) -> Status {
             | Conflict::StaleFastStop { .. }
             | Conflict::FastStopUnconfirmed { .. }
             | Conflict::LeaseHeld { .. }
+            | Conflict::LeaseBound { .. }
+            | Conflict::LeaseTokenMissing { .. }
+            | Conflict::LeaseRequested { .. }
             | Conflict::StaleLease { .. } => Status::E_ACCESS_DENIED,
-            Conflict::AlreadyRunning { .. } | Conflict::Acknowledging { .. } => Status::E_ALREADY_RUNNING,
+            Conflict::AlreadyRunning { .. } | Conflict::FingersMove | Conflict::Acknowledging { .. } => {
+                Status::E_ALREADY_RUNNING
+            }
             Conflict::NotReferenced | Conflict::SettingsLost { .. } => Status::E_NOT_INITIALIZED,
             Conflict::FastStopPersists { .. } | Conflict::RequestIdReused => Status::E_CMD_FAILED,
         },

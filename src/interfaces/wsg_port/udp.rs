@@ -1,13 +1,15 @@
-//! UDP clients. A client is identified by the address that its replies go to, and is lost when it is silent for too
-//! long.
+//! UDP clients. A client is identified by the address that its replies go to.
+//!
+//! Silence ends a client's lease, but not its updates: many drivers only listen while they hold a part. A client ends
+//! with 07h, when its port is closed, or when another program has its address.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 use std::io;
-use std::net::SocketAddr;
+use std::net::{IpAddr, SocketAddr};
 use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll, ready};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::UdpSocket;
@@ -17,13 +19,15 @@ use tokio_util::sync::CancellationToken;
 
 use super::client::Served;
 use super::port::Port;
+use super::unreachable;
+use crate::gripper::clock;
 
 /// Settings for UDP clients.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Datagrams {
     /// Port that replies go to, like those of devices; the sender's port if `None`.
     pub reply_port: Option<u16>,
-    /// Silence after which a client is lost.
+    /// Silence after which a client's lease is lost.
     pub lost_after: Duration,
 }
 
@@ -31,6 +35,28 @@ const MAX_DATAGRAM_BYTES: usize = 65_535;
 
 /// Maximum number of unread datagrams of one client. More are dropped, as UDP allows.
 const MAX_WAITING_DATAGRAMS: usize = 32;
+
+/// Maximum number of hosts that the log has a warning for. A port has seldom more than a few.
+const MAX_WARNED: usize = 64;
+
+/// A client and its task.
+struct Known {
+    datagrams: mpsc::Sender<Vec<u8>>,
+    /// Port that the client sends from.
+    source: u16,
+    heard: Instant,
+}
+
+/// Hosts that the log has a warning for.
+#[derive(Default)]
+struct WarnedHosts(BTreeSet<IpAddr>);
+
+impl WarnedHosts {
+    /// Whether this is the first warning for the host.
+    fn is_first(&mut self, host: IpAddr) -> bool {
+        self.0.len() < MAX_WARNED && self.0.insert(host)
+    }
+}
 
 pub(super) async fn serve(
     port: Arc<Port>,
@@ -40,49 +66,71 @@ pub(super) async fn serve(
     closing: CancellationToken,
 ) {
     let (socket, admission) = (Arc::new(socket), port.admission());
-    let (mut known, mut clients) = (HashMap::<SocketAddr, mpsc::Sender<Vec<u8>>>::new(), JoinSet::new());
+    unreachable::report(&socket);
+    let (mut known, mut clients) = (HashMap::<SocketAddr, Known>::new(), JoinSet::new());
+    let (mut ignored, mut unheard) = (WarnedHosts::default(), WarnedHosts::default());
     let mut datagram = vec![0; MAX_DATAGRAM_BYTES];
+    let gripper = port.gripper.name();
     loop {
         let received = tokio::select! {
             biased;
             () = closing.cancelled() => break,
             Some(_) = clients.join_next() => {
-                known.retain(|_, client| !client.is_closed());
+                known.retain(|_, client| !client.datagrams.is_closed());
+                continue;
+            }
+            closed = unreachable::next(&socket) => {
+                // Its task ends when it has no sender any more.
+                if let Some(client) = known.remove(&closed) {
+                    tracing::info!(%gripper, client = %closed, "client lost: its port is closed");
+                    if client.source != closed.port() && unheard.is_first(closed.ip()) {
+                        tracing::warn!(%gripper, client = %closed, source = client.source,
+                            "replies reach nobody: if the driver expects them at the port that it sends from, add \
+                             reply_port=sender to the address in wsg_port");
+                    }
+                }
                 continue;
             }
             received = socket.recv_from(&mut datagram) => received,
         };
-        // An error refers to an earlier reply, whose client will be silent.
+        // An error refers to an earlier reply.
         let Ok((bytes, peer)) = received else { continue };
         let bytes = datagram.get(..bytes).unwrap_or_default().to_vec();
         // All senders with the same reply address are one client, since their replies could not be distinguished.
         let answered_at = SocketAddr::new(peer.ip(), reply_port.unwrap_or(peer.port()));
-        let client = known.get(&answered_at).filter(|client| !client.is_closed()).cloned();
-        let client = match client {
-            Some(client) => client,
-            None if draining.is_cancelled() => continue,
-            None if !port.allows(peer.ip()) => {
-                let gripper = port.gripper.name();
-                tracing::debug!(%gripper, %peer, "datagram ignored: address not in wsg_port_allow");
-                continue;
+        let now = clock::instant();
+        // After a silence, another port belongs to another program, which has not asked for the updates of this one.
+        let is_same = |client: &&mut Known| client.source == peer.port() || now < client.heard + lost_after;
+        let client = known.get_mut(&answered_at).filter(|client| !client.datagrams.is_closed()).filter(is_same);
+        if let Some(client) = client {
+            (client.source, client.heard) = (peer.port(), now);
+            // A full queue means that the client sends too fast: drop the datagram.
+            let _ = client.datagrams.try_send(bytes);
+            continue;
+        }
+        if draining.is_cancelled() {
+            continue;
+        }
+        if !port.allows(peer.ip()) {
+            if ignored.is_first(peer.ip()) {
+                tracing::warn!(%gripper, %peer, "datagrams ignored: address not in wsg_port_allow");
             }
-            // Evicted clients end within milliseconds; the sender repeats a datagram that is lost meanwhile.
-            None if admission.is_crowded() => continue,
-            None => {
-                let permit = Port::admit(&admission, peer);
-                tracing::info!(gripper = %port.gripper.name(), %peer, "WSG port client connected via UDP");
-                let (sender, datagrams) = mpsc::channel(MAX_WAITING_DATAGRAMS);
-                let writer = Writer { socket: socket.clone(), peer: answered_at };
-                let reader = Reader { datagrams, rest: Vec::new() };
-                let client = Port::client(peer);
-                let served = Served::new(port.clone(), client, permit, (reader, writer), Some(lost_after));
-                clients.spawn(served.run(closing.clone()));
-                known.insert(answered_at, sender.clone());
-                sender
-            }
-        };
-        // A full queue means that the client sends too fast: drop the datagram.
-        let _ = client.try_send(bytes);
+            continue;
+        }
+        // Evicted clients end within milliseconds; the sender repeats a datagram that is lost meanwhile.
+        if admission.is_crowded() {
+            continue;
+        }
+        let permit = Port::admit(&admission, peer);
+        tracing::info!(%gripper, %peer, replies_to = %answered_at, "WSG port client connected via UDP");
+        let (sender, datagrams) = mpsc::channel(MAX_WAITING_DATAGRAMS);
+        // The new queue has room.
+        let _ = sender.try_send(bytes);
+        let writer = Writer { socket: socket.clone(), peer: answered_at };
+        let reader = Reader { datagrams, rest: Vec::new() };
+        let served = Served::new(port.clone(), Port::client(peer), permit, (reader, writer), Some(lost_after));
+        clients.spawn(served.run(closing.clone()));
+        known.insert(answered_at, Known { datagrams: sender, source: peer.port(), heard: now });
     }
     while clients.join_next().await.is_some() {}
 }
@@ -117,8 +165,11 @@ struct Writer {
 
 impl AsyncWrite for Writer {
     fn poll_write(self: Pin<&mut Self>, cx: &mut Context<'_>, frame: &[u8]) -> Poll<io::Result<usize>> {
-        // A failed send is a lost datagram; a vanished client is detected by its silence.
-        let _ = ready!(self.socket.poll_send_to(cx, frame, self.peer));
+        // A failed send is a lost datagram. An error of an earlier datagram, perhaps to another client, comes first.
+        let sent = ready!(self.socket.poll_send_to(cx, frame, self.peer));
+        if sent.is_err_and(|error| error.kind() == io::ErrorKind::ConnectionRefused) {
+            let _ = ready!(self.socket.poll_send_to(cx, frame, self.peer));
+        }
         Poll::Ready(Ok(frame.len()))
     }
 

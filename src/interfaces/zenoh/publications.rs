@@ -31,8 +31,8 @@ pub struct Publications {
     state: Publisher<'static>,
     telemetry: Publisher<'static>,
     alive: Option<LivelinessToken>,
-    /// The last published state, without the fields that always change.
-    published: Option<State>,
+    /// The last published state.
+    published: Option<Arc<State>>,
 }
 
 impl Publications {
@@ -91,11 +91,10 @@ impl Publications {
     /// fleet.
     fn news(&mut self) -> Option<Notification> {
         let state = self.handle.state();
-        let lasting = State { seq: 0, updated_at: None, ..State::clone(&state) };
-        if self.published.as_ref() == Some(&lasting) {
+        if self.published.as_ref().is_some_and(|published| published.is_like(&state)) {
             return None;
         }
-        self.published = Some(lasting);
+        self.published = Some(state.clone());
         Notification::new("state", &*state)
     }
 

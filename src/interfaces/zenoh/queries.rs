@@ -26,7 +26,7 @@ use crate::operations::json::{self, MAX_BODY_BYTES, StrictJson};
 use crate::operations::values::{name, text};
 use crate::operations::{
     self, Caller, Code, Effect, Gateway, MAX_LEASE_BYTES, OperationReply, Presence, Problem, Wait, is_fast_stop, lease,
-    named, urgency,
+    motion, named, urgency,
 };
 
 /// Maximum number of concurrent FAST STOP queries of one gripper, each of which ends within 250 ms. More are refused,
@@ -162,6 +162,9 @@ impl Queries {
         let client_name = given(CLIENT).map(|given| name(CLIENT, &given)).transpose();
         let (mut params, client_name) = if is_fast_stop {
             (json::parse(&payload).unwrap_or_default(), client_name.unwrap_or_default())
+        } else if method == motion::STOP.name {
+            // A mistake in a Stop must not keep the fingers moving.
+            (body(&payload).unwrap_or_default(), client_name.unwrap_or_default())
         } else {
             (body(&payload)?, client_name?)
         };

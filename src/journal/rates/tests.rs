@@ -42,6 +42,7 @@ fn stop(client: &Client, number: u32) -> [Event; 2] {
         fast_stop_id: None,
         part_id: None,
         cancelled_by: None,
+        code: None,
         cause: None,
         requested: RequestedValues::default(),
     };

@@ -17,7 +17,7 @@ async fn damaged(directory: &Directory, time: i64) {
     journal.close().await.unwrap();
     drop(journal);
     let file = fs::read(directory.journal()).unwrap();
-    let text = at(time).to_string();
+    let text = format!("{:.3}", at(time));
     let places = file.windows(text.len()).enumerate().filter(|(_, bytes)| *bytes == text.as_bytes());
     let written = fs::File::options().write(true).open(directory.journal()).unwrap();
     let mut count = 0;

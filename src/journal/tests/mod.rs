@@ -100,6 +100,7 @@ pub(super) fn done(time: i64, gripper: &str, number: u32, part_id: Option<&str>,
         fast_stop_id: None,
         cancelled_by: None,
         part_id: part_id.and_then(PartId::new),
+        code: None,
         cause: None,
         requested: RequestedValues::default(),
     };
@@ -221,7 +222,7 @@ async fn part_lost_later_shows_in_its_grip() {
     let lost = crate::gripper::model::DeviceEvent::PartLost { width_mm: Some(3.0) };
     assert!(kept(&journal, Event::new(at(61_000), Some(name("left")), Detail::Device(lost)).of(id(1))).await);
     let page = journal.grips(GripQuery::default()).await.unwrap();
-    assert!(page.bodies[0].ends_with(r#","part_lost_at":"1970-01-01T00:01:01Z"}"#), "{}", page.bodies[0]);
+    assert!(page.bodies[0].ends_with(r#","part_lost_at":"1970-01-01T00:01:01.000Z"}"#), "{}", page.bodies[0]);
 }
 
 #[tokio::test]
@@ -253,7 +254,7 @@ async fn every_kind_of_event_can_be_written_and_read() {
     let (reason, cause) = ("a \"quote\"\u{2028}".to_owned(), FastStopCause::Requested);
     let details = [
         Detail::FastStop(FastStopEvent { event: FastStopStep::Latched, fast_stop_id, cause, reason, count: 1 }),
-        Detail::Acknowledge(AcknowledgeEvent { fast_stop_id, cleared: true, cause: None }),
+        Detail::Acknowledge(AcknowledgeEvent { fast_stop_id: Some(fast_stop_id), cleared: true, cause: None }),
         Detail::Device(DeviceEvent::Restarted),
         Detail::Device(DeviceEvent::Fault { flags: vec!["TEMP_FAULT"] }),
         Detail::Settings(SettingsEvent { restored: true, setting: SettingChange::Tare }),

@@ -12,7 +12,7 @@ fn value_out_of_range_names_its_limits() {
     let (status, problem) = members(Invalid::OutOfRange { field, value: 96.3, min: 0.0, max: 68.1, limit });
     assert_eq!(status, 422);
     let expected = serde_json::json!({
-        "type": "about:blank", "title": "Unprocessable Entity", "status": 422, "code": "out_of_range",
+        "type": "about:blank", "title": "Unprocessable Entity", "status": 422, "code": "out_of_range", "code_number": 18,
         "detail": "width_mm is 96.3; it must be from 0 to 68.1 (the device's stroke)",
         "field": "width_mm", "value": 96.3, "min": 0.0, "max": 68.1
     });

@@ -19,10 +19,10 @@ const ROOMS: &str = "
     main: cli
     cli: config daemon interfaces interfaces/http gripper/model journal logging wsg wsg/frame
     daemon: config interfaces interfaces/http interfaces/wsg_port interfaces/zenoh events fleet operations
-        gripper gripper/actor gripper/model gripper/recorder journal sim transport
-    config: gripper/model transport
+        gripper gripper/actor gripper/model gripper/recorder journal sim transport webhooks
+    config: gripper/model journal transport webhooks
     logging:
-    operations: events fleet gripper gripper/model gripper/recorder journal wsg
+    operations: events fleet gripper gripper/model gripper/recorder journal webhooks wsg
     interfaces: operations
     interfaces/dashboard: operations
     interfaces/http: interfaces interfaces/dashboard interfaces/websocket events fleet operations
@@ -39,9 +39,10 @@ const ROOMS: &str = "
     gripper/latch: gripper gripper/model wsg wsg/session
     gripper/model: gripper wsg
     gripper/recorder: gripper/model
-    gripper/setup: gripper wsg wsg/session
+    gripper/setup: wsg wsg/session
     sim: wsg wsg/frame
     transport:
+    webhooks: gripper gripper/model gripper/recorder journal
     wsg: wsg/frame
     wsg/crc:
     wsg/frame: wsg/crc

@@ -46,6 +46,8 @@ pub fn spawn(connector: impl Connector) -> Handle {
         properties: connector.properties(),
         fast_stop_on_disconnect: true,
         custom_ids: gripper::model::CustomIds { read: (0xB0..=0xB7).collect(), ..Default::default() },
+        updates: gripper::model::UpdateRules::default(),
+        motion_pause: Duration::from_millis(50),
         drain: Duration::from_secs(2),
         on_journal_failure: gripper::model::OnJournalFailure::Refuse,
         lease: gripper::model::LeaseRules::default(),

@@ -97,6 +97,26 @@ impl Gateway {
         (gateway, port)
     }
 
+    /// Starts a gateway with these arguments and this configuration file.
+    pub async fn with_file(arguments: &[&str], toml: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("wsg-{}.toml", uuid::Uuid::now_v7()));
+        std::fs::write(&path, toml).unwrap();
+        let gateway = Self::start(&[arguments, &["--config", path.to_str().unwrap()]].concat()).await;
+        std::fs::remove_file(path).unwrap();
+        gateway
+    }
+
+    /// Starts a gateway with these arguments and a webhook whose receiver is down, so that all metrics exist. Waits until
+    /// its gripper `g` is homed.
+    pub async fn with_webhook(arguments: &[&str]) -> Self {
+        let webhook = "[[webhooks]]\nname = \"mes\"\nurl = \"http://127.0.0.1:1\"\n\
+                       secret = \"whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw\"\n";
+        let gateway = Self::with_file(arguments, webhook).await;
+        gateway.until_link("connected").await;
+        gateway.post("home", &json!({})).await.outcome("SUCCESS");
+        gateway
+    }
+
     /// Returns the word after `before` on standard output.
     pub async fn word_after(&self, before: &str) -> String {
         self.process.word_after(before).await

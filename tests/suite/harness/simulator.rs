@@ -18,6 +18,16 @@ impl Simulator {
         Self::start_last_of(1, options).await
     }
 
+    /// Starts one device with a control port. Returns the URL to which changes are posted.
+    pub async fn with_control() -> (Self, String) {
+        let device = Self::start(&["--control", "127.0.0.1:0"]).await;
+        let url = eventually("the control port", async || {
+            device.stdout().split_whitespace().find(|word| word.starts_with("http://")).map(|url| format!("{url}/0"))
+        })
+        .await;
+        (device, url)
+    }
+
     /// Starts one device with a part of 20 mm in reach.
     pub async fn with_part() -> Self {
         Self::start(&["--part-mm", "20"]).await

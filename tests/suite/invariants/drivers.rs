@@ -4,8 +4,11 @@ use std::time::Duration;
 
 use tokio::sync::oneshot;
 use wsg_gateway::gripper::handle::ActorRequest;
-use wsg_gateway::gripper::model::{Action, Client, Door, LeaseToken, Motion, Outcome, Submission, TakeLease};
+use wsg_gateway::gripper::model::{
+    Action, Client, Door, FastStopCause, LeaseToken, Motion, Outcome, Submission, TakeLease,
+};
 use wsg_gateway::gripper::{Conflict, Invalid, Rejection, Ticket};
+use wsg_gateway::sim::{Change, Script, ScriptAnswer};
 use wsg_gateway::wsg::{self, Acceleration, Data, SoftLimits, Width, id};
 
 use super::NOTHING;
@@ -87,6 +90,87 @@ fn motion_script_takes_the_lease_and_read_script_does_not() {
     let Some(wsg::Command::Custom(script)) = Some(custom(0xB1)) else { panic!("no script") };
     let _ = moves(&mut world, &one, Motion::Custom(script));
     assert_eq!(holder(&world).as_deref(), Some("wsg:10.0.0.1"));
+}
+
+/// Script that no configuration declares.
+const SCRIPT_ID: u8 = 0xB7;
+
+fn homed_with_script() -> World {
+    let mut device = device();
+    device.scripts.push(Script { id: SCRIPT_ID, answer: ScriptAnswer::Echo });
+    let mut world = World::calm(device, None);
+    assert_eq!(run(&mut world, home()).outcome, Some(Outcome::Success));
+    world.advance(Duration::from_secs(1));
+    world
+}
+
+fn script(world: &mut World, driver: &(Client, LeaseToken)) -> Result<Data, Rejection> {
+    let (client, lease) = (driver.0.clone(), Some(driver.1.clone()));
+    let command = wsg::Command::parse(SCRIPT_ID, &[1]).unwrap();
+    let mut answered =
+        request(world, |answer| ActorRequest::Exchange { command, client, lease, answer: (None, answer) });
+    world.advance(Duration::from_millis(20));
+    answered.try_recv().unwrap()
+}
+
+fn leaves(world: &mut World, (_, token): &(Client, LeaseToken)) {
+    let token = token.clone();
+    drop(request(world, |_: oneshot::Sender<()>| ActorRequest::LoseLease { token, times_taken: None }));
+}
+
+fn somebody_moves(world: &mut World) {
+    world.device.apply(world.now, Change::MoveBySomebody { width_mm: 50.0, speed_mm_s: 20.0 });
+    world.advance(Duration::from_millis(30));
+}
+
+#[test]
+fn script_takes_the_lease_only_if_the_fingers_move_after_it() {
+    let mut world = homed_with_script();
+    let (one, other) = (driver("10.0.0.1"), driver("10.0.0.2"));
+    assert!(script(&mut world, &one).is_ok());
+    assert_eq!(holder(&world), None, "nothing moves");
+    // Too late for the script.
+    world.advance(Duration::from_millis(300));
+    somebody_moves(&mut world);
+    assert_eq!((holder(&world), world.journal.foreign_motions), (None, 1));
+    world.advance(Duration::from_secs(5));
+    assert!(script(&mut world, &one).is_ok());
+    somebody_moves(&mut world);
+    assert_eq!((holder(&world).as_deref(), world.journal.foreign_motions), (Some("wsg:10.0.0.1"), 1));
+    let refused = script(&mut world, &other).unwrap_err();
+    assert!(matches!(refused, Rejection::Conflict(Conflict::LeaseHeld { .. })), "{refused:?}");
+}
+
+#[test]
+fn script_waits_for_no_motion_and_no_pause() {
+    let mut world = homed_with_script();
+    let one = driver("10.0.0.1");
+    moves(&mut world, &one, move_to(50.0, 50.0)).unwrap();
+    world.advance(Duration::from_millis(300));
+    assert!(script(&mut world, &one).is_ok(), "during a motion");
+    let from = mark(&world);
+    fast_stop(&mut world);
+    let refused = script(&mut world, &one).unwrap_err();
+    assert!(matches!(refused, Rejection::Conflict(Conflict::FastStop { .. })), "{refused:?}");
+    assert!(!received(&world, from).contains(&SCRIPT_ID));
+}
+
+#[test]
+fn lost_scripts_client_is_a_loss_only_if_the_fingers_move() {
+    for (delay_ms, is_stopped) in [(100, true), (250, false)] {
+        let mut world = homed_with_script();
+        let one = driver("10.0.0.1");
+        assert!(script(&mut world, &one).is_ok());
+        leaves(&mut world, &one);
+        world.advance(Duration::from_millis(delay_ms));
+        assert_eq!(state(&world).fast_stop, Some(false));
+        somebody_moves(&mut world);
+        assert_eq!(state(&world).fast_stop, Some(is_stopped), "after {delay_ms} ms");
+        if is_stopped {
+            assert_eq!(latch(&world).fast_stop_cause, FastStopCause::ClientLost);
+            assert_eq!(holder(&world), None);
+        }
+    }
 }
 
 #[test]

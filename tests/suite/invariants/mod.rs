@@ -2,7 +2,9 @@
 //! virtual clock and check the frames that the device received.
 
 mod bounds;
+mod device_faults;
 mod drivers;
+mod faults;
 mod leases;
 mod repeats;
 mod restarts;
@@ -243,7 +245,7 @@ fn grip_with_a_refused_force_moves_nothing() {
     assert_eq!((command.outcome, command.status.as_deref()), (Some(Outcome::Refused), Some("E_ACCESS_DENIED")));
     assert_eq!(received(&world, from), [id::SET_FORCE_LIMIT]);
     assert_eq!(run(&mut world, grip(Some(30.0))).outcome, Some(Outcome::PartHeld));
-    assert_eq!(received(&world, from), [id::SET_FORCE_LIMIT, id::SET_FORCE_LIMIT, id::GRIP]);
+    assert_eq!(received(&world, from), [id::SET_FORCE_LIMIT, id::SET_FORCE_LIMIT, id::GRIP, id::GET_FORCE_LIMIT]);
 }
 
 #[test]

@@ -13,7 +13,7 @@ use wsg_gateway::wsg::{
 
 use super::leases::Leases;
 use super::schedule::Ask;
-use super::world::{READ_ID, SCRIPT_ID, STREAM_ID, World};
+use super::world::{PORT_SCRIPT_ID, READ_ID, SCRIPT_ID, STREAM_ID, World};
 
 /// An admitted command. `motion` is the only motion frame that it can cause.
 pub struct Admitted {
@@ -93,15 +93,25 @@ impl Clients {
                 let data = world.clients.submitted.to_le_bytes().to_vec();
                 Self::exchange(world, Command::Loop(LoopData::new(data).unwrap()));
             }
-            Ask::Custom => {
-                let only_reads = world.rng.random_bool(0.5);
-                let custom = Self::next_custom(world, if only_reads { READ_ID } else { SCRIPT_ID });
-                if only_reads {
+            Ask::Custom => match world.rng.random_range(0..4) {
+                0..2 => {
+                    let custom = Self::next_custom(world, READ_ID);
                     Self::exchange(world, Command::Custom(custom));
-                } else {
+                }
+                2 => {
+                    let custom = Self::next_custom(world, SCRIPT_ID);
                     Self::submit_motion(world, Motion::Custom(custom));
                 }
-            }
+                _ => {
+                    let custom = Self::next_custom(world, PORT_SCRIPT_ID);
+                    let (client, token) = Leases::driver(world);
+                    let is_refused = Self::exchange_as(world, Command::Custom(custom), client, Some(token.clone()));
+                    world.count("command: script of a driver", !is_refused);
+                    if !is_refused {
+                        Leases::scripted(world, token);
+                    }
+                }
+            },
             Ask::Stream => {
                 let custom = Self::next_custom(world, STREAM_ID);
                 Self::submit_motion(world, Motion::Custom(custom));
@@ -216,18 +226,26 @@ impl Clients {
     }
 
     fn exchange(world: &mut World, command: Command) {
+        Self::exchange_as(world, command, client(), None);
+    }
+
+    /// Returns whether the request was refused at once.
+    fn exchange_as(world: &mut World, command: Command, client: Client, lease: Option<LeaseToken>) -> bool {
         let expected = match &command {
             Command::Loop(data) => Some(Data::Loop(data.as_bytes().to_vec())),
             // The script echoes its payload.
             Command::Custom(custom) => Some(Data::Custom(custom.payload().to_vec())),
             _ => None,
         };
-        let (answer, answered) = oneshot::channel();
+        let (answer, mut answered) = oneshot::channel();
         let now = world.clock();
-        world
-            .actor
-            .request(now, ActorRequest::Exchange { command, client: client(), lease: None, answer: (None, answer) });
+        world.actor.request(now, ActorRequest::Exchange { command, client, lease, answer: (None, answer) });
+        if let Ok(Err(rejection)) = answered.try_recv() {
+            world.note(&format!("  {rejection}"));
+            return true;
+        }
         world.clients.exchanges.push(Exchange { answered, expected });
+        false
     }
 
     /// Collects the answers that have arrived.

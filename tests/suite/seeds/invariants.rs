@@ -9,7 +9,7 @@ use wsg_gateway::wsg::{Command, id};
 
 use super::client::{Admitted, is_streamed};
 use super::leases::Leases;
-use super::world::{SCRIPT_ID, STREAM_ID, World};
+use super::world::{PORT_SCRIPT_ID, SCRIPT_ID, STREAM_ID, World};
 
 /// Observations so far.
 #[derive(Default)]
@@ -69,6 +69,7 @@ impl Invariants {
                 assert!(admitted > 0, "nothing_moves_unasked\n{}", world.tail());
                 assert!(sent <= admitted, "frame_sent_at_most_once\n{}", world.tail());
             }
+            PORT_SCRIPT_ID => assert!(!latched, "latch_blocks_motion\n{}", world.tail()),
             id::ACKNOWLEDGE_FAST_STOP => {
                 world.invariants.acknowledges_sent += 1;
                 let Self { acknowledges_sent, acknowledges_taken, .. } = world.invariants;

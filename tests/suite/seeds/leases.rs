@@ -58,6 +58,8 @@ pub struct Leases {
     open: Vec<Ticket>,
     /// Number of driver connections so far.
     drivers: usize,
+    /// Token of the driver that used a script last.
+    scripted: Option<LeaseToken>,
     /// `on_loss_moving` of each lease, by epoch.
     on_loss_moving: BTreeMap<u64, OnLossMoving>,
     fingers: Fingers,
@@ -237,9 +239,31 @@ impl Leases {
         (Client { subject: DRIVER.into(), door: Door::Wsg }, token)
     }
 
+    /// Records that a driver has used a script, and renewed the lease if the driver holds it.
+    pub fn scripted(world: &mut World, token: LeaseToken) {
+        if let Some(current) = world.leases.current.as_mut().filter(|current| current.token == token) {
+            current.used = world.now;
+        }
+        world.leases.scripted = Some(token);
+    }
+
+    /// Notices that a driver's script has moved the fingers, and so has taken the free lease.
+    fn notice_claim(world: &mut World) {
+        let (epoch, holder) = {
+            let state = world.watches.state.borrow();
+            (state.lease_epoch, state.lease_holder.clone())
+        };
+        let is_new = !world.leases.on_loss_moving.contains_key(&epoch);
+        if is_new && holder.as_deref() == Some(DRIVER) {
+            assert!(!Self::is_alive(world), "a script took a held lease\n{}", world.tail());
+            let token = world.leases.scripted.clone().expect("a driver has used a script");
+            world.count("lease: taken by a script", true);
+            Self::claimed(world, &token);
+        }
+    }
+
     /// Records that a driver's motion took the free lease.
     fn claimed(world: &mut World, token: &LeaseToken) {
-        world.count("lease: taken by a motion", true);
         let epoch = world.watches.state.borrow().lease_epoch;
         world.leases.on_loss_moving.insert(epoch, OnLossMoving::FastStop);
         world.leases.given.push(token.clone());
@@ -252,6 +276,7 @@ impl Leases {
     pub fn asked(world: &mut World, door: Door, token: Option<&LeaseToken>, result: Result<&Ticket, &Rejection>) {
         let is_new = result.is_ok_and(|ticket| !ticket.now().replayed);
         if let (Door::Wsg, Some(token), true) = (door, token, is_new && !Self::is_alive(world)) {
+            world.count("lease: taken by a motion", true);
             Self::claimed(world, token);
         }
         let alive = Self::is_alive(world);
@@ -293,6 +318,7 @@ impl Leases {
 
     /// Ends open requests and expired leases; runs after every step.
     pub fn check(world: &mut World) {
+        Self::notice_claim(world);
         let before = world.leases.open.len();
         world.leases.open.retain(|ticket| ticket.now().phase == Phase::Running);
         if world.leases.open.len() < before {

@@ -8,7 +8,7 @@ use prometheus::Registry;
 use rand::rngs::SmallRng;
 use rand::{RngExt, SeedableRng};
 use wsg_gateway::gripper::actor::{Actor, ActorConfig, Close, Watches};
-use wsg_gateway::gripper::model::{CustomIds, IdSource, LeaseRules, OnJournalFailure, Phase};
+use wsg_gateway::gripper::model::{CustomIds, IdSource, LeaseRules, OnJournalFailure, Phase, UpdateRules};
 use wsg_gateway::gripper::{GripperMetrics, Now};
 use wsg_gateway::sim::{Device, DeviceConfig, Interface, LinkAction, Part, Script, ScriptAnswer};
 use wsg_gateway::transport::LinkProperties;
@@ -25,6 +25,8 @@ use super::wire::{self, Wire};
 pub const READ_ID: u8 = 0xB0;
 pub const SCRIPT_ID: u8 = 0xB1;
 pub const STREAM_ID: u8 = 0xB2;
+/// Script of drivers, which the configuration does not declare.
+pub const PORT_SCRIPT_ID: u8 = 0xB3;
 
 /// Length of a schedule.
 const SCHEDULE: Duration = Duration::from_secs(8);
@@ -129,7 +131,9 @@ impl World {
         if rng.random_bool(0.7) {
             device = device.with_part(Part::outside(20.0));
         }
-        device.scripts.extend([READ_ID, SCRIPT_ID, STREAM_ID].map(|id| Script { id, answer: ScriptAnswer::Echo }));
+        device.scripts.extend(
+            [READ_ID, SCRIPT_ID, STREAM_ID, PORT_SCRIPT_ID].map(|id| Script { id, answer: ScriptAnswer::Echo }),
+        );
         // A slow line carries fewer updates, so its schedules run faster; some run at full rate.
         let bytes_per_second = [None, Some(11_520), Some(960), Some(960), Some(960)][rng.random_range(0..5)];
         let interfaces = [Interface::Tcp, Interface::Tcp, Interface::Udp, Interface::Serial, Interface::Can];
@@ -171,6 +175,8 @@ impl World {
             },
             fast_stop_on_disconnect: true,
             custom_ids: CustomIds { read: [READ_ID].into(), stream: [STREAM_ID].into() },
+            updates: UpdateRules::default(),
+            motion_pause: Duration::from_millis(50),
             drain: Duration::from_secs(2),
             on_journal_failure: OnJournalFailure::Refuse,
             lease: LeaseRules::default(),

@@ -9,7 +9,7 @@ use crate::harness::{DEADLINE, run};
 
 #[tokio::test]
 async fn only_allowed_addresses_can_connect() {
-    let text = "[grippers.g]\nurl = \"sim://wsg50\"\nwsg_port = [\"127.0.0.1:0\", \"udp://127.0.0.1:0\"]\n\
+    let text = "[grippers.g]\nurl = \"sim://wsg50\"\nwsg_port = [\"127.0.0.1:0\", \"udp://127.0.0.1:0?reply_port=sender\"]\n\
         wsg_port_allow = [\"127.0.0.2\", \"10.0.0.0/8\"]\n";
     let gateway = configured("allowed.toml", text).await;
     let tcp: std::net::SocketAddr = gateway.word_after("WSG port of g: tcp://").await.parse().unwrap();

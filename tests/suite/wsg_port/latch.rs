@@ -9,16 +9,16 @@ use crate::harness::{Gateway, Simulator};
 const FAST_STOP: u32 = 1 << 12;
 
 #[tokio::test]
-async fn blind_acknowledge_is_refused() {
+async fn blind_acknowledge_of_an_unknown_cause_is_refused() {
     // Killing a gateway leaves its device in FAST STOP.
     let device = Simulator::start(&[]).await;
     Gateway::connected_to(device.address).await.kill().await;
     let (gateway, port) = Gateway::with_port(device.address, &[]).await;
     let latched = gateway.until("the FAST STOP", |state| state["fast_stop"] == true).await;
     let mut driver = crate::harness::wsg::Driver::connect(port).await;
+    assert_eq!(latched["fast_stop_cause"], "unknown", "this gateway does not know of the other");
     assert_eq!(driver.status(0x24, b"ack").await, ACCESS_DENIED, "the driver has not seen the FAST STOP");
     assert_eq!(gateway.state().await["fast_stop_id"], latched["fast_stop_id"]);
-    // Once the driver has seen the flag, it can acknowledge a FAST STOP that the device caused.
     assert_eq!(driver.flags().await & FAST_STOP, FAST_STOP);
     assert_eq!(driver.status(0x24, b"ack").await, SUCCESS);
     assert_eq!(driver.flags().await & FAST_STOP, 0);
@@ -79,16 +79,26 @@ async fn acknowledge_any_allows_every_driver() {
 }
 
 #[tokio::test]
-async fn next_driver_cannot_acknowledge_a_lost_clients_latch() {
+async fn next_driver_of_the_host_acknowledges_a_lost_clients_latch() {
     let cell = Cell::homed().await;
-    let mut driver = cell.driver().await;
-    assert_eq!(driver.status(MOVE, &move_to(10.0, 5.0)).await, PENDING);
-    cell.gateway.until_moving().await;
-    driver.reset();
-    cell.gateway.until("confirmed", |state| state["fast_stop_confirmed"] == true).await;
-    let mut next = cell.driver().await;
-    assert_eq!(next.status(MOVE, &move_to(10.0, 5.0)).await, ACCESS_DENIED);
-    assert_eq!(next.status(0x24, b"ack").await, ACCESS_DENIED);
+    for holder in [true, false] {
+        let mut driver = cell.driver().await;
+        assert_eq!(driver.status(MOVE, &move_to(10.0, 5.0)).await, PENDING);
+        cell.gateway.until_moving().await;
+        driver.reset();
+        cell.gateway.until("confirmed", |state| state["fast_stop_confirmed"] == true).await;
+        let mut next = cell.driver().await;
+        if holder {
+            // Another client has taken over in the meantime.
+            let lease = cell.gateway.post("lease", &json!({"ttl_ms": 60_000})).await.ok();
+            assert_eq!(next.status(0x24, b"ack").await, ACCESS_DENIED);
+            let release = cell.gateway.request("DELETE", "lease").header("Wsg-Lease", lease["token"].as_str().unwrap());
+            cell.gateway.send(release).await.ok();
+        }
+        assert_eq!(next.status(0x24, b"ack").await, SUCCESS);
+        assert_eq!(next.run(MOVE, &move_to(90.0, 400.0)).await, SUCCESS);
+        next.leave().await;
+    }
 }
 
 #[tokio::test]

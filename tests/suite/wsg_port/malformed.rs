@@ -140,3 +140,26 @@ async fn too_many_requests_are_an_overrun() {
     }
     assert!(statuses[0] >= 64 && statuses[0] + statuses[1] == 100, "{statuses:?}");
 }
+
+#[tokio::test]
+async fn refusals_are_in_journal_metrics_and_log() {
+    let cell = Cell::new().await;
+    let mut driver = cell.driver().await;
+    let mut damaged = request(0x50, &[]);
+    *damaged.last_mut().unwrap() ^= 1;
+    for _ in 0..3 {
+        driver.send_raw(&damaged).await;
+        assert_eq!(driver.next().await.status, CHECKSUM_ERROR);
+    }
+    assert_eq!(driver.status(0x24, &[]).await, FORMAT_ERROR);
+    let refused = cell.gateway.events("kind=refused&order=oldest", 2).await;
+    let fields = |index: usize| ["command", "code", "cause"].map(|field| refused[index][field].as_str().unwrap());
+    assert_eq!(fields(0), ["GetSystemInfo", "E_CHECKSUM_ERROR", "frame damaged: its checksum is wrong"]);
+    assert_eq!(fields(1)[..2], ["AcknowledgeFastStop", "E_CMD_FORMAT_ERROR"]);
+    assert!(fields(1)[2].contains("0 bytes were given"), "{refused:?}");
+    let figures = cell.gateway.figures().await;
+    assert_eq!(figures["wsg_port_refused_total{gripper=\"g\",status=\"E_CHECKSUM_ERROR\"}"], 3.0);
+    for remedy in ["wsg_port_checksum_evaluation = false", "61 63 6B"] {
+        cell.gateway.until_logged(remedy).await;
+    }
+}

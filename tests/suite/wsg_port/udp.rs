@@ -42,7 +42,7 @@ async fn ask(socket: &UdpSocket, port: SocketAddr, id: u8, payload: &[u8]) -> u1
 async fn client_silent_for_three_seconds_is_lost() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
-    let (gateway, port) = port(&proxy, "").await;
+    let (gateway, port) = port(&proxy, "?reply_port=sender").await;
     let (one, two) = (client().await, client().await);
     assert_eq!(ask(&one, port, MOVE, &move_to(5.0, 5.0)).await, PENDING);
     let silent = Instant::now();
@@ -60,7 +60,7 @@ async fn client_silent_for_three_seconds_is_lost() {
 async fn silence_limit_is_configurable() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
-    let (gateway, port) = port(&proxy, "?lost_after_ms=20000").await;
+    let (gateway, port) = port(&proxy, "?reply_port=sender&lost_after_ms=20000").await;
     let socket = client().await;
     let begun = Instant::now();
     // 85 mm or more at 20 mm/s.
@@ -74,7 +74,7 @@ async fn silence_limit_is_configurable() {
 async fn client_that_polls_stays_connected() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
-    let (gateway, port) = port(&proxy, "").await;
+    let (gateway, port) = port(&proxy, "?reply_port=sender").await;
     let socket = client().await;
     assert_eq!(ask(&socket, port, MOVE, &move_to(5.0, 20.0)).await, PENDING);
     let begun = Instant::now();
@@ -94,11 +94,15 @@ async fn client_that_polls_stays_connected() {
 async fn announced_disconnect_stops_the_motion() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
-    let (gateway, port) = port(&proxy, "").await;
+    let (gateway, port) = port(&proxy, "?reply_port=sender").await;
     let socket = client().await;
     assert_eq!(ask(&socket, port, MOVE, &move_to(5.0, 5.0)).await, PENDING);
     gateway.until_moving().await;
     socket.send_to(&request(0x07, &[]), port).await.unwrap();
+    // A device without connections would answer E_NOT_AVAILABLE; the port has a session for each client.
+    let mut replies = [next(&socket).await, next(&socket).await];
+    replies.sort_unstable();
+    assert_eq!(replies, [(0x07, SUCCESS), (MOVE, ABORTED)]);
     let state = gateway.until_standing().await;
     assert!(state["fast_stop"] == false && state["lease_holder"].is_null(), "{state}");
     assert_eq!((proxy.frames.count(0x22), proxy.frames.count(0x23)), (1, 0));
@@ -140,7 +144,7 @@ async fn clients_with_one_reply_port_are_one_client() {
 async fn fast_stop_passes_the_client_limit() {
     let device = Simulator::start(&[]).await;
     let proxy = Proxy::to(device.address);
-    let (gateway, port) = port(&proxy, "").await;
+    let (gateway, port) = port(&proxy, "?reply_port=sender").await;
     let (holder, mut others) = (client().await, Vec::new());
     assert_eq!(ask(&holder, port, MOVE, &move_to(60.0, 300.0)).await, PENDING);
     assert_eq!(next(&holder).await, (MOVE, SUCCESS));

@@ -186,6 +186,10 @@ async fn remote_gripper_answers_like_a_local_one() {
     let stop = pair.near.send(again(&token)).await.ok();
     let replayed = pair.near.send(again(&token)).await.ok();
     assert_eq!((&replayed["id"], &replayed["replayed"]), (&stop["id"], &json!(true)));
+    let found = pair.near.get(&far("/commands/latest?request_id=a%3Bb%3Dc%26d")).await.ok();
+    assert_eq!(found["id"], stop["id"]);
+    let malformed = pair.near.request("POST", &far("/stop")).body(r#"{"request_id":"#);
+    pair.near.send(malformed).await.outcome("SUCCESS");
     let own = pair.near.get("/api/v1/fleet/near/grippers/g0").await.ok();
     assert_eq!(own, pair.near.get("/api/v1/grippers/g0").await.ok());
     let events = pair.far.get("/api/v1/events?kind=command&limit=1").await.ok();

@@ -7,6 +7,7 @@ import { theme } from './model/prefs.js';
 import { gripper, isLive, selected, view, VIEWS } from './model/store.js';
 import { Bar, Picker } from './ui/bar.js';
 import { Jaws } from './ui/jaws.js';
+import { keepFocus } from './ui/focus.js';
 import { Choice, within } from './ui/parts.js';
 import { go, start } from './ui/route.js';
 
@@ -48,7 +49,9 @@ async function fetchLater() {
   const { [view.peek()]: shown, ...others } = FETCH_VIEW;
   // Each part is shown as soon as it is loaded.
   await Promise.all(
-    [import('./views/motion.js'), import('./views/alarms.js'), shown?.()].map((part) => fetchAll(part)),
+    [import('./views/motion.js'), import('./views/alarms.js'), import('./views/notices.js'), shown?.()].map((part) =>
+      fetchAll(part),
+    ),
   );
   await fetchAll(import('./views/charts.js'), import('./views/control.js'), import('./views/flags.js'));
   await fetchAll(...Object.values(others).map((fetchView) => fetchView()));
@@ -119,19 +122,21 @@ function Footer() {
 }
 
 function App() {
-  const { Announcer } = later.value;
+  const { Announcer, Notices } = later.value;
   return html`<a class="skip" href="#main"
       onClick=${(event) => {
         event.preventDefault();
         document.querySelector('main button, main input')?.focus();
       }}>${t('nav.skip')}
         </a>
-    <${Bar} />
+    <${Bar} notices=${Notices} />
     <div class="navigation"><${Picker} /><${Views} /></div>
     <div id="main"><${Missing} /><${Main} /></div>
     <${Footer} />${Announcer && html`<${Announcer} />`}`;
 }
 
+const app = document.getElementById('app');
 start();
-document.getElementById('app').replaceChildren();
-render(html`<${App} />`, document.getElementById('app'));
+app.replaceChildren();
+render(html`<${App} />`, app);
+keepFocus(app);

@@ -32,15 +32,17 @@ paths! {
 }
 
 paths! {
-    /// Acknowledge a FAST STOP
+    /// Acknowledge a FAST STOP or a fault
     ///
     /// Clears the FAST STOP with this id if it is the newest one and the device has confirmed it. Nothing moves.
+    /// Without an id, acknowledges a fault of the device while no FAST STOP is latched: the state `ERROR` or a fault
+    /// flag. A request without an id needs the lease if the gripper is leased.
     #[utoipa::path(
         post, path = "/grippers/{gripper}/acknowledge", operation_id = "acknowledge", tag = "fast stop",
         params(GripperPath, LeaseHeader),
         request_body = Acknowledge,
         responses(
-            (status = 200, description = "The device's flags confirm that the FAST STOP is cleared", body = Acknowledged),
+            (status = 200, description = "The FAST STOP is cleared, or the device accepted the acknowledgement", body = Acknowledged),
             DeviceProblem,
         )
     )]

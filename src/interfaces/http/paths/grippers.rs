@@ -4,7 +4,7 @@ use super::parameters::{GripperPath, LeaseHeader};
 use super::paths;
 use super::responses::{AnyProblem, GripperProblem};
 use crate::gripper::Info;
-use crate::gripper::model::State;
+use crate::gripper::model::{GripperStatus, State};
 use crate::operations::grippers::{self, GripperList};
 
 paths! {
@@ -32,4 +32,14 @@ paths! {
         responses((status = 200, description = "The newest state", body = State), GripperProblem)
     )]
     state => grippers::STATE;
+    /// Get a gripper's status
+    ///
+    /// Returns the bits and numbers that a cyclic program needs. The whole response is smaller than 256 bytes: it has no
+    /// headers that only browsers need.
+    #[utoipa::path(
+        get, path = "/grippers/{gripper}/status", operation_id = "get_status", tag = "grippers",
+        params(GripperPath, LeaseHeader),
+        responses((status = 200, description = "The status", body = GripperStatus), GripperProblem)
+    )]
+    status => grippers::STATUS;
 }

@@ -3,6 +3,7 @@
 //! The router mounts the documented handlers themselves, so the document can't fall behind.
 
 pub mod commands;
+pub mod connection;
 pub mod device;
 pub mod fast_stop;
 pub mod fingers;
@@ -14,6 +15,7 @@ mod parameters;
 pub mod raw;
 pub mod responses;
 pub mod settings;
+pub mod webhooks;
 
 pub use parameters::CommandPath;
 

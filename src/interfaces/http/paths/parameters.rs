@@ -32,6 +32,24 @@ pub struct FingerPath {
 }
 
 #[derive(IntoParams)]
+#[into_params(parameter_in = Path)]
+#[allow(dead_code, reason = "only described here")]
+pub struct WebhookPath {
+    /// The webhook's name.
+    #[param(min_length = 1, max_length = 32, pattern = "^[a-z0-9][a-z0-9_-]{0,31}$", example = "mes")]
+    webhook: String,
+}
+
+#[derive(IntoParams)]
+#[into_params(parameter_in = Query)]
+#[allow(dead_code, reason = "only described here")]
+pub struct LatestQuery {
+    /// Request id of the command, as this client sent it within the last 10 minutes.
+    #[param(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$", example = "k3-17")]
+    request_id: Option<String>,
+}
+
+#[derive(IntoParams)]
 #[into_params(parameter_in = Query)]
 #[allow(dead_code, reason = "only described here")]
 pub struct WaitQuery {

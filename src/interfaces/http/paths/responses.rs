@@ -75,6 +75,8 @@ sets! {
     CommandProblem ["400" "403" "404" "408" "413" "422" "429" "500" "503"];
     /// Problems of operations that request the lease.
     LeaseProblem ["400" "403" "404" "408" "409" "413" "422" "429" "500" "503"];
+    /// Problems of testing a webhook.
+    WebhookProblem ["400" "403" "404" "408" "413" "422" "429" "500"];
     /// Problems of opening a WebSocket.
     SocketProblem ["400" "403" "429" "500"];
     /// Problems of reading the journal.

@@ -35,6 +35,34 @@ async fn running_command_is_202_and_can_be_cancelled() {
 }
 
 #[tokio::test]
+async fn command_is_found_without_its_id() {
+    let gateway = with_fate(Fate::Ends(Outcome::NoPart));
+    assert_eq!(gateway.left("GET", "commands/latest", json!({})).await.status, 404);
+    let body = json!({"width_mm": 20, "speed_mm_s": 50, "request_id": 17});
+    let gripped = gateway.left("POST", "grip", body).await.body;
+    gateway.left("POST", "home", json!({})).await;
+    let found = gateway.left("GET", "commands/latest?request_id=17", json!({})).await;
+    assert_eq!((found.status, found.body), (200, gripped));
+    let latest = gateway.left("GET", "commands/latest", json!({})).await;
+    assert_eq!((latest.status, &latest.body["kind"]), (200, &"home".into()));
+    let unknown = gateway.left("GET", "commands/latest?request_id=18", json!({})).await;
+    assert_eq!((unknown.status, &unknown.body["field"]), (404, &"request_id".into()));
+    let own = gateway.ask("GET", "/api/v1/fleet/wsg/grippers/left/commands/latest?request_id=17", "").await;
+    assert_eq!((own.status, &own.body["kind"]), (200, &"grip".into()));
+}
+
+#[tokio::test]
+async fn refused_command_says_why_after_its_202() {
+    let refusal = DeviceRefusal { command: "Grip", status: Status::E_NOT_INITIALIZED, fast_stop: None };
+    let gateway = with_fate(Fate::Refused(refusal.into()));
+    gateway.left("POST", "grip?wait_ms=0", json!({"width_mm": 20, "speed_mm_s": 50})).await;
+    let command = gateway.left("GET", "commands/latest", json!({})).await;
+    assert_eq!((command.status, &command.body["outcome"]), (200, &"REFUSED".into()));
+    assert_eq!((&command.body["outcome_code"], &command.body["code"]), (&9.into(), &"not_referenced".into()));
+    assert!(command.body["detail"].as_str().unwrap().contains("E_NOT_INITIALIZED"), "{}", command.body);
+}
+
+#[tokio::test]
 async fn every_motion_becomes_its_action() {
     let mut gateway = Gateway::new(FakeScript::default());
     gateway.left("POST", "home", json!({"direction": "inner"})).await;

@@ -3,6 +3,7 @@
 // A cleared alarm stays in the list until it is acknowledged, so that no alarm is missed.
 
 import { FLAGS, isSet } from './flags.js';
+import { person } from './people.js';
 
 /** Limit of the list. Active alarms are kept in any case. */
 export const MAX_ALARMS = 100;
@@ -10,12 +11,13 @@ export const MAX_ALARMS = 100;
 /** Highest first. */
 export const PRIORITIES = ['critical', 'high', 'low'];
 
-/** Returns what is wrong with a gripper now. Each fault keeps its key while it lasts. */
-export function wrongWith(state) {
+/** Returns what is wrong with a gripper now. Each fault keeps its key while it lasts. The lease may be unknown. */
+export function wrongWith(state, lease = null) {
   const wrong = [];
   const add = (what, priority, cause = null) =>
     wrong.push({ key: `${state.gripper}/${what}`, gripper: state.gripper, what, priority, cause });
-  if (state.fast_stop) add(`fast_stop/${state.fast_stop_id}`, 'critical', state.fast_stop_by);
+  if (state.fast_stop)
+    add(`fast_stop/${state.fast_stop_id}`, 'critical', person(state.fast_stop_by, state.fast_stop_reason));
   if (state.link !== 'connected') add(`link/${state.link}`, 'high', state.link_cause);
   if (state.journal_cause) add('journal', 'high', state.journal_cause);
   for (const { bit, name, weight } of FLAGS) {
@@ -23,6 +25,8 @@ export function wrongWith(state) {
     add(`flag/${name}`, weight === 'fault' ? 'critical' : 'low');
   }
   if (state.state === 'PART_LOST') add('part_lost', 'high');
+  // A part is held, and its client is gone.
+  if (lease?.reserved_for && state.lease_holder === null) add('reserved', 'high', lease.reserved_for);
   return wrong;
 }
 

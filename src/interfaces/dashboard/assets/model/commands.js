@@ -1,4 +1,4 @@
-// The user's requests, each with the lease that this page holds. A refusal is shown beside its control.
+// The user's requests, each with the lease that this page holds. A refusal is shown below the bar.
 
 import { cut } from '../core/bytes.js';
 import { postUrgently } from '../net/rest.js';
@@ -62,22 +62,17 @@ export async function takeControl(one, { force = false, request = false } = {}) 
   // Set before the request, because control can be handed over before the answer arrives.
   if (request) one.isAsking.value = true;
   const lease = await askFreely(one, 'lease.take', { ...terms(), force, request });
-  if (lease) {
+  // Without a token, the request waits for the holder.
+  if (lease?.token) {
     one.lease.value = lease;
-    one.held.value = { token: lease.token, epoch: lease.epoch };
+    one.own(lease);
   }
-  if (request && one.problem.peek()?.code === 'lease_held') await lookWhoAsks(one);
-  else one.isAsking.value = false;
+  const isFirst = lease?.place === 1;
+  if (lease?.place && !isFirst) {
+    one.problem.value = { code: 'lease_asked', holder: lease.requested_by, detail: '' };
+  }
+  if (!isFirst) one.isAsking.value = false;
   return lease;
-}
-
-/** Ends the request if another client asked first: the gateway passes only one request to the holder. */
-async function lookWhoAsks(one) {
-  const lease = await askFreely(one, 'lease');
-  const me = myName.peek();
-  if (!lease || !one.isAsking.peek() || lease.requested_by === me || lease.holder === me) return;
-  one.isAsking.value = false;
-  one.problem.value = { code: 'lease_asked', holder: lease.requested_by, detail: '' };
 }
 
 /** Changes the terms of the lease that this page holds. */
@@ -90,15 +85,17 @@ export async function changeTerms(one, more = {}) {
 }
 
 export async function releaseControl(one) {
-  const lease = await ask(one, 'lease.release');
-  one.held.value = null;
+  const released = ask(one, 'lease.release');
+  one.epoch = null;
+  const lease = await released;
+  one.own(null);
   if (lease) one.lease.value = lease;
 }
 
 export async function handOver(one, to) {
   const lease = await ask(one, 'lease.hand-over', { to });
   if (lease) {
-    one.held.value = null;
+    one.own(null);
     one.lease.value = lease;
   }
 }
@@ -108,19 +105,21 @@ export function acknowledge(one, id) {
   return askFreely(one, 'acknowledge', { fast_stop_id: id });
 }
 
-/** Without an answer on the WebSocket within this time, a FAST STOP is also sent as an HTTP request. */
-const FALLS_BACK_AFTER_MS = 300;
+/**
+ * Without an answer on the WebSocket within these times, a FAST STOP is also sent as an HTTP request. Other gateways
+ * have 500 ms to confirm.
+ */
+const FALLS_BACK_AFTER_MS = { here: 300, fleet: 700 };
 /** Time after which a FAST STOP is reported as failed. */
 const STOPS_WITHIN_MS = 3000;
 /** The gateway's limit of a reason. */
 const MAX_REASON_BYTES = 64;
 
-export async function fastStop(gripperName = null) {
+async function sendFastStop(method, path, more = {}, fallsBackAfterMs = FALLS_BACK_AFTER_MS.here) {
   const params = { reason: cut(`dashboard, ${myName.peek()}`, MAX_REASON_BYTES) };
-  const path = gripperName ? `grippers/${gripperName}/fast-stop` : 'fast-stop';
-  const overSocket = rpc.call('fast-stop', gripperName ? { ...params, gripper: gripperName } : params, STOPS_WITHIN_MS);
+  const overSocket = rpc.call(method, { ...params, ...more }, STOPS_WITHIN_MS);
   const late = new Promise((_, reject) => {
-    setTimeout(() => reject(noConnection()), FALLS_BACK_AFTER_MS);
+    setTimeout(() => reject(noConnection()), fallsBackAfterMs);
   });
   try {
     return await Promise.race([overSocket, late]);
@@ -132,12 +131,18 @@ export async function fastStop(gripperName = null) {
   }
 }
 
+/** Stops all grippers of this gateway. */
+export const fastStop = () => sendFastStop('fast-stop', 'fast-stop');
+
+/** Stops the grippers of all gateways. */
+export const fastStopFleet = () => sendFastStop('fleet.fast-stop', 'fleet/fast-stop', {}, FALLS_BACK_AFTER_MS.fleet);
+
 /** Stops one gripper. A failure of the newest request is shown beside its controls. */
 export async function fastStopOne(one) {
   const isNewest = one.stopping();
   one.problem.value = null;
   try {
-    await fastStop(one.name);
+    await sendFastStop('fast-stop', `grippers/${one.name}/fast-stop`, { gripper: one.name });
   } catch (problem) {
     if (isNewest()) one.problem.value = problem;
   }

@@ -24,13 +24,21 @@ function takeCommand(event, one, at) {
     if (kind === 'grip') one.mark(at, 'begin', event.part_id ?? '');
     return;
   }
-  if (one.target.peek()?.command === id) {
+  const target = one.target.peek();
+  const aim_mm = target?.command === id ? target.width_mm : null;
+  if (target?.command === id) {
     // A grip's force stays set, so the device's value is read.
-    if (one.target.peek().force_n !== null) learnSettings(one, ['force-limit']);
+    if (target.force_n !== null) learnSettings(one, ['force-limit']);
     one.target.value = null;
   }
-  one.command.value = { ...event, id, kind, client: event.subject };
+  one.command.value = { ...event, id, kind, aim_mm, client: event.subject };
   if (kind === 'grip') one.mark(at, event.outcome === 'PART_HELD' ? 'held' : 'end', event.outcome);
+}
+
+/** Notes that another client took control from this page, or that the gateway ended it. */
+function takeLoss({ event, holder, epoch }, one) {
+  if (event === 'forced' && epoch > one.epoch) one.loseControl('forced', holder);
+  if (event === 'lost' && epoch === one.epoch) one.loseControl('expired');
 }
 
 /** Ends a request for control, and takes control if it was handed over to this page. */
@@ -79,7 +87,10 @@ export function take(event, one, at) {
     if (!one) return;
     if (event.kind === 'command') takeCommand(event, one, at);
     if (event.kind === 'settings') takeSetting(event, one);
-    if (event.kind === 'lease') learn(one);
+    if (event.kind === 'lease') {
+      takeLoss(event, one);
+      learn(one);
+    }
     if (event.kind === 'link' && event.link === 'connected') Promise.all([learn(one), learnSettings(one)]);
     if (event.kind === 'lease' && one.isAsking.peek()) takeAnswer(event, one);
   });

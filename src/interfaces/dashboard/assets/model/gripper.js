@@ -44,6 +44,10 @@ export class Gripper {
     /** Lease that this page holds: `{token, epoch}`. */
     this.held = signal(null);
     this.isAsking = signal(false);
+    /** Epoch of the lease that this page took and has not given up; null without one. */
+    this.epoch = null;
+    /** How this page lost control against the user's will: `{how, by}`, or null. */
+    this.lostControl = signal(null);
     /** Numbers the FAST STOP requests for this gripper. */
     this.stopping = numbered();
     /** Whether this page has requested a motion that no state reports yet. */
@@ -68,6 +72,8 @@ export class Gripper {
     this.isConfirmed = of((state) => state.fast_stop_confirmed ?? null);
     this.hasOverdrive = computed(() => has(this.flags.value, 'OVERDRIVE_MODE'));
     this.isMine = computed(() => this.held.value !== null && this.held.value.epoch === this.state.value?.lease_epoch);
+    /** Name of a lost holder for which the gripper is reserved, or null. */
+    this.reservedFor = computed(() => (this.holder.value === null ? (this.lease.value?.reserved_for ?? null) : null));
     this.softLimits = computed(() => ({
       minus_mm: this.settings.value.minus_mm ?? null,
       plus_mm: this.settings.value.plus_mm ?? null,
@@ -83,6 +89,19 @@ export class Gripper {
         ? 0
         : Math.sign(target - this.width.value);
     });
+  }
+
+  /** Takes the lease that this page was given, or gives it up with null. */
+  own(lease) {
+    this.held.value = lease && { token: lease.token, epoch: lease.epoch };
+    this.epoch = lease?.epoch ?? null;
+    if (lease) this.lostControl.value = null;
+  }
+
+  /** Notes that control was taken or lost, if this page had it. */
+  loseControl(how, by = null) {
+    if (this.epoch !== null) this.lostControl.value = { how, by };
+    this.epoch = null;
   }
 
   /** Stores a state for the next update of the screen. */

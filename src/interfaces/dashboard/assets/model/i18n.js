@@ -34,6 +34,7 @@ const formats = computed(() => {
     digits: [digits(0), digits(1), digits(2)],
     any: new Intl.NumberFormat(tag, { useGrouping: false, maximumFractionDigits: 2 }),
     time: new Intl.DateTimeFormat(tag, { hour: '2-digit', minute: '2-digit', second: '2-digit', hour12: false }),
+    full: new Intl.DateTimeFormat(tag, { dateStyle: 'long', timeStyle: 'short' }),
     date: new Intl.DateTimeFormat(tag, {
       day: '2-digit',
       month: '2-digit',
@@ -62,6 +63,9 @@ export function moment(at) {
   const isToday = date.toDateString() === new Date().toDateString();
   return (isToday ? formats.value.time : formats.value.date).format(date);
 }
+
+/** Formats a date with its year and time, for print. */
+export const fullDate = (at) => formats.value.full.format(new Date(at));
 
 /** Formats a duration in its largest unit. */
 export function span(ms) {

@@ -1,7 +1,7 @@
 // Name under which this tab takes control. Each tab is a client of its own: of two tabs with the same name, the older
 // one keeps it, and the other gets a number.
 
-import { effect, signal } from '../lib.js';
+import { computed, effect, signal } from '../lib.js';
 import { cut } from '../core/bytes.js';
 import { kept } from './prefs.js';
 
@@ -43,6 +43,9 @@ export function rename(wanted) {
   usual.value = name;
   myName.value = name;
 }
+
+/** Whether this browser still has the name that it was given at first. */
+export const isUnnamed = computed(() => /^browser-[0-9a-f]{4}( \(\d+\))?$/.test(myName.value));
 
 /** Returns the next name in the series `Anna`, `Anna (2)`, `Anna (3)`. */
 export function another(name) {

@@ -50,7 +50,10 @@ effect(() => {
 export const onLossMoving = kept('on_loss_moving', 'fast_stop');
 export const onLossHolding = kept('on_loss_holding', 'keep');
 
-/** By gripper: `[{name, width, speed, force}]`. */
+/** Width that Release opens to, as typed, by gripper. */
+export const openTo = kept('open_to', {}, { isShared: true });
+
+/** By gripper: `[{name, width, open, speed, force}]`. */
 export const presets = kept('presets', {}, { isShared: true });
 
 /** Changes the stored presets of one gripper, because another tab can just have changed them. */

@@ -2,6 +2,7 @@
 
 import { batch, computed, effect, signal } from '../lib.js';
 import { acknowledged, GATEWAY_GONE, updated, wrongWith } from '../core/alarms.js';
+import { paced } from '../core/paced.js';
 import { Rpc } from '../net/rpc.js';
 import { catchUp, take as takeEvent } from './events.js';
 import { lookForNewer } from './version.js';
@@ -23,6 +24,9 @@ const LOOKED_EVERY_MS = 200;
 /** Silence after which the connection is replaced. */
 const RENEWED_AFTER_MS = 4000;
 
+/** Reads of the page itself at the same time. */
+const MAX_READS = 8;
+
 export const VIEWS = ['operate', 'history', 'log', 'device', 'all'];
 
 export const grippers = signal([]);
@@ -35,6 +39,9 @@ export const connection = signal('connecting');
 export const heardAt = signal(null);
 /** Wall-clock time in whole seconds, for ages. */
 export const now = signal(Date.now());
+/** Grippers of all gateways; null until they are known. */
+export const fleet = signal(null);
+export const hasOthers = computed(() => new Set(fleet.value?.map(({ gateway }) => gateway)).size > 1);
 /** Number of the newest event. The history reloads when it changes. */
 export const eventSeq = signal(0);
 /** Recently active clients with interface and time. Not a signal, because busy cells would change it all the time. */
@@ -56,7 +63,7 @@ export const find = (name) => byName.get(name);
 function ensure(name) {
   if (!byName.has(name)) {
     byName.set(name, new Gripper(name));
-    grippers.value = [...byName.values()].sort((a, b) => a.name.localeCompare(b.name));
+    grippers.value = [...byName.values()].sort((a, b) => a.name.localeCompare(b.name, 'en', { numeric: true }));
   }
   return byName.get(name);
 }
@@ -69,7 +76,7 @@ function keepOnly(names) {
 }
 
 function noteAlarms() {
-  const wrong = grippers.value.flatMap((one) => (one.newest ? wrongWith(one.newest) : []));
+  const wrong = grippers.value.flatMap((one) => (one.newest ? wrongWith(one.newest, one.lease.peek()) : []));
   if (connection.value === 'lost' || connection.value === 'silent') wrong.push(GATEWAY_GONE);
   alarms.value = updated(alarms.value, wrong, Date.now());
 }
@@ -107,6 +114,7 @@ export const rpc = new Rpc({
   onEnd: () => {
     // A lease ends with its connection.
     byName.forEach((one) => {
+      one.loseControl('disconnected');
       one.held.value = null;
     });
     look();
@@ -153,18 +161,20 @@ async function subscribe() {
     answer.grippers.forEach((info) => {
       ensure(info.gripper).info.value = info;
     });
-    await Promise.all(grippers.peek().flatMap((one) => [learn(one), learnSettings(one)]));
+    const isShown = (one) => one === gripper.peek();
+    const inOrder = [...grippers.peek()].sort((a, b) => isShown(b) - isShown(a));
+    await Promise.all(inOrder.flatMap((one) => [learn(one), learnSettings(one)]));
   } catch {
     // The connection has ended, and will be replaced.
   }
 }
 
+const inTurn = paced(MAX_READS);
+const read = (method, one) => inTurn(() => rpc.call(method, { gripper: one.name }));
+
 /** Fetches what a state does not contain: limits, and the terms of the lease. */
 export async function learn(one) {
-  const [info, lease] = await Promise.allSettled([
-    rpc.call('info', { gripper: one.name }),
-    rpc.call('lease', { gripper: one.name }),
-  ]);
+  const [info, lease] = await Promise.allSettled([read('info', one), read('lease', one)]);
   batch(() => {
     if (info.value) one.info.value = info.value;
     if (lease.value) one.lease.value = lease.value;
@@ -173,7 +183,7 @@ export async function learn(one) {
 
 /** Fetches the device's settings; events report later changes. Returns the problem, or null. */
 export async function learnSettings(one, names = ['soft-limits', 'force-limit']) {
-  const answers = await Promise.allSettled(names.map((name) => rpc.call(`settings.${name}`, { gripper: one.name })));
+  const answers = await Promise.allSettled(names.map((name) => read(`settings.${name}`, one)));
   answers.forEach(({ value }) => value && one.takeSettings(value));
   return answers.find(({ status }) => status === 'rejected')?.reason ?? null;
 }
@@ -210,6 +220,8 @@ setInterval(() => {
   const asked = gripper.peek();
   // Any answer shows that the gateway is alive.
   if (rpc.isOpen && asked) rpc.call('state', { gripper: asked.name }, RENEWED_AFTER_MS).then(takeState, () => {});
+  // No event reports the end of a reservation.
+  if (rpc.isOpen) byName.forEach((one) => one.reservedFor.peek() !== null && learn(one));
 }, ASKED_EVERY_MS);
 
 effect(() => {

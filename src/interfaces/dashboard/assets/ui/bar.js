@@ -3,8 +3,8 @@
 import { html, signal } from '../lib.js';
 import { numbered } from '../core/newest.js';
 import { ofProblem, t, time } from '../model/i18n.js';
-import { fastStop } from '../model/commands.js';
-import { alarms, connection, gripper, grippers, heardAt, isLive, selected } from '../model/store.js';
+import { fastStop, fastStopFleet } from '../model/commands.js';
+import { alarms, connection, gripper, grippers, hasOthers, heardAt, isLive, selected } from '../model/store.js';
 import { isOld } from '../model/version.js';
 import { onPress, Shape, whyOld } from './parts.js';
 import { go } from './route.js';
@@ -16,38 +16,66 @@ const press = numbered();
 /** Time for which a confirmation is shown. */
 const CONFIRMATION_SHOWN_MS = 8000;
 
-export async function stop() {
+/** Shows the result of a FAST STOP, and whom it reached. `reach` is `here` or `fleet`. */
+async function stopAndReport(send, reach) {
   const isNewest = press();
   const report = (result) => {
     if (isNewest()) stopped.value = result;
   };
+  // Sent before anything is shown.
+  const sent = send();
   report({ text: t('stop.sent') });
   try {
-    const isConfirmed = (await fastStop()).fast_stop_confirmed;
-    report({ text: t(isConfirmed ? 'stop.confirmed' : 'stop.unconfirmed'), isWrong: !isConfirmed });
+    const { fast_stop_confirmed: isConfirmed, confirmed, unconfirmed } = await sent;
+    const text = isConfirmed
+      ? t('stop.confirmed', { reach: t(`stop.${reach}_count`, { count: confirmed.length }) })
+      : t('stop.unconfirmed', { grippers: unconfirmed.join(', ') });
+    const isPart = reach === 'here' && hasOthers.peek();
+    report({ text: isPart ? `${text} ${t('stop.not_others')}` : text, isWrong: !isConfirmed });
     if (isConfirmed) setTimeout(() => report(null), CONFIRMATION_SHOWN_MS);
   } catch (problem) {
     report({ text: t('stop.failed', { why: ofProblem(problem) }), isWrong: true });
   }
 }
 
+export const stop = () => stopAndReport(fastStop, 'here');
+
+export const stopFleet = () => stopAndReport(fastStopFleet, 'fleet');
+
+const STOP_KEYS = ['Escape', 'Pause'];
+
+/** Keys that are down. */
+const down = new Set();
+
 /** Escape and Pause work in any view, also while the user types. */
 addEventListener(
   'keydown',
   (event) => {
-    if ((event.key === 'Escape' || event.key === 'Pause') && !event.repeat) {
-      event.preventDefault();
-      stop();
-    }
+    if (!STOP_KEYS.includes(event.key)) return;
+    event.preventDefault();
+    down.add(event.key);
+    if (!event.repeat) stop();
   },
   { capture: true },
 );
 
+// An open list takes the key itself, and the page hears only that the key goes up.
+addEventListener(
+  'keyup',
+  ({ key }) => {
+    if (STOP_KEYS.includes(key) && !down.delete(key)) stop();
+  },
+  { capture: true },
+);
+// A key can go up in another window.
+addEventListener('blur', () => down.clear());
+
 function Stop() {
+  const count = grippers.value.length;
   return html`<div class="stop-place">
     <button type="button" class="stop" id="stop" ...${onPress(stop)} aria-describedby="stop-note">
       <span class="stop-word">${t('stop.word')}</span><span
-          class="stop-scope">${t(grippers.value.length > 1 ? 'stop.all' : 'stop.one')} <kbd>Esc</kbd></span>
+          class="stop-scope">${count === 0 ? t('stop.here') : t('stop.here_count', { count })} <kbd>Esc</kbd></span>
     </button>
     <p class="stop-note" id="stop-note">${t('stop.not')}</p>
   </div>`;
@@ -76,7 +104,7 @@ function stateItem(one) {
   if (one.latchId.value) return { shape: 'critical', tone: 'tone-critical', text: t('state.FAST_STOP') };
   const state = one.gripperState.value;
   if (!state) return { shape: 'off', text: '–' };
-  const tone = { ERROR: 'tone-critical', PART_LOST: 'tone-high' }[state] ?? '';
+  const tone = { ERROR: 'tone-critical', NO_PART: 'tone-high', PART_LOST: 'tone-high' }[state] ?? '';
   return { shape: one.isMoving.value ? 'moving' : tone ? 'high' : 'on', tone, text: t(`state.${state}`) };
 }
 
@@ -84,6 +112,8 @@ function controlItem(one) {
   if (!isLive.value) return { shape: 'off', text: t('bar.unknown') };
   const holder = one?.holder.value;
   if (one?.isMine.value) return { shape: 'lock', tone: 'tone-mine', text: t('bar.mine') };
+  const reserved = one?.reservedFor.value;
+  if (reserved) return { shape: 'lock', tone: 'tone-high', text: t('bar.reserved', { name: reserved }) };
   return holder ? { shape: 'lock', text: holder } : { shape: 'off', text: t('bar.free') };
 }
 
@@ -104,7 +134,8 @@ function Alarms() {
   </button>`;
 }
 
-export function Bar() {
+/** `notices` is the component of the notices, once it is loaded. */
+export function Bar({ notices }) {
   const one = gripper.value;
   return html`<header class="bar">
     <div class="bar-top">
@@ -122,19 +153,39 @@ export function Bar() {
       html`<p class="newer" role="status">${t('newer')} <button type="button"
         onClick=${() => location.reload()}>${t('reload')}</button></p>`
     }
+    ${notices && html`<${notices} />`}
     ${
       stopped.value &&
       html`<p class=${`stopped ${stopped.value.isWrong ? 'tone-critical' : ''}`}
         role="status">${stopped.value.text}
-      <button type="button" class="quiet" onClick=${() => {
+      <button type="button" class="quiet" aria-label=${`${t('close')}: ${t('state.FAST_STOP')}`} onClick=${() => {
         stopped.value = null;
       }}>${t('close')}</button></p>`
     }
   </header>`;
 }
 
+/** More grippers than this are a list, so that all can be reached. */
+const MAX_CHIPS = 8;
+
+function stateText(one) {
+  const old = whyOld(one);
+  if (old) return old.text;
+  return one.latchId.value ? t('state.FAST_STOP') : t(`state.${one.gripperState.value ?? 'unknown'}`);
+}
+
+function List({ all }) {
+  return html`<select id="gripper-list" aria-label=${t('bar.grippers')} value=${selected.value}
+      onChange=${({ currentTarget }) => {
+        selected.value = currentTarget.value;
+        go();
+      }}>${all.map((one) => html`<option key=${one.name} value=${one.name}>${one.name} – ${stateText(one)}</option>`)}
+    </select>`;
+}
+
 export function Picker() {
   const all = grippers.value;
+  if (all.length > MAX_CHIPS) return html`<div class="picker"><${List} all=${all} /></div>`;
   return html`<nav class="picker" aria-label=${t('bar.grippers')}>
     ${all.map(
       (one) => html`<button type="button" key=${one.name} class="chip"

@@ -3,6 +3,7 @@
 import { html, useComputed } from '../lib.js';
 import { fixed, plain, t } from '../model/i18n.js';
 import { Covered, Figure, Panel, whyOld } from './parts.js';
+import { Result } from './result.js';
 
 const MIDDLE = 340;
 const SPAN = 540;
@@ -104,8 +105,8 @@ function Drawing({ one }) {
       aria-label=${label}>
     <defs><pattern id="hatch" width="6" height="6" patternUnits="userSpaceOnUse" patternTransform="rotate(45)"><rect
         width="2.5" height="6" /></pattern></defs>
-    <rect class="body" x="20" y="14" width="640" height="30" rx="6" />
-    <path class="rail" d="M36 36h608" />
+    <rect class="body" x="0" y="14" width="680" height="30" rx="6" />
+    <path class="rail" d="M16 36h648" />
     ${
       (isHolding || isLost) &&
       isKnown &&
@@ -118,7 +119,8 @@ function Drawing({ one }) {
     ${
       isKnown &&
       html`<g class="dimension"><line x1=${from} x2=${to} y1="177" y2="177" /><line x1=${from} x2=${from}
-        y1="168" y2="186" /><line x1=${to} x2=${to} y1="168" y2="186" /></g>`
+        y1="168" y2="186" /><line x1=${to} x2=${to} y1="168" y2="186" /><text x=${MIDDLE}
+        y="174">${t('jaws.width', { width: fixed(one.reading.value?.width_mm, 1) })}</text></g>`
     }
     <${Forbidden} soft=${one.softLimits.value} stroke=${stroke} scale=${scale} />
     <g class="ruler"><line x1=${MIDDLE - SPAN / 2} x2=${MIDDLE + SPAN / 2} y1="196" y2="196" />${ticks(stroke, scale)}
@@ -153,8 +155,7 @@ function Figures({ one }) {
 export function Jaws({ one }) {
   return html`<${Panel} title=${one.name} id="jaws-title" class="jaws-panel" actions=${
     !whyOld(one) &&
-    html`<span
-      class="jaws-words" data-state=${one.gripperState.value}>${words(one)}</span>`
+    html`<span class="jaws-words" data-state=${one.gripperState.value}>${words(one)}</span><${Result} one=${one} />`
   }>
     <${Covered} one=${one}><${Drawing} one=${one} /><${Figures} one=${one} /></${Covered}>
   </${Panel}>`;

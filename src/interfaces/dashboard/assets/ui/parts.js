@@ -24,7 +24,7 @@ export function Shape({ name }) {
 
 export function Panel({ title, id, actions, class: extra = '', children }) {
   return html`<section class=${`panel ${extra}`} aria-labelledby=${id}>
-    <header class="panel-head"><h2 id=${id}>${title}</h2><div class="panel-actions">${actions}</div></header>
+    <header class="panel-head"><h2 id=${id} tabindex="-1">${title}</h2><div class="panel-actions">${actions}</div></header>
     ${children}
   </section>`;
 }

@@ -20,9 +20,16 @@ export function go(wanted = view.peek() === 'all' ? 'operate' : view.peek()) {
 export function start() {
   read();
   addEventListener('hashchange', read);
+  let isFirst = true;
+  const write = () => {
+    if (!gripper.peek()) return;
+    const address = `#/${encodeURIComponent(gripper.peek().name)}/${view.peek()}`;
+    // The browser's Back goes back a view.
+    if (location.hash !== address) history[isFirst ? 'replaceState' : 'pushState'](null, '', address);
+    isFirst = false;
+  };
   effect(() => {
-    if (!gripper.value) return;
-    const address = `#/${encodeURIComponent(gripper.value.name)}/${view.value}`;
-    if (location.hash !== address) history.replaceState(null, '', address);
+    // A change of both is one step.
+    if (gripper.value && view.value) queueMicrotask(write);
   });
 }

@@ -7,7 +7,8 @@ import { acknowledgeAlarm, alarms, selected } from '../model/store.js';
 import { Panel, Shape } from '../ui/parts.js';
 import { go } from '../ui/route.js';
 
-const named = (alarm) => (alarm.gripper ? `${alarm.gripper}: ${alarmText(alarm)}` : alarmText(alarm));
+/** Text of an alarm with its gripper. */
+export const alarmName = (alarm) => (alarm.gripper ? `${alarm.gripper}: ${alarmText(alarm)}` : alarmText(alarm));
 
 export function alarmText({ what }) {
   const [kind, detail] = what.split('/');
@@ -19,12 +20,12 @@ function Row({ alarm }) {
   const words = alarm.clearedAt ? 'alarm.cleared' : alarm.acknowledgedAt ? 'alarm.acknowledged' : 'alarm.active';
   return html`<li class=${`alarm tone-${alarm.clearedAt || alarm.acknowledgedAt ? 'over' : alarm.priority}`}>
     <${Shape} name=${alarm.priority} />
-    <div class="alarm-text"><strong>${named(alarm)}</strong>
+    <div class="alarm-text"><strong>${alarmName(alarm)}</strong>
       <span class="muted small">${t(words)} · ${moment(alarm.since)}${alarm.clearedAt ? ` – ${moment(alarm.clearedAt)}` : ''}${alarm.cause ? ` · ${alarm.cause}` : ''}
         </span></div>
     ${
       isLatch
-        ? html`<button type="button"
+        ? html`<button type="button" aria-label=${`${t('alarm.show')}: ${alarmName(alarm)}`}
         onClick=${() => {
           selected.value = alarm.gripper;
           go('operate');
@@ -33,7 +34,7 @@ function Row({ alarm }) {
           </button>`
         : !alarm.acknowledgedAt &&
           html`<button type="button" aria-label=${t('alarm.acknowledge_one', {
-            alarm: alarmText(alarm),
+            alarm: alarmName(alarm),
           })} onClick=${() => acknowledgeAlarm(alarm.id)}>${t('alarm.acknowledge')}</button>`
     }
   </li>`;
@@ -54,5 +55,5 @@ export function Alarms() {
 /** Makes screen readers announce a new alarm at once, in any view. */
 export function Announcer() {
   const newest = alarms.value.find((alarm) => !alarm.clearedAt && !alarm.acknowledgedAt);
-  return html`<div class="visually-hidden" aria-live="assertive" role="alert">${newest ? named(newest) : ''}</div>`;
+  return html`<div class="visually-hidden" aria-live="assertive" role="alert">${newest ? alarmName(newest) : ''}</div>`;
 }

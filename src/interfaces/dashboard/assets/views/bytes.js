@@ -1,8 +1,13 @@
 // Bytes as text: input of the command editor, and the meaning of selected bytes.
 
-/** One token of the editor: "text", a hexadecimal or decimal number, or a float with an f. */
+import { readings } from '../core/limits.js';
+
+/**
+ * One token of the editor: "text", a hexadecimal or decimal number, or a float with an f. A comma right after a token
+ * separates it from the next one.
+ */
 const TOKEN =
-  /\s*(?:"((?:[^"\\]|\\.)*)"(?!\S)|(0x[0-9a-f]+)(?!\S)|([+-]?(?:\d+\.?\d*|\.\d+)(?:e[+-]?\d+)?f)(?!\S)|(\d+)(?!\S)|(\S+))/giy;
+  /(?:(?<=[^\s,]),\s*|\s*)(?:"((?:[^"\\]|\\.)*)"(?![^\s,])|(0x[0-9a-f]+)(?![^\s,])|([+-]?(?:\d+[.,]?\d*|[.,]\d+)(?:e[+-]?\d+)?f)(?![^\s,])|([+-]?\d+)(?![^\s,])|([^\s,]+|,))/giy;
 
 function littleEndian(hex) {
   const even = hex.length % 2 ? `0${hex}` : hex;
@@ -11,14 +16,14 @@ function littleEndian(hex) {
 
 function float(text) {
   const bytes = new Uint8Array(4);
-  new DataView(bytes.buffer).setFloat32(0, Number.parseFloat(text), true);
+  new DataView(bytes.buffer).setFloat32(0, Number.parseFloat(text.replace(',', '.')), true);
   return bytes;
 }
 
 /**
  * Parses a text like `0x20 150.0f "text" 7`. A hexadecimal number has one byte for each pair of digits, little endian.
- * A decimal one has one byte, a float four, and a text one for each character. `wrong` is the first invalid part, or
- * null.
+ * A decimal one from -128 to 255 has one byte, a float four, and a text one for each character. `wrong` is the first
+ * invalid part, or null.
  */
 export function parse(text) {
   const bytes = [];
@@ -36,9 +41,11 @@ export function parse(text) {
     } else if (hex !== undefined) {
       bytes.push(...littleEndian(hex.slice(2)));
     } else if (single !== undefined) {
+      // As in other fields, 1,000 can be read in two ways.
+      if (single.includes(',') && readings(single.slice(0, -1)) !== null) return { bytes, wrong: single };
       bytes.push(...float(single));
-    } else if (decimal !== undefined && Number(decimal) <= 0xff) {
-      bytes.push(Number(decimal));
+    } else if (decimal !== undefined && Number(decimal) >= -0x80 && Number(decimal) <= 0xff) {
+      bytes.push(Number(decimal) & 0xff);
     } else {
       return { bytes, wrong: other ?? decimal };
     }

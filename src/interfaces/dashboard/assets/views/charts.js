@@ -1,7 +1,7 @@
 // Strip charts of width, speed and force, with marks for grips. The newest values are at the right.
 
 import { html, signal, useEffect, useRef } from '../lib.js';
-import { t } from '../model/i18n.js';
+import { fixed, t } from '../model/i18n.js';
 import { drawWith } from '../model/store.js';
 import { css, fit, looks, plot } from './plot.js';
 import { Choice, Covered, Panel } from '../ui/parts.js';
@@ -48,11 +48,13 @@ function markAt(drawn, marks, until) {
   ctx.restore();
 }
 
-function make(one, chart, place, until) {
+function make(one, chart, { place, output }, until) {
   return plot(place, {
     data: [[], []],
     padding: [8, 16, 0, 0],
-    x: { values: (_, splits) => splits.map((value) => (value === 0 ? t('chart.now') : `${value} s`)), space: 70 },
+    timeText: (value, decimals) => (value === 0 ? t('chart.now') : `${fixed(value, decimals)} s`),
+    output,
+    group: 'charts',
     xScale: { range: () => [-windowS.peek(), 0] },
     yScale: { range: (_, low, high) => chart.range(one, low ?? 0, high ?? 0) },
     hooks: { draw: [(drawn) => markAt(drawn, one.marks, until())] },
@@ -61,11 +63,14 @@ function make(one, chart, place, until) {
 
 function Charted({ one }) {
   const places = useRef([]);
+  const outputs = useRef([]);
   useEffect(() => {
     let until = performance.now();
     let drawnAt = 0;
     const mounted = [...places.current];
-    const plots = CHARTS.map((chart, index) => make(one, chart, mounted[index], () => until));
+    const plots = CHARTS.map((chart, index) =>
+      make(one, chart, { place: mounted[index], output: outputs.current[index] }, () => until),
+    );
     const draw = () => {
       until = pausedAt.peek() ?? performance.now();
       const columns = one.samples.window(until - windowS.peek() * 1000, until, POINTS);
@@ -87,7 +92,9 @@ function Charted({ one }) {
   return html`<div class="charts">
     ${CHARTS.map(
       (chart, index) => html`<figure class="chart" key=${chart.key}>
-      <figcaption>${t(chart.key)} <span class="unit">${chart.unit}</span></figcaption>
+      <figcaption>${t(chart.key)} <span class="unit">${chart.unit}</span> <output ref=${(output) => {
+        outputs.current[index] = output;
+      }} /></figcaption>
       <div class="chart-place" role="img" aria-label=${t('chart.label', {
         what: t(chart.key),
         seconds: windowS.value,

@@ -1,9 +1,11 @@
 // Control: its holder, how another client gets it, and what happens if this browser is lost.
 
-import { html, useEffect, useSignal } from '../lib.js';
+import { html, useEffect } from '../lib.js';
 import { ago, t } from './ago.js';
 import { changeTerms, handOver, releaseControl, takeControl } from '../model/commands.js';
 import { clients, watchClients } from './clients.js';
+import { Force } from './force.js';
+import { asks } from './notices.js';
 import { myName } from '../model/name.js';
 import { onLossHolding, onLossMoving } from '../model/prefs.js';
 import { now, others } from '../model/store.js';
@@ -13,53 +15,34 @@ function Held({ one }) {
   const asked = one.lease.value?.requested_by;
   return html`<p><${Shape} name="lock" /> <strong>${t('control.mine', { name: one.holder.value })}</strong></p>
     ${
+      // Still possible after the user has closed the notice.
       asked &&
-      html`<p class="asked tone-high" role="status"><${Shape} name="high" /> ${t('control.asked', { name: asked })}
-      <button type="button" id="hand-over" class="primary" onClick=${() =>
-        handOver(one, asked)}>${t('control.hand_over', { name: asked })}</button></p>`
+      !asks(one) &&
+      html`<div class="buttons"><button type="button" onClick=${() => handOver(one, asked)}>${t('control.hand_over', {
+        name: asked,
+      })}</button></div>`
     }
     <div class="buttons"><button type="button" id="give-back"
         onClick=${() => releaseControl(one)}>${t('control.release')}</button></div>`;
 }
 
 function OfAnother({ one, holder }) {
-  const isSure = useSignal(false);
   return html`<p><${Shape} name="lock" /> ${t('control.held_by', { holder })}</p>
     ${one.isAsking.value && html`<p class="muted" role="status">${t('control.asking', { holder })}</p>`}
     <div class="buttons">
       <button type="button" id="ask-control" onClick=${() => takeControl(one, { request: true })}>${t('control.ask')}
         </button>
-      ${
-        isSure.value
-          ? html`<button type="button" id="force-sure" class="primary"
-          onClick=${() => {
-            isSure.value = false;
-            takeControl(one, { force: true });
-          }}>${t('control.force_sure')}
-            </button>
-          <button type="button" onClick=${() => {
-            isSure.value = false;
-          }}>${t('cancel')}</button>`
-          : html`<button type="button" id="force-control"
-            onClick=${() => {
-              isSure.value = true;
-            }}>${t('control.force')}</button>`
-      }
+      <${Force} one=${one} />
     </div>
     <p class="hint">${t('control.force_hint')}</p>`;
 }
 
 function Free({ one }) {
-  const reserved = one.lease.value?.reserved_for;
+  const reserved = one.reservedFor.value;
   return html`<p>${reserved ? t('control.reserved', { name: reserved }) : t('control.nobody')}</p>
     <div class="buttons"><button type="button" id="take-control" class="primary"
         onClick=${() => takeControl(one)}>${t('control.take')}</button>
-    ${
-      reserved &&
-      reserved !== myName.value &&
-      html`<button type="button" id="force-control"
-        onClick=${() => takeControl(one, { force: true })}>${t('control.force')}</button>`
-    }</div>`;
+    ${reserved && reserved !== myName.value && html`<${Force} one=${one} />`}</div>`;
 }
 
 function Terms({ one }) {

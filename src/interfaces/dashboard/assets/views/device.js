@@ -3,9 +3,9 @@
 import { html, useEffect, useRef, useSignal } from '../lib.js';
 import { accelerationLimits, asTyped, forceLimits, mistake, number, widthLimits } from '../core/limits.js';
 import { fixed, plain, t } from '../model/i18n.js';
-import { ask, askFreely } from '../model/commands.js';
-import { connection, learnSettings } from '../model/store.js';
-import { Covered, Panel, ProblemNote, Shape } from '../ui/parts.js';
+import { ask } from '../model/commands.js';
+import { connection, learnSettings, rpc } from '../model/store.js';
+import { Covered, Panel, Shape } from '../ui/parts.js';
 import { limitsText, NumberField } from './fields.js';
 
 function Facts({ facts }) {
@@ -90,7 +90,7 @@ function Meanwhile({ one, drafts }) {
 }
 
 /** Form of one setting. */
-function Setting({ one, id, method, fields, limits, send, children }) {
+function Setting({ one, id, method, name, fields, limits, send, children }) {
   const wrong = fields.some(({ value, key }) => mistake(number(value.value), limits(key)));
   const set = (event) => {
     event.preventDefault();
@@ -102,7 +102,8 @@ function Setting({ one, id, method, fields, limits, send, children }) {
         id=${`${id}-${key}`} label=${label} unit=${unit} value=${value} limits=${limits(key)} isOptional=${true} />`,
     )}
           </div>
-    <div class="buttons"><button type="submit" disabled=${wrong}>${t('settings.set')}</button>${children}</div>
+    <div class="buttons"><button type="submit" aria-label=${`${t('settings.set')}: ${name ?? fields[0].label}`}
+        disabled=${wrong}>${t('settings.set')}</button>${children}</div>
     <${Meanwhile} one=${one} drafts=${fields} />
   </form>`;
 }
@@ -148,8 +149,9 @@ function Settings({ one }) {
         limits=${() => accelerationLimits(one.info.value)} />
     <${Setting} one=${one} id="force-limit" method="settings.force-limit" send=${send} fields=${[force]}
         limits=${() => forceLimits(one.info.value, one.hasOverdrive.value)} />
-    <${Setting} one=${one} id="soft-limits" method="settings.soft-limits" send=${send} fields=${[minus, plus]}
-        limits=${widths}><button type="button" disabled=${one.softLimits.value.minus_mm === null}
+    <${Setting} one=${one} id="soft-limits" method="settings.soft-limits" name=${t('limits.soft')} send=${send} fields=${[minus, plus]}
+        limits=${widths}><button type="button" aria-label=${`${t('settings.clear')}: ${t('limits.soft')}`}
+            disabled=${one.softLimits.value.minus_mm === null}
             onClick=${() => change('settings.soft-limits.clear')}>${t('settings.clear')}</button></${Setting}>
     <form class="setting" onSubmit=${(event) => {
       event.preventDefault();
@@ -161,7 +163,8 @@ function Settings({ one }) {
                 tag.value.value = event.currentTarget.value;
               }} /><p class="hint"
                   id="tag-hint">${t('settings.tag_hint')}</p></div>
-      <div class="buttons"><button type="submit" disabled=${!isTag}>${t('settings.set')}</button></div>
+      <div class="buttons"><button type="submit" aria-label=${`${t('settings.set')}: ${t('settings.tag')}`}
+          disabled=${!isTag}>${t('settings.set')}</button></div>
       <${Meanwhile} one=${one} drafts=${[tag]} />
     </form>
     <div class="buttons">
@@ -174,7 +177,6 @@ function Settings({ one }) {
       <button type="button" onClick=${() => change('tare')}>${t('settings.tare')}</button>
     </div>
     <p class="small" role="status">${note.value}</p>
-    <${ProblemNote} problem=${one.problem} />
   </${Panel}>`;
 }
 
@@ -182,9 +184,12 @@ function Statistics({ one }) {
   const known = useSignal(null);
   const isSure = useSignal(false);
   useEffect(() => {
-    askFreely(one, 'statistics').then((statistics) => {
-      known.value = statistics;
-    });
+    rpc.call('statistics', { gripper: one.name }).then(
+      (statistics) => {
+        known.value = statistics;
+      },
+      () => {},
+    );
   }, [one, one.runs.value, one.settingsChange.value, connection.value === 'live']);
   const figures = known.value;
   const good =

@@ -3,6 +3,8 @@
 import { html, useSignal } from '../lib.js';
 import { interpretations, parse, parseId } from './bytes.js';
 import { encode, fromHex, MAX_PAYLOAD, toHex } from './frame.js';
+import { exchange } from './frames.js';
+import { compose, fieldsOf, idText, MANUAL, valuesOf } from './manual.js';
 import { t } from '../model/i18n.js';
 import { isLive, rpc } from '../model/store.js';
 import { Panel, ProblemNote } from '../ui/parts.js';
@@ -11,18 +13,63 @@ import { Panel, ProblemNote } from '../ui/parts.js';
 const SHOWN = 240;
 const shortened = (hex) => (hex.length <= SHOWN ? hex : `${hex.slice(0, SHOWN - 30)} … ${hex.slice(-23)}`);
 
+const spaced = (frame) => shortened(toHex(fromHex(frame.hex), ' '));
+
+/** The frame that was sent, the reply with its meaning, and the data as every type of their length. */
 function Answer({ answer }) {
+  const { sent, received } = exchange.value ?? {};
   const bytes = fromHex(answer.payload ?? '');
   return html`<div role="status" id="answer"><p><strong>${t('editor.answer')}
     </strong> <code>${answer.status ?? answer.phase ?? '–'}${answer.outcome ? ` ${answer.outcome}` : ''}</code></p>
+    <p class="small muted">${t(sent ? 'editor.sent' : 'editor.not_sent')}</p>
+    ${sent && html`<p><code id="editor-sent">${spaced(sent)}</code></p>`}
+    ${
+      received &&
+      html`<p class="small muted">${t('editor.received')}</p>
+      <p><code id="editor-received">${spaced(received)}</code></p><p><code id="editor-decoded">${received.text}</code></p>`
+    }
     ${
       bytes.length > 0 &&
-      html`<p><code>${toHex(bytes, ' ')}</code></p><dl
+      html`<dl
         class="meanings">${interpretations(Array.from(bytes)).map(
           ({ type, value }) => html`<dt
             key=${type}>${t(`type.${type}`)}</dt><dd data-type=${type}>${String(value)}</dd>`,
         )}</dl>`
     }</div>`;
+}
+
+/** List of the manuals' commands. An id outside it is typed. */
+function Commands({ code, onChoose }) {
+  return html`<div class="field"><label for="editor-command">${t('editor.command')}</label><select id="editor-command"
+      value=${MANUAL.has(code) ? String(code) : ''} onChange=${({ currentTarget }) => {
+        if (currentTarget.value !== '') onChoose(Number(currentTarget.value));
+      }}>
+    <option value="">${t('editor.other')}</option>${Array.from(
+      MANUAL,
+      ([id, [name]]) => html`<option key=${id} value=${id}>${idText(id)} ${name}</option>`,
+    )}</select></div>`;
+}
+
+/** Fields of a command's parameters, which write the text below them. */
+function Form({ code, payload, bytes }) {
+  // Text that the fields wrote last, and what was typed into them.
+  const typed = useSignal(null);
+  const fields = fieldsOf(code);
+  if (fields.length === 0) return null;
+  const isTyped = typed.value?.code === code && typed.value.text === payload.value;
+  const values = isTyped ? typed.value.values : valuesOf(fields, bytes);
+  const change = (index, text) => {
+    const next = values.with(index, text);
+    payload.value = compose(fields, next);
+    typed.value = { code, text: payload.value, values: next };
+  };
+  return html`<div class="fields">${fields.map(
+    ({ key, type, unit }, index) => html`<div class="field" key=${key}><label
+        for=${`editor-field-${index}`}>${t(key)}</label><div class="input"><input id=${`editor-field-${index}`}
+            type="text" inputmode=${type === 'text' ? 'text' : 'decimal'} autocomplete="off" value=${values[index]}
+                onInput=${({ currentTarget }) => change(index, currentTarget.value)} /><span
+                    class="unit">${unit}</span></div></div>`,
+  )}</div>`;
 }
 
 export function Editor({ one }) {
@@ -31,9 +78,13 @@ export function Editor({ one }) {
   const { bytes, wrong } = parse(payload.value);
   const isLong = bytes.length > MAX_PAYLOAD;
   const isRight = code !== null && wrong === null && !isLong;
+  const choose = (chosen) => {
+    [id.value, payload.value] = [idText(chosen), ''];
+  };
   const send = async (event) => {
     event.preventDefault();
     [answer.value, problem.value] = [null, null];
+    exchange.value = { id: code, sent: null, received: null };
     const lease = one.held.peek()?.token;
     try {
       answer.value = await rpc.call('raw', {
@@ -47,6 +98,7 @@ export function Editor({ one }) {
     }
   };
   return html`<${Panel} title=${t('editor.title')} id="editor-title"><form class="controls" onSubmit=${send}>
+    <${Commands} code=${code} onChoose=${choose} />
     <div class=${`field ${code === null ? 'wrong' : ''}`}><label for="editor-id">${t('editor.id')}</label><input
         id="editor-id" type="text" autocomplete="off" spellcheck=${false} aria-describedby="editor-id-hint"
             aria-invalid=${code === null ? 'true' : 'false'} value=${id.value}
@@ -54,6 +106,7 @@ export function Editor({ one }) {
                   id.value = event.currentTarget.value;
                 }} />
       <p class="hint" id="editor-id-hint">${t(code === null ? 'editor.id_wrong' : 'editor.id_hint')}</p></div>
+    <${Form} code=${code} payload=${payload} bytes=${bytes} />
     <div class=${`field ${wrong !== null || isLong ? 'wrong' : ''}`}><label
         for="editor-payload">${t('editor.payload')}</label><textarea id="editor-payload" spellcheck=${false}
             aria-describedby="editor-payload-hint" aria-invalid=${wrong === null && !isLong ? 'false' : 'true'}
@@ -71,7 +124,7 @@ export function Editor({ one }) {
       <code>${isRight ? shortened(toHex(encode(code, bytes), ' ')) : '–'}</code></output></p></div>
     <button type="submit" id="editor-send" class="primary" disabled=${!isRight || !isLive.value}>${t('editor.send')}
       </button>
-    <p class="hint">${t('editor.moves')}</p>
     ${answer.value && html`<${Answer} answer=${answer.value} />`}
+    <p class="hint">${t('editor.moves')}</p>
   </form><${ProblemNote} problem=${problem} /></${Panel}>`;
 }

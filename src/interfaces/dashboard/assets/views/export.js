@@ -6,8 +6,9 @@ const PAGE = 1000;
 /** A size that browsers and spreadsheets handle with ease. */
 const MAX_PAGES = 50;
 
-function save(name, content) {
-  const address = URL.createObjectURL(new Blob([content], { type: 'text/csv' }));
+/** Saves a text as a file. */
+export function save(name, content, type) {
+  const address = URL.createObjectURL(new Blob([content], { type }));
   const link = document.createElement('a');
   link.href = address;
   link.download = name;
@@ -26,6 +27,6 @@ export async function download(what, filters) {
     cursor = page.next;
     pages += 1;
   } while (cursor && pages < MAX_PAGES);
-  save(`${filters.gripper}-${what}.csv`, content);
+  save(`${filters.gripper || 'all'}-${what}.csv`, content, 'text/csv');
   return { count: Math.max(0, content.trimEnd().split('\n').length - 1), isAll: !cursor };
 }

@@ -1,46 +1,98 @@
 // Frames on a gripper's wire, over a connection of their own: hundreds a second must not delay the grippers' states.
-// The connection is open only while the log is shown.
+// The connection is opened with the log, and stays open while another view is shown.
 
 import { signal } from '../lib.js';
 import { Rpc } from '../net/rpc.js';
 
-const MAX_FRAMES = 400;
+const MAX_FRAMES = 1000;
 /** Interval of screen updates: faster ones cannot be read. */
 const SHOWN_EVERY_MS = 200;
 /** Ids of automatic updates. */
 const UPDATES = [0x40, 0x41, 0x43, 0x44, 0x45];
+/** Place of the status in a reply as hex, and `E_CMD_PENDING` there. */
+const [STATUS_AT, PENDING] = [12, '1a00'];
 
+/** Frames, and rows about frames that are left out: `updates`, `paused`, `gap` and `lost`, each with a `count`. */
 export const frames = signal([]);
 export const hasUpdates = signal(false);
 export const isPaused = signal(false);
 
-let waiting = [];
+/** Frames of the editor's request: `{id, sent, received}`. */
+export const exchange = signal(null);
+
+let rows = [];
+let isWaiting = false;
+let nextRow = 0;
+/** Followed gripper and its connection. */
+let followed = null;
+
+function push(row) {
+  rows.push(row);
+  if (rows.length > MAX_FRAMES) rows.shift();
+  if (isWaiting) return;
+  isWaiting = true;
+  setTimeout(show, SHOWN_EVERY_MS);
+}
+
+/** Counts frames that are left out, in one row for all in a stretch. */
+function leaveOut(direction, at, count = 1) {
+  const last = rows.at(-1);
+  if (last?.direction !== direction) {
+    nextRow += 1;
+    push({ seq: `${direction}-${nextRow}`, direction, at, count });
+    return;
+  }
+  // A new object, because rows are compared by identity.
+  rows.pop();
+  push({ ...last, count: last.count + count });
+}
+
+function watchExchange(frame) {
+  const watched = exchange.peek();
+  if (frame.damage || frame.id !== watched?.id) return;
+  if (frame.direction === 'sent') {
+    if (!watched.sent) exchange.value = { ...watched, sent: frame };
+    return;
+  }
+  const isOver = watched.received && !watched.received.hex.startsWith(PENDING, STATUS_AT);
+  if (watched.sent && !isOver) exchange.value = { ...watched, received: frame };
+}
 
 function take(frame) {
-  if (isPaused.peek() || (!hasUpdates.peek() && frame.direction === 'received' && UPDATES.includes(frame.id))) return;
-  if (waiting.length === 0) setTimeout(show, SHOWN_EVERY_MS);
-  waiting.push(frame);
-  if (waiting.length > MAX_FRAMES) waiting.shift();
+  watchExchange(frame);
+  if (isPaused.peek()) leaveOut('paused', frame.at);
+  else if (!hasUpdates.peek() && !frame.damage && frame.direction === 'received' && UPDATES.includes(frame.id))
+    leaveOut('updates', frame.at);
+  else push(frame);
 }
 
 function show() {
-  frames.value = [...frames.peek(), ...waiting].slice(-MAX_FRAMES);
-  waiting = [];
+  isWaiting = false;
+  frames.value = [...rows];
 }
 
 export function clear() {
-  frames.value = [];
+  rows = [];
+  show();
 }
 
-/** Follows a gripper's frames until the returned function is called. */
+/** Follows a gripper's frames from now on, instead of another gripper's. */
 export function follow(name) {
+  if (followed?.name === name) return;
+  followed?.rpc.close();
   clear();
+  exchange.value = null;
+  let isFirst = true;
   const rpc = new Rpc({
-    onOpen: () => rpc.call('subscribe', { grippers: [name], topics: ['frames'] }).catch(() => {}),
+    onOpen: () => {
+      if (!isFirst) leaveOut('lost', new Date().toISOString());
+      isFirst = false;
+      rpc.call('subscribe', { grippers: [name], topics: ['frames'] }).catch(() => {});
+    },
     onNotification: (method, params) => {
-      if (method === 'frame') take(params);
-      if (method === 'gap') take({ seq: `gap-${params.seq}`, direction: 'gap', missed: params.missed });
+      if (method === 'frame' || method === 'damage') take(params);
+      if (method === 'gap') leaveOut('gap', new Date().toISOString(), params.missed);
     },
   });
-  return () => rpc.close();
+  followed = { name, rpc };
 }

@@ -2,12 +2,13 @@
 
 import { html, useEffect, useMemo, useSignal } from '../lib.js';
 import { numbered } from '../core/newest.js';
-import { details, sentence } from './sentence.js';
-import { fixed, moment, plain, t } from '../model/i18n.js';
+import { fullDate, t } from '../model/i18n.js';
 import { download } from './export.js';
 import { get, query } from '../net/rest.js';
-import { eventSeq, isLive } from '../model/store.js';
-import { Curve } from './curve.js';
+import { eventSeq, grippers, isLive } from '../model/store.js';
+import { Curve, MAX_CURVES } from './curve.js';
+import { evaluate, Numbers } from './numbers.js';
+import { Events, Grips } from './tables.js';
 import { Choice, Covered, MAX_PART_BYTES, Panel, ProblemNote, within } from '../ui/parts.js';
 
 const PAGE = 50;
@@ -29,66 +30,6 @@ const OUTCOMES = [
   'REFUSED',
   'UNKNOWN',
 ];
-const BAD = ['NO_PART', 'BLOCKED', 'RANGE', 'TIMEOUT', 'FAILED', 'REFUSED', 'UNKNOWN', 'ABORTED'];
-
-function textOf(event) {
-  const { key, of = {}, with: values = {} } = sentence(event);
-  const words = Object.fromEntries(Object.entries(of).map(([name, word]) => [name, t(word)]));
-  if (key) return t(key, { ...words, ...values });
-  return Object.values(words).join(': ') || event.kind;
-}
-
-const value = (one) => (typeof one === 'number' ? plain(one) : String(one));
-
-const NUMBERS = ['width', 'history.peak', 'history.contact', 'history.duration'];
-
-function Events({ list }) {
-  return html`<table><thead><tr>${['history.at', 'history.kind', 'history.details', 'history.who'].map(
-    (key) => html`<th scope="col" key=${key}>${t(key)}</th>`,
-  )}</tr></thead>
-    <tbody>${list.map(
-      (event) => html`<tr key=${event.seq}
-        class=${event.kind === 'fast_stop' ? 'stop-row' : event.kind === 'refused' || BAD.includes(event.outcome) ? 'bad' : ''}>
-      <td>${moment(event.at)}</td><td>${t(`kind.${event.kind}`)}</td>
-      <td class="wide">${textOf(event)} <span class="muted small">${details(event)
-        .map(([field, given]) => `${field} ${value(given)}`)
-        .join(', ')}</span></td><td>${event.subject ?? ''}</td></tr>`,
-    )}
-            </tbody></table>`;
-}
-
-function Grips({ list, picked }) {
-  const columns = [
-    'history.at',
-    'history.kind',
-    'history.outcome',
-    'history.part',
-    'width',
-    'history.peak',
-    'history.contact',
-    'history.duration',
-    'history.curve',
-  ];
-  return html`<table><thead><tr>${columns.map(
-    (key) => html`<th scope="col" key=${key}
-      class=${NUMBERS.includes(key) ? 'number' : ''}>${t(key)}</th>`,
-  )}</tr></thead>
-    <tbody>${list.map(
-      (grip) => html`<tr key=${grip.id}
-        aria-selected=${picked.value?.id === grip.id ? 'true' : 'false'}
-            class=${BAD.includes(grip.outcome) || grip.part_lost_at ? 'bad' : ''}>
-      <td>${moment(grip.started_at)}</td><td>${t(`command.${grip.kind}`)}</td>
-        <td>${t(`outcome.${grip.outcome}`)}${grip.part_lost_at ? `, ${t('event.part_lost')}` : ''}</td>
-          <td>${grip.part_id ?? '–'}</td>
-      <td class="number">${fixed(grip.width_mm, 2)} mm</td><td class="number">${fixed(grip.peak_force_n, 1)} N</td><td
-          class="number">${grip.contact_width_mm == null ? '–' : `${fixed(grip.contact_width_mm, 2)} mm`}</td><td
-              class="number">${grip.duration_ms == null ? '–' : `${fixed(grip.duration_ms / 1000, 2)} s`}</td>
-      <td><button type="button" class="quiet" aria-pressed=${picked.value?.id === grip.id ? 'true' : 'false'}
-          onClick=${() => {
-            picked.value = grip;
-          }}>${t('history.curve')}</button></td></tr>`,
-    )}</tbody></table>`;
-}
 
 function Select({ id, label, options, value: chosen, word }) {
   return html`<div class="field"><label for=${id}>${label}</label><select id=${id} value=${chosen.value}
@@ -101,18 +42,44 @@ function Select({ id, label, options, value: chosen, word }) {
     )}</select></div>`;
 }
 
+/** Field for a local time. Empty means no limit. */
+function Time({ id, value }) {
+  return html`<div class="field"><label for=${id}>${t(`history.${id}`)}</label><input id=${id} type="datetime-local"
+      value=${value.value} onChange=${({ currentTarget }) => {
+        value.value = currentTarget.value;
+      }} /></div>`;
+}
+
+const instant = (local) => (local === '' ? '' : new Date(local).toISOString());
+
+/** Filters as a text, for the printed report. */
+function filterText({ kind, outcome, part_id: part, from, to }, what) {
+  return [
+    kind && t(`${what === 'grips' ? 'command' : 'kind'}.${kind}`),
+    outcome && t(`outcome.${outcome}`),
+    part && `${t('history.part')} ${part}`,
+    from && `${t('history.from')} ${fullDate(from)}`,
+    to && `${t('history.to')} ${fullDate(to)}`,
+  ]
+    .filter(Boolean)
+    .join(', ');
+}
+
 export function History({ one }) {
   const [what, kind, part, outcome] = [useSignal('grips'), useSignal(''), useSignal(''), useSignal('')];
-  const [list, next, problem, picked, note] = [
-    useSignal([]),
-    useSignal(null),
-    useSignal(null),
-    useSignal(null),
-    useSignal(''),
-  ];
+  const [from, to, isOfAll] = [useSignal(''), useSignal(''), useSignal(false)];
+  const [list, next, problem, note] = [useSignal([]), useSignal(null), useSignal(null), useSignal('')];
+  const [picked, compares, numbers] = [useSignal([]), useSignal(false), useSignal(null)];
   // Without a kind, the gateway would list grips alone.
   const kinds = kind.value || (what.value === 'grips' ? 'all' : '');
-  const asked = { gripper: one.name, kind: kinds, part_id: part.value.trim(), outcome: outcome.value };
+  const asked = {
+    gripper: isOfAll.value ? '' : one.name,
+    kind: kinds,
+    part_id: part.value.trim(),
+    outcome: outcome.value,
+    from: instant(from.value),
+    to: instant(to.value),
+  };
   const address = `${what.value}?${query(asked)}`;
   const asking = useMemo(numbered, []);
   const load = async (cursor = null) => {
@@ -134,6 +101,7 @@ export function History({ one }) {
     return () => clearTimeout(timer);
   }, [eventSeq.value, address]);
   useEffect(() => {
+    numbers.value = null;
     load();
   }, [address, isLive.value]);
   const choose = (name) => {
@@ -141,46 +109,71 @@ export function History({ one }) {
     kind.value = '';
     list.value = [];
   };
-  const save = async () => {
+  const pick = (grip) => {
+    const others = picked.peek().filter(({ id }) => id !== grip.id);
+    if (!compares.peek()) picked.value = [grip];
+    else if (others.length < picked.peek().length) picked.value = others;
+    else picked.value = [...others, grip].slice(-MAX_CURVES);
+  };
+  const attempt = async (act) => {
     try {
-      const { count, isAll } = await download(what.peek(), asked);
-      note.value = t(isAll ? 'history.exported' : 'history.bounded', { count });
+      await act();
     } catch (refused) {
       problem.value = refused;
     }
   };
+  const save = () =>
+    attempt(async () => {
+      const { count, isAll } = await download(what.peek(), asked);
+      note.value = t(isAll ? 'history.exported' : 'history.bounded', { count });
+    });
+  const count = () =>
+    attempt(async () => {
+      numbers.value = await evaluate(asked);
+    });
   const actions = html`<${Choice} label=${t('history.what')} name="records" value=${what.value} onChange=${choose}
-      options=${['grips', 'events'].map((name) => [name, t(`history.${name}`)])} /><button type="button" id="export"
+      options=${['grips', 'events'].map((name) => [name, t(`history.${name}`)])} />${
+        grippers.value.length > 1 &&
+        html`<button type="button" id="of-all" class="quiet" aria-pressed=${isOfAll.value ? 'true' : 'false'}
+          onClick=${() => {
+            isOfAll.value = !isOfAll.peek();
+          }}>${t('all.title')}</button>`
+      }<button type="button" id="evaluate" onClick=${count}>${t('numbers.title')}</button><button type="button"
+          id="print" onClick=${() => print()}>${t('history.print')}</button><button type="button" id="export"
           onClick=${save}>${t('history.export')}</button>`;
-  return html`<${Panel} title=${`${t('nav.history')}: ${one.name}`} id="history-title" actions=${actions}>
+  const isGrips = what.value === 'grips';
+  return html`<${Panel} title=${`${t('nav.history')}: ${isOfAll.value ? t('all.title') : one.name}`} id="history-title"
+      class="report" actions=${actions}>
+    <p class="printed">${fullDate(Date.now())} ${filterText({ ...asked, kind: kind.value }, what.value)}</p>
     <div class="filters">
       <${Select} id="kind" label=${t('history.kind')} options=${KINDS[what.value]} value=${kind}
-          word=${what.value === 'grips' ? 'command' : 'kind'} />
+          word=${isGrips ? 'command' : 'kind'} />
       <${Select} id="outcome" label=${t('history.outcome')} options=${OUTCOMES} value=${outcome} word="outcome" />
       <div class="field"><label for="part-filter">${t('history.part')}</label><input id="part-filter" type="search"
           value=${part.value} onInput=${within(MAX_PART_BYTES, (text) => {
             part.value = text;
           })} /></div>
+      <${Time} id="from" value=${from} /><${Time} id="to" value=${to} />
       <span class="small" role="status">${note.value}</span>
     </div>
     <${ProblemNote} problem=${problem} />
-    <${Covered}><div class=${what.value === 'grips' ? 'split' : ''}>
+    <${Covered}>${numbers.value && html`<${Numbers} numbers=${numbers.value} />`}<div class=${isGrips ? 'split' : ''}>
       <div class="table-place" tabindex="0" role="region" aria-label=${t(`history.${what.value}`)}>
         ${
           list.value.length === 0
             ? html`<p class="muted nothing">${t('history.none')}
           </p>`
-            : what.value === 'grips'
-              ? html`<${Grips} list=${list.value} picked=${picked} />`
+            : isGrips
+              ? html`<${Grips} list=${list.value} isOfAll=${isOfAll.value} picked=${picked.value} onPick=${pick} />`
               : html`<${Events}
-              list=${list.value} />`
+              list=${list.value} isOfAll=${isOfAll.value} />`
         }
       </div>
-      ${what.value === 'grips' && html`<${Curve} grip=${picked.value} />`}
+      ${isGrips && html`<${Curve} grips=${picked.value} compares=${compares} />`}
     </div>
     ${
       next.value &&
-      html`<div><button type="button" onClick=${() => load(next.peek())}>${t('history.more')}</button>
+      html`<div><button type="button" id="older" onClick=${() => load(next.peek())}>${t('history.more')}</button>
       </div>`
     }</${Covered}>
   </${Panel}>`;

@@ -2,7 +2,9 @@
 
 import { html, useEffect, useSignal } from '../lib.js';
 import { span, t, time } from '../model/i18n.js';
+import { nameIn, person } from '../core/people.js';
 import { acknowledge } from '../model/commands.js';
+import { myName } from '../model/name.js';
 import { now } from '../model/store.js';
 import { Shape } from '../ui/parts.js';
 
@@ -20,6 +22,12 @@ const CHECKS = {
   soft_limit: ['limits', 'hands'],
   unknown: ['hands', 'area', 'device'],
 };
+
+function whoText(by, reason) {
+  if (by === 'device') return t('latch.device');
+  const who = person(by, reason);
+  return nameIn(reason) === myName.value ? t('latch.you', { who }) : who;
+}
 
 /** End of an id, short enough to read aloud. */
 export const shortId = (id) => id.slice(-4);
@@ -44,7 +52,7 @@ export function Latch({ one }) {
   return html`<div class="latch" role="group" aria-labelledby="latch-title">
     <h3 id="latch-title"><${Shape} name="critical" /> ${t('latch.title')} <code>…${shortId(id)}</code></h3>
     <dl class="facts">
-      <div><dt>${t('latch.by')}</dt><dd id="latch-by">${by === 'device' ? t('latch.device') : by}</dd></div>
+      <div><dt>${t('latch.by')}</dt><dd id="latch-by">${whoText(by, reason)}</dd></div>
       <div><dt>${t('latch.cause')}</dt><dd>${t(`cause.${cause}`)}${reason && html`<br /><q>${reason}</q>`}</dd></div>
       <div><dt>${t('latch.at')}</dt><dd>${time(at)} (${t('ago', { span: span(now.value - Date.parse(at)) })})</dd></div>
       <div><dt>${t('latch.device_says')}</dt><dd>${t(isConfirmed ? 'latch.confirmed' : 'latch.unconfirmed')}</dd></div>

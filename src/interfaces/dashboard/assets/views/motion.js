@@ -1,11 +1,14 @@
 // Motion controls: home, move, grip, release, stop, within the limits shown beside each field.
 
 import { computed, html, signal, useMemo } from '../lib.js';
-import { forceLimits, mistake, number, speedLimits, widthLimits } from '../core/limits.js';
+import { asTyped, forceLimits, mistake, number, speedLimits, widthLimits } from '../core/limits.js';
 import { fixed, plain, t } from '../model/i18n.js';
-import { askFreely, fastStopOne, move, takeControl } from '../model/commands.js';
+import { askFreely, fastStopOne, move, releaseControl, takeControl } from '../model/commands.js';
+import { isUnnamed, MAX_NAME_BYTES, myName, rename } from '../model/name.js';
+import { openTo } from '../model/prefs.js';
 import { isLive } from '../model/store.js';
-import { Covered, MAX_PART_BYTES, onPress, Panel, ProblemNote, Shape, within } from '../ui/parts.js';
+import { Covered, MAX_PART_BYTES, onPress, Panel, Shape, within } from '../ui/parts.js';
+import { hasFailed } from '../ui/result.js';
 import { NumberField } from './fields.js';
 import { JogPanel } from './jog.js';
 import { Latch } from './latch.js';
@@ -14,16 +17,41 @@ import { Presets } from './presets.js';
 /** Input for each gripper, kept while the page is open. */
 const typed = new Map();
 
+/** Added to the part's width, this is the width that Release opens to unless the user types another. */
+const OPENS_BY_MM = 10;
+
+/** The part's width and some more, within the limits; null while the part's width is not valid. */
+function defaultOpen(one, width) {
+  const { max } = widthLimits(one.info.value, one.softLimits.value);
+  const given = number(width.value);
+  return Number.isFinite(given) ? Math.min(given + OPENS_BY_MM, max) : null;
+}
+
+/** Text of the field for the width to open to. The browser remembers what the user types. */
+function openField(one, width) {
+  return {
+    get value() {
+      return openTo.value[one.name] ?? asTyped(defaultOpen(one, width));
+    },
+    set value(text) {
+      openTo.value = { ...openTo.peek(), [one.name]: text };
+    },
+  };
+}
+
 function fieldsOf(one) {
-  if (!typed.has(one))
+  if (!typed.has(one)) {
+    const width = signal('20');
     typed.set(one, {
-      width: signal('20'),
+      width,
+      open: openField(one, width),
       speed: signal('50'),
       force: signal('30'),
       part: signal(''),
       direction: signal('default'),
       block: signal('stop'),
     });
+  }
   return typed.get(one);
 }
 
@@ -37,33 +65,34 @@ function whyNot(one, needsReference = true) {
   return null;
 }
 
-function NoControl({ one }) {
-  const holder = one.holder.value;
-  return html`<div class="take">
-    <p>${holder ? t('control.held_by', { holder }) : t('control.nobody')}</p>
-    ${
-      !holder &&
-      html`<button type="button" class="primary" onClick=${() => takeControl(one)}>${t('control.take')}
-      </button>`
-    }
-    ${
-      holder &&
-      html`<a class="button" href="#control-title"
-        onClick=${(event) => {
-          event.preventDefault();
-          document.getElementById('control-title')?.scrollIntoView({ block: 'center' });
-        }}>${t('control.more')}
-          </a>`
-    }
-  </div>`;
+/** Asks for the user's name, once: other users see who has control and who stopped a gripper. */
+function YourName() {
+  return html`<div class="your-name"><label for="your-name">${t('control.your_name')}</label><input id="your-name"
+      type="text" autocomplete="name" onInput=${within(MAX_NAME_BYTES, () => {})}
+      onChange=${({ currentTarget }) => rename(currentTarget.value)} /></div>`;
+}
+
+/** Who has control, and the next step to get it or to give it back. */
+function WhoControls({ one }) {
+  const [holder, reserved] = [one.holder.value, one.reservedFor.value];
+  const button = (key, act, isMain = false) => html`<button type="button" class=${isMain ? 'primary' : ''}
+      aria-label=${`${t(key)}: ${one.name}`} onClick=${act}>${t(key)}</button>`;
+  if (one.isMine.value)
+    return html`<div class="take"><p>${t('control.you')}</p>
+      ${button('control.release', () => releaseControl(one))}</div>`;
+  if (holder)
+    return html`<div class="take"><p>${t(one.isAsking.value ? 'control.asking' : 'control.held_by', { holder })}</p>
+      ${button('control.ask', () => takeControl(one, { request: true }))}</div>`;
+  return html`<div class="take"><p>${reserved ? t('control.reserved', { name: reserved }) : t('control.nobody')}</p>
+    ${!reserved && isUnnamed.value && html`<${YourName} />`}
+    ${(!reserved || reserved === myName.value) && button('control.take', () => takeControl(one), true)}</div>`;
 }
 
 /** Progress or outcome of the newest command. */
 function LastCommand({ one }) {
   const command = one.command.value;
   if (!command) return html`<p class="last muted" role="status">${t('last.none')}</p>`;
-  const isBad = ['BLOCKED', 'RANGE', 'TIMEOUT', 'FAILED', 'REFUSED', 'UNKNOWN', 'ABORTED'].includes(command.outcome);
-  const shape = command.phase === 'running' ? 'moving' : isBad ? 'high' : 'check';
+  const shape = hasFailed(command) ? 'high' : command.outcome ? 'check' : 'moving';
   const measured = [
     command.width_mm != null && `${fixed(command.width_mm, 2)} mm`,
     command.kind === 'grip' && command.force_n != null && `${fixed(command.force_n, 1)} N`,
@@ -88,12 +117,15 @@ function Controls({ one }) {
   );
   const values = {
     width_mm: number(fields.width.value),
+    open_mm: fields.open.value.trim() === '' ? defaultOpen(one, fields.width) : number(fields.open.value),
     speed_mm_s: number(fields.speed.value),
     force_n: number(fields.force.value),
   };
   const reason = whyNot(one);
   const homing = whyNot(one, false);
-  const wrong = mistake(values.width_mm, limits.width.value) || mistake(values.speed_mm_s, limits.speed.value);
+  const wrongSpeed = mistake(values.speed_mm_s, limits.speed.value);
+  const wrong = mistake(values.width_mm, limits.width.value) || wrongSpeed;
+  const wrongOpen = mistake(values.open_mm, limits.width.value) || wrongSpeed;
   const wrongForce = fields.force.value.trim() !== '' && mistake(values.force_n, limits.force.value);
   const path = { width_mm: values.width_mm, speed_mm_s: values.speed_mm_s };
   const grip = () =>
@@ -102,11 +134,13 @@ function Controls({ one }) {
       ...(fields.force.value.trim() === '' ? {} : { force_n: values.force_n }),
       ...(fields.part.value === '' ? {} : { part_id: fields.part.value }),
     });
-  const shown = reason ?? (wrong || wrongForce ? 'why.limits' : null);
+  const shown = reason ?? (wrong || wrongOpen || wrongForce ? 'why.limits' : null);
   return html`<div class="controls">
     <div class="fields">
       <${NumberField} id="width" label=${t('field.width')} unit="mm" value=${fields.width}
           limits=${limits.width.value} />
+      <${NumberField} id="open" label=${t('field.open')} unit="mm" value=${fields.open} limits=${limits.width.value}
+          isOptional=${true} whenEmpty=${t('field.open_empty', { width: plain(defaultOpen(one, fields.width)) })} />
       <${NumberField} id="speed" label=${t('speed')} unit="mm/s" value=${fields.speed} limits=${limits.speed.value} />
       <${NumberField} id="force" label=${t('field.force')} unit="N" value=${fields.force} limits=${limits.force.value}
           isOptional=${true} whenEmpty=${t('field.force_empty', { force: plain(one.settings.value.force_n) })} />
@@ -120,14 +154,21 @@ function Controls({ one }) {
     <div class="buttons">
       <button type="button" id="grip" class="primary" disabled=${reason || wrong || wrongForce}
           onClick=${grip}>${t('command.grip')}</button>
-      <button type="button" id="release" disabled=${reason || wrong} onClick=${() =>
-        move(one, 'release', path)}>${t('command.release')}</button>
+      <button type="button" id="release" disabled=${reason || wrongOpen} onClick=${() =>
+        move(one, 'release', { ...path, width_mm: values.open_mm })}>${t('command.release')}</button>
       <button type="button" id="move" disabled=${reason || wrong} onClick=${() =>
         move(one, 'move', { ...path, on_block: fields.block.value })}>${t('command.move')}</button>
       <button type="button" id="home" disabled=${homing} onClick=${() =>
         move(one, 'home', { direction: fields.direction.value })}>${t('command.home')}</button>
     </div>
-    <p class="why muted small" role="status">${shown ? t(shown) : t('why.ready', { width: plain(values.width_mm) })}</p>
+    <p class="why muted small" role="status">${
+      shown
+        ? t(shown)
+        : t('why.ready', {
+            width: plain(values.width_mm),
+            open: plain(values.open_mm),
+          })
+    }</p>
     <${JogPanel} one=${one} speed=${fields.speed} limits=${limits} reason=${reason} />
     <${Presets} one=${one} fields=${fields} />
     <details class="more"><summary>${t('field.more')}</summary><div class="fields">
@@ -162,11 +203,10 @@ export function Motion({ one }) {
         isLatched
           ? html`<${Latch} one=${one} />`
           : html`
-        ${!one.isMine.value && html`<${NoControl} one=${one} />`}
+        <${WhoControls} one=${one} />
         <${Controls} one=${one} />`
       }
       <${LastCommand} one=${one} />
     </${Covered}>
-    <${ProblemNote} problem=${one.problem} />
   </${Panel}>`;
 }

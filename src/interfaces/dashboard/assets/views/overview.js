@@ -1,17 +1,16 @@
 // All grippers at a glance, and the fleet if there is one.
 
-import { html, signal, useEffect } from '../lib.js';
+import { html, useEffect } from '../lib.js';
 import { numbered } from '../core/newest.js';
 import { fixed, plain, span, t } from '../model/i18n.js';
 import { get } from '../net/rest.js';
-import { grippers, isLive, selected } from '../model/store.js';
-import { Panel, Shape, whyOld } from '../ui/parts.js';
+import { fleet, grippers, hasOthers, isLive, selected } from '../model/store.js';
+import { stopFleet } from '../ui/bar.js';
+import { onPress, Panel, Shape, whyOld } from '../ui/parts.js';
 import { go } from '../ui/route.js';
 
 const ASKED_EVERY_MS = 2000;
 
-/** Grippers of all gateways; null until they are known. */
-const fleet = signal(null);
 const asking = numbered();
 
 async function askFleet() {
@@ -31,6 +30,11 @@ function Gauge({ one }) {
   return html`<svg class="gauge" viewBox="0 0 200 14" preserveAspectRatio="none" aria-hidden="true"><rect
       class="track" width="200" height="14" rx="2" /><rect class="gap" x=${(100 - gap / 2).toFixed(1)}
           width=${gap.toFixed(1)} height="14" /></svg>`;
+}
+
+function controlText(one) {
+  if (one.reservedFor.value) return t('bar.reserved', { name: one.reservedFor.value });
+  return one.holder.value ? t('all.control', { holder: one.holder.value }) : t('all.no_control');
 }
 
 function Tile({ one }) {
@@ -54,9 +58,7 @@ function Tile({ one }) {
         <span>${fixed(one.speed.value, 0)}<span class="unit">mm/s</span></span><span>${fixed(one.force.value, 1)}<span
             class="unit">N</span></span></span>`
     }
-    <span class="muted small">${
-      whyOld(one) ? '' : one.holder.value ? t('all.control', { holder: one.holder.value }) : t('all.no_control')
-    }</span>
+    <span class="muted small">${whyOld(one) ? '' : controlText(one)}</span>
   </button>`;
 }
 
@@ -69,9 +71,14 @@ function Fleet() {
   const list = fleet.value;
   const old = whyOld(null);
   if (old) return html`<p role="status">${old.text}</p>`;
-  const isAlone = list && new Set(list.map(({ gateway }) => gateway)).size < 2;
-  if (!list || isAlone) return html`<p class="muted small">${isAlone ? t('all.no_fleet') : ''}</p>`;
-  return html`<${Panel} title=${t('all.fleet')} id="fleet-title"><div class="table-place" tabindex="0" role="group"
+  if (!hasOthers.value) return html`<p class="muted small">${list ? t('all.no_fleet') : ''}</p>`;
+  const actions = html`<button type="button" id="stop-fleet" class="at-once" ...${onPress(stopFleet)}>${t(
+    'stop.fleet',
+    {
+      count: list.length,
+    },
+  )}</button>`;
+  return html`<${Panel} title=${t('all.fleet')} id="fleet-title" actions=${actions}><div class="table-place" tabindex="0" role="group"
       aria-label=${t('all.fleet')}><table>
     <thead><tr>${['all.gateway', 'all.gripper', 'bar.link', 'bar.state', 'bar.control', 'all.age'].map(
       (key) => html`<th scope="col" key=${key}>${t(key)}</th>`,

@@ -1,5 +1,6 @@
-// Base of the strip charts and the curves: one trace over time, in the colours of the page.
+// Base of the strip charts and the curves: lines over time, in the colours of the page.
 
+import { html } from '../lib.js';
 import uPlot from '../vendor/uplot.js';
 import { fixed, language } from '../model/i18n.js';
 import { isDark } from '../model/prefs.js';
@@ -15,8 +16,63 @@ export const css = (name) => getComputedStyle(document.documentElement).getPrope
 /** Theme and language of a plot, which is recreated when they change. */
 export const looks = () => `${isDark.value} ${language.value}`;
 
-/** `x` is added to the time axis; `xScale`, `yScale`, `padding` and `hooks` are uPlot's. */
-export function plot(place, { data, x, xScale = {}, yScale = {}, padding, hooks = {} }) {
+/** Decimals that make neighbouring labels of an axis distinct. */
+const decimals = (step) => Math.min(2, Math.max(0, Math.ceil(-Math.log10(step))));
+
+const MAX_DECIMALS = 2;
+
+/** Looks of the lines of a plot: colour is not the only difference. */
+const LINES = [
+  { colour: '--trace', dash: [] },
+  { colour: '--accent', dash: [8, 4] },
+  { colour: '--trace', dash: [2, 3] },
+  { colour: '--accent', dash: [10, 3, 2, 3] },
+];
+
+export const MAX_LINES = LINES.length;
+
+/** Sample of a line, for a legend. */
+export function Line({ index }) {
+  const { colour, dash } = LINES[index];
+  return html`<svg class="line" viewBox="0 0 32 8" aria-hidden="true"><path d="M0 4h32" stroke=${`var(${colour})`}
+      stroke-dasharray=${dash.join(' ')} /></svg>`;
+}
+
+/** Value of a line at a time, between its samples; null outside. */
+function valueAt([times, values], time) {
+  const next = times.findIndex((one) => one >= time);
+  if (next < 0 || time < times[0]) return null;
+  if (times[next] === time) return values[next];
+  const [from, to] = [values[next - 1], values[next]];
+  const share = (time - times[next - 1]) / (times[next] - times[next - 1]);
+  return from === null || to === null ? null : from + (to - from) * share;
+}
+
+/** Data of several lines, each `[times, values]`, at the times of all. */
+export function overlaid(lines) {
+  if (lines.length === 1) return lines[0];
+  const times = [...new Set(lines.flatMap(([own]) => own))].sort((a, b) => a - b);
+  return [times, ...lines.map((line) => times.map((time) => valueAt(line, time)))];
+}
+
+/** Shows the values under the cursor. The cursor is at the same time in all plots of a group. */
+function readout(output) {
+  return (drawn) => {
+    const { idx } = drawn.cursor;
+    const [times, ...lines] = drawn.data;
+    const values = idx == null ? [] : lines.map((line) => line[idx]).filter((value) => value != null);
+    output.textContent =
+      values.length === 0
+        ? ''
+        : `${values.map((value) => fixed(value, MAX_DECIMALS)).join(' / ')} (${fixed(times[idx], MAX_DECIMALS)} s)`;
+  };
+}
+
+/**
+ * `timeText` formats a label of the time axis from its value and decimals; `output` gets the value under the cursor of
+ * all plots with the same `group`. `xScale`, `yScale`, `padding` and `hooks` are uPlot's.
+ */
+export function plot(place, { data, timeText, output, group, xScale = {}, yScale = {}, padding, hooks = {} }) {
   const axis = (more) => ({
     stroke: css('--ink-2'),
     font: '11px system-ui, sans-serif',
@@ -29,15 +85,32 @@ export function plot(place, { data, x, xScale = {}, yScale = {}, padding, hooks 
       width: place.clientWidth,
       height: place.clientHeight,
       legend: { show: false },
-      cursor: { show: false },
+      cursor: { y: false, drag: { x: false }, points: { size: 6 }, sync: { key: group, setSeries: false } },
       padding,
       scales: { x: { time: false, ...xScale }, y: yScale },
       axes: [
-        axis({ size: 20, ...x }),
-        axis({ size: 44, space: 26, values: (_, splits) => splits.map((value) => fixed(value, 0)) }),
+        axis({
+          size: 20,
+          space: 70,
+          values: (_drawn, splits, _axis, _space, step) => splits.map((value) => timeText(value, decimals(step))),
+        }),
+        axis({
+          size: 44,
+          space: 26,
+          values: (_drawn, splits, _axis, _space, step) => splits.map((value) => fixed(value, decimals(step))),
+        }),
       ],
-      series: [{}, { stroke: css('--trace'), width: 1.5, points: { show: false }, spanGaps: false }],
-      hooks,
+      series: [
+        {},
+        ...LINES.slice(0, data.length - 1).map(({ colour, dash }) => ({
+          stroke: css(colour),
+          dash,
+          width: 1.5,
+          points: { show: false },
+          spanGaps: false,
+        })),
+      ],
+      hooks: { ...hooks, setCursor: [readout(output)] },
     },
     data,
     place,

@@ -1,6 +1,6 @@
 // Maps an event to the key of a text and its parameters. Pure: the texts are in `locales`.
 
-/** `of` has parameters that are keys of texts themselves, `with` has plain ones. */
+/** `of` has parameters that are keys of texts themselves, `with` has plain ones, and `flags` are names of flags. */
 export function sentence(event) {
   switch (event.kind) {
     case 'command':
@@ -17,9 +17,9 @@ export function sentence(event) {
     case 'link':
       return { key: `link.${event.link}` };
     case 'device':
-      return { key: `event.${event.event}`, with: { flags: (event.flags ?? []).join(', ') } };
+      return { key: `event.${event.event}`, with: { count: event.count ?? '' }, flags: event.flags };
     case 'refused':
-      return { key: 'event.refused', with: { command: event.command, cause: event.cause } };
+      return { key: 'event.refused', with: { command: event.command } };
     case 'gateway':
       return { key: `event.${event.event}`, with: { version: event.version ?? '', count: event.count ?? '' } };
     default:

@@ -1,0 +1,75 @@
+//! The newest motion of a gripper: its number, by which a polling client recognises its own command, and its result.
+
+use serde::{Deserialize, Serialize};
+
+use super::model::{CommandId, Outcome};
+
+/// The newest motion, also across restarts of the gateway. Stops and streamed commands do not count.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct LastCommand {
+    /// Grows by one with each motion. 1 follows 4294967295, and 0 stands for no motion yet.
+    number: u32,
+    id: Option<CommandId>,
+    /// Result of the motion; `None` while it runs.
+    outcome: Option<Outcome>,
+}
+
+impl LastCommand {
+    /// The motion as restored after a restart. A motion that was running ended as `UNKNOWN`. `skipped` numbers may have
+    /// been used without being persisted.
+    pub(super) fn restored(self, skipped: u32) -> Self {
+        let outcome = self.id.map(|_| self.outcome.unwrap_or(Outcome::Unknown));
+        Self { number: self.number.checked_add(skipped).unwrap_or(1), outcome, ..self }
+    }
+
+    /// Takes an admitted motion, and returns its number.
+    pub(super) fn admitted(&mut self, id: CommandId) -> u32 {
+        let number = self.number.checked_add(1).unwrap_or(1);
+        *self = Self { number, id: Some(id), outcome: None };
+        number
+    }
+
+    pub(super) fn ended(&mut self, id: CommandId, outcome: Option<Outcome>) {
+        if self.id == Some(id) {
+            self.outcome = outcome;
+        }
+    }
+
+    pub(super) fn number(&self) -> u32 {
+        self.number
+    }
+
+    /// Number of the motion with this id, if it is the newest.
+    pub(super) fn number_of(&self, id: CommandId) -> Option<u32> {
+        (self.id == Some(id)).then_some(self.number)
+    }
+
+    pub(super) fn id(&self) -> Option<CommandId> {
+        self.id
+    }
+
+    pub(super) fn outcome(&self) -> Option<Outcome> {
+        self.outcome
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn number_is_never_zero_after_a_motion() {
+        let newest = LastCommand { number: u32::MAX, ..LastCommand::default() };
+        assert_eq!(newest.clone().admitted(CommandId::generate()), 1);
+        assert_eq!(newest.restored(1000).number(), 1);
+    }
+
+    #[test]
+    fn motion_that_ran_at_a_restart_is_unknown() {
+        let mut motion = LastCommand::default();
+        assert_eq!(motion.admitted(CommandId::generate()), 1);
+        let restored = motion.clone().restored(1000);
+        assert_eq!((restored.number(), restored.outcome()), (1001, Some(Outcome::Unknown)));
+        assert_eq!(LastCommand::default().restored(0), LastCommand::default());
+    }
+}

@@ -1,0 +1,22 @@
+//! Times in JSON: RFC 3339 in UTC, always with three decimals, so that texts have one length and sort by time.
+
+use jiff::Timestamp;
+use serde::Serializer;
+
+pub(super) fn milliseconds<S: Serializer>(at: &Timestamp, serializer: S) -> Result<S::Ok, S::Error> {
+    serializer.collect_str(&format_args!("{at:.3}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn times_have_three_decimals() {
+        for (ms, expected) in [(0, "000"), (500, "500"), (330, "330"), (7, "007")] {
+            let at = Timestamp::from_millisecond(1_795_258_800_000 + ms).unwrap();
+            let text = milliseconds(&at, serde_json::value::Serializer).unwrap();
+            assert_eq!(text, format!("2026-11-21T11:00:00.{expected}Z"));
+        }
+    }
+}

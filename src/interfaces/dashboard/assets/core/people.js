@@ -1,0 +1,10 @@
+// Names of people. A client is known by its interface and address; the dashboard gives the user's name as the reason.
+
+/** Name of the dashboard's user in the reason of a FAST STOP, or null. */
+export const nameIn = (reason) => /^dashboard, (.+)$/.exec(reason ?? '')?.[1] ?? null;
+
+/** A client with the name of its user: `Anna (10.0.0.5)`. */
+export function person(subject, reason) {
+  const name = nameIn(reason);
+  return name === null ? subject : `${name} (${subject.replace(/^\w+:/, '')})`;
+}

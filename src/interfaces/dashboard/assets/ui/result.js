@@ -1,0 +1,49 @@
+// Result of the newest grip or motion, in large type beside the jaws.
+
+import { html } from '../lib.js';
+import { fixed, plain, t } from '../model/i18n.js';
+import { Shape } from './parts.js';
+
+/** Gripper states that are results of a grip. */
+const HELD = 'HOLDING';
+const FAILED = ['NO_PART', 'PART_LOST'];
+
+const GOOD = ['SUCCESS', 'PART_HELD'];
+
+/** A part can be narrower or wider than it should be by this much without a note. */
+const TOLERANCE_MM = 2;
+
+/** Whether a command has ended without success. */
+export const hasFailed = ({ phase, outcome }) => phase !== 'running' && Boolean(outcome) && !GOOD.includes(outcome);
+
+function early(command, width) {
+  const aim = command?.kind === 'grip' ? command.aim_mm : null;
+  return aim == null || width == null || Math.abs(width - aim) <= TOLERANCE_MM
+    ? null
+    : t('result.early', { width: fixed(width, 1), aim: plain(aim) });
+}
+
+function resultOf(one) {
+  const command = one.command.value;
+  const state = one.gripperState.value;
+  if (one.latchId.value || command?.phase === 'running') return null;
+  const { width_mm: width, force_n: force } = one.reading.value ?? {};
+  if (state === HELD) {
+    const note = early(command, width);
+    return { state, text: t('result.held'), figures: `${fixed(width, 1)} mm · ${fixed(force, 1)} N`, note };
+  }
+  if (FAILED.includes(state)) return { state, isWrong: true, text: t(`state.${state}`), figures: '' };
+  if (!command || !hasFailed(command)) return null;
+  const at = command.width_mm == null ? null : t('result.at', { width: fixed(command.width_mm, 1) });
+  const text = `${t(`command.${command.kind}`)}: ${t(`outcome.${command.outcome}`)}`;
+  return { state: command.outcome, isWrong: true, text, figures: '', note: at };
+}
+
+export function Result({ one }) {
+  const result = resultOf(one);
+  if (!result) return null;
+  const { state, isWrong, text, figures, note } = result;
+  return html`<p class=${`result ${isWrong ? 'tone-high' : ''}`} data-result=${state} role="status">
+    <${Shape} name=${isWrong ? 'high' : 'on'} /><span>${text}</span> <span class="result-figures">${figures}</span>
+    ${note && html`<span class="result-note">${note}</span>`}</p>`;
+}

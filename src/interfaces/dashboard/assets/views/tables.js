@@ -1,0 +1,91 @@
+// Tables of the history: events in words, and motions.
+
+import { html } from '../lib.js';
+import { person } from '../core/people.js';
+import { details, sentence } from './sentence.js';
+import { fixed, moment, ofProblem, plain, t } from '../model/i18n.js';
+
+const BAD = ['NO_PART', 'BLOCKED', 'RANGE', 'TIMEOUT', 'FAILED', 'REFUSED', 'UNKNOWN', 'ABORTED'];
+
+/** Operations whose names have texts. */
+const MOTIONS = ['home', 'move', 'grip', 'release', 'stop'];
+
+/** Texts of values that are words of the API. */
+const WORDS = {
+  direction: (given) => t(`direction.${given}`),
+  effect: (given) => t(`effect.${given}`),
+  setting: (given) => t(`setting.${given}`),
+};
+
+const UNITS = { mm: 'mm', s: 'mm/s', n: 'N', s2: 'mm/s²' };
+
+function valueText(field, given) {
+  if (field in WORDS) return WORDS[field](given);
+  if (typeof given === 'boolean') return t(given ? 'detail.yes' : 'detail.no');
+  const unit = UNITS[field.split('_').at(-1)] ?? '';
+  return typeof given === 'number' ? `${plain(given)} ${unit}`.trim() : String(given);
+}
+
+/** The event as a sentence. A refusal is described by its code, in the user's language. */
+function textOf(event) {
+  const { key, of = {}, with: values = {}, flags } = sentence(event);
+  const words = Object.fromEntries(Object.entries(of).map(([name, word]) => [name, t(word)]));
+  if (flags) words.flags = flags.map((flag) => t(`flag.${flag}`)).join(', ');
+  if (event.kind === 'refused') words.cause = ofProblem({ ...event, detail: event.cause });
+  if (event.kind === 'refused' && MOTIONS.includes(event.command)) words.command = t(`command.${event.command}`);
+  if (key) return t(key, { ...values, ...words });
+  return Object.values(words).join(': ') || t(`kind.${event.kind}`);
+}
+
+const NUMBERS = ['width', 'history.peak', 'history.contact', 'history.duration'];
+
+const Head = ({ columns }) =>
+  html`<thead><tr>${columns.map(
+    (key) => html`<th scope="col" key=${key} class=${NUMBERS.includes(key) ? 'number' : ''}>${t(key)}</th>`,
+  )}</tr></thead>`;
+
+export function Events({ list, isOfAll }) {
+  const columns = ['history.at', ...(isOfAll ? ['all.gripper'] : []), 'history.kind', 'history.details', 'history.who'];
+  return html`<table><${Head} columns=${columns} />
+    <tbody>${list.map(
+      (event) => html`<tr key=${event.seq}
+        class=${event.kind === 'fast_stop' ? 'stop-row' : event.kind === 'refused' || BAD.includes(event.outcome) ? 'bad' : ''}>
+      <td>${moment(event.at)}</td>${isOfAll && html`<td>${event.gripper ?? '–'}</td>`}<td>${t(`kind.${event.kind}`)}</td>
+      <td class="wide">${textOf(event)} <span class="muted small">${details(event)
+        .map(([field, given]) => `${t(`detail.${field}`)} ${valueText(field, given)}`)
+        .join(', ')}</span></td><td>${event.subject ? person(event.subject, event.reason) : ''}</td></tr>`,
+    )}
+            </tbody></table>`;
+}
+
+/** `picked` has the grips whose curves are shown, and `onPick` takes another one. */
+export function Grips({ list, isOfAll, picked, onPick }) {
+  const columns = [
+    'history.at',
+    ...(isOfAll ? ['all.gripper'] : []),
+    'history.kind',
+    'history.outcome',
+    'history.part',
+    'width',
+    'history.peak',
+    'history.contact',
+    'history.duration',
+    'history.curve',
+  ];
+  const isPicked = (grip) => (picked.some(({ id }) => id === grip.id) ? 'true' : 'false');
+  return html`<table><${Head} columns=${columns} />
+    <tbody>${list.map(
+      (grip) => html`<tr key=${grip.id} aria-selected=${isPicked(grip)}
+            class=${BAD.includes(grip.outcome) || grip.part_lost_at ? 'bad' : ''}>
+      <td>${moment(grip.started_at)}</td>${isOfAll && html`<td>${grip.gripper}</td>`}<td>${t(`command.${grip.kind}`)}</td>
+        <td>${t(`outcome.${grip.outcome}`)}${grip.part_lost_at ? `, ${t('event.part_lost')}` : ''}</td>
+          <td>${grip.part_id ?? '–'}</td>
+      <td class="number">${fixed(grip.width_mm, 2)} mm</td><td class="number">${fixed(grip.peak_force_n, 1)} N</td><td
+          class="number">${grip.contact_width_mm == null ? '–' : `${fixed(grip.contact_width_mm, 2)} mm`}</td><td
+              class="number">${grip.duration_ms == null ? '–' : `${fixed(grip.duration_ms / 1000, 2)} s`}</td>
+      <td><button type="button" class="quiet" aria-pressed=${isPicked(grip)} aria-label=${`${t('history.curve')}: ${
+        grip.gripper
+      }, ${t(`command.${grip.kind}`)}, ${moment(grip.started_at)}`}
+          onClick=${() => onPick(grip)}>${t('history.curve')}</button></td></tr>`,
+    )}</tbody></table>`;
+}

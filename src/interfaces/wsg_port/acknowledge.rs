@@ -1,0 +1,56 @@
+//! A client's right to acknowledge a FAST STOP with 24h.
+//!
+//! Many drivers send 24h as their first request. It clears what the gripper or a lost driver of the same host caused,
+//! so that the driver can start again, but never a FAST STOP that somebody else asked for.
+
+use std::sync::Arc;
+
+use crate::gripper::model::{FastStopCause, FastStopId, LatchFields};
+
+#[derive(Debug)]
+pub(super) struct AcknowledgeRight {
+    subject: Arc<str>,
+    /// Whether the client may acknowledge every FAST STOP.
+    any: bool,
+    /// The last FAST STOP that this client caused.
+    caused: Option<FastStopId>,
+    /// The last FAST STOP that this client has seen.
+    seen: Option<FastStopId>,
+}
+
+impl AcknowledgeRight {
+    pub(super) fn new(subject: Arc<str>, any: bool) -> Self {
+        Self { subject, any, caused: None, seen: None }
+    }
+
+    pub(super) fn caused(&mut self, id: FastStopId) {
+        (self.caused, self.seen) = (Some(id), Some(id));
+    }
+
+    pub(super) fn saw(&mut self, id: FastStopId) {
+        self.seen = Some(id);
+    }
+
+    /// Whether the client knows of any FAST STOP.
+    pub(super) fn knows_any(&self) -> bool {
+        self.seen.is_some()
+    }
+
+    /// Whether the client may clear this FAST STOP. `is_held` says whether another client holds the lease.
+    pub(super) fn covers(&self, latch: &LatchFields, is_held: bool) -> bool {
+        let id = Some(latch.fast_stop_id);
+        let is_cleared = match latch.fast_stop_cause {
+            FastStopCause::Requested => false,
+            FastStopCause::ClientLost => !is_held && latch.fast_stop_by == self.subject,
+            // A person may have asked for it at the gripper itself.
+            FastStopCause::Unknown => self.seen == id,
+            FastStopCause::UnannouncedDisconnect
+            | FastStopCause::TemperatureFault
+            | FastStopCause::PowerFault
+            | FastStopCause::CurrentFault
+            | FastStopCause::FingerFault
+            | FastStopCause::SoftLimit => !is_held || self.seen == id,
+        };
+        self.any || is_cleared || self.caused == id
+    }
+}

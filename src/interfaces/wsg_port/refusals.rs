@@ -1,0 +1,116 @@
+//! Refused requests of one client: each in the journal and the metrics, and one warning for each remedy in the log.
+
+use std::collections::BTreeSet;
+
+use super::input::Unusable;
+use super::port::Port;
+use crate::gripper::model::Client;
+use crate::gripper::{Conflict, Invalid, Rejection};
+use crate::operations::audit::RefusedRequest;
+use crate::wsg::{Status, id};
+
+/// A request that the virtual device refused by itself.
+#[derive(Debug, PartialEq)]
+pub(super) struct Refused {
+    pub id: u8,
+    pub status: Status,
+    pub cause: Cause,
+}
+
+/// Cause of such a refusal.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+pub(super) enum Cause {
+    #[error(transparent)]
+    Unusable(#[from] Unusable),
+    #[error("too many requests of this client are waiting")]
+    Overrun,
+    #[error("the client has announced its disconnect (07h)")]
+    Announced,
+    #[error(
+        "24h clears no FAST STOP that somebody else asked for, and no other one while another client holds the lease"
+    )]
+    Acknowledge,
+}
+
+impl Cause {
+    const fn remedy(self, id: u8) -> &'static str {
+        match self {
+            Self::Unusable(Unusable::Checksum) => {
+                "check the line; for clients without valid checksums, set wsg_port_checksum_evaluation = false"
+            }
+            Self::Unusable(_) if id == id::ACKNOWLEDGE_FAST_STOP => {
+                "send 24h with its key, the three bytes \"ack\" (61 63 6B)"
+            }
+            Self::Unusable(_) => "see the command's parameters in the gripper's manual",
+            Self::Overrun => "wait for replies before sending further requests",
+            Self::Announced => "connect again",
+            Self::Acknowledge => {
+                "acknowledge the FAST STOP over HTTP or on the dashboard, or set wsg_port_acknowledge = \"any\""
+            }
+        }
+    }
+}
+
+/// Setting or request that cures a rejection.
+fn remedy(id: u8, rejection: &Rejection) -> &'static str {
+    let is_script = id::describe(id).is_none();
+    match rejection {
+        Rejection::Invalid(Invalid::OutOfRange { .. }) => "change the target, or the soft limits (34h, 36h)",
+        Rejection::Invalid(Invalid::Malformed { .. }) => "see the command's parameters in the gripper's manual",
+        Rejection::Conflict(conflict) => match conflict {
+            Conflict::FastStop { .. }
+            | Conflict::StaleFastStop { .. }
+            | Conflict::FastStopUnconfirmed { .. }
+            | Conflict::FastStopPersists { .. }
+            | Conflict::Acknowledging { .. } => {
+                "remove the cause of the FAST STOP, and acknowledge it with 24h, over HTTP or on the dashboard"
+            }
+            Conflict::LeaseHeld { .. }
+            | Conflict::LeaseBound { .. }
+            | Conflict::LeaseTokenMissing { .. }
+            | Conflict::LeaseRequested { .. }
+            | Conflict::StaleLease { .. } => {
+                if is_script {
+                    "list the id in read_ids if its script only reads; otherwise let the holder release the lease"
+                } else {
+                    "let the holder release the lease, or take it over HTTP with \"force\": true and release it"
+                }
+            }
+            Conflict::NotReferenced => "home the gripper first (20h)",
+            Conflict::SettingsLost { .. } => "set the lost settings again (30h, 32h, 34h)",
+            Conflict::AlreadyRunning { .. } | Conflict::FingersMove | Conflict::RequestIdReused => {
+                "wait for the end of the motion, or send a Stop (22h) first"
+            }
+        },
+        Rejection::Device(_) => "look up the gripper's status in its manual",
+        Rejection::Failure(_) => "remove the cause, and repeat the request",
+    }
+}
+
+/// Remedies that the log has for one client.
+#[derive(Debug, Default)]
+pub(super) struct Refusals {
+    logged: BTreeSet<&'static str>,
+}
+
+impl Refusals {
+    pub(super) fn record(&mut self, port: &Port, client: &Client, refused: &Refused) {
+        let Refused { id, status, cause } = *refused;
+        self.note(port, client, (id, status), cause.to_string(), cause.remedy(id));
+    }
+
+    pub(super) fn record_rejection(&mut self, port: &Port, client: &Client, id: u8, status: Status, cause: &Rejection) {
+        self.note(port, client, (id, status), cause.to_string(), remedy(id, cause));
+    }
+
+    fn note(&mut self, port: &Port, client: &Client, (id, status): (u8, Status), cause: String, remedy: &'static str) {
+        let command = id::name(id).map_or_else(|| format!("{id:02X}h"), ToOwned::to_owned);
+        let (gripper, code) = (port.gripper.name(), status.to_string());
+        port.metrics.refused(gripper.as_str(), status.name());
+        if self.logged.insert(remedy) {
+            tracing::warn!(%gripper, client = %client.subject, command, code, cause, remedy, "request refused");
+        }
+        port.audit
+            .take(RefusedRequest { gripper: Some(gripper.clone()), client: client.clone(), command, code }, cause);
+    }
+}

@@ -1,0 +1,127 @@
+//! The webhooks: their progress, and test deliveries.
+
+use http::Method as Verb;
+use jiff::Timestamp;
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use super::call::{Call, NoFields};
+use super::operation::{Operation, Role, ready, reply};
+use super::problem::Problem;
+use super::reply::Json;
+use crate::gripper::model::Code;
+use crate::journal::EventKind;
+use crate::webhooks::{DeliveryFailure, Tested, Webhook, WebhookProgress};
+
+pub const LIST: Operation = Operation::read("webhooks", "/webhooks", |call| ready(list(&call)));
+pub const TEST: Operation =
+    Operation::change("webhooks.test", &Verb::POST, "/webhooks/{webhook}/test", |call| reply(test(call)))
+        .needs(Role::Supervisor);
+
+/// All webhooks.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = Webhooks)]
+pub struct WebhookList {
+    /// The webhooks, in the order of the configuration.
+    webhooks: Vec<WebhookReport>,
+}
+
+/// A webhook and its progress.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(as = Webhook, example = json!({
+    "name": "mes", "origin": "https://mes.example", "kinds": ["command", "fast_stop"], "position": 4711, "waiting": 2,
+    "last_success_at": "2026-11-21T09:00:00.25Z", "last_error_at": "2026-11-21T09:05:00.5Z",
+    "last_error": "https://mes.example answered 503 Service Unavailable: only 2xx counts as delivered, so see the \
+                   receiver's log",
+    "failed_attempts": 3, "retry_at": "2026-11-21T09:05:04Z"
+}))]
+pub struct WebhookReport {
+    /// The webhook's name.
+    #[schema(max_length = 32)]
+    name: String,
+    /// Scheme, host and port of the receiver. The rest of the URL can be secret, and is not shown.
+    origin: String,
+    /// Kinds of events that are delivered; null means all.
+    #[schema(required)]
+    kinds: Option<Vec<EventKind>>,
+    /// `seq` of the newest event that was delivered, or skipped because of its kind.
+    #[schema(minimum = 0, maximum = 9_007_199_254_740_991_i64)]
+    position: i64,
+    /// Number of events after the position, of any kind.
+    #[schema(minimum = 0, maximum = 9_007_199_254_740_991_i64)]
+    waiting: i64,
+    /// Time of the newest delivery since the gateway started; null before the first.
+    #[schema(value_type = Option<String>, format = DateTime, required)]
+    last_success_at: Option<Timestamp>,
+    /// Time of the newest failed attempt since the gateway started; null if there was none.
+    #[schema(value_type = Option<String>, format = DateTime, required)]
+    last_error_at: Option<Timestamp>,
+    /// Cause of that failure, with the remedy.
+    #[schema(required)]
+    last_error: Option<String>,
+    /// Number of failed attempts since the newest delivery.
+    failed_attempts: u32,
+    /// Time of the next attempt, while the newest one has failed; otherwise null.
+    #[schema(value_type = Option<String>, format = DateTime, required)]
+    retry_at: Option<Timestamp>,
+}
+
+impl WebhookReport {
+    fn of(webhook: &Webhook) -> Self {
+        let WebhookProgress { position, last_success_at, last_error_at, last_error, failed_attempts, retry_at } =
+            webhook.progress();
+        Self {
+            name: webhook.name().to_string(),
+            origin: webhook.receiver().to_string(),
+            kinds: webhook.kinds().map(<[_]>::to_vec),
+            position,
+            waiting: webhook.waiting(),
+            last_success_at,
+            last_error_at,
+            last_error,
+            failed_attempts,
+            retry_at,
+        }
+    }
+}
+
+/// Result of a test delivery.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({"webhook": "mes", "delivered": true, "status": 204, "duration_ms": 12, "error": null}))]
+pub struct WebhookTest {
+    /// The webhook's name.
+    #[schema(max_length = 32)]
+    webhook: String,
+    /// Whether the receiver accepted the delivery.
+    delivered: bool,
+    /// Status of the receiver's response; null if there was none.
+    #[schema(required, minimum = 100, maximum = 999)]
+    status: Option<u16>,
+    /// Duration of the attempt in ms.
+    #[schema(minimum = 0, maximum = 9_007_199_254_740_991_i64)]
+    duration_ms: u64,
+    /// Why the delivery failed, with the remedy; null if it was delivered.
+    #[schema(required)]
+    error: Option<String>,
+}
+
+fn list(call: &Call) -> Result<Json<WebhookList>, Problem> {
+    let NoFields {} = call.fields()?;
+    let webhooks = call.gateway.webhooks.iter().map(|webhook| WebhookReport::of(webhook)).collect();
+    Ok(Json(WebhookList { webhooks }))
+}
+
+async fn test(call: Call) -> Result<Json<WebhookTest>, Problem> {
+    let (webhook, NoFields {}) = (call.webhook()?, call.fields()?);
+    let Tested { result, duration } = webhook.test().await.ok_or_else(|| {
+        Problem::new(Code::Overloaded, "a test delivery to this webhook is in progress: wait for its end")
+    })?;
+    let status = result.as_ref().map_or_else(DeliveryFailure::status, |status| Some(*status));
+    Ok(Json(WebhookTest {
+        webhook: webhook.name().to_string(),
+        delivered: result.is_ok(),
+        status: status.map(|status| status.as_u16()),
+        duration_ms: duration.as_millis() as u64,
+        error: result.err().map(|failure| failure.to_string()),
+    }))
+}

@@ -1,0 +1,210 @@
+//! The task of a webhook.
+
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use jiff::Timestamp;
+use rand::RngExt as _;
+use serde_json::json;
+use tokio::time::sleep;
+use tokio_util::sync::CancellationToken;
+
+use super::Webhook;
+use super::client::DeliveryFailure;
+use super::delivery::Delivery;
+use crate::gripper::Now;
+use crate::gripper::clock::sleep_until;
+use crate::gripper::model::{PersistedKey, PersistedState};
+use crate::gripper::recorder::{Record, Recorder as _};
+use crate::journal::{Filter, StreamItem};
+
+/// Time after which a new position is stored. A gateway that is killed repeats the deliveries of this time.
+const STORED_AFTER: Duration = Duration::from_secs(1);
+
+/// Pause after the first failed attempt. It doubles with each further one.
+const FIRST_PAUSE: Duration = Duration::from_secs(1);
+
+/// Longest pause between two attempts, unless the receiver asks for a longer one.
+const LONGEST_PAUSE: Duration = Duration::from_mins(5);
+
+/// Longest pause that a receiver can ask for.
+const LONGEST_RETRY_AFTER: Duration = Duration::from_hours(1);
+
+/// Pause after the journal could not be read.
+const READ_RETRY_PAUSE: Duration = Duration::from_secs(1);
+
+/// Time for an attempt in progress to end at shutdown, so that the next start does not repeat it.
+const FINISHED_WITHIN: Duration = Duration::from_secs(2);
+
+pub(super) struct Worker {
+    webhook: Arc<Webhook>,
+    closing: CancellationToken,
+    /// Position in the journal's file; `None` before the first.
+    stored: Option<i64>,
+    /// Time at which a newer position is stored.
+    store_at: Option<Instant>,
+}
+
+impl Worker {
+    pub(super) fn new(webhook: Arc<Webhook>, closing: CancellationToken, stored: Option<i64>) -> Self {
+        Self { webhook, closing, stored, store_at: None }
+    }
+
+    /// Delivers events until the gateway or the journal closes.
+    pub(super) async fn run(mut self) {
+        let mut events = self.webhook.journal.follow(Some(self.webhook.lock().position), Filter::default());
+        // Later events are delivered even if the gateway restarts before the first delivery.
+        self.store();
+        loop {
+            let item = tokio::select! {
+                biased;
+                () = self.closing.cancelled() => break,
+                () = sleep_until(self.store_at) => {
+                    self.store();
+                    continue;
+                }
+                item = events.next() => item,
+            };
+            let (seq, body) = match item {
+                Ok(Some(StreamItem::Event(event))) if self.webhook.wants(event.kind) => (event.seq, event.body.clone()),
+                Ok(Some(StreamItem::Event(event))) => {
+                    self.advance(event.seq);
+                    continue;
+                }
+                Ok(Some(StreamItem::Removed { behind, missed })) => {
+                    let (seq, gateway) = (behind + missed, &self.webhook.gateway);
+                    (
+                        seq,
+                        json!({"kind": "gap", "gateway": gateway, "seq": behind, "missed": missed}).to_string().into(),
+                    )
+                }
+                Ok(None) => break,
+                Err(error) => {
+                    tracing::warn!(webhook = %self.webhook.name(), %error, "webhook events could not be read; retrying");
+                    self.webhook.lock().erred(Now::read().wall, error.to_string());
+                    self.pause(READ_RETRY_PAUSE).await;
+                    continue;
+                }
+            };
+            if !self.deliver(&Delivery::new(&self.webhook.gateway, seq, &body)).await {
+                break;
+            }
+            self.advance(seq);
+        }
+        self.store();
+    }
+
+    /// Repeats a delivery until the receiver accepts it. Returns `false` if the gateway shuts down before.
+    async fn deliver(&mut self, delivery: &Delivery) -> bool {
+        loop {
+            let too_late = async {
+                self.closing.cancelled().await;
+                sleep(FINISHED_WITHIN).await;
+            };
+            let result = tokio::select! {
+                result = self.webhook.attempt(delivery) => result,
+                () = too_late => return false,
+            };
+            match result {
+                Ok(_) => {
+                    self.succeeded();
+                    return true;
+                }
+                Err(failure) => {
+                    let pause = self.failed(&failure);
+                    // A long outage begins with this position.
+                    self.store();
+                    self.pause(pause).await;
+                }
+            }
+            if self.closing.is_cancelled() {
+                return false;
+            }
+        }
+    }
+
+    fn succeeded(&self) {
+        self.webhook.metrics.deliveries.inc();
+        let mut progress = self.webhook.lock();
+        if progress.failed_attempts > 0 {
+            tracing::info!(webhook = %self.webhook.name(), attempts = progress.failed_attempts, "webhook recovered");
+        }
+        progress.last_success_at = Some(Now::read().wall);
+        (progress.failed_attempts, progress.retry_at) = (0, None);
+    }
+
+    /// Notes a failed attempt, and returns the pause before the next one.
+    fn failed(&self, failure: &DeliveryFailure) -> Duration {
+        self.webhook.metrics.failures.inc();
+        let now = Now::read().wall;
+        let mut progress = self.webhook.lock();
+        progress.failed_attempts = progress.failed_attempts.saturating_add(1);
+        let pause = pause(progress.failed_attempts, failure.retry_after(), rand::rng().random());
+        let error = failure.to_string();
+        let retry_in_s = pause.as_secs();
+        if progress.failed_attempts == 1 {
+            tracing::warn!(webhook = %self.webhook.name(), error, retry_in_s, "webhook delivery failed; retrying");
+        } else {
+            tracing::debug!(webhook = %self.webhook.name(), error, retry_in_s, "webhook delivery failed again");
+        }
+        progress.erred(now, error);
+        progress.retry_at = later(now, pause);
+        pause
+    }
+
+    /// Waits, unless the gateway shuts down or a test delivery succeeds.
+    async fn pause(&self, pause: Duration) {
+        tokio::select! {
+            () = sleep(pause) => {}
+            () = self.webhook.retry.notified() => {}
+            () = self.closing.cancelled() => {}
+        }
+    }
+
+    fn advance(&mut self, seq: i64) {
+        self.webhook.lock().position = seq;
+        self.store_at.get_or_insert_with(|| Now::read().instant + STORED_AFTER);
+    }
+
+    /// Gives a new position to the journal.
+    fn store(&mut self) {
+        self.store_at = None;
+        let position = self.webhook.lock().position;
+        if self.stored != Some(position) {
+            self.stored = Some(position);
+            let (gripper, value) = (self.webhook.name().clone(), Some(position.to_string()));
+            let state = PersistedState { gripper, key: PersistedKey::Webhook, value };
+            self.webhook.journal.record(Record::Persisted(state));
+        }
+    }
+}
+
+/// Returns the pause after a failed attempt: between half of an exponentially growing time and all of it, by `jitter`
+/// from 0 to 1, or what the receiver asked for if that is longer.
+fn pause(failed_attempts: u32, retry_after: Option<Duration>, jitter: f64) -> Duration {
+    let doubled = 2_u32.saturating_pow(failed_attempts.saturating_sub(1));
+    let longest = FIRST_PAUSE.saturating_mul(doubled).min(LONGEST_PAUSE);
+    let pause = longest.mul_f64(0.5 + jitter / 2.0);
+    pause.max(retry_after.unwrap_or_default().min(LONGEST_RETRY_AFTER))
+}
+
+fn later(now: Timestamp, pause: Duration) -> Option<Timestamp> {
+    let later = now.checked_add(pause).ok()?;
+    Timestamp::from_millisecond(later.as_millisecond()).ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pause_grows_to_its_limit() {
+        let milliseconds =
+            |failed, asked: Option<u64>, jitter| pause(failed, asked.map(Duration::from_secs), jitter).as_millis();
+        let grown = [1, 2, 3, 9, 10, u32::MAX].map(|failed| milliseconds(failed, None, 1.0));
+        assert_eq!(grown, [1000, 2000, 4000, 256_000, 300_000, 300_000]);
+        assert_eq!([1, 10].map(|failed| milliseconds(failed, None, 0.0)), [500, 150_000]);
+        let asked = [(1, 60), (10, 60), (1, u64::MAX)].map(|(failed, asked)| milliseconds(failed, Some(asked), 1.0));
+        assert_eq!(asked, [60_000, 300_000, 3_600_000]);
+    }
+}

@@ -1,0 +1,156 @@
+// Accessibility beyond axe: focus, forced colours, unique names, and Escape in an open list.
+
+import assert from 'node:assert/strict';
+import { after, test } from 'node:test';
+
+import { assertClean, browser, controlled, endAll, gateway, homed, shoot, until, visit } from './harness.mjs';
+
+after(endAll);
+const launched = await browser();
+
+const VIEWS = ['operate', 'history', 'log', 'device', 'all'];
+
+/** The focused element's own id, or that of its panel. */
+const focused = (page) =>
+  page.evaluate(() => {
+    const { activeElement: one } = document;
+    return one === document.body ? 'body' : one.id || one.closest('.panel')?.getAttribute('aria-labelledby');
+  });
+
+test('focus stays after Take control, a motion and Acknowledge', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  await page.focus('#take-control');
+  await page.keyboard.press('Enter');
+  await page.waitForSelector('.status.tone-mine');
+  await until('the focus stays in the panel', async () => (await focused(page)) === 'control-title');
+  await page.focus('#home:enabled');
+  await page.keyboard.press('Enter');
+  await page.waitForSelector('.last[data-outcome=SUCCESS]');
+  await until('the button has the focus again', async () => (await focused(page)) === 'home');
+  await page.keyboard.press('Escape');
+  await page.focus('#acknowledge:enabled');
+  await page.keyboard.press('Enter');
+  await page.waitForSelector('#grip:enabled');
+  await until('the focus stays with the controls', async () => (await focused(page)) === 'motion-title');
+  // A click beside all buttons takes the focus away for good.
+  await page.focus('#grip');
+  await page.mouse.click(700, 790);
+  await page.fill('#width', '30');
+  await page.evaluate(() => document.activeElement.blur());
+  await page.click('[data-choice=theme-dark]');
+  await page.mouse.click(700, 790);
+  await page.waitForFunction(() => document.activeElement === document.body);
+  assertClean(visitor);
+  await visitor.close();
+});
+
+test('Escape in an open list stops', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served, { path: '/#/left/history' });
+  const { page } = visitor;
+  let sent = 0;
+  page.on('websocket', (socket) =>
+    socket.on('framesent', ({ payload }) => {
+      if (String(payload).includes('"fast-stop"')) sent += 1;
+    }),
+  );
+  await page.reload();
+  await page.click('#kind');
+  await page.keyboard.press('Escape');
+  await until('the gripper is stopped', async () => (await served.ask('GET', 'grippers/left/state')).fast_stop);
+  await page.focus('#part-filter');
+  await page.keyboard.press('Escape');
+  await page.waitForSelector('.stopped:has-text("confirmed")');
+  await until('each press is sent', () => sent >= 2);
+  assert.equal(sent, 2, 'each press is one FAST STOP');
+  assertClean(visitor);
+  await visitor.close();
+});
+
+/** Names that several controls share. */
+const sharedNames = (page) =>
+  page.evaluate(() => {
+    const shown = (one) => one.checkVisibility() && !one.closest('[inert]');
+    const words = (one) => {
+      const copy = one.cloneNode(true);
+      copy.querySelectorAll('[aria-hidden=true]').forEach((hidden) => hidden.remove());
+      return copy.textContent.replace(/\s+/g, ' ').trim();
+    };
+    const name = (one) => one.getAttribute('aria-label') ?? (one.labels?.[0] ? words(one.labels[0]) : words(one));
+    const all = [...document.querySelectorAll('button, a[href], input, select, textarea, summary')].filter(shown);
+    return [...Map.groupBy(all, name)].filter(([, some]) => some.length > 1).map(([shared]) => shared);
+  });
+
+test('every control of a view has its own name', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  await homed(page);
+  for (const [button, outcome] of [
+    ['#grip', 'PART_HELD'],
+    ['#release', 'SUCCESS'],
+  ]) {
+    await page.click(`${button}:enabled`);
+    await page.waitForSelector(`.last[data-outcome=${outcome}]`);
+  }
+  await page.fill('#preset-name', 'small');
+  await page.click('.preset-new button');
+  for (const view of VIEWS) {
+    await page.click(`[data-view=${view}]`);
+    if (view === 'history') await page.waitForSelector('tbody tr:nth-child(2)');
+    assert.deepEqual(await sharedNames(page), [], view);
+  }
+  await page.click('#stop');
+  await page.waitForSelector('.stopped');
+  await page.click('[data-view=operate]');
+  await page.waitForSelector('.alarm:nth-child(2)');
+  assert.deepEqual(await sharedNames(page), [], 'stopped');
+  assertClean(visitor);
+  await visitor.close();
+});
+
+test('forced colours show what is selected', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served, { forcedColors: 'active' });
+  const { page } = visitor;
+  await controlled(page);
+  await page.click('#stop');
+  await page.waitForSelector('.alarm.tone-critical');
+  const highlighted = (selector) =>
+    page.evaluate((wanted) => {
+      const probe = document.body.appendChild(document.createElement('p'));
+      probe.style = 'forced-color-adjust: none; background: Highlight; color: HighlightText';
+      const colours = (one) => {
+        const { backgroundColor, color } = getComputedStyle(one);
+        return `${color} on ${backgroundColor}`;
+      };
+      const isSame = colours(document.querySelector(wanted)) === colours(probe);
+      probe.remove();
+      return isSame;
+    }, selector);
+  for (const selected of [
+    '[data-view=operate]',
+    '.chip[aria-current=true]',
+    '[data-choice=window-30]',
+    '.status.tone-critical',
+    '.alarm-badge',
+    '.alarm',
+    '.flag.set',
+    '.notice',
+  ]) {
+    await page.waitForSelector(selected);
+    assert.ok(await highlighted(selected), selected);
+  }
+  for (const other of [
+    '[data-view=history]',
+    '.chip[aria-current=false]',
+    '[data-choice=window-10]',
+    '.flag:not(.set)',
+  ])
+    assert.ok(!(await highlighted(other)), other);
+  await shoot(page, 'forced-colours', { fullPage: true });
+  assertClean(visitor);
+  await visitor.close();
+});

@@ -1,0 +1,138 @@
+// The history: filters, all grippers, overlaid curves, numbers per part, events in words, and the printed report.
+
+import assert from 'node:assert/strict';
+import { after, test } from 'node:test';
+
+import { assertClean, browser, endAll, gateway, shoot, until, visit } from './harness.mjs';
+
+after(endAll);
+const launched = await browser();
+
+const post = (served, path, body) => served.ask('POST', `grippers/${path}`, body);
+
+/** Grips of two parts, and a motion of another gripper. */
+async function worked() {
+  const served = await gateway();
+  await Promise.all(['left', 'right'].map((gripper) => post(served, `${gripper}/home`)));
+  for (const part_id of ['lot-1', 'lot-1', 'lot-2']) {
+    await post(served, 'left/grip', { width_mm: 20, speed_mm_s: 300, part_id });
+    await post(served, 'left/release', { width_mm: 60, speed_mm_s: 300 });
+  }
+  await post(served, 'right/move', { width_mm: 50, speed_mm_s: 300 });
+  return served;
+}
+
+const rows = (page, wanted) =>
+  page.waitForFunction((count) => document.querySelectorAll('.split tbody tr').length === count, wanted);
+
+test('records are filtered by time, and shown for all grippers', async () => {
+  const served = await worked();
+  const visitor = await visit(launched, served, { path: '/#/left/history', timezoneId: 'Asia/Kolkata' });
+  const { page } = visitor;
+  await rows(page, 7);
+  await page.click('#of-all');
+  await rows(page, 9);
+  await page.waitForSelector('tbody tr:first-child:has-text("right"):has-text("Move")');
+  // Local times, as the page shows them.
+  const local = (ms) => new Date(Date.now() + 5.5 * 3600_000 + ms).toISOString().slice(0, 16);
+  await page.fill('#from', local(3600_000));
+  await page.press('#from', 'Tab');
+  await page.waitForSelector('p:has-text("No records.")');
+  await page.fill('#from', local(-3600_000));
+  await page.press('#from', 'Tab');
+  await rows(page, 9);
+  await page.fill('#to', local(-60_000 * 30));
+  await page.press('#to', 'Tab');
+  await page.waitForSelector('p:has-text("No records.")');
+  const [file] = await Promise.all([page.waitForEvent('download'), page.click('#export')]);
+  assert.equal(file.suggestedFilename(), 'all-grips.csv');
+  assertClean(visitor);
+  await visitor.close();
+});
+
+test('curves are laid over each other, with the values under one cursor', async () => {
+  const served = await worked();
+  const visitor = await visit(launched, served, { path: '/#/left/history' });
+  const { page } = visitor;
+  await rows(page, 7);
+  const curve = (index) => page.click(`tbody tr:has-text("Grip") button >> nth=${index}`);
+  await curve(0);
+  await page.waitForSelector('.curve-place canvas');
+  await curve(1);
+  await page.waitForFunction(() => document.querySelectorAll('.lines li').length === 1);
+  await page.click('#compare');
+  await curve(2);
+  await page.waitForFunction(() => document.querySelectorAll('.lines li').length === 2);
+  await until('the cursor shows both values', async () => {
+    const box = await page.locator('.curve-place').first().boundingBox();
+    await page.mouse.move(box.x + 80 + 10 * Math.random(), box.y + 20);
+    return /^\d+\.\d\d \/ \d+\.\d\d \(/.test(await page.locator('.curve output').first().innerText());
+  });
+  await shoot(page, 'curves');
+  await curve(2);
+  await page.waitForFunction(() => document.querySelectorAll('.lines li').length === 1);
+  assertClean(visitor);
+  await visitor.close();
+});
+
+test('numbers per part are shown', async () => {
+  const served = await worked();
+  const visitor = await visit(launched, served, { path: '/#/left/history' });
+  const { page } = visitor;
+  await page.click('#evaluate');
+  await page.waitForSelector('.numbers tbody tr:nth-child(2)');
+  const [first, second] = await page.locator('.numbers tbody tr').allInnerTexts();
+  assert.match(first, /^lot-1\s+2\s+100\.0 %\s+19\.\d\d ± \d\.\d\d mm/);
+  assert.match(second, /^lot-2\s+1\s+100\.0 %\s+19\.\d\d ± – mm\s+–/);
+  await page.fill('#part-filter', 'lot-2');
+  await page.waitForFunction(() => !document.querySelector('.numbers'), null);
+  assertClean(visitor);
+  await visitor.close();
+});
+
+for (const [locale, words] of [
+  ['en-GB', [/width 20 mm, speed 300 mm\/s, part lot-1/, /Home first|home first/, /force limit/]],
+  ['de-DE', [/Weite 20 mm, Geschwindigkeit 300 mm\/s, Teil lot-1/, /erst Referenzfahrt/, /Kraftgrenze/]],
+]) {
+  test(`events are in words, ${locale}`, async () => {
+    const served = await gateway();
+    await post(served, 'left/grip', { width_mm: 20, speed_mm_s: 300 });
+    await post(served, 'left/home');
+    await served.ask('PUT', 'grippers/left/settings/force-limit', { force_n: 44 });
+    await post(served, 'left/grip', { width_mm: 20, speed_mm_s: 300, part_id: 'lot-1' });
+    const visitor = await visit(launched, served, { path: '/#/left/history', locale });
+    const { page } = visitor;
+    await page.click('[data-choice=records-events]');
+    await page.waitForSelector('tr.bad');
+    const text = await page.locator('tbody').innerText();
+    for (const word of words) assert.match(text, word);
+    assert.doesNotMatch(text, /_mm|_n\b|part_id|enabled/);
+    assertClean(visitor);
+    await visitor.close();
+  });
+}
+
+test('the report is printed without controls', async () => {
+  const served = await worked();
+  const visitor = await visit(launched, served, { path: '/#/left/history' });
+  const { page } = visitor;
+  await page.evaluate(() => {
+    globalThis.print = () => {
+      globalThis.isPrinted = true;
+    };
+  });
+  await page.selectOption('#kind', 'grip');
+  await rows(page, 3);
+  await page.click('#evaluate');
+  await page.waitForSelector('.numbers');
+  await page.click('#print');
+  assert.ok(await page.evaluate(() => globalThis.isPrinted));
+  await page.emulateMedia({ media: 'print' });
+  for (const gone of ['.bar', '.filters', '#print', '.foot', 'tbody button'])
+    assert.ok(!(await page.locator(gone).first().isVisible()), gone);
+  for (const there of ['.printed:has-text("Grip")', '.numbers', '.split table'])
+    assert.ok(await page.locator(there).isVisible(), there);
+  await shoot(page, 'report', { fullPage: true });
+  assertClean(visitor);
+  await visitor.close();
+});

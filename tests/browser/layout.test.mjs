@@ -1,0 +1,236 @@
+// Layout and navigation: what must be in view, many grippers, German texts, Back, and presets.
+
+import assert from 'node:assert/strict';
+import { after, test } from 'node:test';
+
+import { assertClean, browser, controlled, endAll, gateway, homed, shoot, until, visit } from './harness.mjs';
+
+after(endAll);
+const launched = await browser();
+
+const SIZES = {
+  phone: { width: 390, height: 844, hasTouch: true, isMobile: true },
+  panel: { width: 1280, height: 800, hasTouch: true },
+};
+const MANY = 24;
+const VIEWS = ['operate', 'history', 'log', 'device', 'all'];
+
+const cell = (count) =>
+  gateway({
+    more: Array.from({ length: count }, (_, index) => [
+      '--gripper',
+      `greifer${index + 1}=sim://wsg50?part_mm=20`,
+    ]).flat(),
+  });
+
+for (const [size, shape] of Object.entries(SIZES)) {
+  test(`result, notices, alarms and control are in view without scrolling, ${size}`, async () => {
+    const served = await cell(MANY);
+    const visitor = await visit(launched, served, { ...shape, locale: 'de-DE' });
+    const { page } = visitor;
+    await homed(page);
+    await page.fill('#speed', '300');
+    await page.click('#grip:enabled');
+    await page.waitForSelector('[data-outcome=PART_HELD]');
+    await served.ask('POST', 'grippers/greifer1/lease', { holder: 'Roboter 17', request: true });
+    await served.ask('POST', 'grippers/greifer2/fast-stop');
+    await page.waitForSelector('[data-notice=asked]');
+    await page.waitForSelector('[data-notice=alarm]');
+    await page.evaluate(() => scrollTo(0, 0));
+    await shoot(page, `fold-${size}`);
+    const hidden = await page.evaluate(() => {
+      const views = document.querySelector('.views').getBoundingClientRect();
+      const end = views.bottom > innerHeight - 5 ? views.top : innerHeight;
+      return ['.result', '.notices', '.alarm-badge', '.take', '.stop'].filter((wanted) => {
+        const { top, bottom, left, right } = document.querySelector(wanted).getBoundingClientRect();
+        return top < 0 || bottom > end || left < 0 || right > innerWidth;
+      });
+    });
+    assert.deepEqual(hidden, []);
+    assertClean(visitor);
+    await visitor.close();
+  });
+}
+
+test('the page’s own reads leave room for the user’s requests', async () => {
+  const served = await cell(MANY);
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  const open = new Set();
+  let most = 0;
+  page.on('websocket', (socket) => {
+    socket.on('framesent', ({ payload }) => {
+      open.add(JSON.parse(payload).id);
+      most = Math.max(most, open.size);
+    });
+    socket.on('framereceived', ({ payload }) => open.delete(JSON.parse(payload).id));
+  });
+  await page.reload();
+  await page.selectOption('#gripper-list', `greifer${MANY}`);
+  await page.waitForSelector('#width-hint:has-text("0 – 110 mm")');
+  // The gateway refuses more than 32 on a connection.
+  assert.ok(most > 0 && most <= 16, `${most} requests at the same time`);
+  assertClean(visitor);
+  await visitor.close();
+});
+
+test('every gripper of many can be reached, in the order of their numbers', async () => {
+  const served = await cell(MANY);
+  const visitor = await visit(launched, served, SIZES.phone);
+  const { page } = visitor;
+  await page.waitForSelector('#gripper-list');
+  const names = await page.locator('#gripper-list option').evaluateAll((all) => all.map(({ value }) => value));
+  assert.deepEqual(
+    names,
+    Array.from({ length: MANY }, (_, index) => `greifer${index + 1}`),
+  );
+  await page.selectOption('#gripper-list', `greifer${MANY}`);
+  await page.waitForSelector(`#jaws-title:has-text("greifer${MANY}")`);
+  await served.ask('POST', 'grippers/greifer3/fast-stop');
+  await page.waitForFunction(() => /FAST STOP/.test(document.querySelector('#gripper-list option:nth-child(3)').text));
+  assertClean(visitor);
+  await visitor.close();
+});
+
+test('Back goes back a view, and control stays', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  await controlled(page);
+  await page.click('[data-view=history]');
+  await page.waitForSelector('#export');
+  await page.click('[data-view=log]');
+  await page.waitForSelector('#editor-send');
+  await page.goBack();
+  await page.waitForSelector('#export');
+  await page.goBack();
+  await page.waitForSelector('.take');
+  assert.ok(await page.locator('.status.tone-mine').isVisible());
+  await page.click('[data-view=all]');
+  await page.click('[data-gripper=right]');
+  await page.waitForSelector('#jaws-title:has-text("right")');
+  await page.goBack();
+  await page.waitForSelector('#all-title');
+  assertClean(visitor);
+  await visitor.close();
+});
+
+test('a chosen curve comes into view on a phone', async () => {
+  const served = await gateway();
+  await served.ask('POST', 'grippers/left/home');
+  for (let turn = 0; turn < 6; turn += 1)
+    await served.ask('POST', 'grippers/left/move', { width_mm: turn % 2 ? 60 : 70, speed_mm_s: 300 });
+  const visitor = await visit(launched, served, { ...SIZES.phone, path: '/#/left/history' });
+  const { page } = visitor;
+  await page.click('tbody button >> nth=3');
+  await page.waitForFunction(() => {
+    const plot = document.querySelector('.curve-place canvas')?.getBoundingClientRect();
+    const bar = document.querySelector('.bar').getBoundingClientRect();
+    return (
+      plot && plot.top >= bar.bottom && plot.bottom <= document.querySelector('.views').getBoundingClientRect().top
+    );
+  });
+  assertClean(visitor);
+  await visitor.close();
+});
+
+for (const [size, shape] of Object.entries({ narrow: { width: 320, height: 568 }, ...SIZES })) {
+  test(`no German text is cut, ${size}`, async () => {
+    const served = await gateway();
+    const visitor = await visit(launched, served, { ...shape, locale: 'de-DE' });
+    const { page } = visitor;
+    await homed(page);
+    const cut = () =>
+      page.evaluate(() =>
+        [...document.querySelectorAll('button, label, h2, h3, legend, .status-text > span, .figure-label, th, .take p')]
+          .filter((one) => one.checkVisibility() && one.clientWidth > 1 && one.scrollWidth > one.clientWidth + 1)
+          .map((one) => `${one.innerText} needs ${one.scrollWidth} of ${one.clientWidth}`),
+      );
+    for (const view of VIEWS) {
+      await page.click(`[data-view=${view}]`);
+      await page.waitForFunction((name) => location.hash.endsWith(name), view);
+      await page.waitForSelector('main h2');
+      assert.deepEqual(await cut(), [], view);
+    }
+    await page.click('#stop');
+    await page.click('[data-view=operate]');
+    await page.waitForSelector('#acknowledge:enabled');
+    assert.deepEqual(await cut(), [], 'stopped');
+    assertClean(visitor);
+    await visitor.close();
+  });
+}
+
+test('each step with presets can be undone', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  await page.fill('#width', '33');
+  await page.fill('#preset-name', 'small');
+  await page.click('.preset-new button');
+  await page.fill('#width', '44');
+  await page.click('.preset button:has-text("small")');
+  assert.equal(await page.inputValue('#width'), '33');
+  await page.click('#preset-undo');
+  assert.equal(await page.inputValue('#width'), '44');
+  await page.click('[aria-label="Remove small"]');
+  assert.equal(await page.locator('.preset').count(), 0);
+  await page.click('#preset-undo');
+  await page.click('.preset button:has-text("small")');
+  assert.equal(await page.inputValue('#width'), '33');
+  assertClean(visitor);
+  await visitor.close();
+});
+
+test('charts show the value under the cursor, and their axes have distinct labels', async () => {
+  const served = await gateway();
+  await served.ask('POST', 'grippers/left/home');
+  await served.ask('POST', 'grippers/left/move', { width_mm: 60, speed_mm_s: 300 });
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  const drawn = [];
+  await page.exposeFunction('noteLabel', (text) => drawn.push(text));
+  await page.evaluate(() => {
+    const { fillText } = CanvasRenderingContext2D.prototype;
+    CanvasRenderingContext2D.prototype.fillText = function noted(text, ...place) {
+      globalThis.noteLabel(text);
+      return fillText.call(this, text, ...place);
+    };
+  });
+  await page.waitForSelector('.chart canvas');
+  const box = await page.locator('.chart-place').first().boundingBox();
+  await page.mouse.move(box.x + box.width - 20, box.y + box.height / 2);
+  await page.waitForSelector('.chart:nth-child(1) output:has-text("60.00 (-")');
+  await page.waitForSelector('.chart:nth-child(2) output:has-text("0.00 (-")');
+  await page.click('[data-view=history]');
+  await page.click('tbody tr:has-text("Move") button');
+  await page.waitForSelector('.curve-place canvas');
+  drawn.length = 0;
+  await page.click('[data-choice=theme-dark]');
+  await until('the curve is drawn again', () => drawn.length > 10);
+  // Labels of one axis are drawn in a row.
+  assert.deepEqual(
+    drawn.filter((label, index) => label !== '' && label === drawn[index + 1]),
+    [],
+  );
+  assertClean(visitor);
+  await visitor.close();
+});
+
+test('the jaws stay inside the body, with their width beside them', async () => {
+  const served = await gateway();
+  await served.ask('POST', 'grippers/left/home');
+  await served.ask('POST', 'grippers/left/move', { width_mm: 110, speed_mm_s: 300 });
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  await page.waitForSelector('.jaws .dimension text:has-text("110.0 mm")');
+  const [body, ...jaws] = await page.evaluate(() =>
+    ['.jaws .body', '.jaws .jaw', '.jaws g + g .jaw'].map((one) => {
+      const { left, right } = document.querySelector(one).getBoundingClientRect();
+      return { left, right };
+    }),
+  );
+  for (const jaw of jaws) assert.ok(jaw.left >= body.left && jaw.right <= body.right, JSON.stringify({ body, jaw }));
+  assertClean(visitor);
+  await visitor.close();
+});

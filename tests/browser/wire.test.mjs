@@ -1,0 +1,118 @@
+// The log of frames and the command editor.
+
+import assert from 'node:assert/strict';
+import { readFile } from 'node:fs/promises';
+import { after, test } from 'node:test';
+
+import { assertClean, browser, endAll, gateway, shoot, simulator, until, visit } from './harness.mjs';
+
+after(endAll);
+const launched = await browser();
+
+const text = (page, selector) => page.locator(selector).first().innerText();
+
+/** Sends a request that the gateway never answers by itself. */
+const loop = (served) => served.ask('POST', 'grippers/left/raw', { id: 0x06, payload: 'beef' });
+
+test('the log goes on while another view is shown, in local time', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served, { path: '/#/left/log', timezoneId: 'Asia/Kolkata' });
+  const { page } = visitor;
+  await page.waitForSelector('[data-row=updates]:has-text("automatic updates")');
+  await page.click('[data-view=operate]');
+  await page.waitForSelector('.jaws');
+  const before = Date.now();
+  await loop(served);
+  await page.click('[data-view=log]');
+  await page.waitForSelector('.frame.sent:has-text("Loop")');
+  const shown = await text(page, '.frame.sent:has-text("Loop")');
+  const [, hours, minutes] = /(\d\d):(\d\d):\d\d\.\d{3}/.exec(shown);
+  const local = new Date(before + 5.5 * 3600_000);
+  const apart = Number(hours) * 60 + Number(minutes) - (local.getUTCHours() * 60 + local.getUTCMinutes());
+  assert.ok([0, 1, -1439].includes(apart), shown);
+  assertClean(visitor);
+  await visitor.close();
+});
+
+test('frames are filtered, copied and saved, and a pause is marked', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served, { path: '/#/left/log' });
+  const { page } = visitor;
+  await page.waitForSelector('[data-row=updates]');
+  await loop(served);
+  await served.ask('POST', 'grippers/left/raw', { id: 0x42, payload: '00' });
+  await page.waitForSelector('.frame.received:has-text("GetStatistics")');
+  const only = (count) =>
+    page.waitForFunction((wanted) => document.querySelectorAll('.frame').length === wanted, count);
+  await page.fill('#log-filter', '06h');
+  await only(2);
+  assert.equal(await page.locator('[data-row=updates]').count(), 0, 'a filter hides folded updates');
+  await page.click('[data-choice=direction-received]');
+  await only(1);
+  await page.fill('#log-filter', 'E_SUCCESS statistics');
+  await page.waitForSelector('.frame:has-text("GetStatistics")');
+  await page.fill('#log-filter', 'E_NO_SUCH');
+  await page.waitForSelector('p:has-text("No frame fits the filter.")');
+  await page.fill('#log-filter', '06h');
+  await page.click('[data-choice=direction-]');
+  await only(2);
+  await page.context().grantPermissions(['clipboard-read', 'clipboard-write']);
+  await page.click('#copy-log');
+  await page.waitForSelector('[role=status]:has-text("2 lines copied.")');
+  const copied = await page.evaluate(() => navigator.clipboard.readText());
+  assert.match(copied, /^\d{4}-\d\d-\d\d \d\d:\d\d:\d\d\.\d{3} -> aa aa aa 06 02 00 be ef \S\S \S\S {2}Loop /);
+  const [file] = await Promise.all([page.waitForEvent('download'), page.click('#save-log')]);
+  assert.equal(file.suggestedFilename(), 'left-frames.txt');
+  assert.equal(await readFile(await file.path(), 'utf8'), copied);
+  await page.fill('#log-filter', '');
+  await page.click('#pause-log');
+  await loop(served);
+  await page.waitForSelector('[data-row=paused]:has-text("left out while paused")');
+  await page.click('#pause-log');
+  await served.ask('POST', 'grippers/left/raw', { id: 0x42, payload: '00' });
+  await page.waitForSelector('[data-row=paused] ~ .frame:has-text("GetStatistics")');
+  await shoot(page, 'log-paused');
+  assertClean(visitor);
+  await visitor.close();
+});
+
+test('damaged frames and skipped bytes are shown as such', async () => {
+  const device = await simulator();
+  const served = await gateway({ more: ['--gripper', `left=${device.url}`] });
+  const visitor = await visit(launched, served, { path: '/#/left/log' });
+  const { page } = visitor;
+  await page.waitForSelector('[data-row=updates]');
+  await device.happens({ fault: { kind: 'corrupt_checksum', id: 0x43, times: 1 } });
+  await page.waitForSelector('.frame.tone-high[data-damage=checksum]:has-text("GetWidth")');
+  await page.fill('#log-filter', 'checksum wrong');
+  await page.waitForSelector('.frame[data-damage=checksum]');
+  await page.click('.frame[data-damage=checksum]');
+  await page.waitForSelector('.byte');
+  assertClean(visitor);
+  await visitor.close();
+});
+
+test('the editor has forms, and shows the frame as sent and its decoded reply', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served, { path: '/#/left/log' });
+  const { page } = visitor;
+  await page.waitForSelector('[data-row=updates]');
+  await page.selectOption('#editor-command', { label: '30h SetAcceleration' });
+  assert.equal(await page.inputValue('#editor-id'), '30h');
+  await page.fill('#editor-field-0', '150');
+  assert.equal(await page.inputValue('#editor-payload'), '150f');
+  await page.fill('#editor-payload', '0x00 0x00 0x48 0x43');
+  assert.equal(await page.inputValue('#editor-field-0'), '200', 'the fields follow the text');
+  await page.fill('#editor-payload', '150,0f');
+  await page.click('#editor-send');
+  await page.waitForSelector('#answer:has-text("E_SUCCESS")');
+  await until('the sent frame is shown', async () => (await page.locator('#editor-sent').count()) > 0);
+  assert.equal(await text(page, '#editor-sent'), 'aa aa aa 30 04 00 00 00 16 43 de cd');
+  await page.waitForSelector('#editor-decoded:has-text("SetAcceleration")');
+  await page.selectOption('#editor-command', { label: '31h GetAcceleration' });
+  await page.click('#editor-send');
+  await page.waitForSelector('#editor-decoded:has-text("150")');
+  await shoot(page, 'editor');
+  assertClean(visitor);
+  await visitor.close();
+});
