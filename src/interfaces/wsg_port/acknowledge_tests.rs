@@ -1,7 +1,6 @@
 //! Tests of 24h, and of the causes of refusals.
 
 use super::*;
-use crate::gripper::model::Fault;
 
 fn acknowledges(bench: &mut Bench) -> bool {
     bench.send(id::ACKNOWLEDGE_FAST_STOP, b"ack");
@@ -95,6 +94,18 @@ fn seen_latch_of_the_device_can_be_acknowledged() {
 }
 
 #[test]
+fn fault_without_a_latch_is_passed_on() {
+    for (fault_code, is_passed_on) in [(0, false), (3, false), (21, true), (30, true)] {
+        let mut bench = Bench { state: State { fault_code, ..state() }, ..Bench::new() };
+        bench.send(id::ACKNOWLEDGE_FAST_STOP, b"ack");
+        let order = bench.device.poll_order();
+        assert_eq!(order.is_some_and(|ordered| ordered.order == PortOrder::AcknowledgeFault), is_passed_on);
+        let answered = if is_passed_on { vec![] } else { vec![(id::ACKNOWLEDGE_FAST_STOP, Status::E_SUCCESS)] };
+        assert_eq!(bench.sent(), answered, "{fault_code}");
+    }
+}
+
+#[test]
 fn refusals_name_their_cause() {
     let mut bench = Bench::new();
     bench.send(id::ACKNOWLEDGE_FAST_STOP, b"");
@@ -119,21 +130,4 @@ fn refusals_name_their_cause() {
     bench.send(id::HOMING, &[0]);
     bench.send(id::STOP, &[]);
     assert_eq!(bench.device.poll_refused(), None);
-}
-
-#[test]
-fn fault_without_a_latch_is_acknowledged_at_the_device() {
-    for (fault, order) in [
-        (Some(Fault::Finger), Some(PortOrder::Acknowledge(None))),
-        (Some(Fault::DeviceError), Some(PortOrder::Acknowledge(None))),
-        (Some(Fault::JournalDown), None),
-        (None, None),
-    ] {
-        let mut bench = Bench::new();
-        bench.state.fault_code = fault.map_or(0, Fault::code);
-        bench.send(id::ACKNOWLEDGE_FAST_STOP, b"ack");
-        assert_eq!(bench.device.poll_order().map(|ordered| ordered.order), order, "{fault:?}");
-        let blind = [(id::ACKNOWLEDGE_FAST_STOP, Status::E_SUCCESS)];
-        assert_eq!(bench.sent().as_slice() == blind, order.is_none(), "{fault:?}");
-    }
 }

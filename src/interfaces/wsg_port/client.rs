@@ -337,12 +337,18 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             }
             .boxed(),
             PortOrder::Acknowledge(id) => async move {
-                let acknowledged = match id {
-                    Some(id) => gripper.acknowledge(id, client).await,
-                    None => gripper.acknowledge_fault(client, Some(token)).await,
-                };
-                match acknowledged {
+                match gripper.acknowledge(id, client).await {
                     Ok(()) => Step::Answered(ask, PortReply::Reply(Reply::Success(Data::None))),
+                    Err(rejection) => Step::Rejected(ask, rejection, true),
+                }
+            }
+            .boxed(),
+            PortOrder::AcknowledgeFault => async move {
+                match gripper.acknowledge_fault(client, Some(token)).await {
+                    // The fault may be over by now.
+                    Ok(()) | Err(Rejection::Invalid(_)) => {
+                        Step::Answered(ask, PortReply::Reply(Reply::Success(Data::None)))
+                    }
                     Err(rejection) => Step::Rejected(ask, rejection, true),
                 }
             }
