@@ -16,9 +16,9 @@ use super::NOTHING;
 use super::steps::*;
 use crate::seeds::world::World;
 
-const TTL: Duration = Duration::from_millis(500);
+pub(super) const TTL: Duration = Duration::from_millis(500);
 
-fn wish(holder: &str) -> TakeLease {
+pub(super) fn wish(holder: &str) -> TakeLease {
     TakeLease {
         client: Client { subject: format!("http:{holder}").into(), door: Door::Http },
         holder: HolderName::new(holder).ok(),
@@ -36,31 +36,31 @@ fn finish_moving(wish: TakeLease) -> TakeLease {
     TakeLease { on_loss_moving: Some(OnLossMoving::Finish), ..wish }
 }
 
-fn take(world: &mut World, take: TakeLease) -> Result<AcquiredLease, Rejection> {
+pub(super) fn take(world: &mut World, take: TakeLease) -> Result<AcquiredLease, Rejection> {
     let token = LeaseToken::generate();
     request(world, |answer| ActorRequest::TakeLease { take, token, answer }).try_recv().unwrap()
 }
 
 /// Takes the lease and closes the request, so that only the time to live keeps it.
-fn token(world: &mut World, wish: TakeLease) -> Option<LeaseToken> {
+pub(super) fn token(world: &mut World, wish: TakeLease) -> Option<LeaseToken> {
     let granted = take(world, wish).unwrap();
     close(world, granted.keep);
     granted.lease.token
 }
 
 /// Closes a request that kept the lease.
-fn close<T>(world: &mut World, open: T) {
+pub(super) fn close<T>(world: &mut World, open: T) {
     drop(open);
     let now = world.clock();
     world.actor.lease_request_closed(now);
     world.settle();
 }
 
-fn lease(world: &mut World) -> Lease {
+pub(super) fn lease(world: &mut World) -> Lease {
     request(world, |answer| ActorRequest::Lease { answer }).try_recv().unwrap()
 }
 
-fn submit_with(world: &mut World, motion: Motion, lease: Option<LeaseToken>) -> Result<Ticket, Rejection> {
+pub(super) fn submit_with(world: &mut World, motion: Motion, lease: Option<LeaseToken>) -> Result<Ticket, Rejection> {
     let now = world.clock();
     let id = world.ids.command_id(now.wall);
     let frame = motion.request();
@@ -91,7 +91,7 @@ fn lose_while_holding(world: &mut World, wish: TakeLease) {
     world.advance(TTL * 2);
 }
 
-fn fast_stops(world: &World, from: usize) -> usize {
+pub(super) fn fast_stops(world: &World, from: usize) -> usize {
     received(world, from).into_iter().filter(|id| *id == id::FAST_STOP).count()
 }
 
@@ -134,49 +134,6 @@ fn lease_held_names_the_holder_and_its_remaining_time() {
     world.advance(Duration::from_millis(100));
     assert!(read.try_recv().unwrap().is_ok());
     assert!(submit_with(&mut world, move_to(50.0, 50.0), a).is_ok());
-}
-
-#[test]
-fn missing_token_of_the_own_lease_is_named() {
-    let mut world = homed();
-    token(&mut world, wish("a"));
-    let missing = |rejection| matches!(rejection, Rejection::Conflict(Conflict::LeaseTokenMissing { .. }));
-    assert!(missing(take(&mut world, TakeLease { holder: None, ..wish("a") }).unwrap_err()));
-    assert!(!missing(take(&mut world, wish("b")).unwrap_err()));
-}
-
-#[test]
-fn restarted_client_gets_its_lease_back() {
-    let mut world = homed();
-    let old = token(&mut world, wish("a"));
-    let new = token(&mut world, wish("a"));
-    assert_eq!(lease(&mut world).epoch, 2);
-    let stale = submit_with(&mut world, move_to(50.0, 50.0), old).unwrap_err();
-    assert_eq!(stale, Conflict::StaleLease { epoch: 2, holder: Some("a".into()) }.into());
-    assert!(submit_with(&mut world, move_to(50.0, 50.0), new).is_ok());
-}
-
-#[test]
-fn returning_client_does_not_bypass_the_loss_of_its_lease() {
-    let mut world = homed();
-    let a = token(&mut world, wish("a"));
-    let running = submit_with(&mut world, move_to(5.0, 10.0), a).unwrap();
-    let from = mark(&world);
-    close(&mut world, running);
-    world.advance(TTL / 2);
-    assert!(take(&mut world, wish("a")).is_err(), "the motion of the lost client still runs");
-    world.advance(TTL);
-    assert_eq!(fast_stops(&world, from), 1);
-    assert!(take(&mut world, wish("a")).is_ok());
-}
-
-#[test]
-fn open_request_keeps_the_lease_from_a_client_of_the_same_name() {
-    let mut world = homed();
-    let open = take(&mut world, wish("a")).unwrap();
-    assert!(take(&mut world, wish("a")).is_err());
-    close(&mut world, open.keep);
-    assert!(take(&mut world, wish("a")).is_ok());
 }
 
 #[test]

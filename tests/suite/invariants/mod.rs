@@ -8,6 +8,7 @@ mod faults;
 mod leases;
 mod repeats;
 mod restarts;
+mod returning;
 pub mod steps;
 
 use std::time::Duration;
