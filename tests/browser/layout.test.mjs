@@ -141,11 +141,24 @@ for (const [size, shape] of Object.entries({ narrow: { width: 320, height: 568 }
     const { page } = visitor;
     await homed(page);
     const cut = () =>
-      page.evaluate(() =>
-        [...document.querySelectorAll('button, label, h2, h3, legend, .status-text > span, .figure-label, th, .take p')]
-          .filter((one) => one.checkVisibility() && one.clientWidth > 1 && one.scrollWidth > one.clientWidth + 1)
-          .map((one) => `${one.innerText} needs ${one.scrollWidth} of ${one.clientWidth}`),
-      );
+      page.evaluate(() => {
+        /** Width of the text; that of its element is rounded. */
+        const needs = (one) => {
+          const range = document.createRange();
+          range.selectNodeContents(one);
+          return range.getBoundingClientRect().width;
+        };
+        return [
+          ...document.querySelectorAll(
+            'button, label, h2, h3, legend, .status-text > span, .figure-label, th, .take p',
+          ),
+        ]
+          .filter(
+            (one) =>
+              one.checkVisibility() && one.clientWidth > 1 && needs(one) > one.getBoundingClientRect().width + 0.1,
+          )
+          .map((one) => `${one.innerText} needs ${needs(one)} of ${one.getBoundingClientRect().width}`);
+      });
     for (const view of VIEWS) {
       await page.click(`[data-view=${view}]`);
       await page.waitForFunction((name) => location.hash.endsWith(name), view);

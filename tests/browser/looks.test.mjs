@@ -183,6 +183,26 @@ for (const [language, colorScheme] of [
   });
 }
 
+test('axe finds nothing with forced colours', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served, { ...SIZES.panel, forcedColors: 'active' });
+  const { page } = visitor;
+  await homed(page);
+  for (const view of VIEWS) {
+    await page.click(`[data-view=${view}]`);
+    await page.waitForSelector(`[data-view=${view}][aria-current=page]`);
+    await page.waitForSelector('main h2');
+    await shoot(page, `forced-${view}`);
+    assert.deepEqual(await violations(page), [], view);
+  }
+  await page.click('#stop');
+  await page.click('[data-view=operate]');
+  await page.waitForSelector('#acknowledge:enabled');
+  assert.deepEqual(await violations(page), [], 'stopped');
+  assertClean(visitor);
+  await visitor.close();
+});
+
 test('a change of language translates every word', async () => {
   const { de } = await import(`${ASSETS}locales/de.js`);
   const served = await gateway();

@@ -108,6 +108,22 @@ test('a failed grip has no tick, and says where the fingers stopped', async () =
   await visitor.close();
 });
 
+test('an error that lasts until the next motion is explained', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  await homed(page);
+  await page.click('#stop');
+  await page.click('#acknowledge:enabled');
+  await page.waitForSelector('.result[data-result=ERROR]:has-text("Error until the next motion")');
+  await page.waitForSelector('.result:has-text("the gripper accepts motions")');
+  await page.click('#home:enabled');
+  await page.waitForSelector('.last[data-outcome=SUCCESS]');
+  await page.waitForFunction(() => !document.querySelector('.result'));
+  assertClean(visitor);
+  await visitor.close();
+});
+
 test('notices are shown in every view', async () => {
   const served = await gateway();
   const [anna, ben] = [await visit(launched, served), await visit(launched, served)];
@@ -146,6 +162,47 @@ test('notices are shown in every view', async () => {
   await ben.page.waitForFunction(() => !document.querySelector('.notice'));
   [anna, ben].forEach(assertClean);
   await Promise.all([anna.close(), ben.close()]);
+});
+
+test('a tap just after a notice has moved the page does not move the fingers', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  await homed(page);
+  /** Taps Grip as soon as a notice has moved it, or after a while. */
+  const tap = (waitMs) =>
+    page.evaluate(
+      (wait) =>
+        new Promise((resolve) => {
+          const grip = document.querySelector('#grip');
+          const { top } = grip.getBoundingClientRect();
+          const look = () => {
+            if (grip.getBoundingClientRect().top === top) {
+              requestAnimationFrame(look);
+              return;
+            }
+            setTimeout(() => {
+              const more = { detail: 1, bubbles: true, cancelable: true };
+              grip.dispatchEvent(new PointerEvent('pointerdown', more));
+              resolve(grip.dispatchEvent(new MouseEvent('click', more)));
+            }, wait);
+          };
+          look();
+        }),
+      waitMs,
+    );
+  await page.evaluate(() => scrollTo(0, 0));
+  const early = tap(0);
+  await served.ask('POST', 'grippers/left/lease', { holder: 'Ben', request: true });
+  assert.equal(await early, false, 'the tap is dropped');
+  const late = tap(400);
+  await page.click('[data-notice=asked] button:has-text("Not now")');
+  assert.equal(await late, true);
+  await page.waitForSelector('.last[data-outcome=PART_HELD]');
+  const { events } = await served.ask('GET', 'events?kind=command');
+  assert.equal(events.filter(({ command, phase }) => command === 'grip' && phase === 'admitted').length, 1);
+  assertClean(visitor);
+  await visitor.close();
 });
 
 test('a reserved gripper is never shown as free, and its lost holder is an alarm', async () => {

@@ -99,6 +99,7 @@ function Drawing({ one }) {
       ? t('jaws.not_referenced')
       : t('jaws.label', { width: fixed(one.reading.value?.width_mm, 1) }),
   );
+  const widthText = useComputed(() => t('jaws.width', { width: fixed(one.reading.value?.width_mm, 1) }));
   const isHolding = one.gripperState.value === 'HOLDING';
   const isLost = one.gripperState.value === 'PART_LOST';
   return html`<svg class=${`jaws ${isKnown ? '' : 'unknown'}`} viewBox="0 0 680 232" role="img"
@@ -120,7 +121,7 @@ function Drawing({ one }) {
       isKnown &&
       html`<g class="dimension"><line x1=${from} x2=${to} y1="177" y2="177" /><line x1=${from} x2=${from}
         y1="168" y2="186" /><line x1=${to} x2=${to} y1="168" y2="186" /><text x=${MIDDLE}
-        y="174">${t('jaws.width', { width: fixed(one.reading.value?.width_mm, 1) })}</text></g>`
+        y="174">${widthText}</text></g>`
     }
     <${Forbidden} soft=${one.softLimits.value} stroke=${stroke} scale=${scale} />
     <g class="ruler"><line x1=${MIDDLE - SPAN / 2} x2=${MIDDLE + SPAN / 2} y1="196" y2="196" />${ticks(stroke, scale)}

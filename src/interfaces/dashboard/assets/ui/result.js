@@ -1,12 +1,15 @@
 // Result of the newest grip or motion, in large type beside the jaws.
 
 import { html } from '../lib.js';
+import { FLAGS, isSet } from '../core/flags.js';
 import { fixed, plain, t } from '../model/i18n.js';
 import { Shape } from './parts.js';
 
 /** Gripper states that are results of a grip. */
 const HELD = 'HOLDING';
 const FAILED = ['NO_PART', 'PART_LOST'];
+
+const FAULTS = FLAGS.filter(({ weight }) => weight === 'fault');
 
 const GOOD = ['SUCCESS', 'PART_HELD'];
 
@@ -27,11 +30,15 @@ function resultOf(one) {
   const command = one.command.value;
   const state = one.gripperState.value;
   if (one.latchId.value || command?.phase === 'running') return null;
-  const { width_mm: width, force_n: force } = one.reading.value ?? {};
   if (state === HELD) {
+    // Read only here, so that moving fingers do not render the result.
+    const { width_mm: width, force_n: force } = one.reading.value ?? {};
     const note = early(command, width);
     return { state, text: t('result.held'), figures: `${fixed(width, 1)} mm · ${fixed(force, 1)} N`, note };
   }
+  // Firmware 4 reports an error from a FAST STOP to the next motion, also after it was acknowledged.
+  if (state === 'ERROR' && !FAULTS.some(({ bit }) => isSet(one.flags.value, bit)))
+    return { state, text: t('result.error'), figures: '', note: t('result.ready') };
   if (FAILED.includes(state)) return { state, isWrong: true, text: t(`state.${state}`), figures: '' };
   if (!command || !hasFailed(command)) return null;
   const at = command.width_mm == null ? null : t('result.at', { width: fixed(command.width_mm, 1) });

@@ -7,12 +7,21 @@ import { acknowledgeAlarm, alarms, selected } from '../model/store.js';
 import { Panel, Shape } from '../ui/parts.js';
 import { go } from '../ui/route.js';
 
+const FINGER_FAULT = 'flag/FINGER_FAULT';
+
 /** Text of an alarm with its gripper. */
 export const alarmName = (alarm) => (alarm.gripper ? `${alarm.gripper}: ${alarmText(alarm)}` : alarmText(alarm));
 
 export function alarmText({ what }) {
   const [kind, detail] = what.split('/');
   return kind === 'link' || kind === 'flag' ? t(`alarm.${kind}.${detail}`) : t(`alarm.${kind}`);
+}
+
+/** Opens a view of the alarm's gripper, at a panel. */
+function show(alarm, wantedView, panel) {
+  selected.value = alarm.gripper;
+  go(wantedView);
+  requestAnimationFrame(() => document.getElementById(panel)?.scrollIntoView({ block: 'center' }));
 }
 
 function Row({ alarm }) {
@@ -24,13 +33,14 @@ function Row({ alarm }) {
       <span class="muted small">${t(words)} · ${moment(alarm.since)}${alarm.clearedAt ? ` – ${moment(alarm.clearedAt)}` : ''}${alarm.cause ? ` · ${alarm.cause}` : ''}
         </span></div>
     ${
+      alarm.what === FINGER_FAULT &&
+      html`<button type="button" aria-label=${`${t('finger.title')}: ${alarm.gripper}`} onClick=${() =>
+        show(alarm, 'device', 'fingers-title')}>${t('finger.title')}</button>`
+    }
+    ${
       isLatch
         ? html`<button type="button" aria-label=${`${t('alarm.show')}: ${alarmName(alarm)}`}
-        onClick=${() => {
-          selected.value = alarm.gripper;
-          go('operate');
-          requestAnimationFrame(() => document.getElementById('motion-title')?.scrollIntoView({ block: 'center' }));
-        }}>${t('alarm.show')}
+        onClick=${() => show(alarm, 'operate', 'motion-title')}>${t('alarm.show')}
           </button>`
         : !alarm.acknowledgedAt &&
           html`<button type="button" aria-label=${t('alarm.acknowledge_one', {

@@ -3,8 +3,9 @@
 import { html, useEffect } from '../lib.js';
 import { ago, t } from './ago.js';
 import { changeTerms, handOver, releaseControl, takeControl } from '../model/commands.js';
-import { clients, watchClients } from './clients.js';
+import { clients } from './clients.js';
 import { Force } from './force.js';
+import { watchMetrics } from './metrics.js';
 import { asks } from './notices.js';
 import { myName } from '../model/name.js';
 import { onLossHolding, onLossMoving } from '../model/prefs.js';
@@ -71,7 +72,7 @@ function Terms({ one }) {
 }
 
 function Others() {
-  useEffect(watchClients, []);
+  useEffect(watchMetrics, []);
   // Reading the clock refreshes the list and its ages every second.
   const list = now.value && [...others].reverse().slice(0, 6);
   return html`<h3>${t('control.others')}</h3>

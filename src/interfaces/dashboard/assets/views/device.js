@@ -6,16 +6,10 @@ import { fixed, plain, t } from '../model/i18n.js';
 import { ask } from '../model/commands.js';
 import { connection, learnSettings, rpc } from '../model/store.js';
 import { Covered, Panel, Shape } from '../ui/parts.js';
+import { Facts } from './facts.js';
 import { limitsText, NumberField } from './fields.js';
-
-function Facts({ facts }) {
-  return html`<dl class="facts">${facts
-    .filter(([, value]) => value !== null && value !== undefined && value !== '')
-    .map(
-      ([key, value]) => html`<div key=${key}>
-        <dt>${t(key)}</dt><dd>${value}</dd></div>`,
-    )}</dl>`;
-}
+import { Fingers } from './fingers.js';
+import { Health } from './health.js';
 
 function About({ one }) {
   const info = one.info.value;
@@ -222,5 +216,6 @@ function Statistics({ one }) {
 
 export function Device({ one }) {
   return html`<${Covered} one=${one}><div class="pair"><div class="column"><${About} one=${one} /><${Limits}
-      one=${one} /><${Statistics} one=${one} /></div><${Settings} one=${one} /></div></${Covered}>`;
+      one=${one} /><${Statistics} one=${one} /><${Health} one=${one} /></div><div class="column"><${Settings}
+      one=${one} /><${Fingers} one=${one} /></div></div></${Covered}>`;
 }

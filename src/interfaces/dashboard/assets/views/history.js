@@ -12,6 +12,8 @@ import { Events, Grips } from './tables.js';
 import { Choice, Covered, MAX_PART_BYTES, Panel, ProblemNote, within } from '../ui/parts.js';
 
 const PAGE = 50;
+/** On a phone, the filters are folded, so that the records are in view. */
+const IS_WIDE = matchMedia('(min-width: 761px)').matches;
 /** Delay of a reload after an event, because events come in bursts. */
 const LOOKS_AFTER_MS = 400;
 const KINDS = {
@@ -145,7 +147,7 @@ export function History({ one }) {
   return html`<${Panel} title=${`${t('nav.history')}: ${isOfAll.value ? t('all.title') : one.name}`} id="history-title"
       class="report" actions=${actions}>
     <p class="printed">${fullDate(Date.now())} ${filterText({ ...asked, kind: kind.value }, what.value)}</p>
-    <div class="filters">
+    <details class="more filters-place" open=${IS_WIDE}><summary>${t('history.filters')}</summary><div class="filters">
       <${Select} id="kind" label=${t('history.kind')} options=${KINDS[what.value]} value=${kind}
           word=${isGrips ? 'command' : 'kind'} />
       <${Select} id="outcome" label=${t('history.outcome')} options=${OUTCOMES} value=${outcome} word="outcome" />
@@ -155,7 +157,7 @@ export function History({ one }) {
           })} /></div>
       <${Time} id="from" value=${from} /><${Time} id="to" value=${to} />
       <span class="small" role="status">${note.value}</span>
-    </div>
+    </div></details>
     <${ProblemNote} problem=${problem} />
     <${Covered}>${numbers.value && html`<${Numbers} numbers=${numbers.value} />`}<div class=${isGrips ? 'split' : ''}>
       <div class="table-place" tabindex="0" role="region" aria-label=${t(`history.${what.value}`)}>

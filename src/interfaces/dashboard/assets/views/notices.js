@@ -1,9 +1,11 @@
 // Notices below the bar, in every view: requests for control, its loss, a reservation, refusals, and the worst alarm.
 
-import { html, signal } from '../lib.js';
+import { html, signal, useEffect, useRef } from '../lib.js';
 import { sorted } from '../core/alarms.js';
 import { alarmName } from './alarms.js';
 import { Force } from './force.js';
+import { noteMove } from './shield.js';
+import './title.js';
 import { handOver, takeControl } from '../model/commands.js';
 import { ofProblem, t } from '../model/i18n.js';
 import { myName } from '../model/name.js';
@@ -87,8 +89,9 @@ function Refused({ one }) {
 
 /** Whether the view shows an alarm in a place of its own: a lost connection, a FAST STOP, or a reservation. */
 function isShown({ what, gripper: name }) {
-  if (what === 'gateway' || what === 'reserved') return true;
-  return name === gripper.value?.name && view.value === 'operate' && /^(fast_stop|link)\//.test(what);
+  if (what === 'gateway') return true;
+  if (name !== gripper.value?.name) return false;
+  return what === 'reserved' || (view.value === 'operate' && /^(fast_stop|link)\//.test(what));
 }
 
 function Worst() {
@@ -100,7 +103,17 @@ function Worst() {
 }
 
 export function Notices() {
-  return html`<section class="notices" aria-label=${t('notice.label')}>
+  const place = useRef(null);
+  useEffect(() => {
+    let isFirst = true;
+    const resized = new ResizeObserver(() => {
+      if (!isFirst) noteMove();
+      isFirst = false;
+    });
+    resized.observe(place.current);
+    return () => resized.disconnect();
+  }, []);
+  return html`<section class="notices" ref=${place} aria-label=${t('notice.label')}>
     ${
       isLive.value &&
       grippers.value.map(

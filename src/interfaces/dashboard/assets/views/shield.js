@@ -1,0 +1,31 @@
+// A notice moves the page below it. A tap that was meant for what stood there before must not move the fingers.
+
+/** Time within which a person cannot have seen the change. */
+const REACTS_AFTER_MS = 300;
+
+let movedAt = -Infinity;
+
+/** Notes that the page has moved. */
+export function noteMove() {
+  movedAt = performance.now();
+}
+
+/** Buttons that move the fingers. Stops always act. */
+const MOTIONS = '#grip, #release, #move, #home, .hold, .steps button';
+
+const isMotion = (target) => target.closest?.(MOTIONS) != null;
+
+/** Whether the newest press was too early, so that its click is too. */
+let isEarly = false;
+
+function ward(event) {
+  // Keys and screen readers follow their button: their clicks have no detail.
+  if (event.type === 'click' && event.detail === 0) return;
+  const isNow = performance.now() - movedAt < REACTS_AFTER_MS;
+  if (event.type === 'pointerdown') isEarly = isNow;
+  if (!(isEarly || isNow) || !isMotion(event.target)) return;
+  event.preventDefault();
+  event.stopPropagation();
+}
+
+for (const type of ['pointerdown', 'click']) addEventListener(type, ward, { capture: true });

@@ -1,0 +1,23 @@
+// The tab's title: number of open alarms, gripper and gateway.
+
+import { effect, signal } from '../lib.js';
+import { get } from '../net/rest.js';
+import { alarms, gripper, isLive } from '../model/store.js';
+
+const gateway = signal('WSG Gateway');
+
+// Another gateway can answer after a lost connection.
+effect(() => {
+  if (!isLive.value) return;
+  get('/healthz').then(
+    ({ gateway: name }) => {
+      gateway.value = name;
+    },
+    () => {},
+  );
+});
+
+effect(() => {
+  const open = alarms.value.filter(({ acknowledgedAt }) => !acknowledgedAt).length;
+  document.title = [open > 0 ? `(${open})` : '', gripper.value?.name, '–', gateway.value].filter(Boolean).join(' ');
+});

@@ -1,0 +1,62 @@
+// The device view: fingers and diagnostics, and the tab's title.
+
+import assert from 'node:assert/strict';
+import { after, test } from 'node:test';
+
+import { assertClean, browser, controlled, endAll, gateway, shoot, simulator, until, visit } from './harness.mjs';
+
+after(endAll);
+const launched = await browser();
+
+test('a finger fault leads to the fingers, with their flags in words', async () => {
+  const device = await simulator();
+  const served = await gateway({ more: ['--gripper', `left=${device.url}`] });
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  await page.waitForSelector('#take-control');
+  await device.happens({ finger_over_current: { finger: 1, on: true } });
+  await page.click('.alarm button:has-text("Fingers")');
+  await page.waitForSelector('[data-finger="1"] .finger-fault:has-text("power fault")');
+  assert.equal(await page.locator('[data-finger="2"] .finger-fault').count(), 0);
+  await shoot(page, 'fingers', { fullPage: true });
+  assertClean(visitor);
+  await visitor.close();
+});
+
+test('a generic finger’s power is switched, and a force finger shows N', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  await controlled(page);
+  await page.route('**/fingers/2', (route) =>
+    route.fulfill({
+      json: { finger: 2, type: 'WSG-FMF', type_code: 1, data_bytes: 4, flags: ['POWER_ON'], flags_raw: 1 },
+    }),
+  );
+  await page.route('**/fingers/2/data', (route) => route.fulfill({ json: { finger: 2, data: '0000a041' } }));
+  await page.click('[data-view=device]');
+  await page.waitForSelector('[data-finger="2"]:has-text("20.0 N")');
+  await page.click('[data-finger="1"] button:has-text("Power off")');
+  await until(
+    'the power is off',
+    async () => !(await served.ask('GET', 'grippers/left/fingers/1')).flags.includes('POWER_ON'),
+  );
+  await page.waitForSelector('[data-finger="1"] button:has-text("Power on")');
+  assertClean(visitor);
+  await visitor.close();
+});
+
+test('diagnostics are shown, and the title has the gateway and its alarms', async () => {
+  const served = await gateway({ more: ['--name', 'cell-1', '--gripper', 'left=sim://wsg50'] });
+  const visitor = await visit(launched, served, { path: '/#/left/device' });
+  const { page } = visitor;
+  const panel = '.panel:has(#health-title)';
+  await page.waitForSelector(`${panel}:has-text("cell-1, ")`);
+  await page.waitForSelector(`${panel} dd:has-text("per second")`);
+  assert.match(await page.locator(panel).innerText(), /Round trip\s+\d+\.\d\d ms\s+Damaged frames\s+0/);
+  await page.waitForFunction(() => document.title === 'left – cell-1');
+  await page.click('#stop');
+  await page.waitForFunction(() => document.title === '(1) left – cell-1');
+  assertClean(visitor);
+  await visitor.close();
+});
