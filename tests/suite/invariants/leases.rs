@@ -1,5 +1,7 @@
 //! The lease: the right to move the gripper, and the effects of losing its holder.
 
+mod returning;
+
 use std::time::Duration;
 
 use tokio::sync::oneshot;
@@ -16,9 +18,9 @@ use super::NOTHING;
 use super::steps::*;
 use crate::seeds::world::World;
 
-pub(super) const TTL: Duration = Duration::from_millis(500);
+const TTL: Duration = Duration::from_millis(500);
 
-pub(super) fn wish(holder: &str) -> TakeLease {
+fn wish(holder: &str) -> TakeLease {
     TakeLease {
         client: Client { subject: format!("http:{holder}").into(), door: Door::Http },
         holder: HolderName::new(holder).ok(),
@@ -36,31 +38,31 @@ fn finish_moving(wish: TakeLease) -> TakeLease {
     TakeLease { on_loss_moving: Some(OnLossMoving::Finish), ..wish }
 }
 
-pub(super) fn take(world: &mut World, take: TakeLease) -> Result<AcquiredLease, Rejection> {
+fn take(world: &mut World, take: TakeLease) -> Result<AcquiredLease, Rejection> {
     let token = LeaseToken::generate();
     request(world, |answer| ActorRequest::TakeLease { take, token, answer }).try_recv().unwrap()
 }
 
 /// Takes the lease and closes the request, so that only the time to live keeps it.
-pub(super) fn token(world: &mut World, wish: TakeLease) -> Option<LeaseToken> {
+fn token(world: &mut World, wish: TakeLease) -> Option<LeaseToken> {
     let granted = take(world, wish).unwrap();
     close(world, granted.keep);
     granted.lease.token
 }
 
 /// Closes a request that kept the lease.
-pub(super) fn close<T>(world: &mut World, open: T) {
+fn close<T>(world: &mut World, open: T) {
     drop(open);
     let now = world.clock();
     world.actor.lease_request_closed(now);
     world.settle();
 }
 
-pub(super) fn lease(world: &mut World) -> Lease {
+fn lease(world: &mut World) -> Lease {
     request(world, |answer| ActorRequest::Lease { answer }).try_recv().unwrap()
 }
 
-pub(super) fn submit_with(world: &mut World, motion: Motion, lease: Option<LeaseToken>) -> Result<Ticket, Rejection> {
+fn submit_with(world: &mut World, motion: Motion, lease: Option<LeaseToken>) -> Result<Ticket, Rejection> {
     let now = world.clock();
     let id = world.ids.command_id(now.wall);
     let frame = motion.request();
@@ -91,7 +93,7 @@ fn lose_while_holding(world: &mut World, wish: TakeLease) {
     world.advance(TTL * 2);
 }
 
-pub(super) fn fast_stops(world: &World, from: usize) -> usize {
+fn fast_stops(world: &World, from: usize) -> usize {
     received(world, from).into_iter().filter(|id| *id == id::FAST_STOP).count()
 }
 

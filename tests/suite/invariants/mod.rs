@@ -8,7 +8,6 @@ mod faults;
 mod leases;
 mod repeats;
 mod restarts;
-mod returning;
 pub mod steps;
 
 use std::time::Duration;

@@ -3,8 +3,8 @@
 use wsg_gateway::gripper::model::TakeLease;
 use wsg_gateway::gripper::{Conflict, Rejection};
 
-use super::leases::{TTL, close, fast_stops, lease, submit_with, take, token, wish};
-use super::steps::*;
+use super::super::steps::*;
+use super::{TTL, close, fast_stops, lease, submit_with, take, token, wish};
 
 #[test]
 fn missing_token_of_the_own_lease_is_named() {
