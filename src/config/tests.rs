@@ -30,8 +30,10 @@ fn flag_overrides_file() {
 
 #[test]
 fn motion_pause_is_50_ms_unless_set() {
-    let pause = |key: &str| Ok(file(&format!("[grippers.g]\nurl = \"sim://wsg50\"\n{key}"))?.grippers[0].motion_pause);
-    let pause = |key: &str| pause(key).map_err(|error: ConfigError| error.to_string());
+    let pause = |key: &str| {
+        let config = file(&format!("[grippers.g]\nurl = \"sim://wsg50\"\n{key}"));
+        config.map(|config| config.grippers[0].motion_pause).map_err(|error| error.to_string())
+    };
     assert_eq!(pause(""), Ok(Duration::from_millis(50)));
     assert_eq!(pause("motion_pause_ms = 0"), Ok(Duration::ZERO));
     assert!(pause("motion_pause_ms = 1001").unwrap_err().contains("gateway.toml:3: motion_pause_ms is 1001"));

@@ -477,7 +477,7 @@ mod tests {
         let client = |subject: &str| Client { subject: subject.into(), door: Door::Wsg };
         let (wish, other) = (TakeLease::by(client("wsg:10.0.0.1")), client("wsg:10.0.0.2"));
         let terms = Terms::of(&wish, &LeaseRules::default()).unwrap();
-        lease.take(now, &wish, terms, token.clone()).unwrap();
+        lease.take(now, &wish, terms, token.clone(), false).unwrap();
         let request = lease.keep(now, Some(&token)).unwrap();
         assert!(matches!(lease.check(now, &other, None), Err(Conflict::LeaseHeld { expires_in_ms: Some(3000), .. })));
         drop(request);

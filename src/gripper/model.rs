@@ -301,7 +301,7 @@ impl Outcome {
     "id": "019aa5c8-5a70-7c31-9f3f-4a3b7c1d2e4f", "gripper": "left", "number": 17, "kind": "grip", "phase": "done",
     "outcome": "PART_HELD", "outcome_code": 2, "status": "E_SUCCESS", "status_code": 0, "reached_goal": true, "stalled": true,
     "width_mm": 20.0, "force_n": 40.0, "started_at": "2026-11-21T09:00:00Z", "duration_ms": 412,
-    "client": "http:127.0.0.1", "replayed": false
+    "subject": "http:127.0.0.1", "client": "http:127.0.0.1", "replayed": false
 }))]
 pub struct CommandReport {
     /// Id of the command, a version 7 UUID.
@@ -355,6 +355,9 @@ pub struct CommandReport {
     pub duration_ms: Option<u64>,
     /// Subject of the client that requested the command.
     #[schema(value_type = String)]
+    pub subject: Arc<str>,
+    /// Same as `subject`.
+    #[schema(value_type = String, deprecated)]
     pub client: Arc<str>,
     /// Whether this is the reply to a repeated request, whose command was admitted earlier.
     pub replayed: bool,
@@ -410,6 +413,7 @@ impl CommandReport {
             force_n: None,
             started_at: at,
             duration_ms: None,
+            subject: submission.client.subject.clone(),
             client: submission.client.subject.clone(),
             replayed: false,
             fast_stop_id: None,

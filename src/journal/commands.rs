@@ -40,6 +40,7 @@ impl CommandBody {
             force_n: None,
             started_at: self.at,
             duration_ms: None,
+            subject: self.subject.clone(),
             client: self.subject,
             replayed: false,
             fast_stop_id: None,

@@ -20,7 +20,6 @@ pub const STATE: Operation = Operation::read("state", "/grippers/{gripper}/state
 
 /// All grippers.
 #[derive(Debug, Serialize, ToSchema)]
-#[schema(as = Grippers)]
 pub struct GripperList {
     /// The grippers, sorted by name.
     #[schema(value_type = Vec<Info>)]

@@ -74,6 +74,10 @@ pub struct Members {
     /// Id of the running command that prevents the request, if one does.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<uuid::Uuid>, nullable = false)]
+    command_id: Option<CommandId>,
+    /// Same as `command_id`.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<uuid::Uuid>, nullable = false, deprecated)]
     command: Option<CommandId>,
     /// Holder of the lease, if the lease prevents the request.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -117,6 +121,7 @@ impl Problem {
             device_status: None,
             device_status_code: None,
             fast_stop_id: None,
+            command_id: None,
             command: None,
             holder: None,
             expires_in_ms: None,
@@ -254,7 +259,7 @@ impl Problem {
     }
 
     fn command(mut self, id: CommandId) -> Self {
-        self.0.command = Some(id);
+        (self.0.command_id, self.0.command) = (Some(id), Some(id));
         self
     }
 }

@@ -142,7 +142,7 @@ mod tests {
 
     #[test]
     fn openapi_document_states_the_enforced_bounds() {
-        let document = serde_json::to_value(crate::interfaces::http::openapi()).unwrap();
+        let document = crate::interfaces::http::openapi();
         let stated = |schema: &str, field: &str| {
             let field = &document["components"]["schemas"][schema]["properties"][field];
             (field["minimum"].as_f64().unwrap() as f32, field["maximum"].as_f64().unwrap() as f32)

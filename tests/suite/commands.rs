@@ -81,7 +81,7 @@ async fn second_motion_is_refused_with_the_running_command() {
     let refused = gateway.post("move", &quick()).await.problem(409, "already_running");
     assert_eq!(refused["command"], json!(running));
     let state = gateway.state().await;
-    assert_eq!(state["command"], json!(running), "{state}");
+    assert_eq!((&state["command_id"], &state["command"]), (&json!(running), &json!(running)), "{state}");
 }
 
 #[tokio::test]

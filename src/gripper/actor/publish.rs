@@ -115,6 +115,7 @@ impl Actor {
             lease_holder: self.lease.holder().map(|holder| holder.name.clone()),
             lease_epoch: self.lease.epoch(),
             journal_cause: self.recording.failure().map(ToOwned::to_owned),
+            command_id: self.motion.id(),
             command: self.motion.id(),
             last_command: last.number(),
             last_outcome: last.outcome(),

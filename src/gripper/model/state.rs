@@ -73,12 +73,12 @@ pub struct Latch {
 
 /// Newest state of a gripper.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
-#[schema(example = json!({
+#[schema(as = GripperState, example = json!({
     "gripper": "left", "link": "connected", "link_cause": null, "age_ms": 4, "seq": 51234, "state": "HOLDING",
     "state_code": 4, "flags": ["REFERENCED", "TARGET_POS_REACHED"], "flags_raw": 129, "referenced": true,
     "moving": false, "width_mm": 20.0, "speed_mm_s": 0.0, "force_n": 40.0, "temperature_c": 31.5,
-    "fault": false, "fault_code": 0, "fast_stop": false, "lease_holder": null, "lease_epoch": 0, "journal_cause": null, "command": null,
-    "last_command": 17, "last_outcome_code": 2
+    "fault": false, "fault_code": 0, "fast_stop": false, "lease_holder": null, "lease_epoch": 0, "journal_cause": null,
+    "command_id": null, "command": null, "last_command": 17, "last_outcome_code": 2
 }))]
 pub struct State {
     /// Name of the gripper.
@@ -170,6 +170,9 @@ pub struct State {
     pub journal_cause: Option<String>,
     /// Id of the running command; null while none runs.
     #[schema(value_type = Option<Uuid>, required)]
+    pub command_id: Option<CommandId>,
+    /// Same as `command_id`.
+    #[schema(value_type = Option<Uuid>, required, deprecated)]
     pub command: Option<CommandId>,
     /// Number of the newest motion, as in `number` of the command; 0 before the first. It survives restarts of the
     /// gateway, and 1 follows 4294967295.
@@ -213,6 +216,7 @@ impl State {
             lease_holder: None,
             lease_epoch: 0,
             journal_cause: None,
+            command_id: None,
             command: None,
             last_command: 0,
             last_outcome: None,
@@ -319,7 +323,7 @@ fn age_ms<S: Serializer>(updated_at: &Option<Instant>, serializer: S) -> Result<
     updated_at.map(|at| at.elapsed().as_millis() as u64).serialize(serializer)
 }
 
-#[allow(clippy::ref_option, reason = "serde's signature")]
+#[allow(clippy::ref_option, clippy::trivially_copy_pass_by_ref, reason = "serde's signature")]
 fn outcome_code<S: Serializer>(outcome: &Option<Outcome>, serializer: S) -> Result<S::Ok, S::Error> {
     outcome.map_or(0, Outcome::code).serialize(serializer)
 }

@@ -5,7 +5,6 @@ use std::collections::BTreeSet;
 
 use serde_json::{Map, Value, json};
 use utoipa::OpenApi as _;
-use utoipa::openapi::OpenApi;
 
 use super::context::API;
 use crate::events::Gap;
@@ -15,7 +14,11 @@ use crate::operations::{Members, OPERATIONS as METHODS, Operation as Method};
 
 /// Notifications: name, schema and summary.
 const NOTIFICATIONS: &[(&str, &str, &str)] = &[
-    ("state", "State", "The newest state of a gripper (topic `state`). A slow client misses intermediate states"),
+    (
+        "state",
+        "GripperState",
+        "The newest state of a gripper (topic `state`). A slow client misses intermediate states",
+    ),
     (
         "telemetry",
         "Telemetry",
@@ -46,8 +49,7 @@ const NOTIFICATIONS: &[(&str, &str, &str)] = &[
 struct OwnSchemas;
 
 #[must_use]
-pub fn document(openapi: &OpenApi) -> Value {
-    let openapi = serde_json::to_value(openapi).unwrap_or_default();
+pub fn document(openapi: &Value) -> Value {
     let own = serde_json::to_value(OwnSchemas::openapi()).unwrap_or_default();
     let (mut messages, mut operations) = (Map::new(), Map::new());
     let mut add_method = |name: &str, summary: &str, params: Value, result: Value| {
@@ -55,8 +57,8 @@ pub fn document(openapi: &OpenApi) -> Value {
         let reply =
             json!({"channel": reference("channels", "ws"), "messages": [of_channel(&answer), of_channel("error")]});
         operations.insert(name.to_owned(), operation("receive", name, summary, Some(reply)));
-        messages.insert(name.to_owned(), json!({"name": name, "payload": request(name, &params)}));
-        messages.insert(answer.clone(), json!({"name": answer, "payload": answered("result", result)}));
+        messages.insert(name.to_owned(), titled(name, summary, request(name, &params)));
+        messages.insert(answer.clone(), titled(&answer, &format!("Result of `{name}`"), answered("result", result)));
     };
     let follow = "Subscribe to states, telemetry, events, frames or the fleet. Replaces the previous subscription";
     add_method(
@@ -68,18 +70,18 @@ pub fn document(openapi: &OpenApi) -> Value {
     let names: BTreeSet<_> = METHODS.iter().map(|method| method.name).collect();
     for name in names {
         let rows: Vec<_> = METHODS.iter().filter(|method| method.name == name).collect();
-        let summary = rows.first().map(|row| operation_of(&openapi, row)["summary"].clone()).unwrap_or_default();
-        add_method(name, summary.as_str().unwrap_or_default(), params(&openapi, &rows), result(&openapi, &rows));
+        let summary = rows.first().map(|row| operation_of(openapi, row)["summary"].clone()).unwrap_or_default();
+        add_method(name, summary.as_str().unwrap_or_default(), params(openapi, &rows), result(openapi, &rows));
     }
     for (name, schema, summary) in NOTIFICATIONS {
         let params = reference("components/schemas", schema);
         // The suffix avoids a clash with the method `command`.
         let message = format!("{name}.notification");
-        messages.insert(message.clone(), json!({"name": message, "payload": notification(name, &params)}));
+        messages.insert(message.clone(), titled(&message, summary, notification(name, &params)));
         operations.insert(message.clone(), operation("send", &message, summary, None));
     }
-    messages.insert("error".to_owned(), json!({"name": "error", "payload": answered("error", error())}));
-    let schemas = reachable(&json!(messages), &[&openapi, &own]);
+    messages.insert("error".to_owned(), titled("error", "Refusal of a request", answered("error", error())));
+    let schemas = reachable(&json!(messages), &[openapi, &own]);
     let of_channel: Map<_, _> =
         messages.keys().map(|name| (name.clone(), reference("components/messages", name))).collect();
     let mut document = json!({
@@ -107,7 +109,7 @@ pub fn document(openapi: &OpenApi) -> Value {
 }
 
 /// Returns the document as YAML.
-pub fn yaml(openapi: &OpenApi) -> Result<String, serde_saphyr::ser::Error> {
+pub fn yaml(openapi: &Value) -> Result<String, serde_saphyr::ser::Error> {
     serde_saphyr::to_string(&document(openapi))
 }
 
@@ -126,6 +128,12 @@ fn operation(action: &str, message: &str, summary: &str, reply: Option<Value>) -
         operation["reply"] = reply;
     }
     operation
+}
+
+/// Returns a message whose payload has the message's name as its title, for generators that name types by it.
+fn titled(name: &str, summary: &str, mut payload: Value) -> Value {
+    payload["title"] = json!(name);
+    json!({"name": name, "title": name, "summary": summary, "payload": payload})
 }
 
 fn notification(method: &str, params: &Value) -> Value {
@@ -222,7 +230,7 @@ fn result(openapi: &Value, rows: &[&Method]) -> Value {
 }
 
 /// Returns all schemas that are referenced, directly or through other schemas.
-fn reachable(from: &Value, documents: &[&Value]) -> Map<String, Value> {
+pub fn reachable(from: &Value, documents: &[&Value]) -> Map<String, Value> {
     let mut found = Map::new();
     let mut wanted = references(from);
     while let Some(name) = wanted.pop() {
@@ -257,6 +265,10 @@ fn references(value: &Value) -> Vec<String> {
 fn with_examples(value: &mut Value) {
     match value {
         Value::Object(members) => {
+            // AsyncAPI has the discriminator as a name alone.
+            if let Some(Value::String(name)) = members.get("discriminator").map(|found| found["propertyName"].clone()) {
+                members.insert("discriminator".to_owned(), name.into());
+            }
             if let Some(example) = members.remove("example") {
                 members.insert("examples".to_owned(), json!([example]));
             }

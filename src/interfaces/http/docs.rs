@@ -8,10 +8,12 @@ use axum::extract::{Path, Request};
 use axum::http::header::{CACHE_CONTROL, CONTENT_ENCODING, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderValue};
 use axum::response::{Html, IntoResponse, Response};
 use axum::{Router, routing};
+use serde_json::Value;
 use utoipa::OpenApi as _;
 use utoipa::openapi::{OpenApi, RefOr, Schema};
 
 use super::asyncapi as websocket;
+use super::journal::GripKinds;
 use super::paths::responses;
 use crate::journal::{EventKind, Order};
 use crate::operations::{Members, Problem};
@@ -41,7 +43,10 @@ use crate::operations::{Members, Problem};
         (name = "webhooks", description = "Deliveries of events to other programs"),
         (name = "gateway", description = "Health, metrics and API documents of the gateway itself"),
     ),
-    components(schemas(Members, EventKind, Order)),
+    components(schemas(Members, EventKind, GripKinds, Order)),
+    servers((url = "/", description = "The gateway that serves this document")),
+    // No operation needs credentials.
+    security(()),
 )]
 struct Document;
 
@@ -88,13 +93,13 @@ pub async fn asyncapi(Extension(documents): Extension<Arc<Documents>>) -> impl I
 
 /// The API's documents, encoded once and shared by all responses.
 pub struct Documents {
-    openapi: OpenApi,
+    openapi: Value,
     openapi_json: OnceLock<Bytes>,
     asyncapi_yaml: OnceLock<Bytes>,
 }
 
 impl Documents {
-    pub fn new(openapi: OpenApi) -> Self {
+    pub fn new(openapi: Value) -> Self {
         Self { openapi, openapi_json: OnceLock::new(), asyncapi_yaml: OnceLock::new() }
     }
 

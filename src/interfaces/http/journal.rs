@@ -84,10 +84,13 @@ pub struct GripsQuery {
 /// Kinds of grip records:
 ///
 /// - `all`: every kind
-/// - `home`, `move`, `grip`, `release`: only this kind
+/// - `home`: homings
+/// - `move`: moves
+/// - `grip`: grips
+/// - `release`: releases
 #[derive(Debug, Clone, Copy, Default, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
-enum GripKinds {
+pub enum GripKinds {
     All,
     Home,
     Move,
@@ -137,6 +140,7 @@ pub struct GripBody {
 
 /// A page of events.
 #[derive(Serialize, ToSchema)]
+#[schema(as = EventPage)]
 pub struct Events<'a> {
     #[schema(value_type = Vec<EventBody>)]
     events: Vec<&'a RawValue>,
@@ -151,6 +155,7 @@ pub struct Events<'a> {
 
 /// A page of grip records.
 #[derive(Serialize, ToSchema)]
+#[schema(as = GripPage)]
 pub struct Grips<'a> {
     #[schema(value_type = Vec<GripBody>)]
     grips: Vec<&'a RawValue>,
@@ -161,6 +166,12 @@ pub struct Grips<'a> {
     has_more: bool,
     /// Id of the journal. Cursors and sequence numbers of another journal mean other records.
     journal_id: Uuid,
+}
+
+/// Returns the id of a grip record, and its curve.
+async fn samples(context: &HttpContext, id: &str) -> Result<(CommandId, Vec<Sample>), Problem> {
+    let id = command_id(id)?;
+    Ok((id, context.gateway.journal.curve(id).await?.ok_or_else(no_such_grip)?))
 }
 
 /// A curve, column by column.
@@ -269,23 +280,46 @@ fn with_link(mut response: Response, list: &str, uri: &Uri, page: &Page) -> Resp
 #[utoipa::path(
     get, path = "/events", operation_id = "list_events", tag = "journal",
     params(RecordsQuery, EventsQuery),
-    responses((status = 200, description = "A page of events", content((Events = "application/json"), (String = "text/csv"))), JournalProblem)
+    responses((status = 200, description = "A page of events", body = Events, headers(
+        ("Link" = String, description = "Address of the next page, with `rel=\"next\"`; absent on the last page"),
+    )), JournalProblem)
 )]
 pub async fn events(
     Shared(context): Shared<Arc<HttpContext>>,
     headers: HeaderMap,
     uri: Uri,
 ) -> Result<Response, Problem> {
+    list_events(&context, &uri, wants_csv(&headers)).await
+}
+
+/// List events as a table
+///
+/// Returns one page of events as CSV. Text that a spreadsheet would run as a formula (it begins with `=`, `+`, `-`,
+/// `@`, a tab or a line break) is prefixed with a single quote.
+#[utoipa::path(
+    get, path = "/events.csv", operation_id = "list_events_csv", tag = "journal",
+    params(RecordsQuery, EventsQuery),
+    responses((status = 200, description = "A page of events", body = String, content_type = "text/csv", headers(
+        ("Next-Cursor" = String, description = "Cursor of the next page; absent where `next_cursor` of the list is null"),
+        ("Journal-Id" = String, description = "Id of the journal"),
+        ("Link" = String, description = "Address of the next page, with `rel=\"next\"`; absent on the last page"),
+    )), JournalProblem)
+)]
+pub async fn events_csv(Shared(context): Shared<Arc<HttpContext>>, uri: Uri) -> Result<Response, Problem> {
+    list_events(&context, &uri, true).await
+}
+
+async fn list_events(context: &HttpContext, uri: &Uri, as_table: bool) -> Result<Response, Problem> {
     let journal = &context.gateway.journal;
-    let query = query(&uri, EVENT_KINDS, &["command_id"], |kind: Option<EventKind>| kind)?;
+    let query = query(uri, EVENT_KINDS, &["command_id"], |kind: Option<EventKind>| kind)?;
     let (page, journal_id) = (journal.events(query).await?, journal.id());
-    let response = if wants_csv(&headers) {
+    let response = if as_table {
         table(csv::EVENT_COLUMNS, &page, journal_id)
     } else {
         let (next_cursor, has_more) = (next_cursor(&page), page.next_cursor.is_some());
         Json(Events { events: raw(&page)?, next_cursor, has_more, journal_id }).into_response()
     };
-    Ok(with_link(response, "events", &uri, &page))
+    Ok(with_link(response, if as_table { "events.csv" } else { "events" }, uri, &page))
 }
 
 /// List grip records
@@ -297,23 +331,46 @@ pub async fn events(
 #[utoipa::path(
     get, path = "/grips", operation_id = "list_grips", tag = "journal",
     params(RecordsQuery, GripsQuery),
-    responses((status = 200, description = "A page of grip records", content((Grips = "application/json"), (String = "text/csv"))), JournalProblem)
+    responses((status = 200, description = "A page of grip records", body = Grips, headers(
+        ("Link" = String, description = "Address of the next page, with `rel=\"next\"`; absent on the last page"),
+    )), JournalProblem)
 )]
 pub async fn grips(
     Shared(context): Shared<Arc<HttpContext>>,
     headers: HeaderMap,
     uri: Uri,
 ) -> Result<Response, Problem> {
+    list_grips(&context, &uri, wants_csv(&headers)).await
+}
+
+/// List grip records as a table
+///
+/// Returns one page of grip records as CSV. Text that a spreadsheet would run as a formula (it begins with `=`, `+`,
+/// `-`, `@`, a tab or a line break) is prefixed with a single quote.
+#[utoipa::path(
+    get, path = "/grips.csv", operation_id = "list_grips_csv", tag = "journal",
+    params(RecordsQuery, GripsQuery),
+    responses((status = 200, description = "A page of grip records", body = String, content_type = "text/csv", headers(
+        ("Next-Cursor" = String, description = "Cursor of the next page; absent where `next_cursor` of the list is null"),
+        ("Journal-Id" = String, description = "Id of the journal"),
+        ("Link" = String, description = "Address of the next page, with `rel=\"next\"`; absent on the last page"),
+    )), JournalProblem)
+)]
+pub async fn grips_csv(Shared(context): Shared<Arc<HttpContext>>, uri: Uri) -> Result<Response, Problem> {
+    list_grips(&context, &uri, true).await
+}
+
+async fn list_grips(context: &HttpContext, uri: &Uri, as_table: bool) -> Result<Response, Problem> {
     let journal = &context.gateway.journal;
-    let query = query(&uri, GRIP_KINDS, &[], |kinds: Option<GripKinds>| kinds.unwrap_or_default().into())?;
+    let query = query(uri, GRIP_KINDS, &[], |kinds: Option<GripKinds>| kinds.unwrap_or_default().into())?;
     let (page, journal_id) = (journal.grips(query).await?, journal.id());
-    let response = if wants_csv(&headers) {
+    let response = if as_table {
         table(csv::GRIP_COLUMNS, &page, journal_id)
     } else {
         let (next_cursor, has_more) = (next_cursor(&page), page.next_cursor.is_some());
         Json(Grips { grips: raw(&page)?, next_cursor, has_more, journal_id }).into_response()
     };
-    Ok(with_link(response, "grips", &uri, &page))
+    Ok(with_link(response, if as_table { "grips.csv" } else { "grips" }, uri, &page))
 }
 
 fn command_id(text: &str) -> Result<CommandId, Problem> {
@@ -342,18 +399,17 @@ pub async fn grip(Shared(context): Shared<Arc<HttpContext>>, Path(id): Path<Stri
 #[utoipa::path(
     get, path = "/grips/{command}/curve", operation_id = "get_curve", tag = "journal",
     params(CommandPath),
-    responses((status = 200, description = "The curve", content((Curve = "application/json"), (String = "text/csv"))), JournalProblem)
+    responses((status = 200, description = "The curve", body = Curve), JournalProblem)
 )]
 pub async fn curve(
     Shared(context): Shared<Arc<HttpContext>>,
     Path(id): Path<String>,
     headers: HeaderMap,
 ) -> Result<Response, Problem> {
-    let id = command_id(&id)?;
-    let samples = context.gateway.journal.curve(id).await?.ok_or_else(no_such_grip)?;
     if wants_csv(&headers) {
-        return Ok(([(header::CONTENT_TYPE, CSV)], csv::curve(&samples)).into_response());
+        return curve_csv(Shared(context), Path(id)).await;
     }
+    let (id, samples) = samples(&context, &id).await?;
     let column = |value: fn(&Sample) -> f32| samples.iter().map(value).collect();
     let curve = Curve {
         id,
@@ -363,4 +419,17 @@ pub async fn curve(
         force_n: column(|sample| sample.force_n),
     };
     Ok(Json(curve).into_response())
+}
+
+/// Get a grip's curve as a table
+///
+/// Returns the curve as CSV, with a line for each sample.
+#[utoipa::path(
+    get, path = "/grips/{command}/curve.csv", operation_id = "get_curve_csv", tag = "journal",
+    params(CommandPath),
+    responses((status = 200, description = "The curve", body = String, content_type = "text/csv"), JournalProblem)
+)]
+pub async fn curve_csv(Shared(context): Shared<Arc<HttpContext>>, Path(id): Path<String>) -> Result<Response, Problem> {
+    let (_, samples) = samples(&context, &id).await?;
+    Ok(([(header::CONTENT_TYPE, CSV)], csv::curve(&samples)).into_response())
 }

@@ -10,14 +10,14 @@ use axum::http::Method as Verb;
 use axum::response::{IntoResponse, Response};
 use axum::routing::{get, post};
 use axum::{Extension, Router, middleware};
+use serde_json::Value;
 use tokio::sync::Semaphore;
 use tower_http::catch_panic::CatchPanicLayer;
-use utoipa::OpenApi as _;
-use utoipa::openapi::OpenApi;
 use utoipa_axum::router::OpenApiRouter;
 use utoipa_axum::routes;
 
 use super::context::{API, HttpContext};
+use super::openapi_document::completed;
 use super::{access_log, audit, docs, forward, gateway, guard, guide, journal, large, paths, stream, turn, upgrade};
 use crate::interfaces::dashboard;
 use crate::operations::{Code, Problem};
@@ -33,13 +33,14 @@ pub fn router(context: &Arc<HttpContext>) -> Router {
 
 fn served() -> Router<Arc<HttpContext>> {
     let (routes, document) = routes().split_for_parts();
-    routes.layer(Extension(Arc::new(docs::Documents::new(document)))).layer(CatchPanicLayer::custom(panicked))
+    let documents = docs::Documents::new(completed(&document));
+    routes.layer(Extension(Arc::new(documents))).layer(CatchPanicLayer::custom(panicked))
 }
 
 /// Returns the OpenAPI document of the router.
 #[must_use]
-pub fn openapi() -> OpenApi {
-    routes().into_openapi()
+pub fn openapi() -> Value {
+    completed(&routes().into_openapi())
 }
 
 type Routes = OpenApiRouter<Arc<HttpContext>>;
@@ -52,7 +53,6 @@ fn routes() -> Routes {
         .routes(routes!(gateway::metrics))
         .fallback(not_found)
         .split_for_parts();
-    document.merge(paths::forwarded::Forwarded::openapi());
     docs::without_null_bodies(&mut document);
     let router = router
         .merge(docs::page())
@@ -68,9 +68,12 @@ fn routes() -> Routes {
 fn journal() -> Routes {
     OpenApiRouter::new()
         .routes(routes!(journal::events))
+        .routes(routes!(journal::events_csv))
         .routes(routes!(journal::grips))
+        .routes(routes!(journal::grips_csv))
         .routes(routes!(journal::grip))
         .routes(routes!(journal::curve))
+        .routes(routes!(journal::curve_csv))
         .layer(middleware::from_fn_with_state(Arc::new(Semaphore::new(large::MAX_READS)), large::count))
 }
 

@@ -126,7 +126,7 @@ pub async fn serve(
     }
     let (router, closing, seconds) = (router(&context), shutdown.child_token(), limits.idle_time.as_secs());
     let keep_alive = HeaderValue::try_from(format!("timeout={seconds}")).unwrap_or(HeaderValue::from_static(""));
-    let server = Arc::new(Server { router, admission, closing, context, limits, keep_alive });
+    let server = Arc::new(Server { router, context, admission, limits, keep_alive, closing });
     tokio::select! {
         biased;
         () = shutdown.cancelled() => {}

@@ -11,7 +11,7 @@ use axum::response::Sse;
 use axum::response::sse::{self, KeepAlive};
 use futures_util::stream::unfold;
 use tokio_util::sync::CancellationToken;
-use utoipa::{IntoParams, ToSchema};
+use utoipa::IntoParams;
 
 use super::context::HttpContext;
 use super::home::Home;
@@ -62,21 +62,6 @@ pub struct StreamHeaders {
     last_event_id: Option<String>,
 }
 
-/// One server-sent event.
-#[derive(ToSchema)]
-#[schema(as = StreamMessage)]
-#[allow(dead_code, reason = "only describes the messages of a stream")]
-pub struct Message {
-    /// `event`, `grip`, `state`, `telemetry`, `frame`, `damage`, `fleet` or `gap`.
-    #[schema(nullable = false)]
-    event: Option<String>,
-    /// The `seq` of an event, or of the last event missing in a `gap` of events.
-    #[schema(nullable = false)]
-    id: Option<String>,
-    /// The body, as JSON.
-    data: String,
-}
-
 struct Stream {
     events: Option<EventStream>,
     updates: Subscription,
@@ -90,7 +75,8 @@ struct Stream {
 
 /// Stream live updates
 ///
-/// Sends server-sent events: `event` with its `seq` as id, `grip`, `state`, `telemetry`, `frame`, `damage` and `fleet`.
+/// Sends server-sent events: `event` with its `seq` as id, `grip`, `state`, `telemetry`, `frame`, `damage`, `fleet` and
+/// `gap`. Their data is JSON, with the schemas of the AsyncAPI document.
 ///
 /// Events continue without a gap after `Last-Event-ID`; without that header they start now. A `gap` gives the number of
 /// events after that id that are no longer stored, for all grippers together. If the journal was replaced and has not
@@ -105,7 +91,7 @@ struct Stream {
 #[utoipa::path(
     get, path = "/stream", operation_id = "stream", tag = "journal",
     params(StreamQuery, StreamHeaders),
-    responses((status = 200, description = "The stream", body = Message, content_type = "text/event-stream"), JournalProblem)
+    responses((status = 200, description = "The stream", body = String, content_type = "text/event-stream"), JournalProblem)
 )]
 pub async fn stream(
     Shared(context): Shared<Arc<HttpContext>>,

@@ -12,6 +12,8 @@ pub(super) struct AcknowledgeRight {
     subject: Arc<str>,
     /// Whether the client may acknowledge every FAST STOP.
     any: bool,
+    /// Whether the client holds the lease.
+    holds_lease: bool,
     /// The last FAST STOP that this client caused.
     caused: Option<FastStopId>,
     /// The last FAST STOP that this client has seen.
@@ -20,7 +22,11 @@ pub(super) struct AcknowledgeRight {
 
 impl AcknowledgeRight {
     pub(super) fn new(subject: Arc<str>, any: bool) -> Self {
-        Self { subject, any, caused: None, seen: None }
+        Self { subject, any, holds_lease: false, caused: None, seen: None }
+    }
+
+    pub(super) fn set_holder(&mut self, holds_lease: bool) {
+        self.holds_lease = holds_lease;
     }
 
     pub(super) fn caused(&mut self, id: FastStopId) {
@@ -36,8 +42,9 @@ impl AcknowledgeRight {
         self.seen.is_some()
     }
 
-    /// Whether the client may clear this FAST STOP. `is_held` says whether another client holds the lease.
+    /// Whether the client may clear this FAST STOP. `is_held` says whether a client holds the lease.
     pub(super) fn covers(&self, latch: &LatchFields, is_held: bool) -> bool {
+        let is_held = is_held && !self.holds_lease;
         let id = Some(latch.fast_stop_id);
         let is_cleared = match latch.fast_stop_cause {
             FastStopCause::Requested => false,

@@ -94,6 +94,18 @@ fn seen_latch_of_the_device_can_be_acknowledged() {
 }
 
 #[test]
+fn fault_without_a_latch_is_passed_on() {
+    for (fault_code, is_passed_on) in [(0, false), (3, false), (21, true), (30, true)] {
+        let mut bench = Bench { state: State { fault_code, ..state() }, ..Bench::new() };
+        bench.send(id::ACKNOWLEDGE_FAST_STOP, b"ack");
+        let order = bench.device.poll_order();
+        assert_eq!(order.is_some_and(|ordered| ordered.order == PortOrder::AcknowledgeFault), is_passed_on);
+        let answered = if is_passed_on { vec![] } else { vec![(id::ACKNOWLEDGE_FAST_STOP, Status::E_SUCCESS)] };
+        assert_eq!(bench.sent(), answered, "{fault_code}");
+    }
+}
+
+#[test]
 fn refusals_name_their_cause() {
     let mut bench = Bench::new();
     bench.send(id::ACKNOWLEDGE_FAST_STOP, b"");

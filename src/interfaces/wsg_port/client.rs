@@ -343,6 +343,16 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
                 }
             }
             .boxed(),
+            PortOrder::AcknowledgeFault => async move {
+                match gripper.acknowledge_fault(client, Some(token)).await {
+                    // The fault may be over by now.
+                    Ok(()) | Err(Rejection::Invalid(_)) => {
+                        Step::Answered(ask, PortReply::Reply(Reply::Success(Data::None)))
+                    }
+                    Err(rejection) => Step::Rejected(ask, rejection, true),
+                }
+            }
+            .boxed(),
             PortOrder::Exchange(command) => {
                 let (accepted, is_accepted) = oneshot::channel();
                 let mut exchanged = async move {

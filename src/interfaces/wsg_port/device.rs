@@ -38,11 +38,16 @@ pub(super) const MAX_WAITING_FRAMES: usize = 256;
 /// Number of unread frames from which automatic updates are skipped, since the next update is newer.
 const MAX_FRAMES_BEFORE_UPDATES: usize = 16;
 
+/// Smallest `fault_code` of a fault that the device shows without a FAST STOP.
+const MIN_DEVICE_FAULT: u16 = 20;
+
 #[derive(Debug, PartialEq)]
 pub(super) enum PortOrder {
     Command(Action),
     FastStop,
     Acknowledge(FastStopId),
+    /// Acknowledges a fault of the device while no FAST STOP is latched.
+    AcknowledgeFault,
     Exchange(Command),
     Release,
 }
@@ -101,8 +106,6 @@ pub(super) struct VirtualDevice {
     frames: VecDeque<Vec<u8>>,
     announced: bool,
     overflown: bool,
-    /// Whether this client holds the lease.
-    holds_lease: bool,
     acknowledges: AcknowledgeRight,
 }
 
@@ -129,7 +132,6 @@ impl VirtualDevice {
             frames: VecDeque::new(),
             announced: false,
             overflown: false,
-            holds_lease: false,
             acknowledges: AcknowledgeRight::new(subject, rules.acknowledge_any),
         }
     }
@@ -159,7 +161,9 @@ impl VirtualDevice {
             PortReply::Accepted => self.status(ask.id, Status::E_CMD_PENDING),
             PortReply::Reply(reply) => self.reply(ask.id, &reply),
             PortReply::Refused(refusal) => {
-                refusal.fast_stop.into_iter().for_each(|id| self.acknowledges.saw(id));
+                if let Some(id) = refusal.fast_stop {
+                    self.acknowledges.saw(id);
+                }
                 self.status(ask.id, refusal.status);
             }
             PortReply::FastStopped(FastStop { id, confirmed }) => {
@@ -185,7 +189,7 @@ impl VirtualDevice {
 
     /// Notes whether this client holds the lease.
     pub(super) fn set_holder(&mut self, holds_lease: bool) {
-        self.holds_lease = holds_lease;
+        self.acknowledges.set_holder(holds_lease);
     }
 
     pub(super) fn poll_order(&mut self) -> Option<PortOrdered> {
@@ -392,14 +396,15 @@ impl VirtualDevice {
     /// Acknowledges a FAST STOP if this client may clear it.
     fn acknowledge(&mut self, state: &State) {
         let id = id::ACKNOWLEDGE_FAST_STOP;
-        let is_held = state.lease_holder.is_some() && !self.holds_lease;
+        let is_held = state.lease_holder.is_some();
         match &state.latch {
             Some(latch) if self.acknowledges.covers(latch, is_held) => {
                 self.order(id, true, PortOrder::Acknowledge(latch.fast_stop_id));
             }
             Some(_) => self.refuse(id, Status::E_ACCESS_DENIED, Cause::Acknowledge),
-            None if state.link == Link::Connected => self.reply(id, &Reply::Success(Data::None)),
-            None => self.status(id, Status::E_IO_ERROR),
+            None if state.link != Link::Connected => self.status(id, Status::E_IO_ERROR),
+            None if state.fault_code >= MIN_DEVICE_FAULT => self.order(id, true, PortOrder::AcknowledgeFault),
+            None => self.reply(id, &Reply::Success(Data::None)),
         }
     }
 

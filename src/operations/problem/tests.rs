@@ -30,7 +30,7 @@ fn conflict_names_its_cause() {
     let id = CommandId::generate();
     let (status, problem) = members(Conflict::AlreadyRunning { id });
     assert_eq!(
-        (status, &problem["code"], &problem["command"]),
+        (status, &problem["code"], &problem["command_id"]),
         (409, &"already_running".into(), &id.to_string().into())
     );
 }

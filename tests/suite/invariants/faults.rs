@@ -44,6 +44,25 @@ fn device_fault_is_named_by_its_fast_stop() {
 }
 
 #[test]
+fn fault_flag_without_a_fast_stop_is_a_fault() {
+    let mut world = homed();
+    world.device.apply(world.now, Change::FingerOverCurrent { finger: 1, on: true });
+    world.advance(Duration::from_millis(200));
+    assert_eq!((state(&world).fast_stop, fault(&world)), (Some(false), (true, Fault::Finger.code())));
+}
+
+#[test]
+fn error_without_a_fast_stop_is_a_fault_until_the_next_motion() {
+    let mut world = homed();
+    world.device.apply(world.now, Change::PlaceObstacle { width_mm: 50.0 });
+    assert_eq!(run(&mut world, move_to(20.0, 50.0)).outcome, Some(Outcome::Blocked));
+    world.advance(Duration::from_millis(200));
+    assert_eq!((state(&world).state, fault(&world)), (Some("ERROR"), (true, Fault::DeviceError.code())));
+    run(&mut world, move_to(80.0, 50.0));
+    assert_eq!(fault(&world), (false, 0));
+}
+
+#[test]
 fn motions_are_numbered_across_restarts() {
     let mut world = homed();
     assert_eq!((state(&world).last_command, state(&world).last_outcome), (1, Some(Outcome::Success)));

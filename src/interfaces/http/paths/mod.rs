@@ -8,7 +8,6 @@ pub mod device;
 pub mod fast_stop;
 pub mod fingers;
 pub mod fleet;
-pub mod forwarded;
 pub mod grippers;
 pub mod lease;
 pub mod motion;

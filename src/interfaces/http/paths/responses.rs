@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use utoipa::openapi::{Components, ContentBuilder, Ref, RefOr, Response, ResponseBuilder};
+use utoipa::openapi::{Components, ContentBuilder, HeaderBuilder, Ref, RefOr, Response, ResponseBuilder};
 use utoipa::{IntoResponses, ToSchema};
 
 use crate::operations::Members;
@@ -49,6 +49,10 @@ const PROBLEMS: &[(&str, &str, &str)] = &[
     ),
 ];
 
+/// Further problems of an operation on a gripper of another gateway.
+pub const FORWARDED: &[(&str, &str)] =
+    &[("404", "NotFound"), ("429", "Overloaded"), ("503", "LinkDown"), ("504", "DeviceTimeout")];
+
 macro_rules! sets {
     ($($(#[$doc:meta])* $name:ident [$($status:literal)*];)*) => {$(
         $(#[$doc])*
@@ -94,8 +98,13 @@ pub fn describe(components: &mut Components) {
     let schema = Ref::from_schema_name(Members::name());
     for (_, name, description) in PROBLEMS {
         let content = ContentBuilder::new().schema(Some(schema.clone())).build();
-        let response =
-            ResponseBuilder::new().description(*description).content("application/problem+json", content).build();
+        let mut response =
+            ResponseBuilder::new().description(*description).content("application/problem+json", content);
+        if *name == "Overloaded" {
+            let seconds = HeaderBuilder::new().description(Some("Time to wait before the next attempt, in seconds"));
+            response = response.header("Retry-After", seconds.build());
+        }
+        let response = response.build();
         components.responses.insert((*name).to_owned(), response.into());
     }
 }

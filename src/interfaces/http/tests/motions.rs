@@ -92,7 +92,9 @@ async fn rejected_submission_is_a_problem() {
     let id = CommandId::generate();
     let gateway = with_fate(Fate::Rejected(Conflict::AlreadyRunning { id }.into()));
     let answer = gateway.left("POST", "home", json!({})).await;
-    assert_eq!((answer.status, &answer.body["command"]), (409, &id.to_string().into()));
+    for name in ["command_id", "command"] {
+        assert_eq!((answer.status, &answer.body[name]), (409, &id.to_string().into()), "{name}");
+    }
     assert_eq!(answer.headers[header::CONTENT_TYPE], "application/problem+json");
     let invalid =
         Invalid::OutOfRange { field: "width_mm", value: 300.0, min: 0.0, max: 110.0, limit: "the device's stroke" };
