@@ -85,10 +85,8 @@ pub(super) struct Mechanics {
     pub blocked: Option<AxisDirection>,
     /// A Stop has reset the flag of the present block.
     block_stopped: bool,
-    /// The drive does not move, and no block is detected.
-    jammed: bool,
-    /// Steps of the motion or Stop while jammed.
-    jammed_for: u32,
+    /// Steps of the motion or Stop while the drive is jammed: it does not move, and no block is detected.
+    jammed: Option<u32>,
     activity: Activity,
     /// Difference between the device's width and the true width.
     offset_mm: f64,
@@ -106,8 +104,7 @@ impl Mechanics {
             referenced: false,
             blocked: None,
             block_stopped: false,
-            jammed: false,
-            jammed_for: 0,
+            jammed: None,
             activity: Activity::Rest,
             offset_mm: -start_mm,
             stroke_mm,
@@ -169,7 +166,7 @@ impl Mechanics {
     pub fn start(&mut self, plan: Plan) {
         self.blocked = None;
         self.block_stopped = false;
-        self.jammed_for = 0;
+        self.set_jammed(self.jammed.is_some());
         self.steady = false;
         self.activity = match plan {
             Plan::Home { direction, drive } => {
@@ -195,7 +192,7 @@ impl Mechanics {
             Activity::Stopping | Activity::Braking => {}
             Activity::Rest => self.blocked = None,
             _ if self.axis.is_moving() || self.is_jammed() => {
-                self.jammed_for = 0;
+                self.set_jammed(self.jammed.is_some());
                 self.activity = Activity::Stopping;
             }
             _ => self.rest(),
@@ -213,13 +210,12 @@ impl Mechanics {
     }
 
     pub fn set_jammed(&mut self, jammed: bool) {
-        self.jammed = jammed;
-        self.jammed_for = 0;
+        self.jammed = jammed.then_some(0);
     }
 
     /// Whether a motion runs that the drive does not execute.
     fn is_jammed(&self) -> bool {
-        self.jammed && self.is_running()
+        self.jammed.is_some() && self.is_running()
     }
 
     /// Simulates a power loss: the fingers stop, and the origin is lost.
@@ -262,10 +258,11 @@ impl Mechanics {
 
     fn step_jammed(&mut self) -> Option<StepOutcome> {
         self.axis.speed_mm_s = 0.0;
-        self.jammed_for += 1;
+        let steps = self.jammed.map_or(0, |steps| steps + 1);
+        self.jammed = Some(steps);
         let outcome = match self.activity {
             Activity::Braking => None,
-            _ if self.jammed_for < TIMEOUT_STEPS => return None,
+            _ if steps < TIMEOUT_STEPS => return None,
             Activity::Stopping => Some(StepOutcome::StopTimedOut),
             _ => Some(StepOutcome::Finished(Status::E_TIMEOUT)),
         };

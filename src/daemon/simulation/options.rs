@@ -65,7 +65,7 @@ fn apply(config: &mut DeviceConfig, option: &str, value: &str) -> Option<()> {
     match option {
         "part_mm" => part(config).width_mm = within(value, stroke)?,
         "part_side" => {
-            part(config).side = one_of(value, [("outside", GripSide::Outside), ("inside", GripSide::Inside)])?
+            part(config).side = one_of(value, [("outside", GripSide::Outside), ("inside", GripSide::Inside)])?;
         }
         "part_stiffness_n_mm" => part(config).stiffness_n_mm = within(value, 0.1..=2000.0)?,
         "firmware" => *config = one_of(value, [("fw4", config.clone()), ("fw2", config.clone().fw2())])?,
@@ -89,7 +89,7 @@ fn apply(config: &mut DeviceConfig, option: &str, value: &str) -> Option<()> {
             config.soft_limits = Some(SoftLimits::new(width(minus)?, width(plus)?)?);
         }
         "device_tag" => {
-            config.device_tag = Some(DeviceTag::new(value.as_bytes()).ok()?).filter(|tag| !tag.as_str().is_empty())
+            config.device_tag = Some(DeviceTag::new(value.as_bytes()).ok()?).filter(|tag| !tag.as_str().is_empty());
         }
         "checksum_evaluation" => {
             let values = [("true", ChecksumEvaluation::On), ("false", ChecksumEvaluation::Off)];
