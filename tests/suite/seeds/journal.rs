@@ -38,6 +38,7 @@ impl Journal {
             latch: remembered(PersistedKey::Latch),
             lease: remembered(PersistedKey::Lease),
             holding: remembered(PersistedKey::Holding),
+            last_command: remembered(PersistedKey::LastCommand),
             requests: Vec::new(),
             unclean: false,
         }
