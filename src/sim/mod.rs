@@ -29,6 +29,7 @@ mod link;
 mod models;
 mod motion;
 mod motions;
+mod options;
 mod outbox;
 mod possible;
 mod process;

@@ -122,9 +122,9 @@ async fn list_applies_its_filters() {
     assert_eq!(
         output(&file, &["list"]).await,
         [
-            "1970-01-01T00:16:42Z            3  right      -                      link reconnecting        reset, by \"peer\"",
-            "1970-01-01T00:16:41Z            2  left       -                      link connected",
-            "1970-01-01T00:16:40Z            1  -          -                      gateway started",
+            "1970-01-01T00:16:42.000Z        3  right      -                      link reconnecting        reset, by \"peer\"",
+            "1970-01-01T00:16:41.000Z        2  left       -                      link connected",
+            "1970-01-01T00:16:40.000Z        1  -          -                      gateway started",
         ]
     );
     for (arguments, expected) in [

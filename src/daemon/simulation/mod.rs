@@ -5,7 +5,6 @@
 //! `control` serves the switches of all devices over HTTP.
 
 mod control;
-mod options;
 mod pty;
 mod pump;
 mod serve;
@@ -79,7 +78,7 @@ impl SimulatedDevice {
     /// # Errors
     /// The options and their allowed values.
     pub fn with(mut self, option: &str, value: &str) -> Result<Self, String> {
-        options::set(&mut self.0, option, value)?;
+        self.0.set(option, value)?;
         Ok(self)
     }
 

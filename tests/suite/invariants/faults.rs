@@ -102,6 +102,7 @@ fn idle_gripper_changes_no_state() {
     let mut world = homed();
     world.advance(Duration::from_secs(10));
     let before = state(&world);
+    world.watches.state.mark_unchanged();
     world.advance(Duration::from_secs(1));
     let after = state(&world);
     assert!(after.updated_at > before.updated_at, "updates still arrive");

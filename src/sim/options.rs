@@ -4,17 +4,20 @@ use std::ops::RangeInclusive;
 use std::str::FromStr;
 use std::time::Duration;
 
-use crate::sim::{AxisDirection, BadChecksum, DeviceConfig, FingerConfig, GripSide, Part, Script, ScriptAnswer};
+use super::{AxisDirection, BadChecksum, DeviceConfig, FingerConfig, GripSide, Part, Script, ScriptAnswer};
 use crate::wsg::{ChecksumEvaluation, DeviceTag, SoftLimits, Status, Width, id};
+
+/// Allowed values of a width.
+const WITHIN_STROKE: &str = "a width within the stroke";
 
 /// All options with their values, as the guide lists them.
 const OPTIONS: [(&str, &str); 35] = [
-    ("part_mm", "a width within the stroke"),
+    ("part_mm", WITHIN_STROKE),
     ("part_side", "outside or inside"),
     ("part_stiffness_n_mm", "0.1 to 2000"),
     ("firmware", "fw2 or fw4"),
     ("serial_number", "a whole number"),
-    ("start_width_mm", "a width within the stroke"),
+    ("start_width_mm", WITHIN_STROKE),
     ("homing", "outer or inner"),
     ("clamping_travel_mm", "0 to 20"),
     ("part_width_tolerance_mm", "0 to 20"),
@@ -46,16 +49,22 @@ const OPTIONS: [(&str, &str); 35] = [
     ("partial_request_timeout_ms", "1 to 60000"),
 ];
 
-/// Sets an option.
-///
-/// # Errors
-/// The option with its allowed values, or all options.
-pub(super) fn set(config: &mut DeviceConfig, option: &str, value: &str) -> Result<(), String> {
-    let Some((_, allowed)) = OPTIONS.iter().find(|(name, _)| *name == option) else {
-        let names: Vec<_> = OPTIONS.iter().map(|(name, _)| *name).collect();
-        return Err(format!("unknown option {option}: use {}", names.join(", ")));
-    };
-    apply(config, option, value).ok_or_else(|| format!("{option} is {value:?}; it must be {allowed}"))
+impl DeviceConfig {
+    /// Sets an option.
+    ///
+    /// # Errors
+    /// The option with its allowed values, or all options.
+    pub fn set(&mut self, option: &str, value: &str) -> Result<(), String> {
+        let Some((_, allowed)) = OPTIONS.iter().find(|(name, _)| *name == option) else {
+            let names: Vec<_> = OPTIONS.iter().map(|(name, _)| *name).collect();
+            return Err(format!("unknown option {option}: use {}", names.join(", ")));
+        };
+        let stroke_mm = self.limits.stroke.mm();
+        apply(self, option, value).ok_or_else(|| match *allowed {
+            WITHIN_STROKE => format!("{option} is {value:?}; it must be a width from 0 to {stroke_mm}"),
+            _ => format!("{option} is {value:?}; it must be {allowed}"),
+        })
+    }
 }
 
 /// Sets an option, or returns `None` if the value is not allowed.
@@ -172,7 +181,7 @@ mod tests {
 
     fn set_on_wsg50(option: &str, value: &str) -> Result<DeviceConfig, String> {
         let mut config = DeviceConfig::wsg50();
-        set(&mut config, option, value).map(|()| config)
+        config.set(option, value).map(|()| config)
     }
 
     /// A value of each option that differs from the default.
