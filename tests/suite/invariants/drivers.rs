@@ -118,8 +118,8 @@ fn leaves(world: &mut World, (_, token): &(Client, LeaseToken)) {
     drop(request(world, |_: oneshot::Sender<()>| ActorRequest::LoseLease { token, times_taken: None }));
 }
 
-fn somebody_moves(world: &mut World) {
-    world.device.apply(world.now, Change::MoveBySomebody { width_mm: 50.0, speed_mm_s: 20.0 });
+fn somebody_moves(world: &mut World, width_mm: f64) {
+    world.device.apply(world.now, Change::MoveBySomebody { width_mm, speed_mm_s: 20.0 });
     world.advance(Duration::from_millis(30));
 }
 
@@ -131,11 +131,11 @@ fn script_takes_the_lease_only_if_the_fingers_move_after_it() {
     assert_eq!(holder(&world), None, "nothing moves");
     // Too late for the script.
     world.advance(Duration::from_millis(300));
-    somebody_moves(&mut world);
+    somebody_moves(&mut world, 80.0);
     assert_eq!((holder(&world), world.journal.foreign_motions), (None, 1));
     world.advance(Duration::from_secs(5));
     assert!(script(&mut world, &one).is_ok());
-    somebody_moves(&mut world);
+    somebody_moves(&mut world, 50.0);
     assert_eq!((holder(&world).as_deref(), world.journal.foreign_motions), (Some("wsg:10.0.0.1"), 1));
     let refused = script(&mut world, &other).unwrap_err();
     assert!(matches!(refused, Rejection::Conflict(Conflict::LeaseHeld { .. })), "{refused:?}");
@@ -164,7 +164,7 @@ fn lost_scripts_client_is_a_loss_only_if_the_fingers_move() {
         leaves(&mut world, &one);
         world.advance(Duration::from_millis(delay_ms));
         assert_eq!(state(&world).fast_stop, Some(false));
-        somebody_moves(&mut world);
+        somebody_moves(&mut world, 50.0);
         assert_eq!(state(&world).fast_stop, Some(is_stopped), "after {delay_ms} ms");
         if is_stopped {
             assert_eq!(latch(&world).fast_stop_cause, FastStopCause::ClientLost);
