@@ -48,6 +48,10 @@ enum Command {
         /// Firmware generation: fw2 or fw4
         #[arg(long, default_value = "fw4")]
         firmware: String,
+        /// Further option of the simulated gripper, as in the query of a sim:// URL, e.g. finger1=fmf or
+        /// script=B0:measurement (repeatable)
+        #[arg(long, value_name = "OPTION=VALUE")]
+        option: Vec<String>,
         /// Address to serve HTTP on for injecting faults: GET /devices lists the devices; POST /devices/0 takes an
         /// event, e.g. {"place_part": {"width_mm": 20}}, "take_part", "slip_part", {"overheat": {"temperature_c": 90}},
         /// "cool", {"silent": {"on": true}}, "cut_connection", {"reboot": {"ready_after_ms": 500}}
@@ -98,11 +102,15 @@ pub fn run() -> anyhow::Result<()> {
     let _logs = logging::init(cli.log_format);
     match cli.command {
         None => daemon::run(&Config::load(&cli.flags)?),
-        Some(Command::Sim { urls, model, part_mm, firmware, control }) => {
+        Some(Command::Sim { urls, model, part_mm, firmware, option, control }) => {
             let mut device = daemon::SimulatedDevice::of_model(&model).map_err(anyhow::Error::msg)?;
             device = device.with("firmware", &firmware).map_err(anyhow::Error::msg)?;
             if let Some(part_mm) = part_mm {
                 device = device.with("part_mm", &part_mm).map_err(anyhow::Error::msg)?;
+            }
+            for option in option {
+                let (name, value) = option.split_once('=').unwrap_or((&option, ""));
+                device = device.with(name, value).map_err(anyhow::Error::msg)?;
             }
             daemon::run_simulated(&urls, &device, control)
         }

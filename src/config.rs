@@ -53,8 +53,8 @@ const DEFAULT_IDLE_TIMEOUT: Duration = Duration::from_secs(10);
 /// Idle times that can be configured. A slow request header occupies its connection for as long.
 const IDLE_TIMEOUTS: RangeInclusive<Duration> = Duration::from_secs(1)..=Duration::from_hours(1);
 
-/// Default grippers: two simulated ones, one with a part in reach.
-const DEFAULT_GRIPPERS: [&str; 2] = ["left=sim://wsg50?part_mm=20", "right=sim://wsg50"];
+/// Default grippers: two simulated ones with a force finger each, one with a part in reach.
+const DEFAULT_GRIPPERS: [&str; 2] = ["left=sim://wsg50?part_mm=20&finger1=fmf", "right=sim://wsg50?finger1=fmf"];
 
 /// Flags and environment variables of `serve`.
 #[derive(Debug, Clone, Default, clap::Args)]

@@ -50,6 +50,14 @@ const LEASE_METHODS: &str = "lease.";
 const LEASE: &str = "lease";
 const CONFLICT: u16 = 409;
 
+/// Keys at which a gateway answers reads of its own: its lists of records, and its readiness.
+pub const EVENTS: &str = "events";
+pub const GRIPS: &str = "grips";
+pub const READINESS: &str = "readiness";
+
+/// Largest accepted reply of another gateway, in bytes.
+const MAX_REPLY_BYTES: usize = 1 << 20;
+
 /// A request to another gateway.
 #[derive(Debug, Clone)]
 pub struct Ask {
@@ -142,18 +150,39 @@ impl Peers {
         None
     }
 
+    /// Reads something of another gateway as a whole. `query` has the filters.
+    ///
+    /// # Errors
+    /// [`NoAnswer`], if the gateway does not answer.
+    pub async fn read(&self, gateway: &Name, what: &'static str, query: String) -> Result<Asked, NoAnswer> {
+        let _place = self.asks.clone().try_acquire_owned().map_err(|_| NoAnswer::TooMany)?;
+        self.get(gateway, ZenohKeys::of(gateway).own(what), query, ON_ITS_WAY, Urgency::None).await
+    }
+
     async fn send(&self, ask: Ask) -> Result<Asked, NoAnswer> {
-        let session = self.session.get().cloned().ok_or(NoAnswer::Unknown)?;
         let key = ZenohKeys::of(&ask.gateway).gripper(&ask.gripper, &format!("command/{}", ask.method));
         let subject = ("client", format!("{}/{}", self.gateway, ask.client.subject));
         let wait_ms = ask.wait.map(|wait| ("wait_ms", wait.as_millis().to_string()));
         let parameters = [subject].into_iter().chain(wait_ms).chain(ask.aside);
         let parameters: Vec<_> = parameters.map(|(key, value)| format!("{key}={}", keys::encoded(&value))).collect();
         let within = ask.wait.unwrap_or_default() + ON_ITS_WAY;
-        let (payload, urgency) = (ask.params.to_string(), ask.urgency);
+        let selector = format!("{key}?{}", parameters.join(";"));
+        self.get(&ask.gateway, selector, ask.params.to_string(), within, ask.urgency).await
+    }
+
+    /// Queries another gateway, and returns its reply.
+    async fn get(
+        &self,
+        gateway: &Name,
+        selector: String,
+        payload: String,
+        within: Duration,
+        urgency: Urgency,
+    ) -> Result<Asked, NoAnswer> {
+        let session = self.session.get().cloned().ok_or(NoAnswer::Unknown)?;
         // The send can block, so it gets a thread on which nothing else waits.
         let sent = tokio::task::spawn_blocking(move || {
-            let get = session.get(format!("{key}?{}", parameters.join(";"))).payload(payload).timeout(within);
+            let get = session.get(selector).payload(payload).timeout(within);
             let get = get.encoding(Encoding::APPLICATION_JSON).allowed_destination(Locality::Remote);
             // Without consolidation, a stranger's reply cannot replace another one with the same key.
             let get = get.target(QueryTarget::All).consolidation(ConsolidationMode::None);
@@ -165,7 +194,7 @@ impl Peers {
             let reply = tokio::select! {
                 Some(reply) = proofs.next() => reply,
                 Ok(reply) = replies.recv_async(), if proofs.len() < MAX_PROOFS => {
-                    proofs.push(self.of_owner(&ask.gateway, reply));
+                    proofs.push(self.of_owner(gateway, reply));
                     continue;
                 }
                 else => break,
@@ -241,7 +270,10 @@ fn parse_reply(reply: &Reply) -> Option<Asked> {
     struct Status {
         status: u16,
     }
-    let json = |payload: &ZBytes| serde_json::from_slice(&payload.to_bytes()).ok();
+    let is_bounded = |payload: &&ZBytes| payload.len() <= MAX_REPLY_BYTES;
+    let json = |payload: &ZBytes| {
+        Some(payload).filter(is_bounded).and_then(|payload| serde_json::from_slice(&payload.to_bytes()).ok())
+    };
     match reply.result() {
         Ok(sample) => Some(Ok(json(sample.payload())?)),
         Err(error) => {

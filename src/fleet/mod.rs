@@ -10,7 +10,7 @@ mod others;
 mod report;
 mod twins;
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::time::{Duration, Instant};
 
@@ -28,7 +28,7 @@ use self::twins::Twins;
 use crate::gripper::model::{Client, FastStopId, Name, Reason, State};
 use crate::gripper::{Grippers, Now};
 
-pub use ask::{Ask, Asked, NoAnswer};
+pub use ask::{Ask, Asked, EVENTS, GRIPS, NoAnswer, READINESS};
 pub use report::FleetGripper;
 
 /// Maximum number of concurrent requests to other gateways. The limit applies separately to stops, to lease requests,
@@ -145,6 +145,12 @@ impl Peers {
         let mut all: Vec<_> = own.chain(self.others().grippers(Now::read().instant)).collect();
         all.sort_by_cached_key(FleetGripper::name);
         all
+    }
+
+    /// All other gateways, and whether each is gone.
+    #[must_use]
+    pub fn gateways(&self) -> BTreeMap<Name, bool> {
+        self.others().gateways(Now::read().instant)
     }
 
     /// Whether a gateway is this one.

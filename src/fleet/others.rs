@@ -166,6 +166,19 @@ impl Others {
         self.grippers.iter().filter_map(listed).collect()
     }
 
+    /// Known gateways, and whether each is gone.
+    pub(super) fn gateways(&self, now: Instant) -> BTreeMap<Name, bool> {
+        let mut gateways = BTreeMap::new();
+        let listed = self.grippers.iter().filter(|(_, known)| now.saturating_duration_since(known.at) < KEPT_FOR);
+        for ((gateway, _), known) in listed {
+            *gateways.entry(gateway.clone()).or_insert(true) &= self.is_gone(gateway, known, now);
+        }
+        for gateway in &self.alive {
+            gateways.entry(gateway.clone()).or_insert(false);
+        }
+        gateways
+    }
+
     /// State of each gripper's FAST STOP since `begun`. Grippers of gone gateways are included: they could still move.
     pub(super) fn stops_since(&self, begun: Instant) -> BTreeMap<(Name, Name), Stop> {
         let now = Now::read().instant;
@@ -231,6 +244,7 @@ mod tests {
         assert_eq!(lost(&others, "cell-2", "left", now), None);
         others.take_token(name("cell-2"), true);
         assert_eq!(lost(&others, "cell-2", "left", now), Some(false), "its grippers are not known yet");
+        assert_eq!(others.gateways(now), [(name("cell-1"), true), (name("cell-2"), false)].into());
         assert_eq!(gone(&others, now + KEPT_FOR), [] as [bool; 0]);
     }
 

@@ -115,6 +115,12 @@ impl FleetGripper {
         (self.gateway.clone(), self.gripper.clone())
     }
 
+    /// Id of the latched FAST STOP, if one is latched.
+    #[must_use]
+    pub fn fast_stop_id(&self) -> Option<FastStopId> {
+        self.fast_stop_id
+    }
+
     /// Returns a copy without the age, which changes all the time.
     #[must_use]
     pub fn lasting(&self) -> Self {

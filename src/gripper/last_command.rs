@@ -12,6 +12,9 @@ pub(super) struct LastCommand {
     id: Option<CommandId>,
     /// Result of the motion; `None` while it runs.
     outcome: Option<Outcome>,
+    /// Numbers that the next motion skips.
+    #[serde(skip)]
+    skipped: u32,
 }
 
 impl LastCommand {
@@ -19,13 +22,14 @@ impl LastCommand {
     /// been used without being persisted.
     pub(super) fn restored(self, skipped: u32) -> Self {
         let outcome = self.id.map(|_| self.outcome.unwrap_or(Outcome::Unknown));
-        Self { number: self.number.checked_add(skipped).unwrap_or(1), outcome, ..self }
+        Self { outcome, skipped, ..self }
     }
 
     /// Takes an admitted motion, and returns its number.
     pub(super) fn admitted(&mut self, id: CommandId) -> u32 {
-        let number = self.number.checked_add(1).unwrap_or(1);
-        *self = Self { number, id: Some(id), outcome: None };
+        let next = self.number.checked_add(self.skipped).and_then(|number| number.checked_add(1));
+        let number = next.unwrap_or(1);
+        *self = Self { number, id: Some(id), outcome: None, skipped: 0 };
         number
     }
 
@@ -60,16 +64,18 @@ mod tests {
     #[test]
     fn number_is_never_zero_after_a_motion() {
         let newest = LastCommand { number: u32::MAX, ..LastCommand::default() };
-        assert_eq!(newest.clone().admitted(CommandId::generate()), 1);
-        assert_eq!(newest.restored(1000).number(), 1);
+        for mut newest in [newest.clone(), newest.restored(1000)] {
+            assert_eq!(newest.admitted(CommandId::generate()), 1);
+        }
     }
 
     #[test]
     fn motion_that_ran_at_a_restart_is_unknown() {
         let mut motion = LastCommand::default();
         assert_eq!(motion.admitted(CommandId::generate()), 1);
-        let restored = motion.clone().restored(1000);
-        assert_eq!((restored.number(), restored.outcome()), (1001, Some(Outcome::Unknown)));
+        let mut restored = motion.restored(1000);
+        assert_eq!((restored.number(), restored.outcome()), (1, Some(Outcome::Unknown)));
+        assert_eq!(restored.admitted(CommandId::generate()), 1002);
         assert_eq!(LastCommand::default().restored(0), LastCommand::default());
     }
 }

@@ -143,8 +143,12 @@ impl Setup {
     pub(super) fn take(&mut self, reply: Reply) {
         let Some((command, attempts)) = self.current.take() else { return };
         match (command.id(), reply) {
-            (id::GET_SOFT_LIMITS, Reply::Success(Data::SoftLimits(found))) => self.compare_soft_limits(Some(found)),
-            (id::GET_SOFT_LIMITS, Reply::Status(Status::E_NOT_AVAILABLE)) => self.compare_soft_limits(None),
+            (id::GET_SOFT_LIMITS, Reply::Success(Data::SoftLimits(found))) => {
+                self.compare_soft_limits(WantedSoftLimits::Set(found));
+            }
+            (id::GET_SOFT_LIMITS, Reply::Status(Status::E_NOT_AVAILABLE)) => {
+                self.compare_soft_limits(WantedSoftLimits::Cleared);
+            }
             // The device has to report its identity and its flags.
             (_, Reply::Status(_)) if is_vital(&command) => self.current = Some((command, attempts)),
             (_, Reply::Status(_)) if self.concerns_wanted(&command) => {
@@ -153,6 +157,14 @@ impl Setup {
             }
             (_, Reply::Status(_)) => {}
             (_, Reply::Success(data)) => self.take_data(&command, data),
+        }
+    }
+
+    /// Takes an invalid reply. Soft limits with minus above plus (35h) are none that a client has set, so they are set
+    /// again; without such a setting, they are left to the device.
+    pub(super) fn take_invalid(&mut self) {
+        if self.current.take_if(|(command, _)| *command == Command::GetSoftLimits).is_some() {
+            self.compare_soft_limits(WantedSoftLimits::AsTheyAre);
         }
     }
 
@@ -215,19 +227,21 @@ impl Setup {
         }
     }
 
-    fn compare_soft_limits(&mut self, found: Option<SoftLimits>) {
-        self.soft_limits = found;
-        let as_found = found.map_or(WantedSoftLimits::Cleared, WantedSoftLimits::Set);
-        match self.wanted.soft_limits {
-            WantedSoftLimits::AsTheyAre => {}
-            WantedSoftLimits::Set(_) if found.is_none() && self.restored.contains(&Setting::SoftLimits) => {
+    /// Takes the device's soft limits; [`WantedSoftLimits::AsTheyAre`] if they are unreadable.
+    fn compare_soft_limits(&mut self, found: WantedSoftLimits) {
+        self.soft_limits = if let WantedSoftLimits::Set(limits) = found { Some(limits) } else { None };
+        let is_restored = self.restored.contains(&Setting::SoftLimits);
+        match (self.wanted.soft_limits, found) {
+            (WantedSoftLimits::AsTheyAre, _) => {}
+            (wanted, found) if wanted == found => {}
+            (WantedSoftLimits::Cleared, _) if !is_restored => self.todo.push_front(Command::ClearSoftLimits),
+            (WantedSoftLimits::Set(wanted), _) if !is_restored => {
+                self.todo.push_front(Command::SetSoftLimits(wanted));
+            }
+            (WantedSoftLimits::Set(_), WantedSoftLimits::Set(_)) => self.wanted.soft_limits = found,
+            _ => {
                 self.lost.insert(Setting::SoftLimits);
             }
-            wanted if wanted == as_found || self.restored.contains(&Setting::SoftLimits) => {
-                self.wanted.soft_limits = as_found;
-            }
-            WantedSoftLimits::Cleared => self.todo.push_front(Command::ClearSoftLimits),
-            WantedSoftLimits::Set(wanted) => self.todo.push_front(Command::SetSoftLimits(wanted)),
         }
     }
 
@@ -408,6 +422,36 @@ mod tests {
             assert_eq!(set, sent.map(Command::SetForceLimit).iter().collect::<Vec<_>>(), "found {found}");
             assert_eq!((setup.wanted().force_limit, end), (force(known), Step::Done), "found {found}");
             assert!(setup.lost.is_empty());
+        }
+    }
+
+    #[test]
+    fn reversed_soft_limits_are_replaced_by_the_limits_of_a_client() {
+        let width = |mm| Width::new(mm).unwrap();
+        let limits = SoftLimits::new(width(10.0), width(60.0)).unwrap();
+        for (soft_limits, mend) in [
+            (WantedSoftLimits::AsTheyAre, None),
+            (WantedSoftLimits::Cleared, Some(Command::ClearSoftLimits)),
+            (WantedSoftLimits::Set(limits), Some(Command::SetSoftLimits(limits))),
+        ] {
+            let mut setup = Setup::new(switch_on(), Some(7), Wanted { soft_limits, ..Wanted::default() });
+            let mut sent = Vec::new();
+            while let Step::Send(command) = setup.next() {
+                let is_mended = mend.as_ref().is_some_and(|mend| sent.contains(mend));
+                match &command {
+                    Command::GetSoftLimits if !is_mended => setup.take_invalid(),
+                    Command::GetSoftLimits if mend == Some(Command::SetSoftLimits(limits)) => {
+                        setup.take(Reply::Success(Data::SoftLimits(limits)));
+                    }
+                    command => setup.take(forgetful(command).unwrap()),
+                }
+                sent.push(command);
+            }
+            assert_eq!(
+                sent.iter().find(|command| Setting::of(command.id()).is_some_and(|_| !command.is_read())),
+                mend.as_ref()
+            );
+            assert!(setup.lost.is_empty() && setup.current.is_none(), "{soft_limits:?}");
         }
     }
 

@@ -1,22 +1,35 @@
-//! The grippers of all gateways on the Zenoh network, and their FAST STOP.
+//! The grippers of all gateways on the Zenoh network, their FAST STOP and its acknowledgement.
 
+use std::collections::BTreeSet;
+
+use futures_util::StreamExt as _;
+use futures_util::stream::iter;
 use http::Method as Verb;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+use serde_json::value::{RawValue, to_raw_value};
 use utoipa::ToSchema;
 
 use super::call::{Call, NoFields};
-use super::fast_stop::{by_confirmation, log, reason};
+use super::fast_stop::{ACKNOWLEDGE as ACKNOWLEDGE_ONE, by_confirmation, log, reason};
 use super::operation::{Operation, Role, ready, reply};
-use super::problem::Problem;
+use super::problem::{Members, Problem};
 use super::reply::Json;
-use crate::fleet::{FleetGripper, FleetStop};
-use crate::gripper::model::{FastStopId, Urgency};
+use crate::fleet::{Ask, FleetGripper, FleetStop, NoAnswer};
+use crate::gripper::model::{Code, FastStopId, Name, Urgency};
 
 pub const LIST: Operation = Operation::read("fleet", "/fleet", |call| ready(list(&call)));
 pub const FAST_STOP: Operation =
     Operation::change("fleet.fast-stop", &Verb::POST, "/fleet/fast-stop", |call| reply(fast_stop(call)))
         .needs(Role::Stop)
         .urgent(Urgency::FastStop);
+
+pub const ACKNOWLEDGE: Operation =
+    Operation::change("fleet.acknowledge", &Verb::POST, "/fleet/acknowledge", |call| reply(acknowledge(call)));
+
+/// Most FAST STOPs that one request acknowledges, and most grippers at the same time.
+const MAX_IDS: usize = 256;
+const MAX_AT_ONCE: usize = 16;
 
 /// The grippers of all gateways.
 #[derive(Debug, Serialize, ToSchema)]
@@ -59,4 +72,115 @@ async fn fast_stop(call: Call) -> Result<Json<FleetFastStopAnswer>, Problem> {
         confirmed,
         unconfirmed,
     }))
+}
+
+/// The FAST STOPs to acknowledge.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(example = json!({"fast_stop_ids": ["019aa5c8-5a70-7c31-9f3f-4a3b7c1d2e4f"]}))]
+pub struct FleetAcknowledge {
+    /// Ids of the FAST STOPs, as in the list of the fleet.
+    #[schema(value_type = Vec<uuid::Uuid>, min_items = 1, max_items = 256)]
+    fast_stop_ids: Vec<String>,
+}
+
+/// Result of an acknowledgement at all gateways.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({"acknowledged": ["cell-7/left"], "failed": []}))]
+pub struct FleetAcknowledged {
+    /// Grippers whose FAST STOP was cleared, as gateway/gripper.
+    acknowledged: Vec<String>,
+    /// Grippers whose FAST STOP was not cleared.
+    failed: Vec<FailedAcknowledge>,
+}
+
+/// A failed acknowledgement.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct FailedAcknowledge {
+    /// The gripper, as gateway/gripper.
+    gripper: String,
+    /// Reason for the failure.
+    #[schema(value_type = Members)]
+    problem: Box<RawValue>,
+}
+
+async fn acknowledge(call: Call) -> Result<Json<FleetAcknowledged>, Problem> {
+    let FleetAcknowledge { fast_stop_ids } = call.fields()?;
+    if !(1..=MAX_IDS).contains(&fast_stop_ids.len()) {
+        return Err(Problem::malformed("fast_stop_ids", format!("fast_stop_ids must have 1 to {MAX_IDS} ids")));
+    }
+    let parsed = |id: String| {
+        let malformed = |error: uuid::Error| format!("fast_stop_ids has {id:?}, which is not a UUID: {error}");
+        let id = id.parse::<FastStopId>();
+        id.map(|id| id.to_string()).map_err(|error| Problem::malformed("fast_stop_ids", malformed(error)))
+    };
+    let ids: BTreeSet<String> = fast_stop_ids.into_iter().map(parsed).collect::<Result<_, _>>()?;
+    let latched = call.gateway.peers.grippers().into_iter().filter_map(|gripper| {
+        let id = gripper.fast_stop_id().filter(|id| ids.contains(&id.to_string()))?;
+        Some((gripper.name(), id))
+    });
+    let acknowledged = iter(latched.collect::<Vec<_>>())
+        .map(|((gateway, gripper), id)| {
+            let call = &call;
+            async move { (format!("{gateway}/{gripper}"), acknowledge_one(call, &gateway, &gripper, id).await) }
+        })
+        .buffered(MAX_AT_ONCE)
+        .collect::<Vec<_>>()
+        .await;
+    let mut answer = FleetAcknowledged { acknowledged: Vec::new(), failed: Vec::new() };
+    for (gripper, result) in acknowledged {
+        match result {
+            Ok(()) => answer.acknowledged.push(gripper),
+            Err(problem) => answer.failed.push(FailedAcknowledge { gripper, problem }),
+        }
+    }
+    Ok(Json(answer))
+}
+
+async fn acknowledge_one(call: &Call, gateway: &str, gripper: &str, id: FastStopId) -> Result<(), Box<RawValue>> {
+    let raw = |problem: Problem| to_raw_value(problem.members()).unwrap_or_default();
+    let client = call.caller.client.clone();
+    let unknown = || raw(Problem::not_found("gripper with this name"));
+    let gateway: Name = gateway.parse().map_err(|_| unknown())?;
+    let gripper: Name = gripper.parse().map_err(|_| unknown())?;
+    if call.gateway.peers.is_own(&gateway) {
+        let handle = call.gateway.grippers.get(&gripper).ok_or_else(unknown)?;
+        return handle.acknowledge(id, client).await.map_err(|rejection| raw(rejection.into()));
+    }
+    let ask = Ask {
+        gateway: gateway.clone(),
+        gripper,
+        method: ACKNOWLEDGE_ONE.name,
+        params: json!({"fast_stop_id": id}),
+        wait: None,
+        aside: Vec::new(),
+        client,
+        urgency: Urgency::None,
+    };
+    match call.gateway.peers.ask(ask).await {
+        Ok(Ok(_)) => Ok(()),
+        Ok(Err((_, problem))) => Err(problem),
+        Err(why) => Err(raw(no_answer(&gateway, why))),
+    }
+}
+
+/// The problem of a gateway that did not answer.
+pub fn no_answer(gateway: &Name, why: NoAnswer) -> Problem {
+    match why {
+        NoAnswer::Unknown => Problem::not_found(format!("gateway {gateway} on the Zenoh network: /fleet lists all")),
+        NoAnswer::Gone => {
+            let detail = format!("gateway {gateway} is gone from the Zenoh network: nothing was sent to it");
+            Problem::new(Code::GatewayGone, detail)
+        }
+        NoAnswer::TooMany => {
+            Problem::new(Code::Overloaded, "too many requests to other gateways are in progress: try again later")
+        }
+        NoAnswer::None => {
+            let detail = format!(
+                "gateway {gateway} did not answer: the outcome is unknown. Check the gripper's state, or repeat the \
+                 request with the same request_id, which moves nothing twice"
+            );
+            Problem::new(Code::GatewayTimeout, detail)
+        }
+    }
 }

@@ -53,6 +53,7 @@ pub const OPERATIONS: &[Operation] = &[
     connection::CONNECT,
     fleet::LIST,
     fleet::FAST_STOP,
+    fleet::ACKNOWLEDGE,
     webhooks::LIST,
     webhooks::TEST,
 ];

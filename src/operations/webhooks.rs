@@ -52,10 +52,10 @@ pub struct WebhookReport {
     waiting: i64,
     /// Time of the newest delivery since the gateway started; null before the first.
     #[schema(value_type = Option<String>, format = DateTime, required)]
-    last_success_at: Option<Timestamp>,
+    last_success_at: Option<String>,
     /// Time of the newest failed attempt since the gateway started; null if there was none.
     #[schema(value_type = Option<String>, format = DateTime, required)]
-    last_error_at: Option<Timestamp>,
+    last_error_at: Option<String>,
     /// Cause of that failure, with the remedy.
     #[schema(required)]
     last_error: Option<String>,
@@ -63,24 +63,25 @@ pub struct WebhookReport {
     failed_attempts: u32,
     /// Time of the next attempt, while the newest one has failed; otherwise null.
     #[schema(value_type = Option<String>, format = DateTime, required)]
-    retry_at: Option<Timestamp>,
+    retry_at: Option<String>,
 }
 
 impl WebhookReport {
     fn of(webhook: &Webhook) -> Self {
         let WebhookProgress { position, last_success_at, last_error_at, last_error, failed_attempts, retry_at } =
             webhook.progress();
+        let text = |at: Option<Timestamp>| at.map(|at| format!("{at:.3}"));
         Self {
             name: webhook.name().to_string(),
             origin: webhook.receiver().to_string(),
             kinds: webhook.kinds().map(<[_]>::to_vec),
             position,
             waiting: webhook.waiting(),
-            last_success_at,
-            last_error_at,
+            last_success_at: text(last_success_at),
+            last_error_at: text(last_error_at),
             last_error,
             failed_attempts,
-            retry_at,
+            retry_at: text(retry_at),
         }
     }
 }

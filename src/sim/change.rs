@@ -61,6 +61,8 @@ pub enum Change {
     },
     /// A motion from another source, such as the device's web page. Ignored while a motion runs or motion is blocked.
     MoveBySomebody { width_mm: f64, speed_mm_s: f64 },
+    /// The drive jams or runs again. While it is jammed, motions and Stops end in `E_TIMEOUT`.
+    Jam { on: bool },
     /// A FAST STOP that no client requested.
     SetFastStop,
     /// The script ends with an error. Its commands are unknown until it starts again.
@@ -121,6 +123,7 @@ impl Device {
                 self.count_if(on, FaultName::FingerFault);
             }
             Change::MoveBySomebody { width_mm, speed_mm_s } => self.foreign_motion(width_mm, speed_mm_s),
+            Change::Jam { on } => self.mechanics.set_jammed(on),
             Change::SetFastStop => {
                 self.faults.counts.add(FaultName::FastStop);
                 self.fast_stop();

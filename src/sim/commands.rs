@@ -93,7 +93,10 @@ impl Device {
             Command::ClearSoftLimits => self.settings.soft_limits = None,
             Command::OverdriveMode { .. } if !self.config.overdrive => return Status::E_FEATURE_NOT_SUPPORTED,
             Command::OverdriveMode { on } => self.settings.set_overdrive(on, &self.config),
-            Command::SetDeviceTag(tag) => self.settings.device_tag = Some(tag),
+            // Ruling: an empty tag removes the tag.
+            Command::SetDeviceTag(tag) => {
+                self.settings.device_tag = Some(tag).filter(|tag| !tag.as_str().is_empty());
+            }
             _ => {}
         }
         self.mechanics.set_grip_force(self.settings.force_limit_n);

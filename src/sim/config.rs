@@ -121,6 +121,8 @@ pub struct DeviceConfig {
     pub stop_sets_flag_when_idle: bool,
     /// Whether Stop while HOLDING ends the gripping force. The manuals leave it open.
     pub stop_lets_go: bool,
+    /// Whether a FAST STOP while HOLDING ends the gripping force. The manuals leave it open.
+    pub fast_stop_lets_go: bool,
     /// Status for an acknowledgement while the fault persists. No manual names one. Ruling: the FAST STOP stays.
     pub early_acknowledge: Status,
     /// Status for a grip in the opposite direction without a release between. fw4 forbids it without naming a status.
@@ -170,6 +172,7 @@ impl DeviceConfig {
             stop_answers_first: true,
             stop_sets_flag_when_idle: true,
             stop_lets_go: false,
+            fast_stop_lets_go: true,
             early_acknowledge: Status::E_SUCCESS,
             opposite_grip: Status::E_ALREADY_RUNNING,
             ambient_c: 25.0,

@@ -193,7 +193,7 @@ fn stop_while_gripping_leads_to_idle() {
     bench.pass(ms(100));
     bench.ask(&Command::Stop);
     assert_eq!(bench.pass(ms(100)), [(id::STOP, DONE), (id::GRIP, status(Status::E_CMD_ABORTED))]);
-    assert_eq!((bench.state(), bench.snapshot().statistics.total), (GripperState::Idle, 0));
+    assert_eq!((bench.state(), bench.snapshot().statistics.no_part), (GripperState::Idle, 0));
 }
 
 #[test]

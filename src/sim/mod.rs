@@ -34,6 +34,8 @@ mod possible;
 mod process;
 mod received;
 mod replies;
+#[cfg(test)]
+mod rulings_tests;
 mod settings;
 mod snapshot;
 mod stops;

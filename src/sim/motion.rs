@@ -12,6 +12,9 @@ mod ends;
 /// Number of pressing steps that count as a block.
 const BLOCK_STEPS: u32 = 10;
 
+/// Number of steps after which a blocked release or a jammed drive times out. The manuals name no time.
+const TIMEOUT_STEPS: u32 = 3000;
+
 /// Factor by which FAST STOP brakes harder than any motion.
 const FAST_STOP_FACTOR: f64 = 4.0;
 
@@ -34,6 +37,8 @@ pub(super) enum StepOutcome {
     Finished(Status),
     /// The fingers came to rest after a Stop.
     Stopped,
+    /// The drive is jammed, and the Stop timed out.
+    StopTimedOut,
     /// The held part is gone.
     PartLost,
     /// The fingers leave the soft limits.
@@ -78,6 +83,10 @@ pub(super) struct Mechanics {
     pub world: World,
     pub referenced: bool,
     pub blocked: Option<AxisDirection>,
+    /// A Stop has reset the flag of the present block.
+    block_stopped: bool,
+    /// Steps of the motion or Stop while the drive is jammed: it does not move, and no block is detected.
+    jammed: Option<u32>,
     activity: Activity,
     /// Difference between the device's width and the true width.
     offset_mm: f64,
@@ -94,6 +103,8 @@ impl Mechanics {
             world: World::new(stroke_mm),
             referenced: false,
             blocked: None,
+            block_stopped: false,
+            jammed: None,
             activity: Activity::Rest,
             offset_mm: -start_mm,
             stroke_mm,
@@ -154,6 +165,8 @@ impl Mechanics {
 
     pub fn start(&mut self, plan: Plan) {
         self.blocked = None;
+        self.block_stopped = false;
+        self.set_jammed(self.jammed.is_some());
         self.steady = false;
         self.activity = match plan {
             Plan::Home { direction, drive } => {
@@ -167,25 +180,42 @@ impl Mechanics {
     }
 
     /// Stops the fingers. [`StepOutcome::Stopped`] follows when the fingers are at rest; at once if nothing moves. A
-    /// held part stays held unless `let_go`.
+    /// held part stays held unless `let_go`. Ruling: a Stop resets the flag of a block while holding too (`fw4-en`
+    /// Appendix B).
     pub fn stop(&mut self, let_go: bool) -> Option<StepOutcome> {
         self.steady = false;
         match self.activity {
-            Activity::Hold(_) if !let_go => return Some(StepOutcome::Stopped),
+            Activity::Hold(_) if !let_go => {
+                self.blocked = None;
+                self.block_stopped = true;
+            }
             Activity::Stopping | Activity::Braking => {}
             Activity::Rest => self.blocked = None,
-            _ if self.axis.is_moving() => self.activity = Activity::Stopping,
+            _ if self.axis.is_moving() || self.is_jammed() => {
+                self.set_jammed(self.jammed.is_some());
+                self.activity = Activity::Stopping;
+            }
             _ => self.rest(),
         }
-        if self.axis.is_moving() { None } else { Some(StepOutcome::Stopped) }
+        if matches!(self.activity, Activity::Stopping | Activity::Braking) { None } else { Some(StepOutcome::Stopped) }
     }
 
-    pub fn fast_stop(&mut self) {
-        if self.axis.is_moving() {
-            self.activity = Activity::Braking;
-        } else {
-            self.rest();
+    /// Stops the fingers the fastest way. A held part stays held unless `let_go`.
+    pub fn fast_stop(&mut self, let_go: bool) {
+        match self.activity {
+            Activity::Hold(_) if !let_go => {}
+            _ if self.axis.is_moving() => self.activity = Activity::Braking,
+            _ => self.rest(),
         }
+    }
+
+    pub fn set_jammed(&mut self, jammed: bool) {
+        self.jammed = jammed.then_some(0);
+    }
+
+    /// Whether a motion runs that the drive does not execute.
+    fn is_jammed(&self) -> bool {
+        self.jammed.is_some() && self.is_running()
     }
 
     /// Simulates a power loss: the fingers stop, and the origin is lost.
@@ -226,7 +256,24 @@ impl Mechanics {
         event
     }
 
+    fn step_jammed(&mut self) -> Option<StepOutcome> {
+        self.axis.speed_mm_s = 0.0;
+        let steps = self.jammed.map_or(0, |steps| steps + 1);
+        self.jammed = Some(steps);
+        let outcome = match self.activity {
+            Activity::Braking => None,
+            _ if steps < TIMEOUT_STEPS => return None,
+            Activity::Stopping => Some(StepOutcome::StopTimedOut),
+            _ => Some(StepOutcome::Finished(Status::E_TIMEOUT)),
+        };
+        self.rest();
+        outcome
+    }
+
     fn step_activity(&mut self) -> Option<StepOutcome> {
+        if self.is_jammed() {
+            return self.step_jammed();
+        }
         let surfaces = self.world.surfaces();
         match &mut self.activity {
             Activity::Rest => None,
@@ -263,9 +310,11 @@ impl Mechanics {
             }
             Activity::Hold(hold) => {
                 let progress = hold.step(&mut self.axis, &surfaces);
+                let (direction, is_lost) = (hold.direction(), hold.is_lost(progress));
                 self.steady = matches!(progress, Progress::Pressing(_));
-                self.blocked = self.steady.then_some(hold.direction());
-                hold.is_lost(progress).then(|| {
+                self.block_stopped &= self.steady;
+                self.blocked = (self.steady && !self.block_stopped).then_some(direction);
+                is_lost.then(|| {
                     self.rest();
                     StepOutcome::PartLost
                 })

@@ -60,7 +60,11 @@ impl Process {
         self.target_reached = false;
         self.target_reached_at = None;
         match kind {
-            MotionKind::Grip(direction) => self.gripped = Some(direction),
+            MotionKind::Grip(direction) => {
+                self.gripped = Some(direction);
+                // Ruling: a grip counts once it is executed, whatever its result (42h).
+                self.statistics.total = self.statistics.total.saturating_add(1);
+            }
             MotionKind::Release => self.gripped = None,
             MotionKind::Home | MotionKind::Move => {}
         }
@@ -77,29 +81,34 @@ impl Process {
     pub fn finished(&mut self, kind: MotionKind, status: Status, now: Instant) {
         let success = status == Status::E_SUCCESS;
         self.state = match kind {
-            MotionKind::Grip(_) => self.gripping_ended(success),
+            MotionKind::Grip(_) if success => GripperState::Holding,
+            MotionKind::Grip(_) if status == Status::E_CMD_FAILED => {
+                self.statistics.no_part = self.statistics.no_part.saturating_add(1);
+                GripperState::NoPart
+            }
             MotionKind::Home | MotionKind::Move if !self.is_fw4 && self.has_result() => self.state,
-            MotionKind::Release if !success => self.error(),
+            // Ruling: fw4's ERROR follows every motion that fails (`fw4-en 3.4.2`).
+            _ if !success => self.error(),
             _ => GripperState::Idle,
         };
-        if success && kind != MotionKind::Home {
+        // fw2 names "a Goto or Grasp command" alone (Appendix B).
+        let has_target = match kind {
+            MotionKind::Home => false,
+            MotionKind::Release => self.is_fw4,
+            MotionKind::Move | MotionKind::Grip(_) => true,
+        };
+        if success && has_target {
             self.target_reached = !self.is_fw4;
             self.target_reached_at = self.is_fw4.then(|| now + TARGET_REACHED_DELAY);
         }
     }
 
-    fn gripping_ended(&mut self, held: bool) -> GripperState {
-        self.statistics.total = self.statistics.total.saturating_add(1);
-        if held {
-            return GripperState::Holding;
-        }
-        self.statistics.no_part = self.statistics.no_part.saturating_add(1);
-        GripperState::NoPart
-    }
-
     pub fn part_lost(&mut self) {
         self.statistics.lost_part = self.statistics.lost_part.saturating_add(1);
-        self.state = GripperState::PartLost;
+        // A part can also be lost after a FAST STOP, whose state stays.
+        if self.state == GripperState::Holding {
+            self.state = GripperState::PartLost;
+        }
     }
 
     /// Ends the process after Stop, or after a disconnect announcement.

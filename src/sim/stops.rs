@@ -26,16 +26,17 @@ impl Device {
         }
         self.stops.push(ticket);
         if self.mechanics.stop(self.config.stop_lets_go) == Some(StepOutcome::Stopped) {
-            self.stopped();
+            self.stopped(Status::E_SUCCESS);
         }
     }
 
-    pub(super) fn stopped(&mut self) {
+    /// Answers the waiting Stops with `answer`, and ends the motion.
+    pub(super) fn stopped(&mut self, answer: Status) {
         let stops = std::mem::take(&mut self.stops);
         if self.running.is_some() {
             self.process.aborted();
         }
-        self.end_running(&stops, Status::E_CMD_ABORTED);
+        self.end_running(&stops, answer, Status::E_CMD_ABORTED);
     }
 
     /// Triggers a FAST STOP, and replies at once even if the fingers are still moving (`fw4-en 3.2.4`).
@@ -56,19 +57,19 @@ impl Device {
 
     fn fast_stop_with(&mut self, ticket: Option<PendingReply>, result: Status) {
         self.fast_stopped = true;
-        self.mechanics.fast_stop();
+        self.mechanics.fast_stop(self.config.fast_stop_lets_go);
         self.process.fast_stopped();
         let mut tickets = std::mem::take(&mut self.stops);
         tickets.extend(ticket);
-        self.end_running(&tickets, result);
+        self.end_running(&tickets, Status::E_SUCCESS, result);
     }
 
     /// Answers the stop requests and the stopped motion, in the configured order.
-    fn end_running(&mut self, stoppers: &[PendingReply], result: Status) {
+    fn end_running(&mut self, stoppers: &[PendingReply], stopped_with: Status, result: Status) {
         let stopped = self.running.take().and_then(|running| running.ticket);
         let answer = |device: &mut Self| {
             for &ticket in stoppers {
-                device.result_status(ticket, Status::E_SUCCESS);
+                device.result_status(ticket, stopped_with);
             }
         };
         if self.config.stop_answers_first {
@@ -102,10 +103,10 @@ impl Device {
         let mut tickets = std::mem::take(&mut self.stops);
         tickets.push(self.ticket(id::DISCONNECT_ANNOUNCEMENT));
         if self.is_running() {
-            self.mechanics.fast_stop();
+            self.mechanics.fast_stop(true);
             self.process.aborted();
         }
-        self.end_running(&tickets, Status::E_CMD_ABORTED);
+        self.end_running(&tickets, Status::E_SUCCESS, Status::E_CMD_ABORTED);
     }
 }
 

@@ -106,7 +106,8 @@ impl Device {
         match self.mechanics.step(self.settings.soft_limits) {
             None => {}
             Some(StepOutcome::Finished(status)) => self.finished(status),
-            Some(StepOutcome::Stopped) => self.stopped(),
+            Some(StepOutcome::Stopped) => self.stopped(Status::E_SUCCESS),
+            Some(StepOutcome::StopTimedOut) => self.stopped(Status::E_TIMEOUT),
             Some(StepOutcome::PartLost) => self.process.part_lost(),
             Some(StepOutcome::ForbiddenRange) => self.left_soft_limits(),
         }

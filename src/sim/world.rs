@@ -202,6 +202,15 @@ impl World {
         surfaces
     }
 
+    /// Whether the end stop is the first surface in `direction`.
+    pub fn ends_in(&self, direction: AxisDirection) -> bool {
+        let end_mm = match direction {
+            AxisDirection::Closing => 0.0,
+            AxisDirection::Opening => self.stroke_mm,
+        };
+        (self.surfaces().against(direction).at_mm - end_mm).abs() < f64::EPSILON
+    }
+
     fn notice(&mut self, position_mm: f64) {
         if let Some(placed) = &mut self.part {
             let gap_mm = (placed.part.width_mm - position_mm) * placed.part.resists().sign();

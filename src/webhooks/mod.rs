@@ -186,7 +186,8 @@ impl Webhook {
         let testing = self.runtime.spawn(async move {
             let _permit = permit;
             let begin = Instant::now();
-            let body = serde_json::json!({"kind": "test", "at": Now::read().wall, "gateway": webhook.gateway});
+            let at = format!("{:.3}", Now::read().wall);
+            let body = serde_json::json!({"kind": "test", "at": at, "gateway": webhook.gateway});
             let delivery = Delivery::new(&webhook.gateway, 0, &body.to_string());
             let result = webhook.attempt(&delivery).await;
             if result.is_ok() {

@@ -139,6 +139,8 @@ async function jogging({ toAnna = () => true, toGateway = () => true }) {
   await ben.page.click('#ask-control');
   await anna.page.fill('#speed', '5');
   await anna.page.waitForSelector('#hand-over');
+  // A press just after the notice has moved the page is dropped.
+  await anna.page.waitForSelector('.notices[data-moved]', { state: 'detached' });
   const state = () => served.ask('GET', 'grippers/left/state');
   const from = (await state()).width_mm;
   await anna.page.locator('#jog-close').hover();

@@ -103,7 +103,9 @@ test('a failed grip has no tick, and says where the fingers stopped', async () =
   await page.click('#stop-soft');
   await page.waitForSelector('.result[data-result=ABORTED]:has-text("stopped at")');
   const { width_mm } = await state(served);
-  assert.match(await text(page, '.result'), new RegExp(`Grip: aborted\\s+stopped at ${width_mm.toFixed(1)} mm`));
+  const [, shown] = /Grip: aborted\s+stopped at (\d+\.\d) mm/.exec(await text(page, '.result'));
+  // The fingers still roll out a little after the command has ended.
+  assert.ok(Math.abs(Number(shown) - width_mm) < 1, `${shown} is not ${width_mm}`);
   assertClean(visitor);
   await visitor.close();
 });

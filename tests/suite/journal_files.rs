@@ -148,7 +148,7 @@ async fn export_writes_json_and_csv() {
     let _journal = filled(&file).await;
     let json = output(&file, &["export"]).await;
     assert_eq!(json.len(), 3);
-    assert!(json[1].starts_with(r#"{"seq":2,"at":"1970-01-01T00:16:41Z","gripper":"left""#), "{json:?}");
+    assert!(json[1].starts_with(r#"{"seq":2,"at":"1970-01-01T00:16:41.000Z","gripper":"left""#), "{json:?}");
     let csv = output(&file, &["export", "--format", "csv"]).await;
     assert!(csv[0].starts_with("seq,at,kind,gripper,subject,door,command_id,phase,"), "{csv:?}");
     assert!(csv[3].contains("\"reset, by \"\"peer\"\"\""), "{csv:?}");

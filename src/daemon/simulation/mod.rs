@@ -5,6 +5,7 @@
 //! `control` serves the switches of all devices over HTTP.
 
 mod control;
+mod options;
 mod pty;
 mod pump;
 mod serve;
@@ -20,7 +21,7 @@ use tokio::sync::mpsc;
 use url::Url;
 
 use crate::gripper::{Connector, clock};
-use crate::sim::{Device, DeviceConfig, Part};
+use crate::sim::{Device, DeviceConfig};
 use crate::transport::{LinkProperties, Pipe};
 pub use pump::Switch;
 pub use serve::{ServedDevice, serve, serve_simulated};
@@ -46,8 +47,7 @@ const PROPERTIES: LinkProperties = LinkProperties {
 pub struct SimulatedDevice(DeviceConfig);
 
 impl SimulatedDevice {
-    /// Parses a URL with a model and options: `part_mm`, the width of a part in reach; `firmware`, `fw2` or `fw4`;
-    /// `serial_number`.
+    /// Parses a URL with a model and options.
     ///
     /// # Errors
     /// The fault in the URL, and the allowed values.
@@ -79,26 +79,7 @@ impl SimulatedDevice {
     /// # Errors
     /// The options and their allowed values.
     pub fn with(mut self, option: &str, value: &str) -> Result<Self, String> {
-        let stroke_mm = f64::from(self.0.limits.stroke.mm());
-        match option {
-            "part_mm" => {
-                let fits = |mm: &f64| (0.0..=stroke_mm).contains(mm);
-                let width_mm = value.parse().ok().filter(fits);
-                let width_mm =
-                    width_mm.ok_or_else(|| format!("part_mm is {value}; it must be from 0 to {stroke_mm}"))?;
-                self.0 = self.0.with_part(Part::outside(width_mm));
-            }
-            "firmware" => match value {
-                "fw2" => self.0 = self.0.fw2(),
-                "fw4" => {}
-                _ => return Err(format!("firmware={value} must be fw2 or fw4")),
-            },
-            "serial_number" => {
-                let wrong = |error| format!("serial_number={value}: {error}");
-                self.0.serial_number = value.parse().map_err(wrong)?;
-            }
-            _ => return Err(format!("unknown option {option}: use part_mm, firmware or serial_number")),
-        }
+        options::set(&mut self.0, option, value)?;
         Ok(self)
     }
 

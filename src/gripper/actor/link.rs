@@ -240,8 +240,10 @@ impl DeviceLink {
     pub(super) fn setup_ended(&mut self, token: Token, end: End) -> bool {
         let LinkState::SettingUp(setup) = &mut self.state else { return false };
         let is_current = setup.is_current(token);
-        if let (true, End::Reply(reply)) = (is_current, end) {
-            setup.take(reply);
+        match end {
+            End::Reply(reply) if is_current => setup.take(reply),
+            End::Invalid(_) if is_current => setup.take_invalid(),
+            _ => {}
         }
         is_current
     }

@@ -80,7 +80,7 @@ pub enum Detail {
     Link(LinkEvent),
     /// The device restarted, was replaced, reported a fault, lost a part, or moved without a command.
     Device(DeviceEvent),
-    /// A client changed a setting, or the gateway restored one.
+    /// A client changed a setting, the gateway restored one, or the device reduced its force limit.
     Settings(SettingsEvent),
     /// A request was refused.
     Refused(RefusedEvent),

@@ -73,6 +73,7 @@ pub struct DamageRecord {
     #[schema(minimum = 1, maximum = 9_007_199_254_740_991_i64)]
     pub seq: u64,
     /// Time at which the bytes were received.
+    #[serde(serialize_with = "super::time::milliseconds")]
     #[schema(value_type = String, format = DateTime)]
     pub at: Timestamp,
     /// Always `received`.

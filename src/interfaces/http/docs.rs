@@ -13,9 +13,9 @@ use utoipa::OpenApi as _;
 use utoipa::openapi::{OpenApi, RefOr, Schema};
 
 use super::asyncapi as websocket;
-use super::journal::GripKinds;
 use super::paths::responses;
 use crate::journal::{EventKind, Order};
+use crate::operations::records::GripKinds;
 use crate::operations::{Members, Problem};
 
 /// Head of the OpenAPI document: title, description and tags.

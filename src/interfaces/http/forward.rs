@@ -19,12 +19,12 @@ use super::context::{API, HttpContext};
 use super::fast_stop::with_reason;
 use super::operation::serve_below;
 use super::problem::PROBLEM_JSON;
-use super::query::QueryString;
-use crate::fleet::{Ask, NoAnswer};
+use crate::fleet::Ask;
 use crate::gripper::model::{Name, Reason, Urgency};
 use crate::interfaces::admission::{Class, ConnectionPermit};
+use crate::operations::fleet::no_answer;
 use crate::operations::json::{parse, text_member};
-use crate::operations::{Code, DEFAULT_WAIT_MS, OPERATIONS, Operation, Problem, motion, wait_ms};
+use crate::operations::{Code, DEFAULT_WAIT_MS, OPERATIONS, Operation, Problem, QueryString, motion, wait_ms};
 
 /// Paths of the grippers of any gateway.
 pub const PATHS: [&str; 2] =
@@ -204,24 +204,4 @@ fn refused(status: u16, problem: &RawValue) -> Response {
         StatusCode::from_u16(status).ok().filter(|status| status.is_client_error() || status.is_server_error());
     let headers = [(header::CONTENT_TYPE, PROBLEM_JSON)];
     (status.unwrap_or(StatusCode::BAD_GATEWAY), headers, problem.get().to_owned()).into_response()
-}
-
-fn no_answer(gateway: &Name, why: NoAnswer) -> Problem {
-    match why {
-        NoAnswer::Unknown => Problem::not_found(format!("gateway {gateway} on the Zenoh network: /fleet lists all")),
-        NoAnswer::Gone => {
-            let detail = format!("gateway {gateway} is gone from the Zenoh network: nothing was sent to it");
-            Problem::new(Code::GatewayGone, detail)
-        }
-        NoAnswer::TooMany => {
-            Problem::new(Code::Overloaded, "too many requests to other gateways are in progress: try again later")
-        }
-        NoAnswer::None => {
-            let detail = format!(
-                "gateway {gateway} did not answer: the outcome is unknown. Check the gripper's state, or repeat the \
-                 request with the same request_id, which moves nothing twice"
-            );
-            Problem::new(Code::GatewayTimeout, detail)
-        }
-    }
 }

@@ -12,8 +12,7 @@ use utoipa::ToSchema;
 
 use super::context::HttpContext;
 use super::paths::responses::AnyProblem;
-use crate::gripper::model::Link;
-use crate::gripper::{Handle, Recorder as _};
+use crate::operations::readiness::Readiness;
 use crate::operations::{Code, Problem};
 
 /// Liveness of the gateway.
@@ -38,33 +37,6 @@ pub async fn health(Shared(context): Shared<Arc<HttpContext>>) -> Json<Health> {
     Json(Health { gateway: context.gateway.name.to_string(), status: "ok" })
 }
 
-/// Readiness of the gateway.
-#[derive(Debug, Serialize, ToSchema)]
-#[schema(example = json!({
-    "gateway": "wsg", "ready": false, "journal_cause": null, "journal_damage": null, "zenoh_cause": null,
-    "not_ready": ["left: reconnecting: connection refused"]
-}))]
-pub struct Readiness {
-    /// The gateway's name.
-    #[schema(max_length = 32)]
-    gateway: String,
-    /// Whether every gripper is connected, the journal is writable and undamaged, and Zenoh is connected as configured.
-    ready: bool,
-    /// Why the journal can't be written; null while it can.
-    #[schema(required)]
-    journal_cause: Option<String>,
-    /// Damage to earlier records of the journal, and the remedy; null if none was found. New records are still written,
-    /// and motions continue.
-    #[schema(required)]
-    journal_damage: Option<String>,
-    /// Why Zenoh is not connected as configured, or why motions over Zenoh are refused; null if all is well or Zenoh is
-    /// off.
-    #[schema(required)]
-    zenoh_cause: Option<String>,
-    /// Grippers that are not connected: name, link state and cause.
-    not_ready: Vec<String>,
-}
-
 /// Check readiness
 ///
 /// The gateway is ready when every gripper's link is connected, the journal is writable and undamaged, and Zenoh
@@ -78,21 +50,9 @@ pub struct Readiness {
     )
 )]
 pub async fn readiness(Shared(context): Shared<Arc<HttpContext>>) -> (StatusCode, Json<Readiness>) {
-    let own = &context.gateway;
-    let journal = own.journal.health().borrow().clone();
-    let (journal_cause, journal_damage) = (journal.failure, journal.damage);
-    let not_ready: Vec<_> = own.grippers.iter().filter_map(why_not_ready).collect();
-    let zenoh_cause = own.peers.cause().borrow().clone().or_else(|| own.peers.why_no_motions());
-    let ready = journal_cause.is_none() && journal_damage.is_none() && zenoh_cause.is_none() && not_ready.is_empty();
-    let status = if ready { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
-    let gateway = own.name.to_string();
-    (status, Json(Readiness { gateway, ready, journal_cause, journal_damage, zenoh_cause, not_ready }))
-}
-
-fn why_not_ready(handle: &Handle) -> Option<String> {
-    let state = handle.state();
-    let cause = state.link_cause.as_ref().map(|cause| format!(": {cause}")).unwrap_or_default();
-    (state.link != Link::Connected).then(|| format!("{}: {}{cause}", state.gripper, state.link))
+    let readiness = Readiness::of(&context.gateway);
+    let status = if readiness.ready { StatusCode::OK } else { StatusCode::SERVICE_UNAVAILABLE };
+    (status, Json(readiness))
 }
 
 /// Get metrics

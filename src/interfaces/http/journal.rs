@@ -8,9 +8,7 @@ use axum::http::{HeaderMap, Uri, header};
 use axum::response::{IntoResponse, Response};
 use headers_accept::Accept;
 use mediatype::{MediaType, names};
-use serde::de::DeserializeOwned;
-use serde::{Deserialize, Serialize};
-use serde_json::value::RawValue;
+use serde::Serialize;
 use url::form_urlencoded;
 use utoipa::{IntoParams, ToSchema};
 use uuid::Uuid;
@@ -18,26 +16,18 @@ use uuid::Uuid;
 use super::context::{API, HttpContext};
 use super::paths::CommandPath;
 use super::paths::responses::JournalProblem;
-use super::query::QueryString;
-use crate::gripper::model::{CommandId, Event, GripRecord, Kind, Sample};
-use crate::journal::csv;
-use crate::journal::{Cursor, EventKind, Filter, Limit, Page, Query};
-use crate::operations::values::{integer, text};
-use crate::operations::{Code, Problem};
+use crate::gripper::model::{CommandId, Sample};
+use crate::journal::{EventKind, Page, csv};
+use crate::operations::Problem;
+use crate::operations::records::{Events, GripBody, GripKinds, Grips, RecordList, next_cursor};
 
-/// Kinds of events, as listed in problems.
-const EVENT_KINDS: &str = "command, fast_stop, acknowledge, lease, link, device, settings, refused, gateway";
-const GRIP_KINDS: &str = "all, home, move, grip, release";
-const OUTCOMES: &str = "SUCCESS, PART_HELD, NO_PART, BLOCKED, ABORTED, RANGE, TIMEOUT, FAILED, REFUSED, UNKNOWN";
-/// Digits of the largest accepted cursor, beyond the events that any journal will have.
-const MAX_CURSOR_DIGITS: usize = 18;
 const CSV: &str = "text/csv; charset=utf-8";
 /// Header with the id of the journal that a table comes from.
 const JOURNAL_ID: &str = "Journal-Id";
 
 #[derive(IntoParams)]
 #[into_params(parameter_in = Query)]
-#[allow(dead_code, reason = "only describes the parameters that `query` reads")]
+#[allow(dead_code, reason = "only describes the parameters that `RecordList` reads")]
 pub struct RecordsQuery {
     /// Only records of this gripper.
     #[param(max_length = 32, pattern = "^[a-z0-9][a-z0-9_-]{0,31}$", example = "left")]
@@ -65,7 +55,7 @@ pub struct RecordsQuery {
 
 #[derive(IntoParams)]
 #[into_params(parameter_in = Query)]
-#[allow(dead_code, reason = "only describes the parameters that `query` reads")]
+#[allow(dead_code, reason = "only describes the parameters that `RecordList` reads")]
 pub struct EventsQuery {
     /// Only events of this kind.
     kind: Option<EventKind>,
@@ -75,97 +65,10 @@ pub struct EventsQuery {
 
 #[derive(IntoParams)]
 #[into_params(parameter_in = Query)]
-#[allow(dead_code, reason = "only describes the parameters that `query` reads")]
+#[allow(dead_code, reason = "only describes the parameters that `RecordList` reads")]
 pub struct GripsQuery {
     /// Only records of this kind: `grip` (default), `release`, `home`, `move`, or `all` of them.
     kind: Option<GripKinds>,
-}
-
-/// Kinds of grip records:
-///
-/// - `all`: every kind
-/// - `home`: homings
-/// - `move`: moves
-/// - `grip`: grips
-/// - `release`: releases
-#[derive(Debug, Clone, Copy, Default, Deserialize, ToSchema)]
-#[serde(rename_all = "lowercase")]
-pub enum GripKinds {
-    All,
-    Home,
-    Move,
-    #[default]
-    Grip,
-    Release,
-}
-
-impl From<GripKinds> for Option<Kind> {
-    fn from(kinds: GripKinds) -> Self {
-        match kinds {
-            GripKinds::All => None,
-            GripKinds::Home => Some(Kind::Home),
-            GripKinds::Move => Some(Kind::Move),
-            GripKinds::Grip => Some(Kind::Grip),
-            GripKinds::Release => Some(Kind::Release),
-        }
-    }
-}
-
-/// An event, with the common fields and those of its kind.
-#[derive(Serialize, ToSchema)]
-#[schema(as = StoredEvent)]
-#[allow(dead_code, reason = "only describes the JSON that the journal stores")]
-pub struct EventBody {
-    /// Sequence number of the event.
-    #[schema(minimum = 1)]
-    seq: i64,
-    #[serde(flatten)]
-    event: Event,
-}
-
-/// A motion's measurements, without the curve.
-#[derive(Serialize, ToSchema)]
-#[schema(as = StoredGripRecord)]
-#[allow(dead_code, reason = "only describes the JSON that the journal stores")]
-pub struct GripBody {
-    /// Sequence number of the grip record.
-    #[schema(minimum = 1)]
-    seq: i64,
-    #[serde(flatten)]
-    record: GripRecord,
-    /// Time at which the gripped part was lost; null if it was not lost.
-    #[schema(value_type = Option<String>, required, format = DateTime)]
-    part_lost_at: Option<String>,
-}
-
-/// A page of events.
-#[derive(Serialize, ToSchema)]
-#[schema(as = EventPage)]
-pub struct Events<'a> {
-    #[schema(value_type = Vec<EventBody>)]
-    events: Vec<&'a RawValue>,
-    /// Cursor of the next page. On the last page it is null, or with `order=oldest` the cursor of later records.
-    #[schema(required)]
-    next_cursor: Option<&'a str>,
-    /// Whether another page follows.
-    has_more: bool,
-    /// Id of the journal. Cursors and sequence numbers of another journal mean other records.
-    journal_id: Uuid,
-}
-
-/// A page of grip records.
-#[derive(Serialize, ToSchema)]
-#[schema(as = GripPage)]
-pub struct Grips<'a> {
-    #[schema(value_type = Vec<GripBody>)]
-    grips: Vec<&'a RawValue>,
-    /// Cursor of the next page. On the last page it is null, or with `order=oldest` the cursor of later records.
-    #[schema(required)]
-    next_cursor: Option<&'a str>,
-    /// Whether another page follows.
-    has_more: bool,
-    /// Id of the journal. Cursors and sequence numbers of another journal mean other records.
-    journal_id: Uuid,
 }
 
 /// Returns the id of a grip record, and its curve.
@@ -196,52 +99,11 @@ pub struct Curve {
 const OFFERED: [MediaType<'static>; 2] =
     [MediaType::new(names::APPLICATION, names::JSON), MediaType::new(names::TEXT, names::CSV)];
 
-/// Parses a request's query. `kind` maps the word that it gives to the kind of the records.
-fn query<W: DeserializeOwned, K>(
-    uri: &Uri,
-    kinds: &str,
-    more: &[&str],
-    kind: fn(Option<W>) -> Option<K>,
-) -> Result<Query<K>, Problem> {
-    let known = ["gripper", "kind", "part_id", "outcome", "from", "to", "limit", "cursor", "order"];
-    let given = QueryString::of(uri)?.only(&[&known, more].concat())?;
-    let limit = match given.parsed("limit", "a whole number", |text| text.parse::<f64>().ok())? {
-        // `integer` has checked the range, so `Limit::new` succeeds.
-        Some(number) => Limit::new(integer("limit", number, 1..=1000)?).unwrap_or_default(),
-        None => Limit::default(),
-    };
-    let part_id = given.one("part_id")?.map(|part| text("part_id", part)).transpose()?;
-    Ok(Query {
-        filter: Filter {
-            gripper: given.parsed("gripper", "a gripper's name", |text| text.parse().ok())?,
-            kind: kind(given.word("kind", kinds)?),
-            part_id,
-            outcome: given.word("outcome", OUTCOMES)?,
-            command_id: given.parsed("command_id", "a command's id, a UUID", |text| text.parse().ok())?,
-        },
-        from: given.time("from")?,
-        to: given.time("to")?,
-        limit,
-        cursor: given.parsed("cursor", "next_cursor of the previous page", cursor)?,
-        order: given.word("order", "newest, oldest")?.unwrap_or_default(),
-    })
-}
-
-fn cursor(text: &str) -> Option<Cursor> {
-    let is_ours = text.len() <= MAX_CURSOR_DIGITS && text.bytes().all(|byte| byte.is_ascii_digit());
-    is_ours.then(|| text.parse().ok()).flatten()
-}
-
 /// Whether a client prefers CSV to JSON (RFC 9110 12.5.1). An invalid Accept header is ignored.
 fn wants_csv(headers: &HeaderMap) -> bool {
     let values = headers.get_all(header::ACCEPT).iter().filter_map(|value| value.to_str().ok());
     let accepted = values.collect::<Vec<_>>().join(",").parse::<Accept>();
     accepted.is_ok_and(|accepted| accepted.negotiate(&OFFERED) == Some(&OFFERED[1]))
-}
-
-fn raw(page: &Page) -> Result<Vec<&RawValue>, Problem> {
-    let damaged = |error| Problem::new(Code::JournalDown, format!("a record of the journal is damaged: {error}"));
-    page.bodies.iter().map(|body| serde_json::from_str(body).map_err(damaged)).collect()
 }
 
 /// Returns a page as CSV, with the next cursor and the journal's id as headers.
@@ -255,10 +117,6 @@ fn table(columns: &[&str], page: &Page, journal_id: Uuid) -> Response {
         }
     }
     response
-}
-
-fn next_cursor(page: &Page) -> Option<&str> {
-    page.next_cursor.as_deref().or(page.resume_cursor.as_deref())
 }
 
 /// Adds the address of the next page (RFC 8288), if another page follows.
@@ -289,7 +147,7 @@ pub async fn events(
     headers: HeaderMap,
     uri: Uri,
 ) -> Result<Response, Problem> {
-    list_events(&context, &uri, wants_csv(&headers)).await
+    list(&context, RecordList::Events, &uri, wants_csv(&headers)).await
 }
 
 /// List events as a table
@@ -306,20 +164,7 @@ pub async fn events(
     )), JournalProblem)
 )]
 pub async fn events_csv(Shared(context): Shared<Arc<HttpContext>>, uri: Uri) -> Result<Response, Problem> {
-    list_events(&context, &uri, true).await
-}
-
-async fn list_events(context: &HttpContext, uri: &Uri, as_table: bool) -> Result<Response, Problem> {
-    let journal = &context.gateway.journal;
-    let query = query(uri, EVENT_KINDS, &["command_id"], |kind: Option<EventKind>| kind)?;
-    let (page, journal_id) = (journal.events(query).await?, journal.id());
-    let response = if as_table {
-        table(csv::EVENT_COLUMNS, &page, journal_id)
-    } else {
-        let (next_cursor, has_more) = (next_cursor(&page), page.next_cursor.is_some());
-        Json(Events { events: raw(&page)?, next_cursor, has_more, journal_id }).into_response()
-    };
-    Ok(with_link(response, if as_table { "events.csv" } else { "events" }, uri, &page))
+    list(&context, RecordList::Events, &uri, true).await
 }
 
 /// List grip records
@@ -340,7 +185,7 @@ pub async fn grips(
     headers: HeaderMap,
     uri: Uri,
 ) -> Result<Response, Problem> {
-    list_grips(&context, &uri, wants_csv(&headers)).await
+    list(&context, RecordList::Grips, &uri, wants_csv(&headers)).await
 }
 
 /// List grip records as a table
@@ -357,20 +202,24 @@ pub async fn grips(
     )), JournalProblem)
 )]
 pub async fn grips_csv(Shared(context): Shared<Arc<HttpContext>>, uri: Uri) -> Result<Response, Problem> {
-    list_grips(&context, &uri, true).await
+    list(&context, RecordList::Grips, &uri, true).await
 }
 
-async fn list_grips(context: &HttpContext, uri: &Uri, as_table: bool) -> Result<Response, Problem> {
-    let journal = &context.gateway.journal;
-    let query = query(uri, GRIP_KINDS, &[], |kinds: Option<GripKinds>| kinds.unwrap_or_default().into())?;
-    let (page, journal_id) = (journal.grips(query).await?, journal.id());
+async fn list(context: &HttpContext, list: RecordList, uri: &Uri, as_table: bool) -> Result<Response, Problem> {
+    let page = list.page(&context.gateway, uri).await?;
     let response = if as_table {
-        table(csv::GRIP_COLUMNS, &page, journal_id)
+        let columns = if list == RecordList::Events { csv::EVENT_COLUMNS } else { csv::GRIP_COLUMNS };
+        table(columns, &page, context.gateway.journal.id())
     } else {
-        let (next_cursor, has_more) = (next_cursor(&page), page.next_cursor.is_some());
-        Json(Grips { grips: raw(&page)?, next_cursor, has_more, journal_id }).into_response()
+        Json(list.body(&context.gateway, &page)?).into_response()
     };
-    Ok(with_link(response, if as_table { "grips.csv" } else { "grips" }, uri, &page))
+    let path = match (list, as_table) {
+        (RecordList::Events, false) => "events",
+        (RecordList::Events, true) => "events.csv",
+        (RecordList::Grips, false) => "grips",
+        (RecordList::Grips, true) => "grips.csv",
+    };
+    Ok(with_link(response, path, uri, &page))
 }
 
 fn command_id(text: &str) -> Result<CommandId, Problem> {

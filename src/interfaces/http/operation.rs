@@ -14,12 +14,12 @@ use super::body;
 use super::client::client;
 use super::context::{API, HttpContext};
 use super::fast_stop::with_reason;
-use super::query::QueryString;
 use super::wait::ConnectionWaits;
 use crate::gripper::model::{LeaseToken, Text, Urgency};
 use crate::operations::values::text;
 use crate::operations::{
-    Caller, Effect, Fields, MAX_LEASE_BYTES, Operation, OperationReply, Params, Presence, Problem, Wait, run,
+    Caller, Effect, Fields, MAX_LEASE_BYTES, Operation, OperationReply, Params, Presence, Problem, QueryString, Wait,
+    run,
 };
 
 /// Mark on a response that has only the headers that it needs.

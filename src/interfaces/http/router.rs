@@ -18,7 +18,9 @@ use utoipa_axum::routes;
 
 use super::context::{API, HttpContext};
 use super::openapi_document::completed;
-use super::{access_log, audit, docs, forward, gateway, guard, guide, journal, large, paths, stream, turn, upgrade};
+use super::{
+    access_log, audit, docs, fleet_lists, forward, gateway, guard, guide, journal, large, paths, stream, turn, upgrade,
+};
 use crate::interfaces::dashboard;
 use crate::operations::{Code, Problem};
 
@@ -74,6 +76,9 @@ fn journal() -> Routes {
         .routes(routes!(journal::grip))
         .routes(routes!(journal::curve))
         .routes(routes!(journal::curve_csv))
+        .routes(routes!(fleet_lists::events))
+        .routes(routes!(fleet_lists::grips))
+        .routes(routes!(fleet_lists::readiness))
         .layer(middleware::from_fn_with_state(Arc::new(Semaphore::new(large::MAX_READS)), large::count))
 }
 
@@ -124,6 +129,7 @@ fn api() -> Routes {
         .routes(routes!(paths::fast_stop::one))
         .routes(routes!(paths::fast_stop::all))
         .routes(routes!(paths::fleet::fast_stop))
+        .routes(routes!(paths::fleet::acknowledge))
         // A FAST STOP with a trailing slash is accepted.
         .route("/grippers/{gripper}/fast-stop/", post(paths::fast_stop::one))
         .route("/fast-stop/", post(paths::fast_stop::all))

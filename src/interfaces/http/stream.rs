@@ -16,7 +16,6 @@ use utoipa::IntoParams;
 use super::context::HttpContext;
 use super::home::Home;
 use super::paths::responses::JournalProblem;
-use super::query::QueryString;
 use crate::events::{DEFAULT_HZ, Gap, MAX_HZ, Notification, Pace, Subscription, TOPICS, Topic};
 use crate::gripper::Now;
 use crate::gripper::model::Name;
@@ -24,7 +23,7 @@ use crate::interfaces::admission::{Claim, Class, ConnectionPermit};
 use crate::interfaces::metrics::InterfaceMetrics;
 use crate::journal::{EventStream, Filter, StreamItem};
 use crate::operations::values::integer;
-use crate::operations::{Code, Problem};
+use crate::operations::{Code, Problem, QueryString};
 
 /// Interval of keep-alive comments on an idle stream, so that proxies keep the connection open.
 const KEPT_ALIVE_EVERY: Duration = Duration::from_secs(15);

@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use serde::Deserialize;
-use serde_json::value::RawValue;
+use serde_json::value::{RawValue, to_raw_value};
 use serde_json::{Map, Value};
 use tokio::runtime::Handle;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
@@ -19,10 +19,13 @@ use zenoh::session::ZenohId;
 use super::client::client;
 use super::clients::{Bond, Clients, MAX_QUERIES};
 use crate::fleet::keys::{ZenohKeys, decoded, last_part};
+use crate::fleet::{EVENTS, GRIPS, READINESS};
 use crate::gripper::Grippers;
 use crate::gripper::model::{Client, Name, Text, Urgency};
 use crate::interfaces::metrics::InterfaceMetrics;
 use crate::operations::json::{self, MAX_BODY_BYTES, StrictJson};
+use crate::operations::readiness::Readiness;
+use crate::operations::records::RecordList;
 use crate::operations::values::{name, text};
 use crate::operations::{
     self, Caller, Code, Effect, Gateway, MAX_LEASE_BYTES, OperationReply, Presence, Problem, Wait, is_fast_stop, lease,
@@ -32,6 +35,9 @@ use crate::operations::{
 /// Maximum number of concurrent FAST STOP queries of one gripper, each of which ends within 250 ms. More are refused,
 /// since the gripper is already being stopped.
 const MAX_FAST_STOPS: usize = 64;
+
+/// Maximum number of concurrent reads of records, each with at most a hundred records.
+const MAX_RECORD_READS: usize = 8;
 
 /// The parameters of a query's selector.
 const WAIT_MS: &str = "wait_ms";
@@ -63,6 +69,8 @@ pub struct Queries {
     stop_places: Arc<Semaphore>,
     /// Slots of queries that keep or end a lease, and wait for nothing.
     lease_places: Arc<Semaphore>,
+    /// Slots of reads of events, grip records and readiness.
+    record_places: Arc<Semaphore>,
     fast_stop_places: BTreeMap<Name, Arc<Semaphore>>,
 }
 
@@ -98,6 +106,7 @@ impl Queries {
             waiting_places,
             stop_places,
             lease_places,
+            record_places: semaphore(MAX_RECORD_READS),
             fast_stop_places,
         }
     }
@@ -116,6 +125,11 @@ impl Queries {
             let answer = move |query: Query| queries.command(query, &gripper);
             session.declare_queryable(key).callback(answer).background().await?;
         }
+        for what in [EVENTS, GRIPS, READINESS] {
+            let queries = self.clone();
+            let answer = move |query: Query| queries.of_gateway(query, what);
+            session.declare_queryable(self.keys.own(what)).callback(answer).background().await?;
+        }
         let (queries, key) = (self.clone(), self.keys.own("fleet"));
         let answer = move |query: Query| queries.read(query, queries.keys.own("fleet"), "fleet", Map::new());
         session.declare_queryable(key).callback(answer).background().await
@@ -133,6 +147,33 @@ impl Queries {
             client: client(None),
         };
         self.answer(query, Ok(asked));
+    }
+
+    /// Answers a read of the gateway as a whole.
+    fn of_gateway(self: &Arc<Self>, query: Query, what: &'static str) {
+        let Ok(place) = self.record_places.clone().try_acquire_owned() else {
+            let detail = format!("too many reads of records ({MAX_RECORD_READS} in progress): try again later");
+            return self.reply(query, None, Err(Problem::new(Code::Overloaded, detail)), None);
+        };
+        let queries = self.clone();
+        self.runtime.spawn(async move {
+            let payload = query.payload().map(|payload| payload.to_bytes().into_owned()).unwrap_or_default();
+            let result = queries.gateway_read(what, &payload).await;
+            let status = result.as_ref().map_or_else(|problem| problem.status().as_u16(), |_| 200);
+            queries.metrics.answered(Some(what), "QUERY", status);
+            queries.reply(query, Some(queries.keys.own(what)), result, Some(place));
+        });
+    }
+
+    async fn gateway_read(&self, what: &str, payload: &[u8]) -> Result<Box<RawValue>, Problem> {
+        let list = match what {
+            EVENTS => RecordList::Events,
+            GRIPS => RecordList::Grips,
+            _ => return to_raw_value(&Readiness::of(&self.gateway)).map_err(|_| Problem::internal()),
+        };
+        let uri = std::str::from_utf8(payload).ok().and_then(|query| format!("/?{query}").parse().ok());
+        let uri = uri.ok_or_else(|| Problem::malformed("query", "the payload must be the query of an HTTP request"))?;
+        list.body(&self.gateway, &list.short_page(&self.gateway, &uri).await?)
     }
 
     fn command(self: &Arc<Self>, query: Query, gripper: &Name) {

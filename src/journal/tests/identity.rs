@@ -48,7 +48,7 @@ async fn grip_is_told_when_stored_and_when_its_part_is_lost() {
     next("null").await;
     let lost = Detail::Device(DeviceEvent::PartLost { width_mm: None });
     assert!(kept(&journal, Event::new(at(61_000), Some(name("left")), lost).of(id(1))).await);
-    next(r#""1970-01-01T00:01:01Z""#).await;
+    next(r#""1970-01-01T00:01:01.000Z""#).await;
 }
 
 #[tokio::test]

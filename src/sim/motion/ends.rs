@@ -4,10 +4,7 @@ use crate::wsg::Status;
 
 use super::super::axis::{AxisDirection, Drive, Progress};
 use super::super::grip::Grown;
-use super::{Activity, BLOCK_STEPS, Mechanics, StepOutcome};
-
-/// Number of steps after which a blocked release times out, because `fw4-en 3.2.7` lists no `E_AXIS_BLOCKED`.
-const RELEASE_TIMEOUT_STEPS: u32 = 3000;
+use super::{Activity, BLOCK_STEPS, Mechanics, StepOutcome, TIMEOUT_STEPS};
 
 /// Distance in mm by which the fingers back off after they found the end stop.
 const BACK_OFF_MM: f64 = 1.0;
@@ -48,6 +45,11 @@ impl Mechanics {
                 self.activity = Activity::Rest;
                 Some(StepOutcome::Finished(Status::E_SUCCESS))
             }
+            // A hard limit was reached, and the gripper is stopped (`fw4-en 3.2.2`).
+            Progress::Pressing(direction) if blocked && self.world.ends_in(direction) => {
+                self.blocked_in(direction);
+                Some(StepOutcome::Finished(Status::E_RANGE_ERROR))
+            }
             Progress::Pressing(direction) if blocked => {
                 let Some(drive) = clamp else { return Some(self.blocked_in(direction)) };
                 self.blocked = Some(direction);
@@ -59,6 +61,7 @@ impl Mechanics {
         }
     }
 
+    /// A blocked release times out, because `fw4-en 3.2.7` lists no `E_AXIS_BLOCKED`.
     pub(super) fn end_of_release(&mut self, progress: Progress, pressing: u32) -> Option<StepOutcome> {
         match progress {
             Progress::Reached => {
@@ -67,7 +70,7 @@ impl Mechanics {
             }
             Progress::Pressing(direction) => {
                 self.blocked = (pressing >= BLOCK_STEPS).then_some(direction);
-                (pressing >= RELEASE_TIMEOUT_STEPS).then(|| {
+                (pressing >= TIMEOUT_STEPS).then(|| {
                     self.blocked_in(direction);
                     StepOutcome::Finished(Status::E_TIMEOUT)
                 })

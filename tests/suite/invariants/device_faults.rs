@@ -31,7 +31,7 @@ fn fault_without_a_latch_is_acknowledged_under_the_lease() {
     let token = LeaseToken::from("mine");
     drop(request(&mut world, |answer| ActorRequest::TakeLease { take, token: token.clone(), answer }));
     let refused = acknowledge_fault(&mut world, None).try_recv().unwrap().unwrap_err();
-    assert!(matches!(refused, Rejection::Conflict(Conflict::LeaseHeld { .. })), "{refused:?}");
+    assert!(matches!(refused, Rejection::Conflict(Conflict::LeaseTokenMissing { .. })), "{refused:?}");
     assert_eq!(received(&world, from), [0; 0]);
     world.invariants.acknowledge_taken();
     let mut answered = acknowledge_fault(&mut world, Some(token));

@@ -125,6 +125,40 @@ fn far(path: &str) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread")]
+async fn one_request_reads_all_gateways() {
+    let pair = Pair::start().await;
+    pair.near.post("/api/v1/fleet/far/grippers/g/home", &json!({})).await.outcome("SUCCESS");
+    let read = async |path: &str| pair.near.get(&format!("/api/v1/fleet/{path}")).await.ok()["gateways"].take();
+    for (path, member) in [("events?kind=command&limit=2", "events"), ("grips?kind=home", "grips")] {
+        let of_gateways = read(path).await;
+        assert_eq!((&of_gateways[0]["gateway"], &of_gateways[1]["gateway"]), (&json!("near"), &json!("far")));
+        let homed = &of_gateways[1]["result"][member][0];
+        assert_eq!((&homed["gripper"], &homed["outcome"]), (&json!("g"), &json!("SUCCESS")), "{of_gateways}");
+    }
+    let ready = read("readiness").await;
+    assert!((0..2).all(|index| ready[index]["result"]["ready"] == true), "{ready}");
+    let far = read("events?gateway=far&order=oldest&cursor=1&limit=1").await;
+    assert_eq!((far.as_array().unwrap().len(), &far[0]["result"]["events"][0]["seq"]), (1, &json!(2)), "{far}");
+
+    pair.near.post("/api/v1/fleet/fast-stop", &json!({})).await.ok();
+    let ids = eventually("confirmed FAST STOPs", async || {
+        let grippers = fleet(&pair.near).await;
+        let is_confirmed = grippers.iter().all(|gripper| gripper["fast_stop_confirmed"] == true);
+        is_confirmed.then(|| grippers.iter().map(|gripper| gripper["fast_stop_id"].clone()).collect::<Vec<_>>())
+    })
+    .await;
+    let acknowledged = pair.near.post("/api/v1/fleet/acknowledge", &json!({"fast_stop_ids": ids})).await.ok();
+    assert_eq!(acknowledged, json!({"acknowledged": ["far/g", "near/g0"], "failed": []}));
+
+    let Pair { near, far, .. } = pair;
+    drop(far);
+    until_gone(&near, "far").await;
+    let of_gateways = near.get("/api/v1/fleet/readiness").await.ok()["gateways"].take();
+    assert_eq!(of_gateways[0]["problem"], Value::Null, "{of_gateways}");
+    assert_eq!(of_gateways[1]["problem"]["code"], "gateway_gone", "{of_gateways}");
+}
+
+#[tokio::test(flavor = "multi_thread")]
 async fn remote_gripper_answers_like_a_local_one() {
     let pair = Pair::start().await;
     for path in ["", "/lease", "/settings/acceleration"] {

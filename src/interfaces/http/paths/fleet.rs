@@ -1,9 +1,9 @@
 //! Paths of the fleet: the grippers of all gateways.
 
 use super::paths;
-use super::responses::AnyProblem;
+use super::responses::{AnyProblem, CommandProblem};
 use crate::operations::fast_stop::FastStopBody;
-use crate::operations::fleet::{self, FleetFastStopAnswer, FleetList};
+use crate::operations::fleet::{self, FleetAcknowledge, FleetAcknowledged, FleetFastStopAnswer, FleetList};
 
 paths! {
     /// List the fleet
@@ -33,4 +33,17 @@ paths! {
         responses((status = 200, description = "The FAST STOP was sent to the fleet", body = FleetFastStopAnswer), AnyProblem)
     )]
     fast_stop => fleet::FAST_STOP;
+}
+
+paths! {
+    /// Acknowledge FAST STOPs of the fleet
+    ///
+    /// Acknowledges each gripper of any gateway whose latched FAST STOP is named. A gripper that cannot be acknowledged
+    /// has a problem, and does not prevent the others. Acknowledging moves nothing.
+    #[utoipa::path(
+        post, path = "/fleet/acknowledge", operation_id = "fleet_acknowledge", tag = "fleet",
+        request_body = FleetAcknowledge,
+        responses((status = 200, description = "The acknowledgements were sent", body = FleetAcknowledged), CommandProblem)
+    )]
+    acknowledge => fleet::ACKNOWLEDGE;
 }

@@ -14,7 +14,7 @@ async fn readiness_names_its_causes() {
     assert_eq!(
         answer.body,
         json!({
-            "gateway": "wsg", "ready": false, "journal_cause": null, "journal_damage": null, "zenoh_cause": null,
+            "gateway": "wsg", "version": env!("CARGO_PKG_VERSION"), "ready": false, "journal_cause": null, "journal_damage": null, "zenoh_cause": null,
             "not_ready": ["left: connecting: not reached yet"]
         })
     );

@@ -2,6 +2,7 @@
 
 mod device;
 mod fast_stop;
+mod fleet;
 mod gateway;
 mod journal;
 mod lease;

@@ -1,4 +1,4 @@
-// A limit of requests in flight: the gateway refuses more than 32 on a connection, also the user's own.
+// A limit of requests in flight, so that the page's own reads leave room for the user's requests.
 
 /** Returns a function that runs tasks, at most `most` at a time. Further ones wait in their order. */
 export function paced(most) {

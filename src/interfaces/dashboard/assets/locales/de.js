@@ -132,7 +132,8 @@ export const de = {
   'notice.forced': '{name} hat Ihnen die Steuerung von {gripper} entzogen.',
   'notice.expired': 'Sie steuern {gripper} nicht mehr: Dieser Browser hat nicht rechtzeitig geantwortet.',
   'notice.disconnected': 'Sie steuern {gripper} nicht mehr: Die Verbindung zum Gateway brach ab.',
-  'notice.reserved': '{gripper} ist für {name} reserviert: verloren, während ein Teil gehalten wurde.',
+  'notice.reserved':
+    '{gripper} ist für {name} reserviert: Dieser Client ging verloren, während ein Teil gehalten wurde.',
   'notice.refusal': 'Ablehnung',
   'notice.more': '{alarm}, und {count} weitere',
   'field.width': 'Weite',

@@ -24,7 +24,7 @@ const LOOKED_EVERY_MS = 200;
 /** Silence after which the connection is replaced. */
 const RENEWED_AFTER_MS = 4000;
 
-/** Reads of the page itself at the same time. */
+/** Limit of the page's own reads in flight: the gateway allows 32 requests on a connection. */
 const MAX_READS = 8;
 
 export const VIEWS = ['operate', 'history', 'log', 'device', 'all'];

@@ -99,7 +99,7 @@ function Drawing({ one }) {
       ? t('jaws.not_referenced')
       : t('jaws.label', { width: fixed(one.reading.value?.width_mm, 1) }),
   );
-  const widthText = useComputed(() => t('jaws.width', { width: fixed(one.reading.value?.width_mm, 1) }));
+  const widthText = useComputed(() => t('jaws.width', { width: fixed(one.width.value, 1) }));
   const isHolding = one.gripperState.value === 'HOLDING';
   const isLost = one.gripperState.value === 'PART_LOST';
   return html`<svg class=${`jaws ${isKnown ? '' : 'unknown'}`} viewBox="0 0 680 232" role="img"

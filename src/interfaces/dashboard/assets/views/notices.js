@@ -107,7 +107,7 @@ export function Notices() {
   useEffect(() => {
     let isFirst = true;
     const resized = new ResizeObserver(() => {
-      if (!isFirst) noteMove();
+      if (!isFirst) noteMove(place.current);
       isFirst = false;
     });
     resized.observe(place.current);

@@ -3,11 +3,17 @@
 /** Time within which a person cannot have seen the change. */
 const REACTS_AFTER_MS = 300;
 
-let movedAt = -Infinity;
+/** Timer that runs while the page has just moved, or null. */
+let moved = null;
 
-/** Notes that the page has moved. */
-export function noteMove() {
-  movedAt = performance.now();
+/** Notes that the place of the notices has changed its size, and marks it for a while. */
+export function noteMove(place) {
+  clearTimeout(moved);
+  place.dataset.moved = '';
+  moved = setTimeout(() => {
+    moved = null;
+    delete place.dataset.moved;
+  }, REACTS_AFTER_MS);
 }
 
 /** Buttons that move the fingers. Stops always act. */
@@ -21,7 +27,7 @@ let isEarly = false;
 function ward(event) {
   // Keys and screen readers follow their button: their clicks have no detail.
   if (event.type === 'click' && event.detail === 0) return;
-  const isNow = performance.now() - movedAt < REACTS_AFTER_MS;
+  const isNow = moved !== null;
   if (event.type === 'pointerdown') isEarly = isNow;
   if (!(isEarly || isNow) || !isMotion(event.target)) return;
   event.preventDefault();

@@ -1,12 +1,12 @@
 //! Query parameters of a request. Unknown, repeated and invalid parameters are named in the problem.
 
 use axum::extract::Query as Pairs;
-use axum::http::Uri;
+use http::Uri;
 use jiff::Timestamp;
 use serde::de::DeserializeOwned;
 use serde_json::{Map, Value};
 
-use crate::operations::Problem;
+use super::problem::Problem;
 
 #[derive(Debug)]
 pub struct QueryString(Vec<(String, String)>);

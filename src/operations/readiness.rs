@@ -1,0 +1,56 @@
+//! Readiness of the gateway: whether its grippers, its journal and its network work.
+
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use super::gateway::Gateway;
+use crate::gripper::model::Link;
+use crate::gripper::{Handle, Recorder as _};
+
+/// Readiness of the gateway.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({
+    "gateway": "wsg", "version": "0.1.0", "ready": false, "journal_cause": null, "journal_damage": null, "zenoh_cause": null,
+    "not_ready": ["left: reconnecting: connection refused"]
+}))]
+pub struct Readiness {
+    /// The gateway's name.
+    #[schema(max_length = 32)]
+    gateway: String,
+    /// Version of the gateway.
+    version: &'static str,
+    /// Whether every gripper is connected, the journal is writable and undamaged, and Zenoh is connected as configured.
+    pub ready: bool,
+    /// Why the journal can't be written; null while it can.
+    #[schema(required)]
+    journal_cause: Option<String>,
+    /// Damage to earlier records of the journal, and the remedy; null if none was found. New records are still written,
+    /// and motions continue.
+    #[schema(required)]
+    journal_damage: Option<String>,
+    /// Why Zenoh is not connected as configured, or why motions over Zenoh are refused; null if all is well or Zenoh is
+    /// off.
+    #[schema(required)]
+    zenoh_cause: Option<String>,
+    /// Grippers that are not connected: name, link state and cause.
+    not_ready: Vec<String>,
+}
+
+impl Readiness {
+    pub fn of(own: &Gateway) -> Self {
+        let journal = own.journal.health().borrow().clone();
+        let (journal_cause, journal_damage) = (journal.failure, journal.damage);
+        let not_ready: Vec<_> = own.grippers.iter().filter_map(why_not_ready).collect();
+        let zenoh_cause = own.peers.cause().borrow().clone().or_else(|| own.peers.why_no_motions());
+        let ready =
+            journal_cause.is_none() && journal_damage.is_none() && zenoh_cause.is_none() && not_ready.is_empty();
+        let (gateway, version) = (own.name.to_string(), env!("CARGO_PKG_VERSION"));
+        Self { gateway, version, ready, journal_cause, journal_damage, zenoh_cause, not_ready }
+    }
+}
+
+fn why_not_ready(handle: &Handle) -> Option<String> {
+    let state = handle.state();
+    let cause = state.link_cause.as_ref().map(|cause| format!(": {cause}")).unwrap_or_default();
+    (state.link != Link::Connected).then(|| format!("{}: {}{cause}", state.gripper, state.link))
+}
