@@ -256,7 +256,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
 
     /// Whether a client without a connection (UDP) has announced its disconnect and got all replies.
     fn has_left(&self) -> bool {
-        self.silence.is_some() && self.device.has_announced() && self.is_answered()
+        self.silence.is_some() && self.device.has_announced() && self.is_owed_nothing()
     }
 
     /// Whether a silent client has nothing left that it could come back to.

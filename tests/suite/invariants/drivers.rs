@@ -131,11 +131,11 @@ fn script_takes_the_lease_only_if_the_fingers_move_after_it() {
     assert_eq!(holder(&world), None, "nothing moves");
     // Too late for the script.
     world.advance(Duration::from_millis(300));
-    somebody_moves(&mut world, 50.0);
+    somebody_moves(&mut world, 80.0);
     assert_eq!((holder(&world), world.journal.foreign_motions), (None, 1));
     world.advance(Duration::from_secs(5));
     assert!(script(&mut world, &one).is_ok());
-    somebody_moves(&mut world, 80.0);
+    somebody_moves(&mut world, 50.0);
     assert_eq!((holder(&world).as_deref(), world.journal.foreign_motions), (Some("wsg:10.0.0.1"), 1));
     let refused = script(&mut world, &other).unwrap_err();
     assert!(matches!(refused, Rejection::Conflict(Conflict::LeaseHeld { .. })), "{refused:?}");
