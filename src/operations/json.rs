@@ -79,7 +79,7 @@ fn problem(
     }
 }
 
-/// Reports JSON that is no message, in the words of [`parse`].
+/// Reports JSON that is not a valid message, with the same texts as [`parse`].
 pub fn invalid(what: &str, error: &serde_json::Error) -> Problem {
     let text = without_position(error);
     match describe(&text, None) {
@@ -113,7 +113,7 @@ fn describe(text: &str, path: Option<&str>) -> Option<(String, String)> {
     }
     if let Some((field, rest)) = named("unknown field `") {
         let known = rest.strip_prefix(", expected ").map(|known| known.trim_start_matches("one of ").replace('`', ""));
-        let known = known.map_or_else(|| "there are no fields here".to_owned(), |known| format!("known: {known}"));
+        let known = known.map_or_else(|| "no field is allowed here".to_owned(), |known| format!("known: {known}"));
         return Some((field.clone(), format!("unknown field {field}; {known}")));
     }
     let field: String = path?.chars().take(MAX_FIELD_CHARS).collect();
@@ -122,7 +122,7 @@ fn describe(text: &str, path: Option<&str>) -> Option<(String, String)> {
     Some((field, detail))
 }
 
-/// Name of an expected type, in a client's words.
+/// Name of an expected type, in JSON's terms instead of Rust's.
 fn words(expected: &str) -> String {
     match expected {
         "f32" | "f64" => "a number".to_owned(),
@@ -295,7 +295,7 @@ mod tests {
         #[derive(Debug, Deserialize)]
         #[serde(deny_unknown_fields)]
         struct Nothing {}
-        assert_eq!(parse::<Nothing>(br#"{"a": 1}"#).unwrap_err().detail(), "unknown field a; there are no fields here");
+        assert_eq!(parse::<Nothing>(br#"{"a": 1}"#).unwrap_err().detail(), "unknown field a; no field is allowed here");
     }
 
     #[test]

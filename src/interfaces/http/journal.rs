@@ -77,7 +77,7 @@ pub struct EventsQuery {
 #[into_params(parameter_in = Query)]
 #[allow(dead_code, reason = "only describes the parameters that `query` reads")]
 pub struct GripsQuery {
-    /// Only records of this kind: `grip` (default), `release`, `home`, `move`, or `all` of them.
+    /// Only records of this kind: `grip` (default), `release`, `home` or `move`; `all` lists every kind.
     kind: Option<GripKinds>,
 }
 
@@ -144,7 +144,7 @@ pub struct GripBody {
 pub struct Events<'a> {
     #[schema(value_type = Vec<EventBody>)]
     events: Vec<&'a RawValue>,
-    /// Cursor of the next page. On the last page it is null, or with `order=oldest` the cursor of later records.
+    /// Cursor of the next page. On the last page: null, or with `order=oldest` the cursor of later records.
     #[schema(required)]
     next_cursor: Option<&'a str>,
     /// Whether another page follows.
@@ -159,7 +159,7 @@ pub struct Events<'a> {
 pub struct Grips<'a> {
     #[schema(value_type = Vec<GripBody>)]
     grips: Vec<&'a RawValue>,
-    /// Cursor of the next page. On the last page it is null, or with `order=oldest` the cursor of later records.
+    /// Cursor of the next page. On the last page: null, or with `order=oldest` the cursor of later records.
     #[schema(required)]
     next_cursor: Option<&'a str>,
     /// Whether another page follows.
@@ -196,7 +196,7 @@ pub struct Curve {
 const OFFERED: [MediaType<'static>; 2] =
     [MediaType::new(names::APPLICATION, names::JSON), MediaType::new(names::TEXT, names::CSV)];
 
-/// Parses a request's query. `kind` maps the word that it gives to the kind of the records.
+/// Parses a request's query. The function `kind` maps the query's `kind` to the kind of the records.
 fn query<W: DeserializeOwned, K>(
     uri: &Uri,
     kinds: &str,
@@ -300,7 +300,7 @@ pub async fn events(
     get, path = "/events.csv", operation_id = "list_events_csv", tag = "journal",
     params(RecordsQuery, EventsQuery),
     responses((status = 200, description = "A page of events", body = String, content_type = "text/csv", headers(
-        ("Next-Cursor" = String, description = "Cursor of the next page; absent where `next_cursor` of the list is null"),
+        ("Next-Cursor" = String, description = "Cursor of the next page; absent if the list's `next_cursor` is null"),
         ("Journal-Id" = String, description = "Id of the journal"),
         ("Link" = String, description = "Address of the next page, with `rel=\"next\"`; absent on the last page"),
     )), JournalProblem)
@@ -325,9 +325,9 @@ async fn list_events(context: &HttpContext, uri: &Uri, as_table: bool) -> Result
 /// List grip records
 ///
 /// Returns one page of grip records, with their measurements. Homings, moves and releases have such records too: see
-/// `kind`. With `Accept: text/csv` the page is a table, and the header `Next-Cursor` has the cursor of the next page. In a table, text that a
-/// spreadsheet would run as a formula (it begins with `=`, `+`, `-`, `@`, a tab or a line break) is prefixed with a
-/// single quote.
+/// `kind`. With `Accept: text/csv` the page is a table, and the header `Next-Cursor` has the cursor of the next page.
+/// In a table, text that a spreadsheet would run as a formula (it begins with `=`, `+`, `-`, `@`, a tab or a line
+/// break) is prefixed with a single quote.
 #[utoipa::path(
     get, path = "/grips", operation_id = "list_grips", tag = "journal",
     params(RecordsQuery, GripsQuery),
@@ -351,7 +351,7 @@ pub async fn grips(
     get, path = "/grips.csv", operation_id = "list_grips_csv", tag = "journal",
     params(RecordsQuery, GripsQuery),
     responses((status = 200, description = "A page of grip records", body = String, content_type = "text/csv", headers(
-        ("Next-Cursor" = String, description = "Cursor of the next page; absent where `next_cursor` of the list is null"),
+        ("Next-Cursor" = String, description = "Cursor of the next page; absent if the list's `next_cursor` is null"),
         ("Journal-Id" = String, description = "Id of the journal"),
         ("Link" = String, description = "Address of the next page, with `rel=\"next\"`; absent on the last page"),
     )), JournalProblem)
