@@ -128,7 +128,7 @@ fn words(expected: &str) -> String {
         "f32" | "f64" => "a number".to_owned(),
         "i8" | "i16" | "i32" | "i64" | "u8" | "u16" | "u32" | "u64" | "usize" => "a whole number".to_owned(),
         "a boolean" => "true or false".to_owned(),
-        "a string" | "string" | "a borrowed string" => "a text".to_owned(),
+        "a string" | "string" | "a borrowed string" => "a string".to_owned(),
         "a sequence" => "a list".to_owned(),
         "a map" => "an object".to_owned(),
         expected if expected.starts_with("struct ") => "an object".to_owned(),
@@ -280,9 +280,9 @@ mod tests {
             (r#"{"width_mm": "20"}"#, "width_mm must be a number"),
             (r#"{"width_mm": null}"#, "width_mm must be a number"),
             (r#"{"width_mm": 1, "relative": 1}"#, "relative must be true or false"),
-            (r#"{"width_mm": 1, "lease": 1}"#, "lease must be a text"),
+            (r#"{"width_mm": 1, "lease": 1}"#, "lease must be a string"),
             (r#"{"width_mm": 1, "side": "up"}"#, "side must be inner or outer"),
-            (r#"{"width_mm": 1, "name": {}}"#, "name must be a text or a whole number"),
+            (r#"{"width_mm": 1, "name": {}}"#, "name must be a string or a whole number"),
             (r#"{"width_mm": 1, "count": 300}"#, "count must be a whole number"),
         ] {
             assert_eq!(parse::<Body>(body.as_bytes()).unwrap_err().detail(), detail, "{body}");

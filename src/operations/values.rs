@@ -80,7 +80,7 @@ pub fn name<const MAX: usize>(field: &str, given: &str) -> Result<ShownName<MAX>
 
 /// A text that a client without string functions can send as a whole number.
 #[derive(Debug, Deserialize)]
-#[serde(untagged, expecting = "expected a text or a whole number")]
+#[serde(untagged, expecting = "expected a string or a whole number")]
 pub enum TextOrNumber {
     Text(String),
     Number(i64),
