@@ -59,7 +59,7 @@ pub const DEFAULT_HZ: u64 = 10;
 pub const MAX_HZ: u64 = 100;
 
 /// Time after which the next tick repeats an unchanged state, so that its subscriber notices a gateway that has gone
-/// silent. A little less than a second, for ticks that come once a second.
+/// silent. It is a little less than one second, so that ticks at 1 Hz repeat the state each time.
 const HEARTBEAT: Duration = Duration::from_millis(900);
 
 /// Serialised events that are kept for slower subscriptions.
@@ -158,7 +158,7 @@ struct Watched {
     states: watch::Receiver<Arc<State>>,
     /// Number of the state that was sent last.
     seq: u64,
-    /// Time at which a state was sent last.
+    /// Time at which the newest state was sent.
     sent_at: Option<Instant>,
 }
 

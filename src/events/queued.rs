@@ -1,4 +1,5 @@
-//! Topics that come one by one: events, grip records and frames, from broadcasts in which a slow subscriber can fall behind.
+//! Topics whose updates are sent one by one: events, grip records and frames. Their broadcasts let a slow subscriber
+//! fall behind.
 
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -80,7 +81,7 @@ pub(super) fn events(
     })
 }
 
-/// Streams new and changed grip records of some grippers, or of all, from now on.
+/// Streams new and changed grip records of some grippers, or of all with `None`, from now on.
 pub(super) fn grips(
     updates: &LiveUpdates,
     only: Option<BTreeSet<Name>>,

@@ -300,7 +300,7 @@ impl Outcome {
 #[schema(as = Command, example = json!({
     "id": "019aa5c8-5a70-7c31-9f3f-4a3b7c1d2e4f", "gripper": "left", "number": 17, "kind": "grip", "phase": "done",
     "outcome": "PART_HELD", "outcome_code": 2, "status": "E_SUCCESS", "status_code": 0, "reached_goal": true, "stalled": true,
-    "width_mm": 20.0, "force_n": 40.0, "started_at": "2026-11-21T09:00:00Z", "duration_ms": 412,
+    "width_mm": 20.0, "force_n": 40.0, "started_at": "2026-11-21T09:00:00.000Z", "duration_ms": 412,
     "subject": "http:127.0.0.1", "client": "http:127.0.0.1", "replayed": false
 }))]
 pub struct CommandReport {

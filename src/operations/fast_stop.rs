@@ -130,8 +130,8 @@ pub struct Acknowledge {
     /// the device is acknowledged.
     #[schema(value_type = Option<uuid::Uuid>)]
     fast_stop_id: Option<String>,
-    /// Lease token, renewed by this request as by any other. Required without `fast_stop_id` if the gripper is leased.
-    /// Empty means none.
+    /// Lease token; the request renews the lease. Required without `fast_stop_id` if the gripper is leased. Empty means
+    /// none.
     #[schema(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$")]
     lease: Option<String>,
 }

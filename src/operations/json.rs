@@ -79,7 +79,7 @@ fn problem(
     }
 }
 
-/// Reports JSON that is no message, in the words of [`parse`].
+/// Reports JSON that is not a valid message, with the same texts as [`parse`].
 pub fn invalid(what: &str, error: &serde_json::Error) -> Problem {
     let text = without_position(error);
     match describe(&text, None) {
@@ -113,7 +113,7 @@ fn describe(text: &str, path: Option<&str>) -> Option<(String, String)> {
     }
     if let Some((field, rest)) = named("unknown field `") {
         let known = rest.strip_prefix(", expected ").map(|known| known.trim_start_matches("one of ").replace('`', ""));
-        let known = known.map_or_else(|| "there are no fields here".to_owned(), |known| format!("known: {known}"));
+        let known = known.map_or_else(|| "no field is allowed here".to_owned(), |known| format!("known: {known}"));
         return Some((field.clone(), format!("unknown field {field}; {known}")));
     }
     let field: String = path?.chars().take(MAX_FIELD_CHARS).collect();
@@ -122,13 +122,13 @@ fn describe(text: &str, path: Option<&str>) -> Option<(String, String)> {
     Some((field, detail))
 }
 
-/// Name of an expected type, in a client's words.
+/// Name of an expected type, in JSON's terms instead of Rust's.
 fn words(expected: &str) -> String {
     match expected {
         "f32" | "f64" => "a number".to_owned(),
         "i8" | "i16" | "i32" | "i64" | "u8" | "u16" | "u32" | "u64" | "usize" => "a whole number".to_owned(),
         "a boolean" => "true or false".to_owned(),
-        "a string" | "string" | "a borrowed string" => "a text".to_owned(),
+        "a string" | "string" | "a borrowed string" => "a string".to_owned(),
         "a sequence" => "a list".to_owned(),
         "a map" => "an object".to_owned(),
         expected if expected.starts_with("struct ") => "an object".to_owned(),
@@ -280,9 +280,9 @@ mod tests {
             (r#"{"width_mm": "20"}"#, "width_mm must be a number"),
             (r#"{"width_mm": null}"#, "width_mm must be a number"),
             (r#"{"width_mm": 1, "relative": 1}"#, "relative must be true or false"),
-            (r#"{"width_mm": 1, "lease": 1}"#, "lease must be a text"),
+            (r#"{"width_mm": 1, "lease": 1}"#, "lease must be a string"),
             (r#"{"width_mm": 1, "side": "up"}"#, "side must be inner or outer"),
-            (r#"{"width_mm": 1, "name": {}}"#, "name must be a text or a whole number"),
+            (r#"{"width_mm": 1, "name": {}}"#, "name must be a string or a whole number"),
             (r#"{"width_mm": 1, "count": 300}"#, "count must be a whole number"),
         ] {
             assert_eq!(parse::<Body>(body.as_bytes()).unwrap_err().detail(), detail, "{body}");
@@ -295,7 +295,7 @@ mod tests {
         #[derive(Debug, Deserialize)]
         #[serde(deny_unknown_fields)]
         struct Nothing {}
-        assert_eq!(parse::<Nothing>(br#"{"a": 1}"#).unwrap_err().detail(), "unknown field a; there are no fields here");
+        assert_eq!(parse::<Nothing>(br#"{"a": 1}"#).unwrap_err().detail(), "unknown field a; no field is allowed here");
     }
 
     #[test]

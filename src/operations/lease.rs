@@ -59,8 +59,8 @@ pub struct Take {
     #[serde(default)]
     #[schema(default = false)]
     force: bool,
-    /// Asks the current holder to hand the lease over. The reply is 202 with the `place` among those that ask. After the
-    /// hand-over, request the lease again to get its token.
+    /// Asks the current holder to hand the lease over. The response is 202 with the client's `place` among all that
+    /// ask. After the hand-over, request the lease again to get its token.
     #[serde(default)]
     #[schema(default = false)]
     request: bool,

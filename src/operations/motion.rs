@@ -95,7 +95,7 @@ command_body! {
 }
 
 fn part_id_schema() -> OneOfBuilder {
-    text_or_number(48, "Name of the part, for the records: at most 48 bytes, or a whole number, stored as its text.")
+    text_or_number(48, "Id of the part, for the records: at most 48 bytes, or a whole number, which is stored as text.")
 }
 
 command_body! {

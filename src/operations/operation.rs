@@ -24,9 +24,9 @@ pub struct Operation {
     pub starts_command: bool,
     /// Whether the operation can wait for a command's end.
     pub waits: bool,
-    /// Parameters of a read that HTTP takes from the query.
+    /// Fields that an HTTP request has in its query string.
     pub query: &'static [&'static str],
-    /// Whether the response over HTTP has only the headers that it needs.
+    /// Whether the HTTP response leaves out headers that only browsers need.
     pub is_compact: bool,
     run: Run,
 }

@@ -237,7 +237,7 @@ impl Problem {
         self
     }
 
-    /// Adds what prevents the request.
+    /// Adds the ids and holders that the conflict names.
     fn conflict(self, conflict: Conflict) -> Self {
         match conflict {
             Conflict::FastStop { id }

@@ -28,7 +28,7 @@ pub enum Effect {
         gripper: Name,
         ticket: Ticket,
     },
-    /// A request that waits for the lease's holder.
+    /// A request for a hand-over that waits for the lease holder.
     Waiting,
     /// A lease that was acquired.
     Leased(Arc<ConnectionLease>),

@@ -78,9 +78,9 @@ pub fn name<const MAX: usize>(field: &str, given: &str) -> Result<ShownName<MAX>
     ShownName::new(given).map_err(|error| Problem::malformed(field, format!("{field} {error}")))
 }
 
-/// A text for which programs without texts send a number.
+/// A text that a client without string functions can send as a whole number.
 #[derive(Debug, Deserialize)]
-#[serde(untagged, expecting = "expected a text or a whole number")]
+#[serde(untagged, expecting = "expected a string or a whole number")]
 pub enum TextOrNumber {
     Text(String),
     Number(i64),
@@ -108,7 +108,7 @@ pub fn request_id_schema() -> OneOfBuilder {
     text_or_number(
         64,
         "Id that makes the request safe to repeat: for 10 minutes, the same id returns the same command. At most 64 \
-         bytes, or a whole number, which counts as its text; empty means none.",
+         bytes, or a whole number, which is treated as text; empty means none.",
     )
 }
 

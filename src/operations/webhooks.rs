@@ -1,4 +1,4 @@
-//! The webhooks: their progress, and test deliveries.
+//! The webhooks' positions in the journal, and test deliveries.
 
 use http::Method as Verb;
 use jiff::Timestamp;
@@ -26,20 +26,20 @@ pub struct WebhookList {
     webhooks: Vec<WebhookReport>,
 }
 
-/// A webhook and its progress.
+/// A webhook and its position in the journal.
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(as = Webhook, example = json!({
     "name": "mes", "origin": "https://mes.example", "kinds": ["command", "fast_stop"], "position": 4711, "waiting": 2,
-    "last_success_at": "2026-11-21T09:00:00.25Z", "last_error_at": "2026-11-21T09:05:00.5Z",
+    "last_success_at": "2026-11-21T09:00:00.250Z", "last_error_at": "2026-11-21T09:05:00.500Z",
     "last_error": "https://mes.example answered 503 Service Unavailable: only 2xx counts as delivered, so see the \
                    receiver's log",
-    "failed_attempts": 3, "retry_at": "2026-11-21T09:05:04Z"
+    "failed_attempts": 3, "retry_at": "2026-11-21T09:05:04.000Z"
 }))]
 pub struct WebhookReport {
     /// The webhook's name.
     #[schema(max_length = 32)]
     name: String,
-    /// Scheme, host and port of the receiver. The rest of the URL can be secret, and is not shown.
+    /// Scheme, host and port of the receiver. The rest of the URL is not shown, because it can be secret.
     origin: String,
     /// Kinds of events that are delivered; null means all.
     #[schema(required)]
@@ -53,15 +53,15 @@ pub struct WebhookReport {
     /// Time of the newest delivery since the gateway started; null before the first.
     #[schema(value_type = Option<String>, format = DateTime, required)]
     last_success_at: Option<String>,
-    /// Time of the newest failed attempt since the gateway started; null if there was none.
+    /// Time of the newest failed attempt since the gateway started; null before the first.
     #[schema(value_type = Option<String>, format = DateTime, required)]
     last_error_at: Option<String>,
-    /// Cause of that failure, with the remedy.
+    /// Cause of the newest failure, with the remedy.
     #[schema(required)]
     last_error: Option<String>,
     /// Number of failed attempts since the newest delivery.
     failed_attempts: u32,
-    /// Time of the next attempt, while the newest one has failed; otherwise null.
+    /// Time of the next attempt after a failed one; otherwise null.
     #[schema(value_type = Option<String>, format = DateTime, required)]
     retry_at: Option<String>,
 }
@@ -95,7 +95,7 @@ pub struct WebhookTest {
     webhook: String,
     /// Whether the receiver accepted the delivery.
     delivered: bool,
-    /// Status of the receiver's response; null if there was none.
+    /// HTTP status of the receiver's response; null without a response.
     #[schema(required, minimum = 100, maximum = 999)]
     status: Option<u16>,
     /// Duration of the attempt in ms.

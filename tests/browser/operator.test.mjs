@@ -22,7 +22,7 @@ test('STOP shows its reach, and the fleet has its own', async () => {
   await page.waitForSelector('tbody tr:has-text("cell-2")');
   assert.match(await text(page, '#stop'), /this gateway: 1/);
   await page.click('#stop');
-  await page.waitForSelector('.stopped:has-text("confirmed, this gateway: 1.")');
+  await page.waitForSelector('.stopped:has-text("confirmed (this gateway: 1).")');
   assert.match(await text(page, '.stopped'), /other gateways were not stopped/);
   assert.equal((await state(far, 'right')).fast_stop, false);
   assert.match(await text(page, '#stop-fleet'), /all gateways: 2 grippers/);

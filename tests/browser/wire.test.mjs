@@ -52,7 +52,7 @@ test('frames are filtered, copied and saved, and a pause is marked', async () =>
   await page.fill('#log-filter', 'E_SUCCESS statistics');
   await page.waitForSelector('.frame:has-text("GetStatistics")');
   await page.fill('#log-filter', 'E_NO_SUCH');
-  await page.waitForSelector('p:has-text("No frame fits the filter.")');
+  await page.waitForSelector('p:has-text("No frame matches the filter.")');
   await page.fill('#log-filter', '06h');
   await page.click('[data-choice=direction-]');
   await only(2);

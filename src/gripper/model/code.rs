@@ -17,7 +17,8 @@ macro_rules! codes {
         /// - `fast_stop`: a FAST STOP is latched; acknowledge it once its cause is gone.
         /// - `not_referenced`: the fingers are not referenced; home the gripper first.
         /// - `already_running`: a command is running; wait for its end or stop it.
-        /// - `release_first`: the device refuses a grip, because its last grip went in the opposite direction; release first.
+        /// - `release_first`: the device refuses a grip, because its last grip went in the opposite direction; release
+        ///   first.
         /// - `lease_held`: another client holds the lease, or the gripper is reserved.
         /// - `stale_lease`: the lease token is not the token of the current lease.
         /// - `stale_fast_stop`: the acknowledgement names a FAST STOP that is not the newest.
@@ -26,7 +27,7 @@ macro_rules! codes {
         /// - `name_taken`: another gateway on the Zenoh network has the same name.
         /// - `out_of_range`: a value is beyond its limits.
         /// - `device_refused`: the device refused the request with a status that has no code of its own.
-        /// - `overloaded`: too many requests, or the device tag was written too often; try again later.
+        /// - `overloaded`: too many requests are waiting, or the device tag was written too often; try again later.
         /// - `internal`: internal error of the gateway.
         /// - `device_protocol`: the device sent an invalid reply.
         /// - `link_down`: the link to the device does not work.
@@ -42,7 +43,7 @@ macro_rules! codes {
         pub enum Code { $($name),* }
 
         impl Code {
-            /// Number of the code, for clients that compare no texts. Numbers never change.
+            /// Number of the code, for clients that do not compare texts. Numbers never change.
             #[must_use]
             pub const fn number(self) -> u16 {
                 match self { $(Self::$name => $number),* }

@@ -164,7 +164,7 @@ pub struct Done {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
     pub code: Option<Code>,
-    /// Description of that problem.
+    /// Description of the problem that `code` identifies.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
     pub cause: Option<String>,

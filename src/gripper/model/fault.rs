@@ -1,4 +1,4 @@
-//! Conditions that keep a gripper from moving until somebody does something.
+//! Conditions that need an action before a gripper can move again.
 
 use super::FastStopCause;
 

@@ -20,7 +20,7 @@ pub enum FrameDirection {
 /// A frame sent to the device or received from it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[schema(as = Frame, example = json!({
-    "gripper": "left", "seq": 4711, "at": "2026-11-21T09:00:00.25Z", "direction": "sent", "id": 37, "name": "Grip",
+    "gripper": "left", "seq": 4711, "at": "2026-11-21T09:00:00.250Z", "direction": "sent", "id": 37, "name": "Grip",
     "hex": "aaaaaa2508000000a04100004842aa1e", "text": "Grip width=20 speed=50"
 }))]
 pub struct FrameRecord {
@@ -59,10 +59,10 @@ pub enum WireDamage {
     Skipped,
 }
 
-/// Bytes from the device that are no valid frame. They are ignored.
+/// Bytes from the device that do not form a valid frame. The gateway ignores them.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
 #[schema(as = Damage, example = json!({
-    "gripper": "left", "seq": 4712, "at": "2026-11-21T09:00:00.26Z", "direction": "received", "damage": "checksum",
+    "gripper": "left", "seq": 4712, "at": "2026-11-21T09:00:00.260Z", "direction": "received", "damage": "checksum",
     "id": 34, "name": "Stop", "bytes": 8, "hex": "aaaaaa2200000e77", "text": "Stop  [checksum wrong]"
 }))]
 pub struct DamageRecord {
@@ -83,7 +83,7 @@ pub struct DamageRecord {
     /// Id in the damaged frame, which can be damaged too; null for skipped bytes.
     #[schema(required, minimum = 0, maximum = 255)]
     pub id: Option<u8>,
-    /// Name of the command with that id; null if there is none.
+    /// Name of the command with that id; null if the id has no name.
     #[schema(required)]
     pub name: Option<String>,
     /// Number of bytes.

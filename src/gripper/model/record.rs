@@ -66,15 +66,15 @@ pub struct GripRecord {
     pub curve: Vec<Sample>,
 }
 
-/// Lease holder, id and values of a request, as the records of its command repeat them. Values that do not apply are
-/// absent.
+/// Lease holder, request id and values of a request, copied into the records of its command. Values that do not apply
+/// are absent.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize, ToSchema)]
 pub struct RequestedValues {
     /// Name of the lease holder, if the command was requested with the lease.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[schema(value_type = Option<String>, nullable = false)]
     pub holder: Option<Arc<str>>,
-    /// Id by which a repeated request is recognised.
+    /// Id that the client sent with the request, to repeat it safely.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     #[schema(value_type = Option<String>, nullable = false, max_length = 64)]
     pub request_id: Option<RequestId>,
@@ -127,7 +127,7 @@ pub struct Sample {
 /// State that outlives a restart of the gateway.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PersistedState {
-    /// Gripper or webhook of the value.
+    /// Name of the gripper or webhook that the value belongs to.
     pub gripper: Name,
     pub key: PersistedKey,
     /// Value as JSON; `None` deletes the key.

@@ -93,7 +93,7 @@ pub struct State {
     #[serde(rename = "age_ms", serialize_with = "age_ms")]
     #[schema(value_type = Option<u64>, required, minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     pub updated_at: Option<Instant>,
-    /// Number of changes to this state so far. A newer update with the same values is no change.
+    /// Number of changes to this state so far. A newer update with the same values does not count.
     #[schema(minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     pub seq: u64,
     /// Number of updates to this state so far, including those that changed only the age.
@@ -139,18 +139,18 @@ pub struct State {
     /// Temperature of the device in °C; null if the firmware does not report it (firmware 2).
     #[schema(required, minimum = -3276.8, maximum = 3276.7)]
     pub temperature_c: Option<f32>,
-    /// Whether a person or a program has to do something before the next motion, such as acknowledge a FAST STOP.
+    /// Whether a person or a program has to do something before the next motion, such as acknowledging a FAST STOP.
     pub fault: bool,
     /// Number of the fault that matters most; 0 without a fault:
     ///
     /// - 1: the link is not connected
     /// - 2: the journal is unavailable, and motions are refused
     /// - 3: the device lost settings that could not be restored
-    /// - 10 to 18: a FAST STOP is latched; its cause is, in this order, `requested`, `client_lost`,
+    /// - 10 to 18: a FAST STOP is latched; its causes are, in this order, `requested`, `client_lost`,
     ///   `unannounced_disconnect`, `temperature_fault`, `power_fault`, `current_fault`, `finger_fault`, `soft_limit`,
     ///   `unknown`
     /// - 20 to 23: `TEMP_FAULT`, `POWER_FAULT`, `CURR_FAULT` or `FINGER_FAULT` is set
-    /// - 30: the device reports an error (`ERROR`) that is not the rest of an acknowledged FAST STOP
+    /// - 30: the device reports an error (`ERROR`) that does not come from an acknowledged FAST STOP
     pub fault_code: u16,
     /// Whether a FAST STOP is latched; null until the first connection.
     #[schema(required)]
@@ -178,11 +178,11 @@ pub struct State {
     /// gateway, and 1 follows 4294967295.
     #[schema(format = Int64, minimum = 0, maximum = 4_294_967_295_i64)]
     pub last_command: u32,
-    /// `outcome_code` of that motion; 0 while it runs, and before the first.
+    /// `outcome_code` of the newest motion; 0 while it runs, and before the first.
     #[serde(rename = "last_outcome_code", serialize_with = "outcome_code")]
     #[schema(value_type = u8, minimum = 0, maximum = 255)]
     pub last_outcome: Option<Outcome>,
-    /// Id of that motion.
+    /// Id of the newest motion.
     #[serde(skip)]
     #[schema(ignore)]
     pub last_command_id: Option<CommandId>,
@@ -226,11 +226,11 @@ impl State {
 }
 
 impl State {
-    /// Whether both states have the same values, whatever their ages.
+    /// Whether both states have the same values. Their ages can differ.
     #[must_use]
     pub fn is_like(&self, other: &Self) -> bool {
         let Self { updated_at, seq, update, .. } = *other;
-        // Comparing needs a copy, whose strings are few and short.
+        // Copying is cheap: a state has few strings, and they are short.
         Self { updated_at, seq, update, ..self.clone() } == *other
     }
 }

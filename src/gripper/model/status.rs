@@ -6,7 +6,7 @@ use utoipa::ToSchema;
 use super::{Outcome, State};
 use crate::wsg::GripperState;
 
-/// What a cyclic program needs to know. The whole response, with its header, is smaller than 256 bytes.
+/// Status of a gripper for a cyclic program. The whole response, with its header, is smaller than 256 bytes.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, ToSchema)]
 #[allow(clippy::struct_excessive_bools, reason = "each is a bit that a PLC reads")]
 #[schema(example = json!({
@@ -14,13 +14,13 @@ use crate::wsg::GripperState;
     "last_command": 17, "last_outcome_code": 2, "lease_epoch": 7
 }))]
 pub struct GripperStatus {
-    /// Whether a command runs.
+    /// Whether a command is running.
     pub busy: bool,
     /// Whether the newest motion has ended.
     pub done: bool,
-    /// Whether it ended as `SUCCESS` or `PART_HELD`.
+    /// Whether the newest motion ended as `SUCCESS` or `PART_HELD`.
     pub ok: bool,
-    /// Whether it ended otherwise.
+    /// Whether the newest motion ended with another outcome.
     pub nok: bool,
     /// Whether the device reports a held part (`HOLDING`).
     pub holding: bool,
@@ -31,7 +31,7 @@ pub struct GripperStatus {
     /// Number of the newest motion, as in `number` of the command; 0 before the first.
     #[schema(format = Int64, minimum = 0, maximum = 4_294_967_295_i64)]
     pub last_command: u32,
-    /// `outcome_code` of that motion; 0 while it runs, and before the first.
+    /// `outcome_code` of the newest motion; 0 while it runs, and before the first.
     #[schema(minimum = 0, maximum = 255)]
     pub last_outcome_code: u8,
     /// Number of the newest lease.

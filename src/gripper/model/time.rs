@@ -1,4 +1,4 @@
-//! Times in JSON: RFC 3339 in UTC, always with three decimals, so that texts have one length and sort by time.
+//! Times in JSON: RFC 3339 in UTC, always with three decimals. All have the same length, so their texts sort by time.
 
 use jiff::Timestamp;
 use serde::Serializer;

@@ -27,7 +27,8 @@ impl UpdateRules {
     /// Shortest period in ms that a device accepts (`fw4-en 3.4.1`).
     pub const MIN_PERIOD_MS: u16 = 10;
 
-    /// Longest configurable period in ms: a few of them still show in time that a device is silent.
+    /// Longest configurable period in ms. Even at this period, a few missed updates show in time that a device is
+    /// silent.
     pub const MAX_PERIOD_MS: u16 = 500;
 }
 

@@ -67,7 +67,7 @@ pub struct EventsQuery {
 #[into_params(parameter_in = Query)]
 #[allow(dead_code, reason = "only describes the parameters that `RecordList` reads")]
 pub struct GripsQuery {
-    /// Only records of this kind: `grip` (default), `release`, `home`, `move`, or `all` of them.
+    /// Only records of this kind: `grip` (default), `release`, `home` or `move`; `all` lists every kind.
     kind: Option<GripKinds>,
 }
 
@@ -158,7 +158,7 @@ pub async fn events(
     get, path = "/events.csv", operation_id = "list_events_csv", tag = "journal",
     params(RecordsQuery, EventsQuery),
     responses((status = 200, description = "A page of events", body = String, content_type = "text/csv", headers(
-        ("Next-Cursor" = String, description = "Cursor of the next page; absent where `next_cursor` of the list is null"),
+        ("Next-Cursor" = String, description = "Cursor of the next page; absent if the list's `next_cursor` is null"),
         ("Journal-Id" = String, description = "Id of the journal"),
         ("Link" = String, description = "Address of the next page, with `rel=\"next\"`; absent on the last page"),
     )), JournalProblem)
@@ -170,9 +170,9 @@ pub async fn events_csv(Shared(context): Shared<Arc<HttpContext>>, uri: Uri) -> 
 /// List grip records
 ///
 /// Returns one page of grip records, with their measurements. Homings, moves and releases have such records too: see
-/// `kind`. With `Accept: text/csv` the page is a table, and the header `Next-Cursor` has the cursor of the next page. In a table, text that a
-/// spreadsheet would run as a formula (it begins with `=`, `+`, `-`, `@`, a tab or a line break) is prefixed with a
-/// single quote.
+/// `kind`. With `Accept: text/csv` the page is a table, and the header `Next-Cursor` has the cursor of the next page.
+/// In a table, text that a spreadsheet would run as a formula (it begins with `=`, `+`, `-`, `@`, a tab or a line
+/// break) is prefixed with a single quote.
 #[utoipa::path(
     get, path = "/grips", operation_id = "list_grips", tag = "journal",
     params(RecordsQuery, GripsQuery),
@@ -196,7 +196,7 @@ pub async fn grips(
     get, path = "/grips.csv", operation_id = "list_grips_csv", tag = "journal",
     params(RecordsQuery, GripsQuery),
     responses((status = 200, description = "A page of grip records", body = String, content_type = "text/csv", headers(
-        ("Next-Cursor" = String, description = "Cursor of the next page; absent where `next_cursor` of the list is null"),
+        ("Next-Cursor" = String, description = "Cursor of the next page; absent if the list's `next_cursor` is null"),
         ("Journal-Id" = String, description = "Id of the journal"),
         ("Link" = String, description = "Address of the next page, with `rel=\"next\"`; absent on the last page"),
     )), JournalProblem)

@@ -22,12 +22,12 @@ paths! {
     /// Connect to a released gripper
     ///
     /// Lets the gateway connect to the device again. Returns at once; `link` shows when the link is connected. A FAST
-    /// STOP that was latched meanwhile is sent first.
+    /// STOP that was latched while the gripper was released is sent first.
     #[utoipa::path(
         post, path = "/grippers/{gripper}/connect", operation_id = "connect", tag = "device",
         params(GripperPath, LeaseHeader),
         request_body(content = Option<Leased>, description = "The lease token; optional"),
-        responses((status = 200, description = "The state before the link is connected", body = State), DeviceProblem)
+        responses((status = 200, description = "The state; the link is not connected yet", body = State), DeviceProblem)
     )]
     connect => connection::CONNECT;
 }

@@ -35,8 +35,8 @@ paths! {
     /// Acknowledge a FAST STOP or a fault
     ///
     /// Clears the FAST STOP with this id if it is the newest one and the device has confirmed it. Nothing moves.
-    /// Without an id, acknowledges a fault of the device while no FAST STOP is latched: the state `ERROR` or a fault
-    /// flag. A request without an id needs the lease if the gripper is leased.
+    /// Without an id, acknowledges a fault of the device, such as the state `ERROR` or a fault flag, while no FAST STOP
+    /// is latched. A request without an id needs the lease token if the gripper is leased.
     #[utoipa::path(
         post, path = "/grippers/{gripper}/acknowledge", operation_id = "acknowledge", tag = "fast stop",
         params(GripperPath, LeaseHeader),

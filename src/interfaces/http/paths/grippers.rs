@@ -34,8 +34,8 @@ paths! {
     state => grippers::STATE;
     /// Get a gripper's status
     ///
-    /// Returns the bits and numbers that a cyclic program needs. The whole response is smaller than 256 bytes: it has no
-    /// headers that only browsers need.
+    /// Returns the bits and numbers that a cyclic program needs. The whole response is smaller than 256 bytes, because
+    /// headers that only browsers need are left out.
     #[utoipa::path(
         get, path = "/grippers/{gripper}/status", operation_id = "get_status", tag = "grippers",
         params(GripperPath, LeaseHeader),

@@ -22,15 +22,18 @@ paths! {
     ///
     /// Returns a token; send it with every further command. Each use of the token renews the lease, and an open request
     /// with it keeps the lease alive. A holder that stays silent for `ttl_ms` counts as lost; `on_loss_moving` and
-    /// `on_loss_holding` say what the gripper does then. A client that has lost its token gets its lease back with the same
-    /// `holder`, from the same address, while no motion runs.
+    /// `on_loss_holding` say what the gripper does then.
+    ///
+    /// A client that has lost its token gets its lease back with the same `holder`, from the same address. This is
+    /// refused while a motion runs, while a part is held and `on_loss_holding` is `fast_stop`, and while a request or
+    /// connection of the holder is open.
     #[utoipa::path(
         post, path = "/grippers/{gripper}/lease", operation_id = "take_lease", tag = "lease",
         params(GripperPath, LeaseHeader),
         request_body = Option<Take>,
         responses(
             (status = 200, description = "The lease, with its token", body = Lease),
-            (status = 202, description = "The request for a hand-over waits: the current lease, with its `place`", body = Lease),
+            (status = 202, description = "The hand-over is requested: the current lease, with the `place` of the request", body = Lease),
             LeaseProblem
         )
     )]

@@ -44,7 +44,7 @@ pub struct WebhookPath {
 #[into_params(parameter_in = Query)]
 #[allow(dead_code, reason = "only described here")]
 pub struct LatestQuery {
-    /// Request id of the command, as this client sent it within the last 10 minutes.
+    /// Request id that this client sent with the command within the last 10 minutes.
     #[param(max_length = 64, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$", example = "k3-17")]
     request_id: Option<String>,
 }
