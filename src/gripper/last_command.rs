@@ -7,7 +7,7 @@ use super::model::{CommandId, Outcome};
 /// The newest motion, also across restarts of the gateway. Stops and streamed commands do not count.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct LastCommand {
-    /// Number of the motion: grows with each motion. 1 follows 4294967295; 0 means that there was no motion yet.
+    /// Number of the motion: grows with each motion. 1 follows 4294967295; 0 stands for none so far.
     number: u32,
     id: Option<CommandId>,
     /// Result of the motion; `None` while it runs.

@@ -83,11 +83,11 @@ pub(super) struct Mechanics {
     pub world: World,
     pub referenced: bool,
     pub blocked: Option<AxisDirection>,
-    /// A Stop has reset the flag of the present block.
+    /// A Stop has reset the flag of the current block.
     block_stopped: bool,
     /// The drive does not move, and no block is detected.
     jammed: bool,
-    /// Steps of the motion or Stop while jammed.
+    /// Number of steps of the motion or Stop while jammed.
     jammed_for: u32,
     activity: Activity,
     /// Difference between the device's width and the true width.

@@ -7,7 +7,7 @@ use std::time::Duration;
 use crate::sim::{AxisDirection, BadChecksum, DeviceConfig, FingerConfig, GripSide, Part, Script, ScriptAnswer};
 use crate::wsg::{ChecksumEvaluation, DeviceTag, SoftLimits, Status, Width, id};
 
-/// All options with their values, as the guide lists them.
+/// All options with their allowed values, as listed in the guide.
 const OPTIONS: [(&str, &str); 35] = [
     ("part_mm", "a width within the stroke"),
     ("part_side", "outside or inside"),
@@ -115,7 +115,7 @@ fn apply(config: &mut DeviceConfig, option: &str, value: &str) -> Option<()> {
     Some(())
 }
 
-/// The field of an option that is true or false.
+/// Field of an option whose value is true or false.
 fn switch<'a>(config: &'a mut DeviceConfig, option: &str) -> Option<&'a mut bool> {
     Some(match option {
         "fast_stop_on_disconnect" => &mut config.fast_stop_on_disconnect,
@@ -132,7 +132,7 @@ fn switch<'a>(config: &'a mut DeviceConfig, option: &str) -> Option<&'a mut bool
     })
 }
 
-/// The part within reach; of 20 mm if no other option has set its width yet.
+/// The part within reach. Its width is 20 mm until an option sets it.
 fn part(config: &mut DeviceConfig) -> &mut Part {
     config.part.get_or_insert(Part::outside(20.0))
 }
