@@ -53,9 +53,9 @@ pub enum DeliveryFailure {
 
 fn remedy(status: StatusCode) -> &'static str {
     match status.as_u16() {
-        300..=399 => "redirects are not followed; set url to the final address",
+        300..=399 => "redirects are not followed, so set url to the final address",
         401 | 403 => "check that the receiver has the same secret, and that both clocks are right",
-        _ => "only a 2xx status counts as delivered; see the receiver's log",
+        _ => "only 2xx counts as delivered, so see the receiver's log",
     }
 }
 

@@ -69,8 +69,8 @@ function readout(output) {
 }
 
 /**
- * `timeText` formats a label of the time axis from its value and decimals; `output` gets the value under the cursor of
- * all plots with the same `group`. `xScale`, `yScale`, `padding` and `hooks` are uPlot's.
+ * `timeText` formats a label of the time axis from its value and decimals. `output` shows the value under the cursor,
+ * which all plots with the same `group` share. `xScale`, `yScale`, `padding` and `hooks` are uPlot's.
  */
 export function plot(place, { data, timeText, output, group, xScale = {}, yScale = {}, padding, hooks = {} }) {
   const axis = (more) => ({
