@@ -41,7 +41,7 @@ const DEFAULT_DRAIN: Duration = Duration::from_secs(2);
 /// Longest configurable drain, since the shutdown waits for it.
 const LONGEST_DRAIN: Duration = Duration::from_mins(1);
 
-/// Default pause between motions. Devices in the field fail without one.
+/// Default pause between motions. Users report errors of some grippers at shorter pauses.
 const DEFAULT_MOTION_PAUSE: Duration = Duration::from_millis(50);
 
 /// Longest configurable pause between motions, since a waiting motion blocks the next one.
@@ -50,7 +50,7 @@ const LONGEST_MOTION_PAUSE: Duration = Duration::from_secs(1);
 /// Default time after which an idle HTTP connection is closed.
 const DEFAULT_IDLE_TIMEOUT: Duration = Duration::from_secs(10);
 
-/// Idle times that can be configured. A slow request header occupies its connection for as long.
+/// Idle times that can be configured. A slow request header can occupy its connection for this time.
 const IDLE_TIMEOUTS: RangeInclusive<Duration> = Duration::from_secs(1)..=Duration::from_hours(1);
 
 /// Default grippers: two simulated ones with a force finger each, one with a part in reach.

@@ -58,7 +58,7 @@ fn writes_to_systemd() -> bool {
     error.is_some_and(|file| stream == Some(format!("{}:{}", file.st_dev(), file.st_ino())))
 }
 
-/// Puts a line's priority before it, as systemd's journal expects (sd-daemon(3)).
+/// Starts each line with its priority, as systemd's journal expects (sd-daemon(3)).
 struct WithPriority(Format<Full, ()>);
 
 impl<S, N> FormatEvent<S, N> for WithPriority

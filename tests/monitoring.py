@@ -3,8 +3,9 @@
 
 usage: monitoring.py DIRECTORY http://127.0.0.1:PORT
 
-DIRECTORY has the programs prometheus and promtool. The gateway serves two simulated grippers, `left` and `right`. Before
-the queries run, this script homes and grips, takes a lease and requests a FAST STOP, so that each panel has something to show.
+DIRECTORY has the programs prometheus and promtool. The gateway serves two simulated grippers, `left` and `right`.
+Before the queries run, this script homes and grips, takes a lease and requests a FAST STOP, so that each panel has
+something to show.
 """
 
 import json
@@ -24,21 +25,21 @@ DASHBOARD = DEPLOY / "grafana" / "wsg-gateway.json"
 # Values of Grafana's variables.
 VARIABLES = {"$gateway": ".*", "$gripper": ".*", "$__rate_interval": "10s", "$__range": "1m"}
 
-# Queries that find nothing while all is well.
+# Queries that may return nothing.
 MAY_BE_EMPTY = {'ALERTS{alertstate="firing"}'}
 
 TIMEOUT_S = 30
 
 
 def request(url, body=None, **headers):
-    """The JSON response to a GET, or to a POST of `body`."""
+    """Returns the JSON response to a GET, or to a POST of `body`."""
     data = None if body is None else json.dumps(body).encode()
     with urllib.request.urlopen(urllib.request.Request(url, data, headers), timeout=TIMEOUT_S) as response:
         return json.load(response)
 
 
 def work(base):
-    """Lets each metric of a gripper change."""
+    """Makes each metric of a gripper change."""
     for gripper in ("left", "right"):
         path = f"{base}/api/v1/grippers/{gripper}"
         request(f"{path}/home", {})
@@ -74,7 +75,7 @@ def queries():
 
 
 def query(base, expression):
-    """The series that a query returns."""
+    """Returns the series that match a query."""
     for variable, value in VARIABLES.items():
         expression = expression.replace(variable, value)
     answer = request(f"{base}/api/v1/query?{urllib.parse.urlencode({'query': expression})}")
@@ -95,7 +96,7 @@ def until(what, found):
 
 
 def check(base, gateway):
-    """The number of passed and failed queries."""
+    """Runs all queries and rules, and returns the numbers of passed and failed ones."""
     until("the gateway is scraped", lambda: query(base, "up == 1"))
     # An increase needs a sample before it.
     work(gateway)

@@ -75,7 +75,7 @@ impl File {
 impl File {
     fn update_rules(&self, gripper: &GripperContent) -> Result<UpdateRules, ConfigError> {
         let allowed = UpdateRules::MIN_PERIOD_MS.into()..=UpdateRules::MAX_PERIOD_MS.into();
-        let remedy = "leave it out for the shortest that the line allows";
+        let remedy = "leave it out for the shortest period that the line allows";
         let period_ms = bounded(Some(self), "update_period_ms", gripper.update_period_ms.as_ref(), allowed, remedy)?;
         let min_period_ms = period_ms.map_or(UpdateRules::MIN_PERIOD_MS, |period_ms| period_ms as u16);
         Ok(UpdateRules { mode: gripper.updates, min_period_ms, ..UpdateRules::default() })

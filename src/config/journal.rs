@@ -95,7 +95,7 @@ impl JournalConfig {
     }
 }
 
-/// Returns a number of the file, if it is within its range.
+/// Returns a number from the file, or an error if it is out of range.
 pub(super) fn bounded(
     file: Option<&File>,
     key: &str,

@@ -1,4 +1,4 @@
-//! The webhooks in the file.
+//! The webhooks in the configuration file.
 
 use std::path::PathBuf;
 
@@ -10,7 +10,7 @@ use crate::gripper::model::Name;
 use crate::journal::EventKind;
 use crate::webhooks::{Authorities, SigningSecret, WebhookSettings};
 
-/// Maximum number of webhooks, each of which reads the journal.
+/// Maximum number of webhooks. Each one reads the journal.
 const MAX_WEBHOOKS: usize = 16;
 
 #[derive(Debug, Deserialize)]
@@ -24,7 +24,7 @@ pub(super) struct WebhookContent {
     ca_file: Option<Spanned<PathBuf>>,
 }
 
-/// Validates the webhooks of a file.
+/// Validates the webhooks in the file.
 pub(super) fn settings(file: &File) -> Result<Vec<WebhookSettings>, ConfigError> {
     let mut all: Vec<WebhookSettings> = Vec::new();
     for webhook in &file.content.webhooks {
@@ -35,7 +35,7 @@ pub(super) fn settings(file: &File) -> Result<Vec<WebhookSettings>, ConfigError>
             return Err(wrong(format!("two webhooks are named {:?}: give each its own name", name.as_str())));
         }
         if all.len() == MAX_WEBHOOKS {
-            return Err(wrong(format!("there are more than {MAX_WEBHOOKS} webhooks: let one receiver pass events on")));
+            return Err(wrong(format!("there are more than {MAX_WEBHOOKS} webhooks: let one receiver forward events")));
         }
         if let Some(kinds) = webhook.kinds.as_ref().filter(|kinds| kinds.get_ref().is_empty()) {
             let detail = "kinds is empty: list kinds of events, or leave it out for all";

@@ -57,7 +57,7 @@ impl Collector for JournalSize {
     fn collect(&self) -> Vec<MetricFamily> {
         let mut log = OsString::from(&self.path);
         log.push("-wal");
-        // The log is missing while nothing is waiting in it.
+        // The write-ahead log need not exist.
         let size = |path: &OsString| std::fs::metadata(path).map_or(0, |file| file.len());
         let bytes = size(&OsString::from(&self.path)) + size(&log);
         self.bytes.set(i64::try_from(bytes).unwrap_or(i64::MAX));

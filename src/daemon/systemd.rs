@@ -7,7 +7,8 @@ use tokio::time::{interval, timeout};
 
 use crate::gripper::Grippers;
 
-/// Checks per watchdog time-out. A check fails if a gripper's queue is full for a moment, so one success is enough.
+/// Checks per watchdog time-out, of which one has to succeed. A check also fails if a gripper's queue is full for a
+/// moment.
 const CHECKS_PER_TIMEOUT: u32 = 4;
 
 /// Reports that all interfaces listen.
@@ -20,7 +21,7 @@ pub(super) fn stopping() {
     send(NotifyState::Stopping);
 }
 
-/// Feeds the watchdog for as long as the actor of each gripper responds. Never ends.
+/// Feeds the watchdog while the actors of all grippers respond. Never returns.
 pub(super) async fn feed_watchdog(grippers: &Grippers) {
     let Some(time_out) = sd_notify::watchdog_enabled() else { return std::future::pending().await };
     let period = time_out / CHECKS_PER_TIMEOUT;

@@ -149,12 +149,12 @@ impl Driver {
         self.pass_records_on();
     }
 
-    /// Whether a link may be made.
+    /// Whether the gateway may connect.
     fn may_connect(&self) -> bool {
         !self.actor.is_draining() && !self.actor.is_released()
     }
 
-    /// Connects, and serves requests meanwhile. Returns `None` if no link may be made any more.
+    /// Connects, and serves requests meanwhile. Returns `None` if the gateway may no longer connect.
     async fn connect(&mut self) -> Option<io::Result<Pipe>> {
         let connector = self.connector.clone();
         let mut connecting = connector.connect();
@@ -174,7 +174,8 @@ impl Driver {
         None
     }
 
-    /// Waits before the next attempt while a link may be made, and serves requests meanwhile.
+    /// Waits before the next attempt to connect, and serves requests meanwhile. The wait ends early if the gateway may
+    /// no longer connect.
     async fn pause(&mut self, back_off: Duration) {
         let jittered = back_off.mul_f64(rand::rng().random_range(0.75..=1.0));
         let mut sleep = Box::pin(tokio::time::sleep(jittered));

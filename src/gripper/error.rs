@@ -92,12 +92,12 @@ pub enum Conflict {
     )]
     LeaseBound { holder: Arc<str>, ttl_ms: u64 },
     #[error(
-        "{holder} holds the lease, which this same client ({subject}) took, but the request has no token: send it as \
-         `lease` or in the header Wsg-Lease"
+        "the request has no lease token: {holder} holds the lease, which this client ({subject}) took itself; send its \
+         token as `lease` or in the header Wsg-Lease"
     )]
     LeaseTokenMissing { holder: Arc<str>, subject: Arc<str>, expires_in_ms: u64 },
-    /// The request for a hand-over waits for the holder.
-    #[error("{holder} holds the lease and can see the request for a hand-over, which is number {place}: ask again")]
+    /// The request for a hand-over waits for the holder. It is forgotten a minute after its last repetition.
+    #[error("{holder} holds the lease: the request for a hand-over waits in place {place}; repeat it within a minute")]
     LeaseRequested { holder: Arc<str>, place: usize },
     #[error("{}", stale_lease(*epoch, holder.as_deref()))]
     StaleLease { epoch: u64, holder: Option<Arc<str>> },
@@ -166,7 +166,7 @@ impl DeviceRefusal {
         match self.status {
             Status::E_ACCESS_DENIED if self.fast_stop.is_some() => Code::FastStop,
             Status::E_NOT_INITIALIZED => Code::NotReferenced,
-            // The gateway knows of no command, so the device counts its last grip as running (`fw4-en 3.2.6`).
+            // No command of the gateway runs, so the device still counts its last grip as running (`fw4-en 3.2.6`).
             Status::E_ALREADY_RUNNING if self.command == "Grip" => Code::ReleaseFirst,
             Status::E_ALREADY_RUNNING => Code::AlreadyRunning,
             Status::E_RANGE_ERROR => Code::OutOfRange,

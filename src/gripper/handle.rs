@@ -358,8 +358,8 @@ impl Handle {
         self.request_reserved(|answer| ActorRequest::AcknowledgeFault { client, lease, answer }).await?
     }
 
-    /// Releases the device to another program: announces the disconnect, closes the link, and returns. No link is made
-    /// until [`Handle::connect`].
+    /// Releases the device to another program: announces the disconnect, closes the link, and returns. The gateway does
+    /// not connect again until [`Handle::connect`].
     pub async fn disconnect(&self, client: Client, lease: Option<LeaseToken>) -> Result<(), Rejection> {
         self.request_reserved(|answer| ActorRequest::Disconnect { client, lease, answer }).await?
     }

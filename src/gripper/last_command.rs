@@ -1,4 +1,4 @@
-//! The newest motion of a gripper: its number, by which a polling client recognises its own command, and its result.
+//! The newest motion of a gripper, with its result and its number. Polling clients recognise their commands by number.
 
 use serde::{Deserialize, Serialize};
 
@@ -7,25 +7,25 @@ use super::model::{CommandId, Outcome};
 /// The newest motion, also across restarts of the gateway. Stops and streamed commands do not count.
 #[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub(super) struct LastCommand {
-    /// Grows by one with each motion. 1 follows 4294967295, and 0 stands for no motion yet.
+    /// Number of the motion: grows with each motion. 1 follows 4294967295; 0 stands for none so far.
     number: u32,
     id: Option<CommandId>,
     /// Result of the motion; `None` while it runs.
     outcome: Option<Outcome>,
-    /// Numbers that the next motion skips.
+    /// Count of numbers that the next motion skips.
     #[serde(skip)]
     skipped: u32,
 }
 
 impl LastCommand {
-    /// The motion as restored after a restart. A motion that was running ended as `UNKNOWN`. `skipped` numbers may have
-    /// been used without being persisted.
+    /// Restores the motion after a restart. A motion that was running has ended as `UNKNOWN`. Up to `skipped` further
+    /// numbers may have been used without being persisted.
     pub(super) fn restored(self, skipped: u32) -> Self {
         let outcome = self.id.map(|_| self.outcome.unwrap_or(Outcome::Unknown));
         Self { outcome, skipped, ..self }
     }
 
-    /// Takes an admitted motion, and returns its number.
+    /// Notes an admitted motion, and returns its number.
     pub(super) fn admitted(&mut self, id: CommandId) -> u32 {
         let next = self.number.checked_add(self.skipped).and_then(|number| number.checked_add(1));
         let number = next.unwrap_or(1);

@@ -23,12 +23,12 @@ const CLEARS_WITHIN: Duration = Duration::from_millis(500);
 /// Time for which a sent acknowledgement can still take effect: longer than the wait for its reply.
 const ACKNOWLEDGE_LASTS: Duration = Duration::from_secs(2);
 
-/// Longest time from a flag to the FAST STOP that it explains. A device sets both at once, but a slow line can carry
-/// them apart.
+/// Longest time from a flag to the FAST STOP that the flag explains. A device sets both at once, but on a slow line
+/// they can arrive at different times.
 const EXPLAINS_WITHIN: Duration = Duration::from_millis(500);
 
-/// Flags that can stand for hours without a FAST STOP, so they explain only one that comes with them. A temperature,
-/// power or current fault stops the gripper for as long as it lasts.
+/// Flags that can be set for hours without a FAST STOP. They explain a FAST STOP only if they are set at the same time.
+/// A temperature, power or current fault, however, stops the gripper for as long as it lasts.
 const STANDING: SystemState =
     SystemState::FINGER_FAULT.union(SystemState::SOFT_LIMIT_MINUS).union(SystemState::SOFT_LIMIT_PLUS);
 
@@ -52,7 +52,7 @@ pub(super) struct LatchState {
     acknowledging: Option<Acknowledging>,
     /// Newest flags of [`STANDING`].
     flags: Option<SystemState>,
-    /// Flags of [`STANDING`] that were set last, all at the same time.
+    /// Flags of [`STANDING`] that were set most recently, with the time.
     newest_flags: Option<(Instant, SystemState)>,
     /// Ended acknowledgements whose clients have not been answered yet.
     untold: Vec<EndedAcknowledge>,
@@ -229,7 +229,8 @@ impl LatchState {
         }
     }
 
-    /// Takes the flags, and returns those that were set recently. Flags found on the first connect can be old.
+    /// Notes the flags, and returns those of [`STANDING`] that were set recently. Flags found on the first connect can
+    /// be old.
     fn fresh_flags(&mut self, now: Instant, flags: SystemState) -> SystemState {
         let flags = flags.intersection(STANDING);
         let set = self.flags.replace(flags).map_or(SystemState::empty(), |before| flags.difference(before));
@@ -255,7 +256,7 @@ impl LatchState {
     pub(super) fn check_acknowledge_fault(&self, is_faulty: bool) -> Result<(), Rejection> {
         let missing = |detail: String| Err(Invalid::Malformed { field: "fast_stop_id", detail }.into());
         match self.id() {
-            Some(id) => missing(format!("missing; FAST STOP {id} is latched, and its acknowledgement has to name it")),
+            Some(id) => missing(format!("missing; FAST STOP {id} is latched, and can only be acknowledged by this id")),
             None if !is_faulty => missing("missing; the device shows no fault to acknowledge without an id".to_owned()),
             None if self.acknowledging.is_some() => Err(Conflict::Acknowledging { id: None }.into()),
             None => Ok(()),
@@ -333,7 +334,7 @@ impl LatchState {
     }
 }
 
-/// Cause of a FAST STOP, as the flags show it. `fresh` has the recent ones of [`STANDING`].
+/// Cause of a FAST STOP, as the flags show it. `fresh` has the flags of [`STANDING`] that were set recently.
 fn cause_of(flags: SystemState, fresh: SystemState, unannounced: bool) -> FastStopCause {
     let flags = flags.difference(STANDING).union(flags.intersection(fresh));
     let causes = [

@@ -14,7 +14,8 @@ use super::model::{Client, Lease, LeaseRules, LeaseToken, OnLossHolding, OnLossM
 /// Time for which a request for the lease counts without being repeated.
 const REQUEST_LASTS: Duration = Duration::from_mins(1);
 
-/// Clients that can request the lease at the same time. A gripper has a few clients; more would only be a fault.
+/// Maximum number of clients that can request the lease at the same time. A gripper has few clients, so a greater
+/// number would be a fault.
 const MAX_ASKING: usize = 16;
 
 /// A client that holds, held or requests a lease.
@@ -111,7 +112,7 @@ impl HeldLease {
         Arc::strong_count(&self.open) > 1 || self.is_bound()
     }
 
-    /// Whether a connection keeps the lease.
+    /// Whether a connection keeps the lease alive.
     fn is_bound(&self) -> bool {
         Arc::strong_count(&self.connection) > 1
     }
@@ -153,7 +154,7 @@ struct Asking {
 pub(super) struct LeaseState {
     epoch: u64,
     held: Option<HeldLease>,
-    /// Clients that request the lease, first come first.
+    /// Clients that request the lease, in the order of their first requests.
     asking: Vec<Asking>,
     /// Holder that was lost while a part was held; only this client can take the lease.
     reserved: Option<Holder>,
@@ -172,7 +173,7 @@ pub(super) enum AcquireOutcome {
     HandedOver,
     /// The client holds the lease already.
     Again,
-    /// The client took its own lease anew, without its token.
+    /// The client took its own lease again, without the token.
     Returned,
 }
 
@@ -248,7 +249,7 @@ impl LeaseState {
         self.keep_while(now, token, |held| &held.open)
     }
 
-    /// Binds the lease of this token to a connection, which keeps it while the guard lives.
+    /// Binds the lease of this token to a connection, which keeps the lease while the guard lives.
     pub(super) fn bind(&mut self, now: Instant, token: Option<&LeaseToken>) -> Option<LeaseKeepAlive> {
         self.keep_while(now, token, |held| &held.connection)
     }
@@ -274,8 +275,9 @@ impl LeaseState {
         }
     }
 
-    /// Takes the lease for a client. A new lease gets `token`. With `may_return`, a client that has lost its token, as
-    /// after a restart, takes its own lease anew, unless a request or a connection of the holder is open.
+    /// Takes the lease for a client. A new lease gets `token`. With `may_return`, a client that has lost its token, for
+    /// example in a restart, can take its own lease again. It cannot while a request or a connection of the holder is
+    /// open.
     pub(super) fn take(
         &mut self,
         now: Instant,
@@ -338,8 +340,8 @@ impl LeaseState {
         });
     }
 
-    /// Notes a client that requests the lease, for as long as the client repeats its request. Returns its place, or
-    /// `None` if too many clients wait. The holder sees the first client.
+    /// Notes a client that requests the lease, for as long as the client repeats its request. Returns the client's
+    /// place in the queue, or `None` if too many clients wait. The holder sees only the first client.
     fn ask(&mut self, now: Instant, holder: Holder, terms: Terms) -> Option<usize> {
         self.asking.retain(|asking| now < asking.at + REQUEST_LASTS);
         let known = self.asking.iter().position(|asking| asking.holder.is(&holder));

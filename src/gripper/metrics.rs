@@ -80,7 +80,7 @@ impl GripperMetrics {
             &["kind"],
         )?)?;
         let fast_stops = of.counters("wsg_fast_stops_total", "Latched FAST STOPs, by cause.", &["cause"])?;
-        // Prometheus sees the first increase only of a series that has been 0 before.
+        // Series start at 0: Prometheus would not count the first value of a new series as an increase.
         for kind in Kind::VARIANTS {
             for outcome in Outcome::VARIANTS {
                 commands.with_label_values(&[kind.name(), outcome.name()]);
@@ -140,7 +140,7 @@ pub struct Newest {
     leased: IntGauge,
     holder: IntGaugeVec,
     age: Gauge,
-    /// Values that a gripper reports only in some states: the gauge, and the value of a state.
+    /// Gauges that are missing in some states, each with a function that returns the value of a state.
     reported: [(Gauge, fn(&State) -> Option<f64>); 4],
 }
 

@@ -31,7 +31,7 @@ pub(super) struct HeldPart {
 pub(super) struct Observed {
     pub flags: Option<SystemState>,
     pub gripper_state: Option<GripperState>,
-    /// Whether the ERROR that the device reports is the rest of an acknowledged FAST STOP (`fw4-en 3.4.2`).
+    /// Whether the ERROR that the device reports remains from an acknowledged FAST STOP (`fw4-en 3.4.2`).
     error_is_acknowledged: bool,
     pub width_mm: Option<f32>,
     pub speed_mm_s: Option<f32>,
@@ -57,13 +57,14 @@ impl Observed {
     pub(super) fn new(rules: UpdateRules, bytes_per_second: Option<u32>) -> Self {
         let period = Duration::from_millis(period_ms(rules, bytes_per_second).into());
         let is_on_change = rules.mode == UpdateMode::Changes;
-        // A device without changes is polled, so its silence shows before the link counts as unresponsive.
+        // A device whose values do not change sends nothing. It is polled after one period, so that its replies arrive
+        // before the link counts as unresponsive.
         let periods = if is_on_change { 1 } else { MISSED_PERIODS };
         Self { renew_after: RENEW_AFTER.max(periods * period), is_on_change, ..Self::default() }
     }
 
     /// Whether the flags arriving now were overdue. A device that restarts forgets its automatic updates. Updates on
-    /// change are never overdue: a restart shows as a silence of the link or a lost reference.
+    /// change are never overdue, so a restart then shows only as a silent link or a lost reference.
     pub(super) fn were_missed(&mut self, now: Instant) -> bool {
         if self.is_on_change {
             return false;
@@ -128,7 +129,7 @@ impl Observed {
         self.heard.iter().all(|heard| heard.is_some_and(|heard| heard > then))
     }
 
-    /// Takes an acknowledgement, after which ERROR persists until the next motion (`fw4-en 3.4.2`).
+    /// Notes an acknowledgement. ERROR persists after it until the next motion (`fw4-en 3.4.2`).
     pub(super) fn acknowledged(&mut self) {
         self.error_is_acknowledged = true;
     }
@@ -195,7 +196,7 @@ pub(super) fn switch_on_all(rules: UpdateRules, bytes_per_second: Option<u32>) -
 
 /// Request that switches on the updates of one getter.
 pub(super) fn switch_on(id: u8, rules: UpdateRules, bytes_per_second: Option<u32>) -> Option<Command> {
-    // By default not on change only: after a damaged frame, the next update corrects the value.
+    // Periodic updates are the default, because the next update corrects a value that a damaged frame has lost.
     let on_change = rules.mode == UpdateMode::Changes;
     let updates = Updates::On { on_change, period_ms: period_ms(rules, bytes_per_second) };
     Some(match id {
@@ -208,8 +209,8 @@ pub(super) fn switch_on(id: u8, rules: UpdateRules, bytes_per_second: Option<u32
     })
 }
 
-/// Period of the updates: the shortest allowed, or long enough that the updates of all devices on the line take at most
-/// half of it.
+/// Period of the updates: the shortest allowed, or longer if the updates of all devices would otherwise take more than
+/// half of the line's capacity.
 pub(super) fn period_ms(rules: UpdateRules, bytes_per_second: Option<u32>) -> u16 {
     let UpdateRules { min_period_ms, devices_on_line, .. } = rules;
     let Some(bytes_per_second) = bytes_per_second else { return min_period_ms };

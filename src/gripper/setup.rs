@@ -87,7 +87,7 @@ pub(super) enum Step {
 }
 
 impl Setup {
-    /// A setup that ends with the requests `switch_on`, for automatic updates.
+    /// A setup that ends with the requests `switch_on`, which switch on automatic updates.
     pub(super) fn new(switch_on: impl Iterator<Item = Command>, known_serial: Option<u32>, wanted: Wanted) -> Self {
         let reads = [
             Some(Command::GetSystemInfo),
@@ -152,7 +152,7 @@ impl Setup {
             // The device has to report its identity and its flags.
             (_, Reply::Status(_)) if is_vital(&command) => self.current = Some((command, attempts)),
             (_, Reply::Status(_)) if self.concerns_wanted(&command) => {
-                // A restored value that can't be read back counts as sent.
+                // A restored value that can't be read back is assumed to be set.
                 self.lost.extend(Setting::of(command.id()).filter(|setting| !self.restored.contains(setting)));
             }
             (_, Reply::Status(_)) => {}
@@ -160,8 +160,8 @@ impl Setup {
         }
     }
 
-    /// Takes an invalid reply. Soft limits with minus above plus (35h) are none that a client has set, so they are set
-    /// again; without such a setting, they are left to the device.
+    /// Takes an invalid reply, such as soft limits with minus above plus (35h). No client can have set such limits. If
+    /// a client has set others, those are restored; otherwise the device keeps its own.
     pub(super) fn take_invalid(&mut self) {
         if self.current.take_if(|(command, _)| *command == Command::GetSoftLimits).is_some() {
             self.compare_soft_limits(WantedSoftLimits::AsTheyAre);
@@ -177,7 +177,7 @@ impl Setup {
             Data::ForceLimit(found) => self.compare_force_limit(found),
             _ => {}
         }
-        // The device clamps what it is sent, so a restored value is read back.
+        // The device clamps the values that it gets, so a restored value is read back.
         let getter = match command {
             Command::SetSoftLimits(limits) => {
                 self.soft_limits = Some(*limits);
@@ -213,7 +213,7 @@ impl Setup {
         }
     }
 
-    /// Restores a force limit up to the nominal force. Overdrive Mode is not restored, nor is a force beyond nominal.
+    /// Restores a force limit, but at most the nominal force, because Overdrive Mode is not restored.
     fn compare_force_limit(&mut self, found: Force) {
         let nominal = self.limits.map(|limits| limits.nominal_force);
         let allowed = |wanted| nominal.filter(|nominal| *nominal < wanted).unwrap_or(wanted);
@@ -382,7 +382,7 @@ mod tests {
         assert!(!sent.iter().any(|command| command.id() == id::SET_ACCELERATION));
     }
 
-    /// A device that keeps its settings, and clamps the force limit to `most_n`.
+    /// Replies of a device that keeps its settings, and clamps the force limit to `most_n`.
     fn clamping(mut force_n: f32, most_n: f32) -> impl FnMut(&Command) -> Option<Reply> {
         let limits = SystemLimits {
             stroke: Width::ZERO,
@@ -408,7 +408,8 @@ mod tests {
     #[test]
     fn force_limit_is_restored_up_to_nominal_and_read_back() {
         let force = |n| Some(Force::new(n).unwrap());
-        // Wanted, found on the device, the device's own maximum; then the frame sent, and the limit known afterwards.
+        // Inputs: the wanted limit, the limit found, and the device's maximum. Results: the limit sent, and the limit
+        // known afterwards.
         for (wanted, found, most, sent, known) in [
             (100.0, 80.0, 120.0, None, 80.0),
             (100.0, 100.0, 120.0, None, 100.0),

@@ -58,7 +58,7 @@ impl WsgPortMetrics {
         Ok(Self { refused: register_in(registry, IntCounterVec::new(refused, &["gripper", "status"])?)? })
     }
 
-    /// Counts a refused request. A device can invent any number of statuses, so those without a name share a series.
+    /// Counts a refused request. A device can return any status code, so those without a name share one series.
     pub fn refused(&self, gripper: &str, status: Option<&str>) {
         self.refused.with_label_values(&[gripper, status.unwrap_or("unlisted")]).inc();
     }

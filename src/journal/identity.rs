@@ -1,5 +1,5 @@
-//! The id of a journal: random, made with the journal, and kept in its file. Sequence numbers of another journal mean
-//! other records.
+//! The unique id of a journal, created with the journal and stored in its file. The same sequence number means another
+//! record in another journal.
 
 use rusqlite::{Connection, OptionalExtension as _, params};
 use uuid::Uuid;
@@ -10,11 +10,11 @@ use super::chain::memory_hash;
 pub(super) const NO_GRIPPER: &str = "";
 const KEY: &str = "journal_id";
 
-/// Returns the journal's id. Makes one for a new journal, and for one of an earlier version.
+/// Returns the journal's id. Creates an id for a new journal, and for a journal of an earlier version.
 pub(super) fn identify(connection: &Connection) -> Uuid {
     let id = read(connection).ok().flatten().unwrap_or_else(Uuid::now_v7);
     if let Err(error) = write(connection, id) {
-        tracing::warn!(%error, "journal id not stored: the next start makes another");
+        tracing::warn!(%error, "journal id not stored: the next start creates another one");
     }
     id
 }

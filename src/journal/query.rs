@@ -145,7 +145,7 @@ pub struct Page {
     pub bodies: Vec<Arc<str>>,
     /// Cursor of the next page; absent on the last.
     pub next_cursor: Option<String>,
-    /// Cursor of later records; absent if the newest records come first.
+    /// Cursor for later records; absent if the newest records come first.
     pub resume_cursor: Option<String>,
 }
 

@@ -19,7 +19,7 @@ const BROADCAST: usize = 1024;
 /// Grip records by which a subscriber can lag.
 const GRIPS_BROADCAST: usize = 64;
 
-/// Senders of the writing thread, whose end ends all receivers.
+/// Senders of the writing thread. The end of the thread ends all receivers.
 #[derive(Debug)]
 pub(super) struct Senders {
     pub(super) events: broadcast::Sender<Arc<Stored>>,

@@ -285,7 +285,7 @@ impl JournalWriter {
                 Ok(update) => drop(self.senders.grips.send(Arc::new(update))),
                 Err(error) => tracing::warn!(%error, command = %id, "damaged grip record not sent to subscribers"),
             },
-            // A lost part's record is written up to a second after the grip, and has the loss then.
+            // A grip record is written up to a second after the grip. A part that was lost before is in that record.
             Ok(None) => {}
             Err(error) => tracing::warn!(%error, command = %id, "grip record not sent to subscribers"),
         }

@@ -121,7 +121,7 @@ pub struct DeviceConfig {
     pub stop_sets_flag_when_idle: bool,
     /// Whether Stop while HOLDING ends the gripping force. The manuals leave it open.
     pub stop_lets_go: bool,
-    /// Whether a FAST STOP while HOLDING ends the gripping force. The manuals leave it open.
+    /// Whether a FAST STOP while HOLDING ends the gripping force. The manuals do not say.
     pub fast_stop_lets_go: bool,
     /// Status for an acknowledgement while the fault persists. No manual names one. Ruling: the FAST STOP stays.
     pub early_acknowledge: Status,

@@ -83,9 +83,9 @@ pub(super) struct Mechanics {
     pub world: World,
     pub referenced: bool,
     pub blocked: Option<AxisDirection>,
-    /// A Stop has reset the flag of the present block.
+    /// A Stop has reset the flag of the current block.
     block_stopped: bool,
-    /// Steps of the motion or Stop while the drive is jammed: it does not move, and no block is detected.
+    /// Number of steps of the motion or Stop while the drive is jammed: it does not move, and no block is detected.
     jammed: Option<u32>,
     activity: Activity,
     /// Difference between the device's width and the true width.

@@ -10,7 +10,7 @@ use crate::wsg::{ChecksumEvaluation, DeviceTag, SoftLimits, Status, Width, id};
 /// Allowed values of a width.
 const WITHIN_STROKE: &str = "a width within the stroke";
 
-/// All options with their values, as the guide lists them.
+/// All options with their allowed values, as listed in the guide.
 const OPTIONS: [(&str, &str); 35] = [
     ("part_mm", WITHIN_STROKE),
     ("part_side", "outside or inside"),
@@ -124,7 +124,7 @@ fn apply(config: &mut DeviceConfig, option: &str, value: &str) -> Option<()> {
     Some(())
 }
 
-/// The field of an option that is true or false.
+/// Field of an option whose value is true or false.
 fn switch<'a>(config: &'a mut DeviceConfig, option: &str) -> Option<&'a mut bool> {
     Some(match option {
         "fast_stop_on_disconnect" => &mut config.fast_stop_on_disconnect,
@@ -141,7 +141,7 @@ fn switch<'a>(config: &'a mut DeviceConfig, option: &str) -> Option<&'a mut bool
     })
 }
 
-/// The part within reach; of 20 mm if no other option has set its width yet.
+/// The part within reach. Its width is 20 mm until an option sets it.
 fn part(config: &mut DeviceConfig) -> &mut Part {
     config.part.get_or_insert(Part::outside(20.0))
 }

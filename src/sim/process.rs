@@ -91,7 +91,7 @@ impl Process {
             _ if !success => self.error(),
             _ => GripperState::Idle,
         };
-        // fw2 names "a Goto or Grasp command" alone (Appendix B).
+        // fw2 names only "a Goto or Grasp command" (Appendix B).
         let has_target = match kind {
             MotionKind::Home => false,
             MotionKind::Release => self.is_fw4,
@@ -105,7 +105,7 @@ impl Process {
 
     pub fn part_lost(&mut self) {
         self.statistics.lost_part = self.statistics.lost_part.saturating_add(1);
-        // A part can also be lost after a FAST STOP, whose state stays.
+        // A part can also be lost after a FAST STOP. The state does not change then.
         if self.state == GripperState::Holding {
             self.state = GripperState::PartLost;
         }

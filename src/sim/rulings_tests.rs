@@ -89,7 +89,7 @@ fn jammed_drive_times_out() {
     assert_eq!(bench.ask(&Command::Stop), []);
     let aborted = (id::PRE_POSITION, status(Status::E_CMD_ABORTED));
     assert_eq!(bench.pass(ms(4000)), [(id::STOP, status(Status::E_TIMEOUT)), aborted.clone()]);
-    // FAST STOP and its acknowledgement have no time-out.
+    // A FAST STOP and its acknowledgement do not time out.
     bench.ask(&move_to(20.0, 100.0));
     assert_eq!(bench.ask(&Command::FastStop), [(id::FAST_STOP, DONE), aborted]);
     assert_eq!(bench.reply(&Command::AcknowledgeFastStop), DONE);

@@ -1,4 +1,4 @@
-//! The HTTP client: one connection for each attempt. It follows no redirects, and reads no more than the header.
+//! The HTTP client: one connection for each attempt. It does not follow redirects, and reads only a response's header.
 
 use std::io;
 use std::pin::pin;
@@ -28,14 +28,14 @@ const ANSWERED_WITHIN: Duration = Duration::from_secs(15);
 /// Size limit of a response's header in bytes.
 const MAX_HEADER_BYTES: usize = 16 * 1024;
 
-/// Why a receiver did not accept a delivery, with the remedy. None of the texts contains the URL's path.
+/// Reason why a delivery failed, with the remedy. The texts never contain the URL's path, which can be secret.
 #[derive(Debug, thiserror::Error)]
 pub enum DeliveryFailure {
-    #[error("cannot connect to {receiver}: {cause}: check that the receiver runs and can be reached")]
+    #[error("cannot connect to {receiver}: {cause}; check that the receiver runs and can be reached")]
     Unreachable { receiver: Receiver, cause: io::Error },
-    #[error("TLS with {receiver} failed: {cause}: check the receiver's certificate, or set ca_file to its CA")]
+    #[error("TLS with {receiver} failed: {cause}; check the receiver's certificate, or set ca_file to its CA")]
     Tls { receiver: Receiver, cause: io::Error },
-    #[error("{receiver} sent no valid response: {cause}: check that url names an HTTP server")]
+    #[error("{receiver} sent no valid response: {cause}; check that url names an HTTP server")]
     Response { receiver: Receiver, cause: hyper::Error },
     #[error("{receiver} did not answer within {} s: answer first, and process the event afterwards", ANSWERED_WITHIN.as_secs())]
     Late { receiver: Receiver },
@@ -54,7 +54,7 @@ pub enum DeliveryFailure {
 fn remedy(status: StatusCode) -> &'static str {
     match status.as_u16() {
         300..=399 => "redirects are not followed, so set url to the final address",
-        401 | 403 => "check that the receiver has the same secret, and an exact clock",
+        401 | 403 => "check that the receiver has the same secret, and that both clocks are right",
         _ => "only 2xx counts as delivered, so see the receiver's log",
     }
 }
@@ -132,7 +132,7 @@ async fn over<T: Read + Write + Unpin>(
     let (mut sender, connection) = http1::Builder::new().max_buf_size(MAX_HEADER_BYTES).handshake(stream).await?;
     match select(pin!(sender.send_request(request)), pin!(connection)).await {
         Either::Left((response, _)) => response,
-        // The connection has ended: with the response, or without any.
+        // The connection has ended, with or without a response.
         Either::Right((_, response)) => response.await,
     }
 }

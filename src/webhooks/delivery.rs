@@ -13,10 +13,10 @@ use sha2::{Digest as _, Sha256};
 use super::settings::{Receiver, SigningSecret};
 use crate::gripper::model::Name;
 
-/// Bytes of the body's hash that make an id unique, also after the journal was replaced and its numbers start again.
+/// Number of bytes of the body's hash in an id. The hash keeps ids unique after a new journal starts its numbers again.
 const ID_HASH_BYTES: usize = 8;
 
-/// A message for a receiver, whose id stays the same when it is repeated.
+/// A message for a receiver. Its id stays the same when the message is repeated.
 #[derive(Debug, Clone)]
 pub(super) struct Delivery {
     id: String,
@@ -65,7 +65,7 @@ mod tests {
 
     #[test]
     fn signature_is_that_of_the_specification() {
-        // The example of the reference implementations.
+        // Example from the reference implementations.
         let secret = "whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw".parse().unwrap();
         let body = Bytes::from_static(br#"{"test": 2432232314}"#);
         let delivery = Delivery { id: "msg_p5jXN8AQM9LWM0D4loKWxJek".to_owned(), body };

@@ -1,8 +1,8 @@
 //! Webhooks: the journal's events as HTTP requests to receivers, at least once and in order.
 //!
 //! Each webhook has one task, which follows the journal and repeats a delivery until its receiver accepts it. The task
-//! keeps its position in the journal's file, so a restart continues there. It holds one event at a time and never
-//! delays a gripper: events that a receiver does not take wait in the journal.
+//! stores its position in the journal's file, and continues there after a restart. The task holds one event at a time
+//! and never delays a gripper: events wait in the journal until the receiver accepts them.
 
 mod client;
 mod delivery;
@@ -35,7 +35,7 @@ use worker::Worker;
 pub use client::DeliveryFailure;
 pub use settings::{Authorities, InvalidSetting, Receiver, SigningSecret, WebhookSettings};
 
-/// Where webhooks run.
+/// Parts of the gateway that webhooks use.
 #[derive(Debug)]
 pub struct WebhookContext<'a> {
     pub gateway: &'a Name,
@@ -76,7 +76,7 @@ impl Webhooks {
         Ok(all)
     }
 
-    /// Waits until all tasks have ended and given their positions to the journal.
+    /// Waits until all tasks have ended and passed their positions to the journal.
     pub async fn ended(&self) {
         self.tasks.close();
         self.tasks.wait().await;
@@ -98,7 +98,7 @@ pub struct Webhook {
     progress: Mutex<WebhookProgress>,
     /// Ends the pause before the next attempt.
     retry: Notify,
-    /// Permit of the test delivery, one at a time.
+    /// Permit for a test delivery, one at a time.
     testing: Arc<Semaphore>,
     metrics: WebhookMetrics,
 }
@@ -136,7 +136,7 @@ impl Webhook {
         context: &WebhookContext<'_>,
         position: Option<i64>,
     ) -> anyhow::Result<Arc<Self>> {
-        // A new webhook starts with the events from now on.
+        // A new webhook delivers only events from now on.
         let position = position.unwrap_or_else(|| context.journal.last_seq());
         Ok(Arc::new(Self {
             gateway: context.gateway.clone(),
@@ -209,7 +209,7 @@ impl Webhook {
     }
 
     fn lock(&self) -> MutexGuard<'_, WebhookProgress> {
-        // A panic under the lock leaves nothing half done.
+        // The values stay consistent even if a thread panics while it holds the lock.
         self.progress.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }

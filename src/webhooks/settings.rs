@@ -1,4 +1,4 @@
-//! Settings of a webhook. Neither the secret nor the URL's path, which can contain one, is ever shown.
+//! Settings of a webhook. The secret is never shown, nor is the URL's path, which can contain a secret.
 
 use std::fmt;
 use std::str::FromStr;
@@ -16,7 +16,7 @@ use crate::journal::EventKind;
 /// Prefix of a secret in text form (Standard Webhooks, "Signature scheme").
 const SECRET_PREFIX: &str = "whsec_";
 
-/// Allowed lengths of a secret in bytes (Standard Webhooks, "Signature scheme").
+/// Limits of a secret's length in bytes (Standard Webhooks, "Signature scheme").
 const MIN_SECRET_BYTES: usize = 24;
 const MAX_SECRET_BYTES: usize = 64;
 
@@ -31,11 +31,11 @@ pub struct WebhookSettings {
     pub authorities: Authorities,
 }
 
-/// URL of a receiver, checked to be usable.
+/// Validated URL of a receiver.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Receiver {
     url: Url,
-    /// Name in the certificate; `None` without TLS.
+    /// Name that the certificate must have; `None` without TLS.
     pub(super) tls_name: Option<ServerName<'static>>,
 }
 
@@ -132,7 +132,7 @@ impl fmt::Debug for SigningSecret {
     }
 }
 
-/// Trusted certificate authorities. The default is Mozilla's list, which is part of the program.
+/// Trusted certificate authorities. The default is Mozilla's list, which is compiled into the program.
 #[derive(Clone, PartialEq, Eq)]
 pub struct Authorities(Vec<TrustAnchor<'static>>);
 
@@ -146,7 +146,7 @@ impl Authorities {
     /// Reads the certificates in a PEM file's content.
     ///
     /// # Errors
-    /// A certificate is invalid, or there is none.
+    /// A certificate is invalid, or the file has none.
     pub fn from_pem(pem: &[u8]) -> Result<Self, InvalidSetting> {
         let mut roots = RootCertStore::empty();
         for certificate in CertificateDer::pem_slice_iter(pem) {

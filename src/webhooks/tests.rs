@@ -292,7 +292,7 @@ async fn only_chosen_kinds_are_delivered() {
 #[tokio::test]
 async fn position_is_kept_over_restarts() {
     let (mut receiver, file) = (TestReceiver::start(&[]).await, JournalFile::new());
-    // The first restart comes before the first delivery.
+    // The gateway restarts even before the first delivery.
     for first in [1, 3, 6] {
         let opened = file.open(Retention::default());
         let run = Run::start(receiver.settings(), &opened);
@@ -301,7 +301,7 @@ async fn position_is_kept_over_restarts() {
             record(&opened.0, 1).await;
         } else {
             record(&opened.0, 1).await;
-            // The second event is the orderly end of the run before.
+            // The second of these events is the orderly end of the previous run.
             for seq in (first - 2).max(1)..=first {
                 assert_eq!(receiver.next().await.seq(), seq);
             }

@@ -18,7 +18,7 @@ use crate::gripper::model::{PersistedKey, PersistedState};
 use crate::gripper::recorder::{Record, Recorder as _};
 use crate::journal::{Filter, StreamItem};
 
-/// Time after which a new position is stored. A gateway that is killed repeats the deliveries of this time.
+/// Time after which a new position is stored. After a kill, the gateway repeats the deliveries of this time.
 const STORED_AFTER: Duration = Duration::from_secs(1);
 
 /// Pause after the first failed attempt. It doubles with each further one.
@@ -39,9 +39,9 @@ const FINISHED_WITHIN: Duration = Duration::from_secs(2);
 pub(super) struct Worker {
     webhook: Arc<Webhook>,
     closing: CancellationToken,
-    /// Position in the journal's file; `None` before the first.
+    /// Position that was stored last; `None` if none was stored yet.
     stored: Option<i64>,
-    /// Time at which a newer position is stored.
+    /// Time at which a newer position will be stored.
     store_at: Option<Instant>,
 }
 
@@ -53,7 +53,7 @@ impl Worker {
     /// Delivers events until the gateway or the journal closes.
     pub(super) async fn run(mut self) {
         let mut events = self.webhook.journal.follow(Some(self.webhook.lock().position), Filter::default());
-        // Later events are delivered even if the gateway restarts before the first delivery.
+        // Without a stored position, a restart before the first delivery would skip the events until then.
         self.store();
         loop {
             let item = tokio::select! {
@@ -112,7 +112,7 @@ impl Worker {
                 }
                 Err(failure) => {
                     let pause = self.failed(&failure);
-                    // A long outage begins with this position.
+                    // The position does not change in a long outage, so it is stored now.
                     self.store();
                     self.pause(pause).await;
                 }
@@ -166,7 +166,7 @@ impl Worker {
         self.store_at.get_or_insert_with(|| Now::read().instant + STORED_AFTER);
     }
 
-    /// Gives a new position to the journal.
+    /// Passes a new position to the journal.
     fn store(&mut self) {
         self.store_at = None;
         let position = self.webhook.lock().position;
@@ -179,8 +179,8 @@ impl Worker {
     }
 }
 
-/// Returns the pause after a failed attempt: between half of an exponentially growing time and all of it, by `jitter`
-/// from 0 to 1, or what the receiver asked for if that is longer.
+/// Returns the pause after a failed attempt. Its maximum grows exponentially, and `jitter` from 0 to 1 selects a pause
+/// from half of this maximum to all of it. A longer pause that the receiver asked for has priority.
 fn pause(failed_attempts: u32, retry_after: Option<Duration>, jitter: f64) -> Duration {
     let doubled = 2_u32.saturating_pow(failed_attempts.saturating_sub(1));
     let longest = FIRST_PAUSE.saturating_mul(doubled).min(LONGEST_PAUSE);

@@ -37,7 +37,7 @@ client = Client(base_url=sys.argv[1])
 
 
 def ended(reply: Command | Problem | None) -> Command:
-    """Waits for the end of a command."""
+    """Waits until a command has ended, and returns it."""
     assert isinstance(reply, Command), reply
     while reply.outcome is None:
         found = get_command.sync(GRIPPER, reply.id, client=client, wait_ms=5000)
@@ -71,7 +71,7 @@ done = [event for event in page.events if isinstance(event, CommandEvent) and ev
 assert [event.outcome for event in done][-1] is Outcome.PART_HELD, done
 assert done[-1].holder == "python client" and done[-1].requested_force_n == 40, done
 
-# A grip's record appears a second after its end.
+# A grip record appears up to a second after the grip's end.
 for _ in range(100):
     record = get_grip.sync(held.id, client=client)
     if isinstance(record, StoredGripRecord):

@@ -12,7 +12,7 @@ function check(holds: boolean, what: unknown): asserts holds {
   if (!holds) throw new Error(JSON.stringify(what));
 }
 
-/** Waits for the end of a command. */
+/** Waits until a command has ended, and returns it. */
 async function ended(reply: { data?: Command; error?: unknown }): Promise<Command> {
   let { data: command } = reply;
   check(command !== undefined, reply.error);
@@ -53,13 +53,13 @@ await client.POST('/api/v1/grippers/{gripper}/acknowledge', { params: { path }, 
 
 const query = { command_id: held.id, order: 'oldest' } as const;
 const events = await client.GET('/api/v1/events', { params: { query } });
-// The discriminator narrows the type.
+// The discriminator narrows the type of the event.
 const done = events.data?.events.find((event) => event.kind === 'command' && event.phase === 'done');
 check(done?.kind === 'command' && done.outcome === 'PART_HELD' && done.requested_force_n === 40, events);
 const stops = await client.GET('/api/v1/events', { params: { query: { kind: 'fast_stop' } } });
 check(stops.data?.events.some((event) => event.kind === 'fast_stop' && event.fast_stop_id === fast_stop_id) === true, stops);
 
-// A grip's record appears a second after its end.
+// A grip record appears up to a second after the grip's end.
 for (let tries = 0; ; tries += 1) {
   const record = await client.GET('/api/v1/grips/{command}', { params: { path: { command: held.id } } });
   if (record.data) {

@@ -10,7 +10,7 @@ const launched = await browser();
 
 const VIEWS = ['operate', 'history', 'log', 'device', 'all'];
 
-/** The focused element's own id, or that of its panel. */
+/** The id of the focused element, or of its panel's title. */
 const focused = (page) =>
   page.evaluate(() => {
     const { activeElement: one } = document;
@@ -34,7 +34,7 @@ test('focus stays after Take control, a motion and Acknowledge', async () => {
   await page.keyboard.press('Enter');
   await page.waitForSelector('#grip:enabled');
   await until('the focus stays with the controls', async () => (await focused(page)) === 'motion-title');
-  // A click beside all buttons takes the focus away for good.
+  // After a click beside all buttons, the focus does not come back.
   await page.focus('#grip');
   await page.mouse.click(700, 790);
   await page.fill('#width', '30');
@@ -69,7 +69,7 @@ test('Escape in an open list stops', async () => {
   await visitor.close();
 });
 
-/** Names that several controls share. */
+/** Accessible names that several controls share. */
 const sharedNames = (page) =>
   page.evaluate(() => {
     const shown = (one) => one.checkVisibility() && !one.closest('[inert]');

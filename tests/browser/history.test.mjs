@@ -10,7 +10,7 @@ const launched = await browser();
 
 const post = (served, path, body) => served.ask('POST', `grippers/${path}`, body);
 
-/** Grips of two parts, and a motion of another gripper. */
+/** Starts a gateway, and makes grips of two parts and a motion of another gripper. */
 async function worked() {
   const served = await gateway();
   await Promise.all(['left', 'right'].map((gripper) => post(served, `${gripper}/home`)));

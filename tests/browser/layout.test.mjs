@@ -92,7 +92,7 @@ test('every gripper of many can be reached, in the order of their numbers', asyn
   await visitor.close();
 });
 
-test('Back goes back a view, and control stays', async () => {
+test('Back returns to the previous view, and control stays', async () => {
   const served = await gateway();
   const visitor = await visit(launched, served);
   const { page } = visitor;
@@ -142,7 +142,7 @@ for (const [size, shape] of Object.entries({ narrow: { width: 320, height: 568 }
     await homed(page);
     const cut = () =>
       page.evaluate(() => {
-        /** Width of the text; that of its element is rounded. */
+        /** Exact width of the text; the element's own width is rounded. */
         const needs = (one) => {
           const range = document.createRange();
           range.selectNodeContents(one);
@@ -221,7 +221,7 @@ test('charts show the value under the cursor, and their axes have distinct label
   drawn.length = 0;
   await page.click('[data-choice=theme-dark]');
   await until('the curve is drawn again', () => drawn.length > 10);
-  // Labels of one axis are drawn in a row.
+  // The labels of an axis are drawn one after the other, and neighbours must differ.
   assert.deepEqual(
     drawn.filter((label, index) => label !== '' && label === drawn[index + 1]),
     [],

@@ -1,4 +1,4 @@
-// What an operator must be able to trust: the reach of STOP, results of grips, notices, and the width to open to.
+// Features that an operator relies on: the reach of STOP, results of grips, notices, and the width to open to.
 
 import assert from 'node:assert/strict';
 import { after, test } from 'node:test';
@@ -11,7 +11,7 @@ const launched = await browser();
 const text = (page, selector) => page.locator(selector).first().innerText();
 const state = (served, gripper = 'left') => served.ask('GET', `grippers/${gripper}/state`);
 
-test('STOP shows its reach, and the fleet has its own', async () => {
+test('STOP shows its reach, and the fleet has its own STOP', async () => {
   const near = await gateway({ more: ['--name', 'cell-1', '--gripper', 'left=sim://wsg50'] });
   const visitor = await visit(launched, near, { path: '/#/left/all' });
   const { page } = visitor;
@@ -46,7 +46,7 @@ test('Release opens to a width of its own, which the browser remembers', async (
   await page.click('#release:enabled');
   await page.waitForSelector('.last[data-outcome=SUCCESS]:has-text("Release")');
   assert.ok(Math.abs((await state(served)).width_mm - 30) < 0.1);
-  // No wider than the stroke, and never left empty.
+  // Never wider than the stroke, and never empty.
   await page.fill('#width', '105');
   assert.equal(await page.inputValue('#open'), '110');
   await page.fill('#open', '');
@@ -74,7 +74,7 @@ test('a grip’s result is large beside the jaws', async () => {
   await page.click('#release:enabled');
   await page.waitForSelector('.last[data-outcome=SUCCESS]:has-text("Release")');
   await page.waitForFunction(() => !document.querySelector('.result'));
-  // Nothing is there to be gripped.
+  // At this width, the fingers find nothing to grip.
   await page.fill('#width', '5');
   await page.fill('#open', '80');
   await page.click('#release:enabled');
@@ -104,7 +104,7 @@ test('a failed grip has no tick, and says where the fingers stopped', async () =
   await page.waitForSelector('.result[data-result=ABORTED]:has-text("stopped at")');
   const { width_mm } = await state(served);
   const [, shown] = /Grip: aborted\s+stopped at (\d+\.\d) mm/.exec(await text(page, '.result'));
-  // The fingers still roll out a little after the command has ended.
+  // The fingers still move a little after the command has ended.
   assert.ok(Math.abs(Number(shown) - width_mm) < 1, `${shown} is not ${width_mm}`);
   assertClean(visitor);
   await visitor.close();

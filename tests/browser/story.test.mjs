@@ -43,7 +43,7 @@ test('home, grip, hold, stop, see the cause, acknowledge', async () => {
     stopped.fast_stop_id,
     'STOP stops all grippers',
   );
-  // The reason has the name of this browser.
+  // The browser's name is in the reason, not here.
   assert.equal(stopped.fast_stop_by, 'ws:127.0.0.1');
   assert.match(await text(page, '#latch-by'), /^browser-[0-9a-f]{4} \(127\.0\.0\.1\), this browser$/);
   assert.match(await text(page, '.latch'), /dashboard, browser-/);

@@ -60,7 +60,7 @@ test('people are asked for their names, which others see', async () => {
   await ben.page.click('[data-view=history]');
   await ben.page.click('[data-choice=records-events]');
   await ben.page.waitForSelector('.stop-row:has-text("Anna (127.0.0.1)")');
-  // Asked once.
+  // The dashboard asks only once.
   await anna.page.click('[data-view=operate]');
   await anna.page.click('#acknowledge:enabled');
   await anna.page.click('#give-back');

@@ -187,7 +187,7 @@ async fn services_run_as_processes_and_form_a_fleet() {
         Gateway::start(&arguments.iter().map(String::as_str).collect::<Vec<_>>()).await
     };
     let (cell, office) = (gateway("cell").await, gateway("office").await);
-    // Prometheus addresses a gateway by its service's name.
+    // Prometheus uses the name of the gateway's service as the host.
     let scrape = cell.request("GET", "/metrics").header("Host", "cell:8080");
     assert_eq!(scrape.send().await.unwrap().status(), 200);
     eventually("the fleet", async || {

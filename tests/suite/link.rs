@@ -201,7 +201,7 @@ async fn updates_on_change_relieve_the_line() {
     let page = gateway.get("/api/v1/grips?kind=move").await.ok();
     assert!(page["grips"][0]["samples"].as_u64() > Some(10), "{page}");
 
-    // While the fingers stand still, each value is read once a second.
+    // While the fingers stand still, the gateway reads each value once a second.
     let updates = async || gateway.figures().await["wsg_updates_total{gripper=\"g\"}"];
     let (before, polled) = (updates().await, proxy.frames.count(0x40));
     eventually("two polls", async || (proxy.frames.count(0x40) >= polled + 2).then_some(())).await;

@@ -26,7 +26,7 @@ async fn metrics_count_commands_and_stops() {
     let figures = gateway.figures().await;
     let (age, temperature) = (g("wsg_update_age_seconds", ""), g("wsg_temperature_celsius", ""));
     assert!(of(&figures, &age) < 1.0 && of(&figures, &temperature) > 0.0, "{figures:#?}");
-    // A first occurrence is an increase of a series that was 0 before.
+    // These series exist at 0, so that the first occurrence is an increase.
     for series in [
         g("wsg_fast_stop_latched", ""),
         g("wsg_lease_held", ""),

@@ -1,4 +1,4 @@
-//! The gateway as a service of systemd, which this test plays.
+//! The gateway as a service of systemd. The test plays the part of systemd.
 
 use std::fs::File;
 use std::os::linux::fs::MetadataExt as _;

@@ -160,7 +160,7 @@ async fn slow_reader_that_answers_pings_stays_open() {
     let mut socket = Socket::open(&gateway).await;
     let topics = json!({"topics": ["state", "telemetry", "frames"], "max_hz": 100});
     socket.call("subscribe", topics).await;
-    // Longer than the ping time-out, while the client reads less than a tenth of the frames.
+    // The client reads less than a tenth of the frames, for longer than the ping time-out.
     let begun = std::time::Instant::now();
     let mut between = tokio::time::interval(std::time::Duration::from_millis(30));
     while begun.elapsed() < std::time::Duration::from_millis(4500) {

@@ -28,7 +28,7 @@ struct GatewayError {
     message: String,
 }
 
-/// The printed fields of a frame or a damage.
+/// Printed fields of a `frame` or `damage` notification.
 #[derive(Debug, Deserialize)]
 struct WireEntry {
     gripper: String,
@@ -43,7 +43,7 @@ struct Gap {
     missed: u64,
 }
 
-/// Writes one line per frame or damage until the gateway ends or the output is closed.
+/// Writes one line per `frame` or `damage` notification, until the gateway ends or the output is closed.
 ///
 /// # Errors
 /// An unreachable gateway, or the end of the gateway or of the connection to it.

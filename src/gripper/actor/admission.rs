@@ -80,13 +80,13 @@ impl Actor {
         Ok(())
     }
 
-    /// Whether a motion may start now.
+    /// Checks that a motion may start now.
     fn check_moving(&self) -> Result<(), Conflict> {
         self.check_stopped()?;
         self.motion.check()
     }
 
-    /// Whether a FAST STOP or a lost setting forbids every motion.
+    /// Checks that neither a FAST STOP nor a lost setting forbids all motions.
     fn check_stopped(&self) -> Result<(), Conflict> {
         match self.latch.id() {
             Some(id) => Err(Conflict::FastStop { id }),
@@ -241,7 +241,7 @@ impl Actor {
         self.read_back(now, getter, command, client, answer);
     }
 
-    /// Reads back the value of a setter.
+    /// Reads back the value that a setter has set.
     pub(super) fn read_back(
         &mut self,
         now: Now,

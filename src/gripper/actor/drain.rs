@@ -1,5 +1,5 @@
 //! Draining, the orderly disconnect: new commands are rejected, a running one finishes or is stopped, the disconnect is
-//! announced, and the link is closed. It ends the gripper, or releases the device to another program.
+//! announced, and the link is closed. A drain ends the gripper, or releases the device to another program.
 
 use std::time::{Duration, Instant};
 
@@ -26,12 +26,12 @@ pub(super) struct Drain {
     ending: Ending,
 }
 
-/// What a drain ends.
+/// Object that a drain ends, with the callers to answer.
 #[derive(Debug)]
 enum Ending {
-    /// The gripper, with the callers that wait for its end.
+    /// The gripper, and the callers that wait for its end.
     Gripper(Vec<oneshot::Sender<()>>),
-    /// The link alone, with the client that releases the device.
+    /// The link only, and the client that releases the device.
     Link(Answer<()>),
 }
 
@@ -128,13 +128,13 @@ impl Actor {
         let _ = answer.send(result);
     }
 
-    /// Whether the device is released to another program, so that no link may be made.
+    /// Whether the device is released to another program, so that the gateway must not connect.
     #[must_use]
     pub fn is_released(&self) -> bool {
         self.link.is_released()
     }
 
-    /// Ends the release of a device whose link is down now. Returns the client to answer.
+    /// Ends a drain that releases the device, once the link is down. Returns the client to answer.
     pub(super) fn end_release(&mut self) -> Option<Answer<()>> {
         match self.drain.take_if(|drain| matches!(drain.ending, Ending::Link(_)))?.ending {
             Ending::Link(answer) => Some(answer),
@@ -149,7 +149,7 @@ impl Actor {
         self.after_input(now);
     }
 
-    /// Whether the gripper is ending, so that no new link may be made.
+    /// Whether the gripper is ending, so that the gateway must not connect again.
     #[must_use]
     pub fn is_draining(&self) -> bool {
         self.drain.as_ref().is_some_and(|drain| matches!(drain.ending, Ending::Gripper(_)))

@@ -46,7 +46,7 @@ impl Actor {
             Data::GripperState(_) => return self.record_gripper_state(now, state_before),
             // The force is the last value of each update period.
             Data::Force(_) => return self.recording.measure(now, &self.observed),
-            // On change, a value can come alone.
+            // In this mode, the width can arrive without the other values.
             Data::Width(_) if self.config.updates.mode == UpdateMode::Changes => {
                 return self.recording.measure(now, &self.observed);
             }
@@ -93,7 +93,8 @@ impl Actor {
         }
     }
 
-    /// Takes the beginning of a motion that no command explains: by a client's script, another program or a hand.
+    /// Notices the beginning of a motion that no command explains. A client's script, another program or a hand can
+    /// cause it.
     fn notice_foreign_motion(&mut self, now: Now, before: Option<SystemState>, flags: SystemState) {
         let moves = |flags: SystemState| flags.contains(SystemState::MOVING);
         let begins = moves(flags) && before.is_some_and(|before| !moves(before));

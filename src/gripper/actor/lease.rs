@@ -61,7 +61,7 @@ impl Actor {
         }
         let terms = Terms::of(wish, &self.config.lease)?;
         let asked_before = self.lease.asking(now.instant).cloned();
-        // A client that returns must not bypass what its lease says about its loss.
+        // A returning client must not bypass the `on_loss` terms of its lease.
         let effect = self.lease.terms().map(|terms| self.loss_effect(terms, now.instant));
         let may_return = matches!(effect, Some(LossEffect::None | LossEffect::Keep));
         let result = self.lease.take(now.instant, wish, terms, token, may_return);
@@ -137,7 +137,8 @@ impl Actor {
         }
     }
 
-    /// What the loss of a holder means with these terms, for fingers that moved at `last_heard` or not.
+    /// Effect of the loss of a holder with these terms. It depends on whether the fingers moved at `last_heard`, and on
+    /// whether a part is held.
     fn loss_effect(&self, terms: Terms, last_heard: Instant) -> LossEffect {
         match (self.is_moving(last_heard), self.observed.part.is_held) {
             (true, _) => match terms.on_loss_moving {

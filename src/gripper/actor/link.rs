@@ -44,7 +44,7 @@ pub enum Close {
 pub(super) enum Purpose {
     Setup,
     Upkeep,
-    /// Get Force Limit after Overdrive Mode was switched.
+    /// Reads the force limit after Overdrive Mode was switched.
     ForceLimit,
     FastStop,
     Acknowledge,
@@ -93,7 +93,8 @@ pub(super) struct DeviceLink {
     pub close: Option<Close>,
     /// Reason that the link is not up or is unresponsive.
     pub cause: Option<String>,
-    /// Client that released the device to another program, with the remedy. No link is made meanwhile.
+    /// Text that names the client that released the device to another program, and the remedy. The gateway does not
+    /// connect while this is set.
     released: Option<String>,
     /// Whether the link was ever up.
     pub was_up: bool,
@@ -136,7 +137,7 @@ impl DeviceLink {
         self.released.is_some()
     }
 
-    /// Notes that a client releases the device. An open link has to be closed in addition.
+    /// Notes that a client releases the device. The caller has to close an open link.
     pub(super) fn release(&mut self, client: &Client) {
         let cause = format!("by {}; a `connect` request restores the link", client.subject);
         if self.is_down() {
@@ -145,7 +146,7 @@ impl DeviceLink {
         self.released = Some(cause);
     }
 
-    /// Lets a link be made again. Returns whether the device was released.
+    /// Lets the gateway connect again. Returns whether the device was released.
     pub(super) fn reclaim(&mut self) -> bool {
         let was_released = self.released.take().is_some();
         if was_released && self.is_down() {

@@ -51,7 +51,7 @@ impl Publication {
 }
 
 impl Actor {
-    /// Publishes the state if it has changed. A newer update with the same values changes only the age, and wakes no
+    /// Publishes the state if it has changed. An update with the same values changes only the age, and wakes no
     /// subscriber.
     pub(super) fn publish(&mut self, now: Now) {
         let state = self.state_now();
@@ -123,7 +123,8 @@ impl Actor {
         }
     }
 
-    /// The fault that matters most: first what only a person can end, then what hides other faults.
+    /// The most important fault. A FAST STOP comes first, because only an acknowledgement ends it; then a lost link,
+    /// because it hides the faults of the device.
     fn fault(&self) -> Option<Fault> {
         if let Some(latch) = self.latch.current() {
             return Some(Fault::FastStop(latch.cause));

@@ -44,7 +44,7 @@ pub(super) struct Running {
     pub fast_stop: Option<FastStopId>,
     /// Subject of the client that cancelled the command.
     pub cancelled_by: Option<Arc<str>>,
-    /// Reason that the result is unknown.
+    /// Reason for an unknown result.
     pub unknown_because: Option<Failure>,
     /// Reply of a script.
     pub payload: Option<Vec<u8>>,

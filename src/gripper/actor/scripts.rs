@@ -1,7 +1,8 @@
 //! Scripts: requests on the WSG port whose ids the manual does not define.
 //!
-//! A script can read or move, and only the fingers tell which. Its request needs the lease and no FAST STOP, but waits
-//! for nothing and has no record. Once the fingers begin to move after it, its client takes the free lease.
+//! A script can read values or move the fingers, and only the fingers show which. The request of a script is refused
+//! while another client holds the lease or a FAST STOP is latched. The request waits for nothing, and has no command
+//! record. Once the fingers begin to move after the request, its client takes the lease if the lease is free.
 
 use std::time::{Duration, Instant};
 
@@ -32,7 +33,7 @@ impl ScriptUse {
 #[derive(Debug, Default)]
 pub(super) struct Scripts {
     newest: Option<ScriptUse>,
-    /// Script whose client was lost; `at` is the time of the loss.
+    /// Script of a lost client; `at` is the time of the loss.
     lost: Option<ScriptUse>,
 }
 
@@ -48,12 +49,12 @@ impl Scripts {
         }
     }
 
-    /// Takes the announced end of a client.
+    /// Forgets the script of a client that announced its end.
     pub(super) fn released(&mut self, token: Option<&LeaseToken>) {
         self.newest.take_if(|newest| Some(&newest.token) == token);
     }
 
-    /// Takes the loss of a client, whose script can still move the fingers.
+    /// Keeps the script of a lost client, if the script can still move the fingers.
     fn client_lost(&mut self, now: Instant, token: &LeaseToken, is_running: bool) {
         let newest = self.newest.take_if(|newest| newest.token == *token);
         if let Some(script) = newest.filter(|newest| is_running || newest.can_move(now)) {
@@ -75,8 +76,8 @@ impl Actor {
         self.scripts.client_lost(now.instant, token, is_running);
     }
 
-    /// Gives a free lease to the client whose script has begun to move the fingers, and takes the loss of a client that
-    /// is gone. Returns `false` if no script explains the motion.
+    /// Gives a free lease to the client whose script has begun to move the fingers. If that client is lost, its lease
+    /// is lost at once. Returns `false` if no script explains the motion, or if the lease is not free.
     pub(super) fn script_moves(&mut self, now: Now) -> bool {
         let is_running = self.running_scripts().next().is_some();
         let lost = self.scripts.lost.take().filter(|lost| lost.can_move(now.instant));
@@ -93,7 +94,7 @@ impl Actor {
         is_free
     }
 
-    /// Withdraws the scripts that are not written yet.
+    /// Withdraws the requests of scripts that are not written yet.
     pub(super) fn withdraw_scripts(&mut self, rejection: &Rejection) {
         let running: Vec<_> = self.running_scripts().collect();
         for token in running {

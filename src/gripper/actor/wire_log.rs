@@ -1,5 +1,5 @@
-//! The wire log: every frame in both directions, and damaged bytes from the device, for listeners. It costs nothing
-//! without listeners.
+//! The wire log: every frame in both directions, and damaged bytes from the device. Without listeners, it costs
+//! nothing.
 
 use std::sync::Arc;
 
@@ -11,10 +11,10 @@ use crate::wsg::frame::{HEADER_BYTES, OVERHEAD_BYTES};
 use crate::wsg::text::{WireDirection, describe, describe_damaged, describe_skipped};
 use crate::wsg::{self, ChecksumEvaluation, Decoded, Decoder, id};
 
-/// Records that a listener can lag behind: about two seconds of a device on TCP.
+/// Number of records that a listener can lag behind: about two seconds of a device on TCP.
 const MAX_BEHIND: usize = 1024;
 
-/// Damaged bytes that a record shows.
+/// Maximum number of damaged bytes that a record shows.
 const MAX_SHOWN_BYTES: usize = 256;
 
 #[derive(Debug)]
@@ -25,19 +25,19 @@ pub(super) struct WireLog {
     seq: u64,
     /// Decoder of the device's bytes; `None` without listeners.
     received: Option<ReceivedBytes>,
-    /// Whether the next byte from the device begins a frame.
+    /// Whether the link has received nothing yet, so that the next byte begins a frame.
     is_at_start: bool,
 }
 
-/// The device's bytes for the listeners.
+/// Bytes from the device, decoded for the listeners.
 #[derive(Debug)]
 struct ReceivedBytes {
     decoder: Decoder,
     /// Bytes that the decoder has not yet classified.
     rest: Vec<u8>,
-    /// Number of bytes at the start of `rest` that a damaged frame has reported.
+    /// Number of bytes at the start of `rest` that were already logged as part of a damaged frame.
     reported: usize,
-    /// Whether a frame boundary is known. Before, a listener has come in the middle of a frame.
+    /// Whether a frame boundary is known. A listener can begin in the middle of a frame.
     is_in_step: bool,
 }
 
@@ -65,7 +65,7 @@ impl WireLog {
         }
     }
 
-    /// Logs the frames in received bytes, and the bytes that are no frame.
+    /// Logs the frames in received bytes, and the bytes that are not part of a valid frame.
     pub(super) fn received(&mut self, now: Now, bytes: &[u8]) {
         let is_at_start = std::mem::take(&mut self.is_at_start);
         if self.listeners.receiver_count() == 0 {
@@ -198,7 +198,7 @@ impl ReceivedBytes {
 mod tests {
     use super::*;
 
-    /// Returns the texts of the records that the reads cause, each with its hex.
+    /// Returns the text and the hex of each record that the reads cause.
     fn logged(log: &mut WireLog, reads: &[&str]) -> Vec<(String, String)> {
         let mut listener = log.listeners().subscribe();
         for read in reads {

@@ -27,7 +27,7 @@ const NOTIFICATIONS: &[(&str, &str, &str)] = &[
     ("event", "StoredEvent", "An event (topic `events`), sent in order once it is stored durably"),
     ("grip", "StoredGripRecord", "A new grip record, or one whose part was lost (topic `grips`)"),
     ("frame", "Frame", "A frame on the wire (topic `frames`), sent in order"),
-    ("damage", "Damage", "Bytes from a device that are no valid frame (topic `frames`), sent in order with the frames"),
+    ("damage", "Damage", "Bytes from a device that are not a valid frame (topic `frames`), in order with the frames"),
     ("fleet", "FleetGripper", "A gripper of any gateway (topic `fleet`): first all grippers, then each change"),
     ("gap", "Gap", "A gap in the events, grip records or frames, because the client was too slow"),
     ("command", "Command", "The end of a command that this socket started and that was still running when answered"),
@@ -130,7 +130,7 @@ fn operation(action: &str, message: &str, summary: &str, reply: Option<Value>) -
     operation
 }
 
-/// Returns a message whose payload has the message's name as its title, for generators that name types by it.
+/// Returns a message. The payload's title is the message's name, because code generators name types by titles.
 fn titled(name: &str, summary: &str, mut payload: Value) -> Value {
     payload["title"] = json!(name);
     json!({"name": name, "title": name, "summary": summary, "payload": payload})
@@ -265,7 +265,7 @@ fn references(value: &Value) -> Vec<String> {
 fn with_examples(value: &mut Value) {
     match value {
         Value::Object(members) => {
-            // AsyncAPI has the discriminator as a name alone.
+            // In AsyncAPI, a discriminator is just a property name.
             if let Some(Value::String(name)) = members.get("discriminator").map(|found| found["propertyName"].clone()) {
                 members.insert("discriminator".to_owned(), name.into());
             }

@@ -14,7 +14,7 @@ const EVENT: &str = "StoredEvent";
 /// Field that tells the kinds of events apart.
 const KIND: &str = "kind";
 
-/// Fields and required fields of an object, each with its schema.
+/// Fields of an object with their schemas, and the names of the required fields.
 #[derive(Debug, Clone, Default, PartialEq)]
 struct Fields {
     schemas: Map<String, Value>,
@@ -59,7 +59,7 @@ fn object(Fields { schemas, required }: Fields, described: &Value) -> Value {
     object
 }
 
-/// Fields of each kind of event: those of all its variants.
+/// Fields of each kind of event, from all its variants.
 fn kinds(schemas: &Map<String, Value>) -> BTreeMap<String, Fields> {
     let mut kinds: BTreeMap<String, Fields> = BTreeMap::new();
     for variant in variants(&json!({"$ref": format!("#/components/schemas/{EVENT}")}), schemas).unwrap_or_default() {
@@ -93,7 +93,7 @@ impl Fields {
     }
 }
 
-/// The variants of a schema as objects; none if it has other values than objects.
+/// Variants of a schema as objects, or `None` if the schema allows other values than objects.
 fn variants(schema: &Value, schemas: &Map<String, Value>) -> Option<Vec<Fields>> {
     if let Some(name) = schema["$ref"].as_str().and_then(|place| place.strip_prefix("#/components/schemas/")) {
         return variants(schemas.get(name)?, schemas);
@@ -115,8 +115,8 @@ fn variants(schema: &Value, schemas: &Map<String, Value>) -> Option<Vec<Fields>>
     Some(vec![Fields { schemas: fields.clone(), required }])
 }
 
-/// Schema of a field that has one of two schemas: their types, values and descriptions together, with the bounds that
-/// both have.
+/// Schema of a field that has one of two schemas: the types, values and descriptions of both, and the bounds that they
+/// share.
 fn either(one: &Value, other: &Value) -> Value {
     let (Some(left), Some(right)) = (one.as_object(), other.as_object()) else { return one.clone() };
     let (both, same_type) =
@@ -143,7 +143,7 @@ fn either(one: &Value, other: &Value) -> Value {
     Value::Object(merged)
 }
 
-/// The values of two lists, or single values, each once.
+/// Values of two lists or single values, without duplicates.
 fn union(one: &Value, other: &Value) -> Value {
     let list = |value: &Value| value.as_array().cloned().unwrap_or_else(|| vec![value.clone()]);
     let mut all = list(one);
@@ -158,7 +158,7 @@ fn union(one: &Value, other: &Value) -> Value {
     Value::Array(all)
 }
 
-/// Two descriptions, one after the other.
+/// Joins two descriptions, unless the first contains the second.
 fn sentences(one: &Value, other: &Value) -> Value {
     let (left, right) = (one.as_str().unwrap_or_default(), other.as_str().unwrap_or_default());
     if left.contains(right) { one.clone() } else { format!("{left} / {right}").into() }

@@ -100,7 +100,7 @@ pub async fn forward(
         with_reason(stream, stop).await?
     } else {
         let mut params = match fields(stream, path).await {
-            // A mistake in a Stop must not keep the fingers moving.
+            // An invalid Stop is executed too, so that the fingers do not keep moving.
             Err(_) if operation.name == motion::STOP.name => Map::new(),
             fields => fields?,
         };

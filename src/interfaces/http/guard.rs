@@ -106,7 +106,7 @@ fn is_same(origin: &str, host: &str) -> bool {
 const NO_CONTENT: HeaderValue = HeaderValue::from_static("default-src 'none'; frame-ancestors 'none'");
 
 /// Adds the headers that keep browsers from sniffing, caching and embedding responses, and the date. A compact response
-/// does without them.
+/// gets none of them.
 pub async fn harden(mut response: Response) -> Response {
     if response.extensions().get::<Compact>().is_some() {
         return response;

@@ -1,4 +1,4 @@
-//! The OpenAPI document as clients get it: completed from what the handlers declare, in forms that code generators know.
+//! The OpenAPI document that clients get: the declarations of the handlers, completed and adapted to code generators.
 
 use serde_json::{Map, Value, json};
 use utoipa::openapi::OpenApi;
@@ -21,7 +21,7 @@ pub fn completed(document: &OpenApi) -> Value {
     document
 }
 
-/// Adds the operations of each gripper again below the gateway that owns it.
+/// Adds the operations of a gripper a second time, below the name of the gateway that owns the gripper.
 fn add_forwarded(document: &mut Value) {
     let own = format!("{API}{OWN}");
     let Some(paths) = document["paths"].as_object_mut() else { return };
@@ -57,7 +57,7 @@ fn forward(operation: &mut Value) {
     }
 }
 
-/// Copies the description of each value of an enumeration into the members that generators read.
+/// Copies the description of each value of an enumeration into the extensions that code generators read.
 fn describe_values(schema: &mut Value) {
     let (Some(values), Some(text)) = (schema["enum"].as_array(), schema["description"].as_str()) else { return };
     let described = |value: &Value| {

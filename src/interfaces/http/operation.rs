@@ -22,7 +22,7 @@ use crate::operations::{
     run,
 };
 
-/// Mark on a response that has only the headers that it needs.
+/// Marks a response that gets only the necessary headers.
 #[derive(Debug, Clone, Copy)]
 pub struct Compact;
 
@@ -100,8 +100,8 @@ fn key<const MAX: usize>(headers: &HeaderMap, name: &'static str) -> Result<Opti
     text(name, given).map(Some)
 }
 
-/// Returns 200 with the result, or 202 with the Location of a command that is still running, or for a request that
-/// waits for the lease's holder.
+/// Returns 200 with the result. A command that is still running gets 202 with its Location. A request that waits for
+/// the lease's holder gets 202 without one.
 fn response(OperationReply { body, effect }: OperationReply) -> Response {
     let json = [(header::CONTENT_TYPE, "application/json")];
     let body = String::from(Box::<str>::from(body));

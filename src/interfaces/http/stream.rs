@@ -81,12 +81,12 @@ struct Stream {
 /// events after that id that are no longer stored, for all grippers together. If the journal was replaced and has not
 /// reached that id yet, events start from the journal's first.
 ///
-/// A `grip` is a grip record, sent once it is stored, and again with `part_lost_at` when its part was lost. Grip records
-/// start now, whatever the id.
+/// A `grip` is a grip record, sent once it is stored. It is sent again with `part_lost_at` if its part is lost. Grip
+/// records always start now, regardless of `Last-Event-ID`.
 ///
 /// For states and telemetry only the newest value is sent: values that a slow client misses are not queued. Frames are
-/// sent in order, with `damage` where bytes from the device were no valid frame. A `gap` gives the number of frames and
-/// damages that a slow client missed.
+/// sent in order, with a `damage` where bytes from the device were not a valid frame. A `gap` gives the number of
+/// `frame` and `damage` messages that a slow client missed.
 #[utoipa::path(
     get, path = "/stream", operation_id = "stream", tag = "journal",
     params(StreamQuery, StreamHeaders),

@@ -89,7 +89,7 @@ impl From<Problem> for RpcError {
     fn from(problem: Problem) -> Self {
         let code = match problem.status() {
             StatusCode::BAD_REQUEST => INVALID_PARAMS,
-            // Only a wrong parameter is named.
+            // A problem names a field only if that parameter is wrong.
             _ if problem.members().field().is_some() => INVALID_PARAMS,
             StatusCode::INTERNAL_SERVER_ERROR => INTERNAL_ERROR,
             _ => REFUSED,

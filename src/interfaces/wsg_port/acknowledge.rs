@@ -1,7 +1,8 @@
 //! A client's right to acknowledge a FAST STOP with 24h.
 //!
-//! Many drivers send 24h as their first request. It clears what the gripper or a lost driver of the same host caused,
-//! so that the driver can start again, but never a FAST STOP that somebody else asked for.
+//! Many drivers send 24h as their first request. So that a driver can start again, 24h clears a FAST STOP that the
+//! gripper or a lost driver of the same host caused. By default, 24h never clears a FAST STOP that another client
+//! requested.
 
 use std::sync::Arc;
 
@@ -42,14 +43,14 @@ impl AcknowledgeRight {
         self.seen.is_some()
     }
 
-    /// Whether the client may clear this FAST STOP. `is_held` says whether a client holds the lease.
+    /// Whether the client may clear this FAST STOP. `is_held` is true if any client holds the lease.
     pub(super) fn covers(&self, latch: &LatchFields, is_held: bool) -> bool {
         let is_held = is_held && !self.holds_lease;
         let id = Some(latch.fast_stop_id);
         let is_cleared = match latch.fast_stop_cause {
             FastStopCause::Requested => false,
             FastStopCause::ClientLost => !is_held && latch.fast_stop_by == self.subject,
-            // A person may have asked for it at the gripper itself.
+            // A person may have caused the FAST STOP at the gripper itself.
             FastStopCause::Unknown => self.seen == id,
             FastStopCause::UnannouncedDisconnect
             | FastStopCause::TemperatureFault

@@ -20,7 +20,7 @@ fn acknowledges(bench: &mut Bench) -> bool {
 }
 
 #[test]
-fn blind_acknowledge_clears_what_nobody_asked_for() {
+fn blind_acknowledge_clears_faults_and_own_loss() {
     let id = FastStopId::generate();
     let (mine, other) = ("wsg:10.0.0.1", "wsg:10.0.0.2");
     for (cause, by, when_free, when_held) in [
@@ -125,7 +125,7 @@ fn refusals_name_their_cause() {
     );
     assert!(refused[0].cause.to_string().contains("0 bytes were given"), "{}", refused[0].cause);
     assert!(refused[2].cause.to_string().contains("checksum"), "{}", refused[2].cause);
-    // A motion that a Stop has withdrawn is no refusal.
+    // A motion that a Stop has withdrawn does not count as refused.
     bench.send(id::LOOP, b"x");
     bench.send(id::HOMING, &[0]);
     bench.send(id::STOP, &[]);

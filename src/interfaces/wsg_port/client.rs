@@ -55,10 +55,10 @@ pub(super) struct Served<R, W> {
     heard: Instant,
     /// Whether the client has sent nothing yet.
     is_fresh: bool,
-    /// Whether the client was silent for too long. It still gets its outstanding replies and its updates, since many
-    /// clients wait for them forever.
+    /// Whether the client was silent for too long. Such a client still gets its outstanding replies and its updates,
+    /// since many clients wait for them forever.
     is_lost: bool,
-    /// Whether the client has used a script that may move the fingers, and so take the lease.
+    /// Whether the client has used a script that may move the fingers, and so may take the lease.
     uses_scripts: bool,
     /// Newest lease that this client has tried to keep.
     tried_epoch: u64,
@@ -259,7 +259,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
         self.silence.is_some() && self.device.has_announced() && self.is_owed_nothing()
     }
 
-    /// Whether a silent client has nothing left that it could come back to.
+    /// Whether the client is lost, and nothing has to be kept in case it returns.
     fn is_forgotten(&self) -> bool {
         self.is_lost && self.is_owed_nothing() && !self.device.is_remembered()
     }
@@ -345,7 +345,7 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             .boxed(),
             PortOrder::AcknowledgeFault => async move {
                 match gripper.acknowledge_fault(client, Some(token)).await {
-                    // The fault may be over by now.
+                    // A fault that is over by now needs no acknowledgement.
                     Ok(()) | Err(Rejection::Invalid(_)) => {
                         Step::Answered(ask, PortReply::Reply(Reply::Success(Data::None)))
                     }

@@ -110,7 +110,7 @@ pub(super) struct VirtualDevice {
 }
 
 impl VirtualDevice {
-    /// Returns the device of a client, whose automatic updates have at least this period.
+    /// Returns the device of a client. The period of its automatic updates is at least `shortest_period_ms`.
     pub(super) fn new(subject: Arc<str>, rules: &Rules, custom_ids: Arc<CustomIds>, shortest_period_ms: u16) -> Self {
         Self {
             input: PortInput::new(if rules.checksum_evaluation {

@@ -1,8 +1,9 @@
 //! The WSG port: the manual's own protocol for several clients at a time, each with its own virtual device.
 //!
-//! `device` is the virtual device, a pure machine, with `input` (parses requests), `values` (what getters return),
-//! `acknowledge` (who may clear a FAST STOP) and `status` (maps refusals to statuses). `client` is the I/O around the
-//! device, and `refusals` reports what was refused. `tcp` and `udp` accept clients; `unreachable` notices dead ones.
+//! `device` is the virtual device, a pure machine. Its parts are `input` (parses requests), `values` (what getters
+//! return), `acknowledge` (the right to clear a FAST STOP) and `status` (maps refusals to statuses). `client` is the
+//! I/O around the device, and `refusals` reports what was refused. `tcp` and `udp` accept clients; `unreachable`
+//! notices dead ones.
 //!
 //! A motion takes a free lease, and the client keeps the lease until it announces its disconnect (07h) or is lost. No
 //! client gets a frame that it has not requested.

@@ -1,4 +1,5 @@
-//! Refused requests of one client: each in the journal and the metrics, and one warning for each remedy in the log.
+//! Refused requests of one client. Each is counted in the metrics and recorded in the journal. The log has one warning
+//! per remedy.
 
 use std::collections::BTreeSet;
 
@@ -17,7 +18,7 @@ pub(super) struct Refused {
     pub cause: Cause,
 }
 
-/// Cause of such a refusal.
+/// Cause of a [`Refused`] request.
 #[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
 pub(super) enum Cause {
     #[error(transparent)]
@@ -27,7 +28,8 @@ pub(super) enum Cause {
     #[error("the client has announced its disconnect (07h)")]
     Announced,
     #[error(
-        "24h clears no FAST STOP that somebody else asked for, and no other one while another client holds the lease"
+        "24h may not clear this FAST STOP: another client or an unknown cause triggered it, or another client holds \
+         the lease"
     )]
     Acknowledge,
 }
@@ -51,7 +53,7 @@ impl Cause {
     }
 }
 
-/// Setting or request that cures a rejection.
+/// Setting or request that remedies a rejection.
 fn remedy(id: u8, rejection: &Rejection) -> &'static str {
     let is_script = id::describe(id).is_none();
     match rejection {
@@ -87,7 +89,7 @@ fn remedy(id: u8, rejection: &Rejection) -> &'static str {
     }
 }
 
-/// Remedies that the log has for one client.
+/// Remedies that were already logged for one client.
 #[derive(Debug, Default)]
 pub(super) struct Refusals {
     logged: BTreeSet<&'static str>,

@@ -1,7 +1,7 @@
 //! UDP clients. A client is identified by the address that its replies go to.
 //!
-//! Silence ends a client's lease, but not its updates: many drivers only listen while they hold a part. A client ends
-//! with 07h, when its port is closed, or when another program has its address.
+//! Silence ends a client's lease, but not its updates: many drivers only listen while they hold a part. A client is
+//! removed after its 07h, when its port is closed, or when another program uses its address.
 
 use std::collections::{BTreeSet, HashMap};
 use std::io;
@@ -36,7 +36,7 @@ const MAX_DATAGRAM_BYTES: usize = 65_535;
 /// Maximum number of unread datagrams of one client. More are dropped, as UDP allows.
 const MAX_WAITING_DATAGRAMS: usize = 32;
 
-/// Maximum number of hosts that the log has a warning for. A port has seldom more than a few.
+/// Maximum number of hosts with a warning in the log. A port rarely has more than a few.
 const MAX_WARNED: usize = 64;
 
 /// A client and its task.
@@ -47,7 +47,7 @@ struct Known {
     heard: Instant,
 }
 
-/// Hosts that the log has a warning for.
+/// Hosts that were already warned about in the log.
 #[derive(Default)]
 struct WarnedHosts(BTreeSet<IpAddr>);
 
@@ -80,7 +80,7 @@ pub(super) async fn serve(
                 continue;
             }
             closed = unreachable::next(&socket) => {
-                // Its task ends when it has no sender any more.
+                // The client's task ends once its sender is dropped.
                 if let Some(client) = known.remove(&closed) {
                     tracing::info!(%gripper, client = %closed, "client lost: its port is closed");
                     if client.source != closed.port() && unheard.is_first(closed.ip()) {
@@ -99,7 +99,7 @@ pub(super) async fn serve(
         // All senders with the same reply address are one client, since their replies could not be distinguished.
         let answered_at = SocketAddr::new(peer.ip(), reply_port.unwrap_or(peer.port()));
         let now = clock::instant();
-        // After a silence, another port belongs to another program, which has not asked for the updates of this one.
+        // After a silence, another source port means another program, which has not requested the client's updates.
         let is_same = |client: &&mut Known| client.source == peer.port() || now < client.heard + lost_after;
         let client = known.get_mut(&answered_at).filter(|client| !client.datagrams.is_closed()).filter(is_same);
         if let Some(client) = client {
@@ -165,7 +165,7 @@ struct Writer {
 
 impl AsyncWrite for Writer {
     fn poll_write(self: Pin<&mut Self>, cx: &mut Context<'_>, frame: &[u8]) -> Poll<io::Result<usize>> {
-        // A failed send is a lost datagram. An error of an earlier datagram, perhaps to another client, comes first.
+        // A failed send is a lost datagram. The error may be that of an earlier datagram, perhaps to another client.
         let sent = ready!(self.socket.poll_send_to(cx, frame, self.peer));
         if sent.is_err_and(|error| error.kind() == io::ErrorKind::ConnectionRefused) {
             let _ = ready!(self.socket.poll_send_to(cx, frame, self.peer));

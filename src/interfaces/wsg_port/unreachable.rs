@@ -1,4 +1,4 @@
-//! Dead UDP clients, as their hosts report them: a datagram to a closed port comes back as an ICMP error.
+//! Dead UDP clients. The host of a dead client answers a datagram to the closed port with an ICMP error.
 
 use std::future::pending;
 use std::io::{self, ErrorKind};
@@ -27,7 +27,7 @@ impl socketcan::SocketOptions for NumberedOptions {}
 /// Makes the socket keep ICMP errors for [`next`].
 pub(super) fn report(socket: &UdpSocket) {
     let options = NumberedOptions(socket.as_raw_fd());
-    // IPv4 sockets refuse the option of IPv6. Without either option, silence alone shows a dead client.
+    // IPv4 sockets refuse the option of IPv6. Without both options, only silence shows that a client is dead.
     for (level, option) in REPORT_ERRORS {
         let _ = options.set_socket_option_int(level, option, 1);
     }
@@ -47,7 +47,7 @@ pub(super) async fn next(socket: &UdpSocket) -> SocketAddr {
     }
 }
 
-/// Takes an error from the socket's queue. Other errors than a closed port can be over soon, and count for nothing.
+/// Takes an error from the socket's queue. Errors other than a closed port can be temporary, and are ignored.
 fn dequeue(socket: &UdpSocket) -> io::Result<Option<SocketAddr>> {
     let is_closed = matches!(socket.take_error(), Ok(Some(error)) if error.kind() == ErrorKind::ConnectionRefused);
     let (_, _, address) = recvfrom(socket, &mut [0_u8; 1], RecvFlags::ERRQUEUE | RecvFlags::DONTWAIT)?;

@@ -13,7 +13,7 @@ pub(super) fn value(id: u8, state: &State) -> Data {
             Data::SystemState(flags | latched)
         }
         id::GET_GRIPPER_STATE => Data::GripperState(GripperState::from_code(state.state_code.unwrap_or_default())),
-        // fw4-en 3.4.4: 0 unless referenced.
+        // 0 unless referenced (`fw4-en 3.4.4`).
         id::GET_WIDTH => Data::Width(finite(state.width_mm, Width::new, Width::ZERO)),
         id::GET_SPEED => Data::Speed(finite(state.speed_mm_s, Speed::new, Speed::ZERO)),
         id::GET_FORCE => Data::Force(finite(state.force_n, Force::new, Force::ZERO)),
@@ -21,7 +21,7 @@ pub(super) fn value(id: u8, state: &State) -> Data {
     }
 }
 
-/// Whether a value tells its reader of the latched FAST STOP. Firmware 4 is in the state ERROR until the next motion.
+/// Whether a value shows the latched FAST STOP to its reader. Firmware 4 reports ERROR from then until the next motion.
 pub(super) fn tells_fast_stop(data: &Data) -> bool {
     match data {
         Data::SystemState(flags) => flags.contains(SystemState::FAST_STOP),

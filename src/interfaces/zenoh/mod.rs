@@ -7,7 +7,7 @@
 //! | `/{gripper}/command/{name}` | queries, named like WebSocket methods: `grip`, `lease.take` |
 //! | `/{gripper}/alive` | a liveliness token while the gripper's link is up; `/alive` while the gateway runs |
 //! | `/instance/{id}` | a unique liveliness token of this gateway: two of them mean two gateways of one name |
-//! | `/client/{name}` | a liveliness token of a client, which binds a lease if the client's session is not visible |
+//! | `/client/{name}` | a liveliness token of a client: binds a lease if the client's session is not visible |
 //! | `/fast-stop` | a put stops all grippers of the gateway; a put to `wsg/v1/fast-stop` those of all gateways |
 //! | `/fleet` | a query: all grippers of all gateways |
 //!

@@ -204,7 +204,7 @@ impl Queries {
         let (mut params, client_name) = if is_fast_stop {
             (json::parse(&payload).unwrap_or_default(), client_name.unwrap_or_default())
         } else if method == motion::STOP.name {
-            // A mistake in a Stop must not keep the fingers moving.
+            // An invalid Stop is executed too, so that the fingers do not keep moving.
             (body(&payload).unwrap_or_default(), client_name.unwrap_or_default())
         } else {
             (body(&payload)?, client_name?)

@@ -13,7 +13,7 @@ async fn journal_id_lasts_as_long_as_the_file() {
     let (again, recovered) = directory.open();
     assert_eq!(again.id(), id);
     assert_ne!(other.open().0.id(), id);
-    assert!(recovered.memory.is_empty(), "the id is no value of a gripper");
+    assert!(recovered.memory.is_empty(), "the id does not belong to a gripper");
 }
 
 #[tokio::test]
@@ -36,7 +36,7 @@ async fn journal_of_an_earlier_version_gets_an_id() {
 }
 
 #[tokio::test]
-async fn grip_is_told_when_stored_and_when_its_part_is_lost() {
+async fn grip_is_broadcast_when_stored_and_when_its_part_is_lost() {
     let (journal, _) = Journal::open(JournalLocation::Memory, Retention::default()).unwrap();
     let mut grips = journal.subscribe_grips();
     let mut next = async |lost_at: &str| {

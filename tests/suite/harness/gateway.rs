@@ -106,8 +106,8 @@ impl Gateway {
         gateway
     }
 
-    /// Starts a gateway with these arguments and a webhook whose receiver is down, so that all metrics exist. Waits until
-    /// its gripper `g` is homed.
+    /// Starts a gateway with these arguments and a webhook whose receiver is down, so that all metrics exist. Homes
+    /// its gripper `g`.
     pub async fn with_webhook(arguments: &[&str]) -> Self {
         let webhook = "[[webhooks]]\nname = \"mes\"\nurl = \"http://127.0.0.1:1\"\n\
                        secret = \"whsec_MfKQ9r8GKYqrTwjUPD8ILPZIo2LaLaSw\"\n";

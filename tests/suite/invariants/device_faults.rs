@@ -1,4 +1,4 @@
-//! Faults of the device that are no FAST STOP.
+//! Faults of the device without a FAST STOP.
 
 use std::time::Duration;
 
@@ -61,7 +61,7 @@ fn fast_stop_withdraws_a_waiting_acknowledgement() {
     world.device.apply(world.now, Change::FingerOverCurrent { finger: 1, on: true });
     world.advance(Duration::from_secs(1));
     let from = mark(&world);
-    // The line is busy.
+    // A long frame keeps the line busy.
     drop(exchange(&mut world, wsg::Command::Loop(LoopData::new(vec![0; 60]).unwrap())));
     let mut answered = acknowledge_fault(&mut world, None);
     let id = fast_stop(&mut world);

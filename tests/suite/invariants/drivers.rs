@@ -129,7 +129,7 @@ fn script_takes_the_lease_only_if_the_fingers_move_after_it() {
     let (one, other) = (driver("10.0.0.1"), driver("10.0.0.2"));
     assert!(script(&mut world, &one).is_ok());
     assert_eq!(holder(&world), None, "nothing moves");
-    // Too late for the script.
+    // The motion begins too late to be caused by the script.
     world.advance(Duration::from_millis(300));
     somebody_moves(&mut world, 80.0);
     assert_eq!((holder(&world), world.journal.foreign_motions), (None, 1));
@@ -142,7 +142,7 @@ fn script_takes_the_lease_only_if_the_fingers_move_after_it() {
 }
 
 #[test]
-fn script_waits_for_no_motion_and_no_pause() {
+fn script_runs_during_a_motion_but_not_in_fast_stop() {
     let mut world = homed_with_script();
     let one = driver("10.0.0.1");
     moves(&mut world, &one, move_to(50.0, 50.0)).unwrap();
@@ -156,7 +156,7 @@ fn script_waits_for_no_motion_and_no_pause() {
 }
 
 #[test]
-fn lost_scripts_client_is_a_loss_only_if_the_fingers_move() {
+fn fingers_that_move_after_the_loss_of_a_script_are_stopped() {
     for (delay_ms, is_stopped) in [(100, true), (250, false)] {
         let mut world = homed_with_script();
         let one = driver("10.0.0.1");

@@ -1,4 +1,4 @@
-//! `fault`, the numbers of motions, and the changes that the state counts.
+//! The fields `fault` and `fault_code`, the numbers of motions, and the count of changes in the state.
 
 use std::time::Duration;
 

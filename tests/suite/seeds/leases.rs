@@ -239,7 +239,7 @@ impl Leases {
         (Client { subject: DRIVER.into(), door: Door::Wsg }, token)
     }
 
-    /// Records that a driver has used a script, and renewed the lease if the driver holds it.
+    /// Records that a driver has used a script, which renews the lease if the driver holds it.
     pub fn scripted(world: &mut World, token: LeaseToken) {
         if let Some(current) = world.leases.current.as_mut().filter(|current| current.token == token) {
             current.used = world.now;
@@ -247,7 +247,7 @@ impl Leases {
         world.leases.scripted = Some(token);
     }
 
-    /// Notices that a driver's script has moved the fingers, and so has taken the free lease.
+    /// Notices that a driver has taken the free lease, because its script has moved the fingers.
     fn notice_claim(world: &mut World) {
         let (epoch, holder) = {
             let state = world.watches.state.borrow();

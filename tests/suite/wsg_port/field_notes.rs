@@ -215,7 +215,7 @@ async fn custom_ids_pass_unchanged_in_both_directions() {
     assert_eq!((sent.len(), sent[7].payload.as_slice()), (50, &[0xAA, 0xAA, 0xAA, 7][..]));
     assert_eq!(driver.status(0xBB, &[]).await, 0x1267, "unknown statuses pass unchanged");
     assert_eq!(driver.status(0xB7, &[]).await, 14, "unknown to the device");
-    // Nothing has moved, so others can use the scripts too.
+    // The fingers have not moved, so other clients can use the scripts too.
     let mut other = Driver::connect(port).await;
     assert_eq!(other.status(0xB0, &[]).await, SUCCESS);
     assert_eq!(gateway.state().await["lease_holder"], serde_json::Value::Null);

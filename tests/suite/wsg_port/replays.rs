@@ -1,4 +1,4 @@
-//! Frames of public drivers, from `tests/recordings/drivers`, as each driver's source composes them.
+//! Frames of public drivers, composed as in each driver's source (`tests/recordings/drivers`).
 
 use std::net::SocketAddr;
 use std::time::{Duration, Instant};
@@ -21,7 +21,7 @@ fn steps<const N: usize>(driver: &str) -> [Vec<Vec<u8>>; N] {
     steps.into_iter().map(frames).collect::<Vec<_>>().try_into().unwrap()
 }
 
-/// Sends the frames one after the other, and returns the status that each ends with.
+/// Sends the frames one after the other, and returns the final status of each.
 async fn replay(driver: &mut Driver, frames: &[Vec<u8>]) -> Vec<u16> {
     let mut statuses = Vec::new();
     for frame in frames {
@@ -60,7 +60,7 @@ async fn driver_starts_again_after_its_own_loss_and_after_the_devices_fast_stop(
     replay(&mut driver, &stop).await;
     driver.leave().await;
     assert_eq!(steer.len(), 1);
-    // Somebody asked for this one.
+    // Another client requested this FAST STOP.
     cell.gateway.post("fast-stop", &json!({})).await.ok();
     let mut driver = cell.driver().await;
     assert_eq!(replay(&mut driver, &start[..1]).await, [super::ACCESS_DENIED]);
@@ -212,7 +212,7 @@ async fn silent_udp_driver_keeps_its_updates_and_executes_its_next_command() {
     while silent.elapsed() < Duration::from_secs(1) {
         assert_eq!(driver.next(0x43).await.0, SUCCESS);
     }
-    // The position is not frozen.
+    // The driver still gets new positions.
     driver.gateway.post("move", &json!({"width_mm": 90, "speed_mm_s": 400})).await.outcome("SUCCESS");
     eventually("the new width", async || {
         let (_, width) = driver.next(0x43).await;

@@ -1,4 +1,4 @@
-//! Clients that have lost the token of their lease, as after a restart.
+//! Clients that have lost the token of their lease, for example in a restart.
 
 use wsg_gateway::gripper::model::TakeLease;
 use wsg_gateway::gripper::{Conflict, Rejection};

@@ -11,7 +11,7 @@ export const MAX_ALARMS = 100;
 /** Highest first. */
 export const PRIORITIES = ['critical', 'high', 'low'];
 
-/** Returns what is wrong with a gripper now. Each fault keeps its key while it lasts. The lease may be unknown. */
+/** Returns the present faults of a gripper. Each fault keeps its key while it lasts. `lease` is null while unknown. */
 export function wrongWith(state, lease = null) {
   const wrong = [];
   const add = (what, priority, cause = null) =>
@@ -25,7 +25,7 @@ export function wrongWith(state, lease = null) {
     add(`flag/${name}`, weight === 'fault' ? 'critical' : 'low');
   }
   if (state.state === 'PART_LOST') add('part_lost', 'high');
-  // A part is held, and its client is gone.
+  // The client was lost while a part was held.
   if (lease?.reserved_for && state.lease_holder === null) add('reserved', 'high', lease.reserved_for);
   return wrong;
 }

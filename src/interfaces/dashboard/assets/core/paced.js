@@ -1,6 +1,6 @@
-// A limit of requests in flight, so that the page's own reads leave room for the user's requests.
+// Limits the requests in flight, so that the page's own reads leave room for the user's requests.
 
-/** Returns a function that runs tasks, at most `most` at a time. Further ones wait in their order. */
+/** Returns a function that runs tasks, at most `most` at a time. Further tasks wait in order. */
 export function paced(most) {
   const waiting = [];
   let running = 0;

@@ -1,4 +1,5 @@
-// Names of people. A client is known by its interface and address; the dashboard gives the user's name as the reason.
+// Names of people. The gateway knows a client only by its interface and address. So the dashboard puts the user's name
+// into the reason of a FAST STOP.
 
 /** Name of the dashboard's user in the reason of a FAST STOP, or null. */
 export const nameIn = (reason) => /^dashboard, (.+)$/.exec(reason ?? '')?.[1] ?? null;

@@ -62,7 +62,7 @@ export async function takeControl(one, { force = false, request = false } = {}) 
   // Set before the request, because control can be handed over before the answer arrives.
   if (request) one.isAsking.value = true;
   const lease = await askFreely(one, 'lease.take', { ...terms(), force, request });
-  // Without a token, the request waits for the holder.
+  // Without a token in the reply, the request waits for the holder.
   if (lease?.token) {
     one.lease.value = lease;
     one.own(lease);
@@ -106,8 +106,8 @@ export function acknowledge(one, id) {
 }
 
 /**
- * Without an answer on the WebSocket within these times, a FAST STOP is also sent as an HTTP request. Other gateways
- * have 500 ms to confirm.
+ * Times without a reply on the WebSocket after which a FAST STOP is also sent as an HTTP request. The time for the
+ * fleet is longer, because other gateways have 500 ms to confirm.
  */
 const FALLS_BACK_AFTER_MS = { here: 300, fleet: 700 };
 /** Time after which a FAST STOP is reported as failed. */
@@ -131,10 +131,10 @@ async function sendFastStop(method, path, more = {}, fallsBackAfterMs = FALLS_BA
   }
 }
 
-/** Stops all grippers of this gateway. */
+/** Sends a FAST STOP to all grippers of this gateway. */
 export const fastStop = () => sendFastStop('fast-stop', 'fast-stop');
 
-/** Stops the grippers of all gateways. */
+/** Sends a FAST STOP to the grippers of all gateways. */
 export const fastStopFleet = () => sendFastStop('fleet.fast-stop', 'fleet/fast-stop', {}, FALLS_BACK_AFTER_MS.fleet);
 
 /** Stops one gripper. A failure of the newest request is shown beside its controls. */

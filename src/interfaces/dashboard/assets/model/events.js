@@ -35,7 +35,7 @@ function takeCommand(event, one, at) {
   if (kind === 'grip') one.mark(at, event.outcome === 'PART_HELD' ? 'held' : 'end', event.outcome);
 }
 
-/** Notes that another client took control from this page, or that the gateway ended it. */
+/** Notes that another client took control from this page, or that the gateway ended this page's lease. */
 function takeLoss({ event, holder, epoch }, one) {
   if (event === 'forced' && epoch > one.epoch) one.loseControl('forced', holder);
   if (event === 'lost' && epoch === one.epoch) one.loseControl('expired');

@@ -46,7 +46,7 @@ export class Gripper {
     this.isAsking = signal(false);
     /** Epoch of the lease that this page took and has not given up; null without one. */
     this.epoch = null;
-    /** How this page lost control against the user's will: `{how, by}`, or null. */
+    /** How this page lost control, unless the user gave it up: `{how, by}`, or null. */
     this.lostControl = signal(null);
     /** Numbers the FAST STOP requests for this gripper. */
     this.stopping = numbered();
@@ -91,14 +91,14 @@ export class Gripper {
     });
   }
 
-  /** Takes the lease that this page was given, or gives it up with null. */
+  /** Notes the lease that this page was given, or null after the page gave it up. */
   own(lease) {
     this.held.value = lease && { token: lease.token, epoch: lease.epoch };
     this.epoch = lease?.epoch ?? null;
     if (lease) this.lostControl.value = null;
   }
 
-  /** Notes that control was taken or lost, if this page had it. */
+  /** Notes how this page lost control, if the page had it. */
   loseControl(how, by = null) {
     if (this.epoch !== null) this.lostControl.value = { how, by };
     this.epoch = null;

@@ -44,7 +44,7 @@ export function rename(wanted) {
   myName.value = name;
 }
 
-/** Whether this browser still has the name that it was given at first. */
+/** Whether this browser still has its generated name. */
 export const isUnnamed = computed(() => /^browser-[0-9a-f]{4}( \(\d+\))?$/.test(myName.value));
 
 /** Returns the next name in the series `Anna`, `Anna (2)`, `Anna (3)`. */

@@ -16,13 +16,13 @@ const press = numbered();
 /** Time for which a confirmation is shown. */
 const CONFIRMATION_SHOWN_MS = 8000;
 
-/** Shows the result of a FAST STOP, and whom it reached. `reach` is `here` or `fleet`. */
+/** Shows the result of a FAST STOP, and the grippers that it reached. `reach` is `here` or `fleet`. */
 async function stopAndReport(send, reach) {
   const isNewest = press();
   const report = (result) => {
     if (isNewest()) stopped.value = result;
   };
-  // Sent before anything is shown.
+  // The request is sent before the page changes.
   const sent = send();
   report({ text: t('stop.sent') });
   try {
@@ -59,7 +59,7 @@ addEventListener(
   { capture: true },
 );
 
-// An open list takes the key itself, and the page hears only that the key goes up.
+// An open list consumes the `keydown` event, so the page gets only the `keyup` event.
 addEventListener(
   'keyup',
   ({ key }) => {
@@ -67,7 +67,7 @@ addEventListener(
   },
   { capture: true },
 );
-// A key can go up in another window.
+// The `keyup` event can go to another window.
 addEventListener('blur', () => down.clear());
 
 function Stop() {
@@ -134,7 +134,7 @@ function Alarms() {
   </button>`;
 }
 
-/** `notices` is the component of the notices, once it is loaded. */
+/** `notices` is the component that shows notices, once it is loaded. */
 export function Bar({ notices }) {
   const one = gripper.value;
   return html`<header class="bar">
@@ -165,7 +165,7 @@ export function Bar({ notices }) {
   </header>`;
 }
 
-/** More grippers than this are a list, so that all can be reached. */
+/** Above this number, grippers are offered in a list, so that all can be reached. */
 const MAX_CHIPS = 8;
 
 function stateText(one) {

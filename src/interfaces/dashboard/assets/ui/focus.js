@@ -1,10 +1,10 @@
-// Keeps the keyboard's focus in its place when the focused button disappears or is disabled, as after "Take control".
+// Keeps the keyboard focus in place when the focused button disappears or is disabled, for example "Take control".
 
 /** Focused button, and its panel. */
 let last = null;
 let panel = null;
 
-/** A button that is enabled again gets the focus back. The panel's title stands in for one that has disappeared. */
+/** Returns the focus to a button that is enabled again, or to the panel's title if the button has disappeared. */
 function restore() {
   if (last === null || document.activeElement !== document.body) return;
   if (last.isConnected) {
@@ -23,7 +23,7 @@ export function keepFocus(app) {
   });
 
   addEventListener('focusout', ({ target }) => {
-    // The user may have clicked elsewhere. A change of the page ends before this check.
+    // If the button is still usable, the user has moved the focus. The check waits until the page has changed.
     setTimeout(() => {
       if (target === last && target.isConnected && !target.disabled) last = null;
     });

@@ -13,7 +13,7 @@ const FAULTS = FLAGS.filter(({ weight }) => weight === 'fault');
 
 const GOOD = ['SUCCESS', 'PART_HELD'];
 
-/** A part can be narrower or wider than it should be by this much without a note. */
+/** Difference from the expected width up to which a held part gets no note. */
 const TOLERANCE_MM = 2;
 
 /** Whether a command has ended without success. */
@@ -31,12 +31,12 @@ function resultOf(one) {
   const state = one.gripperState.value;
   if (one.latchId.value || command?.phase === 'running') return null;
   if (state === HELD) {
-    // Read only here, so that moving fingers do not render the result.
+    // `reading` is read only in this state, so that moving fingers do not render the result again.
     const { width_mm: width, force_n: force } = one.reading.value ?? {};
     const note = early(command, width);
     return { state, text: t('result.held'), figures: `${fixed(width, 1)} mm · ${fixed(force, 1)} N`, note };
   }
-  // Firmware 4 reports an error from a FAST STOP to the next motion, also after it was acknowledged.
+  // Firmware 4 reports ERROR from a FAST STOP until the next motion, even after the acknowledgement.
   if (state === 'ERROR' && !FAULTS.some(({ bit }) => isSet(one.flags.value, bit)))
     return { state, text: t('result.error'), figures: '', note: t('result.ready') };
   if (FAILED.includes(state)) return { state, isWrong: true, text: t(`state.${state}`), figures: '' };

@@ -24,12 +24,12 @@ export function start() {
   const write = () => {
     if (!gripper.peek()) return;
     const address = `#/${encodeURIComponent(gripper.peek().name)}/${view.peek()}`;
-    // The browser's Back goes back a view.
+    // The browser's Back button returns to the previous view.
     if (location.hash !== address) history[isFirst ? 'replaceState' : 'pushState'](null, '', address);
     isFirst = false;
   };
   effect(() => {
-    // A change of both is one step.
+    // A change of gripper and view together is one step of the history.
     if (gripper.value && view.value) queueMicrotask(write);
   });
 }

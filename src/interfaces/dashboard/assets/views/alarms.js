@@ -17,7 +17,7 @@ export function alarmText({ what }) {
   return kind === 'link' || kind === 'flag' ? t(`alarm.${kind}.${detail}`) : t(`alarm.${kind}`);
 }
 
-/** Opens a view of the alarm's gripper, at a panel. */
+/** Opens a view of the alarm's gripper, and scrolls to a panel. */
 function show(alarm, wantedView, panel) {
   selected.value = alarm.gripper;
   go(wantedView);

@@ -22,8 +22,8 @@ function float(text) {
 
 /**
  * Parses a text like `0x20 150.0f "text" 7`. A hexadecimal number has one byte for each pair of digits, little endian.
- * A decimal one from -128 to 255 has one byte, a float four, and a text one for each character. `wrong` is the first
- * invalid part, or null.
+ * A decimal number from -128 to 255 has one byte, a float has four, and a text has one for each character. `wrong` is
+ * the first invalid part, or null.
  */
 export function parse(text) {
   const bytes = [];
@@ -41,7 +41,7 @@ export function parse(text) {
     } else if (hex !== undefined) {
       bytes.push(...littleEndian(hex.slice(2)));
     } else if (single !== undefined) {
-      // As in other fields, 1,000 can be read in two ways.
+      // As in other fields, 1,000 is rejected: the comma can be a decimal or a thousands separator.
       if (single.includes(',') && readings(single.slice(0, -1)) !== null) return { bytes, wrong: single };
       bytes.push(...float(single));
     } else if (decimal !== undefined && Number(decimal) >= -0x80 && Number(decimal) <= 0xff) {

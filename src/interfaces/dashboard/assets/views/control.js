@@ -16,7 +16,7 @@ function Held({ one }) {
   const asked = one.lease.value?.requested_by;
   return html`<p><${Shape} name="lock" /> <strong>${t('control.mine', { name: one.holder.value })}</strong></p>
     ${
-      // Still possible after the user has closed the notice.
+      // The user can still hand over after closing the notice.
       asked &&
       !asks(one) &&
       html`<div class="buttons"><button type="button" onClick=${() => handOver(one, asked)}>${t('control.hand_over', {

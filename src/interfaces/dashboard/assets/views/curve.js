@@ -46,7 +46,7 @@ function Drawn({ curves }) {
   )}</div>`;
 }
 
-/** `compares` is a signal: whether another curve is added to the shown ones, or replaces them. */
+/** `compares` is a signal. If it is true, another curve is added to the shown curves; otherwise it replaces them. */
 export function Curve({ grips, compares }) {
   const curves = useSignal([]);
   const place = useRef(null);
@@ -62,7 +62,7 @@ export function Curve({ grips, compares }) {
     };
   }, [wanted]);
   useEffect(() => {
-    // Below the table on small screens, and beside it on others.
+    // On small screens, the curves are below the table, so they are scrolled into view.
     if (curves.value.length > 0 && matchMedia('(max-width: 1100px)').matches)
       place.current?.scrollIntoView({ block: 'start' });
   }, [curves.value]);

@@ -15,7 +15,7 @@ const shortened = (hex) => (hex.length <= SHOWN ? hex : `${hex.slice(0, SHOWN - 
 
 const spaced = (frame) => shortened(toHex(fromHex(frame.hex), ' '));
 
-/** The frame that was sent, the reply with its meaning, and the data as every type of their length. */
+/** Shows the sent frame, the reply with its meaning, and the reply's data read as every type of the same length. */
 function Answer({ answer }) {
   const { sent, received } = exchange.value ?? {};
   const bytes = fromHex(answer.payload ?? '');
@@ -38,7 +38,7 @@ function Answer({ answer }) {
     }</div>`;
 }
 
-/** List of the manuals' commands. An id outside it is typed. */
+/** List of the manuals' commands. The user types any other id. */
 function Commands({ code, onChoose }) {
   return html`<div class="field"><label for="editor-command">${t('editor.command')}</label><select id="editor-command"
       value=${MANUAL.has(code) ? String(code) : ''} onChange=${({ currentTarget }) => {
@@ -50,7 +50,7 @@ function Commands({ code, onChoose }) {
     )}</select></div>`;
 }
 
-/** Fields of a command's parameters, which write the text below them. */
+/** Fields for a command's parameters. The text below follows the fields. */
 function Form({ code, payload, bytes }) {
   // Text that the fields wrote last, and what was typed into them.
   const typed = useSignal(null);

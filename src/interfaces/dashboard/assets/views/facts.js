@@ -3,7 +3,7 @@
 import { html } from '../lib.js';
 import { t } from '../model/i18n.js';
 
-/** `facts` are pairs of a text's key and a value; those without a value are left out. */
+/** `facts` are pairs of a text's key and a value. Pairs without a value are left out. */
 export function Facts({ facts }) {
   return html`<dl class="facts">${facts
     .filter(([, value]) => value !== null && value !== undefined && value !== '')

@@ -4,7 +4,7 @@ import { html, useSignal } from '../lib.js';
 import { t } from '../model/i18n.js';
 import { takeControl } from '../model/commands.js';
 
-/** `place` makes the ids unique, and `of` the names. */
+/** `place` is a prefix that makes the ids unique; `of` is a suffix that makes the accessible names unique. */
 export function Force({ one, place = '', of = '' }) {
   const isSure = useSignal(false);
   const name = (key) => `${t(key)}${of}`;

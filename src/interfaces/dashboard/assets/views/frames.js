@@ -1,4 +1,4 @@
-// Frames on a gripper's wire, over a connection of their own: hundreds a second must not delay the grippers' states.
+// Frames on a gripper's wire, over a separate connection: hundreds of frames a second must not delay states.
 // The connection is opened with the log, and stays open while another view is shown.
 
 import { signal } from '../lib.js';
@@ -9,7 +9,7 @@ const MAX_FRAMES = 1000;
 const SHOWN_EVERY_MS = 200;
 /** Ids of automatic updates. */
 const UPDATES = [0x40, 0x41, 0x43, 0x44, 0x45];
-/** Place of the status in a reply as hex, and `E_CMD_PENDING` there. */
+/** Position of the status in a reply's hex, and the hex of `E_CMD_PENDING`. */
 const [STATUS_AT, PENDING] = [12, '1a00'];
 
 /** Frames, and rows about frames that are left out: `updates`, `paused`, `gap` and `lost`, each with a `count`. */
@@ -23,7 +23,7 @@ export const exchange = signal(null);
 let rows = [];
 let isWaiting = false;
 let nextRow = 0;
-/** Followed gripper and its connection. */
+/** The followed gripper and its connection. */
 let followed = null;
 
 function push(row) {
@@ -34,7 +34,7 @@ function push(row) {
   setTimeout(show, SHOWN_EVERY_MS);
 }
 
-/** Counts frames that are left out, in one row for all in a stretch. */
+/** Counts frames that are left out. Consecutive ones share a row. */
 function leaveOut(direction, at, count = 1) {
   const last = rows.at(-1);
   if (last?.direction !== direction) {

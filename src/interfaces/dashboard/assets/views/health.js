@@ -20,7 +20,7 @@ function updateRate(gripper) {
   return count === null ? null : (count / (newest.at - before.at)) * 1000;
 }
 
-/** Mean over the requests since the poll before; over all requests if there were none. */
+/** Mean over the requests since the previous poll, or over all requests if none came since. */
 function roundTripMs(gripper) {
   const name = 'wsg_round_trip_seconds';
   const [sum, count] = [growth(`${name}_sum`, gripper), growth(`${name}_count`, gripper)];

@@ -72,7 +72,7 @@ export function History({ one }) {
   const [from, to, isOfAll] = [useSignal(''), useSignal(''), useSignal(false)];
   const [list, next, problem, note] = [useSignal([]), useSignal(null), useSignal(null), useSignal('')];
   const [picked, compares, numbers] = [useSignal([]), useSignal(false), useSignal(null)];
-  // Without a kind, the gateway would list grips alone.
+  // Without a kind, the gateway would list only grips.
   const kinds = kind.value || (what.value === 'grips' ? 'all' : '');
   const asked = {
     gripper: isOfAll.value ? '' : one.name,

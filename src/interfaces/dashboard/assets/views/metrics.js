@@ -9,7 +9,7 @@ const ASKED_EVERY_MS = 5000;
 const LINE = /^(\w+)(?:\{([^}]*)\})? ([\d.e+-]+)$/gm;
 const LABEL = /(\w+)="([^"]*)"/g;
 
-/** Newest samples `[{name, labels, value}]` with their time, and those before; null until known. */
+/** The newest and the previous samples `[{name, labels, value}]`, each with their time; null until known. */
 export const metrics = signal({ newest: null, before: null });
 
 function parse(page) {

@@ -17,17 +17,17 @@ import { Presets } from './presets.js';
 /** Input for each gripper, kept while the page is open. */
 const typed = new Map();
 
-/** Added to the part's width, this is the width that Release opens to unless the user types another. */
+/** Distance by which Release opens beyond the part's width, unless the user types another width. */
 const OPENS_BY_MM = 10;
 
-/** The part's width and some more, within the limits; null while the part's width is not valid. */
+/** The part's width plus `OPENS_BY_MM`, within the limits; null while the part's width is not valid. */
 function defaultOpen(one, width) {
   const { max } = widthLimits(one.info.value, one.softLimits.value);
   const given = number(width.value);
   return Number.isFinite(given) ? Math.min(given + OPENS_BY_MM, max) : null;
 }
 
-/** Text of the field for the width to open to. The browser remembers what the user types. */
+/** Text of the field for the width to open to. The browser remembers the user's input. */
 function openField(one, width) {
   return {
     get value() {
@@ -65,14 +65,14 @@ function whyNot(one, needsReference = true) {
   return null;
 }
 
-/** Asks for the user's name, once: other users see who has control and who stopped a gripper. */
+/** Asks once for the user's name, which other users see as the holder of control and in a FAST STOP. */
 function YourName() {
   return html`<div class="your-name"><label for="your-name">${t('control.your_name')}</label><input id="your-name"
       type="text" autocomplete="name" onInput=${within(MAX_NAME_BYTES, () => {})}
       onChange=${({ currentTarget }) => rename(currentTarget.value)} /></div>`;
 }
 
-/** Who has control, and the next step to get it or to give it back. */
+/** Names the holder of control, and offers to take, request or release control. */
 function WhoControls({ one }) {
   const [holder, reserved] = [one.holder.value, one.reservedFor.value];
   const button = (key, act, isMain = false) => html`<button type="button" class=${isMain ? 'primary' : ''}

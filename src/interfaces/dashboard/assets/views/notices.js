@@ -1,4 +1,5 @@
-// Notices below the bar, in every view: requests for control, its loss, a reservation, refusals, and the worst alarm.
+// Notices below the bar, in every view: requests for control, loss of control, a reservation, refusals, and the worst
+// alarm.
 
 import { html, signal, useEffect, useRef } from '../lib.js';
 import { sorted } from '../core/alarms.js';
@@ -87,7 +88,7 @@ function Refused({ one }) {
     }} /></${Notice}>`;
 }
 
-/** Whether the view shows an alarm in a place of its own: a lost connection, a FAST STOP, or a reservation. */
+/** Whether the view already shows the alarm elsewhere: a lost connection, a FAST STOP, or a reservation. */
 function isShown({ what, gripper: name }) {
   if (what === 'gateway') return true;
   if (name !== gripper.value?.name) return false;

@@ -5,10 +5,10 @@ import { perPart } from './statistics.js';
 import { fixed, plain, t } from '../model/i18n.js';
 import { get, query } from '../net/rest.js';
 
-/** The gateway's limit of a page. */
+/** Maximum number of grips that the gateway returns in a page. */
 const MAX_GRIPS = 1000;
 
-/** Reads the grips that match the filters. `isAll` tells whether there are no more. */
+/** Reads the grips that match the filters. `isAll` is true if these are all of them. */
 export async function evaluate(filters) {
   const { grips, next_cursor: next } = await get(`grips?${query({ ...filters, kind: 'grip', limit: MAX_GRIPS })}`);
   return { parts: perPart(grips), count: grips.length, isAll: !next };

@@ -21,7 +21,7 @@ const decimals = (step) => Math.min(2, Math.max(0, Math.ceil(-Math.log10(step)))
 
 const MAX_DECIMALS = 2;
 
-/** Looks of the lines of a plot: colour is not the only difference. */
+/** Styles of a plot's lines, which differ in more than colour. */
 const LINES = [
   { colour: '--trace', dash: [] },
   { colour: '--accent', dash: [8, 4] },
@@ -38,7 +38,7 @@ export function Line({ index }) {
       stroke-dasharray=${dash.join(' ')} /></svg>`;
 }
 
-/** Value of a line at a time, between its samples; null outside. */
+/** Value of a line at a time, interpolated between its samples; null outside the line's times. */
 function valueAt([times, values], time) {
   const next = times.findIndex((one) => one >= time);
   if (next < 0 || time < times[0]) return null;
@@ -48,14 +48,14 @@ function valueAt([times, values], time) {
   return from === null || to === null ? null : from + (to - from) * share;
 }
 
-/** Data of several lines, each `[times, values]`, at the times of all. */
+/** Puts several lines, each `[times, values]`, on one time axis with the times of all lines. */
 export function overlaid(lines) {
   if (lines.length === 1) return lines[0];
   const times = [...new Set(lines.flatMap(([own]) => own))].sort((a, b) => a - b);
   return [times, ...lines.map((line) => times.map((time) => valueAt(line, time)))];
 }
 
-/** Shows the values under the cursor. The cursor is at the same time in all plots of a group. */
+/** Shows the values under the cursor. All plots of a group share one cursor. */
 function readout(output) {
   return (drawn) => {
     const { idx } = drawn.cursor;
@@ -69,8 +69,8 @@ function readout(output) {
 }
 
 /**
- * `timeText` formats a label of the time axis from its value and decimals; `output` gets the value under the cursor of
- * all plots with the same `group`. `xScale`, `yScale`, `padding` and `hooks` are uPlot's.
+ * `timeText` formats a label of the time axis from its value and decimals. `output` shows the value under the cursor,
+ * which all plots with the same `group` share. `xScale`, `yScale`, `padding` and `hooks` are uPlot's.
  */
 export function plot(place, { data, timeText, output, group, xScale = {}, yScale = {}, padding, hooks = {} }) {
   const axis = (more) => ({

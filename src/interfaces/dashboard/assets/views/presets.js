@@ -10,7 +10,7 @@ const FIELDS = ['width', 'open', 'speed', 'force'];
 export function Presets({ one, fields }) {
   const name = useSignal('');
   const mine = presets.value[one.name] ?? [];
-  // `{text, act}` of the newest step, to take it back.
+  // `{text, act}` to undo the newest step.
   const undo = useSignal(null);
   const change = (text, edit) => {
     changePresets(one.name, edit);

@@ -1,6 +1,6 @@
 // Maps an event to the key of a text and its parameters. Pure: the texts are in `locales`.
 
-/** `of` has parameters that are keys of texts themselves, `with` has plain ones, and `flags` are names of flags. */
+/** `of` has parameters that are keys of other texts, `with` has plain parameters, and `flags` has names of flags. */
 export function sentence(event) {
   switch (event.kind) {
     case 'command':

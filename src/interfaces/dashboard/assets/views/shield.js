@@ -1,12 +1,13 @@
-// A notice moves the page below it. A tap that was meant for what stood there before must not move the fingers.
+// Blocks misplaced taps. A notice moves the page below it, and a tap aimed at the earlier content must not move the
+// fingers.
 
-/** Time within which a person cannot have seen the change. */
+/** Time within which a person cannot react to the change. */
 const REACTS_AFTER_MS = 300;
 
 /** Timer that runs while the page has just moved, or null. */
 let moved = null;
 
-/** Notes that the place of the notices has changed its size, and marks it for a while. */
+/** Notes that the area of the notices has changed its size, and marks the area for a while. */
 export function noteMove(place) {
   clearTimeout(moved);
   place.dataset.moved = '';
@@ -21,11 +22,11 @@ const MOTIONS = '#grip, #release, #move, #home, .hold, .steps button';
 
 const isMotion = (target) => target.closest?.(MOTIONS) != null;
 
-/** Whether the newest press was too early, so that its click is too. */
+/** Whether the newest press came too early, so that its click is blocked as well. */
 let isEarly = false;
 
 function ward(event) {
-  // Keys and screen readers follow their button: their clicks have no detail.
+  // Clicks from keys and screen readers have a `detail` of 0. They always hit the intended button.
   if (event.type === 'click' && event.detail === 0) return;
   const isNow = moved !== null;
   if (event.type === 'pointerdown') isEarly = isNow;

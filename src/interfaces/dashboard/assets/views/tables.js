@@ -7,10 +7,10 @@ import { fixed, moment, ofProblem, plain, t } from '../model/i18n.js';
 
 const BAD = ['NO_PART', 'BLOCKED', 'RANGE', 'TIMEOUT', 'FAILED', 'REFUSED', 'UNKNOWN', 'ABORTED'];
 
-/** Operations whose names have texts. */
+/** Operations whose names have translations. */
 const MOTIONS = ['home', 'move', 'grip', 'release', 'stop'];
 
-/** Texts of values that are words of the API. */
+/** Keys of the texts for values that are words of the API. */
 const WORDS = {
   direction: (given) => t(`direction.${given}`),
   effect: (given) => t(`effect.${given}`),

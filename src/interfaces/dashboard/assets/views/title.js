@@ -6,7 +6,7 @@ import { alarms, gripper, isLive } from '../model/store.js';
 
 const gateway = signal('WSG Gateway');
 
-// Another gateway can answer after a lost connection.
+// After a lost connection, another gateway can answer at the same address.
 effect(() => {
   if (!isLive.value) return;
   get('/healthz').then(
