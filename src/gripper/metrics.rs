@@ -131,6 +131,9 @@ impl GripperMetrics {
     }
 }
 
+/// Returns a value of a state, if the gripper has reported it.
+type ReportedValue = fn(&State) -> Option<f64>;
+
 /// Gauges of a gripper's newest state.
 #[derive(Debug)]
 pub struct Newest {
@@ -141,7 +144,7 @@ pub struct Newest {
     holder: IntGaugeVec,
     age: Gauge,
     /// Gauges that are missing in some states, each with a function that returns the value of a state.
-    reported: [(Gauge, fn(&State) -> Option<f64>); 4],
+    reported: [(Gauge, ReportedValue); 4],
 }
 
 impl Newest {

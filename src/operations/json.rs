@@ -253,6 +253,10 @@ mod tests {
         assert_eq!(problem(br#"{"width_mm": 20, "width_mm": 30}"#)["field"], "width_mm");
     }
 
+    #[derive(Debug, Deserialize)]
+    #[serde(deny_unknown_fields)]
+    struct Nothing {}
+
     #[test]
     fn errors_are_told_in_a_clients_words() {
         #[derive(Debug, Deserialize)]
@@ -292,9 +296,6 @@ mod tests {
                 assert_eq!(of_object::<Body>(&object).unwrap_err().detail(), detail, "{body}");
             }
         }
-        #[derive(Debug, Deserialize)]
-        #[serde(deny_unknown_fields)]
-        struct Nothing {}
         assert_eq!(parse::<Nothing>(br#"{"a": 1}"#).unwrap_err().detail(), "unknown field a; no field is allowed here");
     }
 

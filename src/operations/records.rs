@@ -28,8 +28,8 @@ const MAX_SHORT: f64 = 100.0;
 /// A list of the journal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RecordList {
-    Events,
-    Grips,
+    EventPage,
+    GripPage,
 }
 
 /// Kinds of grip records:
@@ -91,8 +91,7 @@ pub struct GripBody {
 
 /// A page of events.
 #[derive(Serialize, ToSchema)]
-#[schema(as = EventPage)]
-pub struct Events<'a> {
+pub struct EventPage<'a> {
     #[schema(value_type = Vec<EventBody>)]
     events: Vec<&'a RawValue>,
     /// Cursor of the next page. On the last page it is null, or with `order=oldest` the cursor of later records.
@@ -106,8 +105,7 @@ pub struct Events<'a> {
 
 /// A page of grip records.
 #[derive(Serialize, ToSchema)]
-#[schema(as = GripPage)]
-pub struct Grips<'a> {
+pub struct GripPage<'a> {
     #[schema(value_type = Vec<GripBody>)]
     grips: Vec<&'a RawValue>,
     /// Cursor of the next page. On the last page it is null, or with `order=oldest` the cursor of later records.
@@ -155,8 +153,8 @@ impl RecordList {
         let (records, next_cursor, has_more) = (raw(page)?, next_cursor(page), page.next_cursor.is_some());
         let journal_id = gateway.journal.id();
         let body = match self {
-            Self::Events => to_raw_value(&Events { events: records, next_cursor, has_more, journal_id }),
-            Self::Grips => to_raw_value(&Grips { grips: records, next_cursor, has_more, journal_id }),
+            Self::Events => to_raw_value(&EventPage { events: records, next_cursor, has_more, journal_id }),
+            Self::Grips => to_raw_value(&GripPage { grips: records, next_cursor, has_more, journal_id }),
         };
         body.map_err(|_| Problem::internal())
     }

@@ -20,7 +20,7 @@ use crate::fleet::{NoAnswer, READINESS};
 use crate::gripper::model::Name;
 use crate::operations::fleet::no_answer;
 use crate::operations::readiness::Readiness;
-use crate::operations::records::{Events, Grips, RecordList};
+use crate::operations::records::{EventPage, GripPage, RecordList};
 use crate::operations::{Members, Problem, QueryString};
 
 /// Most gateways that one request asks, and most at the same time.
@@ -80,7 +80,7 @@ struct GatewayAnswer {
 #[utoipa::path(
     get, path = "/fleet/events", operation_id = "fleet_events", tag = "fleet",
     params(GatewayQuery, RecordsQuery, EventsQuery),
-    responses((status = 200, description = "A page of each gateway", body = FleetResults<Events<'static>>), JournalProblem)
+    responses((status = 200, description = "A page of each gateway", body = FleetResults<EventPage<'static>>), JournalProblem)
 )]
 pub async fn events(Shared(context): Shared<Arc<HttpContext>>, uri: Uri) -> Result<Response, Problem> {
     records(&context, RecordList::Events, &uri).await
@@ -93,7 +93,7 @@ pub async fn events(Shared(context): Shared<Arc<HttpContext>>, uri: Uri) -> Resu
 #[utoipa::path(
     get, path = "/fleet/grips", operation_id = "fleet_grips", tag = "fleet",
     params(GatewayQuery, RecordsQuery, GripsQuery),
-    responses((status = 200, description = "A page of each gateway", body = FleetResults<Grips<'static>>), JournalProblem)
+    responses((status = 200, description = "A page of each gateway", body = FleetResults<GripPage<'static>>), JournalProblem)
 )]
 pub async fn grips(Shared(context): Shared<Arc<HttpContext>>, uri: Uri) -> Result<Response, Problem> {
     records(&context, RecordList::Grips, &uri).await

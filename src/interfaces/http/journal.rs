@@ -19,7 +19,7 @@ use super::paths::responses::JournalProblem;
 use crate::gripper::model::{CommandId, Sample};
 use crate::journal::{EventKind, Page, csv};
 use crate::operations::Problem;
-use crate::operations::records::{Events, GripBody, GripKinds, Grips, RecordList, next_cursor};
+use crate::operations::records::{EventPage, GripBody, GripKinds, GripPage, RecordList, next_cursor};
 
 const CSV: &str = "text/csv; charset=utf-8";
 /// Header with the id of the journal that a table comes from.
@@ -138,7 +138,7 @@ fn with_link(mut response: Response, list: &str, uri: &Uri, page: &Page) -> Resp
 #[utoipa::path(
     get, path = "/events", operation_id = "list_events", tag = "journal",
     params(RecordsQuery, EventsQuery),
-    responses((status = 200, description = "A page of events", body = Events, headers(
+    responses((status = 200, description = "A page of events", body = EventPage, headers(
         ("Link" = String, description = "Address of the next page, with `rel=\"next\"`; absent on the last page"),
     )), JournalProblem)
 )]
@@ -176,7 +176,7 @@ pub async fn events_csv(Shared(context): Shared<Arc<HttpContext>>, uri: Uri) -> 
 #[utoipa::path(
     get, path = "/grips", operation_id = "list_grips", tag = "journal",
     params(RecordsQuery, GripsQuery),
-    responses((status = 200, description = "A page of grip records", body = Grips, headers(
+    responses((status = 200, description = "A page of grip records", body = GripPage, headers(
         ("Link" = String, description = "Address of the next page, with `rel=\"next\"`; absent on the last page"),
     )), JournalProblem)
 )]

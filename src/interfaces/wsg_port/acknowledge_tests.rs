@@ -79,7 +79,7 @@ fn seen_latch_of_the_device_can_be_acknowledged() {
         assert_eq!(malformed.sent(), [(id::HOMING, Status::E_ACCESS_DENIED)]);
         assert_eq!(acknowledges(&mut malformed), by_device, "seen in a malformed motion: {cause:?}");
 
-        let mut any = Bench::with(Rules { acknowledge_any: true, ..rules() });
+        let mut any = Bench::with(&Rules { acknowledge_any: true, ..rules() });
         any.state = held.clone();
         assert!(acknowledges(&mut any), "acknowledge_any: {cause:?}");
     }

@@ -50,12 +50,12 @@ struct Bench {
 
 impl Bench {
     fn new() -> Self {
-        Self::with(rules())
+        Self::with(&rules())
     }
 
-    fn with(rules: Rules) -> Self {
+    fn with(rules: &Rules) -> Self {
         Self {
-            device: VirtualDevice::new("wsg:10.0.0.1".into(), &rules, Arc::new(custom_ids()), 10),
+            device: VirtualDevice::new("wsg:10.0.0.1".into(), rules, Arc::new(custom_ids()), 10),
             now: Instant::now(),
             state: state(),
         }
