@@ -118,15 +118,13 @@ impl Actor {
         }
         let lost = scripts.iter().find(|script| script.end == Some(ClientEnd::Lost));
         let only = scripts.first().filter(|_| scripts.len() == 1);
-        match lost.or(only).cloned() {
-            Some(script) => self.give_script_the_lease(now, script),
-            None => {
-                for script in scripts {
-                    script.is_suspect = script.end.is_none();
-                }
-                false
-            }
+        if let Some(script) = lost.or(only).cloned() {
+            return self.give_script_the_lease(now, script);
         }
+        for script in scripts {
+            script.is_suspect = script.end.is_none();
+        }
+        false
     }
 
     /// Gives a free lease to the client of a script. If that client is gone, its lease ends at once. Returns whether the
