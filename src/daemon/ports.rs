@@ -58,6 +58,7 @@ pub(super) fn serve(
     let mut served = JoinSet::new();
     for Bound { gripper, listener, rules, descriptors } in ports {
         let Some(handle) = fleet.get(&gripper) else { continue };
+        metrics.serves(gripper.as_str());
         let port = Port::new(handle.clone(), rules, descriptors, audit.clone(), metrics.clone());
         served.spawn_on(wsg_port::serve(port, listener, draining.clone(), closing.clone()), devices.handle());
     }

@@ -7,8 +7,7 @@ use tokio::time::{interval, timeout};
 
 use crate::gripper::Grippers;
 
-/// Checks per watchdog time-out, of which one has to succeed. A check also fails if a gripper's queue is full for a
-/// moment.
+/// Checks per watchdog time-out, of which one has to succeed.
 const CHECKS_PER_TIMEOUT: u32 = 4;
 
 /// Reports that all interfaces listen.
@@ -28,7 +27,7 @@ pub(super) async fn feed_watchdog(grippers: &Grippers) {
     let mut ticks = interval(period.max(Duration::from_millis(1)));
     loop {
         ticks.tick().await;
-        let responses = grippers.iter().map(async |gripper| gripper.lease().await.is_ok());
+        let responses = grippers.iter().map(crate::gripper::Handle::responds);
         match timeout(period, futures_util::future::join_all(responses)).await {
             Ok(alive) if alive.iter().all(|is_alive| *is_alive) => send(NotifyState::Watchdog),
             _ => tracing::warn!("watchdog not fed: a gripper's task does not respond"),

@@ -280,6 +280,11 @@ impl Handle {
         self.try_request(|answer| ActorRequest::Lease { answer }).await
     }
 
+    /// Waits until the actor responds, however many requests are waiting.
+    pub async fn responds(&self) -> bool {
+        self.request_reserved(|answer| ActorRequest::Lease { answer }).await.is_ok()
+    }
+
     /// Takes the lease, or changes the terms of a lease that the client holds already.
     pub async fn take_lease(&self, take: TakeLease) -> Result<AcquiredLease, Rejection> {
         let token = LeaseToken::generate();

@@ -9,7 +9,7 @@ use std::time::{Duration, Instant};
 use super::Now;
 use super::error::{Conflict, Invalid, Rejection};
 use super::handle::{Answer, FastStopRequest};
-use super::model::{Client, FastStopCause, FastStopId, IdSource, Latch, Reason};
+use super::model::{Client, Door, FastStopCause, FastStopId, IdSource, Latch, Reason};
 use crate::wsg::SystemState;
 use crate::wsg::session::Token;
 
@@ -157,13 +157,18 @@ impl LatchState {
             }
         });
         self.epoch += 1;
-        self.latch = Some(Latch {
+        let earlier = self.latch.take().filter(|earlier| outlives(earlier, &request));
+        let latch = Latch {
             id: request.id,
             by: request.client.subject,
             cause: request.cause,
             reason: request.reason,
             at: now.wall,
             confirmed: false,
+        };
+        self.latch = Some(match earlier {
+            Some(Latch { by, cause, reason, .. }) => Latch { by, cause, reason, ..latch },
+            None => latch,
         });
         self.sent = None;
         self.answered = false;
@@ -331,6 +336,15 @@ impl LatchState {
     /// Takes the ended acknowledgements, to answer their clients after the state was published.
     pub(super) fn take_acknowledged(&mut self) -> Vec<EndedAcknowledge> {
         std::mem::take(&mut self.untold)
+    }
+}
+
+/// Whether a FAST STOP keeps its cause when another one follows. A driver on the WSG port may clear what it has caused
+/// itself, so neither its FAST STOP nor its loss hides what somebody else has asked for.
+fn outlives(earlier: &Latch, request: &FastStopRequest) -> bool {
+    match request.cause {
+        FastStopCause::ClientLost => earlier.cause != FastStopCause::ClientLost,
+        _ => request.client.door == Door::Wsg && earlier.by != request.client.subject,
     }
 }
 

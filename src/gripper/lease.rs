@@ -9,7 +9,7 @@ use tokio::sync::Notify;
 
 use super::error::{Conflict, Invalid, Rejection};
 use super::model::lease::{DEFAULT_TTL, MIN_TTL};
-use super::model::{Client, Lease, LeaseRules, LeaseToken, OnLossHolding, OnLossMoving, TakeLease};
+use super::model::{Client, Door, Lease, LeaseRules, LeaseToken, OnLossHolding, OnLossMoving, TakeLease};
 
 /// Time for which a request for the lease counts without being repeated.
 const REQUEST_LASTS: Duration = Duration::from_mins(1);
@@ -120,6 +120,13 @@ impl HeldLease {
     fn used(&mut self, now: Instant) {
         self.expires_at = now + self.terms.ttl;
         self.is_extended = false;
+    }
+
+    /// Whether the client that makes this wish is the holder, and has lost the token. Only over HTTP is a subject the
+    /// client's address; and a holder that has used the lease lately is still there.
+    fn is_left_by(&self, now: Instant, wish: &TakeLease) -> bool {
+        let is_silent = !self.is_open() && self.expires_in(now) <= self.terms.ttl / 2;
+        is_silent && wish.holder.is_some() && wish.client.door == Door::Http && self.holder.is(&Holder::of(wish))
     }
 
     fn expires_in(&self, now: Instant) -> Duration {
@@ -302,9 +309,7 @@ impl LeaseState {
             }
             _ if wish.token.is_some() => return Err(self.stale()),
             Some(_) if wish.force => AcquireOutcome::Forced,
-            Some(held) if may_return && wish.holder.is_some() && held.holder.is(&holder) && !held.is_open() => {
-                AcquireOutcome::Returned
-            }
+            Some(held) if may_return && held.is_left_by(now, wish) => AcquireOutcome::Returned,
             None if wish.force || self.reserved.as_ref().is_none_or(|reserved| reserved.is(&holder)) => {
                 AcquireOutcome::Free
             }
@@ -470,7 +475,6 @@ impl LeaseState {
 
 #[cfg(test)]
 mod tests {
-    use super::super::model::Door;
     use super::*;
 
     #[test]

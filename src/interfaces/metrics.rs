@@ -58,6 +58,11 @@ impl WsgPortMetrics {
         Ok(Self { refused: register_in(registry, IntCounterVec::new(refused, &["gripper", "status"])?)? })
     }
 
+    /// Starts the series of the commonest refusal at 0, so that the first one is an increase.
+    pub fn serves(&self, gripper: &str) {
+        self.refused.with_label_values(&[gripper, "E_ACCESS_DENIED"]);
+    }
+
     /// Counts a refused request. A device can return any status code, so those without a name share one series.
     pub fn refused(&self, gripper: &str, status: Option<&str>) {
         self.refused.with_label_values(&[gripper, status.unwrap_or("unlisted")]).inc();

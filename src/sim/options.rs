@@ -226,7 +226,7 @@ mod tests {
     #[test]
     fn every_option_changes_the_configuration_and_is_in_the_guide() {
         let before = format!("{:?}", DeviceConfig::wsg50());
-        let guide = include_str!("../../../deploy/guide/simulator.md");
+        let guide = include_str!("../../deploy/guide/simulator.md");
         for ((option, value), (name, _)) in OTHERS.into_iter().zip(OPTIONS) {
             assert_eq!(option, name);
             let config = set_on_wsg50(option, value).unwrap();

@@ -35,7 +35,15 @@ fn texts(directory: &Path) -> Vec<(String, String)> {
 #[tokio::test]
 async fn monitored_metrics_exist() {
     let journal = File::new("monitored");
-    let gateway = Gateway::with_webhook(&["--gripper", "g=sim://wsg50", "--journal", &journal.path()]).await;
+    let gateway = Gateway::with_webhook(&[
+        "--gripper",
+        "g=sim://wsg50",
+        "--wsg-port",
+        "g=127.0.0.1:0",
+        "--journal",
+        &journal.path(),
+    ])
+    .await;
     gateway.post("lease", &json!({"ttl_ms": 60_000})).await.ok();
     let figures = gateway.figures().await;
     let series: BTreeSet<_> = figures.keys().flat_map(|series| named(series)).collect();

@@ -122,7 +122,8 @@ async fn readiness_follows_the_device_and_reconnects_are_counted() {
         eventually("the gateway is ready", async || Some(gateway.get("/readyz").await).filter(|it| it.status == 200));
     assert_eq!(
         ready.await.body,
-        json!({"gateway": "gateway", "ready": true, "journal_cause": null, "journal_damage": null, "zenoh_cause": null, "not_ready": []})
+        json!({"gateway": "gateway", "ready": true, "journal_cause": null, "journal_damage": null, "zenoh_cause": null, "not_ready": [],
+            "version": env!("CARGO_PKG_VERSION")})
     );
     let figures = gateway.figures().await;
     assert_eq!((of(&figures, &g("wsg_link_up", "")), of(&figures, &g("wsg_reconnects_total", ""))), (1.0, 0.0));

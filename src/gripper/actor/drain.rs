@@ -109,7 +109,13 @@ impl Actor {
         self.check_claim(now, client, lease)?;
         match self.motion.id() {
             _ if self.drain.is_some() => Err(Failure::Draining.into()),
+            _ if self.link.is_released() => Ok(()),
             Some(id) => Err(Conflict::AlreadyRunning { id }.into()),
+            // The FAST STOP is sent for as long as the gateway connects to the device.
+            None if self.latch.is_unconfirmed() => {
+                self.latch.id().map_or(Ok(()), |id| Err(Conflict::FastStopUnconfirmed { id }.into()))
+            }
+            None if self.link.is_down() && self.motion.may_move(now.instant) => Err(Conflict::FingersMove.into()),
             None if !self.link.is_down() && self.is_moving(now.instant) => Err(Conflict::FingersMove.into()),
             None => Ok(()),
         }

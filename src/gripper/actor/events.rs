@@ -59,7 +59,8 @@ impl Actor {
         if missed {
             self.set_up_again(now);
         }
-        let mut origin = Origin { ids: &mut self.ids, unannounced: self.link.unannounced };
+        let mut origin =
+            Origin { ids: &mut self.ids, unannounced: self.link.unannounced && self.config.fast_stop_on_disconnect };
         match self.latch.take_flags(now, flags, &mut origin) {
             Some(LatchChange::Seen) => {
                 let cause = self.latch.current().map_or(FastStopCause::Unknown, |latch| latch.cause);

@@ -149,6 +149,7 @@ impl Actor {
         if let Some(id) = self.latch.id() {
             self.withdraw_scripts(&Conflict::FastStop { id }.into(), |_| true);
         }
+        self.streaming.stopped();
         if let Some(running) = &mut self.motion.running {
             running.fast_stop = self.latch.id();
             self.withdraw_waiting_motion(now);

@@ -19,7 +19,7 @@ use crate::gripper::model::{LeaseToken, Text, Urgency};
 use crate::operations::values::text;
 use crate::operations::{
     Caller, Effect, Fields, MAX_LEASE_BYTES, Operation, OperationReply, Params, Presence, Problem, QueryString, Wait,
-    run,
+    motion, run,
 };
 
 /// Marks a response that gets only the necessary headers.
@@ -46,7 +46,8 @@ pub async fn serve_below(
 ) -> Result<Response, Problem> {
     let (gateway, caller) = (context.gateway.clone(), caller(parts, operation)?);
     let run = move |fields| async move { run(&gateway, operation, caller, Params { path, fields }).await };
-    let reply = if operation.urgency == Urgency::FastStop {
+    // A Stop, too, happens whatever its body says and however long the body takes.
+    let reply = if operation.urgency == Urgency::FastStop || operation.name == motion::STOP.name {
         with_reason(stream, move |text| run(Fields::Text(text))).await??
     } else if *operation.verb == Method::GET {
         // The body of a GET has no meaning (RFC 9110, 9.3.1).
@@ -120,7 +121,6 @@ mod tests {
     use axum::http::Request;
 
     use super::*;
-    use crate::operations::motion;
 
     fn parts(uri: &str, headers: &[(&str, &str)]) -> Parts {
         let mut request = Request::get(uri);

@@ -59,6 +59,6 @@ impl AcknowledgeRight {
             | FastStopCause::FingerFault
             | FastStopCause::SoftLimit => !is_held || self.seen == id,
         };
-        self.any || is_cleared || self.caused == id
+        self.any || is_cleared || self.caused == id && latch.fast_stop_by == self.subject
     }
 }

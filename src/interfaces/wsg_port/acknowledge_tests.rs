@@ -87,6 +87,10 @@ fn seen_latch_of_the_device_can_be_acknowledged() {
     own.send(id::FAST_STOP, &[]);
     let ask = own.order().ask;
     own.answer(ask, PortReply::FastStopped(FastStop { id, confirmed: true }));
+    assert!(!acknowledges(&mut own), "somebody's earlier FAST STOP lasts on");
+    if let Some(latch) = &mut own.state.latch {
+        latch.fast_stop_by = "wsg:10.0.0.1".into();
+    }
     assert!(acknowledges(&mut own), "its own");
     // A later FAST STOP of another client is a different one.
     own.state = latched(FastStopId::generate(), FastStopCause::Requested);

@@ -26,7 +26,7 @@ const ROOMS: &str = "
     interfaces: operations
     interfaces/dashboard: operations
     interfaces/http: interfaces interfaces/dashboard interfaces/websocket events fleet operations
-        gripper gripper/model gripper/recorder journal
+        gripper gripper/model journal
     interfaces/websocket: interfaces events gripper gripper/model operations
     interfaces/wsg_port: interfaces gripper gripper/model operations wsg wsg/crc wsg/frame
     interfaces/zenoh: interfaces events fleet gripper gripper/model journal operations

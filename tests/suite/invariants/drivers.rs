@@ -307,3 +307,17 @@ fn driver_is_clamped_and_other_clients_are_refused() {
     let forbidden = moves(&mut world, &one, move_to(70.0, 50.0)).unwrap_err();
     assert!(matches!(forbidden, Rejection::Invalid(Invalid::OutOfRange { field: "width_mm", .. })));
 }
+
+#[test]
+fn lost_driver_does_not_hide_a_requested_fast_stop() {
+    let mut world = homed();
+    let driver = driver("10.0.0.1");
+    moves(&mut world, &driver, move_to(5.0, 10.0)).unwrap();
+    world.advance(Duration::from_millis(200));
+    let requested = fast_stop(&mut world);
+    leaves(&mut world, &driver);
+    world.advance(Duration::from_millis(200));
+    let latch = latch(&world);
+    assert_eq!((latch.fast_stop_cause, &*latch.fast_stop_by), (FastStopCause::Requested, "test"));
+    assert_ne!(latch.fast_stop_id, requested, "the loss is a further FAST STOP");
+}

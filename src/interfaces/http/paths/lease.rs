@@ -25,8 +25,8 @@ paths! {
     /// `on_loss_holding` say what the gripper does then.
     ///
     /// A client that has lost its token gets its lease back with the same `holder`, from the same address. This is
-    /// refused while a motion runs, while a part is held and `on_loss_holding` is `fast_stop`, and while a request or
-    /// connection of the holder is open.
+    /// refused until the lease has not been used for half its time to live, while a motion runs, while a part is held
+    /// and `on_loss_holding` is `fast_stop`, and while a request or connection of the holder is open.
     #[utoipa::path(
         post, path = "/grippers/{gripper}/lease", operation_id = "take_lease", tag = "lease",
         params(GripperPath, LeaseHeader),
