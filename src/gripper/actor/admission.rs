@@ -158,7 +158,8 @@ impl Actor {
         if is_slow_getter(&command) {
             return self.read(now, command, answer);
         }
-        let exchange = Exchange { command: command.clone(), answer, accepted, setter: None, client };
+        let lease = lease.cloned();
+        let exchange = Exchange { command: command.clone(), answer, accepted, setter: None, client, lease };
         let purpose = Purpose::Exchange(exchange);
         self.submit_exchange(now, command, purpose);
     }
@@ -250,7 +251,8 @@ impl Actor {
         client: Client,
         answer: Answer<Data>,
     ) {
-        let exchange = Exchange { command: getter.clone(), answer, accepted: None, setter: Some(setter), client };
+        let command = getter.clone();
+        let exchange = Exchange { command, answer, accepted: None, setter: Some(setter), client, lease: None };
         let purpose = Purpose::Exchange(exchange);
         self.submit_exchange(now, getter, purpose);
     }

@@ -98,11 +98,16 @@ impl Actor {
     /// cause it.
     fn notice_foreign_motion(&mut self, now: Now, before: Option<SystemState>, flags: SystemState) {
         let moves = |flags: SystemState| flags.contains(SystemState::MOVING);
-        let begins = moves(flags) && before.is_some_and(|before| !moves(before));
-        let ours = self.motion.may_move(now.instant);
-        // After a part is lost, the fingers close further.
-        let holds = matches!(self.observed.gripper_state, Some(GripperState::Holding | GripperState::PartLost));
-        if begins && !ours && !holds && !self.script_moves(now) {
+        if !moves(flags) {
+            return self.scripts.rested();
+        }
+        let begins = before.is_some_and(|before| !moves(before));
+        // A held part can be released by a script. After a part is lost, the fingers close further.
+        if !begins || self.motion.is_sent() || self.is_part_lost() || self.script_moves(now) {
+            return;
+        }
+        let holds = self.observed.gripper_state == Some(GripperState::Holding);
+        if !holds && !self.motion.may_move(now.instant) {
             tracing::warn!(gripper = %self.config.name, "fingers moving without a command of this gateway");
             self.recording.device(now, DeviceEvent::ForeignMotion);
         }
@@ -159,7 +164,7 @@ impl Actor {
             Purpose::Exchange(exchange) => {
                 self.reads.forget();
                 if self.is_script(&exchange.command) {
-                    self.scripts.replied(now.instant, &exchange.client);
+                    self.scripts.replied(now.instant, exchange.lease.as_ref());
                 }
                 self.take_exchange_end(now, exchange, end);
             }

@@ -77,9 +77,7 @@ impl Actor {
             // The new holder was recorded when the lease was handed over.
             AcquireOutcome::HandedOver | AcquireOutcome::Again => {}
         }
-        if matches!(outcome, AcquireOutcome::Forced) {
-            self.withdraw_scripts(&self.lease.stale().into());
-        }
+        self.withdraw_stale_scripts();
         if wish.force && !matches!(outcome, AcquireOutcome::Again) {
             // The motion may also belong to a lost holder, or to one that has handed over.
             self.stop_motion(now);
@@ -103,7 +101,7 @@ impl Actor {
         self.record_lease(now, LeaseStep::HandedOver, &holder, None);
         // A running motion continues. A motion that has not started would start under another client's lease.
         self.withdraw_waiting_motion(now);
-        self.withdraw_scripts(&self.lease.stale().into());
+        self.withdraw_stale_scripts();
         Ok(self.lease_now(now))
     }
 
@@ -112,18 +110,18 @@ impl Actor {
         if let Some(held) = self.lease.end(token) {
             self.record_lease(now, LeaseStep::Released, &held.holder, None);
             self.stop_motion(now);
-            self.withdraw_scripts(&self.lease.stale().into());
+            self.withdraw_stale_scripts();
         }
-        self.scripts.released(token);
+        self.script_client_left(now, token);
         self.lease_now(now)
     }
 
     /// Takes the end of the connection that the lease was bound to, without a release.
     pub(super) fn lose_lease(&mut self, now: Now, token: &LeaseToken, times_taken: Option<u64>) {
+        self.script_client_lost(now, token);
         if let Some(held) = self.lease.lose(token, times_taken) {
             self.holder_lost(now, &held, LossCause::Disconnected);
         }
-        self.script_client_lost(now, token);
     }
 
     /// Ends a lease that has run out, and a reservation that no longer protects a part.
@@ -163,7 +161,7 @@ impl Actor {
         let name = &held.holder.name;
         tracing::warn!(gripper = %self.config.name, holder = %name, ?cause, ?effect, "lease holder lost");
         self.record_lease(now, LeaseStep::Lost, &held.holder, Some((effect, cause)));
-        self.withdraw_scripts(&self.lease.stale().into());
+        self.withdraw_stale_scripts();
         match effect {
             LossEffect::FastStop => {
                 let request = FastStopRequest {

@@ -9,7 +9,7 @@ use tokio::sync::{broadcast, oneshot};
 use super::super::Now;
 use super::super::error::{Failure, Rejection};
 use super::super::handle::Answer;
-use super::super::model::{Client, CommandId, Link, Name, WireRecord};
+use super::super::model::{Client, CommandId, LeaseToken, Link, Name, WireRecord};
 use super::super::setup::{Setup, Step};
 use super::wire_log::WireLog;
 use super::{REPLY_WITHIN, RESULT_WITHIN, name_of};
@@ -69,6 +69,8 @@ pub(super) struct Exchange {
     /// The setter whose value is being read back.
     pub setter: Option<Command>,
     pub client: Client,
+    /// Token of a script's client.
+    pub lease: Option<LeaseToken>,
 }
 
 /// Rejection of a request that the session did not accept, and the request's purpose.

@@ -147,7 +147,7 @@ impl Actor {
     /// Aborts the motion for a FAST STOP: a waiting motion ends at once, a running one with its reply.
     pub(super) fn abort_for_latch(&mut self, now: Now) {
         if let Some(id) = self.latch.id() {
-            self.withdraw_scripts(&Conflict::FastStop { id }.into());
+            self.withdraw_scripts(&Conflict::FastStop { id }.into(), |_| true);
         }
         self.streaming.stopped();
         if let Some(running) = &mut self.motion.running {

@@ -230,10 +230,14 @@ impl MotionState {
         self.running.as_ref().is_some_and(|running| matches!(running.motion, Motion::Home(_)) && !running.is_waiting())
     }
 
+    /// Whether a motion was submitted to the session, or has ended and settles.
+    pub(super) fn is_sent(&self) -> bool {
+        self.running.as_ref().is_some_and(|running| !running.is_waiting())
+    }
+
     /// Whether the fingers can be moving because of a command of this gateway.
     pub(super) fn may_move(&self, now: Instant) -> bool {
-        self.may_move_until.is_some_and(|until| now < until)
-            || self.running.as_ref().is_some_and(|running| !running.is_waiting())
+        self.is_sent() || self.may_move_until.is_some_and(|until| now < until)
     }
 }
 

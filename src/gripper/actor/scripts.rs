@@ -10,55 +10,55 @@ use super::super::Now;
 use super::super::error::Rejection;
 use super::super::model::{Client, LeaseToken, TakeLease};
 use super::Actor;
-use super::link::Purpose;
+use super::link::{Exchange, Purpose};
 use crate::wsg::session::Token;
+use crate::wsg::{GripperState, SystemState};
 
 /// Longest time from a script's request or reply to the motion that it causes.
 const MOVES_WITHIN: Duration = Duration::from_millis(200);
+
+/// How a client of a script ended.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum ClientEnd {
+    /// Announced with 07h.
+    Announced,
+    Lost,
+}
 
 /// The newest use of a script by one client.
 #[derive(Debug, Clone)]
 struct ScriptUse {
     client: Client,
     token: LeaseToken,
+    /// Time of the newest request or reply, or of the client's end.
     at: Instant,
+    end: Option<ClientEnd>,
+    /// Whether this script is one of several that can have begun the current motion.
+    is_suspect: bool,
 }
 
-impl ScriptUse {
-    fn can_move(&self, now: Instant) -> bool {
-        now < self.at + MOVES_WITHIN
-    }
-}
-
+/// Scripts that can move the fingers: one for each client, which needs a recent or a running request.
 #[derive(Debug, Default)]
 pub(super) struct Scripts {
-    newest: Option<ScriptUse>,
-    /// Script of a lost client; `at` is the time of the loss.
-    lost: Option<ScriptUse>,
+    uses: Vec<ScriptUse>,
 }
 
 impl Scripts {
-    fn used(&mut self, now: Instant, client: &Client, token: &LeaseToken) {
-        self.newest = Some(ScriptUse { client: client.clone(), token: token.clone(), at: now });
+    fn get_mut(&mut self, token: Option<&LeaseToken>) -> Option<&mut ScriptUse> {
+        self.uses.iter_mut().find(|script| Some(&script.token) == token && script.end.is_none())
     }
 
     /// Notes the reply to a script of this client.
-    pub(super) fn replied(&mut self, now: Instant, client: &Client) {
-        if let Some(newest) = self.newest.as_mut().filter(|newest| newest.client == *client) {
-            newest.at = now;
+    pub(super) fn replied(&mut self, now: Instant, token: Option<&LeaseToken>) {
+        if let Some(script) = self.get_mut(token) {
+            script.at = now;
         }
     }
 
-    /// Forgets the script of a client that announced its end.
-    pub(super) fn released(&mut self, token: Option<&LeaseToken>) {
-        self.newest.take_if(|newest| Some(&newest.token) == token);
-    }
-
-    /// Keeps the script of a lost client, if the script can still move the fingers.
-    fn client_lost(&mut self, now: Instant, token: &LeaseToken, is_running: bool) {
-        let newest = self.newest.take_if(|newest| newest.token == *token);
-        if let Some(script) = newest.filter(|newest| is_running || newest.can_move(now)) {
-            self.lost = Some(ScriptUse { at: now, ..script });
+    /// Notes that the fingers stand still.
+    pub(super) fn rested(&mut self) {
+        for script in &mut self.uses {
+            script.is_suspect = false;
         }
     }
 }
@@ -66,38 +66,102 @@ impl Scripts {
 impl Actor {
     /// Notes the request of a script.
     pub(super) fn note_script(&mut self, now: Now, client: &Client, token: Option<&LeaseToken>) {
-        if let Some(token) = token {
-            self.scripts.used(now.instant, client, token);
+        let Some(token) = token else { return };
+        self.forget_old_scripts(now.instant);
+        let is_suspect = self.scripts.get_mut(Some(token)).is_some_and(|script| script.is_suspect);
+        self.scripts.uses.retain(|script| script.token != *token);
+        let (client, token) = (client.clone(), token.clone());
+        self.scripts.uses.push(ScriptUse { client, token, at: now.instant, end: None, is_suspect });
+    }
+
+    /// Forgets the scripts that can no longer move the fingers.
+    fn forget_old_scripts(&mut self, now: Instant) {
+        let running: Vec<_> = self.running_scripts().filter_map(|(_, script)| script.lease.clone()).collect();
+        self.scripts.uses.retain(|script| {
+            let is_running = script.end.is_none() && running.contains(&script.token);
+            is_running || script.is_suspect || now < script.at + MOVES_WITHIN
+        });
+    }
+
+    /// Takes the announced end of a client. A motion that its script then begins is stopped.
+    pub(super) fn script_client_left(&mut self, now: Now, token: Option<&LeaseToken>) {
+        self.end_script(now, token, ClientEnd::Announced);
+    }
+
+    /// Takes the loss of a client. A motion of its script counts as a loss while the fingers move: at once, or once the
+    /// script begins the motion.
+    pub(super) fn script_client_lost(&mut self, now: Now, token: &LeaseToken) {
+        let Some(script) = self.end_script(now, Some(token), ClientEnd::Lost) else { return };
+        let is_stopping = self.latch.id().is_some();
+        let moves = self.observed.has(SystemState::MOVING) && !self.is_part_lost() && !self.motion.is_under_way();
+        if moves && !is_stopping {
+            self.give_script_the_lease(now, script);
         }
     }
 
-    pub(super) fn script_client_lost(&mut self, now: Now, token: &LeaseToken) {
-        let is_running = self.running_scripts().next().is_some();
-        self.scripts.client_lost(now.instant, token, is_running);
+    fn end_script(&mut self, now: Now, token: Option<&LeaseToken>, end: ClientEnd) -> Option<ScriptUse> {
+        self.withdraw_scripts(&self.lease.stale().into(), |script| script.lease.as_ref() == token);
+        self.forget_old_scripts(now.instant);
+        let script = self.scripts.get_mut(token)?;
+        (script.at, script.end, script.is_suspect) = (now.instant, Some(end), false);
+        Some(script.clone())
     }
 
-    /// Gives a free lease to the client whose script has begun to move the fingers. If that client is lost, its lease
-    /// is lost at once. Returns `false` if no script explains the motion, or if the lease is not free.
+    /// Takes the beginning of a motion. If only one client's script explains it, that client takes the free lease. If
+    /// several do, nobody takes it, unless one of the clients is lost. Returns `false` if no script explains the motion,
+    /// or if nobody can take the lease.
     pub(super) fn script_moves(&mut self, now: Now) -> bool {
-        let is_running = self.running_scripts().next().is_some();
-        let lost = self.scripts.lost.take().filter(|lost| lost.can_move(now.instant));
-        let is_lost = lost.is_some();
-        let newest = || self.scripts.newest.clone().filter(|newest| is_running || newest.can_move(now.instant));
-        let Some(ScriptUse { client, token, .. }) = lost.or_else(newest) else { return false };
-        if self.lease.token() == Some(&token) {
+        self.forget_old_scripts(now.instant);
+        let scripts = &mut self.scripts.uses;
+        if scripts.iter().any(|script| Some(&script.token) == self.lease.token()) {
             return true;
         }
-        let is_free = self.lease.is_free_for(&client);
-        if is_free && self.try_take_lease(now, &TakeLease::by(client), token.clone()).is_ok() && is_lost {
-            self.lose_lease(now, &token, None);
+        let lost = scripts.iter().find(|script| script.end == Some(ClientEnd::Lost));
+        let only = scripts.first().filter(|_| scripts.len() == 1);
+        if let Some(script) = lost.or(only).cloned() {
+            return self.give_script_the_lease(now, script);
         }
-        is_free
+        for script in scripts {
+            script.is_suspect = script.end.is_none();
+        }
+        false
     }
 
-    /// Withdraws the requests of scripts that are not written yet.
-    pub(super) fn withdraw_scripts(&mut self, rejection: &Rejection) {
-        let running: Vec<_> = self.running_scripts().collect();
-        for token in running {
+    /// Gives a free lease to the client of a script. If that client is gone, its lease ends at once. Returns whether the
+    /// lease was free.
+    fn give_script_the_lease(&mut self, now: Now, script: ScriptUse) -> bool {
+        let ScriptUse { client, token, end, .. } = script;
+        if !self.lease.is_free_for(&client) {
+            return false;
+        }
+        if end.is_some() {
+            self.scripts.uses.retain(|script| script.token != token);
+        }
+        let is_taken = self.try_take_lease(now, &TakeLease::by(client), token.clone()).is_ok();
+        match end {
+            Some(ClientEnd::Lost) if is_taken => self.lose_lease(now, &token, None),
+            Some(ClientEnd::Announced) if is_taken => drop(self.release_lease(now, Some(&token))),
+            _ => {}
+        }
+        true
+    }
+
+    /// Whether the gripper has lost a part. The fingers then close further, without a command.
+    pub(super) fn is_part_lost(&self) -> bool {
+        self.observed.gripper_state == Some(GripperState::PartLost)
+    }
+
+    /// Withdraws the requests of all scripts that are not written yet, except those of the lease's holder.
+    pub(super) fn withdraw_stale_scripts(&mut self) {
+        let holder = self.lease.token().cloned();
+        self.withdraw_scripts(&self.lease.stale().into(), |script| script.lease != holder);
+    }
+
+    /// Withdraws the requests of these scripts that are not written yet.
+    pub(super) fn withdraw_scripts(&mut self, rejection: &Rejection, which: impl Fn(&Exchange) -> bool) {
+        let chosen: Vec<_> =
+            self.running_scripts().filter(|(_, script)| which(script)).map(|(token, _)| token).collect();
+        for token in chosen {
             if self.link.session.as_mut().is_some_and(|session| session.withdraw(token))
                 && let Some(Purpose::Exchange(exchange)) = self.link.purposes.remove(&token)
             {
@@ -107,9 +171,10 @@ impl Actor {
         }
     }
 
-    fn running_scripts(&self) -> impl Iterator<Item = Token> {
-        let is_script =
-            |purpose: &Purpose| matches!(purpose, Purpose::Exchange(exchange) if self.is_script(&exchange.command));
-        self.link.purposes.iter().filter(move |(_, purpose)| is_script(purpose)).map(|(token, _)| *token)
+    fn running_scripts(&self) -> impl Iterator<Item = (Token, &Exchange)> {
+        self.link.purposes.iter().filter_map(|(token, purpose)| match purpose {
+            Purpose::Exchange(exchange) if self.is_script(&exchange.command) => Some((*token, exchange)),
+            _ => None,
+        })
     }
 }

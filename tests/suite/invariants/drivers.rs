@@ -9,7 +9,7 @@ use wsg_gateway::gripper::model::{
 };
 use wsg_gateway::gripper::{Conflict, Invalid, Rejection, Ticket};
 use wsg_gateway::sim::{Change, Script, ScriptAnswer};
-use wsg_gateway::wsg::{self, Acceleration, Data, SoftLimits, Width, id};
+use wsg_gateway::wsg::{self, Acceleration, Data, MoveFlags, SoftLimits, Speed, Width, id};
 
 use super::NOTHING;
 use super::steps::*;
@@ -105,12 +105,23 @@ fn homed_with_script() -> World {
 }
 
 fn script(world: &mut World, driver: &(Client, LeaseToken)) -> Result<Data, Rejection> {
-    let (client, lease) = (driver.0.clone(), Some(driver.1.clone()));
-    let command = wsg::Command::parse(SCRIPT_ID, &[1]).unwrap();
-    let mut answered =
-        request(world, |answer| ActorRequest::Exchange { command, client, lease, answer: (None, answer) });
+    let mut answered = send_script(world, driver);
     world.advance(Duration::from_millis(20));
     answered.try_recv().unwrap()
+}
+
+fn send_script(
+    world: &mut World,
+    (client, token): &(Client, LeaseToken),
+) -> oneshot::Receiver<Result<Data, Rejection>> {
+    let (client, lease) = (client.clone(), Some(token.clone()));
+    let command = wsg::Command::parse(SCRIPT_ID, &[1]).unwrap();
+    request(world, |answer| ActorRequest::Exchange { command, client, lease, answer: (None, answer) })
+}
+
+fn announces_end(world: &mut World, (_, token): &(Client, LeaseToken)) {
+    let token = Some(token.clone());
+    drop(request(world, |answer| ActorRequest::ReleaseLease { token, answer }));
 }
 
 fn leaves(world: &mut World, (_, token): &(Client, LeaseToken)) {
@@ -171,6 +182,91 @@ fn fingers_that_move_after_the_loss_of_a_script_are_stopped() {
             assert_eq!(holder(&world), None);
         }
     }
+}
+
+#[test]
+fn lost_script_stops_fingers_that_held_a_part_or_still_push() {
+    let clamp = Motion::Move {
+        flags: MoveFlags { relative: false, stop_on_block: false },
+        width: Width::new(80.0).unwrap(),
+        speed: Speed::new(50.0).unwrap(),
+    };
+    for (motion, outcome) in [(grip(None), Outcome::PartHeld), (clamp, Outcome::Success)] {
+        let mut world = homed_with_script();
+        assert_eq!(run(&mut world, motion.clone()).outcome, Some(outcome));
+        world.advance(Duration::from_secs(2));
+        let one = driver("10.0.0.1");
+        assert!(script(&mut world, &one).is_ok());
+        somebody_moves(&mut world, 50.0);
+        assert_eq!(holder(&world).as_deref(), Some("wsg:10.0.0.1"), "after {motion:?}");
+        leaves(&mut world, &one);
+        assert_eq!(latch(&world).fast_stop_cause, FastStopCause::ClientLost, "after {motion:?}");
+    }
+}
+
+#[test]
+fn lost_script_stops_fingers_that_moved_before_it() {
+    let mut world = homed_with_script();
+    somebody_moves(&mut world, 50.0);
+    let one = driver("10.0.0.1");
+    assert!(script(&mut world, &one).is_ok());
+    leaves(&mut world, &one);
+    assert_eq!(latch(&world).fast_stop_cause, FastStopCause::ClientLost);
+    assert_eq!(holder(&world), None);
+}
+
+#[test]
+fn motion_of_one_of_two_scripts_is_stopped_by_the_loss_of_either() {
+    for lost in 0..2 {
+        let mut world = homed_with_script();
+        let drivers = [driver("10.0.0.1"), driver("10.0.0.2")];
+        for one in &drivers {
+            assert!(script(&mut world, one).is_ok());
+        }
+        somebody_moves(&mut world, 50.0);
+        assert_eq!((holder(&world), world.journal.foreign_motions), (None, 1));
+        // Longer than a script counts after its reply.
+        world.advance(Duration::from_millis(500));
+        leaves(&mut world, &drivers[lost]);
+        assert_eq!(latch(&world).fast_stop_cause, FastStopCause::ClientLost, "loss of {lost}");
+        assert_eq!(holder(&world), None);
+    }
+}
+
+#[test]
+fn waiting_script_ends_with_its_client_and_with_a_new_lease() {
+    let take = |world: &mut World, _: &(Client, LeaseToken)| {
+        let (take, token) = (TakeLease::by(client()), LeaseToken::generate());
+        drop(request(world, |answer| ActorRequest::TakeLease { take, token, answer }));
+    };
+    let ends: [fn(&mut World, &(Client, LeaseToken)); 3] = [announces_end, leaves, take];
+    for (index, end) in ends.into_iter().enumerate() {
+        let mut world = homed_with_script();
+        let (one, other) = (driver("10.0.0.1"), driver("10.0.0.2"));
+        let from = mark(&world);
+        // While the first script's reply is awaited, the second one is not written.
+        let _answered = send_script(&mut world, &one);
+        let mut waiting = send_script(&mut world, &other);
+        end(&mut world, &other);
+        world.advance(Duration::from_millis(100));
+        assert_eq!(received(&world, from), [SCRIPT_ID], "end {index}");
+        let rejected = waiting.try_recv().unwrap().unwrap_err();
+        assert!(matches!(rejected, Rejection::Conflict(Conflict::StaleLease { .. })), "{rejected:?}");
+    }
+}
+
+#[test]
+fn motion_of_a_script_after_07h_is_stopped() {
+    let mut world = homed_with_script();
+    let one = driver("10.0.0.1");
+    assert!(script(&mut world, &one).is_ok());
+    announces_end(&mut world, &one);
+    leaves(&mut world, &one);
+    let from = mark(&world);
+    somebody_moves(&mut world, 50.0);
+    world.advance(Duration::from_millis(20));
+    assert_eq!(received(&world, from), [id::STOP]);
+    assert_eq!((holder(&world), state(&world).fast_stop), (None, Some(false)));
 }
 
 #[test]
