@@ -28,8 +28,8 @@ const MAX_SHORT: f64 = 100.0;
 /// A list of the journal.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum RecordList {
-    EventPage,
-    GripPage,
+    Events,
+    Grips,
 }
 
 /// Kinds of grip records:

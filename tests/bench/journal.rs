@@ -106,7 +106,9 @@ fn done(at: Timestamp, part_id: Option<PartId>, outcome: Outcome) -> CommandEven
         fast_stop_id: None,
         cancelled_by: None,
         part_id,
+        code: None,
         cause: None,
+        requested: gripper::model::RequestedValues::default(),
     }))
 }
 

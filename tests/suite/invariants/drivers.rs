@@ -235,11 +235,13 @@ fn motion_of_one_of_two_scripts_is_stopped_by_the_loss_of_either() {
 
 #[test]
 fn waiting_script_ends_with_its_client_and_with_a_new_lease() {
+    type End = fn(&mut World, &(Client, LeaseToken));
+
     let take = |world: &mut World, _: &(Client, LeaseToken)| {
         let (take, token) = (TakeLease::by(client()), LeaseToken::generate());
         drop(request(world, |answer| ActorRequest::TakeLease { take, token, answer }));
     };
-    let ends: [fn(&mut World, &(Client, LeaseToken)); 3] = [announces_end, leaves, take];
+    let ends: [End; 3] = [announces_end, leaves, take];
     for (index, end) in ends.into_iter().enumerate() {
         let mut world = homed_with_script();
         let (one, other) = (driver("10.0.0.1"), driver("10.0.0.2"));
