@@ -194,7 +194,7 @@ impl Subscription {
 
     /// Returns the states, telemetry and fleet grippers that have changed since they were sent, and the number of
     /// states and telemetry dropped in between: at most one per topic and missed tick. An unchanged state and its
-    /// telemetry are repeated every [`HEARTBEAT`].
+    /// telemetry are repeated every `HEARTBEAT`.
     pub fn newest(&mut self, missed_ticks: u64) -> (Vec<Notification>, u64) {
         let (mut updates, mut dropped) = (Vec::new(), 0);
         let now = Now::read().instant;

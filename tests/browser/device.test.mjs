@@ -24,7 +24,7 @@ test('a finger fault leads to the fingers, with their flags in words', async () 
 });
 
 test('a generic finger’s power is switched, and a force finger shows N', async () => {
-  const served = await gateway();
+  const served = await gateway({ more: ['--gripper', 'left=sim://wsg50?finger1=generic'] });
   const visitor = await visit(launched, served);
   const { page } = visitor;
   await controlled(page);

@@ -1,6 +1,12 @@
 """Rules for valid requests that the OpenAPI document cannot express."""
 
+import time
+
+import requests
 import schemathesis
+
+# Time in which a gripper is connected again.
+CONNECTED_WITHIN_S = 10
 
 # Header fields, and the body fields with the same meaning.
 SAME = {"idempotency-key": "request_id", "wsg-lease": "lease"}
@@ -14,3 +20,19 @@ def before_call(context, case, kwargs):
     for header in list(case.headers or {}):
         if SAME.get(header.lower()) in case.body:
             del case.headers[header]
+
+
+@schemathesis.hook
+def after_call(context, case, response):
+    """Connects a released gripper again, since no other operation can use it."""
+    request = response.request
+    if not case.path.endswith("/disconnect") or response.status_code != 200:
+        return
+    gripper = request.url.split("?")[0].removesuffix("/disconnect")
+    lease = case.body.get("lease") if isinstance(case.body, dict) else None
+    headers = {"Wsg-Lease": lease or request.headers.get("Wsg-Lease", "")}
+    requests.post(f"{gripper}/connect", headers=headers, timeout=CONNECTED_WITHIN_S).raise_for_status()
+    deadline = time.monotonic() + CONNECTED_WITHIN_S
+    while requests.get(f"{gripper}/state", timeout=CONNECTED_WITHIN_S).json()["link"] != "connected":
+        assert time.monotonic() < deadline, f"{gripper} is not connected again"
+        time.sleep(0.01)

@@ -8,7 +8,7 @@ use std::sync::Arc;
 
 use axum::http::Method as Verb;
 use axum::response::{IntoResponse, Response};
-use axum::routing::{get, post};
+use axum::routing::{any, post};
 use axum::{Extension, Router, middleware};
 use serde_json::Value;
 use tokio::sync::Semaphore;
@@ -134,11 +134,8 @@ fn api() -> Routes {
         .route("/grippers/{gripper}/fast-stop/", post(paths::fast_stop::one))
         .route("/fast-stop/", post(paths::fast_stop::all))
         .route("/fleet/fast-stop/", post(paths::fleet::fast_stop))
-        .route(forward::PATHS[0], get(forward::forward))
-        .route(
-            forward::PATHS[1],
-            get(forward::forward).post(forward::forward).put(forward::forward).delete(forward::forward),
-        )
+        .route(forward::PATHS[0], any(forward::forward))
+        .route(forward::PATHS[1], any(forward::forward))
 }
 
 async fn not_found() -> Problem {
