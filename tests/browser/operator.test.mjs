@@ -27,7 +27,7 @@ test('STOP shows its reach, and the fleet has its own STOP', async () => {
   assert.equal((await state(far, 'right')).fast_stop, false);
   assert.match(await text(page, '#stop-fleet'), /all gateways: 2 grippers/);
   await page.click('#stop-fleet');
-  await page.waitForSelector('.stopped:has-text("confirmed, all gateways: 2 grippers.")');
+  await page.waitForSelector('.stopped:has-text("confirmed (all gateways: 2 grippers).")');
   assert.equal((await state(far, 'right')).fast_stop, true);
   await shoot(page, 'fleet-stopped');
   assertClean(visitor);
