@@ -20,7 +20,6 @@ pub const TEST: Operation =
 
 /// All webhooks.
 #[derive(Debug, Serialize, ToSchema)]
-#[schema(as = Webhooks)]
 pub struct WebhookList {
     /// The webhooks, in the order of the configuration.
     webhooks: Vec<WebhookReport>,

@@ -14,11 +14,12 @@ SAME = {"idempotency-key": "request_id", "wsg-lease": "lease"}
 
 @schemathesis.hook
 def before_call(context, case, kwargs):
-    """Removes a header that is also in the body, because the gateway refuses different values."""
-    if not case.meta.generation.mode.is_positive or not isinstance(case.body, dict):
+    """Removes a header that is also in the body or query, because the gateway refuses different values."""
+    if not case.meta.generation.mode.is_positive:
         return
+    given = {**(case.body if isinstance(case.body, dict) else {}), **(case.query or {})}
     for header in list(case.headers or {}):
-        if SAME.get(header.lower()) in case.body:
+        if SAME.get(header.lower()) in given:
             del case.headers[header]
 
 

@@ -11,7 +11,7 @@ use axum::response::Sse;
 use axum::response::sse::{self, KeepAlive};
 use futures_util::stream::unfold;
 use tokio_util::sync::CancellationToken;
-use utoipa::{IntoParams, ToSchema};
+use utoipa::IntoParams;
 
 use super::context::HttpContext;
 use super::home::Home;
@@ -61,20 +61,6 @@ pub struct StreamHeaders {
     last_event_id: Option<String>,
 }
 
-/// One server-sent event.
-#[derive(ToSchema)]
-#[allow(dead_code, reason = "only describes the messages of a stream")]
-pub struct StreamMessage {
-    /// `event`, `grip`, `state`, `telemetry`, `frame`, `damage`, `fleet` or `gap`.
-    #[schema(nullable = false)]
-    event: Option<String>,
-    /// The `seq` of an event, or of the last event missing in a `gap` of events.
-    #[schema(nullable = false)]
-    id: Option<String>,
-    /// The body, as JSON.
-    data: String,
-}
-
 struct Stream {
     events: Option<EventStream>,
     updates: Subscription,
@@ -104,7 +90,7 @@ struct Stream {
 #[utoipa::path(
     get, path = "/stream", operation_id = "stream", tag = "journal",
     params(StreamQuery, StreamHeaders),
-    responses((status = 200, description = "The stream", body = StreamMessage, content_type = "text/event-stream"), JournalProblem)
+    responses((status = 200, description = "The stream", body = String, content_type = "text/event-stream"), JournalProblem)
 )]
 pub async fn stream(
     Shared(context): Shared<Arc<HttpContext>>,
