@@ -134,7 +134,7 @@ impl Actor {
             command
         };
         if let Err(rejection) = self.check_exchange(now, &command, &client, lease) {
-            let _ = answer.send(Err(rejection));
+            self.answers.add(answer, Err(rejection));
             return;
         }
         // A token without a lease renews nothing.
@@ -144,14 +144,14 @@ impl Actor {
         }
         if let Some(data) = self.observed.newest(command.id()) {
             // Sending the getter would switch its automatic updates off.
-            let _ = answer.send(Ok(data));
+            self.answers.add(answer, Ok(data));
             return;
         }
         if let Command::SetDeviceTag(tag) = &command {
             match self.settings.tag_writes.begin(now.instant, tag, self.publication.has_tag(tag)) {
                 Ok(true) => {}
-                Ok(false) => return drop(answer.send(Ok(Data::DeviceTag(tag.clone())))),
-                Err(failure) => return drop(answer.send(Err(failure.into()))),
+                Ok(false) => return self.answers.add(answer, Ok(Data::DeviceTag(tag.clone()))),
+                Err(failure) => return self.answers.add(answer, Err(failure.into())),
             }
         }
         tracing::debug!(gripper = %self.config.name, command = super::name_of(&command), client = %client.subject, "exchange");
@@ -235,7 +235,7 @@ impl Actor {
                 } else {
                     self.recording.change(now, &client, &command);
                 }
-                let _ = answer.send(Ok(data));
+                self.answers.add(answer, Ok(data));
                 return;
             }
         };
@@ -261,7 +261,7 @@ impl Actor {
         if let Err(not_taken) = self.link.submit(now, command, purpose)
             && let (rejection, Purpose::Exchange(exchange)) = *not_taken
         {
-            let _ = exchange.answer.send(Err(rejection));
+            self.answers.add(exchange.answer, Err(rejection));
         }
     }
 
@@ -315,9 +315,7 @@ impl Actor {
                 tracing::info!(gripper = %self.config.name, id = id_text, by = %client.subject, "acknowledging");
                 self.latch.acknowledge_sent(id, client, token, answer);
             }
-            Err(rejection) => {
-                let _ = answer.send(Err(rejection));
-            }
+            Err(rejection) => self.answers.add(answer, Err(rejection)),
         }
     }
 }

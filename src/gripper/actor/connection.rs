@@ -40,7 +40,7 @@ impl Actor {
         for purpose in in_flight {
             match purpose {
                 (Purpose::Exchange(exchange), _) => {
-                    let _ = exchange.answer.send(Err(rejection.clone()));
+                    self.answers.add(exchange.answer, Err(rejection.clone()));
                 }
                 (Purpose::Stop(Some(id)), true) => self.reject(now, id, rejection.clone()),
                 // The Stop may have happened.
@@ -54,11 +54,10 @@ impl Actor {
             }
         }
         self.end_running(now, unwritten);
-        let released = self.end_release();
-        self.after_input(now);
-        if let Some(answer) = released {
-            let _ = answer.send(Ok(()));
+        if let Some(answer) = self.end_release() {
+            self.answers.add(answer, Ok(()));
         }
+        self.after_input(now);
     }
 
     /// Whether the link is up, and the device has been identified.

@@ -76,7 +76,7 @@ impl Actor {
             Some(Drain { ending: Ending::Gripper(answers), .. }) => answers.push(answer),
             Some(Drain { ending, .. }) => {
                 if let Ending::Link(client) = std::mem::replace(ending, Ending::Gripper(vec![answer])) {
-                    let _ = client.send(Err(Failure::Draining.into()));
+                    self.answers.add(client, Err(Failure::Draining.into()));
                 }
             }
             None => self.begin_drain(now, Ending::Gripper(vec![answer])),
@@ -92,14 +92,13 @@ impl Actor {
     /// Releases the device to another program. The client is answered once the link is closed.
     pub(super) fn disconnect(&mut self, now: Now, client: &Client, lease: Option<&LeaseToken>, answer: Answer<()>) {
         if let Err(rejection) = self.check_disconnect(now, client, lease) {
-            let _ = answer.send(Err(rejection));
+            self.answers.add(answer, Err(rejection));
             return;
         }
         tracing::info!(gripper = %self.config.name, by = %client.subject, "releasing the device");
         self.link.release(client);
         if self.link.is_down() {
-            self.publish(now);
-            let _ = answer.send(Ok(()));
+            self.answers.add(answer, Ok(()));
         } else {
             self.begin_drain(now, Ending::Link(answer));
         }
@@ -129,9 +128,8 @@ impl Actor {
         };
         if result.is_ok() && self.link.reclaim() {
             tracing::info!(gripper = %self.config.name, by = %client.subject, "reclaiming the device");
-            self.publish(now);
         }
-        let _ = answer.send(result);
+        self.answers.add(answer, result);
     }
 
     /// Whether the device is released to another program, so that the gateway must not connect.

@@ -187,7 +187,7 @@ impl Actor {
                 self.settings.note_no_soft_limits();
                 self.persist_settings();
                 self.recording.setting(now, &exchange.client, SettingChange::SoftLimitsCleared);
-                let _ = exchange.answer.send(Ok(Data::None));
+                self.answers.add(exchange.answer, Ok(Data::None));
             }
             end => {
                 let command = super::name_of(&exchange.command);
@@ -200,7 +200,7 @@ impl Actor {
                     }
                     None => Err(self.rejection_of(command, end)),
                 };
-                let _ = exchange.answer.send(result);
+                self.answers.add(exchange.answer, result);
             }
         }
     }

@@ -52,7 +52,7 @@ impl Actor {
             AcquiredLease { lease: self.lease.view(now.instant, token.as_ref()), times_taken, keep }
         });
         // If the caller is gone, the lease runs out.
-        let _ = answer.send(granted);
+        self.answers.add(answer, granted);
     }
 
     pub(super) fn try_take_lease(&mut self, now: Now, wish: &TakeLease, token: LeaseToken) -> Result<(), Rejection> {

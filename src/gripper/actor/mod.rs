@@ -20,6 +20,7 @@
 //! submitted in one place, for a client that named the latch's id, or while nothing is latched.
 
 mod admission;
+mod answers;
 mod connection;
 mod drain;
 mod events;
@@ -62,6 +63,7 @@ use super::observed::Observed;
 use super::registry::CommandRegistry;
 use crate::transport::LinkProperties;
 use crate::wsg::{Command, id};
+use answers::Answers;
 use drain::Drain;
 pub use link::Close;
 use link::DeviceLink;
@@ -123,6 +125,7 @@ pub struct Actor {
     streaming: Streaming,
     scripts: Scripts,
     publication: Publication,
+    answers: Answers,
 }
 
 /// Receivers of an actor's publications.
@@ -158,6 +161,7 @@ impl Actor {
             streaming: Streaming::default(),
             scripts: Scripts::default(),
             publication,
+            answers: Answers::default(),
             config,
         };
         (actor, Watches { state, info, frames })
@@ -185,8 +189,7 @@ impl Actor {
             self.link.withdraw(token);
         }
         if let Some(caller) = caller {
-            // The caller may be gone.
-            let _ = caller.send(self.latch.epoch());
+            self.answers.add(caller, self.latch.epoch());
         }
         self.send_fast_stop_if_due(now);
         self.record_fast_stop(now, FastStopStep::Latched, Some(&client));
@@ -198,14 +201,13 @@ impl Actor {
     pub fn request(&mut self, now: Now, request: ActorRequest) {
         match request {
             ActorRequest::Submit { submission, id, answer } => {
-                // The caller may be gone; an admitted command continues anyway.
-                let _ = answer.send(self.admit(now, id, &submission));
+                let admitted = self.admit(now, id, &submission);
+                self.answers.add(answer, admitted);
             }
-            ActorRequest::Find { id, answer } => {
-                let _ = answer.send(self.commands.find(id));
-            }
+            ActorRequest::Find { id, answer } => self.answers.add(answer, self.commands.find(id)),
             ActorRequest::FindRequest { subject, request_id, answer } => {
-                let _ = answer.send(self.commands.find_request(now.instant, &subject, &request_id));
+                let found = self.commands.find_request(now.instant, &subject, &request_id);
+                self.answers.add(answer, found);
             }
             ActorRequest::Cancel { id, client, answer } => {
                 let ticket = self.commands.find(id);
@@ -214,7 +216,7 @@ impl Actor {
                         "command cancelled");
                     self.cancel(now, id, &client);
                 }
-                let _ = answer.send(ticket);
+                self.answers.add(answer, ticket);
             }
             ActorRequest::Exchange { command, client, lease, answer } => {
                 self.exchange(now, command, client, lease.as_ref(), answer);
@@ -224,21 +226,26 @@ impl Actor {
                 self.acknowledge_fault(now, client, lease.as_ref(), answer);
             }
             ActorRequest::Lease { answer } => {
-                let _ = answer.send(self.lease_now(now));
+                let lease = self.lease_now(now);
+                self.answers.add(answer, lease);
             }
             ActorRequest::TakeLease { take, token, answer } => self.take_lease(now, &take, token, answer),
             ActorRequest::UseLease { token, answer } => {
                 // If the caller is gone, this counts as a single use.
-                let _ = answer.send(self.lease.keep(now.instant, Some(&token)));
+                let keep = self.lease.keep(now.instant, Some(&token));
+                self.answers.add(answer, keep);
             }
             ActorRequest::RenewLease { token, answer } => {
-                let _ = answer.send(self.renew_lease(now, token.as_ref()));
+                let renewed = self.renew_lease(now, token.as_ref());
+                self.answers.add(answer, renewed);
             }
             ActorRequest::HandOver { token, to, new, answer } => {
-                let _ = answer.send(self.hand_over(now, token.as_ref(), &to, new));
+                let handed_over = self.hand_over(now, token.as_ref(), &to, new);
+                self.answers.add(answer, handed_over);
             }
             ActorRequest::ReleaseLease { token, answer } => {
-                let _ = answer.send(self.release_lease(now, token.as_ref()));
+                let released = self.release_lease(now, token.as_ref());
+                self.answers.add(answer, released);
             }
             ActorRequest::LoseLease { token, times_taken } => self.lose_lease(now, &token, times_taken),
             ActorRequest::Disconnect { client, lease, answer } => {
@@ -277,8 +284,7 @@ impl Actor {
         self.link.close
     }
 
-    /// Processes the consequences of an input: the session's events, then due timers. Clients get their replies after
-    /// the state was published, so that their next read returns no older state.
+    /// Processes the consequences of an input: the session's events, then due timers, then the answers.
     fn after_input(&mut self, now: Now) {
         self.take_events(now);
         self.run_due_timers(now);
@@ -289,6 +295,7 @@ impl Actor {
         self.commands.tell();
         self.tell_acknowledges(now);
         self.settings.overdrive.answer(self.observed.flags);
+        self.answers.send();
     }
 }
 

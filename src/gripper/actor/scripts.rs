@@ -166,7 +166,7 @@ impl Actor {
                 && let Some(Purpose::Exchange(exchange)) = self.link.purposes.remove(&token)
             {
                 // The caller may be gone.
-                let _ = exchange.answer.send(Err(rejection.clone()));
+                self.answers.add(exchange.answer, Err(rejection.clone()));
             }
         }
     }

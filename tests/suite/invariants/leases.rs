@@ -2,13 +2,16 @@
 
 mod returning;
 
+use std::pin::Pin;
+use std::sync::{Arc, OnceLock};
+use std::task::{Context, Wake};
 use std::time::Duration;
 
-use tokio::sync::oneshot;
+use tokio::sync::{oneshot, watch};
 use wsg_gateway::gripper::handle::ActorRequest;
 use wsg_gateway::gripper::model::{
     Action, Client, Door, FastStopCause, HolderName, Lease, LeaseToken, Motion, OnLossHolding, OnLossMoving, Outcome,
-    Submission, TakeLease,
+    State, Submission, TakeLease,
 };
 use wsg_gateway::gripper::{AcquiredLease, Conflict, Rejection, Ticket};
 use wsg_gateway::sim::{Change, Interface};
@@ -48,6 +51,33 @@ fn token(world: &mut World, wish: TakeLease) -> Option<LeaseToken> {
     let granted = take(world, wish).unwrap();
     close(world, granted.keep);
     granted.lease.token
+}
+
+/// Keeps the state that was published when a client was woken by its answer.
+struct WokenIn {
+    published: watch::Receiver<Arc<State>>,
+    state: OnceLock<Arc<State>>,
+}
+
+impl Wake for WokenIn {
+    fn wake(self: Arc<Self>) {
+        let state = Arc::clone(&self.published.borrow());
+        self.state.set(state).unwrap();
+    }
+}
+
+#[test]
+fn answer_follows_the_published_state() {
+    let mut world = world();
+    let client = Arc::new(WokenIn { published: world.watches.state.clone(), state: OnceLock::new() });
+    let (answer, mut answered) = oneshot::channel();
+    let waker = Arc::clone(&client).into();
+    assert!(Pin::new(&mut answered).poll(&mut Context::from_waker(&waker)).is_pending());
+    let now = world.clock();
+    let take = ActorRequest::TakeLease { take: wish("plc"), token: LeaseToken::generate(), answer };
+    world.actor.request(now, take);
+    answered.try_recv().unwrap().unwrap();
+    assert_eq!(client.state.get().unwrap().lease_holder.as_deref(), Some("plc"));
 }
 
 /// Closes a request that kept the lease.
