@@ -32,6 +32,7 @@
 //!
 //! FAST STOP is not a safety function in the sense of ISO 13850.
 
+pub mod access;
 pub mod cli;
 pub mod config;
 pub mod daemon;
