@@ -85,6 +85,11 @@ impl Actor {
         observed::switch_on_all(self.config.updates, self.link.properties.bytes_per_second)
     }
 
+    /// Request that reads the flags.
+    pub(super) fn read_flags(&self) -> Command {
+        observed::read_flags(self.config.updates, self.link.properties.bytes_per_second)
+    }
+
     fn new_setup(&self) -> Setup {
         Setup::new(self.switch_on_updates(), self.settings.known_serial, self.settings.wanted)
     }

@@ -62,7 +62,10 @@ impl Actor {
         let mut origin =
             Origin { ids: &mut self.ids, unannounced: self.link.unannounced && self.config.fast_stop_on_disconnect };
         match self.latch.take_flags(now, flags, &mut origin) {
-            Some(LatchChange::Seen) => {
+            Some(LatchChange::Seen { overtaken }) => {
+                if let Some(token) = overtaken {
+                    self.link.withdraw(token);
+                }
                 let cause = self.latch.current().map_or(FastStopCause::Unknown, |latch| latch.cause);
                 tracing::warn!(gripper = %self.config.name, cause = cause.name(), "device in FAST STOP");
                 self.record_fast_stop(now, FastStopStep::Latched, None);
@@ -146,7 +149,11 @@ impl Actor {
             Purpose::FastStop => {
                 let answered = matches!(end, End::Reply(_));
                 self.latch.ended(token, answered);
+                if answered {
+                    self.read_awaited_flags(now);
+                }
             }
+            Purpose::FaultCheck => self.fault_checked(now, token, end),
             Purpose::Acknowledge => {
                 let result = match end {
                     End::Reply(Reply::Success(_)) => {
@@ -156,6 +163,7 @@ impl Actor {
                     end => Err(self.rejection_of("AcknowledgeFastStop", end)),
                 };
                 self.latch.acknowledge_ended(now.instant, token, result);
+                self.read_awaited_flags(now);
             }
             Purpose::Force(id, force) => self.force_ended(now, id, force, end),
             Purpose::Motion(id) => self.motion_ended(now, id, end),
@@ -174,6 +182,16 @@ impl Actor {
                     drain.answered();
                 }
             }
+        }
+    }
+
+    /// Reads the flags at once if they decide about the FAST STOP and the device sends them only when they change. Flags
+    /// that confirm a repeated FAST STOP, or that outlast an acknowledgement, do not change.
+    fn read_awaited_flags(&mut self, now: Now) {
+        let is_on_change = self.config.updates.mode == UpdateMode::Changes;
+        if is_on_change && (self.latch.is_unconfirmed() || self.latch.is_watching()) {
+            // A full queue counts as no reply: the flags are polled later.
+            let _ = self.link.submit(now, self.read_flags(), Purpose::Upkeep);
         }
     }
 

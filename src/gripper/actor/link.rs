@@ -47,6 +47,8 @@ pub(super) enum Purpose {
     /// Reads the force limit after Overdrive Mode was switched.
     ForceLimit,
     FastStop,
+    /// Reads the flags before the acknowledgement of a fault.
+    FaultCheck,
     Acknowledge,
     /// Set Force Limit before a grip.
     Force(CommandId, Force),
