@@ -75,9 +75,17 @@ impl Actor {
         let cause = "device updates had stopped (possible restart): setting up again";
         tracing::warn!(gripper = %self.config.name, "{cause}");
         self.link.cause = Some(cause.to_owned());
-        let setup = self.new_setup();
-        self.link.set_up(setup);
-        self.continue_setup(now);
+        self.link.await_setters();
+        self.begin_waiting_setup(now);
+    }
+
+    /// Begins a waiting setup, unless a setter is in flight.
+    pub(super) fn begin_waiting_setup(&mut self, now: Now) {
+        if self.link.can_set_up() {
+            let setup = self.new_setup();
+            self.link.set_up(setup);
+            self.continue_setup(now);
+        }
     }
 
     /// Requests that switch on all automatic updates.

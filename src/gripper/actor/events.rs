@@ -30,6 +30,7 @@ impl Actor {
                 SessionEvent::Ended(token, end) => {
                     if let Some(purpose) = self.link.purposes.remove(&token) {
                         self.take_end(now, token, purpose, end);
+                        self.begin_waiting_setup(now);
                     }
                 }
             }

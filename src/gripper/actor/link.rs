@@ -10,7 +10,7 @@ use super::super::Now;
 use super::super::error::{Failure, Rejection};
 use super::super::handle::Answer;
 use super::super::model::{Client, CommandId, LeaseToken, Link, Name, WireRecord};
-use super::super::setup::{Setup, Step};
+use super::super::setup::{Setting, Setup, Step};
 use super::wire_log::WireLog;
 use super::{REPLY_WITHIN, RESULT_WITHIN, name_of};
 use crate::transport::LinkProperties;
@@ -81,6 +81,9 @@ pub(super) type NotSubmitted = Box<(Rejection, Purpose)>;
 #[derive(Debug)]
 enum LinkState {
     Down,
+    /// The device is set up again once the setters in flight have ended. Until then, the setup does not know which
+    /// values clients want.
+    SetupWaits,
     SettingUp(Box<Setup>),
     Up,
 }
@@ -207,6 +210,21 @@ impl DeviceLink {
         let mut is_unwritten = |token| session.as_mut().is_some_and(|session| session.withdraw(token));
         let purposes = std::mem::take(&mut self.purposes).into_iter();
         purposes.map(|(token, purpose)| (purpose, is_unwritten(token))).collect()
+    }
+
+    /// Begins another setup, which waits for the setters in flight.
+    pub(super) fn await_setters(&mut self) {
+        self.state = LinkState::SetupWaits;
+    }
+
+    /// Whether a setup waits that can begin now.
+    pub(super) fn can_set_up(&self) -> bool {
+        let is_setter = |purpose: &Purpose| match purpose {
+            Purpose::Force(..) => true,
+            Purpose::Exchange(exchange) => Setting::of(exchange.command.id()).is_some(),
+            _ => false,
+        };
+        matches!(self.state, LinkState::SetupWaits) && !self.purposes.values().any(is_setter)
     }
 
     pub(super) fn set_up(&mut self, setup: Setup) {

@@ -13,6 +13,7 @@ use crate::gripper::model::{Client, Door, FastStopCause, FastStopId, Reason, Sta
 use crate::wsg::{Status, SystemState, frame};
 
 mod fast_stop;
+mod link;
 
 pub(in crate::gripper) const TCP: LinkProperties = LinkProperties {
     name: "tcp",
