@@ -194,6 +194,11 @@ pub(super) fn switch_on_all(rules: UpdateRules, bytes_per_second: Option<u32>) -
     UPDATED.into_iter().filter_map(move |id| switch_on(id, rules, bytes_per_second))
 }
 
+/// Requests that switch off all automatic updates.
+pub(super) fn switch_off_all() -> impl Iterator<Item = Command> {
+    UPDATED.into_iter().filter_map(|id| request(id, Updates::Off))
+}
+
 /// Request that switches on the updates of one getter.
 pub(super) fn switch_on(id: u8, rules: UpdateRules, bytes_per_second: Option<u32>) -> Option<Command> {
     request(id, updates(rules, bytes_per_second))

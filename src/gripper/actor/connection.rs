@@ -12,6 +12,11 @@ use super::{Actor, REPLY_WITHIN};
 use crate::wsg::{Command, SystemState};
 
 impl Actor {
+    /// Notes an attempt to connect, which ends with [`Actor::link_up`] or [`Actor::link_down`].
+    pub fn connecting(&mut self) {
+        self.link.is_connecting = true;
+    }
+
     /// Starts a session on a new link.
     pub fn link_up(&mut self, now: Now) {
         // Debug level: on a transport without connections, every attempt gets this far.

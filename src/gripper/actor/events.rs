@@ -129,7 +129,7 @@ impl Actor {
     fn take_end(&mut self, now: Now, token: Token, purpose: Purpose, end: End) {
         match purpose {
             Purpose::Setup => {
-                if self.link.setup_ended(token, end) {
+                if self.link.setup_ended(token, end) && self.drain.is_none() {
                     self.continue_setup(now);
                 }
             }
@@ -179,7 +179,8 @@ impl Actor {
             }
             Purpose::Read(id) => self.read_ended(now, id, end),
             Purpose::Announce => {
-                if let Some(drain) = &mut self.drain {
+                let is_last = !self.link.purposes.values().any(|other| matches!(other, Purpose::Announce));
+                if let Some(drain) = self.drain.as_mut().filter(|_| is_last) {
                     drain.answered();
                 }
             }

@@ -58,6 +58,7 @@ pub(super) enum Purpose {
     Exchange(Exchange),
     /// A getter that several clients can wait for.
     Read(u8),
+    /// One of the last requests before the link is closed.
     Announce,
 }
 
@@ -103,6 +104,8 @@ pub(super) struct DeviceLink {
     /// Text that names the client that released the device to another program, and the remedy. The gateway does not
     /// connect while this is set.
     released: Option<String>,
+    /// Whether an attempt to connect is under way.
+    pub is_connecting: bool,
     /// Whether the link was ever up.
     pub was_up: bool,
     /// Whether the last connection-oriented link ended without an announcement.
@@ -122,6 +125,7 @@ impl DeviceLink {
             close: None,
             cause: None,
             released: None,
+            is_connecting: false,
             was_up: false,
             unannounced: false,
         }
@@ -183,6 +187,7 @@ impl DeviceLink {
         let LinkProperties { bytes_per_second, frame_gap, may_duplicate, .. } = self.properties;
         let config = session::SessionConfig { bytes_per_second, frame_gap, may_duplicate, nonce_seed };
         self.session = Some(Session::new(config, now));
+        self.is_connecting = false;
         self.close = None;
         self.wire_log.link_up();
         self.set_up(setup);
@@ -191,9 +196,10 @@ impl DeviceLink {
     /// Takes the link down. Returns the pending requests, each with whether it was never written.
     pub(super) fn down(&mut self, cause: &str) -> Vec<(Purpose, bool)> {
         let mut session = self.session.take();
-        if session.is_some() && self.close == Some(Close::Drained) {
+        self.is_connecting = false;
+        if self.close == Some(Close::Drained) {
             tracing::info!(gripper = %self.gripper, "link closed");
-            self.unannounced = false;
+            self.unannounced &= session.is_none();
         } else {
             if self.is_up() {
                 tracing::warn!(gripper = %self.gripper, cause, "link lost");

@@ -241,4 +241,9 @@ pub async fn orderly_end(url: &str) {
     let received: Vec<_> = switch.received().await.unwrap().iter().map(|frame| frame.id).collect();
     assert!(received.contains(&id::STOP));
     assert_eq!(received.contains(&id::DISCONNECT_ANNOUNCEMENT), is_tcp, "{received:02X?}");
+    if !is_tcp {
+        // The device sends no updates to a gateway that is gone.
+        let getters = [0x40, 0x41, 0x43, 0x44, 0x45];
+        assert!(received.ends_with(&getters), "{received:02X?}");
+    }
 }

@@ -1,7 +1,12 @@
 //! Setting up the device again, and releasing it to another program.
 
 use super::*;
+use crate::gripper::error::Conflict;
 use crate::wsg::{Data, Force};
+
+fn disconnect(rig: &mut Rig) -> oneshot::Receiver<Result<(), Rejection>> {
+    rig.request(|answer| ActorRequest::Disconnect { client: client(), lease: None, answer })
+}
 
 fn flags_update(rig: &mut Rig) {
     let flags = rig.device.flags.bits().to_le_bytes();
@@ -38,3 +43,23 @@ fn new_setup_keeps_the_value_of_a_setter_in_flight() {
     assert!((rig.device.force_n - 30.0).abs() < 0.1, "{} N", rig.device.force_n);
 }
 
+#[test]
+fn released_device_sends_no_more_updates() {
+    let mut rig = Rig::connected(config(UDP));
+    drop(disconnect(&mut rig));
+    let switched_off: Vec<_> = rig.device.received.iter().map(|(id, payload)| (*id, payload[0])).collect();
+    assert_eq!(switched_off, [0x40, 0x41, 0x43, 0x44, 0x45].map(|id| (id, 0)));
+    assert_eq!(rig.actor.wants_close(), Some(Close::Drained));
+}
+
+#[test]
+fn unconfirmed_fast_stop_forbids_a_disconnect() {
+    let mut rig = Rig::connected(config(TCP));
+    rig.device.held.insert(id::FAST_STOP);
+    let id = rig.fast_stop();
+    let unconfirmed = Err(Conflict::FastStopUnconfirmed { id }.into());
+    assert_eq!(disconnect(&mut rig).try_recv().unwrap(), unconfirmed);
+    rig.actor.link_down(rig.now, "unplugged");
+    assert_eq!(disconnect(&mut rig).try_recv().unwrap(), unconfirmed, "it is sent once the link is back");
+    assert!(!rig.actor.is_released());
+}
