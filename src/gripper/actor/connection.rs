@@ -52,7 +52,7 @@ impl Actor {
                 (Purpose::Stop(Some(id)), false) => {
                     self.end(now, id, |record| {
                         record.set_outcome(Outcome::Unknown);
-                        record.explain(&rejection);
+                        record.explain(rejection.code(), &rejection);
                     });
                 }
                 _ => {}

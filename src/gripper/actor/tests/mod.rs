@@ -14,6 +14,7 @@ use crate::wsg::{Status, SystemState, frame};
 
 mod fast_stop;
 mod link;
+mod motion;
 
 pub(in crate::gripper) const TCP: LinkProperties = LinkProperties {
     name: "tcp",
