@@ -86,7 +86,7 @@ impl Actor {
 
     /// Begins a waiting setup, unless a setter is in flight.
     pub(super) fn begin_waiting_setup(&mut self, now: Now) {
-        if self.link.can_set_up() {
+        if self.drain.is_none() && self.link.can_set_up() {
             let setup = self.new_setup();
             self.link.set_up(setup);
             self.continue_setup(now);
