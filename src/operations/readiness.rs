@@ -19,7 +19,8 @@ pub struct Readiness {
     gateway: String,
     /// Version of the gateway.
     version: &'static str,
-    /// Whether every gripper is connected or released, the journal is writable and undamaged, and Zenoh is connected as configured.
+    /// Whether every gripper is connected or released, the journal is writable and undamaged, and Zenoh is connected as
+    /// configured.
     pub ready: bool,
     /// Why the journal can't be written; null while it can.
     #[schema(required)]

@@ -90,8 +90,8 @@ impl Actor {
         self.drain = Some(Drain { stage: Stage::Finishing, until, has_announced: false, ending });
     }
 
-    /// Releases the device to another program. The client is answered once the link is closed, and no attempt to connect
-    /// is under way.
+    /// Releases the device to another program. The client is answered once the link is closed and no attempt to
+    /// connect is under way.
     pub(super) fn disconnect(&mut self, now: Now, client: &Client, lease: Option<&LeaseToken>, answer: Answer<()>) {
         if let Err(rejection) = self.check_disconnect(now, client, lease) {
             self.answers.add(answer, Err(rejection));

@@ -187,8 +187,8 @@ impl Actor {
         }
     }
 
-    /// Reads the flags at once if they decide about the FAST STOP and the device sends them only when they change. Flags
-    /// that confirm a repeated FAST STOP, or that outlast an acknowledgement, do not change.
+    /// Reads the flags at once if they decide about the FAST STOP and the device sends them only when they change.
+    /// Flags that confirm a repeated FAST STOP, or that outlast an acknowledgement, do not change.
     fn read_awaited_flags(&mut self, now: Now) {
         let is_on_change = self.config.updates.mode == UpdateMode::Changes;
         if is_on_change && (self.latch.is_unconfirmed() || self.latch.is_watching()) {

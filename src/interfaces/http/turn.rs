@@ -25,8 +25,8 @@ use crate::operations::{Code, Problem};
 const TURN_TIME: Duration = Duration::from_secs(2);
 
 /// Middleware that reads the body before the handlers see the request. The connection claims its slot only after the
-/// body has arrived. A FAST STOP waits for nothing and claims a slot at once. A Stop does not wait for its body, which the
-/// handler reads.
+/// body has arrived. A FAST STOP waits for nothing and claims a slot at once. A Stop does not wait for its body, which
+/// the handler reads.
 pub async fn read_first(request: Request, next: Next) -> Response {
     let permit: Option<Arc<ConnectionPermit>> = request.extensions().get().cloned();
     let pace: Option<Arc<RequestPace>> = request.extensions().get().cloned();

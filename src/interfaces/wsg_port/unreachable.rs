@@ -85,17 +85,13 @@ pub(super) async fn next(socket: &UdpSocket) -> (SocketAddr, DeliveryError) {
     }
 }
 
-/// Takes an error from the socket's queue. Other errors are ignored. If several errors wait, the kind can be that of a
-/// later one: a client that is found lost too early is unreachable anyway, and one found too late is found by the next
-/// datagram.
+/// Takes an error from the socket's queue. The socket itself tells the kind, unless a failed send has taken it: then
+/// the error counts as an outage, and a closed port is found by the next datagram.
 fn dequeue(socket: &UdpSocket) -> io::Result<Option<(SocketAddr, DeliveryError)>> {
-    let error = match socket.take_error()?.map(|error| error.kind()) {
-        Some(ErrorKind::ConnectionRefused) => Some(DeliveryError::Closed),
-        Some(ErrorKind::HostUnreachable | ErrorKind::NetworkUnreachable) => Some(DeliveryError::Unreachable),
-        _ => None,
-    };
+    let is_closed = matches!(socket.take_error(), Ok(Some(error)) if error.kind() == ErrorKind::ConnectionRefused);
     let (_, _, address) = recvfrom(socket, &mut [0_u8; 1], RecvFlags::ERRQUEUE | RecvFlags::DONTWAIT)?;
-    Ok(address.and_then(|address| SocketAddr::try_from(address).ok()).zip(error))
+    let error = if is_closed { DeliveryError::Closed } else { DeliveryError::Unreachable };
+    Ok(address.and_then(|address| Some((SocketAddr::try_from(address).ok()?, error))))
 }
 
 #[cfg(test)]
