@@ -26,7 +26,8 @@ macro_rules! codes {
         /// - `request_id_reused`: the request id was used for another request.
         /// - `name_taken`: another gateway on the Zenoh network has the same name.
         /// - `out_of_range`: a value is beyond its limits.
-        /// - `device_refused`: the device refused the request with a status that has no code of its own.
+        /// - `device_refused`: the device refused the request, or ended its motion, with a status that has no code of
+        ///   its own.
         /// - `overloaded`: too many requests are waiting, or the device tag was written too often; try again later.
         /// - `internal`: internal error of the gateway.
         /// - `device_protocol`: the device sent an invalid reply.

@@ -93,6 +93,7 @@ export const de = {
   'result.at': 'gestoppt bei {width} mm',
   'result.error': 'Fehler bis zur nächsten Bewegung',
   'result.ready': 'Quittiert: Der Greifer nimmt Bewegungen an.',
+  'result.open': 'Nicht quittiert: Der Greifer kann Bewegungen verweigern.',
 
   'chart.title': 'Kurven',
   'chart.window': 'Zeitfenster',
@@ -349,6 +350,8 @@ export const de = {
   'event.confirmed': 'FAST STOP vom Greifer bestätigt',
   'event.acknowledged': 'FAST STOP quittiert',
   'event.not_acknowledged': 'FAST STOP nicht aufgehoben: {cause}',
+  'event.fault_acknowledged': 'Fehler quittiert',
+  'event.fault_not_acknowledged': 'Fehler nicht quittiert: {cause}',
   'event.taken': '{holder} hat die Steuerung übernommen',
   'event.forced': '{holder} hat die Steuerung erzwungen',
   'event.requested': '{holder} hat um die Steuerung gebeten',

@@ -93,6 +93,7 @@ export const en = {
   'result.at': 'stopped at {width} mm',
   'result.error': 'Error until the next motion',
   'result.ready': 'Acknowledged: the gripper accepts motions.',
+  'result.open': 'Not acknowledged: the gripper may refuse motions.',
 
   'chart.title': 'Charts',
   'chart.window': 'Window',
@@ -348,6 +349,8 @@ export const en = {
   'event.confirmed': 'FAST STOP confirmed by the gripper',
   'event.acknowledged': 'FAST STOP acknowledged',
   'event.not_acknowledged': 'FAST STOP not cleared: {cause}',
+  'event.fault_acknowledged': 'Fault acknowledged',
+  'event.fault_not_acknowledged': 'Fault not acknowledged: {cause}',
   'event.taken': '{holder} took control',
   'event.forced': '{holder} took control by force',
   'event.requested': '{holder} asked for control',
