@@ -2,6 +2,8 @@
 
 mod decode;
 mod journal;
+mod package;
+mod version;
 
 use std::ffi::OsString;
 use std::fs::File;
@@ -20,7 +22,7 @@ use crate::{daemon, interfaces};
 /// Lets many clients share Weiss/SCHUNK WSG grippers. Without a subcommand, serves the configured grippers, or two
 /// simulated ones if none is configured.
 #[derive(Debug, Parser)]
-#[command(name = "wsg-gateway", version, args_conflicts_with_subcommands = true)]
+#[command(name = "wsg-gateway", version, long_version = version::long(), args_conflicts_with_subcommands = true)]
 struct Cli {
     #[command(flatten)]
     flags: Flags,
@@ -83,6 +85,12 @@ enum Command {
     },
     /// List, follow, export or verify the journal, even while the gateway runs
     Journal(journal::JournalArgs),
+    /// Write man pages and shell completions below a directory
+    #[command(hide = true)]
+    PackageFiles {
+        #[arg(value_name = "DIRECTORY")]
+        directory: PathBuf,
+    },
     /// Create a token (not yet supported)
     Token(NotYet),
 }
@@ -142,6 +150,7 @@ pub fn run() -> anyhow::Result<()> {
             Ok(())
         }
         Some(Command::Journal(journal)) => journal::run(&journal, std::io::stdout().lock()),
+        Some(Command::PackageFiles { directory }) => package::write(&directory, Cli::command()),
         Some(Command::Token(_)) => not_yet("token"),
     }
 }

@@ -50,6 +50,7 @@ pub use query::{Cursor, EventQuery, Filter, GripQuery, InvalidCursor, InvalidLim
 pub use reader::Reader;
 pub use recovery::Recovered;
 pub use row::{EventKind, GripUpdate, Stored};
+pub use schema::VERSION;
 pub use source::{JournalLocation, ReadError};
 pub use store::OpenError;
 pub use verify::{Finding, Report, verify};

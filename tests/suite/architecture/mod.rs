@@ -17,7 +17,8 @@ use code::Code;
 const ROOMS: &str = "
     lib:
     main: cli
-    cli: config daemon interfaces interfaces/http gripper/model journal logging wsg wsg/frame
+    cli: config daemon fleet interfaces interfaces/http interfaces/websocket gripper/model journal logging wsg
+        wsg/frame
     daemon: config interfaces interfaces/http interfaces/wsg_port interfaces/zenoh events fleet operations
         gripper gripper/actor gripper/model gripper/recorder journal sim transport webhooks
     config: gripper/model journal transport webhooks
