@@ -1,6 +1,8 @@
 //! The command line: subcommands and flags.
 
 mod decode;
+mod discover;
+mod doctor;
 mod journal;
 mod package;
 mod version;
@@ -65,6 +67,11 @@ enum Command {
         #[command(flatten)]
         flags: Flags,
     },
+    /// Check this installation: configuration, permissions, ports, journal, disk, clock and grippers. Prints what is
+    /// wrong with the remedy, and exits with 1 if there is a problem
+    Doctor(doctor::DoctorArgs),
+    /// Find grippers in networks, on serial ports and on CAN interfaces. Asks before it contacts them
+    Discover(discover::DiscoverArgs),
     /// Print the OpenAPI document
     Openapi,
     /// Print the AsyncAPI document of the WebSocket interface
@@ -83,7 +90,7 @@ enum Command {
         #[arg(long, value_name = "URL", conflicts_with_all = ["file", "encode"])]
         follow: Option<Url>,
     },
-    /// List, follow, export or verify the journal, even while the gateway runs
+    /// List, follow, export, verify or back up the journal, even while the gateway runs
     Journal(journal::JournalArgs),
     /// Write man pages and shell completions below a directory
     #[command(hide = true)]
@@ -123,6 +130,8 @@ pub fn run() -> anyhow::Result<()> {
             daemon::run_simulated(&urls, &device, control)
         }
         Some(Command::Check { flags }) => check(&flags),
+        Some(Command::Doctor(arguments)) => doctor::run(&arguments),
+        Some(Command::Discover(arguments)) => discover::run(&arguments),
         Some(Command::Openapi) => {
             let document = serde_json::to_string_pretty(&interfaces::http::openapi())?;
             quietly(writeln!(std::io::stdout(), "{document}"))

@@ -17,10 +17,11 @@ use code::Code;
 const ROOMS: &str = "
     lib:
     main: cli
-    cli: config daemon fleet interfaces interfaces/http interfaces/websocket gripper/model journal logging wsg
+    cli: config daemon doctor fleet interfaces interfaces/http interfaces/websocket gripper/model journal logging wsg
         wsg/frame
     daemon: config interfaces interfaces/http interfaces/wsg_port interfaces/zenoh events fleet operations
         gripper gripper/actor gripper/model gripper/recorder journal sim transport webhooks
+    doctor: config daemon gripper/model interfaces journal transport wsg wsg/frame
     config: gripper/model journal transport webhooks
     logging:
     operations: events fleet gripper gripper/model gripper/recorder journal webhooks wsg
