@@ -31,8 +31,8 @@ pub(super) fn user(_: &Installation) -> Vec<Diagnosis> {
         Some(service) if rustix::process::geteuid().is_root() => vec![Diagnosis::warning(
             "user",
             format_args!(
-                "this is root, so some permissions of {0} cannot be checked: run `sudo -u {0} wsg-gateway doctor` \
-                 with the same flags",
+                "this is root, so some permissions of {0} cannot be checked: run `sudo -u {0} env \
+                 STATE_DIRECTORY=/var/lib/{0} wsg-gateway doctor` with the same flags",
                 service.name
             ),
         )],
