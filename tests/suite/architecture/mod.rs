@@ -18,9 +18,11 @@ const ROOMS: &str = "
     lib:
     access: gripper/model
     main: cli
-    cli: access config daemon interfaces interfaces/http gripper/model journal logging wsg wsg/frame
+    cli: access config daemon doctor fleet interfaces interfaces/http interfaces/websocket gripper/model journal logging
+        wsg wsg/frame
     daemon: access config interfaces interfaces/http interfaces/wsg_port interfaces/zenoh events fleet operations
         gripper gripper/actor gripper/model gripper/recorder journal sim transport webhooks
+    doctor: config daemon gripper/model interfaces journal transport wsg wsg/frame
     config: access gripper/model journal transport webhooks
     logging:
     operations: access events fleet gripper gripper/model gripper/recorder journal webhooks wsg
