@@ -22,7 +22,7 @@ const ROOMS: &str = "
         wsg wsg/frame
     daemon: access config interfaces interfaces/http interfaces/wsg_port interfaces/zenoh events fleet operations
         gripper gripper/actor gripper/model gripper/recorder journal sim transport webhooks
-    doctor: config daemon gripper/model interfaces journal transport wsg wsg/frame
+    doctor: access config daemon gripper/model interfaces journal transport wsg wsg/frame
     config: access gripper/model journal transport webhooks
     logging:
     operations: access events fleet gripper gripper/model gripper/recorder journal webhooks wsg
