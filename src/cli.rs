@@ -1,16 +1,21 @@
 //! The command line: subcommands and flags.
 
 mod decode;
+mod discover;
+mod doctor;
+mod init;
 mod journal;
+mod package;
+mod token;
+mod version;
 
-use std::ffi::OsString;
 use std::fs::File;
 use std::io::{BufReader, Write};
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use anyhow::{Context, ensure};
-use clap::{CommandFactory, Parser, Subcommand};
+use clap::{CommandFactory as _, Parser, Subcommand};
 use url::Url;
 
 use crate::config::{Config, Flags};
@@ -20,7 +25,7 @@ use crate::{daemon, interfaces};
 /// Lets many clients share Weiss/SCHUNK WSG grippers. Without a subcommand, serves the configured grippers, or two
 /// simulated ones if none is configured.
 #[derive(Debug, Parser)]
-#[command(name = "wsg-gateway", version, args_conflicts_with_subcommands = true)]
+#[command(name = "wsg-gateway", version, long_version = version::long(), args_conflicts_with_subcommands = true)]
 struct Cli {
     #[command(flatten)]
     flags: Flags,
@@ -63,6 +68,11 @@ enum Command {
         #[command(flatten)]
         flags: Flags,
     },
+    /// Check this installation: configuration, permissions, ports, journal, disk, clock and grippers. Prints what is
+    /// wrong with the remedy, and exits with 1 if there is a problem
+    Doctor(doctor::DoctorArgs),
+    /// Find grippers in networks, on serial ports and on CAN interfaces. Asks before it contacts them
+    Discover(discover::DiscoverArgs),
     /// Print the OpenAPI document
     Openapi,
     /// Print the AsyncAPI document of the WebSocket interface
@@ -81,16 +91,20 @@ enum Command {
         #[arg(long, value_name = "URL", conflicts_with_all = ["file", "encode"])]
         follow: Option<Url>,
     },
-    /// List, follow, export or verify the journal, even while the gateway runs
+    /// List, follow, export, verify or back up the journal, even while the gateway runs
     Journal(journal::JournalArgs),
-    /// Create a token (not yet supported)
-    Token(NotYet),
-}
-
-#[derive(Debug, clap::Args)]
-struct NotYet {
-    #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]
-    _arguments: Vec<OsString>,
+    /// Write man pages and shell completions below a directory
+    #[command(hide = true)]
+    PackageFiles {
+        #[arg(value_name = "DIRECTORY")]
+        directory: PathBuf,
+    },
+    /// Create, list or revoke the tokens of clients
+    Token(token::TokenArgs),
+    /// Write a configuration with TLS and a first token, for a gateway on a network
+    Init(init::InitArgs),
+    /// Write a self-signed certificate and its key
+    Certificate(init::CertificateArgs),
 }
 
 /// Runs the subcommand that the process arguments name.
@@ -115,6 +129,8 @@ pub fn run() -> anyhow::Result<()> {
             daemon::run_simulated(&urls, &device, control)
         }
         Some(Command::Check { flags }) => check(&flags),
+        Some(Command::Doctor(arguments)) => doctor::run(&arguments),
+        Some(Command::Discover(arguments)) => discover::run(&arguments),
         Some(Command::Openapi) => {
             let document = serde_json::to_string_pretty(&interfaces::http::openapi())?;
             quietly(writeln!(std::io::stdout(), "{document}"))
@@ -142,7 +158,10 @@ pub fn run() -> anyhow::Result<()> {
             Ok(())
         }
         Some(Command::Journal(journal)) => journal::run(&journal, std::io::stdout().lock()),
-        Some(Command::Token(_)) => not_yet("token"),
+        Some(Command::PackageFiles { directory }) => package::write(&directory, Cli::command()),
+        Some(Command::Token(args)) => token::run(&args, std::io::stdout().lock()),
+        Some(Command::Init(args)) => init::run(&args, std::io::stdout().lock()),
+        Some(Command::Certificate(args)) => init::certificate(&args, std::io::stdout().lock()),
     }
 }
 
@@ -161,8 +180,4 @@ fn quietly<T: Default>(written: std::io::Result<T>) -> anyhow::Result<T> {
         Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(T::default()),
         written => Ok(written?),
     }
-}
-
-fn not_yet(subcommand: &str) -> anyhow::Result<()> {
-    Cli::command().error(clap::error::ErrorKind::InvalidSubcommand, format!("{subcommand} is not supported yet")).exit()
 }

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::audit::Audit;
+use crate::access::Access;
 use crate::events::LiveUpdates;
 use crate::fleet::Peers;
 use crate::gripper::Grippers;
@@ -24,6 +25,8 @@ pub struct Gateway {
     pub peers: Arc<Peers>,
     pub updates: Arc<LiveUpdates>,
     pub webhooks: Arc<Webhooks>,
+    /// Credentials of clients.
+    pub access: Arc<Access>,
 }
 
 #[cfg(test)]
@@ -36,6 +39,15 @@ impl Gateway {
         let audit = Arc::new(Audit::new(journal.clone()));
         let peers = Arc::new(Peers::new(name.clone(), grippers.clone()));
         let updates = Arc::new(LiveUpdates::new(&grippers, journal.clone(), peers.clone()));
-        Arc::new(Self { name, grippers, journal, audit, peers, updates, webhooks: Arc::default() })
+        Arc::new(Self {
+            name,
+            grippers,
+            journal,
+            audit,
+            peers,
+            updates,
+            webhooks: Arc::default(),
+            access: Arc::default(),
+        })
     }
 }

@@ -4,7 +4,7 @@ use http::Method as Verb;
 
 use super::operation::Operation;
 use super::{
-    commands, connection, device, fast_stop, fingers, fleet, grippers, lease, motion, raw, settings, webhooks,
+    commands, connection, device, fast_stop, fingers, fleet, grippers, lease, me, motion, raw, settings, webhooks,
 };
 use crate::gripper::model::Urgency;
 
@@ -54,6 +54,7 @@ pub const OPERATIONS: &[Operation] = &[
     fleet::LIST,
     fleet::FAST_STOP,
     fleet::ACKNOWLEDGE,
+    me::ME,
     webhooks::LIST,
     webhooks::TEST,
 ];

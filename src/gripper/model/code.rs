@@ -36,6 +36,8 @@ macro_rules! codes {
         /// - `device_timeout`: the device did not answer in time.
         /// - `gateway_gone`: the gateway that owns the gripper is gone; nothing was sent to it.
         /// - `gateway_timeout`: the gateway that owns the gripper did not answer; the result is unknown.
+        /// - `unauthorized`: the request needs a valid credential.
+        /// - `forbidden`: the client's role or grippers do not allow the request.
         #[derive(
             Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, strum::IntoStaticStr, strum::VariantArray,
         )]
@@ -88,6 +90,8 @@ codes! {
     DeviceTimeout 25 504;
     GatewayGone 26 503;
     GatewayTimeout 27 504;
+    Unauthorized 28 401;
+    Forbidden 29 403;
 }
 
 impl Code {
@@ -135,6 +139,8 @@ mod tests {
             (25, "device_timeout"),
             (26, "gateway_gone"),
             (27, "gateway_timeout"),
+            (28, "unauthorized"),
+            (29, "forbidden"),
         ];
         for pinned in pinned {
             assert!(numbers.contains(&pinned), "{pinned:?}");

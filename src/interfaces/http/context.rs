@@ -6,6 +6,7 @@ use prometheus::Registry;
 use tokio_util::sync::CancellationToken;
 
 use crate::interfaces::metrics::InterfaceMetrics;
+use crate::interfaces::tls::Tls;
 use crate::interfaces::{self, Runtimes};
 use crate::operations::Gateway;
 
@@ -22,6 +23,8 @@ pub struct HttpContext {
     pub registry: Registry,
     /// Host names that requests may use besides addresses and `localhost`, without ports.
     pub allowed_hosts: Vec<String>,
+    /// `None` if connections are not encrypted.
+    pub tls: Option<Arc<Tls>>,
 }
 
 impl HttpContext {
@@ -47,6 +50,7 @@ impl HttpContext {
             ws_metrics,
             registry,
             allowed_hosts: Vec::new(),
+            tls: None,
         }
     }
 }

@@ -15,17 +15,18 @@ use serde_json::{Map, Value};
 use tokio::time::timeout;
 
 use super::body;
-use super::client::client;
 use super::context::{API, HttpContext};
 use super::fast_stop::{REASON_TIME, with_reason};
 use super::operation::serve_below;
 use super::problem::PROBLEM_JSON;
+use super::visitor::Identified;
+use crate::access::Credential;
 use crate::fleet::Ask;
-use crate::gripper::model::{Name, Reason, Urgency};
+use crate::gripper::model::{Door, Name, Reason, Urgency};
 use crate::interfaces::admission::{Class, ConnectionPermit};
 use crate::operations::fleet::no_answer;
 use crate::operations::json::{parse, text_member};
-use crate::operations::{Code, DEFAULT_WAIT_MS, OPERATIONS, Operation, Problem, QueryString, motion, wait_ms};
+use crate::operations::{Code, DEFAULT_WAIT_MS, OPERATIONS, Operation, Problem, QueryString, check, motion, wait_ms};
 
 /// Paths of the grippers of any gateway.
 pub const PATHS: [&str; 2] =
@@ -79,7 +80,13 @@ pub async fn forward(
         return serve_below(&context, operation, path, &parts, stream).await;
     }
     let gripper = target.gripper.parse().map_err(|_| Problem::not_found("gripper with this name"))?;
-    let (mut wait, aside) = (wait(&parts, operation)?, aside(&parts));
+    let identified = Identified::client_of(&context.gateway.access, &parts.extensions);
+    // The rights to one of this gateway's grippers say nothing about another gateway's gripper of the same name.
+    check(&context.gateway.access, operation, &identified.identity, None)?;
+    let (mut wait, mut aside) = (wait(&parts, operation)?, aside(&parts));
+    if let Credential::Token(token) = &identified.visitor.credential {
+        aside.push(("token", token.expose().to_owned()));
+    }
     let permit: Option<Arc<ConnectionPermit>> = parts.extensions.get().cloned();
     let long_wait = wait.filter(|wait| !wait.is_zero());
     let _claim = match (permit, long_wait) {
@@ -90,7 +97,7 @@ pub async fn forward(
         }
         _ => None,
     };
-    let (gateway, client, urgency) = (target.gateway.clone(), client(&parts.extensions), operation.urgency);
+    let (gateway, client, urgency) = (target.gateway.clone(), identified.client(Door::Http), operation.urgency);
     let ask = move |params| async move {
         let (method, params) = (operation.name, Value::Object(params));
         context.gateway.peers.ask(Ask { gateway, gripper, method, params, wait, aside, client, urgency }).await

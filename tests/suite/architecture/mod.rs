@@ -16,20 +16,23 @@ use code::Code;
 /// the room with the longest matching name.
 const ROOMS: &str = "
     lib:
+    access: gripper/model
     main: cli
-    cli: config daemon interfaces interfaces/http gripper/model journal logging wsg wsg/frame
-    daemon: config interfaces interfaces/http interfaces/wsg_port interfaces/zenoh events fleet operations
+    cli: access config daemon doctor fleet interfaces interfaces/http interfaces/websocket gripper/model journal logging
+        wsg wsg/frame
+    daemon: access config interfaces interfaces/http interfaces/wsg_port interfaces/zenoh events fleet operations
         gripper gripper/actor gripper/model gripper/recorder journal sim transport webhooks
-    config: gripper/model journal transport webhooks
+    doctor: config daemon gripper/model interfaces journal transport wsg wsg/frame
+    config: access gripper/model journal transport webhooks
     logging:
-    operations: events fleet gripper gripper/model gripper/recorder journal webhooks wsg
+    operations: access events fleet gripper gripper/model gripper/recorder journal webhooks wsg
     interfaces: operations
     interfaces/dashboard: operations
-    interfaces/http: interfaces interfaces/dashboard interfaces/websocket events fleet operations
+    interfaces/http: access interfaces interfaces/dashboard interfaces/websocket events fleet operations
         gripper gripper/model journal
-    interfaces/websocket: interfaces events gripper gripper/model operations
+    interfaces/websocket: access interfaces events gripper gripper/model operations
     interfaces/wsg_port: interfaces gripper gripper/model operations wsg wsg/crc wsg/frame
-    interfaces/zenoh: interfaces events fleet gripper gripper/model journal operations
+    interfaces/zenoh: access interfaces events fleet gripper gripper/model journal operations
     events: fleet gripper gripper/model journal
     fleet: gripper gripper/model
     journal: gripper/model gripper/recorder
@@ -51,7 +54,7 @@ const ROOMS: &str = "
 
 /// Rooms without import cycles, neither within a room nor across these rooms.
 const WITHOUT_CIRCLES: &str = "
-    lib main cli logging operations fleet
+    lib access main cli logging operations fleet
     interfaces interfaces/dashboard interfaces/http interfaces/websocket interfaces/wsg_port interfaces/zenoh
     gripper gripper/latch gripper/recorder gripper/setup transport wsg wsg/crc wsg/frame
 ";

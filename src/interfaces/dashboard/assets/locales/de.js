@@ -542,6 +542,16 @@ export const de = {
 
   'foot.safety':
     'STOPP ist ein FAST STOP per Software: Er läuft über diesen Browser, das Netz und das Gateway und ist keine Sicherheitsfunktion im Sinne der ISO 13850. Im Notfall den Not-Halt der Zelle betätigen.',
+  'signin.title': 'Anmelden',
+  'signin.token': 'Token',
+  'signin.do': 'Anmelden',
+  'signin.hint': 'Ein Token erhalten Sie vom Betreiber dieses Gateways: „wsg-gateway token create“ erzeugt eines.',
+  'signin.as': 'Angemeldet als {name} ({role})',
+  'signin.out': 'Abmelden',
+  'role.stop': 'nur Halt',
+  'role.observer': 'Beobachter',
+  'role.operator': 'Bediener',
+  'role.supervisor': 'Aufsicht',
   'foot.name': 'Name dieses Browsers',
   'foot.language': 'Sprache',
   'foot.theme': 'Darstellung',
@@ -573,5 +583,7 @@ export const de = {
   'problem.name_taken': 'Ein anderes Gateway heißt genauso: jedem einen eigenen Namen geben.',
   'problem.gateway_gone': 'Dieses Gateway ist offline.',
   'problem.gateway_timeout': 'Dieses Gateway hat nicht rechtzeitig geantwortet.',
+  'problem.unauthorized': 'Das Gateway akzeptiert das nicht: Melden Sie sich mit einem gültigen Token an.',
+  'problem.forbidden': 'Ihre Rolle erlaubt das nicht.',
   'problem.not_found': 'Nicht gefunden.',
 };

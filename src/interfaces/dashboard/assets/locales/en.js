@@ -539,6 +539,16 @@ export const en = {
 
   'foot.safety':
     'STOP is a FAST STOP by software: it passes through this browser, the network and the gateway, and is not a safety function as defined by ISO 13850. In an emergency, use the emergency stop of the cell.',
+  'signin.title': 'Sign in',
+  'signin.token': 'Token',
+  'signin.do': 'Sign in',
+  'signin.hint': 'Ask whoever runs this gateway for a token: “wsg-gateway token create” makes one.',
+  'signin.as': 'Signed in as {name} ({role})',
+  'signin.out': 'Sign out',
+  'role.stop': 'stop only',
+  'role.observer': 'observer',
+  'role.operator': 'operator',
+  'role.supervisor': 'supervisor',
   'foot.name': 'Name of this browser',
   'foot.language': 'Language',
   'foot.theme': 'Theme',
@@ -570,5 +580,7 @@ export const en = {
   'problem.name_taken': 'Another gateway has the same name: give each gateway its own.',
   'problem.gateway_gone': 'That gateway is offline.',
   'problem.gateway_timeout': 'That gateway did not answer in time.',
+  'problem.unauthorized': 'The gateway does not accept this: sign in with a valid token.',
+  'problem.forbidden': 'Your role does not allow this.',
   'problem.not_found': 'Not found.',
 };

@@ -5,6 +5,7 @@ import { acknowledged, GATEWAY_GONE, updated, wrongWith } from '../core/alarms.j
 import { paced } from '../core/paced.js';
 import { Rpc } from '../net/rpc.js';
 import { catchUp, take as takeEvent } from './events.js';
+import { recognize } from './me.js';
 import { lookForNewer } from './version.js';
 import { Gripper } from './gripper.js';
 
@@ -117,6 +118,8 @@ export const rpc = new Rpc({
       one.loseControl('disconnected');
       one.held.value = null;
     });
+    // The gateway closes the connection of a person who has to sign in.
+    recognize();
     look();
   },
   onHeard: (at) => {
