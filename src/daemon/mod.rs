@@ -23,6 +23,7 @@ use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 use url::Url;
 
+use crate::alarms::Alarms;
 use crate::config::{self, Config, ConfigError, DeviceSource, GripperConfig};
 use crate::events::LiveUpdates;
 use crate::fleet::Peers;
@@ -34,6 +35,7 @@ use crate::journal::{self, Journal, Recovered};
 use crate::operations::Gateway;
 use crate::operations::audit::Audit;
 use crate::webhooks::{WebhookContext, Webhooks};
+use crate::trends::Trends;
 use descriptors::Shares;
 pub use simulation::{ServedDevice, SimulatedDevice, Switch, serve as serve_device};
 
@@ -121,14 +123,21 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     };
     let webhooks = Arc::new(Webhooks::start(&config.webhooks, &webhook_context)?);
     let gateway = Arc::new(Gateway {
+    let alarms = Arc::new(Alarms::new(config.name.clone(), journal.clone(), &recovered.memory));
+    // The links that draining closes are no alarms.
+    clients.observers.spawn(alarms.clone().watch(grippers.clone(), peers.clone(), draining.clone()));
+    let trends = Arc::new(Trends::default());
+    clients.observers.spawn(trends.clone().watch(grippers.clone(), draining.clone()));
         name: config.name.clone(),
         grippers: grippers.clone(),
         journal: journal.clone(),
         audit: audit.clone(),
         peers: peers.clone(),
-        updates: Arc::new(LiveUpdates::new(&grippers, journal.clone(), peers)),
+        alarms: alarms.clone(),
+        updates: Arc::new(LiveUpdates::new(&grippers, journal.clone(), peers, alarms)),
         webhooks: webhooks.clone(),
     });
+        trends: trends.clone(),
     let context = Arc::new(http::HttpContext {
         gateway,
         closing: shutdown.child_token(),

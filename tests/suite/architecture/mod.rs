@@ -18,19 +18,21 @@ const ROOMS: &str = "
     lib:
     main: cli
     cli: config daemon interfaces interfaces/http gripper/model journal logging wsg wsg/frame
-    daemon: config interfaces interfaces/http interfaces/wsg_port interfaces/zenoh events fleet operations
-        gripper gripper/actor gripper/model gripper/recorder journal sim transport webhooks
+    alarms: fleet gripper gripper/model gripper/recorder journal
+    daemon: alarms config interfaces interfaces/dashboard interfaces/http interfaces/wsg_port interfaces/zenoh
+        events fleet operations gripper gripper/actor gripper/model gripper/recorder journal sim transport trends
+        webhooks
     config: gripper/model journal transport webhooks
     logging:
-    operations: events fleet gripper gripper/model gripper/recorder journal webhooks wsg
+    operations: alarms events fleet gripper gripper/model gripper/recorder journal trends webhooks wsg
     interfaces: operations
     interfaces/dashboard: operations
-    interfaces/http: interfaces interfaces/dashboard interfaces/websocket events fleet operations
-        gripper gripper/model journal
+    interfaces/http: alarms interfaces interfaces/dashboard interfaces/websocket events fleet operations
+        gripper gripper/model journal trends
     interfaces/websocket: interfaces events gripper gripper/model operations
     interfaces/wsg_port: interfaces gripper gripper/model operations wsg wsg/crc wsg/frame
     interfaces/zenoh: interfaces events fleet gripper gripper/model journal operations
-    events: fleet gripper gripper/model journal
+    events: alarms fleet gripper gripper/model journal
     fleet: gripper gripper/model
     journal: gripper/model gripper/recorder
     gripper: gripper/actor gripper/model gripper/recorder transport wsg
@@ -42,6 +44,7 @@ const ROOMS: &str = "
     gripper/setup: wsg wsg/session
     sim: wsg wsg/frame
     transport:
+    trends: gripper gripper/model
     webhooks: gripper gripper/model gripper/recorder journal
     wsg: wsg/frame
     wsg/crc:
@@ -51,7 +54,7 @@ const ROOMS: &str = "
 
 /// Rooms without import cycles, neither within a room nor across these rooms.
 const WITHOUT_CIRCLES: &str = "
-    lib main cli logging operations fleet
+    lib main cli logging operations alarms fleet trends
     interfaces interfaces/dashboard interfaces/http interfaces/websocket interfaces/wsg_port interfaces/zenoh
     gripper gripper/latch gripper/recorder gripper/setup transport wsg wsg/crc wsg/frame
 ";
