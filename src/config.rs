@@ -94,6 +94,8 @@ pub struct Config {
     pub listen: SocketAddr,
     /// Allowed values of `Host`, besides addresses and `localhost`.
     pub hosts: Vec<String>,
+    /// Origins of pages that can show the dashboard in a frame.
+    pub frame_ancestors: Vec<String>,
     /// Time after which an idle HTTP connection is closed.
     pub idle_timeout: Duration,
     pub grippers: Vec<GripperConfig>,
@@ -222,6 +224,7 @@ impl Config {
             name,
             listen: parse_listen(&listen, insecure)?,
             hosts: content.map(|content| content.hosts.clone()).unwrap_or_default(),
+            frame_ancestors: frame_ancestors(file)?,
             idle_timeout: idle_timeout(file)?,
             grippers: grippers(flags, file, insecure)?,
             drain: drain(file)?,
@@ -230,6 +233,21 @@ impl Config {
         };
         Ok(config)
     }
+}
+
+/// Returns the origins of pages that can show the dashboard in a frame.
+fn frame_ancestors(file: Option<&File>) -> Result<Vec<String>, ConfigError> {
+    let Some(file) = file else { return Ok(Vec::new()) };
+    let origin = |text: &Spanned<String>| {
+        let origin = text.get_ref().parse::<url::Url>().ok().map(|url| url.origin().ascii_serialization());
+        let is_web = |origin: &String| origin.starts_with("http") && origin == text.get_ref();
+        origin.filter(is_web).ok_or_else(|| {
+            let detail =
+                format!("frame_ancestors has {:?}: write an origin such as https://hmi.example", text.get_ref());
+            ConfigError::at(&file.place(text.span().start), detail)
+        })
+    };
+    file.content.frame_ancestors.iter().map(origin).collect()
 }
 
 fn parse_listen(listen: &Placed<String>, insecure: bool) -> Result<SocketAddr, ConfigError> {
@@ -354,6 +372,7 @@ struct Content {
     listen: Option<Spanned<String>>,
     insecure: bool,
     hosts: Vec<String>,
+    frame_ancestors: Vec<Spanned<String>>,
     journal: Option<Spanned<String>>,
     on_journal_failure: OnJournalFailure,
     journal_max_age_days: Option<Spanned<u64>>,

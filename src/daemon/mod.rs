@@ -30,12 +30,13 @@ use crate::fleet::Peers;
 use crate::gripper::model::{Detail, Event, GatewayEvent, Name, PersistedKey};
 use crate::gripper::recorder::{Record, Recorder as _, RestoredState};
 use crate::gripper::{self, Connector, Grippers, Handle, Now};
+use crate::interfaces::dashboard::FramePolicy;
 use crate::interfaces::{self, Bounds, http, zenoh};
 use crate::journal::{self, Journal, Recovered};
 use crate::operations::Gateway;
 use crate::operations::audit::Audit;
-use crate::webhooks::{WebhookContext, Webhooks};
 use crate::trends::Trends;
+use crate::webhooks::{WebhookContext, Webhooks};
 use descriptors::Shares;
 pub use simulation::{ServedDevice, SimulatedDevice, Switch, serve as serve_device};
 
@@ -122,12 +123,12 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
         runtime: &clients.observers,
     };
     let webhooks = Arc::new(Webhooks::start(&config.webhooks, &webhook_context)?);
-    let gateway = Arc::new(Gateway {
     let alarms = Arc::new(Alarms::new(config.name.clone(), journal.clone(), &recovered.memory));
     // The links that draining closes are no alarms.
     clients.observers.spawn(alarms.clone().watch(grippers.clone(), peers.clone(), draining.clone()));
     let trends = Arc::new(Trends::default());
     clients.observers.spawn(trends.clone().watch(grippers.clone(), draining.clone()));
+    let gateway = Arc::new(Gateway {
         name: config.name.clone(),
         grippers: grippers.clone(),
         journal: journal.clone(),
@@ -136,8 +137,8 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
         alarms: alarms.clone(),
         updates: Arc::new(LiveUpdates::new(&grippers, journal.clone(), peers, alarms)),
         webhooks: webhooks.clone(),
-    });
         trends: trends.clone(),
+    });
     let context = Arc::new(http::HttpContext {
         gateway,
         closing: shutdown.child_token(),
@@ -146,6 +147,7 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
         ws_metrics: interfaces::metrics::InterfaceMetrics::register(&registry, "ws")?,
         registry,
         allowed_hosts: config.hosts.clone(),
+        frame_policy: FramePolicy::of(&config.frame_ancestors)?,
     });
     let on_zenoh = config.zenoh.as_ref().map(|zenoh| zenoh_settings(zenoh, &context)).transpose()?;
     tracing::info!(limit = shares.limit, http = shares.http, wsg_port = shares.wsg_port, "file descriptors shared out");

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use prometheus::Registry;
 use tokio_util::sync::CancellationToken;
 
+use crate::interfaces::dashboard::FramePolicy;
 use crate::interfaces::metrics::InterfaceMetrics;
 use crate::interfaces::{self, Runtimes};
 use crate::operations::Gateway;
@@ -22,6 +23,8 @@ pub struct HttpContext {
     pub registry: Registry,
     /// Host names that requests may use besides addresses and `localhost`, without ports.
     pub allowed_hosts: Vec<String>,
+    /// Pages that can show the dashboard in a frame.
+    pub frame_policy: FramePolicy,
 }
 
 impl HttpContext {
@@ -47,6 +50,7 @@ impl HttpContext {
             ws_metrics,
             registry,
             allowed_hosts: Vec::new(),
+            frame_policy: FramePolicy::of(&[]).unwrap(),
         }
     }
 }

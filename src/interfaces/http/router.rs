@@ -26,6 +26,7 @@ use crate::operations::{Code, Problem};
 
 pub fn router(context: &Arc<HttpContext>) -> Router {
     served()
+        .layer(Extension(context.frame_policy.clone()))
         .layer(middleware::from_fn_with_state(context.clone(), guard::refuse_foreigners))
         .layer(middleware::from_fn_with_state(context.clone(), audit::record))
         .layer(middleware::map_response(guard::harden))
@@ -91,8 +92,8 @@ fn api() -> Routes {
         .routes(routes!(paths::grippers::info))
         .routes(routes!(paths::grippers::state))
         .routes(routes!(paths::grippers::status))
-        .routes(routes!(paths::motion::home))
         .routes(routes!(paths::grippers::trend))
+        .routes(routes!(paths::motion::home))
         .routes(routes!(paths::motion::move_fingers))
         .routes(routes!(paths::motion::grip))
         .routes(routes!(paths::motion::release))
@@ -125,9 +126,9 @@ fn api() -> Routes {
         .routes(routes!(stream::stream))
         .routes(routes!(upgrade::open))
         .routes(routes!(paths::fleet::list))
-        .routes(routes!(paths::webhooks::list))
         .routes(routes!(paths::alarms::list))
         .routes(routes!(paths::alarms::acknowledge))
+        .routes(routes!(paths::webhooks::list))
         .routes(routes!(paths::webhooks::test))
         .routes(routes!(paths::fast_stop::one))
         .routes(routes!(paths::fast_stop::all))
