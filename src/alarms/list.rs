@@ -28,7 +28,7 @@ pub(super) struct AlarmKey {
 pub(super) type Conditions = BTreeMap<AlarmKey, Option<AlarmCause>>;
 
 /// A step in the life of an alarm.
-pub(super) type Change = (AlarmStep, Alarm);
+pub(super) type AlarmChange = (AlarmStep, Alarm);
 
 #[derive(Debug)]
 struct Entry {
@@ -56,7 +56,7 @@ impl AlarmList {
     }
 
     /// Compares the list with the present conditions, and returns what has changed.
-    pub(super) fn look(&mut self, now: Now, conditions: &Conditions) -> Vec<Change> {
+    pub(super) fn look(&mut self, now: Now, conditions: &Conditions) -> Vec<AlarmChange> {
         let mut changes = Vec::new();
         for (key, cause) in conditions {
             if let Some(cause) = cause {
@@ -78,7 +78,7 @@ impl AlarmList {
         changes
     }
 
-    fn raise(&mut self, key: &AlarmKey, cause: &AlarmCause, at: Timestamp, changes: &mut Vec<Change>) {
+    fn raise(&mut self, key: &AlarmKey, cause: &AlarmCause, at: Timestamp, changes: &mut Vec<AlarmChange>) {
         let mut count = 1;
         if let Some(Entry { alarm, .. }) = self.0.get(key) {
             let is_same = alarm.cause.fast_stop_id == cause.fast_stop_id;
@@ -124,7 +124,7 @@ impl AlarmList {
         ids: &BTreeSet<AlarmId>,
         by: &Arc<str>,
         at: Timestamp,
-    ) -> (Vec<Alarm>, Vec<Change>) {
+    ) -> (Vec<Alarm>, Vec<AlarmChange>) {
         let (mut listed, mut changes) = (Vec::new(), Vec::new());
         for Entry { alarm, .. } in self.0.values_mut().filter(|entry| ids.contains(&entry.alarm.id)) {
             if alarm.acknowledged_at.is_none() {
@@ -144,7 +144,7 @@ impl AlarmList {
         id: FastStopId,
         by: Option<Arc<str>>,
         at: Timestamp,
-    ) -> Vec<Change> {
+    ) -> Vec<AlarmChange> {
         let key = AlarmKey { alarm: AlarmKind::FastStop, gripper: Some(gripper.clone()), gateway: None };
         let is_it = self.0.get(&key).is_some_and(|entry| entry.alarm.cause.fast_stop_id == Some(id));
         let Some(Entry { mut alarm, .. }) = is_it.then(|| self.0.remove(&key)).flatten() else { return Vec::new() };

@@ -28,7 +28,7 @@ use crate::gripper::recorder::{Record, Recorder as _};
 use crate::gripper::{Grippers, Now};
 use crate::journal::{EventKind, Journal, Stored};
 use conditions::{of_gripper, text};
-use list::{AlarmKey, AlarmList, Change, Conditions};
+use list::{AlarmChange, AlarmKey, AlarmList, Conditions};
 
 /// Interval at which conditions are checked. Faults last until a person acts, so none is missed.
 const CHECKED_EVERY: Duration = Duration::from_millis(100);
@@ -177,7 +177,7 @@ impl Alarms {
     }
 
     /// Persists and records changes.
-    fn note(&self, known: &mut KnownAlarms, changes: Vec<Change>, client: Option<&Client>) {
+    fn note(&self, known: &mut KnownAlarms, changes: Vec<AlarmChange>, client: Option<&Client>) {
         if changes.is_empty() {
             return;
         }
