@@ -1,16 +1,17 @@
 //! The command line: subcommands and flags.
 
 mod decode;
+mod init;
 mod journal;
+mod token;
 
-use std::ffi::OsString;
 use std::fs::File;
 use std::io::{BufReader, Write};
 use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use anyhow::{Context, ensure};
-use clap::{CommandFactory, Parser, Subcommand};
+use clap::{Parser, Subcommand};
 use url::Url;
 
 use crate::config::{Config, Flags};
@@ -83,14 +84,12 @@ enum Command {
     },
     /// List, follow, export or verify the journal, even while the gateway runs
     Journal(journal::JournalArgs),
-    /// Create a token (not yet supported)
-    Token(NotYet),
-}
-
-#[derive(Debug, clap::Args)]
-struct NotYet {
-    #[arg(trailing_var_arg = true, allow_hyphen_values = true, hide = true)]
-    _arguments: Vec<OsString>,
+    /// Create, list or revoke the tokens of clients
+    Token(token::TokenArgs),
+    /// Write a configuration with TLS and a first token, for a gateway on a network
+    Init(init::InitArgs),
+    /// Write a self-signed certificate and its key
+    Certificate(init::CertificateArgs),
 }
 
 /// Runs the subcommand that the process arguments name.
@@ -142,7 +141,9 @@ pub fn run() -> anyhow::Result<()> {
             Ok(())
         }
         Some(Command::Journal(journal)) => journal::run(&journal, std::io::stdout().lock()),
-        Some(Command::Token(_)) => not_yet("token"),
+        Some(Command::Token(args)) => token::run(&args, std::io::stdout().lock()),
+        Some(Command::Init(args)) => init::run(&args, std::io::stdout().lock()),
+        Some(Command::Certificate(args)) => init::certificate(&args, std::io::stdout().lock()),
     }
 }
 
@@ -161,8 +162,4 @@ fn quietly<T: Default>(written: std::io::Result<T>) -> anyhow::Result<T> {
         Err(error) if error.kind() == std::io::ErrorKind::BrokenPipe => Ok(T::default()),
         written => Ok(written?),
     }
-}
-
-fn not_yet(subcommand: &str) -> anyhow::Result<()> {
-    Cli::command().error(clap::error::ErrorKind::InvalidSubcommand, format!("{subcommand} is not supported yet")).exit()
 }

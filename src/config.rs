@@ -19,12 +19,14 @@ use crate::gripper::model::{
 use crate::transport::Address;
 use crate::webhooks::WebhookSettings;
 
+mod access;
 mod file;
 mod journal;
 mod webhooks;
 mod wsg_port;
 mod zenoh;
 
+pub use access::{AccessConfig, Guarded, TlsConfig};
 pub use file::File;
 pub use journal::{JournalConfig, JournalFlags, JournalPlace};
 pub use wsg_port::{AcknowledgePolicy, WsgAddress, WsgPort};
@@ -80,8 +82,12 @@ pub struct Flags {
     /// TOML file with these and all other settings
     #[arg(long, value_name = "FILE", env = "WSG_GATEWAY_CONFIG")]
     pub config: Option<PathBuf>,
-    /// Allow addresses other than loopback, although clients need no credentials yet: any client that reaches them can
-    /// move the grippers
+    /// File of tokens; with it, clients need a token [default: tokens.json beside the --config file, if that has an
+    /// access table]
+    #[arg(long, value_name = "FILE", env = "WSG_GATEWAY_TOKENS")]
+    pub tokens: Option<PathBuf>,
+    /// Allow addresses other than loopback without credentials and TLS: any client that reaches them can move the
+    /// grippers
     #[arg(long, env = "WSG_GATEWAY_INSECURE")]
     pub insecure: bool,
 }
@@ -96,6 +102,10 @@ pub struct Config {
     pub hosts: Vec<String>,
     /// Origins of pages that can show the dashboard in a frame.
     pub frame_ancestors: Vec<String>,
+    /// Whether clients need credentials.
+    pub access: AccessConfig,
+    /// `None` if connections are not encrypted.
+    pub tls: Option<TlsConfig>,
     /// Time after which an idle HTTP connection is closed.
     pub idle_timeout: Duration,
     pub grippers: Vec<GripperConfig>,
@@ -219,10 +229,18 @@ impl Config {
         let listen =
             pick(&flags.listen, "--listen", content.and_then(|content| content.listen.as_ref()), DEFAULT_LISTEN);
         let insecure = flags.insecure || content.is_some_and(|content| content.insecure);
+        let listen = parse_listen(&listen)?;
+        let (access, tls) = (AccessConfig::merge(flags, file, listen.value)?, access::tls(file));
+        if !insecure {
+            let insecure_http = content.is_some_and(|content| content.insecure_http);
+            access::check_exposure(&listen, &access, tls.is_some(), insecure_http)?;
+        }
         let config = Self {
             journal: JournalConfig::merge(flags, file, &name)?,
             name,
-            listen: parse_listen(&listen, insecure)?,
+            listen: listen.value,
+            access,
+            tls,
             hosts: content.map(|content| content.hosts.clone()).unwrap_or_default(),
             frame_ancestors: frame_ancestors(file)?,
             idle_timeout: idle_timeout(file)?,
@@ -250,19 +268,12 @@ fn frame_ancestors(file: Option<&File>) -> Result<Vec<String>, ConfigError> {
     file.content.frame_ancestors.iter().map(origin).collect()
 }
 
-fn parse_listen(listen: &Placed<String>, insecure: bool) -> Result<SocketAddr, ConfigError> {
-    let address: SocketAddr = listen.value.parse().map_err(|_| {
+fn parse_listen(listen: &Placed<String>) -> Result<Placed<SocketAddr>, ConfigError> {
+    let value = listen.value.parse().map_err(|_| {
         let detail = format!("{:?} is not an address to listen on: write 127.0.0.1:8080 or [::1]:8080", listen.value);
         ConfigError::at(&listen.place, detail)
     })?;
-    if !address.ip().is_loopback() && !insecure {
-        let detail = format!(
-            "{address} is not a loopback address, and clients need no credentials yet: any client that reaches it can \
-             move the grippers. Listen on 127.0.0.1, or pass --insecure if the network is yours alone"
-        );
-        return Err(ConfigError::at(&listen.place, detail));
-    }
-    Ok(address)
+    Ok(Placed { value, place: listen.place.clone() })
 }
 
 fn drain(file: Option<&File>) -> Result<Duration, ConfigError> {
@@ -371,8 +382,12 @@ struct Content {
     name: Option<Spanned<String>>,
     listen: Option<Spanned<String>>,
     insecure: bool,
+    insecure_http: bool,
     hosts: Vec<String>,
     frame_ancestors: Vec<Spanned<String>>,
+    access: Option<access::AccessContent>,
+    clients: Vec<access::ClientContent>,
+    tls: Option<access::TlsContent>,
     journal: Option<Spanned<String>>,
     on_journal_failure: OnJournalFailure,
     journal_max_age_days: Option<Spanned<u64>>,

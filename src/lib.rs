@@ -34,6 +34,7 @@
 //!
 //! FAST STOP is not a safety function in the sense of ISO 13850.
 
+pub mod access;
 pub mod alarms;
 pub mod cli;
 pub mod config;

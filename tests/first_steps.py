@@ -6,13 +6,16 @@ usage: first_steps.py PAGE.md http://127.0.0.1:PORT
 A block begins with ```sh. Lines that begin with `> ` are the answer to the command above them: one line of JSON, of
 which only the printed members are compared, or text that the output has to contain. A command without a printed answer
 only has to succeed. TOKEN in a command stands for the newest lease token, and any other word in capitals that is a
-member of an earlier answer (FAST_STOP_ID) for its newest value. Blocks of other languages are not run.
+member of an earlier answer (FAST_STOP_ID) for its newest value. Python programs run afterwards, see guide_programs.py.
+Blocks of other languages are not run.
 """
 
 import json
 import re
 import subprocess
 import sys
+
+import guide_programs
 
 # The address in the printed commands; the gateway under test listens on a port of its own.
 PRINTED_BASE = "http://127.0.0.1:8080"
@@ -71,7 +74,8 @@ def members(answer):
 def main():
     path, base = sys.argv[1:]
     with open(path, encoding="utf-8") as file:
-        all_steps = list(steps(file.read()))
+        page = file.read()
+    all_steps = list(steps(page))
     failed, known = 0, {}
     for command, printed in all_steps:
         real = re.sub(r"\b[A-Z][A-Z_]+\b", lambda word: known.get(word[0].lower(), word[0]), command)
@@ -88,7 +92,10 @@ def main():
         if not is_right:
             failed += 1
             print(f"       printed: {printed}\n       answer:  {ran.stdout}{ran.stderr}")
-    print(f"test result: {path}. {len(all_steps) - failed} passed; {failed} failed; 0 ignored")
+    passed, failed_programs = guide_programs.run(page, base)
+    passed += len(all_steps) - failed
+    failed += failed_programs
+    print(f"test result: {path}. {passed} passed; {failed} failed; 0 ignored")
     sys.exit(failed > 0)
 
 

@@ -23,14 +23,16 @@ use tokio::time::timeout;
 use tokio_util::sync::CancellationToken;
 use url::Url;
 
+use crate::access::{Access, Guard, TokenFile, TokenFileError};
 use crate::alarms::Alarms;
-use crate::config::{self, Config, ConfigError, DeviceSource, GripperConfig};
+use crate::config::{self, AccessConfig, Config, ConfigError, DeviceSource, GripperConfig};
 use crate::events::LiveUpdates;
 use crate::fleet::Peers;
 use crate::gripper::model::{Detail, Event, GatewayEvent, Name, PersistedKey};
 use crate::gripper::recorder::{Record, Recorder as _, RestoredState};
 use crate::gripper::{self, Connector, Grippers, Handle, Now};
 use crate::interfaces::dashboard::FramePolicy;
+use crate::interfaces::tls::Tls;
 use crate::interfaces::{self, Bounds, http, zenoh};
 use crate::journal::{self, Journal, Recovered};
 use crate::operations::Gateway;
@@ -105,6 +107,12 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     };
     let address = listener.local_addr()?;
     let ports = ports::bind(config, shares.wsg_port)?;
+    let tls =
+        config.tls.clone().map(|config::TlsConfig { certificate, key }| Tls::new(certificate, key)).transpose()?;
+    let access = Arc::new(access(&config.access)?);
+    if access.is_guarded() && tls.is_none() && !config.listen.ip().is_loopback() {
+        tracing::warn!("connections are not encrypted (insecure_http): anyone on the network can read the tokens");
+    }
     let (journal, recovered) = open_journal(config)?;
     log_unclean_end(&recovered);
     record_start(config, &journal).await;
@@ -138,6 +146,7 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
         updates: Arc::new(LiveUpdates::new(&grippers, journal.clone(), peers, alarms)),
         webhooks: webhooks.clone(),
         trends: trends.clone(),
+        access,
     });
     let context = Arc::new(http::HttpContext {
         gateway,
@@ -148,6 +157,7 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
         registry,
         allowed_hosts: config.hosts.clone(),
         frame_policy: FramePolicy::of(&config.frame_ancestors)?,
+        tls: tls.map(Arc::new),
     });
     let on_zenoh = config.zenoh.as_ref().map(|zenoh| zenoh_settings(zenoh, &context)).transpose()?;
     tracing::info!(limit = shares.limit, http = shares.http, wsg_port = shares.wsg_port, "file descriptors shared out");
@@ -177,6 +187,13 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
     ports.join_all().await.into_iter().collect::<Result<(), _>>()?;
     audit.write_down();
     Ok(journal.close().await?)
+}
+
+/// Reads the credentials of clients.
+fn access(config: &AccessConfig) -> Result<Access, TokenFileError> {
+    let AccessConfig::Guarded(guarded) = config else { return Ok(Access::Open) };
+    let config::Guarded { tokens, clients, fast_stop, zenoh_role, session_idle } = guarded.clone();
+    Guard::new(TokenFile::at(tokens), clients, (fast_stop, zenoh_role), session_idle).map(Access::Guarded)
 }
 
 fn open_journal(config: &Config) -> Result<(Journal, Recovered), journal::OpenError> {
@@ -339,7 +356,8 @@ fn write_announcement(
     ports: &[(&Name, String)],
     out: &mut impl Write,
 ) -> std::io::Result<()> {
-    let base = format!("http://{address}");
+    let scheme = if config.tls.is_some() { "https" } else { "http" };
+    let base = format!("{scheme}://{address}");
     writeln!(out, "wsg-gateway {} serves {} at {base}/", env!("CARGO_PKG_VERSION"), config.name)?;
     for gripper in &config.grippers {
         writeln!(out, "  {:<8} {}", gripper.name.as_str(), gripper.device)?;

@@ -158,6 +158,7 @@ impl Driver {
     async fn connect(&mut self) -> Option<io::Result<Pipe>> {
         let connector = self.connector.clone();
         let mut connecting = connector.connect();
+        self.actor.connecting();
         while self.may_connect() {
             tokio::select! {
                 biased;
@@ -170,6 +171,9 @@ impl Driver {
             && self.connector.properties().connection_oriented
         {
             say_good_bye(&mut pipe, &[]).await;
+        }
+        if !self.actor.is_draining() {
+            self.actor.link_down(Now::read(), "released");
         }
         None
     }
@@ -394,10 +398,15 @@ impl Outgoing {
 #[cfg(test)]
 mod tests {
     use std::collections::VecDeque;
+    use std::sync::atomic::{AtomicBool, Ordering};
 
     use tokio::io::ReadBuf;
 
+    use super::super::actor::tests::{TCP, client, config};
+    use super::super::model::Link;
+    use super::super::recorder::NullRecorder;
     use super::*;
+    use crate::transport::LinkProperties;
 
     struct Datagrams(VecDeque<io::Result<&'static [u8]>>);
 
@@ -419,5 +428,48 @@ mod tests {
         assert_eq!(&incoming[..11], b"firstsecond");
         let error = read_all(&mut reader, &mut incoming, &mut failed).await.unwrap_err();
         assert_eq!(error.kind(), io::ErrorKind::ConnectionRefused);
+    }
+
+    /// A device whose connection takes forever, and whether an attempt is under way.
+    #[derive(Default)]
+    struct Distant(Arc<AtomicBool>);
+
+    struct Attempt(Arc<AtomicBool>);
+
+    impl Drop for Attempt {
+        fn drop(&mut self) {
+            self.0.store(false, Ordering::Relaxed);
+        }
+    }
+
+    impl Connector for Distant {
+        fn url(&self) -> String {
+            "test://distant".to_owned()
+        }
+
+        fn properties(&self) -> LinkProperties {
+            TCP
+        }
+
+        fn connect(&self) -> Pin<Box<dyn Future<Output = io::Result<Pipe>> + Send + '_>> {
+            self.0.store(true, Ordering::Relaxed);
+            let attempt = Attempt(self.0.clone());
+            Box::pin(async move {
+                let _attempt = attempt;
+                std::future::pending().await
+            })
+        }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn disconnect_is_answered_after_the_attempt_to_connect() {
+        let distant = Distant::default();
+        let is_connecting = distant.0.clone();
+        let handle = spawn(config(TCP), Arc::new(distant), Arc::new(NullRecorder), RestoredState::default());
+        tokio::task::yield_now().await;
+        assert!(is_connecting.load(Ordering::Relaxed));
+        handle.disconnect(client(), None).await.unwrap();
+        assert!(!is_connecting.load(Ordering::Relaxed), "nothing can open a connection any more");
+        assert_eq!(handle.state().link, Link::Released);
     }
 }

@@ -182,6 +182,33 @@ impl DeviceRefusal {
     }
 }
 
+/// A motion that the device accepted, and then ended with an error. The command reports this as its result.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+#[error("the device ended {command} with {status} ({}), {}: {}", status.code(), status.meaning(), self.remedy())]
+pub struct MotionError {
+    pub command: &'static str,
+    pub status: Status,
+}
+
+impl MotionError {
+    pub(super) const fn code(&self) -> Code {
+        match self.status {
+            Status::E_RANGE_ERROR => Code::OutOfRange,
+            _ => Code::DeviceRefused,
+        }
+    }
+
+    fn remedy(&self) -> &'static str {
+        match self.status {
+            // After a block, the fingers can go on pushing, and snap to the target when freed (`fw4-en 3.2.2`).
+            Status::E_AXIS_BLOCKED => "stop the gripper, remove the obstacle, then repeat the command",
+            Status::E_RANGE_ERROR => "the fingers reached a soft or hard limit; choose a target within the limits",
+            Status::E_TIMEOUT => "check that nothing hinders the fingers, then repeat the command",
+            _ => "check the state and the flags of the gripper before you repeat the command",
+        }
+    }
+}
+
 /// Failure to reach the device, or to get a valid reply.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[allow(missing_docs, reason = "the messages name the fields")]

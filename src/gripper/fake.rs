@@ -203,7 +203,7 @@ impl Actor {
             Fate::Rejected(rejection) => return Err(rejection),
             Fate::Refused(rejection) => {
                 end(&mut command, Outcome::Refused);
-                command.explain(&rejection);
+                command.explain(rejection.code(), &rejection);
                 command.rejection = Some(rejection);
             }
             Fate::Runs => {}

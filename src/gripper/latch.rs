@@ -78,6 +78,8 @@ struct Acknowledging {
 
 #[derive(Debug)]
 enum Progress {
+    /// The flags are read before a fault is acknowledged, since the FAST STOP behind it may not have been seen yet.
+    Checking(Token),
     Sent(Token),
     /// The device reported success, and its flags have until `until` to show it.
     Watching {
@@ -105,8 +107,9 @@ pub(super) struct Origin<'a> {
 /// Change of the latch after an update of the flags.
 #[derive(Debug, PartialEq, Eq)]
 pub(super) enum LatchChange {
-    /// The device is in a FAST STOP that no client requested.
-    Seen,
+    /// The device is in a FAST STOP that no client requested. The pending acknowledgement of a fault must not reach the
+    /// device any more.
+    Seen { overtaken: Option<Token> },
     /// The flags confirm the latch.
     Confirmed,
     /// The acknowledge has cleared the latch.
@@ -143,19 +146,7 @@ impl LatchState {
     /// Latches a client's FAST STOP. Returns a pending acknowledgement, which must not reach the device afterwards.
     pub(super) fn request(&mut self, now: Now, request: FastStopRequest) -> Option<Token> {
         let was_acknowledging = self.acknowledging.is_some();
-        let overtaken = self.acknowledging.take().and_then(|acknowledging| {
-            let Acknowledging { id, client, answer, progress } = acknowledging;
-            let current = request.id;
-            let overtaken = match id {
-                Some(given) => Conflict::StaleFastStop { given, current: Some(current) },
-                None => Conflict::FastStop { id: current },
-            };
-            self.untold.push(EndedAcknowledge { id, client, answer, result: Err(overtaken.into()) });
-            match progress {
-                Progress::Sent(token) => Some(token),
-                Progress::Watching { .. } => None,
-            }
-        });
+        let overtaken = self.overtake(request.id);
         self.epoch += 1;
         let earlier = self.latch.take().filter(|earlier| outlives(earlier, &request));
         let latch = Latch {
@@ -175,6 +166,20 @@ impl LatchState {
         self.repeat_at = Some(now.instant);
         self.flags_count_from = Some(now.instant + if was_acknowledging { ACKNOWLEDGE_LASTS } else { Duration::ZERO });
         overtaken
+    }
+
+    /// Ends a pending acknowledgement because of a newer FAST STOP. Returns its request.
+    fn overtake(&mut self, current: FastStopId) -> Option<Token> {
+        let Acknowledging { id, client, answer, progress } = self.acknowledging.take()?;
+        let conflict = match id {
+            Some(given) => Conflict::StaleFastStop { given, current: Some(current) },
+            None => Conflict::FastStop { id: current },
+        };
+        self.untold.push(EndedAcknowledge { id, client, answer, result: Err(conflict.into()) });
+        match progress {
+            Progress::Checking(token) | Progress::Sent(token) => Some(token),
+            Progress::Watching { .. } => None,
+        }
     }
 
     /// Whether a 23h has to be sent now.
@@ -203,16 +208,17 @@ impl LatchState {
         let flags_count = self.flags_count_from.is_some_and(|from| from <= now.instant);
         match (&mut self.latch, stopped) {
             (None, true) => {
+                let id = origin.ids.fast_stop_id(now.wall);
                 self.epoch += 1;
                 self.latch = Some(Latch {
-                    id: origin.ids.fast_stop_id(now.wall),
+                    id,
                     by: BY_DEVICE.into(),
                     cause: cause_of(flags, fresh, origin.unannounced),
                     reason: Reason::truncated(""),
                     at: now.wall,
                     confirmed: true,
                 });
-                Some(LatchChange::Seen)
+                Some(LatchChange::Seen { overtaken: self.overtake(id) })
             }
             (Some(latch), true) if !latch.confirmed && (self.answered || flags_count) => {
                 latch.confirmed = true;
@@ -268,14 +274,31 @@ impl LatchState {
         }
     }
 
-    pub(super) fn acknowledge_sent(
+    /// Notes an acknowledgement whose first request was sent: the 24h of a FAST STOP, or the check of a fault.
+    pub(super) fn acknowledge_begun(
         &mut self,
         id: Option<FastStopId>,
         client: Client,
         token: Token,
         answer: Answer<()>,
     ) {
-        self.acknowledging = Some(Acknowledging { id, client, answer, progress: Progress::Sent(token) });
+        let progress = if id.is_some() { Progress::Sent(token) } else { Progress::Checking(token) };
+        self.acknowledging = Some(Acknowledging { id, client, answer, progress });
+    }
+
+    /// Whether a fault is to be acknowledged once this read of the flags has ended.
+    pub(super) fn is_checking(&self, token: Token) -> bool {
+        let is_current = |progress: &Progress| matches!(progress, Progress::Checking(current) if *current == token);
+        self.acknowledging.as_ref().is_some_and(|acknowledging| is_current(&acknowledging.progress))
+    }
+
+    /// Takes the 24h of a fault whose check has shown no FAST STOP, or the reason that it was not sent.
+    pub(super) fn checked(&mut self, sent: Result<Token, Rejection>) {
+        match (sent, &mut self.acknowledging) {
+            (Ok(token), Some(acknowledging)) => acknowledging.progress = Progress::Sent(token),
+            (Ok(_), None) => {}
+            (Err(rejection), _) => self.finish_acknowledge(Err(rejection)),
+        }
     }
 
     /// Takes the result of the 24h.
@@ -323,7 +346,8 @@ impl LatchState {
         }
     }
 
-    fn is_watching(&self) -> bool {
+    /// Whether flags are awaited that show the end of an acknowledged FAST STOP.
+    pub(super) fn is_watching(&self) -> bool {
         matches!(self.acknowledging, Some(Acknowledging { progress: Progress::Watching { .. }, .. }))
     }
 
@@ -414,11 +438,12 @@ mod tests {
             let mut take_flags = |latch: &mut LatchState, now, flags| {
                 latch.take_flags(now, flags, &mut Origin { ids: &mut ids, unannounced: false })
             };
-            assert_eq!(take_flags(&mut latch, answered, SystemState::FAST_STOP), Some(LatchChange::Seen));
+            let seen = take_flags(&mut latch, answered, SystemState::FAST_STOP);
+            assert_eq!(seen, Some(LatchChange::Seen { overtaken: None }));
             let id = latch.id().unwrap();
             let client = Client { subject: "test".into(), door: Door::Http };
             let token = acknowledge_frame(answered.instant);
-            latch.acknowledge_sent(Some(id), client, token, oneshot::channel().0);
+            latch.acknowledge_begun(Some(id), client, token, oneshot::channel().0);
             latch.acknowledge_ended(answered.instant, token, Ok(()));
             // The gateway was stalled, so it still has the flags from before the reply.
             latch.handle_timeout(later.instant, Some(SystemState::FAST_STOP));

@@ -30,7 +30,7 @@ mod setup;
 pub use clock::Now;
 pub use connector::Connector;
 pub use driver::spawn;
-pub use error::{Conflict, DeviceRefusal, Failure, Invalid, Rejection};
+pub use error::{Conflict, DeviceRefusal, Failure, Invalid, MotionError, Rejection};
 pub use grippers::Grippers;
 pub use handle::{AcquiredLease, FastStop, Handle, Ticket};
 pub use info::Info;

@@ -371,11 +371,12 @@ pub struct CommandReport {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<String>, nullable = false, max_length = 8192)]
     pub payload: Option<Arc<str>>,
-    /// Code of the problem that ended the command as `REFUSED` or `UNKNOWN`; otherwise absent.
+    /// Code of the problem that ended the command as `BLOCKED`, `RANGE`, `TIMEOUT`, `FAILED`, `REFUSED` or `UNKNOWN`;
+    /// otherwise absent.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
     pub code: Option<Code>,
-    /// Description of that problem for people.
+    /// Description of that problem and its remedy, for people.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
     pub detail: Option<String>,
@@ -436,9 +437,9 @@ impl CommandReport {
         self.outcome_code = outcome.code();
     }
 
-    /// Adds the reason for an outcome that the device did not report.
-    pub fn explain(&mut self, reason: &Rejection) {
-        self.code = Some(reason.code());
+    /// Adds the reason for an outcome.
+    pub fn explain(&mut self, code: Code, reason: &impl ToString) {
+        self.code = Some(code);
         self.detail = Some(reason.to_string());
     }
 

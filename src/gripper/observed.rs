@@ -194,11 +194,17 @@ pub(super) fn switch_on_all(rules: UpdateRules, bytes_per_second: Option<u32>) -
     UPDATED.into_iter().filter_map(move |id| switch_on(id, rules, bytes_per_second))
 }
 
+/// Requests that switch off all automatic updates.
+pub(super) fn switch_off_all() -> impl Iterator<Item = Command> {
+    UPDATED.into_iter().filter_map(|id| request(id, Updates::Off))
+}
+
 /// Request that switches on the updates of one getter.
 pub(super) fn switch_on(id: u8, rules: UpdateRules, bytes_per_second: Option<u32>) -> Option<Command> {
-    // Periodic updates are the default, because the next update corrects a value that a damaged frame has lost.
-    let on_change = rules.mode == UpdateMode::Changes;
-    let updates = Updates::On { on_change, period_ms: period_ms(rules, bytes_per_second) };
+    request(id, updates(rules, bytes_per_second))
+}
+
+fn request(id: u8, updates: Updates) -> Option<Command> {
     Some(match id {
         id::GET_SYSTEM_STATE => Command::GetSystemState(updates),
         id::GET_GRIPPER_STATE => Command::GetGripperState(updates),
@@ -207,6 +213,17 @@ pub(super) fn switch_on(id: u8, rules: UpdateRules, bytes_per_second: Option<u32
         id::GET_FORCE => Command::GetForce(updates),
         _ => return None,
     })
+}
+
+/// Request that reads the flags, and leaves their automatic updates on.
+pub(super) fn read_flags(rules: UpdateRules, bytes_per_second: Option<u32>) -> Command {
+    Command::GetSystemState(updates(rules, bytes_per_second))
+}
+
+fn updates(rules: UpdateRules, bytes_per_second: Option<u32>) -> Updates {
+    // Periodic updates are the default, because the next update corrects a value that a damaged frame has lost.
+    let on_change = rules.mode == UpdateMode::Changes;
+    Updates::On { on_change, period_ms: period_ms(rules, bytes_per_second) }
 }
 
 /// Period of the updates: the shortest allowed, or longer if the updates of all devices would otherwise take more than

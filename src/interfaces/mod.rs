@@ -4,6 +4,7 @@
 //! of a lease, a latch or a device's limits, so all interfaces refuse the same requests.
 
 mod admission;
+mod client_stream;
 mod context;
 pub mod dashboard;
 pub mod http;
@@ -12,6 +13,7 @@ mod pace;
 mod quick_ack;
 mod runtimes;
 pub mod sockets;
+pub mod tls;
 pub mod websocket;
 pub mod wsg_port;
 pub mod zenoh;

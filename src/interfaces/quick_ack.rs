@@ -22,18 +22,20 @@ pub struct QuickAckStream {
     stream: Option<TcpStream>,
     /// Runtime that the stream is registered with.
     home: runtime::Id,
+    /// Whether the stream stays there, because several runtimes use it.
+    is_settled: bool,
 }
 
 impl QuickAckStream {
     /// Wraps a stream that is registered with the caller's runtime.
     pub fn new(stream: TcpStream) -> Self {
-        Self { stream: Some(stream), home: Handle::current().id() }
+        Self { stream: Some(stream), home: Handle::current().id(), is_settled: false }
     }
 
     /// Returns the stream, registered with the caller's runtime.
     fn stream(&mut self) -> io::Result<Pin<&mut TcpStream>> {
         let here = Handle::current().id();
-        if self.home != here {
+        if self.home != here && !self.is_settled {
             let moved = self.stream.take().map(|stream| TcpStream::from_std(stream.into_std()?));
             self.stream = moved.transpose()?;
             self.home = here;
@@ -50,6 +52,17 @@ fn acknowledge(stream: &TcpStream) {
 }
 
 impl QuickAckStream {
+    /// Moves the stream to a runtime, where it stays.
+    ///
+    /// # Errors
+    /// The stream cannot be moved.
+    pub fn settle(&mut self, runtime: &Handle) -> io::Result<()> {
+        let _inside = runtime.enter();
+        self.stream()?;
+        self.is_settled = true;
+        Ok(())
+    }
+
     /// Returns the inner stream, or an error if a move has failed.
     pub fn into_inner(self) -> io::Result<TcpStream> {
         self.stream.ok_or_else(|| io::ErrorKind::NotConnected.into())

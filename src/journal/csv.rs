@@ -99,6 +99,8 @@ pub const GRIP_COLUMNS: &[&str] = &[
     "requested_width_mm",
     "requested_speed_mm_s",
     "requested_force_n",
+    "code",
+    "detail",
     "other",
 ];
 
@@ -207,7 +209,7 @@ mod tests {
 
         let body = Row::grip(super::super::chain::Tip::default(), &grip(1, "left", 1, None)).unwrap().body;
         let csv = lines(GRIP_COLUMNS, [&*body]);
-        assert!(csv.starts_with("1,") && csv.ends_with(",20,,gateway,4711,,,,,,\n"), "{csv}");
+        assert!(csv.starts_with("1,") && csv.ends_with(",20,,gateway,4711,,,,,,,,\n"), "{csv}");
     }
 
     #[test]

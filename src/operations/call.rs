@@ -13,6 +13,8 @@ use super::caller::{Caller, CommandWait, Presence, RequestKeys};
 use super::gateway::Gateway;
 use super::json;
 use super::problem::Problem;
+use super::rights::require;
+use crate::access::Right;
 use crate::gripper::handle::Using;
 use crate::gripper::model::{Client, CommandId, LeaseToken, Name};
 use crate::gripper::{Handle, Rejection};
@@ -88,6 +90,11 @@ impl Call {
         let lease = lease.and_then(|lease| request_id.map(|_| lease));
         let used = lease.as_ref().ok().and_then(Option::as_ref).map(|lease| LeaseUse::begin(&handle, lease, presence));
         Ok(Gripper { handle, client, lease, used, presence })
+    }
+
+    /// Checks that the caller has a further right.
+    pub fn require(&self, right: Right) -> Result<(), Problem> {
+        require(self.caller.identity.as_ref().map_err(|unknown| *unknown)?, right, self.params.gripper().as_ref())
     }
 
     /// Parses the parameters that the path does not name.
@@ -224,6 +231,7 @@ mod tests {
     use serde_json::json;
 
     use super::*;
+    use crate::access::Identity;
     use crate::gripper::fake::{self, FakeScript, Fate};
     use crate::gripper::model::{Client, Door};
     use crate::operations::{Wait, call};
@@ -231,7 +239,7 @@ mod tests {
     #[tokio::test(start_paused = true)]
     async fn open_request_keeps_the_lease_only_if_its_client_is_seen() {
         let gateway = Gateway::of([fake::gripper("left", FakeScript { fate: Fate::Runs, ..FakeScript::default() }).0]);
-        let caller = Caller::new(Client { subject: "test".into(), door: Door::Zenoh });
+        let caller = Caller::new(Client { subject: "test".into(), door: Door::Zenoh }, Ok(Identity::anyone()));
         let ask = async |caller: &Caller, name: &str, fields: Value| -> Value {
             let mut params = json!({"gripper": "left"});
             params.as_object_mut().unwrap().extend(fields.as_object().unwrap().clone());
@@ -262,7 +270,7 @@ mod tests {
         let gateway = Gateway::of([fake::gripper("left", FakeScript::default()).0]);
         let client = Client { subject: "test".into(), door: Door::Http };
         let request_id = Err(Problem::malformed("Idempotency-Key", "invalid"));
-        let caller = Caller { request_id, ..Caller::new(client) };
+        let caller = Caller { request_id, ..Caller::new(client, Ok(Identity::anyone())) };
         assert!(call(&gateway, caller.clone(), "state", json!({"gripper": "left"})).await.is_err());
         assert!(call(&gateway, caller, "fast-stop", json!({"gripper": "left"})).await.is_ok());
     }

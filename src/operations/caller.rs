@@ -7,6 +7,7 @@ use futures_util::future::BoxFuture;
 
 use super::problem::Problem;
 use super::values::{integer, text};
+use crate::access::{Identity, Unauthorized};
 use crate::gripper::Ticket;
 use crate::gripper::model::{Client, CommandReport, LeaseToken, RequestId};
 
@@ -22,8 +23,10 @@ pub const MAX_LEASE_BYTES: usize = 64;
 /// A client with one request.
 #[derive(Debug, Clone)]
 pub struct Caller {
-    /// The identity of the client, and the interface that it uses.
+    /// Name of the client, and the interface that it uses.
     pub client: Client,
+    /// Rights of the client. A FAST STOP can be open to unknown clients.
+    pub identity: Result<Identity, Unauthorized>,
     /// Lease token sent alongside the parameters. A FAST STOP needs none, and must not fail because of an invalid one.
     pub lease: Result<Option<LeaseToken>, Problem>,
     /// Request id sent alongside the parameters.
@@ -74,8 +77,8 @@ pub struct CommandWait {
 impl Caller {
     /// Returns a caller without a lease or request id that waits for nothing.
     #[must_use]
-    pub fn new(client: Client) -> Self {
-        Self { client, lease: Ok(None), request_id: Ok(None), presence: Presence::Seen, wait: Wait::No }
+    pub fn new(client: Client, identity: Result<Identity, Unauthorized>) -> Self {
+        Self { client, identity, lease: Ok(None), request_id: Ok(None), presence: Presence::Seen, wait: Wait::No }
     }
 }
 

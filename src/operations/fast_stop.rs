@@ -12,18 +12,19 @@ use utoipa::openapi::{RefOr, Schema};
 use utoipa::{PartialSchema, ToSchema};
 
 use super::call::Call;
-use super::operation::{Operation, Role, reply};
+use super::operation::{Operation, reply};
 use super::problem::Problem;
 use super::reply::Json;
+use crate::access::Right;
 use crate::gripper::FastStop;
 use crate::gripper::model::{FastStopId, Reason, Urgency};
 
 pub const ONE: Operation =
     Operation::change("fast-stop", &Verb::POST, "/grippers/{gripper}/fast-stop", |call| reply(one(call)))
-        .needs(Role::Stop)
+        .needs(Right::FastStop)
         .urgent(Urgency::FastStop);
 pub const ALL: Operation = Operation::change("fast-stop", &Verb::POST, "/fast-stop", |call| reply(all(call)))
-    .needs(Role::Stop)
+    .needs(Right::FastStop)
     .urgent(Urgency::FastStop);
 pub const ACKNOWLEDGE: Operation =
     Operation::change("acknowledge", &Verb::POST, "/grippers/{gripper}/acknowledge", |call| reply(acknowledge(call)));

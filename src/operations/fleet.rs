@@ -12,16 +12,17 @@ use utoipa::ToSchema;
 
 use super::call::{Call, NoFields};
 use super::fast_stop::{ACKNOWLEDGE as ACKNOWLEDGE_ONE, by_confirmation, log, reason};
-use super::operation::{Operation, Role, ready, reply};
+use super::operation::{Operation, ready, reply};
 use super::problem::{Members, Problem};
 use super::reply::Json;
+use crate::access::Right;
 use crate::fleet::{Ask, FleetGripper, FleetStop, NoAnswer};
 use crate::gripper::model::{Code, FastStopId, Name, Urgency};
 
 pub const LIST: Operation = Operation::read("fleet", "/fleet", |call| ready(list(&call)));
 pub const FAST_STOP: Operation =
     Operation::change("fleet.fast-stop", &Verb::POST, "/fleet/fast-stop", |call| reply(fast_stop(call)))
-        .needs(Role::Stop)
+        .needs(Right::FastStop)
         .urgent(Urgency::FastStop);
 
 pub const ACKNOWLEDGE: Operation =

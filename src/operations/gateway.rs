@@ -3,6 +3,7 @@
 use std::sync::Arc;
 
 use super::audit::Audit;
+use crate::access::Access;
 use crate::alarms::Alarms;
 use crate::events::LiveUpdates;
 use crate::fleet::Peers;
@@ -28,6 +29,8 @@ pub struct Gateway {
     pub updates: Arc<LiveUpdates>,
     pub webhooks: Arc<Webhooks>,
     pub trends: Arc<Trends>,
+    /// Credentials of clients.
+    pub access: Arc<Access>,
 }
 
 #[cfg(test)]
@@ -51,6 +54,7 @@ impl Gateway {
             updates,
             webhooks: Arc::default(),
             trends: Arc::default(),
+            access: Arc::default(),
         })
     }
 }

@@ -13,6 +13,7 @@ use super::operation::{Operation, reply};
 use super::problem::Problem;
 use super::reply::{Effect, Json, OperationReply};
 use super::values::{integer, name, text};
+use crate::access::Right;
 use crate::gripper::model::lease::{MAX_TTL, MIN_TTL};
 use crate::gripper::model::{Lease, OnLossHolding, OnLossMoving, TakeLease, Urgency};
 use crate::gripper::{AcquiredLease, Conflict, Rejection};
@@ -73,6 +74,9 @@ pub struct Take {
 async fn take(call: Call) -> Result<OperationReply, Problem> {
     let (gripper, body): (_, Take) = call.open()?;
     let gripper = gripper.with_lease(body.lease.as_deref())?;
+    if body.force {
+        call.require(Right::Supervise)?;
+    }
     let ttl = |ttl_ms| integer("ttl_ms", ttl_ms, MIN_TTL.as_millis() as u64..=MAX_TTL.as_millis() as u64);
     let holder = body.holder.as_deref().filter(|holder| !holder.is_empty());
     let take = TakeLease {

@@ -1,6 +1,6 @@
 //! Everything that a client can request, defined once for all interfaces.
 //!
-//! An [`Operation`] has a name, a path, a required role, an urgency, and a function. The table [`OPERATIONS`] lists
+//! An [`Operation`] has a name, a path, a required right, an urgency, and a function. The table [`OPERATIONS`] lists
 //! them all; the HTTP paths, WebSocket methods and Zenoh command keys come from this table. `run` performs an operation
 //! for a `Caller`, and is the one place that records refused requests.
 //!
@@ -22,6 +22,7 @@ mod gateway;
 pub(crate) mod grippers;
 pub(crate) mod json;
 pub(crate) mod lease;
+pub(crate) mod me;
 pub(crate) mod motion;
 mod operation;
 mod problem;
@@ -30,6 +31,7 @@ pub(crate) mod raw;
 pub(crate) mod readiness;
 pub(crate) mod records;
 mod reply;
+mod rights;
 mod run;
 pub(crate) mod settings;
 mod table;
@@ -41,11 +43,12 @@ pub(crate) use call::{Fields, Leased, Params};
 pub(crate) use caller::{Caller, DEFAULT_WAIT_MS, MAX_LEASE_BYTES, Presence, Wait, WaitLimiter, wait_ms};
 pub(crate) use connection_lease::ConnectionLease;
 pub use gateway::Gateway;
+pub use operation::Operation;
 pub(crate) use operation::subject;
-pub use operation::{Operation, Role};
 pub(crate) use problem::{Members, Problem};
 pub(crate) use query_string::QueryString;
 pub(crate) use reply::{Effect, OperationReply};
+pub(crate) use rights::{check, require};
 pub(crate) use run::{call, run};
 pub use table::OPERATIONS;
 pub(crate) use table::{find, is_fast_stop, named, urgency};

@@ -8,10 +8,11 @@ use utoipa::openapi::schema::OneOfBuilder;
 use super::call::Call;
 use super::caller::{DEFAULT_WAIT_MS, RequestKeys};
 use super::commands;
-use super::operation::{Operation, Role, reply};
+use super::operation::{Operation, reply};
 use super::problem::Problem;
 use super::reply::OperationReply;
 use super::values::{TextOrNumber, force, request_id_schema, speed, text, text_or_number, width};
+use crate::access::Right;
 use crate::gripper::model::{Action, Direction, Motion, OnBlock, Urgency};
 use crate::wsg::MoveFlags;
 
@@ -21,7 +22,7 @@ pub const GRIP: Operation = Operation::command("grip", "/grippers/{gripper}/grip
 pub const RELEASE: Operation =
     Operation::command("release", "/grippers/{gripper}/release", |call| reply(submit::<Release>(call)));
 pub const STOP: Operation = Operation::command("stop", "/grippers/{gripper}/stop", |call| reply(submit::<Stop>(call)))
-    .needs(Role::Stop)
+    .needs(Right::Stop)
     .urgent(Urgency::Stop);
 
 /// Parameters of a motion or of a stop.

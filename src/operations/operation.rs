@@ -6,6 +6,7 @@ use http::Method as Verb;
 use super::call::Call;
 use super::problem::Problem;
 use super::reply::{IntoReply, OperationReply};
+use crate::access::Right;
 use crate::gripper::model::Urgency;
 
 #[derive(Debug, Clone, Copy)]
@@ -16,8 +17,8 @@ pub struct Operation {
     pub verb: &'static Verb,
     /// HTTP path, relative to the API's root. The other interfaces take the path's variables as parameters.
     pub path: &'static str,
-    /// Lowest role that a caller needs.
-    pub role: Role,
+    /// Right that the caller needs.
+    pub right: Right,
     /// Precedence over other requests.
     pub urgency: Urgency,
     /// Whether the operation starts a command, whose end is reported later.
@@ -33,30 +34,17 @@ pub struct Operation {
 
 type Run = fn(Call) -> BoxFuture<'static, Result<OperationReply, Problem>>;
 
-/// The operations that a client is entitled to.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Role {
-    /// Only stops, e.g. for the controller of a light curtain.
-    Stop,
-    /// Reads.
-    Observer,
-    /// Moves the gripper, holds its lease, changes its settings, acknowledges.
-    Operator,
-    /// Sends raw requests in the device's protocol.
-    Supervisor,
-}
-
 impl Operation {
     /// Declares an operation that only reads.
     pub(super) const fn read(name: &'static str, path: &'static str, run: Run) -> Self {
-        Self { role: Role::Observer, ..Self::change(name, &Verb::GET, path, run) }
+        Self { right: Right::Read, ..Self::change(name, &Verb::GET, path, run) }
     }
 
     /// Declares an operation that can change something.
     pub(super) const fn change(name: &'static str, verb: &'static Verb, path: &'static str, run: Run) -> Self {
-        let (role, urgency) = (Role::Operator, Urgency::None);
+        let (right, urgency) = (Right::Operate, Urgency::None);
         let (starts_command, waits, query, is_compact): (_, _, &[_], _) = (false, false, &[], false);
-        Self { name, verb, path, role, urgency, starts_command, waits, query, is_compact, run }
+        Self { name, verb, path, right, urgency, starts_command, waits, query, is_compact, run }
     }
 
     /// Declares an operation that starts a command.
@@ -64,8 +52,8 @@ impl Operation {
         Self { starts_command: true, waits: true, ..Self::change(name, &Verb::POST, path, run) }
     }
 
-    pub(super) const fn needs(self, role: Role) -> Self {
-        Self { role, ..self }
+    pub(super) const fn needs(self, right: Right) -> Self {
+        Self { right, ..self }
     }
 
     pub(super) const fn waiting(self) -> Self {

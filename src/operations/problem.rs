@@ -7,6 +7,7 @@ use serde::Serialize;
 use serde_json::{Number, Value};
 use utoipa::ToSchema;
 
+use crate::access::Unauthorized;
 use crate::gripper::model::{Code, CommandId, FastStopId};
 use crate::gripper::{Conflict, DeviceRefusal, Failure, Invalid, Rejection};
 use crate::journal::ReadError;
@@ -261,6 +262,12 @@ impl Problem {
     fn command(mut self, id: CommandId) -> Self {
         (self.0.command_id, self.0.command) = (Some(id), Some(id));
         self
+    }
+}
+
+impl From<Unauthorized> for Problem {
+    fn from(unknown: Unauthorized) -> Self {
+        Self::new(Code::Unauthorized, unknown.to_string())
     }
 }
 

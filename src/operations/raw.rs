@@ -7,17 +7,18 @@ use utoipa::ToSchema;
 use super::call::Call;
 use super::caller::DEFAULT_WAIT_MS;
 use super::commands;
-use super::operation::{Operation, Role, reply};
+use super::operation::{Operation, reply};
 use super::problem::Problem;
 use super::reply::{Effect, OperationReply};
 use super::values::{TextOrNumber, bytes, integer, request_id_schema};
+use crate::access::Right;
 use crate::gripper::model::{Action, CommandId, CommandReport, FastStopId, Motion, Outcome, Phase, Reason};
 use crate::gripper::{FastStop, Handle};
 use crate::wsg::id::MAX_OPAQUE_BYTES;
 use crate::wsg::{self, Status, Updates};
 
 pub const RAW: Operation =
-    Operation::command("raw", "/grippers/{gripper}/raw", |call| reply(raw(call))).needs(Role::Supervisor);
+    Operation::command("raw", "/grippers/{gripper}/raw", |call| reply(raw(call))).needs(Right::Supervise);
 
 /// A raw request in the device's protocol.
 #[derive(Debug, Deserialize, ToSchema)]

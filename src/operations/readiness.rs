@@ -4,8 +4,8 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::gateway::Gateway;
-use crate::gripper::model::Link;
-use crate::gripper::{Handle, Recorder as _};
+use crate::gripper::Recorder as _;
+use crate::gripper::model::{Link, State};
 
 /// Readiness of the gateway.
 #[derive(Debug, Serialize, ToSchema)]
@@ -19,7 +19,8 @@ pub struct Readiness {
     gateway: String,
     /// Version of the gateway.
     version: &'static str,
-    /// Whether every gripper is connected, the journal is writable and undamaged, and Zenoh is connected as configured.
+    /// Whether every gripper is connected or released, the journal is writable and undamaged, and Zenoh is connected as
+    /// configured.
     pub ready: bool,
     /// Why the journal can't be written; null while it can.
     #[schema(required)]
@@ -32,7 +33,7 @@ pub struct Readiness {
     /// off.
     #[schema(required)]
     zenoh_cause: Option<String>,
-    /// Grippers that are not connected: name, link state and cause.
+    /// Grippers that are neither connected nor released: name, link state and cause.
     not_ready: Vec<String>,
 }
 
@@ -40,7 +41,7 @@ impl Readiness {
     pub fn of(own: &Gateway) -> Self {
         let journal = own.journal.health().borrow().clone();
         let (journal_cause, journal_damage) = (journal.failure, journal.damage);
-        let not_ready: Vec<_> = own.grippers.iter().filter_map(why_not_ready).collect();
+        let not_ready: Vec<_> = own.grippers.iter().filter_map(|gripper| why_not_ready(&gripper.state())).collect();
         let zenoh_cause = own.peers.cause().borrow().clone().or_else(|| own.peers.why_no_motions());
         let ready =
             journal_cause.is_none() && journal_damage.is_none() && zenoh_cause.is_none() && not_ready.is_empty();
@@ -49,8 +50,28 @@ impl Readiness {
     }
 }
 
-fn why_not_ready(handle: &Handle) -> Option<String> {
-    let state = handle.state();
+/// Reason that a gripper is not ready. A gripper that a client has released on purpose counts as ready.
+fn why_not_ready(state: &State) -> Option<String> {
     let cause = state.link_cause.as_ref().map(|cause| format!(": {cause}")).unwrap_or_default();
-    (state.link != Link::Connected).then(|| format!("{}: {}{cause}", state.gripper, state.link))
+    let is_ready = matches!(state.link, Link::Connected | Link::Released);
+    (!is_ready).then(|| format!("{}: {}{cause}", state.gripper, state.link))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn released_gripper_is_ready() {
+        for (link, expected) in [
+            (Link::Connecting, Some("left: connecting")),
+            (Link::Connected, None),
+            (Link::Unresponsive, Some("left: unresponsive")),
+            (Link::Reconnecting, Some("left: reconnecting")),
+            (Link::Released, None),
+        ] {
+            let state = State { link, ..State::unknown("left".parse().unwrap()) };
+            assert_eq!(why_not_ready(&state).as_deref(), expected);
+        }
+    }
 }

@@ -1,5 +1,6 @@
 //! Running an operation for a caller.
 
+use std::future::ready;
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 
@@ -15,8 +16,9 @@ use super::gateway::Gateway;
 use super::operation::Operation;
 use super::problem::Problem;
 use super::reply::OperationReply;
+use super::rights::check;
 use super::table::{is_fast_stop, named, shortened};
-use crate::gripper::model::Urgency;
+use crate::gripper::model::{Code, Urgency};
 
 /// Runs an operation for a caller, and records a refusal.
 ///
@@ -32,7 +34,10 @@ pub async fn run(
     params: Params,
 ) -> Result<OperationReply, Problem> {
     let (client, gripper) = (caller.client.clone(), params.gripper());
-    let running = operation.start(Call { gateway: gateway.clone(), caller, params });
+    let running = match check(&gateway.access, operation, &caller.identity, gripper.as_ref()) {
+        Ok(()) => operation.start(Call { gateway: gateway.clone(), caller, params }),
+        Err(problem) => ready(Err(problem)).boxed(),
+    };
     let running = AssertUnwindSafe(running).catch_unwind();
     let ended = if operation.urgency == Urgency::FastStop {
         tokio::spawn(running.in_current_span()).await.unwrap_or_else(|error| Err(Box::new(error)))
@@ -44,7 +49,7 @@ pub async fn run(
         Err(Problem::internal())
     });
     if let Err(problem) = &mut result
-        && operation.changes_something()
+        && (operation.changes_something() || problem.code() == Code::Unauthorized)
         && !problem.is_recorded()
     {
         let request =
@@ -157,10 +162,11 @@ mod tests {
 
     #[tokio::test]
     async fn unknown_field_is_named() {
+        use crate::access::Identity;
         use crate::gripper::fake::{self, FakeScript};
         use crate::gripper::model::{Client, Door};
         let gateway = Gateway::of([fake::gripper("left", FakeScript::default()).0]);
-        let caller = Caller::new(Client { subject: "test".into(), door: Door::Ws });
+        let caller = Caller::new(Client { subject: "test".into(), door: Door::Ws }, Ok(Identity::anyone()));
         let params = json!({"gripper": "left", "width_mm": 20});
         let problem = call(&gateway, caller, "state", params).await.unwrap_err();
         assert_eq!(serde_json::to_value(problem.members()).unwrap()["field"], "width_mm");

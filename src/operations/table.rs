@@ -4,7 +4,8 @@ use http::Method as Verb;
 
 use super::operation::Operation;
 use super::{
-    alarms, commands, connection, device, fast_stop, fingers, fleet, grippers, lease, motion, raw, settings, webhooks,
+    alarms, commands, connection, device, fast_stop, fingers, fleet, grippers, lease, me, motion, raw, settings,
+    webhooks,
 };
 use crate::gripper::model::Urgency;
 
@@ -57,6 +58,7 @@ pub const OPERATIONS: &[Operation] = &[
     fleet::ACKNOWLEDGE,
     alarms::LIST,
     alarms::ACKNOWLEDGE,
+    me::ME,
     webhooks::LIST,
     webhooks::TEST,
 ];

@@ -6,9 +6,10 @@ use serde::Serialize;
 use utoipa::ToSchema;
 
 use super::call::{Call, NoFields};
-use super::operation::{Operation, Role, ready, reply};
+use super::operation::{Operation, ready, reply};
 use super::problem::Problem;
 use super::reply::Json;
+use crate::access::Right;
 use crate::gripper::model::Code;
 use crate::journal::EventKind;
 use crate::webhooks::{DeliveryFailure, Tested, Webhook, WebhookProgress};
@@ -16,7 +17,7 @@ use crate::webhooks::{DeliveryFailure, Tested, Webhook, WebhookProgress};
 pub const LIST: Operation = Operation::read("webhooks", "/webhooks", |call| ready(list(&call)));
 pub const TEST: Operation =
     Operation::change("webhooks.test", &Verb::POST, "/webhooks/{webhook}/test", |call| reply(test(call)))
-        .needs(Role::Supervisor);
+        .needs(Right::Supervise);
 
 /// All webhooks.
 #[derive(Debug, Serialize, ToSchema)]

@@ -259,6 +259,8 @@ fn grip(id: CommandId, at: Timestamp, gripper: &Name, part_id: Option<PartId>, o
         kind: Kind::Grip,
         part_id,
         outcome,
+        code: None,
+        detail: None,
         subject: "http:127.0.0.1".into(),
         requested: RequestedValues::default(),
         started_at: at,

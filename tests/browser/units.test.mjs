@@ -9,6 +9,7 @@ const core = (name) => import(`${ASSETS}core/${name}.js`);
 const view = (name) => import(`${ASSETS}views/${name}.js`);
 const { checksum, encode, fromHex, parts, toHex } = await view('frame');
 const { interpretations, parse, parseId } = await view('bytes');
+const { sentence } = await view('sentence');
 const { Samples } = await core('ring');
 const { asTyped, forceLimits, mistake, number, readings, speedLimits, widthLimits } = await core('limits');
 const { acknowledged, noGateway, sorted } = await core('alarms');
@@ -296,4 +297,12 @@ test('retries back off up to a limit', () => {
   const delays = Array.from({ length: 20 }, (_, tries) => delay(tries, 0.5));
   assert.ok(delays.every((ms, index) => index === 0 || ms >= delays[index - 1]));
   assert.ok(delays[0] < 300 && delays.at(-1) === 3000);
+});
+
+test('acknowledged faults are not called FAST STOPs', () => {
+  const key = (fast_stop_id, cleared) => sentence({ kind: 'acknowledge', fast_stop_id, cleared }).key;
+  assert.equal(key('019aa5c8', true), 'event.acknowledged');
+  assert.equal(key('019aa5c8', false), 'event.not_acknowledged');
+  assert.equal(key(null, true), 'event.fault_acknowledged');
+  assert.equal(key(null, false), 'event.fault_not_acknowledged');
 });

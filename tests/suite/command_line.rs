@@ -40,12 +40,6 @@ async fn startup_prints_addresses_and_a_command_to_try() {
 }
 
 #[tokio::test]
-async fn unsupported_command_is_refused() {
-    let said = refused(&["token"]).await;
-    assert!(said.contains("not supported yet"), "{said}");
-}
-
-#[tokio::test]
 async fn wrong_argument_is_named_with_a_remedy() {
     for (arguments, expected) in [
         (&["--listen", "0.0.0.0:0"][..], "--insecure"),

@@ -198,8 +198,12 @@ async fn updates_on_change_relieve_the_line() {
     assert_eq!(switched_on, [[3, 20, 0]]);
     gateway.post("home", &json!({})).await.outcome("SUCCESS");
     gateway.post("move", &json!({"width_mm": 20, "speed_mm_s": 100})).await.outcome("SUCCESS");
-    let page = gateway.get("/api/v1/grips?kind=move").await.ok();
-    assert!(page["grips"][0]["samples"].as_u64() > Some(10), "{page}");
+    let grip = eventually("the record", async || {
+        let page = gateway.get("/api/v1/grips?kind=move").await.ok();
+        page["grips"].get(0).cloned()
+    })
+    .await;
+    assert!(grip["samples"].as_u64() > Some(10), "{grip}");
 
     // While the fingers stand still, the gateway reads each value once a second.
     let updates = async || gateway.figures().await["wsg_updates_total{gripper=\"g\"}"];

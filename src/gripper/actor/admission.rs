@@ -12,7 +12,8 @@ use super::Actor;
 use super::link::{Exchange, Purpose};
 use super::reads::is_slow_getter;
 use super::running::Running;
-use crate::wsg::{Command, Data, SystemState, id};
+use crate::wsg::session::{End, Token};
+use crate::wsg::{Command, Data, Reply, SystemState, id};
 
 impl Actor {
     /// Admits or rejects a command.
@@ -305,17 +306,38 @@ impl Actor {
         answer: Answer<()>,
     ) {
         let allowed = allowed.and_then(|()| Ok(self.check_link()?));
-        let sent = allowed.and_then(|()| {
-            let submitted = self.link.submit(now, Command::AcknowledgeFastStop, Purpose::Acknowledge);
-            submitted.map_err(|not_taken| not_taken.0)
+        let sent = allowed.and_then(|()| match id {
+            Some(_) => self.submit_acknowledge(now),
+            // ERROR can arrive before the flag of the FAST STOP that explains it.
+            None => {
+                let submitted = self.link.submit(now, self.read_flags(), Purpose::FaultCheck);
+                submitted.map_err(|not_taken| not_taken.0)
+            }
         });
         match sent {
             Ok(token) => {
                 let id_text = id.map(|id| id.to_string());
                 tracing::info!(gripper = %self.config.name, id = id_text, by = %client.subject, "acknowledging");
-                self.latch.acknowledge_sent(id, client, token, answer);
+                self.latch.acknowledge_begun(id, client, token, answer);
             }
             Err(rejection) => self.answers.add(answer, Err(rejection)),
         }
+    }
+
+    /// Sends the acknowledgement of a fault, unless the flags have just shown a FAST STOP.
+    pub(super) fn fault_checked(&mut self, now: Now, token: Token, end: End) {
+        if self.latch.is_checking(token) {
+            let sent = match end {
+                End::Reply(Reply::Success(_)) => self.submit_acknowledge(now),
+                end => Err(self.rejection_of("GetSystemState", end)),
+            };
+            self.latch.checked(sent);
+        }
+    }
+
+    /// Submits an acknowledgement to the session. No other place does.
+    fn submit_acknowledge(&mut self, now: Now) -> Result<Token, Rejection> {
+        let submitted = self.link.submit(now, Command::AcknowledgeFastStop, Purpose::Acknowledge);
+        submitted.map_err(|not_taken| not_taken.0)
     }
 }

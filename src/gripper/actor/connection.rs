@@ -12,6 +12,11 @@ use super::{Actor, REPLY_WITHIN};
 use crate::wsg::{Command, SystemState};
 
 impl Actor {
+    /// Notes an attempt to connect, which ends with [`Actor::link_up`] or [`Actor::link_down`].
+    pub fn connecting(&mut self) {
+        self.link.is_connecting = true;
+    }
+
     /// Starts a session on a new link.
     pub fn link_up(&mut self, now: Now) {
         // Debug level: on a transport without connections, every attempt gets this far.
@@ -47,7 +52,7 @@ impl Actor {
                 (Purpose::Stop(Some(id)), false) => {
                     self.end(now, id, |record| {
                         record.set_outcome(Outcome::Unknown);
-                        record.explain(&rejection);
+                        record.explain(rejection.code(), &rejection);
                     });
                 }
                 _ => {}
@@ -75,14 +80,27 @@ impl Actor {
         let cause = "device updates had stopped (possible restart): setting up again";
         tracing::warn!(gripper = %self.config.name, "{cause}");
         self.link.cause = Some(cause.to_owned());
-        let setup = self.new_setup();
-        self.link.set_up(setup);
-        self.continue_setup(now);
+        self.link.await_setters();
+        self.begin_waiting_setup(now);
+    }
+
+    /// Begins a waiting setup, unless a setter is in flight.
+    pub(super) fn begin_waiting_setup(&mut self, now: Now) {
+        if self.drain.is_none() && self.link.can_set_up() {
+            let setup = self.new_setup();
+            self.link.set_up(setup);
+            self.continue_setup(now);
+        }
     }
 
     /// Requests that switch on all automatic updates.
     fn switch_on_updates(&self) -> impl Iterator<Item = Command> + use<> {
         observed::switch_on_all(self.config.updates, self.link.properties.bytes_per_second)
+    }
+
+    /// Request that reads the flags.
+    pub(super) fn read_flags(&self) -> Command {
+        observed::read_flags(self.config.updates, self.link.properties.bytes_per_second)
     }
 
     fn new_setup(&self) -> Setup {

@@ -9,6 +9,7 @@ use super::super::Now;
 use super::super::error::{Conflict, Failure, Rejection};
 use super::super::handle::Answer;
 use super::super::model::{Client, LeaseToken};
+use super::super::observed;
 use super::Actor;
 use super::link::{Close, Purpose};
 use crate::wsg::{Command, SystemState};
@@ -41,7 +42,7 @@ enum Stage {
     Finishing,
     /// The command did not finish, and is being stopped.
     Stopping,
-    /// 07h waits to be written.
+    /// The last requests wait to be written, or for their replies.
     Announcing,
     /// 07h was written, and nothing may follow.
     Announced,
@@ -60,7 +61,7 @@ impl Drain {
         self.stage = Stage::Announced;
     }
 
-    /// Ends the wait for the announcement: the device has acknowledged it, refused it or not replied.
+    /// Ends the wait for the last requests: the device has executed them, refused them or not replied.
     pub(super) fn answered(&mut self) {
         self.stage = Stage::Over;
     }
@@ -89,7 +90,8 @@ impl Actor {
         self.drain = Some(Drain { stage: Stage::Finishing, until, has_announced: false, ending });
     }
 
-    /// Releases the device to another program. The client is answered once the link is closed.
+    /// Releases the device to another program. The client is answered once the link is closed and no attempt to
+    /// connect is under way.
     pub(super) fn disconnect(&mut self, now: Now, client: &Client, lease: Option<&LeaseToken>, answer: Answer<()>) {
         if let Err(rejection) = self.check_disconnect(now, client, lease) {
             self.answers.add(answer, Err(rejection));
@@ -97,7 +99,7 @@ impl Actor {
         }
         tracing::info!(gripper = %self.config.name, by = %client.subject, "releasing the device");
         self.link.release(client);
-        if self.link.is_down() {
+        if self.link.is_down() && !self.link.is_connecting {
             self.answers.add(answer, Ok(()));
         } else {
             self.begin_drain(now, Ending::Link(answer));
@@ -201,21 +203,24 @@ impl Actor {
         }
     }
 
-    /// Sends the last request: 07h if the transport has connections, else Stop if the fingers move.
+    /// Sends the last requests: 07h if the transport has connections. Otherwise the updates are switched off, which
+    /// would go on without the gateway, after a Stop if the fingers move.
     fn leave(&mut self, now: Now) {
-        let connected = !self.link.is_down();
-        let farewell = if self.link.properties.connection_oriented {
-            Some((Command::DisconnectAnnouncement, Purpose::Announce))
-        } else if self.observed.has(SystemState::MOVING) {
-            Some((Command::Stop, Purpose::Announce))
+        let last = if self.link.is_down() {
+            Vec::new()
+        } else if self.link.properties.connection_oriented {
+            vec![Command::DisconnectAnnouncement]
         } else {
-            None
+            let stop = self.observed.has(SystemState::MOVING).then_some(Command::Stop);
+            stop.into_iter().chain(observed::switch_off_all()).collect()
         };
-        let sent = farewell.filter(|_| connected).is_some_and(|(command, purpose)| {
-            self.link.submit_within(now, command, purpose, ANSWERED_WITHIN, ANSWERED_WITHIN).is_ok()
-        });
+        let mut is_sent = false;
+        for command in last {
+            let sent = self.link.submit_within(now, command, Purpose::Announce, ANSWERED_WITHIN, ANSWERED_WITHIN);
+            is_sent |= sent.is_ok();
+        }
         if let Some(drain) = &mut self.drain {
-            drain.stage = if sent { Stage::Announcing } else { Stage::Over };
+            drain.stage = if is_sent { Stage::Announcing } else { Stage::Over };
             // Longer than the session's own deadlines for writing and for the reply.
             drain.until = now.instant + 3 * ANSWERED_WITHIN;
         }

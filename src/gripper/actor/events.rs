@@ -30,6 +30,7 @@ impl Actor {
                 SessionEvent::Ended(token, end) => {
                     if let Some(purpose) = self.link.purposes.remove(&token) {
                         self.take_end(now, token, purpose, end);
+                        self.begin_waiting_setup(now);
                     }
                 }
             }
@@ -62,7 +63,10 @@ impl Actor {
         let mut origin =
             Origin { ids: &mut self.ids, unannounced: self.link.unannounced && self.config.fast_stop_on_disconnect };
         match self.latch.take_flags(now, flags, &mut origin) {
-            Some(LatchChange::Seen) => {
+            Some(LatchChange::Seen { overtaken }) => {
+                if let Some(token) = overtaken {
+                    self.link.withdraw(token);
+                }
                 let cause = self.latch.current().map_or(FastStopCause::Unknown, |latch| latch.cause);
                 tracing::warn!(gripper = %self.config.name, cause = cause.name(), "device in FAST STOP");
                 self.record_fast_stop(now, FastStopStep::Latched, None);
@@ -125,7 +129,7 @@ impl Actor {
     fn take_end(&mut self, now: Now, token: Token, purpose: Purpose, end: End) {
         match purpose {
             Purpose::Setup => {
-                if self.link.setup_ended(token, end) {
+                if self.link.setup_ended(token, end) && self.drain.is_none() {
                     self.continue_setup(now);
                 }
             }
@@ -146,7 +150,11 @@ impl Actor {
             Purpose::FastStop => {
                 let answered = matches!(end, End::Reply(_));
                 self.latch.ended(token, answered);
+                if answered {
+                    self.read_awaited_flags(now);
+                }
             }
+            Purpose::FaultCheck => self.fault_checked(now, token, end),
             Purpose::Acknowledge => {
                 let result = match end {
                     End::Reply(Reply::Success(_)) => {
@@ -156,6 +164,7 @@ impl Actor {
                     end => Err(self.rejection_of("AcknowledgeFastStop", end)),
                 };
                 self.latch.acknowledge_ended(now.instant, token, result);
+                self.read_awaited_flags(now);
             }
             Purpose::Force(id, force) => self.force_ended(now, id, force, end),
             Purpose::Motion(id) => self.motion_ended(now, id, end),
@@ -170,10 +179,21 @@ impl Actor {
             }
             Purpose::Read(id) => self.read_ended(now, id, end),
             Purpose::Announce => {
-                if let Some(drain) = &mut self.drain {
+                let is_last = !self.link.purposes.values().any(|other| matches!(other, Purpose::Announce));
+                if let Some(drain) = self.drain.as_mut().filter(|_| is_last) {
                     drain.answered();
                 }
             }
+        }
+    }
+
+    /// Reads the flags at once if they decide about the FAST STOP and the device sends them only when they change.
+    /// Flags that confirm a repeated FAST STOP, or that outlast an acknowledgement, do not change.
+    fn read_awaited_flags(&mut self, now: Now) {
+        let is_on_change = self.config.updates.mode == UpdateMode::Changes;
+        if is_on_change && (self.latch.is_unconfirmed() || self.latch.is_watching()) {
+            // A full queue counts as no reply: the flags are polled later.
+            let _ = self.link.submit(now, self.read_flags(), Purpose::Upkeep);
         }
     }
 

@@ -10,7 +10,7 @@ use super::super::Now;
 use super::super::error::{Failure, Rejection};
 use super::super::handle::Answer;
 use super::super::model::{Client, CommandId, LeaseToken, Link, Name, WireRecord};
-use super::super::setup::{Setup, Step};
+use super::super::setup::{Setting, Setup, Step};
 use super::wire_log::WireLog;
 use super::{REPLY_WITHIN, RESULT_WITHIN, name_of};
 use crate::transport::LinkProperties;
@@ -47,6 +47,8 @@ pub(super) enum Purpose {
     /// Reads the force limit after Overdrive Mode was switched.
     ForceLimit,
     FastStop,
+    /// Reads the flags before the acknowledgement of a fault.
+    FaultCheck,
     Acknowledge,
     /// Set Force Limit before a grip.
     Force(CommandId, Force),
@@ -56,6 +58,7 @@ pub(super) enum Purpose {
     Exchange(Exchange),
     /// A getter that several clients can wait for.
     Read(u8),
+    /// One of the last requests before the link is closed.
     Announce,
 }
 
@@ -79,6 +82,9 @@ pub(super) type NotSubmitted = Box<(Rejection, Purpose)>;
 #[derive(Debug)]
 enum LinkState {
     Down,
+    /// The device is set up again once the setters in flight have ended. Until then, the setup does not know which
+    /// values clients want.
+    SetupWaits,
     SettingUp(Box<Setup>),
     Up,
 }
@@ -98,6 +104,8 @@ pub(super) struct DeviceLink {
     /// Text that names the client that released the device to another program, and the remedy. The gateway does not
     /// connect while this is set.
     released: Option<String>,
+    /// Whether an attempt to connect is under way.
+    pub is_connecting: bool,
     /// Whether the link was ever up.
     pub was_up: bool,
     /// Whether the last connection-oriented link ended without an announcement.
@@ -117,6 +125,7 @@ impl DeviceLink {
             close: None,
             cause: None,
             released: None,
+            is_connecting: false,
             was_up: false,
             unannounced: false,
         }
@@ -178,6 +187,7 @@ impl DeviceLink {
         let LinkProperties { bytes_per_second, frame_gap, may_duplicate, .. } = self.properties;
         let config = session::SessionConfig { bytes_per_second, frame_gap, may_duplicate, nonce_seed };
         self.session = Some(Session::new(config, now));
+        self.is_connecting = false;
         self.close = None;
         self.wire_log.link_up();
         self.set_up(setup);
@@ -186,9 +196,10 @@ impl DeviceLink {
     /// Takes the link down. Returns the pending requests, each with whether it was never written.
     pub(super) fn down(&mut self, cause: &str) -> Vec<(Purpose, bool)> {
         let mut session = self.session.take();
-        if session.is_some() && self.close == Some(Close::Drained) {
+        self.is_connecting = false;
+        if self.close == Some(Close::Drained) {
             tracing::info!(gripper = %self.gripper, "link closed");
-            self.unannounced = false;
+            self.unannounced &= session.is_none();
         } else {
             if self.is_up() {
                 tracing::warn!(gripper = %self.gripper, cause, "link lost");
@@ -205,6 +216,21 @@ impl DeviceLink {
         let mut is_unwritten = |token| session.as_mut().is_some_and(|session| session.withdraw(token));
         let purposes = std::mem::take(&mut self.purposes).into_iter();
         purposes.map(|(token, purpose)| (purpose, is_unwritten(token))).collect()
+    }
+
+    /// Begins another setup, which waits for the setters in flight.
+    pub(super) fn await_setters(&mut self) {
+        self.state = LinkState::SetupWaits;
+    }
+
+    /// Whether a setup waits that can begin now.
+    pub(super) fn can_set_up(&self) -> bool {
+        let is_setter = |purpose: &Purpose| match purpose {
+            Purpose::Force(..) => true,
+            Purpose::Exchange(exchange) => Setting::of(exchange.command.id()).is_some(),
+            _ => false,
+        };
+        matches!(self.state, LinkState::SetupWaits) && !self.purposes.values().any(is_setter)
     }
 
     pub(super) fn set_up(&mut self, setup: Setup) {

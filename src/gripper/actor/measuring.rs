@@ -75,6 +75,8 @@ impl Recording {
             kind: command.kind,
             part_id,
             outcome: command.outcome.unwrap_or(Outcome::Unknown),
+            code: command.code,
+            detail: command.detail.clone(),
             subject: command.client.clone(),
             requested: command.requested.clone(),
             started_at: command.started_at,

@@ -17,7 +17,7 @@
 //!
 //! A motion frame is submitted to the session in one place, `start_motion`, once for each admitted command. While a
 //! FAST STOP is latched, no motion frame is submitted, and unwritten ones are withdrawn. An acknowledgement is
-//! submitted in one place, for a client that named the latch's id, or while nothing is latched.
+//! submitted in one place, for a client that named the latch's id, or once newly read flags show no FAST STOP.
 
 mod admission;
 mod answers;
@@ -303,3 +303,6 @@ impl Actor {
 fn name_of(command: &Command) -> &'static str {
     id::name(command.id()).unwrap_or("the custom command")
 }
+
+#[cfg(test)]
+pub(super) mod tests;

@@ -3,7 +3,7 @@
 use tokio::sync::oneshot;
 
 use super::super::Now;
-use super::super::error::{Conflict, DeviceRefusal, Failure, Rejection};
+use super::super::error::{Conflict, DeviceRefusal, Failure, MotionError, Rejection};
 use super::super::model::{Client, CommandId, CommandReport, Kind, Motion, Outcome};
 use super::super::observed::HeldPart;
 use super::link::{NotSubmitted, Purpose};
@@ -132,9 +132,13 @@ impl Actor {
             record.set_outcome(outcome);
             if let Some(status) = status {
                 record.set_status(status);
+                if matches!(outcome, Outcome::Blocked | Outcome::Range | Outcome::Timeout | Outcome::Failed) {
+                    let error = MotionError { command: super::name_of(&running.motion.request()), status };
+                    record.explain(error.code(), &error);
+                }
             }
-            if let Some(failure) = running.unknown_because {
-                record.explain(&failure.into());
+            if let Some(failure) = running.unknown_because.map(Rejection::from) {
+                record.explain(failure.code(), &failure);
             }
             if matches!(outcome, Outcome::Aborted | Outcome::Unknown) {
                 record.fast_stop_id = running.fast_stop;
@@ -230,7 +234,7 @@ impl Actor {
             if let Rejection::Device(refusal) = &rejection {
                 record.set_status(refusal.status);
             }
-            record.explain(&rejection);
+            record.explain(rejection.code(), &rejection);
             record.rejection = Some(rejection);
         });
     }

@@ -26,7 +26,8 @@ macro_rules! codes {
         /// - `request_id_reused`: the request id was used for another request.
         /// - `name_taken`: another gateway on the Zenoh network has the same name.
         /// - `out_of_range`: a value is beyond its limits.
-        /// - `device_refused`: the device refused the request with a status that has no code of its own.
+        /// - `device_refused`: the device refused the request, or ended its motion, with a status that has no code of
+        ///   its own.
         /// - `overloaded`: too many requests are waiting, or the device tag was written too often; try again later.
         /// - `internal`: internal error of the gateway.
         /// - `device_protocol`: the device sent an invalid reply.
@@ -35,6 +36,8 @@ macro_rules! codes {
         /// - `device_timeout`: the device did not answer in time.
         /// - `gateway_gone`: the gateway that owns the gripper is gone; nothing was sent to it.
         /// - `gateway_timeout`: the gateway that owns the gripper did not answer; the result is unknown.
+        /// - `unauthorized`: the request needs a valid credential.
+        /// - `forbidden`: the client's role or grippers do not allow the request.
         #[derive(
             Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema, strum::IntoStaticStr, strum::VariantArray,
         )]
@@ -87,6 +90,8 @@ codes! {
     DeviceTimeout 25 504;
     GatewayGone 26 503;
     GatewayTimeout 27 504;
+    Unauthorized 28 401;
+    Forbidden 29 403;
 }
 
 impl Code {
@@ -134,6 +139,8 @@ mod tests {
             (25, "device_timeout"),
             (26, "gateway_gone"),
             (27, "gateway_timeout"),
+            (28, "unauthorized"),
+            (29, "forbidden"),
         ];
         for pinned in pinned {
             assert!(numbers.contains(&pinned), "{pinned:?}");

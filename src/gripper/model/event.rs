@@ -162,11 +162,11 @@ pub struct Done {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(value_type = Option<String>, nullable = false)]
     pub cancelled_by: Option<Arc<str>>,
-    /// Code of the problem that ended the command as `REFUSED` or `UNKNOWN`.
+    /// Code of the problem that ended the command as `BLOCKED`, `RANGE`, `TIMEOUT`, `FAILED`, `REFUSED` or `UNKNOWN`.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
     pub code: Option<Code>,
-    /// Description of the problem that `code` identifies.
+    /// Description of the problem that `code` identifies, and its remedy.
     #[serde(skip_serializing_if = "Option::is_none")]
     #[schema(nullable = false)]
     pub cause: Option<String>,

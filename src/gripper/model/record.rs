@@ -6,7 +6,7 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::{Action, CommandId, Kind, Name, Outcome, Parameters, PartId, RequestId};
+use super::{Action, Code, CommandId, Kind, Name, Outcome, Parameters, PartId, RequestId};
 
 /// Result and measurements of a motion.
 #[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
@@ -31,6 +31,15 @@ pub struct GripRecord {
     pub part_id: Option<PartId>,
     /// Result of the command.
     pub outcome: Outcome,
+    /// Code of the problem that ended the motion as `BLOCKED`, `RANGE`, `TIMEOUT`, `FAILED` or `UNKNOWN`; otherwise
+    /// absent.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub code: Option<Code>,
+    /// Description of that problem and its remedy, for people.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(nullable = false)]
+    pub detail: Option<String>,
     /// Subject of the client that requested the command.
     #[schema(value_type = String)]
     pub subject: Arc<str>,

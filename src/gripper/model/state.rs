@@ -332,3 +332,60 @@ fn age_ms<S: Serializer>(updated_at: &Option<Instant>, serializer: S) -> Result<
 fn outcome_code<S: Serializer>(outcome: &Option<Outcome>, serializer: S) -> Result<S::Ok, S::Error> {
     outcome.map_or(0, Outcome::code).serialize(serializer)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::wsg::SystemState;
+
+    /// Bytes of the largest state, as in the guide, with some room for further fields.
+    const LARGEST_BYTES: usize = 1300;
+
+    /// A state with all flags, and with values and texts of clients that are as long as possible.
+    fn longest() -> State {
+        let (name, id) = ("n".repeat(32), CommandId::generate());
+        let at = Timestamp::UNIX_EPOCH;
+        let latch = LatchFields {
+            fast_stop_id: FastStopId::generate(),
+            fast_stop_by: "http:2001:db8:1111:2222:3333:4444:5555:6666".into(),
+            fast_stop_cause: FastStopCause::UnannouncedDisconnect,
+            fast_stop_reason: Reason::truncated(&"r".repeat(64)),
+            fast_stop_at: at,
+            fast_stop_confirmed: false,
+            epoch: 1,
+        };
+        State {
+            link: Link::Connected,
+            updated_at: Some(Instant::now()),
+            seq: 9_007_199_254_740_991,
+            state: Some("POSITIONING"),
+            state_code: Some(6),
+            flags: SystemState::from_bits_retain(u32::MAX).names().collect(),
+            flags_raw: Some(u32::MAX),
+            referenced: Some(false),
+            moving: Some(false),
+            width_mm: Some(-109.123_45),
+            speed_mm_s: Some(-419.123_45),
+            force_n: Some(-119.123_45),
+            temperature_c: Some(-10.5),
+            fault_code: 18,
+            fast_stop: Some(false),
+            latch: Some(latch),
+            lease_holder: Some(name.as_str().into()),
+            lease_epoch: 9_007_199_254_740_991,
+            command_id: Some(id),
+            command: Some(id),
+            last_command: u32::MAX,
+            last_outcome: Some(Outcome::Unknown),
+            ..State::unknown(name.parse().unwrap())
+        }
+    }
+
+    #[test]
+    fn guide_gives_the_size_of_the_largest_state() {
+        let size = serde_json::to_string(&longest()).unwrap().len();
+        assert!((LARGEST_BYTES - 100..=LARGEST_BYTES).contains(&size), "{size} bytes");
+        let guide = include_str!("../../../deploy/guide/plc.md");
+        assert!(guide.contains(&format!("It has at most {LARGEST_BYTES} bytes")), "the guide lacks the size");
+    }
+}

@@ -61,7 +61,7 @@ async fn only_configured_pages_can_frame_the_page() {
 async fn assets_of_the_page_exist_and_are_cached() {
     let page = body(get("/", None).await).await;
     let named: Vec<_> = page.split('"').filter(|text| text.starts_with("/assets/")).collect();
-    assert_eq!(named.len(), 5, "{named:?}");
+    assert_eq!(named.len(), 4, "{named:?}");
     for path in named {
         let part = get(path, None).await;
         assert_eq!(part.status(), 200, "{path}");

@@ -10,9 +10,9 @@ use axum::response::Response;
 use tracing::field::Empty;
 use tracing::{Instrument, debug, info, info_span};
 
-use super::client::client;
 use super::context::HttpContext;
 use super::problem::RefusedMark;
+use super::visitor::client;
 
 /// Middleware that counts and logs requests: reads at DEBUG, all others at INFO.
 pub async fn watch(State(context): State<Arc<HttpContext>>, request: Request, next: Next) -> Response {

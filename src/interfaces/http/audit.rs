@@ -3,28 +3,32 @@
 use std::sync::Arc;
 
 use axum::extract::{MatchedPath, Request, State};
-use axum::http::Method as Verb;
+use axum::http::{Method as Verb, StatusCode};
 use axum::middleware::Next;
 use axum::response::Response;
 
-use super::client::client;
 use super::context::{API, HttpContext};
 use super::problem::RefusedMark;
+use super::visitor::client;
 use crate::gripper::model::{Name, Urgency};
 use crate::interfaces::metrics::NO_ROUTE;
 use crate::operations::audit::RefusedRequest;
 use crate::operations::{find, subject};
 
-/// Middleware that records refused requests. Requests that only read are not recorded.
+/// Middleware that records refused requests. Of the requests that only read, it records those without a valid
+/// credential.
 pub async fn record(State(context): State<Arc<HttpContext>>, request: Request, next: Next) -> Response {
-    if matches!(*request.method(), Verb::GET | Verb::HEAD | Verb::OPTIONS) {
+    let only_reads = matches!(*request.method(), Verb::GET | Verb::HEAD | Verb::OPTIONS);
+    if only_reads && !context.gateway.access.is_guarded() {
         return next.run(request).await;
     }
     let client = client(request.extensions());
     let (method, route) = (request.method().clone(), request.extensions().get::<MatchedPath>().cloned());
     let gripper = gripper(request.uri().path());
     let response = next.run(request).await;
-    if let Some(RefusedMark { code, cause, is_recorded: false }) = response.extensions().get().cloned() {
+    if let Some(RefusedMark { code, cause, is_recorded: false }) = response.extensions().get().cloned()
+        && (!only_reads || response.status() == StatusCode::UNAUTHORIZED)
+    {
         let route = route.as_ref().map(MatchedPath::as_str);
         let command = route.map_or(NO_ROUTE, subject).to_owned();
         let urgency = route.map_or(Urgency::None, |route| urgency(&method, route));

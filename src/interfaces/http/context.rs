@@ -7,6 +7,7 @@ use tokio_util::sync::CancellationToken;
 
 use crate::interfaces::dashboard::FramePolicy;
 use crate::interfaces::metrics::InterfaceMetrics;
+use crate::interfaces::tls::Tls;
 use crate::interfaces::{self, Runtimes};
 use crate::operations::Gateway;
 
@@ -25,6 +26,8 @@ pub struct HttpContext {
     pub allowed_hosts: Vec<String>,
     /// Pages that can show the dashboard in a frame.
     pub frame_policy: FramePolicy,
+    /// `None` if connections are not encrypted.
+    pub tls: Option<Arc<Tls>>,
 }
 
 impl HttpContext {
@@ -51,6 +54,7 @@ impl HttpContext {
             registry,
             allowed_hosts: Vec::new(),
             frame_policy: FramePolicy::of(&[]).unwrap(),
+            tls: None,
         }
     }
 }

@@ -16,6 +16,9 @@ use super::asyncapi as websocket;
 use super::paths::responses;
 use crate::journal::{EventKind, Order};
 use crate::operations::records::GripKinds;
+
+/// Paths of the API's documents.
+pub const DOCUMENTS: [&str; 2] = ["/openapi.json", "/asyncapi.yaml"];
 use crate::operations::{Members, Problem};
 
 /// Head of the OpenAPI document: title, description and tags.

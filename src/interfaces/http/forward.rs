@@ -12,19 +12,21 @@ use axum::http::{HeaderName, Method as Verb, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 use serde_json::value::RawValue;
 use serde_json::{Map, Value};
+use tokio::time::timeout;
 
 use super::body;
-use super::client::client;
 use super::context::{API, HttpContext};
-use super::fast_stop::with_reason;
+use super::fast_stop::{REASON_TIME, with_reason};
 use super::operation::serve_below;
 use super::problem::PROBLEM_JSON;
+use super::visitor::Identified;
+use crate::access::Credential;
 use crate::fleet::Ask;
-use crate::gripper::model::{Name, Reason, Urgency};
+use crate::gripper::model::{Door, Name, Reason, Urgency};
 use crate::interfaces::admission::{Class, ConnectionPermit};
 use crate::operations::fleet::no_answer;
 use crate::operations::json::{parse, text_member};
-use crate::operations::{Code, DEFAULT_WAIT_MS, OPERATIONS, Operation, Problem, QueryString, motion, wait_ms};
+use crate::operations::{Code, DEFAULT_WAIT_MS, OPERATIONS, Operation, Problem, QueryString, check, motion, wait_ms};
 
 /// Paths of the grippers of any gateway.
 pub const PATHS: [&str; 2] =
@@ -78,7 +80,13 @@ pub async fn forward(
         return serve_below(&context, operation, path, &parts, stream).await;
     }
     let gripper = target.gripper.parse().map_err(|_| Problem::not_found("gripper with this name"))?;
-    let (mut wait, aside) = (wait(&parts, operation)?, aside(&parts));
+    let identified = Identified::client_of(&context.gateway.access, &parts.extensions);
+    // The rights to one of this gateway's grippers say nothing about another gateway's gripper of the same name.
+    check(&context.gateway.access, operation, &identified.identity, None)?;
+    let (mut wait, mut aside) = (wait(&parts, operation)?, aside(&parts));
+    if let Credential::Token(token) = &identified.visitor.credential {
+        aside.push(("token", token.expose().to_owned()));
+    }
     let permit: Option<Arc<ConnectionPermit>> = parts.extensions.get().cloned();
     let long_wait = wait.filter(|wait| !wait.is_zero());
     let _claim = match (permit, long_wait) {
@@ -89,7 +97,7 @@ pub async fn forward(
         }
         _ => None,
     };
-    let (gateway, client, urgency) = (target.gateway.clone(), client(&parts.extensions), operation.urgency);
+    let (gateway, client, urgency) = (target.gateway.clone(), identified.client(Door::Http), operation.urgency);
     let ask = move |params| async move {
         let (method, params) = (operation.name, Value::Object(params));
         context.gateway.peers.ask(Ask { gateway, gripper, method, params, wait, aside, client, urgency }).await
@@ -99,19 +107,28 @@ pub async fn forward(
         let stop = move |text: Bytes| ask(Map::from_iter([("reason".to_owned(), reason(&text).as_str().into())]));
         with_reason(stream, stop).await?
     } else {
-        let mut params = match fields(stream, path).await {
-            // An invalid Stop is executed too, so that the fingers do not keep moving.
-            Err(_) if operation.name == motion::STOP.name => Map::new(),
-            fields => fields?,
-        };
+        let mut params = fields_of(operation, stream, path).await?;
         params.extend(QueryString::of(&parts.uri)?.fields(operation.query)?);
         ask(params).await
     };
     match asked {
-        Ok(Ok(answer)) => Ok(answered(&target.gateway, &answer)),
+        Ok(Ok(answer)) => Ok(answered(&target.gateway, operation, &answer)),
         Ok(Err((status, problem))) => Ok(refused(status, &problem)),
         Err(why) => Err(no_answer(&target.gateway, why)),
     }
+}
+
+/// Returns the fields of a request. A Stop happens whatever its body says and however long the body takes.
+async fn fields_of(
+    operation: &Operation,
+    stream: Stream,
+    path: BTreeMap<&'static str, String>,
+) -> Result<Map<String, Value>, Problem> {
+    let fields = fields(stream, path);
+    if operation.name == motion::STOP.name {
+        return Ok(timeout(REASON_TIME, fields).await.ok().and_then(Result::ok).unwrap_or_default());
+    }
+    fields.await
 }
 
 async fn fields(stream: Stream, path: BTreeMap<&'static str, String>) -> Result<Map<String, Value>, Problem> {
@@ -184,10 +201,13 @@ fn wait(parts: &Parts, operation: &Operation) -> Result<Option<Duration>, Proble
     Ok(given.or(operation.starts_command.then_some(DEFAULT_WAIT_MS)).map(Duration::from_millis))
 }
 
-/// Builds the response that the owner would send: 202 with a Location while a command is running.
-fn answered(gateway: &Name, answer: &RawValue) -> Response {
-    let command: Value = serde_json::from_str(answer.get()).unwrap_or_default();
+/// Builds the response that the owner would send: 200 for a read, and 202 with a Location while a command is running.
+fn answered(gateway: &Name, operation: &Operation, answer: &RawValue) -> Response {
     let json = [(header::CONTENT_TYPE, "application/json".to_owned())];
+    if !operation.changes_something() {
+        return (json, answer.get().to_owned()).into_response();
+    }
+    let command: Value = serde_json::from_str(answer.get()).unwrap_or_default();
     let text = |key: &str| command[key].as_str().unwrap_or_default();
     if command["place"].is_u64() {
         return (StatusCode::ACCEPTED, json, answer.get().to_owned()).into_response();
@@ -204,4 +224,29 @@ fn refused(status: u16, problem: &RawValue) -> Response {
         StatusCode::from_u16(status).ok().filter(|status| status.is_client_error() || status.is_server_error());
     let headers = [(header::CONTENT_TYPE, PROBLEM_JSON)];
     (status.unwrap_or(StatusCode::BAD_GATEWAY), headers, problem.get().to_owned()).into_response()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::operations::commands;
+
+    #[test]
+    fn only_a_started_command_is_accepted() {
+        let running =
+            RawValue::from_string(r#"{"id": "1", "gripper": "left", "phase": "running"}"#.to_owned()).unwrap();
+        for (operation, status) in [(&motion::HOME, 202), (&commands::CANCEL, 202), (&commands::GET, 200)] {
+            let response = answered(&"other".parse().unwrap(), operation, &running);
+            assert_eq!(response.status(), status, "{}", operation.name);
+            assert_eq!(response.headers().contains_key(header::LOCATION), status == 202, "{}", operation.name);
+        }
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn forwarded_stop_does_not_wait_for_its_body() {
+        let never = Stream::from_stream(futures_util::stream::pending::<Result<&[u8], std::io::Error>>());
+        let start = tokio::time::Instant::now();
+        assert_eq!(fields_of(&motion::STOP, never, BTreeMap::new()).await.unwrap(), Map::new());
+        assert!(start.elapsed() <= REASON_TIME);
+    }
 }

@@ -39,8 +39,8 @@ pub async fn health(Shared(context): Shared<Arc<HttpContext>>) -> Json<Health> {
 
 /// Check readiness
 ///
-/// The gateway is ready when every gripper's link is connected, the journal is writable and undamaged, and Zenoh
-/// listens and is connected at all configured endpoints. A latched FAST STOP does not affect readiness.
+/// The gateway is ready when every gripper's link is connected or released, the journal is writable and undamaged, and
+/// Zenoh listens and is connected at all configured endpoints. A latched FAST STOP does not affect readiness.
 #[utoipa::path(
     get, path = "/readyz", operation_id = "readyz", tag = "gateway",
     responses(

@@ -11,11 +11,12 @@ use axum::http::{HeaderMap, Method, StatusCode, header};
 use axum::response::{IntoResponse, Response};
 
 use super::body;
-use super::client::client;
 use super::context::{API, HttpContext};
 use super::fast_stop::with_reason;
+use super::visitor::Identified;
 use super::wait::ConnectionWaits;
-use crate::gripper::model::{LeaseToken, Text, Urgency};
+use crate::access::Access;
+use crate::gripper::model::{Door, LeaseToken, Text, Urgency};
 use crate::operations::values::text;
 use crate::operations::{
     Caller, Effect, Fields, MAX_LEASE_BYTES, Operation, OperationReply, Params, Presence, Problem, QueryString, Wait,
@@ -44,7 +45,7 @@ pub async fn serve_below(
     parts: &Parts,
     stream: Body,
 ) -> Result<Response, Problem> {
-    let (gateway, caller) = (context.gateway.clone(), caller(parts, operation)?);
+    let (gateway, caller) = (context.gateway.clone(), caller(&context.gateway.access, parts, operation)?);
     let run = move |fields| async move { run(&gateway, operation, caller, Params { path, fields }).await };
     // A Stop, too, happens whatever its body says and however long the body takes.
     let reply = if operation.urgency == Urgency::FastStop || operation.name == motion::STOP.name {
@@ -73,15 +74,17 @@ async fn path(parts: &mut Parts, operation: &Operation) -> Result<BTreeMap<&'sta
     operation.path_parameters().map(part).collect()
 }
 
-fn caller(parts: &Parts, operation: &Operation) -> Result<Caller, Problem> {
+fn caller(access: &Access, parts: &Parts, operation: &Operation) -> Result<Caller, Problem> {
     let wait = if operation.waits {
         let given = QueryString::of(&parts.uri)?.one("wait_ms")?.map(ToOwned::to_owned);
         Wait::Ms { given, limiter: ConnectionWaits::of(&parts.extensions) }
     } else {
         Wait::No
     };
+    let identified = Identified::client_of(access, &parts.extensions);
     Ok(Caller {
-        client: client(&parts.extensions),
+        client: identified.client(Door::Http),
+        identity: identified.identity,
         lease: key::<MAX_LEASE_BYTES>(&parts.headers, "Wsg-Lease")
             .map(|lease| lease.map(|lease| LeaseToken::from(lease.as_str()))),
         request_id: key(&parts.headers, "Idempotency-Key"),
@@ -131,7 +134,7 @@ mod tests {
     }
 
     fn caller_of(headers: &[(&str, &str)]) -> Caller {
-        caller(&parts("/home", headers), &motion::HOME).unwrap()
+        caller(&Access::Open, &parts("/home", headers), &motion::HOME).unwrap()
     }
 
     #[test]
@@ -153,8 +156,8 @@ mod tests {
 
     #[test]
     fn wait_is_given_once() {
-        assert!(caller(&parts("/home?wait_ms=1&wait_ms=2", &[]), &motion::HOME).is_err());
-        let caller = caller(&parts("/home?wait_ms=96.0&other=1", &[]), &motion::HOME).unwrap();
+        assert!(caller(&Access::Open, &parts("/home?wait_ms=1&wait_ms=2", &[]), &motion::HOME).is_err());
+        let caller = caller(&Access::Open, &parts("/home?wait_ms=96.0&other=1", &[]), &motion::HOME).unwrap();
         assert!(matches!(caller.wait, Wait::Ms { given: Some(given), .. } if given == "96.0"));
     }
 }

@@ -11,6 +11,9 @@ pub const PROBLEM_JSON: &str = "application/problem+json";
 /// Retry-After of an overload. The actor empties a full queue within milliseconds; this is the header's shortest time.
 const RETRY_AFTER_S: HeaderValue = HeaderValue::from_static("1");
 
+/// Challenge to a client without a valid credential (RFC 6750, 3).
+const BEARER: HeaderValue = HeaderValue::from_static("Bearer realm=\"wsg-gateway\"");
+
 /// Mark on the response to a refused request, for the access log and the audit.
 #[derive(Debug, Clone)]
 pub struct RefusedMark {
@@ -26,8 +29,10 @@ impl IntoResponse for Problem {
         let mut response = (self.status(), Json(self.members())).into_response();
         let headers = response.headers_mut();
         headers.insert(header::CONTENT_TYPE, HeaderValue::from_static(PROBLEM_JSON));
-        if self.code() == Code::Overloaded {
-            headers.insert(header::RETRY_AFTER, RETRY_AFTER_S);
+        match self.code() {
+            Code::Overloaded => drop(headers.insert(header::RETRY_AFTER, RETRY_AFTER_S)),
+            Code::Unauthorized => drop(headers.insert(header::WWW_AUTHENTICATE, BEARER)),
+            _ => {}
         }
         let (code, cause) = (self.code_word(), self.detail().to_owned());
         response.extensions_mut().insert(RefusedMark { code, cause, is_recorded: self.is_recorded() });

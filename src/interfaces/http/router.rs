@@ -19,7 +19,8 @@ use utoipa_axum::routes;
 use super::context::{API, HttpContext};
 use super::openapi_document::completed;
 use super::{
-    access_log, audit, docs, fleet_lists, forward, gateway, guard, guide, journal, large, paths, stream, turn, upgrade,
+    access_log, audit, docs, fleet_lists, forward, gateway, guard, guide, journal, large, paths, rights, session,
+    stream, turn, upgrade,
 };
 use crate::interfaces::dashboard;
 use crate::operations::{Code, Problem};
@@ -27,6 +28,7 @@ use crate::operations::{Code, Problem};
 pub fn router(context: &Arc<HttpContext>) -> Router {
     served()
         .layer(Extension(context.frame_policy.clone()))
+        .layer(middleware::from_fn_with_state(context.clone(), rights::check))
         .layer(middleware::from_fn_with_state(context.clone(), guard::refuse_foreigners))
         .layer(middleware::from_fn_with_state(context.clone(), audit::record))
         .layer(middleware::map_response(guard::harden))
@@ -128,6 +130,8 @@ fn api() -> Routes {
         .routes(routes!(paths::fleet::list))
         .routes(routes!(paths::alarms::list))
         .routes(routes!(paths::alarms::acknowledge))
+        .routes(routes!(paths::me::me))
+        .routes(routes!(session::sign_in, session::sign_out))
         .routes(routes!(paths::webhooks::list))
         .routes(routes!(paths::webhooks::test))
         .routes(routes!(paths::fast_stop::one))

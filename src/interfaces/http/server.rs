@@ -16,9 +16,10 @@ use std::time::Duration;
 
 use axum::Router;
 use axum::body::Body;
-use axum::extract::ConnectInfo;
+use axum::http::header::STRICT_TRANSPORT_SECURITY;
 use axum::http::{HeaderName, HeaderValue, Request, StatusCode};
 use axum::response::Response;
+use bytes::BytesMut;
 use futures_util::future::{BoxFuture, FutureExt as _, TryFutureExt as _};
 use hyper::body::{Body as _, Incoming};
 use hyper::server::conn::http1;
@@ -26,23 +27,29 @@ use hyper::service::Service;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use rustix::net::RecvFlags;
 use socket2::SockRef;
+use tokio::io::AsyncReadExt as _;
 use tokio::net::{TcpListener, TcpSocket, TcpStream};
 use tokio::runtime::Handle;
 use tokio::sync::{OwnedSemaphorePermit, watch};
 use tokio::time::{Instant, sleep, timeout};
 use tokio_util::sync::CancellationToken;
+use tokio_util::task::AbortOnDropHandle;
 use tower::ServiceExt;
 
 use super::context::HttpContext;
 use super::fast_stop::{is_fast_stop, may_be_fast_stop};
 use super::home::Home;
 use super::operation::Compact;
+use super::redirect;
 use super::router::router;
+use super::visitor::Identified;
 use crate::interfaces::admission::{Admission, Bounds, ConnectionPermit, Usage};
+use crate::interfaces::client_stream::{ClientStream, EncryptedStream};
 use crate::interfaces::metrics::Connected;
 use crate::interfaces::pace::RequestPace;
 use crate::interfaces::quick_ack::QuickAckStream;
 use crate::interfaces::sockets;
+use crate::interfaces::tls::Tls;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct ServerLimits {
@@ -88,6 +95,15 @@ const STALLED_FOR: Duration = Duration::from_millis(200);
 
 /// Time for the rest of a first line to arrive after its beginning.
 const FIRST_LINE_WITHIN: Duration = Duration::from_millis(20);
+
+/// Time for a TLS handshake and the first line behind it while too many connections are leaving.
+const HANDSHAKE_IN_CROWD: Duration = Duration::from_millis(500);
+
+/// First byte of a connection that speaks TLS (RFC 8446, 5.1).
+const TLS_HANDSHAKE: u8 = 22;
+
+/// Tells browsers to use only TLS for a year (RFC 6797). They ignore it where they do not trust the certificate.
+const ONLY_TLS: HeaderValue = HeaderValue::from_static("max-age=31536000");
 
 impl ServerLimits {
     /// Returns the default times with these bounds.
@@ -191,12 +207,18 @@ impl Server {
 
     /// Admits a connection only if it begins with a FAST STOP.
     async fn admit_fast_stop(self: Arc<Self>, stream: TcpStream, peer: SocketAddr, place: OwnedSemaphorePermit) {
-        let mut first = [0; FIRST_BYTES];
-        let seen = timeout(FIRST_LINE_WITHIN, stream.peek(&mut first)).await.map_or(0, Result::unwrap_or_default);
-        if may_be_fast_stop(first.get(..seen).unwrap_or_default()) {
-            let permit = Arc::new(self.admission.admit(peer.ip(), &self.closing));
-            let connected = self.context.metrics.connected();
-            self.begin(stream, peer, permit, connected).await;
+        let admit = || Arc::new(self.admission.admit(peer.ip(), &self.closing));
+        if let Some(tls) = &self.context.tls {
+            let begun = timeout(HANDSHAKE_IN_CROWD, self.decrypted(tls, stream, peer)).await;
+            if let Some(begun) = begun.ok().flatten().filter(|begun| begun.is_fast_stop) {
+                self.clone().serve(begun, peer, admit(), self.context.metrics.connected());
+            }
+        } else {
+            let mut first = [0; FIRST_BYTES];
+            let seen = timeout(FIRST_LINE_WITHIN, stream.peek(&mut first)).await.map_or(0, Result::unwrap_or_default);
+            if may_be_fast_stop(first.get(..seen).unwrap_or_default()) {
+                self.clone().begin(stream, peer, admit(), self.context.metrics.connected()).await;
+            }
         }
         drop(place);
     }
@@ -209,6 +231,22 @@ impl Server {
         permit: Arc<ConnectionPermit>,
         connected: Connected,
     ) {
+        let begun = match &self.context.tls {
+            None => self.inspected(stream, peer, &permit).await,
+            Some(tls) => tokio::select! {
+                biased;
+                begun = self.decrypted(tls, stream, peer) => begun,
+                () = permit.evicted() => None,
+                () = sleep(self.limits.idle_time) => None,
+            },
+        };
+        if let Some(begun) = begun {
+            self.serve(begun, peer, permit, connected);
+        }
+    }
+
+    /// Inspects the first bytes of a connection, which stay to be read.
+    async fn inspected(&self, stream: TcpStream, peer: SocketAddr, permit: &ConnectionPermit) -> Option<Begun> {
         let mut first = [0; FIRST_BYTES];
         let mut seen = tokio::select! {
             biased;
@@ -218,20 +256,52 @@ impl Server {
             () = sleep(self.limits.idle_time) => 0,
         };
         if seen == 0 {
-            return;
+            return None;
         }
         if !first.contains(&b'\n') && seen < FIRST_BYTES {
             // The first line can arrive in two packets.
             sleep(FIRST_LINE_WITHIN).await;
             seen = peek_now(&stream, &mut first);
         }
-        // Responses are small and awaited. An open request keeps a lease, so a vanished client must be noticed. A
-        // connection that sends nothing never gets here and costs no call.
-        if let Err(error) = sockets::prepare(&stream) {
-            return tracing::debug!(%peer, %error, "connection refused: socket options could not be set");
-        }
-        set_unsent_limit(&stream);
+        // A connection that sends nothing never gets here and costs no call.
+        prepare(&stream, peer)?;
         let is_fast_stop = may_be_fast_stop(first.get(..seen).unwrap_or_default());
+        Some(Begun { stream: ClientStream::Left(QuickAckStream::new(stream)), is_fast_stop })
+    }
+
+    /// Performs a TLS handshake, and reads the first line behind it. A client that does not speak TLS is redirected.
+    async fn decrypted(&self, tls: &Tls, stream: TcpStream, peer: SocketAddr) -> Option<Begun> {
+        prepare(&stream, peer)?;
+        let mut kind = [0];
+        if stream.peek(&mut kind).await.ok()? == 0 {
+            return None;
+        }
+        if kind != [TLS_HANDSHAKE] {
+            redirect::answer(stream).await;
+            return None;
+        }
+        let (acceptor, stream) = (tls.acceptor(), QuickAckStream::new(stream));
+        let handshake = async move {
+            let mut stream = acceptor.accept(stream).await?;
+            let mut first = BytesMut::with_capacity(FIRST_BYTES);
+            while !first.contains(&b'\n') && first.len() < FIRST_BYTES {
+                if stream.read_buf(&mut first).await? == 0 {
+                    return Err(io::ErrorKind::UnexpectedEof.into());
+                }
+            }
+            io::Result::Ok((first.freeze(), stream))
+        };
+        // A handshake takes as much processor time as many requests, and a FAST STOP must not wait for it.
+        let handshake = AbortOnDropHandle::new(self.context.runtimes.requests.spawn(handshake)).await.ok()?;
+        let (first, stream) =
+            handshake.inspect_err(|error| tracing::debug!(%peer, %error, "no TLS connection")).ok()?;
+        let is_fast_stop = may_be_fast_stop(&first);
+        Some(Begun { stream: ClientStream::Right(Box::new(EncryptedStream::new(first, stream))), is_fast_stop })
+    }
+
+    /// Serves a connection on the matching runtime.
+    fn serve(self: Arc<Self>, begun: Begun, peer: SocketAddr, permit: Arc<ConnectionPermit>, connected: Connected) {
+        let Begun { stream, is_fast_stop } = begun;
         let runtimes = &self.context.runtimes;
         let runtime = if is_fast_stop { runtimes.accept.clone() } else { runtimes.requests.clone() };
         let (moves, home) = watch::channel(runtime.clone());
@@ -250,12 +320,19 @@ impl Server {
             .header_read_timeout(self.limits.idle_time)
             .max_header_size(MAX_HEADER_BYTES)
             .max_buf_size(MAX_BUFFER_BYTES)
-            .serve_connection(TokioIo::new(QuickAckStream::new(stream)), service)
+            .serve_connection(TokioIo::new(stream), service)
             .with_upgrades();
         let http = Box::pin(http);
         let connection = Connection { server: self, peer, permit, is_fast_stop, http, home, _connected: connected };
         drop(runtime.spawn(connection.run()));
     }
+}
+
+/// A connection whose first line has been inspected.
+struct Begun {
+    stream: ClientStream,
+    /// Whether the connection begins with a FAST STOP.
+    is_fast_stop: bool,
 }
 
 /// A connection served by hyper, on one runtime at a time.
@@ -265,7 +342,7 @@ struct Connection {
     permit: Arc<ConnectionPermit>,
     /// Whether the connection began with a FAST STOP.
     is_fast_stop: bool,
-    http: Pin<Box<http1::UpgradeableConnection<TokioIo<QuickAckStream>, Requests>>>,
+    http: Pin<Box<http1::UpgradeableConnection<TokioIo<ClientStream>, Requests>>>,
     home: watch::Receiver<Handle>,
     _connected: Connected,
 }
@@ -331,24 +408,40 @@ impl Service<Request<Incoming>> for Requests {
         if !request.body().is_end_stream() {
             self.permit.receiving();
         }
+        let access = &self.server.context.gateway.access;
+        let identified = Identified::of(access, request.headers(), self.peer);
         let extensions = request.extensions_mut();
-        extensions.insert(ConnectInfo(self.peer));
+        extensions.insert(identified);
         extensions.insert(self.permit.clone());
         extensions.insert(self.home.clone());
         extensions.insert(self.pace.clone());
-        let keep_alive = self.server.keep_alive.clone();
+        let (keep_alive, is_tls) = (self.server.keep_alive.clone(), self.server.context.tls.is_some());
         let response = self.server.router.clone().oneshot(request.map(Body::new));
-        response.map_ok(move |response| with_keep_alive(response, keep_alive)).boxed()
+        response.map_ok(move |response| with_headers(response, keep_alive, is_tls)).boxed()
     }
 }
 
-/// Tells the client how long an idle connection stays open.
-fn with_keep_alive(mut response: Response, keep_alive: HeaderValue) -> Response {
+/// Tells the client how long an idle connection stays open, and browsers to use only TLS.
+fn with_headers(mut response: Response, keep_alive: HeaderValue, is_tls: bool) -> Response {
     let is_switched = response.status() == StatusCode::SWITCHING_PROTOCOLS;
     if !is_switched && response.extensions().get::<Compact>().is_none() {
         response.headers_mut().insert(KEEP_ALIVE, keep_alive);
+        if is_tls {
+            response.headers_mut().insert(STRICT_TRANSPORT_SECURITY, ONLY_TLS);
+        }
     }
     response
+}
+
+/// Sets a connection's options. Responses are small and awaited. An open request keeps a lease, so a vanished client
+/// must be noticed.
+fn prepare(stream: &TcpStream, peer: SocketAddr) -> Option<()> {
+    if let Err(error) = sockets::prepare(stream) {
+        tracing::debug!(%peer, %error, "connection refused: socket options could not be set");
+        return None;
+    }
+    set_unsent_limit(stream);
+    Some(())
 }
 
 /// Peeks without waiting for tokio's readiness, which a fresh stream does not have yet.

@@ -10,12 +10,15 @@ use axum::http::{Extensions, HeaderMap, Uri};
 use axum::response::Sse;
 use axum::response::sse::{self, KeepAlive};
 use futures_util::stream::unfold;
+use tokio::time::{Interval, MissedTickBehavior};
 use tokio_util::sync::CancellationToken;
 use utoipa::IntoParams;
 
 use super::context::HttpContext;
 use super::home::Home;
 use super::paths::responses::JournalProblem;
+use super::visitor::Identified;
+use crate::access::{Access, Right, Visitor};
 use crate::events::{DEFAULT_HZ, Gap, MAX_HZ, Notification, Pace, Subscription, TOPICS, Topic};
 use crate::gripper::Now;
 use crate::gripper::model::Name;
@@ -23,10 +26,13 @@ use crate::interfaces::admission::{Claim, Class, ConnectionPermit};
 use crate::interfaces::metrics::InterfaceMetrics;
 use crate::journal::{EventStream, Filter, StreamItem};
 use crate::operations::values::integer;
-use crate::operations::{Code, Problem, QueryString};
+use crate::operations::{Code, Problem, QueryString, require};
 
 /// Interval of keep-alive comments on an idle stream, so that proxies keep the connection open.
 const KEPT_ALIVE_EVERY: Duration = Duration::from_secs(15);
+
+/// Interval of the checks that the client's credential is still valid.
+const CHECKED_EVERY: Duration = Duration::from_secs(1);
 
 const READ_RETRY_PAUSE: Duration = Duration::from_secs(1);
 
@@ -69,6 +75,9 @@ struct Stream {
     /// Messages to send next, at most one for each topic and gripper.
     ready: VecDeque<Notification>,
     closing: CancellationToken,
+    /// The client, whose credential can end.
+    client: (Arc<Access>, Visitor),
+    checks: Interval,
     _claim: Option<Claim>,
 }
 
@@ -98,7 +107,8 @@ pub async fn stream(
     uri: Uri,
     extensions: Extensions,
 ) -> Result<Sse<impl futures_util::Stream<Item = Result<sse::Event, Infallible>>>, Problem> {
-    let stream = Stream::new(&context, &headers, &uri)?;
+    let visitor = Identified::client_of(&context.gateway.access, &extensions).visitor;
+    let stream = Stream::new(&context, visitor, &headers, &uri)?;
     let permit = extensions.get::<Arc<ConnectionPermit>>();
     let claim = permit.map(|permit| permit.claim(Class::Streaming).ok_or_else(too_many)).transpose()?;
     let stream = Stream { _claim: claim, ..stream };
@@ -111,7 +121,7 @@ pub async fn stream(
 }
 
 impl Stream {
-    fn new(context: &HttpContext, headers: &HeaderMap, uri: &Uri) -> Result<Self, Problem> {
+    fn new(context: &HttpContext, visitor: Visitor, headers: &HeaderMap, uri: &Uri) -> Result<Self, Problem> {
         let given = QueryString::of(uri)?.only(&["topics", "gripper", "max_hz", "after"])?;
         let mut topics = given
             .parsed("topics", &format!("{TOPICS}, separated by commas"), topics)?
@@ -142,10 +152,13 @@ impl Stream {
             ready.extend(has(Topic::Telemetry).then(telemetry).flatten());
         }
         let (metrics, closing) = (context.metrics.clone(), context.closing.clone());
-        Ok(Self { events, updates, pace: Pace::new(max_hz as u32), metrics, ready, closing, _claim: None })
+        let (client, pace) = ((context.gateway.access.clone(), visitor), Pace::new(max_hz as u32));
+        let mut checks = tokio::time::interval(CHECKED_EVERY);
+        checks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        Ok(Self { events, updates, pace, metrics, ready, closing, client, checks, _claim: None })
     }
 
-    /// Returns the next message, or `None` when the gateway shuts down.
+    /// Returns the next message, or `None` when the gateway shuts down or the client's credential ends.
     async fn next(&mut self) -> Option<sse::Event> {
         loop {
             if let Some(notification) = self.ready.pop_front() {
@@ -154,6 +167,11 @@ impl Stream {
             tokio::select! {
                 biased;
                 () = self.closing.cancelled() => return None,
+                _ = self.checks.tick() => {
+                    let (access, visitor) = &self.client;
+                    let identity = visitor.identity(access).ok()?;
+                    require(&identity, Right::Read, None).ok()?;
+                }
                 event = next_event(&mut self.events) => match event {
                     Ok(Some(event)) => return Some(event),
                     Ok(None) => return None,
@@ -218,6 +236,7 @@ mod tests {
     use prometheus::TextEncoder;
 
     use super::*;
+    use crate::access::Credential;
     use crate::gripper::fake::{self, FakeScript};
     use crate::gripper::model::{Client, Door, FastStopId, Reason};
 
@@ -226,7 +245,8 @@ mod tests {
         let (handle, _seen) = fake::gripper("left", FakeScript::default());
         let context = HttpContext::of([handle.clone()]);
         let uri = Uri::from_static("/stream?topics=state,telemetry&max_hz=10");
-        let mut stream = Stream::new(&context, &HeaderMap::new(), &uri).unwrap();
+        let nobody = Visitor { credential: Credential::None, peer: None };
+        let mut stream = Stream::new(&context, nobody, &HeaderMap::new(), &uri).unwrap();
         // No time passes between the changes; each is sent as a state and as telemetry.
         for (changes, later_ms, expected) in [(0, 0, 0), (3, 0, 0), (3, 350, 4), (1, 350, 4), (10, 100, 4)] {
             for _ in 0..changes {

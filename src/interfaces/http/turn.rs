@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use axum::body::Body as Stream;
 use axum::extract::{MatchedPath, Request};
+use axum::http::Method;
 use axum::http::header::{CONNECTION, HeaderValue};
 use axum::http::request::Parts;
 use axum::middleware::Next;
@@ -24,7 +25,8 @@ use crate::operations::{Code, Problem};
 const TURN_TIME: Duration = Duration::from_secs(2);
 
 /// Middleware that reads the body before the handlers see the request. The connection claims its slot only after the
-/// body has arrived. A FAST STOP waits for nothing and claims a slot at once.
+/// body has arrived. A FAST STOP waits for nothing and claims a slot at once. A Stop does not wait for its body, which
+/// the handler reads.
 pub async fn read_first(request: Request, next: Next) -> Response {
     let permit: Option<Arc<ConnectionPermit>> = request.extensions().get().cloned();
     let pace: Option<Arc<RequestPace>> = request.extensions().get().cloned();
@@ -40,10 +42,14 @@ pub async fn read_first(request: Request, next: Next) -> Response {
     if let Some(pace) = pace {
         pace.next(is_urgent).await;
     }
-    let (bytes, _held) = match read(stream, permit.as_ref()).await {
-        Ok(read) => read,
-        // The rest of the body must not be parsed as a request.
-        Err(problem) => return ([(CONNECTION, HeaderValue::from_static("close"))], problem).into_response(),
+    let (stream, _held) = if is_stop(&parts) {
+        (stream, None)
+    } else {
+        match read(stream, permit.as_ref()).await {
+            Ok((bytes, held)) => (Stream::from(bytes), held),
+            // The rest of the body must not be parsed as a request.
+            Err(problem) => return ([(CONNECTION, HeaderValue::from_static("close"))], problem).into_response(),
+        }
     };
     let _claim = match &permit {
         Some(permit) if is_urgent => permit.claim(Class::Answering).or_else(|| permit.claim(Class::Urgent)),
@@ -56,7 +62,12 @@ pub async fn read_first(request: Request, next: Next) -> Response {
         }
         None => None,
     };
-    next.run(Request::from_parts(parts, Stream::from(bytes))).await
+    next.run(Request::from_parts(parts, stream)).await
+}
+
+/// Whether a request is a Stop of one gripper, judged by its path.
+fn is_stop(parts: &Parts) -> bool {
+    parts.method == Method::POST && parts.uri.path().ends_with("/stop")
 }
 
 /// Whether a request only stops a gripper, or keeps or ends a lease, on any gateway. An urgent request is never refused

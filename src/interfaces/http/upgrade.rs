@@ -12,15 +12,19 @@ use hyper::upgrade::Upgraded;
 use hyper_util::rt::TokioIo;
 use tokio_tungstenite::tungstenite::handshake::server::create_response_with_body;
 
-use super::client::websocket_client;
 use super::context::HttpContext;
 use super::paths::responses::SocketProblem;
 use super::stream::too_many;
-use crate::gripper::model::Client;
+use super::visitor::Identified;
+use crate::access::Visitor;
+use crate::gripper::model::{Client, Door};
 use crate::interfaces::admission::{Class, ConnectionPermit};
-use crate::interfaces::quick_ack::QuickAckStream;
+use crate::interfaces::client_stream::ClientStream;
 use crate::interfaces::websocket::{self, Connection, SUBPROTOCOL};
 use crate::operations::Problem;
+
+/// Path of the WebSocket.
+pub const PATH: &str = "/ws";
 
 /// Length of a decoded `Sec-WebSocket-Key` (RFC 6455, 4.1).
 const KEY_BYTES: usize = 16;
@@ -34,6 +38,10 @@ const KEY_BYTES: usize = 16;
     responses((status = 101, description = "The connection is now a WebSocket"), SocketProblem)
 )]
 pub async fn open(Shared(context): Shared<Arc<HttpContext>>, mut request: Request) -> Result<Response, Problem> {
+    let identified = Identified::client_of(&context.gateway.access, request.extensions());
+    // What the client may do is checked for each of its requests.
+    identified.identity.as_ref().map_err(|unknown| *unknown)?;
+    let (client, visitor) = (identified.client(Door::Ws), identified.visitor);
     let mut response = create_response_with_body(&request, Body::empty).map_err(|error| {
         let detail = format!("invalid WebSocket handshake: {error}; connect with the subprotocol {SUBPROTOCOL}");
         Problem::malformed("Upgrade", detail)
@@ -47,12 +55,11 @@ pub async fn open(Shared(context): Shared<Arc<HttpContext>>, mut request: Reques
     let permit: Option<Arc<ConnectionPermit>> = request.extensions().get().cloned();
     // Held until the socket has ended, even if the HTTP connection ends earlier.
     let claim = permit.as_ref().map(|permit| permit.claim(Class::Streaming).ok_or_else(too_many)).transpose()?;
-    let client = websocket_client(request.extensions());
     let upgrade = hyper::upgrade::on(&mut request);
     tokio::spawn(async move {
         match upgrade.await {
             Ok(upgraded) => {
-                begin(upgraded, client, permit, &context).await;
+                begin(upgraded, (client, visitor), permit, &context).await;
                 drop(claim);
             }
             Err(error) => tracing::debug!(%error, "WebSocket handshake not completed"),
@@ -62,15 +69,16 @@ pub async fn open(Shared(context): Shared<Arc<HttpContext>>, mut request: Reques
 }
 
 /// Serves an upgraded connection on the sockets' runtimes until its end.
-async fn begin(upgraded: Upgraded, client: Client, permit: Option<Arc<ConnectionPermit>>, context: &Arc<HttpContext>) {
-    let Ok(parts) = upgraded.downcast::<TokioIo<QuickAckStream>>() else {
-        return tracing::error!("WebSocket upgrade failed: the connection is not TCP");
+async fn begin(
+    upgraded: Upgraded,
+    client: (Client, Visitor),
+    permit: Option<Arc<ConnectionPermit>>,
+    context: &Arc<HttpContext>,
+) {
+    let Ok(parts) = upgraded.downcast::<TokioIo<ClientStream>>() else {
+        return tracing::error!("WebSocket upgrade failed: the connection is of another kind");
     };
-    let stream = match parts.io.into_inner().into_inner() {
-        Ok(stream) => stream,
-        Err(error) => return tracing::debug!(%error, "WebSocket lost during the handshake"),
-    };
-    let connection = Connection { stream, early: parts.read_buf, permit };
+    let connection = Connection { stream: parts.io.into_inner(), early: parts.read_buf, permit };
     let serving = context.of_interface(context.ws_metrics.clone());
     let ended = context.runtimes.sockets.spawn(websocket::serve(connection, client, serving));
     if let Err(error) = ended.await {

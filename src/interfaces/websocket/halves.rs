@@ -1,5 +1,6 @@
-//! The two halves of a client's TCP connection, each registered with its own runtime. Reading can bring a FAST STOP, so
-//! it must not wait for the thread that writes to a thousand observers. The second half takes a second descriptor.
+//! The two halves of a client's connection, each used by its own runtime. Reading can bring a FAST STOP, so it must not
+//! wait for the thread that writes to a thousand observers. The second half of a TCP connection takes a second
+//! descriptor. The halves of an encrypted connection share their state, and stay with the reading runtime.
 
 use std::io;
 use std::pin::Pin;
@@ -7,18 +8,35 @@ use std::sync::Arc;
 use std::task::{Context, Poll, ready};
 
 use bytes::Bytes;
-use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::io::{self as streams, AsyncRead, AsyncWrite, ReadBuf};
 use tokio::net::TcpStream;
 use tokio::runtime::Handle;
+use tokio_util::either::Either;
 
 use super::outbox::Outbox;
 use crate::interfaces::admission::HeldBytes;
+use crate::interfaces::client_stream::{ClientStream, EncryptedStream};
 
-/// Splits a connection into a half for reading and a half for writing, each on its own runtime.
-pub fn split(stream: TcpStream, reader: &Handle, writer: &Handle) -> io::Result<(TcpStream, TcpStream)> {
-    let stream = stream.into_std()?;
-    let clone = stream.try_clone()?;
-    Ok((registered(stream, reader)?, registered(clone, writer)?))
+/// The half for reading.
+pub type ReadingHalf = Either<TcpStream, streams::ReadHalf<Box<EncryptedStream>>>;
+
+/// The half for writing.
+pub type WritingHalf = Either<TcpStream, streams::WriteHalf<Box<EncryptedStream>>>;
+
+/// Splits a connection into a half for reading and a half for writing, each for its own runtime.
+pub fn split(stream: ClientStream, reader: &Handle, writer: &Handle) -> io::Result<(ReadingHalf, WritingHalf)> {
+    match stream {
+        Either::Left(stream) => {
+            let stream = stream.into_inner()?.into_std()?;
+            let clone = stream.try_clone()?;
+            Ok((Either::Left(registered(stream, reader)?), Either::Left(registered(clone, writer)?)))
+        }
+        Either::Right(mut stream) => {
+            stream.below().settle(reader)?;
+            let (reading, writing) = streams::split(stream);
+            Ok((Either::Right(reading), Either::Right(writing)))
+        }
+    }
 }
 
 fn registered(stream: std::net::TcpStream, runtime: &Handle) -> io::Result<TcpStream> {
@@ -32,7 +50,7 @@ fn registered(stream: std::net::TcpStream, runtime: &Handle) -> io::Result<TcpSt
 pub struct Inbound {
     /// Bytes that arrived in the handshake's last packet.
     early: io::Cursor<Bytes>,
-    half: TcpStream,
+    half: ReadingHalf,
     outbox: Arc<Outbox>,
     /// Bytes of the incomplete message.
     incomplete: usize,
@@ -49,7 +67,7 @@ const READS_A_TURN: u8 = 2;
 const COUNTED_FROM: usize = 8 * 1024;
 
 impl Inbound {
-    pub fn new(early: Bytes, half: TcpStream, outbox: Arc<Outbox>, held: Option<HeldBytes>) -> Self {
+    pub fn new(early: Bytes, half: ReadingHalf, outbox: Arc<Outbox>, held: Option<HeldBytes>) -> Self {
         Self { early: io::Cursor::new(early), half, outbox, incomplete: 0, reads: 0, held }
     }
 

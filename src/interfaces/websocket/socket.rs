@@ -14,7 +14,6 @@ use futures_util::future::{BoxFuture, FutureExt as _, join_all};
 use futures_util::stream::{FuturesUnordered, StreamExt as _};
 use serde_json::Value;
 use serde_json::value::{RawValue, to_raw_value};
-use tokio::net::TcpStream;
 use tokio::time::{Instant, Interval, MissedTickBehavior, sleep_until, timeout};
 use tokio_tungstenite::WebSocketStream;
 use tokio_tungstenite::tungstenite::error::ProtocolError;
@@ -29,16 +28,18 @@ use super::halves::{self, Inbound};
 use super::outbox::Outbox;
 use super::rpc::{self, Incoming, RpcCall, RpcError, RpcResponse};
 use super::writer::Writer;
+use crate::access::{Right, Visitor};
 use crate::events::{Notification, encoded, text_frame};
 use crate::gripper::Ticket;
 use crate::gripper::model::{Client, CommandReport, Name, Urgency};
 use crate::interfaces::Context;
 use crate::interfaces::admission::{Claim, Class, ConnectionPermit, HeldBytes};
+use crate::interfaces::client_stream::ClientStream;
 use crate::interfaces::metrics::Connected;
 use crate::interfaces::pace::RequestPace;
 use crate::operations::json::MAX_BODY_BYTES;
 use crate::operations::{
-    Caller, Code, ConnectionLease, Effect, OperationReply, Problem, is_fast_stop, lease, named, urgency,
+    Caller, Code, ConnectionLease, Effect, OperationReply, Problem, is_fast_stop, lease, named, require, urgency,
 };
 
 const PINGED_EVERY: Duration = Duration::from_secs(1);
@@ -68,7 +69,7 @@ const FAREWELL_WITHIN: Duration = Duration::from_secs(1);
 
 /// A connection after its upgrade to a WebSocket.
 pub struct Connection {
-    pub stream: TcpStream,
+    pub stream: ClientStream,
     /// Bytes that arrived directly after the handshake.
     pub early: Bytes,
     pub permit: Option<Arc<ConnectionPermit>>,
@@ -76,6 +77,7 @@ pub struct Connection {
 
 pub struct Socket {
     client: Client,
+    visitor: Visitor,
     context: Context,
     permit: Option<Arc<ConnectionPermit>>,
     outbox: Arc<Outbox>,
@@ -153,7 +155,7 @@ enum End {
     Violation(CloseCode, &'static str),
 }
 
-pub async fn serve(connection: Connection, client: Client, context: Context) {
+pub async fn serve(connection: Connection, client: (Client, Visitor), context: Context) {
     match Socket::new(connection, client, context).await {
         Ok(socket) => socket.run().await,
         Err(error) => tracing::debug!(%error, "WebSocket could not be started"),
@@ -163,7 +165,7 @@ pub async fn serve(connection: Connection, client: Client, context: Context) {
 impl Socket {
     async fn new(
         Connection { stream, early, permit }: Connection,
-        client: Client,
+        (client, visitor): (Client, Visitor),
         context: Context,
     ) -> io::Result<Self> {
         let held = || permit.as_ref().map(ConnectionPermit::held);
@@ -182,6 +184,7 @@ impl Socket {
         pings.set_missed_tick_behavior(MissedTickBehavior::Delay);
         Ok(Self {
             client,
+            visitor,
             held: held(),
             permit,
             outbox,
@@ -269,6 +272,9 @@ impl Socket {
                     if self.unanswered >= MAX_UNANSWERED {
                         return End::Lost;
                     }
+                    if self.visitor.identity(&self.context.gateway.access).is_err() {
+                        return End::Violation(CloseCode::Policy, "the client's credential is no longer valid");
+                    }
                     self.unanswered += 1;
                     self.outbox.push(encoded(Frame::ping(Bytes::new())));
                 }
@@ -337,20 +343,18 @@ impl Socket {
             return ready(Answered { answer: id.map(|id| RpcResponse::new(id, refused)), ..Answered::default() });
         }
         if method == "subscribe" {
-            return ready(
-                match bodies::subscribe(&self.context.gateway, &params).map(|(body, following)| (raw(&body), following))
-                {
-                    Ok((body, following)) => Answered {
-                        answer: id.map(|id| RpcResponse::new(id, body)),
-                        following: Some(following),
-                        lease: None,
-                        running: None,
-                    },
-                    Err(problem) => {
-                        Answered { answer: id.map(|id| RpcResponse::new(id, refused(problem))), ..Answered::default() }
-                    }
+            let allowed = self.check_read().and_then(|()| bodies::subscribe(&self.context.gateway, &params));
+            return ready(match allowed.map(|(body, following)| (raw(&body), following)) {
+                Ok((body, following)) => Answered {
+                    answer: id.map(|id| RpcResponse::new(id, body)),
+                    following: Some(following),
+                    lease: None,
+                    running: None,
                 },
-            );
+                Err(problem) => {
+                    Answered { answer: id.map(|id| RpcResponse::new(id, refused(problem))), ..Answered::default() }
+                }
+            });
         }
         if named(&method).next().is_none() {
             let detail = "unknown method; /api/v1/asyncapi.yaml lists all methods";
@@ -363,13 +367,14 @@ impl Socket {
         }
         let (gateway, client, metrics) =
             (self.context.gateway.clone(), self.client.clone(), self.context.metrics.clone());
+        let identity = self.visitor.identity(&gateway.access);
         let (is_urgent, pace) = (urgency(&method) != Urgency::None, self.pace.clone());
         let answered = async move {
             // The FAST STOPs of a batch arrive all at once.
             if is_fast_stop(&method) {
                 pace.next_fast_stop().await;
             }
-            let result = crate::operations::call(&gateway, Caller::new(client), &method, params).await;
+            let result = crate::operations::call(&gateway, Caller::new(client, identity), &method, params).await;
             let status = result.as_ref().map_or_else(|problem| problem.status().as_u16(), |_| 200);
             metrics.answered(Some(&method), "CALL", status);
             Answered::new(id, result)
@@ -380,6 +385,11 @@ impl Socket {
         // A call that panicked gets no response.
         let answered = AbortOnDropHandle::new(self.context.runtimes.observers.spawn(answered));
         answered.map(Result::unwrap_or_default).boxed()
+    }
+
+    /// Checks that the client may receive updates.
+    fn check_read(&self) -> Result<(), Problem> {
+        require(&self.visitor.identity(&self.context.gateway.access)?, Right::Read, None)
     }
 
     /// Returns why this client can't start another request now, if it can't.

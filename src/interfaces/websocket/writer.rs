@@ -7,9 +7,9 @@ use std::sync::Arc;
 use bytes::Bytes;
 use futures_util::FutureExt as _;
 use tokio::io::AsyncWriteExt as _;
-use tokio::net::TcpStream;
 
 use super::bodies::Following;
+use super::halves::WritingHalf;
 use super::outbox::{Item, Outbox};
 use crate::events::{Notification, Pace, Subscription};
 use crate::interfaces::metrics::InterfaceMetrics;
@@ -18,14 +18,14 @@ use crate::interfaces::metrics::InterfaceMetrics;
 const MAX_GATHERED: usize = 64;
 
 pub struct Writer {
-    half: TcpStream,
+    half: WritingHalf,
     outbox: Arc<Outbox>,
     following: Option<(Subscription, Pace)>,
     metrics: InterfaceMetrics,
 }
 
 impl Writer {
-    pub fn new(half: TcpStream, outbox: Arc<Outbox>, metrics: InterfaceMetrics) -> Self {
+    pub fn new(half: WritingHalf, outbox: Arc<Outbox>, metrics: InterfaceMetrics) -> Self {
         Self { half, outbox, following: None, metrics }
     }
 
@@ -64,7 +64,7 @@ impl Writer {
     }
 }
 
-async fn write(half: &mut TcpStream, frames: &[Bytes]) -> std::io::Result<()> {
+async fn write(half: &mut WritingHalf, frames: &[Bytes]) -> std::io::Result<()> {
     let mut slices: Vec<_> = frames.iter().map(|frame| IoSlice::new(frame)).collect();
     let mut rest = slices.as_mut_slice();
     while !rest.is_empty() {

@@ -345,18 +345,18 @@ impl<R: AsyncRead + Unpin, W: AsyncWrite + Unpin> Served<R, W> {
             .boxed(),
             PortOrder::AcknowledgeFault => async move {
                 match gripper.acknowledge_fault(client, Some(token)).await {
-                    // A fault that is over by now needs no acknowledgement, and one under another client's lease is for
-                    // that client. Many drivers start by 24h and expect success while nothing is latched.
+                    Err(Rejection::Invalid(_) | Rejection::Conflict(Conflict::FastStop { .. })) => {
+                        Step::Answered(ask, PortReply::NoFault)
+                    }
+                    // A fault under another client's lease is for that client. Many drivers start by 24h and expect
+                    // success while nothing is latched.
                     Ok(())
-                    | Err(
-                        Rejection::Invalid(_)
-                        | Rejection::Conflict(
-                            Conflict::LeaseHeld { .. }
-                            | Conflict::LeaseBound { .. }
-                            | Conflict::LeaseTokenMissing { .. }
-                            | Conflict::StaleLease { .. },
-                        ),
-                    ) => Step::Answered(ask, PortReply::Reply(Reply::Success(Data::None))),
+                    | Err(Rejection::Conflict(
+                        Conflict::LeaseHeld { .. }
+                        | Conflict::LeaseBound { .. }
+                        | Conflict::LeaseTokenMissing { .. }
+                        | Conflict::StaleLease { .. },
+                    )) => Step::Answered(ask, PortReply::Reply(Reply::Success(Data::None))),
                     Err(rejection) => Step::Rejected(ask, rejection, true),
                 }
             }

@@ -74,6 +74,8 @@ pub(super) enum PortReply {
     Accepted,
     Reply(Reply),
     Refused(RefusedStatus),
+    /// A fault can't be acknowledged without an id: it is over, or a FAST STOP was found behind it.
+    NoFault,
     FastStopped(FastStop),
 }
 
@@ -166,6 +168,8 @@ impl VirtualDevice {
                 }
                 self.status(ask.id, refusal.status);
             }
+            PortReply::NoFault if state.latch.is_some() => self.acknowledge(state),
+            PortReply::NoFault => self.reply(ask.id, &Reply::Success(Data::None)),
             PortReply::FastStopped(FastStop { id, confirmed }) => {
                 self.acknowledges.caused(id);
                 for _ in 0..std::mem::take(&mut self.fast_stops.under_way) {

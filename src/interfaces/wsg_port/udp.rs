@@ -1,7 +1,8 @@
 //! UDP clients. A client is identified by the address that its replies go to.
 //!
 //! Silence ends a client's lease, but not its updates: many drivers only listen while they hold a part. A client is
-//! removed after its 07h, when its port is closed, or when another program uses its address.
+//! removed after its 07h, when its port is closed, when its host is unreachable for too long, or when another program
+//! uses its address.
 
 use std::collections::{BTreeSet, HashMap};
 use std::io;
@@ -19,7 +20,7 @@ use tokio_util::sync::CancellationToken;
 
 use super::client::Served;
 use super::port::Port;
-use super::unreachable;
+use super::unreachable::{self, DeliveryError, Outage};
 use crate::gripper::clock;
 
 /// Settings for UDP clients.
@@ -45,6 +46,8 @@ struct Known {
     /// Port that the client sends from.
     source: u16,
     heard: Instant,
+    /// Errors reported since the client was heard.
+    outage: Outage,
 }
 
 /// Hosts that were already warned about in the log.
@@ -79,16 +82,22 @@ pub(super) async fn serve(
                 known.retain(|_, client| !client.datagrams.is_closed());
                 continue;
             }
-            closed = unreachable::next(&socket) => {
-                // The client's task ends once its sender is dropped.
-                if let Some(client) = known.remove(&closed) {
-                    tracing::info!(%gripper, client = %closed, "client lost: its port is closed");
-                    if client.source != closed.port() && unheard.is_first(closed.ip()) {
-                        tracing::warn!(%gripper, client = %closed, source = client.source,
-                            "replies reach nobody: if the driver expects them at the port that it sends from, add \
-                             reply_port=sender to the address in wsg_port");
-                    }
+            (address, error) = unreachable::next(&socket) => {
+                let Some(client) = known.get_mut(&address) else { continue };
+                let cause = match error {
+                    DeliveryError::Closed => "its port is closed",
+                    DeliveryError::Unreachable if client.outage.is_loss(clock::instant()) => "its host is unreachable",
+                    DeliveryError::Unreachable => continue,
+                };
+                tracing::info!(%gripper, client = %address, "client lost: {cause}");
+                let is_elsewhere = error == DeliveryError::Closed && client.source != address.port();
+                if is_elsewhere && unheard.is_first(address.ip()) {
+                    tracing::warn!(%gripper, client = %address, source = client.source,
+                        "replies reach nobody: if the driver expects them at the port that it sends from, add \
+                         reply_port=sender to the address in wsg_port");
                 }
+                // The client's task ends once its sender is dropped.
+                known.remove(&address);
                 continue;
             }
             received = socket.recv_from(&mut datagram) => received,
@@ -103,7 +112,7 @@ pub(super) async fn serve(
         let is_same = |client: &&mut Known| client.source == peer.port() || now < client.heard + lost_after;
         let client = known.get_mut(&answered_at).filter(|client| !client.datagrams.is_closed()).filter(is_same);
         if let Some(client) = client {
-            (client.source, client.heard) = (peer.port(), now);
+            (client.source, client.heard, client.outage) = (peer.port(), now, Outage::default());
             // A full queue means that the client sends too fast: drop the datagram.
             let _ = client.datagrams.try_send(bytes);
             continue;
@@ -126,11 +135,12 @@ pub(super) async fn serve(
         let (sender, datagrams) = mpsc::channel(MAX_WAITING_DATAGRAMS);
         // The new queue has room.
         let _ = sender.try_send(bytes);
-        let writer = Writer { socket: socket.clone(), peer: answered_at };
+        let writer = Writer { socket: socket.clone(), peer: answered_at, outage: Outage::default() };
         let reader = Reader { datagrams, rest: Vec::new() };
         let served = Served::new(port.clone(), Port::client(peer), permit, (reader, writer), Some(lost_after));
         clients.spawn(served.run(closing.clone()));
-        known.insert(answered_at, Known { datagrams: sender, source: peer.port(), heard: now });
+        let outage = Outage::default();
+        known.insert(answered_at, Known { datagrams: sender, source: peer.port(), heard: now, outage });
     }
     while clients.join_next().await.is_some() {}
 }
@@ -161,14 +171,25 @@ impl AsyncRead for Reader {
 struct Writer {
     socket: Arc<UdpSocket>,
     peer: SocketAddr,
+    /// Errors of this machine since a datagram was sent, such as a missing route.
+    outage: Outage,
 }
 
 impl AsyncWrite for Writer {
-    fn poll_write(self: Pin<&mut Self>, cx: &mut Context<'_>, frame: &[u8]) -> Poll<io::Result<usize>> {
-        // A failed send is a lost datagram. The error may be that of an earlier datagram, perhaps to another client.
-        let sent = ready!(self.socket.poll_send_to(cx, frame, self.peer));
-        if sent.is_err_and(|error| error.kind() == io::ErrorKind::ConnectionRefused) {
-            let _ = ready!(self.socket.poll_send_to(cx, frame, self.peer));
+    fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, frame: &[u8]) -> Poll<io::Result<usize>> {
+        let mut sent = ready!(self.socket.poll_send_to(cx, frame, self.peer));
+        if sent.is_err() {
+            // The error may be that of an earlier datagram, perhaps to another client.
+            sent = ready!(self.socket.poll_send_to(cx, frame, self.peer));
+        }
+        match sent {
+            Err(error) if self.outage.is_loss(clock::instant()) => {
+                tracing::info!(client = %self.peer, %error, "client lost: datagrams to it cannot be sent");
+                return Poll::Ready(Err(error));
+            }
+            // A failed send is a lost datagram.
+            Err(_) => {}
+            Ok(_) => self.outage = Outage::default(),
         }
         Poll::Ready(Ok(frame.len()))
     }
@@ -179,5 +200,26 @@ impl AsyncWrite for Writer {
 
     fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
         Poll::Ready(Ok(()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use tokio::io::AsyncWriteExt as _;
+
+    use super::*;
+
+    #[tokio::test(start_paused = true)]
+    async fn client_without_a_route_is_lost() {
+        // A socket of the loopback interface cannot send to another host.
+        let socket = Arc::new(UdpSocket::bind("127.0.0.1:0").await.unwrap());
+        let mut writer = Writer { socket, peer: "192.0.2.1:1501".parse().unwrap(), outage: Outage::default() };
+        for _ in 0..12 {
+            assert_eq!(writer.write(b"frame").await.unwrap(), 5, "lost like any datagram");
+            tokio::time::advance(Duration::from_secs(10)).await;
+        }
+        assert!(writer.write(b"frame").await.is_err());
     }
 }

@@ -18,6 +18,7 @@ use zenoh::session::ZenohId;
 
 use super::client::client;
 use super::clients::{Bond, Clients, MAX_QUERIES};
+use crate::access::{Credential, Identity, Unauthorized};
 use crate::fleet::keys::{ZenohKeys, decoded, last_part};
 use crate::fleet::{EVENTS, GRIPS, READINESS};
 use crate::gripper::Grippers;
@@ -47,6 +48,7 @@ const ZID: &str = "zid";
 /// Parameters that are headers over HTTP.
 const LEASE: &str = "lease";
 const REQUEST_ID: &str = "request_id";
+const TOKEN: &str = "token";
 
 /// Field that names the gripper, like the key.
 const GRIPPER: &str = "gripper";
@@ -83,6 +85,7 @@ struct Asked {
     /// Lease token from the selector.
     lease: Option<String>,
     request_id: Option<String>,
+    credential: Credential,
     /// Session that takes a lease, as claimed by the client.
     zid: Option<ZenohId>,
     client: Client,
@@ -143,6 +146,7 @@ impl Queries {
             wait_ms: None,
             lease: None,
             request_id: None,
+            credential: Credential::None,
             zid: None,
             client: client(None),
         };
@@ -222,6 +226,8 @@ impl Queries {
             zid,
             lease: given(LEASE),
             request_id: given(REQUEST_ID),
+            credential: given(TOKEN)
+                .map_or(Credential::None, |token| token.parse().map_or(Credential::Malformed, Credential::Token)),
             client: client(client_name.as_ref()),
         })
     }
@@ -283,10 +289,20 @@ impl Queries {
         let request_id = asked.request_id.as_deref().map(|given| text(REQUEST_ID, given)).transpose();
         Caller {
             client: asked.client.clone(),
+            identity: self.identity(asked),
             lease: lease.map(|lease: Option<Text<MAX_LEASE_BYTES>>| lease.map(|lease| lease.as_str().into())),
             request_id,
             presence: self.presence(asked),
             wait: Wait::Ms { given: asked.wait_ms.clone(), limiter: None },
+        }
+    }
+
+    /// Returns the rights of a client: those of its token, or else those of the Zenoh network, which has an access control
+    /// of its own.
+    fn identity(&self, asked: &Asked) -> Result<Identity, Unauthorized> {
+        match &asked.credential {
+            Credential::None => Ok(self.gateway.access.of_network()),
+            credential => self.gateway.access.identify(credential, None),
         }
     }
 
@@ -383,6 +399,7 @@ mod tests {
             wait_ms: wait_ms.map(ToOwned::to_owned),
             lease: None,
             request_id: None,
+            credential: Credential::None,
             zid: None,
             client: super::client(None),
         }

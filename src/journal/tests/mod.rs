@@ -129,6 +129,8 @@ pub(super) fn grip(time: i64, gripper: &str, number: u32, part_id: Option<&str>)
         kind: Kind::Grip,
         part_id: part_id.and_then(PartId::new),
         outcome: Outcome::PartHeld,
+        code: None,
+        detail: None,
         subject: "http:127.0.0.1".into(),
         requested: RequestedValues::default(),
         started_at: at(time),

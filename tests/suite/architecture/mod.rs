@@ -16,22 +16,23 @@ use code::Code;
 /// the room with the longest matching name.
 const ROOMS: &str = "
     lib:
+    access: gripper/model
     main: cli
-    cli: config daemon interfaces interfaces/http gripper/model journal logging wsg wsg/frame
+    cli: access config daemon interfaces interfaces/http gripper/model journal logging wsg wsg/frame
     alarms: fleet gripper gripper/model gripper/recorder journal
-    daemon: alarms config interfaces interfaces/dashboard interfaces/http interfaces/wsg_port interfaces/zenoh
-        events fleet operations gripper gripper/actor gripper/model gripper/recorder journal sim transport trends
-        webhooks
-    config: gripper/model journal transport webhooks
+    daemon: access alarms config interfaces interfaces/dashboard interfaces/http interfaces/wsg_port
+        interfaces/zenoh events fleet operations gripper gripper/actor gripper/model gripper/recorder journal sim
+        transport trends webhooks
+    config: access gripper/model journal transport webhooks
     logging:
-    operations: alarms events fleet gripper gripper/model gripper/recorder journal trends webhooks wsg
+    operations: access alarms events fleet gripper gripper/model gripper/recorder journal trends webhooks wsg
     interfaces: operations
     interfaces/dashboard: operations
-    interfaces/http: alarms interfaces interfaces/dashboard interfaces/websocket events fleet operations
+    interfaces/http: access alarms interfaces interfaces/dashboard interfaces/websocket events fleet operations
         gripper gripper/model journal trends
-    interfaces/websocket: interfaces events gripper gripper/model operations
+    interfaces/websocket: access interfaces events gripper gripper/model operations
     interfaces/wsg_port: interfaces gripper gripper/model operations wsg wsg/crc wsg/frame
-    interfaces/zenoh: interfaces events fleet gripper gripper/model journal operations
+    interfaces/zenoh: access interfaces events fleet gripper gripper/model journal operations
     events: alarms fleet gripper gripper/model journal
     fleet: gripper gripper/model
     journal: gripper/model gripper/recorder
@@ -54,7 +55,7 @@ const ROOMS: &str = "
 
 /// Rooms without import cycles, neither within a room nor across these rooms.
 const WITHOUT_CIRCLES: &str = "
-    lib main cli logging operations alarms fleet trends
+    lib access main cli logging operations alarms fleet trends
     interfaces interfaces/dashboard interfaces/http interfaces/websocket interfaces/wsg_port interfaces/zenoh
     gripper gripper/latch gripper/recorder gripper/setup transport wsg wsg/crc wsg/frame
 ";

@@ -5,7 +5,7 @@ pub mod rig;
 use std::time::Duration;
 
 use tokio::time::sleep;
-use wsg_gateway::gripper::model::{Action, FastStopId, Link, Motion, Outcome, Phase, Reason};
+use wsg_gateway::gripper::model::{Action, FastStopId, Link, Motion, Outcome, Reason};
 use wsg_gateway::gripper::{DeviceRefusal, Rejection};
 use wsg_gateway::sim::Change;
 use wsg_gateway::wsg::{
@@ -131,12 +131,16 @@ pub async fn automatic_updates(url: &str) {
     let received = rig.switch.snapshot().await.unwrap().received_frames;
     let mut states = rig.handle.states();
     let mut widths = Vec::new();
-    while slow.now().phase != Phase::Done {
-        // The motion ends with the last change, or directly after it.
-        let _ = tokio::time::timeout(Duration::from_millis(100), states.changed()).await;
+    // The motion ends with the last change, or directly after it.
+    let ended = loop {
+        tokio::select! {
+            biased;
+            ended = slow.ended() => break ended,
+            changed = tokio::time::timeout(SOON, states.changed()) => changed.expect("values arrive").unwrap(),
+        }
         widths.extend(rig.handle.state().width_mm);
-    }
-    assert_eq!(slow.wait(SOON).await.outcome, Some(Outcome::Success));
+    };
+    assert_eq!(ended.outcome, Some(Outcome::Success));
     widths.dedup();
     // The motion takes two seconds: at the slowest update period of these lines, a hundred values and more.
     assert!(widths.len() > 40, "{} widths arrived", widths.len());
@@ -241,4 +245,9 @@ pub async fn orderly_end(url: &str) {
     let received: Vec<_> = switch.received().await.unwrap().iter().map(|frame| frame.id).collect();
     assert!(received.contains(&id::STOP));
     assert_eq!(received.contains(&id::DISCONNECT_ANNOUNCEMENT), is_tcp, "{received:02X?}");
+    if !is_tcp {
+        // The device sends no updates to a gateway that is gone.
+        let getters = [0x40, 0x41, 0x43, 0x44, 0x45];
+        assert!(received.ends_with(&getters), "{received:02X?}");
+    }
 }

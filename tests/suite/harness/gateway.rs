@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::net::SocketAddr;
 
+use reqwest::header::{AUTHORIZATION, HeaderMap};
 use reqwest::{Method, RequestBuilder, Response};
 use serde_json::{Value, json};
 
@@ -15,6 +16,8 @@ pub struct Gateway {
     process: Process,
     base: String,
     http: reqwest::Client,
+    /// File of tokens, if clients need tokens.
+    pub tokens: Option<String>,
 }
 
 /// An HTTP response.
@@ -129,12 +132,35 @@ impl Gateway {
         Self::start_without_zenoh_defaults(&[zenoh, arguments].concat()).await
     }
 
+    /// Starts a gateway of two simulated grippers, `g` and `h`, whose clients need tokens. All its requests are sent with
+    /// the first of the tokens.
+    pub async fn guarded(tokens: &[&str], arguments: &[&str]) -> (Self, Vec<String>) {
+        let path = std::env::temp_dir().join(format!("wsg-tokens-{}.json", uuid::Uuid::now_v7()));
+        let path = path.to_str().unwrap();
+        let mut secrets = Vec::new();
+        for token in tokens {
+            let create = ["token", "--tokens", path, "create"].into_iter().chain(token.split(' '));
+            let created = super::run(&create.collect::<Vec<_>>()).await;
+            assert!(created.status.success(), "{created:?}");
+            secrets.push(created.stdout.trim().to_owned());
+        }
+        let own = ["--tokens", path, "--gripper", "g=sim://wsg50", "--gripper", "h=sim://wsg50"];
+        let mut gateway = Self::start(&[&own[..], arguments].concat()).await;
+        let mut headers = HeaderMap::new();
+        if let Some(first) = secrets.first() {
+            headers.insert(AUTHORIZATION, format!("Bearer {first}").parse().unwrap());
+        }
+        gateway.http = reqwest::Client::builder().default_headers(headers).build().unwrap();
+        gateway.tokens = Some(path.to_owned());
+        (gateway, secrets)
+    }
+
     /// Starts a gateway without a default Zenoh endpoint, which a configuration file sets instead.
     pub async fn start_without_zenoh_defaults(arguments: &[&str]) -> Self {
         let process = Process::start(&[&["--listen", "127.0.0.1:0"], arguments].concat());
         let base = process.word_after(" at http://").await;
         let base = format!("http://{}", base.trim_end_matches('/'));
-        Self { process, base, http: reqwest::Client::new() }
+        Self { process, base, http: reqwest::Client::new(), tokens: None }
     }
 
     /// Standard output so far.

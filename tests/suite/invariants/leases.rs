@@ -24,16 +24,8 @@ use crate::seeds::world::World;
 const TTL: Duration = Duration::from_millis(500);
 
 fn wish(holder: &str) -> TakeLease {
-    TakeLease {
-        client: Client { subject: format!("http:{holder}").into(), door: Door::Http },
-        holder: HolderName::new(holder).ok(),
-        ttl: Some(TTL),
-        on_loss_moving: None,
-        on_loss_holding: None,
-        force: false,
-        request: false,
-        token: None,
-    }
+    let client = Client { subject: format!("http:{holder}").into(), door: Door::Http };
+    TakeLease { holder: HolderName::new(holder).ok(), ttl: Some(TTL), ..TakeLease::by(client) }
 }
 
 /// Lets a motion finish when the holder is lost.

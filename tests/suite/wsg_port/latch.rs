@@ -112,3 +112,22 @@ async fn fast_stop_and_acknowledge_in_one_write_keep_their_order() {
     let second = driver.status(MOVE, &move_to(50.0, 200.0)).await;
     assert!(second != ALREADY_RUNNING && second != CMD_FAILED && second == PENDING);
 }
+
+#[tokio::test]
+async fn fault_under_a_foreign_lease_is_left_to_its_holder() {
+    let (device, control) = Simulator::with_control().await;
+    let (gateway, port) = Gateway::with_port(device.address, &[]).await;
+    let mut driver = crate::harness::wsg::Driver::connect(port).await;
+    let fault = r#"{"finger_over_current": {"finger": 1, "on": true}}"#;
+    let changed = reqwest::Client::new().post(&control).body(fault).send().await.unwrap();
+    assert_eq!(changed.status(), 200);
+    gateway.until("the fault", |state| state["fault_code"] == 23).await;
+    let lease = gateway.post("lease", &json!({"holder": "cell"})).await.ok();
+    // Drivers that start by 24h expect success while nothing is latched.
+    assert_eq!(driver.status(0x24, b"ack").await, SUCCESS);
+    assert!(gateway.events("kind=acknowledge", 0).await.is_empty());
+    let body = json!({"lease": lease["token"]});
+    assert_eq!(gateway.post("acknowledge", &body).await.ok()["fast_stop_id"], serde_json::Value::Null);
+    let acknowledged = gateway.events("kind=acknowledge", 1).await;
+    assert_eq!(acknowledged[0]["subject"], "http:127.0.0.1", "{acknowledged:?}");
+}

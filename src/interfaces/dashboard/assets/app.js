@@ -2,6 +2,7 @@
 
 import { html, render, signal, useEffect } from './lib.js';
 import { LANGUAGES, language, t } from './model/i18n.js';
+import { isStranger, mayOperate, recognize } from './model/me.js';
 import { MAX_NAME_BYTES, myName, rename } from './model/name.js';
 import { theme } from './model/prefs.js';
 import { gripper, isLive, selected, view, VIEWS } from './model/store.js';
@@ -10,6 +11,7 @@ import { Jaws } from './ui/jaws.js';
 import { keepFocus } from './ui/focus.js';
 import { Choice, within } from './ui/parts.js';
 import { go, start } from './ui/route.js';
+import { SignedIn, SignIn } from './ui/signin.js';
 
 function Views() {
   return html`<nav class="views" aria-label=${t('nav.label')}>
@@ -43,10 +45,11 @@ async function fetchLater() {
 function Operate({ one }) {
   const { Alarms, Charts, Control, Flags, Motion } = later.value;
   return html`<div class="operate">
-    <${Jaws} one=${one} />${Motion && html`<${Motion} one=${one} />`}
+    <${Jaws} one=${one} />${Motion && mayOperate(one.name) && html`<${Motion} one=${one} />`}
     ${Charts && html`<${Charts} one=${one} />`}
     <div class="column-more">${Alarms && html`<${Alarms} />`}${
       Control &&
+      mayOperate(one.name) &&
       html`<${Control}
         one=${one} />`
     }${Flags && html`<${Flags} one=${one} />`}</div>
@@ -77,6 +80,7 @@ function Main() {
     if (document.hidden) fetchLater();
     else requestAnimationFrame(fetchLater);
   }, [isKnown]);
+  if (isStranger.value) return html`<${SignIn} />`;
   if (!one)
     return html`<main class="waiting"><p>${
       isLive.value && selected.value
@@ -95,6 +99,7 @@ function Footer() {
   return html`<footer class="foot">
     <p class="safety">${t('foot.safety')}</p>
     <div class="prefs">
+      <${SignedIn} />
       <label for="my-name">${t('foot.name')}</label>
       <input id="my-name" type="text" value=${myName.value} onInput=${within(MAX_NAME_BYTES, () => {})}
           onChange=${(event) => {
@@ -135,3 +140,4 @@ start();
 app.replaceChildren();
 render(html`<${App} />`, app);
 keepFocus(app);
+recognize();

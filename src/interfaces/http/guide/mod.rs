@@ -119,3 +119,22 @@ fn file(path: &str) -> Response {
 fn text(path: &str) -> Option<String> {
     Files::get(path).map(|file| String::from_utf8_lossy(&file.data).into_owned())
 }
+
+#[cfg(test)]
+mod tests {
+    /// A promise about the future is an intention. Only what a test pins can be stated as a fact.
+    #[test]
+    fn promises_about_the_future_are_intentions() {
+        let guide = include_str!("../../../../deploy/guide/compatibility.md").replace('\n', " ");
+        let sentences: Vec<_> = guide.split(". ").collect();
+        for promise in ["`/api/v1` beside", "limit of a value"] {
+            let found = sentences.iter().find(|sentence| sentence.contains(promise));
+            assert!(found.is_some_and(|sentence| sentence.contains("We intend to")), "{promise}: {found:?}");
+        }
+        for absolute in ["never", "guarantee", "forever", "would continue"] {
+            let found =
+                sentences.iter().find(|sentence| sentence.contains(absolute) && !sentence.contains("Base decisions"));
+            assert_eq!(found, None, "a promise that cannot be kept");
+        }
+    }
+}

@@ -11,6 +11,7 @@ pub mod fingers;
 pub mod fleet;
 pub mod grippers;
 pub mod lease;
+pub mod me;
 pub mod motion;
 mod parameters;
 pub mod raw;

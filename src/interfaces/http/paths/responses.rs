@@ -10,7 +10,13 @@ use crate::operations::Members;
 /// Statuses of problems: status, name in the document, and description with the codes.
 const PROBLEMS: &[(&str, &str, &str)] = &[
     ("400", "Malformed", "`malformed`: the request is invalid; `field` names the faulty field"),
-    ("403", "Forbidden", "`foreign_host`, `foreign_origin`: the request's Host or Origin is not allowed"),
+    ("401", "Unauthorized", "`unauthorized`: the request needs a valid credential"),
+    (
+        "403",
+        "Forbidden",
+        "`foreign_host`, `foreign_origin`: the request's Host or Origin is not allowed; `forbidden`: the client's role or \
+         grippers do not allow the request",
+    ),
     ("404", "NotFound", "`not_found`: the path, gripper or command does not exist"),
     ("408", "RequestTimeout", "`request_timeout`: the body did not arrive in time"),
     (
@@ -68,21 +74,23 @@ macro_rules! sets {
 
 sets! {
     /// Problems of every operation.
-    AnyProblem ["400" "403" "500"];
+    AnyProblem ["400" "401" "403" "500"];
     /// Problems of operations that read the gateway's own knowledge of a gripper.
-    GripperProblem ["400" "403" "404" "422" "500"];
+    GripperProblem ["400" "401" "403" "404" "422" "500"];
     /// Problems of operations that ask a gripper's actor about its commands.
-    CommandProblem ["400" "403" "404" "408" "413" "422" "429" "500" "503"];
+    CommandProblem ["400" "401" "403" "404" "408" "413" "422" "429" "500" "503"];
     /// Problems of operations that request the lease.
-    LeaseProblem ["400" "403" "404" "408" "409" "413" "422" "429" "500" "503"];
+    LeaseProblem ["400" "401" "403" "404" "408" "409" "413" "422" "429" "500" "503"];
     /// Problems of testing a webhook.
-    WebhookProblem ["400" "403" "404" "408" "413" "422" "429" "500"];
+    WebhookProblem ["400" "401" "403" "404" "408" "413" "422" "429" "500"];
+    /// Problems of signing in and out.
+    SessionProblem ["400" "401" "403" "404" "408" "413" "422" "500"];
     /// Problems of opening a WebSocket.
-    SocketProblem ["400" "403" "429" "500"];
+    SocketProblem ["400" "401" "403" "429" "500"];
     /// Problems of reading the journal.
-    JournalProblem ["400" "403" "404" "422" "500" "503"];
+    JournalProblem ["400" "401" "403" "404" "422" "500" "503"];
     /// Problems of operations that send requests to the device.
-    DeviceProblem ["400" "403" "404" "408" "409" "413" "422" "429" "500" "502" "503" "504"];
+    DeviceProblem ["400" "401" "403" "404" "408" "409" "413" "422" "429" "500" "502" "503" "504"];
 }
 
 fn references(statuses: &[&str]) -> BTreeMap<String, RefOr<Response>> {

@@ -4,6 +4,7 @@ use serde_json::json;
 
 use super::*;
 use crate::gripper::Conflict;
+use crate::gripper::model::Action;
 
 #[tokio::test]
 async fn fast_stop_ignores_invalid_bodies() {
@@ -32,6 +33,18 @@ async fn fast_stop_does_not_wait_for_its_body() {
     let start = tokio::time::Instant::now();
     let answer = gateway.ask("POST", "/api/v1/fast-stop", never).await;
     assert_eq!((answer.status, &answer.body["confirmed"]), (200, &json!(["left"])));
+    assert!(start.elapsed() <= super::super::fast_stop::REASON_TIME + crate::gripper::handle::FAST_STOP_WAIT);
+}
+
+#[tokio::test(start_paused = true)]
+async fn stop_does_not_wait_for_its_body() {
+    let mut gateway = Gateway::new(FakeScript::default());
+    let never = Body::from_stream(futures_util::stream::pending::<Result<&[u8], std::io::Error>>());
+    let start = tokio::time::Instant::now();
+    let answer = gateway.ask("POST", "/api/v1/grippers/left/stop", never).await;
+    assert_eq!(answer.status, 200);
+    let Some(Seen::Submission(submission)) = gateway.seen.recv().await else { panic!("no Stop") };
+    assert_eq!(submission.action, Action::Stop);
     assert!(start.elapsed() <= super::super::fast_stop::REASON_TIME + crate::gripper::handle::FAST_STOP_WAIT);
 }
 

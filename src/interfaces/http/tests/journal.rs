@@ -16,6 +16,8 @@ fn record(number: u64, kind: Kind) -> GripRecord {
         kind,
         part_id: None,
         outcome: Outcome::Success,
+        code: None,
+        detail: None,
         subject: "http:127.0.0.1".into(),
         requested: RequestedValues { requested_width_mm: Some(20.0), ..RequestedValues::default() },
         started_at: at,
@@ -89,5 +91,5 @@ async fn lists_name_their_journal() {
     let table = gateway.send(request.header(header::ACCEPT, "text/csv").body(Body::empty()).unwrap()).await;
     assert_eq!(table.headers["journal-id"], id);
     assert_eq!(table.headers["next-cursor"], "1");
-    assert!(table.body.as_str().unwrap().ends_with(",wsg,4711,,,20.0,,,\n"), "{}", table.body);
+    assert!(table.body.as_str().unwrap().ends_with(",wsg,4711,,,20.0,,,,,\n"), "{}", table.body);
 }

@@ -93,6 +93,7 @@ export const de = {
   'result.at': 'gestoppt bei {width} mm',
   'result.error': 'Fehler bis zur nächsten Bewegung',
   'result.ready': 'Quittiert: Der Greifer nimmt Bewegungen an.',
+  'result.open': 'Nicht quittiert: Der Greifer kann Bewegungen verweigern.',
 
   'chart.title': 'Kurven',
   'chart.window': 'Zeitfenster',
@@ -363,6 +364,8 @@ export const de = {
   'event.alarm.acknowledged': 'Alarm quittiert: {alarm}',
   'event.acknowledged': 'FAST STOP quittiert',
   'event.not_acknowledged': 'FAST STOP nicht aufgehoben: {cause}',
+  'event.fault_acknowledged': 'Fehler quittiert',
+  'event.fault_not_acknowledged': 'Fehler nicht quittiert: {cause}',
   'event.taken': '{holder} hat die Steuerung übernommen',
   'event.forced': '{holder} hat die Steuerung erzwungen',
   'event.requested': '{holder} hat um die Steuerung gebeten',
@@ -553,6 +556,16 @@ export const de = {
 
   'foot.safety':
     'STOPP ist ein FAST STOP per Software: Er läuft über diesen Browser, das Netz und das Gateway und ist keine Sicherheitsfunktion im Sinne der ISO 13850. Im Notfall den Not-Halt der Zelle betätigen.',
+  'signin.title': 'Anmelden',
+  'signin.token': 'Token',
+  'signin.do': 'Anmelden',
+  'signin.hint': 'Ein Token erhalten Sie vom Betreiber dieses Gateways: „wsg-gateway token create“ erzeugt eines.',
+  'signin.as': 'Angemeldet als {name} ({role})',
+  'signin.out': 'Abmelden',
+  'role.stop': 'nur Halt',
+  'role.observer': 'Beobachter',
+  'role.operator': 'Bediener',
+  'role.supervisor': 'Aufsicht',
   'foot.name': 'Name dieses Browsers',
   'foot.language': 'Sprache',
   'foot.theme': 'Darstellung',
@@ -584,5 +597,7 @@ export const de = {
   'problem.name_taken': 'Ein anderes Gateway heißt genauso: jedem einen eigenen Namen geben.',
   'problem.gateway_gone': 'Dieses Gateway ist offline.',
   'problem.gateway_timeout': 'Dieses Gateway hat nicht rechtzeitig geantwortet.',
+  'problem.unauthorized': 'Das Gateway akzeptiert das nicht: Melden Sie sich mit einem gültigen Token an.',
+  'problem.forbidden': 'Ihre Rolle erlaubt das nicht.',
   'problem.not_found': 'Nicht gefunden.',
 };

@@ -93,6 +93,7 @@ export const en = {
   'result.at': 'stopped at {width} mm',
   'result.error': 'Error until the next motion',
   'result.ready': 'Acknowledged: the gripper accepts motions.',
+  'result.open': 'Not acknowledged: the gripper may refuse motions.',
 
   'chart.title': 'Charts',
   'chart.window': 'Window',
@@ -362,6 +363,8 @@ export const en = {
   'event.alarm.acknowledged': 'Alarm acknowledged: {alarm}',
   'event.acknowledged': 'FAST STOP acknowledged',
   'event.not_acknowledged': 'FAST STOP not cleared: {cause}',
+  'event.fault_acknowledged': 'Fault acknowledged',
+  'event.fault_not_acknowledged': 'Fault not acknowledged: {cause}',
   'event.taken': '{holder} took control',
   'event.forced': '{holder} took control by force',
   'event.requested': '{holder} asked for control',
@@ -550,6 +553,16 @@ export const en = {
 
   'foot.safety':
     'STOP is a FAST STOP by software: it passes through this browser, the network and the gateway, and is not a safety function as defined by ISO 13850. In an emergency, use the emergency stop of the cell.',
+  'signin.title': 'Sign in',
+  'signin.token': 'Token',
+  'signin.do': 'Sign in',
+  'signin.hint': 'Ask whoever runs this gateway for a token: “wsg-gateway token create” makes one.',
+  'signin.as': 'Signed in as {name} ({role})',
+  'signin.out': 'Sign out',
+  'role.stop': 'stop only',
+  'role.observer': 'observer',
+  'role.operator': 'operator',
+  'role.supervisor': 'supervisor',
   'foot.name': 'Name of this browser',
   'foot.language': 'Language',
   'foot.theme': 'Theme',
@@ -581,5 +594,7 @@ export const en = {
   'problem.name_taken': 'Another gateway has the same name: give each gateway its own.',
   'problem.gateway_gone': 'That gateway is offline.',
   'problem.gateway_timeout': 'That gateway did not answer in time.',
+  'problem.unauthorized': 'The gateway does not accept this: sign in with a valid token.',
+  'problem.forbidden': 'Your role does not allow this.',
   'problem.not_found': 'Not found.',
 };

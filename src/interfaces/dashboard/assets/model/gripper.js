@@ -63,6 +63,7 @@ export class Gripper {
     this.link = of((state) => state.link);
     this.linkCause = of((state) => state.link_cause);
     this.flags = of((state) => state.flags_raw);
+    this.faultCode = of((state) => state.fault_code);
     this.isMoving = of((state) => state.moving);
     this.isReferenced = of((state) => state.referenced);
     this.holder = of((state) => state.lease_holder);

@@ -5,6 +5,7 @@ import { paced } from '../core/paced.js';
 import { Rpc } from '../net/rpc.js';
 import { noteGateway, takeAlarms } from './alarms.js';
 import { catchUp, takeEvent } from './events.js';
+import { recognizeAgain } from './me.js';
 import { lookForNewer } from './version.js';
 import { Gripper } from './gripper.js';
 
@@ -107,6 +108,8 @@ export const rpc = new Rpc({
       one.loseControl('disconnected');
       one.held.value = null;
     });
+    // The gateway closes the connection of a person who has to sign in.
+    recognizeAgain();
     look();
   },
   onHeard: (at) => {

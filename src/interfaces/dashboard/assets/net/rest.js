@@ -69,6 +69,17 @@ export function get(path) {
   return ask(asJson, 'GET', path);
 }
 
+const asNothing = async () => null;
+
+/** Sends a change. */
+export function send(path, body) {
+  return ask(asJson, 'POST', path, { body });
+}
+
+export function remove(path) {
+  return ask(asNothing, 'DELETE', path);
+}
+
 /** Sends a request that does not wait for reads. */
 export function postUrgently(path, body, withinMs) {
   return ask(asJson, 'POST', path, { body, withinMs, isUrgent: true });

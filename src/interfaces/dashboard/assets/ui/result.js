@@ -11,6 +11,9 @@ const FAILED = ['NO_PART', 'PART_LOST'];
 
 const FAULTS = FLAGS.filter(({ weight }) => weight === 'fault');
 
+/** `fault_code` of an error that nobody has acknowledged. */
+const DEVICE_ERROR = 30;
+
 const GOOD = ['SUCCESS', 'PART_HELD'];
 
 /** Difference from the expected width up to which a held part gets no note. */
@@ -37,8 +40,11 @@ function resultOf(one) {
     return { state, text: t('result.held'), figures: `${fixed(width, 1)} mm · ${fixed(force, 1)} N`, note };
   }
   // Firmware 4 reports ERROR from a FAST STOP until the next motion, even after the acknowledgement.
-  if (state === 'ERROR' && !FAULTS.some(({ bit }) => isSet(one.flags.value, bit)))
-    return { state, text: t('result.error'), figures: '', note: t('result.ready') };
+  if (state === 'ERROR' && !FAULTS.some(({ bit }) => isSet(one.flags.value, bit))) {
+    const isOpen = one.faultCode.value === DEVICE_ERROR;
+    const note = t(isOpen ? 'result.open' : 'result.ready');
+    return { state, isWrong: isOpen, text: t('result.error'), figures: '', note };
+  }
   if (FAILED.includes(state)) return { state, isWrong: true, text: t(`state.${state}`), figures: '' };
   if (!command || !hasFailed(command)) return null;
   const at = command.width_mm == null ? null : t('result.at', { width: fixed(command.width_mm, 1) });

@@ -8,10 +8,12 @@ export function sentence(event) {
       return { key: null, of: { command: `command.${event.command}`, outcome: `outcome.${event.outcome}` } };
     case 'fast_stop':
       return { key: `event.${event.event}`, of: { cause: `cause.${event.cause}` } };
-    case 'acknowledge':
+    case 'acknowledge': {
+      const what = event.fast_stop_id ? '' : 'fault_';
       return event.cleared
-        ? { key: 'event.acknowledged' }
-        : { key: 'event.not_acknowledged', with: { cause: event.cause ?? '' } };
+        ? { key: `event.${what}acknowledged` }
+        : { key: `event.${what}not_acknowledged`, with: { cause: event.cause ?? '' } };
+    }
     case 'lease':
       return { key: `event.${event.event}`, with: { holder: event.holder } };
     case 'link':

@@ -1,0 +1,53 @@
+//! What a client presents to be identified.
+
+use std::fmt;
+
+use base64::Engine as _;
+use base64::engine::general_purpose::URL_SAFE_NO_PAD;
+use ring::rand::{SecureRandom as _, SystemRandom};
+
+use super::token::TokenSecret;
+
+/// What a client presents.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Credential {
+    /// Nothing; its address can still identify the client.
+    None,
+    Token(TokenSecret),
+    Session(SessionId),
+    /// A header that cannot be parsed.
+    Malformed,
+}
+
+/// Secret id of a browser's session. Debug output hides it.
+#[derive(Clone, PartialEq, Eq, Hash)]
+pub struct SessionId(String);
+
+impl SessionId {
+    /// Length of the text: 32 bytes in Base64.
+    const CHARACTERS: usize = 43;
+
+    pub(super) fn generate() -> Result<Self, ring::error::Unspecified> {
+        let mut bytes = [0; 32];
+        SystemRandom::new().fill(&mut bytes)?;
+        Ok(Self(URL_SAFE_NO_PAD.encode(bytes)))
+    }
+
+    /// Parses the value of a cookie.
+    #[must_use]
+    pub fn parse(text: &str) -> Option<Self> {
+        (text.len() == Self::CHARACTERS && text.is_ascii()).then(|| Self(text.to_owned()))
+    }
+
+    /// The text for the cookie.
+    #[must_use]
+    pub fn expose(&self) -> &str {
+        &self.0
+    }
+}
+
+impl fmt::Debug for SessionId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("…")
+    }
+}

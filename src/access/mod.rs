@@ -1,0 +1,21 @@
+//! Who may do what: roles, credentials, and the check of both.
+//!
+//! An interface collects what a client presents as a [`Credential`], and [`Access::identify`] returns the client's
+//! [`Identity`]. The operations compare it with the [`Right`] that they need. No interface decides itself.
+
+mod authority;
+mod credential;
+mod identity;
+mod role;
+mod session;
+mod token;
+mod token_file;
+mod visitor;
+
+pub use authority::{Access, AddressClient, FastStopPolicy, Guard};
+pub use credential::{Credential, SessionId};
+pub use identity::{Identity, Proof, Scope, Unauthorized};
+pub use role::{Right, Role};
+pub use token::TokenSecret;
+pub use token_file::{NewToken, StoredToken, TokenFile, TokenFileError};
+pub use visitor::Visitor;

@@ -1,0 +1,93 @@
+//! Roles of clients, and the rights that they have.
+
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+/// What a client may do. Every role may make FAST STOPs.
+///
+/// - `stop`: makes FAST STOPs and Stops, and nothing else, e.g. for the controller of a light curtain
+/// - `observer`: reads
+/// - `operator`: reads, moves the gripper, holds its lease, changes its settings and acknowledges
+/// - `supervisor`: does all that, takes leases by force, and sends raw requests in the device's protocol
+#[derive(
+    Debug,
+    Clone,
+    Copy,
+    PartialEq,
+    Eq,
+    Hash,
+    Serialize,
+    Deserialize,
+    ToSchema,
+    strum::Display,
+    strum::EnumString,
+    strum::VariantArray,
+)]
+#[serde(rename_all = "lowercase")]
+#[strum(serialize_all = "lowercase")]
+pub enum Role {
+    Stop,
+    Observer,
+    Operator,
+    Supervisor,
+}
+
+/// What an operation needs of its caller.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, strum::VariantArray)]
+pub enum Right {
+    /// Makes a FAST STOP.
+    FastStop,
+    /// Stops a motion.
+    Stop,
+    /// Only reads.
+    Read,
+    /// Moves a gripper or changes something.
+    Operate,
+    /// Overrides other clients, or bypasses the checks of the typed operations.
+    Supervise,
+}
+
+impl Role {
+    #[must_use]
+    pub const fn has(self, right: Right) -> bool {
+        match right {
+            Right::FastStop => true,
+            Right::Stop => matches!(self, Self::Stop | Self::Operator | Self::Supervisor),
+            Right::Read => !matches!(self, Self::Stop),
+            Right::Operate => matches!(self, Self::Operator | Self::Supervisor),
+            Right::Supervise => matches!(self, Self::Supervisor),
+        }
+    }
+}
+
+impl Right {
+    /// The lowest role with this right.
+    #[must_use]
+    pub const fn role(self) -> Role {
+        match self {
+            Self::FastStop | Self::Stop => Role::Stop,
+            Self::Read => Role::Observer,
+            Self::Operate => Role::Operator,
+            Self::Supervise => Role::Supervisor,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use strum::VariantArray as _;
+
+    use super::*;
+
+    #[test]
+    fn roles_have_their_rights() {
+        let rights = |role: Role| Right::VARIANTS.iter().copied().filter(|right| role.has(*right)).collect::<Vec<_>>();
+        assert_eq!(rights(Role::Stop), [Right::FastStop, Right::Stop]);
+        assert_eq!(rights(Role::Observer), [Right::FastStop, Right::Read]);
+        assert_eq!(rights(Role::Operator), [Right::FastStop, Right::Stop, Right::Read, Right::Operate]);
+        assert_eq!(rights(Role::Supervisor), Right::VARIANTS);
+        for right in Right::VARIANTS {
+            assert!(right.role().has(*right), "{right:?}");
+        }
+    }
+}

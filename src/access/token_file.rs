@@ -1,0 +1,244 @@
+//! The file of tokens: keyed hashes, which only its owner can read.
+
+use std::collections::BTreeSet;
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Write as _};
+use std::os::unix::fs::{MetadataExt as _, OpenOptionsExt as _};
+use std::path::{Path, PathBuf};
+
+use jiff::Timestamp;
+use ring::hmac;
+use ring::rand::{SecureRandom as _, SystemRandom};
+use serde::{Deserialize, Serialize};
+
+use super::identity::Scope;
+use super::role::Role;
+use super::token::TokenSecret;
+use crate::gripper::model::Name;
+
+/// Maximum number of tokens in a file.
+const MAX_TOKENS: usize = 1024;
+
+/// Permissions of the file: only its owner reads and writes it.
+const MODE: u32 = 0o600;
+
+/// Permissions that the file must not grant.
+const FOR_OTHERS: u32 = 0o077;
+
+/// A keyed hash (HMAC-SHA-256) of a token.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct TokenHash(#[serde(with = "hex::serde")] pub(super) [u8; 32]);
+
+/// A token without its secret.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct StoredToken {
+    pub name: Name,
+    pub role: Role,
+    /// The grippers that the token is for; absent for all.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub grippers: Option<BTreeSet<Name>>,
+    pub created_at: Timestamp,
+    /// Absent if the token does not expire.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub expires_at: Option<Timestamp>,
+    hash: TokenHash,
+}
+
+/// A token to be created.
+#[derive(Debug, Clone)]
+pub struct NewToken {
+    pub name: Name,
+    pub role: Role,
+    pub grippers: Option<BTreeSet<Name>>,
+    pub expires_at: Option<Timestamp>,
+}
+
+/// A file of tokens.
+#[derive(Debug, Clone)]
+pub struct TokenFile {
+    path: PathBuf,
+}
+
+/// The tokens of a file, and the key of their hashes.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub(super) struct Tokens {
+    key: HashKey,
+    tokens: Vec<StoredToken>,
+}
+
+#[derive(Clone, Serialize, Deserialize)]
+struct HashKey(#[serde(with = "hex::serde")] [u8; 32]);
+
+impl std::fmt::Debug for HashKey {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("…")
+    }
+}
+
+/// Identifies one version of a file: its inode, size and time of change.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct FileVersion(u64, u64, i64, i64);
+
+/// Reason why tokens cannot be read or changed, with the remedy.
+#[derive(Debug, thiserror::Error)]
+pub enum TokenFileError {
+    #[error("{path}: {cause}")]
+    Io { path: PathBuf, cause: io::Error },
+    #[error("{path} can be read by others (mode {mode:03o}): run chmod 600 {path}")]
+    Exposed { path: PathBuf, mode: u32 },
+    #[error("{path} is not a file of tokens: {cause}")]
+    Malformed { path: PathBuf, cause: serde_json::Error },
+    #[error("a token named {0} exists: revoke it first, or choose another name")]
+    Exists(Name),
+    #[error("no token is named {0}: wsg-gateway token list shows all")]
+    NotFound(Name),
+    #[error("the file has {MAX_TOKENS} tokens, which is the maximum: revoke some")]
+    Full,
+    #[error("the operating system has no random numbers")]
+    NoRandom,
+}
+
+impl From<ring::error::Unspecified> for TokenFileError {
+    fn from(_: ring::error::Unspecified) -> Self {
+        Self::NoRandom
+    }
+}
+
+impl TokenFile {
+    #[must_use]
+    pub fn at(path: PathBuf) -> Self {
+        Self { path }
+    }
+
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+
+    /// Adds a token and returns its secret. Creates the file if it does not exist.
+    ///
+    /// # Errors
+    /// [`TokenFileError`]
+    pub fn create(&self, now: Timestamp, new: NewToken) -> Result<TokenSecret, TokenFileError> {
+        let NewToken { name, role, grippers, expires_at } = new;
+        let secret = TokenSecret::generate()?;
+        self.change(|content| {
+            if content.tokens.iter().any(|token| token.name == name) {
+                return Err(TokenFileError::Exists(name));
+            }
+            if content.tokens.len() >= MAX_TOKENS {
+                return Err(TokenFileError::Full);
+            }
+            let hash = content.hash(&secret);
+            content.tokens.push(StoredToken { name, role, grippers, created_at: now, expires_at, hash });
+            Ok(())
+        })?;
+        Ok(secret)
+    }
+
+    /// Removes a token.
+    ///
+    /// # Errors
+    /// [`TokenFileError`]
+    pub fn revoke(&self, name: &Name) -> Result<(), TokenFileError> {
+        self.change(|content| {
+            let before = content.tokens.len();
+            content.tokens.retain(|token| token.name != *name);
+            if content.tokens.len() < before { Ok(()) } else { Err(TokenFileError::NotFound(name.clone())) }
+        })
+    }
+
+    /// Returns all tokens, without their secrets. A missing file has none.
+    ///
+    /// # Errors
+    /// [`TokenFileError`]
+    pub fn list(&self) -> Result<Vec<StoredToken>, TokenFileError> {
+        Ok(self.read()?.map_or_else(Vec::new, |(content, _)| content.tokens))
+    }
+
+    /// The current version of the file; `None` if there is none.
+    pub(super) fn version(&self) -> Option<FileVersion> {
+        fs::metadata(&self.path).ok().map(|metadata| FileVersion::of(&metadata))
+    }
+
+    pub(super) fn read(&self) -> Result<Option<(Tokens, FileVersion)>, TokenFileError> {
+        let file = match File::open(&self.path) {
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
+            file => file.map_err(|cause| self.failed(cause))?,
+        };
+        let metadata = file.metadata().map_err(|cause| self.failed(cause))?;
+        if metadata.mode() & FOR_OTHERS != 0 {
+            return Err(TokenFileError::Exposed { path: self.path.clone(), mode: metadata.mode() & 0o777 });
+        }
+        let content = serde_json::from_reader(io::BufReader::new(file));
+        let content = content.map_err(|cause| TokenFileError::Malformed { path: self.path.clone(), cause })?;
+        Ok(Some((content, FileVersion::of(&metadata))))
+    }
+
+    /// Changes the content as one step. Other changes wait, and readers see the content before or after it.
+    fn change(&self, change: impl FnOnce(&mut Tokens) -> Result<(), TokenFileError>) -> Result<(), TokenFileError> {
+        let directory = self.path.parent().filter(|parent| !parent.as_os_str().is_empty());
+        let directory = directory.unwrap_or(Path::new("."));
+        fs::create_dir_all(directory).map_err(|cause| self.failed(cause))?;
+        let lock = File::open(directory).map_err(|cause| self.failed(cause))?;
+        lock.lock().map_err(|cause| self.failed(cause))?;
+        let mut content = match self.read()? {
+            Some((content, _)) => content,
+            None => Tokens::new()?,
+        };
+        change(&mut content)?;
+        self.write(&content).map_err(|cause| self.failed(cause))
+    }
+
+    fn write(&self, content: &Tokens) -> io::Result<()> {
+        let unfinished = self.path.with_extension("unfinished");
+        let mut file = OpenOptions::new().write(true).create(true).truncate(true).mode(MODE).open(&unfinished)?;
+        file.write_all(&serde_json::to_vec_pretty(content)?)?;
+        file.sync_all()?;
+        fs::rename(unfinished, &self.path)
+    }
+
+    fn failed(&self, cause: io::Error) -> TokenFileError {
+        TokenFileError::Io { path: self.path.clone(), cause }
+    }
+}
+
+impl FileVersion {
+    fn of(metadata: &fs::Metadata) -> Self {
+        Self(metadata.ino(), metadata.size(), metadata.mtime(), metadata.mtime_nsec())
+    }
+}
+
+impl Tokens {
+    fn new() -> Result<Self, TokenFileError> {
+        let mut key = [0; 32];
+        SystemRandom::new().fill(&mut key)?;
+        Ok(Self { key: HashKey(key), tokens: Vec::new() })
+    }
+
+    /// Hashes a secret. Its keyed hash is compared instead of the secret, so the time of a comparison reveals nothing.
+    pub(super) fn hash(&self, secret: &TokenSecret) -> TokenHash {
+        let key = hmac::Key::new(hmac::HMAC_SHA256, &self.key.0);
+        let mut hash = [0; 32];
+        hash.copy_from_slice(hmac::sign(&key, secret.expose().as_bytes()).as_ref());
+        TokenHash(hash)
+    }
+
+    pub(super) fn find(&self, hash: TokenHash) -> Option<&StoredToken> {
+        self.tokens.iter().find(|token| token.hash == hash)
+    }
+}
+
+impl StoredToken {
+    /// The grippers that the token is for.
+    #[must_use]
+    pub fn scope(&self) -> Scope {
+        self.grippers.clone().map_or(Scope::All, Scope::Only)
+    }
+}
+
+#[cfg(test)]
+#[path = "token_file_tests.rs"]
+mod tests;

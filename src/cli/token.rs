@@ -1,0 +1,166 @@
+//! `wsg-gateway token`: creates, lists and revokes tokens.
+
+use std::collections::BTreeSet;
+use std::io::Write;
+use std::path::PathBuf;
+
+use anyhow::{Context, bail};
+use clap::{Args, Subcommand};
+use jiff::{Span, Timestamp, Zoned};
+
+use crate::access::{NewToken, Role, StoredToken, TokenFile, TokenSecret};
+use crate::config::{AccessConfig, Config, Flags};
+use crate::gripper::model::Name;
+
+/// Default lifetime of a token.
+const DEFAULT_EXPIRY: &str = "90d";
+
+#[derive(Debug, Args)]
+pub(super) struct TokenArgs {
+    /// File of tokens [default: the one that the --config file names]
+    #[arg(long, value_name = "FILE", env = "WSG_GATEWAY_TOKENS", global = true)]
+    tokens: Option<PathBuf>,
+    /// Configuration file of the gateway
+    #[arg(long, value_name = "FILE", env = "WSG_GATEWAY_CONFIG", global = true)]
+    config: Option<PathBuf>,
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Create a token and print it, once
+    Create {
+        /// Name of the client, for the journal and for revoking the token
+        #[arg(long)]
+        name: Name,
+        /// stop, observer, operator or supervisor
+        #[arg(long)]
+        role: Role,
+        /// A gripper that the token is for (repeatable) [default: all grippers]
+        #[arg(long = "gripper", value_name = "NAME")]
+        grippers: Vec<Name>,
+        /// Lifetime, e.g. 90d, 12h or never
+        #[arg(long, value_name = "TIME", default_value = DEFAULT_EXPIRY)]
+        expires: String,
+    },
+    /// List all tokens, without their secrets
+    List,
+    /// Revoke a token; a running gateway refuses it at once
+    Revoke {
+        #[arg(value_name = "NAME")]
+        name: Name,
+    },
+}
+
+pub(super) fn run(args: &TokenArgs, mut output: impl Write) -> anyhow::Result<()> {
+    let file = file(args)?;
+    match &args.command {
+        Command::Create { name, role, grippers, expires } => {
+            let grippers: BTreeSet<_> = grippers.iter().cloned().collect();
+            let secret = create(&file, name.clone(), *role, grippers, expiry(expires)?)?;
+            Ok(writeln!(output, "{}", secret.expose())?)
+        }
+        Command::List => {
+            for token in file.list()? {
+                writeln!(output, "{}", line(&token))?;
+            }
+            Ok(())
+        }
+        Command::Revoke { name } => Ok(file.revoke(name)?),
+    }
+}
+
+/// Creates a token for these grippers, or for all if there are none.
+pub(super) fn create(
+    file: &TokenFile,
+    name: Name,
+    role: Role,
+    grippers: BTreeSet<Name>,
+    expires_at: Option<Timestamp>,
+) -> anyhow::Result<TokenSecret> {
+    let grippers = (!grippers.is_empty()).then_some(grippers);
+    Ok(file.create(Timestamp::now(), NewToken { name, role, grippers, expires_at })?)
+}
+
+fn file(args: &TokenArgs) -> anyhow::Result<TokenFile> {
+    let flags = Flags { tokens: args.tokens.clone(), config: args.config.clone(), ..Flags::default() };
+    match (&args.tokens, Config::load(&flags)?.access) {
+        (Some(tokens), _) => Ok(TokenFile::at(tokens.clone())),
+        (None, AccessConfig::Guarded(guarded)) => Ok(TokenFile::at(guarded.tokens)),
+        (None, AccessConfig::Open) => {
+            bail!("no file of tokens: name it with --tokens, or name a --config file with an [access] table")
+        }
+    }
+}
+
+/// Parses a lifetime. `never` has no end.
+fn expiry(text: &str) -> anyhow::Result<Option<Timestamp>> {
+    if text == "never" {
+        return Ok(None);
+    }
+    let wrong = || format!("--expires {text:?} is not a time: write 90d, 12h or never");
+    let span: Span = text.parse().with_context(wrong)?;
+    let end = Zoned::now().checked_add(span).with_context(wrong)?.timestamp();
+    if end <= Timestamp::now() {
+        bail!("--expires {text:?} is in the past: write 90d, 12h or never");
+    }
+    Ok(Some(end))
+}
+
+fn line(token: &StoredToken) -> String {
+    let StoredToken { name, role, grippers, created_at, expires_at, .. } = token;
+    let grippers = grippers.as_ref().map_or_else(
+        || "all grippers".to_owned(),
+        |grippers| grippers.iter().map(Name::as_str).collect::<Vec<_>>().join(","),
+    );
+    let expiry = match expires_at {
+        None => "never expires".to_owned(),
+        Some(at) if *at <= Timestamp::now() => format!("expired {at:.0}"),
+        Some(at) => format!("expires {at:.0}"),
+    };
+    format!("{name}  {role}  {grippers}  created {created_at:.0}  {expiry}")
+}
+
+#[cfg(test)]
+mod tests {
+    use clap::Parser;
+
+    use super::*;
+
+    #[derive(Parser)]
+    struct Parsed {
+        #[command(flatten)]
+        args: TokenArgs,
+    }
+
+    fn said(tokens: &std::path::Path, arguments: &[&str]) -> anyhow::Result<String> {
+        let all = ["token", "--tokens", tokens.to_str().unwrap()].into_iter().chain(arguments.iter().copied());
+        let mut output = Vec::new();
+        run(&Parsed::try_parse_from(all)?.args, &mut output)?;
+        Ok(String::from_utf8(output)?)
+    }
+
+    #[test]
+    fn token_is_created_listed_and_revoked() {
+        let directory = std::env::temp_dir().join(format!("wsg-token-command-{}", std::process::id()));
+        let tokens = directory.join("tokens.json");
+        let create = ["create", "--name", "plc7", "--role", "operator", "--gripper", "left", "--expires", "12h"];
+        assert!(said(&tokens, &create).unwrap().trim().parse::<TokenSecret>().is_ok());
+        let listed = said(&tokens, &["list"]).unwrap();
+        assert!(listed.starts_with("plc7  operator  left  created ") && !listed.contains("wsg_"), "{listed}");
+        said(&tokens, &["revoke", "plc7"]).unwrap();
+        assert_eq!(said(&tokens, &["list"]).unwrap(), "");
+        std::fs::remove_dir_all(directory).unwrap();
+    }
+
+    #[test]
+    fn lifetime_is_checked() {
+        assert_eq!(expiry("never").unwrap(), None);
+        let hours = expiry("12h").unwrap().unwrap().duration_since(Timestamp::now()).as_secs_f64() / 3600.0;
+        assert!((11.9..12.1).contains(&hours), "{hours}");
+        for wrong in ["", "90", "soon", "-1d", "0s", "99999999y"] {
+            assert!(expiry(wrong).unwrap_err().to_string().contains("write 90d"), "{wrong}");
+        }
+    }
+}

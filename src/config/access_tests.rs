@@ -1,0 +1,68 @@
+use std::path::Path;
+
+use super::super::Config;
+use super::*;
+
+fn parsed(flags: &Flags, text: &str) -> Result<Config, ConfigError> {
+    let file = File::parse(Path::new("/etc/wsg/gateway.toml"), text.to_owned())?;
+    Config::merge(flags, Some(&file))
+}
+
+fn guarded(text: &str) -> Guarded {
+    match parsed(&Flags::default(), text).unwrap().access {
+        AccessConfig::Guarded(guarded) => guarded,
+        AccessConfig::Open => panic!("clients need no credentials"),
+    }
+}
+
+#[test]
+fn credentials_are_needed_where_they_are_mentioned() {
+    assert_eq!(parsed(&Flags::default(), "").unwrap().access, AccessConfig::Open);
+    let access = guarded("[access]");
+    assert_eq!((access.tokens, access.fast_stop), ("/etc/wsg/tokens.json".into(), FastStopPolicy::Anyone));
+    let flags = Flags { tokens: Some("t.json".into()), ..Flags::default() };
+    assert!(matches!(parsed(&flags, "").unwrap().access, AccessConfig::Guarded(_)));
+    let plc = "[[clients]]\nname = \"plc\"\naddress = \"192.168.1.10\"\nrole = \"operator\"\ngrippers = [\"left\"]";
+    let [plc] = guarded(plc).clients.try_into().unwrap();
+    assert_eq!((plc.network.to_string().as_str(), plc.role), ("192.168.1.10/32", Role::Operator));
+    assert_eq!(plc.scope, Scope::Only(["left".parse().unwrap()].into()));
+}
+
+#[test]
+fn every_key_is_read() {
+    let access = guarded(
+        "[access]\ntokens = \"/run/tokens\"\nfast_stop = \"credential\"\nzenoh_role = \"operator\"\nsession_idle_h = 1",
+    );
+    assert_eq!((access.tokens, access.fast_stop), ("/run/tokens".into(), FastStopPolicy::Credential));
+    assert_eq!((access.zenoh_role, access.session_idle), (Some(Role::Operator), Duration::from_hours(1)));
+}
+
+#[test]
+fn wrong_value_is_named_with_its_line() {
+    for (text, expected) in [
+        ("[access]\nsession_idle_h = 0", "gateway.toml:2: session_idle_h is 0"),
+        (
+            "[[clients]]\nname = \"plc\"\naddress = \"plc\"\nrole = \"operator\"",
+            "gateway.toml:3: \"plc\" is not an addr",
+        ),
+        ("[[clients]]\nname = \"plc\"\naddress = \"::1\"\nrole = \"boss\"", "gateway.toml:4: unknown variant `boss`"),
+        ("[[clients]]\nname = \"a b\"\naddress = \"::1\"\nrole = \"stop\"", "gateway.toml:2: "),
+    ] {
+        let error = parsed(&Flags::default(), text).unwrap_err().to_string();
+        assert!(error.contains(expected), "{error}");
+    }
+}
+
+#[test]
+fn other_addresses_need_credentials_and_tls() {
+    let open = |text: &str| parsed(&Flags { listen: Some("0.0.0.0:8080".to_owned()), ..Flags::default() }, text);
+    let tls = "[tls]\ncertificate = \"c.pem\"\nkey = \"k.pem\"\n";
+    assert!(open("").unwrap_err().to_string().contains("wsg-gateway init --listen 0.0.0.0:8080 DIR"));
+    assert!(open(tls).unwrap_err().to_string().contains("clients need no credentials"));
+    assert!(open("[access]").unwrap_err().to_string().contains("insecure_http = true"));
+    let config = open(&format!("{tls}[access]")).unwrap();
+    assert_eq!(config.tls.unwrap().key, Path::new("/etc/wsg/k.pem"));
+    let AccessConfig::Guarded(guarded) = config.access else { panic!("clients need no credentials") };
+    assert_eq!(guarded.fast_stop, FastStopPolicy::Credential);
+    assert!(open("insecure_http = true\n[access]").is_ok());
+}

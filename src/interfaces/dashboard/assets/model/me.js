@@ -1,0 +1,46 @@
+// Who the person at this page is to the gateway.
+
+import { signal } from '../lib.js';
+import { get, remove, send } from '../net/rest.js';
+
+/** The identity and rights; null until the gateway says them. */
+export const me = signal(null);
+
+/** Whether the gateway asks this person to sign in. */
+export const isStranger = signal(false);
+
+/** Asks the gateway again. Without an answer, the last one stays. */
+export async function recognize() {
+  try {
+    me.value = await get('me');
+    isStranger.value = false;
+  } catch (problem) {
+    if (problem?.code === 'unauthorized') isStranger.value = true;
+  }
+}
+
+let isFirst = true;
+
+/** Asks after a new connection. The page itself has asked when it began, as its first connection did. */
+export function recognizeAgain() {
+  if (!isFirst) recognize();
+  isFirst = false;
+}
+
+export async function signIn(token) {
+  await send('session', { token });
+  // All connections begin anew with the session.
+  location.reload();
+}
+
+export async function signOut() {
+  await remove('session');
+  location.reload();
+}
+
+/** Whether this person may move a gripper and change its settings. The gateway itself decides. */
+export function mayOperate(name) {
+  if (me.value === null) return true;
+  const role = me.value.grippers.find(({ gripper }) => gripper === name)?.role;
+  return role === undefined || role === 'operator' || role === 'supervisor';
+}

@@ -1,0 +1,35 @@
+//! The answer to a client that does not speak TLS where TLS is needed.
+
+use std::convert::Infallible;
+
+use axum::http::header::{CONNECTION, HOST, HeaderValue, LOCATION};
+use axum::http::{Method, Request, Response, StatusCode};
+use hyper::body::Incoming;
+use hyper::server::conn::http1;
+use hyper::service::service_fn;
+use hyper_util::rt::{TokioIo, TokioTimer};
+use tokio::net::TcpStream;
+
+/// Answers one request. Only reads are redirected: a client that sends its token with a change must not get used to
+/// sending it in the clear.
+pub async fn answer(stream: TcpStream) {
+    let service = service_fn(async |request| Ok::<_, Infallible>(response(&request)));
+    let served = http1::Builder::new().timer(TokioTimer::new()).serve_connection(TokioIo::new(stream), service).await;
+    if let Err(error) = served {
+        tracing::debug!(%error, "connection without TLS ended");
+    }
+}
+
+fn response(request: &Request<Incoming>) -> Response<String> {
+    let host = request.headers().get(HOST).and_then(|host| host.to_str().ok()).filter(|host| !host.is_empty());
+    let mut response = Response::new("this gateway needs TLS: use https://\n".to_owned());
+    *response.status_mut() = StatusCode::BAD_REQUEST;
+    let path = request.uri().path_and_query().map_or("/", |path| path.as_str());
+    let location = host.filter(|_| matches!(*request.method(), Method::GET | Method::HEAD));
+    if let Some(Ok(location)) = location.map(|host| HeaderValue::try_from(format!("https://{host}{path}"))) {
+        *response.status_mut() = StatusCode::PERMANENT_REDIRECT;
+        response.headers_mut().insert(LOCATION, location);
+    }
+    response.headers_mut().insert(CONNECTION, HeaderValue::from_static("close"));
+    response
+}

@@ -1,0 +1,114 @@
+//! The client behind a request, and what it presents.
+
+use std::net::SocketAddr;
+
+use axum::http::header::{AUTHORIZATION, COOKIE, HeaderValue};
+use axum::http::{Extensions, HeaderMap};
+
+use crate::access::{Access, Credential, Identity, SessionId, Unauthorized, Visitor};
+use crate::gripper::model::{Client, Door};
+
+/// Name of the cookie with a session's id.
+pub const SESSION_COOKIE: &str = "wsg_session";
+
+/// The client behind a request, identified when the request arrived.
+#[derive(Debug, Clone)]
+pub struct Identified {
+    pub visitor: Visitor,
+    pub identity: Result<Identity, Unauthorized>,
+}
+
+impl Identified {
+    pub fn of(access: &Access, headers: &HeaderMap, peer: SocketAddr) -> Self {
+        let visitor = Visitor { credential: credential(headers), peer: Some(peer.ip().to_canonical()) };
+        let identity = visitor.identity(access);
+        Self { visitor, identity }
+    }
+
+    /// Returns the client of a request. A request that no connection brought comes from nobody.
+    pub fn client_of(access: &Access, extensions: &Extensions) -> Self {
+        extensions.get().cloned().unwrap_or_else(|| {
+            let visitor = Visitor { credential: Credential::None, peer: None };
+            let identity = visitor.identity(access);
+            Self { visitor, identity }
+        })
+    }
+
+    /// The client as it appears in the journal: its name, or else its address.
+    pub fn client(&self, door: Door) -> Client {
+        let subject = match self.identity.as_ref().ok().and_then(|identity| identity.name.as_ref()) {
+            Some(name) => name.to_string(),
+            None => {
+                let door = if door == Door::Ws { "ws" } else { "http" };
+                self.visitor.peer.map_or_else(|| format!("{door}:unknown"), |peer| format!("{door}:{peer}"))
+            }
+        };
+        Client { subject: subject.into(), door }
+    }
+}
+
+/// Returns the client of a request as it appears in the journal.
+pub fn client(extensions: &Extensions) -> Client {
+    let of_nobody = || Client { subject: "http:unknown".into(), door: Door::Http };
+    extensions.get::<Identified>().map_or_else(of_nobody, |identified| identified.client(Door::Http))
+}
+
+/// Returns what a request presents. A token precedes a session, since only programs send tokens.
+fn credential(headers: &HeaderMap) -> Credential {
+    let mut tokens = headers.get_all(AUTHORIZATION).iter();
+    match (tokens.next(), tokens.next()) {
+        (None, _) => session(headers).map_or(Credential::None, Credential::Session),
+        (Some(token), None) => bearer(token).map_or(Credential::Malformed, Credential::Token),
+        (Some(_), Some(_)) => Credential::Malformed,
+    }
+}
+
+/// Parses `Bearer TOKEN` (RFC 6750, 2.1).
+fn bearer(value: &HeaderValue) -> Option<crate::access::TokenSecret> {
+    let (scheme, token) = value.to_str().ok()?.split_once(' ')?;
+    scheme.eq_ignore_ascii_case("Bearer").then(|| token.trim().parse().ok())?
+}
+
+/// Returns the session in a request's cookies.
+pub fn session(headers: &HeaderMap) -> Option<SessionId> {
+    let cookies = headers.get_all(COOKIE).iter().filter_map(|value| value.to_str().ok());
+    let mut pairs = cookies.flat_map(|value| value.split(';')).filter_map(|pair| pair.trim().split_once('='));
+    pairs.find(|(name, _)| *name == SESSION_COOKIE).and_then(|(_, id)| SessionId::parse(id))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn headers(name: &'static str, values: &[&str]) -> HeaderMap {
+        values.iter().map(|value| (name.parse().unwrap(), value.parse().unwrap())).collect()
+    }
+
+    #[test]
+    fn client_is_known_by_its_address() {
+        let peer = "[::ffff:10.0.0.7]:5000".parse().unwrap();
+        let identified = Identified::of(&Access::Open, &HeaderMap::new(), peer);
+        assert_eq!(&*identified.client(Door::Http).subject, "http:10.0.0.7");
+    }
+
+    #[test]
+    fn token_comes_in_one_bearer_header() {
+        let token = crate::access::TokenSecret::generate().unwrap();
+        let [upper, lower] = ["Bearer", "bearer"].map(|scheme| format!("{scheme} {}", token.expose()));
+        for value in [&upper, &lower] {
+            assert_eq!(credential(&headers("authorization", &[value])), Credential::Token(token.clone()));
+        }
+        for values in [&["Basic YTpi"][..], &["Bearer"], &["Bearer x"], &[token.expose()], &[&upper, &upper]] {
+            assert_eq!(credential(&headers("authorization", values)), Credential::Malformed, "{values:?}");
+        }
+        assert_eq!(credential(&HeaderMap::new()), Credential::None);
+    }
+
+    #[test]
+    fn session_is_one_of_the_cookies() {
+        let id = "x".repeat(43);
+        let found = credential(&headers("cookie", &[&format!("a=b; wsg_session={id}"), "c=d"]));
+        assert_eq!(found, Credential::Session(SessionId::parse(&id).unwrap()));
+        assert_eq!(credential(&headers("cookie", &["wsg_session=short", "xwsg_session=y"])), Credential::None);
+    }
+}

@@ -1,0 +1,59 @@
+//! The client's own identity.
+
+use http::Method as Verb;
+use jiff::Timestamp;
+use serde::Serialize;
+use utoipa::ToSchema;
+
+use super::call::{Call, NoFields};
+use super::operation::{Operation, ready};
+use super::problem::Problem;
+use super::reply::Json;
+use crate::access::{Identity, Proof, Right, Role};
+use crate::gripper::model::Name;
+
+/// Every client with a credential may read its own identity, whatever its role.
+pub const ME: Operation = Operation::change("me", &Verb::GET, "/me", |call| ready(me(&call))).needs(Right::FastStop);
+
+/// Identity and rights of a client.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({
+    "name": "plc7", "role": "operator", "proof": "token",
+    "grippers": [{"gripper": "left", "role": "operator"}, {"gripper": "right", "role": "observer"}],
+    "expires_at": "2027-02-20T08:00:00.000Z"
+}))]
+pub struct Me {
+    /// Name of the credential; null on a gateway that needs no credentials.
+    #[schema(value_type = Option<String>)]
+    name: Option<Name>,
+    role: Role,
+    proof: Proof,
+    /// What the client may do with each gripper of this gateway.
+    grippers: Vec<GripperRole>,
+    /// Time at which the credential expires; null if it does not.
+    #[schema(value_type = Option<String>, format = DateTime)]
+    expires_at: Option<Timestamp>,
+}
+
+/// What a client may do with a gripper.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct GripperRole {
+    #[schema(value_type = String)]
+    gripper: Name,
+    /// The client's role for this gripper; null if it may only make FAST STOPs.
+    #[schema(value_type = Option<Role>)]
+    role: Option<Role>,
+}
+
+fn me(call: &Call) -> Result<Json<Me>, Problem> {
+    let NoFields {} = call.fields()?;
+    let Identity { name, role, expires_at, proof, scope } = call.caller.identity.clone()?;
+    let role_for = |gripper: &Name| match scope.contains(Some(gripper)) {
+        true => Some(role),
+        // Reads are not limited to the credential's grippers.
+        false => role.has(Right::Read).then_some(Role::Observer),
+    };
+    let grippers = call.gateway.grippers.iter().map(crate::gripper::Handle::name);
+    let grippers = grippers.map(|name| GripperRole { gripper: name.clone(), role: role_for(name) }).collect();
+    Ok(Json(Me { name, role, proof, grippers, expires_at }))
+}

@@ -1,0 +1,220 @@
+//! Roles, credentials and TLS, against a running gateway.
+
+mod tls;
+
+use std::collections::BTreeMap;
+
+use futures_util::{SinkExt as _, StreamExt as _};
+use http::{HeaderValue, Method};
+use serde_json::{Value, json};
+use tokio_tungstenite::connect_async;
+use tokio_tungstenite::tungstenite::Message;
+use wsg_gateway::access::Right;
+use wsg_gateway::gripper::model::Urgency;
+use wsg_gateway::operations::{OPERATIONS, Operation};
+
+use crate::harness::{Gateway, Socket, ZenohClient, run, socket_request};
+
+/// Arguments of `token create` for each kind of client, and its rights to the gripper `g`.
+const CLIENTS: &[(&str, &[Right])] = &[
+    ("--name boss --role supervisor", &[Right::FastStop, Right::Stop, Right::Read, Right::Operate, Right::Supervise]),
+    ("--name robot --role operator --gripper g", &[Right::FastStop, Right::Stop, Right::Read, Right::Operate]),
+    ("--name other --role operator --gripper h", &[Right::FastStop, Right::Read]),
+    ("--name panel --role observer", &[Right::FastStop, Right::Read]),
+    ("--name curtain --role stop", &[Right::FastStop, Right::Stop]),
+    ("--name far-curtain --role stop --gripper h", &[Right::FastStop]),
+];
+
+/// Whether a client with these rights may perform an operation on `g`. Only clients of all grippers may change
+/// something that belongs to no gripper.
+fn may(token: &str, rights: &[Right], operation: &Operation) -> bool {
+    let is_of_all = !token.contains("--gripper") || operation.is_of_gripper();
+    let is_free = matches!(operation.right, Right::FastStop | Right::Read);
+    rights.contains(&operation.right) && (is_free || is_of_all)
+}
+
+fn values() -> BTreeMap<&'static str, &'static str> {
+    BTreeMap::from([
+        ("gripper", "g"),
+        ("command", "019aa5c8-5a70-7c31-9f3f-4a3b7c1d2e4f"),
+        ("finger", "1"),
+        ("webhook", "mes"),
+        ("id", "1"),
+    ])
+}
+
+fn path(operation: &Operation) -> String {
+    let values = values();
+    let parts =
+        operation.path.split('/').map(|part| match part.strip_prefix('{').and_then(|part| part.strip_suffix('}')) {
+            Some(key) => values.get(key).copied().unwrap_or("x"),
+            None => part,
+        });
+    format!("/api/v1{}", parts.collect::<Vec<_>>().join("/"))
+}
+
+async fn guarded() -> (Gateway, Vec<String>) {
+    let tokens: Vec<_> = CLIENTS.iter().map(|(token, _)| *token).collect();
+    Gateway::guarded(&tokens, &[]).await
+}
+
+#[tokio::test]
+async fn each_role_may_do_what_it_is_for_over_http() {
+    let (gateway, secrets) = guarded().await;
+    for operation in OPERATIONS {
+        let ask = async |secret: &str| {
+            let method = Method::from_bytes(operation.verb.as_str().as_bytes()).unwrap();
+            let request = gateway.request(method.as_str(), &format!("{}?wait_ms=0", path(operation)));
+            gateway.send(request.header("Authorization", format!("Bearer {secret}"))).await
+        };
+        for ((token, rights), secret) in CLIENTS.iter().zip(&secrets) {
+            let answer = ask(secret).await;
+            let is_refused = answer.status == 403 && answer.body["code"] == "forbidden";
+            assert!(answer.status != 401, "{token}: {}", operation.name);
+            assert_eq!(is_refused, !may(token, rights, operation), "{token}: {} {}", operation.name, answer.body);
+        }
+        let stranger = ask(&secrets[0].replace("wsg_", "wsg_A")).await;
+        // On loopback, a FAST STOP is open to anyone.
+        let may_stop = operation.urgency == Urgency::FastStop;
+        assert_eq!(stranger.status, if may_stop { 200 } else { 401 }, "{}: {}", operation.name, stranger.body);
+    }
+}
+
+#[tokio::test]
+async fn each_role_may_do_what_it_is_for_over_websocket() {
+    let (gateway, secrets) = guarded().await;
+    for ((token, rights), secret) in CLIENTS.iter().zip(&secrets) {
+        let mut request = socket_request(&gateway);
+        let header = HeaderValue::try_from(format!("Bearer {secret}")).unwrap();
+        request.headers_mut().insert("Authorization", header);
+        let (mut socket, _) = connect_async(request).await.unwrap();
+        for operation in OPERATIONS {
+            let keys = operation.path_parameters();
+            let params: BTreeMap<_, _> = keys.map(|key| (key, values().get(key).copied().unwrap_or("x"))).collect();
+            let call = json!({"jsonrpc": "2.0", "id": operation.name, "method": operation.name, "params": params});
+            socket.send(Message::text(call.to_string())).await.unwrap();
+            let answer = loop {
+                let Message::Text(text) = socket.next().await.unwrap().unwrap() else { continue };
+                let message: Value = serde_json::from_str(&text).unwrap();
+                if message["id"] == operation.name {
+                    break message;
+                }
+            };
+            let is_refused = answer["error"]["data"]["code"] == "forbidden";
+            assert_eq!(is_refused, !may(token, rights, operation), "{token}: {} {answer}", operation.name);
+        }
+        let subscribe = json!({"jsonrpc": "2.0", "id": "subscribe", "method": "subscribe", "params": {}});
+        socket.send(Message::text(subscribe.to_string())).await.unwrap();
+        let answer = loop {
+            let Message::Text(text) = socket.next().await.unwrap().unwrap() else { continue };
+            let message: Value = serde_json::from_str(&text).unwrap();
+            if message["id"] == "subscribe" {
+                break message;
+            }
+        };
+        let is_refused = answer["error"]["data"]["code"] == "forbidden";
+        assert_eq!(is_refused, !rights.contains(&Right::Read), "{token}: {answer}");
+    }
+}
+
+#[tokio::test(flavor = "multi_thread")]
+async fn zenoh_client_needs_a_token_for_changes() {
+    let (gateway, secrets) = guarded().await;
+    let client = ZenohClient::of(&gateway).await;
+    let ask = async |name: &str, token: &str| {
+        client.ask(&format!("wsg/v1/gateway/g/command/{name}?token={token}"), &json!({})).await
+    };
+    let code = |answer: Result<Value, Value>| answer.err().map_or(Value::Null, |problem| problem["code"].clone());
+    assert_eq!(code(ask("state", "").await), Value::Null, "the network's own access control decides who reads");
+    assert_eq!(code(ask("home", "").await), "forbidden");
+    assert_eq!(code(ask("home", "nonsense").await), "unauthorized");
+    assert_eq!(code(ask("home", &secrets[3]).await), "forbidden");
+    assert_eq!(code(ask("home", &secrets[1]).await), Value::Null);
+    assert_eq!(code(ask("fast-stop", "").await), Value::Null);
+}
+
+#[tokio::test]
+async fn routes_without_an_operation_need_the_right_to_read() {
+    let (gateway, secrets) = guarded().await;
+    let status = async |path: &str, secret: Option<&str>| {
+        let client = reqwest::Client::new().get(gateway.url(path));
+        let request = secret.map_or(client.try_clone().unwrap(), |secret| client.bearer_auth(secret));
+        request.send().await.unwrap().status().as_u16()
+    };
+    for path in ["/metrics", "/readyz", "/api/v1/events", "/api/v1/grips.csv", "/api/v1/stream", "/api/v1/fleet/events"]
+    {
+        assert_eq!(status(path, None).await, 401, "{path}");
+        assert_eq!(status(path, Some(&secrets[4])).await, 403, "{path}");
+        assert_eq!(status(path, Some(&secrets[3])).await, 200, "{path}");
+    }
+    assert_eq!(status("/api/v1/ws", None).await, 401);
+    for path in ["/", "/healthz", "/docs/guide", "/api/v1/openapi.json"] {
+        assert_eq!(status(path, None).await, 200, "{path}");
+    }
+}
+
+#[tokio::test]
+async fn client_is_named_by_its_token() {
+    let (gateway, secrets) = guarded().await;
+    let me = gateway.send(reqwest::Client::new().get(gateway.url("/api/v1/me")).bearer_auth(&secrets[1])).await.ok();
+    let rights = json!([{"gripper": "g", "role": "operator"}, {"gripper": "h", "role": "observer"}]);
+    assert_eq!((&me["name"], &me["role"], &me["proof"]), (&json!("robot"), &json!("operator"), &json!("token")));
+    assert_eq!(me["grippers"], rights);
+    let request = reqwest::Client::new().post(gateway.url("lease")).bearer_auth(&secrets[1]);
+    let lease = gateway.send(request.json(&json!({}))).await.ok();
+    assert_eq!(lease["holder"], "robot");
+    let force =
+        reqwest::Client::new().post(gateway.url("lease")).bearer_auth(&secrets[1]).json(&json!({"force": true}));
+    gateway.send(force).await.problem(403, "forbidden");
+    let [event] = gateway.events("kind=lease", 1).await.try_into().unwrap();
+    assert_eq!(event["subject"], "robot", "{event}");
+}
+
+#[tokio::test]
+async fn revoked_token_is_refused_at_once() {
+    let (gateway, secrets) = guarded().await;
+    let mut request = socket_request(&gateway);
+    let header = HeaderValue::try_from(format!("Bearer {}", secrets[1])).unwrap();
+    request.headers_mut().insert("Authorization", header);
+    let mut socket = Socket::with(request).await.unwrap();
+    socket.call("state", json!({"gripper": "g"})).await;
+    let tokens = gateway.tokens.as_deref().unwrap();
+    let revoked = run(&["token", "--tokens", tokens, "revoke", "robot"]).await;
+    assert!(revoked.status.success(), "{revoked:?}");
+    let error = socket.refused("state", json!({"gripper": "g"})).await;
+    assert_eq!(error["data"]["code"], "unauthorized", "{error}");
+    while socket.next().await.is_some() {}
+}
+
+#[tokio::test]
+async fn browser_signs_in_and_out() {
+    let (gateway, secrets) = guarded().await;
+    let browser = reqwest::Client::new();
+    let url = gateway.url("/api/v1/session");
+    let refused = browser.post(&url).json(&json!({"token": "wsg_wrong"})).send().await.unwrap();
+    assert_eq!(refused.status(), 401);
+    let signed_in = browser.post(&url).json(&json!({"token": secrets[1]})).send().await.unwrap();
+    let cookie = signed_in.headers()["set-cookie"].to_str().unwrap().to_owned();
+    assert!(cookie.ends_with("; Path=/; HttpOnly; SameSite=Strict") && !cookie.contains(&secrets[1]), "{cookie}");
+    assert_eq!(signed_in.json::<Value>().await.unwrap(), json!({"name": "robot", "role": "operator"}));
+    let id = cookie.split(';').next().unwrap();
+    let me = || gateway.send(browser.get(gateway.url("/api/v1/me")).header("Cookie", id));
+    assert_eq!(me().await.ok()["proof"], "session");
+    let foreign = browser.post(gateway.url("home")).header("Cookie", id).header("Origin", "http://evil.example");
+    gateway.send(foreign).await.problem(403, "foreign_origin");
+    browser.delete(&url).header("Cookie", id).send().await.unwrap();
+    me().await.problem(401, "unauthorized");
+}
+
+#[tokio::test]
+async fn fast_stop_needs_a_credential_if_configured() {
+    let policy = "[access]\nfast_stop = \"credential\"\n";
+    let path = std::env::temp_dir().join(format!("wsg-{}.toml", uuid::Uuid::now_v7()));
+    std::fs::write(&path, policy).unwrap();
+    let (gateway, secrets) =
+        Gateway::guarded(&["--name curtain --role stop"], &["--config", path.to_str().unwrap()]).await;
+    let stop = || reqwest::Client::new().post(gateway.url("/api/v1/fast-stop"));
+    gateway.send(stop()).await.problem(401, "unauthorized");
+    gateway.send(stop().bearer_auth(&secrets[0])).await.ok();
+    std::fs::remove_file(path).unwrap();
+}

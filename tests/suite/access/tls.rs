@@ -1,0 +1,161 @@
+//! HTTPS, from the first start on a network.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::sync::Arc;
+
+use bytes::Bytes;
+use futures_util::{SinkExt as _, StreamExt as _};
+use http::{Request, Response};
+use http_body_util::{BodyExt as _, Full};
+use hyper::body::Incoming;
+use hyper::client::conn::http1::handshake;
+use hyper_util::rt::TokioIo;
+use serde_json::{Value, json};
+use tokio::net::TcpStream;
+use tokio_rustls::TlsConnector;
+use tokio_rustls::client::TlsStream;
+use tokio_rustls::rustls::crypto::ring::default_provider;
+use tokio_rustls::rustls::pki_types::pem::PemObject as _;
+use tokio_rustls::rustls::pki_types::{CertificateDer, ServerName};
+use tokio_rustls::rustls::{ClientConfig, RootCertStore};
+use tokio_tungstenite::client_async;
+use tokio_tungstenite::tungstenite::Message;
+use tokio_tungstenite::tungstenite::client::IntoClientRequest as _;
+use tokio_util::task::AbortOnDropHandle;
+
+use crate::harness::{Process, run};
+
+/// A gateway as `init` configures it.
+struct Initialised {
+    directory: PathBuf,
+    address: SocketAddr,
+    token: String,
+    _process: Process,
+}
+
+impl Drop for Initialised {
+    fn drop(&mut self) {
+        std::fs::remove_dir_all(&self.directory).unwrap();
+    }
+}
+
+async fn initialised() -> Initialised {
+    let directory = std::env::temp_dir().join(format!("wsg-init-{}", uuid::Uuid::now_v7()));
+    let said = run(&["init", "--listen", "127.0.0.1:0", "--host", "localhost", directory.to_str().unwrap()]).await;
+    assert!(said.status.success(), "{said:?}");
+    let token = said.stdout.lines().last().unwrap().to_owned();
+    let config = directory.join("wsg-gateway.toml");
+    let process = Process::start(&["--config", config.to_str().unwrap(), "--zenoh-listen", "tcp/127.0.0.1:0"]);
+    let address = process.word_after(" at https://").await.trim_end_matches('/').parse().unwrap();
+    Initialised { directory, address, token, _process: process }
+}
+
+/// Connects with TLS, trusting the certificate in the gateway's directory.
+async fn secure_stream(gateway: &Initialised) -> std::io::Result<TlsStream<TcpStream>> {
+    let pem = std::fs::read(gateway.directory.join("certificate.pem")).unwrap();
+    let mut roots = RootCertStore::empty();
+    roots.add(CertificateDer::from_pem_slice(&pem).unwrap()).unwrap();
+    let config = ClientConfig::builder_with_provider(Arc::new(default_provider()));
+    let config = config.with_safe_default_protocol_versions().unwrap();
+    let config = config.with_root_certificates(roots).with_no_client_auth();
+    let stream = TcpStream::connect(gateway.address).await?;
+    TlsConnector::from(Arc::new(config)).connect(ServerName::try_from("localhost").unwrap(), stream).await
+}
+
+/// An HTTPS client of one connection.
+struct HttpsClient {
+    http: hyper::client::conn::http1::SendRequest<Full<Bytes>>,
+    _connection: AbortOnDropHandle<hyper::Result<()>>,
+}
+
+impl HttpsClient {
+    async fn connect(gateway: &Initialised) -> Result<Self, std::io::Error> {
+        let stream = secure_stream(gateway).await?;
+        let (http, connection) = handshake(TokioIo::new(stream)).await.unwrap();
+        Ok(Self { http, _connection: AbortOnDropHandle::new(tokio::spawn(connection)) })
+    }
+
+    async fn send(&mut self, method: &str, path: &str, token: Option<&str>, body: &Value) -> Response<Incoming> {
+        let request = Request::builder().method(method).uri(path).header("Host", "localhost");
+        let request = match token {
+            Some(token) => request.header("Authorization", format!("Bearer {token}")),
+            None => request,
+        };
+        let body = if body.is_null() { String::new() } else { body.to_string() };
+        self.http.send_request(request.body(Full::from(body)).unwrap()).await.unwrap()
+    }
+
+    async fn status(&mut self, method: &str, path: &str, token: Option<&str>) -> u16 {
+        let response = self.send(method, path, token, &Value::Null).await;
+        let status = response.status().as_u16();
+        response.into_body().collect().await.unwrap();
+        status
+    }
+}
+
+#[tokio::test]
+async fn initialised_gateway_serves_https_with_its_first_token() {
+    let gateway = initialised().await;
+    let mut client = HttpsClient::connect(&gateway).await.unwrap();
+    let page = client.send("GET", "/", None, &Value::Null).await;
+    assert_eq!((page.status().as_u16(), page.headers().contains_key("strict-transport-security")), (200, true));
+    page.into_body().collect().await.unwrap();
+    let (home, stop, token) = ("/api/v1/grippers/left/home", "/api/v1/fast-stop", Some(gateway.token.as_str()));
+    assert_eq!(client.status("POST", home, None).await, 401);
+    assert_eq!(client.status("POST", home, token).await, 200);
+    let session = client.send("POST", "/api/v1/session", None, &json!({"token": gateway.token})).await;
+    assert!(session.headers()["set-cookie"].to_str().unwrap().contains("; Secure"));
+    // A connection that begins with a FAST STOP is served elsewhere.
+    let mut first = HttpsClient::connect(&gateway).await.unwrap();
+    assert_eq!(first.status("POST", stop, None).await, 401);
+    let mut first = HttpsClient::connect(&gateway).await.unwrap();
+    assert_eq!(first.status("POST", stop, token).await, 200);
+}
+
+#[tokio::test]
+async fn reads_without_tls_are_redirected_and_changes_refused() {
+    let gateway = initialised().await;
+    let client = reqwest::Client::builder().redirect(reqwest::redirect::Policy::none()).build().unwrap();
+    let plain = format!("http://{}", gateway.address);
+    let page = client.get(format!("{plain}/docs?x=1")).send().await.unwrap();
+    assert_eq!(page.status(), 308);
+    assert_eq!(page.headers()["location"].to_str().unwrap(), format!("https://{}/docs?x=1", gateway.address));
+    let change = client.post(format!("{plain}/api/v1/grippers/left/home")).send().await.unwrap();
+    assert_eq!(change.status(), 400);
+}
+
+#[tokio::test]
+async fn websocket_works_over_tls() {
+    let gateway = initialised().await;
+    let mut request = "wss://localhost/api/v1/ws".into_client_request().unwrap();
+    let headers = request.headers_mut();
+    headers.insert("Sec-WebSocket-Protocol", "wsg.v1".parse().unwrap());
+    headers.insert("Authorization", format!("Bearer {}", gateway.token).parse().unwrap());
+    let (mut socket, _) = client_async(request, secure_stream(&gateway).await.unwrap()).await.unwrap();
+    let call = json!({"jsonrpc": "2.0", "id": 1, "method": "fast-stop", "params": {}});
+    socket.send(Message::text(call.to_string())).await.unwrap();
+    let answer = loop {
+        // Pings arrive all the time.
+        match socket.next().await.unwrap().unwrap() {
+            Message::Ping(_) => {}
+            answer => break answer,
+        }
+    };
+    assert!(answer.to_text().unwrap().contains("fast_stop_confirmed"), "{answer}");
+}
+
+#[tokio::test]
+async fn replaced_certificate_serves_new_connections() {
+    let gateway = initialised().await;
+    let mut old = HttpsClient::connect(&gateway).await.unwrap();
+    assert_eq!(old.status("GET", "/healthz", None).await, 200);
+    for name in ["certificate.pem", "key.pem"] {
+        std::fs::remove_file(gateway.directory.join(name)).unwrap();
+    }
+    let renewed = run(&["certificate", "--host", "localhost", gateway.directory.to_str().unwrap()]).await;
+    assert!(renewed.status.success(), "{renewed:?}");
+    assert_eq!(old.status("GET", "/healthz", None).await, 200, "the open connection continues");
+    let mut new = HttpsClient::connect(&gateway).await.unwrap();
+    assert_eq!(new.status("GET", "/healthz", None).await, 200);
+}
