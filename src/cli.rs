@@ -1,9 +1,13 @@
 //! The command line: subcommands and flags.
 
 mod decode;
+mod discover;
+mod doctor;
 mod init;
 mod journal;
+mod package;
 mod token;
+mod version;
 
 use std::fs::File;
 use std::io::{BufReader, Write};
@@ -11,7 +15,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 
 use anyhow::{Context, ensure};
-use clap::{Parser, Subcommand};
+use clap::{CommandFactory as _, Parser, Subcommand};
 use url::Url;
 
 use crate::config::{Config, Flags};
@@ -21,7 +25,7 @@ use crate::{daemon, interfaces};
 /// Lets many clients share Weiss/SCHUNK WSG grippers. Without a subcommand, serves the configured grippers, or two
 /// simulated ones if none is configured.
 #[derive(Debug, Parser)]
-#[command(name = "wsg-gateway", version, args_conflicts_with_subcommands = true)]
+#[command(name = "wsg-gateway", version, long_version = version::long(), args_conflicts_with_subcommands = true)]
 struct Cli {
     #[command(flatten)]
     flags: Flags,
@@ -64,6 +68,11 @@ enum Command {
         #[command(flatten)]
         flags: Flags,
     },
+    /// Check this installation: configuration, permissions, ports, journal, disk, clock and grippers. Prints what is
+    /// wrong with the remedy, and exits with 1 if there is a problem
+    Doctor(doctor::DoctorArgs),
+    /// Find grippers in networks, on serial ports and on CAN interfaces. Asks before it contacts them
+    Discover(discover::DiscoverArgs),
     /// Print the OpenAPI document
     Openapi,
     /// Print the AsyncAPI document of the WebSocket interface
@@ -82,8 +91,14 @@ enum Command {
         #[arg(long, value_name = "URL", conflicts_with_all = ["file", "encode"])]
         follow: Option<Url>,
     },
-    /// List, follow, export or verify the journal, even while the gateway runs
+    /// List, follow, export, verify or back up the journal, even while the gateway runs
     Journal(journal::JournalArgs),
+    /// Write man pages and shell completions below a directory
+    #[command(hide = true)]
+    PackageFiles {
+        #[arg(value_name = "DIRECTORY")]
+        directory: PathBuf,
+    },
     /// Create, list or revoke the tokens of clients
     Token(token::TokenArgs),
     /// Write a configuration with TLS and a first token, for a gateway on a network
@@ -114,6 +129,8 @@ pub fn run() -> anyhow::Result<()> {
             daemon::run_simulated(&urls, &device, control)
         }
         Some(Command::Check { flags }) => check(&flags),
+        Some(Command::Doctor(arguments)) => doctor::run(&arguments),
+        Some(Command::Discover(arguments)) => discover::run(&arguments),
         Some(Command::Openapi) => {
             let document = serde_json::to_string_pretty(&interfaces::http::openapi())?;
             quietly(writeln!(std::io::stdout(), "{document}"))
@@ -141,6 +158,7 @@ pub fn run() -> anyhow::Result<()> {
             Ok(())
         }
         Some(Command::Journal(journal)) => journal::run(&journal, std::io::stdout().lock()),
+        Some(Command::PackageFiles { directory }) => package::write(&directory, Cli::command()),
         Some(Command::Token(args)) => token::run(&args, std::io::stdout().lock()),
         Some(Command::Init(args)) => init::run(&args, std::io::stdout().lock()),
         Some(Command::Certificate(args)) => init::certificate(&args, std::io::stdout().lock()),

@@ -17,6 +17,7 @@
 //! - [`sim`]: a device, modelled from the manual: a pure machine, with faults.
 //! - [`config`]: file, environment and flags, turned into validated types; nothing else reads them.
 //! - [`daemon`]: the composition root, which builds, connects and drains everything in order.
+//! - [`doctor`]: checks of an installation, and discovery of devices.
 //! - [`cli`] and [`logging`]: the command line, and logs.
 //!
 //! A request comes in through an interface, which parses it once into a [`gripper::model`] value for the gripper's
@@ -39,6 +40,7 @@ pub mod alarms;
 pub mod cli;
 pub mod config;
 pub mod daemon;
+pub mod doctor;
 pub mod events;
 pub mod fleet;
 pub mod gripper;

@@ -1,7 +1,7 @@
-//! `wsg-gateway journal`: lists, follows, exports and verifies the records of a journal file.
+//! `wsg-gateway journal`: lists, follows, exports, verifies and copies the records of a journal file.
 
-use std::io::{self, BufWriter, Write};
-use std::path::Path;
+use std::io::{self, BufWriter, IsTerminal as _, Write};
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -12,10 +12,13 @@ use serde::de::DeserializeOwned;
 use crate::config::JournalFlags;
 use crate::journal::csv::{EVENT_COLUMNS, GRIP_COLUMNS, header, lines};
 use crate::journal::{
-    Cursor, EventQuery, Filter, GripQuery, Limit, Order, Page, Query, ReadError, Reader, Report, verify,
+    Cursor, EventQuery, Filter, GripQuery, Limit, Order, Page, Query, ReadError, Reader, Report, back_up,
+    verify_with_progress,
 };
+use progress::Progress;
 
 mod line;
+mod progress;
 
 /// Interval between polls for new events.
 const POLL: Duration = Duration::from_millis(200);
@@ -59,6 +62,11 @@ enum Command {
     },
     /// Check that no record was changed since it was written; exits with 1 if any was
     Verify,
+    /// Copy the journal to a new file, which `verify` can check
+    Backup {
+        #[arg(value_name = "FILE")]
+        file: PathBuf,
+    },
 }
 
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, ValueEnum)]
@@ -141,6 +149,7 @@ pub(super) fn run(journal: &JournalArgs, out: impl Write) -> anyhow::Result<()> 
         Command::Follow { after, filters } => follow(&Reader::open(&path)?, *after, filters, &mut out),
         Command::Export { format, which } => export(&Reader::open(&path)?, *format, which, &mut out),
         Command::Verify => check(&path, &mut out),
+        Command::Backup { file } => copy(&path, file, &mut out),
     };
     match result.and_then(|()| Ok(out.flush()?)) {
         // The reader of standard output may stop early.
@@ -163,9 +172,15 @@ fn export(reader: &Reader, format: Format, which: &Which, out: &mut impl Write) 
     if format == Format::Csv {
         out.write_all(header(columns).as_bytes())?;
     }
-    each_page(reader, which, Order::Oldest, limit, |bodies| match format {
-        Format::Json => bodies.iter().try_for_each(|body| writeln!(out, "{body}")),
-        Format::Csv => out.write_all(lines(columns, bodies.iter().map(|body| &**body)).as_bytes()),
+    // On a terminal, the records show the progress themselves.
+    let (mut progress, mut written) = (Progress::new("exported", !io::stdout().is_terminal()), 0);
+    each_page(reader, which, Order::Oldest, limit, |bodies| {
+        written += bodies.len();
+        progress.show(format_args!("{written} records"));
+        match format {
+            Format::Json => bodies.iter().try_for_each(|body| writeln!(out, "{body}")),
+            Format::Csv => out.write_all(lines(columns, bodies.iter().map(|body| &**body)).as_bytes()),
+        }
     })
 }
 
@@ -223,8 +238,21 @@ fn follow(reader: &Reader, after: Option<u64>, filters: &Filters, out: &mut impl
     }
 }
 
+fn copy(path: &Path, to: &Path, out: &mut impl Write) -> anyhow::Result<()> {
+    let mut progress = Progress::new("copied", true);
+    let mut bytes = 0;
+    back_up(path, to, |copied, all| {
+        bytes = all;
+        progress.show_part(copied, all);
+    })?;
+    drop(progress);
+    Ok(writeln!(out, "{}: {bytes} bytes copied; check them with `wsg-gateway journal verify`", to.display())?)
+}
+
 fn check(path: &Path, out: &mut impl Write) -> anyhow::Result<()> {
-    let report = verify(path)?;
+    let mut progress = Progress::new("verified", true);
+    let report = verify_with_progress(path, |read, all| progress.show_part(read, all))?;
+    drop(progress);
     report.findings.iter().try_for_each(|finding| writeln!(out, "{finding}"))?;
     let found = report.findings.len() as u64 + report.more;
     let Report { events, grips, memories, .. } = report;

@@ -213,3 +213,34 @@ fn grippers_on_one_can_interface_share_it() {
     let shared = file(&text).unwrap().grippers.into_iter().map(|gripper| gripper.updates.devices_on_line);
     assert_eq!(shared.collect::<Vec<_>>(), [3, 3, 1, 3]);
 }
+
+/// The configuration file of the packages.
+const PACKAGED: &str = include_str!("../../deploy/wsg-gateway.toml");
+
+#[test]
+fn packaged_file_changes_no_default() {
+    assert_eq!(file(PACKAGED).unwrap(), Config::load(&flags()).unwrap());
+}
+
+#[test]
+fn packaged_file_has_every_key_with_a_valid_value() {
+    // Files that these keys name must exist, and a webhook has one secret.
+    let names_a_file =
+        |line: &&str| ["config = ", "secret_file = ", "ca_file = "].iter().any(|key| line.starts_with(key));
+    let keys: Vec<_> =
+        PACKAGED.lines().filter_map(|line| line.strip_prefix('#')).filter(|line| !line.starts_with(' ')).collect();
+    let text: Vec<_> = keys.iter().copied().filter(|line| !names_a_file(line)).collect();
+    let config = file(&text.join("\n")).unwrap();
+    assert_eq!((config.grippers.len(), config.webhooks.len()), (1, 1));
+    let sections = ["zenoh", "webhooks", "grippers", "access", "clients", "tls"];
+    for section in ["", "[zenoh]\n", "[[webhooks]]\n", "[grippers.left]\n", "[access]\n", "[[clients]]\n", "[tls]\n"] {
+        let error = file(&format!("{section}nonsense = 1")).unwrap_err().to_string();
+        let expected = error.split('`').skip(3).step_by(2).map(str::to_owned).collect::<Vec<_>>();
+        assert!(expected.len() > 1, "{error}");
+        for key in expected {
+            let is_section = sections.contains(&key.as_str());
+            let is_listed = keys.iter().any(|line| line.starts_with(&format!("{key} = ")));
+            assert!(is_section || is_listed, "deploy/wsg-gateway.toml lacks {section}{key}");
+        }
+    }
+}

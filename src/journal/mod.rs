@@ -4,6 +4,7 @@
 //! many records per transaction. A caller can be notified once its record is on the disk. Readers have their own
 //! connections, and get the JSON as it was written. [`verify`] finds records that were changed since.
 
+mod backup;
 mod chain;
 mod check;
 mod commands;
@@ -44,15 +45,17 @@ use shared::Shared;
 use store::Store;
 use writer::{JournalWriter, WriterInput};
 
+pub use backup::{BackupError, back_up};
 pub use commands::command_of;
 pub use event_stream::{EventStream, StreamItem};
 pub use query::{Cursor, EventQuery, Filter, GripQuery, InvalidCursor, InvalidLimit, Limit, Order, Page, Query};
 pub use reader::Reader;
 pub use recovery::Recovered;
 pub use row::{EventKind, GripUpdate, Stored};
+pub use schema::VERSION;
 pub use source::{JournalLocation, ReadError};
-pub use store::OpenError;
-pub use verify::{Finding, Report, verify};
+pub use store::{OpenError, is_in_use};
+pub use verify::{Finding, Report, verify, verify_with_progress};
 
 /// Records that can wait for the writing thread: enough for a disk that stalls for some seconds.
 const QUEUE: usize = 8192;

@@ -6,8 +6,8 @@ use rusqlite::Connection;
 /// Marks the file as a journal of this gateway: `WSGJ`.
 pub(super) const APPLICATION_ID: i32 = 0x5753_474A;
 
-/// The version of [`TABLES`].
-pub(super) const VERSION: i32 = 1;
+/// Version of the journal's format.
+pub const VERSION: i32 = 1;
 
 /// SQL that creates the tables. `at` (in ms since 1970) is stored in both chains, because time ranges compare it row by
 /// row.

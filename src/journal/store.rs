@@ -55,8 +55,8 @@ impl Content {
         let path = path.display();
         match self {
             Self::Version(found) => format!(
-                "the journal {path} has version {found}, but this gateway needs version {VERSION}: \
-                 use the gateway that wrote it, or move the file away to begin a new journal"
+                "the journal {path} has version {found}, but this gateway needs version {VERSION}: use the gateway \
+                 that wrote it, restore the backup from before the upgrade, or move the file away to begin a new journal"
             ),
             _ => format!(
                 "{path} is not a journal (it lacks application id {APPLICATION_ID:#x}): name another file, or move \
@@ -234,15 +234,26 @@ fn lock(path: &Path) -> Result<File, OpenError> {
     if let Some(directory) = path.parent().filter(|directory| !directory.as_os_str().is_empty()) {
         DirBuilder::new().recursive(true).mode(0o700).create(directory).map_err(failed(directory))?;
     }
-    let mut name = real(path).map_err(failed(path))?.into_os_string();
-    name.push("-lock");
-    let name = PathBuf::from(name);
+    let name = lock_file(path).map_err(failed(path))?;
     let lock = File::options().write(true).create(true).truncate(false).open(&name).map_err(failed(&name))?;
     match lock.try_lock() {
         Ok(()) => Ok(lock),
         Err(TryLockError::WouldBlock) => Err(OpenError::Locked(path.to_owned())),
         Err(TryLockError::Error(cause)) => Err(failed(&name)(cause)),
     }
+}
+
+fn lock_file(path: &Path) -> io::Result<PathBuf> {
+    let mut name = real(path)?.into_os_string();
+    name.push("-lock");
+    Ok(name.into())
+}
+
+/// Whether a gateway uses the journal at this moment.
+#[must_use]
+pub fn is_in_use(path: &Path) -> bool {
+    let lock = lock_file(path).and_then(File::open);
+    lock.is_ok_and(|lock| matches!(lock.try_lock_shared(), Err(TryLockError::WouldBlock)))
 }
 
 /// Resolves all links to the file, because SQLite writes to their target. The file need not exist yet.

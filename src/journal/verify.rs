@@ -56,12 +56,23 @@ impl fmt::Display for Finding {
 /// # Errors
 /// [`ReadError`], if the file is missing, is not a journal, or has another version.
 pub fn verify(path: &Path) -> Result<Report, ReadError> {
+    verify_with_progress(path, |_, _| {})
+}
+
+/// Verifies like [`verify`], and calls `progress` with the numbers of records that were read and of all records.
+///
+/// # Errors
+/// As [`verify`].
+pub fn verify_with_progress(path: &Path, mut progress: impl FnMut(u64, u64)) -> Result<Report, ReadError> {
     let reader = Reader::open(path)?;
     reader.with(|connection| {
         let snapshot = connection.unchecked_transaction()?;
         let mut verifier = Verifier::default();
         verifier.tables(&snapshot);
-        verifier.records(&snapshot);
+        let records = "SELECT (SELECT count(*) FROM events) + (SELECT count(*) FROM grips)";
+        // A damaged file may have no number of records.
+        let all: i64 = snapshot.query_row(records, [], |row| row.get(0)).unwrap_or_default();
+        verifier.records(&snapshot, &mut |read| progress(read, all.unsigned_abs()));
         verifier.integrity(&snapshot);
         Ok(verifier.report)
     })
@@ -107,7 +118,7 @@ pub(super) fn verify_in_parts(reader: &Reader, mut pause: impl FnMut(Duration) -
         }
         // New records, and the tables besides the chains, are read at the same moment.
         let snapshot = connection.unchecked_transaction()?;
-        verifier.finish(&snapshot, walks);
+        verifier.finish(&snapshot, walks, &mut |_| {});
         drop(snapshot);
         verifier.integrity(connection);
         Ok(())
@@ -155,7 +166,7 @@ impl Verifier {
         });
     }
 
-    fn records(&mut self, connection: &Connection) {
+    fn records(&mut self, connection: &Connection, progress: &mut dyn FnMut(u64)) {
         let walks = Chain::ALL.map(|chain| Walk::all(connection, chain).map_err(|error| (chain, error)));
         let mut begun = Vec::new();
         for walk in walks {
@@ -164,14 +175,22 @@ impl Verifier {
                 Err((chain, error)) => self.find(chain.name(), format!("cannot be read: {error}")),
             }
         }
-        self.finish(connection, begun);
+        self.finish(connection, begun, progress);
     }
 
-    /// Walks to the ends of the chains, and compares the other tables with them.
-    fn finish(&mut self, connection: &Connection, walks: impl IntoIterator<Item = Walk>) {
+    /// Walks to the ends of the chains, and compares the other tables with them. Calls `progress` with the number of
+    /// records that were read.
+    fn finish(
+        &mut self,
+        connection: &Connection,
+        walks: impl IntoIterator<Item = Walk>,
+        progress: &mut dyn FnMut(u64),
+    ) {
         for mut walk in walks {
             self.check(walk.chain().name(), |this| {
-                while walk.part(this, connection)? {}
+                while walk.part(this, connection)? {
+                    progress(this.report.events + this.report.grips);
+                }
                 Ok(())
             });
         }

@@ -22,6 +22,7 @@ pub use address::{Address, InvalidAddress};
 pub use can::CanAddress;
 pub use options::Options;
 pub use pace::Pacer;
+pub use present::available;
 pub use serial::SerialAddress;
 pub use tcp::TcpAddress;
 pub use udp::UdpAddress;

@@ -1,7 +1,10 @@
 //! Serial ports and CAN interfaces of this machine, for errors about missing ones.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
+
+use super::Address;
 
 /// Limit of listed names, so that the list does not bury the rest of the message.
 const MAX_LISTED: usize = 12;
@@ -18,6 +21,18 @@ const CAN_HARDWARE: &str = "280";
 
 /// Bit `IFF_UP` of an interface's flags.
 const UP: u32 = 1;
+
+/// Returns the addresses of this machine's serial ports, each by its stable name, and of its CAN interfaces that are up,
+/// with the usual settings of devices.
+#[must_use]
+pub fn available() -> Vec<Address> {
+    let mut seen = BTreeSet::new();
+    let ports = ports(Path::new("/dev"), Path::new("/sys/class/tty")).into_iter();
+    let ports = ports.filter(|port| fs::canonicalize(port).is_ok_and(|device| seen.insert(device)));
+    let ports = ports.map(|port| format!("serial://{port}"));
+    let interfaces = names(Path::new(INTERFACES)).into_iter().filter(|name| is_can(name) && is_up(name));
+    ports.chain(interfaces.map(|name| format!("can://{name}"))).filter_map(|url| url.parse().ok()).collect()
+}
 
 /// E.g. "available: /dev/ttyUSB0, /dev/ttyS0".
 pub(super) fn serial_ports() -> String {

@@ -23,9 +23,6 @@ use super::{CONNECT_WITHIN, LinkProperties, Pipe, present};
 /// Default bit rate (field practice).
 const DEFAULT_BAUD: u32 = 115_200;
 
-/// Bit rates of devices (field practice).
-const BAUDS: [u32; 10] = [1200, 2400, 4800, 9600, 19_200, 38_400, 57_600, 115_200, 230_400, 460_800];
-
 /// A USB adapter buffers received bytes for 16 ms, and a busy host adds to the delay.
 const FRAME_GAP: Duration = Duration::from_millis(100);
 
@@ -44,6 +41,9 @@ pub struct SerialAddress {
 }
 
 impl SerialAddress {
+    /// Bit rates of devices (field practice).
+    pub const BAUDS: [u32; 10] = [1200, 2400, 4800, 9600, 19_200, 38_400, 57_600, 115_200, 230_400, 460_800];
+
     pub(super) fn parse(url: &Url) -> Result<Self, String> {
         let options = Options::of(url, &["baud", "stop_bits"])?;
         if url.has_host() && url.host_str().is_some_and(|host| !host.is_empty()) {
@@ -53,7 +53,7 @@ impl SerialAddress {
         if !path.starts_with('/') || path.len() < 2 || path.contains('%') {
             return Err("the serial port is missing: expected an absolute path without special characters".to_owned());
         }
-        let baud = options.one_of("baud", &BAUDS)?.unwrap_or(DEFAULT_BAUD);
+        let baud = options.one_of("baud", &Self::BAUDS)?.unwrap_or(DEFAULT_BAUD);
         let stop_bits = options.one_of("stop_bits", &[1, 2])?.unwrap_or(1) as u8;
         Ok(Self { path: path.to_owned(), baud, stop_bits })
     }

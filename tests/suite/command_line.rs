@@ -162,11 +162,63 @@ fn closed_output_pipe_is_not_an_error() {
 }
 
 #[tokio::test]
+async fn package_files_describe_every_subcommand() {
+    let directory = PathBuf::from(env!("CARGO_TARGET_TMPDIR")).join(format!("{}-package", std::process::id()));
+    assert!(run(&["package-files", directory.to_str().unwrap()]).await.status.success());
+    let read = |path: &str| std::fs::read_to_string(directory.join(path)).unwrap();
+    for page in ["wsg-gateway", "wsg-gateway-doctor", "wsg-gateway-journal-backup"] {
+        assert!(read(&format!("man/{page}.1")).contains(".SH OPTIONS"), "{page}");
+    }
+    for shell in ["wsg-gateway.bash", "wsg-gateway.fish", "_wsg-gateway"] {
+        assert!(read(&format!("completions/{shell}")).contains("discover"), "{shell}");
+    }
+    std::fs::remove_dir_all(directory).unwrap();
+}
+
+#[tokio::test]
+async fn doctor_exits_with_1_and_names_the_problem() {
+    let taken = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = taken.local_addr().unwrap().to_string();
+    let flags = ["--gripper", "g=sim://wsg50", "--zenoh-mode", "off", "--journal", ":memory:", "--listen"];
+    let ended = run(&[&["doctor"], &flags[..], &[&address]].concat()).await;
+    assert_eq!(ended.status.code(), Some(1), "{ended:?}");
+    assert!(ended.stdout.contains(&format!("PROBLEM  ports          cannot listen on {address}")), "{ended:?}");
+    assert!(ended.stderr.contains("1 problem found"), "{ended:?}");
+    let ended = run(&[&["doctor"], &flags[..], &["127.0.0.1:0"]].concat()).await;
+    assert!(ended.status.success(), "{ended:?}");
+}
+
+#[tokio::test]
+async fn discover_asks_before_it_contacts_a_device() {
+    let device = Simulator::start(&[]).await;
+    let proxy = crate::harness::Proxy::to(device.address);
+    let port = proxy.address.port().to_string();
+    let search = ["discover", "--network-only", "--subnet", "127.0.0.1/32", "--port", &port];
+    let said = refused(&search).await;
+    assert!(said.contains("would contact 1 network addresses") && said.contains("--yes"), "{said}");
+    assert_eq!(proxy.frames.len(), 0);
+    let ended = run(&[&search[..], &["--yes"]].concat()).await;
+    assert!(ended.stdout.contains(&format!("gripper  tcp://{}", proxy.address)), "{ended:?}");
+    assert!(
+        ended.stdout.ends_with(
+            "grippers found: 1
+"
+        ),
+        "{ended:?}"
+    );
+}
+
+#[tokio::test]
 async fn help_and_version_are_printed() {
     let help = run(&["--help"]).await;
     assert!(help.status.success());
     for expected in ["--gripper", "--listen", "--insecure", "--journal", "sim", "check", "openapi"] {
         assert!(help.stdout.contains(expected), "{expected}");
     }
-    assert!(run(&["--version"]).await.stdout.contains(env!("CARGO_PKG_VERSION")));
+    let version = run(&["--version"]).await.stdout;
+    for expected in
+        [env!("CARGO_PKG_VERSION"), "commit: ", "HTTP API: /api/v1", "WebSocket: wsg.v1", "journal format: "]
+    {
+        assert!(version.contains(expected), "{expected} in {version}");
+    }
 }

@@ -143,8 +143,9 @@ fn configuration_keys() -> BTreeSet<String> {
 /// The flags and variables of the command line.
 async fn flags() -> BTreeSet<String> {
     let mut words = BTreeSet::new();
-    for command in [&["--help"][..], &["sim", "--help"], &["decode", "--help"], &["journal", "list", "--help"]] {
-        let help = run(command).await.stdout;
+    for command in ["", "sim", "decode", "doctor", "discover", "journal list"] {
+        let arguments: Vec<_> = command.split_whitespace().chain(["--help"]).collect();
+        let help = run(&arguments).await.stdout;
         let is_part = |character: char| character.is_ascii_alphanumeric() || matches!(character, '-' | '_');
         words.extend(help.split(|character| !is_part(character)).map(str::to_owned));
     }

@@ -10,16 +10,18 @@ use axum::response::{Html, IntoResponse, Response};
 use axum::{Router, routing};
 use serde_json::Value;
 use utoipa::OpenApi as _;
+use utoipa::openapi::security::{ApiKey, ApiKeyValue, HttpAuthScheme, HttpBuilder, SecurityScheme};
 use utoipa::openapi::{OpenApi, RefOr, Schema};
 
 use super::asyncapi as websocket;
 use super::paths::responses;
+use super::visitor::SESSION_COOKIE;
 use crate::journal::{EventKind, Order};
 use crate::operations::records::GripKinds;
+use crate::operations::{Members, Problem};
 
 /// Paths of the API's documents.
 pub const DOCUMENTS: [&str; 2] = ["/openapi.json", "/asyncapi.yaml"];
-use crate::operations::{Members, Problem};
 
 /// Head of the OpenAPI document: title, description and tags.
 #[derive(utoipa::OpenApi)]
@@ -49,15 +51,20 @@ use crate::operations::{Members, Problem};
     ),
     components(schemas(Members, EventKind, GripKinds, Order)),
     servers((url = "/", description = "The gateway that serves this document")),
-    // No operation needs credentials.
-    security(()),
+    // A gateway on loopback needs no credentials.
+    security((), ("token" = []), ("session" = [])),
 )]
 struct Document;
 
 /// Returns the document without its operations.
 pub fn base() -> OpenApi {
     let mut document = Document::openapi();
-    responses::describe(document.components.get_or_insert_default());
+    let components = document.components.get_or_insert_default();
+    responses::describe(components);
+    let token = HttpBuilder::new().scheme(HttpAuthScheme::Bearer).description(Some("A token of the gateway")).build();
+    components.add_security_scheme("token", SecurityScheme::Http(token));
+    let session = ApiKeyValue::with_description(SESSION_COOKIE, "A session of a browser, which `sign_in` begins");
+    components.add_security_scheme("session", SecurityScheme::ApiKey(ApiKey::Cookie(session)));
     document
 }
 

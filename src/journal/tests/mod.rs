@@ -8,6 +8,7 @@ mod losing;
 mod pages;
 mod pruning;
 mod recovering;
+mod versions;
 
 use std::path::PathBuf;
 use std::sync::Arc;

@@ -79,7 +79,7 @@ fn records_of(path: &Path) -> Report {
     let reader = Reader::open(path).unwrap();
     let mut verifier = Verifier::default();
     let checked = reader.with(|connection| {
-        verifier.records(connection);
+        verifier.records(connection, &mut |_| {});
         Ok(())
     });
     checked.unwrap();

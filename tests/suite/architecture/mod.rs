@@ -18,11 +18,13 @@ const ROOMS: &str = "
     lib:
     access: gripper/model
     main: cli
-    cli: access config daemon interfaces interfaces/http gripper/model journal logging wsg wsg/frame
+    cli: access config daemon doctor fleet interfaces interfaces/http interfaces/websocket gripper/model journal logging
+        wsg wsg/frame
     alarms: fleet gripper gripper/model gripper/recorder journal
     daemon: access alarms config interfaces interfaces/dashboard interfaces/http interfaces/wsg_port
         interfaces/zenoh events fleet operations gripper gripper/actor gripper/model gripper/recorder journal sim
         transport trends webhooks
+    doctor: config daemon gripper/model interfaces journal transport wsg wsg/frame
     config: access gripper/model journal transport webhooks
     logging:
     operations: access alarms events fleet gripper gripper/model gripper/recorder journal trends webhooks wsg

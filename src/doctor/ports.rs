@@ -1,0 +1,41 @@
+//! Check of the addresses that the gateway listens on.
+
+use std::net::{SocketAddr, TcpListener, UdpSocket};
+
+use super::{Diagnosis, Installation};
+use crate::config::WsgAddress;
+use crate::interfaces::sockets::remedy;
+
+pub(super) fn check(installation: &Installation) -> Vec<Diagnosis> {
+    if installation.running.is_ours() {
+        return vec![Diagnosis::good("ports", "in use by this gateway, which is running")];
+    }
+    let config = &installation.config;
+    let mut findings = vec![tcp("--listen", config.listen)];
+    for gripper in &config.grippers {
+        let what = format!("WSG port of {}", gripper.name);
+        findings.extend(gripper.wsg_port.addresses.iter().map(|(address, _)| match *address {
+            WsgAddress::Tcp(address) => tcp(&what, address),
+            WsgAddress::Udp { address, .. } => finding(&what, address, UdpSocket::bind(address).map(drop)),
+        }));
+    }
+    // Zenoh resolves endpoints with names.
+    let endpoints = config.zenoh.iter().flat_map(|zenoh| &zenoh.listen);
+    let addresses = endpoints.filter_map(|endpoint| endpoint.split_once('/')?.1.parse().ok());
+    findings.extend(addresses.map(|address| tcp("Zenoh", address)));
+    findings
+}
+
+fn tcp(what: &str, address: SocketAddr) -> Diagnosis {
+    finding(what, address, TcpListener::bind(address).map(drop))
+}
+
+fn finding(what: &str, address: SocketAddr, bound: std::io::Result<()>) -> Diagnosis {
+    match bound {
+        Ok(()) => Diagnosis::good("ports", format_args!("{address} is free ({what})")),
+        Err(error) => {
+            let remedy = remedy(error.kind());
+            Diagnosis::problem("ports", format_args!("cannot listen on {address} ({what}): {error}: {remedy}"))
+        }
+    }
+}

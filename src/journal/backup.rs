@@ -1,0 +1,85 @@
+//! Copy of a journal, also while a gateway writes to it.
+
+use std::fs::{self, OpenOptions};
+use std::io;
+use std::os::unix::fs::OpenOptionsExt as _;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+
+use rusqlite::backup::{Backup, StepResult};
+use rusqlite::{Connection, OpenFlags};
+
+use super::reader::Reader;
+use super::source::ReadError;
+
+/// Pages that are copied at once: some milliseconds of reading.
+const PAGES: i32 = 1024;
+
+/// Pause while another program locks the journal.
+const BUSY_FOR: Duration = Duration::from_millis(50);
+
+/// Reason why a journal was not copied.
+#[derive(Debug, thiserror::Error)]
+pub enum BackupError {
+    #[error(transparent)]
+    Read(#[from] ReadError),
+    #[error("{} exists: name a new file", .0.display())]
+    Exists(PathBuf),
+    #[error("{} cannot be written: {cause}", .path.display())]
+    Write { path: PathBuf, cause: io::Error },
+    #[error("{} cannot be written: {cause}: check its disk", .path.display())]
+    Copy { path: PathBuf, cause: rusqlite::Error },
+}
+
+/// Copies a journal as it is at this moment to a new file. Calls `progress` with the copied and the total bytes.
+///
+/// # Errors
+/// [`BackupError`]. There is no file then, or the existing one is unchanged.
+pub fn back_up(journal: &Path, to: &Path, mut progress: impl FnMut(u64, u64)) -> Result<(), BackupError> {
+    let reader = Reader::open(journal)?;
+    // A crash must not leave a file that looks complete.
+    let mut part = to.as_os_str().to_owned();
+    part.push(".part");
+    let part = PathBuf::from(part);
+    if to.exists() {
+        return Err(BackupError::Exists(to.to_owned()));
+    }
+    let failed = |cause| BackupError::Write { path: to.to_owned(), cause };
+    // Only its owner can read the copy, as with the journal.
+    let created = OpenOptions::new().write(true).create(true).truncate(true).mode(0o600).open(&part);
+    created.map_err(failed)?;
+    let copied = copy(reader.connection(), &part, &mut progress);
+    let finished = copied.map_err(|cause| BackupError::Copy { path: to.to_owned(), cause });
+    let finished = finished.and_then(|()| {
+        fs::File::open(&part).and_then(|file| file.sync_all()).map_err(failed)?;
+        fs::rename(&part, to).map_err(failed)
+    });
+    if finished.is_err() {
+        let _ = fs::remove_file(&part);
+    }
+    finished
+}
+
+fn copy(journal: &Connection, to: &Path, progress: &mut impl FnMut(u64, u64)) -> rusqlite::Result<()> {
+    let flags = OpenFlags::SQLITE_OPEN_READ_WRITE | OpenFlags::SQLITE_OPEN_NO_MUTEX;
+    let mut file = Connection::open_with_flags(to, flags)?;
+    let page_bytes: u64 = journal.pragma_query_value(None, "page_size", |row| row.get::<_, u32>(0))?.into();
+    // One snapshot, so that the gateway's writes do not begin the copy anew.
+    let snapshot = journal.unchecked_transaction()?;
+    snapshot.query_row("SELECT count(*) FROM anchors", [], |_| Ok(()))?;
+    let backup = Backup::new(&snapshot, &mut file)?;
+    loop {
+        let step = backup.step(PAGES)?;
+        let left = backup.progress();
+        let bytes = |pages: i32| u64::from(pages.unsigned_abs()) * page_bytes;
+        progress(bytes(left.pagecount - left.remaining), bytes(left.pagecount));
+        match step {
+            StepResult::Done => break,
+            StepResult::More => {}
+            _ => std::thread::sleep(BUSY_FOR),
+        }
+    }
+    drop(backup);
+    // The copy is one file, without a write-ahead log.
+    file.pragma_update_and_check(None, "journal_mode", "DELETE", |_| Ok(()))
+}
