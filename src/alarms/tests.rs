@@ -115,7 +115,7 @@ fn unknown_condition_changes_nothing() {
     let mut scene = Scene::new();
     let warm = (key(AlarmKind::TemperatureWarning), Some(AlarmCause::default()));
     let unknown = (key(AlarmKind::TemperatureWarning), None);
-    assert_eq!(scene.see(&[unknown.clone()]), []);
+    assert_eq!(scene.see(std::slice::from_ref(&unknown)), []);
     scene.see(&[warm]);
     assert_eq!(scene.after(60).see(&[unknown]), []);
     assert_eq!(scene.only().ended_at, None);

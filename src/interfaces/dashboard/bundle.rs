@@ -62,12 +62,16 @@ impl Bundle {
         let text = read(path);
         if is_library(path) {
             let (imports, code) = library(path, &text);
-            imports.iter().for_each(|import| self.join(read, import));
+            for import in &imports {
+                self.join(read, import);
+            }
             self.script.push_str(&code);
             return;
         }
         let module = Module::parse(path, &text);
-        module.imports.iter().for_each(|import| self.join(read, import));
+        for import in &module.imports {
+            self.join(read, import);
+        }
         if !module.exports.is_empty() {
             let _ = writeln!(self.script, "let {};", module.exports.join(", "));
         }

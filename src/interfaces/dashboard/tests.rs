@@ -127,7 +127,7 @@ fn needed_by(path: &str, needed: &mut BTreeSet<String>) {
     }
     let address = url::Url::parse(&format!("http://gateway/{path}")).unwrap();
     // The minified libraries quote otherwise.
-    for from in text(path).split(['\'', '"']).filter(|part| part.starts_with('.') && part.ends_with(".js")) {
+    for from in text(path).split(['\'', '"']).filter(|part| part.starts_with('.') && is_module(part)) {
         needed_by(address.join(from).unwrap().path().trim_start_matches('/'), needed);
     }
 }
