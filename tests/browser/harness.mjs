@@ -2,7 +2,7 @@
 // ports; every wait is for a condition; all started processes are ended.
 
 import assert from 'node:assert/strict';
-import { spawn } from 'node:child_process';
+import { spawn, spawnSync } from 'node:child_process';
 import { mkdirSync } from 'node:fs';
 import { createServer, request } from 'node:http';
 import { createRequire } from 'node:module';
@@ -49,9 +49,17 @@ export async function until(what, look) {
   }
 }
 
+const program = process.env.WSG_GATEWAY_PROGRAM ?? join(ROOT, 'target/debug/wsg-gateway');
+
+/** Creates a token in a file, and returns its secret. */
+export function token(file, name, role) {
+  const created = spawnSync(program, ['token', '--tokens', file, 'create', '--name', name, '--role', role]);
+  assert.equal(created.status, 0, String(created.stderr));
+  return String(created.stdout).trim();
+}
+
 /** Starts the program, and waits for a match on standard output. */
 async function run(flags, looksFor) {
-  const program = process.env.WSG_GATEWAY_PROGRAM ?? join(ROOT, 'target/debug/wsg-gateway');
   const child = spawn(program, flags, { stdio: ['ignore', 'pipe', 'pipe'] });
   const ended = new Promise((resolve) => {
     child.once('exit', resolve);
@@ -92,12 +100,13 @@ export async function simulator() {
   return { child, url, happens };
 }
 
-/** Starts a gateway; `port` 0 is any free port. Waits until the grippers in `connects` are connected, or all. */
-export async function gateway({ port = 0, more = [], connects = null } = {}) {
+/** Starts a gateway, and reads its state with the token `secret`; `port` 0 is any free port. Waits until the grippers in `connects` are connected, or all. */
+export async function gateway({ port = 0, more = [], connects = null, secret = null } = {}) {
   const own = ['--listen', `127.0.0.1:${port}`, '--zenoh-listen', 'tcp/127.0.0.1:0', '--journal', ':memory:'];
   const { child, kill, says, said: url } = await run([...own, ...more], /(http:\/\/127\.0\.0\.1:\d+)\//);
   const ask = async (method, path, body) => {
-    const response = await fetch(`${url}/api/v1/${path}`, { method, body: body && JSON.stringify(body) });
+    const headers = secret === null ? {} : { authorization: `Bearer ${secret}` };
+    const response = await fetch(`${url}/api/v1/${path}`, { method, headers, body: body && JSON.stringify(body) });
     return response.json();
   };
   const one = { url, child, port: Number(new URL(url).port), kill, says, ask };

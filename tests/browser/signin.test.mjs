@@ -1,0 +1,58 @@
+// Sign-in on a gateway whose clients need credentials.
+
+import assert from 'node:assert/strict';
+import { mkdtempSync, rmSync } from 'node:fs';
+import { tmpdir } from 'node:os';
+import { join } from 'node:path';
+import { after, test } from 'node:test';
+
+import { browser, endAll, gateway, started, token, visit } from './harness.mjs';
+
+after(endAll);
+const launched = await browser();
+
+async function guarded() {
+  const directory = mkdtempSync(join(tmpdir(), 'wsg-signin-'));
+  started.push(async () => rmSync(directory, { recursive: true }));
+  const file = join(directory, 'tokens.json');
+  const [operator, observer] = ['operator', 'observer'].map((role) => token(file, `anna-${role}`, role));
+  const served = await gateway({ more: ['--tokens', file], secret: operator });
+  return { served, operator, observer };
+}
+
+async function signIn(page, secret) {
+  await page.waitForSelector('.sign-in');
+  await page.fill('#token', secret);
+  await page.click('.sign-in button[type=submit]');
+}
+
+test('a stranger can only stop and sign in, and an operator operates', async () => {
+  const { served, operator } = await guarded();
+  const { page, close } = await visit(launched, served, {});
+  await signIn(page, 'wsg_wrong');
+  await page.waitForSelector('.sign-in [role=alert]');
+  assert.equal(await page.locator('.jaws').count(), 0);
+  await page.click('#stop');
+  await page.waitForSelector('#stop:visible');
+  assert.equal((await served.ask('GET', 'grippers/left/state')).fast_stop, true);
+  await signIn(page, operator);
+  await page.waitForSelector('.jaws');
+  assert.match(await page.locator('.signed-in').innerText(), /anna-operator \(operator\)/);
+  await page.waitForSelector('#take-control');
+  const { holder } = await served.ask('POST', 'grippers/left/lease', {});
+  assert.equal(holder, 'anna-operator');
+  await page.click('button:has-text("Sign out")');
+  await page.waitForSelector('.sign-in');
+  await close();
+});
+
+test('an observer sees the gripper and no way to move it', async () => {
+  const { served, observer } = await guarded();
+  const { page, close } = await visit(launched, served, {});
+  await signIn(page, observer);
+  await page.waitForSelector('.jaws');
+  // The flags come after the controls.
+  await page.waitForSelector('.flags');
+  assert.equal(await page.locator('#take-control, #home, #grip').count(), 0);
+  await close();
+});
