@@ -4,6 +4,7 @@ import { html, signal } from '../lib.js';
 import { isActive, isOpen, sorted } from '../core/alarms.js';
 import { acknowledgeAlarms, alarms } from '../model/alarms.js';
 import { moment, ofProblem, t } from '../model/i18n.js';
+import { mayOperate } from '../model/me.js';
 import { rpc, selected } from '../model/store.js';
 import { Panel, Shape } from '../ui/parts.js';
 import { go } from '../ui/route.js';
@@ -52,6 +53,7 @@ function Row({ alarm }) {
         onClick=${() => show(alarm, 'operate', 'motion-title')}>${t('alarm.show')}
           </button>`
         : isOpen(alarm) &&
+          mayOperate(alarm.gripper) &&
           html`<button type="button" aria-label=${t('alarm.acknowledge_one', {
             alarm: alarmName(alarm),
           })} onClick=${() => acknowledgeShown([alarm])}>${t('alarm.acknowledge')}</button>`
@@ -61,7 +63,7 @@ function Row({ alarm }) {
 
 export function Alarms() {
   const list = sorted(alarms.value);
-  const open = list.filter(isOpen);
+  const open = list.filter((alarm) => isOpen(alarm) && mayOperate(alarm.gripper));
   const actions =
     open.length > 1 &&
     html`<button type="button" id="choose-alarms" aria-expanded=${choosing.value ? 'true' : 'false'} onClick=${() => {
