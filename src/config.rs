@@ -100,6 +100,8 @@ pub struct Config {
     pub listen: SocketAddr,
     /// Allowed values of `Host`, besides addresses and `localhost`.
     pub hosts: Vec<String>,
+    /// Origins of pages that can show the dashboard in a frame.
+    pub frame_ancestors: Vec<String>,
     /// Whether clients need credentials.
     pub access: AccessConfig,
     /// `None` if connections are not encrypted.
@@ -240,6 +242,7 @@ impl Config {
             access,
             tls,
             hosts: content.map(|content| content.hosts.clone()).unwrap_or_default(),
+            frame_ancestors: frame_ancestors(file)?,
             idle_timeout: idle_timeout(file)?,
             grippers: grippers(flags, file, insecure)?,
             drain: drain(file)?,
@@ -248,6 +251,21 @@ impl Config {
         };
         Ok(config)
     }
+}
+
+/// Returns the origins of pages that can show the dashboard in a frame.
+fn frame_ancestors(file: Option<&File>) -> Result<Vec<String>, ConfigError> {
+    let Some(file) = file else { return Ok(Vec::new()) };
+    let origin = |text: &Spanned<String>| {
+        let origin = text.get_ref().parse::<url::Url>().ok().map(|url| url.origin().ascii_serialization());
+        let is_web = |origin: &String| origin.starts_with("http") && origin == text.get_ref();
+        origin.filter(is_web).ok_or_else(|| {
+            let detail =
+                format!("frame_ancestors has {:?}: write an origin such as https://hmi.example", text.get_ref());
+            ConfigError::at(&file.place(text.span().start), detail)
+        })
+    };
+    file.content.frame_ancestors.iter().map(origin).collect()
 }
 
 fn parse_listen(listen: &Placed<String>) -> Result<Placed<SocketAddr>, ConfigError> {
@@ -366,6 +384,7 @@ struct Content {
     insecure: bool,
     insecure_http: bool,
     hosts: Vec<String>,
+    frame_ancestors: Vec<Spanned<String>>,
     access: Option<access::AccessContent>,
     clients: Vec<access::ClientContent>,
     tls: Option<access::TlsContent>,

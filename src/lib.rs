@@ -9,6 +9,8 @@
 //! - [`interfaces`]: [HTTP](interfaces::http), [Zenoh](interfaces::zenoh), the [WSG port](interfaces::wsg_port), and
 //!   the [dashboard](interfaces::dashboard) at `/`, which uses only the public WebSocket and REST.
 //! - [`events`]: live updates, serialised once for all clients.
+//! - [`trends`]: the measured values of the last ten minutes.
+//! - [`alarms`]: conditions that a person has to know of, until they are acknowledged.
 //! - [`fleet`]: the other gateways on the Zenoh network.
 //! - [`journal`]: events and grip records that outlive the gateway, in SQLite.
 //! - [`webhooks`]: the journal's events, as HTTP requests to other programs.
@@ -34,6 +36,7 @@
 //! FAST STOP is not a safety function in the sense of ISO 13850.
 
 pub mod access;
+pub mod alarms;
 pub mod cli;
 pub mod config;
 pub mod daemon;
@@ -47,5 +50,6 @@ pub mod logging;
 pub mod operations;
 pub mod sim;
 pub mod transport;
+pub mod trends;
 pub mod webhooks;
 pub mod wsg;

@@ -40,6 +40,20 @@ fn motion_pause_is_50_ms_unless_set() {
 }
 
 #[test]
+fn frame_ancestors_are_origins() {
+    let origins = |value: &str| {
+        file(&format!("frame_ancestors = [{value}]"))
+            .map(|config| config.frame_ancestors)
+            .map_err(|error| error.to_string())
+    };
+    assert_eq!(origins("\"https://hmi.example\""), Ok(vec!["https://hmi.example".to_owned()]));
+    for wrong in ["*", "hmi.example", "https://hmi.example/path", "https://hmi.example; script-src *", "file:///"] {
+        let error = origins(&format!("\"{wrong}\"")).unwrap_err();
+        assert!(error.starts_with("gateway.toml:1: frame_ancestors has"), "{error}");
+    }
+}
+
+#[test]
 fn file_error_names_line_and_remedy() {
     let mistake = |text: &str| file(text).unwrap_err().to_string();
     assert!(mistake("name = \"Cell 7\"").starts_with("gateway.toml:1: \"Cell 7\" is not a valid name"));

@@ -24,17 +24,20 @@ use tokio_util::sync::CancellationToken;
 use url::Url;
 
 use crate::access::{Access, Guard, TokenFile, TokenFileError};
+use crate::alarms::Alarms;
 use crate::config::{self, AccessConfig, Config, ConfigError, DeviceSource, GripperConfig};
 use crate::events::LiveUpdates;
 use crate::fleet::Peers;
 use crate::gripper::model::{Detail, Event, GatewayEvent, Name, PersistedKey};
 use crate::gripper::recorder::{Record, Recorder as _, RestoredState};
 use crate::gripper::{self, Connector, Grippers, Handle, Now};
+use crate::interfaces::dashboard::FramePolicy;
 use crate::interfaces::tls::Tls;
 use crate::interfaces::{self, Bounds, http, zenoh};
 use crate::journal::{self, Journal, Recovered};
 use crate::operations::Gateway;
 use crate::operations::audit::Audit;
+use crate::trends::Trends;
 use crate::webhooks::{WebhookContext, Webhooks};
 use descriptors::Shares;
 pub use simulation::{ServedDevice, SimulatedDevice, Switch, serve as serve_device};
@@ -128,14 +131,21 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
         runtime: &clients.observers,
     };
     let webhooks = Arc::new(Webhooks::start(&config.webhooks, &webhook_context)?);
+    let alarms = Arc::new(Alarms::new(config.name.clone(), journal.clone(), &recovered.memory));
+    // The links that draining closes are no alarms.
+    clients.observers.spawn(alarms.clone().watch(grippers.clone(), peers.clone(), draining.clone()));
+    let trends = Arc::new(Trends::default());
+    clients.observers.spawn(trends.clone().watch(grippers.clone(), draining.clone()));
     let gateway = Arc::new(Gateway {
         name: config.name.clone(),
         grippers: grippers.clone(),
         journal: journal.clone(),
         audit: audit.clone(),
         peers: peers.clone(),
-        updates: Arc::new(LiveUpdates::new(&grippers, journal.clone(), peers)),
+        alarms: alarms.clone(),
+        updates: Arc::new(LiveUpdates::new(&grippers, journal.clone(), peers, alarms)),
         webhooks: webhooks.clone(),
+        trends: trends.clone(),
         access,
     });
     let context = Arc::new(http::HttpContext {
@@ -146,6 +156,7 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
         ws_metrics: interfaces::metrics::InterfaceMetrics::register(&registry, "ws")?,
         registry,
         allowed_hosts: config.hosts.clone(),
+        frame_policy: FramePolicy::of(&config.frame_ancestors)?,
         tls: tls.map(Arc::new),
     });
     let on_zenoh = config.zenoh.as_ref().map(|zenoh| zenoh_settings(zenoh, &context)).transpose()?;

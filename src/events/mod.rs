@@ -19,6 +19,7 @@ use serde::{Deserialize, Serialize};
 use tokio::sync::watch;
 use utoipa::ToSchema;
 
+use crate::alarms::Alarms;
 use crate::fleet::Peers;
 use crate::gripper::model::{Name, State, WireRecord};
 use crate::gripper::{Grippers, Handle, Now};
@@ -38,6 +39,7 @@ pub use queued::Gap;
 /// - `grips`: every grip record, once it is durable, and again when its part was lost
 /// - `frames`: every frame to and from a device, and damaged bytes from it
 /// - `fleet`: newest state of each gripper of all gateways
+/// - `alarms`: all alarms that are active or not acknowledged
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "lowercase")]
 pub enum Topic {
@@ -47,10 +49,11 @@ pub enum Topic {
     Grips,
     Frames,
     Fleet,
+    Alarms,
 }
 
 /// The topics, as an error message lists them.
-pub const TOPICS: &str = "state, telemetry, events, grips, frames, fleet";
+pub const TOPICS: &str = "state, telemetry, events, grips, frames, fleet, alarms";
 
 /// Rate of states and telemetry in Hz, unless a client asks for more or less.
 pub const DEFAULT_HZ: u64 = 10;
@@ -75,6 +78,8 @@ pub struct LiveUpdates {
     events: Recent,
     grippers: Vec<Arc<Source>>,
     fleet: FleetNews,
+    alarms: Arc<Alarms>,
+    alarm_lists: Recent,
 }
 
 /// The updates of one gripper.
@@ -87,15 +92,16 @@ struct Source {
 }
 
 impl LiveUpdates {
-    /// Collects the updates of this gateway's grippers, of the journal, and of the fleet's grippers.
+    /// Collects the updates of this gateway's grippers, of the journal, of the fleet's grippers, and of the alarms.
     #[must_use]
-    pub fn new(fleet: &Grippers, journal: Journal, network: Arc<Peers>) -> Self {
+    pub fn new(fleet: &Grippers, journal: Journal, network: Arc<Peers>, alarms: Arc<Alarms>) -> Self {
         let source = |handle: &Handle| {
             let (state, telemetry, frames) = (Recent::new(1), Recent::new(1), Recent::new(RECENT_FRAMES));
             Arc::new(Source { handle: handle.clone(), state, telemetry, frames })
         };
         let (events, grippers) = (Recent::new(RECENT_EVENTS), fleet.iter().map(source).collect());
-        Self { journal, events, grippers, fleet: FleetNews::new(network) }
+        let fleet = FleetNews::new(network);
+        Self { journal, events, grippers, fleet, alarms, alarm_lists: Recent::new(1) }
     }
 
     /// Subscribes to topics of some grippers from now on, or of all with `None`. Only a subscription to all grippers
@@ -126,7 +132,17 @@ impl LiveUpdates {
             sent_at: None,
         };
         let watched = sources.iter().map(watched).collect();
-        Subscription { updates: self.clone(), watched, fleet_seq: 0, topics, queued }
+        Subscription { updates: self.clone(), watched, fleet_seq: 0, alarms_seq: None, topics, queued }
+    }
+
+    /// Returns all alarms if they have changed since change `seq`, and advances `seq`.
+    fn alarms_since(&self, seq: &mut Option<u64>) -> Option<Notification> {
+        if *seq == Some(self.alarms.changes()) {
+            return None;
+        }
+        let (changes, alarms) = self.alarms.read();
+        *seq = Some(changes);
+        self.alarm_lists.get(changes, || Notification::new("alarms", &alarms))
     }
 
     fn event(&self, event: &Stored) -> Option<Notification> {
@@ -168,6 +184,8 @@ pub struct Subscription {
     watched: Vec<Watched>,
     /// Number of the fleet's change that was sent last.
     fleet_seq: u64,
+    /// Number of the alarms' change that was sent last.
+    alarms_seq: Option<u64>,
     topics: BTreeSet<Topic>,
     queued: SelectAll<BoxStream<'static, Notification>>,
 }
@@ -177,7 +195,8 @@ impl Subscription {
     #[must_use]
     pub fn has_states(&self) -> bool {
         let has_own = self.topics.contains(&Topic::State) || self.topics.contains(&Topic::Telemetry);
-        self.topics.contains(&Topic::Fleet) || (has_own && !self.watched.is_empty())
+        let has_shared = self.topics.contains(&Topic::Fleet) || self.topics.contains(&Topic::Alarms);
+        has_shared || (has_own && !self.watched.is_empty())
     }
 
     /// Returns the current states, which count as sent.
@@ -192,7 +211,7 @@ impl Subscription {
         self.watched.iter_mut().map(look).collect()
     }
 
-    /// Returns the states, telemetry and fleet grippers that have changed since they were sent, and the number of
+    /// Returns the states, telemetry, fleet grippers and alarms that have changed since they were sent, and the number of
     /// states and telemetry dropped in between: at most one per topic and missed tick. An unchanged state and its
     /// telemetry are repeated every `HEARTBEAT`.
     pub fn newest(&mut self, missed_ticks: u64) -> (Vec<Notification>, u64) {
@@ -227,6 +246,9 @@ impl Subscription {
         }
         if self.topics.contains(&Topic::Fleet) {
             updates.extend(self.updates.fleet.since(&mut self.fleet_seq));
+        }
+        if self.topics.contains(&Topic::Alarms) {
+            updates.extend(self.updates.alarms_since(&mut self.alarms_seq));
         }
         (updates, dropped)
     }

@@ -16,7 +16,8 @@ fn updates() -> (Arc<LiveUpdates>, Journal) {
         fake::gripper("right", FakeScript::default()).0,
     ]);
     let network = Arc::new(Peers::new("wsg".parse().unwrap(), fleet.clone()));
-    (Arc::new(LiveUpdates::new(&fleet, journal.clone(), network)), journal)
+    let alarms = Arc::new(Alarms::new("wsg".parse().unwrap(), journal.clone(), &[]));
+    (Arc::new(LiveUpdates::new(&fleet, journal.clone(), network, alarms)), journal)
 }
 
 fn record(journal: &Journal, gripper: Option<&str>) {
@@ -125,4 +126,15 @@ async fn fleet_is_sent_whole_and_then_by_its_changes() {
     let changed = tokio::time::timeout(std::time::Duration::from_secs(20), changed).await.expect("the change is sent");
     assert_eq!((changed.len(), &changed[0]["gripper"]), (1, &"right".into()));
     assert_eq!(sent(&mut updates.subscribe(None, [Topic::Fleet])).len(), 2, "a later subscriber gets all");
+}
+
+#[tokio::test]
+async fn alarms_are_sent_at_first_and_after_each_change() {
+    let (updates, _) = updates();
+    let mut subscription = updates.subscribe(None, [Topic::Alarms]);
+    assert!(subscription.has_states());
+    let sent = subscription.newest(0).0;
+    assert_eq!(sent.iter().map(Notification::method).collect::<Vec<_>>(), ["alarms"]);
+    assert_eq!(body(&sent[0]), serde_json::json!({"alarms": []}));
+    assert!(subscription.newest(0).0.is_empty());
 }

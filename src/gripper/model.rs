@@ -12,6 +12,7 @@ use utoipa::ToSchema;
 use super::error::Rejection;
 use crate::wsg::{CustomCommand, Force, HomingDirection, MoveFlags, Speed, Status, Width};
 
+mod alarm;
 mod client;
 mod code;
 mod custom;
@@ -30,6 +31,7 @@ mod time;
 mod updates;
 mod urgency;
 
+pub use alarm::{Alarm, AlarmCause, AlarmEvent, AlarmKind, AlarmPriority, AlarmStep};
 pub use client::{Client, Door};
 pub use code::Code;
 pub use custom::CustomIds;
@@ -39,7 +41,7 @@ pub use event::{
 };
 pub use fault::Fault;
 pub use frame::{DamageRecord, FrameDirection, FrameRecord, WireDamage, WireRecord};
-pub use ids::{CommandId, FastStopId, IdSource};
+pub use ids::{AlarmId, CommandId, FastStopId, IdSource};
 pub use lease::{
     HolderName, Lease, LeaseEvent, LeaseRules, LeaseStep, LeaseToken, LossCause, LossEffect, OnLossHolding,
     OnLossMoving, TakeLease,

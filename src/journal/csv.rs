@@ -66,6 +66,11 @@ pub const EVENT_COLUMNS: &[&str] = &[
     "grips_up_to_seq",
     "grips_hash",
     "aggregated",
+    "alarm_id",
+    "alarm",
+    "priority",
+    "fast_stop_by",
+    "fast_stop_reason",
     "other",
 ];
 

@@ -21,6 +21,7 @@ use crate::gripper::model::{CommandId, Detail, DeviceEvent, Event, GripRecord, N
 /// - `settings`: a client changed a setting, or the gateway restored one
 /// - `refused`: a request was refused
 /// - `gateway`: the gateway started or ended, or its journal lost or removed records
+/// - `alarm`: an alarm was raised, ended or was acknowledged
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize, ToSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum EventKind {
@@ -33,6 +34,7 @@ pub enum EventKind {
     Settings,
     Refused,
     Gateway,
+    Alarm,
 }
 
 /// A durable event, with the values that filters compare.

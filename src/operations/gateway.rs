@@ -4,11 +4,13 @@ use std::sync::Arc;
 
 use super::audit::Audit;
 use crate::access::Access;
+use crate::alarms::Alarms;
 use crate::events::LiveUpdates;
 use crate::fleet::Peers;
 use crate::gripper::Grippers;
 use crate::gripper::model::Name;
 use crate::journal::Journal;
+use crate::trends::Trends;
 use crate::webhooks::Webhooks;
 
 /// State that operations work on.
@@ -23,8 +25,10 @@ pub struct Gateway {
     pub audit: Arc<Audit>,
     /// The other gateways.
     pub peers: Arc<Peers>,
+    pub alarms: Arc<Alarms>,
     pub updates: Arc<LiveUpdates>,
     pub webhooks: Arc<Webhooks>,
+    pub trends: Arc<Trends>,
     /// Credentials of clients.
     pub access: Arc<Access>,
 }
@@ -38,15 +42,18 @@ impl Gateway {
         let (name, grippers): (Name, _) = ("wsg".parse().unwrap(), Grippers::new(grippers));
         let audit = Arc::new(Audit::new(journal.clone()));
         let peers = Arc::new(Peers::new(name.clone(), grippers.clone()));
-        let updates = Arc::new(LiveUpdates::new(&grippers, journal.clone(), peers.clone()));
+        let alarms = Arc::new(Alarms::new(name.clone(), journal.clone(), &[]));
+        let updates = Arc::new(LiveUpdates::new(&grippers, journal.clone(), peers.clone(), alarms.clone()));
         Arc::new(Self {
             name,
             grippers,
             journal,
             audit,
             peers,
+            alarms,
             updates,
             webhooks: Arc::default(),
+            trends: Arc::default(),
             access: Arc::default(),
         })
     }

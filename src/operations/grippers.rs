@@ -11,12 +11,15 @@ use super::problem::Problem;
 use super::reply::Json;
 use crate::gripper::model::{GripperStatus, State};
 use crate::gripper::{Handle, Info};
+use crate::trends::Trend;
 
 pub const LIST: Operation = Operation::read("grippers", "/grippers", |call| ready(list(&call)));
 pub const INFO: Operation = Operation::read("info", "/grippers/{gripper}", |call| ready(info(&call)));
 pub const STATUS: Operation =
     Operation::read("status", "/grippers/{gripper}/status", |call| ready(status(&call))).compact();
 pub const STATE: Operation = Operation::read("state", "/grippers/{gripper}/state", |call| ready(state(&call)));
+
+pub const TREND: Operation = Operation::read("trend", "/grippers/{gripper}/trend", |call| ready(trend(&call)));
 
 /// All grippers.
 #[derive(Debug, Serialize, ToSchema)]
@@ -44,4 +47,9 @@ fn status(call: &Call) -> Result<Json<GripperStatus>, Problem> {
 fn state(call: &Call) -> Result<Json<Arc<State>>, Problem> {
     let (gripper, NoFields {}) = call.open()?;
     Ok(Json(gripper.with_lease(None)?.handle.state()))
+}
+
+fn trend(call: &Call) -> Result<Json<Trend>, Problem> {
+    let (gripper, NoFields {}) = call.open()?;
+    Ok(Json(call.gateway.trends.of(gripper.with_lease(None)?.handle.name())))
 }

@@ -7,6 +7,7 @@
 //! Architecture invariant: an operation decides nothing about a gripper. It parses parameters into domain types and
 //! hands them to the gripper's handle. The actor refuses what a lease, a latch or a device's limit forbids.
 
+pub(crate) mod alarms;
 pub mod audit;
 mod call;
 mod caller;

@@ -4,7 +4,8 @@ use http::Method as Verb;
 
 use super::operation::Operation;
 use super::{
-    commands, connection, device, fast_stop, fingers, fleet, grippers, lease, me, motion, raw, settings, webhooks,
+    alarms, commands, connection, device, fast_stop, fingers, fleet, grippers, lease, me, motion, raw, settings,
+    webhooks,
 };
 use crate::gripper::model::Urgency;
 
@@ -30,6 +31,7 @@ pub const OPERATIONS: &[Operation] = &[
     grippers::INFO,
     grippers::STATE,
     grippers::STATUS,
+    grippers::TREND,
     settings::GET_ACCELERATION,
     settings::SET_ACCELERATION,
     settings::GET_FORCE_LIMIT,
@@ -54,6 +56,8 @@ pub const OPERATIONS: &[Operation] = &[
     fleet::LIST,
     fleet::FAST_STOP,
     fleet::ACKNOWLEDGE,
+    alarms::LIST,
+    alarms::ACKNOWLEDGE,
     me::ME,
     webhooks::LIST,
     webhooks::TEST,

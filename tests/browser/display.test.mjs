@@ -115,14 +115,14 @@ test('a late answer does not overwrite that of a newer filter', async () => {
 test('the first screen works without the other modules, and STOP too', async () => {
   const served = await gateway();
   const { page, close } = await visit(launched, served);
-  await page.route('**/views/**', (route) => route.abort());
+  await page.route('**/later.js', (route) => route.abort());
   await page.goto(served.url);
   await page.waitForSelector('.missing [role=alert]:has-text("could not be loaded")');
   await page.waitForSelector('.figure-main');
   assert.equal(await page.locator('.motion-panel').count(), 0);
   await page.click('#stop');
   await page.waitForSelector('.stopped:has-text("confirmed")');
-  await page.unroute('**/views/**');
+  await page.unroute('**/later.js');
   await page.click('.missing button');
   await page.waitForSelector('.motion-panel .latch');
   assert.equal(await page.locator('.missing').count(), 0);
@@ -247,11 +247,7 @@ test('a problem with missing values is shown in the gateway’s words', async ()
   const served = await gateway();
   const { page, close } = await visit(launched, served);
   await page.waitForSelector('#take-control');
-  const said = (problem) =>
-    page.evaluate(async (one) => {
-      const { ofProblem } = await import(new URL('model/i18n.js', document.querySelector('script[type=module]').src));
-      return ofProblem(one);
-    }, problem);
+  const said = (problem) => page.evaluate(`ofProblem(${JSON.stringify(problem)})`);
   assert.equal(await said({ code: 'lease_held', holder: 'Anna', detail: 'held' }), 'Anna has control.');
   assert.equal(await said({ code: 'malformed', detail: 'expected a comma at line 1' }), 'expected a comma at line 1');
   assert.equal(await said({ code: 'out_of_range', field: 'width_mm', value: 0, min: 0, detail: 'beyond' }), 'beyond');

@@ -152,12 +152,7 @@ test('notices are shown in every view', async () => {
   await anna.page.waitForFunction(() => !document.querySelector('.notice'));
 
   // A refusal follows the user to another view.
-  await ben.page.evaluate(async () => {
-    const base = document.querySelector('script[type=module]').src;
-    const { ask } = await import(new URL('model/commands.js', base));
-    const { find } = await import(new URL('model/store.js', base));
-    await ask(find('left'), 'grip', { width_mm: 20, speed_mm_s: 50 });
-  });
+  await ben.page.evaluate("ask(find('left'), 'grip', { width_mm: 20, speed_mm_s: 50 })");
   await ben.page.click('[data-view=history]');
   await ben.page.waitForSelector('[data-notice=problem]:has-text("not referenced")');
   await ben.page.click('[data-notice=problem] button');

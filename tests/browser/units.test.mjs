@@ -12,7 +12,7 @@ const { interpretations, parse, parseId } = await view('bytes');
 const { sentence } = await view('sentence');
 const { Samples } = await core('ring');
 const { asTyped, forceLimits, mistake, number, readings, speedLimits, widthLimits } = await core('limits');
-const { acknowledged, MAX_ALARMS, sorted, updated, wrongWith } = await core('alarms');
+const { acknowledged, noGateway, sorted } = await core('alarms');
 const { FLAGS, has } = await core('flags');
 const { delay } = await core('backoff');
 const { bytesOf, cut } = await core('bytes');
@@ -204,63 +204,37 @@ test('limits combine device limits and soft limits', () => {
   assert.deepEqual(['1,5', ' 2.5 ', '', '1e3', '0x10', '-3', '1.2.3'].map(number), [1.5, 2.5, NaN, NaN, NaN, -3, NaN]);
 });
 
-const state = (more) => ({
-  gripper: 'left',
-  link: 'connected',
-  fast_stop: false,
-  flags_raw: 1,
-  state: 'IDLE',
-  journal_cause: null,
-  ...more,
+test('a lost gateway is an alarm until it is back and acknowledged', () => {
+  assert.equal(noGateway(null, false, 'now'), null);
+  const alarm = noGateway(null, true, '2026-01-01T00:00:10Z');
+  assert.equal(noGateway(alarm, true, '2026-01-01T00:00:20Z'), alarm, 'no change');
+  const seen = acknowledged(alarm, '2026-01-01T00:00:30Z');
+  assert.equal(noGateway(seen, false, '2026-01-01T00:00:40Z'), null);
+  const ended = noGateway(alarm, false, '2026-01-01T00:00:40Z');
+  assert.deepEqual([ended.began_at, ended.ended_at], ['2026-01-01T00:00:10Z', '2026-01-01T00:00:40Z']);
+  assert.equal(acknowledged(ended, '2026-01-01T00:00:50Z'), null);
+  assert.equal(noGateway(ended, true, '2026-01-01T00:01:00Z').ended_at, null, 'a recurrence is active again');
 });
 
-test('a cleared alarm stays until acknowledged', () => {
-  const faulty = wrongWith(state({ flags_raw: 1 | (1 << 14) }));
+test('unacknowledged alarms come first, then active ones, by priority and age', () => {
+  const alarm = (id, priority, began, ended, acknowledged) => ({
+    id,
+    priority,
+    began_at: `2026-01-01T00:00:${began}Z`,
+    ended_at: ended ? '2026-01-01T00:01:00Z' : null,
+    acknowledged_at: acknowledged ? '2026-01-01T00:01:00Z' : null,
+  });
+  const all = [
+    alarm('seen', 'critical', 10, false, true),
+    alarm('over', 'critical', 20, true, false),
+    alarm('low', 'low', 30, false, false),
+    alarm('old', 'critical', 40, false, false),
+    alarm('new', 'critical', 50, false, false),
+  ];
   assert.deepEqual(
-    faulty.map(({ what, priority }) => [what, priority]),
-    [['flag/TEMP_FAULT', 'critical']],
+    sorted(all).map(({ id }) => id),
+    ['new', 'old', 'low', 'over', 'seen'],
   );
-  let alarms = updated([], faulty, 10);
-  assert.equal(updated(alarms, faulty, 20), alarms, 'no change');
-  alarms = updated(alarms, [], 30);
-  assert.deepEqual([alarms[0].since, alarms[0].clearedAt], [10, 30]);
-  alarms = updated(alarms, faulty, 40);
-  assert.equal(alarms.length, 2, 'a recurrence is another alarm');
-  assert.equal(acknowledged(alarms, alarms[1].id, 50).length, 1);
-  const seen = acknowledged(alarms, alarms[0].id, 50);
-  assert.equal(seen.length, 2, 'an active alarm stays');
-  assert.equal(sorted(seen)[0].clearedAt, 30, 'unacknowledged alarms come first');
-  assert.equal(updated(seen, [], 60).length, 1);
-});
-
-test('a newer FAST STOP is another alarm, and the list is bounded', () => {
-  let alarms = [];
-  for (let count = 0; count < 3 * MAX_ALARMS; count += 1) {
-    alarms = updated(
-      alarms,
-      wrongWith(state({ fast_stop: true, fast_stop_id: String(count), fast_stop_by: 'test' })),
-      count,
-    );
-  }
-  assert.equal(alarms.length, MAX_ALARMS);
-  assert.deepEqual([alarms[0].what, alarms[0].clearedAt], [`fast_stop/${3 * MAX_ALARMS - 1}`, null]);
-  const many = wrongWith(
-    state({ link: 'reconnecting', link_cause: 'refused', journal_cause: 'disk full', state: 'PART_LOST' }),
-  );
-  assert.deepEqual(
-    many.map(({ what }) => what),
-    ['link/reconnecting', 'journal', 'part_lost'],
-  );
-});
-
-test('a reservation is an alarm until a client takes control', () => {
-  const lease = { reserved_for: 'Anna' };
-  const wrong = wrongWith(state({ lease_holder: null }), lease);
-  assert.deepEqual(
-    wrong.map(({ what, priority, cause }) => [what, priority, cause]),
-    [['reserved', 'high', 'Anna']],
-  );
-  assert.deepEqual(wrongWith(state({ lease_holder: 'Ben' }), lease), []);
 });
 
 test('numbers per part have mean, spread and trend', async () => {
@@ -290,15 +264,26 @@ test('numbers per part have mean, spread and trend', async () => {
   );
 });
 
-test('active alarms stay in the list despite many cleared ones', () => {
-  const warm = state({ gripper: 'here', flags_raw: 1 | (1 << 13) });
-  let alarms = updated([], wrongWith(warm), 0);
-  for (let count = 1; count < 3 * MAX_ALARMS; count += 1) {
-    const flapping = state({ gripper: 'there', link: count % 2 ? 'reconnecting' : 'connected' });
-    alarms = updated(alarms, [...wrongWith(warm), ...wrongWith(flapping)], count);
-  }
-  assert.equal(alarms.filter(({ what, clearedAt }) => what === 'flag/TEMP_WARNING' && !clearedAt).length, 1);
-  assert.ok(alarms.length <= MAX_ALARMS + 1, `${alarms.length}`);
+test('older samples are put before the present ones', () => {
+  const samples = new Samples(4);
+  samples.push(10, [1, 1, 1]);
+  samples.push(20, [2, 2, 2]);
+  samples.fill([
+    [-20, [7, 7, 7]],
+    [-10, [8, null, 8]],
+    [0, [9, 9, 9]],
+    [15, [5, 5, 5]],
+  ]);
+  assert.deepEqual(
+    Array.from({ length: samples.length }, (_, index) => [samples.time(index), samples.value(0, index)]),
+    [
+      [-10, 8],
+      [0, 9],
+      [10, 1],
+      [20, 2],
+    ],
+  );
+  assert.ok(Number.isNaN(samples.value(1, 0)));
 });
 
 test('flags are read by their bits', () => {

@@ -76,11 +76,10 @@ test('every value of the API has a text', () => {
     ...words('event', 'LeaseStep'),
     ...words('event', 'FastStopStep'),
     ...words('kind', 'EventKind'),
+    ...words('event.alarm', 'AlarmStep'),
     ...words('door', 'Door'),
     ...FLAGS.filter(({ name }) => name).map(({ name }) => `flag.${name}`),
-    ...FLAGS.filter(({ weight, name }) => weight !== 'normal' && name !== 'FAST_STOP').map(
-      ({ name }) => `alarm.flag.${name}`,
-    ),
+    ...words('alarm', 'AlarmKind'),
     ...['IDLE', 'GRASPING', 'NO_PART', 'PART_LOST', 'HOLDING', 'RELEASING', 'POSITIONING', 'ERROR'].map(
       (state) => `state.${state}`,
     ),

@@ -113,6 +113,7 @@ impl Actor {
             fast_stop: (observed.flags.is_some() || latch.is_some()).then_some(latch.is_some()),
             latch: latch.map(|latch| LatchFields::of(latch, self.latch.epoch())),
             lease_holder: self.lease.holder().map(|holder| holder.name.clone()),
+            reserved_for: self.lease.reserved().map(|holder| holder.name.clone()),
             lease_epoch: self.lease.epoch(),
             journal_cause: self.recording.failure().map(ToOwned::to_owned),
             command_id: self.motion.id(),

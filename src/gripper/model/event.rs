@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::{
-    Client, Code, CommandId, CommandReport, Door, FastStopCause, FastStopId, Kind, Name, Outcome, Parameters, PartId,
-    RequestId, RequestedValues, lease::LeaseEvent,
+    AlarmEvent, Client, Code, CommandId, CommandReport, Door, FastStopCause, FastStopId, Kind, Name, Outcome,
+    Parameters, PartId, RequestId, RequestedValues, lease::LeaseEvent,
 };
 
 mod device;
@@ -86,6 +86,8 @@ pub enum Detail {
     Refused(RefusedEvent),
     /// The gateway started, ended, or changed its records.
     Gateway(GatewayEvent),
+    /// An alarm was raised, ended or was acknowledged.
+    Alarm(AlarmEvent),
 }
 
 /// Admission or end of a command.

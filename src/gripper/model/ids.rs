@@ -1,4 +1,4 @@
-//! Ids of commands and FAST STOPs.
+//! Ids of commands, FAST STOPs and alarms.
 
 use std::fmt;
 
@@ -44,6 +44,9 @@ identifiers! {
     CommandId
     /// Id of a FAST STOP, a version 7 UUID. The epoch, not the id, gives the order of FAST STOPs.
     FastStopId
+    /// Id of an occurrence of an alarm, a version 7 UUID.
+    #[derive(PartialOrd, Ord)]
+    AlarmId
 }
 
 /// Generator of ids from a seed and a given time: the same seed and times give the same ids.

@@ -136,7 +136,7 @@ pub struct Sample {
 /// State that outlives a restart of the gateway.
 #[derive(Debug, Clone, PartialEq)]
 pub struct PersistedState {
-    /// Name of the gripper or webhook that the value belongs to.
+    /// Name of the gripper, webhook or gateway that the value belongs to.
     pub gripper: Name,
     pub key: PersistedKey,
     /// Value as JSON; `None` deletes the key.
@@ -159,6 +159,8 @@ pub enum PersistedKey {
     Webhook,
     /// Number and result of the newest motion.
     LastCommand,
+    /// Alarms that are active or not acknowledged, under the gateway's name.
+    Alarms,
 }
 
 /// Treatment of motions while the journal cannot be written.

@@ -162,6 +162,10 @@ pub struct State {
     /// Name of the lease holder; null while the lease is free.
     #[schema(value_type = Option<String>, required)]
     pub lease_holder: Option<Arc<str>>,
+    /// Name of a lease holder that was lost while a part was held. Only this client or a supervisor can take the lease.
+    /// Null if the gripper is not reserved.
+    #[schema(value_type = Option<String>, required)]
+    pub reserved_for: Option<Arc<str>>,
     /// Number of the newest lease.
     #[schema(minimum = 0, maximum = 9_007_199_254_740_991_i64)]
     pub lease_epoch: u64,
@@ -214,6 +218,7 @@ impl State {
             fast_stop: None,
             latch: None,
             lease_holder: None,
+            reserved_for: None,
             lease_epoch: 0,
             journal_cause: None,
             command_id: None,

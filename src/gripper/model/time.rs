@@ -7,6 +7,14 @@ pub(super) fn milliseconds<S: Serializer>(at: &Timestamp, serializer: S) -> Resu
     serializer.collect_str(&format_args!("{at:.3}"))
 }
 
+#[allow(clippy::ref_option, reason = "serde's signature")]
+pub(super) fn milliseconds_or_null<S: Serializer>(at: &Option<Timestamp>, serializer: S) -> Result<S::Ok, S::Error> {
+    match at {
+        Some(at) => milliseconds(at, serializer),
+        None => serializer.serialize_none(),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -1,38 +1,71 @@
 //! The dashboard: a page embedded in the program, which uses only the public WebSocket and REST interfaces.
 //!
-//! Modules are served as written, without a build step. Their paths contain a hash of all of them, so that a browser
-//! caches them until one changes, and asks only for the page. The content security policy allows no other origin, and
-//! no inline script or style. `tests/browser/vendor` fetches the libraries in `vendor/`.
+//! There is no build step: at the start, the gateway joins the modules into two scripts and the styles into one, and
+//! compresses them. Their paths contain a hash of all assets, so that a browser caches them until one changes, and asks
+//! only for the page. The content security policy allows no other origin, and no inline script or style.
+//! `tests/browser/vendor` fetches the libraries in `vendor/`.
 
-use std::borrow::Cow;
+mod bundle;
+
+use std::collections::BTreeMap;
+use std::io::Write as _;
 use std::sync::Arc;
 
+use axum::body::Body;
 use axum::extract::Path;
-use axum::http::header::{CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderMap, HeaderValue};
+use axum::http::header::InvalidHeaderValue;
+use axum::http::header::{
+    ACCEPT_ENCODING, CACHE_CONTROL, CONTENT_ENCODING, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderMap, HeaderValue,
+    VARY,
+};
 use axum::http::{HeaderName, StatusCode};
 use axum::response::{IntoResponse, Response};
-use axum::{Router, routing};
+use axum::{Extension, Router, routing};
+use bytes::Bytes;
+use flate2::Compression;
+use flate2::write::GzEncoder;
 use headers::{ETag, HeaderMapExt, IfNoneMatch};
 use rust_embed::{Embed, EmbeddedFile};
 use sha2::{Digest, Sha256};
 
 use crate::operations::Problem;
+use bundle::Bundle;
 
 #[derive(Embed)]
 #[folder = "src/interfaces/dashboard/assets"]
 struct Assets;
 
-/// The page. Serving it adds links to its modules.
+/// The page. `{version}` in it stands for the hash of the assets.
 const PAGE: &str = "index.html";
 
-/// Assets without a preload link: the page loads them itself, most of them after the first screen.
-const LATER: [&str; 5] = ["views/", "core/limits.js", "model/jog.js", "vendor/uplot.js", "net/early.js"];
+/// Module that the first screen needs, and module that the page imports after it.
+const FIRST: &str = "app.js";
+const SECOND: &str = "later.js";
 
-/// Allows only this origin, without inline code, forms or embedding in a frame.
-const POLICY: HeaderValue = HeaderValue::from_static(
-    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; \
-     base-uri 'none'; form-action 'none'; frame-ancestors 'none'; require-trusted-types-for 'script'",
-);
+/// Style sheets, in order.
+const STYLES: [&str; 5] =
+    ["style/tokens.css", "style/layout.css", "style/controls.css", "style/panels.css", "vendor/uplot.css"];
+
+/// Content security policy of the page: only this origin, without inline code or forms, and in no frame of another page
+/// unless the configuration names that page's origin.
+#[derive(Debug, Clone)]
+pub struct FramePolicy(HeaderValue);
+
+impl FramePolicy {
+    /// Allows frames in pages of these origins.
+    ///
+    /// # Errors
+    /// An origin that cannot be in a header.
+    pub fn of(origins: &[String]) -> Result<Self, InvalidHeaderValue> {
+        let ancestors = if origins.is_empty() { "'none'".to_owned() } else { origins.join(" ") };
+        let policy = format!(
+            "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; \
+             manifest-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors {ancestors}; \
+             require-trusted-types-for 'script'"
+        );
+        policy.try_into().map(Self)
+    }
+}
 
 /// Disables browser features that the page does not use.
 const PERMISSIONS: (HeaderName, HeaderValue) = (
@@ -43,18 +76,81 @@ const PERMISSIONS: (HeaderName, HeaderValue) = (
 /// Hexadecimal digits of the hash in a path.
 const VERSION_DIGITS: usize = 16;
 
+/// A file in plain and, if that is smaller, compressed form.
+#[derive(Debug)]
+struct Content {
+    media_type: HeaderValue,
+    plain: Bytes,
+    gzip: Option<Bytes>,
+}
+
+impl Content {
+    fn new(media_type: &'static str, text: String) -> Self {
+        let plain = Bytes::from(text);
+        Self { media_type: HeaderValue::from_static(media_type), gzip: compressed(&plain), plain }
+    }
+
+    /// Returns a response in a form that the client accepts.
+    fn response(&self, headers: &HeaderMap, caching: &'static str) -> Response {
+        let accepts = headers.get(ACCEPT_ENCODING).and_then(|value| value.to_str().ok()).unwrap_or_default();
+        let takes_gzip = accepts.split(',').any(|coding| coding.trim() == "gzip");
+        let gzip = self.gzip.as_ref().filter(|_| takes_gzip);
+        let body = gzip.unwrap_or(&self.plain).clone();
+        let caching = HeaderValue::from_static(caching);
+        let mut response = ([(CONTENT_TYPE, self.media_type.clone()), (CACHE_CONTROL, caching)], body).into_response();
+        response.headers_mut().insert(VARY, HeaderValue::from_static("accept-encoding"));
+        if gzip.is_some() {
+            response.headers_mut().insert(CONTENT_ENCODING, HeaderValue::from_static("gzip"));
+        }
+        response
+    }
+}
+
+/// Compresses a file; returns none if that does not make it smaller.
+fn compressed(plain: &[u8]) -> Option<Bytes> {
+    let mut encoder = GzEncoder::new(Vec::new(), Compression::best());
+    encoder.write_all(plain).ok()?;
+    encoder.finish().ok().filter(|gzip| gzip.len() < plain.len()).map(Bytes::from)
+}
+
+/// Returns the files that the gateway joins from assets, by path.
+fn joined() -> BTreeMap<&'static str, Content> {
+    let read = |path: &str| text(path);
+    let first = Bundle::first(&read, FIRST);
+    let second = first.second(&read, SECOND);
+    let script = |bundle: &Bundle| Content::new("text/javascript; charset=utf-8", bundle.script().to_owned());
+    let style = Content::new("text/css; charset=utf-8", STYLES.map(text).concat());
+    BTreeMap::from([(FIRST, script(&first)), (SECOND, script(&second)), ("style.css", style)])
+}
+
+/// Returns the text of an asset; an empty one if there is none.
+fn text(path: &str) -> String {
+    Assets::get(path).map(|file| String::from_utf8_lossy(&file.data).into_owned()).unwrap_or_default()
+}
+
 /// Routes of the page and its assets.
 pub fn page<S: Clone + Send + Sync + 'static>() -> Router<S> {
     let version: Arc<str> = version().into();
-    let page: Arc<str> = with_modules(&version).into();
-    let of_version = version.clone();
+    let page = text(PAGE).replace("{version}", &version);
+    let etag = format!("\"{}\"", hex::encode(Sha256::digest(page.as_bytes())));
+    let page = Arc::new(Content::new("text/html; charset=utf-8", page));
+    let files = Arc::new(joined());
     Router::new()
-        .route("/", routing::get(async move |headers: HeaderMap| index(&page, &headers)))
+        .route(
+            "/",
+            routing::get(async move |policy: Extension<FramePolicy>, headers: HeaderMap| {
+                index(&page, &etag, &policy, &headers)
+            }),
+        )
         .route("/favicon.ico", routing::get(async || asset("icon.svg", "no-cache")))
         .route(
             "/assets/{version}/{*path}",
-            routing::get(async move |Path((version, path)): Path<(String, String)>| {
-                if *version == *of_version { asset(&path, "public, max-age=31536000, immutable") } else { missing() }
+            routing::get(async move |Path((of, path)): Path<(String, String)>, headers: HeaderMap| {
+                const CACHING: &str = "public, max-age=31536000, immutable";
+                if *of != *version {
+                    return missing();
+                }
+                files.get(&*path).map_or_else(|| asset(&path, CACHING), |file| file.response(&headers, CACHING))
             }),
         )
 }
@@ -75,39 +171,22 @@ fn version() -> String {
     digits
 }
 
-/// Returns the page with the paths of its assets. The first modules get preload links, so that they load in parallel.
-fn with_modules(version: &str) -> String {
-    let page = Assets::get(PAGE).map(|file| String::from_utf8_lossy(&file.data).into_owned()).unwrap_or_default();
-    let mut modules: Vec<_> = Assets::iter().filter(|path| is_first(path)).collect();
-    modules.sort();
-    let link = |path: &Cow<'static, str>| format!("<link rel=\"modulepreload\" href=\"/assets/{version}/{path}\">\n");
-    let links: String = modules.iter().map(link).collect();
-    page.replace("<!-- modules -->\n", &links).replace("{version}", version)
-}
-
-fn is_first(path: &str) -> bool {
-    is_module(path) && !LATER.iter().any(|later| path.starts_with(later))
-}
-
-fn is_module(path: &str) -> bool {
-    std::path::Path::new(path).extension().is_some_and(|extension| extension == "js")
-}
-
-fn index(page: &Arc<str>, headers: &HeaderMap) -> Response {
+fn index(page: &Content, etag: &str, FramePolicy(policy): &FramePolicy, headers: &HeaderMap) -> Response {
     // A quoted hash is always a valid tag.
-    let etag: Option<ETag> = format!("\"{}\"", hex::encode(Sha256::digest(page.as_bytes()))).parse().ok();
+    let etag: Option<ETag> = etag.parse().ok();
     let is_known = etag
         .as_ref()
         .zip(headers.typed_get::<IfNoneMatch>())
         .is_some_and(|(etag, known)| !known.precondition_passes(etag));
-    let mut response = if is_known {
-        StatusCode::NOT_MODIFIED.into_response()
-    } else {
-        ([(CONTENT_TYPE, HeaderValue::from_static("text/html; charset=utf-8"))], page.to_string()).into_response()
-    };
+    let mut response = page.response(headers, "no-cache");
+    if is_known {
+        *response.status_mut() = StatusCode::NOT_MODIFIED;
+        *response.body_mut() = Body::empty();
+        response.headers_mut().remove(CONTENT_TYPE);
+        response.headers_mut().remove(CONTENT_ENCODING);
+    }
     let headers = response.headers_mut();
-    headers.insert(CONTENT_SECURITY_POLICY, POLICY);
-    headers.insert(CACHE_CONTROL, HeaderValue::from_static("no-cache"));
+    headers.insert(CONTENT_SECURITY_POLICY, policy.clone());
     let (name, permissions) = PERMISSIONS;
     headers.insert(name, permissions);
     if let Some(etag) = etag {

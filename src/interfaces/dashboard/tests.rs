@@ -1,6 +1,8 @@
 //! Tests of the page that need no browser.
 
+use std::borrow::Cow;
 use std::collections::BTreeSet;
+use std::io::Read as _;
 
 use axum::body::Body;
 use axum::http::header::{ETAG, IF_NONE_MATCH};
@@ -11,15 +13,19 @@ use tower::ServiceExt;
 
 use super::*;
 
+fn served(ancestors: &[String]) -> Router {
+    page().layer(Extension(FramePolicy::of(ancestors).unwrap()))
+}
+
 async fn get(path: &str, known: Option<&HeaderValue>) -> Response<Body> {
     let mut request = Request::get(path);
     if let Some(known) = known {
         request = request.header(IF_NONE_MATCH, known);
     }
-    page::<()>().oneshot(request.body(Body::empty()).unwrap()).await.unwrap()
+    served(&[]).oneshot(request.body(Body::empty()).unwrap()).await.unwrap()
 }
 
-async fn text(response: Response<Body>) -> String {
+async fn body(response: Response<Body>) -> String {
     String::from_utf8(response.into_body().collect().await.unwrap().to_bytes().to_vec()).unwrap()
 }
 
@@ -36,16 +42,26 @@ async fn page_is_revalidated_by_its_etag() {
     let etag = first.headers().get(ETAG).unwrap().clone();
     let again = get("/", Some(&etag)).await;
     assert_eq!((again.status(), again.headers().get(ETAG)), (StatusCode::NOT_MODIFIED, Some(&etag)));
-    assert_eq!(text(again).await, "");
+    assert_eq!(body(again).await, "");
     assert_eq!(get("/", Some(&HeaderValue::from_static("\"another\""))).await.status(), 200);
 }
 
 #[tokio::test]
+async fn only_configured_pages_can_frame_the_page() {
+    let policy = async |origins: &[String]| {
+        let request = Request::get("/").body(Body::empty()).unwrap();
+        header(&served(origins).oneshot(request).await.unwrap(), CONTENT_SECURITY_POLICY)
+    };
+    assert!(policy(&[]).await.contains("frame-ancestors 'none';"));
+    let allowed = policy(&["https://hmi.example".to_owned(), "http://10.0.0.5:8000".to_owned()]).await;
+    assert!(allowed.contains("frame-ancestors https://hmi.example http://10.0.0.5:8000;"), "{allowed}");
+}
+
+#[tokio::test]
 async fn assets_of_the_page_exist_and_are_cached() {
-    let page = text(get("/", None).await).await;
+    let page = body(get("/", None).await).await;
     let named: Vec<_> = page.split('"').filter(|text| text.starts_with("/assets/")).collect();
-    let modules = Assets::iter().filter(|path| is_first(path)).count();
-    assert!(named.len() > modules, "{named:?}");
+    assert_eq!(named.len(), 4, "{named:?}");
     for path in named {
         let part = get(path, None).await;
         assert_eq!(part.status(), 200, "{path}");
@@ -84,6 +100,10 @@ fn libraries_match_their_record_and_have_licences() {
     assert_eq!(files, present);
 }
 
+fn is_module(path: &str) -> bool {
+    std::path::Path::new(path).extension().is_some_and(|extension| extension == "js")
+}
+
 const MAX_LINES: usize = 250;
 
 #[test]
@@ -100,28 +120,55 @@ fn modules_are_short_and_import_only_served_files() {
     }
 }
 
-/// Paths of the modules that a module imports statically.
-fn imported_by(path: &str) -> Vec<String> {
-    let module = String::from_utf8(Assets::get(path).unwrap().data.into_owned()).unwrap();
+/// All modules that one needs, with those that it imports later.
+fn needed_by(path: &str, needed: &mut BTreeSet<String>) {
+    if !needed.insert(path.to_owned()) {
+        return;
+    }
     let address = url::Url::parse(&format!("http://gateway/{path}")).unwrap();
-    let from = module.lines().filter_map(|line| {
-        let is_import = ["import ", "export ", "} from "].iter().any(|word| line.starts_with(word));
-        is_import.then_some(line)?.split_once(" from '")?.1.split_once('\'').map(|(from, _)| from)
-    });
-    from.map(|from| address.join(from).unwrap().path().trim_start_matches('/').to_owned()).collect()
+    // The minified libraries quote otherwise.
+    for from in text(path).split(['\'', '"']).filter(|part| part.starts_with('.') && is_module(part)) {
+        needed_by(address.join(from).unwrap().path().trim_start_matches('/'), needed);
+    }
 }
 
 #[test]
-fn page_preloads_exactly_the_first_modules() {
-    // The minified libraries write imports differently.
-    let is_ours = |path: &str| !path.starts_with("vendor/");
-    let mut needed = BTreeSet::new();
-    let mut to_read = vec!["app.js".to_owned()];
-    while let Some(path) = to_read.pop() {
-        if needed.insert(path.clone()) {
-            to_read.extend(imported_by(&path).into_iter().filter(|path| is_ours(path)));
+fn scripts_have_every_module_once() {
+    let mut needed = BTreeSet::from(["net/early.js".to_owned()]);
+    needed_by(FIRST, &mut needed);
+    let present: BTreeSet<_> = Assets::iter().filter(|path| is_module(path)).map(Cow::into_owned).collect();
+    assert_eq!(needed, present);
+    let files = joined();
+    let script = [FIRST, SECOND].map(|path| String::from_utf8(files[path].plain.to_vec()).unwrap()).concat();
+    let declared = script.lines().filter_map(|line| line.strip_prefix("let ")?.strip_suffix(';'));
+    let mut exports: Vec<_> = declared.flat_map(|names| names.split(", ")).collect();
+    assert!(exports.len() > 200 && exports.contains(&"fastStop") && exports.contains(&"Motion"));
+    let count = exports.len();
+    exports.sort_unstable();
+    exports.dedup();
+    assert_eq!(exports.len(), count, "an exported name needs to be unique among all modules");
+    // A script cannot redeclare these properties of the window.
+    assert!(["window", "document", "location", "top"].iter().all(|name| !exports.contains(name)));
+    for line in script.lines() {
+        assert!(!line.starts_with("import ") && !line.starts_with("export function"), "{line}");
+    }
+}
+
+#[tokio::test]
+async fn scripts_are_compressed_for_clients_that_take_it() {
+    let path = format!("/assets/{}/{FIRST}", version());
+    let plain = body(get(&path, None).await).await;
+    for (coding, is_compressed) in [("gzip, deflate, br", true), ("br", false), ("gzip;q=0", false)] {
+        let request = Request::get(&path).header(ACCEPT_ENCODING, coding).body(Body::empty()).unwrap();
+        let response = served(&[]).oneshot(request).await.unwrap();
+        assert_eq!(header(&response, CONTENT_ENCODING), if is_compressed { "gzip" } else { "" }, "{coding}");
+        assert_eq!(header(&response, VARY), "accept-encoding");
+        let bytes = response.into_body().collect().await.unwrap().to_bytes();
+        if is_compressed {
+            assert!(bytes.len() < 60_000, "{}", bytes.len());
+            let mut text = String::new();
+            flate2::read::GzDecoder::new(&*bytes).read_to_string(&mut text).unwrap();
+            assert_eq!(text, plain);
         }
     }
-    let named = Assets::iter().filter(|path| is_first(path) && is_ours(path)).map(Cow::into_owned).collect();
-    assert_eq!(needed, named);
 }

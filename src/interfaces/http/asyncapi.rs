@@ -29,6 +29,11 @@ const NOTIFICATIONS: &[(&str, &str, &str)] = &[
     ("frame", "Frame", "A frame on the wire (topic `frames`), sent in order"),
     ("damage", "Damage", "Bytes from a device that are not a valid frame (topic `frames`), in order with the frames"),
     ("fleet", "FleetGripper", "A gripper of any gateway (topic `fleet`): first all grippers, then each change"),
+    (
+        "alarms",
+        "AlarmReport",
+        "All alarms that are active or not acknowledged (topic `alarms`): first as they are, then after each change",
+    ),
     ("gap", "Gap", "A gap in the events, grip records or frames, because the client was too slow"),
     ("command", "Command", "The end of a command that this socket started and that was still running when answered"),
 ];
@@ -60,7 +65,8 @@ pub fn document(openapi: &Value) -> Value {
         messages.insert(name.to_owned(), titled(name, summary, request(name, &params)));
         messages.insert(answer.clone(), titled(&answer, &format!("Result of `{name}`"), answered("result", result)));
     };
-    let follow = "Subscribe to states, telemetry, events, frames or the fleet. Replaces the previous subscription";
+    let follow =
+        "Subscribe to states, telemetry, events, frames, the fleet or alarms. Replaces the previous subscription";
     add_method(
         "subscribe",
         follow,

@@ -5,6 +5,7 @@ use std::sync::Arc;
 use prometheus::Registry;
 use tokio_util::sync::CancellationToken;
 
+use crate::interfaces::dashboard::FramePolicy;
 use crate::interfaces::metrics::InterfaceMetrics;
 use crate::interfaces::tls::Tls;
 use crate::interfaces::{self, Runtimes};
@@ -23,6 +24,8 @@ pub struct HttpContext {
     pub registry: Registry,
     /// Host names that requests may use besides addresses and `localhost`, without ports.
     pub allowed_hosts: Vec<String>,
+    /// Pages that can show the dashboard in a frame.
+    pub frame_policy: FramePolicy,
     /// `None` if connections are not encrypted.
     pub tls: Option<Arc<Tls>>,
 }
@@ -50,6 +53,7 @@ impl HttpContext {
             ws_metrics,
             registry,
             allowed_hosts: Vec::new(),
+            frame_policy: FramePolicy::of(&[]).unwrap(),
             tls: None,
         }
     }

@@ -42,6 +42,7 @@ pub const DOCUMENTS: [&str; 2] = ["/openapi.json", "/asyncapi.yaml"];
         (name = "commands", description = "Progress and outcome of commands"),
         (name = "lease", description = "The right to move a gripper, and the reaction if the lease holder is lost"),
         (name = "fleet", description = "All grippers of all gateways on the Zenoh network"),
+        (name = "alarms", description = "Conditions that a person has to know of, until they are acknowledged"),
         (name = "settings", description = "Settings that the device keeps until it restarts, and its permanent tag"),
         (name = "device", description = "Other device commands: statistics, fingers, tare, Loop, raw requests"),
         (name = "journal", description = "Events and grip records, stored and live"),

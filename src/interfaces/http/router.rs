@@ -27,6 +27,7 @@ use crate::operations::{Code, Problem};
 
 pub fn router(context: &Arc<HttpContext>) -> Router {
     served()
+        .layer(Extension(context.frame_policy.clone()))
         .layer(middleware::from_fn_with_state(context.clone(), rights::check))
         .layer(middleware::from_fn_with_state(context.clone(), guard::refuse_foreigners))
         .layer(middleware::from_fn_with_state(context.clone(), audit::record))
@@ -93,6 +94,7 @@ fn api() -> Routes {
         .routes(routes!(paths::grippers::info))
         .routes(routes!(paths::grippers::state))
         .routes(routes!(paths::grippers::status))
+        .routes(routes!(paths::grippers::trend))
         .routes(routes!(paths::motion::home))
         .routes(routes!(paths::motion::move_fingers))
         .routes(routes!(paths::motion::grip))
@@ -126,6 +128,8 @@ fn api() -> Routes {
         .routes(routes!(stream::stream))
         .routes(routes!(upgrade::open))
         .routes(routes!(paths::fleet::list))
+        .routes(routes!(paths::alarms::list))
+        .routes(routes!(paths::alarms::acknowledge))
         .routes(routes!(paths::me::me))
         .routes(routes!(session::sign_in, session::sign_out))
         .routes(routes!(paths::webhooks::list))

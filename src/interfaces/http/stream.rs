@@ -40,9 +40,9 @@ const READ_RETRY_PAUSE: Duration = Duration::from_secs(1);
 #[into_params(parameter_in = Query)]
 #[allow(dead_code, reason = "only describes the parameters that `Stream::new` reads")]
 pub struct StreamQuery {
-    /// `events` (default), `grips`, `state`, `telemetry`, `frames`, `fleet`, or several of them separated by commas.
+    /// `events` (default), `grips`, `state`, `telemetry`, `frames`, `fleet`, `alarms`, or several of them separated by commas.
     #[param(
-        pattern = "^(events|grips|state|telemetry|frames|fleet)(,(events|grips|state|telemetry|frames|fleet))*$",
+        pattern = "^(events|grips|state|telemetry|frames|fleet|alarms)(,(events|grips|state|telemetry|frames|fleet|alarms))*$",
         example = "events,state"
     )]
     topics: Option<String>,
@@ -83,8 +83,8 @@ struct Stream {
 
 /// Stream live updates
 ///
-/// Sends server-sent events: `event` with its `seq` as id, `grip`, `state`, `telemetry`, `frame`, `damage`, `fleet` and
-/// `gap`. Their data is JSON, with the schemas of the AsyncAPI document.
+/// Sends server-sent events: `event` with its `seq` as id, `grip`, `state`, `telemetry`, `frame`, `damage`, `fleet`,
+/// `alarms` and `gap`. Their data is JSON, with the schemas of the AsyncAPI document.
 ///
 /// Events continue without a gap after `Last-Event-ID`; without that header they start now. A `gap` gives the number of
 /// events after that id that are no longer stored, for all grippers together. If the journal was replaced and has not

@@ -20,20 +20,22 @@ const ROOMS: &str = "
     main: cli
     cli: access config daemon doctor fleet interfaces interfaces/http interfaces/websocket gripper/model journal logging
         wsg wsg/frame
-    daemon: access config interfaces interfaces/http interfaces/wsg_port interfaces/zenoh events fleet operations
-        gripper gripper/actor gripper/model gripper/recorder journal sim transport webhooks
+    alarms: fleet gripper gripper/model gripper/recorder journal
+    daemon: access alarms config interfaces interfaces/dashboard interfaces/http interfaces/wsg_port
+        interfaces/zenoh events fleet operations gripper gripper/actor gripper/model gripper/recorder journal sim
+        transport trends webhooks
     doctor: access config daemon gripper/model interfaces journal transport wsg wsg/frame
     config: access gripper/model journal transport webhooks
     logging:
-    operations: access events fleet gripper gripper/model gripper/recorder journal webhooks wsg
+    operations: access alarms events fleet gripper gripper/model gripper/recorder journal trends webhooks wsg
     interfaces: operations
     interfaces/dashboard: operations
-    interfaces/http: access interfaces interfaces/dashboard interfaces/websocket events fleet operations
-        gripper gripper/model journal
+    interfaces/http: access alarms interfaces interfaces/dashboard interfaces/websocket events fleet operations
+        gripper gripper/model journal trends
     interfaces/websocket: access interfaces events gripper gripper/model operations
     interfaces/wsg_port: interfaces gripper gripper/model operations wsg wsg/crc wsg/frame
     interfaces/zenoh: access interfaces events fleet gripper gripper/model journal operations
-    events: fleet gripper gripper/model journal
+    events: alarms fleet gripper gripper/model journal
     fleet: gripper gripper/model
     journal: gripper/model gripper/recorder
     gripper: gripper/actor gripper/model gripper/recorder transport wsg
@@ -45,6 +47,7 @@ const ROOMS: &str = "
     gripper/setup: wsg wsg/session
     sim: wsg wsg/frame
     transport:
+    trends: gripper gripper/model
     webhooks: gripper gripper/model gripper/recorder journal
     wsg: wsg/frame
     wsg/crc:
@@ -54,7 +57,7 @@ const ROOMS: &str = "
 
 /// Rooms without import cycles, neither within a room nor across these rooms.
 const WITHOUT_CIRCLES: &str = "
-    lib access main cli logging operations fleet
+    lib access main cli logging operations alarms fleet trends
     interfaces interfaces/dashboard interfaces/http interfaces/websocket interfaces/wsg_port interfaces/zenoh
     gripper gripper/latch gripper/recorder gripper/setup transport wsg wsg/crc wsg/frame
 ";

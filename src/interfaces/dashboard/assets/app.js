@@ -25,7 +25,7 @@ function Views() {
 /** Components that are loaded after the first screen (state and STOP), by name. */
 const later = signal({});
 
-/** Whether one of these modules could not be loaded. */
+/** Whether they could not be loaded. */
 const isMissing = signal(false);
 
 function Missing() {
@@ -34,29 +34,12 @@ function Missing() {
       onClick=${() => location.reload()}>${t('reload')}</button></div>`;
 }
 
-async function fetchAll(...parts) {
-  const fetched = await Promise.allSettled(parts);
-  later.value = Object.assign({}, later.peek(), ...fetched.map(({ value }) => value ?? {}));
-  if (fetched.some(({ status }) => status === 'rejected')) isMissing.value = true;
-}
-
-const FETCH_VIEW = {
-  history: () => import('./views/history.js'),
-  log: () => import('./views/log.js'),
-  device: () => import('./views/device.js'),
-  all: () => import('./views/overview.js'),
-};
-
 async function fetchLater() {
-  const { [view.peek()]: shown, ...others } = FETCH_VIEW;
-  // Each part is shown as soon as it is loaded.
-  await Promise.all(
-    [import('./views/motion.js'), import('./views/alarms.js'), import('./views/notices.js'), shown?.()].map((part) =>
-      fetchAll(part),
-    ),
-  );
-  await fetchAll(import('./views/charts.js'), import('./views/control.js'), import('./views/flags.js'));
-  await fetchAll(...Object.values(others).map((fetchView) => fetchView()));
+  try {
+    later.value = await import('./later.js');
+  } catch {
+    isMissing.value = true;
+  }
 }
 
 function Operate({ one }) {
@@ -78,6 +61,16 @@ function viewOf(name) {
   return { operate: Operate, history: History, log: Log, device: Device, all: All }[name];
 }
 
+/** Names of the components that `?view=` shows alone, in another page. They move nothing. */
+const WIDGETS = { jaws: 'Jaws', charts: 'Charts', flags: 'Flags', alarms: 'Alarms', all: 'All' };
+
+const widget = WIDGETS[new URLSearchParams(location.search).get('view')];
+
+function Widget({ one }) {
+  const Shown = { Jaws, ...later.value }[widget];
+  return html`<main class="widget">${Shown && html`<${Shown} one=${one} />`}</main>`;
+}
+
 function Main() {
   const one = gripper.value;
   const isKnown = one !== null || isLive.value;
@@ -96,6 +89,7 @@ function Main() {
           })
         : t('stale.connecting')
     }</p></main>`;
+  if (widget) return html`<${Widget} one=${one} />`;
   const View = viewOf(view.value);
   if (!View) return html`<main class="waiting" />`;
   return html`<main key=${view.value === 'all' ? 'all' : one.name}><${View} one=${one} /></main>`;
@@ -128,6 +122,7 @@ function Footer() {
 
 function App() {
   const { Announcer, Notices } = later.value;
+  if (widget) return html`<${Missing} /><${Main} />`;
   return html`<a class="skip" href="#main"
       onClick=${(event) => {
         event.preventDefault();

@@ -1,6 +1,6 @@
 // Re-exports the vendored libraries.
 
-import { h, render, Fragment } from './vendor/preact.js';
+import { h } from './vendor/preact.js';
 import htm from './vendor/htm.js';
 
 export { useEffect, useLayoutEffect, useMemo, useRef, useState, useId } from './vendor/hooks.js';
@@ -14,6 +14,6 @@ export {
   useSignal,
   useSignalEffect,
 } from './vendor/signals.js';
-export { Fragment, render };
+export { Fragment, render } from './vendor/preact.js';
 
 export const html = htm.bind(h);

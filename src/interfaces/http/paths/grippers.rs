@@ -6,6 +6,7 @@ use super::responses::{AnyProblem, GripperProblem};
 use crate::gripper::Info;
 use crate::gripper::model::{GripperStatus, State};
 use crate::operations::grippers::{self, GripperList};
+use crate::trends::Trend;
 
 paths! {
     /// List all grippers
@@ -42,4 +43,13 @@ paths! {
         responses((status = 200, description = "The status", body = GripperStatus), GripperProblem)
     )]
     status => grippers::STATUS;
+    /// Get a gripper's trend
+    ///
+    /// Returns the measured values of the last ten minutes, five a second at most, for charts.
+    #[utoipa::path(
+        get, path = "/grippers/{gripper}/trend", operation_id = "get_trend", tag = "grippers",
+        params(GripperPath, LeaseHeader),
+        responses((status = 200, description = "The trend", body = Trend), GripperProblem)
+    )]
+    trend => grippers::TREND;
 }

@@ -2,6 +2,7 @@
 //!
 //! The router mounts the documented handlers themselves, so the document can't fall behind.
 
+pub mod alarms;
 pub mod commands;
 pub mod connection;
 pub mod device;

@@ -1,5 +1,6 @@
 //! Tests of the router with a scripted gripper.
 
+mod alarms;
 mod device;
 mod fast_stop;
 mod fleet;

@@ -21,6 +21,17 @@ export class Samples {
     else this.start = (this.start + 1) % this.capacity;
   }
 
+  /** Puts older samples, each `[time, values]`, before the present ones. */
+  fill(older) {
+    const own = Array.from({ length: this.length }, (_, index) => [
+      this.time(index),
+      this.columns.map((_column, column) => this.value(column, index)),
+    ]);
+    const begin = own[0]?.[0] ?? Infinity;
+    [this.start, this.length] = [0, 0];
+    for (const [time, values] of [...older.filter(([time]) => time < begin), ...own]) this.push(time, values);
+  }
+
   /** Marks the time between the newest sample and the next one as unknown. */
   gap() {
     const last = this.length - 1;

@@ -80,7 +80,7 @@ async function catchUpCommand(one) {
 }
 
 /** Applies an event that arrived at `at`; `one` is its gripper, if any. */
-export function take(event, one, at) {
+export function takeEvent(event, one, at) {
   batch(() => {
     eventSeq.value = event.seq;
     if (event.subject) remember(event.subject, event.door, event.at);

@@ -74,7 +74,7 @@ export class Gripper {
     this.hasOverdrive = computed(() => has(this.flags.value, 'OVERDRIVE_MODE'));
     this.isMine = computed(() => this.held.value !== null && this.held.value.epoch === this.state.value?.lease_epoch);
     /** Name of a lost holder for which the gripper is reserved, or null. */
-    this.reservedFor = computed(() => (this.holder.value === null ? (this.lease.value?.reserved_for ?? null) : null));
+    this.reservedFor = of((state) => (state.lease_holder === null ? state.reserved_for : null));
     this.softLimits = computed(() => ({
       minus_mm: this.settings.value.minus_mm ?? null,
       plus_mm: this.settings.value.plus_mm ?? null,
@@ -103,6 +103,12 @@ export class Gripper {
   loseControl(how, by = null) {
     if (this.epoch !== null) this.lostControl.value = { how, by };
     this.epoch = null;
+  }
+
+  /** Takes the gateway's values from before this page was opened. */
+  takeTrend({ age_ms: ages, width_mm: widths, speed_mm_s: speeds, force_n: forces }) {
+    const now = performance.now();
+    this.samples.fill(ages.map((age, index) => [now - age, [widths[index], speeds[index], forces[index]]]));
   }
 
   /** Stores a state for the next update of the screen. */

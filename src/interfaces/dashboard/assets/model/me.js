@@ -19,6 +19,14 @@ export async function recognize() {
   }
 }
 
+let isFirst = true;
+
+/** Asks after a new connection. The page itself has asked when it began, as its first connection did. */
+export function recognizeAgain() {
+  if (!isFirst) recognize();
+  isFirst = false;
+}
+
 export async function signIn(token) {
   await send('session', { token });
   // All connections begin anew with the session.

@@ -1,11 +1,11 @@
 // The page's state, fed by one WebSocket. Messages apply at once; the screen is updated less than ten times a second.
 
 import { batch, computed, effect, signal } from '../lib.js';
-import { acknowledged, GATEWAY_GONE, updated, wrongWith } from '../core/alarms.js';
 import { paced } from '../core/paced.js';
 import { Rpc } from '../net/rpc.js';
-import { catchUp, take as takeEvent } from './events.js';
-import { recognize } from './me.js';
+import { noteGateway, takeAlarms } from './alarms.js';
+import { catchUp, takeEvent } from './events.js';
+import { recognizeAgain } from './me.js';
 import { lookForNewer } from './version.js';
 import { Gripper } from './gripper.js';
 
@@ -33,7 +33,6 @@ export const VIEWS = ['operate', 'history', 'log', 'device', 'all'];
 export const grippers = signal([]);
 export const selected = signal(null);
 export const view = signal('operate');
-export const alarms = signal([]);
 /** `connecting` at first, then `live`, `silent` or `lost`. */
 export const connection = signal('connecting');
 /** Wall-clock time of the newest message. */
@@ -76,19 +75,10 @@ function keepOnly(names) {
   selected.value ??= grippers.peek()[0]?.name ?? null;
 }
 
-function noteAlarms() {
-  const wrong = grippers.value.flatMap((one) => (one.newest ? wrongWith(one.newest, one.lease.peek()) : []));
-  if (connection.value === 'lost' || connection.value === 'silent') wrong.push(GATEWAY_GONE);
-  alarms.value = updated(alarms.value, wrong, Date.now());
-}
-
 function show() {
   isDirty = false;
   shownAt = performance.now();
-  batch(() => {
-    grippers.value.forEach((one) => one.show());
-    noteAlarms();
-  });
+  batch(() => grippers.value.forEach((one) => one.show()));
   drawings.forEach((draw) => draw());
 }
 
@@ -119,7 +109,7 @@ export const rpc = new Rpc({
       one.held.value = null;
     });
     // The gateway closes the connection of a person who has to sign in.
-    recognize();
+    recognizeAgain();
     look();
   },
   onHeard: (at) => {
@@ -127,6 +117,7 @@ export const rpc = new Rpc({
   },
   onNotification: (method, params, at) => {
     if (method === 'state') takeState(params, at);
+    if (method === 'alarms') takeAlarms(params);
     if (method === 'event') takeEvent(params, find(params.gripper), at);
     if (method === 'command' && find(params.gripper)) find(params.gripper).command.value = params;
     // Events were missed, so the current state is requested.
@@ -143,7 +134,7 @@ const hz = computed(() => {
 /** Rate requested on this connection. */
 const askedHz = signal(null);
 
-const askFor = (max_hz) => rpc.call('subscribe', { topics: ['state', 'events'], max_hz });
+const askFor = (max_hz) => rpc.call('subscribe', { topics: ['state', 'events', 'alarms'], max_hz });
 
 async function subscribe() {
   try {
@@ -191,10 +182,6 @@ export async function learnSettings(one, names = ['soft-limits', 'force-limit'])
   return answers.find(({ status }) => status === 'rejected')?.reason ?? null;
 }
 
-export function acknowledgeAlarm(id) {
-  alarms.value = acknowledged(alarms.value, id, Date.now());
-}
-
 /** Updates the connection state and the clock. */
 function look() {
   const silence = performance.now() - lastHeard;
@@ -209,7 +196,7 @@ function look() {
     if (next !== connection.peek()) {
       connection.value = next;
       if (next !== 'live') byName.forEach((one) => one.samples.gap());
-      noteAlarms();
+      noteGateway(next === 'lost' || next === 'silent');
     }
     if (next === 'live') heardAt.value = Date.now() - silence;
     const second = Math.floor(Date.now() / 1000) * 1000;
@@ -223,8 +210,6 @@ setInterval(() => {
   const asked = gripper.peek();
   // Any answer shows that the gateway is alive.
   if (rpc.isOpen && asked) rpc.call('state', { gripper: asked.name }, RENEWED_AFTER_MS).then(takeState, () => {});
-  // No event reports the end of a reservation.
-  if (rpc.isOpen) byName.forEach((one) => one.reservedFor.peek() !== null && learn(one));
 }, ASKED_EVERY_MS);
 
 effect(() => {

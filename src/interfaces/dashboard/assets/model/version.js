@@ -4,7 +4,7 @@ import { signal } from '../lib.js';
 import { text } from '../net/rest.js';
 
 /** `/assets/VERSION/` of this page. */
-const OURS = new URL('..', import.meta.url).pathname;
+const OURS = new URL('.', document.currentScript.src).pathname;
 
 export const isOld = signal(false);
 

@@ -1,10 +1,12 @@
 // The permanent bar: link, state, holder of control, alarms, and STOP.
 
 import { html, signal } from '../lib.js';
+import { isOpen, PRIORITIES } from '../core/alarms.js';
 import { numbered } from '../core/newest.js';
+import { alarms } from '../model/alarms.js';
 import { ofProblem, t, time } from '../model/i18n.js';
 import { fastStop, fastStopFleet } from '../model/commands.js';
-import { alarms, connection, gripper, grippers, hasOthers, heardAt, isLive, selected } from '../model/store.js';
+import { connection, gripper, grippers, hasOthers, heardAt, isLive, selected } from '../model/store.js';
 import { isOld } from '../model/version.js';
 import { onPress, Shape, whyOld } from './parts.js';
 import { go } from './route.js';
@@ -118,8 +120,8 @@ function controlItem(one) {
 }
 
 function Alarms() {
-  const open = alarms.value.filter((alarm) => !alarm.acknowledgedAt);
-  const worst = ['critical', 'high', 'low'].find((priority) => open.some((alarm) => alarm.priority === priority));
+  const open = alarms.value.filter(isOpen);
+  const worst = PRIORITIES.find((priority) => open.some((alarm) => alarm.priority === priority));
   return html`<button type="button" class=${`alarm-badge ${worst ? `tone-${worst}` : ''}`}
       onClick=${() => {
         go('operate');

@@ -3,6 +3,4 @@
 import { span, t } from '../model/i18n.js';
 import { now } from '../model/store.js';
 
-export { t };
-
 export const ago = (at) => t('ago', { span: span(now.value - at) });

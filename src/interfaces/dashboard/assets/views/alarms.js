@@ -1,20 +1,23 @@
 // List of the alarms.
 
-import { html } from '../lib.js';
-import { sorted } from '../core/alarms.js';
-import { moment, t } from '../model/i18n.js';
-import { acknowledgeAlarm, alarms, selected } from '../model/store.js';
+import { html, signal } from '../lib.js';
+import { isActive, isOpen, sorted } from '../core/alarms.js';
+import { acknowledgeAlarms, alarms } from '../model/alarms.js';
+import { moment, ofProblem, t } from '../model/i18n.js';
+import { mayOperate } from '../model/me.js';
+import { rpc, selected } from '../model/store.js';
 import { Panel, Shape } from '../ui/parts.js';
 import { go } from '../ui/route.js';
+import { alarmName, causeText } from './alarm.js';
+import { Chooser, choosing } from './chooser.js';
 
-const FINGER_FAULT = 'flag/FINGER_FAULT';
+/** Texts of refused acknowledgements. */
+const refusals = signal([]);
 
-/** Text of an alarm with its gripper. */
-export const alarmName = (alarm) => (alarm.gripper ? `${alarm.gripper}: ${alarmText(alarm)}` : alarmText(alarm));
-
-export function alarmText({ what }) {
-  const [kind, detail] = what.split('/');
-  return kind === 'link' || kind === 'flag' ? t(`alarm.${kind}.${detail}`) : t(`alarm.${kind}`);
+async function acknowledgeShown(chosen) {
+  refusals.value = [];
+  const refused = await acknowledgeAlarms(rpc, chosen);
+  refusals.value = refused.map(({ alarm, problem }) => `${alarmName(alarm)}: ${ofProblem(problem)}`);
 }
 
 /** Opens a view of the alarm's gripper, and scrolls to a panel. */
@@ -24,35 +27,51 @@ function show(alarm, wantedView, panel) {
   requestAnimationFrame(() => document.getElementById(panel)?.scrollIntoView({ block: 'center' }));
 }
 
+function stateText(alarm) {
+  if (!isActive(alarm)) return t('alarm.cleared');
+  if (isOpen(alarm)) return t('alarm.active');
+  return alarm.acknowledged_by ? t('alarm.acknowledged_by', { name: alarm.acknowledged_by }) : t('alarm.acknowledged');
+}
+
 function Row({ alarm }) {
-  const isLatch = alarm.what.startsWith('fast_stop/') && !alarm.clearedAt;
-  const words = alarm.clearedAt ? 'alarm.cleared' : alarm.acknowledgedAt ? 'alarm.acknowledged' : 'alarm.active';
-  return html`<li class=${`alarm tone-${alarm.clearedAt || alarm.acknowledgedAt ? 'over' : alarm.priority}`}>
+  const until = isActive(alarm) ? '' : ` – ${moment(alarm.ended_at)}`;
+  const times = alarm.count > 1 ? ` · ${t('alarm.count', { count: alarm.count })}` : '';
+  const cause = causeText(alarm);
+  return html`<li class=${`alarm tone-${isActive(alarm) && isOpen(alarm) ? alarm.priority : 'over'}`}>
     <${Shape} name=${alarm.priority} />
     <div class="alarm-text"><strong>${alarmName(alarm)}</strong>
-      <span class="muted small">${t(words)} · ${moment(alarm.since)}${alarm.clearedAt ? ` – ${moment(alarm.clearedAt)}` : ''}${alarm.cause ? ` · ${alarm.cause}` : ''}
+      <span class="muted small">${stateText(alarm)} · ${moment(alarm.began_at)}${until}${times}${cause ? ` · ${cause}` : ''}
         </span></div>
     ${
-      alarm.what === FINGER_FAULT &&
+      alarm.alarm === 'finger_fault' &&
       html`<button type="button" aria-label=${`${t('finger.title')}: ${alarm.gripper}`} onClick=${() =>
         show(alarm, 'device', 'fingers-title')}>${t('finger.title')}</button>`
     }
     ${
-      isLatch
+      alarm.alarm === 'fast_stop'
         ? html`<button type="button" aria-label=${`${t('alarm.show')}: ${alarmName(alarm)}`}
         onClick=${() => show(alarm, 'operate', 'motion-title')}>${t('alarm.show')}
           </button>`
-        : !alarm.acknowledgedAt &&
+        : isOpen(alarm) &&
+          mayOperate(alarm.gripper) &&
           html`<button type="button" aria-label=${t('alarm.acknowledge_one', {
             alarm: alarmName(alarm),
-          })} onClick=${() => acknowledgeAlarm(alarm.id)}>${t('alarm.acknowledge')}</button>`
+          })} onClick=${() => acknowledgeShown([alarm])}>${t('alarm.acknowledge')}</button>`
     }
   </li>`;
 }
 
 export function Alarms() {
   const list = sorted(alarms.value);
-  return html`<${Panel} title=${t('alarm.title')} id="alarms" class="alarms-panel">
+  const open = list.filter((alarm) => isOpen(alarm) && mayOperate(alarm.gripper));
+  const actions =
+    open.length > 1 &&
+    html`<button type="button" id="choose-alarms" aria-expanded=${choosing.value ? 'true' : 'false'} onClick=${() => {
+      choosing.value = choosing.peek() ? null : open;
+    }}>${t('alarm.several')}</button>`;
+  return html`<${Panel} title=${t('alarm.title')} id="alarms" class="alarms-panel" actions=${actions}>
+    ${choosing.value && html`<${Chooser} list=${choosing.value} onAcknowledge=${acknowledgeShown} />`}
+    <div role="alert">${refusals.value.map((text) => html`<p key=${text} class="problem">${text}</p>`)}</div>
     ${
       list.length === 0
         ? html`<p class="muted nothing"><${Shape} name="check" /> ${t('alarm.none')}</p>`
@@ -64,6 +83,6 @@ export function Alarms() {
 
 /** Makes screen readers announce a new alarm at once, in any view. */
 export function Announcer() {
-  const newest = alarms.value.find((alarm) => !alarm.clearedAt && !alarm.acknowledgedAt);
+  const newest = sorted(alarms.value).find((alarm) => isActive(alarm) && isOpen(alarm));
   return html`<div class="visually-hidden" aria-live="assertive" role="alert">${newest ? alarmName(newest) : ''}</div>`;
 }

@@ -2,6 +2,7 @@
 
 import { html, signal, useEffect, useRef } from '../lib.js';
 import { fixed, t } from '../model/i18n.js';
+import { get } from '../net/rest.js';
 import { drawWith } from '../model/store.js';
 import { css, fit, looks, plot } from './plot.js';
 import { Choice, Covered, Panel } from '../ui/parts.js';
@@ -61,10 +62,25 @@ function make(one, chart, { place, output }, until) {
   });
 }
 
+/** Grippers whose charts begin with the gateway's values. */
+const filled = new WeakSet();
+
+async function fill(one) {
+  if (filled.has(one)) return;
+  filled.add(one);
+  try {
+    one.takeTrend(await get(`grippers/${one.name}/trend`));
+  } catch {
+    // Tried again when the charts are shown again.
+    filled.delete(one);
+  }
+}
+
 function Charted({ one }) {
   const places = useRef([]);
   const outputs = useRef([]);
   useEffect(() => {
+    fill(one);
     let until = performance.now();
     let drawnAt = 0;
     const mounted = [...places.current];

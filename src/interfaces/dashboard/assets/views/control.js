@@ -1,12 +1,13 @@
 // Control: its holder, how another client gets it, and what happens if this browser is lost.
 
 import { html, useEffect } from '../lib.js';
-import { ago, t } from './ago.js';
+import { ago } from './ago.js';
 import { changeTerms, handOver, releaseControl, takeControl } from '../model/commands.js';
 import { clients } from './clients.js';
 import { Force } from './force.js';
 import { watchMetrics } from './metrics.js';
 import { asks } from './notices.js';
+import { t } from '../model/i18n.js';
 import { myName } from '../model/name.js';
 import { onLossHolding, onLossMoving } from '../model/prefs.js';
 import { now, others } from '../model/store.js';

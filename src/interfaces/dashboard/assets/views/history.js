@@ -17,7 +17,7 @@ const IS_WIDE = matchMedia('(min-width: 761px)').matches;
 /** Delay of a reload after an event, because events come in bursts. */
 const LOOKS_AFTER_MS = 400;
 const KINDS = {
-  events: ['command', 'fast_stop', 'acknowledge', 'lease', 'link', 'device', 'settings', 'refused', 'gateway'],
+  events: ['command', 'fast_stop', 'acknowledge', 'lease', 'link', 'device', 'settings', 'refused', 'gateway', 'alarm'],
   grips: ['grip', 'release', 'move', 'home'],
 };
 const OUTCOMES = [

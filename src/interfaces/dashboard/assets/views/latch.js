@@ -9,7 +9,7 @@ import { now } from '../model/store.js';
 import { Shape } from '../ui/parts.js';
 
 /** Delay before a new FAST STOP can be acknowledged, so that a tap meant for an older one does not clear it. */
-const SEEN_AFTER_MS = 800;
+export const SEEN_AFTER_MS = 800;
 
 const CHECKS = {
   requested: ['hands', 'area', 'reason'],

@@ -2,15 +2,16 @@
 // alarm.
 
 import { html, signal, useEffect, useRef } from '../lib.js';
-import { sorted } from '../core/alarms.js';
-import { alarmName } from './alarms.js';
+import { isActive, isOpen, sorted } from '../core/alarms.js';
+import { alarmName } from './alarm.js';
 import { Force } from './force.js';
 import { noteMove } from './shield.js';
 import './title.js';
+import { alarms } from '../model/alarms.js';
 import { handOver, takeControl } from '../model/commands.js';
 import { ofProblem, t } from '../model/i18n.js';
 import { myName } from '../model/name.js';
-import { alarms, gripper, grippers, isLive, view } from '../model/store.js';
+import { gripper, grippers, isLive, view } from '../model/store.js';
 import { Shape } from '../ui/parts.js';
 
 const MAX_CLOSED = 50;
@@ -89,14 +90,15 @@ function Refused({ one }) {
 }
 
 /** Whether the view already shows the alarm elsewhere: a lost connection, a FAST STOP, or a reservation. */
-function isShown({ what, gripper: name }) {
-  if (what === 'gateway') return true;
+function isShown({ alarm, gripper: name }) {
+  if (alarm === 'no_gateway') return true;
   if (name !== gripper.value?.name) return false;
-  return what === 'reserved' || (view.value === 'operate' && /^(fast_stop|link)\//.test(what));
+  const ofView = ['fast_stop', 'not_reached', 'link_down', 'link_released'];
+  return alarm === 'holder_lost' || (view.value === 'operate' && ofView.includes(alarm));
 }
 
 function Worst() {
-  const open = sorted(alarms.value).filter((alarm) => !alarm.acknowledgedAt && !alarm.clearedAt && !isShown(alarm));
+  const open = sorted(alarms.value).filter((alarm) => isOpen(alarm) && isActive(alarm) && !isShown(alarm));
   if (open.length === 0) return null;
   const [worst] = open;
   return html`<${Notice} kind="alarm" tone=${`tone-${worst.priority}`} shape=${worst.priority}

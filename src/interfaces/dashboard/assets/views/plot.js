@@ -5,12 +5,6 @@ import uPlot from '../vendor/uplot.js';
 import { fixed, language } from '../model/i18n.js';
 import { isDark } from '../model/prefs.js';
 
-// Loaded here, because the page does not need this style before its first plot.
-const style = document.createElement('link');
-style.rel = 'stylesheet';
-style.href = new URL('../vendor/uplot.css', import.meta.url).href;
-document.head.append(style);
-
 export const css = (name) => getComputedStyle(document.documentElement).getPropertyValue(name).trim();
 
 /** Theme and language of a plot, which is recreated when they change. */

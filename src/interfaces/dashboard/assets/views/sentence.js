@@ -24,6 +24,8 @@ export function sentence(event) {
       return { key: 'event.refused', with: { command: event.command } };
     case 'gateway':
       return { key: `event.${event.event}`, with: { version: event.version ?? '', count: event.count ?? '' } };
+    case 'alarm':
+      return { key: `event.alarm.${event.event}`, of: { alarm: `alarm.${event.alarm}` } };
     default:
       return { key: null };
   }

@@ -37,6 +37,11 @@ function textOf(event) {
   return Object.values(words).join(': ') || t(`kind.${event.kind}`);
 }
 
+/** The client of an event. A command's holder is the name of its user. */
+function whoText({ kind, subject, reason, holder }) {
+  return subject ? person(subject, reason, kind === 'command' ? holder : null) : '';
+}
+
 const NUMBERS = ['width', 'history.peak', 'history.contact', 'history.duration'];
 
 const Head = ({ columns }) =>
@@ -53,7 +58,7 @@ export function Events({ list, isOfAll }) {
       <td>${moment(event.at)}</td>${isOfAll && html`<td>${event.gripper ?? '–'}</td>`}<td>${t(`kind.${event.kind}`)}</td>
       <td class="wide">${textOf(event)} <span class="muted small">${details(event)
         .map(([field, given]) => `${t(`detail.${field}`)} ${valueText(field, given)}`)
-        .join(', ')}</span></td><td>${event.subject ? person(event.subject, event.reason) : ''}</td></tr>`,
+        .join(', ')}</span></td><td>${whoText(event)}</td></tr>`,
     )}
             </tbody></table>`;
 }

@@ -2,7 +2,9 @@
 
 import { effect, signal } from '../lib.js';
 import { get } from '../net/rest.js';
-import { alarms, gripper, isLive } from '../model/store.js';
+import { isOpen } from '../core/alarms.js';
+import { alarms } from '../model/alarms.js';
+import { gripper, isLive } from '../model/store.js';
 
 const gateway = signal('WSG Gateway');
 
@@ -18,6 +20,6 @@ effect(() => {
 });
 
 effect(() => {
-  const open = alarms.value.filter(({ acknowledgedAt }) => !acknowledgedAt).length;
+  const open = alarms.value.filter(isOpen).length;
   document.title = [open > 0 ? `(${open})` : '', gripper.value?.name, '–', gateway.value].filter(Boolean).join(' ');
 });

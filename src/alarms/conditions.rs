@@ -1,0 +1,79 @@
+//! The conditions that raise alarms, as a gripper's state shows them.
+
+use std::sync::Arc;
+
+use super::list::{AlarmKey, Conditions};
+use crate::gripper::model::{AlarmCause, AlarmKind, Fault, Link, State};
+
+/// Flags of the device that raise alarms.
+const FLAGS: [(&str, AlarmKind); 6] = [
+    ("TEMP_FAULT", AlarmKind::TemperatureFault),
+    ("POWER_FAULT", AlarmKind::PowerFault),
+    ("CURR_FAULT", AlarmKind::CurrentFault),
+    ("FINGER_FAULT", AlarmKind::FingerFault),
+    ("TEMP_WARNING", AlarmKind::TemperatureWarning),
+    ("SCRIPT_FAILURE", AlarmKind::ScriptFailure),
+];
+
+/// Faults that `fault_code` shows while no more important one hides them.
+const FAULTS: [(Fault, AlarmKind); 2] =
+    [(Fault::DeviceError, AlarmKind::DeviceError), (Fault::SettingsLost, AlarmKind::SettingsLost)];
+
+/// Returns a cause that is a text.
+pub(super) fn text(cause: &str) -> AlarmCause {
+    AlarmCause { cause: Some(cause.into()), ..AlarmCause::default() }
+}
+
+/// Adds the conditions of a gripper. Shortly after the start, a device has not had the time to connect.
+pub(super) fn of_gripper(state: &State, is_starting: bool, conditions: &mut Conditions) {
+    let mut add = |alarm, cause: Option<AlarmCause>| {
+        let key = AlarmKey { alarm, gripper: Some(state.gripper.clone()), gateway: None };
+        conditions.insert(key, cause);
+    };
+    match (&state.latch, state.fast_stop) {
+        (Some(latch), _) => {
+            let cause = AlarmCause {
+                cause: Some(latch.fast_stop_cause.name().into()),
+                fast_stop_id: Some(latch.fast_stop_id),
+                fast_stop_by: Some(latch.fast_stop_by.clone()),
+                fast_stop_reason: Some(latch.fast_stop_reason.as_str().into()),
+            };
+            add(AlarmKind::FastStop, Some(cause));
+        }
+        (None, None) => add(AlarmKind::FastStop, None),
+        (None, Some(_)) => {}
+    }
+    let link_cause = || state.link_cause.as_deref().map_or_else(AlarmCause::default, text);
+    match state.link {
+        Link::Connected => {}
+        Link::Connecting if is_starting => {
+            add(AlarmKind::NotReached, None);
+            add(AlarmKind::LinkDown, None);
+        }
+        Link::Connecting => add(AlarmKind::NotReached, Some(link_cause())),
+        Link::Unresponsive | Link::Reconnecting => add(AlarmKind::LinkDown, Some(link_cause())),
+        Link::Released => add(AlarmKind::LinkReleased, Some(link_cause())),
+    }
+    if let (Some(holder), None) = (&state.reserved_for, &state.lease_holder) {
+        add(AlarmKind::HolderLost, Some(AlarmCause { cause: Some(Arc::clone(holder)), ..AlarmCause::default() }));
+    }
+    let is_linked = state.link == Link::Connected;
+    for (flag, alarm) in FLAGS {
+        match is_linked {
+            true if state.flags.contains(&flag) => add(alarm, Some(AlarmCause::default())),
+            true => {}
+            false => add(alarm, None),
+        }
+    }
+    match is_linked {
+        true if state.state == Some("PART_LOST") => add(AlarmKind::PartLost, Some(AlarmCause::default())),
+        true => {}
+        false => add(AlarmKind::PartLost, None),
+    }
+    for (fault, alarm) in FAULTS {
+        match state.fault_code {
+            0 => {}
+            code => add(alarm, (code == fault.code()).then(AlarmCause::default)),
+        }
+    }
+}

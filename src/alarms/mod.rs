@@ -1,0 +1,210 @@
+//! Alarms: conditions of the grippers and of the gateway that a person has to know of. All clients share them.
+//!
+//! An alarm is listed while its condition lasts, and afterwards until somebody acknowledges it. Acknowledging an alarm
+//! changes nothing at the device: a FAST STOP stays latched until its own acknowledgement, which ends its alarm too.
+//! The list survives a restart. Each step is an event of kind `alarm` in the journal, which is the alarms' history.
+
+mod conditions;
+mod list;
+#[cfg(test)]
+mod tests;
+
+use std::collections::BTreeSet;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use serde::{Deserialize, Serialize};
+use tokio::sync::broadcast::error::RecvError;
+use tokio::time::{MissedTickBehavior, interval};
+use tokio_util::sync::CancellationToken;
+use utoipa::ToSchema;
+
+use crate::fleet::Peers;
+use crate::gripper::model::{
+    Alarm, AlarmCause, AlarmEvent, AlarmId, AlarmKind, AlarmStep, Client, Detail, Event, FastStopId, Name,
+    PersistedKey, PersistedState,
+};
+use crate::gripper::recorder::{Record, Recorder as _};
+use crate::gripper::{Grippers, Now};
+use crate::journal::{EventKind, Journal, Stored};
+use conditions::{of_gripper, text};
+use list::{AlarmChange, AlarmKey, AlarmList, Conditions};
+
+/// Interval at which conditions are checked. Faults last until a person acts, so none is missed.
+const CHECKED_EVERY: Duration = Duration::from_millis(100);
+
+/// Time after the start in which a device that is not reached raises no alarm.
+const REACHED_WITHIN: Duration = Duration::from_secs(3);
+
+/// The alarms of this gateway.
+#[derive(Debug)]
+pub struct Alarms {
+    gateway: Name,
+    journal: Journal,
+    known: Mutex<KnownAlarms>,
+}
+
+/// The alarms that are active or not acknowledged.
+#[derive(Debug, Serialize, ToSchema)]
+pub struct AlarmReport {
+    /// The alarms, by kind, gripper and gateway.
+    alarms: Vec<Alarm>,
+}
+
+#[derive(Debug, Default)]
+struct KnownAlarms {
+    list: AlarmList,
+    /// Number of changes so far.
+    changes: u64,
+}
+
+/// The journal's record of an acknowledged FAST STOP.
+#[derive(Deserialize)]
+struct ClearedLatch {
+    gripper: Name,
+    subject: Option<Arc<str>>,
+    fast_stop_id: Option<FastStopId>,
+    cleared: bool,
+}
+
+impl Alarms {
+    /// Continues the alarms that the last run persisted.
+    #[must_use]
+    pub fn new(gateway: Name, journal: Journal, persisted: &[PersistedState]) -> Self {
+        let mut restored = Vec::new();
+        for state in persisted.iter().filter(|state| state.key == PersistedKey::Alarms) {
+            let alarms = serde_json::from_str::<Vec<Alarm>>(state.value.as_deref().unwrap_or("[]"));
+            match alarms {
+                Ok(alarms) => restored.extend(alarms),
+                Err(error) => tracing::warn!(%error, "persisted alarms not restored: they have another form"),
+            }
+            // The gateway had another name in that run.
+            if state.gripper != gateway {
+                journal.record(Record::Persisted(PersistedState { value: None, ..state.clone() }));
+            }
+        }
+        let known = KnownAlarms { list: AlarmList::restored(restored), changes: 0 };
+        Self { gateway, journal, known: Mutex::new(known) }
+    }
+
+    /// Number of changes so far.
+    #[must_use]
+    pub fn changes(&self) -> u64 {
+        self.known().changes
+    }
+
+    /// Returns the number of changes so far, and the alarms that are active or not acknowledged.
+    #[must_use]
+    pub fn read(&self) -> (u64, AlarmReport) {
+        let known = self.known();
+        (known.changes, AlarmReport { alarms: known.list.alarms() })
+    }
+
+    /// Acknowledges the alarms with these ids, and returns those that are listed.
+    pub fn acknowledge(&self, ids: &BTreeSet<AlarmId>, client: &Client) -> Vec<Alarm> {
+        let mut known = self.known();
+        let (alarms, changes) = known.list.acknowledge(ids, &client.subject, Now::read().wall);
+        self.note(&mut known, changes, Some(client));
+        alarms
+    }
+
+    /// Follows the conditions until the gateway closes.
+    pub async fn watch(self: Arc<Self>, grippers: Grippers, peers: Arc<Peers>, closing: CancellationToken) {
+        let mut events = self.journal.subscribe();
+        let started = Now::read().instant;
+        let mut ticks = interval(CHECKED_EVERY);
+        ticks.set_missed_tick_behavior(MissedTickBehavior::Skip);
+        loop {
+            tokio::select! {
+                biased;
+                () = closing.cancelled() => return,
+                event = events.recv() => match event {
+                    Ok(event) => self.take(&event),
+                    // A missed acknowledgement shows in the gripper's state.
+                    Err(RecvError::Lagged(_)) => {}
+                    Err(RecvError::Closed) => return,
+                },
+                _ = ticks.tick() => {
+                    let now = Now::read();
+                    let is_starting = now.instant.saturating_duration_since(started) < REACHED_WITHIN;
+                    self.look(now, &self.conditions(&grippers, &peers, is_starting));
+                }
+            }
+        }
+    }
+
+    fn conditions(&self, grippers: &Grippers, peers: &Peers, is_starting: bool) -> Conditions {
+        let mut conditions = Conditions::new();
+        for gripper in grippers.iter() {
+            of_gripper(&gripper.state(), is_starting, &mut conditions);
+        }
+        let mut add = |alarm, gateway, cause| {
+            conditions.insert(AlarmKey { alarm, gripper: None, gateway }, Some(cause));
+        };
+        let health = self.journal.health();
+        let health = health.borrow();
+        if let Some(failure) = &health.failure {
+            add(AlarmKind::JournalDown, None, text(failure));
+        }
+        if let Some(damage) = &health.damage {
+            add(AlarmKind::JournalDamaged, None, text(damage));
+        }
+        for (gateway, _) in peers.gateways().into_iter().filter(|(_, is_gone)| *is_gone) {
+            add(AlarmKind::GatewayGone, Some(gateway), AlarmCause::default());
+        }
+        conditions
+    }
+
+    fn look(&self, now: Now, conditions: &Conditions) {
+        let mut known = self.known();
+        let changes = known.list.look(now, conditions);
+        self.note(&mut known, changes, None);
+    }
+
+    /// Takes the acknowledgement of a FAST STOP, on any interface.
+    fn take(&self, event: &Stored) {
+        if event.kind != EventKind::Acknowledge {
+            return;
+        }
+        let Ok(ClearedLatch { gripper, subject, fast_stop_id: Some(id), cleared: true }) =
+            serde_json::from_str(&event.body)
+        else {
+            return;
+        };
+        let mut known = self.known();
+        let changes = known.list.end_fast_stop(&gripper, id, subject, Now::read().wall);
+        self.note(&mut known, changes, None);
+    }
+
+    /// Persists and records changes.
+    fn note(&self, known: &mut KnownAlarms, changes: Vec<AlarmChange>, client: Option<&Client>) {
+        if changes.is_empty() {
+            return;
+        }
+        known.changes += 1;
+        let value = serde_json::to_string(&known.list.alarms());
+        match value {
+            Ok(value) => self.journal.record(Record::Persisted(PersistedState {
+                gripper: self.gateway.clone(),
+                key: PersistedKey::Alarms,
+                value: Some(value),
+            })),
+            Err(error) => tracing::error!(%error, "alarms not persisted: they have no JSON form"),
+        }
+        for (step, alarm) in changes {
+            let detail = Detail::Alarm(AlarmEvent::of(step, &alarm));
+            let event = Event::new(Now::read().wall, alarm.gripper, detail);
+            let event = match (step, client) {
+                (AlarmStep::Acknowledged, Some(client)) => event.by(client),
+                (AlarmStep::Acknowledged, None) => Event { subject: alarm.acknowledged_by, ..event },
+                _ => event,
+            };
+            self.journal.record(Record::Event(event, None));
+        }
+    }
+
+    fn known(&self) -> MutexGuard<'_, KnownAlarms> {
+        // A panic under the lock leaves at most one change unrecorded.
+        self.known.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}

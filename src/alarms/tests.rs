@@ -1,0 +1,205 @@
+//! Alarms of invented conditions, and of a journal.
+
+use std::time::Instant;
+
+use jiff::{SignedDuration, Timestamp};
+
+use super::*;
+use crate::gripper::model::{Door, Fault, Link, State};
+use crate::journal::{JournalLocation, Retention};
+
+/// A list, and a time that passes.
+struct Scene {
+    list: AlarmList,
+    now: Now,
+}
+
+impl Scene {
+    fn new() -> Self {
+        let wall = Timestamp::from_millisecond(1_795_258_800_000).unwrap();
+        Self { list: AlarmList::default(), now: Now { instant: Instant::now(), wall } }
+    }
+
+    fn after(&mut self, seconds: u64) -> &mut Self {
+        self.now.instant += Duration::from_secs(seconds);
+        self.now.wall += SignedDuration::from_secs(seconds.cast_signed());
+        self
+    }
+
+    /// Shows these conditions, and returns the steps.
+    fn see(&mut self, conditions: &[(AlarmKey, Option<AlarmCause>)]) -> Vec<AlarmStep> {
+        let changes = self.list.look(self.now, &conditions.iter().cloned().collect());
+        changes.into_iter().map(|(step, _)| step).collect()
+    }
+
+    fn only(&self) -> Alarm {
+        let alarms = self.list.alarms();
+        assert_eq!(alarms.len(), 1, "{alarms:?}");
+        alarms[0].clone()
+    }
+
+    fn acknowledge(&mut self, id: AlarmId) -> usize {
+        self.list.acknowledge(&[id].into(), &"Anna".into(), self.now.wall).0.len()
+    }
+}
+
+fn key(alarm: AlarmKind) -> AlarmKey {
+    AlarmKey { alarm, gripper: Some("left".parse().unwrap()), gateway: None }
+}
+
+fn down() -> (AlarmKey, Option<AlarmCause>) {
+    (key(AlarmKind::LinkDown), Some(text("refused")))
+}
+
+fn stopped(id: FastStopId) -> (AlarmKey, Option<AlarmCause>) {
+    (key(AlarmKind::FastStop), Some(AlarmCause { fast_stop_id: Some(id), ..AlarmCause::default() }))
+}
+
+#[test]
+fn ended_alarm_stays_until_acknowledged() {
+    let mut scene = Scene::new();
+    assert_eq!(scene.see(&[down()]), [AlarmStep::Raised]);
+    assert_eq!(scene.see(&[down()]), []);
+    let began_at = scene.only().began_at;
+    assert_eq!(scene.after(5).see(&[]), [], "a condition can flicker");
+    let absent_at = scene.now.wall;
+    assert_eq!(scene.after(1).see(&[]), [AlarmStep::Ended]);
+    let alarm = scene.only();
+    assert_eq!((alarm.began_at, alarm.ended_at, alarm.acknowledged_at), (began_at, Some(absent_at), None));
+    assert_eq!(scene.acknowledge(alarm.id), 1);
+    assert_eq!(scene.list.alarms(), []);
+    assert_eq!(scene.acknowledge(alarm.id), 0);
+}
+
+#[test]
+fn acknowledged_alarm_stays_while_active() {
+    let mut scene = Scene::new();
+    scene.see(&[down()]);
+    let id = scene.only().id;
+    assert_eq!([scene.acknowledge(id), scene.after(9).acknowledge(id)], [1, 1]);
+    let alarm = scene.only();
+    assert_eq!((alarm.acknowledged_by.as_deref(), alarm.ended_at), (Some("Anna"), None));
+    assert_eq!(alarm.acknowledged_at, Some(alarm.began_at), "the first acknowledgement counts");
+    scene.see(&[]);
+    assert_eq!(scene.after(1).see(&[]), [AlarmStep::Ended]);
+    assert_eq!(scene.list.alarms(), []);
+}
+
+#[test]
+fn recurrence_counts_and_needs_its_own_acknowledgement() {
+    let mut scene = Scene::new();
+    scene.see(&[down()]);
+    let first = scene.only();
+    scene.see(&[]);
+    scene.after(1).see(&[]);
+    assert_eq!(scene.after(1).see(&[down()]), [AlarmStep::Raised]);
+    let second = scene.only();
+    assert_eq!((second.count, second.ended_at, second.began_at), (2, None, scene.now.wall));
+    assert_eq!(scene.acknowledge(first.id), 0, "what nobody has seen is not acknowledged");
+}
+
+#[test]
+fn flickering_condition_is_one_alarm() {
+    let mut scene = Scene::new();
+    let steps: Vec<_> = (0..100)
+        .flat_map(|round| {
+            scene.now.instant += Duration::from_millis(400);
+            scene.see(&[down()][..round % 2])
+        })
+        .collect();
+    assert_eq!(steps, [AlarmStep::Raised]);
+}
+
+#[test]
+fn unknown_condition_changes_nothing() {
+    let mut scene = Scene::new();
+    let warm = (key(AlarmKind::TemperatureWarning), Some(AlarmCause::default()));
+    let unknown = (key(AlarmKind::TemperatureWarning), None);
+    assert_eq!(scene.see(std::slice::from_ref(&unknown)), []);
+    scene.see(&[warm]);
+    assert_eq!(scene.after(60).see(&[unknown]), []);
+    assert_eq!(scene.only().ended_at, None);
+}
+
+#[test]
+fn fast_stop_alarm_ends_with_its_latch() {
+    let (mut scene, gripper) = (Scene::new(), "left".parse().unwrap());
+    let [first, second] = [FastStopId::generate(), FastStopId::generate()];
+    scene.see(&[stopped(first)]);
+    let at = scene.now.wall;
+    assert_eq!(scene.list.end_fast_stop(&gripper, second, None, at), []);
+    let changes = scene.list.end_fast_stop(&gripper, first, Some("ws:10.0.0.5".into()), at);
+    assert_eq!(changes.iter().map(|(step, _)| *step).collect::<Vec<_>>(), [AlarmStep::Acknowledged, AlarmStep::Ended]);
+    assert_eq!(changes[1].1.acknowledged_by.as_deref(), Some("ws:10.0.0.5"));
+    assert_eq!(scene.list.alarms(), []);
+    // A FAST STOP that follows at once is another alarm.
+    scene.see(&[stopped(first)]);
+    assert_eq!(scene.see(&[stopped(second)]), [AlarmStep::Ended, AlarmStep::Raised]);
+    assert_eq!(scene.only().cause.fast_stop_id, Some(second));
+    scene.see(&[]);
+    assert_eq!(scene.after(1).see(&[]), [AlarmStep::Ended]);
+    assert_eq!(scene.list.alarms(), []);
+}
+
+#[test]
+fn list_is_bounded() {
+    let mut scene = Scene::new();
+    let gone = |number: usize| {
+        let gateway = Some(format!("cell-{number}").parse().unwrap());
+        (AlarmKey { alarm: AlarmKind::GatewayGone, gripper: None, gateway }, Some(AlarmCause::default()))
+    };
+    scene.see(&(0..1500).map(gone).collect::<Vec<_>>());
+    assert_eq!(scene.list.alarms().len(), 1024);
+    scene.see(&[]);
+    scene.after(1).see(&[]);
+    scene.see(&[down()]);
+    let alarms = scene.list.alarms();
+    assert_eq!((alarms.len(), alarms[0].alarm), (1024, AlarmKind::LinkDown), "a new alarm replaces an ended one");
+}
+
+fn raised_by(state: &State) -> Vec<AlarmKind> {
+    let mut conditions = Conditions::new();
+    of_gripper(state, false, &mut conditions);
+    conditions.into_iter().filter_map(|(key, cause)| cause.map(|_| key.alarm)).collect()
+}
+
+#[test]
+fn state_shows_its_conditions() {
+    let unknown = State::unknown("left".parse().unwrap());
+    assert_eq!(raised_by(&unknown), [AlarmKind::NotReached]);
+    let fine = State { link: Link::Connected, fault_code: 0, fast_stop: Some(false), ..unknown };
+    assert_eq!(raised_by(&fine), []);
+    let reserved = State { reserved_for: Some("Anna".into()), ..fine.clone() };
+    assert_eq!(raised_by(&reserved), [AlarmKind::HolderLost]);
+    assert_eq!(raised_by(&State { lease_holder: Some("Ben".into()), ..reserved }), []);
+    let hot = State { flags: vec!["MOVING", "TEMP_WARNING", "FINGER_FAULT"], ..fine.clone() };
+    assert_eq!(raised_by(&hot), [AlarmKind::FingerFault, AlarmKind::TemperatureWarning]);
+    assert_eq!(raised_by(&State { link: Link::Reconnecting, ..hot }), [AlarmKind::LinkDown]);
+    assert_eq!(raised_by(&State { state: Some("PART_LOST"), ..fine.clone() }), [AlarmKind::PartLost]);
+    let failed = State { fault_code: Fault::DeviceError.code(), ..fine };
+    assert_eq!(raised_by(&failed), [AlarmKind::DeviceError]);
+}
+
+#[tokio::test]
+async fn alarms_survive_a_restart() {
+    let folder = std::env::temp_dir().join(format!("wsg-alarms-{}", uuid::Uuid::now_v7()));
+    std::fs::create_dir(&folder).unwrap();
+    let place = || JournalLocation::File(folder.join("journal.db"));
+    let gateway = || "wsg".parse().unwrap();
+    let (journal, _) = Journal::open(place(), Retention::default()).unwrap();
+    let alarms = Alarms::new(gateway(), journal.clone(), &[]);
+    alarms.look(Now::read(), &[down()].into());
+    let before = alarms.read().1.alarms;
+    journal.close().await.unwrap();
+    let (journal, recovered) = Journal::open(place(), Retention::default()).unwrap();
+    let alarms = Alarms::new(gateway(), journal.clone(), &recovered.memory);
+    assert_eq!(alarms.read().1.alarms, before);
+    let client = Client { subject: "http:10.0.0.5".into(), door: Door::Http };
+    alarms.acknowledge(&[before[0].id].into(), &client);
+    journal.close().await.unwrap();
+    // The gateway's name can change.
+    let (journal, recovered) = Journal::open(place(), Retention::default()).unwrap();
+    let alarms = Alarms::new("cell-7".parse().unwrap(), journal, &recovered.memory).read().1.alarms;
+    assert_eq!(alarms[0].acknowledged_by.as_deref(), Some("http:10.0.0.5"));
+    std::fs::remove_dir_all(folder).unwrap();
+}

@@ -1,0 +1,193 @@
+//! Alarms: conditions that a person has to know of, until they have ended and are acknowledged.
+
+use std::sync::Arc;
+
+use jiff::Timestamp;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use super::{AlarmId, FastStopId, Name};
+
+/// Condition that raises an alarm.
+///
+/// - `fast_stop`: a FAST STOP is latched; its acknowledgement also acknowledges the alarm
+/// - `temperature_fault`, `power_fault`, `current_fault`, `finger_fault`: a fault flag of the device
+/// - `device_error`: the device is in the state ERROR, and nobody has acknowledged a FAST STOP since
+/// - `not_reached`: the device has not been reached since the gateway started
+/// - `link_down`: the link to the device is lost, or the device is silent
+/// - `link_released`: the link was closed by a `disconnect` request
+/// - `holder_lost`: the lease holder was lost while a part was held, and the gripper is reserved for it
+/// - `part_lost`: the device has lost its part
+/// - `settings_lost`: the device lost settings that could not be restored
+/// - `journal_down`: the journal cannot be written
+/// - `journal_damaged`: earlier records of the journal are damaged
+/// - `gateway_gone`: another gateway of the fleet is gone
+/// - `temperature_warning`, `script_failure`: a warning flag of the device
+#[derive(
+    Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, ToSchema, strum::VariantArray,
+)]
+#[serde(rename_all = "snake_case")]
+pub enum AlarmKind {
+    FastStop,
+    TemperatureFault,
+    PowerFault,
+    CurrentFault,
+    FingerFault,
+    DeviceError,
+    NotReached,
+    LinkDown,
+    LinkReleased,
+    HolderLost,
+    PartLost,
+    SettingsLost,
+    JournalDown,
+    JournalDamaged,
+    GatewayGone,
+    TemperatureWarning,
+    ScriptFailure,
+}
+
+impl AlarmKind {
+    #[must_use]
+    pub const fn priority(self) -> AlarmPriority {
+        match self {
+            Self::FastStop
+            | Self::TemperatureFault
+            | Self::PowerFault
+            | Self::CurrentFault
+            | Self::FingerFault
+            | Self::DeviceError => AlarmPriority::Critical,
+            Self::NotReached
+            | Self::LinkDown
+            | Self::HolderLost
+            | Self::PartLost
+            | Self::SettingsLost
+            | Self::JournalDown
+            | Self::JournalDamaged
+            | Self::GatewayGone => AlarmPriority::High,
+            Self::LinkReleased | Self::TemperatureWarning | Self::ScriptFailure => AlarmPriority::Low,
+        }
+    }
+}
+
+/// Priority of an alarm, highest first.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum AlarmPriority {
+    Critical,
+    High,
+    Low,
+}
+
+/// What raised an alarm.
+#[derive(Debug, Clone, PartialEq, Eq, Default, Serialize, Deserialize, ToSchema)]
+pub struct AlarmCause {
+    /// Cause as text: the cause of a FAST STOP or of a lost link, or the name of a lost lease holder. Null if the kind
+    /// of the alarm says everything.
+    #[schema(value_type = Option<String>, required)]
+    pub cause: Option<Arc<str>>,
+    /// Id of the FAST STOP; null for other alarms.
+    #[schema(value_type = Option<uuid::Uuid>, required)]
+    pub fast_stop_id: Option<FastStopId>,
+    /// Subject of the client that requested the FAST STOP, or `device`; null for other alarms.
+    #[schema(value_type = Option<String>, required)]
+    pub fast_stop_by: Option<Arc<str>>,
+    /// Reason given for the FAST STOP, may be empty; null for other alarms.
+    #[schema(value_type = Option<String>, required)]
+    pub fast_stop_reason: Option<Arc<str>>,
+}
+
+/// An alarm that is active, or not acknowledged yet.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
+#[schema(example = json!({
+    "id": "019aa5c8-5a71-7d02-8c11-5b6f0e2d9a34", "alarm": "link_down", "priority": "high", "gripper": "left",
+    "gateway": null, "cause": "connection refused", "fast_stop_id": null, "fast_stop_by": null,
+    "fast_stop_reason": null, "began_at": "2026-11-21T09:00:00.250Z", "ended_at": null, "count": 1,
+    "acknowledged_at": null, "acknowledged_by": null
+}))]
+pub struct Alarm {
+    /// Id to name in the acknowledgement. Each occurrence has an id of its own.
+    #[schema(value_type = uuid::Uuid)]
+    pub id: AlarmId,
+    /// Kind of the alarm.
+    pub alarm: AlarmKind,
+    /// Priority of this kind.
+    pub priority: AlarmPriority,
+    /// Name of the gripper; null if the alarm concerns the gateway.
+    #[schema(value_type = Option<String>, required, max_length = 32)]
+    pub gripper: Option<Name>,
+    /// Name of the gateway that is gone; null for other alarms.
+    #[schema(value_type = Option<String>, required, max_length = 32)]
+    pub gateway: Option<Name>,
+    #[serde(flatten)]
+    pub cause: AlarmCause,
+    /// Time at which the newest occurrence began.
+    #[serde(serialize_with = "super::time::milliseconds")]
+    #[schema(value_type = String, format = DateTime)]
+    pub began_at: Timestamp,
+    /// Time at which it ended; null while the alarm is active.
+    #[serde(serialize_with = "super::time::milliseconds_or_null")]
+    #[schema(value_type = Option<String>, format = DateTime, required)]
+    pub ended_at: Option<Timestamp>,
+    /// Number of occurrences since the last acknowledgement.
+    #[schema(minimum = 1, maximum = 9_007_199_254_740_991_i64)]
+    pub count: u64,
+    /// Time of the acknowledgement; null if nobody has acknowledged the alarm yet.
+    #[serde(serialize_with = "super::time::milliseconds_or_null")]
+    #[schema(value_type = Option<String>, format = DateTime, required)]
+    pub acknowledged_at: Option<Timestamp>,
+    /// Subject of the client that acknowledged the alarm; null if nobody has, or if it is unknown who did.
+    #[schema(value_type = Option<String>, required)]
+    pub acknowledged_by: Option<Arc<str>>,
+}
+
+/// Step in the life of an alarm.
+#[derive(Debug, Clone, PartialEq, Serialize, ToSchema)]
+pub struct AlarmEvent {
+    /// Step that was reached.
+    pub event: AlarmStep,
+    /// Id of the occurrence.
+    #[schema(value_type = uuid::Uuid)]
+    pub alarm_id: AlarmId,
+    /// Kind of the alarm.
+    pub alarm: AlarmKind,
+    /// Priority of this kind.
+    pub priority: AlarmPriority,
+    /// Name of the gateway that is gone; absent for other alarms.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<String>, nullable = false, max_length = 32)]
+    pub gateway: Option<Name>,
+    /// Number of occurrences since the last acknowledgement.
+    #[schema(minimum = 1, maximum = 9_007_199_254_740_991_i64)]
+    pub count: u64,
+    #[serde(flatten)]
+    pub cause: AlarmCause,
+}
+
+impl AlarmEvent {
+    #[must_use]
+    pub fn of(event: AlarmStep, alarm: &Alarm) -> Self {
+        Self {
+            event,
+            alarm_id: alarm.id,
+            alarm: alarm.alarm,
+            priority: alarm.priority,
+            gateway: alarm.gateway.clone(),
+            count: alarm.count,
+            cause: alarm.cause.clone(),
+        }
+    }
+}
+
+/// Step in the life of an alarm.
+///
+/// - `raised`: the condition began
+/// - `ended`: the condition ended
+/// - `acknowledged`: a client acknowledged the alarm
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize, ToSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum AlarmStep {
+    Raised,
+    Ended,
+    Acknowledged,
+}

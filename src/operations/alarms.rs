@@ -1,0 +1,64 @@
+//! The alarms, and their acknowledgement.
+
+use std::collections::BTreeSet;
+
+use http::Method as Verb;
+use serde::{Deserialize, Serialize};
+use utoipa::ToSchema;
+
+use super::call::{Call, NoFields};
+use super::operation::{Operation, ready};
+use super::problem::Problem;
+use super::reply::Json;
+use crate::alarms::AlarmReport;
+use crate::gripper::model::{Alarm, AlarmId};
+
+pub const LIST: Operation = Operation::read("alarms", "/alarms", |call| ready(list(&call)));
+pub const ACKNOWLEDGE: Operation =
+    Operation::change("alarms.acknowledge", &Verb::POST, "/alarms/acknowledge", |call| ready(acknowledge(&call)));
+
+/// Most alarms that one request acknowledges: all that can be listed.
+const MAX_IDS: usize = 1024;
+
+fn list(call: &Call) -> Result<Json<AlarmReport>, Problem> {
+    let NoFields {} = call.fields()?;
+    Ok(Json(call.gateway.alarms.read().1))
+}
+
+/// The alarms to acknowledge.
+#[derive(Debug, Deserialize, ToSchema)]
+#[serde(deny_unknown_fields)]
+#[schema(example = json!({"ids": ["019aa5c8-5a71-7d02-8c11-5b6f0e2d9a34"]}))]
+pub struct AcknowledgeAlarms {
+    /// Ids of the alarms, as listed.
+    #[schema(value_type = Vec<uuid::Uuid>, min_items = 1, max_items = 1024)]
+    ids: Vec<String>,
+}
+
+/// Result of an acknowledgement of alarms.
+#[derive(Debug, Serialize, ToSchema)]
+#[schema(example = json!({"acknowledged": [], "unknown": ["019aa5c8-5a71-7d02-8c11-5b6f0e2d9a34"]}))]
+pub struct AlarmsAcknowledged {
+    /// The alarms after their acknowledgement. Those that have ended are not listed any more.
+    acknowledged: Vec<Alarm>,
+    /// Ids of no listed alarm: it was acknowledged before, or has occurred again with another id.
+    #[schema(value_type = Vec<uuid::Uuid>)]
+    unknown: Vec<AlarmId>,
+}
+
+fn acknowledge(call: &Call) -> Result<Json<AlarmsAcknowledged>, Problem> {
+    let AcknowledgeAlarms { ids } = call.fields()?;
+    if !(1..=MAX_IDS).contains(&ids.len()) {
+        return Err(Problem::malformed("ids", format!("ids must have 1 to {MAX_IDS} ids")));
+    }
+    let parsed = |id: String| {
+        let malformed = |error| Problem::malformed("ids", format!("ids has {id:?}, which is not a UUID: {error}"));
+        id.parse().map_err(malformed)
+    };
+    let mut ids: BTreeSet<AlarmId> = ids.into_iter().map(parsed).collect::<Result<_, _>>()?;
+    let acknowledged = call.gateway.alarms.acknowledge(&ids, &call.caller.client);
+    for alarm in &acknowledged {
+        ids.remove(&alarm.id);
+    }
+    Ok(Json(AlarmsAcknowledged { acknowledged, unknown: ids.into_iter().collect() }))
+}
