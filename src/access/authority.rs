@@ -1,4 +1,4 @@
-//! Identifies clients by what they present.
+//! Identification of clients by their credentials.
 
 use std::net::IpAddr;
 use std::sync::{Arc, PoisonError, RwLock};
@@ -16,7 +16,10 @@ use super::token::TokenSecret;
 use super::token_file::{FileVersion, StoredToken, TokenFile, TokenFileError, TokenHash, Tokens};
 use crate::gripper::model::Name;
 
-/// Who may make a FAST STOP without a credential.
+/// Pause before a file of tokens that could not be read is read again.
+const RETRIED_AFTER: Duration = Duration::from_secs(1);
+
+/// The clients that can make a FAST STOP without a credential.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum FastStopPolicy {
@@ -60,6 +63,8 @@ pub struct Guard {
 struct Cached {
     version: Option<FileVersion>,
     tokens: Option<Arc<Tokens>>,
+    /// Time of the next attempt after a failed one.
+    retry_at: Option<Instant>,
 }
 
 impl Guard {
@@ -75,7 +80,7 @@ impl Guard {
     ) -> Result<Self, TokenFileError> {
         let read = file.read()?;
         let version = read.as_ref().map(|(_, version)| *version);
-        let cached = RwLock::new(Cached { version, tokens: read.map(|(tokens, _)| Arc::new(tokens)) });
+        let cached = RwLock::new(Cached { version, tokens: read.map(|(tokens, _)| Arc::new(tokens)), retry_at: None });
         Ok(Self { file, clients, fast_stop, network_role, sessions: Sessions::new(idle_time), cached })
     }
 
@@ -83,7 +88,7 @@ impl Guard {
     fn tokens(&self) -> Option<Arc<Tokens>> {
         let version = self.file.version();
         let cached = self.cached.read().unwrap_or_else(PoisonError::into_inner);
-        if cached.version == version {
+        if cached.version == version || cached.retry_at.is_some_and(|at| Instant::now() < at) {
             return cached.tokens.clone();
         }
         drop(cached);
@@ -92,11 +97,11 @@ impl Guard {
             Ok(read) => {
                 tracing::info!(file = %self.file.path().display(), "tokens read");
                 let version = read.as_ref().map(|(_, version)| *version);
-                *cached = Cached { version, tokens: read.map(|(tokens, _)| Arc::new(tokens)) };
+                *cached = Cached { version, tokens: read.map(|(tokens, _)| Arc::new(tokens)), retry_at: None };
             }
             Err(error) => {
                 tracing::error!(%error, "tokens not read: the gateway keeps the tokens that it knows");
-                cached.version = version;
+                cached.retry_at = Some(Instant::now() + RETRIED_AFTER);
             }
         }
         cached.tokens.clone()
@@ -122,7 +127,7 @@ impl Guard {
 }
 
 impl Access {
-    /// Identifies a client by what it presents, or else by its address.
+    /// Identifies a client by its credential, or else by its address.
     ///
     /// # Errors
     /// The reason why the client is unknown.
@@ -133,9 +138,21 @@ impl Access {
             Credential::Malformed => Err(Unauthorized::Malformed),
             Credential::Token(secret) => guard.by_hash(|tokens| Some(tokens.hash(secret)), Proof::Token),
             Credential::Session(id) => {
-                let hash = guard.sessions.token(Instant::now(), id).ok_or(Unauthorized::SessionEnded)?;
+                let hash = guard.sessions.used(Instant::now(), id).ok_or(Unauthorized::SessionEnded)?;
                 guard.by_hash(|_| Some(hash), Proof::Session).map_err(|_| Unauthorized::SessionEnded)
             }
+        }
+    }
+
+    /// Whether the client of a connection is still known. This does not count as a use of its session.
+    #[must_use]
+    pub fn knows(&self, credential: &Credential, peer: Option<IpAddr>) -> bool {
+        match (self, credential) {
+            (Self::Guarded(guard), Credential::Session(id)) => {
+                let hash = guard.sessions.token(Instant::now(), id);
+                hash.is_some_and(|hash| guard.by_hash(|_| Some(hash), Proof::Session).is_ok())
+            }
+            _ => self.identify(credential, peer).is_ok(),
         }
     }
 

@@ -1,4 +1,4 @@
-//! What a client presents to be identified.
+//! The credentials that clients present.
 
 use std::fmt;
 
@@ -8,7 +8,7 @@ use ring::rand::{SecureRandom as _, SystemRandom};
 
 use super::token::TokenSecret;
 
-/// What a client presents.
+/// A credential, as a client presents it.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Credential {
     /// Nothing; its address can still identify the client.

@@ -28,7 +28,7 @@ pub enum Scope {
     Only(BTreeSet<Name>),
 }
 
-/// What identifies a client.
+/// The evidence of a client's identity.
 ///
 /// - `none`: nothing; the gateway needs no credentials
 /// - `token`: a token

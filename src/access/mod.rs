@@ -1,6 +1,6 @@
-//! Who may do what: roles, credentials, and the check of both.
+//! Access control: roles, credentials, and the check of both.
 //!
-//! An interface collects what a client presents as a [`Credential`], and [`Access::identify`] returns the client's
+//! An interface collects a client's [`Credential`], and [`Access::identify`] returns the client's
 //! [`Identity`]. The operations compare it with the [`Right`] that they need. No interface decides itself.
 
 mod authority;

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-/// What a client may do. Every role may make FAST STOPs.
+/// The rights of a client. Every role may make FAST STOPs.
 ///
 /// - `stop`: makes FAST STOPs and Stops, and nothing else, e.g. for the controller of a light curtain
 /// - `observer`: reads
@@ -32,7 +32,7 @@ pub enum Role {
     Supervisor,
 }
 
-/// What an operation needs of its caller.
+/// The right that an operation requires.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, strum::VariantArray)]
 pub enum Right {
     /// Makes a FAST STOP.

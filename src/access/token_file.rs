@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write as _};
-use std::os::unix::fs::{MetadataExt as _, OpenOptionsExt as _};
+use std::os::unix::fs::{MetadataExt as _, OpenOptionsExt as _, fchown};
 use std::path::{Path, PathBuf};
 
 use jiff::Timestamp;
@@ -77,9 +77,9 @@ impl std::fmt::Debug for HashKey {
     }
 }
 
-/// Identifies one version of a file: its inode, size and time of change.
+/// Identifies one version of a file: its inode, size, and the times at which content and permissions changed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) struct FileVersion(u64, u64, i64, i64);
+pub(super) struct FileVersion([i64; 6]);
 
 /// Reason why tokens cannot be read or changed, with the remedy.
 #[derive(Debug, thiserror::Error)]
@@ -158,7 +158,7 @@ impl TokenFile {
         Ok(self.read()?.map_or_else(Vec::new, |(content, _)| content.tokens))
     }
 
-    /// The current version of the file; `None` if there is none.
+    /// The current version of the file; `None` if the file does not exist.
     pub(super) fn version(&self) -> Option<FileVersion> {
         fs::metadata(&self.path).ok().map(|metadata| FileVersion::of(&metadata))
     }
@@ -194,7 +194,18 @@ impl TokenFile {
 
     fn write(&self, content: &Tokens) -> io::Result<()> {
         let unfinished = self.path.with_extension("unfinished");
-        let mut file = OpenOptions::new().write(true).create(true).truncate(true).mode(MODE).open(&unfinished)?;
+        // Left behind by a killed process, or a trap: it must not decide where and with which permissions this is written.
+        match fs::remove_file(&unfinished) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
+            _ => {}
+        }
+        let mut file = OpenOptions::new().write(true).create_new(true).mode(MODE).open(&unfinished)?;
+        // The gateway keeps its file if another user changes it, e.g. root.
+        if let Ok(old) = fs::metadata(&self.path)
+            && old.uid() != file.metadata()?.uid()
+        {
+            fchown(&file, Some(old.uid()), Some(old.gid()))?;
+        }
         file.write_all(&serde_json::to_vec_pretty(content)?)?;
         file.sync_all()?;
         fs::rename(unfinished, &self.path)
@@ -207,7 +218,9 @@ impl TokenFile {
 
 impl FileVersion {
     fn of(metadata: &fs::Metadata) -> Self {
-        Self(metadata.ino(), metadata.size(), metadata.mtime(), metadata.mtime_nsec())
+        let (inode, size) = (metadata.ino().cast_signed(), metadata.size().cast_signed());
+        let (changed, set) = ((metadata.mtime(), metadata.mtime_nsec()), (metadata.ctime(), metadata.ctime_nsec()));
+        Self([inode, size, changed.0, changed.1, set.0, set.1])
     }
 }
 

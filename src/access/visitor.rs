@@ -1,4 +1,4 @@
-//! A client with what it presents, before each of its requests is checked.
+//! A client before its identification.
 
 use std::net::IpAddr;
 
@@ -6,7 +6,7 @@ use super::authority::Access;
 use super::credential::Credential;
 use super::identity::{Identity, Unauthorized};
 
-/// What a client presents. A connection that lasts is checked again for each request, so that a revocation takes effect
+/// Credential and address of a client. A connection that lasts is checked again for each request, so that a revocation takes effect
 /// at once.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Visitor {
@@ -19,5 +19,11 @@ impl Visitor {
     /// The reason why the client is unknown.
     pub fn identity(&self, access: &Access) -> Result<Identity, Unauthorized> {
         access.identify(&self.credential, self.peer)
+    }
+
+    /// Whether the client is still known.
+    #[must_use]
+    pub fn is_known(&self, access: &Access) -> bool {
+        access.knows(&self.credential, self.peer)
     }
 }

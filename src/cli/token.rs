@@ -71,7 +71,7 @@ pub(super) fn run(args: &TokenArgs, mut output: impl Write) -> anyhow::Result<()
     }
 }
 
-/// Creates a token for these grippers, or for all if there are none.
+/// Creates a token for these grippers, or for all if the set is empty.
 pub(super) fn create(
     file: &TokenFile,
     name: Name,

@@ -48,6 +48,9 @@ const LEASE_METHODS: &str = "lease.";
 
 /// The field with a lease token, and the HTTP status that refuses the token of an ended lease.
 const LEASE: &str = "lease";
+
+/// Selector parameter with the client's token.
+pub const TOKEN: &str = "token";
 const CONFLICT: u16 = 409;
 
 /// Keys at which a gateway answers reads of its own: its lists of records, and its readiness.
@@ -68,7 +71,7 @@ pub struct Ask {
     pub params: Value,
     /// Time that the operation may take there; `None` leaves it to the other gateway.
     pub wait: Option<Duration>,
-    /// Values sent along with the parameters: `lease`, `request_id`.
+    /// Values sent along with the parameters: `lease`, `request_id`, `token`.
     pub aside: Vec<(&'static str, String)>,
     /// The client of this gateway that makes the request.
     pub client: Client,
@@ -257,7 +260,7 @@ impl Ask {
             method: "lease.renew",
             params: json!({LEASE: lease}),
             wait: None,
-            aside: Vec::new(),
+            aside: self.aside.iter().filter(|(name, _)| *name == TOKEN).cloned().collect(),
             client: self.client.clone(),
             urgency: Urgency::Lease,
         })

@@ -28,7 +28,7 @@ use self::twins::Twins;
 use crate::gripper::model::{Client, FastStopId, Name, Reason, State};
 use crate::gripper::{Grippers, Now};
 
-pub use ask::{Ask, Asked, EVENTS, GRIPS, NoAnswer, READINESS};
+pub use ask::{Ask, Asked, EVENTS, GRIPS, NoAnswer, READINESS, TOKEN};
 pub use report::FleetGripper;
 
 /// Maximum number of concurrent requests to other gateways. The limit applies separately to stops, to lease requests,

@@ -28,14 +28,14 @@ pub struct Me {
     name: Option<Name>,
     role: Role,
     proof: Proof,
-    /// What the client may do with each gripper of this gateway.
+    /// The client's role for each gripper of this gateway.
     grippers: Vec<GripperRole>,
     /// Time at which the credential expires; null if it does not.
     #[schema(value_type = Option<String>, format = DateTime)]
     expires_at: Option<Timestamp>,
 }
 
-/// What a client may do with a gripper.
+/// The role of a client for a gripper.
 #[derive(Debug, Serialize, ToSchema)]
 pub struct GripperRole {
     #[schema(value_type = String)]

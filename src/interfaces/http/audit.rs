@@ -15,8 +15,7 @@ use crate::interfaces::metrics::NO_ROUTE;
 use crate::operations::audit::RefusedRequest;
 use crate::operations::{find, subject};
 
-/// Middleware that records refused requests. Of the requests that only read, it records those without a valid
-/// credential.
+/// Middleware that records refused requests. A refused read is recorded only if it lacks a valid credential.
 pub async fn record(State(context): State<Arc<HttpContext>>, request: Request, next: Next) -> Response {
     let only_reads = matches!(*request.method(), Verb::GET | Verb::HEAD | Verb::OPTIONS);
     if only_reads && !context.gateway.access.is_guarded() {
@@ -24,7 +23,8 @@ pub async fn record(State(context): State<Arc<HttpContext>>, request: Request, n
     }
     let client = client(request.extensions());
     let (method, route) = (request.method().clone(), request.extensions().get::<MatchedPath>().cloned());
-    let gripper = gripper(request.uri().path());
+    // A name that no gripper has would be one more kind of refusal.
+    let gripper = gripper(request.uri().path()).filter(|name| context.gateway.grippers.get(name).is_some());
     let response = next.run(request).await;
     if let Some(RefusedMark { code, cause, is_recorded: false }) = response.extensions().get().cloned()
         && (!only_reads || response.status() == StatusCode::UNAUTHORIZED)

@@ -21,7 +21,7 @@ use super::operation::serve_below;
 use super::problem::PROBLEM_JSON;
 use super::visitor::Identified;
 use crate::access::Credential;
-use crate::fleet::Ask;
+use crate::fleet::{Ask, TOKEN};
 use crate::gripper::model::{Door, Name, Reason, Urgency};
 use crate::interfaces::admission::{Class, ConnectionPermit};
 use crate::operations::fleet::no_answer;
@@ -84,8 +84,11 @@ pub async fn forward(
     // The rights to one of this gateway's grippers say nothing about another gateway's gripper of the same name.
     check(&context.gateway.access, operation, &identified.identity, None)?;
     let (mut wait, mut aside) = (wait(&parts, operation)?, aside(&parts));
-    if let Credential::Token(token) = &identified.visitor.credential {
-        aside.push(("token", token.expose().to_owned()));
+    // The other gateway may not know the token, and a FAST STOP must not fail because of that.
+    if operation.urgency != Urgency::FastStop
+        && let Credential::Token(token) = &identified.visitor.credential
+    {
+        aside.push((TOKEN, token.expose().to_owned()));
     }
     let permit: Option<Arc<ConnectionPermit>> = parts.extensions.get().cloned();
     let long_wait = wait.filter(|wait| !wait.is_zero());

@@ -76,7 +76,7 @@ fn all_of<'a>(headers: &'a HeaderMap, name: &HeaderName) -> Vec<&'a HeaderValue>
 }
 
 /// Whether a host is an address, `localhost`, or one of the `allowed`, whatever its port.
-fn is_ours(authority: &str, allowed: &[String]) -> bool {
+pub(super) fn is_ours(authority: &str, allowed: &[String]) -> bool {
     if let Some((address, rest)) = authority.strip_prefix('[').and_then(|rest| rest.split_once(']')) {
         let port = rest.strip_prefix(':').is_some_and(is_port);
         return address.parse::<Ipv6Addr>().is_ok() && (rest.is_empty() || port);

@@ -45,8 +45,13 @@ pub async fn serve_below(
     parts: &Parts,
     stream: Body,
 ) -> Result<Response, Problem> {
-    let (gateway, caller) = (context.gateway.clone(), caller(&context.gateway.access, parts, operation)?);
-    let run = move |fields| async move { run(&gateway, operation, caller, Params { path, fields }).await };
+    let (gateway, mut caller) = (context.gateway.clone(), caller(&context.gateway.access, parts, operation)?);
+    let visitor = Identified::client_of(&gateway.access, &parts.extensions).visitor;
+    let run = move |fields| async move {
+        // A credential can end while a slow body arrives.
+        caller.identity = visitor.identity(&gateway.access);
+        run(&gateway, operation, caller, Params { path, fields }).await
+    };
     // A Stop, too, happens whatever its body says and however long the body takes.
     let reply = if operation.urgency == Urgency::FastStop || operation.name == motion::STOP.name {
         with_reason(stream, move |text| run(Fields::Text(text))).await??

@@ -10,18 +10,26 @@ use hyper::service::service_fn;
 use hyper_util::rt::{TokioIo, TokioTimer};
 use tokio::net::TcpStream;
 
+use super::guard::is_ours;
+
+/// Maximum size of a request's header: the smallest that hyper supports.
+const MAX_HEADER_BYTES: usize = 8192;
+
 /// Answers one request. Only reads are redirected: a client that sends its token with a change must not get used to
 /// sending it in the clear.
-pub async fn answer(stream: TcpStream) {
-    let service = service_fn(async |request| Ok::<_, Infallible>(response(&request)));
-    let served = http1::Builder::new().timer(TokioTimer::new()).serve_connection(TokioIo::new(stream), service).await;
+pub async fn answer(stream: TcpStream, allowed_hosts: Vec<String>) {
+    let service = service_fn(async |request| Ok::<_, Infallible>(response(&request, &allowed_hosts)));
+    let mut server = http1::Builder::new();
+    let server = server.timer(TokioTimer::new()).max_buf_size(MAX_HEADER_BYTES);
+    let served = server.serve_connection(TokioIo::new(stream), service).await;
     if let Err(error) = served {
         tracing::debug!(%error, "connection without TLS ended");
     }
 }
 
-fn response(request: &Request<Incoming>) -> Response<String> {
-    let host = request.headers().get(HOST).and_then(|host| host.to_str().ok()).filter(|host| !host.is_empty());
+fn response(request: &Request<Incoming>, allowed_hosts: &[String]) -> Response<String> {
+    let host =
+        request.headers().get(HOST).and_then(|host| host.to_str().ok()).filter(|host| is_ours(host, allowed_hosts));
     let mut response = Response::new("this gateway needs TLS: use https://\n".to_owned());
     *response.status_mut() = StatusCode::BAD_REQUEST;
     let path = request.uri().path_and_query().map_or("/", |path| path.as_str());

@@ -277,7 +277,8 @@ impl Server {
             return None;
         }
         if kind != [TLS_HANDSHAKE] {
-            redirect::answer(stream).await;
+            let answered = redirect::answer(stream, self.context.allowed_hosts.clone());
+            let _ = AbortOnDropHandle::new(self.context.runtimes.requests.spawn(answered)).await;
             return None;
         }
         let (acceptor, stream) = (tls.acceptor(), QuickAckStream::new(stream));

@@ -13,7 +13,7 @@ use utoipa::ToSchema;
 use super::body;
 use super::context::HttpContext;
 use super::paths::responses::SessionProblem;
-use super::visitor::{SESSION_COOKIE, session};
+use super::visitor::{SECURE_COOKIE, SESSION_COOKIE, session};
 use crate::access::{Identity, Role, SessionId, TokenSecret, Unauthorized};
 use crate::operations::json::parse;
 use crate::operations::{Code, Problem};
@@ -77,10 +77,10 @@ pub async fn sign_out(Shared(context): Shared<Arc<HttpContext>>, request: Reques
 
 /// Returns the cookie of a session, or one that deletes it. No script can read it, and no other site can send it.
 fn cookie(context: &HttpContext, id: Option<&SessionId>) -> Result<HeaderValue, Problem> {
-    let secure = if context.tls.is_some() { "; Secure" } else { "" };
+    let (name, secure) = if context.tls.is_some() { (SECURE_COOKIE, "; Secure") } else { (SESSION_COOKIE, "") };
     let end = if id.is_some() { "" } else { "; Max-Age=0" };
     let id = id.map_or("", SessionId::expose);
-    let cookie = format!("{SESSION_COOKIE}={id}; Path=/; HttpOnly; SameSite=Strict{secure}{end}");
+    let cookie = format!("{name}={id}; Path=/; HttpOnly; SameSite=Strict{secure}{end}");
     let mut cookie = HeaderValue::try_from(cookie).map_err(|_| Problem::internal())?;
     cookie.set_sensitive(true);
     Ok(cookie)

@@ -39,7 +39,7 @@ const KEY_BYTES: usize = 16;
 )]
 pub async fn open(Shared(context): Shared<Arc<HttpContext>>, mut request: Request) -> Result<Response, Problem> {
     let identified = Identified::client_of(&context.gateway.access, request.extensions());
-    // What the client may do is checked for each of its requests.
+    // The rights are checked for each request.
     identified.identity.as_ref().map_err(|unknown| *unknown)?;
     let (client, visitor) = (identified.client(Door::Ws), identified.visitor);
     let mut response = create_response_with_body(&request, Body::empty).map_err(|error| {

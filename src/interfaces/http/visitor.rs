@@ -11,6 +11,9 @@ use crate::gripper::model::{Client, Door};
 /// Name of the cookie with a session's id.
 pub const SESSION_COOKIE: &str = "wsg_session";
 
+/// Name of that cookie over TLS. Browsers accept such a name only from this very host (RFC 6265bis, 4.1.3.2).
+pub const SECURE_COOKIE: &str = "__Host-wsg_session";
+
 /// The client behind a request, identified when the request arrived.
 #[derive(Debug, Clone)]
 pub struct Identified {
@@ -73,7 +76,7 @@ fn bearer(value: &HeaderValue) -> Option<crate::access::TokenSecret> {
 pub fn session(headers: &HeaderMap) -> Option<SessionId> {
     let cookies = headers.get_all(COOKIE).iter().filter_map(|value| value.to_str().ok());
     let mut pairs = cookies.flat_map(|value| value.split(';')).filter_map(|pair| pair.trim().split_once('='));
-    pairs.find(|(name, _)| *name == SESSION_COOKIE).and_then(|(_, id)| SessionId::parse(id))
+    pairs.find(|(name, _)| [SESSION_COOKIE, SECURE_COOKIE].contains(name)).and_then(|(_, id)| SessionId::parse(id))
 }
 
 #[cfg(test)]

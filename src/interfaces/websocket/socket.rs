@@ -272,7 +272,7 @@ impl Socket {
                     if self.unanswered >= MAX_UNANSWERED {
                         return End::Lost;
                     }
-                    if self.visitor.identity(&self.context.gateway.access).is_err() {
+                    if !self.visitor.is_known(&self.context.gateway.access) {
                         return End::Violation(CloseCode::Policy, "the client's credential is no longer valid");
                     }
                     self.unanswered += 1;

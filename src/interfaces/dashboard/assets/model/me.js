@@ -1,4 +1,4 @@
-// Who the person at this page is to the gateway.
+// The identity and rights of the person at this page.
 
 import { signal } from '../lib.js';
 import { get, remove, send } from '../net/rest.js';

@@ -29,7 +29,7 @@ export function SignIn() {
   </form></main>`;
 }
 
-/** Who is signed in, with a button to sign out. */
+/** The name of the person, with a button to sign out. */
 export function SignedIn() {
   if (me.value?.proof !== 'session') return null;
   const { name, role } = me.value;
