@@ -9,7 +9,7 @@ use clap::Args;
 use super::version;
 use crate::config::Flags;
 use crate::daemon;
-use crate::doctor::{Verdict, examine, write_bundle};
+use crate::doctor::{Severity, examine, write_bundle};
 
 #[derive(Debug, Args)]
 pub(super) struct DoctorArgs {
@@ -33,7 +33,7 @@ pub(super) fn run(arguments: &DoctorArgs) -> anyhow::Result<()> {
         runtime.block_on(write_bundle(path, &arguments.flags, &findings, &version::long()))?;
         let _ = writeln!(std::io::stdout(), "archive written: {}", path.display());
     }
-    let problems = findings.iter().filter(|finding| finding.verdict == Verdict::Problem).count();
+    let problems = findings.iter().filter(|finding| finding.severity == Severity::Problem).count();
     match problems {
         0 => Ok(()),
         1 => bail!("1 problem found"),

@@ -15,7 +15,7 @@ use crate::journal::{
     Cursor, EventQuery, Filter, GripQuery, Limit, Order, Page, Query, ReadError, Reader, Report, back_up,
     verify_with_progress,
 };
-use progress::Progress;
+use progress::ProgressLine;
 
 mod line;
 mod progress;
@@ -173,7 +173,7 @@ fn export(reader: &Reader, format: Format, which: &Which, out: &mut impl Write) 
         out.write_all(header(columns).as_bytes())?;
     }
     // On a terminal, the records show the progress themselves.
-    let (mut progress, mut written) = (Progress::new("exported", !io::stdout().is_terminal()), 0);
+    let (mut progress, mut written) = (ProgressLine::new("exported", !io::stdout().is_terminal()), 0);
     each_page(reader, which, Order::Oldest, limit, |bodies| {
         written += bodies.len();
         progress.show(format_args!("{written} records"));
@@ -239,7 +239,7 @@ fn follow(reader: &Reader, after: Option<u64>, filters: &Filters, out: &mut impl
 }
 
 fn copy(path: &Path, to: &Path, out: &mut impl Write) -> anyhow::Result<()> {
-    let mut progress = Progress::new("copied", true);
+    let mut progress = ProgressLine::new("copied", true);
     let mut bytes = 0;
     back_up(path, to, |copied, all| {
         bytes = all;
@@ -250,7 +250,7 @@ fn copy(path: &Path, to: &Path, out: &mut impl Write) -> anyhow::Result<()> {
 }
 
 fn check(path: &Path, out: &mut impl Write) -> anyhow::Result<()> {
-    let mut progress = Progress::new("verified", true);
+    let mut progress = ProgressLine::new("verified", true);
     let report = verify_with_progress(path, |read, all| progress.show_part(read, all))?;
     drop(progress);
     report.findings.iter().try_for_each(|finding| writeln!(out, "{finding}"))?;

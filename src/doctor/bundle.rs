@@ -39,7 +39,7 @@ pub async fn write(path: &Path, flags: &Flags, findings: &[Diagnosis], version: 
     let file = OpenOptions::new().write(true).create_new(true).mode(0o600).open(path);
     let file = file.with_context(|| format!("{} cannot be created: name a new file", path.display()))?;
     let mut archive = Builder::new(GzEncoder::new(file, Compression::default()));
-    let report: String = findings.iter().map(|finding| format!("{finding}\n")).collect();
+    let report = findings.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n");
     add(&mut archive, "report.txt", &report)?;
     add(&mut archive, "version.txt", version)?;
     add(&mut archive, "system.txt", &system())?;

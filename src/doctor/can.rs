@@ -79,7 +79,7 @@ fn judge(address: &CanAddress, shown: &[u8]) -> Option<Diagnosis> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Verdict;
+    use super::super::Severity;
     use super::*;
 
     fn finding(flags: &str, data: &str) -> Option<Diagnosis> {
@@ -101,8 +101,8 @@ mod tests {
             (up, &right.replace("ERROR-ACTIVE", "BUS-OFF"), "can0 is bus-off: compare the bit rates"),
         ] {
             let finding = finding(flags, data).unwrap();
-            assert!(finding.verdict == Verdict::Problem && finding.text.contains(expected), "{finding}");
+            assert!(finding.severity == Severity::Problem && finding.text.contains(expected), "{finding}");
         }
-        assert_eq!(finding(up, &right.replace("ACTIVE", "PASSIVE")).unwrap().verdict, Verdict::Warning);
+        assert_eq!(finding(up, &right.replace("ACTIVE", "PASSIVE")).unwrap().severity, Severity::Warning);
     }
 }

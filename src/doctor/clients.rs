@@ -8,17 +8,17 @@ const ESTABLISHED: &str = "01";
 
 /// A connection from this machine to a device.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Client {
+pub(super) struct DeviceClient {
     /// Process id and name, if this user may see them.
     pub(super) process: Option<String>,
 }
 
 /// Returns the first client of one of these addresses.
-pub(super) fn of(devices: &[SocketAddr]) -> Option<Client> {
+pub(super) fn of(devices: &[SocketAddr]) -> Option<DeviceClient> {
     let tables = ["/proc/net/tcp", "/proc/net/tcp6"].map(|path| fs::read_to_string(path).unwrap_or_default());
     let inode = tables.iter().flat_map(|table| table.lines()).filter_map(connection);
     let (_, inode) = inode.into_iter().find(|(remote, _)| devices.contains(remote))?;
-    Some(Client { process: owner(&inode) })
+    Some(DeviceClient { process: owner(&inode) })
 }
 
 /// Parses a line as the remote address and the inode of an established connection.

@@ -66,7 +66,7 @@ fn judge(
 
 #[cfg(test)]
 mod tests {
-    use super::super::Verdict;
+    use super::super::Severity;
     use super::*;
 
     #[test]
@@ -74,10 +74,10 @@ mod tests {
         let at = |text: &str| text.parse::<Timestamp>().unwrap();
         let (early, late) = (at("2026-11-22T10:00:00Z"), at("2026-11-22T11:00:00Z"));
         let wrong = judge(early, None, Some(late), Some(true));
-        assert_eq!(wrong.verdict, Verdict::Problem);
+        assert_eq!(wrong.severity, Severity::Problem);
         assert!(wrong.text.contains("before the journal's newest event") && wrong.text.contains("set-ntp"), "{wrong}");
-        assert_eq!(judge(early, Some(late), None, None).verdict, Verdict::Problem);
-        assert_eq!(judge(late, Some(early), Some(early), Some(false)).verdict, Verdict::Warning);
-        assert_eq!(judge(late, Some(early), Some(early), None).verdict, Verdict::Good);
+        assert_eq!(judge(early, Some(late), None, None).severity, Severity::Problem);
+        assert_eq!(judge(late, Some(early), Some(early), Some(false)).severity, Severity::Warning);
+        assert_eq!(judge(late, Some(early), Some(early), None).severity, Severity::Good);
     }
 }

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use super::probe::{Identification, identify};
-use super::running::Running;
+use super::running::GatewayState;
 use super::{Diagnosis, Installation, can, clients, serial};
 use crate::config::{DeviceSource, GripperConfig};
 use crate::gripper::model::Name;
@@ -29,7 +29,7 @@ pub(super) async fn check(installation: &Installation, mut report: impl FnMut(&D
     }
 }
 
-async fn check_one(running: &Running, gripper: &GripperConfig) -> Diagnosis {
+async fn check_one(running: &GatewayState, gripper: &GripperConfig) -> Diagnosis {
     let (name, address) = match &gripper.device {
         DeviceSource::Simulated(_) => return Diagnosis::good(CHECK, format_args!("{} is simulated", gripper.name)),
         DeviceSource::At(address) => (&gripper.name, address),
@@ -41,7 +41,7 @@ async fn check_one(running: &Running, gripper: &GripperConfig) -> Diagnosis {
     };
     match (of_interface, running) {
         (Some(finding), _) => finding,
-        (None, Running::Ready { not_ready }) => {
+        (None, GatewayState::Ready { not_ready }) => {
             let begin = format!("{name}: ");
             match not_ready.iter().find(|gripper| gripper.starts_with(&begin)) {
                 Some(cause) => {
@@ -50,10 +50,10 @@ async fn check_one(running: &Running, gripper: &GripperConfig) -> Diagnosis {
                 None => Diagnosis::good(CHECK, format_args!("{name} is connected to the running gateway")),
             }
         }
-        (None, Running::Silent) => {
+        (None, GatewayState::Silent) => {
             Diagnosis::good(CHECK, format_args!("{name} not contacted, because a running gateway may use it"))
         }
-        (None, Running::No | Running::Other { .. }) => contact(name, address).await,
+        (None, GatewayState::No | GatewayState::Other { .. }) => contact(name, address).await,
     }
 }
 

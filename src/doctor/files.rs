@@ -8,7 +8,9 @@ use rustix::fs::{Access, access, statvfs};
 
 use super::serial::Account;
 use super::{Diagnosis, Installation};
-use crate::config::JournalPlace;
+use crate::access::TokenFile;
+use crate::config::{AccessConfig, Guarded, JournalPlace, TlsConfig};
+use crate::interfaces::tls::Tls;
 use crate::journal::Reader;
 
 /// Free space below which a journal soon fails: a few times its write-ahead log.
@@ -17,8 +19,8 @@ const LEAST_FREE: u64 = 64 << 20;
 /// Permission bits that let every user read a file.
 const FOR_ALL: u32 = 0o004;
 
-/// Keys whose values are files with secrets.
-const SECRET_FILES: &[&str] = &["secret_file", "tokens", "key"];
+/// Keys whose values are files with secrets, besides those that the configuration knows.
+const SECRET_FILES: &[&str] = &["secret_file"];
 
 /// Keys whose values are secrets.
 const SECRETS: &[&str] = &["secret"];
@@ -42,7 +44,33 @@ pub(super) fn user(_: &Installation) -> Vec<Diagnosis> {
 
 /// Checks that only the gateway's user can read files with secrets.
 pub(super) fn secrets(installation: &Installation) -> Vec<Diagnosis> {
-    let Some(file) = &installation.file else { return vec![] };
+    let config = &installation.config;
+    let mut files: Vec<_> = config.tls.iter().map(|tls| tls.key.clone()).collect();
+    if let Some(file) = &installation.file {
+        files.extend(named(file));
+    }
+    let mut findings: Vec<_> = files.iter().filter_map(|file| exposed(file)).collect();
+    if let Some(TlsConfig { certificate, key }) = config.tls.clone() {
+        findings.push(match Tls::new(certificate.clone(), key) {
+            Ok(_) => Diagnosis::good("tls", certificate.display()),
+            Err(error) => Diagnosis::problem("tls", error),
+        });
+    }
+    if let AccessConfig::Guarded(Guarded { tokens, .. }) = &config.access {
+        findings.push(match TokenFile::at(tokens.clone()).list() {
+            Ok(tokens) if tokens.is_empty() => Diagnosis::warning(
+                "tokens",
+                "there is no token, so nobody can sign in: create one with `wsg-gateway token create`",
+            ),
+            Ok(tokens) => Diagnosis::good("tokens", format_args!("tokens: {}", tokens.len())),
+            Err(error) => Diagnosis::problem("tokens", error),
+        });
+    }
+    findings
+}
+
+/// Returns the files with secrets that a configuration file names, and the file itself if it contains a secret.
+fn named(file: &Path) -> Vec<PathBuf> {
     let table = fs::read_to_string(file).ok().and_then(|text| text.parse::<toml::Table>().ok());
     let Some(table) = table.map(toml::Value::Table) else { return vec![] };
     let (mut files, mut has_secret) = (Vec::new(), false);
@@ -52,12 +80,12 @@ pub(super) fn secrets(installation: &Installation) -> Vec<Diagnosis> {
             files.push(file.parent().map_or_else(|| value.into(), |directory| directory.join(value)));
         }
     });
-    files.extend(has_secret.then(|| file.clone()));
-    files.iter().filter_map(|file| exposed(file)).collect()
+    files.extend(has_secret.then(|| file.to_owned()));
+    files
 }
 
 /// Visits each text in a configuration, with its key.
-pub(super) fn values<'a>(value: &'a toml::Value, visit: &mut impl FnMut(&'a str, &'a str)) {
+fn values<'a>(value: &'a toml::Value, visit: &mut impl FnMut(&'a str, &'a str)) {
     match value {
         toml::Value::Table(table) => table.iter().for_each(|(key, value)| match value {
             toml::Value::String(text) => visit(key, text),
@@ -162,17 +190,17 @@ fn directory(journal: &Path) -> PathBuf {
 
 #[cfg(test)]
 mod tests {
-    use super::super::Verdict;
+    use super::super::Severity;
     use super::*;
 
     #[test]
     fn full_disk_is_a_problem_and_a_small_one_a_warning() {
         let space = |free, used, limit| space(Path::new("/var"), free, used, limit);
-        assert_eq!(space(1 << 20, 0, Some(1)).verdict, Verdict::Problem);
-        assert_eq!(space(1 << 30, 0, Some(2 << 30)).verdict, Verdict::Warning);
-        assert_eq!(space(1 << 30, 3 << 29, Some(2 << 30)).verdict, Verdict::Good);
+        assert_eq!(space(1 << 20, 0, Some(1)).severity, Severity::Problem);
+        assert_eq!(space(1 << 30, 0, Some(2 << 30)).severity, Severity::Warning);
+        assert_eq!(space(1 << 30, 3 << 29, Some(2 << 30)).severity, Severity::Good);
         let unlimited = space(1 << 30, 0, None);
-        assert_eq!(unlimited.verdict, Verdict::Warning);
+        assert_eq!(unlimited.severity, Severity::Warning);
         assert!(unlimited.text.contains("grow without limit: set a smaller journal_max_size_mb"), "{unlimited}");
     }
 }

@@ -25,7 +25,7 @@ pub use bundle::write as write_bundle;
 
 /// Severity of a finding.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Verdict {
+pub enum Severity {
     Good,
     /// Works now, but needs attention.
     Warning,
@@ -33,7 +33,7 @@ pub enum Verdict {
     Problem,
 }
 
-impl fmt::Display for Verdict {
+impl fmt::Display for Severity {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.pad(match self {
             Self::Good => "ok",
@@ -46,7 +46,7 @@ impl fmt::Display for Verdict {
 /// Result of one check.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Diagnosis {
-    pub verdict: Verdict,
+    pub severity: Severity,
     /// Name of the check.
     pub check: &'static str,
     /// What is wrong and the remedy, or what was found to be right.
@@ -55,21 +55,21 @@ pub struct Diagnosis {
 
 impl fmt::Display for Diagnosis {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{:<8} {:<14} {}", self.verdict, self.check, self.text)
+        write!(f, "{:<8} {:<14} {}", self.severity, self.check, self.text)
     }
 }
 
 impl Diagnosis {
     fn good(check: &'static str, text: impl fmt::Display) -> Self {
-        Self { verdict: Verdict::Good, check, text: text.to_string() }
+        Self { severity: Severity::Good, check, text: text.to_string() }
     }
 
     fn warning(check: &'static str, text: impl fmt::Display) -> Self {
-        Self { verdict: Verdict::Warning, check, text: text.to_string() }
+        Self { severity: Severity::Warning, check, text: text.to_string() }
     }
 
     fn problem(check: &'static str, text: impl fmt::Display) -> Self {
-        Self { verdict: Verdict::Problem, check, text: text.to_string() }
+        Self { severity: Severity::Problem, check, text: text.to_string() }
     }
 }
 
@@ -78,7 +78,7 @@ struct Installation {
     config: Config,
     /// The configuration file, if there is one.
     file: Option<PathBuf>,
-    running: running::Running,
+    running: running::GatewayState,
 }
 
 /// Checks of this machine. The devices come last, because they take longest.
@@ -93,7 +93,7 @@ pub async fn examine(flags: &Flags, mut report: impl FnMut(&Diagnosis)) {
     };
     let summary = format!("{} serves {} grippers at {}", config.name, config.grippers.len(), config.listen);
     report(&Diagnosis::good("configuration", summary));
-    let running = running::Running::find(&config).await;
+    let running = running::GatewayState::find(&config).await;
     let installation = Installation { config, file: flags.config.clone(), running };
     CHECKS.iter().flat_map(|check| check(&installation)).for_each(|finding| report(&finding));
     devices::check(&installation, report).await;

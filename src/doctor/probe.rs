@@ -15,12 +15,12 @@ const READ_BYTES: usize = 256;
 
 /// A device's description of itself.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) struct Identity {
+pub(super) struct DeviceIdentity {
     info: SystemInfo,
     tag: Option<String>,
 }
 
-impl fmt::Display for Identity {
+impl fmt::Display for DeviceIdentity {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let SystemInfo { device_type, firmware, serial_number, .. } = self.info;
         write!(f, "{device_type}, serial number {serial_number}, firmware {firmware}")?;
@@ -31,7 +31,7 @@ impl fmt::Display for Identity {
 /// Result of an identification.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub(super) enum Identification {
-    Device(Identity),
+    Device(DeviceIdentity),
     /// A WSG device that refuses the request.
     Status(Status),
     /// Bytes, but no frame.
@@ -65,7 +65,7 @@ pub(super) async fn identify(pipe: Pipe, is_connection: bool, wait: Duration) ->
                 Ok(Reply::Success(Data::DeviceTag(tag))) => Some(tag.as_str().to_owned()),
                 _ => None,
             };
-            Identification::Device(Identity { info, tag })
+            Identification::Device(DeviceIdentity { info, tag })
         }
         Ok(reply) => Identification::Status(reply.status()),
         Err(failure) => failure,

@@ -9,7 +9,7 @@ use tokio::net::TcpStream;
 use tokio::time::timeout;
 
 use super::{Diagnosis, Installation};
-use crate::config::{Config, JournalPlace};
+use crate::config::{AccessConfig, Config, JournalPlace};
 use crate::journal;
 
 /// Time limit of a request to the gateway.
@@ -20,7 +20,7 @@ const MAX_BYTES: u64 = 4 << 20;
 
 /// State of the gateway of a configuration.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub(super) enum Running {
+pub(super) enum GatewayState {
     No,
     /// The journal is in use, but the gateway does not report its readiness to this program.
     Silent,
@@ -40,7 +40,7 @@ struct Readiness {
     not_ready: Vec<String>,
 }
 
-impl Running {
+impl GatewayState {
     pub(super) async fn find(config: &Config) -> Self {
         let readiness = get(config.listen, "/readyz").await;
         let readiness = readiness.and_then(|body| serde_json::from_str::<Readiness>(&body).ok());
@@ -63,18 +63,22 @@ impl Running {
 }
 
 pub(super) fn check(installation: &Installation) -> Vec<Diagnosis> {
-    let (name, listen) = (&installation.config.name, installation.config.listen);
+    let Config { name, listen, access, tls, .. } = &installation.config;
     let finding = match &installation.running {
-        Running::No => Diagnosis::good("gateway", format_args!("{name} is not running")),
-        Running::Silent => Diagnosis::warning(
+        GatewayState::No => Diagnosis::good("gateway", format_args!("{name} is not running")),
+        GatewayState::Silent if *access != AccessConfig::Open || tls.is_some() => Diagnosis::good(
+            "gateway",
+            format_args!("{name} is running; its readiness needs a credential, so the grippers are not checked"),
+        ),
+        GatewayState::Silent => Diagnosis::warning(
             "gateway",
             format_args!(
                 "a gateway uses the journal, but does not answer at {listen}: if it runs with other settings, pass \
                  them to doctor too; otherwise read its log"
             ),
         ),
-        Running::Ready { .. } => Diagnosis::good("gateway", format_args!("{name} is running at {listen}")),
-        Running::Other { name: other } => Diagnosis::problem(
+        GatewayState::Ready { .. } => Diagnosis::good("gateway", format_args!("{name} is running at {listen}")),
+        GatewayState::Other { name: other } => Diagnosis::problem(
             "gateway",
             format_args!(
                 "another gateway, {other}, answers at {listen}: stop it, or give this one its own --name, --listen \

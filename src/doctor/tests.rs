@@ -10,6 +10,7 @@ use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
 use rustix::termios::{OptionalActions, tcgetattr, tcsetattr};
 
 use super::*;
+use crate::access::{NewToken, Role, TokenFile};
 use crate::config::{ZenohFlags, ZenohMode};
 use crate::daemon::{ServedDevice, SimulatedDevice, serve_device};
 use crate::transport::{Address, TcpAddress};
@@ -68,7 +69,7 @@ async fn findings(flags: &Flags) -> Vec<Diagnosis> {
 /// Checks that the only problem is of this check, and has these texts.
 async fn assert_problem(flags: &Flags, check: &str, texts: &[&str]) {
     let findings = findings(flags).await;
-    let problems: Vec<_> = findings.iter().filter(|finding| finding.verdict == Verdict::Problem).collect();
+    let problems: Vec<_> = findings.iter().filter(|finding| finding.severity == Severity::Problem).collect();
     let [problem] = problems[..] else { panic!("not one problem: {findings:#?}") };
     assert!(problem.check == check && texts.iter().all(|text| problem.text.contains(text)), "{problem}");
 }
@@ -77,7 +78,7 @@ async fn assert_problem(flags: &Flags, check: &str, texts: &[&str]) {
 async fn healthy_installation_has_no_problem_and_the_device_is_left_properly() {
     let (place, device) = (Place::new(), device("tcp://127.0.0.1:0").await);
     let findings = findings(&place.flags(&device.address)).await;
-    assert!(findings.iter().all(|finding| finding.verdict != Verdict::Problem), "{findings:#?}");
+    assert!(findings.iter().all(|finding| finding.severity != Severity::Problem), "{findings:#?}");
     let text = &findings.last().unwrap().text;
     assert!(text.contains("WSG 50, serial number") && text.contains("firmware 4"), "{text}");
     let frames: Vec<_> = device.switch.received().await.unwrap().iter().map(|frame| frame.id).collect();
@@ -185,6 +186,19 @@ async fn secret_that_everybody_can_read_is_named() {
 }
 
 #[tokio::test]
+async fn token_file_that_others_can_read_is_named() {
+    let place = Place::new();
+    let tokens = place.0.join("tokens.json");
+    let flags = Flags { tokens: Some(tokens.clone()), ..place.flags("sim://wsg50") };
+    let (name, role) = ("plc7".parse().unwrap(), Role::Operator);
+    let new = NewToken { name, role, grippers: None, expires_at: None };
+    TokenFile::at(tokens.clone()).create(jiff::Timestamp::now(), new).unwrap();
+    assert!(findings(&flags).await.iter().any(|finding| finding.text == "tokens: 1"));
+    fs::set_permissions(&tokens, fs::Permissions::from_mode(0o644)).unwrap();
+    assert_problem(&flags, "tokens", &["tokens.json can be read by others (mode 644)", "run chmod 600"]).await;
+}
+
+#[tokio::test]
 async fn missing_journal_directory_is_named() {
     let place = Place::new();
     let journal = |path: &Path| Flags { journal: Some(path.display().to_string()), ..place.flags("sim://wsg50") };
@@ -192,7 +206,7 @@ async fn missing_journal_directory_is_named() {
     assert_problem(&journal(&file.join("journal.db")), "journal", &["is a file: set another --journal"]).await;
     let findings = findings(&journal(&place.0.join("unmounted/journal.db"))).await;
     let warning = findings.iter().find(|finding| finding.check == "journal").unwrap();
-    assert_eq!(warning.verdict, Verdict::Warning);
+    assert_eq!(warning.severity, Severity::Warning);
     assert!(warning.text.contains("unmounted does not exist: check --journal and that its disk"), "{warning}");
 }
 

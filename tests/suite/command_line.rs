@@ -199,13 +199,7 @@ async fn discover_asks_before_it_contacts_a_device() {
     assert_eq!(proxy.frames.len(), 0);
     let ended = run(&[&search[..], &["--yes"]].concat()).await;
     assert!(ended.stdout.contains(&format!("gripper  tcp://{}", proxy.address)), "{ended:?}");
-    assert!(
-        ended.stdout.ends_with(
-            "grippers found: 1
-"
-        ),
-        "{ended:?}"
-    );
+    assert!(ended.stdout.ends_with("grippers found: 1"), "{ended:?}");
 }
 
 #[tokio::test]

@@ -1,4 +1,4 @@
-//! Progress of a long task, on a terminal.
+//! ProgressLine of a long task, on a terminal.
 
 use std::fmt::Display;
 use std::io::{IsTerminal as _, Write as _, stderr};
@@ -7,13 +7,13 @@ use std::io::{IsTerminal as _, Write as _, stderr};
 const ERASE_LINE: &str = "\r\x1b[K";
 
 /// A line on standard error that is replaced by each newer one, and erased at the end.
-pub(super) struct Progress {
+pub(super) struct ProgressLine {
     verb: &'static str,
     is_shown: bool,
     percent: Option<u64>,
 }
 
-impl Progress {
+impl ProgressLine {
     /// Shows nothing unless standard error is a terminal.
     pub(super) fn new(verb: &'static str, is_wanted: bool) -> Self {
         Self { verb, is_shown: is_wanted && stderr().is_terminal(), percent: None }
@@ -34,7 +34,7 @@ impl Progress {
     }
 }
 
-impl Drop for Progress {
+impl Drop for ProgressLine {
     fn drop(&mut self) {
         if self.is_shown {
             let _ = write!(stderr(), "{ERASE_LINE}");

@@ -306,13 +306,13 @@ impl Actor {
         answer: Answer<()>,
     ) {
         let allowed = allowed.and_then(|()| Ok(self.check_link()?));
-        let sent = allowed.and_then(|()| match id {
-            Some(_) => self.submit_acknowledge(now),
-            // ERROR can arrive before the flag of the FAST STOP that explains it.
-            None => {
-                let submitted = self.link.submit(now, self.read_flags(), Purpose::FaultCheck);
-                submitted.map_err(|not_taken| not_taken.0)
+        let sent = allowed.and_then(|()| {
+            if id.is_some() {
+                return self.submit_acknowledge(now);
             }
+            // ERROR can arrive before the flag of the FAST STOP that explains it.
+            let submitted = self.link.submit(now, self.read_flags(), Purpose::FaultCheck);
+            submitted.map_err(|not_taken| not_taken.0)
         });
         match sent {
             Ok(token) => {

@@ -24,7 +24,7 @@ const ROOMS: &str = "
     daemon: access alarms config interfaces interfaces/dashboard interfaces/http interfaces/wsg_port
         interfaces/zenoh events fleet operations gripper gripper/actor gripper/model gripper/recorder journal sim
         transport trends webhooks
-    doctor: config daemon gripper/model interfaces journal transport wsg wsg/frame
+    doctor: access config daemon gripper/model interfaces journal transport wsg wsg/frame
     config: access gripper/model journal transport webhooks
     logging:
     operations: access alarms events fleet gripper gripper/model gripper/recorder journal trends webhooks wsg
