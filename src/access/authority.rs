@@ -44,7 +44,7 @@ pub enum Access {
     /// Clients need none.
     #[default]
     Open,
-    Guarded(Guard),
+    Guarded(Box<Guard>),
 }
 
 /// The credentials of a gateway.
@@ -63,8 +63,8 @@ pub struct Guard {
 struct Cached {
     version: Option<FileVersion>,
     tokens: Option<Arc<Tokens>>,
-    /// Time of the next attempt after a failed one.
-    retry_at: Option<Instant>,
+    /// Version that could not be read, and the time of the next attempt.
+    failed: Option<(Option<FileVersion>, Instant)>,
 }
 
 impl Guard {
@@ -80,7 +80,7 @@ impl Guard {
     ) -> Result<Self, TokenFileError> {
         let read = file.read()?;
         let version = read.as_ref().map(|(_, version)| *version);
-        let cached = RwLock::new(Cached { version, tokens: read.map(|(tokens, _)| Arc::new(tokens)), retry_at: None });
+        let cached = RwLock::new(Cached { version, tokens: read.map(|(tokens, _)| Arc::new(tokens)), failed: None });
         Ok(Self { file, clients, fast_stop, network_role, sessions: Sessions::new(idle_time), cached })
     }
 
@@ -88,7 +88,8 @@ impl Guard {
     fn tokens(&self) -> Option<Arc<Tokens>> {
         let version = self.file.version();
         let cached = self.cached.read().unwrap_or_else(PoisonError::into_inner);
-        if cached.version == version || cached.retry_at.is_some_and(|at| Instant::now() < at) {
+        let is_failed = cached.failed.is_some_and(|(failed, until)| failed == version && Instant::now() < until);
+        if cached.version == version || is_failed {
             return cached.tokens.clone();
         }
         drop(cached);
@@ -97,11 +98,11 @@ impl Guard {
             Ok(read) => {
                 tracing::info!(file = %self.file.path().display(), "tokens read");
                 let version = read.as_ref().map(|(_, version)| *version);
-                *cached = Cached { version, tokens: read.map(|(tokens, _)| Arc::new(tokens)), retry_at: None };
+                *cached = Cached { version, tokens: read.map(|(tokens, _)| Arc::new(tokens)), failed: None };
             }
             Err(error) => {
                 tracing::error!(%error, "tokens not read: the gateway keeps the tokens that it knows");
-                cached.retry_at = Some(Instant::now() + RETRIED_AFTER);
+                cached.failed = Some((version, Instant::now() + RETRIED_AFTER));
             }
         }
         cached.tokens.clone()
@@ -176,7 +177,10 @@ impl Access {
     /// Whether a FAST STOP needs no credential.
     #[must_use]
     pub fn lets_anyone_stop(&self) -> bool {
-        !matches!(self, Self::Guarded(Guard { fast_stop: FastStopPolicy::Credential, .. }))
+        match self {
+            Self::Open => true,
+            Self::Guarded(guard) => guard.fast_stop == FastStopPolicy::Anyone,
+        }
     }
 
     /// Begins a session with a token. Returns `None` if the gateway needs no credentials.

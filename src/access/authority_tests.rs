@@ -30,7 +30,7 @@ fn tried(name: &str) -> Tried {
     };
     let guard =
         Guard::new(file.clone(), vec![plc], (FastStopPolicy::Credential, None), Duration::from_mins(10)).unwrap();
-    Tried { directory, file, access: Access::Guarded(guard) }
+    Tried { directory, file, access: Access::Guarded(Box::new(guard)) }
 }
 
 fn create(tried: &Tried, name: &str, role: Role, expires_at: Option<Timestamp>) -> Credential {

@@ -193,7 +193,8 @@ async fn run_gateway(config: &Config, runtimes: &runtimes::Owned, shares: Shares
 fn access(config: &AccessConfig) -> Result<Access, TokenFileError> {
     let AccessConfig::Guarded(guarded) = config else { return Ok(Access::Open) };
     let config::Guarded { tokens, clients, fast_stop, zenoh_role, session_idle } = guarded.clone();
-    Guard::new(TokenFile::at(tokens), clients, (fast_stop, zenoh_role), session_idle).map(Access::Guarded)
+    Guard::new(TokenFile::at(tokens), clients, (fast_stop, zenoh_role), session_idle)
+        .map(|guard| Access::Guarded(Box::new(guard)))
 }
 
 fn open_journal(config: &Config) -> Result<(Journal, Recovered), journal::OpenError> {

@@ -48,11 +48,9 @@ pub struct GripperRole {
 fn me(call: &Call) -> Result<Json<Me>, Problem> {
     let NoFields {} = call.fields()?;
     let Identity { name, role, expires_at, proof, scope } = call.caller.identity.clone()?;
-    let role_for = |gripper: &Name| match scope.contains(Some(gripper)) {
-        true => Some(role),
-        // Reads are not limited to the credential's grippers.
-        false => role.has(Right::Read).then_some(Role::Observer),
-    };
+    // Reads are not limited to the credential's grippers.
+    let elsewhere = role.has(Right::Read).then_some(Role::Observer);
+    let role_for = |gripper: &Name| if scope.contains(Some(gripper)) { Some(role) } else { elsewhere };
     let grippers = call.gateway.grippers.iter().map(crate::gripper::Handle::name);
     let grippers = grippers.map(|name| GripperRole { gripper: name.clone(), role: role_for(name) }).collect();
     Ok(Json(Me { name, role, proof, grippers, expires_at }))

@@ -1,24 +1,23 @@
 //! The check of a caller's rights. No other place decides them.
 
-use super::operation::Operation;
 use super::problem::Problem;
 use crate::access::{Access, Identity, Right, Unauthorized};
 use crate::gripper::model::{Code, Name};
 
-/// Checks that a caller has the right to an operation.
+/// Checks that a caller has the right to an operation of a gripper, or of all grippers.
 ///
 /// # Errors
 /// The problem for the caller.
 pub fn check(
     access: &Access,
-    operation: &Operation,
+    right: Right,
     identity: &Result<Identity, Unauthorized>,
     gripper: Option<&Name>,
 ) -> Result<(), Problem> {
     match identity {
-        Err(_) if operation.right == Right::FastStop && access.lets_anyone_stop() => Ok(()),
+        Err(_) if right == Right::FastStop && access.lets_anyone_stop() => Ok(()),
         Err(unknown) => Err((*unknown).into()),
-        Ok(identity) => require(identity, operation.right, gripper),
+        Ok(identity) => require(identity, right, gripper),
     }
 }
 

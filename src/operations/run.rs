@@ -34,7 +34,7 @@ pub async fn run(
     params: Params,
 ) -> Result<OperationReply, Problem> {
     let (client, gripper) = (caller.client.clone(), params.gripper());
-    let running = match check(&gateway.access, operation, &caller.identity, gripper.as_ref()) {
+    let running = match check(&gateway.access, operation.right, &caller.identity, gripper.as_ref()) {
         Ok(()) => operation.start(Call { gateway: gateway.clone(), caller, params }),
         Err(problem) => ready(Err(problem)).boxed(),
     };

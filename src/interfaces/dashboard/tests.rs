@@ -140,7 +140,9 @@ fn scripts_have_every_module_once() {
     assert_eq!(needed, present);
     let files = joined();
     let script = [FIRST, SECOND].map(|path| String::from_utf8(files[path].plain.to_vec()).unwrap()).concat();
-    let declared = script.lines().filter_map(|line| line.strip_prefix("let ")?.strip_suffix(';'));
+    // Variables with a value belong to the block of one module.
+    let declared = script.lines().filter(|line| !line.contains('='));
+    let declared = declared.filter_map(|line| line.strip_prefix("let ")?.strip_suffix(';'));
     let mut exports: Vec<_> = declared.flat_map(|names| names.split(", ")).collect();
     assert!(exports.len() > 200 && exports.contains(&"fastStop") && exports.contains(&"Motion"));
     let count = exports.len();

@@ -82,7 +82,7 @@ pub async fn forward(
     let gripper = target.gripper.parse().map_err(|_| Problem::not_found("gripper with this name"))?;
     let identified = Identified::client_of(&context.gateway.access, &parts.extensions);
     // The rights to one of this gateway's grippers say nothing about another gateway's gripper of the same name.
-    check(&context.gateway.access, operation, &identified.identity, None)?;
+    check(&context.gateway.access, operation.right, &identified.identity, None)?;
     let (mut wait, mut aside) = (wait(&parts, operation)?, aside(&parts));
     // The other gateway may not know the token, and a FAST STOP must not fail because of that.
     if operation.urgency != Urgency::FastStop

@@ -19,10 +19,9 @@ const MAX_HEADER_BYTES: usize = 8192;
 /// sending it in the clear.
 pub async fn answer(stream: TcpStream, allowed_hosts: Vec<String>) {
     let service = service_fn(async |request| Ok::<_, Infallible>(response(&request, &allowed_hosts)));
-    let mut server = http1::Builder::new();
-    let server = server.timer(TokioTimer::new()).max_buf_size(MAX_HEADER_BYTES);
-    let served = server.serve_connection(TokioIo::new(stream), service).await;
-    if let Err(error) = served {
+    let mut http = http1::Builder::new();
+    let http = http.timer(TokioTimer::new()).max_buf_size(MAX_HEADER_BYTES);
+    if let Err(error) = http.serve_connection(TokioIo::new(stream), service).await {
         tracing::debug!(%error, "connection without TLS ended");
     }
 }

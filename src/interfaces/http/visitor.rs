@@ -6,7 +6,7 @@ use axum::http::header::{AUTHORIZATION, COOKIE, HeaderValue};
 use axum::http::{Extensions, HeaderMap};
 
 use crate::access::{Access, Credential, Identity, SessionId, Unauthorized, Visitor};
-use crate::gripper::model::{Client, Door};
+use crate::gripper::model::{Client, Door, Name};
 
 /// Name of the cookie with a session's id.
 pub const SESSION_COOKIE: &str = "wsg_session";
@@ -39,13 +39,12 @@ impl Identified {
 
     /// The client as it appears in the journal: its name, or else its address.
     pub fn client(&self, door: Door) -> Client {
-        let subject = match self.identity.as_ref().ok().and_then(|identity| identity.name.as_ref()) {
-            Some(name) => name.to_string(),
-            None => {
-                let door = if door == Door::Ws { "ws" } else { "http" };
-                self.visitor.peer.map_or_else(|| format!("{door}:unknown"), |peer| format!("{door}:{peer}"))
-            }
+        let name = self.identity.as_ref().ok().and_then(|identity| identity.name.as_ref());
+        let by_address = || {
+            let door = if door == Door::Ws { "ws" } else { "http" };
+            self.visitor.peer.map_or_else(|| format!("{door}:unknown"), |peer| format!("{door}:{peer}"))
         };
+        let subject = name.map_or_else(by_address, Name::to_string);
         Client { subject: subject.into(), door }
     }
 }
