@@ -55,7 +55,8 @@ impl SearchPlan {
         if tcp.len() > MAX_ADDRESSES {
             return Err(TooManyAddresses);
         }
-        let others = if is_local { available() } else { Vec::new() };
+        let urls = if is_local { available() } else { Vec::new() };
+        let others = urls.iter().filter_map(|url| url.parse().ok()).collect();
         Ok(Self { tcp, others })
     }
 

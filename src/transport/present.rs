@@ -4,8 +4,6 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 
-use super::Address;
-
 /// Limit of listed names, so that the list does not bury the rest of the message.
 const MAX_LISTED: usize = 12;
 
@@ -22,16 +20,16 @@ const CAN_HARDWARE: &str = "280";
 /// Bit `IFF_UP` of an interface's flags.
 const UP: u32 = 1;
 
-/// Returns the addresses of this machine's serial ports, each by its stable name, and of its CAN interfaces that are up,
+/// Returns the URLs of this machine's serial ports, each by its stable name, and of its CAN interfaces that are up,
 /// with the usual settings of devices.
 #[must_use]
-pub fn available() -> Vec<Address> {
+pub fn available() -> Vec<String> {
     let mut seen = BTreeSet::new();
     let ports = ports(Path::new("/dev"), Path::new("/sys/class/tty")).into_iter();
     let ports = ports.filter(|port| fs::canonicalize(port).is_ok_and(|device| seen.insert(device)));
     let ports = ports.map(|port| format!("serial://{port}"));
     let interfaces = names(Path::new(INTERFACES)).into_iter().filter(|name| is_can(name) && is_up(name));
-    ports.chain(interfaces.map(|name| format!("can://{name}"))).filter_map(|url| url.parse().ok()).collect()
+    ports.chain(interfaces.map(|name| format!("can://{name}"))).collect()
 }
 
 /// E.g. "available: /dev/ttyUSB0, /dev/ttyS0".
