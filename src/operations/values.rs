@@ -6,7 +6,9 @@
 use std::fmt;
 use std::ops::RangeInclusive;
 
-use serde::Deserialize;
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer};
+use serde_json::Number;
 use utoipa::openapi::schema::{ObjectBuilder, OneOfBuilder, Type};
 
 use super::problem::Problem;
@@ -83,7 +85,16 @@ pub fn name<const MAX: usize>(field: &str, given: &str) -> Result<ShownName<MAX>
 #[serde(untagged, expecting = "expected a string or a whole number")]
 pub enum TextOrNumber {
     Text(String),
-    Number(i64),
+    Number(#[serde(deserialize_with = "whole")] i64),
+}
+
+/// Parses a whole number, also in the form `7.0`.
+fn whole<'de, D: Deserializer<'de>>(deserializer: D) -> Result<i64, D::Error> {
+    let number = Number::deserialize(deserializer)?;
+    let float = || {
+        number.as_f64().filter(|float| float.fract() == 0.0 && float.abs() < i64::MAX as f64).map(|float| float as i64)
+    };
+    number.as_i64().or_else(float).ok_or_else(|| D::Error::custom("not a whole number"))
 }
 
 impl fmt::Display for TextOrNumber {
@@ -122,6 +133,17 @@ pub fn bytes(field: &str, given: &str, max: usize) -> Result<Vec<u8>, Problem> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn whole_number_can_have_decimals_of_zero() {
+        let parsed = |json: &str| serde_json::from_str::<TextOrNumber>(json).ok().map(|value| value.to_string());
+        assert_eq!(parsed("-178.0").as_deref(), Some("-178"));
+        assert_eq!(parsed("9007199254740993").as_deref(), Some("9007199254740993"));
+        assert_eq!(parsed("\"7.5\"").as_deref(), Some("7.5"));
+        for wrong in ["7.5", "1e300", "true", "null"] {
+            assert_eq!(parsed(wrong), None, "{wrong}");
+        }
+    }
 
     #[test]
     fn number_that_does_not_fit_the_wire_is_out_of_range() {

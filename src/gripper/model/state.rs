@@ -77,7 +77,7 @@ pub struct Latch {
     "gripper": "left", "link": "connected", "link_cause": null, "age_ms": 4, "seq": 51234, "state": "HOLDING",
     "state_code": 4, "flags": ["REFERENCED", "TARGET_POS_REACHED"], "flags_raw": 129, "referenced": true,
     "moving": false, "width_mm": 20.0, "speed_mm_s": 0.0, "force_n": 40.0, "temperature_c": 31.5,
-    "fault": false, "fault_code": 0, "fast_stop": false, "lease_holder": null, "lease_epoch": 0, "journal_cause": null,
+    "fault": false, "fault_code": 0, "fast_stop": false, "lease_holder": null, "reserved_for": null, "lease_epoch": 0, "journal_cause": null,
     "command_id": null, "command": null, "last_command": 17, "last_outcome_code": 2
 }))]
 pub struct State {
