@@ -98,8 +98,9 @@ pub struct AlarmCause {
 }
 
 /// An alarm that is active, or not acknowledged yet.
+// The schema has another name than its field `alarm`, since generated clients use both as names of variables.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize, ToSchema)]
-#[schema(example = json!({
+#[schema(as = RaisedAlarm, example = json!({
     "id": "019aa5c8-5a71-7d02-8c11-5b6f0e2d9a34", "alarm": "link_down", "priority": "high", "gripper": "left",
     "gateway": null, "cause": "connection refused", "fast_stop_id": null, "fast_stop_by": null,
     "fast_stop_reason": null, "began_at": "2026-11-21T09:00:00.250Z", "ended_at": null, "count": 1,
