@@ -67,6 +67,13 @@ struct Cached {
     failed: Option<(Option<FileVersion>, Instant)>,
 }
 
+impl Cached {
+    fn of(read: Option<(Tokens, FileVersion)>) -> Self {
+        let (tokens, version) = read.map(|(tokens, version)| (Arc::new(tokens), version)).unzip();
+        Self { version, tokens, failed: None }
+    }
+}
+
 impl Guard {
     /// Reads the file of tokens, which may not exist yet.
     ///
@@ -78,9 +85,7 @@ impl Guard {
         (fast_stop, network_role): (FastStopPolicy, Option<Role>),
         idle_time: Duration,
     ) -> Result<Self, TokenFileError> {
-        let read = file.read()?;
-        let version = read.as_ref().map(|(_, version)| *version);
-        let cached = RwLock::new(Cached { version, tokens: read.map(|(tokens, _)| Arc::new(tokens)), failed: None });
+        let cached = RwLock::new(Cached::of(file.read()?));
         Ok(Self { file, clients, fast_stop, network_role, sessions: Sessions::new(idle_time), cached })
     }
 
@@ -97,8 +102,7 @@ impl Guard {
         match self.file.read() {
             Ok(read) => {
                 tracing::info!(file = %self.file.path().display(), "tokens read");
-                let version = read.as_ref().map(|(_, version)| *version);
-                *cached = Cached { version, tokens: read.map(|(tokens, _)| Arc::new(tokens)), failed: None };
+                *cached = Cached::of(read);
             }
             Err(error) => {
                 tracing::error!(%error, "tokens not read: the gateway keeps the tokens that it knows");
@@ -108,9 +112,21 @@ impl Guard {
         cached.tokens.clone()
     }
 
-    fn by_hash(&self, hash: impl FnOnce(&Tokens) -> Option<TokenHash>, proof: Proof) -> Result<Identity, Unauthorized> {
+    /// Identifies a client by its token, and returns the token's hash.
+    fn by_token(&self, secret: &TokenSecret, proof: Proof) -> Result<(TokenHash, Identity), Unauthorized> {
         let tokens = self.tokens().ok_or(Unauthorized::Unknown)?;
-        let token = hash(&tokens).and_then(|hash| tokens.find(hash)).ok_or(Unauthorized::Unknown)?;
+        let hash = tokens.hash(secret);
+        Ok((hash, Self::by_hash(&tokens, hash, proof)?))
+    }
+
+    /// Identifies a client by the token of its session.
+    fn by_session(&self, hash: Option<TokenHash>) -> Result<Identity, Unauthorized> {
+        let (hash, tokens) = hash.zip(self.tokens()).ok_or(Unauthorized::SessionEnded)?;
+        Self::by_hash(&tokens, hash, Proof::Session).map_err(|_| Unauthorized::SessionEnded)
+    }
+
+    fn by_hash(tokens: &Tokens, hash: TokenHash, proof: Proof) -> Result<Identity, Unauthorized> {
+        let token = tokens.find(hash).ok_or(Unauthorized::Unknown)?;
         let StoredToken { name, role, expires_at, .. } = token;
         if expires_at.is_some_and(|at| at <= Timestamp::now()) {
             return Err(Unauthorized::Expired);
@@ -137,11 +153,8 @@ impl Access {
         match credential {
             Credential::None => guard.by_address(peer),
             Credential::Malformed => Err(Unauthorized::Malformed),
-            Credential::Token(secret) => guard.by_hash(|tokens| Some(tokens.hash(secret)), Proof::Token),
-            Credential::Session(id) => {
-                let hash = guard.sessions.used(Instant::now(), id).ok_or(Unauthorized::SessionEnded)?;
-                guard.by_hash(|_| Some(hash), Proof::Session).map_err(|_| Unauthorized::SessionEnded)
-            }
+            Credential::Token(secret) => guard.by_token(secret, Proof::Token).map(|(_, identity)| identity),
+            Credential::Session(id) => guard.by_session(guard.sessions.used(Instant::now(), id)),
         }
     }
 
@@ -150,8 +163,7 @@ impl Access {
     pub fn knows(&self, credential: &Credential, peer: Option<IpAddr>) -> bool {
         match (self, credential) {
             (Self::Guarded(guard), Credential::Session(id)) => {
-                let hash = guard.sessions.token(Instant::now(), id);
-                hash.is_some_and(|hash| guard.by_hash(|_| Some(hash), Proof::Session).is_ok())
+                guard.by_session(guard.sessions.token(Instant::now(), id)).is_ok()
             }
             _ => self.identify(credential, peer).is_ok(),
         }
@@ -189,8 +201,7 @@ impl Access {
     /// The reason why the token is refused.
     pub fn sign_in(&self, secret: &TokenSecret) -> Result<Option<(SessionId, Identity)>, Unauthorized> {
         let Self::Guarded(guard) = self else { return Ok(None) };
-        let identity = guard.by_hash(|tokens| Some(tokens.hash(secret)), Proof::Session)?;
-        let hash = guard.tokens().ok_or(Unauthorized::Unknown)?.hash(secret);
+        let (hash, identity) = guard.by_token(secret, Proof::Session)?;
         let id = guard.sessions.begin(Instant::now(), hash).map_err(|_| Unauthorized::Unknown)?;
         Ok(Some((id, identity)))
     }

@@ -4,8 +4,8 @@ use std::fmt;
 
 use base64::Engine as _;
 use base64::engine::general_purpose::URL_SAFE_NO_PAD;
-use ring::rand::{SecureRandom as _, SystemRandom};
 
+use super::random::secret_bytes;
 use super::token::TokenSecret;
 
 /// A credential, as a client presents it.
@@ -28,9 +28,7 @@ impl SessionId {
     const CHARACTERS: usize = 43;
 
     pub(super) fn generate() -> Result<Self, ring::error::Unspecified> {
-        let mut bytes = [0; 32];
-        SystemRandom::new().fill(&mut bytes)?;
-        Ok(Self(URL_SAFE_NO_PAD.encode(bytes)))
+        Ok(Self(URL_SAFE_NO_PAD.encode(secret_bytes()?)))
     }
 
     /// Parses the value of a cookie.

@@ -6,6 +6,7 @@
 mod authority;
 mod credential;
 mod identity;
+mod random;
 mod role;
 mod session;
 mod token;

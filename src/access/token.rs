@@ -5,13 +5,11 @@ use std::str::FromStr;
 
 use base64::Engine as _;
 use base64::engine::general_purpose::URL_SAFE_NO_PAD;
-use ring::rand::{SecureRandom as _, SystemRandom};
+
+use super::random::{SECRET_BYTES, secret_bytes};
 
 /// Beginning of every token, so that scanners for leaked secrets find it.
 const PREFIX: &str = "wsg_";
-
-/// Random bytes of a token.
-const BYTES: usize = 32;
 
 /// A token: `wsg_` and 43 characters. Debug output hides it.
 #[derive(Clone, PartialEq, Eq)]
@@ -28,9 +26,7 @@ impl TokenSecret {
     /// # Errors
     /// The operating system has no random numbers.
     pub fn generate() -> Result<Self, ring::error::Unspecified> {
-        let mut bytes = [0; BYTES];
-        SystemRandom::new().fill(&mut bytes)?;
-        Ok(Self(format!("{PREFIX}{}", URL_SAFE_NO_PAD.encode(bytes))))
+        Ok(Self(format!("{PREFIX}{}", URL_SAFE_NO_PAD.encode(secret_bytes()?))))
     }
 
     /// The text, to be shown once or to be hashed.
@@ -45,7 +41,7 @@ impl FromStr for TokenSecret {
 
     fn from_str(text: &str) -> Result<Self, NotAToken> {
         let secret = text.strip_prefix(PREFIX).and_then(|rest| URL_SAFE_NO_PAD.decode(rest).ok());
-        secret.filter(|secret| secret.len() == BYTES).map(|_| Self(text.to_owned())).ok_or(NotAToken)
+        secret.filter(|secret| secret.len() == SECRET_BYTES).map(|_| Self(text.to_owned())).ok_or(NotAToken)
     }
 }
 

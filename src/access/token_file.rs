@@ -8,10 +8,10 @@ use std::path::{Path, PathBuf};
 
 use jiff::Timestamp;
 use ring::hmac;
-use ring::rand::{SecureRandom as _, SystemRandom};
 use serde::{Deserialize, Serialize};
 
 use super::identity::Scope;
+use super::random::secret_bytes;
 use super::role::Role;
 use super::token::TokenSecret;
 use crate::gripper::model::Name;
@@ -226,9 +226,7 @@ impl FileVersion {
 
 impl Tokens {
     fn new() -> Result<Self, TokenFileError> {
-        let mut key = [0; 32];
-        SystemRandom::new().fill(&mut key)?;
-        Ok(Self { key: HashKey(key), tokens: Vec::new() })
+        Ok(Self { key: HashKey(secret_bytes()?), tokens: Vec::new() })
     }
 
     /// Hashes a secret. Its keyed hash is compared instead of the secret, so the time of a comparison reveals nothing.

@@ -15,7 +15,6 @@ use super::context::{API, HttpContext};
 use super::fast_stop::with_reason;
 use super::visitor::Identified;
 use super::wait::ConnectionWaits;
-use crate::access::Access;
 use crate::gripper::model::{Door, LeaseToken, Text, Urgency};
 use crate::operations::values::text;
 use crate::operations::{
@@ -45,8 +44,9 @@ pub async fn serve_below(
     parts: &Parts,
     stream: Body,
 ) -> Result<Response, Problem> {
-    let (gateway, mut caller) = (context.gateway.clone(), caller(&context.gateway.access, parts, operation)?);
-    let visitor = Identified::client_of(&gateway.access, &parts.extensions).visitor;
+    let gateway = context.gateway.clone();
+    let identified = Identified::client_of(&gateway.access, &parts.extensions);
+    let (mut caller, visitor) = (caller(&identified, parts, operation)?, identified.visitor);
     let run = move |fields| async move {
         // A credential can end while a slow body arrives.
         caller.identity = visitor.identity(&gateway.access);
@@ -79,17 +79,16 @@ async fn path(parts: &mut Parts, operation: &Operation) -> Result<BTreeMap<&'sta
     operation.path_parameters().map(part).collect()
 }
 
-fn caller(access: &Access, parts: &Parts, operation: &Operation) -> Result<Caller, Problem> {
+fn caller(identified: &Identified, parts: &Parts, operation: &Operation) -> Result<Caller, Problem> {
     let wait = if operation.waits {
         let given = QueryString::of(&parts.uri)?.one("wait_ms")?.map(ToOwned::to_owned);
         Wait::Ms { given, limiter: ConnectionWaits::of(&parts.extensions) }
     } else {
         Wait::No
     };
-    let identified = Identified::client_of(access, &parts.extensions);
     Ok(Caller {
         client: identified.client(Door::Http),
-        identity: identified.identity,
+        identity: identified.identity.clone(),
         lease: key::<MAX_LEASE_BYTES>(&parts.headers, "Wsg-Lease")
             .map(|lease| lease.map(|lease| LeaseToken::from(lease.as_str()))),
         request_id: key(&parts.headers, "Idempotency-Key"),
@@ -126,9 +125,10 @@ fn response(OperationReply { body, effect }: OperationReply) -> Response {
 
 #[cfg(test)]
 mod tests {
-    use axum::http::Request;
+    use axum::http::{Extensions, Request};
 
     use super::*;
+    use crate::access::Access;
 
     fn parts(uri: &str, headers: &[(&str, &str)]) -> Parts {
         let mut request = Request::get(uri);
@@ -138,8 +138,12 @@ mod tests {
         request.body(()).unwrap().into_parts().0
     }
 
+    fn nobody() -> Identified {
+        Identified::client_of(&Access::Open, &Extensions::new())
+    }
+
     fn caller_of(headers: &[(&str, &str)]) -> Caller {
-        caller(&Access::Open, &parts("/home", headers), &motion::HOME).unwrap()
+        caller(&nobody(), &parts("/home", headers), &motion::HOME).unwrap()
     }
 
     #[test]
@@ -161,8 +165,8 @@ mod tests {
 
     #[test]
     fn wait_is_given_once() {
-        assert!(caller(&Access::Open, &parts("/home?wait_ms=1&wait_ms=2", &[]), &motion::HOME).is_err());
-        let caller = caller(&Access::Open, &parts("/home?wait_ms=96.0&other=1", &[]), &motion::HOME).unwrap();
+        assert!(caller(&nobody(), &parts("/home?wait_ms=1&wait_ms=2", &[]), &motion::HOME).is_err());
+        let caller = caller(&nobody(), &parts("/home?wait_ms=96.0&other=1", &[]), &motion::HOME).unwrap();
         assert!(matches!(caller.wait, Wait::Ms { given: Some(given), .. } if given == "96.0"));
     }
 }
