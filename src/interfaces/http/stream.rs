@@ -251,7 +251,7 @@ mod tests {
         // No time passes between the changes; each is sent as a state and as telemetry.
         for (changes, later_ms, expected) in [(0, 0, 0), (3, 0, 0), (3, 350, 4), (1, 350, 4), (10, 100, 4)] {
             for _ in 0..changes {
-                let client = Client { subject: "test".into(), door: Door::Http };
+                let client = Client::new("test", Door::Http);
                 handle.fast_stop(FastStopId::generate(), client, Reason::truncated("")).await;
             }
             tokio::time::advance(Duration::from_millis(later_ms)).await;

@@ -82,6 +82,6 @@ impl Port {
     /// Returns a client identified by its IP address, for lack of authentication. A restarted driver is the same
     /// client, although its port differs.
     pub(super) fn client(peer: SocketAddr) -> Client {
-        Client { subject: format!("wsg:{}", peer.ip().to_canonical()).into(), door: Door::Wsg }
+        Client::new(format!("wsg:{}", peer.ip().to_canonical()), Door::Wsg)
     }
 }
