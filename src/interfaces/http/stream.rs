@@ -40,9 +40,9 @@ const READ_RETRY_PAUSE: Duration = Duration::from_secs(1);
 #[into_params(parameter_in = Query)]
 #[allow(dead_code, reason = "only describes the parameters that `Stream::new` reads")]
 pub struct StreamQuery {
-    /// `events` (default), `grips`, `state`, `telemetry`, `frames`, `fleet`, `alarms`, or several of them separated by commas.
+    /// `events` (default), `grips`, `state`, `telemetry`, `frames`, `exchanges`, `fleet`, `alarms`, or several of them separated by commas.
     #[param(
-        pattern = "^(events|grips|state|telemetry|frames|fleet|alarms)(,(events|grips|state|telemetry|frames|fleet|alarms))*$",
+        pattern = "^(events|grips|state|telemetry|frames|exchanges|fleet|alarms)(,(events|grips|state|telemetry|frames|exchanges|fleet|alarms))*$",
         example = "events,state"
     )]
     topics: Option<String>,
