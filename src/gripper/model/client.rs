@@ -48,6 +48,7 @@ pub struct Client {
 pub struct ClientLabel(Arc<str>);
 
 impl Client {
+    #[must_use]
     pub fn new(subject: impl Into<Arc<str>>, door: Door) -> Self {
         Self { subject: subject.into(), door, label: None }
     }
