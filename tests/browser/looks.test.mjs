@@ -174,6 +174,11 @@ test('axe finds nothing on the page to sign in', async () => {
   ]) {
     const { page, close } = await visit(launched, served, { ...SIZES[size], locale, colorScheme, forcedColors });
     await page.waitForSelector('.sign-in');
+    // Nothing is claimed that the page cannot know.
+    const words = await textsOf(locale.slice(0, 2));
+    await page.waitForSelector(`.status:has-text("${words['bar.sign_in']}")`);
+    assert.equal(await page.locator('.alarm-badge').innerText(), words['bar.alarms_unknown']);
+    assert.equal(await page.locator('[data-view], [class*=tone-]').count(), 0);
     await shoot(page, `${size}-signin-${locale}-${colorScheme}-${forcedColors}`);
     assert.deepEqual(await violations(page), [], locale);
     assert.deepEqual(await misfits(page), [], locale);

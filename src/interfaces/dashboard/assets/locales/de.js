@@ -30,6 +30,8 @@ export const de = {
   'bar.reserved': 'reserviert: {name}',
   'bar.unknown': 'unbekannt',
   'bar.since': 'seit {time}',
+  'bar.sign_in': 'nicht angemeldet',
+  'bar.alarms_unknown': 'Alarme: unbekannt',
   'bar.no_alarms': 'Keine Alarme',
   'bar.alarm': '1 Alarm',
   'bar.alarms': '{count} Alarme',

@@ -30,6 +30,8 @@ export const en = {
   'bar.reserved': 'reserved: {name}',
   'bar.unknown': 'unknown',
   'bar.since': 'since {time}',
+  'bar.sign_in': 'not signed in',
+  'bar.alarms_unknown': 'Alarms: unknown',
   'bar.no_alarms': 'No alarms',
   'bar.alarm': '1 alarm',
   'bar.alarms': '{count} alarms',
