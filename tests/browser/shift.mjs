@@ -78,12 +78,14 @@ test(`nothing is old and nothing leaks in a shift of ${SECONDS} s`, async () => 
     await clickOnce(ben, '#give-back');
     await shows('that nobody has control', async () => (await statuses()).includes('nobody'));
     const { fast_stop_id: id } = await post('grippers/g8/fast-stop', { reason: 'light curtain' });
-    await shows('the alarm', async () => /1 alarm/.test(await statuses()));
+    // On a busy machine, a silent gateway can be another alarm.
+    const isListed = async () => (await text(page, '.alarms-panel')).includes('g8: FAST STOP');
+    await shows('the alarm', isListed);
     await until('the alarm is acknowledged', async () => {
       await post('grippers/g8/acknowledge', { fast_stop_id: id });
       return !(await served.ask('GET', 'grippers/g8/state')).fast_stop;
     });
-    await shows('that the alarm is over', async () => /No alarms/.test(await statuses()));
+    await shows('that the alarm is over', async () => !(await isListed()));
     movers[0].goOn();
   };
 
