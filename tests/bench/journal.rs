@@ -285,7 +285,7 @@ fn filters<K: Copy>(kinds: &[K]) -> Result<Vec<Filter<K>>, Error> {
             for part_id in [None, Some("P-1"), Some("P-rare"), Some("none")] {
                 for outcome in [None, Some(Outcome::PartHeld), Some(Outcome::NoPart), Some(Outcome::Blocked)] {
                     let (gripper, part_id) = (gripper.clone(), part_id.and_then(PartId::new));
-                    filters.push(Filter { gripper, kind, part_id, outcome, command_id: None });
+                    filters.push(Filter { gripper, kind, part_id, part_prefix: None, outcome, command_id: None });
                 }
             }
         }
