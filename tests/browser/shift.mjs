@@ -93,7 +93,11 @@ test(`nothing is old and nothing leaks in a shift of ${SECONDS} s`, async () => 
     for (const view of ['history', 'log', 'device', 'all', 'operate']) {
       await clickOnce(page, `[data-view=${view}]`);
       await sleep(LOOKS_MS);
-      assert.equal(await page.evaluate(`document.querySelectorAll('.cover').length`), 0, `values are covered: ${view}`);
+      // A gateway without processor time is silent, and the page says so.
+      await shows(
+        `current values: ${view}`,
+        async () => !(await page.evaluate(`document.querySelector('.cover') !== null`)),
+      );
     }
   };
 
