@@ -7,7 +7,7 @@ use std::time::{Duration, Instant};
 use jiff::Timestamp;
 
 use crate::gripper::Now;
-use crate::gripper::model::{Alarm, AlarmCause, AlarmId, AlarmKind, AlarmStep, FastStopId, Name};
+use crate::gripper::model::{Alarm, AlarmCause, AlarmId, AlarmKind, AlarmStep, Client, ClientLabel, FastStopId, Name};
 
 /// Time for which a condition has to be absent before its alarm ends. A flickering condition is one alarm.
 const ENDS_AFTER: Duration = Duration::from_secs(1);
@@ -106,6 +106,7 @@ impl AlarmList {
             count,
             acknowledged_at: None,
             acknowledged_by: None,
+            acknowledged_label: None,
         };
         changes.push((AlarmStep::Raised, alarm.clone()));
         self.0.insert(key.clone(), Entry { alarm, absent_since: None });
@@ -122,13 +123,13 @@ impl AlarmList {
     pub(super) fn acknowledge(
         &mut self,
         ids: &BTreeSet<AlarmId>,
-        by: &Arc<str>,
+        by: &Client,
         at: Timestamp,
     ) -> (Vec<Alarm>, Vec<AlarmChange>) {
         let (mut listed, mut changes) = (Vec::new(), Vec::new());
         for Entry { alarm, .. } in self.0.values_mut().filter(|entry| ids.contains(&entry.alarm.id)) {
             if alarm.acknowledged_at.is_none() {
-                (alarm.acknowledged_at, alarm.acknowledged_by) = (Some(at), Some(by.clone()));
+                acknowledge(alarm, Some(by.subject.clone()), by.label.clone(), at);
                 changes.push((AlarmStep::Acknowledged, alarm.clone()));
             }
             listed.push(alarm.clone());
@@ -142,7 +143,7 @@ impl AlarmList {
         &mut self,
         gripper: &Name,
         id: FastStopId,
-        by: Option<Arc<str>>,
+        (by, label): (Option<Arc<str>>, Option<ClientLabel>),
         at: Timestamp,
     ) -> Vec<AlarmChange> {
         let key = AlarmKey { alarm: AlarmKind::FastStop, gripper: Some(gripper.clone()), gateway: None };
@@ -150,13 +151,17 @@ impl AlarmList {
         let Some(Entry { mut alarm, .. }) = is_it.then(|| self.0.remove(&key)).flatten() else { return Vec::new() };
         let mut changes = Vec::new();
         if alarm.acknowledged_at.is_none() {
-            (alarm.acknowledged_at, alarm.acknowledged_by) = (Some(at), by);
+            acknowledge(&mut alarm, by, label, at);
             changes.push((AlarmStep::Acknowledged, alarm.clone()));
         }
         alarm.ended_at = Some(at);
         changes.push((AlarmStep::Ended, alarm));
         changes
     }
+}
+
+fn acknowledge(alarm: &mut Alarm, by: Option<Arc<str>>, label: Option<ClientLabel>, at: Timestamp) {
+    (alarm.acknowledged_at, alarm.acknowledged_by, alarm.acknowledged_label) = (Some(at), by, label);
 }
 
 /// Whether an alarm needs nobody any more. Only an acknowledgement ends a FAST STOP, so its alarm is over with it.

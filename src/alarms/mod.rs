@@ -21,7 +21,7 @@ use utoipa::ToSchema;
 
 use crate::fleet::Peers;
 use crate::gripper::model::{
-    Alarm, AlarmCause, AlarmEvent, AlarmId, AlarmKind, AlarmStep, Client, Detail, Event, FastStopId, Name,
+    Alarm, AlarmCause, AlarmEvent, AlarmId, AlarmKind, AlarmStep, Client, ClientLabel, Detail, Event, FastStopId, Name,
     PersistedKey, PersistedState,
 };
 use crate::gripper::recorder::{Record, Recorder as _};
@@ -63,6 +63,7 @@ struct KnownAlarms {
 struct ClearedLatch {
     gripper: Name,
     subject: Option<Arc<str>>,
+    label: Option<ClientLabel>,
     fast_stop_id: Option<FastStopId>,
     cleared: bool,
 }
@@ -103,7 +104,7 @@ impl Alarms {
     /// Acknowledges the alarms with these ids, and returns those that are listed.
     pub fn acknowledge(&self, ids: &BTreeSet<AlarmId>, client: &Client) -> Vec<Alarm> {
         let mut known = self.known();
-        let (alarms, changes) = known.list.acknowledge(ids, &client.subject, Now::read().wall);
+        let (alarms, changes) = known.list.acknowledge(ids, client, Now::read().wall);
         self.note(&mut known, changes, Some(client));
         alarms
     }
@@ -166,13 +167,13 @@ impl Alarms {
         if event.kind != EventKind::Acknowledge {
             return;
         }
-        let Ok(ClearedLatch { gripper, subject, fast_stop_id: Some(id), cleared: true }) =
+        let Ok(ClearedLatch { gripper, subject, label, fast_stop_id: Some(id), cleared: true }) =
             serde_json::from_str(&event.body)
         else {
             return;
         };
         let mut known = self.known();
-        let changes = known.list.end_fast_stop(&gripper, id, subject, Now::read().wall);
+        let changes = known.list.end_fast_stop(&gripper, id, (subject, label), Now::read().wall);
         self.note(&mut known, changes, None);
     }
 
@@ -196,7 +197,9 @@ impl Alarms {
             let event = Event::new(Now::read().wall, alarm.gripper, detail);
             let event = match (step, client) {
                 (AlarmStep::Acknowledged, Some(client)) => event.by(client),
-                (AlarmStep::Acknowledged, None) => Event { subject: alarm.acknowledged_by, ..event },
+                (AlarmStep::Acknowledged, None) => {
+                    Event { subject: alarm.acknowledged_by, label: alarm.acknowledged_label, ..event }
+                }
                 _ => event,
             };
             self.journal.record(Record::Event(event, None));

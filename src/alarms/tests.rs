@@ -39,7 +39,7 @@ impl Scene {
     }
 
     fn acknowledge(&mut self, id: AlarmId) -> usize {
-        self.list.acknowledge(&[id].into(), &"Anna".into(), self.now.wall).0.len()
+        self.list.acknowledge(&[id].into(), &Client::new("Anna", Door::Http), self.now.wall).0.len()
     }
 }
 
@@ -127,8 +127,8 @@ fn fast_stop_alarm_ends_with_its_latch() {
     let [first, second] = [FastStopId::generate(), FastStopId::generate()];
     scene.see(&[stopped(first)]);
     let at = scene.now.wall;
-    assert_eq!(scene.list.end_fast_stop(&gripper, second, None, at), []);
-    let changes = scene.list.end_fast_stop(&gripper, first, Some("ws:10.0.0.5".into()), at);
+    assert_eq!(scene.list.end_fast_stop(&gripper, second, (None, None), at), []);
+    let changes = scene.list.end_fast_stop(&gripper, first, (Some("ws:10.0.0.5".into()), ClientLabel::new("Anna")), at);
     assert_eq!(changes.iter().map(|(step, _)| *step).collect::<Vec<_>>(), [AlarmStep::Acknowledged, AlarmStep::Ended]);
     assert_eq!(changes[1].1.acknowledged_by.as_deref(), Some("ws:10.0.0.5"));
     assert_eq!(scene.list.alarms(), []);
@@ -194,12 +194,13 @@ async fn alarms_survive_a_restart() {
     let (journal, recovered) = Journal::open(place(), Retention::default()).unwrap();
     let alarms = Alarms::new(gateway(), journal.clone(), &recovered.memory);
     assert_eq!(alarms.read().1.alarms, before);
-    let client = Client { subject: "http:10.0.0.5".into(), door: Door::Http };
+    let client = Client { label: ClientLabel::new("Anna"), ..Client::new("http:10.0.0.5", Door::Http) };
     alarms.acknowledge(&[before[0].id].into(), &client);
     journal.close().await.unwrap();
     // The gateway's name can change.
     let (journal, recovered) = Journal::open(place(), Retention::default()).unwrap();
     let alarms = Alarms::new("cell-7".parse().unwrap(), journal, &recovered.memory).read().1.alarms;
     assert_eq!(alarms[0].acknowledged_by.as_deref(), Some("http:10.0.0.5"));
+    assert_eq!(alarms[0].acknowledged_label, ClientLabel::new("Anna"));
     std::fs::remove_dir_all(folder).unwrap();
 }

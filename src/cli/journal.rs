@@ -124,6 +124,7 @@ impl Filters {
             gripper: value("--gripper", self.gripper.as_ref())?,
             kind: value("--kind", self.kind.as_ref())?,
             part_id: value("--part-id", self.part_id.as_ref())?,
+            part_prefix: None,
             outcome: value("--outcome", outcome.as_ref())?,
             command_id: value("--command-id", self.command_id.as_ref())?,
         };

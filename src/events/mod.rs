@@ -38,6 +38,7 @@ pub use queued::Gap;
 /// - `events`: every event, once it is durable in the journal
 /// - `grips`: every grip record, once it is durable, and again when its part was lost
 /// - `frames`: every frame to and from a device, and damaged bytes from it
+/// - `exchanges`: the same, without automatic updates from a device
 /// - `fleet`: newest state of each gripper of all gateways
 /// - `alarms`: all alarms that are active or not acknowledged
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize, ToSchema)]
@@ -48,12 +49,13 @@ pub enum Topic {
     Events,
     Grips,
     Frames,
+    Exchanges,
     Fleet,
     Alarms,
 }
 
 /// The topics, as an error message lists them.
-pub const TOPICS: &str = "state, telemetry, events, grips, frames, fleet, alarms";
+pub const TOPICS: &str = "state, telemetry, events, grips, frames, exchanges, fleet, alarms";
 
 /// Rate of states and telemetry in Hz, unless a client asks for more or less.
 pub const DEFAULT_HZ: u64 = 10;
@@ -221,8 +223,9 @@ impl Subscription {
             if self.watched.iter().any(|watched| Arc::ptr_eq(&source, &watched.source)) {
                 continue;
             }
-            if self.topics.contains(&Topic::Frames) {
-                self.queued.push(queued::frames(source.clone()).boxed());
+            let has_updates = self.topics.contains(&Topic::Frames);
+            if has_updates || self.topics.contains(&Topic::Exchanges) {
+                self.queued.push(queued::frames(source.clone(), has_updates).boxed());
             }
             self.watched.push(Watched { states: source.handle.states(), source, seq: 0, sent_at: None });
         }

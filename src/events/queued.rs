@@ -105,13 +105,21 @@ pub(super) fn grips(
     })
 }
 
-/// Streams a gripper's frames from now on.
-pub(super) fn frames(source: Arc<Source>) -> impl Stream<Item = Notification> + Send + 'static {
+/// Streams a gripper's frames from now on, with or without automatic updates.
+pub(super) fn frames(source: Arc<Source>, has_updates: bool) -> impl Stream<Item = Notification> + Send + 'static {
     let receiver = source.handle.frames();
-    unfold((receiver, 0), move |(mut receiver, last)| {
+    unfold((receiver, 0), move |(mut receiver, mut last)| {
         let source = source.clone();
         async move {
-            let (update, last) = match next(&mut receiver).await? {
+            let mut news = next(&mut receiver).await?;
+            while let Ok(frame) = &news
+                && !has_updates
+                && frame.is_update()
+            {
+                last = frame.seq();
+                news = next(&mut receiver).await?;
+            }
+            let (update, last) = match news {
                 Ok(frame) => (source.frame(&frame)?, frame.seq()),
                 Err(missed) => {
                     let gripper = Some(source.handle.name().clone());

@@ -112,7 +112,7 @@ async fn fleet_is_sent_whole_and_then_by_its_changes() {
     assert_eq!(names, [r#""wsg"/"left""#, r#""wsg"/"right""#]);
     assert_eq!((sent(&mut one).len(), sent(&mut other).len()), (0, 0));
     let right = updates.sources()[1].handle.clone();
-    let client = Client { subject: "test".into(), door: Door::Http };
+    let client = Client::new("test", Door::Http);
     right.fast_stop(FastStopId::generate(), client, Reason::truncated("")).await;
     let changed = async {
         loop {

@@ -356,7 +356,7 @@ mod tests {
             _ => Urgency::None,
         };
         let ask = |method: &'static str| {
-            let client = Client { subject: "anna".into(), door: Door::Http };
+            let client = Client::new("anna", Door::Http);
             let (gateway, gripper, urgency) = (name("cell-1"), name("left"), urgency(method));
             let ask =
                 Ask { gateway, gripper, method, params: json!({}), wait: None, aside: Vec::new(), client, urgency };

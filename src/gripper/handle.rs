@@ -452,7 +452,7 @@ mod tests {
     #[tokio::test]
     async fn flood_of_reads_does_not_reject_stops_or_lease_requests() {
         let (handle, mut queue) = idle();
-        let client = Client { subject: "test".into(), door: Door::Http };
+        let client = Client::new("test", Door::Http);
         let reads: Vec<_> = (0..MAX_WAITING_REQUESTS).map(|_| Box::pin(handle.lease())).collect();
         let mut reads: Vec<_> = reads.into_iter().map(|mut read| ((&mut read).now_or_never(), read)).collect();
         assert!(reads.iter().all(|(answered, _)| answered.is_none()), "each has a slot");

@@ -441,7 +441,7 @@ mod tests {
             let seen = take_flags(&mut latch, answered, SystemState::FAST_STOP);
             assert_eq!(seen, Some(LatchChange::Seen { overtaken: None }));
             let id = latch.id().unwrap();
-            let client = Client { subject: "test".into(), door: Door::Http };
+            let client = Client::new("test", Door::Http);
             let token = acknowledge_frame(answered.instant);
             latch.acknowledge_begun(Some(id), client, token, oneshot::channel().0);
             latch.acknowledge_ended(answered.instant, token, Ok(()));

@@ -480,7 +480,7 @@ mod tests {
     #[test]
     fn refusal_says_whether_a_connection_keeps_the_lease() {
         let (mut lease, now, token) = (LeaseState::default(), Instant::now(), LeaseToken::from("a"));
-        let client = |subject: &str| Client { subject: subject.into(), door: Door::Wsg };
+        let client = |subject: &str| Client::new(subject, Door::Wsg);
         let (wish, other) = (TakeLease::by(client("wsg:10.0.0.1")), client("wsg:10.0.0.2"));
         let terms = Terms::of(&wish, &LeaseRules::default()).unwrap();
         lease.take(now, &wish, terms, token.clone(), false).unwrap();

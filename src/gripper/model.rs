@@ -32,7 +32,7 @@ mod updates;
 mod urgency;
 
 pub use alarm::{Alarm, AlarmCause, AlarmEvent, AlarmKind, AlarmPriority, AlarmStep};
-pub use client::{Client, Door};
+pub use client::{Client, ClientLabel, Door};
 pub use code::Code;
 pub use custom::CustomIds;
 pub use event::{

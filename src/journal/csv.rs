@@ -71,6 +71,7 @@ pub const EVENT_COLUMNS: &[&str] = &[
     "priority",
     "fast_stop_by",
     "fast_stop_reason",
+    "label",
     "other",
 ];
 

@@ -44,6 +44,8 @@ pub struct Filter<K> {
     pub gripper: Option<Name>,
     pub kind: Option<K>,
     pub part_id: Option<PartId>,
+    /// Beginning of the part's name.
+    pub part_prefix: Option<PartId>,
     pub outcome: Option<Outcome>,
     /// Id of the command; for grip records their own id.
     pub command_id: Option<CommandId>,
@@ -51,7 +53,7 @@ pub struct Filter<K> {
 
 impl<K> Default for Filter<K> {
     fn default() -> Self {
-        Self { gripper: None, kind: None, part_id: None, outcome: None, command_id: None }
+        Self { gripper: None, kind: None, part_id: None, part_prefix: None, outcome: None, command_id: None }
     }
 }
 
@@ -65,6 +67,9 @@ impl Filter<EventKind> {
         allows(self.gripper.as_ref(), event.gripper.as_ref())
             && allows(self.kind.as_ref(), Some(&event.kind))
             && allows(self.part_id.as_ref(), event.part_id.as_ref())
+            && self.part_prefix.as_ref().is_none_or(|prefix| {
+                event.part_id.as_ref().is_some_and(|part_id| part_id.as_str().starts_with(prefix.as_str()))
+            })
             && allows(self.outcome.as_ref(), event.outcome.as_ref())
             && allows(self.command_id.as_ref(), event.command_id.as_ref())
     }
@@ -173,12 +178,13 @@ impl ChainKind for Kind {
 /// Conditions on columns, and the index of exactly these columns.
 struct Plan {
     index: String,
-    conditions: Vec<(&'static str, String)>,
+    /// Columns, each with an operator and a value.
+    conditions: Vec<(&'static str, &'static str, String)>,
 }
 
 /// Returns none if nothing can match.
 fn plan<K: ChainKind>(filter: &Filter<K>) -> Option<Plan> {
-    let implied = match (&filter.part_id, &filter.outcome) {
+    let implied = match (filter.part_id.as_ref().or(filter.part_prefix.as_ref()), &filter.outcome) {
         (Some(_), _) => Some(K::WITH_PART),
         (None, Some(_)) => K::WITH_OUTCOME,
         (None, None) => None,
@@ -188,11 +194,16 @@ fn plan<K: ChainKind>(filter: &Filter<K>) -> Option<Plan> {
     }
     let kind = filter.kind.filter(|_| implied.is_none());
     let mut conditions = Vec::new();
-    conditions.extend(filter.gripper.as_ref().map(|gripper| ("gripper", gripper.to_string())));
-    conditions.extend(kind.map(|kind| ("kind", word(&kind))));
-    conditions.extend(filter.part_id.as_ref().map(|part_id| ("part_id", part_id.as_str().to_owned())));
-    conditions.extend(filter.outcome.map(|outcome| ("outcome", word(&outcome))));
-    let columns: Vec<_> = conditions.iter().map(|(column, _)| *column).collect();
+    conditions.extend(filter.gripper.as_ref().map(|gripper| ("gripper", "=", gripper.to_string())));
+    conditions.extend(kind.map(|kind| ("kind", "=", word(&kind))));
+    conditions.extend(filter.part_id.as_ref().map(|part_id| ("part_id", "=", part_id.as_str().to_owned())));
+    if let Some(prefix) = &filter.part_prefix {
+        let end = format!("{}{}", prefix.as_str(), char::MAX);
+        conditions.extend([("part_id", ">=", prefix.as_str().to_owned()), ("part_id", "<", end)]);
+    }
+    conditions.extend(filter.outcome.map(|outcome| ("outcome", "=", word(&outcome))));
+    let mut columns: Vec<_> = conditions.iter().map(|(column, ..)| *column).collect();
+    columns.dedup();
     let table = K::CHAIN.name();
     // A command has few records, so the other conditions can read them all.
     let index = match filter.command_id {
@@ -200,7 +211,7 @@ fn plan<K: ChainKind>(filter: &Filter<K>) -> Option<Plan> {
         None if columns.is_empty() => "NOT INDEXED".to_owned(),
         None => format!("INDEXED BY {table}_{}", columns.join("_")),
     };
-    conditions.extend(filter.command_id.map(|id| ("command_id", id.to_string())));
+    conditions.extend(filter.command_id.map(|id| ("command_id", "=", id.to_string())));
     Some(Plan { index, conditions })
 }
 
@@ -237,7 +248,14 @@ pub(super) fn page<K: ChainKind>(connection: &Connection, query: &Query<K>, unti
     };
     let limit = usize::from(query.limit.0);
     let mut found = Vec::new();
-    for run in runs(connection, K::CHAIN, (query.from, query.to), (first, last), query.order)? {
+    let mut runs = runs(connection, K::CHAIN, (query.from, query.to), (first, last), query.order)?;
+    if query.filter.part_prefix.is_some()
+        && let [one, .., other] = runs.as_slice()
+    {
+        // Each run would read the index's entries of all parts with this prefix again.
+        runs = vec![Run { first: one.first.min(other.first), last: one.last.max(other.last), whole: false }];
+    }
+    for run in runs {
         // One record beyond the limit shows that another page follows.
         read_run(connection, &plan, query, run, limit + 1, &mut found)?;
         if found.len() > limit {
@@ -259,9 +277,9 @@ fn read_run<K: ChainKind>(
     enough: usize,
     found: &mut Vec<(i64, Arc<str>)>,
 ) -> rusqlite::Result<()> {
-    let columns = plan.conditions.iter().map(|(column, _)| *column);
-    let mut conditions: String = columns.flat_map(|column| [column, " = ? AND "]).collect();
-    let mut values: Vec<Value> = plan.conditions.iter().map(|(_, value)| value.clone().into()).collect();
+    let tests = plan.conditions.iter().map(|(column, operator, _)| format!("{column} {operator} ? AND "));
+    let mut conditions: String = tests.collect();
+    let mut values: Vec<Value> = plan.conditions.iter().map(|(.., value)| value.clone().into()).collect();
     if !run.whole {
         conditions.push_str("at >= ? AND at < ? AND ");
         values.push(query.from.map_or(i64::MIN, milliseconds).into());
@@ -270,12 +288,19 @@ fn read_run<K: ChainKind>(
     let limit = i64::try_from(enough - found.len()).unwrap_or(i64::MAX);
     values.extend([run.first.into(), run.last.into(), limit.into()]);
     let (chain, order) = (K::CHAIN, if query.order == Order::Newest { "DESC" } else { "ASC" });
-    let sql = format!(
-        "SELECT seq, {} FROM {} {} WHERE {conditions} seq BETWEEN ? AND ? ORDER BY seq {order} LIMIT ?",
-        chain.served(),
-        chain.name(),
-        plan.index,
-    );
+    let (table, served_columns) = (chain.name(), chain.served());
+    let select = |columns| {
+        let index = &plan.index;
+        format!(
+            "SELECT {columns} FROM {table} {index} WHERE {conditions} seq BETWEEN ? AND ? ORDER BY seq {order} LIMIT ?"
+        )
+    };
+    let sql = if query.filter.part_prefix.is_some() {
+        // The parts of a prefix are in the order of their names, so the index alone finds the numbers to sort.
+        format!("SELECT seq, {served_columns} FROM {table} WHERE seq IN ({}) ORDER BY seq {order}", select("seq"))
+    } else {
+        select(&format!("seq, {served_columns}"))
+    };
     let mut statement = connection.prepare_cached(&sql)?;
     let mut rows = statement.query(rusqlite::params_from_iter(values))?;
     while let Some(row) = rows.next()? {

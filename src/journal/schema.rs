@@ -13,7 +13,8 @@ pub const VERSION: i32 = 1;
 /// row.
 ///
 /// Each combination of filters has an index, to which SQLite adds the sequence number, so that no page reads more than
-/// it returns. Only commands have an outcome or a part.
+/// it returns; for a prefix of a part, it reads the index's entries of all its parts. Only commands have an outcome or a
+/// part.
 ///
 /// `spans` has the earliest and the latest `at` of each 1024 records: wall clocks jump, sequence numbers don't.
 /// `running` has the commands that were admitted and have not ended. `anchors` has each chain's last removed record.

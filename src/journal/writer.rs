@@ -52,11 +52,15 @@ pub(super) enum WriterInput {
 /// A record that waits for its place in a chain.
 #[derive(Debug)]
 enum Placed {
-    Event(Event),
+    Event(Box<Event>),
     Grip(Box<GripRecord>),
 }
 
 impl Placed {
+    fn event(event: Event) -> Self {
+        Self::Event(Box::new(event))
+    }
+
     /// Gives the record its place after these ends of the chains.
     fn row(&self, ends: &[Tip; 2]) -> serde_json::Result<Row> {
         match self {
@@ -108,7 +112,7 @@ impl JournalWriter {
         let (shared, senders) = Shared::new(ends[Chain::Events as usize].seq);
         let (shared, mut batch) = (Arc::new(shared), Batch::default());
         check_newest(&store.source.place, &store.connection, &shared);
-        batch.records.extend(last_run.into_iter().map(Placed::Event));
+        batch.records.extend(last_run.into_iter().map(Placed::event));
         let mut writer = Self {
             store,
             shared,
@@ -172,7 +176,7 @@ impl JournalWriter {
         }
         match record {
             Record::Event(event, waiter) => {
-                self.batch.records.push(Placed::Event(event));
+                self.batch.records.push(Placed::event(event));
                 // While the disk fails, the dropped channel reports that at once.
                 self.batch.waiters.extend(waiter.filter(|_| self.retry_at.is_none()));
             }
@@ -292,7 +296,7 @@ impl JournalWriter {
     }
 
     fn take_aggregates(&mut self, now: Instant, all: bool) {
-        self.batch.records.extend(self.shared.rates.due(now, all).into_iter().map(Placed::Event));
+        self.batch.records.extend(self.shared.rates.due(now, all).into_iter().map(Placed::event));
     }
 
     fn record_lost(&mut self) {
@@ -304,7 +308,7 @@ impl JournalWriter {
     }
 
     fn own(&mut self, event: GatewayEvent) {
-        self.batch.records.push(Placed::Event(Event::new(now(), None, Detail::Gateway(event))));
+        self.batch.records.push(Placed::event(Event::new(now(), None, Detail::Gateway(event))));
     }
 
     fn prune(&mut self, now: Instant) {

@@ -70,7 +70,7 @@ impl Audit {
     pub fn take(&self, mut refusal: RefusedRequest, cause: String) -> Option<Duration> {
         let mut counted = self.counted.lock().unwrap_or_else(PoisonError::into_inner);
         if counted.len() >= MAX_KINDS && !counted.contains_key(&refusal) {
-            let others = Client { subject: "others".into(), door: refusal.client.door };
+            let others = Client::new("others", refusal.client.door);
             refusal = RefusedRequest { gripper: None, client: others, command: "others".to_owned(), ..refusal };
         }
         match counted.entry(refusal) {

@@ -239,7 +239,7 @@ mod tests {
     #[tokio::test(start_paused = true)]
     async fn open_request_keeps_the_lease_only_if_its_client_is_seen() {
         let gateway = Gateway::of([fake::gripper("left", FakeScript { fate: Fate::Runs, ..FakeScript::default() }).0]);
-        let caller = Caller::new(Client { subject: "test".into(), door: Door::Zenoh }, Ok(Identity::anyone()));
+        let caller = Caller::new(Client::new("test", Door::Zenoh), Ok(Identity::anyone()));
         let ask = async |caller: &Caller, name: &str, fields: Value| -> Value {
             let mut params = json!({"gripper": "left"});
             params.as_object_mut().unwrap().extend(fields.as_object().unwrap().clone());
@@ -268,7 +268,7 @@ mod tests {
     #[tokio::test]
     async fn invalid_request_id_is_refused_by_a_read() {
         let gateway = Gateway::of([fake::gripper("left", FakeScript::default()).0]);
-        let client = Client { subject: "test".into(), door: Door::Http };
+        let client = Client::new("test", Door::Http);
         let request_id = Err(Problem::malformed("Idempotency-Key", "invalid"));
         let caller = Caller { request_id, ..Caller::new(client, Ok(Identity::anyone())) };
         assert!(call(&gateway, caller.clone(), "state", json!({"gripper": "left"})).await.is_err());

@@ -9,7 +9,7 @@ use super::problem::Problem;
 use super::values::{integer, text};
 use crate::access::{Identity, Unauthorized};
 use crate::gripper::Ticket;
-use crate::gripper::model::{Client, CommandReport, LeaseToken, RequestId};
+use crate::gripper::model::{Client, ClientLabel, CommandReport, LeaseToken, RequestId};
 
 /// Longest wait for a command's end, in ms. Proxies and clients give up after a minute.
 pub const MAX_WAIT_MS: u64 = 60_000;
@@ -79,6 +79,15 @@ impl Caller {
     #[must_use]
     pub fn new(client: Client, identity: Result<Identity, Unauthorized>) -> Self {
         Self { client, identity, lease: Ok(None), request_id: Ok(None), presence: Presence::Seen, wait: Wait::No }
+    }
+
+    /// Adds the label that the client gave with the request, unless its credential names it. A label that is not
+    /// allowed is ignored, since it must not keep a request from the device.
+    #[must_use]
+    pub fn labelled(mut self, given: Option<&str>) -> Self {
+        let is_named = self.identity.as_ref().is_ok_and(|identity| identity.name.is_some());
+        self.client.label = given.filter(|_| !is_named).and_then(ClientLabel::new);
+        self
     }
 }
 
@@ -153,6 +162,7 @@ fn one_of<T: PartialEq>(field: &str, header: Option<T>, body: Option<T>) -> Resu
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::gripper::model::Door;
 
     fn limit(given: Option<&str>) -> Result<Duration, u16> {
         let wait = Wait::Ms { given: given.map(ToOwned::to_owned), limiter: None };
@@ -172,6 +182,20 @@ mod tests {
             assert_eq!(limit(Some(wrong)), Err(400), "{wrong}");
         }
         assert_eq!(Wait::No.parse(DEFAULT_WAIT_MS).unwrap().limit, Duration::ZERO);
+    }
+
+    #[test]
+    fn only_clients_without_a_name_have_labels() {
+        let caller = |name: Option<&str>| {
+            let identity = Identity { name: name.map(|name| name.parse().unwrap()), ..Identity::anyone() };
+            Caller::new(Client::new("ws:10.0.0.5", Door::Ws), Ok(identity))
+        };
+        let label = |caller: Caller| caller.labelled(Some("Anna")).client.label;
+        assert_eq!(label(caller(None)), ClientLabel::new("Anna"));
+        assert_eq!(label(caller(Some("plc7"))), None);
+        let stranger = Caller::new(Client::new("ws:10.0.0.5", Door::Ws), Err(Unauthorized::Missing));
+        assert_eq!(label(stranger), ClientLabel::new("Anna"));
+        assert_eq!(caller(None).labelled(Some("\u{202E}annA")).client.label, None);
     }
 
     #[test]

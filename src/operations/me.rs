@@ -1,5 +1,7 @@
 //! The client's own identity.
 
+use std::sync::Arc;
+
 use http::Method as Verb;
 use serde::Serialize;
 use utoipa::ToSchema;
@@ -17,7 +19,7 @@ pub const ME: Operation = Operation::change("me", &Verb::GET, "/me", |call| read
 /// Identity and rights of a client.
 #[derive(Debug, Serialize, ToSchema)]
 #[schema(example = json!({
-    "name": "plc7", "role": "operator", "proof": "token",
+    "name": "plc7", "subject": "plc7", "role": "operator", "proof": "token",
     "grippers": [{"gripper": "left", "role": "operator"}, {"gripper": "right", "role": "observer"}],
     "expires_at": "2027-02-20T08:00:00.000Z"
 }))]
@@ -25,6 +27,9 @@ pub struct Me {
     /// Name of the credential; null on a gateway that needs no credentials.
     #[schema(value_type = Option<String>)]
     name: Option<Name>,
+    /// The client as events name it.
+    #[schema(value_type = String)]
+    subject: Arc<str>,
     role: Role,
     proof: Proof,
     /// The client's role for each gripper of this gateway.
@@ -53,6 +58,7 @@ fn me(call: &Call) -> Result<Json<Me>, Problem> {
     let grippers = call.gateway.grippers.all();
     let grippers = grippers.iter().map(crate::gripper::Handle::name);
     let grippers = grippers.map(|name| GripperRole { gripper: name.clone(), role: role_for(name) }).collect();
+    let subject = call.caller.client.subject.clone();
     let expires_at = expires_at.map(|at| format!("{at:.3}"));
-    Ok(Json(Me { name, role, proof, grippers, expires_at }))
+    Ok(Json(Me { name, subject, role, proof, grippers, expires_at }))
 }

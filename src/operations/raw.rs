@@ -13,7 +13,7 @@ use super::reply::{Effect, OperationReply};
 use super::values::{TextOrNumber, bytes, integer, request_id_schema};
 use crate::access::Right;
 use crate::gripper::model::{Action, CommandId, CommandReport, FastStopId, Motion, Outcome, Phase, Reason};
-use crate::gripper::{FastStop, Handle};
+use crate::gripper::{FastStop, Handle, Rejection};
 use crate::wsg::id::MAX_OPAQUE_BYTES;
 use crate::wsg::{self, Status, Updates};
 
@@ -32,6 +32,11 @@ pub struct Raw {
     #[serde(default)]
     #[schema(default = "", max_length = 8192, pattern = "^([0-9a-fA-F]{2})*$")]
     payload: String,
+    /// Whether to send exactly these bytes, valid or not, so that the device itself judges them. Possible for commands
+    /// of the manuals that neither move nor stop, and have no automatic updates.
+    #[serde(default)]
+    #[schema(default = false)]
+    exact: bool,
     #[schema(schema_with = request_id_schema)]
     request_id: Option<TextOrNumber>,
     /// Token of the current lease, if the gripper is leased. At most 64 bytes; empty means none.
@@ -107,10 +112,7 @@ async fn raw(call: Call) -> Result<OperationReply, Problem> {
     let request_id = body.request_id.as_ref().map(ToString::to_string);
     let keys = keys.or_fields(request_id.as_deref(), body.lease.as_deref())?;
     let payload = bytes("payload", &body.payload, MAX_OPAQUE_BYTES)?;
-    let command = wsg::Command::parse(id, &payload).map_err(|error| match error {
-        wsg::InvalidRequest::Custom(..) => Problem::malformed("id", error.to_string()),
-        _ => Problem::malformed("payload", error.to_string()),
-    })?;
+    let command = if body.exact { verbatim(id, payload)? } else { parsed(id, &payload)? };
     let name = gripper.name();
     match path(command, &gripper.handle)? {
         RawPath::Command(action) => {
@@ -130,12 +132,41 @@ async fn raw(call: Call) -> Result<OperationReply, Problem> {
         RawPath::Exchange(command) => {
             let gripper = gripper.with_lease(body.lease.as_deref())?;
             let mut payload = Vec::new();
-            gripper.exchange(command).await?.of_reply(id).write(&mut payload);
+            let status = match gripper.exchange(command).await {
+                Ok(data) => {
+                    data.of_reply(id).write(&mut payload);
+                    Status::E_SUCCESS
+                }
+                // The client asked for the device's own judgement.
+                Err(Rejection::Device(refusal)) if body.exact => refusal.status,
+                Err(rejection) => return Err(rejection.into()),
+            };
             let payload = hex::encode(payload);
-            let answer = RawAnswer { payload, ..RawAnswer::new(name, id, Some(Status::E_SUCCESS)) };
+            let answer = RawAnswer { payload, ..RawAnswer::new(name, id, Some(status)) };
             OperationReply::new(&answer, Effect::None)
         }
     }
+}
+
+fn parsed(id: u8, payload: &[u8]) -> Result<wsg::Command, Problem> {
+    wsg::Command::parse(id, payload).map_err(|error| match error {
+        wsg::InvalidRequest::Custom(..) => Problem::malformed("id", error.to_string()),
+        _ => Problem::malformed("payload", error.to_string()),
+    })
+}
+
+/// Returns a command with exactly this payload. A custom command has no other.
+fn verbatim(id: u8, payload: Vec<u8>) -> Result<wsg::Command, Problem> {
+    if wsg::id::describe(id).is_none() {
+        return parsed(id, &payload);
+    }
+    let cannot = || {
+        let detail = format!(
+            "{id:02X}h cannot be sent with `exact`: it moves, stops, acknowledges, disconnects, or has automatic updates"
+        );
+        Problem::malformed("id", detail)
+    };
+    wsg::VerbatimCommand::new(id, payload).map(wsg::Command::Verbatim).ok_or_else(cannot)
 }
 
 fn of_command(id: u8, command: CommandReport) -> Result<OperationReply, Problem> {

@@ -167,19 +167,20 @@ fn query<W: DeserializeOwned, K>(
     more: &[&str],
     kind: fn(Option<W>) -> Option<K>,
 ) -> Result<Query<K>, Problem> {
-    let known = ["gripper", "kind", "part_id", "outcome", "from", "to", "limit", "cursor", "order"];
+    let known = ["gripper", "kind", "part_id", "part_prefix", "outcome", "from", "to", "limit", "cursor", "order"];
     let given = QueryString::of(uri)?.only(&[&known, more].concat())?;
     let limit = match given.parsed("limit", "a whole number", |text| text.parse::<f64>().ok())? {
         // `integer` has checked the range, so `Limit::new` succeeds.
         Some(number) => Limit::new(integer("limit", number, 1..=1000)?).unwrap_or_default(),
         None => Limit::default(),
     };
-    let part_id = given.one("part_id")?.map(|part| text("part_id", part)).transpose()?;
+    let part = |field| given.one(field)?.map(|part| text(field, part)).transpose();
     Ok(Query {
         filter: Filter {
             gripper: given.parsed("gripper", "a gripper's name", |text| text.parse().ok())?,
             kind: kind(given.word("kind", kinds)?),
-            part_id,
+            part_id: part("part_id")?,
+            part_prefix: part("part_prefix")?,
             outcome: given.word("outcome", OUTCOMES)?,
             command_id: given.parsed("command_id", "a command's id, a UUID", |text| text.parse().ok())?,
         },

@@ -173,7 +173,7 @@ mod tests {
         use crate::gripper::fake::{self, FakeScript};
         use crate::gripper::model::{Client, Door};
         let gateway = Gateway::of([fake::gripper("left", FakeScript::default()).0]);
-        let caller = Caller::new(Client { subject: "test".into(), door: Door::Ws }, Ok(Identity::anyone()));
+        let caller = Caller::new(Client::new("test", Door::Ws), Ok(Identity::anyone()));
         let params = json!({"gripper": "left", "width_mm": 20});
         let problem = call(&gateway, caller, "state", params).await.unwrap_err();
         assert_eq!(serde_json::to_value(problem.members()).unwrap()["field"], "width_mm");

@@ -81,6 +81,7 @@ pub enum Command {
     FingerPower { finger: Finger, on: bool },
     GetFingerData(Finger),
     Custom(CustomCommand),
+    Verbatim(VerbatimCommand),
 }
 
 /// Data of a Loop command, at most 256 bytes (`fw4-en 3.1.1`).
@@ -124,6 +125,31 @@ impl CustomCommand {
     }
 
     /// Opaque parameter bytes.
+    #[must_use]
+    pub fn payload(&self) -> &[u8] {
+        &self.payload
+    }
+}
+
+/// A command of the manuals with the bytes that a client gave, valid or not, so that the device itself judges them.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct VerbatimCommand {
+    id: u8,
+    payload: Vec<u8>,
+}
+
+impl VerbatimCommand {
+    /// Builds the command. Returns `None` if the manuals do not list `id`, if it moves, stops, acknowledges or
+    /// disconnects, if its replies look like automatic updates, or if the payload exceeds [`id::MAX_OPAQUE_BYTES`].
+    #[must_use]
+    pub fn new(id: u8, payload: Vec<u8>) -> Option<Self> {
+        let is_reserved =
+            matches!(id, id::DISCONNECT_ANNOUNCEMENT | id::STOP | id::FAST_STOP | id::ACKNOWLEDGE_FAST_STOP);
+        let possible = id::describe(id).is_some() && !is_reserved && !id::is_motion(id) && !id::has_updates(id);
+        (possible && payload.len() <= id::MAX_OPAQUE_BYTES).then_some(Self { id, payload })
+    }
+
+    /// The bytes of its parameters.
     #[must_use]
     pub fn payload(&self) -> &[u8] {
         &self.payload
@@ -211,6 +237,7 @@ impl Command {
             Self::FingerPower { finger, .. } => by_finger(*finger, id::FINGER_1_POWER, id::FINGER_2_POWER),
             Self::GetFingerData(finger) => by_finger(*finger, id::GET_FINGER_1_DATA, id::GET_FINGER_2_DATA),
             Self::Custom(custom) => custom.id,
+            Self::Verbatim(verbatim) => verbatim.id,
         }
     }
 
@@ -258,14 +285,24 @@ impl Command {
             | Self::GetStatistics { reset: true }
             | Self::SetDeviceTag(_)
             | Self::FingerPower { .. }
-            | Self::Custom(_) => false,
+            | Self::Custom(_)
+            | Self::Verbatim(_) => false,
         }
     }
 
     /// Whether the first reply is `E_CMD_PENDING` and a second reply carries the result (`fw4-en 1.3`).
     #[must_use]
     pub fn is_two_step(&self) -> bool {
-        self.is_motion() || matches!(self, Self::FingerPower { on: true, .. })
+        self.is_motion() || matches!(self.typed(), Some(Self::FingerPower { on: true, .. }))
+    }
+
+    /// Returns the command with its parameters parsed; `None` if they are not valid.
+    #[must_use]
+    pub fn typed(&self) -> Option<Self> {
+        match self {
+            Self::Verbatim(VerbatimCommand { id, payload }) => Self::parse(*id, payload).ok(),
+            command => Some(command.clone()),
+        }
     }
 
     /// Appends the encoded parameters to `out`.
@@ -294,6 +331,7 @@ impl Command {
             | Self::GetForce(updates) => updates.write(out),
             Self::SetDeviceTag(tag) => out.extend_from_slice(tag.as_str().as_bytes()),
             Self::Custom(custom) => out.extend_from_slice(&custom.payload),
+            Self::Verbatim(verbatim) => out.extend_from_slice(&verbatim.payload),
             _ => {}
         }
     }

@@ -118,6 +118,18 @@ fn custom_command_requires_unlisted_id() {
     assert!(CustomCommand::new(0xB0, vec![0; 4097]).is_none());
 }
 
+#[test]
+fn verbatim_command_keeps_its_bytes_and_counts_as_a_change() {
+    let command = |id, bytes: &[u8]| Command::Verbatim(VerbatimCommand::new(id, bytes.to_vec()).unwrap());
+    let (wrong, power) = (command(0x30, &[1]), command(0x62, &[1]));
+    let mut bytes = Vec::new();
+    wrong.write_payload(&mut bytes);
+    assert_eq!((wrong.id(), &*bytes, wrong.is_read(), wrong.typed()), (0x30, &[1][..], false, None));
+    assert!(!command(0x31, &[]).is_read(), "another client's lease protects against all such requests");
+    assert!(power.is_two_step() && !wrong.is_two_step());
+    assert!(VerbatimCommand::new(0xB0, vec![]).is_none() && VerbatimCommand::new(0x06, vec![0; 4097]).is_none());
+}
+
 /// Golden bytes of a grip at 20 mm and 50 mm/s. Do not change them.
 #[test]
 fn golden_grip() {

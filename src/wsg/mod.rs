@@ -23,7 +23,9 @@ pub mod status;
 pub mod text;
 pub mod updates;
 
-pub use command::{Command, CustomCommand, HomingDirection, InvalidRequest, LoopData, MoveFlags, Updates};
+pub use command::{
+    Command, CustomCommand, HomingDirection, InvalidRequest, LoopData, MoveFlags, Updates, VerbatimCommand,
+};
 pub use device::{
     DeviceTag, DeviceType, Finger, FingerFlags, FingerInfo, FingerType, Firmware, InvalidDeviceTag, SoftLimits,
     Statistics, SystemInfo, SystemLimits,

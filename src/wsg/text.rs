@@ -84,10 +84,15 @@ impl fmt::Display for Command {
                 Updates::On { on_change, period_ms } => write!(f, " period_ms={period_ms} on_change={on_change}"),
             },
             Self::SetDeviceTag(tag) => write!(f, " tag={:?}", tag.as_str()),
-            Self::Custom(custom) => custom.payload().iter().try_for_each(|byte| write!(f, " 0x{byte:02X}")),
+            Self::Custom(custom) => write_bytes(f, custom.payload()),
+            Self::Verbatim(verbatim) => write_bytes(f, verbatim.payload()),
             _ => Ok(()),
         }
     }
+}
+
+fn write_bytes(f: &mut fmt::Formatter<'_>, bytes: &[u8]) -> fmt::Result {
+    bytes.iter().try_for_each(|byte| write!(f, " 0x{byte:02X}"))
 }
 
 impl fmt::Display for Reply {

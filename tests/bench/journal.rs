@@ -82,7 +82,7 @@ fn open(path: &Path) -> Result<(Journal, wsg_gateway::journal::Recovered), Error
 }
 
 fn command(id: CommandId, at: Timestamp, gripper: &Name, event: CommandEvent) -> Event {
-    let client = Client { subject: "http:127.0.0.1".into(), door: Door::Http };
+    let client = Client::new("http:127.0.0.1", Door::Http);
     Event::new(at, Some(gripper.clone()), Detail::Command(event)).by(&client).of(id)
 }
 
@@ -174,7 +174,7 @@ async fn gripper(recorder: Arc<dyn Recorder>) -> Result<(Handle, Switch), Error>
 
 /// Runs a command, and returns the time until its result.
 async fn run(handle: &Handle, action: Action) -> Result<Duration, Error> {
-    let client = Client { subject: "http:127.0.0.1".into(), door: Door::Http };
+    let client = Client::new("http:127.0.0.1", Door::Http);
     let begun = Instant::now();
     let mut ticket = handle.submit(Submission { client, action, request_id: None, lease: None }).await?;
     let command = ticket.wait(Duration::from_mins(1)).await;
@@ -285,7 +285,7 @@ fn filters<K: Copy>(kinds: &[K]) -> Result<Vec<Filter<K>>, Error> {
             for part_id in [None, Some("P-1"), Some("P-rare"), Some("none")] {
                 for outcome in [None, Some(Outcome::PartHeld), Some(Outcome::NoPart), Some(Outcome::Blocked)] {
                     let (gripper, part_id) = (gripper.clone(), part_id.and_then(PartId::new));
-                    filters.push(Filter { gripper, kind, part_id, outcome, command_id: None });
+                    filters.push(Filter { gripper, kind, part_id, part_prefix: None, outcome, command_id: None });
                 }
             }
         }

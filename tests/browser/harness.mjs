@@ -30,6 +30,12 @@ export const FLAGS = [
   '--disable-sync',
 ];
 
+/** Returns all texts of a language: those of the first screen, and those that are loaded after it. */
+export async function textsOf(language) {
+  const modules = await Promise.all(['', '-more'].map((part) => import(`${ASSETS}locales/${language}${part}.js`)));
+  return Object.assign({}, ...modules.flatMap(Object.values));
+}
+
 /** Clean-up functions, run in reverse order. */
 export const started = [];
 

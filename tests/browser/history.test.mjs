@@ -50,6 +50,23 @@ test('records are filtered by time, and shown for all grippers', async () => {
   await visitor.close();
 });
 
+test('parts are searched by the beginning of their ids', async () => {
+  const served = await worked();
+  const visitor = await visit(launched, served, { path: '/#/left/history' });
+  const { page } = visitor;
+  await rows(page, 7);
+  await page.fill('#part-filter', 'lot-');
+  await rows(page, 3);
+  await page.fill('#part-filter', 'lot-2');
+  await rows(page, 1);
+  await page.click('[data-choice=records-events]');
+  await page.waitForFunction(() => document.querySelectorAll('tbody tr').length === 2);
+  await page.fill('#part-filter', 'ot-');
+  await page.waitForSelector('p:has-text("No records.")');
+  assertClean(visitor);
+  await visitor.close();
+});
+
 test('curves are laid over each other, with the values under one cursor', async () => {
   const served = await worked();
   const visitor = await visit(launched, served, { path: '/#/left/history' });

@@ -247,3 +247,22 @@ test('the jaws stay inside the body, with their width beside them', async () => 
   assertClean(visitor);
   await visitor.close();
 });
+
+test('the ruler reads as the width that it shows', async () => {
+  const served = await gateway();
+  await served.ask('POST', 'grippers/left/home');
+  await served.ask('POST', 'grippers/left/move', { width_mm: 60, speed_mm_s: 300 });
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  await page.waitForSelector('.jaws .dimension text:has-text("60.0 mm")');
+  const [labels, fingers] = await page.evaluate(() => {
+    const number = (element, name) => Number(element.getAttribute(name));
+    const ruler = [...document.querySelectorAll('.jaws .ruler text')].filter((one) => one.textContent === '60');
+    const width = document.querySelector('.jaws .dimension line');
+    const at = [...ruler.map((one) => number(one, 'x')), number(width, 'x1'), number(width, 'x2')];
+    return [at.slice(0, 2), at.slice(2)];
+  });
+  labels.forEach((at, index) => assert.ok(Math.abs(at - fingers[index]) < 1, `${labels} ${fingers}`));
+  assertClean(visitor);
+  await visitor.close();
+});

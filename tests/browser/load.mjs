@@ -6,6 +6,7 @@ import { after, test } from 'node:test';
 
 import { bareBrowser } from './bare.mjs';
 import { endAll, gateway, until } from './harness.mjs';
+import { cpuSeconds, heapBytes, keepMoving, percent, sleep } from './measure.mjs';
 
 after(endAll);
 
@@ -37,44 +38,10 @@ function slowness() {
   return Math.min(MOST_SLOWNESS, Math.max(1, times.sort((a, b) => a - b)[7] / LOOP_MS));
 }
 
-const sleep = (ms) =>
-  new Promise((resolve) => {
-    setTimeout(resolve, ms);
-  });
-
-/** Moves a gripper to and fro until the returned function is called. */
-function keepMoving({ ask }, name) {
-  let goesOn = true;
-  const done = (async () => {
-    const post = (what, body) => ask('POST', `grippers/${name}/${what}`, body);
-    await post('home', {});
-    for (let turn = 0; goesOn; turn += 1) await post('move', { width_mm: turn % 2 ? 20 : 100, speed_mm_s: 60 });
-  })();
-  return () => {
-    goesOn = false;
-    return done;
-  };
-}
-
-async function cpuSeconds({ send }) {
-  const { processInfo } = await send('SystemInfo.getProcessInfo');
-  const byType = {};
-  for (const { type, cpuTime } of processInfo) byType[type] = (byType[type] ?? 0) + cpuTime;
-  return byType;
-}
-
-async function heapBytes({ ask }) {
-  // Twice, because finalizers release memory only for the second collection.
-  for (let count = 0; count < 2; count += 1) await ask('HeapProfiler.collectGarbage');
-  return (await ask('Runtime.getHeapUsage')).usedSize;
-}
-
 async function metrics({ ask }) {
   const { metrics: list } = await ask('Performance.getMetrics');
   return Object.fromEntries(list.map(({ name, value }) => [name, value]));
 }
-
-const percent = (value) => `${(value * 100).toFixed(1)} %`;
 
 /** Measures the browser's share of one core over some seconds. */
 async function measure(launched, page) {
@@ -117,7 +84,7 @@ for (const view of ['operate', 'all']) {
     }
     const growth = (await heapBytes(page)) - heap;
     console.log(`heap ${(heap / 1e6).toFixed(2)} MB, ${growth < 0 ? '' : '+'}${(growth / 1e6).toFixed(2)} MB since`);
-    await Promise.all(stops.map((stop) => stop()));
+    await Promise.all(stops.map((one) => one.end()));
     await page.close();
     assert.ok(least < most, `${percent(least)} of one core; the limit is ${percent(most)}`);
     assert.ok(growth < MOST_GROWTH_BYTES, `the heap has grown by ${growth} bytes`);

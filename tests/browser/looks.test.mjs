@@ -2,13 +2,14 @@
 // are in target/browser/screenshots, for visual review.
 
 import assert from 'node:assert/strict';
-import { readFileSync } from 'node:fs';
+import { mkdtempSync, rmSync } from 'node:fs';
+import { tmpdir } from 'node:os';
+import { join } from 'node:path';
 import { after, test } from 'node:test';
 
+import { misfits, violations } from './checks.mjs';
 import {
   assertClean,
-  ASSETS,
-  AXE,
   browser,
   endAll,
   gateway,
@@ -16,6 +17,9 @@ import {
   named,
   shoot,
   simulator,
+  started,
+  textsOf,
+  token,
   visit,
 } from './harness.mjs';
 
@@ -32,38 +36,6 @@ const SIZES = {
 /** The longest possible name, without a place to break. */
 const LONGEST = 'longest_possible_name_of_gripper';
 const VIEWS = ['operate', 'history', 'log', 'device', 'all'];
-const axe = readFileSync(AXE, 'utf8');
-
-async function violations(page) {
-  // Injects the checker through the debugger, which the page's content security policy does not restrict.
-  await page.evaluate(axe);
-  const { violations: found } = await page.evaluate(() =>
-    globalThis.axe.run(document, {
-      runOnly: ['wcag2a', 'wcag2aa', 'wcag21a', 'wcag21aa', 'wcag22aa', 'best-practice'],
-    }),
-  );
-  return found.map(({ id, nodes }) => ({
-    id,
-    nodes: nodes.map(({ target, failureSummary }) => `${target}: ${failureSummary}`),
-  }));
-}
-
-/** Finds elements wider than the screen or too small to touch. The window's own width grows with its content. */
-async function misfits(page) {
-  return page.evaluate((width) => {
-    const small = [...document.querySelectorAll('button, select, input, a[href], summary')]
-      .filter((one) => one.checkVisibility() && !one.closest('[inert]') && !one.matches('.byte, .frame, .skip'))
-      .map((one) => ({ one, box: one.getBoundingClientRect() }))
-      .filter(({ box }) => box.height < 43.5 || box.width < 24)
-      .map(({ one, box }) => `${one.outerHTML.slice(0, 90)} is ${Math.round(box.width)} x ${Math.round(box.height)}`);
-    const wide =
-      document.documentElement.scrollWidth > width ? [`the page is ${document.documentElement.scrollWidth} wide`] : [];
-    const stop = document.querySelector('#stop').getBoundingClientRect();
-    if (stop.left < 0 || stop.right > width) wide.push(`STOP is from ${stop.left} to ${stop.right}`);
-    return [...wide, ...small];
-  }, page.viewportSize().width);
-}
-
 /** Frames arrive by the hundred, so the log is paused first. */
 async function pickAFrame(page) {
   await page.click('#with-updates');
@@ -110,6 +82,12 @@ for (const [size, shape] of Object.entries(SIZES)) {
         await shoot(page, `${size}-${view}-${language}`);
         assert.deepEqual(await violations(page), [], view);
         assert.deepEqual(await misfits(page), [], view);
+        await page.emulateMedia({ colorScheme: colorScheme === 'dark' ? 'light' : 'dark' });
+        await page.waitForFunction((before) => document.documentElement.dataset.theme !== before, colorScheme);
+        await shoot(page, `${size}-${view}-${language}-other`);
+        assert.deepEqual(await violations(page), [], `${view}, other theme`);
+        await page.emulateMedia({ colorScheme });
+        await page.waitForFunction((before) => document.documentElement.dataset.theme === before, colorScheme);
       }
       await page.click('#stop');
       await page.click('[data-view=operate]');
@@ -132,7 +110,7 @@ for (const [language, colorScheme] of [
   ['de', 'dark'],
 ]) {
   test(`axe finds nothing in error states, ${language}, ${colorScheme}`, async () => {
-    const words = (await import(`${ASSETS}locales/${language}.js`))[language];
+    const words = await textsOf(language);
     const device = await simulator();
     const served = await gateway({ more: ['--gripper', `left=${device.url}`] });
     const visitor = await visit(launched, served, {
@@ -183,6 +161,31 @@ for (const [language, colorScheme] of [
   });
 }
 
+test('axe finds nothing on the page to sign in', async () => {
+  const folder = mkdtempSync(join(tmpdir(), 'wsg-browser-'));
+  started.push(() => rmSync(folder, { recursive: true }));
+  const file = join(folder, 'tokens.json');
+  const served = await gateway({ more: ['--tokens', file], secret: token(file, 'anna', 'operator') });
+  for (const [size, locale, colorScheme, forcedColors] of [
+    ['phone', 'en-GB', 'light', 'none'],
+    ['panel', 'de-DE', 'dark', 'none'],
+    ['desk', 'en-GB', 'dark', 'none'],
+    ['panel', 'de-DE', 'light', 'active'],
+  ]) {
+    const { page, close } = await visit(launched, served, { ...SIZES[size], locale, colorScheme, forcedColors });
+    await page.waitForSelector('.sign-in');
+    // Nothing is claimed that the page cannot know.
+    const words = await textsOf(locale.slice(0, 2));
+    await page.waitForSelector(`.status:has-text("${words['bar.sign_in']}")`);
+    assert.equal(await page.locator('.alarm-badge').innerText(), words['bar.alarms_unknown']);
+    assert.equal(await page.locator('[data-view], [class*=tone-]').count(), 0);
+    await shoot(page, `${size}-signin-${locale}-${colorScheme}-${forcedColors}`);
+    assert.deepEqual(await violations(page), [], locale);
+    assert.deepEqual(await misfits(page), [], locale);
+    await close();
+  }
+});
+
 test('axe finds nothing with forced colours', async () => {
   const served = await gateway();
   const visitor = await visit(launched, served, { ...SIZES.panel, forcedColors: 'active' });
@@ -204,7 +207,7 @@ test('axe finds nothing with forced colours', async () => {
 });
 
 test('a change of language translates every word', async () => {
-  const { de } = await import(`${ASSETS}locales/de.js`);
+  const de = await textsOf('de');
   const served = await gateway();
   const visitor = await visit(launched, served);
   const { page } = visitor;

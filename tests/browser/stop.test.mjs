@@ -3,7 +3,7 @@
 import assert from 'node:assert/strict';
 import { after, test } from 'node:test';
 
-import { assertClean, browser, endAll, gateway, slowReads, until, visit } from './harness.mjs';
+import { assertClean, browser, endAll, gateway, named, slowReads, until, visit } from './harness.mjs';
 
 after(endAll);
 const launched = await browser();
@@ -37,8 +37,12 @@ test('STOP works by key from any view and from a field, and without the WebSocke
   await without.page.routeWebSocket('**/api/v1/ws', (socket) => socket.close());
   await without.page.reload();
   await without.page.waitForSelector('#stop');
+  await named(without.page, 'Zoë');
   await stopsBy('STOP without a WebSocket', () => without.page.click('#stop'));
   await without.page.waitForSelector('.stopped:has-text("confirmed")');
+  const { events } = await served.ask('GET', 'events?kind=fast_stop');
+  const { door, label } = events.find(({ event }) => event === 'latched');
+  assert.deepEqual([door, label], ['http', 'Zoë']);
 
   // On a WebSocket that drops everything, the request follows without delay.
   const silent = await visit(launched, served);

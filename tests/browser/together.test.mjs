@@ -72,6 +72,34 @@ test('people are asked for their names, which others see', async () => {
   await Promise.all([anna.close(), ben.close()]);
 });
 
+test('each request carries the user’s name, for all to see', async () => {
+  const more = ['--gripper', 'left=sim://wsg50', '--gripper', 'away=tcp://127.0.0.1:1'];
+  const served = await gateway({ more, connects: ['left'] });
+  const path = '/#/left/operate';
+  const [anna, ben] = [await visit(launched, served, { path }), await visit(launched, served, { path })];
+  const who = 'Anna Müller (127.0.0.1)';
+  await named(anna.page, 'Anna Müller');
+  await anna.page.click('.alarm:has-text("away") button');
+  await ben.page.waitForSelector(`.alarm:has-text("acknowledged by ${who}")`);
+  await anna.page.click('#take-control');
+  const acceleration = '#acceleration-acceleration_mm_s2';
+  await anna.page.click('[data-view=device]');
+  await anna.page.fill(acceleration, '1600');
+  await anna.page.locator(`form:has(${acceleration}) button[type=submit]`).click();
+  await anna.page.waitForSelector('.settings-panel:has-text("Applied.")');
+  await anna.page.click('[data-view=operate]');
+  await anna.page.waitForSelector(`.others li:has-text("${who}, this browser")`);
+  await ben.page.waitForSelector(`.others li:has-text("${who}")`);
+  assert.doesNotMatch(await ben.page.locator('.others').innerText(), /this browser/);
+  await ben.page.click('[data-view=history]');
+  await ben.page.click('[data-choice=records-events]');
+  await ben.page.waitForSelector(`tr:has-text("Acceleration"):has-text("${who}")`);
+  const { events } = await served.ask('GET', 'events?kind=settings');
+  assert.deepEqual([events[0].subject, events[0].label], ['ws:127.0.0.1', 'Anna Müller']);
+  [anna, ben].forEach(assertClean);
+  await Promise.all([anna.close(), ben.close()]);
+});
+
 test('a browser lost during a motion leaves a FAST STOP with that cause', async () => {
   const served = await gateway();
   const [goes, stays] = [await visit(launched, served), await visit(launched, served)];

@@ -14,6 +14,7 @@ const { Samples } = await core('ring');
 const { asTyped, forceLimits, mistake, number, readings, speedLimits, widthLimits } = await core('limits');
 const { acknowledged, noGateway, sorted } = await core('alarms');
 const { FLAGS, has } = await core('flags');
+const { decimals } = await core('decimals');
 const { delay } = await core('backoff');
 const { bytesOf, cut } = await core('bytes');
 const { numbered } = await core('newest');
@@ -34,6 +35,10 @@ test('frames and checksums match the manuals', () => {
     assert.equal(toHex(encode(id, [...payload])), hex);
     assert.equal(checksum(fromHex(hex)), 0, hex);
   }
+});
+
+test('labels of an axis show their true values', () => {
+  assert.deepEqual([50, 1, 0.5, 0.25, 0.2, 0.05, 0.001].map(decimals), [0, 0, 1, 2, 1, 2, 2]);
 });
 
 test('the editor accepts bytes, floats and texts, and names errors', () => {

@@ -34,6 +34,31 @@ test('the log goes on while another view is shown, in local time', async () => {
   await visitor.close();
 });
 
+test('automatic updates are not sent while another view hides the log', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served);
+  const { page } = visitor;
+  let heard = [];
+  page.on('websocket', (socket) => socket.on('framereceived', ({ payload }) => heard.push(String(payload))));
+  await page.waitForSelector('#take-control');
+  await page.click('[data-view=log]');
+  await page.waitForSelector('[data-row=updates]');
+  await page.click('[data-view=operate]');
+  await until('the page leaves updates out', () => heard.some((message) => message.includes('"exchanges"')));
+  heard = [];
+  await loop(served);
+  await until('the log goes on', () => heard.some((message) => message.includes('Loop')));
+  assert.deepEqual(
+    heard.filter((message) => message.includes('GetWidth')),
+    [],
+  );
+  await page.click('[data-view=log]');
+  await page.waitForSelector('[data-row=away] ~ .frame:has-text("Loop")');
+  await page.waitForSelector('[data-row=away] ~ [data-row=updates]');
+  assertClean(visitor);
+  await visitor.close();
+});
+
 test('frames are filtered, copied and saved, and a pause is marked', async () => {
   const served = await gateway();
   const visitor = await visit(launched, served, { path: '/#/left/log' });
@@ -113,6 +138,36 @@ test('the editor has forms, and shows the frame as sent and its decoded reply', 
   await page.click('#editor-send');
   await page.waitForSelector('#editor-decoded:has-text("150")');
   await shoot(page, 'editor');
+  assertClean(visitor);
+  await visitor.close();
+});
+
+test('bytes are sent exactly as typed, and the device judges them', async () => {
+  const served = await gateway();
+  const visitor = await visit(launched, served, { path: '/#/left/log' });
+  const { page } = visitor;
+  await page.waitForSelector('[data-row=updates]');
+  const send = async (label, payload) => {
+    await page.selectOption('#editor-command', { label });
+    await page.fill('#editor-payload', payload);
+    await page.click('#editor-send');
+  };
+  await send('30h SetAcceleration', '1');
+  await page.waitForSelector('.problem:has-text("wrong length")');
+  assert.equal(await page.locator('#answer').count(), 0);
+  await page.check('#editor-exact');
+  await send('30h SetAcceleration', '1');
+  await page.waitForSelector('#answer:has-text("E_CMD_FORMAT_ERROR")');
+  await page.waitForSelector('#editor-sent:has-text("aa aa aa 30 01 00 01")');
+  await send('32h SetForceLimit', '0x7fc00000');
+  await page.waitForSelector('#answer:has-text("E_INVALID_PARAMETER")');
+  // The gateway answers such reads itself for a while, but not these.
+  for (let count = 0; count < 2; count += 1) {
+    await send('50h GetSystemInfo', '');
+    await page.waitForSelector('#answer:has-text("E_SUCCESS") #editor-received');
+  }
+  await send('25h Grip', '1');
+  await page.waitForSelector('.problem:has-text("25h cannot be sent with")');
   assertClean(visitor);
   await visitor.close();
 });

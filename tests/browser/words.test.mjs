@@ -4,10 +4,10 @@ import assert from 'node:assert/strict';
 import { readdirSync, readFileSync } from 'node:fs';
 import { test } from 'node:test';
 
-import { ASSETS } from './harness.mjs';
+import { ASSETS, textsOf } from './harness.mjs';
 
-const { de } = await import(`${ASSETS}locales/de.js`);
-const { en } = await import(`${ASSETS}locales/en.js`);
+const [de, en] = await Promise.all(['de', 'en'].map(textsOf));
+const { en: enFirst } = await import(`${ASSETS}locales/en.js`);
 const { placeholders } = await import(`${ASSETS}core/words.js`);
 const { FLAGS } = await import(`${ASSETS}core/flags.js`);
 
@@ -24,13 +24,37 @@ test('every language has the same texts, with the same parameters', () => {
   }
 });
 
-test('every text used by a module exists', () => {
-  const asked = sources.flatMap(({ path, text }) =>
-    Array.from(text.matchAll(/\bt\((?:[^()'`]*\? )?'([\w.]+)'(?: : '([\w.]+)')?/g), ([, one, other]) => [one, other])
-      .flat()
-      .filter(Boolean)
-      .map((key) => ({ path, key })),
+const USES = /\bt\((?:[^()'`]*\? )?'([\w.]+)'(?: : '([\w.]+)')?/g;
+
+/** Texts that modules use, each with its module. */
+const asked = sources.flatMap(({ path, text }) =>
+  Array.from(text.matchAll(USES), ([, one, other]) => [one, other])
+    .flat()
+    .filter(Boolean)
+    .map((key) => ({ path, key })),
+);
+
+/** Adds a module, and all that it imports before it runs. */
+function addImports(path, found) {
+  if (found.has(path)) return found;
+  found.add(path);
+  const { text } = sources.find((one) => one.path === path) ?? { text: '' };
+  for (const [, from] of text.matchAll(/ from '([^']+)';/g))
+    addImports(new URL(from, `file:///${path}`).pathname.slice(1), found);
+  return found;
+}
+
+test('the first screen has its texts', () => {
+  const first = addImports('app.js', new Set());
+  const wanted = asked.filter(({ path }) => first.has(path));
+  assert.ok(wanted.length > 30 && wanted.length < asked.length / 2, `${wanted.length} found`);
+  assert.deepEqual(
+    wanted.filter(({ key }) => !(key in enFirst)),
+    [],
   );
+});
+
+test('every text used by a module exists', () => {
   assert.ok(asked.length > 150, `only ${asked.length} found`);
   assert.deepEqual(
     asked.filter(({ key }) => !(key in en)),

@@ -180,7 +180,7 @@ async fn clock_set_back_does_not_confirm_a_fast_stop() {
     let restored = handle.states().wait_for(confirmed).await.unwrap().latch.clone().unwrap();
     assert_eq!(restored.fast_stop_id, id);
     let stop = async || {
-        let client = Client { subject: "test".into(), door: Door::Http };
+        let client = Client::new("test", Door::Http);
         handle.fast_stop(FastStopId::generate(), client, Reason::truncated("")).await
     };
     for id in UPDATES.into_iter().chain([0x06, 0x23]) {

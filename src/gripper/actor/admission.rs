@@ -148,10 +148,10 @@ impl Actor {
             self.answers.add(answer, Ok(data));
             return;
         }
-        if let Command::SetDeviceTag(tag) = &command {
-            match self.settings.tag_writes.begin(now.instant, tag, self.publication.has_tag(tag)) {
+        if let Some(Command::SetDeviceTag(tag)) = command.typed() {
+            match self.settings.tag_writes.begin(now.instant, &tag, self.publication.has_tag(&tag)) {
                 Ok(true) => {}
-                Ok(false) => return self.answers.add(answer, Ok(Data::DeviceTag(tag.clone()))),
+                Ok(false) => return self.answers.add(answer, Ok(Data::DeviceTag(tag))),
                 Err(failure) => return self.answers.add(answer, Err(failure.into())),
             }
         }
@@ -216,16 +216,17 @@ impl Actor {
     /// Sends the getter after a setter, or takes the value that was read back.
     pub(super) fn exchange_succeeded(&mut self, now: Now, exchange: Exchange, data: Data) {
         let Exchange { command, answer, setter, client, .. } = exchange;
-        let getter = match &command {
-            Command::SetAcceleration(_) => Command::GetAcceleration,
-            Command::SetForceLimit(_) => Command::GetForceLimit,
-            Command::SetSoftLimits(_) | Command::ClearSoftLimits => Command::GetSoftLimits,
-            Command::SetDeviceTag(_) => Command::GetDeviceTag,
-            Command::OverdriveMode { on } => {
-                self.recording.setting(now, &client, SettingChange::Overdrive { enabled: *on });
-                self.settings.overdrive.requested(now.instant, *on, answer);
-                return;
-            }
+        let command = command.typed().unwrap_or(command);
+        if let Command::OverdriveMode { on } = command {
+            self.recording.setting(now, &client, SettingChange::Overdrive { enabled: on });
+            self.settings.overdrive.requested(now.instant, on, answer);
+            return;
+        }
+        let getter = match command.id() {
+            id::SET_ACCELERATION => Command::GetAcceleration,
+            id::SET_FORCE_LIMIT => Command::GetForceLimit,
+            id::SET_SOFT_LIMITS | id::CLEAR_SOFT_LIMITS => Command::GetSoftLimits,
+            id::SET_DEVICE_TAG => Command::GetDeviceTag,
             _ => {
                 if setter.is_some() {
                     self.note_setting(&data);

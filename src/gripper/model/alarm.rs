@@ -6,7 +6,7 @@ use jiff::Timestamp;
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
-use super::{AlarmId, FastStopId, Name};
+use super::{AlarmId, ClientLabel, FastStopId, Name};
 
 /// Condition that raises an alarm.
 ///
@@ -140,6 +140,10 @@ pub struct Alarm {
     /// Subject of the client that acknowledged the alarm; null if nobody has, or if it is unknown who did.
     #[schema(value_type = Option<String>, required)]
     pub acknowledged_by: Option<Arc<str>>,
+    /// Name that this client gave, if it has no credential.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<String>, nullable = false, max_length = 32)]
+    pub acknowledged_label: Option<ClientLabel>,
 }
 
 /// Step in the life of an alarm.

@@ -1,9 +1,12 @@
 //! The identity of a client.
 
+use std::hash::{Hash, Hasher};
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
+
+use super::HolderName;
 
 /// Interface through which a client reached the gateway.
 ///
@@ -30,9 +33,67 @@ impl Door {
 }
 
 /// Identity of a client, and the interface that it uses.
-#[derive(Debug, Clone, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Debug, Clone, Serialize, Deserialize)]
 pub struct Client {
     /// Authenticated name; without credentials, the interface and the peer's address.
     pub subject: Arc<str>,
     pub door: Door,
+    /// Label of a client without a credential. Clients are equal whatever their labels.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub label: Option<ClientLabel>,
+}
+
+/// Name by which a client without a credential calls its user. It helps people, proves nothing and gives no rights.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct ClientLabel(Arc<str>);
+
+impl Client {
+    #[must_use]
+    pub fn new(subject: impl Into<Arc<str>>, door: Door) -> Self {
+        Self { subject: subject.into(), door, label: None }
+    }
+}
+
+impl PartialEq for Client {
+    fn eq(&self, other: &Self) -> bool {
+        self.subject == other.subject && self.door == other.door
+    }
+}
+
+impl Eq for Client {}
+
+impl Hash for Client {
+    fn hash<H: Hasher>(&self, state: &mut H) {
+        (&self.subject, self.door).hash(state);
+    }
+}
+
+impl ClientLabel {
+    /// Returns `None` if the text is empty, or not allowed as the name of a lease holder.
+    #[must_use]
+    pub fn new(text: &str) -> Option<Self> {
+        let name = HolderName::new(text.trim()).ok()?;
+        (!name.as_str().is_empty()).then(|| Self(name.as_str().into()))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn label_follows_the_rules_of_holder_names() {
+        let label = |text| ClientLabel::new(text).map(|label| label.0.to_string());
+        assert_eq!(label(" Anna M\u{fc}ller "), Some("Anna M\u{fc}ller".to_owned()));
+        for refused in ["", "  ", "a\nb", "\u{202E}annA", "r\u{43E}bot", &"x".repeat(33)] {
+            assert_eq!(label(refused), None, "{refused:?}");
+        }
+    }
+
+    #[test]
+    fn label_makes_no_other_client() {
+        let client = Client::new("http:10.0.0.5", Door::Http);
+        let labelled = Client { label: ClientLabel::new("Anna"), ..client.clone() };
+        assert!(labelled.label.is_some() && labelled == client);
+    }
 }

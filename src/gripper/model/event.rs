@@ -8,8 +8,8 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::{
-    AlarmEvent, Client, Code, CommandId, CommandReport, Door, FastStopCause, FastStopId, Kind, Name, Outcome,
-    Parameters, PartId, RequestId, RequestedValues, lease::LeaseEvent,
+    AlarmEvent, Client, ClientLabel, Code, CommandId, CommandReport, Door, FastStopCause, FastStopId, Kind, Name,
+    Outcome, Parameters, PartId, RequestId, RequestedValues, lease::LeaseEvent,
 };
 
 mod device;
@@ -29,6 +29,10 @@ pub struct Event {
     /// Subject of the client that caused the event; null if no client did.
     #[schema(value_type = Option<String>, required)]
     pub subject: Option<Arc<str>>,
+    /// Name that the client gave, if it has no credential. It is shown beside the subject, and proves nothing.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    #[schema(value_type = Option<String>, nullable = false, max_length = 32)]
+    pub label: Option<ClientLabel>,
     /// Interface that the client used; null if no client caused the event.
     #[schema(required)]
     pub door: Option<Door>,
@@ -48,13 +52,13 @@ impl Event {
     /// An event that no client caused.
     #[must_use]
     pub fn new(at: Timestamp, gripper: Option<Name>, detail: Detail) -> Self {
-        Self { at, gripper, subject: None, door: None, command_id: None, aggregated: None, detail }
+        Self { at, gripper, subject: None, label: None, door: None, command_id: None, aggregated: None, detail }
     }
 
     /// Adds the client that caused the event.
     #[must_use]
     pub fn by(self, client: &Client) -> Self {
-        Self { subject: Some(client.subject.clone()), door: Some(client.door), ..self }
+        Self { subject: Some(client.subject.clone()), label: client.label.clone(), door: Some(client.door), ..self }
     }
 
     /// Adds the command that the event belongs to.

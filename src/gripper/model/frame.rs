@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use utoipa::ToSchema;
 
 use super::Name;
+use crate::wsg::id;
 
 /// Direction of a frame.
 ///
@@ -110,5 +111,11 @@ impl WireRecord {
             Self::Frame(frame) => frame.seq,
             Self::Damage(damage) => damage.seq,
         }
+    }
+
+    /// Whether this is an automatic update. The reply to a single read of such a value looks the same.
+    #[must_use]
+    pub fn is_update(&self) -> bool {
+        matches!(self, Self::Frame(frame) if frame.direction == FrameDirection::Received && id::has_updates(frame.id))
     }
 }

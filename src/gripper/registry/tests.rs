@@ -9,7 +9,7 @@ fn home() -> Action {
 }
 
 fn submission(subject: &str, action: Action, request_id: Option<&str>) -> Submission {
-    let client = Client { subject: subject.into(), door: Door::Http };
+    let client = Client::new(subject, Door::Http);
     let request_id = request_id.and_then(RequestId::new);
     Submission { client, action, request_id, lease: None }
 }

@@ -26,8 +26,12 @@ const NOTIFICATIONS: &[(&str, &str, &str)] = &[
     ),
     ("event", "StoredEvent", "An event (topic `events`), sent in order once it is stored durably"),
     ("grip", "StoredGripRecord", "A new grip record, or one whose part was lost (topic `grips`)"),
-    ("frame", "Frame", "A frame on the wire (topic `frames`), sent in order"),
-    ("damage", "Damage", "Bytes from a device that are not a valid frame (topic `frames`), in order with the frames"),
+    ("frame", "Frame", "A frame on the wire (topics `frames` and `exchanges`), sent in order"),
+    (
+        "damage",
+        "Damage",
+        "Bytes from a device that are not a valid frame (topics `frames` and `exchanges`), in order with the frames",
+    ),
     ("fleet", "FleetGripper", "A gripper of any gateway (topic `fleet`): first all grippers, then each change"),
     (
         "alarms",
@@ -152,6 +156,10 @@ fn request(method: &str, params: &Value) -> Value {
     let needs_params = params["required"].as_array().is_some_and(|required| !required.is_empty());
     let mut request = notification(method, params);
     request["properties"]["id"] = json!({"type": ["string", "number", "null"]});
+    request["properties"]["client"] = json!({
+        "type": "string", "maxLength": 32,
+        "description": "Name of the client's user, shown beside its subject; ignored if the client has a credential",
+    });
     request["required"] =
         if needs_params { json!(["jsonrpc", "method", "params"]) } else { json!(["jsonrpc", "method"]) };
     request

@@ -35,6 +35,9 @@ pub struct RecordsQuery {
     /// Only records of this part. At most 48 bytes.
     #[param(max_length = 48, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$", example = "4711")]
     part_id: Option<String>,
+    /// Only records of parts whose names begin like this. At most 48 bytes.
+    #[param(max_length = 48, pattern = "^[^\\u0000-\\u001f\\u007f-\\u009f]*$", example = "47")]
+    part_prefix: Option<String>,
     /// Only records with this outcome.
     outcome: Option<crate::gripper::model::Outcome>,
     /// Only records from this time on.

@@ -94,7 +94,13 @@ fn caller(identified: &Identified, parts: &Parts, operation: &Operation) -> Resu
         request_id: key(&parts.headers, "Idempotency-Key"),
         presence: Presence::Seen,
         wait,
-    })
+    }
+    .labelled(label(&parts.headers)))
+}
+
+/// Returns the label of the client's user, if it is text.
+fn label(headers: &HeaderMap) -> Option<&str> {
+    std::str::from_utf8(headers.get("Wsg-Client")?.as_bytes()).ok()
 }
 
 fn key<const MAX: usize>(headers: &HeaderMap, name: &'static str) -> Result<Option<Text<MAX>>, Problem> {

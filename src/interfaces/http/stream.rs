@@ -40,9 +40,9 @@ const READ_RETRY_PAUSE: Duration = Duration::from_secs(1);
 #[into_params(parameter_in = Query)]
 #[allow(dead_code, reason = "only describes the parameters that `Stream::new` reads")]
 pub struct StreamQuery {
-    /// `events` (default), `grips`, `state`, `telemetry`, `frames`, `fleet`, `alarms`, or several of them separated by commas.
+    /// `events` (default), `grips`, `state`, `telemetry`, `frames`, `exchanges`, `fleet`, `alarms`, or several of them separated by commas.
     #[param(
-        pattern = "^(events|grips|state|telemetry|frames|fleet|alarms)(,(events|grips|state|telemetry|frames|fleet|alarms))*$",
+        pattern = "^(events|grips|state|telemetry|frames|exchanges|fleet|alarms)(,(events|grips|state|telemetry|frames|exchanges|fleet|alarms))*$",
         example = "events,state"
     )]
     topics: Option<String>,
@@ -251,7 +251,7 @@ mod tests {
         // No time passes between the changes; each is sent as a state and as telemetry.
         for (changes, later_ms, expected) in [(0, 0, 0), (3, 0, 0), (3, 350, 4), (1, 350, 4), (10, 100, 4)] {
             for _ in 0..changes {
-                let client = Client { subject: "test".into(), door: Door::Http };
+                let client = Client::new("test", Door::Http);
                 handle.fast_stop(FastStopId::generate(), client, Reason::truncated("")).await;
             }
             tokio::time::advance(Duration::from_millis(later_ms)).await;

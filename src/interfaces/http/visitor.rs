@@ -48,13 +48,13 @@ impl Identified {
             self.visitor.origin.address.map_or_else(|| format!("{door}:unknown"), |peer| format!("{door}:{peer}"))
         };
         let subject = name.map_or_else(by_address, Name::to_string);
-        Client { subject: subject.into(), door }
+        Client::new(subject, door)
     }
 }
 
 /// Returns the client of a request as it appears in the journal.
 pub fn client(extensions: &Extensions) -> Client {
-    let of_nobody = || Client { subject: "http:unknown".into(), door: Door::Http };
+    let of_nobody = || Client::new("http:unknown", Door::Http);
     extensions.get::<Identified>().map_or_else(of_nobody, |identified| identified.client(Door::Http))
 }
 

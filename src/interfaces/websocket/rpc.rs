@@ -30,6 +30,8 @@ pub struct RpcCall {
     pub id: Option<Value>,
     pub method: String,
     pub params: Value,
+    /// Label of the client's user.
+    pub label: Option<String>,
 }
 
 #[derive(Debug)]
@@ -113,7 +115,9 @@ pub fn has_fast_stop(text: &str) -> bool {
 pub fn parse(text: &str) -> Incoming {
     let invalid = |code, problem: Problem| {
         Incoming::One(match fast_stop_in(text) {
-            Some(name) => Ok(RpcCall { id: Some(Value::Null), method: name.to_owned(), params: Value::Null }),
+            Some(name) => {
+                Ok(RpcCall { id: Some(Value::Null), method: name.to_owned(), params: Value::Null, label: None })
+            }
             None => Err(RpcResponse::invalid(Value::Null, code, problem)),
         })
     };
@@ -139,6 +143,10 @@ fn call(mut request: Value) -> Result<RpcCall, RpcResponse> {
     let mut take = |key: &str| request.get_mut(key).map(Value::take);
     let (version, id, method, params) = (take("jsonrpc"), take("id"), take("method"), take("params"));
     let params = params.unwrap_or_default();
+    let label = match take("client") {
+        Some(Value::String(label)) => Some(label),
+        _ => None,
+    };
     // A number that can't be repeated exactly identifies nothing, and a long string would be kept until the response is
     // read.
     let is_id = |id: &Value| match id {
@@ -147,7 +155,7 @@ fn call(mut request: Value) -> Result<RpcCall, RpcResponse> {
     };
     let known_id = id.as_ref().filter(|id| is_id(id)).cloned();
     if let Some(method) = method.as_ref().and_then(Value::as_str).filter(|method| is_fast_stop(method)) {
-        return Ok(RpcCall { id: known_id, method: method.to_owned(), params });
+        return Ok(RpcCall { id: known_id, method: method.to_owned(), params, label });
     }
     let invalid = |detail: &str| {
         Err(RpcResponse::invalid(known_id.clone().unwrap_or_default(), INVALID_REQUEST, malformed(detail.to_owned())))
@@ -159,7 +167,7 @@ fn call(mut request: Value) -> Result<RpcCall, RpcResponse> {
         return invalid("id must be a string of at most 64 bytes or an integer below 2^64");
     }
     match method {
-        Some(Value::String(method)) => Ok(RpcCall { id, method, params }),
+        Some(Value::String(method)) => Ok(RpcCall { id, method, params, label }),
         _ => invalid("method must be a string"),
     }
 }
@@ -184,9 +192,20 @@ mod tests {
     #[test]
     fn notification_has_no_id() {
         let request = one(&json!({"jsonrpc": "2.0", "id": "a", "method": "state", "params": {"gripper": "left"}}));
-        let expected = RpcCall { id: Some("a".into()), method: "state".to_owned(), params: json!({"gripper": "left"}) };
+        let params = json!({"gripper": "left"});
+        let expected = RpcCall { id: Some("a".into()), method: "state".to_owned(), params, label: None };
         assert_eq!(request, Ok(expected));
         assert_eq!(one(&json!({"jsonrpc": "2.0", "method": "state"})).unwrap().id, None);
+    }
+
+    #[test]
+    fn label_of_any_form_stops_no_request() {
+        for (given, label) in [(json!("Anna"), Some("Anna")), (json!(7), None), (json!(null), None)] {
+            for method in ["state", "fast-stop"] {
+                let request = one(&json!({"jsonrpc": "2.0", "id": 1, "method": method, "client": given})).unwrap();
+                assert_eq!(request.label.as_deref(), label);
+            }
+        }
     }
 
     #[test]
@@ -244,7 +263,9 @@ mod tests {
             &request.replace('1', "1, \"id\": 2"),
         ] {
             let Incoming::One(Ok(call)) = parse(text) else { panic!("{text}") };
-            assert_eq!(call, RpcCall { id: Some(Value::Null), method: "fast-stop".to_owned(), params: Value::Null });
+            let expected =
+                RpcCall { id: Some(Value::Null), method: "fast-stop".to_owned(), params: Value::Null, label: None };
+            assert_eq!(call, expected);
         }
     }
 }

@@ -333,7 +333,7 @@ impl Socket {
 
     fn answered(&self, call: Result<RpcCall, RpcResponse>) -> BoxFuture<'static, Answered> {
         let ready = |answered| std::future::ready(answered).boxed();
-        let RpcCall { id, method, params } = match call {
+        let RpcCall { id, method, params, label } = match call {
             Ok(call) => call,
             Err(answer) => return ready(Answered { answer: Some(answer), ..Answered::default() }),
         };
@@ -374,7 +374,8 @@ impl Socket {
             if is_fast_stop(&method) {
                 pace.next_fast_stop().await;
             }
-            let result = crate::operations::call(&gateway, Caller::new(client, identity), &method, params).await;
+            let caller = Caller::new(client, identity).labelled(label.as_deref());
+            let result = crate::operations::call(&gateway, caller, &method, params).await;
             let status = result.as_ref().map_or_else(|problem| problem.status().as_u16(), |_| 200);
             metrics.answered(Some(&method), "CALL", status);
             Answered::new(id, result)

@@ -106,6 +106,6 @@ impl Port {
     pub(super) fn client(&self, peer: SocketAddr) -> Client {
         let name = self.identity(peer.ip()).and_then(|identity| identity.name);
         let by_address = || format!("wsg:{}", peer.ip().to_canonical());
-        Client { subject: name.map_or_else(by_address, |name| name.to_string()).into(), door: Door::Wsg }
+        Client::new(name.map_or_else(by_address, |name| name.to_string()), Door::Wsg)
     }
 }

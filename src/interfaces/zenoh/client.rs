@@ -8,5 +8,5 @@ const MAX_CLIENT_BYTES: usize = 64;
 /// Returns a client by its claimed name, since authentication is not supported yet.
 pub fn client(name: Option<&ShownName<MAX_CLIENT_BYTES>>) -> Client {
     let name = name.map_or("unknown", ShownName::as_str);
-    Client { subject: format!("zenoh:{name}").into(), door: Door::Zenoh }
+    Client::new(format!("zenoh:{name}"), Door::Zenoh)
 }

@@ -294,8 +294,7 @@ impl Queries {
         let request_id = asked.request_id.as_deref().map(|given| text(REQUEST_ID, given)).transpose();
         let identity = self.identity(asked);
         let name = identity.as_ref().ok().and_then(|identity| identity.name.as_ref());
-        let client = name
-            .map_or_else(|| asked.client.clone(), |name| Client { subject: name.as_str().into(), door: Door::Zenoh });
+        let client = name.map_or_else(|| asked.client.clone(), |name| Client::new(name.as_str(), Door::Zenoh));
         Caller {
             client,
             identity,

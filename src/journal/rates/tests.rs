@@ -11,7 +11,7 @@ use crate::gripper::model::{
 const ONE: u64 = 1024;
 
 fn client(subject: &str, door: Door) -> Client {
-    Client { subject: subject.into(), door }
+    Client::new(subject, door)
 }
 
 fn setting(client: &Client, force_n: f32) -> Event {

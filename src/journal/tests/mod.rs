@@ -271,7 +271,7 @@ async fn every_kind_of_event_can_be_written_and_read() {
         Detail::Gateway(GatewayEvent::Ended),
     ];
     let (journal, _) = Journal::open(JournalLocation::Memory, Retention::default()).unwrap();
-    let client = Client { subject: Arc::from("http:\u{1F980}"), door: Door::Http };
+    let client = Client::new("http:\u{1F980}", Door::Http);
     for detail in details.clone() {
         assert!(kept(&journal, Event::new(at(1), None, detail).by(&client)).await);
     }

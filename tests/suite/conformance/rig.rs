@@ -20,7 +20,7 @@ pub struct Rig {
 }
 
 pub fn client() -> Client {
-    Client { subject: "test".into(), door: Door::Http }
+    Client::new("test", Door::Http)
 }
 
 /// A device that knows every command.

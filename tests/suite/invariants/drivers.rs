@@ -16,7 +16,7 @@ use super::steps::*;
 use crate::seeds::world::World;
 
 fn driver(host: &str) -> (Client, LeaseToken) {
-    (Client { subject: format!("wsg:{host}").into(), door: Door::Wsg }, LeaseToken::generate())
+    (Client::new(format!("wsg:{host}"), Door::Wsg), LeaseToken::generate())
 }
 
 fn moves(world: &mut World, driver: &(Client, LeaseToken), motion: Motion) -> Result<Ticket, Rejection> {

@@ -24,7 +24,7 @@ use crate::seeds::world::World;
 const TTL: Duration = Duration::from_millis(500);
 
 fn wish(holder: &str) -> TakeLease {
-    let client = Client { subject: format!("http:{holder}").into(), door: Door::Http };
+    let client = Client::new(format!("http:{holder}"), Door::Http);
     TakeLease { holder: HolderName::new(holder).ok(), ttl: Some(TTL), ..TakeLease::by(client) }
 }
 

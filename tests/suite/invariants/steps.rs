@@ -15,7 +15,7 @@ use wsg_gateway::wsg::{self, Force, HomingDirection, MoveFlags, Speed, Width, id
 use crate::seeds::world::World;
 
 pub fn client() -> Client {
-    Client { subject: "test".into(), door: Door::Http }
+    Client::new("test", Door::Http)
 }
 
 /// A WSG 50 with a part of 20 mm.

@@ -42,7 +42,7 @@ pub struct Clients {
 }
 
 fn client() -> Client {
-    Client { subject: "test".into(), door: Door::Http }
+    Client::new("test", Door::Http)
 }
 
 impl Clients {

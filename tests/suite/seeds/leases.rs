@@ -104,7 +104,7 @@ impl Leases {
         let moving = [None, Some(OnLossMoving::FastStop), Some(OnLossMoving::Stop), Some(OnLossMoving::Finish)];
         let holding = [None, Some(OnLossHolding::Keep), Some(OnLossHolding::FastStop)];
         TakeLease {
-            client: Client { subject: holder.into(), door: Door::Http },
+            client: Client::new(holder, Door::Http),
             holder: HolderName::new(holder).ok(),
             ttl: Some(Duration::from_millis(world.rng.random_range(100..3000))),
             on_loss_moving: moving[world.rng.random_range(0..moving.len())],
@@ -236,7 +236,7 @@ impl Leases {
             |current| current.token.clone(),
         );
         world.leases.drivers += 1;
-        (Client { subject: DRIVER.into(), door: Door::Wsg }, token)
+        (Client::new(DRIVER, Door::Wsg), token)
     }
 
     /// Records that a driver has used a script, which renews the lease if the driver holds it.

@@ -41,7 +41,7 @@ fn fault_under_a_foreign_lease_is_not_acknowledged() {
     let mut rig = with_error();
     let (take, token) = (TakeLease::by(client()), LeaseToken::generate());
     drop(rig.request(|answer| ActorRequest::TakeLease { take, token, answer }));
-    let driver = Client { subject: "wsg:10.0.0.1".into(), door: Door::Wsg };
+    let driver = Client::new("wsg:10.0.0.1", Door::Wsg);
     let refused = acknowledge_fault(&mut rig, driver).try_recv().unwrap().unwrap_err();
     assert!(matches!(refused, Rejection::Conflict(Conflict::LeaseHeld { .. })), "{refused:?}");
     assert_eq!(rig.count(id::ACKNOWLEDGE_FAST_STOP), 0);

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::gripper::error::Conflict;
-use crate::wsg::{Data, Force};
+use crate::wsg::{Data, Force, VerbatimCommand};
 
 fn disconnect(rig: &mut Rig) -> oneshot::Receiver<Result<(), Rejection>> {
     rig.request(|answer| ActorRequest::Disconnect { client: client(), lease: None, answer })
@@ -41,6 +41,29 @@ fn new_setup_keeps_the_value_of_a_setter_in_flight() {
     assert_eq!(rig.state().link, crate::gripper::model::Link::Connected);
     assert_eq!(answered.try_recv().unwrap(), Ok(Data::ForceLimit(Force::new(30.0).unwrap())));
     assert!((rig.device.force_n - 30.0).abs() < 0.1, "{} N", rig.device.force_n);
+}
+
+#[test]
+fn verbatim_request_reaches_the_device_past_limits_and_recent_values() {
+    let mut rig = Rig::connected(config(TCP));
+    let mut send = |id, payload: &[u8]| {
+        let command = Command::Verbatim(VerbatimCommand::new(id, payload.to_vec()).unwrap());
+        let exchange =
+            |answer| ActorRequest::Exchange { command, client: client(), lease: None, answer: (None, answer) };
+        rig.device.received.clear();
+        let answered = rig.request(exchange).try_recv().unwrap();
+        (answered, rig.device.received.clone())
+    };
+    for _ in 0..2 {
+        let (answered, received) = send(id::GET_FORCE_LIMIT, &[]);
+        assert_eq!(answered, Ok(Data::ForceLimit(Force::new(40.0).unwrap())));
+        assert_eq!(received, [(id::GET_FORCE_LIMIT, vec![])]);
+    }
+    // The gateway learns what the device makes of a value beyond its limits.
+    let force = 300_f32.to_le_bytes().to_vec();
+    let (answered, received) = send(id::SET_FORCE_LIMIT, &force);
+    assert_eq!(answered, Ok(Data::ForceLimit(Force::new(300.0).unwrap())));
+    assert_eq!(received, [(id::SET_FORCE_LIMIT, force), (id::GET_FORCE_LIMIT, vec![])]);
 }
 
 #[test]

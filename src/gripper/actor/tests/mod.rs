@@ -46,7 +46,7 @@ pub(in crate::gripper) fn config(properties: LinkProperties) -> ActorConfig {
 }
 
 pub(in crate::gripper) fn client() -> Client {
-    Client { subject: "test".into(), door: Door::Http }
+    Client::new("test", Door::Http)
 }
 
 /// A referenced device without automatic updates.

@@ -14,6 +14,7 @@ import { go, start } from './ui/route.js';
 import { SignedIn, SignIn } from './ui/signin.js';
 
 function Views() {
+  if (isStranger.value) return null;
   return html`<nav class="views" aria-label=${t('nav.label')}>
     ${VIEWS.map(
       (name) => html`<button type="button" key=${name} data-view=${name}

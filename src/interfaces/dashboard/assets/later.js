@@ -1,5 +1,7 @@
 // What the page loads after its first screen.
 
+import './model/texts.js';
+
 export { Alarms, Announcer } from './views/alarms.js';
 export { Charts } from './views/charts.js';
 export { Control } from './views/control.js';

@@ -3,8 +3,9 @@
 use serde_json::json;
 
 use super::*;
+use crate::gripper::DeviceRefusal;
 use crate::gripper::model::Motion;
-use crate::wsg::Acceleration;
+use crate::wsg::{Acceleration, Status};
 
 #[tokio::test]
 async fn known_raw_id_takes_the_typed_path() {
@@ -72,4 +73,23 @@ async fn reserved_raw_requests_are_refused() {
         assert_eq!((answer.status, &answer.body["field"]), (status, &field.into()), "{}", answer.body);
     }
     assert!(gateway.seen.try_recv().is_err());
+}
+
+#[tokio::test]
+async fn exact_raw_request_shows_the_devices_judgement() {
+    let mut gateway = with_exchange(|command| {
+        let status = Status::E_CMD_FORMAT_ERROR;
+        Err(DeviceRefusal { command: wsg::id::name(command.id()).unwrap(), status, fast_stop: None }.into())
+    });
+    let answer = gateway.left("POST", "raw", json!({"id": 0x30, "payload": "00", "exact": true})).await;
+    assert_eq!((answer.status, &answer.body["status"]), (200, &"E_CMD_FORMAT_ERROR".into()), "{}", answer.body);
+    let command = wsg::Command::Verbatim(wsg::VerbatimCommand::new(0x30, vec![0]).unwrap());
+    assert!(matches!(gateway.seen.recv().await, Some(Seen::Exchange(seen)) if seen == command));
+    for id in [0x07, 0x20, 0x21, 0x22, 0x23, 0x24, 0x25, 0x26, 0x40, 0x41, 0x43, 0x44, 0x45, 0xAA] {
+        let answer = gateway.left("POST", "raw", json!({"id": id, "exact": true})).await;
+        assert_eq!((answer.status, &answer.body["field"]), (400, &"id".into()), "{id:02X}h: {}", answer.body);
+    }
+    assert!(gateway.seen.try_recv().is_err());
+    let answer = gateway.left("POST", "raw", json!({"id": 0x30, "payload": "00"})).await;
+    assert_eq!((answer.status, &answer.body["field"]), (400, &"payload".into()));
 }

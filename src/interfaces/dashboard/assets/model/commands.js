@@ -125,7 +125,7 @@ async function sendFastStop(method, path, more = {}, fallsBackAfterMs = FALLS_BA
     return await Promise.race([overSocket, late]);
   } catch {
     // A second FAST STOP is better than none.
-    return Promise.any([overSocket, postUrgently(path, params, STOPS_WITHIN_MS)]).catch((both) => {
+    return Promise.any([overSocket, postUrgently(path, params, myName.peek(), STOPS_WITHIN_MS)]).catch((both) => {
       throw both.errors.at(-1);
     });
   }

@@ -8,9 +8,10 @@ import { eventSeq, learn, learnSettings, others, rpc } from './store.js';
 /** Limit of the clients in `others`. */
 const MAX_OTHERS = 32;
 
-function remember(subject, door, at) {
-  others.delete(subject);
-  others.set(subject, { door, at: Date.parse(at) });
+function remember({ subject, label = null, door, at }) {
+  const key = JSON.stringify([subject, label]);
+  others.delete(key);
+  others.set(key, { subject, label, door, at: Date.parse(at) });
   if (others.size > MAX_OTHERS) others.delete(others.keys().next().value);
 }
 
@@ -83,7 +84,7 @@ async function catchUpCommand(one) {
 export function takeEvent(event, one, at) {
   batch(() => {
     eventSeq.value = event.seq;
-    if (event.subject) remember(event.subject, event.door, event.at);
+    if (event.subject) remember(event);
     if (!one) return;
     if (event.kind === 'command') takeCommand(event, one, at);
     if (event.kind === 'settings') takeSetting(event, one);

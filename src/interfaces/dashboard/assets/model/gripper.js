@@ -4,6 +4,7 @@ import { batch, computed, signal } from '../lib.js';
 import { Samples } from '../core/ring.js';
 import { has } from '../core/flags.js';
 import { numbered } from '../core/newest.js';
+import { person } from '../core/people.js';
 
 /** Ten minutes at 20 samples a second. */
 const SAMPLES = 12_288;
@@ -124,7 +125,8 @@ export class Gripper {
     const [known, by] = [this.settings.peek(), this.setBy.peek()];
     const fields = SETTINGS.filter((field) => field in settings);
     // An unchanged value keeps its subject.
-    const whose = (field) => settings.subject ?? (settings[field] === known[field] ? by[field] : null) ?? null;
+    const who = settings.subject ? person(settings.subject, settings.label) : null;
+    const whose = (field) => who ?? (settings[field] === known[field] ? by[field] : null) ?? null;
     batch(() => {
       this.setBy.value = { ...by, ...Object.fromEntries(fields.map((field) => [field, whose(field)])) };
       this.settings.value = { ...known, ...Object.fromEntries(fields.map((field) => [field, settings[field]])) };

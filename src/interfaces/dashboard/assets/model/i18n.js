@@ -1,6 +1,6 @@
 // The page's texts, in the user's language.
 
-import { computed, effect } from '../lib.js';
+import { computed, effect, signal } from '../lib.js';
 import { fill, placeholders } from '../core/words.js';
 import { kept } from './prefs.js';
 import { de } from '../locales/de.js';
@@ -14,7 +14,14 @@ const preferred = navigator.languages.map((tag) => tag.slice(0, 2)).find((tag) =
 
 export const language = kept('language', preferred);
 
-const words = computed(() => DICTIONARIES[language.value] ?? en);
+/** Texts of what is loaded after the first screen, by language. */
+const moreTexts = signal({});
+
+export function addTexts(texts) {
+  moreTexts.value = texts;
+}
+
+const words = computed(() => ({ ...(DICTIONARIES[language.value] ?? en), ...moreTexts.value[language.value] }));
 
 effect(() => {
   document.documentElement.lang = language.value;

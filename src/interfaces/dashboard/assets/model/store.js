@@ -6,6 +6,7 @@ import { Rpc } from '../net/rpc.js';
 import { noteGateway, takeAlarms } from './alarms.js';
 import { catchUp, takeEvent } from './events.js';
 import { recognizeAgain } from './me.js';
+import { myName } from './name.js';
 import { lookForNewer } from './version.js';
 import { Gripper } from './gripper.js';
 
@@ -44,7 +45,10 @@ export const fleet = signal(null);
 export const hasOthers = computed(() => new Set(fleet.value?.map(({ gateway }) => gateway)).size > 1);
 /** Number of the newest event. The history reloads when it changes. */
 export const eventSeq = signal(0);
-/** Recently active clients with interface and time. Not a signal, because busy cells would change it all the time. */
+/**
+ * Recently active clients: `{subject, label, door, at}` by subject and label. Not a signal, because busy cells would
+ * change it all the time.
+ */
 export const others = new Map();
 
 const isHidden = signal(document.hidden);
@@ -98,6 +102,7 @@ function takeState(state, at = performance.now()) {
 }
 
 export const rpc = new Rpc({
+  label: () => myName.peek(),
   onOpen: () => {
     subscribe();
     lookForNewer();

@@ -19,6 +19,9 @@ function makeWay() {
   reading.forEach((one) => one.abort(GAVE_WAY));
 }
 
+/** A header's text: each character stands for one byte of its UTF-8. */
+const headerText = (text) => String.fromCharCode(...new TextEncoder().encode(text));
+
 /** Sends a request. A read that made way for an urgent request is sent again after it. */
 async function ask(...asked) {
   for (;;) {
@@ -35,7 +38,7 @@ async function askOnce(
   take,
   method,
   path,
-  { body, accept = 'application/json', withinMs = ANSWERS_WITHIN_MS, isUrgent = false } = {},
+  { body, label, accept = 'application/json', withinMs = ANSWERS_WITHIN_MS, isUrgent = false } = {},
 ) {
   if (isUrgent) makeWay();
   const abort = new AbortController();
@@ -47,7 +50,7 @@ async function askOnce(
   try {
     const options = {
       method,
-      headers: { accept },
+      headers: label ? { accept, 'wsg-client': headerText(label) } : { accept },
       cache: 'no-store',
       signal: abort.signal,
       priority: isUrgent ? 'high' : 'auto',
@@ -80,9 +83,9 @@ export function remove(path) {
   return ask(asNothing, 'DELETE', path);
 }
 
-/** Sends a request that does not wait for reads. */
-export function postUrgently(path, body, withinMs) {
-  return ask(asJson, 'POST', path, { body, withinMs, isUrgent: true });
+/** Sends a request of the user `label`, which does not wait for reads. */
+export function postUrgently(path, body, label, withinMs) {
+  return ask(asJson, 'POST', path, { body, label, withinMs, isUrgent: true });
 }
 
 /** Reads a text, and the cursor of its next page. */

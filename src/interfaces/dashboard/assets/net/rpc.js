@@ -36,7 +36,10 @@ export class Rpc {
   #isWanted = true;
   #begun = null;
 
-  /** `onOpen()`, `onEnd()`, `onNotification(method, params, at)`, and `onHeard(at)` for every message. */
+  /**
+   * `onOpen()`, `onEnd()`, `onNotification(method, params, at)`, and `onHeard(at)` for every message. `label()` returns
+   * the user's name, which is sent with each request.
+   */
   constructor(handlers) {
     this.handlers = handlers;
     this.#connect();
@@ -74,7 +77,7 @@ export class Rpc {
     const id = this.#nextId;
     this.#nextId += 1;
     const answer = this.#expect(id, withinMs);
-    this.#socket.send(JSON.stringify({ jsonrpc: '2.0', id, method, params }));
+    this.#socket.send(JSON.stringify({ jsonrpc: '2.0', id, method, params, client: this.handlers.label?.() }));
     return answer;
   }
 

@@ -6,6 +6,7 @@ import { numbered } from '../core/newest.js';
 import { alarms } from '../model/alarms.js';
 import { ofProblem, t, time } from '../model/i18n.js';
 import { fastStop, fastStopFleet } from '../model/commands.js';
+import { isStranger } from '../model/me.js';
 import { connection, gripper, grippers, hasOthers, heardAt, isLive, selected } from '../model/store.js';
 import { isOld } from '../model/version.js';
 import { onPress, Shape, whyOld } from './parts.js';
@@ -89,6 +90,8 @@ function Item({ label, shape, text, tone = '' }) {
 }
 
 function linkItem(one) {
+  // The gateway answers, but says nothing to strangers.
+  if (isStranger.value) return { shape: 'off', text: t('bar.sign_in') };
   if (connection.value !== 'live') {
     const since =
       heardAt.value && connection.value !== 'connecting' ? ` ${t('bar.since', { time: time(heardAt.value) })}` : '';
@@ -121,6 +124,9 @@ function controlItem(one) {
 
 function Alarms() {
   const open = alarms.value.filter(isOpen);
+  if (open.length === 0 && connection.value === 'connecting') {
+    return html`<p class="alarm-badge"><${Shape} name="off" /><span>${t('bar.alarms_unknown')}</span></p>`;
+  }
   const worst = PRIORITIES.find((priority) => open.some((alarm) => alarm.priority === priority));
   return html`<button type="button" class=${`alarm-badge ${worst ? `tone-${worst}` : ''}`}
       onClick=${() => {

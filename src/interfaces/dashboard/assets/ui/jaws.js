@@ -16,7 +16,7 @@ function ticks(stroke, scale) {
     return html`<g key=${mm}>
       ${[-1, 1].map(
         (side) => html`<line x1=${MIDDLE + (side * mm * scale) / 2} x2=${MIDDLE + (side * mm * scale) / 2}
-          y1="196" y2=${isLong ? 206 : 201} />`,
+          y1="208" y2=${isLong ? 218 : 213} />`,
       )}
       ${
         isLong &&
@@ -24,7 +24,7 @@ function ticks(stroke, scale) {
           .filter((side) => mm > 0 || side > 0)
           .map(
             (side) => html`<text
-          x=${MIDDLE + (side * mm * scale) / 2} y="220">${mm}</text>`,
+          x=${MIDDLE + (side * mm * scale) / 2} y="232">${mm}</text>`,
           )
       }
     </g>`;
@@ -39,13 +39,13 @@ function Forbidden({ soft, stroke, scale }) {
   return html`<g class="forbidden">
     ${
       soft.minus_mm > 0 &&
-      html`<rect x=${MIDDLE - x(soft.minus_mm)} y="186" width=${2 * x(soft.minus_mm)}
+      html`<rect x=${MIDDLE - x(soft.minus_mm)} y="199" width=${2 * x(soft.minus_mm)}
         height="9" />`
     }
     ${
       outer > 0 &&
-      html`<rect x=${MIDDLE + x(soft.plus_mm)} y="186" width=${outer} height="9" /><rect
-        x=${MIDDLE - x(stroke)} y="186" width=${outer} height="9" />`
+      html`<rect x=${MIDDLE + x(soft.plus_mm)} y="199" width=${outer} height="9" /><rect
+        x=${MIDDLE - x(stroke)} y="199" width=${outer} height="9" />`
     }
   </g>`;
 }
@@ -56,7 +56,7 @@ function Target({ one, scale }) {
   const half = (target.width_mm * scale) / 2;
   return html`<g class="target">
     ${[-1, 1].map(
-      (side) => html`<line x1=${MIDDLE + side * half} x2=${MIDDLE + side * half} y1="70" y2="192" /><path
+      (side) => html`<line x1=${MIDDLE + side * half} x2=${MIDDLE + side * half} y1="70" y2="204" /><path
         d="M-6 66h12l-6 9z" transform=${`translate(${MIDDLE + side * half} 0)`} />`,
     )}
   </g>`;
@@ -102,7 +102,7 @@ function Drawing({ one }) {
   const widthText = useComputed(() => t('jaws.width', { width: fixed(one.width.value, 1) }));
   const isHolding = one.gripperState.value === 'HOLDING';
   const isLost = one.gripperState.value === 'PART_LOST';
-  return html`<svg class=${`jaws ${isKnown ? '' : 'unknown'}`} viewBox="0 0 680 232" role="img"
+  return html`<svg class=${`jaws ${isKnown ? '' : 'unknown'}`} viewBox="0 0 680 242" role="img"
       aria-label=${label}>
     <defs><pattern id="hatch" width="6" height="6" patternUnits="userSpaceOnUse" patternTransform="rotate(45)"><rect
         width="2.5" height="6" /></pattern></defs>
@@ -119,12 +119,12 @@ function Drawing({ one }) {
     <${Jaw} side=${1} place=${right} direction=${one.direction.value} />
     ${
       isKnown &&
-      html`<g class="dimension"><line x1=${from} x2=${to} y1="177" y2="177" /><line x1=${from} x2=${from}
-        y1="168" y2="186" /><line x1=${to} x2=${to} y1="168" y2="186" /><text x=${MIDDLE}
-        y="174">${widthText}</text></g>`
+      html`<g class="dimension"><line x1=${from} x2=${to} y1="174" y2="174" /><line x1=${from} x2=${from}
+        y1="168" y2="180" /><line x1=${to} x2=${to} y1="168" y2="180" /><text x=${MIDDLE}
+        y="196">${widthText}</text></g>`
     }
     <${Forbidden} soft=${one.softLimits.value} stroke=${stroke} scale=${scale} />
-    <g class="ruler"><line x1=${MIDDLE - SPAN / 2} x2=${MIDDLE + SPAN / 2} y1="196" y2="196" />${ticks(stroke, scale)}
+    <g class="ruler"><line x1=${MIDDLE - SPAN / 2} x2=${MIDDLE + SPAN / 2} y1="208" y2="208" />${ticks(stroke, scale)}
       </g>
     <${Target} one=${one} scale=${scale} />
     ${!isKnown && html`<text class="jaws-note" x=${MIDDLE} y="140">${t('jaws.not_referenced')}</text>`}

@@ -1,6 +1,6 @@
 // Texts of an alarm.
 
-import { person } from '../core/people.js';
+import { nameIn, person } from '../core/people.js';
 import { t } from '../model/i18n.js';
 
 /** Text of an alarm with its gripper or gateway. */
@@ -12,6 +12,6 @@ export function alarmName(alarm) {
 /** Cause of an alarm; for a FAST STOP also who requested it. */
 export function causeText(alarm) {
   if (alarm.alarm !== 'fast_stop') return alarm.cause;
-  const by = alarm.fast_stop_by === 'device' ? '' : `, ${person(alarm.fast_stop_by, alarm.fast_stop_reason)}`;
+  const by = alarm.fast_stop_by === 'device' ? '' : `, ${person(alarm.fast_stop_by, nameIn(alarm.fast_stop_reason))}`;
   return `${t(`cause.${alarm.cause}`)}${by}`;
 }

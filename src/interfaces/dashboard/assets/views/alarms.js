@@ -2,6 +2,7 @@
 
 import { html, signal } from '../lib.js';
 import { isActive, isOpen, sorted } from '../core/alarms.js';
+import { person } from '../core/people.js';
 import { acknowledgeAlarms, alarms } from '../model/alarms.js';
 import { moment, ofProblem, t } from '../model/i18n.js';
 import { mayOperate } from '../model/me.js';
@@ -30,7 +31,8 @@ function show(alarm, wantedView, panel) {
 function stateText(alarm) {
   if (!isActive(alarm)) return t('alarm.cleared');
   if (isOpen(alarm)) return t('alarm.active');
-  return alarm.acknowledged_by ? t('alarm.acknowledged_by', { name: alarm.acknowledged_by }) : t('alarm.acknowledged');
+  const { acknowledged_by: by, acknowledged_label: label } = alarm;
+  return by ? t('alarm.acknowledged_by', { name: person(by, label) }) : t('alarm.acknowledged');
 }
 
 function Row({ alarm }) {

@@ -3,11 +3,13 @@
 import { html, useEffect } from '../lib.js';
 import { ago } from './ago.js';
 import { changeTerms, handOver, releaseControl, takeControl } from '../model/commands.js';
+import { person, plainSubject } from '../core/people.js';
 import { clients } from './clients.js';
 import { Force } from './force.js';
 import { watchMetrics } from './metrics.js';
 import { asks } from './notices.js';
 import { t } from '../model/i18n.js';
+import { me } from '../model/me.js';
 import { myName } from '../model/name.js';
 import { onLossHolding, onLossMoving } from '../model/prefs.js';
 import { now, others } from '../model/store.js';
@@ -72,6 +74,12 @@ function Terms({ one }) {
     </div>`;
 }
 
+/** Whether a client is this page: other browsers can have its user's name, but not also its address. */
+function isThisBrowser({ subject, label }) {
+  const mine = me.value?.subject;
+  return label === myName.value && mine !== undefined && plainSubject(mine) === plainSubject(subject);
+}
+
 function Others() {
   useEffect(watchMetrics, []);
   // Reading the clock refreshes the list and its ages every second.
@@ -80,10 +88,11 @@ function Others() {
     <p class="small">${t('control.connections', {
       list: clients.value.map(({ door, count }) => `${t(`door.${door}`)} ${count}`).join(', ') || '–',
     })}</p>
-    <ul class="others small">${list.map(
-      ([name, { door, at }]) => html`<li key=${name}><code>${name}</code> <span
-        class="muted">${t(`door.${door}`)}, ${ago(at)}</span></li>`,
-    )}</ul>`;
+    <ul class="others small">${list.map(([key, other]) => {
+      const who = person(other.subject, other.label);
+      return html`<li key=${key}><span>${isThisBrowser(other) ? t('latch.you', { who }) : who}</span> <span
+        class="muted">${t(`door.${other.door}`)}, ${ago(other.at)}</span></li>`;
+    })}</ul>`;
 }
 
 export function Control({ one }) {

@@ -74,6 +74,7 @@ function Form({ code, payload, bytes }) {
 
 export function Editor({ one }) {
   const [id, payload, answer, problem] = [useSignal('0x31'), useSignal(''), useSignal(null), useSignal(null)];
+  const isExact = useSignal(false);
   const code = parseId(id.value);
   const { bytes, wrong } = parse(payload.value);
   const isLong = bytes.length > MAX_PAYLOAD;
@@ -92,6 +93,7 @@ export function Editor({ one }) {
         id: code,
         payload: toHex(bytes),
         ...(lease ? { lease } : {}),
+        ...(isExact.peek() ? { exact: true } : {}),
       });
     } catch (refused) {
       problem.value = refused;
@@ -122,6 +124,11 @@ export function Editor({ one }) {
       }</p></div>
     <div><p class="small muted">${t('editor.frame')}</p><p><output id="editor-frame" for="editor-id editor-payload">
       <code>${isRight ? shortened(toHex(encode(code, bytes), ' ')) : '–'}</code></output></p></div>
+    <label class="check"><input type="checkbox" id="editor-exact" aria-describedby="editor-exact-hint"
+        checked=${isExact.value} onChange=${({ currentTarget }) => {
+          isExact.value = currentTarget.checked;
+        }} /> ${t('editor.exact')}</label>
+    <p class="hint" id="editor-exact-hint">${t('editor.exact_hint')}</p>
     <button type="submit" id="editor-send" class="primary" disabled=${!isRight || !isLive.value}>${t('editor.send')}
       </button>
     ${answer.value && html`<${Answer} answer=${answer.value} />`}

@@ -1,7 +1,8 @@
 // Frames on a gripper's wire, over a separate connection: hundreds of frames a second must not delay states.
 // The connection is opened with the log, and stays open while another view is shown.
 
-import { signal } from '../lib.js';
+import { computed, effect, signal } from '../lib.js';
+import { view } from '../model/store.js';
 import { Rpc } from '../net/rpc.js';
 
 const MAX_FRAMES = 1000;
@@ -12,7 +13,9 @@ const UPDATES = [0x40, 0x41, 0x43, 0x44, 0x45];
 /** Position of the status in a reply's hex, and the hex of `E_CMD_PENDING`. */
 const [STATUS_AT, PENDING] = [12, '1a00'];
 
-/** Frames, and rows about frames that are left out: `updates`, `paused`, `gap` and `lost`, each with a `count`. */
+/**
+ * Frames, and rows about frames that are left out: `updates`, `paused`, `gap`, `lost` and `away`, each with a `count`.
+ */
 export const frames = signal([]);
 export const hasUpdates = signal(false);
 export const isPaused = signal(false);
@@ -25,6 +28,19 @@ let isWaiting = false;
 let nextRow = 0;
 /** The followed gripper and its connection. */
 let followed = null;
+
+/** While another view hides the log, folded updates would only cost processor time. */
+const wanted = computed(() => (view.value === 'log' || hasUpdates.value ? 'frames' : 'exchanges'));
+
+const subscribeTo = ({ name, rpc }) =>
+  rpc.call('subscribe', { grippers: [name], topics: [wanted.peek()] }).catch(() => {});
+
+effect(() => {
+  const isAway = wanted.value === 'exchanges';
+  if (!followed) return;
+  if (isAway) leaveOut('away', new Date().toISOString());
+  if (followed.rpc.isOpen) subscribeTo(followed);
+});
 
 function push(row) {
   rows.push(row);
@@ -87,7 +103,7 @@ export function follow(name) {
     onOpen: () => {
       if (!isFirst) leaveOut('lost', new Date().toISOString());
       isFirst = false;
-      rpc.call('subscribe', { grippers: [name], topics: ['frames'] }).catch(() => {});
+      subscribeTo({ name, rpc });
     },
     onNotification: (method, params) => {
       if (method === 'frame' || method === 'damage') take(params);

@@ -55,11 +55,11 @@ function Time({ id, value }) {
 const instant = (local) => (local === '' ? '' : new Date(local).toISOString());
 
 /** Filters as a text, for the printed report. */
-function filterText({ kind, outcome, part_id: part, from, to }, what) {
+function filterText({ kind, outcome, part_prefix: part, from, to }, what) {
   return [
     kind && t(`${what === 'grips' ? 'command' : 'kind'}.${kind}`),
     outcome && t(`outcome.${outcome}`),
-    part && `${t('history.part')} ${part}`,
+    part && `${t('history.part_prefix')} ${part}`,
     from && `${t('history.from')} ${fullDate(from)}`,
     to && `${t('history.to')} ${fullDate(to)}`,
   ]
@@ -77,7 +77,7 @@ export function History({ one }) {
   const asked = {
     gripper: isOfAll.value ? '' : one.name,
     kind: kinds,
-    part_id: part.value.trim(),
+    part_prefix: part.value.trim(),
     outcome: outcome.value,
     from: instant(from.value),
     to: instant(to.value),
@@ -151,7 +151,7 @@ export function History({ one }) {
       <${Select} id="kind" label=${t('history.kind')} options=${KINDS[what.value]} value=${kind}
           word=${isGrips ? 'command' : 'kind'} />
       <${Select} id="outcome" label=${t('history.outcome')} options=${OUTCOMES} value=${outcome} word="outcome" />
-      <div class="field"><label for="part-filter">${t('history.part')}</label><input id="part-filter" type="search"
+      <div class="field"><label for="part-filter">${t('history.part_prefix')}</label><input id="part-filter" type="search"
           value=${part.value} onInput=${within(MAX_PART_BYTES, (text) => {
             part.value = text;
           })} /></div>

@@ -25,7 +25,7 @@ const CHECKS = {
 
 function whoText(by, reason) {
   if (by === 'device') return t('latch.device');
-  const who = person(by, reason);
+  const who = person(by, nameIn(reason));
   return nameIn(reason) === myName.value ? t('latch.you', { who }) : who;
 }
 

@@ -32,7 +32,9 @@ function fits(frame) {
 /** Rows that fit the filter. Rows about missing frames always do; folded updates are hidden by a filter. */
 function shownRows() {
   const isFiltered = filter.value.trim() !== '' || direction.value !== '';
-  return frames.value.filter((row) => (isFrame(row) ? fits(row) : !(isFiltered && row.direction === 'updates')));
+  return frames.value.filter((row) =>
+    isFrame(row) ? fits(row) : !(isFiltered && ['updates', 'away'].includes(row.direction)),
+  );
 }
 
 const isFrame = (row) => row.text !== undefined;

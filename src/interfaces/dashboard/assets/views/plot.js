@@ -2,6 +2,7 @@
 
 import { html } from '../lib.js';
 import uPlot from '../vendor/uplot.js';
+import { decimals, MAX_DECIMALS } from '../core/decimals.js';
 import { fixed, language } from '../model/i18n.js';
 import { isDark } from '../model/prefs.js';
 
@@ -9,11 +10,6 @@ export const css = (name) => getComputedStyle(document.documentElement).getPrope
 
 /** Theme and language of a plot, which is recreated when they change. */
 export const looks = () => `${isDark.value} ${language.value}`;
-
-/** Decimals that make neighbouring labels of an axis distinct. */
-const decimals = (step) => Math.min(2, Math.max(0, Math.ceil(-Math.log10(step))));
-
-const MAX_DECIMALS = 2;
 
 /** Styles of a plot's lines, which differ in more than colour. */
 const LINES = [

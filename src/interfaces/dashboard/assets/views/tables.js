@@ -1,7 +1,7 @@
 // Tables of the history: events in words, and motions.
 
 import { html } from '../lib.js';
-import { person } from '../core/people.js';
+import { nameIn, person } from '../core/people.js';
 import { details, sentence } from './sentence.js';
 import { fixed, moment, ofProblem, plain, t } from '../model/i18n.js';
 
@@ -38,8 +38,8 @@ function textOf(event) {
 }
 
 /** The client of an event. A command's holder is the name of its user. */
-function whoText({ kind, subject, reason, holder }) {
-  return subject ? person(subject, reason, kind === 'command' ? holder : null) : '';
+function whoText({ kind, subject, label, reason, holder }) {
+  return subject ? person(subject, label, nameIn(reason), kind === 'command' ? holder : null) : '';
 }
 
 const NUMBERS = ['width', 'history.peak', 'history.contact', 'history.duration'];
